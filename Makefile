@@ -1,0 +1,36 @@
+# Needs python3 (with venv) and make; everything else goes into .venv.
+SHELL := /bin/bash
+PYTHON ?= python3
+BIN := .venv/bin
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: venv demo test bench clean
+
+venv: .venv/.installed
+
+# A package index that is a local folder makes pip warn once for every package it lacks: left out.
+.venv/.installed: pyproject.toml constraints.txt
+	@test -x $(BIN)/pip || $(PYTHON) -m venv .venv
+	@echo "installing into .venv"
+	@set -o pipefail; $(BIN)/pip install -q -c constraints.txt -e '.[all,dev]' 2>&1 \
+		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
+	@touch $@
+
+demo: venv
+	$(BIN)/osc-contact run two_contact_rod --out out/two_contact_rod
+	$(BIN)/osc-contact reproduce all --out out/figures
+
+test: venv
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest
+
+bench: venv
+	$(BIN)/python benchmarks/control_loop.py
+
+clean:
+	rm -rf .venv out build dist *.egg-info MUJOCO_LOG.TXT \
+		.pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

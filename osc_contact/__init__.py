@@ -1,0 +1,65 @@
+"""Dynamically decoupled force/motion control for any state of contact.
+
+Names in reading order; `osc_contact.spatial` is the page of conventions.
+"""
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs import VertexOnFace
+from osc_contact.control.controller import Controller, Gains, Status
+from osc_contact.control.force import ForceGains
+from osc_contact.control.motion import MotionGains
+from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.dynamics.environment import Environment
+from osc_contact.dynamics.payload import RigidObject
+from osc_contact.errors import (
+    ContactError,
+    InvalidInputError,
+    ModelError,
+    OscContactError,
+    PlantError,
+    RecordingError,
+    ScenarioError,
+)
+from osc_contact.experiments.metrics import metrics
+from osc_contact.experiments.rig import Rig, build_rig
+from osc_contact.experiments.run import run
+from osc_contact.interface import Measurement, Reference
+from osc_contact.recorder import Recording
+from osc_contact.response import ContactResponse, contact_response
+from osc_contact.scenarios import list_scenarios, load_scenario
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Arm",
+    "RigidObject",
+    "ClosedChain",
+    "ChainState",
+    "Contact",
+    "VertexOnFace",
+    "Environment",
+    "ContactResponse",
+    "contact_response",
+    "Controller",
+    "Gains",
+    "MotionGains",
+    "ForceGains",
+    "Status",
+    "Measurement",
+    "Reference",
+    "load_scenario",
+    "list_scenarios",
+    "Rig",
+    "build_rig",
+    "run",
+    "Recording",
+    "metrics",
+    "OscContactError",
+    "InvalidInputError",
+    "ModelError",
+    "ContactError",
+    "ScenarioError",
+    "PlantError",
+    "RecordingError",
+]

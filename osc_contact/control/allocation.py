@@ -1,0 +1,123 @@
+"""Motor torques for a wanted object force and a wanted squeeze: what to do with null(G)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.errors import ModelError
+from osc_contact.spatial import Array
+
+__all__ = ["Allocation", "squeeze_rows"]
+
+
+def squeeze_rows(state: ChainState, chain: ClosedChain, eta_dot: Array) -> tuple[Array, Array]:
+    """(E, e0) with squeeze = E τ − e0, the internal force along the grasp line.
+
+    Squeeze = ½ eᵀ(λ₁ − λ₂) with λ_i the wrench arm i exerts on the object and e the unit
+    translation from grasp 1 to grasp 2: positive compresses. eᵀλ_i is the same for every
+    generalised inverse, because e lies in range(J_i).
+
+    Returns:
+        E (1, n_a) and e0 (1,) for two arms, empty (0, n_a) and (0,) otherwise.
+    """
+    n_a = chain.n_a
+    if len(chain.arms) != 2:
+        return np.zeros((0, n_a)), np.zeros(0)
+    line = state.grasp_points[1] - state.grasp_points[0]
+    length = float(np.linalg.norm(line))
+    if length < 1e-9:
+        return np.zeros((0, n_a)), np.zeros(0)
+    e = np.concatenate((line / length, np.zeros(3)))
+    qdd = state.W @ eta_dot + state.w
+    E = np.zeros(chain.nq)
+    offset = 0.0
+    for sign, s, arm in zip((0.5, -0.5), chain.slices, state.arms, strict=True):
+        lever = sign * (arm.J_bar @ e)
+        E[s] = lever
+        offset += lever @ (state.h[s] + arm.M @ qdd[s])
+    return E[None, chain.actuated], np.array([offset])
+
+
+@dataclass(frozen=True)
+class Allocation:
+    """Least torque, weighted by 1/τ_max², that gives G τ = f_S and the commanded squeeze.
+
+    Arms with more joints than they need use only torques Jᵀφ for the task; the rest holds their
+    posture in the dynamically consistent null space, (1 − JᵀJ̄ᵀ)τ₀ with
+    τ₀ = h + M (−k_d q̇ + k_p (q₀ − q)).
+
+    Attributes:
+        chain: structure and torque limits.
+        posture: (n,) joint positions that redundant arms return to.
+        stiffness, damping: 1/s², 1/s of that posture task.
+    """
+
+    chain: ClosedChain
+    posture: Array
+    stiffness: float = 25.0
+    damping: float = 10.0
+
+    def __post_init__(self) -> None:
+        for arm in self.chain.arms:
+            if arm.model.nv > 6 and arm.passive_joints:
+                raise ModelError(
+                    f"arm '{arm.name}' has {arm.model.nv} joints, {len(arm.passive_joints)} of them "
+                    "passive: posture torques for redundant arms need a motor in every joint"
+                )
+
+    def torques(
+        self,
+        state: ChainState,
+        q: Array,
+        v: Array,
+        f_S: Array,
+        eta_dot: Array,
+        squeeze_d: float,
+    ) -> Array:
+        """Motor torques (n_a,), not yet limited.
+
+        Args:
+            state: of the chain. q, v: (n,) measured.
+            f_S: (d,) wanted object force. eta_dot: (d,) acceleration it will cause.
+            squeeze_d: wanted squeeze (N).
+        """
+        chain = self.chain
+        E, e0 = squeeze_rows(state, chain, eta_dot)
+        A = np.vstack((state.G, E))
+        b = np.concatenate((f_S, squeeze_d * np.ones(len(e0)) + e0))
+        rest = self._posture_torques(state, q, v)
+        R_inv = self._inverse_weight(state)
+        # scaled rows: force and couple rows of A differ in units
+        AR = A @ R_inv
+        gram = AR @ A.T
+        scale = 1.0 / np.sqrt(np.diag(gram))
+        gram = gram * np.outer(scale, scale)
+        multipliers = np.linalg.solve(gram, scale * (b - A @ rest))
+        return np.asarray(rest + AR.T @ (scale * multipliers))
+
+    def _inverse_weight(self, state: ChainState) -> Array:
+        """R⁻¹ (n_a, n_a): τ_max² where every torque is needed, Jᵀ(JRJᵀ)⁻¹J in redundant arms."""
+        chain = self.chain
+        full = np.zeros((chain.nq, chain.nq))
+        limits = np.ones(chain.nq)
+        limits[chain.actuated] = np.where(np.isfinite(chain.tau_max), chain.tau_max, 1.0)
+        for s, arm in zip(chain.slices, state.arms, strict=True):
+            square = np.diag(limits[s] ** 2)
+            if arm.J.shape[1] > 6:
+                JR = arm.J / limits[s] ** 2
+                square = arm.J.T @ np.linalg.solve(JR @ arm.J.T, arm.J)
+            full[s, s] = square
+        return full[np.ix_(chain.actuated, chain.actuated)]
+
+    def _posture_torques(self, state: ChainState, q: Array, v: Array) -> Array:
+        chain = self.chain
+        full = np.zeros(chain.nq)
+        for s, arm in zip(chain.slices, state.arms, strict=True):
+            if arm.J.shape[1] > 6:
+                pull = self.stiffness * (self.posture[s] - q[s]) - self.damping * v[s]
+                tau_0 = state.h[s] + arm.M @ pull
+                full[s] = tau_0 - arm.J.T @ (arm.J_bar.T @ tau_0)
+        return full[chain.actuated]

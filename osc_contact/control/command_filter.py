@@ -1,0 +1,87 @@
+"""Equations 21 to 25: commands filtered so that force and motion do not disturb each other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.dynamics.environment import Environment
+from osc_contact.errors import InvalidInputError
+from osc_contact.response import require_reachable
+from osc_contact.spatial import Array
+
+__all__ = [
+    "object_coordinates",
+    "filtered_motion",
+    "generalised_force",
+    "metric_in_coordinates",
+]
+
+
+def object_coordinates(state: ChainState, contact: Contact, a: Array) -> Array:
+    """η̇ = P_T(a − σ), the coordinates (d,) of an object acceleration a (6,).
+
+    P_T x = argmin_e (x − S e)ᵀΛ_o(x − S e) subject to NᵀS e = Nᵀx: exact where a − σ lies in
+    range(S) (always, for d = 6), and what the contact sees is never rounded away.
+
+    Raises:
+        ContactError: the arms cannot push on some contact (rank SᵀN < r).
+    """
+    require_reachable(state, contact)
+    x = a - state.sigma
+    H = state.S.T @ state.metric @ state.S
+    eta = np.linalg.solve(H, state.S.T @ state.metric @ x)
+    N_S = state.S.T @ contact.N
+    H_inv_N = np.linalg.solve(H, N_S)
+    miss = contact.N.T @ x - N_S.T @ eta
+    return np.asarray(eta + H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, miss))
+
+
+def metric_in_coordinates(state: ChainState, B: Array) -> Array:
+    """B_S = (SᵀB⁻¹S)⁻¹ (d, d), so that the filter does not depend on the basis S.
+
+    Raises:
+        InvalidInputError: B is not symmetric positive definite.
+    """
+    scale = np.sqrt(np.diag(B)) if np.diag(B).min() > 0.0 else np.ones(6)
+    scaled = B / np.outer(scale, scale)
+    if np.abs(scaled - scaled.T).max() > 1e-9 or np.linalg.eigvalsh(scaled)[0] <= 0.0:
+        raise InvalidInputError("the metric B of eq. 24 must be symmetric positive definite")
+    return np.linalg.inv(state.S.T @ np.linalg.solve(B, state.S))
+
+
+def filtered_motion(
+    state: ChainState,
+    contact: Contact,
+    eta_u: Array,
+    alpha_u: Array,
+    B: Array,
+    environment: Environment,
+) -> Array:
+    """η̇_c (d,): the motion command after Ω_m(B), eq. 24, with the velocity-product terms.
+
+        ρ = n_γ + Nᵀ(b_e − σ + Φ_eNα_u)
+        η̇_c = η̇_u − B_S N_S (N_SᵀB_S N_S)⁻¹ (N_Sᵀη̇_u − ρ),   N_S = SᵀN
+
+    Args:
+        state, contact, environment: at this instant.
+        eta_u: (d,) unfiltered motion command.
+        alpha_u: (r,) force command.
+        B: (6, 6) positive definite, any: it decides how a forbidden command is bent into T.
+    """
+    N = contact.N
+    N_S = state.S.T @ N
+    B_N = metric_in_coordinates(state, B) @ N_S
+    environment_push = environment.b_e - state.sigma + environment.Phi_e @ (N @ alpha_u)
+    rho = contact.n_gamma + N.T @ environment_push
+    return np.asarray(eta_u - B_N @ np.linalg.solve(N_S.T @ B_N, N_S.T @ eta_u - rho))
+
+
+def generalised_force(state: ChainState, eta_c: Array, f_c: Array) -> Array:
+    """f_S = Λ_S η̇_c + b_S + Sᵀf_c (d,): the dynamic control structure, eq. 21.
+
+    With a filtered η̇_c and f_c = N α_u the chain answers with exactly these (eqs. 24, 25); with
+    unfiltered commands they couple as eqs. 22 and 23 say.
+    """
+    return np.asarray(state.Lambda @ eta_c + state.bias + state.S.T @ f_c)

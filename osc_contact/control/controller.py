@@ -1,0 +1,366 @@
+"""The decoupled force/motion controller: fig. 4, assembled on one page.
+
+Each method marked `@block` is one box of the figure: it reads and writes the named signals of
+`Signals` and nothing else, so that the diagrams of figs. 4 and 5 can be drawn from a real tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, Protocol
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.control.allocation import Allocation
+from osc_contact.control.command_filter import (
+    filtered_motion,
+    generalised_force,
+    object_coordinates,
+)
+from osc_contact.control.force import (
+    ForceGains,
+    ForceLaw,
+    contact_force,
+    magnitudes,
+    sum_of_wrenches,
+)
+from osc_contact.control.motion import MotionGains, MotionLaw
+from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.dynamics.environment import Environment
+from osc_contact.errors import InvalidInputError, OscContactError
+from osc_contact.interface import Measurement, Reference
+from osc_contact.spatial import Array
+
+__all__ = ["Block", "Controller", "ContactPair", "Gains", "Signals", "Status"]
+
+
+class Status(IntEnum):
+    """How a tick ended. Anything but OK leaves a torque within limits and a reason to read."""
+
+    OK = 0
+    SATURATED = 1  #: a motor limit was reached: torques were scaled, integrators held
+    HELD = 2  #: bad measurement or degenerate posture: the last good torques were repeated
+
+
+class ContactPair(Protocol):
+    """Anything that gives N and n_γ at the object's pose and twist, such as `VertexOnFace`."""
+
+    @property
+    def name(self) -> str:
+        """Used in messages and recordings."""
+
+    def contact(self, X_WO: pin.SE3, V_O: Array) -> Contact:
+        """The contact at this instant."""
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains of the two loops."""
+
+    motion: MotionGains = field(default_factory=MotionGains)
+    force: ForceGains = field(default_factory=ForceGains)
+
+
+class Signals:
+    """The wires of fig. 4, as attributes; their values after a tick are those of that tick."""
+
+    q: Array  #: (n,) encoders
+    v: Array  #: (n,)
+    wrenches: Array  #: (arms, 6) wrist sensors
+    reference: Reference  #: desired pose, twist, acceleration of the object
+    alpha_d: Array  #: (r,) desired contact forces
+    squeeze_d: float  #: desired internal force
+    state: ChainState  #: Λ_S, μ, p, S, σ, G of the closed chain
+    contact: Contact  #: N, T, n_γ
+    f_meas: Array  #: (6,) sum of the wrist readings at O, tare removed
+    f_c_meas: Array  #: (6,) contact force inside it
+    alpha_meas: Array  #: (r,) its magnitudes
+    alpha_u: Array  #: (r,) force command
+    f_ccomm: Array  #: (6,) the same in operational space
+    a_u: Array  #: (6,) motion command
+    eta_c: Array  #: (d,) filtered motion command
+    f_S: Array  #: (d,) generalised force
+    tau: Array  #: (n_a,) motor torques
+
+
+@dataclass(frozen=True)
+class Block:
+    """One box of fig. 4 or 5: what it is called, what it computes, what goes in and out."""
+
+    name: str
+    group: str
+    equation: str
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+
+
+_Stage = Callable[["Controller", Signals], None]
+
+
+def block(name: str, group: str, equation: str) -> Callable[[_Stage], _Stage]:
+    """Mark a method as one box of the figure."""
+
+    def mark(stage: _Stage) -> _Stage:
+        stage.block = Block(name, group, equation)  # type: ignore[attr-defined]
+        return stage
+
+    return mark
+
+
+class Controller:
+    """Dynamically decoupled force/motion control of one held object (fig. 4).
+
+    Attributes:
+        signals: every wire of the last tick. status, reason: how it ended.
+        engaged: whether the contacts are part of the model; False treats the object as free.
+        f_tare: (6,) constant error of the wrist readings at O, removed from each.
+        f_bias: (6,) constant wrench added to the command, learnt before contact.
+    """
+
+    def __init__(
+        self,
+        chain: ClosedChain,
+        contacts: Sequence[ContactPair],
+        gains: Gains | None = None,
+        *,
+        dt: float = 1e-3,
+        B: Array | str = "object",
+        environment: Environment | None = None,
+        posture: Array | None = None,
+        engaged: bool = True,
+    ) -> None:
+        """Assemble the loops.
+
+        Args:
+            chain: model of arms and object.
+            contacts: pairs in the order of alpha_d.
+            gains: of both loops.
+            dt: control period (s).
+            B: metric of the motion filter Ω_m(B), eq. 24: "object" (Λ_o⁻¹), "chain"
+                ((ΣΛ_i + Λ_o)⁻¹ within the chain's motions) or a positive definite (6, 6).
+            environment: default fixed.
+            posture: (n,) where redundant arms return to (default: neutral).
+            engaged: start in contact.
+
+        Raises:
+            InvalidInputError: dt not positive, unknown metric.
+        """
+        if not (np.isfinite(dt) and dt > 0.0):
+            raise InvalidInputError(f"dt = {dt}; give the control period in seconds, > 0")
+        if isinstance(B, str) and B not in ("object", "chain"):
+            raise InvalidInputError(f"B = '{B}'; give 'object', 'chain' or a (6, 6) matrix")
+        gains = Gains() if gains is None else gains
+        self.chain = chain
+        self.contacts = tuple(contacts)
+        self.environment = Environment.fixed() if environment is None else environment
+        self.B = B
+        self.engaged = engaged
+        self.motion_law = MotionLaw(gains.motion, dt)
+        self.force_law = ForceLaw(gains.force, dt)
+        rest = np.zeros(chain.nq) if posture is None else np.asarray(posture, dtype=float)
+        self.allocation = Allocation(chain, rest)
+        self.f_tare: Array = np.zeros(6)
+        self.f_bias: Array = np.zeros(6)
+        self.signals = Signals()
+        self.status = Status.OK
+        self.reason = ""
+        self._last_tau: Array = np.zeros(chain.n_a)
+
+    def tick(self, measurement: Measurement, reference: Reference) -> Array:
+        """Motor torques (n_a,) for one control period.
+
+        Never raises on bad data and never returns a torque that is not finite or exceeds a motor
+        limit: a tick that cannot be computed repeats the last good torques, see `status`.
+        """
+        s = self.signals
+        before = (self.motion_law.integral, self.force_law.integral)
+        try:
+            self._take_in(measurement, reference, s)
+            for stage in self.STAGES:
+                stage(self, s)
+            tau = self._limited(s.tau)
+        except (OscContactError, np.linalg.LinAlgError) as error:
+            self.status, self.reason = Status.HELD, str(error)
+            tau = self._last_tau
+        if self.status is not Status.OK:
+            self.motion_law.integral, self.force_law.integral = before
+        self._last_tau = tau
+        return tau.copy()
+
+    def residual_wrench(self) -> Array:
+        """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
+
+        Its mean over a moment at rest without contact is the tare: weight errors of object and
+        grippers cannot be told from contact forces once contact is made. Store it in `f_tare`.
+        """
+        s = self.signals
+        return np.asarray(s.f_meas + self.f_tare - s.state.bias_out)
+
+    def engage(self) -> None:
+        """Take the contacts into the model, without a jump.
+
+        What the motion integral has learnt in free space (weight errors, as a force) goes on as a
+        constant wrench, in the contact directions too; the integrators start again from zero.
+        """
+        if self.engaged:
+            return
+        s = self.signals
+        learnt = self.motion_law.gains.integral * self.motion_law.integral
+        force = s.state.Lambda @ object_coordinates(s.state, s.contact, learnt + s.state.sigma)
+        H = s.state.S.T @ s.state.metric @ s.state.S
+        self.f_bias = s.state.metric @ s.state.S @ np.linalg.solve(H, force)  # Sᵀf_bias = force
+        self.motion_law.integral = np.zeros(6)
+        self.force_law.integral = np.zeros(0)
+        self.engaged = True
+
+    # --- the boxes of fig. 4, in the order in which the signals meet them -----------------------
+
+    @block("closed chain", "model", r"$\Lambda_S,\ \mu,\ p,\ S,\ \sigma,\ G$  (13)")
+    def _model(self, s: Signals) -> None:
+        s.state = self.chain.state(s.q, s.v)
+
+    @block("contact geometry", "model", r"$N,\ T,\ n_\gamma$")
+    def _contact(self, s: Signals) -> None:
+        state = s.state
+        pairs = self.contacts if self.engaged else ()
+        s.contact = Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in pairs])
+
+    @block("sum of wrist sensors", "force", r"$\Sigma$ at $O$")
+    def _sense(self, s: Signals) -> None:
+        s.f_meas = sum_of_wrenches(s.wrenches, s.state) - self.f_tare
+
+    @block("force filter", "force", r"$\Omega_f(\Lambda_{out})$")
+    def _force_filter(self, s: Signals) -> None:
+        s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, self.environment)
+
+    @block("generalised inverse", "force", r"$N^{\#}$")
+    def _magnitudes(self, s: Signals) -> None:
+        s.alpha_meas = magnitudes(s.f_c_meas, s.contact)
+
+    @block("force law", "force", r"$\alpha_d + K_i\!\int(\alpha_d-\alpha_{meas})$")
+    def _force_law(self, s: Signals) -> None:
+        desired = s.alpha_d if self.engaged else np.zeros(0)
+        speed = s.contact.N.T @ (s.state.V_O - self.environment.V_e)
+        s.alpha_u = self.force_law.command(desired, s.alpha_meas, speed)
+
+    @block("to operational space", "force", r"$N\alpha_u$  (16)")
+    def _operational_force(self, s: Signals) -> None:
+        s.f_ccomm = s.contact.N @ s.alpha_u
+
+    @block("motion law", "motion", r"$\ddot x_d + K_d\dot e + K_p e + K_i\!\int\! e$")
+    def _motion_law(self, s: Signals) -> None:
+        Omega_m = s.contact.motion_projection(self._metric(s.state))
+        s.a_u = self.motion_law.command(s.reference, s.state, Omega_m)
+
+    @block("motion filter", "filter", r"$\Omega_m(B)$  (24)")
+    def _motion_filter(self, s: Signals) -> None:
+        eta_u = object_coordinates(s.state, s.contact, s.a_u)
+        s.eta_c = filtered_motion(
+            s.state, s.contact, eta_u, s.alpha_u, self._metric(s.state), self.environment
+        )
+
+    @block("dynamic control structure", "filter", r"$\Lambda_S\dot\eta_c+b_S+S^Tf_{ccomm}$  (21)")
+    def _control_structure(self, s: Signals) -> None:
+        s.f_S = generalised_force(s.state, s.eta_c, s.f_ccomm + self.f_bias)
+
+    @block("torque allocation", "filter", r"$G\tau = f_S$, squeeze in null$(G)$")
+    def _allocate(self, s: Signals) -> None:
+        s.tau = self.allocation.torques(s.state, s.q, s.v, s.f_S, s.eta_c, s.squeeze_d)
+
+    STAGES: tuple[_Stage, ...] = (
+        _model,
+        _contact,
+        _sense,
+        _force_filter,
+        _magnitudes,
+        _force_law,
+        _operational_force,
+        _motion_law,
+        _motion_filter,
+        _control_structure,
+        _allocate,
+    )
+
+    # --- border --------------------------------------------------------------------------------
+
+    def wiring(self, measurement: Measurement, reference: Reference) -> list[Block]:
+        """The boxes with the signals each one really read and wrote, observed during one tick."""
+        blocks = []
+        wires = _Traced()
+        before = (self.motion_law.integral, self.force_law.integral)
+        self._take_in(measurement, reference, wires)
+        for stage in self.STAGES:
+            wires.begin()
+            stage(self, wires)
+            own: Block = stage.block  # type: ignore[attr-defined]
+            blocks.append(Block(own.name, own.group, own.equation, *wires.seen()))
+        self.motion_law.integral, self.force_law.integral = before
+        return blocks
+
+    def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
+        self.status, self.reason = Status.OK, ""
+        for name, value in (
+            ("wrist wrench", measurement.wrenches),
+            ("reference alpha_d", reference.alpha_d),
+            ("reference twist", reference.V_D),
+            ("reference acceleration", reference.A_D),
+            ("reference squeeze", reference.squeeze_d),
+            ("reference pose", reference.X_WD.homogeneous),
+        ):
+            if not np.isfinite(value).all():
+                raise InvalidInputError(f"{name} holds a NaN or inf: {value}")
+        if reference.alpha_d.shape != (len(self.contacts),):
+            raise InvalidInputError(
+                f"reference alpha_d: {reference.alpha_d.shape[0]} forces for "
+                f"{len(self.contacts)} contacts"
+            )
+        s.q, s.v, s.wrenches = measurement.q, measurement.v, measurement.wrenches
+        s.reference, s.alpha_d, s.squeeze_d = reference, reference.alpha_d, reference.squeeze_d
+
+    def _metric(self, state: ChainState) -> Array:
+        if isinstance(self.B, str):
+            if self.B == "object":
+                return np.linalg.inv(state.metric)
+            inertia = state.metric + sum(arm.Lambda for arm in state.arms)
+            return np.asarray(np.linalg.inv(inertia))
+        return self.B
+
+    def _limited(self, tau: Array) -> Array:
+        """Scale all torques by one factor until every motor is within its limit."""
+        if not np.isfinite(tau).all():
+            raise InvalidInputError(f"computed torques are not finite: {tau}")
+        excess = float(np.max(np.abs(tau) / self.chain.tau_max, initial=0.0))
+        if excess <= 1.0:
+            return tau
+        motor = int(np.argmax(np.abs(tau) / self.chain.tau_max))
+        name = self.chain.joint_names[self.chain.actuated[motor]]
+        self.status = Status.SATURATED
+        self.reason = f"{name}: {tau[motor]:.4g} of ±{self.chain.tau_max[motor]:.4g} wanted"
+        return tau / excess
+
+
+class _Traced(Signals):
+    """Signals that remember who read and wrote what."""
+
+    def begin(self) -> None:
+        self.__dict__["_reads"], self.__dict__["_writes"] = [], []
+
+    def seen(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        return tuple(self.__dict__["_reads"]), tuple(self.__dict__["_writes"])
+
+    def __getattribute__(self, name: str) -> Any:
+        value = super().__getattribute__(name)
+        log = super().__getattribute__("__dict__").get("_reads")
+        if log is not None and name in Signals.__annotations__ and name not in log:
+            log.append(name)
+        return value
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        log = self.__dict__.get("_writes")
+        if log is not None and name not in log:
+            log.append(name)
+        super().__setattr__(name, value)

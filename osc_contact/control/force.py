@@ -1,0 +1,96 @@
+"""Force control in the N space: the blocks of fig. 5."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.dynamics.environment import Environment
+from osc_contact.errors import InvalidInputError
+from osc_contact.spatial import Array, carry_wrench
+
+__all__ = ["ForceGains", "ForceLaw", "sum_of_wrenches", "contact_force", "magnitudes"]
+
+
+def sum_of_wrenches(wrenches: Array, state: ChainState) -> Array:
+    """f_meas (6,): all wrist readings (arms, 6) turned to world axes and carried to O."""
+    total = np.zeros(6)
+    for reading, X_WS in zip(wrenches, state.sensors, strict=True):
+        if X_WS is not None:
+            R = X_WS.rotation
+            world = np.concatenate((R @ reading[:3], R @ reading[3:]))
+            total += carry_wrench(world, X_WS.translation, state.X_WO.translation)
+    return total
+
+
+def contact_force(
+    f_meas: Array, state: ChainState, contact: Contact, environment: Environment
+) -> Array:
+    """The contact force f_c (6,) inside a wrist reading: the filter Ω_f(Λ_out) of fig. 5.
+
+    The sensors read Λ_out a + bias_out + f_c. The contact knows Nᵀa_rel = n_γ, which takes the
+    place of accelerometers:
+
+        f_c = N (Nᵀ(Λ_out⁻¹ + Φ_e)N)⁻¹ [NᵀΛ_out⁻¹(f_meas − bias_out) − n_γ − Nᵀb_e]
+
+    With Φ_e = 0 this is Ω_f(Λ_out) and an offset. Λ_out is the object's inertia Λ_o of the paper
+    plus the gripper parts outboard of the sensors.
+    """
+    N = contact.N
+    Phi_N = np.linalg.solve(state.Lambda_out.T, N)  # Λ_out⁻ᵀN
+    D = Phi_N.T @ N + N.T @ environment.Phi_e @ N
+    seen = Phi_N.T @ (f_meas - state.bias_out) - contact.n_gamma - N.T @ environment.b_e
+    return N @ np.linalg.solve(D, seen)
+
+
+def magnitudes(f_c: Array, contact: Contact) -> Array:
+    """α (r,) with N α = f_c, by a generalised inverse of N.
+
+    f_c lies in range(N), so every generalised inverse gives the same α (paper, fig. 5).
+    """
+    scale = np.abs(contact.N).max(axis=0, initial=0.0)
+    N = contact.N / scale
+    return np.asarray(np.linalg.lstsq(N, f_c, rcond=None)[0] / scale)
+
+
+@dataclass(frozen=True)
+class ForceGains:
+    """Integral gain (1/s) and damping of the normal velocity (N s/m).
+
+    There is no proportional gain: a rigid contact answers a command within the same instant, so a
+    proportional loop with gain ≥ 1 is unstable in discrete time at any rate.
+    """
+
+    integral: float = 30.0
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        for key, value in vars(self).items():
+            if not (np.isfinite(value) and value >= 0.0):
+                raise InvalidInputError(f"force gain {key} = {value}; give a finite number ≥ 0")
+
+
+@dataclass
+class ForceLaw:
+    """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel: feed-forward, integral and damping."""
+
+    gains: ForceGains
+    dt: float
+    integral: Array = field(default_factory=lambda: np.zeros(0))  #: (r,) N
+
+    def __post_init__(self) -> None:
+        if self.gains.integral * self.dt >= 1.0:
+            raise InvalidInputError(
+                f"force gain integral = {self.gains.integral:g} 1/s at a period of {self.dt:g} s "
+                "leaves no stability margin; keep integral × period below 1"
+            )
+
+    def command(self, alpha_d: Array, alpha_meas: Array, normal_speed: Array) -> Array:
+        """Commanded magnitudes α_u (r,); normal_speed = NᵀV_rel (r,) in m/s."""
+        if len(self.integral) != len(alpha_d):
+            self.integral = np.zeros(len(alpha_d))
+        self.integral = self.integral + self.gains.integral * self.dt * (alpha_d - alpha_meas)
+        return alpha_d + self.integral - self.gains.damping * normal_speed

@@ -1,0 +1,69 @@
+"""Motion control of the object: the acceleration that brings it back to its reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Reference
+from osc_contact.spatial import Array, classical_to_spatial, pose_error
+
+__all__ = ["MotionGains", "MotionLaw"]
+
+
+@dataclass(frozen=True)
+class MotionGains:
+    """Scalar gains, the same for positions and angles, so that no metre meets a radian.
+
+    Attributes:
+        stiffness: 1/s². damping: 1/s. integral: 1/s³.
+    """
+
+    stiffness: float = 400.0
+    damping: float = 40.0
+    integral: float = 0.0
+
+    def __post_init__(self) -> None:
+        for key, value in vars(self).items():
+            if not (np.isfinite(value) and value >= 0.0):
+                raise InvalidInputError(f"motion gain {key} = {value}; give a finite number ≥ 0")
+        if self.integral > self.stiffness * self.damping:
+            raise InvalidInputError(
+                f"motion gain integral = {self.integral:g} 1/s³ exceeds stiffness × damping = "
+                f"{self.stiffness * self.damping:g}: the loop would be unstable (Routh). Lower it."
+            )
+
+
+@dataclass
+class MotionLaw:
+    """a_u = p̈_d + K_d ė + K_p e + K_i ∫e, returned as a spatial acceleration at O.
+
+    Only the part of e that the contact permits is integrated: the rest belongs to the force loop
+    and would wind up.
+    """
+
+    gains: MotionGains
+    dt: float
+    integral: Array = field(default_factory=lambda: np.zeros(6))  #: ∫e dt (m s, rad s)
+
+    def command(self, reference: Reference, state: ChainState, Omega_m: Array) -> Array:
+        """Commanded spatial acceleration (6,) of the object.
+
+        Args:
+            reference: desired pose, twist and classical acceleration.
+            state: measured state of the chain.
+            Omega_m: (6, 6) projection onto the permitted motions (eq. 4).
+        """
+        k = self.gains
+        error = pose_error(reference.X_WD, state.X_WO)
+        self.integral = self.integral + Omega_m @ error * self.dt
+        classical = (
+            reference.A_D
+            + k.damping * (reference.V_D - state.V_O)
+            + k.stiffness * error
+            + k.integral * self.integral
+        )
+        return classical_to_spatial(classical, state.V_O)

@@ -1,0 +1,181 @@
+"""One arm: where it comes from, and its operational-space terms Φ, Λ, J̄, μ, p of eq. 13."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact import robots
+from osc_contact.errors import ModelError
+from osc_contact.spatial import Array
+
+__all__ = ["Arm", "ArmTerms", "arm_terms"]
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A serial arm as loaded; build it with `Arm.from_urdf`.
+
+    Attributes:
+        name: prefix of its joints in the merged model ("left" → "left/joint1").
+        model: Pinocchio model of the joints between base and tip.
+        tip: name of the frame that grasps.
+        base: pose of the arm's base in the world.
+        passive_joints: names of joints without a motor (gripper hinges).
+        wrist_sensor: frame of the 6-axis force/torque sensor; everything outboard of it is weighed
+            by it. None: no sensor.
+    """
+
+    name: str
+    model: pin.Model
+    tip: str
+    base: pin.SE3
+    passive_joints: tuple[str, ...] = ()
+    wrist_sensor: str | None = None
+
+    @classmethod
+    def from_urdf(
+        cls,
+        urdf: str | Path | pin.Model,
+        *,
+        name: str,
+        tip: str,
+        base: pin.SE3 | None = None,
+        passive_joints: Sequence[str] = (),
+        wrist_sensor: str | None = None,
+        locked: Mapping[str, float] | None = None,
+        mass_factor: float = 1.0,
+    ) -> Arm:
+        """Load an arm; joints that do not move the tip (fingers) are locked where they stand.
+
+        Args:
+            urdf: path of a URDF, or a ready Pinocchio model.
+            name: prefix that keeps equal robots apart.
+            tip: frame that holds the object.
+            base: pose of the URDF's root in the world (default: the origin).
+            passive_joints: joints without a motor.
+            wrist_sensor: frame of the wrist force/torque sensor.
+            locked: positions of joints to hold fixed (m, rad); others off the path use neutral.
+            mass_factor: multiplies every link mass and inertia (to study model error).
+
+        Raises:
+            ModelError: unreadable or impossible URDF, unknown frame or joint, no moving joint.
+        """
+        model = urdf if isinstance(urdf, pin.Model) else robots.load_model(Path(urdf))
+        held = dict(locked or {})
+        _require_joints(model, (*passive_joints, *held))
+        model = _path_to(model, robots.frame_id(model, tip), held)
+        _require_joints(model, passive_joints)
+        if wrist_sensor is not None:
+            robots.frame_id(model, wrist_sensor)
+        if mass_factor != 1.0:
+            model = _with_masses_scaled(model, mass_factor)
+        X_WB = pin.SE3.Identity() if base is None else base
+        return cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor)
+
+
+def _require_joints(model: pin.Model, names: Sequence[str]) -> None:
+    missing = [name for name in names if name not in list(model.names)[1:]]
+    if missing:
+        raise ModelError(
+            f"no moving joint called {missing[0]!r} on the way to the tip; "
+            f"there are {list(model.names)[1:]}"
+        )
+
+
+def _path_to(model: pin.Model, tip: int, held: Mapping[str, float]) -> pin.Model:
+    """The model with every joint locked that does not move the tip."""
+    on_path = set(model.supports[model.frames[tip].parentJoint])
+    q = pin.neutral(model)
+    lock = []
+    for j in range(1, model.njoints):
+        if model.names[j] in held:
+            q[model.joints[j].idx_q] = held[model.names[j]]
+            lock.append(j)
+        elif j not in on_path:
+            lock.append(j)
+    if not lock:
+        return model
+    if len(lock) == model.njoints - 1:
+        raise ModelError(f"no joint moves the tip frame '{model.frames[tip].name}'")
+    reduced = pin.buildReducedModel(model, lock, q)
+    for frame in reduced.frames:  # Pinocchio 4.1 leaves some frames their own parents
+        original = model.frames[model.getFrameId(frame.name)]
+        parent = model.frames[original.parentFrame]
+        frame.parentFrame = reduced.getFrameId(parent.name)
+    return reduced
+
+
+def _with_masses_scaled(model: pin.Model, factor: float) -> pin.Model:
+    def scale(inertia: pin.Inertia) -> pin.Inertia:
+        return pin.Inertia(inertia.mass * factor, inertia.lever, inertia.inertia * factor)
+
+    scaled = model.copy()
+    for j in range(1, scaled.njoints):
+        scaled.inertias[j] = scale(scaled.inertias[j])
+    for frame in scaled.frames:
+        frame.inertia = scale(frame.inertia)
+    return scaled
+
+
+@dataclass(frozen=True)
+class ArmTerms:
+    """Operational-space terms of one arm at the operational point, world axes.
+
+    For arms with fewer than six joints (or in a singular posture) Λ, J̄, μ and p are defined only
+    on range(J): the arm is a *structural constraint* with wrenches C in the other directions.
+    Which generalised inverse extends them is irrelevant: only their values on range(J) are used.
+    """
+
+    J: Array  #: (6, n) Jacobian
+    gamma: Array  #: (6,) spatial drift: acceleration of the tip at q̈ = 0
+    M: Array  #: (n, n) joint-space inertia
+    Phi: Array  #: (6, 6) inverse inertia J M⁻¹ Jᵀ, rank ≤ n
+    Lambda: Array  #: (6, 6) inertia Φ⁺ on range(J)
+    J_bar: Array  #: (n, 6) dynamically consistent inverse M⁻¹JᵀΛ
+    mu: Array  #: (6,) velocity-product wrench J̄ᵀ C v − Λ γ
+    p: Array  #: (6,) gravity wrench J̄ᵀ g
+    C: Array  #: (6, 6−rank) wrenches the arm's structure resists: CᵀJ = 0
+    mobility: Array  #: (min(n, 6),) singular values, √(object inertia / arm inertia), descending
+
+
+def arm_terms(
+    J: Array, gamma: Array, M: Array, h: Array, g: Array, L: Array, tolerance: float
+) -> ArmTerms:
+    """Φ, Λ, J̄, μ, p and C of one arm from what Pinocchio supplies (eq. 13).
+
+    J is made dimensionless in the kinetic-energy metrics of joints (M) and object (LLᵀ), so that
+    its singular values do not depend on units, frame or operational point.
+
+    Args:
+        J: (6, n) tip Jacobian carried to the operational point.
+        gamma: (6,) spatial drift there.
+        M, h, g: (n, n), (n,), (n,) joint inertia, nonlinear effects C v + g, gravity.
+        L: (6, 6) lower Cholesky factor of the object's inertia.
+        tolerance: a direction counts as locked when the arm's apparent inertia in it exceeds the
+            object's by 1/tolerance².
+    """
+    K = np.linalg.cholesky(M)
+    A = L.T @ np.linalg.solve(K, J.T).T
+    U, s, Vh = np.linalg.svd(A, full_matrices=True)
+    rank = int(np.count_nonzero(s > tolerance))
+    # J̄ = M⁻¹JᵀΛ = K⁻ᵀ A⁺ Lᵀ
+    J_bar = np.linalg.solve(K.T, (Vh[:rank].T / s[:rank]) @ (L @ U[:, :rank]).T)
+    Lambda = J_bar.T @ M @ J_bar
+    LA = np.linalg.solve(L.T, A)
+    return ArmTerms(
+        J=J,
+        gamma=gamma,
+        M=M,
+        Phi=LA @ LA.T,
+        Lambda=Lambda,
+        J_bar=J_bar,
+        mu=J_bar.T @ (h - g) - Lambda @ gamma,
+        p=J_bar.T @ g,
+        C=L @ U[:, rank:],
+        mobility=s,
+    )

@@ -1,0 +1,316 @@
+"""Arms that hold one object: the closed chain of section 6 and its equation of motion, eq. 13.
+
+The object can make only the motions S that every arm permits (dual SCARA: five). In them
+
+    Λ_S η̇ + μ_S + p_S + Sᵀf_c = G τ,        a = S η̇ + σ,        q̈ = W η̇ + w,
+
+and Φ₀ = S Λ_S⁻¹ Sᵀ takes the place of Λ₀⁻¹: a 6×6 matrix of rank d, never a damped inverse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from osc_contact import robots
+from osc_contact.dynamics.arm import Arm, ArmTerms, arm_terms
+from osc_contact.dynamics.outboard import (
+    OutboardLink,
+    columns_at,
+    drift,
+    outboard_links,
+    outboard_terms,
+)
+from osc_contact.dynamics.payload import ObjectTerms, RigidObject
+from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.spatial import Array, as_array
+
+__all__ = ["ClosedChain", "ChainState"]
+
+#: Stands in for the object's inertia in rank decisions when the arms hold nothing:
+#: 1 kg with a radius of gyration of 0.1 m.
+_REFERENCE = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
+
+
+@dataclass(frozen=True)
+class ChainState:
+    """The closed chain at one (q, v), at the operational point O in world axes.
+
+    d motions of the object, n joints (passive ones included), n_a motors.
+    """
+
+    X_WO: pin.SE3  #: pose of the object
+    V_O: Array  #: (6,) its twist
+    S: Array  #: (6, d) basis of the motions every arm permits
+    C: Array  #: (6, 6−d) the wrenches they resist, CᵀS = 0
+    Lambda: Array  #: (d, d) Λ_S = Sᵀ(ΣΛ_i + Λ_o)S
+    Phi: Array  #: (6, 6) Φ₀ = S Λ_S⁻¹ Sᵀ, eq. 13's Λ₀⁻¹
+    mu: Array  #: (d,) velocity-product terms, σ included
+    p: Array  #: (d,) gravity terms
+    sigma: Array  #: (6,) structural velocity product: a = S η̇ + σ
+    G: Array  #: (d, n_a) what the motors do to the object
+    W: Array  #: (n, d) joint accelerations q̈ = W η̇ + w
+    w: Array  #: (n,)
+    h: Array  #: (n,) joint nonlinear effects C v + g
+    M: Array  #: (n, n) joint-space inertia of all arms
+    arms: tuple[ArmTerms, ...]  #: per arm: J, Φ, Λ, J̄, μ, p, …
+    payload: ObjectTerms  #: Λ_o, μ_o, p_o
+    metric: Array  #: (6, 6) Λ_o, or the reference inertia when nothing is held
+    grasp_points: Array  #: (arms, 3) world
+    sensors: tuple[pin.SE3 | None, ...]  #: placement of each wrist sensor in the world
+    Lambda_out: Array  #: (6, 6) inertia seen by the wrist sensors together (not symmetric)
+    bias_out: Array  #: (6,) gravity and velocity wrench they see at a = 0
+
+    @property
+    def d(self) -> int:
+        """Number of motions the object can make."""
+        return int(self.S.shape[1])
+
+    @property
+    def bias(self) -> Array:
+        """(d,) b_S = μ_S + p_S."""
+        return self.mu + self.p
+
+
+class ClosedChain:
+    """Several arms rigidly grasping one object (or one arm whose tip is the object).
+
+    Attributes:
+        model, data: the merged Pinocchio model, joints named "arm/joint", and its data.
+        arms: as given. slices: each arm's part of q and v.
+        actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits.
+    """
+
+    def __init__(
+        self,
+        arms: Sequence[Arm],
+        grasps: Sequence[pin.SE3] | None = None,
+        payload: RigidObject | None = None,
+        *,
+        rank_tolerance: float = 1e-3,
+    ) -> None:
+        """Merge the arms into one model.
+
+        Args:
+            arms: one or more, with different names.
+            grasps: X_TO, pose of the object in each arm's tip frame (default: identity).
+            payload: the held object; None: nothing but the last link.
+            rank_tolerance: an arm direction counts as locked when the arm's apparent inertia in it
+                is 1/tolerance² of the object's; two arms' locked directions count as the same
+                when they differ by less than this angle (rad, in the object's energy metric).
+
+        Raises:
+            ModelError: no arms, equal names, or a grasp too few.
+        """
+        if not arms:
+            raise ModelError("a closed chain needs at least one arm")
+        names = [arm.name for arm in arms]
+        if len(set(names)) != len(names):
+            raise ModelError(f"arm names must differ, got {names}; pass name= to Arm.from_urdf")
+        self.arms = tuple(arms)
+        self.grasps = (
+            tuple(grasps) if grasps is not None else tuple(pin.SE3.Identity() for _ in arms)
+        )
+        if len(self.grasps) != len(arms):
+            raise ModelError(f"{len(arms)} arms but {len(self.grasps)} grasps; give X_TO for each")
+        self.payload = payload
+        self.rank_tolerance = rank_tolerance
+        self.model = _merge(self.arms)
+        self.data = self.model.createData()
+        self.slices: tuple[slice, ...] = tuple(
+            slice(end - arm.model.nv, end)
+            for arm, end in zip(arms, np.cumsum([a.model.nv for a in arms]), strict=True)
+        )
+        passive = {f"{arm.name}/{joint}" for arm in arms for joint in arm.passive_joints}
+        self.actuated = np.array(
+            [
+                self.model.joints[j].idx_v
+                for j in range(1, self.model.njoints)
+                if self.model.names[j] not in passive
+            ],
+            dtype=int,
+        )
+        self.tau_max: Array = np.array(self.model.upperEffortLimit)[self.actuated]
+        self._tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
+        self._sensors = [
+            None if a.wrist_sensor is None
+            else robots.frame_id(self.model, f"{a.name}/{a.wrist_sensor}")
+            for a in arms
+        ]
+        self._outboard: list[list[OutboardLink]] = [
+            [] if sensor is None else outboard_links(self.model, sensor, tip)
+            for sensor, tip in zip(self._sensors, self._tips, strict=True)
+        ]
+        self._columns = {
+            j: self.model.joints[j].idx_v - self.slices[i].start + 1
+            for i, tip in enumerate(self._tips)
+            for j in self.model.supports[self.model.frames[tip].parentJoint]
+            if j > 0
+        }
+
+    @property
+    def nq(self) -> int:
+        """Number of joint coordinates of all arms (= number of joint velocities)."""
+        return int(self.model.nq)
+
+    @property
+    def n_a(self) -> int:
+        """Number of motors."""
+        return len(self.actuated)
+
+    @property
+    def joint_names(self) -> list[str]:
+        """All joints in the order of q and v, "arm/joint"."""
+        return list(self.model.names)[1:]
+
+    def state(self, q: npt.ArrayLike, v: npt.ArrayLike) -> ChainState:
+        """Everything the contact model needs to know of the chain at (q, v).
+
+        Args:
+            q: (n,) joint positions, arms in order, each in model order, passive joints included.
+            v: (n,) joint velocities, consistent with the closed loop.
+
+        Raises:
+            InvalidInputError: wrong sizes or non-finite numbers.
+            ModelError: the motors cannot drive every motion the arms permit.
+        """
+        q = as_array("q", q, (self.nq,))
+        v = as_array("v", v, (self.nq,))
+        model, data = self.model, self.data
+        pin.computeAllTerms(model, data, q, v)
+        gravity = model.gravity.linear
+        tips = [self._placement(f) for f in self._tips]
+        X_WO = tips[0] * self.grasps[0]
+        O = X_WO.translation  # noqa: E741 - the operational point
+        J = columns_at(data.J, O)
+        V_O = J[:, self.slices[0]] @ v[self.slices[0]]
+        body = self.payload or RigidObject(_REFERENCE)
+        reference = body.terms(X_WO, V_O, gravity)
+        payload = reference if self.payload is not None else _nothing()
+        L = np.linalg.cholesky(reference.Lambda)
+        terms = tuple(
+            arm_terms(
+                J[:, s], drift(J[:, s], v[s]), data.M[s, s], data.nle[s], data.g[s], L,
+                self.rank_tolerance,
+            )
+            for s in self.slices
+        )  # fmt: skip
+        S, C, sigma = self._intersect(terms, L)
+        W = np.vstack([t.J_bar @ S for t in terms])
+        w = np.concatenate([t.J_bar @ (sigma - t.gamma) for t in terms])
+        M, h, g = np.array(data.M), np.array(data.nle), np.array(data.g)
+        Lambda = W.T @ M @ W + S.T @ payload.Lambda @ S
+        G = W.T[:, self.actuated]
+        self._require_driven(G, S)
+        Lambda_out, bias_out = self._wrist_terms(terms, J, v, payload, O, gravity)
+        return ChainState(
+            X_WO=X_WO,
+            V_O=V_O,
+            S=S,
+            C=C,
+            Lambda=Lambda,
+            Phi=S @ np.linalg.solve(Lambda, S.T),
+            mu=W.T @ (h - g + M @ w) + S.T @ (payload.mu + payload.Lambda @ sigma),
+            p=W.T @ g + S.T @ payload.p,
+            sigma=sigma,
+            G=G,
+            W=W,
+            w=w,
+            h=h,
+            M=M,
+            arms=terms,
+            payload=payload,
+            metric=reference.Lambda,
+            grasp_points=np.array([t.translation for t in tips]),
+            sensors=tuple(None if f is None else self._placement(f) for f in self._sensors),
+            Lambda_out=Lambda_out,
+            bias_out=bias_out,
+        )
+
+    def object_poses(self) -> list[pin.SE3]:
+        """Pose of the object according to each arm, at the positions last given to `data`."""
+        return [
+            self._placement(f) * X_TO for f, X_TO in zip(self._tips, self.grasps, strict=True)
+        ]
+
+    def reference_inertia(self, X_WO: pin.SE3) -> Array:
+        """(6, 6) inertia of the object at its own origin, or of its stand-in if nothing is held."""
+        body = self.payload or RigidObject(_REFERENCE)
+        return body.terms(X_WO, np.zeros(6), np.zeros(3)).Lambda
+
+    def _placement(self, frame: int) -> pin.SE3:
+        at = self.model.frames[frame]
+        return self.data.oMi[at.parentJoint] * at.placement
+
+    def _intersect(
+        self, terms: Sequence[ArmTerms], L: Array
+    ) -> tuple[Array, Array, Array]:
+        """S = ∩ range(J_i), C with CᵀS = 0, and σ with C_iᵀσ = C_iᵀγ_i.
+
+        Done in coordinates where the object's inertia is the identity (x̃ = Lᵀx, f = L f̃), so
+        that the rank decision and the choice of σ do not depend on units or frame.
+        """
+        C_white = np.linalg.solve(L, np.hstack([t.C for t in terms]))
+        c = np.concatenate([t.C.T @ t.gamma for t in terms])
+        U, s, Vh = np.linalg.svd(C_white, full_matrices=True)
+        rank = int(np.count_nonzero(s > self.rank_tolerance))
+        sigma_white = U[:, :rank] @ ((Vh[:rank] @ c) / s[:rank])
+        S = np.linalg.solve(L.T, U[:, rank:])
+        return S, L @ U[:, :rank], np.linalg.solve(L.T, sigma_white)
+
+    def _require_driven(self, G: Array, S: Array) -> None:
+        if G.shape[0] == 0:
+            return
+        limits = np.where(np.isfinite(self.tau_max), self.tau_max, 1.0)
+        U, s, _ = np.linalg.svd(G * limits)
+        if len(s) < G.shape[0] or s[-1] < 1e-9 * s[0]:
+            motion = S @ U[:, -1]
+            raise ModelError(
+                f"the {self.n_a} motors cannot drive every one of the {G.shape[0]} motions of the "
+                f"object: nobody drives the twist {np.array2string(motion, precision=3)} "
+                "(linear, angular; world axes at the object). Add a motor, or grasp so that the "
+                "motion is blocked."
+            )
+
+    def _wrist_terms(
+        self,
+        terms: Sequence[ArmTerms],
+        J: Array,
+        v: Array,
+        payload: ObjectTerms,
+        O: Array,  # noqa: E741
+        gravity: Array,
+    ) -> tuple[Array, Array]:
+        Lambda, bias = payload.Lambda.copy(), payload.mu + payload.p
+        placements = list(self.data.oMi)
+        for links, s, t in zip(self._outboard, self.slices, terms, strict=True):
+            inertia, wrench = outboard_terms(
+                links, placements, J[:, s], v[s], self._columns, t.J_bar, t.gamma, O, gravity
+            )
+            Lambda += inertia
+            bias += wrench
+        return Lambda, bias
+
+
+def _merge(arms: Sequence[Arm]) -> pin.Model:
+    merged = pin.Model()
+    for arm in arms:
+        model = arm.model.copy()
+        for j in range(1, model.njoints):
+            model.names[j] = f"{arm.name}/{model.names[j]}"
+        for frame in list(model.frames)[1:]:
+            frame.name = f"{arm.name}/{frame.name}"
+        merged = pin.appendModel(merged, model, 0, arm.base)
+    if merged.nq != merged.nv:
+        raise InvalidInputError(
+            "continuous joints (nq ≠ nv) are not supported; give them limits and type 'revolute'"
+        )
+    return merged
+
+
+def _nothing() -> ObjectTerms:
+    return ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))

@@ -1,0 +1,41 @@
+"""Every error of the toolkit: one base class, children that say which door refused the input."""
+
+from __future__ import annotations
+
+__all__ = [
+    "OscContactError",
+    "InvalidInputError",
+    "ModelError",
+    "ContactError",
+    "ScenarioError",
+    "PlantError",
+    "RecordingError",
+]
+
+
+class OscContactError(Exception):
+    """Base class: catch this one to catch whatever the toolkit raises on purpose."""
+
+
+class InvalidInputError(OscContactError, ValueError):
+    """An argument has the wrong shape, is not finite, or lies outside its range."""
+
+
+class ModelError(OscContactError):
+    """A robot, an object or a closed chain is impossible: bad URDF, lost or undriven motions."""
+
+
+class ContactError(OscContactError):
+    """A contact state is impossible: NᵀT ≠ 0, contradictory or unreachable contacts."""
+
+
+class ScenarioError(OscContactError):
+    """A scenario file is wrong; the message names the file, the line and the key."""
+
+
+class PlantError(OscContactError):
+    """A plant cannot be built, or its simulation left the range where it means anything."""
+
+
+class RecordingError(OscContactError):
+    """A recording cannot be written or read back."""

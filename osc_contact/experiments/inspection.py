@@ -1,0 +1,176 @@
+"""What a state of contact is, in plain words: d, r, free motions, controllable forces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.experiments.rig import Rig
+from osc_contact.spatial import Array
+
+__all__ = ["Inspection", "inspect_rig"]
+
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """The contact state of a scenario at its start.
+
+    Attributes:
+        d: motions the object can make. r: independent contact forces.
+        lines: the report, one sentence each.
+        N, T: bases (6, r), (6, 6−r), columns of N named by `contacts`.
+        free: (6, d−r) the motions that are both possible for the arms and permitted by the contact.
+        conditioning: largest over smallest apparent mobility of the contact forces, unit-free.
+    """
+
+    d: int
+    r: int
+    lines: tuple[str, ...]
+    contacts: tuple[str, ...]
+    N: Array
+    T: Array
+    free: Array
+    conditioning: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able form."""
+        return {
+            "d": self.d,
+            "r": self.r,
+            "free_motions": self.d - self.r,
+            "contacts": list(self.contacts),
+            "N": self.N.tolist(),
+            "T": self.T.tolist(),
+            "free": self.free.tolist(),
+            "conditioning": self.conditioning,
+            "report": list(self.lines),
+        }
+
+
+def inspect_rig(rig: Rig) -> Inspection:
+    """Describe the contact state of a rig at its start."""
+    state, contact = rig.state(), rig.contact()
+    free = _free_motions(state, contact)
+    mobility = contact.N.T @ state.Phi @ contact.N
+    scale = np.sqrt(np.diag(mobility))
+    values = np.linalg.eigvalsh(mobility / np.outer(scale, scale)) if contact.r else np.ones(1)
+    conditioning = float(values[-1] / values[0])
+    motors = rig.chain.n_a
+    internal = motors - int(np.linalg.matrix_rank(state.G)) if state.d else motors
+    lines = [
+        f"{len(rig.chain.arms)} arm(s), {rig.chain.nq} joints, {motors} motors; "
+        f"the object can make d = {state.d} independent motions.",
+        *_locked(state),
+        f"{len(rig.pairs)} contact(s) constrain r = {contact.r} of them; "
+        f"{state.d - contact.r} motions stay free, {contact.r} contact forces can be controlled.",
+        *_contact_lines(rig),
+        *_skew(rig),
+        *(f"free motion {i + 1}: {_twist_words(t)}" for i, t in enumerate(free.T)),
+        f"{internal} internal force(s) can be set without moving the object or pressing harder"
+        + (" (squeeze along the grasp line is one)." if len(rig.chain.arms) == 2 else "."),
+        f"conditioning of the contact forces: {conditioning:.3g} (1 = independent of each other)",
+    ]
+    return Inspection(
+        d=state.d,
+        r=contact.r,
+        lines=tuple(lines),
+        contacts=tuple(pair.name for pair in rig.pairs),
+        N=contact.N,
+        T=contact.T,
+        free=free,
+        conditioning=conditioning,
+    )
+
+
+def _free_motions(state: ChainState, contact: Contact) -> Array:
+    """Basis of range(S) ∩ T, echelon form: translations first, as simple as they come."""
+    N_S = state.S.T @ contact.N
+    _, _, Vh = np.linalg.svd(N_S.T, full_matrices=True)
+    basis = (state.S @ Vh[contact.r :].T).T.copy()
+    size = 0.1  # m: only orders the pivots, so that translations are preferred over turns
+    order = [3, 4, 5, 0, 1, 2]
+    row = 0
+    for column in order:
+        if row == len(basis):
+            break
+        weight = size if column >= 3 else 1.0
+        pivot = row + int(np.abs(basis[row:, column]).argmax())
+        if np.abs(basis[pivot, column]) * weight < 1e-6 * np.abs(basis).max():
+            continue
+        basis[[row, pivot]] = basis[[pivot, row]]
+        basis[row] /= basis[row, column]
+        for other in range(len(basis)):
+            if other != row:
+                basis[other] -= basis[other, column] * basis[row]
+        row += 1
+    return np.asarray(basis[::-1].T)
+
+
+def _locked(state: ChainState) -> list[str]:
+    return [
+        f"the arms' structure carries the wrench {_wrench_words(c)}: it cannot be controlled."
+        for c in state.C.T
+    ]
+
+
+def _contact_lines(rig: Rig) -> list[str]:
+    X = rig.state().X_WO
+    return [
+        f"contact '{pair.name}': force along {_vector(pair.direction())} into the face, "
+        f"through {_vector(pair.point_on_face(X))} m."
+        for pair in rig.pairs
+    ]
+
+
+def _skew(rig: Rig) -> list[str]:
+    """How the lines of force lie to each other, two at a time."""
+    X = rig.state().X_WO
+    lines = []
+    for i, a in enumerate(rig.pairs):
+        for b in rig.pairs[i + 1 :]:
+            u, w = a.direction(), b.direction()
+            cross = np.cross(u, w)
+            apart = b.point_on_face(X) - a.point_on_face(X)
+            angle = np.degrees(np.arctan2(np.linalg.norm(cross), u @ w))
+            if np.linalg.norm(cross) < 1e-9:
+                lines.append(f"'{a.name}' and '{b.name}' press along parallel lines.")
+                continue
+            gap = abs(apart @ cross) / np.linalg.norm(cross)
+            kind = "skew: no single frame's axes hold both" if gap > 1e-6 else "meet in a point"
+            lines.append(
+                f"the lines of force of '{a.name}' and '{b.name}' enclose {angle:.1f}° and pass "
+                f"{1e3 * gap:.1f} mm apart ({kind})."
+            )
+    return lines
+
+
+def _twist_words(twist: Array) -> str:
+    """A twist as pure translation, or as turning about an axis with a pitch."""
+    v, w = twist[:3], twist[3:]
+    if np.linalg.norm(w) * 1.0 < 1e-9 * max(np.linalg.norm(v), 1.0):
+        return f"translation along {_vector(v / np.linalg.norm(v))}"
+    turn = w / np.linalg.norm(w)
+    speed = v / np.linalg.norm(w)
+    pitch = float(turn @ speed)
+    point = np.cross(turn, speed)
+    words = f"turning about {_vector(turn)} through {_vector(point)} m from the object's origin"
+    return words + (f", advancing {1e3 * pitch:.1f} mm/rad" if abs(pitch) > 1e-6 else "")
+
+
+def _wrench_words(wrench: Array) -> str:
+    force, couple = wrench[:3], wrench[3:]
+    if np.linalg.norm(force) < 1e-6 * np.linalg.norm(couple):
+        return f"couple about {_vector(couple / np.linalg.norm(couple))}"
+    size = np.linalg.norm(force)
+    return f"force along {_vector(force / size)} with couple {_vector(couple / size)} m"
+
+
+def _vector(x: Array) -> str:
+    rounded = np.round(x, 3) + 0.0
+    return "[" + ", ".join(f"{value:.3f}" for value in rounded) + "]"

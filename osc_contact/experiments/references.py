@@ -1,0 +1,137 @@
+"""What the controller is asked to do at time t, from a scenario's signals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.pairs import VertexOnFace
+from osc_contact.errors import ScenarioError
+from osc_contact.interface import Reference
+from osc_contact.scenarios.schema import Scenario, TareSpec
+from osc_contact.scenarios.signals import MinimumJerk, Step, total
+from osc_contact.spatial import Array
+
+__all__ = ["References", "common_tangent", "force_steps"]
+
+
+def common_tangent(pairs: Sequence[VertexOnFace]) -> Array:
+    """The one direction (3,) of translation that lies in every face.
+
+    Raises:
+        ScenarioError: the faces leave none, or more than one.
+    """
+    normals = np.array([pair.normal for pair in pairs]).reshape(-1, 3)
+    _, s, Vh = np.linalg.svd(normals, full_matrices=True)
+    rank = int(np.count_nonzero(s > 1e-6))
+    if rank != 2:
+        raise ScenarioError(
+            f"direction: common_tangent needs face normals that span a plane; {len(pairs)} faces "
+            f"span {rank} dimension(s). Give the direction as [x, y, z] instead."
+        )
+    direction: Array = Vh[2]
+    return direction * np.sign(direction[np.abs(direction).argmax()])
+
+
+def force_steps(scenario: Scenario) -> list[float]:
+    """Times at which a desired contact force jumps (s); forces are not judged just after them."""
+    steps = {
+        float(signal.start)
+        for signals in scenario.force.values()
+        for signal in signals
+        if isinstance(signal, Step)
+    }
+    return sorted(steps)
+
+
+@dataclass(frozen=True)
+class References:
+    """Reference signals of one run.
+
+    Attributes:
+        scenario: source of the signals.
+        X_start: pose of the object in contact at t = 0.
+        directions: (3,) of each move, resolved.
+        standoff: (6,) displacement off the contacts during the tare phase (zero: none).
+    """
+
+    scenario: Scenario
+    X_start: pin.SE3
+    directions: tuple[Array, ...]
+    standoff: Array
+
+    @classmethod
+    def of(
+        cls,
+        scenario: Scenario,
+        X_start: pin.SE3,
+        pairs: Sequence[VertexOnFace],
+        standoff: Array,
+    ) -> References:
+        """Resolve `common_tangent` and check that no face is asked to pull.
+
+        Raises:
+            ScenarioError: see `common_tangent`; or a desired force is negative at some time.
+        """
+        directions = tuple(
+            common_tangent(pairs) if move.direction == "common_tangent"
+            else np.array(move.direction, dtype=float)
+            for move in scenario.motion
+        )  # fmt: skip
+        references = cls(scenario, X_start, directions, standoff)
+        for t in np.linspace(0.0, scenario.duration, 2000):
+            for pair, force in zip(pairs, references._forces(float(t)), strict=True):
+                if force < 0.0:
+                    raise ScenarioError(
+                        f"force.{pair.name} asks for {force:.3g} N at t = {t:.3g} s; a face cannot "
+                        "pull. Raise the constant part or lower the amplitude."
+                    )
+        return references
+
+    @property
+    def engage_at(self) -> float:
+        """When the contacts enter the controller's model (s): after tare and approach."""
+        tare = self.scenario.tare
+        return 0.0 if tare is None else float(tare.duration + tare.approach)
+
+    def at(self, t: float) -> Reference:
+        """The reference at time t (s); accelerations are classical."""
+        p, v, a = np.zeros(3), np.zeros(3), np.zeros(3)
+        R, omega, omega_dot = np.eye(3), np.zeros(3), np.zeros(3)
+        for move, direction in zip(self.scenario.motion, self.directions, strict=True):
+            s, ds, dds = total(move.signals, t)
+            if move.kind == "linear":
+                p, v, a = p + direction * s, v + direction * ds, a + direction * dds
+            else:
+                axis = R @ direction
+                omega_dot = omega_dot + axis * dds + np.cross(omega, axis * ds)
+                omega = omega + axis * ds
+                R = R @ pin.exp3(direction * s)
+        if self.scenario.tare is not None:
+            k, dk, ddk = _away(self.scenario.tare, t)
+            p, v, a = (
+                p + self.standoff[:3] * k,
+                v + self.standoff[:3] * dk,
+                a + self.standoff[:3] * ddk,
+            )
+            R = pin.exp3(self.standoff[3:] * k) @ R  # millimetres: rates of this turn are left out
+        X = pin.SE3(R @ self.X_start.rotation, self.X_start.translation + p)
+        return Reference(
+            X_WD=X,
+            V_D=np.concatenate((v, omega)),
+            A_D=np.concatenate((a, omega_dot)),
+            alpha_d=self._forces(t),
+            squeeze_d=float(self.scenario.squeeze),
+        )
+
+    def _forces(self, t: float) -> Array:
+        return np.array([total(self.scenario.force[c.name], t)[0] for c in self.scenario.contacts])
+
+
+def _away(tare: TareSpec, t: float) -> tuple[float, float, float]:
+    """How far off the contacts, 1 → 0, with derivatives."""
+    came = MinimumJerk(value=1.0, start=tare.duration, duration=tare.approach).at(t)
+    return 1.0 - came[0], -came[1], -came[2]

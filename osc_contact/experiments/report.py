@@ -1,0 +1,58 @@
+"""Everything a run leaves behind: metrics.json, the recording, figures and the scene."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from osc_contact import robots
+from osc_contact.experiments.metrics import metrics
+from osc_contact.experiments.rig import Rig, build_rig
+from osc_contact.recorder import Recording
+from osc_contact.scenarios.schema import Scenario
+
+__all__ = ["write_json", "write_report"]
+
+
+def write_report(recording: Recording, scenario: Scenario, folder: Path) -> dict[str, Any]:
+    """Write metrics.json, recording.npz, the figures and scene.html; returns the metrics."""
+    from osc_contact.visual import plots
+
+    folder.mkdir(parents=True, exist_ok=True)
+    recording.save(folder / "recording.npz")
+    verdict = metrics(recording)
+    write_json(verdict, folder / "metrics.json")
+    if recording.meta["contact_names"]:
+        plots.save(plots.contact_forces(recording), folder / "contact_forces")
+    plots.save(plots.power(recording, recording.meta["force_steps_s"]), folder / "power")
+    plots.save(plots.tracking(recording), folder / "tracking")
+    plots.save(plots.torques(recording), folder / "torques")
+    write_scene_of(recording, build_rig(scenario), folder / "scene.html")
+    return verdict
+
+
+def write_scene_of(recording: Recording, rig: Rig, path: Path) -> Path:
+    """The moving scene of a run as one HTML file that needs no server."""
+    from osc_contact.visual.scene import ArmVisual, BodyVisual, write_scene
+
+    scenario = rig.scenario
+    source = None if scenario.source is None else scenario.source.parent
+    arms = [
+        ArmVisual(arm.name, *robots.resolve_urdf(spec.urdf, source), arm.base, part)
+        for spec, arm, part in zip(scenario.arms, rig.chain.arms, rig.chain.slices, strict=True)
+    ]
+    bodies = [BodyVisual("object", *robots.resolve_urdf(scenario.object.urdf, source), None)]
+    for spec, pair in zip(scenario.contacts, rig.pairs, strict=True):
+        urdf = robots.resolve_urdf(spec.face.urdf, source)
+        bodies.append(BodyVisual(f"face_{pair.name}", *urdf, pair.face_placement()))
+    return write_scene(recording, arms, bodies, path)
+
+
+def write_json(data: Any, path: Path) -> None:
+    """Write JSON through a temporary file, so that no half file stands under the final name."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    os.replace(temporary, path)

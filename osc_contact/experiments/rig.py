@@ -1,0 +1,204 @@
+"""From a scenario to the parts of a run: true chain, controller's chain, contacts, plant, start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact import robots
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs import VertexOnFace
+from osc_contact.control.controller import Controller, Gains
+from osc_contact.control.force import ForceGains
+from osc_contact.control.motion import MotionGains
+from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.assembly import close, reach
+from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.dynamics.payload import RigidObject
+from osc_contact.errors import ScenarioError
+from osc_contact.experiments.references import References
+from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
+from osc_contact.plants.plant import Plant
+from osc_contact.plants.rigid import RigidPlant
+from osc_contact.response import require_reachable
+from osc_contact.scenarios.schema import PoseSpec, Scenario
+from osc_contact.spatial import Array
+
+__all__ = ["Rig", "build_chain", "build_pairs", "build_rig"]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Everything one run needs.
+
+    Attributes:
+        scenario: as loaded.
+        chain: the true arms and object. model: the controller's idea of them.
+        pairs: the contacts.
+        q_contact: (n,) joint positions with loops closed and contacts touching.
+        q_start: (n,) where the run starts: the same, or off the contacts if it begins with a tare.
+        references: of the run.
+    """
+
+    scenario: Scenario
+    chain: ClosedChain
+    model: ClosedChain
+    pairs: tuple[VertexOnFace, ...]
+    q_contact: Array
+    q_start: Array
+    references: References
+
+    def plant(self) -> Plant:
+        """The plant the scenario names, at its start.
+
+        Raises:
+            ScenarioError: a tare on the rigid plant, whose contacts cannot open.
+        """
+        spec = self.scenario.plant
+        plant: Plant
+        if spec.type == "rigid":
+            if self.scenario.tare is not None:
+                raise ScenarioError(
+                    "a tare needs contacts that open; the rigid plant's are bilateral. "
+                    "Use plant.type=mujoco, or set tare: null"
+                )
+            plant = RigidPlant(self.chain, self.pairs, spec.step)
+        else:
+            source = _folder(self.scenario)
+            plant = MujocoPlant(
+                self.chain,
+                [robots.resolve_urdf(arm.urdf, source)[0] for arm in self.scenario.arms],
+                robots.resolve_urdf(self.scenario.object.urdf, source)[0],
+                self.pairs,
+                [robots.resolve_urdf(c.face.urdf, source)[0] for c in self.scenario.contacts],
+                MujocoOptions(spec.step, spec.solref, spec.solimp, spec.friction),
+            )
+        plant.reset(self.q_start)
+        return plant
+
+    def controller(self) -> Controller:
+        """The controller with the scenario's gains, knowing only `model`."""
+        gains = self.scenario.gains
+        return Controller(
+            self.model,
+            self.pairs,
+            Gains(
+                MotionGains(**gains.motion.model_dump()), ForceGains(**gains.force.model_dump())
+            ),
+            dt=1.0 / self.scenario.control.rate,
+            B=self.scenario.control.metric,
+            posture=self.q_contact,
+            engaged=self.scenario.tare is None,
+        )
+
+    def state(self) -> ChainState:
+        """The true chain at rest in contact."""
+        return self.chain.state(self.q_contact, np.zeros(self.chain.nq))
+
+    def contact(self) -> Contact:
+        """The contact state there."""
+        state = self.state()
+        return Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in self.pairs])
+
+
+def build_rig(scenario: Scenario) -> Rig:
+    """Load the parts, close the loops, put the object onto the faces.
+
+    Raises:
+        ScenarioError, ModelError, ContactError: with what does not fit together.
+    """
+    error = scenario.model_error
+    chain = build_chain(scenario)
+    exact = error.arm_mass == error.object_mass == 1.0
+    model = chain if exact else build_chain(scenario, error.arm_mass, error.object_mass)
+    pairs = build_pairs(scenario)
+    q_guess = np.concatenate([arm.posture for arm in scenario.arms])
+    if q_guess.shape != (chain.nq,):
+        counts = ", ".join(f"{arm.name} {arm.model.nv}" for arm in chain.arms)
+        raise ScenarioError(
+            f"posture: {len(q_guess)} joint positions given; on the way to their tips the arms "
+            f"have: {counts}"
+        )
+    q_near = reach(chain, q_guess, _pose(scenario.object.pose))
+
+    def gaps(X_WO: pin.SE3) -> tuple[Array, Array]:
+        rest = np.zeros(6)
+        N = [pair.contact(X_WO, rest).N for pair in pairs]
+        return np.array([pair.gap(X_WO) for pair in pairs]), np.hstack([np.zeros((6, 0)), *N])
+
+    q_contact = close(chain, q_near, gaps)
+    _require_within_limits(chain, q_contact)
+    state = chain.state(q_contact, np.zeros(chain.nq))
+    contact = Contact.stack([pair.contact(state.X_WO, np.zeros(6)) for pair in pairs])
+    require_reachable(state, contact)
+    standoff, q_start = np.zeros(6), q_contact
+    if scenario.tare is not None:
+        standoff = _standoff(state, contact, float(scenario.tare.standoff))
+    references = References.of(scenario, state.X_WO, pairs, standoff)
+    if scenario.tare is not None:
+        q_start = close(chain, reach(chain, q_contact, references.at(0.0).X_WD))
+    return Rig(scenario, chain, model, pairs, q_contact, q_start, references)
+
+
+def build_chain(scenario: Scenario, arm_mass: float = 1.0, object_mass: float = 1.0) -> ClosedChain:
+    """Arms and object of a scenario, with masses times the given factors."""
+    source = _folder(scenario)
+    arms = [
+        Arm.from_urdf(
+            robots.resolve_urdf(spec.urdf, source)[0],
+            name=spec.name,
+            tip=spec.tip,
+            base=_pose(spec.base),
+            passive_joints=spec.passive_joints,
+            wrist_sensor=spec.wrist_sensor,
+            mass_factor=arm_mass,
+        )
+        for spec in scenario.arms
+    ]
+    body = RigidObject(robots.load_body(robots.resolve_urdf(scenario.object.urdf, source)[0]))
+    grasps = [_pose(scenario.grasps[arm.name]) for arm in scenario.arms]
+    return ClosedChain(arms, grasps, body.scaled(object_mass))
+
+
+def build_pairs(scenario: Scenario) -> tuple[VertexOnFace, ...]:
+    """The contact pairs of a scenario, in its order."""
+    return tuple(
+        VertexOnFace(
+            vertex=np.array(spec.vertex),
+            point=np.array(spec.face.point),
+            normal=np.array(spec.face.normal),
+            radius=float(spec.radius),
+            name=spec.name,
+        )
+        for spec in scenario.contacts
+    )
+
+
+def _standoff(state: ChainState, contact: Contact, distance: float) -> Array:
+    """The displacement (6,) of least kinetic energy that opens every gap by `distance`."""
+    H = state.S.T @ state.metric @ state.S
+    N_S = state.S.T @ contact.N
+    H_inv_N = np.linalg.solve(H, N_S)
+    away = -distance * np.ones(contact.r)  # a gap opens against N
+    return np.asarray(state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away)))
+
+
+def _require_within_limits(chain: ClosedChain, q: Array) -> None:
+    low, high = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    for j, name in enumerate(chain.joint_names):
+        if not low[j] <= q[j] <= high[j]:
+            raise ScenarioError(
+                f"to touch the contacts joint {name} would stand at {q[j]:.4g}, outside its limits "
+                f"[{low[j]:.4g}, {high[j]:.4g}]; move object, faces or base, or change the posture"
+            )
+
+
+def _pose(spec: PoseSpec) -> pin.SE3:
+    return pin.SE3(pin.rpy.rpyToMatrix(*spec.rpy), np.array(spec.xyz))
+
+
+def _folder(scenario: Scenario) -> Path | None:
+    return None if scenario.source is None else scenario.source.parent

@@ -1,0 +1,156 @@
+"""One run: plant and controller, tick by tick, into a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.control.allocation import squeeze_rows
+from osc_contact.control.controller import Controller
+from osc_contact.experiments.references import force_steps
+from osc_contact.experiments.rig import Rig, build_rig
+from osc_contact.interface import Reference
+from osc_contact.plants.plant import Truth
+from osc_contact.recorder import Recorder, Recording
+from osc_contact.scenarios.schema import Scenario
+from osc_contact.spatial import Array, pose_error
+
+__all__ = ["run"]
+
+Progress = Callable[[float], None]
+
+
+def run(
+    scenario: Scenario,
+    *,
+    plant: str | None = None,
+    duration: float | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Recording:
+    """Run a scenario and record it.
+
+    Args:
+        scenario: from `load_scenario`.
+        plant: "mujoco" or "rigid" instead of the scenario's own.
+        duration: s, instead of the scenario's own.
+        seed: of everything random in the run.
+        progress: called with the simulated time now and then.
+
+    Returns:
+        The recording; `metrics(recording)` judges it.
+    """
+    changes = scenario.as_dict()
+    if plant is not None:
+        changes["plant"]["type"] = plant
+    if duration is not None:
+        changes["duration"] = duration
+    scenario = Scenario.model_validate(changes).with_source(scenario.source)
+    rig = build_rig(scenario)
+    rng = np.random.default_rng(seed)
+    return _loop(rig, seed, rng, progress)
+
+
+def _loop(
+    rig: Rig, seed: int, rng: np.random.Generator, progress: Progress | None
+) -> Recording:
+    del rng  # exact sensors: nothing random yet
+    scenario = rig.scenario
+    period = 1.0 / scenario.control.rate
+    ticks = round(scenario.duration * scenario.control.rate)
+    recorder = Recorder(ticks, _meta(rig, seed))
+    plant, controller = rig.plant(), rig.controller()
+    tare = _Tare(rig, controller)
+    began = perf_counter()
+    for k in range(ticks):
+        t = k * period
+        reference = rig.references.at(t)
+        measurement, truth = plant.measure(), plant.truth()
+        start = perf_counter()
+        tau = controller.tick(measurement, reference)
+        spent = perf_counter() - start
+        tare.watch(t)
+        recorder.append(
+            t=t,
+            q=measurement.q,
+            v=measurement.v,
+            tau=tau,
+            tick_s=spent,
+            **_channels(rig, controller, reference, truth),
+        )
+        plant.step(tau, period)
+        if progress is not None and k % 100 == 99:
+            progress(t + period)
+    recording = recorder.recording()
+    recording.meta["wall_s"] = perf_counter() - began
+    return recording
+
+
+class _Tare:
+    """Averages the wrist sensors at rest off the contacts, then lets the controller engage."""
+
+    def __init__(self, rig: Rig, controller: Controller) -> None:
+        self.spec = rig.scenario.tare
+        self.controller = controller
+        self.engage_at = rig.references.engage_at
+        self.samples: list[Array] = []
+
+    def watch(self, t: float) -> None:
+        if self.spec is None or self.controller.engaged:
+            return
+        if 2 * self.spec.duration / 3 <= t < self.spec.duration:  # once the start has settled
+            self.samples.append(self.controller.residual_wrench())
+        elif self.samples and t >= self.spec.duration:
+            self.controller.f_tare = np.mean(self.samples, axis=0)
+            self.samples = []
+        if t >= self.engage_at:
+            self.controller.engage()
+
+
+def _channels(
+    rig: Rig, controller: Controller, reference: Reference, truth: Truth
+) -> dict[str, Any]:
+    """What the recording keeps of a tick besides joints and torques."""
+    s = controller.signals
+    r = len(rig.pairs)
+    state = s.state
+    wrench = s.f_meas - state.bias_out
+    Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
+    E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
+    X = truth.X_WO
+    return {
+        "pose": pin.SE3ToXYZQUAT(X),
+        "twist": truth.V_O,
+        "alpha_cmd": reference.alpha_d,
+        "alpha_meas": s.alpha_meas if controller.engaged and len(s.alpha_meas) else np.zeros(r),
+        "alpha_true": truth.alpha,
+        "closed": truth.closed,
+        "contact_point": np.array([pair.point_on_face(X) for pair in rig.pairs]).reshape(r, 3),
+        "contact_direction": np.array([pair.direction() for pair in rig.pairs]).reshape(r, 3),
+        "wrench_meas": wrench,
+        "power_total": float(state.V_O @ wrench),
+        "power_projected": float(state.V_O @ s.f_c_meas),
+        "motion_error": Omega_m @ pose_error(reference.X_WD, state.X_WO),
+        "squeeze_cmd": reference.squeeze_d,
+        "squeeze": float((E @ s.tau - e0)[0]) if len(e0) else 0.0,
+        "status": int(controller.status),
+    }
+
+
+def _meta(rig: Rig, seed: int) -> dict[str, object]:
+    scenario = rig.scenario
+    return {
+        "scenario": scenario.as_dict(),
+        "source": None if scenario.source is None else scenario.source.name,
+        "plant": scenario.plant.type,
+        "seed": seed,
+        "arm_names": [arm.name for arm in rig.chain.arms],
+        "joint_names": rig.chain.joint_names,
+        "contact_names": [pair.name for pair in rig.pairs],
+        "control_rate_hz": scenario.control.rate,
+        "force_steps_s": force_steps(scenario),
+    }

@@ -1,0 +1,1 @@
+"""Simulated rigs that judge a controller; none of them imports the control package."""

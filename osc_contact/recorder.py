@@ -1,0 +1,210 @@
+"""Preallocated time series of a run: recorder → recording → one file → back."""
+
+from __future__ import annotations
+
+import json
+import os
+import uuid
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .errors import RecordingError
+
+__all__ = ["Recorder", "Recording"]
+
+_FORMAT = 1
+_META = "meta"
+_INTEGER_CHANNELS = frozenset({"status"})
+_RESERVED = frozenset({_META, "file", "allow_pickle"})
+_UNREADABLE = (
+    OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, OverflowError,
+    NotImplementedError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+Array = npt.NDArray[Any]
+
+
+class Recording:
+    """Time series of one run: `meta` (JSON-able) and `channels` (first axis = control tick).
+
+    Args:
+        meta: what the series belong to; kept as JSON data (tuples become lists).
+        channels: arrays of bool, int or float with equally long first axes.
+
+    Raises:
+        RecordingError: meta is not JSON-able, or the channels do not fit together."""
+
+    def __init__(self, meta: Mapping[str, Any], channels: Mapping[str, npt.ArrayLike]) -> None:
+        self.meta: dict[str, Any] = _plain(meta)
+        self.channels: dict[str, Array] = {}
+        for name, values in channels.items():
+            array = np.asarray(values)
+            _check_name(name)
+            if array.dtype.kind not in "biuf" or array.ndim < 1:
+                raise RecordingError(
+                    f"channel {name!r} has dtype {array.dtype} and shape {array.shape}; expected "
+                    "bool, int or float with the tick as first axis"
+                )
+            self.channels[name] = array
+        lengths = {name: len(array) for name, array in self.channels.items()}
+        if len(set(lengths.values())) > 1:
+            raise RecordingError(f"channels differ in their number of ticks: {lengths}")
+
+    def __getitem__(self, name: str) -> Array:
+        """Return the channel `name`."""
+        if name not in self.channels:
+            known = ", ".join(self.channels) or "none"
+            raise RecordingError(f"no channel {name!r} in this recording; there are: {known}")
+        return self.channels[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.channels
+
+    def __len__(self) -> int:
+        """Return the number of control ticks."""
+        return len(next(iter(self.channels.values()), ()))
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write one .npz file: complete under its final name, or not there at all.
+
+        Raises:
+            RecordingError: the file cannot be written; an older file of the name is kept."""
+        target = Path(path)
+        text = json.dumps({"format": _FORMAT, "meta": self.meta}, allow_nan=False)
+        arrays: dict[str, Any] = {**self.channels, _META: np.array(text)}
+        unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.tmp")
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with open(unfinished, "xb") as file:
+                np.savez(file, allow_pickle=False, **arrays)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(unfinished, target)
+        except OSError as error:
+            raise RecordingError(f"cannot write the recording {target}: {error}") from error
+        finally:
+            if unfinished.parent.is_dir():
+                unfinished.unlink(missing_ok=True)
+        return target
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Recording:
+        """Read a file written by `save`; checksums are verified, nothing is unpickled.
+
+        Raises:
+            RecordingError: no such file, damaged, or not a recording."""
+        source = Path(path)
+        if not source.is_file():
+            raise RecordingError(f"no recording {source}: there is no such file")
+        try:
+            with zipfile.ZipFile(source) as archive:
+                damaged = archive.testzip()
+            if damaged is not None:
+                raise RecordingError(f"{source} is damaged: the checksum of {damaged} is wrong")
+            with np.load(source, allow_pickle=False) as stored:
+                arrays = {name: stored[name] for name in stored.files}
+            content = json.loads(str(arrays.pop(_META)[()]))
+            version, meta = content["format"], content["meta"]
+        except _UNREADABLE as error:
+            raise RecordingError(
+                f"{source} is not a recording, or is damaged: {type(error).__name__}: {error}"
+            ) from error
+        if version != _FORMAT:
+            raise RecordingError(
+                f"{source} has recording format {version!r}; this version reads format {_FORMAT}"
+            )
+        return cls(meta, arrays)
+
+
+class Recorder:
+    """Copies one control tick at a time into arrays that are allocated once.
+
+    Args:
+        capacity: largest number of ticks, duration · rate.
+        meta: see `Recording`.
+
+    Raises:
+        RecordingError: capacity is not a positive whole number, or meta is not JSON-able."""
+
+    def __init__(self, capacity: int, meta: Mapping[str, Any]) -> None:
+        if isinstance(capacity, bool) or int(capacity) != capacity or capacity < 1:
+            raise RecordingError(f"capacity must be a whole number of ticks >= 1; got {capacity!r}")
+        self.capacity = int(capacity)
+        self._meta = _plain(meta)
+        self._buffers: dict[str, Array] = {}
+        self._count = 0
+
+    def __len__(self) -> int:
+        """Return the number of ticks recorded so far."""
+        return self._count
+
+    def append(self, **channels: npt.ArrayLike) -> None:
+        """Copy one tick in; the first call fixes the channels' names and shapes.
+
+        Raises:
+            RecordingError: the capacity is used up, or names or shapes changed."""
+        if self._count >= self.capacity:
+            raise RecordingError(
+                f"the recorder is full: its capacity of {self.capacity} ticks does not grow; "
+                "make it with a capacity of duration * rate ticks"
+            )
+        if not self._buffers:
+            self._buffers = {
+                name: _allocate(name, self.capacity, value) for name, value in channels.items()
+            }
+        if channels.keys() != self._buffers.keys():
+            missing = sorted(self._buffers.keys() - channels.keys())
+            extra = sorted(channels.keys() - self._buffers.keys())
+            raise RecordingError(
+                f"tick {self._count}: channels differ from the first tick: missing {missing}, "
+                f"new {extra}"
+            )
+        for name, buffer in self._buffers.items():
+            value = np.asarray(channels[name])
+            if value.shape != buffer.shape[1:]:
+                raise RecordingError(
+                    f"tick {self._count}: channel {name!r} has shape {value.shape}; the first tick "
+                    f"had {buffer.shape[1:]}"
+                )
+            if not np.can_cast(value.dtype, buffer.dtype, "same_kind"):
+                raise RecordingError(
+                    f"tick {self._count}: channel {name!r} is {value.dtype}, which does not fit "
+                    f"the recorded {buffer.dtype}"
+                )
+            buffer[self._count] = value
+        self._count += 1
+
+    def recording(self) -> Recording:
+        """Return a copy of the filled part."""
+        filled = {name: buffer[: self._count].copy() for name, buffer in self._buffers.items()}
+        return Recording(self._meta, filled)
+
+
+def _check_name(name: str) -> None:
+    if not name.isidentifier() or name in _RESERVED:
+        raise RecordingError(f"{name!r} cannot name a channel; use an identifier, not {_RESERVED}")
+
+
+def _allocate(name: str, capacity: int, value: npt.ArrayLike) -> Array:
+    _check_name(name)
+    first = np.asarray(value)
+    if first.dtype.kind not in "biuf":
+        raise RecordingError(f"channel {name!r} is {first.dtype}; expected bool, int or float")
+    dtype: npt.DTypeLike = bool if first.dtype.kind == "b" else np.float64
+    if name in _INTEGER_CHANNELS:
+        dtype = np.int64
+    return np.zeros((capacity, *first.shape), dtype=dtype)
+
+
+def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:
+    try:
+        plain = json.loads(json.dumps(dict(meta), allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"meta must be JSON-able (finite numbers, text): {error}") from error
+    return dict(plain)

@@ -1,0 +1,110 @@
+"""Equations 17 to 20: how a closed chain in contact accelerates, and how hard it presses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.dynamics.environment import Environment
+from osc_contact.errors import ContactError, InvalidInputError
+from osc_contact.spatial import Array, as_array
+
+__all__ = ["ContactResponse", "contact_response", "require_reachable"]
+
+
+@dataclass(frozen=True)
+class ContactResponse:
+    """What follows from a command, all at O in world axes.
+
+    Attributes:
+        acceleration: (6,) spatial acceleration of the object, S η̇ + σ.
+        eta_dot: (d,) its coordinates.
+        alpha: (r,) contact force magnitudes.
+        f_c: (6,) contact force on the environment, N α (eq. 16).
+        a_e: (6,) acceleration of the environment (eq. 14).
+    """
+
+    acceleration: Array
+    eta_dot: Array
+    alpha: Array
+    f_c: Array
+    a_e: Array
+
+
+def contact_response(
+    state: ChainState,
+    contact: Contact,
+    environment: Environment | None = None,
+    f_S: npt.ArrayLike | None = None,
+    tau: npt.ArrayLike | None = None,
+) -> ContactResponse:
+    """Acceleration and contact force under a command (eqs. 17, 18 with Φ₀ for Λ₀⁻¹).
+
+        α = D⁻¹[NᵀSΛ_S⁻¹(f_S − b_S) + Nᵀ(σ − b_e) − n_γ],   D = Nᵀ(Φ₀ + Φ_e)N
+        η̇ = Λ_S⁻¹(f_S − b_S − SᵀNα)
+
+    Args:
+        state: of the chain.
+        contact: N and n_γ.
+        environment: Φ_e and b_e; default: fixed.
+        f_S: (d,) generalised force on the object, or
+        tau: (n_a,) motor torques, f_S = G τ. Give exactly one of the two.
+
+    Raises:
+        InvalidInputError: not exactly one of f_S and tau, or wrong sizes.
+        ContactError: the chain cannot push on one of the contacts.
+    """
+    if (f_S is None) == (tau is None):
+        raise InvalidInputError("give exactly one of f_S= (d,) and tau= (n_a,)")
+    if tau is not None:
+        force = state.G @ as_array("tau", tau, (state.G.shape[1],))
+    else:
+        force = as_array("f_S", f_S, (state.d,))
+    env = Environment.fixed() if environment is None else environment
+    N = contact.N
+    free = np.linalg.solve(state.Lambda, force - state.bias)
+    D = N.T @ (state.Phi + env.Phi_e) @ N
+    if not env.Phi_e.any():
+        require_reachable(state, contact)
+    drive = N.T @ (state.S @ free + state.sigma - env.b_e) - contact.n_gamma
+    alpha = np.linalg.solve(D, drive)
+    f_c = N @ alpha
+    eta_dot = free - np.linalg.solve(state.Lambda, state.S.T @ f_c)
+    return ContactResponse(
+        acceleration=state.S @ eta_dot + state.sigma,
+        eta_dot=eta_dot,
+        alpha=alpha,
+        f_c=f_c,
+        a_e=env.Phi_e @ f_c + env.b_e,
+    )
+
+
+def require_reachable(state: ChainState, contact: Contact) -> None:
+    """Refuse contacts on which the arms cannot push: rank SᵀN < r, scaled to unit diagonal.
+
+    Raises:
+        ContactError: with the column concerned.
+    """
+    D = contact.N.T @ state.Phi @ contact.N
+    if D.size == 0:
+        return
+    held = contact.N.T @ np.linalg.solve(state.metric, contact.N)
+    reach = np.diag(D) / np.diag(held)  # the object's own mobility sets the scale
+    if reach.min() < 1e-9:
+        column = int(reach.argmin())
+        raise ContactError(
+            f"the arms cannot push on contact column {column}: its mobility is {reach[column]:.2g} "
+            "of the free object's. The structure carries this force; leave the contact out of N."
+        )
+    scaled = D / np.sqrt(np.outer(np.diag(D), np.diag(D)))
+    values, vectors = np.linalg.eigh(scaled)
+    if values[0] < 1e-10:
+        which = [int(i) for i in np.flatnonzero(np.abs(vectors[:, 0]) > 1e-3)]
+        raise ContactError(
+            f"as seen through the arms, contact columns {which} are dependent (scaled eigenvalue "
+            f"{values[0]:.2g}): their forces cannot be told apart. Keep an independent subset."
+        )

@@ -1,0 +1,96 @@
+"""Checks across the keys of a scenario: names that belong together, times that divide."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from difflib import get_close_matches
+from typing import Any
+
+from pydantic import ValidationError
+
+from .tuning import ControlSpec, PlantSpec
+
+__all__ = ["Problem", "did_you_mean", "name_problems", "sound_problems", "timing_problems"]
+
+Problem = tuple[tuple[str | int, ...], str]
+"""Where (keys and list indices) and what is wrong."""
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return "did you mean 'x'? known: ..." for a word that is not among `known`."""
+    names = list(known)
+    near = get_close_matches(word, names, n=2, cutoff=0.6)
+    listed = ", ".join(names) or "none"
+    hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
+    return f"{hint}known: {listed}"
+
+
+def name_problems(
+    arms: Sequence[str], contacts: Sequence[str], grasps: Iterable[str], force: Iterable[str]
+) -> list[Problem]:
+    """Check that names are unique, that each arm has a grasp and each contact a force."""
+    grasps, force, found = list(grasps), list(force), list[Problem]()
+    for key, names in (("arms", arms), ("contacts", contacts)):
+        for index, name in enumerate(names):
+            if Counter(names[:index])[name]:
+                text = f"the name {name!r} is taken by an earlier item of {key}; names are unique"
+                found.append(((key, index, "name"), text))
+    for key, given, wanted, kind, example in (
+        ("grasps", grasps, arms, "arm", "{xyz: [0, 0, 0], rpy: [0, 0, 0]}"),
+        ("force", force, contacts, "contact", "[{type: constant, value: 0 N}]"),
+    ):
+        for name in given:
+            if name not in wanted:
+                text = f"no {kind} has this name; {did_you_mean(name, wanted)}"
+                found.append(((key, name), text))
+        for name in dict.fromkeys(wanted):
+            if name not in given:
+                text = f"the {kind} {name!r} has no entry; add {name}: {example}"
+                found.append(((key,), text))
+    return found
+
+
+def timing_problems(control: ControlSpec, plant: PlantSpec) -> list[Problem]:
+    """Check that the control period is a whole multiple of the plant step (within 1e-9)."""
+    steps = 1.0 / (control.rate * plant.step)
+    whole = round(steps)
+    if whole >= 1 and abs(steps - whole) <= 1e-9:
+        return []
+    right = 1.0 / (control.rate * max(1, whole))
+    text = (
+        f"the control period is {steps:.9g} plant steps (control.rate {control.rate:g} Hz, "
+        f"plant.step {plant.step:g} s); it must be a whole number of them, e.g. a step of "
+        f"{right * 1e3:.9g} ms"
+    )
+    return [(("plant", "step"), text)]
+
+
+def sound_problems(data: Any) -> Iterator[Problem]:
+    """Run the checks across keys on raw data, each as far as its own keys are sound."""
+
+    def names(key: str) -> list[str] | None:
+        items = data.get(key, [])
+        found = (
+            [item.get("name") if isinstance(item, dict) else None for item in items]
+            if isinstance(items, list)
+            else [None]
+        )
+        named = [name if isinstance(name, str) else "" for name in found]
+        return named if all(named) else None
+
+    def group(key: str, fallback: list[str]) -> list[str]:
+        given = data.get(key, {} if key == "force" else None)
+        return list(given) if isinstance(given, dict) else fallback
+
+    arms, contacts = names("arms"), names("contacts")
+    if arms is not None:
+        yield from name_problems(arms, [], group("grasps", arms), [])
+    if contacts is not None:
+        yield from name_problems([], contacts, [], group("force", contacts))
+    try:
+        control = ControlSpec.model_validate(data.get("control"))
+        plant = PlantSpec.model_validate(data.get("plant"))
+    except ValidationError:
+        return
+    yield from timing_problems(control, plant)

@@ -1,0 +1,92 @@
+"""YAML file → scenario; every complaint carries file, line, key and cure, all at once.
+
+The text is composed to nodes (never constructed to objects), read as plain data with the
+line of every key, changed by overrides, and only then validated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from ..errors import ScenarioError
+from .checks import did_you_mean
+from .document import Document
+from .nodes import Problems
+from .schema import Scenario
+from .wording import complaints
+
+__all__ = ["list_scenarios", "load_scenario", "parse_scenario"]
+
+FILES = Path(__file__).parent / "files"
+Overrides = Mapping[str, str] | Sequence[str]
+
+
+def load_scenario(name_or_path: str | Path, overrides: Overrides = ()) -> Scenario:
+    """Load a packaged scenario by name or a YAML file by path, changed by overrides.
+
+    Args:
+        name_or_path: "two_contact_rod" or a path such as "my/scenario.yaml".
+        overrides: {"path.to.key": "value"} or ["path.to.key=value"]; list items by index or
+            name, as in contacts.left_end.radius=5 mm.
+
+    Raises:
+        ScenarioError: no such scenario, or the file or an override is wrong (all complaints)."""
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml") and len(path.parts) == 1 and not path.is_file():
+        known = sorted(file.stem for file in FILES.glob("*.yaml"))
+        if str(name_or_path) not in known:
+            raise ScenarioError(
+                f"no packaged scenario {str(name_or_path)!r}; {did_you_mean(path.name, known)}; "
+                "or give the path of a YAML file"
+            )
+        path = FILES / f"{path.name}.yaml"
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"cannot read the scenario file {path}: {error}") from error
+    return parse_scenario(text, path, overrides)
+
+
+def list_scenarios() -> dict[str, str]:
+    """Return name → description of the packaged scenarios, sorted by name."""
+    return {path.stem: load_scenario(path).description for path in sorted(FILES.glob("*.yaml"))}
+
+
+def parse_scenario(
+    text: str, source: str | Path | None = None, overrides: Overrides = ()
+) -> Scenario:
+    """Parse YAML text; `source` names it in complaints and anchors relative URDF paths.
+
+    Raises:
+        ScenarioError: one line per complaint, `file:line: key.path: what is wrong`."""
+    path = None if source is None else Path(source)
+    problems = Problems("scenario" if path is None else str(path))
+    document = Document(text, problems)
+    if not isinstance(document.data, dict):
+        problems.at_line(1, "expected keys such as name, arms, object; got no group of keys")
+        problems.raise_any()
+    for key, value in _pairs(overrides, problems):
+        document.override(key, value)
+    try:
+        scenario = Scenario.model_validate(document.data)
+    except ValidationError as error:
+        for place, complaint in complaints(error, document.data):
+            document.report(place, complaint)
+        problems.raise_any()
+        raise
+    problems.raise_any()
+    return scenario.with_source(path)
+
+
+def _pairs(overrides: Overrides, problems: Problems) -> Iterator[tuple[str, str]]:
+    if isinstance(overrides, Mapping):
+        yield from ((path.strip(), str(value)) for path, value in overrides.items())
+        return
+    for item in (overrides,) if isinstance(overrides, str) else overrides:
+        path, equals, value = item.partition("=")
+        if equals:
+            yield path.strip(), value
+        else:
+            problems.at_override(item, "expected path.to.key=value")

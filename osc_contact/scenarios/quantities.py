@@ -1,0 +1,173 @@
+"""Quantities of a scenario file: a number in SI or a string with a unit that must fit."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from numbers import Real
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+__all__ = [
+    "Angle",
+    "AngleVec3",
+    "Dimension",
+    "Force",
+    "Frequency",
+    "JointValue",
+    "Length",
+    "Mass",
+    "Number",
+    "Spec",
+    "Time",
+    "UnitVec3",
+    "Vec3",
+    "refuse",
+    "unit_vector",
+]
+
+_SPELLINGS = ("μm", "um", "μs", "us")  # Greek mu and ASCII beside the micro sign
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+
+
+class Spec(BaseModel):
+    """Base of every scenario model: frozen, finite, no unknown keys."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+def refuse(text: str) -> PydanticCustomError:
+    """Build the error of a refused value; `text` says what is wrong and what would be right."""
+    return PydanticCustomError("refused", "{text}", {"text": text})
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """One physical dimension: its article and name, and its units with their size in SI.
+
+    Used as ``Annotated[float, Dimension(...)]``: accepts a finite number or "50 mm"."""
+
+    kind: str
+    units: dict[str, Decimal]
+
+    def __hash__(self) -> int:
+        return hash(self.kind)
+
+    @property
+    def expected(self) -> str:
+        """What a reader should write, as in "a length in m, mm, cm, µm"."""
+        shown = [unit for unit in self.units if unit not in _SPELLINGS]
+        return f"{self.kind} in {', '.join(shown)}" if shown else self.kind
+
+    def parse(self, value: Any) -> float:
+        """Return `value` in SI.
+
+        Raises:
+            PydanticCustomError: not a number, not finite, or a unit of another dimension."""
+        if isinstance(value, str):
+            number = self._parse_text(value)
+        elif isinstance(value, Real) and not isinstance(value, bool):
+            try:
+                number = float(value)
+            except OverflowError:
+                number = math.inf
+        else:
+            raise refuse(f"expected {self.expected}; got {value!r}")
+        if not math.isfinite(number):
+            raise refuse(f"expected {self.expected}; got {value!r}, which is not finite")
+        return number
+
+    def _parse_text(self, text: str) -> float:
+        match = _QUANTITY.fullmatch(text)
+        if match is None:
+            raise refuse(f"expected {self.expected}; got {text!r}, which is no number")
+        digits, unit = match.groups()
+        if not unit:
+            return float(digits)
+        if unit not in self.units:
+            kinds = [other.kind for other in _DIMENSIONS if unit in other.units]
+            why = f"which is {kinds[0]}" if kinds else f"and {unit!r} is not a known unit"
+            raise refuse(f"expected {self.expected}; got {text!r}, {why}")
+        try:
+            return float(Decimal(digits) * self.units[unit])
+        except ArithmeticError:
+            return math.inf
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self.parse, handler(source))
+
+
+def _units(sizes: str) -> dict[str, Decimal]:
+    pairs = (item.split("=") for item in sizes.split())
+    return {unit: Decimal(size) for unit, size in pairs}
+
+
+_LENGTH = Dimension("a length", _units("m=1 mm=1e-3 cm=1e-2 µm=1e-6 μm=1e-6 um=1e-6"))
+_ANGLE = Dimension("an angle", _units("rad=1 mrad=1e-3") | {"deg": Decimal(math.pi) / 180})
+_TIME = Dimension("a time", _units("s=1 ms=1e-3 µs=1e-6 μs=1e-6 us=1e-6 min=60"))
+_FREQUENCY = Dimension("a frequency", _units("Hz=1 kHz=1e3"))
+_FORCE = Dimension("a force", _units("N=1 mN=1e-3 kN=1e3"))
+_MASS = Dimension("a mass", _units("kg=1 g=1e-3"))
+_NUMBER = Dimension("a plain number", {})
+_JOINT_VALUE = Dimension("a joint value (length or angle)", _LENGTH.units | _ANGLE.units)
+_DIMENSIONS = (_LENGTH, _ANGLE, _TIME, _FREQUENCY, _FORCE, _MASS)
+
+Length = Annotated[float, _LENGTH]
+Angle = Annotated[float, _ANGLE]
+Time = Annotated[float, _TIME]
+Frequency = Annotated[float, _FREQUENCY]
+Force = Annotated[float, _FORCE]
+Mass = Annotated[float, _MASS]
+Number = Annotated[float, _NUMBER]
+JointValue = Annotated[float, _JOINT_VALUE]
+
+
+def _three(what: str) -> Callable[[Any], Any]:
+    def check(value: Any) -> Any:
+        if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 3:
+            raise refuse(f"expected {what}; got {value!r}")
+        return value
+
+    return check
+
+
+def unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return v/|v|; a vector already of unit length comes back bit by bit.
+
+    Raises:
+        PydanticCustomError: |v| is zero (below 1e-12)."""
+    norm = math.hypot(*value)
+    if not 1e-12 < norm < math.inf:
+        raise refuse(f"expected a direction [x, y, z]; got {list(value)}, whose length is {norm:g}")
+    if abs(norm - 1.0) <= 4e-16:
+        return value
+    return (value[0] / norm, value[1] / norm, value[2] / norm)
+
+
+class _Normalise:
+    """Marker that runs `unit_vector` after the three numbers were checked."""
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(unit_vector, handler(source))
+
+
+Vec3 = Annotated[tuple[Length, Length, Length], BeforeValidator(_three("three lengths [x, y, z]"))]
+AngleVec3 = Annotated[
+    tuple[Angle, Angle, Angle], BeforeValidator(_three("three angles [roll, pitch, yaw]"))
+]
+UnitVec3 = Annotated[
+    tuple[Number, Number, Number],
+    BeforeValidator(_three("a direction of three numbers [x, y, z]")),
+    _Normalise(),
+]

@@ -1,0 +1,164 @@
+"""The scenario: frozen models whose attribute names are the keys of the YAML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PlainValidator,
+    PrivateAttr,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails
+
+from .checks import Problem, did_you_mean, name_problems, timing_problems
+from .geometry import ArmSpec, ContactSpec, FaceSpec, GraspSpec, Name, ObjectSpec, PoseSpec
+from .quantities import Force, Spec, Time, UnitVec3, refuse
+from .signals import AngleSignal, ForceSignal, LengthSignal
+from .tuning import (
+    ControlSpec,
+    ForceGains,
+    GainsSpec,
+    ModelErrorSpec,
+    MotionGains,
+    PlantSpec,
+    TareSpec,
+)
+
+__all__ = [
+    "AngularMove",
+    "ArmSpec",
+    "ContactSpec",
+    "ControlSpec",
+    "FaceSpec",
+    "ForceGains",
+    "GainsSpec",
+    "GraspSpec",
+    "LinearMove",
+    "ModelErrorSpec",
+    "MotionGains",
+    "MotionSpec",
+    "ObjectSpec",
+    "PlantSpec",
+    "PoseSpec",
+    "Problem",
+    "Scenario",
+    "TareSpec",
+    "did_you_mean",
+    "name_problems",
+    "timing_problems",
+]
+
+_UNIT_VECTOR: TypeAdapter[tuple[float, float, float]] = TypeAdapter(UnitVec3)
+
+
+def _direction(value: Any) -> Any:
+    if value == "common_tangent":
+        return value
+    if isinstance(value, str):
+        raise refuse(f"expected a direction [x, y, z] or common_tangent; got {value!r}")
+    return _UNIT_VECTOR.validate_python(value)
+
+
+def _no_common_tangent(value: Any) -> Any:
+    if value == "common_tangent":
+        raise refuse(
+            "common_tangent is a direction of linear moves only; give the axis of an angular move "
+            "as [x, y, z]"
+        )
+    return value
+
+
+class LinearMove(Spec):
+    """A translation along a fixed world direction; signals in metres, summed."""
+
+    kind: Literal["linear"] = "linear"
+    direction: Annotated[
+        tuple[float, float, float] | Literal["common_tangent"], PlainValidator(_direction)
+    ]
+    """a world direction [x, y, z] or common_tangent"""
+    signals: Annotated[tuple[LengthSignal, ...], Field(min_length=1)]
+    """a list of signals in lengths"""
+
+
+class AngularMove(Spec):
+    """A rotation about a fixed world direction; signals in radians, summed."""
+
+    kind: Literal["angular"] = "angular"
+    direction: Annotated[UnitVec3, BeforeValidator(_no_common_tangent)]
+    """a world axis [x, y, z]"""
+    signals: Annotated[tuple[AngleSignal, ...], Field(min_length=1)]
+    """a list of signals in angles"""
+
+
+MotionSpec = Annotated[LinearMove | AngularMove, Field(discriminator="kind")]
+
+
+class Scenario(Spec):
+    """One experiment: arms, object, contacts, commands, gains, plant and duration (s)."""
+
+    name: Name
+    """a name of letters, digits, _ and -"""
+    description: str = ""
+    arms: Annotated[tuple[ArmSpec, ...], Field(min_length=1, max_length=8)]
+    """a list of 1 to 8 arms"""
+    object: ObjectSpec
+    """the held object: urdf and pose"""
+    grasps: dict[str, GraspSpec]
+    """by arm name, the pose of the object in the tip frame"""
+    contacts: tuple[ContactSpec, ...] = ()
+    force: dict[str, Annotated[tuple[ForceSignal, ...], Field(min_length=1)]] = Field(default_factory=dict)
+    motion: tuple[MotionSpec, ...] = ()
+    squeeze: Force = 0.0
+    gains: GainsSpec
+    """the gains of the motion and the force loop"""
+    control: ControlSpec
+    """the tick rate and the metric"""
+    model_error: ModelErrorSpec = ModelErrorSpec()
+    tare: TareSpec | None = None
+    plant: PlantSpec
+    """the plant: type and step"""
+    duration: Annotated[Time, Field(gt=0)]
+    """the simulated time, such as 10 s"""
+
+    _source: Path | None = PrivateAttr(default=None)
+
+    @property
+    def source(self) -> Path | None:
+        """The file this scenario came from; relative URDF paths begin in its folder."""
+        return self._source
+
+    def with_source(self, source: Path | None) -> Scenario:
+        """Return the same scenario with another source file."""
+        copy = self.model_copy()
+        copy._source = source
+        return copy
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain JSON-able data (SI) that loads back to an equal scenario."""
+        return self.model_dump(mode="json")
+
+    def __eq__(self, other: Any) -> bool:
+        """Compare what the file says, not where it lies."""
+        return isinstance(other, Scenario) and self.__dict__ == other.__dict__
+
+    @model_validator(mode="after")
+    def _check_across(self) -> Scenario:
+        found = name_problems(
+            [arm.name for arm in self.arms],
+            [contact.name for contact in self.contacts],
+            self.grasps,
+            self.force,
+        )
+        found += timing_problems(self.control, self.plant)
+        if found:
+            raise ValidationError.from_exception_data(
+                "Scenario",
+                [InitErrorDetails(type=refuse(text), loc=loc, input=None) for loc, text in found],
+            )
+        return self

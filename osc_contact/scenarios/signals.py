@@ -1,0 +1,155 @@
+"""Commands over time: each signal gives its value and its first two time derivatives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar
+
+from pydantic import Field
+
+from .quantities import Angle, Dimension, Force, Frequency, Length, Spec, Time
+
+__all__ = [
+    "AngleSignal",
+    "Constant",
+    "ForceSignal",
+    "LengthSignal",
+    "MinimumJerk",
+    "Signal",
+    "Sine",
+    "Step",
+    "Triple",
+    "total",
+]
+
+Triple = tuple[float, float, float]
+Q = TypeVar("Q", bound=float)
+
+
+class Signal(Protocol):
+    """Anything that can be evaluated at a time."""
+
+    def at(self, t: float) -> Triple:
+        """Return value, first and second derivative at time `t` (s)."""
+        ...
+
+
+def _rise(t: float, start: float, duration: float) -> Triple:
+    """Return the minimum-jerk rise 10s³ − 15s⁴ + 6s⁵, s = (t − start)/duration, with ds/dt.
+
+    A rise of zero duration is a step whose derivatives are zero."""
+    if t < start:
+        return 0.0, 0.0, 0.0
+    if t >= start + duration:
+        return 1.0, 0.0, 0.0
+    s = (t - start) / duration
+    return (
+        s**3 * (10.0 - 15.0 * s + 6.0 * s * s),
+        30.0 * s * s * (1.0 - s) ** 2 / duration,
+        60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / duration**2,
+    )
+
+
+class _Typed(Spec, Generic[Q]):
+    """Base that names a parametrised model after its quantity: `Step[a force]`."""
+
+    @classmethod
+    def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
+        for mark in getattr(params[0], "__metadata__", ()):
+            if isinstance(mark, Dimension):
+                return f"{cls.__name__}[{mark.kind}]"
+        return super().model_parametrized_name(params)
+
+
+class Constant(_Typed[Q], Generic[Q]):
+    """The same value at all times."""
+
+    type: Literal["constant"] = "constant"
+    value: Q
+    """the value, with its unit"""
+
+    def at(self, t: float) -> Triple:
+        """Return (value, 0, 0)."""
+        return float(self.value), 0.0, 0.0
+
+
+class Step(_Typed[Q], Generic[Q]):
+    """0 before `start`, `value` from `start` on; both derivatives are 0."""
+
+    type: Literal["step"] = "step"
+    value: Q
+    """the value after the step, with its unit"""
+    start: Time
+    """the time of the step, such as 5 s"""
+
+    def at(self, t: float) -> Triple:
+        """Return (0 or value, 0, 0)."""
+        return (float(self.value) if t >= self.start else 0.0), 0.0, 0.0
+
+
+class Sine(_Typed[Q], Generic[Q]):
+    """amplitude · sin(2π f (t − start) + phase) · E(t), E rising 0 → 1 over `ramp`."""
+
+    type: Literal["sine"] = "sine"
+    amplitude: Q
+    """the amplitude, with its unit"""
+    frequency: Annotated[Frequency, Field(gt=0)]
+    """the frequency, such as 0.5 Hz"""
+    phase: Angle = 0.0
+    start: Time = 0.0
+    ramp: Annotated[Time, Field(ge=0)] = 0.0
+
+    def at(self, t: float) -> Triple:
+        """Return the enveloped sine and its exact derivatives (product rule); 0 before start."""
+        e, e_dot, e_ddot = _rise(t, self.start, self.ramp)
+        omega = 2.0 * math.pi * self.frequency
+        angle = omega * (t - self.start) + self.phase
+        s, s_dot = math.sin(angle), omega * math.cos(angle)
+        s_ddot = -omega * omega * s
+        a = float(self.amplitude)
+        return (
+            a * s * e,
+            a * (s_dot * e + s * e_dot),
+            a * (s_ddot * e + 2.0 * s_dot * e_dot + s * e_ddot),
+        )
+
+
+class MinimumJerk(_Typed[Q], Generic[Q]):
+    """0 → value between start and start + duration by 10s³ − 15s⁴ + 6s⁵, then held."""
+
+    type: Literal["minimum_jerk"] = "minimum_jerk"
+    value: Q
+    """the final value, with its unit"""
+    start: Time = 0.0
+    duration: Annotated[Time, Field(gt=0)]
+    """the time the rise takes, such as 0.3 s"""
+
+    def at(self, t: float) -> Triple:
+        """Return value times the rise and its exact derivatives."""
+        e, e_dot, e_ddot = _rise(t, self.start, self.duration)
+        value = float(self.value)
+        return value * e, value * e_dot, value * e_ddot
+
+
+LengthSignal = Annotated[
+    Constant[Length] | Step[Length] | Sine[Length] | MinimumJerk[Length],
+    Field(discriminator="type"),
+]
+AngleSignal = Annotated[
+    Constant[Angle] | Step[Angle] | Sine[Angle] | MinimumJerk[Angle],
+    Field(discriminator="type"),
+]
+ForceSignal = Annotated[
+    Constant[Force] | Step[Force] | Sine[Force] | MinimumJerk[Force],
+    Field(discriminator="type"),
+]
+
+
+def total(signals: Iterable[Signal], t: float) -> Triple:
+    """Return the sum of the signals' values and derivatives at time `t` (s); none: zeros."""
+    value = rate = acceleration = 0.0
+    for signal in signals:
+        x, x_dot, x_ddot = signal.at(t)
+        value, rate, acceleration = value + x, rate + x_dot, acceleration + x_ddot
+    return value, rate, acceleration

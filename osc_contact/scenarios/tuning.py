@@ -1,0 +1,84 @@
+"""How it is controlled and simulated: gains, tick, model error, tare and plant."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from .quantities import Frequency, Length, Number, Spec, Time
+
+__all__ = [
+    "ControlSpec",
+    "ForceGains",
+    "GainsSpec",
+    "ModelErrorSpec",
+    "MotionGains",
+    "PlantSpec",
+    "TareSpec",
+]
+
+Positive = Annotated[Number, Field(gt=0)]
+NotNegative = Annotated[Number, Field(ge=0)]
+Fraction = Annotated[Number, Field(gt=0, lt=1)]
+
+
+class MotionGains(Spec):
+    """Gains of the motion loop: stiffness 1/s², damping 1/s, integral 1/s³."""
+
+    stiffness: NotNegative
+    """a number in 1/s²"""
+    damping: NotNegative
+    """a number in 1/s"""
+    integral: NotNegative = 0.0
+
+
+class ForceGains(Spec):
+    """Gains of the force loop (fig. 5): integral 1/s, damping N s/m."""
+
+    integral: NotNegative
+    """a number in 1/s"""
+    damping: NotNegative = 0.0
+
+
+class GainsSpec(Spec):
+    """Gains of both loops."""
+
+    motion: MotionGains
+    """stiffness, damping and integral of the motion loop"""
+    force: ForceGains
+    """integral and damping of the force loop"""
+
+
+class ControlSpec(Spec):
+    """Tick rate (Hz) and the metric B of eq. 24."""
+
+    rate: Annotated[Frequency, Field(gt=0)]
+    """the tick rate, such as 1 kHz"""
+    metric: Literal["object", "chain"] = "object"
+
+
+class ModelErrorSpec(Spec):
+    """Factors on the masses and inertias that the controller believes in."""
+
+    object_mass: Positive = 1.0
+    arm_mass: Positive = 1.0
+
+
+class TareSpec(Spec):
+    """Zeroing of the wrist sensors in free space before contact is made."""
+
+    duration: Annotated[Time, Field(gt=0)] = 0.3
+    standoff: Annotated[Length, Field(gt=0)] = 0.003
+    approach: Annotated[Time, Field(gt=0)] = 0.3
+
+
+class PlantSpec(Spec):
+    """The simulated workcell: step (s) and the contact parameters of the MuJoCo plant."""
+
+    type: Literal["mujoco", "rigid"] = "mujoco"
+    step: Annotated[Time, Field(gt=0)]
+    """the simulation step, such as 0.25 ms"""
+    solref: tuple[Positive, Positive] = (0.01, 1.0)
+    solimp: tuple[Fraction, Fraction, Positive] = (0.2, 0.9, 0.0005)
+    friction: NotNegative = 0.0

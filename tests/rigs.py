@@ -1,0 +1,126 @@
+"""Chains and random states for the tests: the SCARA pair, two Pandas, one Panda."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+
+import osc_contact as osc
+from osc_contact import robots
+from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach
+from osc_contact.spatial import carry_twist
+
+ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))
+"""A rod whose centre of mass is off its axis, so that no term of the maths vanishes."""
+
+
+def placed(x=0.0, y=0.0, z=0.0, rpy=(0.0, 0.0, 0.0)):
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array([x, y, z], dtype=float))
+
+
+@cache
+def scara_pair(payload=True):
+    """d = 5: the paper's rig."""
+    arms = [
+        osc.Arm.from_urdf(
+            robots.urdf_path(f"scara_{side}"), name=side, tip="tool", base=placed(x, -0.40),
+            passive_joints=["hinge"], wrist_sensor="wrist_sensor",
+        )
+        for side, x in (("left", -0.35), ("right", 0.35))
+    ]  # fmt: skip
+    grasps = [placed(0.15), placed(0.15, rpy=(0, 0, np.pi))]
+    return osc.ClosedChain(arms, grasps, osc.RigidObject(ROD) if payload else None)
+
+
+def panda_arm(name, base, sensor="panda_hand"):
+    urdf, _ = robots.find_robot("panda")
+    return osc.Arm.from_urdf(
+        urdf, name=name, tip="panda_hand_tcp", base=base, wrist_sensor=sensor
+    )
+
+
+@cache
+def panda_pair():
+    """d = 6, redundant arms, one rod."""
+    arms = [
+        panda_arm("left", placed(-0.55, 0.0)),
+        panda_arm("right", placed(0.55, 0.0, rpy=(0, 0, np.pi))),
+    ]
+    down = (np.pi, 0.0, 0.0)
+    grasps = [
+        (placed(-0.15, 0, 0, rpy=down).inverse()),
+        (placed(0.15, 0, 0, rpy=(np.pi, 0.0, np.pi)).inverse()),
+    ]
+    return osc.ClosedChain(arms, grasps, osc.RigidObject(ROD))
+
+
+@cache
+def one_panda():
+    """d = 6, one redundant arm."""
+    return osc.ClosedChain(
+        [panda_arm("arm", placed())], [placed(0.02, 0.01, 0.08)], osc.RigidObject(ROD)
+    )
+
+
+SCARA_Q = np.array([1.84, -1.63, 0.12, -0.21, 0.0, 1.30, 1.63, 0.12, 0.21, 0.0])
+PANDA_Q = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78])
+
+
+def random_state(chain, rng):
+    """(q, v) with closed loops, random pose and random velocity (up to 1 m/s and 3 rad/s)."""
+    if chain is one_panda():
+        q = PANDA_Q + rng.uniform(-0.6, 0.6, 7)
+        return q, rng.normal(size=7)
+    scara = chain.nq == 10
+    while True:
+        shift = rng.uniform(-1, 1, 3)
+        if scara:
+            rpy = (0.0, *rng.uniform(-0.5, 0.5, 2))
+            X = placed(0.1 * shift[0], 0.1 * shift[1], 0.2 + 0.03 * shift[2], rpy)
+            guess = SCARA_Q
+        else:
+            X = placed(*(0.08 * shift + [0, 0, 0.45]), rpy=rng.uniform(-0.3, 0.3, 3))
+            guess = np.concatenate((PANDA_Q, PANDA_Q)) + rng.uniform(-0.3, 0.3, 14)
+        try:
+            q = close(chain, reach(chain, guess, X))
+        except osc.ModelError:
+            continue  # out of reach: draw again
+        return q, consistent(chain, q, rng.normal(size=chain.nq))
+
+
+def consistent(chain, q, v, N=None):
+    """The nearest velocity that keeps the loops closed (and the contacts, if N is given)."""
+    pin.computeAllTerms(chain.model, chain.data, q, v)
+    N = np.zeros((6, 0)) if N is None else N
+    A = constraint_rows(chain, chain.object_poses()[0].translation, N)
+    for _ in range(3):
+        v = v - inverse_rows(A, np.array(chain.data.M), len(chain.arms) - 1)[0] @ (A @ v)
+    return v
+
+
+def random_faces(X_WO, r, rng, reach_m=0.3):
+    """r vertices on faces with random (skew) normals, touching at pose X_WO."""
+    pairs = []
+    for i in range(r):
+        vertex = rng.uniform(-reach_m, reach_m, 3)
+        normal = rng.normal(size=3)
+        pairs.append(osc.VertexOnFace(vertex, X_WO.act(vertex), normal, name=f"contact{i}"))
+    return pairs
+
+
+def contact_of(pairs, state):
+    return osc.Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in pairs])
+
+
+def move_frame(X, p):
+    """6×6 that carries twists to axes rotated by X.rotation at a point shifted by p."""
+    R = X.rotation
+    out = np.zeros((6, 6))
+    for i in range(6):
+        e = np.zeros(6)
+        e[i] = 1.0
+        t = carry_twist(e, np.zeros(3), p)
+        out[:, i] = np.concatenate((R @ t[:3], R @ t[3:]))
+    return out

@@ -1,0 +1,137 @@
+"""What a stranger installs: the wheel's content, the pinned versions, the files of the root."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def run(*command: str, cwd: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", *command], cwd=cwd, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def wheel_of(source: Path, folder: Path) -> zipfile.ZipFile:
+    options = ("--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check")
+    run("pip", "wheel", *options, "-w", str(folder), str(source), cwd=folder)
+    (wheel,) = folder.glob("*.whl")
+    return zipfile.ZipFile(wheel)
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory):
+    with wheel_of(ROOT, tmp_path_factory.mktemp("wheel")) as archive:
+        yield archive
+
+
+def requirements(*extras: str) -> list[Requirement]:
+    texts = list(PROJECT["dependencies"])
+    for extra in extras:
+        texts += PROJECT["optional-dependencies"][extra]
+    return [r for r in map(Requirement, texts) if r.name != PROJECT["name"]]
+
+
+def constraints() -> dict[str, str]:
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9.+!]+", line) for line in lines)
+    assert lines == sorted(lines, key=str.lower)
+    pairs = [line.split("==") for line in lines]
+    return {canonicalize_name(name): version for name, version in pairs}
+
+
+@pytest.mark.parametrize(
+    ("folder", "pattern", "inside"),
+    [
+        ("urdf", "*.urdf", "osc_contact/urdf"),
+        ("osc_contact/scenarios/files", "*.yaml", "osc_contact/scenarios/files"),
+        ("osc_contact", "**/*.py", "osc_contact"),
+        ("osc_contact", "py.typed", "osc_contact"),
+    ],
+)
+def test_wheel_carries(wheel: zipfile.ZipFile, folder: str, pattern: str, inside: str) -> None:
+    files = sorted((ROOT / folder).glob(pattern))
+    assert files
+    for file in files:
+        name = f"{inside}/{file.relative_to(ROOT / folder).as_posix()}"
+        assert wheel.read(name) == file.read_bytes()
+
+
+def test_wheel_carries_nothing_else(wheel: zipfile.ZipFile) -> None:
+    tops = {name.split("/")[0] for name in wheel.namelist()}
+    assert tops == {"osc_contact", f"osc_contact-{PROJECT['version']}.dist-info"}
+    assert not [name for name in wheel.namelist() if "__pycache__" in name]
+
+
+def test_wheel_declares_the_command_and_the_licence(wheel: zipfile.ZipFile) -> None:
+    info = f"osc_contact-{PROJECT['version']}.dist-info"
+    assert "osc-contact = osc_contact.cli:app" in wheel.read(f"{info}/entry_points.txt").decode()
+    assert wheel.read(f"{info}/licenses/LICENSE") == (ROOT / "LICENSE").read_bytes()
+    metadata = wheel.read(f"{info}/METADATA").decode()
+    assert "License-Expression: BSD-3-Clause\n" in metadata
+    assert "Requires-Python: >=3.11\n" in metadata
+
+
+def test_source_archive_builds_the_same_wheel(wheel: zipfile.ZipFile, tmp_path: Path) -> None:
+    run("hatchling", "build", "-t", "sdist", "-d", str(tmp_path / "sdist"), cwd=ROOT)
+    (sdist,) = (tmp_path / "sdist").glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        inside = {name.split("/", 1)[1] for name in archive.getnames()}
+    for file in ("constraints.txt", "CHANGELOG.md", "CITATION.cff", "Makefile", "urdf/rod.urdf"):
+        assert file in inside
+    assert f"tests/{Path(__file__).name}" in inside
+    (tmp_path / "wheel").mkdir()
+    with wheel_of(sdist, tmp_path / "wheel") as second:
+        assert sorted(second.namelist()) == sorted(wheel.namelist())
+
+
+def test_constraints_satisfy_every_bound() -> None:
+    pinned = constraints()
+    for requirement in requirements("sim", "plot", "dev"):
+        version = pinned.get(canonicalize_name(requirement.name))
+        assert version is not None, f"{requirement} is not in constraints.txt"
+        assert requirement.specifier.contains(version), f"{requirement}, but {version} is pinned"
+
+
+def test_every_requirement_is_bounded_on_both_sides() -> None:
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]
+    for requirement in [*requirements("sim", "plot", "dev"), *map(Requirement, build["requires"])]:
+        operators = {specifier.operator for specifier in requirement.specifier}
+        assert operators == {">=", "<"}, f"{requirement} has no lower or no upper bound"
+
+
+def test_citation_names_the_software_and_the_paper() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["type"] == "software"
+    assert str(citation["version"]) == PROJECT["version"]
+    assert citation["license"] == PROJECT["license"]
+    (paper,) = (r for r in citation["references"] if r["type"] == "conference-paper")
+    assert paper["title"].startswith("A General Contact Model for Dynamically-Decoupled")
+    families = [author["family-names"] for author in paper["authors"]]
+    assert families == ["Featherstone", "Sonti Thiebaut", "Khatib"]
+    assert (paper["year"], paper["start"], paper["end"]) == (1999, 3281, 3286)
+
+
+def test_changelog_tells_of_this_version() -> None:
+    assert f"## [{PROJECT['version']}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("target", ["venv", "demo", "test", "bench", "clean"])
+def test_make_has_the_target(target: str) -> None:
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert re.search(rf"^{target}:", text, re.MULTILINE), f"the Makefile has no target {target}"

@@ -1,0 +1,506 @@
+"""The packaged robots are what their header says, and every bad file is refused with a reason."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from osc_contact import robots
+from osc_contact.errors import ModelError
+
+ARMS = ("scara_left.urdf", "scara_right.urdf")
+BODIES = ("rod.urdf", "face.urdf")
+JOINTS = ["joint1", "joint2", "joint3", "joint4", "hinge"]
+MASSES = {
+    "base_link": 8.0,
+    "link1": 4.0,
+    "link2": 2.5,
+    "quill": 0.9,
+    "flange": 0.3,
+    "wrist_sensor": 0.35,
+    "finger": 0.15,
+}
+MIRROR = np.diag([1.0, -1.0, 1.0])
+
+
+def element(name: str, link: str) -> ElementTree.Element:
+    found = ElementTree.parse(robots.urdf_path(name)).find(f"link[@name='{link}']")
+    assert found is not None
+    return found
+
+
+def numbers(text: str | None) -> np.ndarray:
+    return np.array((text or "0 0 0").split(), dtype=float)
+
+
+def placement(owner: ElementTree.Element) -> pin.SE3:
+    origin = owner.find("origin")
+    assert origin is not None
+    return pin.SE3(pin.rpy.rpyToMatrix(numbers(origin.get("rpy"))), numbers(origin.get("xyz")))
+
+
+def written_inertia(link: ElementTree.Element) -> pin.Inertia:
+    inertial = link.find("inertial")
+    assert inertial is not None
+    mass, tensor = inertial.find("mass"), inertial.find("inertia")
+    assert mass is not None and tensor is not None
+    xx, xy, xz, yy, yz, zz = (
+        float(tensor.get(k, "nan")) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
+    at_com = pin.Inertia(
+        float(mass.get("value", "nan")),
+        np.zeros(3),
+        np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
+    )
+    return placement(inertial).act(at_com)
+
+
+def solid(geometry: ElementTree.Element) -> pin.Inertia:
+    """Inertia of a primitive of density 1."""
+    shape = geometry[0]
+    if shape.tag == "box":
+        size = numbers(shape.get("size"))
+        return pin.Inertia.FromBox(float(size.prod()), *size)
+    radius = float(shape.get("radius", "nan"))
+    if shape.tag == "cylinder":
+        length = float(shape.get("length", "nan"))
+        return pin.Inertia.FromCylinder(np.pi * radius**2 * length, radius, length)
+    assert shape.tag == "sphere"
+    return pin.Inertia.FromSphere(4 / 3 * np.pi * radius**3, radius)
+
+
+def solids_inertia(link: ElementTree.Element, mass: float) -> pin.Inertia:
+    """Inertia of the visual solids at uniform density, scaled to ``mass``."""
+    total = pin.Inertia.Zero()
+    for visual in link.findall("visual"):
+        geometry = visual.find("geometry")
+        assert geometry is not None
+        total += placement(visual).act(solid(geometry))
+    return pin.Inertia(mass, total.lever, total.inertia * (mass / total.mass))
+
+
+# The packaged arms ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_scara_has_the_announced_joints_and_limits(name: str) -> None:
+    model = robots.load_model(robots.urdf_path(name))
+    assert list(model.names)[1:] == JOINTS
+    kinds = [joint.shortname() for joint in model.joints][1:]
+    assert kinds[:2] == ["JointModelRZ", "JointModelRZ"]
+    assert kinds[3:] == ["JointModelRZ", "JointModelRY"]
+    assert np.array_equal(model.effortLimit, [60, 35, 200, 10, 1])
+    assert np.array_equal(model.velocityLimit, [3, 4, 1, 8, 10])
+    assert np.array_equal(model.lowerPositionLimit, [-2.9, -2.7, 0, -3.1, -1.2])
+    assert np.array_equal(model.upperPositionLimit, [2.9, 2.7, 0.26, 3.1, 1.2])
+    assert not model.upperDryFrictionLimit.any()
+    assert not model.damping.any()
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_scara_frames_are_parallel_to_the_base_at_zero(name: str) -> None:
+    model = robots.load_model(robots.urdf_path(name))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    for frame, X_WF in zip(model.frames, data.oMf, strict=True):
+        np.testing.assert_allclose(X_WF.rotation, np.eye(3), atol=1e-15, err_msg=frame.name)
+    heights = {"joint1": 0.45, "flange": 0.42, "wrist_sensor": 0.40, "finger": 0.34, "tool": 0.32}
+    for frame_name, height in heights.items():
+        z = data.oMf[robots.frame_id(model, frame_name)].translation[2]
+        assert z == pytest.approx(height, abs=1e-12), frame_name
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_scara_kinematics_agree_with_the_closed_form(name: str) -> None:
+    model = robots.load_model(robots.urdf_path(name))
+    data = model.createData()
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        q = random.uniform(model.lowerPositionLimit, model.upperPositionLimit)
+        q1, q2, q3, q4, hinge = q
+        yaw = q1 + q2 + q4
+        forward = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        axis = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
+        wrist = np.array(
+            [
+                0.35 * np.cos(q1) + 0.30 * np.cos(q1 + q2),
+                0.35 * np.sin(q1) + 0.30 * np.sin(q1 + q2),
+                0.42 - q3 - 0.02,
+            ]
+        )
+        x = np.cos(hinge) * forward - np.sin(hinge) * np.array([0, 0, 1])
+        z = np.sin(hinge) * forward + np.cos(hinge) * np.array([0, 0, 1])
+        tool = wrist - [0, 0, 0.06] - 0.02 * z
+        pin.framesForwardKinematics(model, data, q)
+        X_WT = data.oMf[robots.frame_id(model, "tool")]
+        np.testing.assert_allclose(X_WT.translation, tool, atol=1e-12)
+        np.testing.assert_allclose(X_WT.rotation, np.column_stack([x, axis, z]), atol=1e-12)
+        sensor = data.oMf[robots.frame_id(model, "wrist_sensor")]
+        np.testing.assert_allclose(sensor.translation, wrist, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_scara_inertias_are_those_of_the_visible_solids(name: str) -> None:
+    for link, mass in MASSES.items():
+        written = written_inertia(element(name, link))
+        assert written.mass == mass
+        moments = np.linalg.eigvalsh(written.inertia)
+        assert moments[0] > 0 and moments[0] + moments[1] > moments[2]
+        expected = solids_inertia(element(name, link), mass)
+        np.testing.assert_allclose(written.matrix(), expected.matrix(), rtol=1e-6, atol=2e-9)
+    assert element(name, "tool").find("inertial") is None
+    model = robots.load_model(robots.urdf_path(name))
+    assert sum(inertia.mass for inertia in model.inertias) == pytest.approx(sum(MASSES.values()))
+    assert model.inertias[4].mass == pytest.approx(0.3 + 0.35)
+
+
+def test_right_arm_is_the_mirror_image_of_the_left() -> None:
+    asymmetric = 0
+    for link in MASSES:
+        left, right = (written_inertia(element(name, link)) for name in ARMS)
+        np.testing.assert_allclose(right.lever, MIRROR @ left.lever, atol=1e-9)
+        np.testing.assert_allclose(right.inertia, MIRROR @ left.inertia @ MIRROR, atol=1e-9)
+        asymmetric += abs(left.lever[1]) > 1e-4
+        for kind in ("visual", "collision"):
+            here, there = (element(name, link).findall(kind) for name in ARMS)
+            for a, b in zip(here, there, strict=True):
+                mirrored = MIRROR @ placement(a).translation
+                np.testing.assert_allclose(placement(b).translation, mirrored, atol=1e-9)
+    assert asymmetric >= 3, "the cable side must be visible in the mass distribution"
+    left, right = (robots.load_model(robots.urdf_path(name)) for name in ARMS)
+    for a, b in zip(left.jointPlacements, right.jointPlacements, strict=True):
+        assert a.isApprox(b, 1e-14)
+
+
+# The packaged bodies ----------------------------------------------------------------------------
+
+
+def test_rod_inertia_is_that_of_a_capsule() -> None:
+    rod = robots.load_body(robots.urdf_path("rod.urdf"))
+    radius, half, mass = 0.01, 0.29, 1.5
+    # disks of thickness dx, integrated numerically: radius r(x) of a cylinder with round ends
+    edges = np.linspace(-half - radius, half + radius, 400_001)
+    x = (edges[1:] + edges[:-1]) / 2
+    disk2 = radius**2 - np.maximum(np.abs(x) - half, 0) ** 2
+    dm = disk2 / disk2.sum() * mass
+    along, across = (dm * disk2 / 2).sum(), (dm * (disk2 / 4 + x**2)).sum()
+    assert rod.mass == mass
+    np.testing.assert_allclose(rod.lever, 0, atol=0)
+    np.testing.assert_allclose(rod.inertia, np.diag([along, across, across]), rtol=1e-6, atol=1e-15)
+    density = mass / (np.pi * (radius**2 * 2 * half + 4 / 3 * radius**3))
+    assert 7700 < density < 8100, "steel"
+
+
+def test_rod_and_face_have_the_named_collisions() -> None:
+    rod = {c.get("name"): c for c in element("rod.urdf", "rod").findall("collision")}
+    assert set(rod) == {"left_end", "right_end", "shaft"}
+    assert np.array_equal(placement(rod["left_end"]).translation, [-0.29, 0, 0])
+    assert np.array_equal(placement(rod["right_end"]).translation, [0.29, 0, 0])
+    assert {
+        rod[end].find("geometry/sphere").get("radius") for end in ("left_end", "right_end")
+    } == {"0.01"}
+    np.testing.assert_allclose(placement(rod["shaft"]).rotation[:, 2], [1, 0, 0], atol=1e-9)
+    (plate,) = element("face.urdf", "face").findall("collision")
+    assert plate.get("name") == "plate"
+    assert np.array_equal(numbers(plate.find("geometry/box").get("size")), [0.26, 0.26, 0.02])
+    assert placement(plate).translation[2] == -0.01
+
+
+def test_nothing_stands_out_of_the_face() -> None:
+    for visual in element("face.urdf", "face").findall("visual"):
+        front = placement(visual).translation + numbers(visual.find("geometry/box").get("size")) / 2
+        assert front[2] <= 1e-15
+        assert (np.abs(front[:2]) <= 0.13 + 1e-12).all()
+    face = robots.load_body(robots.urdf_path("face"))
+    expected = pin.SE3(np.eye(3), np.array([0, 0, -0.01])).act(
+        pin.Inertia.FromBox(1.6, 0.26, 0.26, 0.02)
+    )
+    assert face.isApprox(expected, 1e-8)
+
+
+# Second readers ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ARMS + BODIES)
+def test_a_second_reader_places_every_link_alike(name: str) -> None:
+    assert robots.cross_check(robots.urdf_path(name)) < 1e-12
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5"])
+def test_a_second_reader_agrees_on_known_robots(robot: str) -> None:
+    assert robots.cross_check(robots.find_robot(robot)[0]) < 1e-9
+
+
+@pytest.mark.parametrize("name", ARMS + BODIES)
+def test_mujoco_compiles_the_file_and_agrees_on_masses(name: str) -> None:
+    import mujoco
+
+    spec = mujoco.MjSpec.from_file(str(robots.urdf_path(name)))
+    spec.compiler.fusestatic = False
+    spec.compiler.discardvisual = False
+    compiled = spec.compile()
+    model = robots.load_model(robots.urdf_path(name))
+    assert compiled.nv == model.nv
+    total = sum(inertia.mass for inertia in model.inertias)
+    assert compiled.body_mass.sum() == pytest.approx(total, rel=1e-12)
+    if name in BODIES:
+        return
+    for link, mass in MASSES.items():
+        assert compiled.body(link).mass[0] == pytest.approx(mass)
+    assert compiled.body("tool").mass[0] == 0
+    data = mujoco.MjData(compiled)
+    ours = model.createData()
+    random = np.random.default_rng(5)
+    for _ in range(3):
+        data.qpos[:] = random.uniform(model.lowerPositionLimit, model.upperPositionLimit)
+        mujoco.mj_forward(compiled, data)
+        M = pin.crba(model, ours, data.qpos.copy())
+        theirs = np.column_stack([inertia_column(compiled, data, unit) for unit in np.eye(5)])
+        np.testing.assert_allclose(theirs, M, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(
+            data.qfrc_bias,
+            pin.computeGeneralizedGravity(model, ours, data.qpos.copy()),
+            atol=1e-9,
+        )
+
+
+def inertia_column(compiled, data, unit: np.ndarray) -> np.ndarray:  # type: ignore[no-untyped-def]
+    import mujoco
+
+    column = np.zeros(unit.size)
+    mujoco.mj_mulM(compiled, data, column, unit)
+    return column
+
+
+# Where files are found --------------------------------------------------------------------------
+
+
+def test_urdf_path_knows_the_packaged_files() -> None:
+    assert robots.urdf_path("rod.urdf") == robots.urdf_path("rod")
+    assert robots.urdf_path("rod").is_file()
+    with pytest.raises(ModelError, match=r"Did you mean scara_left\.urdf.*rod\.urdf, scara_left"):
+        robots.urdf_path("scara_lft.urdf")
+    with pytest.raises(ModelError, match=r"no packaged URDF is called '../urdf/rod.urdf'"):
+        robots.urdf_path("../urdf/rod.urdf")
+
+
+def test_urdf_path_finds_the_folder_of_an_installed_package(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(robots, "__file__", str(tmp_path / "osc_contact/robots.py"))
+    for folder in ("urdf", "osc_contact/urdf"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "rod.urdf").touch()
+        assert robots.urdf_path("rod") == tmp_path.resolve() / folder / "rod.urdf"
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "nv"), [("panda", "panda.urdf", 9), ("ur5", "ur5_robot.urdf", 6)]
+)
+def test_known_robots_are_found_and_load(name: str, file: str, nv: int) -> None:
+    path, package_dir = robots.find_robot(name)
+    assert path.name == file
+    assert robots.load_model(path).nv == nv
+    meshes = [
+        mesh.get("filename", "").removeprefix("package://")
+        for mesh in ElementTree.parse(path).iter("mesh")
+    ]
+    assert meshes and all((package_dir / mesh).is_file() for mesh in meshes)
+
+
+def test_robot_names_that_are_unknown_or_ambiguous_are_refused() -> None:
+    with pytest.raises(ModelError, match="Did you mean panda"):
+        robots.find_robot("pandda")
+    with pytest.raises(ModelError, match=r"ambiguous.*anymal_c_simple_description/anymal"):
+        robots.find_robot("anymal")
+    path, _ = robots.find_robot("anymal_c_simple_description/anymal")
+    assert path.parent.parent.name == "anymal_c_simple_description"
+    assert robots.find_robot("xarm")[0].name == "xarm7.urdf"
+
+
+def test_missing_robot_data_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(robots.pin, "__file__", str(tmp_path / "lib/py/site/pinocchio/__init__.py"))
+    monkeypatch.setattr(robots, "ROBOT_DATA", "no-such-robot-data")
+    with pytest.raises(ModelError, match="pip install no-such-robot-data"):
+        robots.find_robot("panda")
+
+
+def test_resolve_urdf_knows_three_places(tmp_path: Path) -> None:
+    own = tmp_path / "rod.urdf"
+    own.write_text(robots.urdf_path("rod.urdf").read_text())
+    assert robots.resolve_urdf("rod.urdf", tmp_path) == (robots.urdf_path("rod.urdf"), ())
+    assert robots.resolve_urdf("./rod.urdf", tmp_path) == (own.resolve(), (tmp_path.resolve(),))
+    assert robots.resolve_urdf(str(own)) == (own.resolve(), (tmp_path.resolve(),))
+    panda, package_dir = robots.find_robot("panda")
+    assert robots.resolve_urdf("example-robot-data:panda", tmp_path) == (panda, (package_dir,))
+    with pytest.raises(ModelError, match="Did you mean panda"):
+        robots.resolve_urdf("example-robot-data:pnda", tmp_path)
+    with pytest.raises(ModelError, match=r"Did you mean face\.urdf"):
+        robots.resolve_urdf("fce.urdf", tmp_path)
+
+
+def test_frame_id_is_checked() -> None:
+    model = robots.load_model(robots.urdf_path("scara_left"))
+    assert model.frames[robots.frame_id(model, "tool")].name == "tool"
+    with pytest.raises(ModelError, match=r"no frame 'tol'. Did you mean tool"):
+        robots.frame_id(model, "tol")
+
+
+def test_frame_id_prefers_the_body_over_a_joint_of_the_same_name(tmp_path: Path) -> None:
+    model = robots.load_model(write(tmp_path, joint='name="tip"', links={"tip": BALL}))
+    assert model.frames[robots.frame_id(model, "tip")].type == pin.FrameType.BODY
+
+
+# Files that are refused -------------------------------------------------------------------------
+
+
+def inertial(mass: str, ixx: str, iyy: str, izz: str, ixy: str = "0") -> str:
+    return (
+        f'<inertial><mass value="{mass}"/><inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" '
+        f'ixy="{ixy}" ixz="0" iyz="0"/></inertial>'
+    )
+
+
+BALL = inertial("1", "0.1", "0.1", "0.1")
+LIMIT = '<limit lower="-1" upper="1" effort="2" velocity="3"/>'
+
+
+def write(
+    folder: Path,
+    *,
+    joint: str = 'name="turn"',
+    kind: str = "revolute",
+    axis: str = "0 0 1",
+    limit: str = LIMIT,
+    links: dict[str, str] | None = None,
+) -> Path:
+    """A chain base → link → … of joints of one kind, as a file."""
+    bodies = {"tip": BALL} if links is None else links
+    text, parent = '<robot name="toy"><link name="base"/>', "base"
+    for i, (name, content) in enumerate(bodies.items()):
+        label = joint if i == 0 else f'name="next{i}"'
+        text += (
+            f'<link name="{name}">{content}</link><joint {label} type="{kind}">'
+            f'<parent link="{parent}"/><child link="{name}"/><origin xyz="0.1 0 0"/>'
+            f'<axis xyz="{axis}"/>{limit}</joint>'
+        )
+        parent = name
+    file = folder / "toy.urdf"
+    file.write_text(text + "</robot>")
+    return file
+
+
+def test_the_toy_itself_loads(tmp_path: Path) -> None:
+    model = robots.load_model(write(tmp_path))
+    assert list(model.names) == ["universe", "turn"]
+    assert robots.cross_check(tmp_path / "toy.urdf") < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('effort="2"', 'effort="nan"', "effort = 'nan' is not a finite number"),
+        ('effort="2"', 'effort="inf"', "effort = 'inf' is not a finite number"),
+        ('velocity="3"', 'velocity="1e400"', "velocity = '1e400' is not a finite number"),
+        ('effort="2"', "", "effort = 'missing' is not a finite number"),
+        ('effort="2"', 'effort="strong"', "effort = 'strong' is not a finite number"),
+        ('effort="2"', 'effort="0"', "effort limit 0 must be > 0"),
+        ('velocity="3"', 'velocity="-1"', "velocity limit -1 must be > 0"),
+        ('lower="-1"', 'lower="2"', "lower limit 2 is above the upper limit 1"),
+        ('upper="1"', 'upper="inf"', "upper = 'inf' is not a finite number"),
+        (LIMIT, "", "has no <limit"),
+    ],
+)
+def test_bad_limits_are_refused_with_the_joint_name(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    assert old in LIMIT
+    file = write(tmp_path, limit=LIMIT.replace(old, new))
+    with pytest.raises(ModelError, match="joint 'turn'.*" + message):
+        robots.load_model(file)
+
+
+@pytest.mark.parametrize("kind", ["continuous", "planar", "floating"])
+def test_joints_with_nq_unlike_nv_are_refused(tmp_path: Path, kind: str) -> None:
+    with pytest.raises(ModelError, match=r"joint 'turn'.*nq = .* but nv = "):
+        robots.load_model(write(tmp_path, kind=kind))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (inertial("1", "0.1", "0.1", "0.3"), "the largest exceeds the sum"),
+        (inertial("1", "0.1", "0.1", "0.1", ixy="0.2"), "is not positive"),
+        (inertial("-1", "0.1", "0.1", "0.1"), "mass -1 kg"),
+        (inertial("0", "0.1", "0.1", "0.1"), "mass 0 kg"),
+        (inertial("1", "nan", "0.1", "0.1"), "ixx = 'nan'"),
+        (inertial("heavy", "1", "1", "1"), "value = 'heavy'"),
+        ('<inertial><mass value="1"/></inertial>', "ixx = 'missing'"),
+    ],
+)
+def test_impossible_inertias_are_refused_with_the_link_name(
+    tmp_path: Path, content: str, message: str
+) -> None:
+    with pytest.raises(ModelError, match="link 'tip'.*" + message):
+        robots.load_model(write(tmp_path, links={"tip": content}))
+
+
+def test_thin_rods_and_massless_markers_are_accepted(tmp_path: Path) -> None:
+    marker = inertial("0", "0", "0", "0")
+    thin = inertial("1", "0", "0.1", "0.1")
+    file = write(tmp_path, links={"marker": marker, "tip": thin})
+    text = file.read_text().replace('name="turn" type="revolute"', 'name="turn" type="fixed"')
+    file.write_text(text)
+    assert robots.load_model(file).nv == 1
+
+
+def test_joints_that_move_no_mass_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="joint next1 can move without moving mass"):
+        robots.load_model(write(tmp_path, links={"tip": BALL, "end": ""}))
+
+
+def test_parallel_joints_with_one_mass_between_them_are_named(tmp_path: Path) -> None:
+    file = write(tmp_path, links={"empty": "", "tip": BALL})
+    file.write_text(file.read_text().replace('<origin xyz="0.1 0 0"/>', ""))
+    with pytest.raises(ModelError, match="joint turn, next1 can move without moving mass"):
+        robots.load_model(file)
+
+
+def test_files_that_are_no_urdf_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="does not exist"):
+        robots.load_model(tmp_path / "absent.urdf")
+    with pytest.raises(ModelError, match="is not a file"):
+        robots.load_model(tmp_path)
+    file = tmp_path / "broken.urdf"
+    file.write_text('<robot name="x"><link')
+    with pytest.raises(ModelError, match="not well-formed XML"):
+        robots.load_model(file)
+    file.write_text("<mujoco/>")
+    with pytest.raises(ModelError, match="root element is <mujoco>"):
+        robots.load_model(file)
+    file.write_text('<robot name="x"><link name="a"/><link name="b"/></robot>')
+    with pytest.raises(ModelError, match="Pinocchio refuses"):
+        robots.load_model(file)
+
+
+def test_load_body_wants_one_rigid_link(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="these joints move: turn"):
+        robots.load_body(write(tmp_path))
+    with pytest.raises(ModelError, match=r"found 2 \(tip, end\)"):
+        robots.load_body(write(tmp_path, kind="fixed", links={"tip": BALL, "end": BALL}))
+    with pytest.raises(ModelError, match=r"found 0 \(none\)"):
+        robots.load_body(write(tmp_path, kind="fixed", links={"tip": ""}))
+    inertia = robots.load_body(write(tmp_path, kind="fixed"))
+    np.testing.assert_allclose(inertia.lever, [0.1, 0, 0])
+
+
+def test_cross_check_reports_where_two_readers_differ(tmp_path: Path) -> None:
+    file = write(tmp_path, kind="prismatic", axis="0 0 2")
+    with pytest.raises(ModelError, match=r"place link 'tip' .* apart"):
+        robots.cross_check(file)

@@ -1,0 +1,339 @@
+"""Scenarios: the packaged file, every refusal with its line and cure, overrides, round trip."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+from pydantic import ValidationError
+
+from osc_contact.errors import ScenarioError
+from osc_contact.scenarios import Scenario, list_scenarios, load_scenario, parse_scenario
+
+GOOD = """\
+name: small
+arms:
+  - name: left
+    urdf: arm.urdf
+    tip: tool
+    posture: [30 deg, 0.1 m]
+  - {name: right, urdf: arm.urdf, tip: tool, posture: [0, 0]}
+object: {urdf: rod.urdf}
+grasps:
+  left: {xyz: [15 cm, 0, 0]}
+  right: {xyz: [-0.15, 0, 0]}
+contacts:
+  - name: end
+    type: vertex_on_face
+    vertex: [0, 0, 0]
+    radius: 10 mm
+    face: {urdf: face.urdf, point: [0, 0, 0], normal: [0, 0, 2]}
+force:
+  end:
+    - {type: constant, value: 3 N}
+motion:
+  - kind: angular
+    direction: [0, 0, 1]
+    signals:
+      - {type: sine, amplitude: 5 deg, frequency: 1 Hz}
+gains:
+  motion: {stiffness: 400, damping: 40}
+  force: {integral: 3e1}
+control: {rate: 1 kHz}
+plant: {type: mujoco, step: 0.25 ms}
+duration: 2 s
+"""
+
+
+def complaints(text, overrides=()):
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(text, "f.yaml", overrides)
+    return str(caught.value).splitlines()
+
+
+def test_good_file():
+    scenario = parse_scenario(GOOD, "some/f.yaml")
+    assert scenario.arms[0].posture == (0.5235987755982988, 0.1)
+    assert scenario.contacts[0].radius == 0.01
+    assert scenario.contacts[0].face.normal == (0.0, 0.0, 1.0)
+    assert scenario.grasps["left"].xyz == (0.15, 0.0, 0.0)
+    assert scenario.gains.force.integral == 30.0 and scenario.gains.motion.integral == 0.0
+    assert scenario.control.metric == "object" and scenario.tare is None
+    assert scenario.source == Path("some/f.yaml")
+    assert parse_scenario(GOOD).source is None
+
+
+def test_scenarios_are_frozen():
+    scenario = parse_scenario(GOOD)
+    with pytest.raises(ValidationError, match="frozen"):
+        scenario.duration = 3.0
+
+
+BAD = {
+    "unknown key": ("tip: tool\n", "tpi: tool\n", 5, "arms.left.tpi", "did you mean 'tip'? known"),
+    "unknown top key": ("duration: 2 s", "durration: 2 s", 31, "durration", "'duration'"),
+    "unknown signal key": (
+        "{type: constant, value: 3 N}", "{type: constant, value: 3 N, stat: 1}",
+        20, "force.end.0.stat", "unknown key; known: type, value",
+    ),
+    "unknown nested key": ("damping: 40", "dampin: 40", 27, "gains.motion.dampin", "'damping'"),
+    "missing key": (
+        "    urdf: arm.urdf\n", "", 3, "arms.left", "the key 'urdf' is missing: a packaged URDF",
+    ),
+    "missing top key": (
+        "control: {rate: 1 kHz}\n", "", 1, "", "the key 'control' is missing: the tick rate",
+    ),
+    "missing in signal": (", frequency: 1 Hz", "", 25, "motion.0.signals.0", "'frequency' is miss"),
+    "wrong unit": (
+        "radius: 10 mm", "radius: 8 N", 16, "contacts.end.radius",
+        "expected a length in m, mm, cm, µm; got '8 N', which is a force",
+    ),
+    "angle for force": ("value: 3 N", "value: 3 deg", 20, "force.end.0.value", "which is an angle"),
+    "length in angular move": (
+        "5 deg", "5 mm", 25, "motion.0.signals.0.amplitude", "expected an angle in rad, mrad, deg",
+    ),
+    "unknown unit": ("2 s", "2 sec", 31, "duration", "'sec' is not a known unit"),
+    "nan": ("2 s", ".nan", 31, "duration", "got nan, which is not finite"),
+    "inf in list": ("[0, 0]}\n", "[0, .inf]}\n", 7, "arms.right.posture.1", "not finite"),
+    "nan in vector": ("vertex: [0, 0, 0]", "vertex: [0, .NaN, 0]", 15, "contacts.end.vertex.1", ""),
+    "true for number": ("40}", "true}", 27, "gains.motion.damping", "a plain number; got True"),
+    "short vector": ("vertex: [0, 0, 0]", "vertex: [0, 0]", 15, "contacts.end.vertex", "[0, 0]"),
+    "zero normal": ("[0, 0, 2]", "[0, 0, 0]", 17, "contacts.end.face.normal", "whose length is 0"),
+    "zero axis": ("[0, 0, 1]", "[0, 0, 0]", 23, "motion.0.direction", "expected a direction"),
+    "tangent of angular move": (
+        "direction: [0, 0, 1]", "direction: common_tangent", 23, "motion.0.direction",
+        "common_tangent is a direction of linear moves only; give the axis",
+    ),
+    "bad direction word": (
+        "kind: angular\n    direction: [0, 0, 1]", "kind: linear\n    direction: up", 23,
+        "motion.0.direction", "expected a direction [x, y, z] or common_tangent; got 'up'",
+    ),
+    "zero linear direction": (
+        "kind: angular\n    direction: [0, 0, 1]", "kind: linear\n    direction: [0, 0, 0]", 23,
+        "motion.0.direction", "whose length is 0",
+    ),
+    "unit in linear direction": (
+        "kind: angular\n    direction: [0, 0, 1]", "kind: linear\n    direction: [0, 1 N, 0]", 23,
+        "motion.0.direction.1", "expected a plain number; got '1 N'",
+    ),
+    "negative radius": ("10 mm", "-1 mm", 16, "contacts.end.radius", "must be >= 0; got '-1 mm'"),
+    "zero rate": ("1 kHz}", "0 Hz}", 29, "control.rate", "must be > 0; got '0 Hz'"),
+    "negative gain": ("damping: 40", "damping: -1", 27, "gains.motion.damping", "must be >= 0"),
+    "zero step": ("0.25 ms", "0", 30, "plant.step", "must be > 0; got 0"),
+    "zero duration": ("2 s", "0 s", 31, "duration", "must be > 0"),
+    "step and period": (
+        "0.25 ms", "0.3 ms", 30, "plant.step",
+        "the control period is 3.33333333 plant steps (control.rate 1000 Hz, plant.step 0.0003 s); "
+        "it must be a whole number of them, e.g. a step of 0.333333333 ms",
+    ),
+    "step beyond period": ("0.25 ms", "3 ms", 30, "plant.step", "e.g. a step of 1 ms"),
+    "plant type": ("mujoco", "bullet", 30, "plant.type", "expected 'mujoco' or 'rigid'; got 'bul"),
+    "solref": ("0.25 ms}", "0.25 ms, solref: [0, 1]}", 30, "plant.solref.0", "must be > 0; got 0"),
+    "solref length": ("0.25 ms}", "0.25 ms, solref: [1]}", 30, "plant.solref", "item 1 is missing"),
+    "solimp": ("0.25 ms}", "0.25 ms, solimp: [0.2, 1, 1]}", 30, "plant.solimp.1", "must be < 1"),
+    "solimp width": ("0.25 ms}", "0.25 ms, solimp: [0.2, 0.5, 0]}", 30, "plant.solimp.2", "> 0"),
+    "friction": ("0.25 ms}", "0.25 ms, friction: -0.1}", 30, "plant.friction", "must be >= 0"),
+    "model error": (
+        "duration: 2 s", "model_error: {arm_mass: 0}\nduration: 2 s", 31, "model_error.arm_mass",
+        "must be > 0",
+    ),
+    "tare": ("duration: 2 s", "tare: {standoff: 0}\nduration: 2 s", 31, "tare.standoff", "> 0"),
+    "text for group": ("object: {urdf: rod.urdf}", "object: rod", 8, "object", "a group of keys"),
+    "text for list": ("[30 deg, 0.1 m]", "30 deg", 6, "arms.left.posture", "expected a list; got"),
+    "empty list": ("[30 deg, 0.1 m]", "[]", 6, "arms.left.posture", "at least 1 items; got []"),
+    "number for text": ("    tip: tool", "    tip: 7", 5, "arms.left.tip", "expected text; got 7"),
+    "bad name": ("name: end", "name: my.end", 13, "contacts.my.end.name", "expected a name of"),
+    "signal type": (
+        "type: constant", "type: konstant", 20, "force.end.0.type",
+        "expected one of 'constant', 'step', 'sine', 'minimum_jerk'; got 'konstant'",
+    ),
+    "no signal type": ("{type: constant, value", "{value", 20, "force.end.0", "'type' is missing"),
+    "no signals": ("\n    - {type: constant, value: 3 N}", " []", 19, "force.end", "at least 1"),
+    "null move": ("motion:\n", "motion:\n  - null\n", 22, "motion.0: expected a group of", "None"),
+    "kind": ("kind: angular", "kind: spiral", 22, "motion.0.kind", "one of 'linear', 'angular'"),
+    "double arm": ("{name: right", "{name: left", 7, "arms.left.name", "'left' is taken"),
+    "grasp of nobody": ("  right: {xyz", "  rigth: {xyz", 11, "grasps.rigth", "mean 'right'?"),
+    "arm without grasp": (
+        "  right: {xyz: [-0.15, 0, 0]}\n", "", 9, "grasps", "arm 'right' has no entry; add right",
+    ),
+    "force of nobody": ("\n  end:", "\n  endd:", 19, "force.endd", "did you mean 'end'?"),
+    "contact without force": (
+        "force:\n  end:\n    - {type: constant, value: 3 N}\n", "", 1, "force",
+        "the contact 'end' has no entry; add end: [{type: constant, value: 0 N}]",
+    ),
+    "key twice": (
+        "    tip: tool\n", "    tip: tool\n    tip: hand\n", 6, "arms.0.tip",
+        "given twice, first in line 5; keep one",
+    ),
+    "anchor": ("{rate: 1 kHz}", "&c {rate: 1 kHz}", 29, "&c", "anchors and aliases are refused"),
+    "tag": ("tip: tool\n", "tip: !!python/name:os.system tool\n", 5, "tag:", "tags are refused"),
+    "tab": ("    tip: tool\n", "\ttip: tool\n", 5, "not valid YAML", "indent with spaces, not"),
+    "unclosed": ("{rate: 1 kHz}", "{rate: 1 kHz", 30, "not valid YAML", "expected ',' or '}'"),
+    "control character": ("rod.urdf", "rod\x07urdf", 8, "not valid YAML", "'\\x07' is not allowed"),
+    "two documents": ("name: small", "name: small\n---\nname: x", 2, "not valid YAML", "single"),
+    "deep": ("2 s", "[" * 5000, 31, "nested deeper", "32 levels"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_files_name_line_key_and_cure(case):
+    old, new, line, key, message = BAD[case]
+    assert GOOD.count(old) >= 1
+    found = complaints(GOOD.replace(old, new, 1))
+    start = f"f.yaml:{line}: {key}"
+    assert any(text.startswith(start) and message in text for text in found), found
+
+
+def test_alias_is_refused_at_its_line():
+    text = GOOD.replace("[0, 0, 0]", "&zero [0, 0, 0]", 1).replace("[0, 0, 1]", "*zero")
+    assert [one.split(":")[1] for one in complaints(text)] == ["15", "23"]
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "- a\n- b\n", "just text"])
+def test_a_file_without_keys(text):
+    assert complaints(text) == [
+        "f.yaml:1: expected keys such as name, arms, object; got no group of keys"
+    ]
+
+
+def test_all_complaints_come_at_once_sorted_by_line():
+    text = GOOD.replace("2 s", "2 N").replace("radius: 10 mm", "radius: -1")
+    text = text.replace("    tip: tool", "    tipp: tool").replace("0.25 ms", "0.3 ms")
+    text = text.replace("  right: {xyz", "  rigth: {xyz").replace(
+        "damping: 40", "damping: 1\n    ,damping: 2"
+    )
+    lines = [int(one.split(":")[1]) for one in complaints(text)]
+    assert lines == [3, 5, 9, 11, 16, 28, 31, 32]
+
+
+def test_the_period_may_miss_a_whole_multiple_by_rounding_only():
+    assert parse_scenario(GOOD.replace("0.25 ms", "1e-4")).plant.step == 1e-4
+    parse_scenario(GOOD.replace("0.25 ms", "0.0002500000000000001"))
+    assert "plant.step" in complaints(GOOD.replace("0.25 ms", "0.000250000001"))[0]
+
+
+def test_at_most_eight_arms():
+    data = yaml.safe_load(GOOD)
+    data["arms"] = [{**data["arms"][1], "name": f"a{k}"} for k in range(9)]
+    data["grasps"] = {f"a{k}": {} for k in range(9)}
+    assert "arms: expected at most 8 items" in complaints(json.dumps(data))[0]
+
+
+OVERRIDES = [
+    ("contacts.end.radius=5 mm", lambda s: s.contacts[0].radius, 0.005),
+    ("contacts.0.radius=5 mm", lambda s: s.contacts[0].radius, 0.005),
+    ("plant.friction=0.1", lambda s: s.plant.friction, 0.1),
+    ("arms.right.posture=[1, 2 mm]", lambda s: s.arms[1].posture, (1.0, 0.002)),
+    ("arms.left.posture.1=0.2", lambda s: s.arms[0].posture[1], 0.2),
+    ("arms.left.base.xyz=[1, 0, 0]", lambda s: s.arms[0].base.xyz, (1.0, 0.0, 0.0)),
+    ("model_error.object_mass = 1.1", lambda s: s.model_error.object_mass, 1.1),
+    ("tare.duration=0.5 s", lambda s: s.tare.duration, 0.5),
+    ("motion=[]", lambda s: s.motion, ()),
+    ("plant={type: rigid, step: 1 ms}", lambda s: s.plant.type, "rigid"),
+    ("description=a=b", lambda s: s.description, "a=b"),
+    ("force.end.0.value=7 N", lambda s: s.force["end"][0].value, 7.0),
+]
+
+
+@pytest.mark.parametrize(("override", "read", "wanted"), OVERRIDES, ids=[o[0] for o in OVERRIDES])
+def test_overrides(override, read, wanted):
+    assert read(parse_scenario(GOOD, None, [override])) == wanted
+    key, _, value = override.partition("=")
+    assert read(parse_scenario(GOOD, None, {key: value})) == wanted
+
+
+BAD_OVERRIDES = [
+    ("plant.frction=0.1", "plant.frction: unknown key; did you mean 'friction'? known: type, step"),
+    ("plnt.friction=0.1", "plnt: unknown key; did you mean 'plant'?"),
+    ("contacts.edn.radius=1", "contacts has no item 'edn'; did you mean 'end'? known: end"),
+    ("contacts.1.radius=1", "contacts has no item '1'; known: end"),
+    ("arms.left.posture.5=1", "arms.left.posture has no item '5'; items are 0 to 1"),
+    ("duration.x=1", "duration is '2 s' and has no keys or items"),
+    ("duration=3 N", "duration: expected a time in s, ms, µs, min; got '3 N', which is a force"),
+    ("duration=", "no value is given; write null to clear a key"),
+    ("duration=[1", "its value:1: not valid YAML"),
+    ("duration=&a 1", "its value:1: &a: anchors and aliases are refused"),
+    ("duration", "expected path.to.key=value"),
+    ("plant..step=1", "the path has an empty part"),
+    ("tare.standof=1 mm", "tare.standof: unknown key; did you mean 'standoff'?"),
+    ("plant={type: rigid, step: 1 N}", "plant.step: expected a time"),
+    ("plant={type: rigid}", "plant: the key 'step' is missing"),
+    ("plant.step=0.3 ms", "plant.step: the control period is 3.33333333 plant steps"),
+    ("name=null", "name: expected text; got None"),
+]
+
+
+@pytest.mark.parametrize(("override", "message"), BAD_OVERRIDES, ids=[o[0] for o in BAD_OVERRIDES])
+def test_bad_overrides_are_named_instead_of_a_line(override, message):
+    found = complaints(GOOD, [override])
+    assert len(found) == 1 and found[0].startswith(f"override {override}: {message}"), found
+
+
+def test_complaints_about_overrides_follow_those_about_lines():
+    found = complaints(GOOD.replace("2 s", "2 N"), ["plant.friction=-1"])
+    assert [text.split(":")[0] for text in found] == ["f.yaml", "override plant.friction=-1"]
+
+
+def test_a_clash_of_two_keys_is_blamed_on_the_overridden_one():
+    for override in ("control.rate=3 kHz", "control={rate: 3 kHz}", "plant.step=0.3 ms"):
+        (found,) = complaints(GOOD, [override])
+        assert found.startswith(f"override {override}: plant.step: the control period is")
+
+
+def test_a_missing_key_may_come_from_an_override():
+    text = GOOD.replace("control: {rate: 1 kHz}\n", "")
+    assert parse_scenario(text, None, ["control.rate=1 kHz"]).control.rate == 1000.0
+
+
+def test_round_trip():
+    for scenario in (parse_scenario(GOOD, "f.yaml"), load_scenario("two_contact_rod")):
+        data = json.loads(json.dumps(scenario.as_dict(), allow_nan=False))
+        assert Scenario.model_validate(data) == scenario
+        again = parse_scenario(yaml.safe_dump(data))
+        assert again == scenario and again.as_dict() == data
+        assert "source" not in data
+    assert parse_scenario(GOOD, None, ["duration=3 s"]) != parse_scenario(GOOD)
+
+
+def test_packaged_scenarios_load_under_their_names():
+    listed = list_scenarios()
+    assert "two_contact_rod" in listed
+    for name, description in listed.items():
+        scenario = load_scenario(name)
+        assert scenario.name == name and scenario.description == description != ""
+        assert scenario.source.is_file()
+
+
+def test_two_contact_rod_touches_its_faces_and_is_skew():
+    scenario = load_scenario("two_contact_rod")
+    pose = scenario.object.pose
+    assert pose.rpy == (0.0, 0.0, 0.0)
+    lines = []
+    for contact in scenario.contacts:
+        centre = [a + b for a, b in zip(pose.xyz, contact.vertex, strict=True)]
+        for c, p, n in zip(centre, contact.face.point, contact.face.normal, strict=True):
+            assert p == pytest.approx(c - contact.radius * n, abs=1e-6)
+        lines.append((centre, contact.face.normal))
+    (p, n), (q, m) = lines
+    cross = [n[1] * m[2] - n[2] * m[1], n[2] * m[0] - n[0] * m[2], n[0] * m[1] - n[1] * m[0]]
+    assert abs(sum((a - b) * c for a, b, c in zip(p, q, cross, strict=True))) > 0.01
+    assert abs(sum(c * c for c in cross)) > 0.1
+
+
+def test_loading_by_path_and_unknown_names(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(GOOD, encoding="utf-8")
+    scenario = load_scenario(path, {"duration": "1 s"})
+    assert scenario.source == path and scenario.duration == 1.0
+    assert load_scenario(str(path)).duration == 2.0
+    with pytest.raises(ScenarioError, match="did you mean 'two_contact_rod'"):
+        load_scenario("two_contact_rood")
+    for bad in (tmp_path / "none.yaml", tmp_path):
+        with pytest.raises(ScenarioError, match="cannot read the scenario file"):
+            load_scenario(bad)
+    path.write_bytes(b"name: \xff\xfe")
+    with pytest.raises(ScenarioError, match="cannot read the scenario file"):
+        load_scenario(path)
+    path.write_text(GOOD.replace("2 s", "2 N"), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"mine\.yaml:31: duration: expected a time"):
+        load_scenario(path)

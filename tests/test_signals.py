@@ -1,0 +1,170 @@
+"""Signals: values, exact derivatives, sums; quantities: units and their refusals."""
+
+import math
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from osc_contact.scenarios.quantities import (
+    Angle,
+    Force,
+    Frequency,
+    JointValue,
+    Length,
+    Mass,
+    Number,
+    Time,
+    UnitVec3,
+    Vec3,
+)
+from osc_contact.scenarios.signals import (
+    AngleSignal,
+    Constant,
+    ForceSignal,
+    LengthSignal,
+    MinimumJerk,
+    Sine,
+    Step,
+    total,
+)
+
+SMOOTH = [
+    Constant(value=3.0),
+    Sine(amplitude=4.0, frequency=0.5, phase=0.3, start=0.2, ramp=0.5),
+    Sine(amplitude=0.05, frequency=1.3, start=-0.4),
+    MinimumJerk(value=-10.0, start=0.1, duration=0.3),
+]
+
+
+@pytest.mark.parametrize("signal", SMOOTH, ids=repr)
+def test_derivatives_match_central_differences(signal):
+    h = 1e-5
+    for t in np.linspace(0.005, 1.2, 241) + 1.23e-3:
+        before, here, after = signal.at(t - h), signal.at(t), signal.at(t + h)
+        assert here[1] == pytest.approx((after[0] - before[0]) / (2 * h), abs=2e-5)
+        assert here[2] == pytest.approx((after[1] - before[1]) / (2 * h), abs=2e-3)
+
+
+def test_step_rises_at_its_start_with_zero_derivatives():
+    step = Step(value=5.0, start=1.0)
+    assert step.at(math.nextafter(1.0, 0.0)) == (0.0, 0.0, 0.0)
+    assert step.at(1.0) == step.at(9.0) == (5.0, 0.0, 0.0)
+
+
+def test_minimum_jerk_is_the_quintic_and_holds():
+    rise = MinimumJerk(value=2.0, start=1.0, duration=4.0)
+    s = 0.25
+    assert rise.at(2.0)[0] == pytest.approx(2.0 * (10 * s**3 - 15 * s**4 + 6 * s**5), rel=1e-14)
+    assert rise.at(3.0)[0] == pytest.approx(1.0, rel=1e-14)
+    assert rise.at(0.5) == (0.0, 0.0, 0.0)
+    assert rise.at(5.0) == rise.at(50.0) == (2.0, 0.0, 0.0)
+
+
+def test_sine_is_silent_before_start_and_pure_after_the_ramp():
+    sine = Sine(amplitude=4.0, frequency=0.5, phase=0.3, start=1.0, ramp=0.5)
+    assert sine.at(0.999) == (0.0, 0.0, 0.0)
+    w = math.pi
+    angle = w * 1.0 + 0.3
+    wanted = (4 * math.sin(angle), 4 * w * math.cos(angle), -4 * w * w * math.sin(angle))
+    assert sine.at(2.0) == pytest.approx(wanted, rel=1e-13)
+
+
+def test_total_sums_the_triples():
+    assert total([], 1.0) == (0.0, 0.0, 0.0)
+    expected = np.sum([signal.at(0.31) for signal in SMOOTH], axis=0)
+    assert total(SMOOTH, 0.31) == pytest.approx(tuple(expected), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("kind", "key", "good", "bad"),
+    [
+        (LengthSignal, "value", ("50 mm", 0.05), "8 N"),
+        (AngleSignal, "value", ("30 deg", math.radians(30)), "50 mm"),
+        (ForceSignal, "value", ("0.5 kN", 500.0), "30 deg"),
+    ],
+)
+def test_the_same_signals_hold_lengths_angles_or_forces(kind, key, good, bad):
+    adapter = TypeAdapter(kind)
+    for type_ in ("constant", "step", "sine", "minimum_jerk"):
+        name = "amplitude" if type_ == "sine" else "value"
+        more = {
+            "sine": {"frequency": "2 Hz"},
+            "step": {"start": 1},
+            "minimum_jerk": {"duration": 1},
+        }
+        data = {"type": type_, name: good[0], **more.get(type_, {})}
+        assert getattr(adapter.validate_python(data), name) == pytest.approx(good[1], rel=1e-15)
+        with pytest.raises(ValidationError, match="which is a"):
+            adapter.validate_python({**data, name: bad})
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        lambda: Sine(amplitude=1.0, frequency=0.0),
+        lambda: Sine(amplitude=1.0, frequency=1.0, ramp=-0.1),
+        lambda: MinimumJerk(value=1.0, duration=0.0),
+        lambda: Constant(value=math.nan),
+        lambda: Step(value=1.0),
+        lambda: Constant(value=1.0, start=2.0),
+    ],
+)
+def test_impossible_signals_are_refused(bad):
+    with pytest.raises(ValidationError):
+        bad()
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "si"),
+    [
+        (Length, "50 mm", 0.05), (Length, "3µm", 3e-6), (Length, "3 um", 3e-6), (Length, 2, 2.0),
+        (Length, "-1.5e2 cm", -1.5), (Length, "0.7", 0.7), (Angle, "90 deg", math.pi / 2),
+        (Time, "0.25 ms", 0.00025), (Time, "2 min", 120.0), (Frequency, "1 kHz", 1000.0),
+        (Force, "8 N", 8.0), (Mass, "250 g", 0.25), (JointValue, "9.3 mm", 0.0093),
+        (JointValue, "180 deg", math.pi), (Number, 1.5, 1.5), (Number, np.float32(0.5), 0.5),
+    ],
+)  # fmt: skip
+def test_units_are_converted_to_the_nearest_float(kind, text, si):
+    assert TypeAdapter(kind).validate_python(text) == si
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "message"),
+    [
+        (Length, "8 N", "expected a length in m, mm, cm, µm; got '8 N', which is a force"),
+        (Length, "8 ell", "got '8 ell', and 'ell' is not a known unit"),
+        (Time, "5 Hz", "expected a time in s, ms, µs, min; got '5 Hz', which is a frequency"),
+        (Force, "N", "got 'N', which is no number"),
+        (Force, True, "got True"),
+        (Force, None, "got None"),
+        (Mass, math.inf, "which is not finite"),
+        (Mass, "nan", "which is no number"),
+        (Mass, "1e999 kg", "which is not finite"),
+        (Mass, "1e99999999999999999999 kg", "which is not finite"),
+        (Mass, 10**400, "which is not finite"),
+        (Number, "4 N", "expected a plain number; got '4 N', which is a force"),
+    ],
+)
+def test_wrong_quantities_say_what_would_be_right(kind, value, message):
+    with pytest.raises(ValidationError) as caught:
+        TypeAdapter(kind).validate_python(value)
+    assert message in caught.value.errors()[0]["msg"]
+
+
+def test_vectors():
+    vec3, unit = TypeAdapter(Vec3), TypeAdapter(UnitVec3)
+    assert vec3.validate_python([0, "50 mm", 1.0]) == (0.0, 0.05, 1.0)
+    loaded = unit.validate_python([0.4, 0.3, -0.87])
+    assert math.hypot(*loaded) == pytest.approx(1.0, abs=4e-16)
+    assert np.cross(loaded, [0.4, 0.3, -0.87]) == pytest.approx(np.zeros(3), abs=1e-16)
+    for adapter, bad in ((vec3, [1, 2]), (vec3, "abc"), (vec3, [1, 2, "3 N"]), (unit, [0, 0, 0])):
+        with pytest.raises(ValidationError, match="expected"):
+            adapter.validate_python(bad)
+
+
+def test_normalising_twice_changes_no_bit():
+    unit, rng = TypeAdapter(UnitVec3), np.random.default_rng(0)
+    for vector in rng.normal(size=(2000, 3)).tolist():
+        once = unit.validate_python(vector)
+        assert unit.validate_python(once) == once
