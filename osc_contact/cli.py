@@ -75,7 +75,9 @@ def run(
 @app.command()
 def reproduce(
     figure: Annotated[str, typer.Argument(help="fig1 | fig4 | fig5 | fig6 | fig8 | all")],
-    out_dir: Annotated[Path, typer.Option("--out", help="folder for the figures")] = Path("out/figures"),
+    out_dir: Annotated[Path, typer.Option("--out", help="folder for the figures")] = Path(
+        "out/figures"
+    ),
     seed: Annotated[int, typer.Option(help="of the run behind figs. 6 and 8")] = 0,
     json_file: JsonOption = None,
 ) -> None:
@@ -101,13 +103,17 @@ def reproduce(
 
 
 @app.command()
-def inspect(scenario: ScenarioArgument, set_: SetOption = None, json_file: JsonOption = None) -> None:
+def inspect(
+    scenario: ScenarioArgument, set_: SetOption = None, json_file: JsonOption = None
+) -> None:
     """Say in plain words what the contact state is: d, r, free motions, forces, N and T."""
     with _exit_codes():
         found = inspect_rig(build_rig(_load(scenario, set_)))
         for line in found.lines:
             out.print(line, highlight=False, soft_wrap=True)
-        out.print(_basis_table("N: forces the contacts transmit", found.N, found.contacts, ("", "m")))
+        out.print(
+            _basis_table("N: forces the contacts transmit", found.N, found.contacts, ("", "m"))
+        )
         names = [f"t{i + 1}" for i in range(found.T.shape[1])]
         out.print(_basis_table("T: motions they permit", found.T, names, ("m/s", "rad/s")))
         if json_file:
@@ -165,9 +171,7 @@ def _run_with_progress(scenario: Scenario, seed: int) -> Recording:
                TimeRemainingColumn())  # fmt: skip
     with Progress(*columns, console=err, transient=True) as bar:
         task = bar.add_task(f"{scenario.name} on {scenario.plant.type}", total=scenario.duration)
-        return run_scenario(
-            scenario, seed=seed, progress=lambda t: bar.update(task, completed=t)
-        )
+        return run_scenario(scenario, seed=seed, progress=lambda t: bar.update(task, completed=t))
 
 
 @contextmanager
@@ -218,4 +222,3 @@ def _basis_table(title: str, basis: Any, names: Any, units: tuple[str, str]) -> 
         label = f"{kind} {'xyz'[i % 3]}" + (f" [{unit}]" if unit else "")
         table.add_row(label, *(f"{round(value, 4) + 0.0:.4f}" for value in row))
     return table
-

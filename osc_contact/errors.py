@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 __all__ = [
     "OscContactError",
     "InvalidInputError",
@@ -34,7 +36,13 @@ class ScenarioError(OscContactError):
 
 
 class PlantError(OscContactError):
-    """A plant cannot be built, or its simulation left the range where it means anything."""
+    """A plant cannot be built, or its simulation left the range where it means anything.
+
+    Attributes:
+        recording: the `Recording` of what came before a run's plant failed, else None.
+    """
+
+    recording: Any = None
 
 
 class RecordingError(OscContactError):

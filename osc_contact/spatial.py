@@ -32,6 +32,7 @@ Array = NDArray[Any]
 __all__ = [
     "Array",
     "as_array",
+    "cross",
     "skew",
     "carry_twist",
     "carry_wrench",
@@ -64,6 +65,13 @@ def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     return array
 
 
+def cross(x: Array, y: Array) -> Array:
+    """x × y of 3-vectors (3,) or of columns (3, k)."""
+    return np.array(
+        (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
+    )
+
+
 def skew(x: Array) -> Array:
     """The matrix [x]× with [x]× y = x × y; x (3,)."""
     return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
@@ -85,18 +93,18 @@ def carry_wrench(F: Array, start: Array, end: Array) -> Array:
 
 def cross_twist(V: Array, U: Array) -> Array:
     """V × U (6,), the rate of a motion U carried along by a body of twist V."""
-    return np.concatenate((np.cross(V[3:], U[:3]) + np.cross(V[:3], U[3:]), np.cross(V[3:], U[3:])))
+    return np.concatenate((cross(V[3:], U[:3]) + cross(V[:3], U[3:]), cross(V[3:], U[3:])))
 
 
 def cross_wrench(V: Array, F: Array) -> Array:
     """V ×* F (6,), the rate of a wrench F carried along by a body of twist V."""
-    return np.concatenate((np.cross(V[3:], F[:3]), np.cross(V[3:], F[3:]) + np.cross(V[:3], F[:3])))
+    return np.concatenate((cross(V[3:], F[:3]), cross(V[3:], F[3:]) + cross(V[:3], F[:3])))
 
 
 def classical_to_spatial(a_classical: Array, V: Array) -> Array:
     """Spatial acceleration from the classical one of the same point: a − [ω × v; 0]."""
     out = np.array(a_classical, dtype=np.float64)
-    out[:3] -= np.cross(V[3:], V[:3])
+    out[:3] -= cross(V[3:], V[:3])
     return out
 
 

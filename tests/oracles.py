@@ -97,7 +97,7 @@ def kkt(chain, q, v, tau, N=None, n_gamma=None) -> KKTSolution:
     )
 
 
-class constrained_pinocchio:  # noqa: N801 - reads as a call
+class constrained_pinocchio:
     """Pinocchio's own closed loop: arms + a free-flying object + one 6D weld for each arm."""
 
     def __init__(self, chain):
@@ -130,9 +130,7 @@ class constrained_pinocchio:  # noqa: N801 - reads as a call
         n = self.chain.nq
         full_q = np.concatenate((q, pin.SE3ToXYZQUAT(X_WO)))
         pin.computeJointJacobians(self.chain.model, self.chain.data, q)
-        frame = self.chain.model.getFrameId(
-            f"{self.chain.arms[0].name}/{self.chain.arms[0].tip}"
-        )
+        frame = self.chain.model.getFrameId(f"{self.chain.arms[0].name}/{self.chain.arms[0].tip}")
         V = pin.getFrameJacobian(self.chain.model, self.chain.data, frame, pin.WORLD) @ v
         V_O = to_point(V, X_WO.translation)
         R = X_WO.rotation

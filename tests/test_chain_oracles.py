@@ -5,9 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-
-import osc_contact as osc
-from osc_contact import robots
 from oracles import constrained_pinocchio, kkt
 from rigs import (
     ROD,
@@ -20,6 +17,9 @@ from rigs import (
     random_state,
     scara_pair,
 )
+
+import osc_contact as osc
+from osc_contact import robots
 
 STATES = 1000
 RTOL = 1e-9
@@ -101,7 +101,10 @@ def test_accelerations_inertia_and_G_agree_with_pinocchio_constraint_dynamics(ri
             )
             assert close_to(still.Phi, Phi) < RTOL
             SG = np.column_stack(
-                [oracle.acceleration(q, rest, still.X_WO, motor) - base for motor in np.eye(chain.n_a)]
+                [
+                    oracle.acceleration(q, rest, still.X_WO, motor) - base
+                    for motor in np.eye(chain.n_a)
+                ]
             )
             mine = still.S @ np.linalg.solve(still.Lambda, still.G)
             assert close_to(mine, SG) < RTOL
@@ -211,7 +214,5 @@ def test_calibration_errors_do_not_cost_a_motion():
     chain = osc.ClosedChain(arms, scara_pair().grasps, osc.RigidObject(ROD))
     q, _ = random_state(scara_pair(), np.random.default_rng(8))
     assert chain.state(q, np.zeros(10)).d == 5
-    strict = osc.ClosedChain(
-        arms, scara_pair().grasps, chain.payload, rank_tolerance=1e-6
-    )
+    strict = osc.ClosedChain(arms, scara_pair().grasps, chain.payload, rank_tolerance=1e-6)
     assert strict.state(q, np.zeros(10)).d == 4

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import Array, as_array, carry_twist
+from osc_contact.spatial import Array, as_array, carry_twist, cross
 
 __all__ = ["VertexOnFace"]
 
@@ -73,10 +73,10 @@ class VertexOnFace:
         else:
             origin = np.zeros(3) if X_WE is None else X_WE.translation
             V_env = carry_twist(V_E, origin, X_WO.translation)
-        n_dot = np.cross(V_env[3:], n)
-        p_dot = V_O[:3] + np.cross(V_O[3:], p)
-        N = np.concatenate((n, np.cross(p, n)))
-        N_dot = np.concatenate((n_dot, np.cross(p_dot, n) + np.cross(p, n_dot)))
+        n_dot = cross(V_env[3:], n)
+        p_dot = V_O[:3] + cross(V_O[3:], p)
+        N = np.concatenate((n, cross(p, n)))
+        N_dot = np.concatenate((n_dot, cross(p_dot, n) + cross(p, n_dot)))
         return Contact(N[:, None], [-N_dot @ (V_O - V_env)])
 
     def gap(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> float:
@@ -88,7 +88,8 @@ class VertexOnFace:
         """(3,) where the line of force meets the face, world (m)."""
         normal, point = self._face(X_WE)
         p: Array = X_WO.act(self.vertex)
-        return p - (normal @ (p - point)) * normal
+        on_face: Array = p - (normal @ (p - point)) * normal
+        return on_face
 
     def direction(self, X_WE: pin.SE3 | None = None) -> Array:
         """(3,) unit vector into the face, world: the direction of a positive contact force."""
@@ -97,11 +98,11 @@ class VertexOnFace:
     def face_placement(self) -> pin.SE3:
         """Pose of the face's surface in the environment frame: z along the outward normal."""
         z = self.normal
-        across = np.cross([0.0, 1.0, 0.0], z)
+        across = cross(np.array([0.0, 1.0, 0.0]), z)
         if np.linalg.norm(across) < 1e-3:
-            across = np.cross([0.0, 0.0, 1.0], z)
+            across = cross(np.array([0.0, 0.0, 1.0]), z)
         x = across / np.linalg.norm(across)
-        return pin.SE3(np.column_stack((x, np.cross(z, x), z)), self.point)
+        return pin.SE3(np.column_stack((x, cross(z, x), z)), self.point)
 
     def _face(self, X_WE: pin.SE3 | None) -> tuple[Array, Array]:
         if X_WE is None:

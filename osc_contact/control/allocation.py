@@ -64,8 +64,8 @@ class Allocation:
         for arm in self.chain.arms:
             if arm.model.nv > 6 and arm.passive_joints:
                 raise ModelError(
-                    f"arm '{arm.name}' has {arm.model.nv} joints, {len(arm.passive_joints)} of them "
-                    "passive: posture torques for redundant arms need a motor in every joint"
+                    f"arm '{arm.name}' has {arm.model.nv} joints, {len(arm.passive_joints)} of "
+                    "them passive: posture torques for redundant arms need a motor in every joint"
                 )
 
     def torques(

@@ -137,7 +137,8 @@ class ClosedChain:
         self.tau_max: Array = np.array(self.model.upperEffortLimit)[self.actuated]
         self._tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
         self._sensors = [
-            None if a.wrist_sensor is None
+            None
+            if a.wrist_sensor is None
             else robots.frame_id(self.model, f"{a.name}/{a.wrist_sensor}")
             for a in arms
         ]
@@ -233,9 +234,7 @@ class ClosedChain:
 
     def object_poses(self) -> list[pin.SE3]:
         """Pose of the object according to each arm, at the positions last given to `data`."""
-        return [
-            self._placement(f) * X_TO for f, X_TO in zip(self._tips, self.grasps, strict=True)
-        ]
+        return [self._placement(f) * X_TO for f, X_TO in zip(self._tips, self.grasps, strict=True)]
 
     def reference_inertia(self, X_WO: pin.SE3) -> Array:
         """(6, 6) inertia of the object at its own origin, or of its stand-in if nothing is held."""
@@ -246,9 +245,7 @@ class ClosedChain:
         at = self.model.frames[frame]
         return self.data.oMi[at.parentJoint] * at.placement
 
-    def _intersect(
-        self, terms: Sequence[ArmTerms], L: Array
-    ) -> tuple[Array, Array, Array]:
+    def _intersect(self, terms: Sequence[ArmTerms], L: Array) -> tuple[Array, Array, Array]:
         """S = ∩ range(J_i), C with CᵀS = 0, and σ with C_iᵀσ = C_iᵀγ_i.
 
         Done in coordinates where the object's inertia is the identity (x̃ = Lᵀx, f = L f̃), so

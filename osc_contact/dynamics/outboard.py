@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.spatial import Array, carry_twist, cross_wrench
+from osc_contact.spatial import Array, carry_twist, cross, cross_wrench
 
 __all__ = ["OutboardLink", "outboard_links", "outboard_terms"]
 
@@ -108,8 +108,8 @@ def drift(J: Array, qd: Array) -> Array:
     """
     S = J * qd
     V = np.cumsum(S, axis=1) - S  # twist of the link before each joint
-    linear = np.cross(V[3:], S[:3], axis=0) + np.cross(V[:3], S[3:], axis=0)
-    angular = np.cross(V[3:], S[3:], axis=0)
+    linear = cross(V[3:], S[:3]) + cross(V[:3], S[3:])
+    angular = cross(V[3:], S[3:])
     return np.concatenate((linear.sum(axis=1), angular.sum(axis=1)))
 
 

@@ -85,9 +85,7 @@ class Rig:
         return Controller(
             self.model,
             self.pairs,
-            Gains(
-                MotionGains(**gains.motion.model_dump()), ForceGains(**gains.force.model_dump())
-            ),
+            Gains(MotionGains(**gains.motion.model_dump()), ForceGains(**gains.force.model_dump())),
             dt=1.0 / self.scenario.control.rate,
             B=self.scenario.control.metric,
             posture=self.q_contact,

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from osc_contact.control.allocation import squeeze_rows
 from osc_contact.control.controller import Controller
+from osc_contact.errors import PlantError
 from osc_contact.experiments.references import force_steps
 from osc_contact.experiments.rig import Rig, build_rig
 from osc_contact.interface import Reference
@@ -38,11 +39,14 @@ def run(
         scenario: from `load_scenario`.
         plant: "mujoco" or "rigid" instead of the scenario's own.
         duration: s, instead of the scenario's own.
-        seed: of everything random in the run.
+        seed: of everything random in the run (sensors and plants without noise use none).
         progress: called with the simulated time now and then.
 
     Returns:
         The recording; `metrics(recording)` judges it.
+
+    Raises:
+        PlantError: the simulation diverged; `error.recording` holds what came before.
     """
     changes = scenario.as_dict()
     if plant is not None:
@@ -50,15 +54,10 @@ def run(
     if duration is not None:
         changes["duration"] = duration
     scenario = Scenario.model_validate(changes).with_source(scenario.source)
-    rig = build_rig(scenario)
-    rng = np.random.default_rng(seed)
-    return _loop(rig, seed, rng, progress)
+    return _loop(build_rig(scenario), seed, progress)
 
 
-def _loop(
-    rig: Rig, seed: int, rng: np.random.Generator, progress: Progress | None
-) -> Recording:
-    del rng  # exact sensors: nothing random yet
+def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
     scenario = rig.scenario
     period = 1.0 / scenario.control.rate
     ticks = round(scenario.duration * scenario.control.rate)
@@ -66,25 +65,33 @@ def _loop(
     plant, controller = rig.plant(), rig.controller()
     tare = _Tare(rig, controller)
     began = perf_counter()
-    for k in range(ticks):
-        t = k * period
-        reference = rig.references.at(t)
-        measurement, truth = plant.measure(), plant.truth()
-        start = perf_counter()
-        tau = controller.tick(measurement, reference)
-        spent = perf_counter() - start
-        tare.watch(t)
-        recorder.append(
-            t=t,
-            q=measurement.q,
-            v=measurement.v,
-            tau=tau,
-            tick_s=spent,
-            **_channels(rig, controller, reference, truth),
-        )
-        plant.step(tau, period)
-        if progress is not None and k % 100 == 99:
-            progress(t + period)
+    try:
+        for k in range(ticks):
+            t = k * period
+            reference = rig.references.at(t)
+            measurement, truth = plant.measure(), plant.truth()
+            start = perf_counter()
+            tau = controller.tick(measurement, reference)
+            spent = perf_counter() - start
+            tare.watch(t)
+            recorder.append(
+                t=t,
+                q=measurement.q,
+                v=measurement.v,
+                tau=tau,
+                tick_s=spent,
+                **_channels(rig, controller, reference, truth),
+            )
+            plant.step(tau, period)
+            if progress is not None and k % 100 == 99:
+                progress(t + period)
+    except PlantError as error:
+        error.recording = _finished(recorder, began)
+        raise
+    return _finished(recorder, began)
+
+
+def _finished(recorder: Recorder, began: float) -> Recording:
     recording = recorder.recording()
     recording.meta["wall_s"] = perf_counter() - began
     return recording

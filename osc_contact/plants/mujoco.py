@@ -7,6 +7,7 @@ contact is soft enough not to chatter.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,8 @@ from osc_contact.plants.plant import Truth
 from osc_contact.spatial import Array, as_array
 
 __all__ = ["MujocoOptions", "MujocoPlant"]
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,7 @@ class MujocoPlant:
                 "the MuJoCo plant needs the package 'mujoco': pip install osc_contact[sim]"
             ) from error
         self._mj: Any = mujoco
+        mujoco.set_mju_user_warning(_log.debug)  # counted below; no MUJOCO_LOG.TXT is written
         self.chain = chain
         self.contacts = tuple(contacts)
         options = MujocoOptions() if options is None else options

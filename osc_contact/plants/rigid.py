@@ -172,9 +172,7 @@ class RigidPlant:
         return self.data.oMi[frame.parentJoint] * frame.placement * self.chain.grasps[i]
 
     def _jacobian(self, i: int, X: pin.SE3) -> Array:
-        J = pin.getFrameJacobian(
-            self.model, self.data, self._tips[i], pin.ReferenceFrame.WORLD
-        )
+        J = pin.getFrameJacobian(self.model, self.data, self._tips[i], pin.ReferenceFrame.WORLD)
         return carry_twist(J, np.zeros(3), X.translation)
 
     def _drift(self, i: int, X: pin.SE3) -> Array:

@@ -27,12 +27,18 @@ class Problems:
         self.found: list[tuple[int, str]] = []
 
     def at_line(self, line: int, text: str) -> None:
+        """Keep a complaint about a line of the file."""
         self.found.append((line, f"{self.file}:{line}: {text}"))
 
     def at_override(self, override: str, text: str) -> None:
+        """Keep a complaint about an override, `path.to.key=value`."""
         self.found.append((1 << 60, f"override {override}: {text}"))
 
     def raise_any(self) -> None:
+        """Return if nothing was found.
+
+        Raises:
+            ScenarioError: all complaints, one a line, each once."""
         if self.found:
             ordered = sorted(self.found, key=lambda item: item[0])
             raise ScenarioError("\n".join(dict.fromkeys(text for _, text in ordered)))

@@ -112,7 +112,9 @@ class Scenario(Spec):
     grasps: dict[str, GraspSpec]
     """by arm name, the pose of the object in the tip frame"""
     contacts: tuple[ContactSpec, ...] = ()
-    force: dict[str, Annotated[tuple[ForceSignal, ...], Field(min_length=1)]] = Field(default_factory=dict)
+    force: dict[str, Annotated[tuple[ForceSignal, ...], Field(min_length=1)]] = Field(
+        default_factory=dict
+    )
     motion: tuple[MotionSpec, ...] = ()
     squeeze: Force = 0.0
     gains: GainsSpec

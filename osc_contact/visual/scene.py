@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.visual import contact_colour
-from osc_contact.visual.page import CommandSink, set_background, set_camera, write_page
+from osc_contact.visual.page import CommandSink, write_page
 from osc_contact.visual.primitives import (
     along,
     arrow,
     arrow_lengths,
     line_of_force,
-    material,
     move,
     track,
     urdf_geometry,
 )
+from osc_contact.visual.stage import set_stage
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -40,10 +40,6 @@ __all__ = ["ArmVisual", "BodyVisual", "write_scene"]
 
 ARROW_METRES_PER_NEWTON = 0.01
 LINE_OF_FORCE_LENGTH = 0.7
-BACKGROUND = ([1.0, 1.0, 1.0], [0.88, 0.91, 0.95])
-FLOOR_COLOUR = "#C9CDD2"
-FIELD_OF_VIEW_DEG = 35.0
-ELEVATION = np.deg2rad(26.0)
 Array = NDArray[np.float64]
 
 
@@ -107,7 +103,12 @@ def write_scene(
     contacts = names if "contact_point" in channels and "contact_direction" in channels else []
     for index, name in enumerate(contacts):
         _draw_contact(scene["contacts"][name], animation, index, channels)
-    _set_stage(scene, np.vstack([*points, *anchors]), arms, channels)
+    set_stage(
+        scene,
+        np.vstack([*points, *anchors]),
+        np.array([arm.base.translation for arm in arms]).reshape(-1, 3),
+        channels.get("contact_direction"),
+    )
     scene.set_animation(animation, play=True, repetitions=float("inf"))
     legend = [
         (contact_colour(i), f"force applied at {name} (wide, pale: desired)")
@@ -222,44 +223,3 @@ def _shapes(
         model, str(urdf), pin.GeometryType.VISUAL, package_dirs=folders
     )
     return list(geometry.geometryObjects)
-
-
-def _set_stage(
-    scene: Visualizer, points: Array, arms: Sequence[ArmVisual], channels: dict[str, Any]
-) -> None:
-    """Floor below everything; a camera on the object's side that sees the forces from the side."""
-    from meshcat.geometry import Box
-
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle = 0.5 * (low + high)
-    bases = np.array([arm.base.translation for arm in arms]).reshape(-1, 3)
-    floor = float(np.min(bases[:, 2], initial=0.0))
-    floor = floor if low[2] > floor - 0.05 else float(low[2]) - 0.1
-    scene["floor"].set_object(Box([3.0, 3.0, 0.02]), material(FLOOR_COLOUR))
-    scene["floor"].set_transform(
-        pin.SE3(np.eye(3), np.array([middle[0], middle[1], floor - 0.0125])).homogeneous
-    )
-    away = middle[:2] if not len(bases) else middle[:2] - bases[:, :2].mean(axis=0)
-    front = np.arctan2(away[1], away[0]) if np.linalg.norm(away) > 0.02 else -np.pi / 3
-    directions = np.zeros((1, 3))
-    if "contact_direction" in channels and channels["contact_direction"].size:
-        directions = np.nan_to_num(channels["contact_direction"][0])
-    best = max(
-        np.deg2rad([0, 15, -15, 30, -30, 45, -45, 60, -60]),
-        key=lambda turn: -round(np.abs(directions @ _view(front + turn)).max(), 1),
-    )
-    reach = 0.42 * float(np.linalg.norm(high - low)) + 0.05
-    eye = reach / np.sin(np.deg2rad(0.5 * FIELD_OF_VIEW_DEG)) * _view(front + best)
-    set_camera(scene, middle, eye, FIELD_OF_VIEW_DEG)
-    set_background(scene, *BACKGROUND)
-
-
-def _view(heading: float) -> Array:
-    """Unit vector from what is looked at to the eye."""
-    return np.array(
-        [
-            np.cos(ELEVATION) * np.cos(heading),
-            np.cos(ELEVATION) * np.sin(heading),
-            np.sin(ELEVATION),
-        ]
-    )

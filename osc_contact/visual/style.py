@@ -1,0 +1,95 @@
+"""The one look of all figures, stacked panels with one time axis, and files that appear whole."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from osc_contact.visual import OKABE_ITO
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["legend", "panels", "save", "style"]
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """The one look of all figures: Okabe-Ito colours, light grid, no box, constrained layout."""
+    import matplotlib
+    from cycler import cycler
+
+    cycle = [OKABE_ITO[n] for n in ("blue", "vermillion", "green", "purple", "orange", "sky")]
+    look: Any = {
+        "axes.prop_cycle": cycler(color=[*cycle, OKABE_ITO["black"], "#999999"]),
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "axes.titlesize": 10,
+        "axes.titlelocation": "left",
+        "axes.labelsize": 9.5,
+        "grid.color": "#E3E5E8",
+        "grid.linewidth": 0.6,
+        "xtick.labelsize": 9,
+        "ytick.labelsize": 9,
+        "legend.fontsize": 8.5,
+        "legend.frameon": False,
+        "lines.linewidth": 1.1,
+        "mathtext.fontset": "dejavusans",
+        "figure.constrained_layout.use": True,
+        "figure.facecolor": "white",
+        "svg.fonttype": "path",
+        "svg.hashsalt": "osc_contact",
+    }
+    with matplotlib.rc_context(look):
+        yield
+
+
+def panels(count: int, height: float) -> tuple[Figure, Sequence[Axes]]:
+    """Panels below one another with one time axis; Agg canvas, no global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, height * count + 0.4))
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+    for ax in axes:
+        ax.margins(x=0.0)
+    figure.align_ylabels(axes)
+    return figure, list(axes)
+
+
+def legend(ax: Axes) -> None:
+    """Legend right of the panel, where it covers nothing."""
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+
+
+def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
+    """Write the figure as PNG (150 dpi) and SVG; each file appears complete or not at all.
+
+    Returns:
+        The paths of the PNG and of the SVG.
+    """
+    base = Path(path_without_suffix)
+    base.parent.mkdir(parents=True, exist_ok=True)
+    written = []
+    extras: tuple[tuple[str, Any], ...] = ((".png", {}), (".svg", {"metadata": {"Date": None}}))
+    for suffix, extra in extras:
+        target = base.with_name(base.name + suffix)
+        descriptor, temporary = tempfile.mkstemp(dir=base.parent, prefix=f".{target.name}.")
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                figure.savefig(file, dpi=150, format=suffix[1:], **extra)
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, target)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+        written.append(target)
+    return written[0], written[1]

@@ -1,0 +1,74 @@
+"""Torque allocation: G τ = f_S, the squeeze asked for, least weighted torque, quiet null space."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles import kkt
+from rigs import PANDA_Q, panda_pair, random_state, scara_pair
+from test_decoupling import in_contact, torques
+
+import osc_contact as osc
+from osc_contact.control.allocation import Allocation, squeeze_rows
+
+
+@pytest.mark.parametrize("rig", [scara_pair, panda_pair])
+def test_squeeze_arises_between_the_grasps_and_disturbs_nothing(rig):
+    """Judged by the wrenches of the KKT oracle: ½ eᵀ(λ₁ − λ₂) along the grasp line."""
+    chain, rng = rig(), np.random.default_rng(30)
+    for _ in range(30):
+        state, contact, _, q, v = in_contact(chain, rng)
+        line = state.grasp_points[1] - state.grasp_points[0]
+        e = line / np.linalg.norm(line)
+        a_u, alpha, B = rng.normal(size=6), rng.uniform(5, 20, 2), np.linalg.inv(state.metric)
+        seen = []
+        for squeeze in (-15.0, 25.0):
+            tau, _ = torques(chain, state, contact, q, v, a_u, alpha, B, squeeze)
+            got = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
+            force = got.loops[:, :3]
+            assert 0.5 * e @ (force[0] - force[1]) == pytest.approx(squeeze, abs=1e-6)
+            seen.append(got)
+        scale = np.abs(seen[0].a_object).max()
+        np.testing.assert_allclose(seen[0].a_object, seen[1].a_object, atol=1e-9 * scale)
+        np.testing.assert_allclose(seen[0].alpha, seen[1].alpha, atol=1e-7)
+
+
+def test_torques_are_the_least_that_do_it():
+    """The equality-constrained quadratic program, solved through its own KKT system."""
+    chain, rng = scara_pair(), np.random.default_rng(31)
+    state, _, _, q, v = in_contact(chain, rng)
+    f_S, eta = rng.normal(size=5) * 10, rng.normal(size=5)
+    tau = Allocation(chain, np.zeros(10)).torques(state, q, v, f_S, eta, 12.0)
+    E, e0 = squeeze_rows(state, chain, eta)
+    A, b = np.vstack((state.G, E)), np.concatenate((f_S, 12.0 + e0))
+    R = np.diag(1.0 / chain.tau_max**2)
+    K = np.block([[R, A.T], [A, np.zeros((6, 6))]])
+    want = np.linalg.solve(K, np.concatenate((np.zeros(8), b)))[:8]
+    np.testing.assert_allclose(tau, want, rtol=1e-8)
+    np.testing.assert_allclose(A @ tau, b, rtol=1e-9)
+
+
+def test_redundant_arms_return_to_their_posture_without_moving_the_object():
+    chain, rng = panda_pair(), np.random.default_rng(32)
+    q, _ = random_state(chain, rng)
+    v = np.zeros(14)
+    state = chain.state(q, v)
+    f_S = state.bias  # hold still
+    nowhere = Allocation(chain, q).torques(state, q, v, f_S, np.zeros(6), 0.0)
+    posture = np.concatenate((PANDA_Q, PANDA_Q)) + 0.3
+    pulled = Allocation(chain, posture).torques(state, q, v, f_S, np.zeros(6), 0.0)
+    rest, moving = kkt(chain, q, v, nowhere), kkt(chain, q, v, pulled)
+    np.testing.assert_allclose(rest.a_object, 0, atol=1e-8)
+    np.testing.assert_allclose(rest.qdd, 0, atol=1e-6)
+    np.testing.assert_allclose(moving.a_object, 0, atol=1e-8)
+    for s in chain.slices:  # in the metric of M the pull shortens the way to the posture
+        gain = moving.qdd[s] @ state.M[s, s] @ (posture[s] - q[s])
+        assert gain > 1e-3
+
+
+def test_a_redundant_arm_with_passive_joints_is_refused():
+    arm = panda_pair().arms[0]
+    limp = osc.Arm(arm.name, arm.model, arm.tip, arm.base, passive_joints=("panda_joint7",))
+    chain = osc.ClosedChain([limp], None, panda_pair().payload)
+    with pytest.raises(osc.ModelError, match="posture"):
+        Allocation(chain, np.zeros(7))

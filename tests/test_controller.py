@@ -1,0 +1,186 @@
+"""The assembled controller: its wiring, its manners when data are bad, its limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import osc_contact as osc
+from osc_contact.control.controller import Controller, Signals
+from osc_contact.control.motion import MotionGains, MotionLaw
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return osc.build_rig(osc.load_scenario("two_contact_rod"))
+
+
+@pytest.fixture
+def ready(rig):
+    """(controller, plant, measurement, reference) after one good tick."""
+    controller, plant = rig.controller(), rig.plant()
+    measurement, reference = plant.measure(), rig.references.at(0.0)
+    controller.tick(measurement, reference)
+    assert controller.status is osc.Status.OK
+    return controller, plant, measurement, reference
+
+
+def poisoned(measurement, key, index, value):
+    data = getattr(measurement, key).copy()
+    data.flat[index] = value
+    return replace(measurement, **{key: data})
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("key", ["q", "v", "wrenches"])
+def test_a_bad_measurement_repeats_the_last_torques_and_freezes_the_integrators(ready, key, value):
+    controller, _, measurement, reference = ready
+    last = controller.tick(measurement, reference)
+    before = controller.force_law.integral.copy(), controller.motion_law.integral.copy()
+    for index in range(getattr(measurement, key).size):
+        tau = controller.tick(poisoned(measurement, key, index, value), reference)
+        assert controller.status is osc.Status.HELD
+        assert controller.reason
+        np.testing.assert_array_equal(tau, last)
+    np.testing.assert_array_equal(controller.force_law.integral, before[0])
+    np.testing.assert_array_equal(controller.motion_law.integral, before[1])
+    controller.tick(measurement, reference)
+    assert controller.status is osc.Status.OK
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"alpha_d": np.array([10.0, np.nan])},
+        {"alpha_d": np.array([10.0])},
+        {"V_D": np.full(6, np.inf)},
+        {"squeeze_d": float("nan")},
+    ],
+)
+def test_a_bad_reference_is_held(ready, change):
+    controller, _, measurement, reference = ready
+    tau = controller.tick(measurement, replace(reference, **change))
+    assert controller.status is osc.Status.HELD
+    assert np.isfinite(tau).all()
+
+
+def test_wrong_sizes_are_held_not_raised(ready):
+    controller, _, measurement, reference = ready
+    controller.tick(replace(measurement, q=measurement.q[:-1]), reference)
+    assert controller.status is osc.Status.HELD
+    assert "q" in controller.reason
+
+
+def test_torques_never_exceed_a_motor_limit(ready):
+    controller, _, measurement, reference = ready
+    tau = controller.tick(measurement, replace(reference, alpha_d=np.array([3000.0, 10.0])))
+    assert controller.status is osc.Status.SATURATED
+    limits = controller.chain.tau_max
+    assert np.abs(tau / limits).max() == pytest.approx(1.0)
+    assert "joint" in controller.reason
+
+
+def test_a_pose_where_the_arms_cannot_push_is_held(rig, ready):
+    controller, _, measurement, reference = ready
+    straight = measurement.q.copy()
+    straight[[1, 6]] = 0.0  # both elbows stretched
+    controller.tick(replace(measurement, q=straight), reference)
+    assert np.isfinite(controller.tick(replace(measurement, q=straight), reference)).all()
+
+
+def test_wiring_is_complete_and_runs_forward(rig):
+    """Every signal is read or is a torque, every input exists before it is read."""
+    controller, plant = rig.controller(), rig.plant()
+    blocks = controller.wiring(plant.measure(), rig.references.at(0.0))
+    known = {"q", "v", "wrenches", "reference", "alpha_d", "squeeze_d"}
+    for block in blocks:
+        assert block.inputs and block.outputs, block.name
+        assert set(block.inputs) <= known, block.name
+        known |= set(block.outputs)
+    assert known == set(Signals.__annotations__)
+    read = {name for block in blocks for name in block.inputs}
+    assert known - read == {"tau"}
+
+
+def test_figure_5_is_the_force_path_of_the_paper(rig):
+    controller, plant = rig.controller(), rig.plant()
+    blocks = controller.wiring(plant.measure(), rig.references.at(0.0))
+    path = [b for b in blocks if b.group == "force"]
+    assert [b.outputs for b in path] == [
+        ("f_meas",),
+        ("f_c_meas",),
+        ("alpha_meas",),
+        ("alpha_u",),
+        ("f_ccomm",),
+    ]
+    assert {"alpha_d", "alpha_meas"} <= set(path[3].inputs)
+
+
+def test_wiring_leaves_the_controller_as_it_was(rig):
+    a, b = rig.controller(), rig.controller()
+    plant = rig.plant()
+    measurement, reference = plant.measure(), rig.references.at(0.0)
+    a.wiring(measurement, reference)
+    np.testing.assert_array_equal(a.tick(measurement, reference), b.tick(measurement, reference))
+
+
+def test_engaging_keeps_what_was_learnt_in_free_space(rig):
+    """The motion integral becomes a constant wrench: without forces the torques do not jump."""
+    gains = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
+    controller = Controller(rig.model, rig.pairs, gains, engaged=False)
+    plant = rig.plant()
+    measurement, reference = plant.measure(), rig.references.at(0.0)
+    controller.tick(measurement, reference)
+    controller.motion_law.integral = np.array([1e-3, -2e-3, 3e-3, 0.0, 1e-3, 2e-3])
+    controller.tick(measurement, reference)
+    s = controller.signals
+    force = s.f_S.copy()
+    learnt = s.state.Lambda @ s.eta_c
+    controller.engage()
+    assert controller.engaged and not controller.motion_law.integral.any()
+    np.testing.assert_allclose(s.state.S.T @ controller.f_bias, learnt, rtol=1e-6, atol=1e-9)
+    controller.engaged = False  # the same free motion, now with the bias in place of the integral
+    controller.tick(measurement, reference)
+    np.testing.assert_allclose(controller.signals.f_S, force, rtol=1e-3, atol=1e-3)
+
+
+def test_without_contacts_the_whole_motion_is_controlled(rig):
+    controller = Controller(rig.model, (), engaged=True)
+    plant = rig.plant()
+    reference = replace(rig.references.at(0.0), alpha_d=np.zeros(0))
+    tau = controller.tick(plant.measure(), reference)
+    assert controller.status is osc.Status.OK, controller.reason
+    assert np.isfinite(tau).all()
+
+
+@pytest.mark.parametrize(
+    "kwargs, words",
+    [
+        ({"dt": 0.0}, "dt"),
+        ({"dt": float("nan")}, "dt"),
+        ({"B": "euclid"}, "object"),
+    ],
+)
+def test_bad_settings_are_refused(rig, kwargs, words):
+    with pytest.raises(osc.InvalidInputError, match=words):
+        Controller(rig.model, rig.pairs, **kwargs)
+
+
+def test_an_unstable_integral_gain_is_refused():
+    with pytest.raises(osc.InvalidInputError, match="Routh"):
+        MotionGains(100, 10, 2000)
+
+
+def test_motion_law_is_pid_on_the_pose_error_in_classical_terms(rig):
+    """A circling reference is followed without error when the state is on it."""
+    state = rig.state()
+    V = np.array([0.1, 0.2, 0.0, 0.0, 0.0, 0.5])
+    moving = replace(state, V_O=V)
+    law = MotionLaw(MotionGains(100, 20, 0), 1e-3)
+    A = np.array([0.3, -0.1, 0.2, 0.0, 0.1, 0.0])
+    on_it = osc.Reference(state.X_WO, V, A, np.zeros(2))
+    got = law.command(on_it, moving, np.eye(6))
+    spatial = A - np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
+    np.testing.assert_allclose(got, spatial, atol=1e-12)

@@ -1,0 +1,248 @@
+"""Eqs. 21–25 judged by plants and oracles that know nothing of S, Λ_S or projections."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from oracles import kkt
+from rigs import (
+    consistent,
+    contact_of,
+    one_panda,
+    panda_pair,
+    placed,
+    random_faces,
+    random_state,
+    scara_pair,
+)
+
+import osc_contact as osc
+from osc_contact import projections
+from osc_contact.control.allocation import Allocation
+from osc_contact.control.command_filter import (
+    filtered_motion,
+    generalised_force,
+    object_coordinates,
+)
+from osc_contact.plants.rigid import RigidPlant
+from osc_contact.response import require_reachable
+
+FIXED = osc.Environment.fixed()
+
+
+def metrics_B(state, rng):
+    """Three different positive definite metrics for the filter of eq. 24."""
+    A = rng.normal(size=(6, 6))
+    total = state.metric + sum(arm.Lambda for arm in state.arms)
+    return {
+        "object": np.linalg.inv(state.metric),
+        "chain": np.linalg.inv(total),
+        "random": A @ A.T + 0.1 * np.eye(6),
+    }
+
+
+def in_contact(chain, rng, r=2):
+    """A random state in contact: (state, contact, pairs, q, v)."""
+    while True:
+        q, v = random_state(chain, rng)
+        free = chain.state(q, v)
+        pairs = random_faces(free.X_WO, r, rng)
+        try:
+            require_reachable(free, contact_of(pairs, free))
+        except osc.ContactError:
+            continue
+        v = consistent(chain, q, v, contact_of(pairs, free).N)
+        state = chain.state(q, v)
+        return state, contact_of(pairs, state), pairs, q, v
+
+
+def torques(chain, state, contact, q, v, a_u, alpha_u, B, squeeze=5.0):
+    eta_u = object_coordinates(state, contact, a_u)
+    eta_c = filtered_motion(state, contact, eta_u, alpha_u, B, FIXED)
+    f_S = generalised_force(state, eta_c, contact.N @ alpha_u)
+    tau = Allocation(chain, np.zeros(chain.nq)).torques(state, q, v, f_S, eta_c, squeeze)
+    return tau, eta_c
+
+
+@pytest.mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
+def test_force_steps_leave_the_motion_and_motion_steps_leave_the_force(rig):
+    """Eqs. 24 and 25 on the full KKT system, for three metrics B: coupling ≤ 1e-9."""
+    chain, rng = rig(), np.random.default_rng(10)
+    for _ in range(60):
+        state, contact, _, q, v = in_contact(chain, rng)
+        alpha = rng.uniform(5, 20, 2)
+        a_u = rng.normal(size=6) * 3
+        for B in metrics_B(state, rng).values():
+            tau, eta_c = torques(chain, state, contact, q, v, a_u, alpha, B)
+            base = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
+            size_a, size_f = np.abs(base.a_object).max(), np.abs(base.alpha).max()
+            np.testing.assert_allclose(base.alpha, alpha, atol=1e-9 * size_f)
+            want = state.S @ eta_c + state.sigma
+            np.testing.assert_allclose(base.a_object, want, atol=1e-9 * size_a)
+            tau, _ = torques(chain, state, contact, q, v, a_u, alpha + [5.0, -3.0], B)
+            stepped = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
+            assert np.abs(stepped.a_object - base.a_object).max() <= 1e-9 * size_a
+            np.testing.assert_allclose(stepped.alpha - base.alpha, [5, -3], rtol=1e-8)
+            tau, _ = torques(chain, state, contact, q, v, a_u + rng.normal(size=6), alpha, B)
+            pushed = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
+            assert np.abs(pushed.alpha - base.alpha).max() <= 1e-9 * size_f
+            assert np.abs(pushed.a_object - base.a_object).max() > 1e-2
+
+
+def test_steps_do_not_couple_on_the_rigid_plant():
+    """The same through the plant of a run: joint-space multipliers, its own wrist and contacts."""
+    chain, rng = scara_pair(), np.random.default_rng(11)
+    for _ in range(20):
+        state, contact, pairs, q, v = in_contact(chain, rng)
+        plant = RigidPlant(chain, pairs, 1e-3)
+        plant.q, plant.v = q, v
+        for B in metrics_B(state, rng).values():
+            a_u, alpha = rng.normal(size=6) * 3, rng.uniform(5, 20, 2)
+            _, a0, f0 = plant.accelerations(torques(chain, state, contact, q, v, a_u, alpha, B)[0])
+            _, a1, f1 = plant.accelerations(
+                torques(chain, state, contact, q, v, a_u, alpha + 5.0, B)[0]
+            )
+            _, a2, f2 = plant.accelerations(
+                torques(chain, state, contact, q, v, a_u + 1.0, alpha, B)[0]
+            )
+            assert np.abs(a1 - a0).max() <= 1e-9 * np.abs(a0).max()
+            assert np.abs(f2 - f0).max() <= 1e-9 * np.abs(f0).max()
+            assert np.abs(f1 - f0 - 5.0).max() < 1e-7
+            assert np.abs(a2 - a0).max() > 1e-3
+
+
+def test_unfiltered_commands_couple_as_equations_22_and_23_say():
+    """Six motions (d = 6): eqs. 21–23 written out with 6×6 projections."""
+    chain, rng = panda_pair(), np.random.default_rng(12)
+    for _ in range(60):
+        state, contact, _, q, v = in_contact(chain, rng)
+        N = contact.N
+        Lambda0 = np.linalg.inv(state.Phi)
+        Tdot_beta = N @ np.linalg.solve(N.T @ N, contact.n_gamma)  # one of many: NᵀṪβ = n_γ
+        accel, force = rng.normal(size=6) * 2, rng.normal(size=6) * 10
+        eta = np.linalg.solve(state.S, accel + Tdot_beta - state.sigma)
+        f_S = generalised_force(state, eta, force)
+        tau = Allocation(chain, np.zeros(14)).torques(state, q, v, f_S, eta, 0.0)
+        got = kkt(chain, q, v, tau, N, contact.n_gamma)
+        Omega_f = projections.Omega_f(N, state.Phi)
+        Omega_m_bar = projections.Omega_m_bar(N, state.Phi)
+        relative = (np.eye(6) - Omega_m_bar) @ accel
+        relative = relative + state.Phi @ (np.eye(6) - Omega_f) @ force  # eq. 22
+        f_c = Omega_f @ force + Lambda0 @ Omega_m_bar @ accel  # eq. 23
+        scale = np.abs(got.a_object).max()
+        np.testing.assert_allclose(got.a_object - Tdot_beta, relative, atol=1e-9 * scale)
+        np.testing.assert_allclose(N @ got.alpha, f_c, atol=1e-9 * np.abs(f_c).max())
+        assert np.abs(f_c - Omega_f @ force).max() > 1e-3  # and it does couple
+
+
+def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair():
+    """Eqs. 22 and 23 in the coordinates of S, where Λ_S takes the place of Λ₀."""
+    chain, rng = scara_pair(), np.random.default_rng(13)
+    for _ in range(60):
+        state, contact, _, q, v = in_contact(chain, rng)
+        N_S = state.S.T @ contact.N
+        offset = N_S @ np.linalg.solve(N_S.T @ N_S, contact.n_gamma - contact.N.T @ state.sigma)
+        eta, force = rng.normal(size=5), rng.normal(size=5) * 10
+        F = (
+            state.metric @ state.S @ np.linalg.solve(state.S.T @ state.metric @ state.S, force)
+        )  # any 6-vector with SᵀF = force
+        f_S = generalised_force(state, eta + offset, F)
+        tau = Allocation(chain, np.zeros(10)).torques(state, q, v, f_S, eta, 0.0)
+        got = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
+        Phi_S = np.linalg.inv(state.Lambda)
+        D = N_S.T @ Phi_S @ N_S
+        Omega_f = N_S @ np.linalg.solve(D, N_S.T @ Phi_S)
+        Omega_m_bar = Phi_S @ N_S @ np.linalg.solve(D, N_S.T)
+        want = eta - Omega_m_bar @ eta + Phi_S @ (force - Omega_f @ force)
+        f_c = Omega_f @ force + state.Lambda @ Omega_m_bar @ eta
+        a = state.S @ (want + offset) + state.sigma
+        np.testing.assert_allclose(got.a_object, a, atol=1e-9 * np.abs(a).max())
+        np.testing.assert_allclose(N_S @ got.alpha, f_c, atol=1e-9 * np.abs(f_c).max())
+
+
+@pytest.mark.parametrize("rig", [scara_pair, panda_pair])
+def test_the_filter_does_not_depend_on_frame_units_or_bases(rig):
+    """200 random frames, units (m → mm) and bases of S and N: the same η̇_c and f_S."""
+    chain, rng = rig(), np.random.default_rng(14)
+    state, contact, *_ = in_contact(chain, rng)
+    B = metrics_B(state, rng)["random"]
+    a_u, alpha = rng.normal(size=6), rng.uniform(5, 20, 2)
+    eta_u = object_coordinates(state, contact, a_u)
+    eta = filtered_motion(state, contact, eta_u, alpha, B, FIXED)
+    f_S = generalised_force(state, eta, contact.N @ alpha)
+    for _ in range(200):
+        X = pin.SE3.Random().action  # motions; forces go with X⁻ᵀ
+        if rng.random() < 0.5:
+            X = np.diag([1e3, 1e3, 1e3, 1, 1, 1]) @ X
+        X_force = np.linalg.inv(X).T
+        Q = np.linalg.qr(rng.normal(size=(state.d, state.d)))[0] * rng.uniform(0.2, 5, state.d)
+        R = np.linalg.qr(rng.normal(size=(2, 2)))[0] * rng.uniform(0.2, 5, 2)
+        moved = replace(
+            state,
+            S=X @ state.S @ Q,
+            sigma=X @ state.sigma,
+            metric=X_force @ state.metric @ X_force.T,
+            Phi=X @ state.Phi @ X.T,
+            Lambda=Q.T @ state.Lambda @ Q,
+            mu=Q.T @ state.mu,
+            p=Q.T @ state.p,
+        )
+        touched = osc.Contact(X_force @ contact.N @ R, R.T @ contact.n_gamma)
+        alpha_R = np.linalg.solve(R, alpha)
+        eta_Q = filtered_motion(
+            moved,
+            touched,
+            object_coordinates(moved, touched, X @ a_u),
+            alpha_R,
+            X @ B @ X.T,
+            FIXED,
+        )
+        np.testing.assert_allclose(Q @ eta_Q, eta, rtol=0, atol=1e-9 * np.abs(eta).max())
+        f_Q = generalised_force(moved, eta_Q, touched.N @ alpha_R)
+        np.testing.assert_allclose(
+            np.linalg.solve(Q.T, f_Q), f_S, rtol=0, atol=1e-9 * np.abs(f_S).max()
+        )
+
+
+def test_response_under_no_freedom_and_full_contact():
+    """d = 0: two hinges about different axes hold one object; nothing moves and nothing breaks."""
+    arms = []
+    for name, axis, at in (("a", pin.JointModelRX(), -0.3), ("b", pin.JointModelRZ(), 0.3)):
+        model = pin.Model()
+        joint = model.addJoint(0, axis, pin.SE3.Identity(), "hinge")
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+        model.addFrame(pin.Frame("tip", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+        arms.append(osc.Arm.from_urdf(model, name=name, tip="tip", base=placed(at)))
+    body = osc.RigidObject(pin.Inertia.FromSphere(2.0, 0.1))
+    chain = osc.ClosedChain(arms, [placed(0.3), placed(-0.3)], body)
+    state = chain.state(np.zeros(2), np.zeros(2))
+    assert state.d == 0
+    got = osc.contact_response(state, osc.Contact(np.zeros((6, 0))), tau=np.array([1.0, -2.0]))
+    np.testing.assert_allclose(got.acceleration, 0, atol=1e-12)
+    oracle = kkt(chain, np.zeros(2), np.zeros(2), np.array([1.0, -2.0]))
+    np.testing.assert_allclose(oracle.a_object, 0, atol=1e-12)
+    with pytest.raises(osc.ContactError, match="cannot push"):
+        osc.contact_response(state, osc.Contact(np.eye(6)[:, :1]), tau=np.zeros(2))
+
+
+def test_a_contact_on_the_locked_couple_is_refused():
+    chain = scara_pair()
+    q, v = random_state(chain, np.random.default_rng(15))
+    state = chain.state(q, v)
+    with pytest.raises(osc.ContactError, match="column 1"):
+        osc.contact_response(
+            state, osc.Contact(np.column_stack((np.eye(6)[:, 2], state.C[:, 0]))), tau=np.zeros(8)
+        )
+
+
+def test_contact_response_wants_exactly_one_command():
+    chain = scara_pair()
+    state = chain.state(*random_state(chain, np.random.default_rng(16)))
+    nothing = osc.Contact(np.zeros((6, 0)))
+    with pytest.raises(osc.InvalidInputError, match="exactly one"):
+        osc.contact_response(state, nothing)
+    with pytest.raises(osc.InvalidInputError, match="exactly one"):
+        osc.contact_response(state, nothing, tau=np.zeros(8), f_S=np.zeros(5))

@@ -1,0 +1,183 @@
+"""docs/paper_map.md against the code: every row complete, every name and test really there."""
+
+from __future__ import annotations
+
+import ast
+import re
+from functools import cache
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "paper_map.md"
+REFERENCE = re.compile(r"`([^`\s]+)`")
+CELL = re.compile(r"`[^`\s]+`(, `[^`\s]+`)*")
+RIG = (
+    "two SCARA arms", "gripper hinges", "rod,", "vision", "joint torque sensors",
+    "joint-level controller", "wrist force sensors", "two end-point contacts",
+    "N continuously updated", "Λ₀ = Λ₀l + Λ₀r + Λ₀o", "force filter", "generalised inverse of N",
+    "force controller", "feed-forward", "power test",
+)  # fmt: skip
+
+
+def rows_of(text: str) -> list[tuple[str, str, str]]:
+    """(what, where, test) of every table row that speaks of the paper."""
+    rows = []
+    for line in text.splitlines():
+        if not line.startswith("|"):
+            continue
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if cells[0] == "what" or set("".join(cells)) <= set("-: "):
+            continue
+        assert len(cells) == 3, f"not three cells: {line}"
+        rows.append((cells[0], cells[1], cells[2]))
+    return rows
+
+
+def names_in(tree: ast.Module) -> set[str]:
+    """Functions, classes and module variables, and "Class.name" of methods and attributes."""
+    found = set()
+    for node in tree.body:
+        found.update(_defined(node))
+        if not isinstance(node, ast.ClassDef):
+            continue
+        for item in node.body:
+            found.update(f"{node.name}.{name}" for name in _defined(item))
+            if isinstance(item, ast.FunctionDef):
+                found.update(f"{node.name}.{name}" for name in _set_on_self(item))
+    return found
+
+
+def _defined(node: ast.stmt) -> list[str]:
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        return [node.name]
+    targets = node.targets if isinstance(node, ast.Assign) else []
+    if isinstance(node, ast.AnnAssign):
+        targets = [node.target]
+    return [target.id for target in targets if isinstance(target, ast.Name)]
+
+
+def _set_on_self(method: ast.FunctionDef) -> list[str]:
+    return [
+        node.attr
+        for node in ast.walk(method)
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.ctx, ast.Store)
+        and isinstance(node.value, ast.Name)
+        and node.value.id == "self"
+    ]
+
+
+def yaml_names(data: object, prefix: str = "") -> set[str]:
+    """Dotted keys; list items go by their `name`."""
+    pairs = data.items() if isinstance(data, dict) else []
+    if isinstance(data, list):
+        pairs = [(item["name"], item) for item in data if isinstance(item, dict) and "name" in item]
+    found = set()
+    for key, value in pairs:
+        found |= {f"{prefix}{key}"} | yaml_names(value, f"{prefix}{key}.")
+    return found
+
+
+@cache
+def names_of(path: Path) -> frozenset[str]:
+    if path.suffix == ".py":
+        return frozenset(names_in(ast.parse(path.read_text(encoding="utf-8"))))
+    if path.suffix == ".urdf":
+        kinds = ("link", "joint")
+        root = ElementTree.parse(path).getroot()
+        return frozenset(e.get("name", "") for kind in kinds for e in root.findall(kind))
+    return frozenset(yaml_names(yaml.safe_load(path.read_text(encoding="utf-8"))))
+
+
+def complaint(reference: str, *, test: bool) -> str | None:
+    """What is wrong with a reference path::name; None: nothing."""
+    file, _, name = reference.partition("::")
+    path = ROOT / file
+    if not path.is_file():
+        return f"no file {file}"
+    if test and not (file.startswith("tests/test_") and name.startswith("test_")):
+        return f"{reference} is no test"
+    if not test and file.startswith("tests/"):
+        return f"{reference} lives in the tests"
+    if not name or name not in names_of(path):
+        return f"{file} defines no {name!r}"
+    return None
+
+
+def check(row: tuple[str, str, str]) -> list[str]:
+    """Every complaint about one row."""
+    what, where, test = row
+    if where == test == "planned":
+        return []
+    problems = []
+    for cell, is_test in ((where, False), (test, True)):
+        if not CELL.fullmatch(cell):
+            problems.append(f"{what}: neither references nor planned in both columns: {cell!r}")
+            continue
+        found = (complaint(reference, test=is_test) for reference in REFERENCE.findall(cell))
+        problems += [f"{what}: {text}" for text in found if text]
+    return problems
+
+
+ROWS = rows_of(PAGE.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("row", ROWS, ids=[row[0].split(":")[0] for row in ROWS])
+def test_row_is_complete_or_planned(row):
+    assert not check(row), "\n".join(check(row))
+
+
+def test_every_equation_and_figure_has_one_row():
+    starts = [what.partition(":")[0] for what, _, _ in ROWS]
+    wanted = [f"eq. {n}" for n in range(1, 26)] + [f"fig. {n}" for n in range(1, 9)]
+    assert [start for start in starts if start != "rig"] == wanted
+
+
+def test_every_part_of_the_rig_has_one_row():
+    parts = [what.removeprefix("rig: ") for what, _, _ in ROWS if what.startswith("rig: ")]
+    assert len(parts) == len(RIG)
+    for part, wanted in zip(parts, RIG, strict=True):
+        assert part.startswith(wanted)
+
+
+def test_the_erratum_is_stated_once_with_its_correction():
+    text = PAGE.read_text(encoding="utf-8")
+    assert text.count("**Erratum.**") == 1
+    assert "Ω̄_f(A₁) Ω_f(A₂) = 0" in text and "Ω̄_m(B₁) Ω_m(B₂) = 0" in text
+
+
+GOOD = "`osc_contact/projections.py::Omega_f`"
+PROOF = "`tests/test_projections.py::test_identities_9_to_12`"
+
+
+@pytest.mark.parametrize(
+    ("where", "test", "words"),
+    [
+        (GOOD, PROOF, None),
+        ("planned", "planned", None),
+        ("`osc_contact/control/controller.py::Controller.f_tare`", PROOF, None),
+        ("`osc_contact/control/controller.py::Controller.STAGES`", PROOF, None),
+        ("planned", PROOF, "neither"),
+        (GOOD, "planned", "neither"),
+        ("", PROOF, "neither"),
+        (GOOD + " and more", PROOF, "neither"),
+        ("`osc_contact/nowhere.py::Omega_f`", PROOF, "no file"),
+        ("`osc_contact/projections.py::Omega_g`", PROOF, "defines no"),
+        ("`osc_contact/projections.py`", PROOF, "defines no"),
+        ("`osc_contact/projections.py::np`", PROOF, "defines no"),
+        ("`osc_contact/contacts/contact.py::Contact.nowhere`", PROOF, "defines no"),
+        ("`urdf/scara_left.urdf::elbow`", PROOF, "defines no"),
+        ("`osc_contact/scenarios/files/two_contact_rod.yaml::contacts.middle`", PROOF, "defines"),
+        (GOOD, "`tests/test_projections.py::test_nothing`", "defines no"),
+        (GOOD, "`tests/test_projections.py::case`", "is no test"),
+        (GOOD, GOOD, "is no test"),
+        (PROOF, PROOF, "lives in the tests"),
+    ],
+)
+def test_the_checker_itself(where, test, words):
+    problems = check(("eq. 0: an example", where, test))
+    assert not problems if words is None else any(words in text for text in problems)

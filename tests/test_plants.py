@@ -1,0 +1,144 @@
+"""The two plants: laws of physics they must keep, and agreement with each other."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import osc_contact as osc
+from osc_contact.contacts.contact import Contact
+from osc_contact.control.force import sum_of_wrenches
+from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.plants.rigid import RigidPlant
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return osc.build_rig(osc.load_scenario("two_contact_rod"))
+
+
+def energy(plant):
+    model, data = plant.model, plant.model.createData()
+    pin.computeKineticEnergy(model, data, plant.q, plant.v)
+    pin.computePotentialEnergy(model, data, plant.q)
+    return data.kinetic_energy + data.potential_energy
+
+
+def test_rigid_plant_keeps_energy_and_constraints_while_it_slides_freely(rig):
+    """Frictionless bilateral contacts do no work: energy is kept (second order in the step)."""
+    drift = []
+    for step in (2e-3, 1e-3):
+        plant = RigidPlant(rig.chain, rig.pairs, step)
+        plant.reset(rig.q_contact)
+        start = energy(plant)
+        for _ in range(round(0.2 / step)):
+            plant.step(np.zeros(8), step)
+        truth = plant.truth()
+        drift.append(abs(energy(plant) - start))
+        N = np.hstack([p.contact(truth.X_WO, truth.V_O).N for p in rig.pairs])
+        assert np.abs(N.T @ truth.V_O).max() < 1e-13
+        assert max(abs(p.gap(truth.X_WO)) for p in rig.pairs) < 1e-12
+        assert np.abs(truth.V_O).max() > 0.1  # it does move
+    assert drift[0] < 0.05
+    assert drift[1] < 0.6 * drift[0]
+
+
+def test_rigid_plant_at_rest_reads_weights_and_contact_forces(rig):
+    """Statics by hand: the wrists carry rod and grippers, the faces push back."""
+    plant = RigidPlant(rig.chain, rig.pairs, 1e-3)
+    plant.reset(rig.q_contact)
+    tau = rig.controller().tick(plant.measure(), rig.references.at(0.0))
+    _, a_O, alpha = plant.accelerations(tau)
+    np.testing.assert_allclose(a_O[3:], 0, atol=1e-6)
+    plant._tau = tau
+    force = sum(
+        X.rotation @ w[:3]
+        for X, w in zip(rig.state().sensors, plant.measure().wrenches, strict=True)
+    )
+    push = sum(a * p.direction() for a, p in zip(alpha, rig.pairs, strict=True))
+    mass = 1.5 + 2 * (0.35 + 0.15)
+    np.testing.assert_allclose(force, push + mass * (a_O[:3] + [0, 0, 9.81]), atol=1e-6)
+
+
+def test_mujoco_stands_where_pinocchio_says(rig):
+    plant = rig.plant()
+    assert isinstance(plant, MujocoPlant)
+    X, state = plant.truth().X_WO, rig.state()
+    np.testing.assert_allclose(X.translation, state.X_WO.translation, atol=1e-9)
+    np.testing.assert_allclose(X.rotation, state.X_WO.rotation, atol=1e-9)
+    np.testing.assert_allclose(plant.measure().q, rig.q_start, atol=1e-12)
+
+
+def test_mujoco_wrist_sensors_agree_with_newton_euler(rig):
+    """Reading = Λ_out a + bias + f_c, all from MuJoCo's own accelerations and contact forces."""
+    plant, controller = rig.plant(), rig.controller()
+    for k in range(60):
+        tau = controller.tick(plant.measure(), rig.references.at(k * 1e-3))
+        plant.step(tau, 1e-3)
+    # what measure() reports was computed at the beginning of the last step: go there
+    q, v = plant.data.qpos[plant._q].copy(), plant.data.qvel[plant._v].copy()
+    plant._mj.mj_forward(plant.model, plant.data)
+    state = rig.chain.state(q, v)
+    truth, readings = plant.truth(), plant.measure().wrenches
+    contact = Contact.stack([p.contact(truth.X_WO, truth.V_O) for p in rig.pairs])
+    s = rig.chain.slices[0]
+    a = state.arms[0].J @ plant.data.qacc[plant._v][s] + state.arms[0].gamma
+    want = state.Lambda_out @ a + state.bias_out + contact.N @ truth.alpha
+    np.testing.assert_allclose(sum_of_wrenches(readings, state), want, atol=0.02)
+
+
+def test_mujoco_contacts_push_and_never_pull(rig):
+    plant = rig.plant()
+    for _ in range(100):
+        plant.step(np.array([0, 0, -120.0, 0, 0, 0, -120.0, 0]), 1e-3)  # lift off
+        truth = plant.truth()
+        assert truth.alpha.min() >= 0.0
+    assert not truth.closed.any()
+    np.testing.assert_array_equal(truth.alpha, 0.0)
+
+
+def test_both_plants_accelerate_alike_where_contacts_stay_closed(rig):
+    """Same torques, same 50 ms: the rod goes the same way within the softness of the faces."""
+    tau = np.array([-1.9, -1.0, -15.0, 0.3, 5.7, -0.3, -17.8, 0.0])
+    soft, hard = rig.plant(), RigidPlant(rig.chain, rig.pairs, 2.5e-4)
+    hard.reset(rig.q_start)
+    for _ in range(50):
+        soft.step(tau, 1e-3)
+        hard.step(tau, 1e-3)
+    moved = hard.truth().X_WO.translation - rig.state().X_WO.translation
+    apart = hard.truth().X_WO.translation - soft.truth().X_WO.translation
+    assert np.linalg.norm(moved) > 1e-3
+    assert np.linalg.norm(apart) < 0.2 * np.linalg.norm(moved) + 2e-4
+
+
+def test_divergence_is_an_error_and_leaves_no_log_file(rig, tmp_path, monkeypatch, caplog):
+    monkeypatch.chdir(tmp_path)
+    plant = rig.plant()
+    plant.data.qvel[:] = np.inf
+    with caplog.at_level(logging.DEBUG), pytest.raises(osc.PlantError, match="diverged"):
+        plant.step(np.zeros(8), 1e-3)
+    assert list(Path(tmp_path).iterdir()) == []
+
+
+def test_rigid_plant_refuses_to_run_away(rig):
+    plant = RigidPlant(rig.chain, rig.pairs, 1e-3)
+    plant.reset(rig.q_contact)
+    plant.v = plant._on_constraints(np.full(10, 2e3))
+    with pytest.raises(osc.PlantError, match="diverged"):
+        plant.step(np.zeros(8), 1e-3)
+
+
+def test_a_tare_on_the_rigid_plant_is_refused():
+    scenario = osc.load_scenario("two_contact_rod_mismatch", ["plant.type=rigid"])
+    with pytest.raises(osc.ScenarioError, match="bilateral"):
+        osc.build_rig(scenario).plant()
+
+
+def test_the_scene_needs_an_object(rig):
+    chain = osc.ClosedChain(rig.chain.arms, rig.chain.grasps)
+    with pytest.raises(osc.ModelError, match="payload"):
+        RigidPlant(chain, rig.pairs, 1e-3)

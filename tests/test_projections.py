@@ -1,0 +1,417 @@
+"""Equations 3 to 12 against their definitions: decompositions, least constraint, invariance.
+
+No test inverts NᵀΦN. A component of a vector is found by solving the 6×6 system of eqs. 1 and 2,
+whose unknowns are the magnitudes in both complementary spaces, or by least squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from osc_contact import projections as P
+from osc_contact.errors import ContactError
+
+RANKS = range(7)
+TRIALS = range(8)
+#: rad/s, kg m², N m and m/s, kg, N: what a hand-held object in SI units looks like
+SIZE = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
+
+
+@dataclass(frozen=True)
+class Case:
+    """A contact with two metrics of each kind; N and T from one orthogonal matrix, then mixed."""
+
+    N: np.ndarray
+    T: np.ndarray
+    A: tuple[np.ndarray, np.ndarray]
+    B: tuple[np.ndarray, np.ndarray]
+
+
+def definite(rng: np.random.Generator, size: np.ndarray) -> np.ndarray:
+    """A random positive definite matrix whose elements have the magnitudes size·sizeᵀ."""
+    X = rng.normal(size=(6, 6))
+    return (X @ X.T + 0.3 * np.eye(6)) * np.outer(size, size)
+
+
+def mixing(rng: np.random.Generator, n: int) -> np.ndarray:
+    """A well-conditioned change of basis."""
+    return rng.normal(size=(n, n)) + 3.0 * np.eye(n)
+
+
+def case(seed: int, r: int) -> Case:
+    rng = np.random.default_rng([seed, r])
+    Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    return Case(
+        N=SIZE[:, None] * (Q[:, :r] @ mixing(rng, r)),
+        T=(Q[:, r:] @ mixing(rng, 6 - r)) / SIZE[:, None],
+        A=(definite(rng, SIZE), definite(rng, SIZE)),
+        B=(definite(rng, 1 / SIZE), definite(rng, 1 / SIZE)),
+    )
+
+
+def inverse(A: np.ndarray) -> np.ndarray:
+    inverted = np.linalg.inv(A)
+    return 0.5 * (inverted + inverted.T)
+
+
+def part(first: np.ndarray, second: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """The component of x in range(first) when the rest lies in range(second): eqs. 1 and 2."""
+    magnitudes = np.linalg.solve(np.hstack((first, second)), x)
+    return first @ magnitudes[: first.shape[1]]
+
+
+def close(got: np.ndarray, want: np.ndarray, tolerance: float = 1e-10) -> None:
+    """Equal relative to the larger of the two, linear and angular rows each on their own scale."""
+    assert got.shape == want.shape
+    for rows in (slice(0, 3), slice(3, 6)):
+        scale = max(np.abs(want[rows]).max(initial=0.0), np.abs(got[rows]).max(initial=0.0), 1e-3)
+        assert np.abs(got[rows] - want[rows]).max(initial=0.0) <= tolerance * scale
+
+
+def vanishes(left: np.ndarray, right: np.ndarray, tolerance: float = 1e-10) -> bool:
+    """The product is zero against the size of its summands."""
+    return bool((np.abs(left @ right) <= tolerance * (np.abs(left) @ np.abs(right))).all())
+
+
+def same_span(X: np.ndarray, Y: np.ndarray) -> bool:
+    def rank(Z: np.ndarray) -> int:
+        return int(np.linalg.matrix_rank(Z, rtol=1e-7))
+
+    X, Y = X / max(np.abs(X).max(initial=0.0), 1e-9), Y / max(np.abs(Y).max(initial=0.0), 1e-9)
+    return rank(X) == rank(Y) == rank(np.hstack((X, Y)))
+
+
+def on_every_contact(test: object) -> object:
+    return pytest.mark.parametrize("r", RANKS)(pytest.mark.parametrize("seed", TRIALS)(test))
+
+
+@on_every_contact
+def test_every_projection_is_the_decomposition_it_stands_for(seed: int, r: int) -> None:
+    c = case(seed, r)
+    rng = np.random.default_rng(seed)
+    f, v = SIZE * rng.normal(size=6), rng.normal(size=6) / SIZE
+    A, B = c.A[0], c.B[0]
+    close(P.Omega_f(c.N, inverse(A)) @ f, part(c.N, A @ c.T, f))
+    close(P.Omega_f_bar(c.T, A) @ f, part(A @ c.T, c.N, f))
+    close(P.Omega_m(c.T, inverse(B)) @ v, part(c.T, B @ c.N, v))
+    close(P.Omega_m_bar(c.N, B) @ v, part(B @ c.N, c.T, v))
+    for matrix in (
+        P.Omega_f(c.N, inverse(A)),
+        P.Omega_f_bar(c.T, A),
+        P.Omega_m(c.T, inverse(B)),
+        P.Omega_m_bar(c.N, B),
+    ):
+        assert matrix.shape == (6, 6)
+
+
+@on_every_contact
+def test_any_complement_decomposes(seed: int, r: int) -> None:
+    """Eqs. 3 and 4 with complements that no definite matrix need have made."""
+    c = case(seed, r)
+    rng = np.random.default_rng([seed, r, 1])
+    N_prime = SIZE[:, None] * rng.normal(size=(6, 6 - r))
+    T_prime = rng.normal(size=(6, r)) / SIZE[:, None]
+    f, v = SIZE * rng.normal(size=6), rng.normal(size=6) / SIZE
+    close(P.Omega_f_bar_from_complement(N_prime, c.T) @ f, part(N_prime, c.N, f), 1e-9)
+    close(P.Omega_m_bar_from_complement(T_prime, c.N) @ v, part(T_prime, c.T, v), 1e-9)
+
+
+@on_every_contact
+def test_complements_made_by_a_metric_give_the_metric_projections(seed: int, r: int) -> None:
+    """Eq. 3 with N′ = A T is eq. 6 and eq. 4 with T′ = B N is eq. 8, in any basis of N′ and T′."""
+    c = case(seed, r)
+    rng = np.random.default_rng([seed, r, 2])
+    A, B = c.A[0], c.B[0]
+    N_prime, T_prime = A @ c.T @ mixing(rng, 6 - r), B @ c.N @ mixing(rng, r)
+    close(P.Omega_f_bar_from_complement(N_prime, c.T), P.Omega_f_bar(c.T, A))
+    close(P.Omega_m_bar_from_complement(T_prime, c.N), P.Omega_m_bar(c.N, B))
+
+
+@on_every_contact
+def test_the_two_parts_add_up(seed: int, r: int) -> None:
+    c = case(seed, r)
+    A, B = c.A[0], c.B[0]
+    close(P.Omega_f(c.N, inverse(A)) + P.Omega_f_bar(c.T, A), np.eye(6))
+    close(P.Omega_m(c.T, inverse(B)) + P.Omega_m_bar(c.N, B), np.eye(6))
+
+
+@on_every_contact
+def test_ranges_kernels_and_idempotence(seed: int, r: int) -> None:
+    c = case(seed, r)
+    A, B = c.A[0], c.B[0]
+    for projection, onto, along in (
+        (P.Omega_f(c.N, inverse(A)), c.N, A @ c.T),
+        (P.Omega_f_bar(c.T, A), A @ c.T, c.N),
+        (P.Omega_m(c.T, inverse(B)), c.T, B @ c.N),
+        (P.Omega_m_bar(c.N, B), B @ c.N, c.T),
+    ):
+        close(projection @ projection, projection)
+        close(projection @ onto, onto)
+        assert vanishes(projection, along)
+        assert np.trace(projection) == pytest.approx(onto.shape[1], abs=1e-10)
+        assert same_span(projection, onto)
+
+
+@on_every_contact
+def test_identities_9_to_12(seed: int, r: int) -> None:
+    """With the bars that eqs. 10 and 12 lost; as printed they hold only where a space is empty."""
+    c = case(seed, r)
+    f1, f2 = (P.Omega_f(c.N, inverse(A)) for A in c.A)
+    g1, g2 = (P.Omega_f_bar(c.T, A) for A in c.A)
+    m1, m2 = (P.Omega_m(c.T, inverse(B)) for B in c.B)
+    w1, w2 = (P.Omega_m_bar(c.N, B) for B in c.B)
+    close(f1 @ f2, f2)
+    assert vanishes(g1, f2)
+    close(g1 @ g2, g1)
+    close(m1 @ m2, m2)
+    assert vanishes(w1, m2)
+    close(w1 @ w2, w1)
+    if 0 < r < 6:
+        assert np.abs(f1 - f2).max() > 1e-6 and np.abs(m1 - m2).max() > 1e-6
+        assert np.abs(g1 @ g2).max() > 1e-3 and np.abs(w1 @ w2).max() > 1e-3
+
+
+@pytest.mark.parametrize("seed", TRIALS)
+def test_empty_and_full_contacts(seed: int) -> None:
+    free, clamped = case(seed, 0), case(seed, 6)
+    A, B = free.A[0], free.B[0]
+    none, all_ = np.zeros((6, 0)), np.zeros((6, 6))
+    np.testing.assert_array_equal(P.Omega_f(none, inverse(A)), all_)
+    np.testing.assert_array_equal(P.Omega_m_bar(none, B), all_)
+    np.testing.assert_array_equal(P.Omega_f_bar(none, A), all_)
+    np.testing.assert_array_equal(P.Omega_m(none, inverse(B)), all_)
+    np.testing.assert_array_equal(P.Omega_f_bar_from_complement(none, none), all_)
+    np.testing.assert_array_equal(P.Omega_m_bar_from_complement(none, none), all_)
+    close(P.Omega_f_bar(free.T, A), np.eye(6))
+    close(P.Omega_m(free.T, inverse(B)), np.eye(6))
+    close(P.Omega_f(clamped.N, inverse(A)), np.eye(6))
+    close(P.Omega_m_bar(clamped.N, B), np.eye(6))
+
+
+@on_every_contact
+def test_contact_force_obeys_gauss(seed: int, r: int) -> None:
+    """Ω_f f is the contact force that leaves the least acceleration energy: ½(f−Nα)ᵀΦ(f−Nα)."""
+    c = case(seed, r)
+    rng = np.random.default_rng([seed, r, 3])
+    root = SIZE[:, None] ** -1 * rng.normal(size=(6, 6))
+    f = SIZE * rng.normal(size=6)
+    alpha = np.linalg.lstsq(root.T @ c.N, root.T @ f, rcond=None)[0]
+    close(P.Omega_f(c.N, root @ root.T) @ f, c.N @ alpha, 1e-9)
+    alpha = np.linalg.lstsq(root.T @ c.N, root.T, rcond=None)[0]
+    close(P.Omega_m_bar(c.N, root @ root.T), (c.N @ alpha).T, 1e-9)  # the dual law: transposed
+
+
+@pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("seed", TRIALS)
+def test_rank_five_inverse_inertia_is_enough(seed: int, r: int) -> None:
+    """Dual SCARA: Φ has rank 5, Λ does not exist; the laws are the limit of definite metrics."""
+    c = case(seed, r)
+    rng = np.random.default_rng([seed, r, 4])
+    root = rng.normal(size=(6, 5)) / SIZE[:, None]
+    Phi = root @ root.T
+    assert np.linalg.matrix_rank(Phi) == 5
+    f = SIZE * rng.normal(size=6)
+    alpha = np.linalg.lstsq(root.T @ c.N, root.T @ f, rcond=None)[0]
+    projection = P.Omega_f(c.N, Phi)
+    close(projection @ f, c.N @ alpha, 1e-8)
+    close(projection @ projection, projection, 1e-8)
+    close(projection @ c.N, c.N, 1e-8)
+    close(P.Omega_m_bar(c.N, Phi), projection.T, 1e-8)
+    # the limit: full-rank metrics closer and closer to Φ, extrapolated
+    extra = definite(rng, 1 / SIZE)
+    one, two = (P.Omega_f(c.N, Phi + e * extra) for e in (1e-7, 2e-7))
+    close(2 * one - two, projection, 1e-5)
+
+
+@pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("seed", range(40))
+def test_metric_that_cannot_push_along_n_is_refused(seed: int, r: int) -> None:
+    """The wrench the structure carries itself, Φn = 0, alone or hidden in a basis of N."""
+    rng = np.random.default_rng([seed, r, 5])
+    Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    carried, others = SIZE[:, None] * Q[:, :1], SIZE[:, None] * rng.normal(size=(6, r - 1))
+    root = Q[:, 1:] @ mixing(rng, 5) / SIZE[:, None]
+    N = np.hstack((carried, others))
+    for basis in (N, N @ mixing(rng, r)):
+        with pytest.raises(ContactError, match="Ω_f"):
+            P.Omega_f(basis, root @ root.T)
+        with pytest.raises(ContactError, match="Ω̄_m"):
+            P.Omega_m_bar(basis, root @ root.T)
+    with pytest.raises(ContactError, match=r"column 0 has nᵀΦn"):
+        P.Omega_f(N, root @ root.T)
+
+
+def test_zero_and_indefinite_metrics_are_refused() -> None:
+    N = np.eye(6)[:, :2]
+    with pytest.raises(ContactError, match="column 0"):
+        P.Omega_f(N, np.zeros((6, 6)))
+    with pytest.raises(ContactError, match=r"column 1 has nᵀΦn = -1 "):
+        P.Omega_m_bar(N, np.diag([1.0, -1.0, 1.0, 1.0, 1.0, 1.0]))
+    mixed = np.eye(6)
+    mixed[0, 1] = mixed[1, 0] = 2.0  # positive diagonal, negative eigenvalue
+    with pytest.raises(ContactError, match="smallest eigenvalue -1"):
+        P.Omega_f(N, mixed)
+
+
+@pytest.mark.parametrize("k", [2, 3, 4, 5, 6])
+@pytest.mark.parametrize("seed", range(20))
+def test_dependent_columns_are_refused(seed: int, k: int) -> None:
+    rng = np.random.default_rng([seed, k])
+    columns = SIZE[:, None] * rng.normal(size=(6, k))
+    columns[:, -1] = columns[:, :-1] @ rng.normal(size=k - 1)
+    force, motion = definite(rng, 1 / SIZE), definite(rng, 1 / SIZE)
+    for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
+        with pytest.raises(ContactError, match="dependent"):
+            law(columns, force if law in (P.Omega_f, P.Omega_m_bar) else motion)
+
+
+def test_zero_columns_are_refused() -> None:
+    columns = np.eye(6)[:, :3].copy()
+    columns[:, 1] = 0.0
+    for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
+        with pytest.raises(ContactError, match="column 1"):
+            law(columns, np.eye(6))
+
+
+@pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("seed", range(20))
+def test_no_complement_is_refused(seed: int, r: int) -> None:
+    """One vector in common with the other space is enough."""
+    c = case(seed, r)
+    rng = np.random.default_rng([seed, r, 6])
+    N_prime = SIZE[:, None] * rng.normal(size=(6, 6 - r))
+    T_prime = rng.normal(size=(6, r)) / SIZE[:, None]
+    N_prime[:, 0] = c.N @ rng.normal(size=r)
+    T_prime[:, 0] = c.T @ rng.normal(size=6 - r)
+    with pytest.raises(ContactError, match="N′ is not a complement of N"):
+        P.Omega_f_bar_from_complement(N_prime @ mixing(rng, 6 - r), c.T)
+    with pytest.raises(ContactError, match="T′ is not a complement of T"):
+        P.Omega_m_bar_from_complement(T_prime @ mixing(rng, r), c.N)
+    with pytest.raises(ContactError, match="complement"):
+        P.Omega_m_bar_from_complement(np.zeros((6, r)), c.N)
+
+
+# Invariance ---------------------------------------------------------------------------------------
+
+
+def frame_change(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Turned axes and another operational point, up to 2 m away: motions by X, forces by X*."""
+    rotation = pin.Quaternion(*(q := rng.normal(size=4)) / np.linalg.norm(q)).matrix()
+    X = pin.SE3(rotation, rng.uniform(-2.0, 2.0, size=3))
+    return X.toActionMatrix(), X.toDualActionMatrix()
+
+
+def millimetres(_: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """m → mm with N kept: velocities × 1000, couples × 1000 (N mm); power then counts in N mm/s."""
+    return np.diag([1e3] * 3 + [1.0] * 3), np.diag([1.0] * 3 + [1e3] * 3)
+
+
+def check_change(c: Case, X: np.ndarray, X_f: np.ndarray, R: np.ndarray, Q: np.ndarray) -> None:
+    """Every law in new coordinates is the old law, mapped. R, Q: new bases of N and T.
+
+    Forces map with X_f, motions with X; A: M⁶ → F⁶ maps as X_f A X⁻¹, B: F⁶ → M⁶ as X B X_f⁻¹.
+    """
+    X_inv, X_f_inv = np.linalg.inv(X), np.linalg.inv(X_f)
+    N, T = X_f @ c.N @ R, X @ c.T @ Q
+
+    def of_inertia(A: np.ndarray) -> np.ndarray:
+        return X_f @ A @ X_inv
+
+    def of_mobility(B: np.ndarray) -> np.ndarray:
+        return X @ B @ X_f_inv
+
+    A, B = c.A[0], c.B[0]
+    rng = np.random.default_rng(0)
+    f, v = SIZE * rng.normal(size=6), rng.normal(size=6) / SIZE
+    for new, old, law, x in (
+        (P.Omega_f(N, of_mobility(inverse(A))), P.Omega_f(c.N, inverse(A)), X_f, f),
+        (P.Omega_f_bar(T, of_inertia(A)), P.Omega_f_bar(c.T, A), X_f, f),
+        (P.Omega_m(T, of_inertia(inverse(B))), P.Omega_m(c.T, inverse(B)), X, v),
+        (P.Omega_m_bar(N, of_mobility(B)), P.Omega_m_bar(c.N, B), X, v),
+    ):
+        close(np.linalg.solve(law, new @ law @ x), old @ x, 1e-9)
+    N_prime, T_prime = A @ c.T, B @ c.N
+    close(
+        X_f_inv @ P.Omega_f_bar_from_complement(X_f @ N_prime, T) @ X_f @ f,
+        P.Omega_f_bar_from_complement(N_prime, c.T) @ f,
+        1e-9,
+    )
+    close(
+        X_inv @ P.Omega_m_bar_from_complement(X @ T_prime, N) @ X @ v,
+        P.Omega_m_bar_from_complement(T_prime, c.N) @ v,
+        1e-9,
+    )
+
+
+@pytest.mark.parametrize("change", [frame_change, millimetres])
+@pytest.mark.parametrize("trial", range(200))
+def test_laws_do_not_depend_on_frame_units_or_basis(trial: int, change: object) -> None:
+    rng = np.random.default_rng([trial, 7])
+    r = trial % 7
+    assert callable(change)
+    X, X_f = change(rng)
+    check_change(case(trial, r), X, X_f, np.eye(r), np.eye(6 - r))
+    check_change(case(trial, r), X, X_f, mixing(rng, r), mixing(rng, 6 - r))
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(
+    seed=st.integers(0, 10**6),
+    r=st.integers(0, 6),
+    lengths=st.floats(1e-3, 1e3),
+    column=st.floats(1e-6, 1e6),
+)
+def test_laws_do_not_depend_on_any_unit_of_length_or_length_of_columns(
+    seed: int, r: int, lengths: float, column: float
+) -> None:
+    scale = np.diag(np.geomspace(column, 1.0, max(r, 1))[:r])
+    check_change(
+        case(seed, r),
+        np.diag([lengths] * 3 + [1.0] * 3),
+        np.diag([1.0] * 3 + [lengths] * 3),
+        scale,
+        np.eye(6 - r),
+    )
+
+
+def test_verdict_on_dependence_does_not_depend_on_frame_or_units() -> None:
+    """Two lines of force 1 mm apart are two contacts, wherever O is and whatever the unit."""
+    Phi = np.diag([0.5, 0.5, 0.5, 30.0, 30.0, 30.0])
+    N = np.array([[0, 0, 1.0, 0, 0, 0], [0, 0, 1.0, 1e-3, 0, 0]]).T
+    rng = np.random.default_rng(1)
+    for change in [frame_change] * 50 + [millimetres]:
+        X, X_f = change(rng)
+        P.Omega_f(X_f @ N, X @ Phi @ X.T * (1000.0 if change is millimetres else 1.0))
+        with pytest.raises(ContactError, match="dependent"):
+            P.Omega_f(X_f @ N[:, [0, 1, 1]], X @ Phi @ X.T)
+
+
+# Null space ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("k", RANKS)
+@pytest.mark.parametrize("seed", TRIALS)
+def test_null_space_is_the_whole_of_it(seed: int, k: int) -> None:
+    c = case(seed, k)
+    T = P.null_space(c.N)
+    assert T.shape == (6, 6 - k)
+    scale = np.abs(c.N).T @ np.abs(T)
+    assert (np.abs(c.N.T @ T) <= 1e-12 * scale).all()
+    assert np.linalg.matrix_rank(T * SIZE[:, None]) == 6 - k
+    assert k == 6 or same_span(T * SIZE[:, None], c.T * SIZE[:, None])
+    X, X_f = millimetres(np.random.default_rng(0))
+    moved = np.linalg.solve(X, P.null_space(X_f @ c.N)) if k < 6 else np.zeros((6, 0))
+    assert k == 6 or same_span(moved * SIZE[:, None], c.T * SIZE[:, None])
+
+
+def test_null_space_of_pure_forces_and_pure_couples() -> None:
+    for columns in (np.eye(6)[:, :2], np.eye(6)[:, 3:], 1e-6 * np.eye(6)[:, 5:]):
+        T = P.null_space(columns)
+        assert np.abs(columns.T @ T).max() <= 1e-15
+        assert np.linalg.matrix_rank(np.hstack((columns / np.abs(columns).max(), T))) == 6
