@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
-from osc_contact.errors import OscContactError, PlantError
+from osc_contact import __version__
+from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.experiments import figures as paper_figures
+from osc_contact.experiments import tables
 from osc_contact.experiments.inspection import inspect_rig
-from osc_contact.experiments.report import write_json, write_report
+from osc_contact.experiments.report import require_judgeable, write_json, write_report
 from osc_contact.experiments.rig import build_rig
 from osc_contact.experiments.run import run as run_scenario
 from osc_contact.experiments.timing import time_tick
@@ -31,8 +34,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-out = Console()
+out = Console(width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True)
+PARTIAL = "recording_until_failure.npz"
+EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim"}
 
 
 class PlantName(StrEnum):
@@ -44,19 +49,40 @@ class PlantName(StrEnum):
 
 ScenarioArgument = Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")]
 PlantOption = Annotated[PlantName | None, typer.Option(help="instead of the scenario's own")]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="also write the result as JSON")]
+DurationOption = Annotated[
+    float | None, typer.Option(help="seconds, instead of the scenario's own", show_default=False)
+]
+SeedOption = Annotated[int, typer.Option(min=0, help="of everything random")]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="path.to.key=value, any number of times")
 ]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="also write the result as JSON")]
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"osc-contact {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="and exit")
+    ] = False,
+) -> None:
+    """Decoupled force and motion control of arms in contact."""
 
 
 @app.command()
 def run(
     scenario: ScenarioArgument,
     plant: PlantOption = None,
-    duration: Annotated[float | None, typer.Option(help="s, instead of the scenario's own")] = None,
-    out_dir: Annotated[Path | None, typer.Option("--out", help="folder for the results")] = None,
-    seed: Annotated[int, typer.Option(help="of everything random")] = 0,
+    duration: DurationOption = None,
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="folder for the results (default: out/SCENARIO)")
+    ] = None,
+    seed: SeedOption = 0,
     set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
@@ -64,40 +90,42 @@ def run(
     with _exit_codes():
         chosen = _load(scenario, set_, plant, duration)
         folder = out_dir or Path("out") / chosen.name
-        recording = _run_with_progress(chosen, seed)
+        recording = _run(chosen, seed, folder)
         verdict = write_report(recording, chosen, folder)
-        out.print(_verdict_table(verdict))
-        out.print(f"written to {folder}: metrics.json, recording.npz, figures, scene.html")
+        out.print(tables.verdict_table(verdict))
+        _say(f"written to {folder}: metrics.json, recording.npz, figures, scene.html")
         if json_file:
             write_json(verdict, json_file)
 
 
 @app.command()
 def reproduce(
-    figure: Annotated[str, typer.Argument(help="fig1 | fig4 | fig5 | fig6 | fig8 | all")],
+    figure: Annotated[
+        str, typer.Argument(help=" | ".join((*paper_figures.FIGURES, "all")), metavar="FIGURE")
+    ],
+    plant: PlantOption = None,
+    duration: DurationOption = None,
     out_dir: Annotated[Path, typer.Option("--out", help="folder for the figures")] = Path(
         "out/figures"
     ),
-    seed: Annotated[int, typer.Option(help="of the run behind figs. 6 and 8")] = 0,
+    seed: SeedOption = 0,
+    set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Make figures of the paper from our own data (PNG and SVG)."""
     with _exit_codes():
         names = paper_figures.FIGURES if figure == "all" else (figure,)
-        unknown = [name for name in names if name not in paper_figures.FIGURES]
-        if unknown:
-            raise typer.BadParameter(
-                f"no figure '{unknown[0]}'; there are {', '.join(paper_figures.FIGURES)} and all"
-            )
+        paper_figures.require_known(names)
+        _require("matplotlib")
+        scenario = _load(paper_figures.SCENARIO, set_, plant, duration)
         recording, verdict = None, {}
         if any(name in paper_figures.needs_run for name in names):
-            scenario = load_scenario(paper_figures.SCENARIO)
-            recording = _run_with_progress(scenario, seed)
+            recording = _run(scenario, seed, out_dir)
             verdict = write_report(recording, scenario, out_dir / scenario.name)
-            out.print(_verdict_table(verdict))
-        written = [paper_figures.write_figure(name, out_dir, recording) for name in names]
+            out.print(tables.verdict_table(verdict))
+        written = [paper_figures.write_figure(n, out_dir, scenario, recording) for n in names]
         for path in written:
-            out.print(f"written: {path}")
+            _say(f"written: {path}")
         if json_file:
             write_json({"figures": [str(p) for p in written], "metrics": verdict}, json_file)
 
@@ -110,12 +138,9 @@ def inspect(
     with _exit_codes():
         found = inspect_rig(build_rig(_load(scenario, set_)))
         for line in found.lines:
-            out.print(line, highlight=False, soft_wrap=True)
-        out.print(
-            _basis_table("N: forces the contacts transmit", found.N, found.contacts, ("", "m"))
-        )
-        names = [f"t{i + 1}" for i in range(found.T.shape[1])]
-        out.print(_basis_table("T: motions they permit", found.T, names, ("m/s", "rad/s")))
+            _say(line)
+        for table in tables.basis_tables(found):
+            out.print(table)
         if json_file:
             write_json(found.as_dict(), json_file)
 
@@ -123,31 +148,26 @@ def inspect(
 @app.command("list")
 def list_(json_file: JsonOption = None) -> None:
     """List the packaged scenarios and the figures that can be reproduced."""
-    scenarios = list_scenarios()
-    table = Table("scenario", "what it is", title="osc-contact run SCENARIO")
-    for name, words in scenarios.items():
-        table.add_row(name, words.strip())
-    out.print(table)
-    out.print(f"osc-contact reproduce {' | '.join(paper_figures.FIGURES)} | all")
-    if json_file:
-        write_json({"scenarios": scenarios, "figures": list(paper_figures.FIGURES)}, json_file)
+    with _exit_codes():
+        scenarios = list_scenarios()
+        out.print(tables.scenario_table(scenarios))
+        _say(f"osc-contact reproduce {' | '.join(paper_figures.FIGURES)} | all")
+        if json_file:
+            write_json({"scenarios": scenarios, "figures": list(paper_figures.FIGURES)}, json_file)
 
 
 @app.command()
 def bench(
-    what: Annotated[str, typer.Argument(help="tick")],
-    ticks: Annotated[int, typer.Option(help="timed ticks")] = 1000,
+    what: Annotated[str, typer.Argument(help="tick", metavar="WHAT")],
+    ticks: Annotated[int, typer.Option(min=1, help="timed ticks")] = 1000,
     json_file: JsonOption = None,
 ) -> None:
     """Time the control tick against Pinocchio's own model evaluation of the same arms."""
     with _exit_codes():
         if what != "tick":
-            raise typer.BadParameter(f"no benchmark '{what}'; there is: tick")
+            raise InvalidInputError(f"no benchmark '{what}'; there is: tick")
         result = time_tick([paper_figures.SCENARIO], ticks)
-        table = Table("case", "tick p50", "floor p50", "ratio", "tick p99.9", title="µs")
-        for case, row in result.items():
-            table.add_row(case, *(f"{value:.1f}" for value in row.values()))
-        out.print(table)
+        out.print(tables.tick_table(result))
         if json_file:
             write_json(result, json_file)
 
@@ -166,59 +186,48 @@ def _load(
     return load_scenario(name, changes)
 
 
-def _run_with_progress(scenario: Scenario, seed: int) -> Recording:
+def _run(scenario: Scenario, seed: int, folder: Path) -> Recording:
+    """Refuse what would fail after the run, then run, with a progress bar on a terminal."""
+    _require("matplotlib")
+    require_judgeable(scenario)
+    folder.mkdir(parents=True, exist_ok=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} s"),
                TimeRemainingColumn())  # fmt: skip
-    with Progress(*columns, console=err, transient=True) as bar:
+    with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
         task = bar.add_task(f"{scenario.name} on {scenario.plant.type}", total=scenario.duration)
-        return run_scenario(scenario, seed=seed, progress=lambda t: bar.update(task, completed=t))
+        try:
+            return run_scenario(
+                scenario, seed=seed, progress=lambda t: bar.update(task, completed=t)
+            )
+        except PlantError as error:
+            if error.recording is not None:
+                error.recording.save(folder / PARTIAL)
+                error.add_note(f"recorded until then: {folder / PARTIAL}")
+            raise
+
+
+def _require(package: str) -> None:
+    if find_spec(package) is None:
+        raise ModuleNotFoundError(f"No module named '{package}'", name=package)
 
 
 @contextmanager
 def _exit_codes() -> Iterator[None]:
-    """0 done, 1 the run failed, 2 bad input; messages without a traceback."""
+    """0 done, 1 the run failed, 2 bad input or a missing extra; messages without a traceback."""
     try:
         yield
-    except OscContactError as error:
-        err.print(f"error: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
-        raise typer.Exit(1 if isinstance(error, PlantError) else 2) from error
+    except (OscContactError, ImportError, OSError) as error:
+        cause = error if isinstance(error, ImportError) else error.__cause__
+        package = ((cause.name or "") if isinstance(cause, ImportError) else "").partition(".")[0]
+        if isinstance(error, ImportError) and package not in EXTRAS:
+            raise
+        words = "\n".join((str(error), *getattr(error, "__notes__", ())))
+        if package in EXTRAS:
+            words = f"{package} is not installed: pip install 'osc-contact[{EXTRAS[package]}]'"
+        err.print(f"error: {words}", style="red", highlight=False, markup=False, soft_wrap=True)
+        failed = isinstance(error, PlantError) and package not in EXTRAS
+        raise typer.Exit(1 if failed else 2) from error
 
 
-def _verdict_table(verdict: dict[str, Any]) -> Table:
-    title = (
-        f"{verdict['scenario']} on {verdict['plant']}, {verdict['duration_s']:g} s, "
-        f"{verdict['real_time_factor']:.2f} × real time"
-    )
-    table = Table("quantity", "value", title=title)
-    for name, force in verdict["force"].items():
-        table.add_row(
-            f"force {name}",
-            f"rms {100 * force['rms_error_rel']:.3f} %, peak {100 * force['peak_error_rel']:.3f} % "
-            f"of {force['mean_command_N']:.2f} N; sensed within "
-            f"{100 * force['sensing_rms_rel']:.3f} %; closed "
-            f"{100 * verdict['contact_fraction'][name]:.2f} %",
-        )
-    motion = verdict["motion"]
-    table.add_row(
-        "free motion",
-        f"rms {1e3 * motion['rms_error_m']:.4f} mm, {1e3 * motion['rms_error_rad']:.4f} mrad",
-    )
-    power = verdict["power"]
-    table.add_row(
-        "power", f"total {power['total_rms_W']:.4g} W, projected {power['projected_rms_W']:.3g} W, "
-        f"ratio {100 * power['ratio']:.3g} %",
-    )  # fmt: skip
-    tick = verdict["tick_us"]
-    table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
-    table.add_row("ticks", ", ".join(f"{n} {name}" for name, n in verdict["status"].items() if n))
-    return table
-
-
-def _basis_table(title: str, basis: Any, names: Any, units: tuple[str, str]) -> Table:
-    table = Table("", *names, title=f"{title} (at the object's origin, world axes)")
-    kinds = ("force", "moment") if title.startswith("N") else ("linear", "angular")
-    for i, row in enumerate(basis):
-        kind, unit = kinds[i // 3], units[i // 3]
-        label = f"{kind} {'xyz'[i % 3]}" + (f" [{unit}]" if unit else "")
-        table.add_row(label, *(f"{round(value, 4) + 0.0:.4f}" for value in row))
-    return table
+def _say(text: str) -> None:
+    out.print(text, highlight=False, markup=False, soft_wrap=True)

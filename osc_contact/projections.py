@@ -42,10 +42,16 @@ def gram(columns: Array, metric: Array, what: str) -> Array:
         ContactError: the metric cannot push (or move) along every column.
     """
     D = columns.T @ metric @ columns
-    D = 0.5 * (D + D.T)
-    diagonal = np.diag(D)
     size = np.abs(columns)
     summands = np.einsum("ij,ij->j", size, np.abs(metric) @ size)
+    skew = np.abs(D - D.T) / np.sqrt(np.outer(summands, summands) + np.finfo(float).tiny)
+    if skew.max(initial=0.0) > 1e-9:
+        raise ContactError(
+            f"{what}: the metric is not symmetric (relative difference {skew.max():.3g}); "
+            "inertias and inverse inertias are"
+        )
+    D = 0.5 * (D + D.T)
+    diagonal = np.diag(D)
     blocked = np.flatnonzero(diagonal <= _ROUNDING * summands)
     if blocked.size:
         column = int(blocked[0])

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from osc_contact.contacts.contact import Contact
 from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.dynamics.environment import Environment
-from osc_contact.errors import ContactError, InvalidInputError
+from osc_contact.errors import ContactError, InvalidInputError, ModelError
 from osc_contact.spatial import Array, as_array
 
-__all__ = ["ContactResponse", "contact_response", "require_reachable"]
+__all__ = ["ContactResponse", "Lambda_rel", "contact_response", "require_reachable"]
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def contact_response(
 
     Raises:
         InvalidInputError: not exactly one of f_S and tau, or wrong sizes.
-        ContactError: the chain cannot push on one of the contacts.
+        ContactError: neither the chain nor the environment yields along one of the contacts.
     """
     if (f_S is None) == (tau is None):
         raise InvalidInputError("give exactly one of f_S= (d,) and tau= (n_a,)")
@@ -68,8 +68,7 @@ def contact_response(
     N = contact.N
     free = np.linalg.solve(state.Lambda, force - state.bias)
     D = N.T @ (state.Phi + env.Phi_e) @ N
-    if not env.Phi_e.any():
-        require_reachable(state, contact)
+    require_reachable(state, contact, env.Phi_e if env.Phi_e.any() else None)
     drive = N.T @ (state.S @ free + state.sigma - env.b_e) - contact.n_gamma
     alpha = np.linalg.solve(D, drive)
     f_c = N @ alpha
@@ -83,21 +82,50 @@ def contact_response(
     )
 
 
-def require_reachable(state: ChainState, contact: Contact) -> None:
+def Lambda_rel(state: ChainState, environment: Environment) -> Array:
+    """Λ_rel = (Λ₀⁻¹ + Φ_e)⁻¹ (6, 6), the relative inertia of eqs. 17 to 25, with Φ₀ for Λ₀⁻¹.
+
+    It exists where chain and environment together can accelerate in all six directions. All that
+    contact needs is its inverse, Φ₀ + Φ_e, which always exists.
+
+    Raises:
+        ModelError: a direction in which neither of them can move.
+    """
+    L = np.linalg.cholesky(state.metric)  # dimensionless in the object's energy metric
+    relative = L.T @ (state.Phi + environment.Phi_e) @ L
+    values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
+    if values[0] < 1e-10:
+        locked = np.array2string(L @ vectors[:, 0], precision=3)
+        raise ModelError(
+            f"Λ_rel does not exist: neither chain nor environment yields to the wrench {locked} "
+            f"(mobility {values[0]:.2g} of the free object's). Use Φ₀ + Φ_e, its inverse."
+        )
+    whole = L @ vectors
+    return np.asarray((whole / values) @ whole.T)
+
+
+def require_reachable(state: ChainState, contact: Contact, Phi_e: Array | None = None) -> None:
     """Refuse contacts on which the arms cannot push: rank SᵀN < r, scaled to unit diagonal.
+
+    Args:
+        state, contact: at this instant.
+        Phi_e: (6, 6) if given, contacts where only the environment yields are accepted too: their
+            force is well defined, though no command reaches it.
 
     Raises:
         ContactError: with the column concerned.
     """
-    D = contact.N.T @ state.Phi @ contact.N
+    who = "the arms" if Phi_e is None else "the arms and the environment"
+    N = contact.N
+    D = N.T @ (state.Phi if Phi_e is None else state.Phi + Phi_e) @ N
     if D.size == 0:
         return
-    held = contact.N.T @ np.linalg.solve(state.metric, contact.N)
+    held = N.T @ np.linalg.solve(state.metric, N)
     reach = np.diag(D) / np.diag(held)  # the object's own mobility sets the scale
     if reach.min() < 1e-9:
         column = int(reach.argmin())
         raise ContactError(
-            f"the arms cannot push on contact column {column}: its mobility is {reach[column]:.2g} "
+            f"{who} cannot push on contact column {column}: its mobility is {reach[column]:.2g} "
             "of the free object's. The structure carries this force; leave the contact out of N."
         )
     scaled = D / np.sqrt(np.outer(np.diag(D), np.diag(D)))
@@ -105,6 +133,6 @@ def require_reachable(state: ChainState, contact: Contact) -> None:
     if values[0] < 1e-10:
         which = [int(i) for i in np.flatnonzero(np.abs(vectors[:, 0]) > 1e-3)]
         raise ContactError(
-            f"as seen through the arms, contact columns {which} are dependent (scaled eigenvalue "
+            f"as seen through {who}, contact columns {which} are dependent (scaled eigenvalue "
             f"{values[0]:.2g}): their forces cannot be told apart. Keep an independent subset."
         )

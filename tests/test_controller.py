@@ -184,3 +184,34 @@ def test_motion_law_is_pid_on_the_pose_error_in_classical_terms(rig):
     got = law.command(on_it, moving, np.eye(6))
     spatial = A - np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
     np.testing.assert_allclose(got, spatial, atol=1e-12)
+
+
+def test_arms_without_wrist_sensors_cannot_control_contact_forces():
+    """Half the sensors would weigh half the object and still look plausible."""
+    scenario = osc.load_scenario("two_contact_rod", ["arms.left.wrist_sensor=null"])
+    rig = osc.build_rig(scenario)
+    with pytest.raises(osc.InvalidInputError, match="left"):
+        rig.controller()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"wrenches": np.zeros((1, 6))}, {"wrenches": np.zeros(12)}, {"v": np.zeros((10, 1))}],
+)
+def test_a_measurement_of_the_wrong_shape_is_held(ready, change):
+    controller, _, measurement, reference = ready
+    assert np.isfinite(controller.tick(replace(measurement, **change), reference)).all()
+    assert controller.status is osc.Status.HELD
+
+
+@pytest.mark.parametrize("change", [{"V_D": np.zeros(3)}, {"A_D": np.zeros((6, 1))}])
+def test_a_reference_of_the_wrong_shape_is_held(ready, change):
+    controller, _, measurement, reference = ready
+    controller.tick(measurement, replace(reference, **change))
+    assert controller.status is osc.Status.HELD
+
+
+def test_asking_for_signals_before_the_first_tick_says_so(rig):
+    controller = rig.controller()
+    with pytest.raises(osc.InvalidInputError, match="no tick"):
+        controller.residual_wrench()

@@ -6,7 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs import panda_pair, scara_pair
+from rigs import (
+    PANDA_Q,
+    ROD,
+    consistent,
+    contact_of,
+    panda_arm,
+    panda_pair,
+    placed,
+    random_faces,
+    scara_pair,
+)
 from test_decoupling import in_contact
 
 import osc_contact as osc
@@ -96,3 +106,22 @@ def test_bad_force_gains_are_refused(bad):
 def test_an_integral_gain_without_stability_margin_is_refused():
     with pytest.raises(osc.InvalidInputError, match="stability margin"):
         ForceLaw(osc.ForceGains(integral=1000.0), 1e-3)
+
+
+@pytest.mark.parametrize("sensor", ["panda_link7", "panda_link8", "panda_hand"])
+def test_the_filter_is_exact_wherever_the_sensor_is_cut_in(sensor):
+    """At a joint, at a fixed flange, at the hand: what is outboard is weighed, no more, no less."""
+    body = osc.RigidObject(ROD)
+    chain = osc.ClosedChain([panda_arm("arm", placed(), sensor)], [placed(0, 0, 0.05)], body)
+    rng = np.random.default_rng(24)
+    for _ in range(20):
+        q, v = PANDA_Q + rng.uniform(-0.5, 0.5, 7), rng.normal(size=7)
+        free = chain.state(q, v)
+        pairs = random_faces(free.X_WO, 2, rng)
+        v = consistent(chain, q, v, contact_of(pairs, free).N)
+        state = chain.state(q, v)
+        contact = contact_of(pairs, state)
+        wrenches, alpha = readings(chain, pairs, q, v, rng.normal(size=7) * 20)
+        f_c = contact_force(sum_of_wrenches(wrenches, state), state, contact, FIXED)
+        got = magnitudes(f_c, contact)
+        np.testing.assert_allclose(got, alpha, atol=1e-9 * max(np.abs(alpha).max(), 1.0))

@@ -14,6 +14,7 @@ from osc_contact.spatial import (
     carry_twist,
     carry_wrench,
     classical_to_spatial,
+    cross,
     cross_twist,
     cross_wrench,
     pose_error,
@@ -63,6 +64,14 @@ def test_skew_is_the_cross_product(seed: int) -> None:
     x, y = np.random.default_rng(seed).normal(size=(2, 3))
     np.testing.assert_allclose(skew(x) @ y, np.cross(x, y), atol=1e-15)
     np.testing.assert_array_equal(skew(x), pin.skew(x))
+
+
+def test_cross_works_column_by_column() -> None:
+    x, y = np.random.default_rng(0).normal(size=(2, 3, 5))
+    for k in range(5):
+        np.testing.assert_allclose(cross(x, y)[:, k], pin.skew(x[:, k]) @ y[:, k], atol=1e-15)
+        np.testing.assert_allclose(cross(x[:, k], y[:, k]), cross(x, y)[:, k], atol=1e-15)
+    assert cross(np.zeros((3, 0)), np.zeros((3, 0))).shape == (3, 0)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

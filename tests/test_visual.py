@@ -19,6 +19,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording
 from osc_contact.visual import contact_colour, plots
 from osc_contact.visual.contact_picture import common_perpendicular, draw_contact_state
+from osc_contact.visual.diagram_text import folded_equation
 from osc_contact.visual.diagrams import draw_blocks
 from osc_contact.visual.page import CommandSink, read_commands, write_page
 from osc_contact.visual.primitives import along, arrow_lengths, track, urdf_geometry
@@ -330,15 +331,30 @@ def test_browser_shows_the_forces(page: Path, tmp_path: Path) -> None:
 def test_contact_force_figure() -> None:
     figure = plots.contact_forces(make_recording())
     left, right, error = figure.axes
-    assert [line.get_label() for line in left.lines] == ["measured", "true", "desired"]
+    assert [line.get_label() for line in left.lines] == ["desired", "true", "measured"]
     assert [ax.get_title(loc="left") for ax in (left, right)] == ["left end", "right end"]
-    true = left.lines[1]
+    desired, true, measured = left.lines
     assert np.allclose(true.get_ydata(), make_recording()["alpha_true"][:, 0])
+    widths = [line.get_linewidth() for line in (desired, true, measured)]
+    assert widths[0] > 2 * widths[1] > 3 * widths[2] and measured.is_dashed(), "seen when equal"
     assert np.allclose(error.lines[1].get_ydata(), -1.0)
-    assert "rms 1 N" in error.lines[1].get_label()
+    assert "rms 1 N, peak 1 N" in error.lines[1].get_label()
     assert left.get_ylabel().endswith("(N)") and error.get_xlabel() == "time (s)"
     (empty,) = plots.contact_forces(make_recording(contacts=0)).axes
     assert [text.get_text() for text in empty.texts] == ["no contacts"]
+
+
+def test_force_error_is_scaled_by_what_counts() -> None:
+    recording = make_recording()
+    recording.channels["alpha_true"] = recording["alpha_cmd"] + 1e-3
+    recording.channels["alpha_true"][:20] += 7.0  # touching down
+    recording.channels["alpha_true"][51:54] -= 5.0  # after a step
+    error = plots.contact_forces(recording, blank_after=[0.5], judged_from=0.2).axes[-1]
+    assert error.get_ylim()[1] < 3e-3 and error.get_ylim()[0] > -3e-3
+    assert "rms 1 mN, peak 1 mN" in error.lines[0].get_label()
+    assert len(error.patches) == 2
+    beyond = plots.contact_forces(recording, judged_from=9.0).axes[-1]
+    assert beyond.get_ylim()[1] > 7.0, "if nothing counts, everything does"
 
 
 def test_power_figure_leaves_steps_out_of_the_rms() -> None:
@@ -357,6 +373,8 @@ def test_tracking_and_torque_figures() -> None:
     linear, angular, way = plots.tracking(make_recording()).axes
     assert np.allclose(linear.lines[2].get_ydata()[-1], 4.0), "mm"
     assert np.allclose(angular.lines[1].get_ydata()[-1], 5.0), "mrad"
+    late = plots.tracking(make_recording(), judged_from=1.0).axes
+    assert "rms 5 mm" in late[0].get_title(loc="left") and len(late[0].patches) == 1
     assert np.allclose(way.lines[1].get_ydata()[-1], 50.0 * np.sin(1.0)), "mm from the start"
     (arm,) = plots.torques(make_recording()).axes
     labels = [line.get_label() for line in arm.lines]
@@ -423,6 +441,41 @@ def test_diagram_wires_do_not_cross_blocks_or_names() -> None:
             )
 
 
+def test_a_bus_is_named_below_its_readers_instead_of_wired() -> None:
+    (ax,) = draw_blocks(WIRING, "buses", buses=("state", "contact"), labels={"contact": "N"}).axes
+    from matplotlib.patches import FancyBboxPatch
+
+    texts = [text.get_text() for text in ax.texts]
+    readers = sum("state" in piece.inputs for piece in WIRING)
+    assert texts.count("state") == readers + 1, "each reader, and the block that puts it out"
+    assert texts.count("N") == 3 and "contact" not in texts
+    low = [p.get_window_extent() for p in ax.patches if isinstance(p, FancyBboxPatch)]
+    below = [
+        text for text in ax.texts if text.get_text() in ("state", "N") and text.get_va() == "top"
+    ]
+    assert len(below) == readers + 2
+    for text in below:
+        box = text.get_window_extent()
+        assert any(b.x0 < box.x0 and box.x1 < b.x1 and b.y0 > box.y1 for b in low)
+    shown = [(t.get_text(), t.get_window_extent()) for t in ax.texts if t.get_text()]
+    for (first, a), (second, b) in combinations(shown, 2):
+        assert not a.overlaps(b), f"{first!r} covers {second!r}"
+
+
+@pytest.mark.parametrize(
+    ("equation", "shown"),
+    [
+        (r"$\Omega_m(B)$  (24)", r"$\Omega_m(B)$  (24)"),
+        (r"$\Lambda_S\dot\eta_c+b_S+S^Tf$  (21)", "$\\Lambda_S\\dot\\eta_c+b_S+S^Tf$\n(21)"),
+        (r"$G\tau = f_S$, squeeze in null$(G)$", "$G\\tau = f_S$,\nsqueeze in null$(G)$"),
+        (r"$\Lambda_S, \mu, p, S, \sigma, G, J$", r"$\Lambda_S, \mu, p, S, \sigma, G, J$"),
+        (r"$\int\! e$", r"$\int e$"),
+    ],
+)
+def test_long_equations_are_folded_outside_mathtext(equation: str, shown: str) -> None:
+    assert folded_equation(equation) == shown
+
+
 def test_diagram_refuses_bad_wirings() -> None:
     loop = [Piece("a", ("y",), ("x",), "", "force"), Piece("b", ("x",), ("y",), "", "force")]
     end = Piece("end", ("x",), (), "", "plant")
@@ -448,6 +501,16 @@ def test_common_perpendicular_of_known_lines() -> None:
     assert (pair.second - pair.first) @ e == pytest.approx(0.0, abs=1e-12)
     parallel = common_perpendicular([0, 0, 0], [1, 0, 0], [7, 0, 2], [-3, 0, 0])
     assert parallel.distance == pytest.approx(2.0) and parallel.angle == 0.0
+
+
+def test_contact_picture_projects_no_uninitialised_numbers() -> None:
+    rod = np.array([[-0.3, 0, 0], [0.3, 0, 0]])
+    figure = draw_contact_state(rod, np.array([[0, 0, -1.0], [0, 1, 0]]), [rod], [], "arrows")
+    solids = [c for c in figure.axes[0].collections if hasattr(c, "_faces")]
+    assert len(solids) == 2
+    for cone in solids:
+        assert not np.any(cone._invalid_vertices), "polygons of unequal size are padded with junk"
+        assert np.abs(cone._faces).max() < 1.0
 
 
 def test_contact_picture_tells_how_the_lines_lie() -> None:

@@ -12,11 +12,40 @@ from osc_contact.response import require_reachable
 from osc_contact.spatial import Array
 
 __all__ = [
+    "object_acceleration",
     "object_coordinates",
     "filtered_motion",
     "generalised_force",
     "metric_in_coordinates",
 ]
+
+
+def object_acceleration(
+    state: ChainState,
+    contact: Contact,
+    environment: Environment,
+    relative: Array,
+    alpha_u: Array,
+    Tdot_beta: Array | None = None,
+) -> Array:
+    """ϑ̇ = ϑ̇′ + Ṫβ + a_e (6,): the object's acceleration behind the paper's relative ϑ̇′.
+
+    a_e = Φ_eNα_u + b_e is how the environment will answer the force command. Commands given in
+    this relative form are what eqs. 24 and 25 decouple: a force step then moves the object with a
+    yielding environment and not against it. On a fixed environment it only adds Ṫβ.
+
+    Args:
+        state, contact, environment: at this instant.
+        relative: (6,) unfiltered relative acceleration ϑ̇′_u, velocity products removed.
+        alpha_u: (r,) force command.
+        Tdot_beta: (6,) velocity product of T; default: the least one in the object's energy
+            metric with NᵀṪβ = n_γ, which is all that T itself must fulfil.
+    """
+    N = contact.N
+    if Tdot_beta is None:
+        held = np.linalg.solve(state.metric, N)
+        Tdot_beta = held @ np.linalg.solve(N.T @ held, contact.n_gamma)
+    return relative + Tdot_beta + environment.Phi_e @ (N @ alpha_u) + environment.b_e
 
 
 def object_coordinates(state: ChainState, contact: Contact, a: Array) -> Array:

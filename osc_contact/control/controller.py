@@ -33,7 +33,7 @@ from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import InvalidInputError, OscContactError
 from osc_contact.interface import Measurement, Reference
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, as_array
 
 __all__ = ["Block", "Controller", "ContactPair", "Gains", "Signals", "Status"]
 
@@ -147,12 +147,19 @@ class Controller:
             engaged: start in contact.
 
         Raises:
-            InvalidInputError: dt not positive, unknown metric.
+            InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
+                although there are contacts: their forces could not be measured.
         """
         if not (np.isfinite(dt) and dt > 0.0):
             raise InvalidInputError(f"dt = {dt}; give the control period in seconds, > 0")
         if isinstance(B, str) and B not in ("object", "chain"):
             raise InvalidInputError(f"B = '{B}'; give 'object', 'chain' or a (6, 6) matrix")
+        blind = [arm.name for arm in chain.arms if arm.wrist_sensor is None]
+        if contacts and blind:
+            raise InvalidInputError(
+                f"contact forces are measured in the wrists of all arms together, but {blind} "
+                "have no wrist_sensor; name its frame when loading the arm"
+            )
         gains = Gains() if gains is None else gains
         self.chain = chain
         self.contacts = tuple(contacts)
@@ -191,13 +198,26 @@ class Controller:
         self._last_tau = tau
         return tau.copy()
 
+    def last_signals(self) -> Signals:
+        """The wires of the last tick that could be computed.
+
+        Raises:
+            InvalidInputError: there was none yet.
+        """
+        if not hasattr(self.signals, "tau"):
+            raise InvalidInputError(
+                "no tick has been computed yet; call tick first"
+                + (f" (the last one was held: {self.reason})" if self.reason else "")
+            )
+        return self.signals
+
     def residual_wrench(self) -> Array:
         """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
 
         Its mean over a moment at rest without contact is the tare: weight errors of object and
         grippers cannot be told from contact forces once contact is made. Store it in `f_tare`.
         """
-        s = self.signals
+        s = self.last_signals()
         return np.asarray(s.f_meas + self.f_tare - s.state.bias_out)
 
     def engage(self) -> None:
@@ -208,7 +228,7 @@ class Controller:
         """
         if self.engaged:
             return
-        s = self.signals
+        s = self.last_signals()
         learnt = self.motion_law.gains.integral * self.motion_law.integral
         force = s.state.Lambda @ object_coordinates(s.state, s.contact, learnt + s.state.sigma)
         H = s.state.S.T @ s.state.metric @ s.state.S
@@ -303,23 +323,15 @@ class Controller:
 
     def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
         self.status, self.reason = Status.OK, ""
-        for name, value in (
-            ("wrist wrench", measurement.wrenches),
-            ("reference alpha_d", reference.alpha_d),
-            ("reference twist", reference.V_D),
-            ("reference acceleration", reference.A_D),
-            ("reference squeeze", reference.squeeze_d),
-            ("reference pose", reference.X_WD.homogeneous),
-        ):
-            if not np.isfinite(value).all():
-                raise InvalidInputError(f"{name} holds a NaN or inf: {value}")
-        if reference.alpha_d.shape != (len(self.contacts),):
-            raise InvalidInputError(
-                f"reference alpha_d: {reference.alpha_d.shape[0]} forces for "
-                f"{len(self.contacts)} contacts"
-            )
-        s.q, s.v, s.wrenches = measurement.q, measurement.v, measurement.wrenches
-        s.reference, s.alpha_d, s.squeeze_d = reference, reference.alpha_d, reference.squeeze_d
+        arms, contacts = len(self.chain.arms), len(self.contacts)
+        s.q, s.v = measurement.q, measurement.v
+        s.wrenches = as_array("wrist wrenches", measurement.wrenches, (arms, 6))
+        s.alpha_d = as_array("reference alpha_d", reference.alpha_d, (contacts,))
+        s.squeeze_d = float(as_array("reference squeeze_d", reference.squeeze_d, ()))
+        as_array("reference V_D", reference.V_D, (6,))
+        as_array("reference A_D", reference.A_D, (6,))
+        as_array("reference X_WD", reference.X_WD.homogeneous, (4, 4))
+        s.reference = reference
 
     def _metric(self, state: ChainState) -> Array:
         if isinstance(self.B, str):

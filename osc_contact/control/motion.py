@@ -30,9 +30,9 @@ class MotionGains:
         for key, value in vars(self).items():
             if not (np.isfinite(value) and value >= 0.0):
                 raise InvalidInputError(f"motion gain {key} = {value}; give a finite number ≥ 0")
-        if self.integral > self.stiffness * self.damping:
+        if self.integral > 0.0 and self.integral >= self.stiffness * self.damping:
             raise InvalidInputError(
-                f"motion gain integral = {self.integral:g} 1/s³ exceeds stiffness × damping = "
+                f"motion gain integral = {self.integral:g} 1/s³ is not below stiffness × damping = "
                 f"{self.stiffness * self.damping:g}: the loop would be unstable (Routh). Lower it."
             )
 

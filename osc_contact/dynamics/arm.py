@@ -128,7 +128,8 @@ class ArmTerms:
 
     For arms with fewer than six joints (or in a singular posture) Λ, J̄, μ and p are defined only
     on range(J): the arm is a *structural constraint* with wrenches C in the other directions.
-    Which generalised inverse extends them is irrelevant: only their values on range(J) are used.
+    Which generalised inverse extends them is irrelevant: they are only used as Λ(a − γ) with
+    a − γ in range(J), and through Sᵀ with S in range(J).
     """
 
     J: Array  #: (6, n) Jacobian

@@ -1,15 +1,41 @@
-"""What the object presses on: a_e = Φ_e f_c + b_e (eq. 14)."""
+"""What the object presses on: a_e = Φ_e f_c + b_e (eq. 14), for bodies of every kind.
+
+Everything here holds for one instant, at the operational point O in world axes: build it again
+each tick. Bodies bring their own pose, their twist and their *classical* acceleration at their own
+origin (what a tracker or an encoder tells), and leave as spatial vectors at O.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
 
-from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import Array, as_array
+from osc_contact import robots
+from osc_contact.dynamics.payload import RigidObject
+from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.projections import gram
+from osc_contact.spatial import (
+    Array,
+    as_array,
+    carry_twist,
+    classical_to_spatial,
+    cross_wrench,
+)
 
 __all__ = ["Environment"]
+
+_ZERO = np.zeros(3)
+
+
+class _HasNormals(Protocol):
+    """A state of contact, of which only the normals are needed here."""
+
+    N: Array
 
 
 @dataclass(frozen=True)
@@ -33,20 +59,306 @@ class Environment:
         object.__setattr__(self, "Phi_e", as_array("Phi_e", self.Phi_e, (6, 6)))
         object.__setattr__(self, "b_e", as_array("b_e", self.b_e, (6,)))
         object.__setattr__(self, "V_e", as_array("V_e", self.V_e, (6,)))
-        scaled = self.Phi_e / _scales(self.Phi_e)
-        if np.abs(scaled - scaled.T).max() > 1e-9:
-            raise InvalidInputError("Phi_e is not symmetric; an inverse inertia is")
-        smallest = np.linalg.eigvalsh(scaled)[0]
-        if smallest < -1e-9:
-            raise InvalidInputError(
-                f"Phi_e is not positive semidefinite (scaled eigenvalue {smallest:.3g}); "
-                "no passive body accelerates against the force on it"
-            )
+        _require_inverse_inertia("Phi_e", self.Phi_e / _scales(self.Phi_e))
 
     @classmethod
     def fixed(cls) -> Environment:
         """Does not move and does not yield: Φ_e = 0, b_e = 0."""
         return cls()
+
+    @classmethod
+    def moving(
+        cls,
+        *,
+        X_WE: pin.SE3,
+        V_E: npt.ArrayLike,
+        A_E: npt.ArrayLike,
+        O: npt.ArrayLike,  # noqa: E741 - the operational point
+    ) -> Environment:
+        """A body whose motion is prescribed and does not yield to contact: Φ_e = 0.
+
+        Args:
+            X_WE: pose of the body in the world.
+            V_E: (6,) [ṗ; ω] at its own origin, world axes (m/s, rad/s).
+            A_E: (6,) [p̈; ω̇], *classical* acceleration of its own origin, world axes.
+            O: (3,) operational point in the world (m).
+
+        Raises:
+            InvalidInputError: wrong shapes or non-finite numbers.
+        """
+        V = as_array("V_E", V_E, (6,))
+        A = classical_to_spatial(as_array("A_E", A_E, (6,)), V)
+        p, point = X_WE.translation, as_array("O", O, (3,))
+        return cls(b_e=carry_twist(A, p, point), V_e=carry_twist(V, p, point))
+
+    @classmethod
+    def rigid_body(
+        cls,
+        inertia: pin.Inertia,
+        *,
+        X_WE: pin.SE3,
+        V_E: npt.ArrayLike,
+        O: npt.ArrayLike,  # noqa: E741 - the operational point
+        gravity: npt.ArrayLike = _ZERO,
+        wrench: npt.ArrayLike | None = None,
+    ) -> Environment:
+        """A free rigid body: Φ_e is its inverse spatial inertia, of full rank.
+
+        Args:
+            inertia: in the body's own frame (kg, m).
+            X_WE: pose of the body in the world.
+            V_E: (6,) its twist at its own origin, world axes (m/s, rad/s).
+            O: (3,) operational point in the world (m).
+            gravity: (3,) m/s²; default none.
+            wrench: (6,) what else acts on it (springs, supports), at its own origin in world axes
+                (N, N m); default none.
+
+        Raises:
+            InvalidInputError: wrong shapes or non-finite numbers.
+            ModelError: an impossible inertia.
+        """
+        RigidObject(inertia)
+        force = np.zeros(6) if wrench is None else as_array("wrench", wrench, (6,))
+        return cls._guided(inertia, X_WE, np.eye(6), as_array("V_E", V_E, (6,)), O, gravity, force)
+
+    @classmethod
+    def rail(
+        cls,
+        inertia: pin.Inertia,
+        *,
+        X_WE: pin.SE3,
+        axes: npt.ArrayLike,
+        rates: npt.ArrayLike,
+        O: npt.ArrayLike,  # noqa: E741 - the operational point
+        gravity: npt.ArrayLike = _ZERO,
+        force: npt.ArrayLike | None = None,
+    ) -> Environment:
+        """A rigid body that moves only along given twists: Φ_e = A(AᵀIA)⁻¹Aᵀ, of rank k.
+
+        A cart on a rail along `x`: axes=[*x, 0, 0, 0], rates=[speed], force=[−k·s − c·speed]. A
+        door: axes=[ω × (p − hinge), ω] with ω a unit vector along the hinge. The space that the
+        axes span must stay fixed in the world or in the body (slides, a hinge, a ball joint, motion
+        in a plane); for a chain with moving joints in between use `articulated`.
+
+        Args:
+            inertia: in the body's own frame (kg, m); for sliding axes only the mass counts.
+            X_WE: pose of the body in the world.
+            axes: (6,) or (6, k) independent twists per unit rate, at the body's own origin in
+                world axes.
+            rates: (k,) how fast it moves along each (m/s or rad/s).
+            O: (3,) operational point in the world (m).
+            gravity: (3,) m/s²; default none. Its part along the axes is worked out here.
+            force: (k,) what else acts along each axis (springs, dampers, drives; N or N m).
+
+        Raises:
+            InvalidInputError: wrong shapes or non-finite numbers.
+            ModelError: dependent axes, or no inertia along one of them.
+        """
+        columns = np.asarray(axes)
+        A = as_array("axes", columns[:, None] if columns.ndim == 1 else columns, (6, None))
+        k = A.shape[1]
+        Q = np.zeros(k) if force is None else as_array("force", force, (k,))
+        return cls._guided(inertia, X_WE, A, as_array("rates", rates, (k,)), O, gravity, Q)
+
+    @classmethod
+    def articulated(
+        cls,
+        model: pin.Model,
+        q: npt.ArrayLike,
+        v: npt.ArrayLike,
+        tau: npt.ArrayLike,
+        frame: str,
+        O: npt.ArrayLike,  # noqa: E741 - the operational point
+        data: pin.Data | None = None,
+    ) -> Environment:
+        """A link of any mechanism: Φ_e = J M⁻¹Jᵀ, b_e = J M⁻¹(τ − h) + drift.
+
+        Args:
+            model: with its base placed in the world; its own gravity acts.
+            q, v: (nq,), (nv,) its configuration and velocity.
+            tau: (nv,) generalised forces besides gravity (motors, springs, dampers; N or N m).
+            frame: name of a frame or joint that moves with the touched link.
+            O: (3,) operational point in the world (m).
+            data: to work in; default: new data each time.
+
+        Raises:
+            InvalidInputError: wrong shapes or non-finite numbers.
+            ModelError: no such frame, or links without inertia.
+        """
+        q, v = as_array("q", q, (model.nq,)), as_array("v", v, (model.nv,))
+        tau = as_array("tau", tau, (model.nv,))
+        point = as_array("O", O, (3,))
+        if model.existJointName(frame):
+            joint = model.getJointId(frame)
+        else:
+            joint = model.frames[robots.frame_id(model, frame)].parentJoint
+        data = model.createData() if data is None else data
+        pin.computeAllTerms(model, data, q, v)
+        free = tau - data.nle
+        M_inv = _inverse(np.array(data.M), "the environment's joint-space inertia")
+        world = pin.ReferenceFrame.WORLD
+        J = carry_twist(pin.getJointJacobian(model, data, joint, world), _ZERO, point)
+        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+        drift = data.oMi[joint].act(data.a[joint]).vector
+        b_e = J @ M_inv @ free + carry_twist(drift, _ZERO, point)
+        return cls(_symmetric(J @ M_inv @ J.T), b_e, J @ v)
+
+    @classmethod
+    def of_contacts(
+        cls,
+        N: npt.ArrayLike,
+        Phi_N: npt.ArrayLike,
+        b_N: npt.ArrayLike,
+        V_N: npt.ArrayLike,
+        metric: npt.ArrayLike,
+    ) -> Environment:
+        """One environment that stands for different bodies at r contacts.
+
+        The equations of contact see only NᵀΦ_eN, Nᵀb_e and NᵀV_e, so any K with NᵀK = 1 gives an
+        environment with the same contact forces and the same object motion:
+
+            Φ_e = K Φ_N Kᵀ,   b_e = K b_N,   V_e = K V_N,   K = Λ⁻¹N(NᵀΛ⁻¹N)⁻¹
+
+        The bodies' motions tangential to their contacts are not in it: of `a_e` only Nᵀa_e (each
+        touched body along its own normal) has a meaning. Each contact's n_γ is made with the twist
+        of its own body, never with the combined V_e.
+
+        Args:
+            N: (6, r) contact normals at O, columns of several bodies side by side.
+            Phi_N: (r, r) normal acceleration of the bodies per unit contact magnitude.
+            b_N: (r,) their normal (spatial) accelerations without contact, each nᵀb of its body.
+            V_N: (r,) their normal velocities, each nᵀV of its body.
+            metric: (6, 6) the held object's inertia Λ at O, so that nothing depends on units or
+                frame.
+
+        Raises:
+            InvalidInputError: wrong shapes, or Φ_N not symmetric positive semidefinite.
+            ContactError: dependent columns of N.
+            ModelError: the metric is not positive definite.
+        """
+        N = as_array("N", N, (6, None))
+        r = N.shape[1]
+        Phi_N, b_N = as_array("Phi_N", Phi_N, (r, r)), as_array("b_N", b_N, (r,))
+        V_N = as_array("V_N", V_N, (r,))
+        mobility = _inverse(as_array("metric", metric, (6, 6)), "the metric (object inertia)")
+        held = gram(N, mobility, "environment of several contacts")
+        own = np.sqrt(np.diag(held))  # the held object's mobility along each normal
+        scaled = Phi_N / np.outer(own, own)
+        _require_inverse_inertia("Phi_N", scaled / (np.abs(scaled).max(initial=0.0) or 1.0))
+        K = np.linalg.solve(held, N.T @ mobility).T
+        return cls(_symmetric(K @ Phi_N @ K.T), K @ b_N, K @ V_N)
+
+    @classmethod
+    def combine(
+        cls,
+        contacts: Sequence[_HasNormals],
+        environments: Sequence[Environment],
+        metric: npt.ArrayLike,
+    ) -> Environment:
+        """The environment of several contacts, given the environment of each.
+
+        Contacts given the *same* `Environment` object are on one body, which couples them;
+        different objects are bodies that do not act on one another. (Two links of one mechanism
+        do: build Φ_N = NᵀJM⁻¹JᵀN across them and use `of_contacts`.) One body touched by all
+        contacts is returned as it is.
+
+        Args:
+            contacts: in the order in which they are stacked.
+            environments: one for each contact, all at the same O.
+            metric: (6, 6) the held object's inertia at O (`ChainState.metric`).
+
+        Raises:
+            InvalidInputError: not one environment for each contact.
+            ContactError: dependent contacts.
+        """
+        if len(contacts) != len(environments):
+            raise InvalidInputError(
+                f"{len(contacts)} contacts but {len(environments)} environments; give one for "
+                "each contact (the same object again for contacts on one body)"
+            )
+        if not environments:
+            return cls.fixed()
+        if all(env is environments[0] for env in environments):
+            return environments[0]
+        pairs = list(zip((c.N for c in contacts), environments, strict=True))
+        Phi_N = np.block(
+            [
+                [
+                    M.T @ e.Phi_e @ N if e is f else np.zeros((M.shape[1], N.shape[1]))
+                    for N, f in pairs
+                ]
+                for M, e in pairs
+            ]
+        )
+        return cls.of_contacts(
+            np.hstack([N for N, _ in pairs]),
+            Phi_N,
+            np.concatenate([N.T @ e.b_e for N, e in pairs]),
+            np.concatenate([N.T @ e.V_e for N, e in pairs]),
+            metric,
+        )
+
+    @classmethod
+    def _guided(
+        cls,
+        inertia: pin.Inertia,
+        X_WE: pin.SE3,
+        A: Array,
+        rates: Array,
+        O: npt.ArrayLike,  # noqa: E741
+        gravity: npt.ArrayLike,
+        Q: Array,
+    ) -> Environment:
+        """AᵀIA s̈ = Q + Aᵀ(weight − V ×* IV) at the body's origin, then carried to O.
+
+        No drift: a space of motions fixed in the world has none, and one fixed in the body V × V.
+        """
+        p, point = X_WE.translation, as_array("O", O, (3,))
+        I: Array = pin.SE3(X_WE.rotation, _ZERO).act(inertia).matrix()  # noqa: E741
+        V = A @ rates
+        acting = I[:, :3] @ as_array("gravity", gravity, (3,)) - cross_wrench(V, I @ V)
+        M_inv = _inverse(A.T @ I @ A, "the body's inertia along its axes")
+        at_O = carry_twist(A, p, point)
+        return cls(
+            _symmetric(at_O @ M_inv @ at_O.T),
+            at_O @ (M_inv @ (Q + A.T @ acting)),
+            carry_twist(V, p, point),
+        )
+
+
+def _symmetric(matrix: Array) -> Array:
+    return 0.5 * (matrix + matrix.T)
+
+
+def _inverse(matrix: Array, what: str) -> Array:
+    """Inverse of a positive definite matrix, judged and inverted with unit diagonal.
+
+    Raises:
+        ModelError: it is none (singular up to rounding, asymmetric, not finite).
+    """
+    diagonal = np.diag(matrix)
+    if np.isfinite(matrix).all() and diagonal.min(initial=1.0) > 0.0:
+        scale = np.sqrt(np.outer(diagonal, diagonal))
+        scaled = matrix / scale
+        skewed = np.abs(scaled - scaled.T).max(initial=0.0)
+        if skewed < 1e-9 and np.linalg.eigvalsh(scaled).min(initial=1.0) > 1e-13:
+            return np.linalg.inv(_symmetric(scaled)) / scale
+    raise ModelError(
+        f"{what} is not symmetric positive definite (diagonal {np.round(diagonal, 9)}); give every "
+        "body a mass and inertia, and independent axes"
+    )
+
+
+def _require_inverse_inertia(name: str, scaled: Array) -> None:
+    """Refuse what no passive mechanism can have; `scaled` is free of units, its largest near 1."""
+    if np.abs(scaled - scaled.T).max(initial=0.0) > 1e-9:
+        raise InvalidInputError(f"{name} is not symmetric; an inverse inertia is")
+    smallest = np.linalg.eigvalsh(scaled).min(initial=0.0)
+    if smallest < -1e-9:
+        raise InvalidInputError(
+            f"{name} is not positive semidefinite (scaled eigenvalue {smallest:.3g}); "
+            "no passive body accelerates against the force on it"
+        )
 
 
 def _scales(Phi: Array) -> Array:

@@ -36,12 +36,14 @@ def outboard_links(model: pin.Model, sensor: int, tip: int) -> list[OutboardLink
     above = model.frames[sensor].parentFrame
     if model.frames[above].type == pin.FrameType.FIXED_JOINT:
         sensor = above  # Pinocchio stores a welded link's inertia with its fixed joint
-    welded = [f for f in range(model.nframes) if _hangs_on(model, f, sensor)]
-    own = pin.Inertia.Zero()
-    for f in welded:
-        frame = model.frames[f]
-        if frame.parentJoint == joint:
-            own = own + frame.placement.act(frame.inertia)
+    if model.frames[above].type == pin.FrameType.JOINT:
+        own = model.inertias[joint].copy()  # the sensor sits at the joint: the whole link is beyond
+    else:
+        own = pin.Inertia.Zero()
+        for f in range(model.nframes):
+            frame = model.frames[f]
+            if frame.parentJoint == joint and _hangs_on(model, f, sensor):
+                own = own + frame.placement.act(frame.inertia)
     if own.mass > 0.0:
         links.append(OutboardLink(joint, own))
     path = list(model.supports[model.frames[tip].parentJoint])

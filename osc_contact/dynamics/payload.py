@@ -40,7 +40,7 @@ class RigidObject:
         if not np.isfinite(matrix).all():
             raise ModelError("object inertia holds a NaN or inf; check mass, lever and inertia")
         principal = np.linalg.eigvalsh(self.inertia.inertia)
-        if self.inertia.mass <= 0.0 or principal[0] <= 0.0:
+        if self.inertia.mass <= 0.0 or principal[0] <= 1e-12 * principal[2]:  # 0 up to rounding
             raise ModelError(
                 f"object of mass {self.inertia.mass:g} kg, principal inertias {principal} kg m²: "
                 "all must be positive; give a real body, however light"
@@ -60,6 +60,14 @@ class RigidObject:
         return ObjectTerms(Lambda, mu, p)
 
     def scaled(self, factor: float) -> RigidObject:
-        """The same body with mass and inertia times `factor` (to study model error)."""
+        """The same body with mass and inertia times `factor` (to study model error).
+
+        Raises:
+            ModelError: the factor is not a positive number.
+        """
+        if not (np.isfinite(factor) and factor > 0.0):
+            raise ModelError(
+                f"object mass factor {factor}: give a positive number, 1 = as modelled"
+            )
         I = self.inertia  # noqa: E741 - the field's letter
         return RigidObject(pin.Inertia(I.mass * factor, I.lever, I.inertia * factor))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,9 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.experiments.rig import Rig
 from osc_contact.spatial import Array
+from osc_contact.visual.contact_picture import common_perpendicular
 
 __all__ = ["Inspection", "inspect_rig"]
-
-_AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -132,28 +132,27 @@ def _skew(rig: Rig) -> list[str]:
     """How the lines of force lie to each other, two at a time."""
     X = rig.state().X_WO
     lines = []
-    for i, a in enumerate(rig.pairs):
-        for b in rig.pairs[i + 1 :]:
-            u, w = a.direction(), b.direction()
-            cross = np.cross(u, w)
-            apart = b.point_on_face(X) - a.point_on_face(X)
-            angle = np.degrees(np.arctan2(np.linalg.norm(cross), u @ w))
-            if np.linalg.norm(cross) < 1e-9:
-                lines.append(f"'{a.name}' and '{b.name}' press along parallel lines.")
-                continue
-            gap = abs(apart @ cross) / np.linalg.norm(cross)
-            kind = "skew: no single frame's axes hold both" if gap > 1e-6 else "meet in a point"
-            lines.append(
-                f"the lines of force of '{a.name}' and '{b.name}' enclose {angle:.1f}° and pass "
-                f"{1e3 * gap:.1f} mm apart ({kind})."
-            )
+    for a, b in combinations(rig.pairs, 2):
+        between = common_perpendicular(
+            a.point_on_face(X), a.direction(), b.point_on_face(X), b.direction()
+        )
+        names, gap = f"'{a.name}' and '{b.name}'", f"{1e3 * between.distance:.1f} mm apart"
+        if between.angle < 1e-9:
+            lines.append(f"{names} press along parallel lines, {gap}.")
+            continue
+        skew = between.distance > 1e-6
+        kind = "skew: no single frame's axes hold both" if skew else "they meet in a point"
+        lines.append(
+            f"the lines of force of {names} enclose {np.degrees(between.angle):.1f}° and pass "
+            f"{gap} ({kind})."
+        )
     return lines
 
 
 def _twist_words(twist: Array) -> str:
     """A twist as pure translation, or as turning about an axis with a pitch."""
     v, w = twist[:3], twist[3:]
-    if np.linalg.norm(w) * 1.0 < 1e-9 * max(np.linalg.norm(v), 1.0):
+    if float(np.linalg.norm(w)) < 1e-9 * max(float(np.linalg.norm(v)), 1.0):
         return f"translation along {_vector(v / np.linalg.norm(v))}"
     turn = w / np.linalg.norm(w)
     speed = v / np.linalg.norm(w)

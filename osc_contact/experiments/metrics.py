@@ -26,7 +26,7 @@ def metrics(recording: Recording) -> dict[str, Any]:
     tick_us {p50, p99, p99_9, max}; status {name: ticks}.
 
     rms_error is true force minus command; sensing is what fig. 5's filter made of the wrist
-    sensors, minus true force; both relative to the mean command.
+    sensors, minus true force; both relative to the mean command (null where that is 0).
 
     Raises:
         InvalidInputError: the recording is not longer than the settling time.
@@ -64,7 +64,7 @@ def metrics(recording: Recording) -> dict[str, Any]:
     }
 
 
-def _forces(recording: Recording, rows: Array) -> dict[str, dict[str, float]]:
+def _forces(recording: Recording, rows: Array) -> dict[str, dict[str, float | None]]:
     out = {}
     for i, name in enumerate(recording.meta["contact_names"]):
         command = recording["alpha_cmd"][rows, i]
@@ -74,22 +74,22 @@ def _forces(recording: Recording, rows: Array) -> dict[str, dict[str, float]]:
         rms, peak = _rms(truth - command), float(np.abs(truth - command).max())
         out[name] = {
             "rms_error_N": rms,
-            "rms_error_rel": rms / mean if mean else float("nan"),
+            "rms_error_rel": _ratio(rms, mean),
             "peak_error_N": peak,
-            "peak_error_rel": peak / mean if mean else float("nan"),
+            "peak_error_rel": _ratio(peak, mean),
             "mean_command_N": mean,
-            "sensing_rms_rel": _rms(sensed - truth) / mean if mean else float("nan"),
+            "sensing_rms_rel": _ratio(_rms(sensed - truth), mean),
         }
     return out
 
 
-def _power(recording: Recording, rows: Array) -> dict[str, float]:
+def _power(recording: Recording, rows: Array) -> dict[str, float | None]:
     total = _rms(recording["power_total"][rows])
     projected = _rms(recording["power_projected"][rows])
     return {
         "total_rms_W": total,
         "projected_rms_W": projected,
-        "ratio": projected / total if total else float("nan"),
+        "ratio": _ratio(projected, total),
     }
 
 
@@ -102,6 +102,11 @@ def _tick(seconds: Array) -> dict[str, float]:
 def _status(status: Array) -> dict[str, int]:
     names = {0: "ok", 1: "saturated", 2: "held"}
     return {name: int((status == code).sum()) for code, name in names.items()}
+
+
+def _ratio(part: float, whole: float) -> float | None:
+    """None where there is nothing to compare with: JSON has no NaN."""
+    return part / whole if whole else None
 
 
 def _rms(x: Array) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +13,7 @@ from osc_contact.errors import ScenarioError
 from osc_contact.interface import Reference
 from osc_contact.scenarios.schema import Scenario, TareSpec
 from osc_contact.scenarios.signals import MinimumJerk, Step, total
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, cross
 
 __all__ = ["References", "common_tangent", "force_steps"]
 
@@ -100,35 +100,48 @@ class References:
     def at(self, t: float) -> Reference:
         """The reference at time t (s); accelerations are classical."""
         p, v, a = np.zeros(3), np.zeros(3), np.zeros(3)
-        R, omega, omega_dot = np.eye(3), np.zeros(3), np.zeros(3)
+        turn = _Turn()
         for move, direction in zip(self.scenario.motion, self.directions, strict=True):
             s, ds, dds = total(move.signals, t)
             if move.kind == "linear":
                 p, v, a = p + direction * s, v + direction * ds, a + direction * dds
             else:
-                axis = R @ direction
-                omega_dot = omega_dot + axis * dds + np.cross(omega, axis * ds)
-                omega = omega + axis * ds
-                R = R @ pin.exp3(direction * s)
+                turn = turn.then(direction, s, ds, dds)
         if self.scenario.tare is not None:
-            k, dk, ddk = _away(self.scenario.tare, t)
-            p, v, a = (
-                p + self.standoff[:3] * k,
-                v + self.standoff[:3] * dk,
-                a + self.standoff[:3] * ddk,
-            )
-            R = pin.exp3(self.standoff[3:] * k) @ R  # millimetres: rates of this turn are left out
-        X = pin.SE3(R @ self.X_start.rotation, self.X_start.translation + p)
+            s, ds, dds = _away(self.scenario.tare, t)
+            shift = self.standoff[:3]
+            p, v, a = p + shift * s, v + shift * ds, a + shift * dds
+            turn = turn.then(self.standoff[3:], s, ds, dds)
+        X = pin.SE3(turn.R @ self.X_start.rotation, self.X_start.translation + p)
         return Reference(
             X_WD=X,
-            V_D=np.concatenate((v, omega)),
-            A_D=np.concatenate((a, omega_dot)),
+            V_D=np.concatenate((v, turn.omega)),
+            A_D=np.concatenate((a, turn.omega_dot)),
             alpha_d=self._forces(t),
             squeeze_d=float(self.scenario.squeeze),
         )
 
     def _forces(self, t: float) -> Array:
         return np.array([total(self.scenario.force[c.name], t)[0] for c in self.scenario.contacts])
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """A rotation with its angular velocity and acceleration, world axes."""
+
+    R: Array = field(default_factory=lambda: np.eye(3))
+    omega: Array = field(default_factory=lambda: np.zeros(3))
+    omega_dot: Array = field(default_factory=lambda: np.zeros(3))
+
+    def then(self, axis: Array, s: float, ds: float, dds: float) -> _Turn:
+        """Followed by a turn of s·axis about a direction fixed in the world."""
+        E = pin.exp3(axis * s)
+        omega = E @ self.omega
+        return _Turn(
+            E @ self.R,
+            axis * ds + omega,
+            axis * dds + E @ self.omega_dot + cross(axis * ds, omega),
+        )
 
 
 def _away(tare: TareSpec, t: float) -> tuple[float, float, float]:

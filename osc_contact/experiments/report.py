@@ -8,12 +8,26 @@ from pathlib import Path
 from typing import Any
 
 from osc_contact import robots
-from osc_contact.experiments.metrics import metrics
+from osc_contact.errors import InvalidInputError
+from osc_contact.experiments.metrics import SETTLE_S, metrics
 from osc_contact.experiments.rig import Rig, build_rig
 from osc_contact.recorder import Recording
 from osc_contact.scenarios.schema import Scenario
 
-__all__ = ["write_json", "write_report"]
+__all__ = ["require_judgeable", "write_json", "write_report", "write_scene_of"]
+
+
+def require_judgeable(scenario: Scenario) -> None:
+    """Refuse, before it runs, a run that would end before it can be judged.
+
+    Raises:
+        InvalidInputError: with the time from which runs are judged.
+    """
+    if scenario.duration <= SETTLE_S:
+        raise InvalidInputError(
+            f"duration {scenario.duration:g} s: a run is judged from t = {SETTLE_S:g} s on; "
+            "run it longer"
+        )
 
 
 def write_report(recording: Recording, scenario: Scenario, folder: Path) -> dict[str, Any]:
@@ -24,10 +38,11 @@ def write_report(recording: Recording, scenario: Scenario, folder: Path) -> dict
     recording.save(folder / "recording.npz")
     verdict = metrics(recording)
     write_json(verdict, folder / "metrics.json")
+    steps = recording.meta["force_steps_s"]
     if recording.meta["contact_names"]:
-        plots.save(plots.contact_forces(recording), folder / "contact_forces")
-    plots.save(plots.power(recording, recording.meta["force_steps_s"]), folder / "power")
-    plots.save(plots.tracking(recording), folder / "tracking")
+        plots.save(plots.contact_forces(recording, steps, SETTLE_S), folder / "contact_forces")
+    plots.save(plots.power(recording, steps, SETTLE_S), folder / "power")
+    plots.save(plots.tracking(recording, SETTLE_S), folder / "tracking")
     plots.save(plots.torques(recording), folder / "torques")
     write_scene_of(recording, build_rig(scenario), folder / "scene.html")
     return verdict

@@ -63,6 +63,8 @@ def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(ticks, _meta(rig, seed))
     plant, controller = rig.plant(), rig.controller()
+    # the rig starts under the torques that hold it, not limp
+    plant.hold(rig.controller().tick(plant.measure(), rig.references.at(0.0)))
     tare = _Tare(rig, controller)
     began = perf_counter()
     try:
@@ -80,7 +82,7 @@ def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
                 v=measurement.v,
                 tau=tau,
                 tick_s=spent,
-                **_channels(rig, controller, reference, truth),
+                **_channels(rig, controller, reference, truth, tau),
             )
             plant.step(tau, period)
             if progress is not None and k % 100 == 99:
@@ -119,10 +121,10 @@ class _Tare:
 
 
 def _channels(
-    rig: Rig, controller: Controller, reference: Reference, truth: Truth
+    rig: Rig, controller: Controller, reference: Reference, truth: Truth, tau: Array
 ) -> dict[str, Any]:
     """What the recording keeps of a tick besides joints and torques."""
-    s = controller.signals
+    s = controller.last_signals()
     r = len(rig.pairs)
     state = s.state
     wrench = s.f_meas - state.bias_out
@@ -143,7 +145,7 @@ def _channels(
         "power_projected": float(state.V_O @ s.f_c_meas),
         "motion_error": Omega_m @ pose_error(reference.X_WD, state.X_WO),
         "squeeze_cmd": reference.squeeze_d,
-        "squeeze": float((E @ s.tau - e0)[0]) if len(e0) else 0.0,
+        "squeeze": float((E @ tau - e0)[0]) if len(e0) else 0.0,
         "status": int(controller.status),
     }
 

@@ -98,6 +98,11 @@ class MujocoPlant:
         self._mj.mj_forward(self.model, self.data)
         self.time = 0.0
 
+    def hold(self, tau: Array) -> None:
+        """Apply torques from now on; time stands still."""
+        self.data.ctrl[:] = as_array("tau", tau, (self.chain.n_a,))
+        self._mj.mj_forward(self.model, self.data)
+
     def measure(self) -> Measurement:
         """Encoders after the last step, wrist wrenches as of its beginning (one step old)."""
         wrenches = np.zeros((len(self._sensors), 6))
@@ -107,7 +112,7 @@ class MujocoPlant:
         return Measurement(self.data.qpos[self._q], self.data.qvel[self._v], wrenches)
 
     def truth(self) -> Truth:
-        """Normal contact forces and the object's pose and twist."""
+        """Contact forces, pose and twist as of the last step's beginning, like the wrenches."""
         alpha = np.zeros(len(self._faces))
         closed = np.zeros(len(self._faces), dtype=bool)
         wrench = np.zeros(6)

@@ -37,6 +37,9 @@ class Plant(Protocol):
     def reset(self, q: Array) -> None:
         """Start again at rest at joint positions q (n,)."""
 
+    def hold(self, tau: Array) -> None:
+        """Apply torques (n_a,) from now on without letting time pass: sensors read under them."""
+
     def measure(self) -> Measurement:
         """What the rig's sensors read now."""
 

@@ -62,6 +62,10 @@ class RigidPlant:
         self._tau = np.zeros(self.chain.n_a)
         self.time = 0.0
 
+    def hold(self, tau: Array) -> None:
+        """Apply torques from now on; time stands still."""
+        self._tau = as_array("tau", tau, (self.chain.n_a,))
+
     def measure(self) -> Measurement:
         """Encoders, and the wrist wrenches under the torques applied last."""
         _, wrenches = self._solve(self._tau, with_wrenches=True)
@@ -75,7 +79,7 @@ class RigidPlant:
 
     def step(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
-        self._tau = as_array("tau", tau, (self.chain.n_a,))
+        self.hold(tau)
         for _ in range(max(1, round(duration / self.dt))):
             solution, _ = self._solve(self._tau)
             v = self.v + solution[: self.chain.nq] * self.dt
@@ -228,6 +232,8 @@ def _sensor(model: pin.Model, name: str) -> _Sensor:
     above = frame.parentFrame
     beyond = {above if model.frames[above].type == pin.FrameType.FIXED_JOINT else cut}
     inboard: Array = model.inertias[frame.parentJoint].matrix()
+    if model.frames[above].type == pin.FrameType.JOINT:  # cut at the joint itself
+        return _Sensor(frame.parentJoint, frame.placement, np.zeros((6, 6)))
     for f, other in enumerate(model.frames):
         if other.parentFrame in beyond:
             beyond.add(f)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.visual import OKABE_ITO, contact_colour
-from osc_contact.visual.plots import style
+from osc_contact.visual.style import style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -186,7 +186,8 @@ def _arrow(ax: Any, tail: Array, tip: Array, colour: str, radius: float) -> None
     rim = tip - 4.0 * radius * axis
     angles = np.linspace(0.0, 2.0 * np.pi, 25)[:, None]
     ring = rim + 1.3 * radius * (np.cos(angles) * side + np.sin(angles) * np.cross(axis, side))
-    cone = [np.array([a, b, tip]) for a, b in pairwise(ring)] + [ring[:-1]]
+    # triangles only: matplotlib pads unequal polygons with uninitialised memory and projects it
+    cone = np.array([[a, b, end] for end in (tip, rim) for a, b in pairwise(ring)])
     ax.plot(*np.array([tail, rim]).T, color=colour, lw=3.2, solid_capstyle="butt", zorder=6)
     ax.add_collection3d(Poly3DCollection(cone, facecolor=colour, edgecolor="none", zorder=6))
 

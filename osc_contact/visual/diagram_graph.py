@@ -103,7 +103,7 @@ def graph(
         layer[i] == 0 and any(s not in producers for s in inputs) for i, inputs in enumerate(wired)
     )
     nodes = [
-        block_node(b, layer[i] + opens, tuple(s for s in b.inputs if s in buses))
+        block_node(b, layer[i] + opens, tuple(s for s in buses if s in b.inputs))
         for i, b in enumerate(blocks)
     ]
     of_block = {id(b): node for b, node in zip(blocks, nodes, strict=True)}

@@ -12,7 +12,7 @@ from osc_contact.visual.diagram_graph import Node, Port, back
 
 __all__ = ["Net", "align", "nets", "order", "untangle"]
 
-ROW_GAP = 0.24
+ROW_GAP, WIRE_GAP = 0.24, 0.12  # between two boxes, between two wires (in)
 
 
 def order(columns: list[list[Node]]) -> None:
@@ -79,7 +79,9 @@ def _straighten(node: Node, above: Node | None, below: Sequence[Node]) -> None:
 
 def _distance(above: Node, below: Node) -> float:
     """Least distance of the middles of two neighbours in a column (in)."""
-    return 0.5 * (above.height + below.height) + above.skirt + ROW_GAP
+    between_wires = "block" not in (above.kind, below.kind)
+    gap = WIRE_GAP if between_wires else ROW_GAP
+    return 0.5 * (above.height + below.height) + above.skirt + gap
 
 
 def _apart(wish: list[float], gaps: list[float]) -> list[float]:

@@ -71,11 +71,14 @@ def folded_name(name: str) -> str:
 
 def folded_equation(equation: str, longest: int = 26) -> str:
     """A long equation on two lines: broken at a comma outside mathtext, or before its number."""
+    equation = equation.replace(r"\!", "")  # mathtext sets integrals tight enough
     if "\n" in equation or len(equation) <= longest:
         return equation
     number = re.search(r"\s+(\([0-9a-z., ]+\))$", equation)
     if number:
         return f"{equation[: number.start()]}\n{number.group(1)}"
     commas = [m.start() for m in re.finditer(", ", equation)]
-    outside = [i for i in commas if equation[:i].count("$") % 2 == 0]
-    return equation if not outside else f"{equation[: outside[0] + 1]}\n{equation[outside[0] + 2 :]}"
+    for at in commas:
+        if equation[:at].count("$") % 2 == 0:
+            return f"{equation[: at + 1]}\n{equation[at + 2 :]}"
+    return equation

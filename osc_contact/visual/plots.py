@@ -5,11 +5,7 @@ Each function returns a matplotlib figure and shows nothing; `save` writes it as
 
 from __future__ import annotations
 
-import os
-import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,8 +13,10 @@ from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.visual import OKABE_ITO, contact_colour
+from osc_contact.visual.style import legend, panels, save, style
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -33,41 +31,16 @@ _TRIPLE = tuple(OKABE_ITO[name] for name in ("blue", "vermillion", "green"))
 Array = NDArray[np.float64]
 
 
-@contextmanager
-def style() -> Iterator[None]:
-    """The one look of all figures: Okabe-Ito colours, light grid, no box, constrained layout."""
-    import matplotlib
-    from cycler import cycler
+def contact_forces(
+    recording: Recording, blank_after: Sequence[float] = (), judged_from: float = 0.0
+) -> Figure:
+    """Fig. 8: per contact the desired, true and measured force; below, the errors of them all.
 
-    cycle = [OKABE_ITO[n] for n in ("blue", "vermillion", "green", "purple", "orange", "sky")]
-    look: Any = {
-        "axes.prop_cycle": cycler(color=[*cycle, OKABE_ITO["black"], "#999999"]),
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.grid": True,
-        "axes.axisbelow": True,
-        "axes.titlesize": 10,
-        "axes.titlelocation": "left",
-        "axes.labelsize": 9.5,
-        "grid.color": "#E3E5E8",
-        "grid.linewidth": 0.6,
-        "xtick.labelsize": 9,
-        "ytick.labelsize": 9,
-        "legend.fontsize": 8.5,
-        "legend.frameon": False,
-        "lines.linewidth": 1.1,
-        "mathtext.fontset": "dejavusans",
-        "figure.constrained_layout.use": True,
-        "figure.facecolor": "white",
-        "svg.fonttype": "path",
-        "svg.hashsalt": "osc_contact",
-    }
-    with matplotlib.rc_context(look):
-        yield
-
-
-def contact_forces(recording: Recording) -> Figure:
-    """Fig. 8: per contact the desired, measured and true force; below, the errors of them all.
+    Args:
+        recording: needs ``t``, ``alpha_cmd``, ``alpha_true``, ``alpha_meas``.
+        blank_after: times (s) of force steps; the 50 ms after each are shaded.
+        judged_from: s; before, the run settles. The rms values and the scale of the error panel
+            leave out both.
 
     Raises:
         InvalidInputError: a channel is missing.
@@ -75,7 +48,7 @@ def contact_forces(recording: Recording) -> Figure:
     t = _get(recording, "t")
     names = [str(name) for name in recording.meta.get("contact_names", [])]
     with style():
-        figure, axes = _panels(len(names) + 1, 2.0)
+        figure, axes = panels(len(names) + 1, 2.0)
         if not names:
             axes[0].text(0.5, 0.5, "no contacts", transform=axes[0].transAxes, ha="center")
             axes[0].set(xlabel="time (s)", ylabel="force (N)")
@@ -83,72 +56,79 @@ def contact_forces(recording: Recording) -> Figure:
         desired, measured, true = (
             _get(recording, key) for key in ("alpha_cmd", "alpha_meas", "alpha_true")
         )
+        counted = _counted(t, blank_after, judged_from)
         for i, (name, ax) in enumerate(zip(names, axes, strict=False)):
             colour = contact_colour(i)
-            ax.plot(t, measured[:, i], color=colour, alpha=0.4, lw=0.8, label="measured")
-            ax.plot(t, true[:, i], color=colour, label="true")
-            ax.plot(t, desired[:, i], color="black", lw=1.0, ls="--", label="desired")
+            ax.plot(t, desired[:, i], color="#B4BAC2", lw=5.0, label="desired")
+            ax.plot(t, true[:, i], color=colour, lw=1.8, label="true")
+            ax.plot(t, measured[:, i], color="black", lw=0.9, ls=(0, (4, 6)), label="measured")
             ax.set(title=name.replace("_", " "), ylabel=rf"$\alpha_{{{i + 1}}}$ (N)")
-            _legend(ax)
+            legend(ax)
             error = true[:, i] - desired[:, i]
-            label = f"{name.replace('_', ' ')}, rms {_rms(error):.3g} N"
+            rms, peak = _rms(error[counted]), float(np.abs(error[counted]).max())
+            label = f"{name.replace('_', ' ')}\nrms {_si(rms, 'N')}, peak {_si(peak, 'N')}"
             axes[-1].plot(t, error, color=colour, lw=0.9, label=label)
-        axes[-1].set(title="error: true − desired", ylabel="error (N)", xlabel="time (s)")
-        _legend(axes[-1])
+        _shade(axes[-1], t, blank_after, judged_from)
+        axes[-1].set_ylim(_limits((true - desired)[counted]))
+        note = " (shaded: not in rms, peak and scale)" if not counted.all() else ""
+        title = f"error: true − desired{note}"
+        axes[-1].set(title=title, ylabel="error (N)", xlabel="time (s)")
+        legend(axes[-1])
     return figure
 
 
-def power(recording: Recording, blank_after: Sequence[float] = ()) -> Figure:
-    """Figs. 6, 7: total power, projected power on the same scale, projected power enlarged.
+def power(
+    recording: Recording, blank_after: Sequence[float] = (), judged_from: float = 0.0
+) -> Figure:
+    """Figs. 6, 7: total power on top, projected power on the same scale, and that one enlarged.
 
     Args:
         recording: needs ``t``, ``power_total``, ``power_projected``.
         blank_after: times (s) of force steps; the 50 ms after each are shaded and left out of
             the rms values and of the enlarged scale.
+        judged_from: s; what lies before is treated likewise.
 
     Raises:
         InvalidInputError: a channel is missing.
     """
     t = _get(recording, "t")
     total, projected = _get(recording, "power_total"), _get(recording, "power_projected")
-    blank = np.zeros(t.shape, dtype=bool)
-    for start in blank_after:
-        blank |= (t >= start) & (t < start + BLANK)
-    counted = ~blank if not blank.all() else np.ones(t.shape, dtype=bool)
+    counted = _counted(t, blank_after, judged_from)
     rms = [_rms(series[counted]) for series in (total, projected)]
     with style():
-        figure, axes = _panels(3, 2.1)
-        titles = (
-            rf"total $\vartheta^T f'_{{meas}}$: rms {_si(rms[0], 'W')}",
-            rf"projected $\vartheta^T \Omega_f f'_{{meas}}$: rms {_si(rms[1], 'W')}",
-            "projected, enlarged",
+        figure, axes = panels(3, 2.1)
+        contents = (
+            (total, rf"total $\vartheta^T f'_{{meas}}$: rms {_si(rms[0], 'W')}", "blue"),
+            (
+                projected,
+                rf"projected $\vartheta^T \Omega_f f'_{{meas}}$: rms {_si(rms[1], 'W')}",
+                "vermillion",
+            ),
+            (projected, "projected, enlarged", "vermillion"),
         )
-        for ax, series, title, colour in zip(
-            axes,
-            (total, projected, projected),
-            titles,
-            (OKABE_ITO["blue"], OKABE_ITO["vermillion"], OKABE_ITO["vermillion"]),
-            strict=True,
-        ):
-            ax.plot(t, series, color=colour, lw=0.9)
+        for ax, (series, title, colour) in zip(axes, contents, strict=True):
+            ax.plot(t, series, color=OKABE_ITO[colour], lw=0.9)
             ax.set(title=title, ylabel="power (W)")
-            for start in blank_after:
-                shade = ax.axvspan(start, start + BLANK, color="#B8BDC4", alpha=0.6, lw=0)
+            shade = _shade(ax, t, blank_after, judged_from)
         both = np.concatenate([total, projected])
         for ax in axes[:2]:
             ax.set_ylim(_limits(both))
         axes[2].set_ylim(_limits(projected[counted]))
         axes[2].set_xlabel("time (s)")
-        if len(blank_after):
-            label = f"{1e3 * BLANK:.0f} ms after a force step, not in the rms"
+        if shade is not None:
             axes[0].legend(
-                [shade], [label], loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1
-            )
+                [shade], ["not in the rms: settling, force steps"], loc="lower right",
+                bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1,
+            )  # fmt: skip
     return figure
 
 
-def tracking(recording: Recording) -> Figure:
+def tracking(recording: Recording, judged_from: float = 0.0) -> Figure:
     """Projected motion error (mm and mrad) and the object's way from its start (mm).
+
+    Args:
+        recording: needs ``t``, ``motion_error``, ``pose``.
+        judged_from: s; what lies before is shaded and left out of the rms values.
 
     Raises:
         InvalidInputError: a channel is missing.
@@ -156,8 +136,9 @@ def tracking(recording: Recording) -> Figure:
     t, error = _get(recording, "t"), 1e3 * _get(recording, "motion_error")
     way = 1e3 * (_get(recording, "pose")[:, :3] - _get(recording, "pose")[0, :3])
     with style():
-        figure, axes = _panels(3, 2.1)
-        linear, angular = (_rms(np.linalg.norm(e, axis=1)) for e in (error[:, :3], error[:, 3:]))
+        figure, axes = panels(3, 2.1)
+        judged = error[_counted(t, (), judged_from)]
+        linear, angular = (_rms(np.linalg.norm(e, axis=1)) for e in (judged[:, :3], judged[:, 3:]))
         contents = (
             (error[:, :3], f"motion error along the free directions: rms {linear:.3g} mm",
              "linear error (mm)", _AXES),
@@ -169,7 +150,8 @@ def tracking(recording: Recording) -> Figure:
             for column, label, colour in zip(series.T, labels, _TRIPLE, strict=True):
                 ax.plot(t, column, color=colour, label=label)
             ax.set(title=title, ylabel=unit)
-            _legend(ax)
+            _shade(ax, t, (), judged_from)
+            legend(ax)
         axes[-1].set_xlabel("time (s)")
     return figure
 
@@ -187,39 +169,14 @@ def torques(recording: Recording) -> Figure:
     if sorted(i for group in groups.values() for i in group) != list(range(len(names))):
         groups = {"all actuators": list(range(len(names)))}
     with style():
-        figure, axes = _panels(len(groups), 2.6)
+        figure, axes = panels(len(groups), 2.6)
         for ax, (title, columns) in zip(axes, groups.items(), strict=True):
             for i in columns:
                 ax.plot(t, tau[:, i], lw=0.9, label=names[i].removeprefix(title).lstrip("/_. "))
             ax.set(title=title.replace("_", " "), ylabel="effort (N·m; prismatic: N)")
-            _legend(ax)
+            legend(ax)
         axes[-1].set_xlabel("time (s)")
     return figure
-
-
-def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
-    """Write the figure as PNG (150 dpi) and SVG; each file appears complete or not at all.
-
-    Returns:
-        The paths of the PNG and of the SVG.
-    """
-    base = Path(path_without_suffix)
-    base.parent.mkdir(parents=True, exist_ok=True)
-    written = []
-    extras: tuple[tuple[str, Any], ...] = ((".png", {}), (".svg", {"metadata": {"Date": None}}))
-    for suffix, extra in extras:
-        target = base.with_name(base.name + suffix)
-        descriptor, temporary = tempfile.mkstemp(dir=base.parent, prefix=f".{target.name}.")
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                figure.savefig(file, dpi=150, format=suffix[1:], **extra)
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, target)
-        except BaseException:
-            os.unlink(temporary)
-            raise
-        written.append(target)
-    return written[0], written[1]
 
 
 def _get(recording: Recording, key: str) -> Array:
@@ -228,24 +185,6 @@ def _get(recording: Recording, key: str) -> Array:
             f"the recording has no channel {key!r}; it has {sorted(recording.channels)}"
         )
     return np.asarray(recording.channels[key], dtype=float)
-
-
-def _panels(count: int, height: float) -> tuple[Figure, Sequence[Axes]]:
-    """Panels below one another with one time axis; Agg canvas, no global state."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, height * count + 0.4))
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
-    for ax in axes:
-        ax.margins(x=0.0)
-    figure.align_ylabels(axes)
-    return figure, list(axes)
-
-
-def _legend(ax: Axes) -> None:
-    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
 
 
 def _actuated_names(meta: dict[str, Any], count: int) -> list[str]:
@@ -265,6 +204,25 @@ def _actuated_names(meta: dict[str, Any], count: int) -> list[str]:
     return [f"actuator {i + 1}" for i in range(count)]
 
 
+def _counted(t: Array, blank_after: Sequence[float], judged_from: float) -> NDArray[np.bool_]:
+    """The ticks that count: settled and not just after a step; all of them if none does."""
+    counted: NDArray[np.bool_] = t >= judged_from - 1e-9
+    for start in blank_after:
+        counted &= ~((t >= start - 1e-9) & (t < start + BLANK - 1e-9))
+    return counted if counted.any() else np.ones(t.shape, dtype=bool)
+
+
+def _shade(ax: Axes, t: Array, blank_after: Sequence[float], judged_from: float) -> Artist | None:
+    """Shade what does not count; returns one of the patches for a legend."""
+    spans = [(start, start + BLANK) for start in blank_after]
+    if t.size and judged_from > t[0]:
+        spans.append((float(t[0]), min(judged_from, float(t[-1]))))
+    patch = None
+    for low, high in spans:
+        patch = ax.axvspan(low, high, color="#B8BDC4", alpha=0.6, lw=0)
+    return patch
+
+
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.nanmean(np.square(values)))) if np.isfinite(values).any() else 0.0
 
@@ -280,6 +238,6 @@ def _limits(values: Array) -> tuple[float, float]:
 def _si(value: float, unit: str) -> str:
     """Value with three digits and the prefix m or µ where it helps."""
     for factor, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "µ")):
-        if value >= factor:
+        if value >= 0.9995 * factor:
             return f"{value / factor:.3g} {prefix}{unit}"
     return f"{value:.2g} {unit}"

@@ -1,0 +1,83 @@
+"""The tables that the command line prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from rich.table import Table
+
+from osc_contact.experiments.inspection import Inspection
+from osc_contact.spatial import Array
+
+__all__ = ["basis_tables", "scenario_table", "tick_table", "verdict_table"]
+
+
+def verdict_table(verdict: Mapping[str, Any]) -> Table:
+    """metrics.json of a run, for people."""
+    title = (
+        f"{verdict['scenario']} on {verdict['plant']}, {verdict['duration_s']:g} s, "
+        f"{verdict['real_time_factor']:.2f} × real time"
+    )
+    table = Table("quantity", "value", title=title)
+    for name, force in verdict["force"].items():
+        table.add_row(
+            f"force {name}",
+            f"rms {_percent(force['rms_error_rel'])}, peak {_percent(force['peak_error_rel'])} "
+            f"of {force['mean_command_N']:.2f} N; sensed within "
+            f"{_percent(force['sensing_rms_rel'])}; closed "
+            f"{100 * verdict['contact_fraction'][name]:.2f} %",
+        )
+    motion, power, tick = verdict["motion"], verdict["power"], verdict["tick_us"]
+    linear, angular = 1e3 * motion["rms_error_m"], 1e3 * motion["rms_error_rad"]
+    table.add_row("free motion", f"rms {linear:.4f} mm, {angular:.4f} mrad")
+    table.add_row(
+        "power",
+        f"total {power['total_rms_W']:.4g} W, projected {power['projected_rms_W']:.3g} W, "
+        f"ratio {_percent(power['ratio'])}",
+    )
+    table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
+    table.add_row("ticks", ", ".join(f"{n} {name}" for name, n in verdict["status"].items() if n))
+    return table
+
+
+def basis_tables(found: Inspection) -> Iterator[Table]:
+    """N with a column for each contact, T with a column for each motion."""
+    where = "(at the object's origin, world axes)"
+    yield _basis(f"N: forces the contacts transmit {where}", found.N, found.contacts,
+                 ("force", "moment"), ("", "m"))  # fmt: skip
+    names = [f"t{i + 1}" for i in range(found.T.shape[1])]
+    yield _basis(f"T: motions they permit {where}", found.T, names,
+                 ("linear", "angular"), ("m/s", "rad/s"))  # fmt: skip
+
+
+def scenario_table(scenarios: Mapping[str, str]) -> Table:
+    """Names and descriptions of the packaged scenarios."""
+    table = Table("scenario", "what it is", title="osc-contact run SCENARIO")
+    for name, words in scenarios.items():
+        table.add_row(name, words.strip())
+    return table
+
+
+def tick_table(result: Mapping[str, Mapping[str, float]]) -> Table:
+    """Tick and floor of each case, µs."""
+    columns = ("tick_p50_us", "floor_p50_us", "ratio", "p99_9_us")
+    table = Table("case", "tick p50 (µs)", "floor p50 (µs)", "ratio", "tick p99.9 (µs)")
+    for case, row in result.items():
+        table.add_row(case, *(f"{row[key]:.1f}" for key in columns))
+    return table
+
+
+def _basis(
+    title: str, basis: Array, names: Sequence[str], kinds: Sequence[str], units: Sequence[str]
+) -> Table:
+    table = Table("", *names, title=title)
+    for i, row in enumerate(basis):
+        unit = f" ({units[i // 3]})" if units[i // 3] else ""
+        label = f"{kinds[i // 3]} {'xyz'[i % 3]}{unit}"
+        table.add_row(label, *(f"{round(float(value), 4) + 0.0:.4f}" for value in row))
+    return table
+
+
+def _percent(ratio: float) -> str:
+    return f"{100 * ratio:.3g} %"

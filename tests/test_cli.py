@@ -1,0 +1,245 @@
+"""The command line: what it says, what it writes, how it exits."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+import osc_contact
+from osc_contact.cli import PARTIAL, app
+from osc_contact.errors import PlantError
+from osc_contact.plants.rigid import RigidPlant
+from osc_contact.recorder import Recording
+from osc_contact.scenarios import load_scenario
+from osc_contact.visual.page import read_commands
+
+SHORT = ("--plant", "rigid", "--duration", "1.05", "--set", "plant.step=1 ms")
+
+
+def call(*words: str | Path) -> Result:
+    """Invoke the command line; anything but an exit code is the test's own failure."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def refused(*words: str | Path) -> str:
+    """The message of a command that must end with exit code 2, without a traceback."""
+    result = call(*words)
+    assert result.exit_code == 2, result.output
+    assert "Traceback" not in result.output
+    assert not result.stdout, "complaints belong on stderr"
+    return result.stderr
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+    folder = tmp_path_factory.mktemp("run")
+    return folder, call("run", "two_contact_rod", *SHORT, "--out", folder, "--seed", "7",
+                        "--json", folder / "deep" / "again.json")  # fmt: skip
+
+
+def test_version_and_help() -> None:
+    assert call("--version").stdout.strip() == f"osc-contact {osc_contact.__version__}"
+    text = call("--help").stdout
+    for command in ("run", "reproduce", "inspect", "list", "bench"):
+        assert command in text
+    assert call("run", "--help").exit_code == 0
+
+
+def test_list_names_scenarios_and_figures(tmp_path: Path) -> None:
+    result = call("list", "--json", tmp_path / "list.json")
+    assert result.exit_code == 0 and "two_contact_rod" in result.stdout
+    found = json.loads((tmp_path / "list.json").read_text())
+    assert set(found["scenarios"]) == set(osc_contact.list_scenarios())
+    assert {"fig1", "fig4", "fig5", "fig6", "fig8"} <= set(found["figures"])
+
+
+def test_inspect_says_what_the_contact_state_is(tmp_path: Path) -> None:
+    result = call("inspect", "two_contact_rod", "--json", tmp_path / "i.json")
+    assert result.exit_code == 0
+    assert "d = 5 independent motions" in result.stdout
+    assert "constrain r = 2 of them; 3 motions stay free" in result.stdout
+    assert "mm apart (skew: no single frame's axes hold both)" in result.stdout
+    found = json.loads((tmp_path / "i.json").read_text())
+    assert set(found) == {
+        "d", "r", "free_motions", "contacts", "N", "T", "free", "conditioning", "report"
+    }  # fmt: skip
+    assert (found["d"], found["r"], found["free_motions"]) == (5, 2, 3)
+    assert found["contacts"] == ["left_end", "right_end"]
+    N, T = np.array(found["N"]), np.array(found["T"])
+    assert N.shape == (6, 2) and T.shape == (6, 4) and np.abs(N.T @ T).max() < 1e-12
+    assert all(sentence in result.stdout for sentence in found["report"])
+    assert f"{N[0, 0]:.4f}" in result.stdout, "the table shows N"
+
+
+def test_run_leaves_everything_behind(done: tuple[Path, Result]) -> None:
+    folder, result = done
+    assert result.exit_code == 0, result.output
+    names = {path.name for path in folder.iterdir()}
+    figures = {f"{n}{s}" for n in ("contact_forces", "power", "tracking", "torques")
+               for s in (".png", ".svg")}  # fmt: skip
+    assert names == figures | {"metrics.json", "recording.npz", "scene.html", "deep"}
+    for name in figures:
+        start = (folder / name).read_bytes()[:300]
+        assert start.startswith(b"\x89PNG") or b"<svg" in start or b"<?xml" in start
+        assert (folder / name).stat().st_size > 5000
+    paths = {command.get("path") for command in read_commands(folder / "scene.html")}
+    assert "/meshcat/contacts/left_end/force" in " ".join(str(p) for p in paths)
+    assert "\x1b" not in result.output and "━" not in result.stderr, "no progress when piped"
+    assert str(folder) in result.stdout
+
+
+def test_metrics_have_the_documented_keys(done: tuple[Path, Result]) -> None:
+    folder, _ = done
+    verdict: dict[str, Any] = json.loads((folder / "metrics.json").read_text())
+    assert set(verdict) == {
+        "scenario", "plant", "seed", "duration_s", "ticks", "real_time_factor", "force", "motion",
+        "contact_fraction", "power", "tick_us", "status",
+    }  # fmt: skip
+    assert (verdict["scenario"], verdict["plant"], verdict["seed"]) == (
+        "two_contact_rod",
+        "rigid",
+        7,
+    )
+    assert verdict["ticks"] == 1050 and verdict["duration_s"] == pytest.approx(1.05)
+    assert set(verdict["force"]) == set(verdict["contact_fraction"]) == {"left_end", "right_end"}
+    for force in verdict["force"].values():
+        assert set(force) == {
+            "rms_error_N", "rms_error_rel", "peak_error_N", "peak_error_rel", "mean_command_N",
+            "sensing_rms_rel",
+        }  # fmt: skip
+        assert force["rms_error_rel"] < 1e-3
+    assert set(verdict["motion"]) == {"rms_error_m", "rms_error_rad"}
+    assert set(verdict["power"]) == {"total_rms_W", "projected_rms_W", "ratio"}
+    assert set(verdict["tick_us"]) == {"p50", "p99", "p99_9", "max"}
+    assert json.loads((folder / "deep" / "again.json").read_text()) == verdict
+
+
+def test_recording_loads(done: tuple[Path, Result]) -> None:
+    recording = Recording.load(done[0] / "recording.npz")
+    assert recording["tau"].shape == (1050, 8) and recording.meta["seed"] == 7
+    assert recording.meta["scenario"]["plant"]["type"] == "rigid"
+    assert osc_contact.metrics(recording)["ticks"] == 1050
+
+
+def test_reproduce_figures_without_a_run(tmp_path: Path) -> None:
+    for name in ("fig1", "fig4", "fig5"):
+        result = call("reproduce", name, "--out", tmp_path, "--json", tmp_path / f"{name}.json")
+        assert result.exit_code == 0, result.output
+        assert (tmp_path / f"{name}.png").stat().st_size > 20000
+        (written,) = json.loads((tmp_path / f"{name}.json").read_text())["figures"]
+        assert Path(written) == tmp_path / f"{name}.png"
+    assert not (tmp_path / "two_contact_rod").exists(), "no run was needed"
+
+
+def test_reproduce_all_from_a_short_run(tmp_path: Path) -> None:
+    result = call("reproduce", "all", *SHORT, "--out", tmp_path)
+    assert result.exit_code == 0, result.output
+    for name in ("fig1", "fig4", "fig5", "fig6", "fig8"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 20000
+        assert "<svg" in (tmp_path / f"{name}.svg").read_text()
+    assert json.loads((tmp_path / "two_contact_rod" / "metrics.json").read_text())["ticks"] == 1050
+
+
+def test_bench_tick(tmp_path: Path) -> None:
+    result = call("bench", "tick", "--ticks", "20", "--json", tmp_path / "tick.json")
+    assert result.exit_code == 0, result.output
+    (row,) = json.loads((tmp_path / "tick.json").read_text()).values()
+    assert set(row) == {"tick_p50_us", "floor_p50_us", "ratio", "p99_9_us"}
+    assert row["ratio"] == pytest.approx(row["tick_p50_us"] / row["floor_p50_us"])
+    assert row["p99_9_us"] >= row["tick_p50_us"] > 0.0
+
+
+def test_bad_scenario_is_told_with_its_line(tmp_path: Path) -> None:
+    scenario = load_scenario("two_contact_rod")
+    assert scenario.source is not None
+    lines = scenario.source.read_text().splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("squeeze:"))
+    lines[at] = "squeeze: 10 mm"
+    (tmp_path / "bad.yaml").write_text("\n".join(lines))
+    assert f"bad.yaml:{at + 1}: squeeze" in refused("inspect", tmp_path / "bad.yaml")
+    assert f"bad.yaml:{at + 1}: squeeze" in refused("run", tmp_path / "bad.yaml", *SHORT)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("inspect", "two_contact_rob"), "no packaged scenario 'two_contact_rob'"),
+        (("reproduce", "fig2"), "no figure 'fig2'; there are fig1"),
+        (("bench", "tock"), "no benchmark 'tock'; there is: tick"),
+        (("run", "two_contact_rod", "--set", "squeeze"), "expected path.to.key=value"),
+        (("run", "two_contact_rod", "--duration", "0.9"), "judged from t = 1 s"),
+        (("run", "two_contact_rod", "--duration", "nan"), "duration"),
+        (("run", "two_contact_rod", "--plant", "gazebo"), "gazebo"),
+        (("run", "two_contact_rod", "--seed", "-1"), "greater than or equal to 0"),
+        (("run", "two_contact_rod_mismatch", "--plant", "rigid"), "plant.type=mujoco"),
+        (("run",), "Missing argument"),
+        (("bench", "tick", "--ticks", "0"), "greater than or equal to 1"),
+        (("dance",), "No such command"),
+    ],
+)
+def test_bad_input_is_refused(
+    words: tuple[str, ...], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert message in " ".join(refused(*words).split())
+
+
+def test_folder_that_cannot_be_written_is_refused_before_the_run(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    message = refused("run", "two_contact_rod", *SHORT, "--out", tmp_path / "file")
+    assert "exists" in message and "file" in message
+
+
+def test_failed_run_exits_with_1_and_keeps_what_was_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step = RigidPlant.step
+
+    def fragile(plant: RigidPlant, tau: np.ndarray, duration: float) -> None:
+        if plant.time > 0.0195:
+            raise PlantError("rigid plant diverged at t = 0.02 s")
+        step(plant, tau, duration)
+
+    monkeypatch.setattr(RigidPlant, "step", fragile)
+    result = call("run", "two_contact_rod", *SHORT, "--out", tmp_path)
+    assert result.exit_code == 1 and "diverged at t = 0.02 s" in result.stderr
+    assert str(tmp_path / PARTIAL) in result.stderr and "Traceback" not in result.output
+    assert [path.name for path in tmp_path.iterdir()] == [PARTIAL]
+    assert 20 <= len(Recording.load(tmp_path / PARTIAL)["t"]) <= 21
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "words"),
+    [
+        ("matplotlib", "plot", ("reproduce", "fig4")),
+        ("matplotlib", "plot", ("run", "two_contact_rod", *SHORT)),
+        ("mujoco", "sim", ("run", "two_contact_rod", "--duration", "1.05")),
+    ],
+)
+def test_missing_extra_is_named(
+    package: str, extra: str, words: tuple[str, ...], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setitem(sys.modules, package, None)
+    message = refused(*words, "--out", tmp_path)
+    assert f"{package} is not installed: pip install 'osc-contact[{extra}]'" in message
+    assert not any(path.is_file() for path in tmp_path.rglob("*"))
+
+
+def test_installed_command_pipes_and_exits_like_the_application(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
+    bad = subprocess.run([*command, "inspect", "nope"], capture_output=True, text=True, timeout=60)
+    assert bad.returncode == 2 and bad.stdout == ""
+    assert bad.stderr.startswith("error: no packaged scenario 'nope'") and "\x1b" not in bad.stderr
+    good = subprocess.run([*command, "list"], capture_output=True, text=True, timeout=60)
+    assert good.returncode == 0 and good.stderr == "" and "\x1b" not in good.stdout

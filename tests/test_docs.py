@@ -1,0 +1,237 @@
+"""README and docs: programs run and print what is shown, commands parse, keys and links exist."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from itertools import pairwise
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+import pytest
+import typer
+import yaml
+from pydantic import BaseModel
+
+import osc_contact as osc
+from osc_contact.cli import app
+from osc_contact.scenarios import Scenario
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+TICKED = re.compile(r"`([^`\n]+)`")
+SHORT = ["control.rate=250 Hz"]  # few ticks: what is asked is which keys there are
+
+
+def text_of(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[Any]:
+    """(page, code, text) of every block; text: the ```text block that follows, if one does."""
+    found = []
+    for page in PAGES:
+        fences = list(FENCE.finditer(text_of(page)))
+        for i, fence in enumerate(fences):
+            if fence[1] != language:
+                continue
+            after = fences[i + 1] if i + 1 < len(fences) else None
+            between = text_of(page)[fence.end() : after.start()] if after else "no"
+            shown = after[2] if after and after[1] == "text" and not between.strip() else None
+            name = f"{page.relative_to(ROOT)}-{i}"
+            found.append(pytest.param(page, fence[2], shown, id=name))
+    return found
+
+
+def table_rows(page: str, heading: str) -> list[list[str]]:
+    """Cells of the tables below a heading, without their first two lines."""
+    section = text_of(ROOT / "docs" / page).split(f"\n## {heading}\n")[1].split("\n## ")[0]
+    lines = [line for line in section.splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def first_cells(page: str, heading: str) -> set[str]:
+    return {name for row in table_rows(page, heading) for name in TICKED.findall(row[0])}
+
+
+@pytest.mark.parametrize(("page", "code", "shown"), blocks("python"))
+def test_program_runs_and_prints_what_is_shown(
+    page: Path,
+    code: str,
+    shown: str | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, str(page), "exec"), {"__name__": "__main__"})
+    if shown is not None:
+        assert capsys.readouterr().out == shown
+
+
+def test_the_readme_has_a_program_of_ten_to_fifteen_lines_that_shows_its_output() -> None:
+    programs = [b.values for b in blocks("python") if b.values[0].name == "README.md"]
+    assert len(programs) == 1 and programs[0][2]
+    assert 10 <= len([line for line in programs[0][1].splitlines() if line.strip()]) <= 15
+
+
+def command_lines() -> list[str]:
+    """Every osc-contact command in code blocks and between backticks."""
+    found = []
+    for page in PAGES:
+        text = text_of(page)
+        inline = TICKED.findall(FENCE.sub("", text))
+        fenced = [line for fence in FENCE.finditer(text) for line in fence[2].splitlines()]
+        for line in (*inline, *fenced, *re.findall(r"^ {4}(.*)$", text, re.MULTILINE)):
+            if line.startswith("osc-contact "):
+                found.append(line)
+    return sorted(set(found))
+
+
+@pytest.mark.parametrize("line", command_lines())
+def test_command_exists_and_parses(line: str) -> None:
+    group = typer.main.get_command(app)
+    _, name, *arguments = shlex.split(line)
+    assert name in group.commands, f"{name} is no command of osc-contact"
+    group.commands[name].make_context(name, list(arguments))  # raises on unknown options
+    if name in ("run", "inspect") and arguments[0] != "SCENARIO":
+        changes = [value for option, value in pairwise(arguments) if option == "--set"]
+        osc.load_scenario(arguments[0], changes)
+
+
+@pytest.mark.parametrize(("page", "code", "shown"), blocks("yaml"))
+def test_yaml_is_a_piece_of_a_scenario(page: Path, code: str, shown: str | None) -> None:
+    scenario = osc.load_scenario("two_contact_rod").as_dict()
+    names = {contact["name"] for contact in scenario["contacts"]}
+    for key, value in yaml.safe_load(code).items():
+        if key == "contacts":  # those not shown stay
+            shown_names = {contact["name"] for contact in value}
+            assert shown_names <= names
+            value = [*value, *(c for c in scenario[key] if c["name"] not in shown_names)]
+        scenario[key] = value
+    Scenario.model_validate(scenario)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_and_pictures_exist(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", text_of(page)):
+        if not target.startswith("https://"):
+            file = page.parent / target.partition("#")[0]
+            assert file.is_file(), f"{page.name} points at {target}, which is not there"
+
+
+def test_pictures_are_small_and_all_shown() -> None:
+    shown = {
+        (page.parent / target).resolve()
+        for page in PAGES
+        for target in re.findall(r"!\[[^\]]*\]\(([^)\s]+)\)", text_of(page))
+    }
+    assert shown == {p.resolve() for p in (ROOT / "docs" / "images").iterdir()}
+    assert all(picture.stat().st_size < 300_000 for picture in shown)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_named_in_backticks_exist(page: Path) -> None:
+    for name in TICKED.findall(FENCE.sub("", text_of(page))):
+        if re.fullmatch(r"(osc_contact|urdf|docs|tests)/[\w./]*", name):
+            assert (ROOT / name).exists(), f"{page.name} names {name}, which is not there"
+
+
+# Tables of keys ------------------------------------------------------------------------------
+
+
+def models_in(kind: Any) -> list[type[BaseModel]]:
+    """The pydantic models that a field's type can hold."""
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return [kind]
+    inner = get_args(kind)
+    if get_origin(kind) is Annotated:
+        return models_in(inner[0])
+    if get_origin(kind) in (Union, UnionType, tuple, dict):
+        return [model for one in inner for model in models_in(one)]
+    return []
+
+
+def schema_keys(model: type[BaseModel], prefix: str = "") -> tuple[dict[str, Any], dict[str, Any]]:
+    """(keys of the scenario, keys of its signals), dotted → fields; poses are one key."""
+    keys: dict[str, Any] = {}
+    signals: dict[str, Any] = {}
+    for name, field in model.model_fields.items():
+        inner = models_in(field.annotation)
+        if not ({"xyz", "rpy"} & {key for one in inner for key in one.model_fields}):
+            for one in inner:
+                if "type" in one.model_fields and {"value", "amplitude"} & set(one.model_fields):
+                    signals |= one.model_fields
+                    continue
+                below = schema_keys(one, f"{prefix}{name}.")
+                keys |= below[0]
+                signals |= below[1]
+        keys[f"{prefix}{name}"] = field
+    return keys, signals
+
+
+GROUPS = {"gains.motion", "gains.force", "control", "model_error", "plant"}
+SCENARIO_TABLES = ("Who and where", "Contacts and commands", "Control and plant")
+
+
+def test_every_key_of_a_scenario_is_documented() -> None:
+    keys, signals = schema_keys(Scenario)
+    told = set().union(*(first_cells("scenario.md", heading) for heading in SCENARIO_TABLES))
+    assert told == set(keys) - GROUPS
+    assert first_cells("scenario.md", "Signals") == set(signals)
+
+
+def test_required_keys_and_plain_defaults_are_told_rightly() -> None:
+    keys, _ = schema_keys(Scenario)
+    for heading in SCENARIO_TABLES:
+        for row in table_rows("scenario.md", heading):
+            name, default = TICKED.findall(row[0])[0], row[2]
+            if name != "motion.kind":  # each kind of move has its own model with its own default
+                assert (default == "required") == keys[name].is_required(), name
+            if re.fullmatch(r"[\d.]+", default):
+                assert float(default) == keys[name].default, name
+            if default.startswith("["):
+                assert yaml.safe_load(default) == list(keys[name].default), name
+            if default.startswith("`"):
+                assert default.strip("`") == keys[name].default, name
+
+
+@pytest.fixture(scope="module")
+def recording() -> osc.Recording:
+    return osc.run(osc.load_scenario("two_contact_rod", SHORT), duration=1.1)
+
+
+def leaves(data: Any, prefix: str, contacts: list[str]) -> set[str]:
+    if not isinstance(data, dict):
+        return {prefix}
+    found = set()
+    for key, value in data.items():
+        name = "NAME" if key in contacts else key
+        found |= leaves(value, f"{prefix}.{name}" if prefix else name, contacts)
+    return found
+
+
+def test_every_metric_is_documented(recording: osc.Recording) -> None:
+    names = recording.meta["contact_names"]
+    told = first_cells("metrics.md", "metrics.json")
+    assert told == leaves(osc.metrics(recording), "", names)
+
+
+def test_every_channel_is_documented_with_its_shape(recording: osc.Recording) -> None:
+    sizes = {"T": len(recording), "n": 10, "n_a": 8, "r": 2}
+    told = {}
+    for row in table_rows("metrics.md", "The recording"):
+        shape = tuple(
+            int(sizes.get(part, part)) for part in row[1].strip("()").replace(" ", "").split(",")
+            if part
+        )  # fmt: skip
+        told |= {name: shape for name in TICKED.findall(row[0])}
+    assert told == {name: array.shape for name, array in recording.channels.items()}
+
+
+def test_every_entry_of_the_meta_is_named(recording: osc.Recording) -> None:
+    text = text_of(ROOT / "docs" / "metrics.md")
+    told = text.split("`Recording.meta` holds")[1].split("```")[0]
+    assert set(TICKED.findall(told)) == set(recording.meta)

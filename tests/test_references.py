@@ -1,0 +1,74 @@
+"""References: twists and accelerations are the derivatives of the pose, steps and standoffs too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import osc_contact as osc
+from osc_contact.experiments.references import References, common_tangent, force_steps
+
+
+def references(*overrides):
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod_mismatch", list(overrides)))
+    return rig.references
+
+
+def two_turns():
+    """Two angular moves about different directions, and a standoff that turns the rod."""
+    from osc_contact.scenarios.schema import Scenario
+
+    data = osc.load_scenario("two_contact_rod_mismatch").as_dict()
+    sine = {"type": "sine", "amplitude": 0.3, "frequency": 0.7, "phase": 0.4}
+    data["motion"] = [
+        {"kind": "angular", "direction": [0, 0, 1], "signals": [sine]},
+        {"kind": "angular", "direction": [0, 1, 0], "signals": [{**sine, "frequency": 1.1}]},
+        {"kind": "linear", "direction": [1, 0, 0], "signals": [{**sine, "amplitude": 0.1}]},
+    ]
+    scenario = Scenario.model_validate(data)
+    X = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([0.1, 0.2, 0.3]))
+    pairs = osc.build_rig(osc.load_scenario("two_contact_rod")).pairs
+    return References.of(scenario, X, pairs, np.array([0.01, 0.0, 0.02, 0.1, -0.2, 0.05]))
+
+
+@pytest.mark.parametrize("t", [0.2, 0.45, 0.55, 1.3, 2.7])
+def test_twist_and_classical_acceleration_are_derivatives_of_the_pose(t):
+    wanted, h = two_turns(), 1e-5
+    here = wanted.at(t)
+    left, right = wanted.at(t - h).X_WD, wanted.at(t + h).X_WD
+    v = (right.translation - left.translation) / (2 * h)
+    w = pin.log3(right.rotation @ left.rotation.T) / (2 * h)
+    np.testing.assert_allclose(here.V_D, np.concatenate((v, w)), atol=1e-7)
+    rate = (wanted.at(t + h).V_D - wanted.at(t - h).V_D) / (2 * h)
+    np.testing.assert_allclose(here.A_D, rate, atol=1e-6)
+
+
+def test_turns_are_about_directions_fixed_in_the_world():
+    wanted = two_turns()
+    R0 = wanted.X_start.rotation
+    angle = [move.signals[0].at(1.3)[0] for move in wanted.scenario.motion[:2]]
+    want = pin.rpy.rpyToMatrix(0, angle[1], 0) @ pin.rpy.rpyToMatrix(0, 0, angle[0]) @ R0
+    np.testing.assert_allclose(wanted.at(1.3).X_WD.rotation, want, atol=1e-12)
+
+
+def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages():
+    wanted = references()
+    start, engaged = wanted.at(0.0).X_WD, wanted.at(wanted.engage_at).X_WD
+    gap = np.linalg.norm(start.translation - wanted.X_start.translation)
+    assert gap > 3e-3
+    np.testing.assert_allclose(engaged.translation, wanted.X_start.translation, atol=1e-12)
+
+
+def test_common_tangent_lies_in_every_face_and_must_be_unique():
+    pairs = osc.build_rig(osc.load_scenario("two_contact_rod")).pairs
+    u = common_tangent(pairs)
+    assert np.linalg.norm(u) == pytest.approx(1.0)
+    for pair in pairs:
+        assert abs(u @ pair.normal) < 1e-12
+    with pytest.raises(osc.ScenarioError, match="span 1"):
+        common_tangent(pairs[:1])
+
+
+def test_force_steps_are_found():
+    assert force_steps(osc.load_scenario("two_contact_rod")) == [5.0]
