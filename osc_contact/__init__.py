@@ -4,7 +4,26 @@ Names in reading order; `osc_contact.spatial` is the page of conventions.
 """
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs import VertexOnFace
+from osc_contact.contacts.detection import detect
+from osc_contact.contacts.pairs import (
+    ConeInGroove,
+    ContactPair,
+    CylinderInHole,
+    CylinderOnPlane,
+    EdgeOnEdge,
+    EdgeOnFace,
+    FaceOnFace,
+    FaceOnVertex,
+    Fixed,
+    Free,
+    GapFunctions,
+    Prismatic,
+    Revolute,
+    Screw,
+    SphereOnPlane,
+    VertexOnFace,
+)
+from osc_contact.contacts.raibert_craig import RaibertCraig
 from osc_contact.control.controller import Controller, Gains, Status
 from osc_contact.control.force import ForceGains
 from osc_contact.control.motion import MotionGains
@@ -37,7 +56,24 @@ __all__ = [
     "ClosedChain",
     "ChainState",
     "Contact",
+    "RaibertCraig",
+    "ContactPair",
     "VertexOnFace",
+    "FaceOnVertex",
+    "SphereOnPlane",
+    "EdgeOnEdge",
+    "EdgeOnFace",
+    "CylinderOnPlane",
+    "FaceOnFace",
+    "CylinderInHole",
+    "ConeInGroove",
+    "Revolute",
+    "Prismatic",
+    "Screw",
+    "Fixed",
+    "Free",
+    "GapFunctions",
+    "detect",
     "Environment",
     "ContactResponse",
     "contact_response",

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
 from osc_contact import projections
-from osc_contact.errors import ContactError
+from osc_contact.contacts import dependence
+from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array, as_array
 
-__all__ = ["Contact"]
+if TYPE_CHECKING:
+    from osc_contact.contacts.raibert_craig import RaibertCraig
 
-_RANK_TOLERANCE = 1e-10
+__all__ = ["Contact"]
 
 
 class Contact:
@@ -28,42 +32,126 @@ class Contact:
         N: (6, r) basis of the contact normal space (N, N m per unit magnitude).
         T: (6, 6−r) basis of the tangent space (m/s, rad/s).
         n_gamma: (r,) the normal acceleration Nᵀa_rel = −ṄᵀV_rel that keeps the contact (m/s²).
+        R: (r, r_all) gives every stacked column, N_all = N R; the identity unless `stack` had to
+            leave dependent ones out of N.
+        name: used in messages.
     """
 
-    def __init__(self, N: npt.ArrayLike, n_gamma: npt.ArrayLike | None = None) -> None:
+    def __init__(
+        self,
+        N: npt.ArrayLike,
+        n_gamma: npt.ArrayLike | None = None,
+        *,
+        T: npt.ArrayLike | None = None,
+        name: str = "",
+    ) -> None:
         """Take any basis N (6, r) of the contact forces, 0 ≤ r ≤ 6.
+
+        Args:
+            N: (6, r).
+            n_gamma: (r,), default 0.
+            T: (6, 6−r) a basis of the permitted motions if it is known already.
+            name: used in messages.
 
         Raises:
             InvalidInputError: wrong shapes or non-finite numbers.
-            ContactError: dependent or zero columns.
+            ContactError: dependent or zero columns, or NᵀT ≠ 0.
         """
         self.N: Array = as_array("N", N, (6, None))
         self.n_gamma: Array = (
             np.zeros(self.r) if n_gamma is None else as_array("n_gamma", n_gamma, (self.r,))
         )
-        _require_independent(self.N, "N")
+        self.name = name
+        dependence.require_independent(self.N, "N")
+        if T is not None:
+            tangents = as_array("T", T, (6, 6 - self.r))
+            dependence.require_independent(tangents, "T")
+            dependence.require_reciprocal(self.N, tangents)
+            self.__dict__["T"] = tangents
 
     @classmethod
-    def from_tangents(cls, T: npt.ArrayLike, n_gamma: npt.ArrayLike | None = None) -> Contact:
-        """The contact that permits exactly the motions range(T), T (6, 6−r); N follows."""
+    def from_tangents(
+        cls,
+        T: npt.ArrayLike,
+        n_gamma: npt.ArrayLike | None = None,
+        *,
+        T_dot_beta: npt.ArrayLike | None = None,
+    ) -> Contact:
+        """The contact that permits exactly the motions range(T), T (6, 6−r); N follows.
+
+        Which basis N of the forces is chosen is nobody's business, so an `n_gamma` (r,) given
+        beforehand can only be right if it is zero or if N was looked up first. In motion, pass
+        the velocity product instead: `T_dot_beta` (6,) = Ṫβ with V_rel = Tβ, the spatial
+        acceleration the bodies have relative to one another at constant β. Then
+        n_γ = Nᵀ Ṫβ for the N chosen here. For an axis tⱼ carried by a body of twist V:
+        ṫⱼ = V × tⱼ (`spatial.cross_twist`).
+
+        Raises:
+            InvalidInputError: wrong shapes, or both n_gamma and T_dot_beta given.
+            ContactError: dependent or zero columns.
+        """
         tangents = as_array("T", T, (6, None))
-        _require_independent(tangents, "T")
-        contact = cls(projections.null_space(tangents), n_gamma)
+        dependence.require_independent(tangents, "T")
+        N = projections.null_space(tangents)
+        if T_dot_beta is not None:
+            if n_gamma is not None:
+                raise InvalidInputError("give n_gamma or T_dot_beta, n_gamma = Nᵀ T_dot_beta")
+            n_gamma = N.T @ as_array("T_dot_beta", T_dot_beta, (6,))
+        contact = cls(N, n_gamma)
         contact.__dict__["T"] = tangents
         return contact
 
     @classmethod
-    def stack(cls, contacts: Sequence[Contact]) -> Contact:
+    def from_selection(
+        cls,
+        frame: pin.SE3,
+        forces: Sequence[bool],
+        couples: Sequence[bool],
+        n_gamma: npt.ArrayLike | None = None,
+    ) -> Contact:
+        """A Raibert–Craig task: which forces along and couples about the axes of `frame` (given at
+        O, world axes) are transmitted. Columns: the forces selected, then the couples."""
+        from osc_contact.contacts.raibert_craig import selection_columns
+
+        return cls(selection_columns(frame, forces, couples), n_gamma)
+
+    @classmethod
+    def stack(cls, contacts: Sequence[Contact], Phi_ref: Array | None = None) -> Contact:
         """Several contacts at once: their N side by side, their n_γ one below the other.
 
+        Dependent contacts (a table on four legs) are reduced to independent columns, a subset of
+        the given ones. `R` leads back, N_all = N R; `magnitudes` splits a force among all of them.
+
+        Args:
+            contacts: any number of them, r_all columns together.
+            Phi_ref: (6, 6) the held object's inverse inertia at O. The rank is then decided on
+                NᵀΦ_ref N scaled to unit diagonal, which knows no frame, origin or unit. Default:
+                columns scaled to unit length in N and N m about O.
+
         Raises:
-            ContactError: together they are dependent (their split into magnitudes is not unique).
+            ContactError: the geometry is dependent but n_γ is not, n_γ,all ≠ Rᵀn_γ: the contacts
+                are singular at this instant (no acceleration keeps them all).
+            InvalidInputError: Phi_ref is not symmetric positive definite.
         """
         if not contacts:
             return cls(np.zeros((6, 0)))
-        return cls(
-            np.hstack([c.N for c in contacts]), np.concatenate([c.n_gamma for c in contacts])
-        )
+        N = np.hstack([c.N for c in contacts])
+        n_gamma = np.concatenate([c.n_gamma for c in contacts])
+        scaled, size = dependence.scaled_columns(N, Phi_ref)
+        keep, R = None, None
+        if not dependence.independent(scaled):
+            keep, R = dependence.reduce(scaled, size)
+            owners = [c.name or f"contact {i}" for i, c in enumerate(contacts) for _ in range(c.r)]
+            dependence.require_consistent(n_gamma, keep, R, size, owners)
+            N, n_gamma = N[:, keep], n_gamma[keep]
+        if not all(c.split_is_unique for c in contacts):
+            inner = dependence.block_diagonal([c.R for c in contacts])
+            R = inner if R is None else R @ inner
+        stacked = cls.__new__(cls)  # the verdict has been given above, with Phi_ref
+        stacked.N, stacked.n_gamma, stacked.name = N, n_gamma, ""
+        if R is not None:
+            stacked.__dict__["R"] = R
+        return stacked
 
     @property
     def r(self) -> int:
@@ -74,6 +162,38 @@ class Contact:
     def T(self) -> Array:
         """(6, 6−r) a basis of the permitted motions, NᵀT = 0."""
         return projections.null_space(self.N)
+
+    @cached_property
+    def R(self) -> Array:
+        """(r, r_all) every stacked column from the independent ones, N_all = N R."""
+        return np.eye(self.r)
+
+    @property
+    def split_is_unique(self) -> bool:
+        """Whether a force in N has only one split among the contacts stacked (r_all = r)."""
+        return "R" not in self.__dict__ or self.R.shape[1] == self.r
+
+    def magnitudes(self, alpha: npt.ArrayLike) -> Array:
+        """A split (r_all,) of the force N α among all contacts stacked: N_all magnitudes = N α.
+
+        Where `split_is_unique` is false this is *one* of many, the one with the smallest sum of
+        squared magnitudes (N; a couple of 1 N m counts as 1 N). It is no measurement, and nothing
+        keeps it positive. The other way round, magnitudes commanded one by one make α = R times
+        them.
+        """
+        split = as_array("alpha", alpha, (self.r,))
+        return split if "R" not in self.__dict__ else self._share @ split
+
+    @cached_property
+    def _share(self) -> Array:
+        """(r_all, r) the pseudo-inverse of R: R has full row rank, and magnitudes have a norm."""
+        return self.R.T @ np.linalg.inv(self.R @ self.R.T)
+
+    def as_raibert_craig(self, size: float) -> RaibertCraig:
+        """Can one constraint frame describe this contact? `size`: of the held object (m)."""
+        from osc_contact.contacts.raibert_craig import as_raibert_craig
+
+        return as_raibert_craig(self.N, size)
 
     def force_projection(self, A_inv: Array) -> Array:
         """Ω_f(A), eq. 5, given A⁻¹ (6, 6)."""
@@ -93,26 +213,3 @@ class Contact:
 
     def __repr__(self) -> str:
         return f"Contact(r={self.r})"
-
-
-def _require_independent(columns: Array, name: str) -> None:
-    """Columns scaled to unit length; the tolerance is far below any real geometry."""
-    if columns.shape[1] == 0:
-        return
-    if columns.shape[1] > 6:
-        raise ContactError(
-            f"{name}: {columns.shape[1]} columns in a 6-dimensional space are dependent; their "
-            "magnitudes cannot be told apart. Keep six or fewer independent ones."
-        )
-    length = np.linalg.norm(columns, axis=0)
-    if length.min() == 0.0:
-        raise ContactError(f"{name}: column {int(length.argmin())} is zero; remove it")
-    singular = np.linalg.svd(columns / length)
-    if singular.S[-1] < _RANK_TOLERANCE:
-        weight = np.abs(singular.Vh[-1])
-        which = [int(i) for i in np.flatnonzero(weight > 1e-3 * weight.max())]
-        raise ContactError(
-            f"{name}: columns {which} are dependent (smallest scaled singular value "
-            f"{singular.S[-1]:.2g}, limit {_RANK_TOLERANCE:g}); keep an independent subset, the "
-            "split of the force among dependent contacts is not unique"
-        )

@@ -154,7 +154,7 @@ class Environment:
             InvalidInputError: wrong shapes or non-finite numbers.
             ModelError: dependent axes, or no inertia along one of them.
         """
-        columns = np.asarray(axes)
+        columns = np.array(axes, dtype=object)
         A = as_array("axes", columns[:, None] if columns.ndim == 1 else columns, (6, None))
         k = A.shape[1]
         Q = np.zeros(k) if force is None else as_array("force", force, (k,))

@@ -1,0 +1,56 @@
+"""The cone in its groove (fig. 2 of the paper): a pair given by T that no constraint frame fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from osc_contact.contacts.pairs.pair import Bodies, store, triad, unit_vector
+from osc_contact.contacts.pairs.tangent_pair import Freedom, TangentPair, held_axis, slide, turn
+from osc_contact.spatial import Array, as_array
+
+__all__ = ["ConeInGroove"]
+
+
+@dataclass(frozen=True, eq=False)
+class ConeInGroove(TangentPair):
+    """Fig. 2 of the paper: a cone turns about its axis and slides along a groove (r = 4).
+
+    T = [rotation about the cone's axis, carried by the object | translation along the groove,
+    carried by the environment]. The gaps: two distances of the apex from the groove's line, two
+    angles of the axis from its seat. No constraint frame describes it unless seat and groove are
+    parallel or perpendicular.
+
+    Attributes:
+        apex: (3,) of the cone in the object frame (m).
+        axis: (3,) of the cone in the object frame; normalised on entry.
+        groove_point: (3,) a point of the line on which the apex slides, environment frame (m).
+        groove_direction: (3,) along that line, environment frame; normalised on entry.
+        seat: (3,) the direction the cone's axis has in the environment frame; normalised.
+        name: used in messages and recordings.
+    """
+
+    apex: Array
+    axis: Array
+    groove_point: Array
+    groove_direction: Array
+    seat: Array
+    name: str = "cone_in_groove"
+
+    def __post_init__(self) -> None:
+        name = self.name
+        store(
+            self,
+            apex=as_array(f"{name}.apex", self.apex, (3,)),
+            axis=unit_vector(f"{name}.axis", self.axis, "axis of the cone"),
+            groove_point=as_array(f"{name}.groove_point", self.groove_point, (3,)),
+            groove_direction=unit_vector(
+                f"{name}.groove_direction", self.groove_direction, "direction of the groove"
+            ),
+            seat=unit_vector(f"{name}.seat", self.seat, "direction of the seated cone's axis"),
+        )
+        across = triad(self.groove_direction)[:, :2]
+        self._hold(self.apex, across, self.groove_point, *held_axis(self.axis, self.seat))
+
+    def _freedoms(self, b: Bodies) -> list[Freedom]:
+        p, axis = b.point_A(self.apex), b.R_A @ self.axis
+        return [turn(p, axis, b.V_A), slide(p, b.turn_E(self.groove_direction), b.V_E)]

@@ -1,0 +1,158 @@
+"""What every contact pair offers, and the bookkeeping they share: two bodies seen from O."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.errors import InvalidInputError
+from osc_contact.spatial import Array, as_array, carry_twist, cross, skew
+
+__all__ = [
+    "Bodies",
+    "ContactPair",
+    "lines_of_force",
+    "lines_of_force_rate",
+    "require_length",
+    "store",
+    "triad",
+    "unit_vector",
+    "velocity",
+]
+
+_ORIGIN = np.zeros(3)
+_AT_REST = np.zeros(6)
+
+
+@runtime_checkable
+class ContactPair(Protocol):
+    """A feature of the held object A against a feature of the environment body E.
+
+    `gaps` are the r signed errors that the contact keeps at zero; each shrinks as the object moves
+    along its column of N: d gaps/dt = −NᵀV_rel. n_γ is the Nᵀa_rel that keeps them at zero.
+    """
+
+    @property
+    def name(self) -> str:
+        """Used in messages and recordings."""
+
+    def contact(
+        self,
+        X_WO: pin.SE3,
+        V_O: Array,
+        X_WE: pin.SE3 | None = None,
+        V_E: Array | None = None,
+    ) -> Contact:
+        """N (6, r) and n_γ (r,) at O, world axes.
+
+        Args:
+            X_WO: pose of the object; its origin is the operational point.
+            V_O: (6,) its twist at O, world axes (m/s, rad/s).
+            X_WE: pose of the environment body (default: the world).
+            V_E: (6,) its twist at its own origin, world axes (default: at rest). Without X_WE
+                that origin is the world's.
+        """
+
+    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+        """(r,) signed errors (m, or rad where the column of N is a couple), 0 in contact."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bodies:
+    """Object A and environment E at one instant: positions from O, motions at O, world axes."""
+
+    R_A: Array
+    R_E: Array | None  # None: E's axes are the world's
+    origin_E: Array
+    V_A: Array
+    V_E: Array
+
+    @classmethod
+    def at_O(
+        cls,
+        X_WO: pin.SE3,
+        V_O: Array = _AT_REST,
+        X_WE: pin.SE3 | None = None,
+        V_E: Array | None = None,
+    ) -> Bodies:
+        """The arguments of `ContactPair.contact`, E's twist carried to O."""
+        O_W = X_WO.translation
+        start = _ORIGIN if X_WE is None else X_WE.translation
+        V_env = _AT_REST if V_E is None else carry_twist(V_E, start, O_W)
+        return cls(X_WO.rotation, None if X_WE is None else X_WE.rotation, start - O_W, V_O, V_env)
+
+    @property
+    def V_rel(self) -> Array:
+        """(6,) twist of A relative to E, at O."""
+        return self.V_A - self.V_E
+
+    def turn_E(self, direction: Array) -> Array:
+        """A direction (3,), or columns (3, k), of E in world axes."""
+        return direction if self.R_E is None else self.R_E @ direction
+
+    def point_A(self, point: Array) -> Array:
+        """Points (3,) or (3, k) of A, from O."""
+        return self.R_A @ point
+
+    def point_E(self, point: Array) -> Array:
+        """A point (3,) of E, from O."""
+        return self.origin_E + self.turn_E(point)
+
+
+def velocity(V: Array, points: Array) -> Array:
+    """Velocities of body-fixed points (3,) or (3, k), given from O, of a body with twist V at O."""
+    if points.ndim == 1:
+        return V[:3] + cross(V[3:], points)
+    return V[:3, None] + skew(V[3:]) @ points
+
+
+def lines_of_force(points: Array, directions: Array) -> Array:
+    """W(n, p) = [n; p × n]: unit forces along n through p, (6,) or columns (6, k)."""
+    return np.concatenate((directions, cross(points, directions)))
+
+
+def lines_of_force_rate(points: Array, directions: Array, p_dot: Array, n_dot: Array) -> Array:
+    """Ẇ(n, p) = [ṅ; ṗ × n + p × ṅ] with absolute ṗ: the reference point stays where O is now."""
+    return np.concatenate((n_dot, cross(p_dot, directions) + cross(points, n_dot)))
+
+
+def triad(z: Array) -> Array:
+    """(3, 3) right-handed axes whose third column is the unit vector z; the same z, the same axes.
+
+    The first column is horizontal for every z but ±y.
+    """
+    x = cross(np.array([0.0, 1.0, 0.0]), z)
+    if np.linalg.norm(x) < 1e-3:
+        x = cross(np.array([0.0, 0.0, 1.0]), z)
+    x = x / np.linalg.norm(x)
+    return np.column_stack((x, cross(z, x), z))
+
+
+def store(pair: Any, **values: Any) -> None:
+    """Set attributes of a frozen dataclass while it is being made."""
+    for key, value in values.items():
+        object.__setattr__(pair, key, value)
+
+
+def unit_vector(name: str, value: Any, meaning: str) -> Array:
+    """`value` (3,) normalised.
+
+    Raises:
+        InvalidInputError: wrong shape, not finite or zero.
+    """
+    vector = as_array(name, value, (3,))
+    length = float(np.linalg.norm(vector))
+    if length < 1e-9:
+        raise InvalidInputError(f"{name} is zero; give the {meaning}")
+    return vector / length
+
+
+def require_length(name: str, value: float, least: str = "≥") -> None:
+    """Refuse what is not a length ≥ 0 m (or > 0 m)."""
+    fits = np.isfinite(value) and (value > 0.0 or (least == "≥" and value == 0.0))
+    if not fits:
+        raise InvalidInputError(f"{name} = {value}; give a length {least} 0 m")

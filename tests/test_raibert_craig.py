@@ -1,0 +1,374 @@
+"""The constraint frame of Raibert and Craig: found where there is one, refused with the reason."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from osc_contact.contacts import raibert_craig
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.raibert_craig import RaibertCraig, as_raibert_craig, selection_columns
+from osc_contact.errors import ContactError, InvalidInputError
+
+SIZE = 0.3
+NONE, ALL = (False,) * 3, (True,) * 3
+
+
+def frame_at(rng: np.random.Generator, spread: float = SIZE) -> pin.SE3:
+    rotation = pin.Quaternion(*rng.normal(size=4)).normalized().matrix()
+    return pin.SE3(rotation, spread * rng.normal(size=3))
+
+
+def selection(rng: np.random.Generator, ranks: range = range(7)) -> tuple[np.ndarray, np.ndarray]:
+    while True:
+        flags = rng.random(6) < rng.random()
+        if flags.sum() in ranks:
+            return flags[:3], flags[3:]
+
+
+def line(direction: object, point: object) -> np.ndarray:
+    """(6,) a unit magnitude of force along a line."""
+    return np.concatenate((direction, np.cross(point, direction)))  # type: ignore[call-overload]
+
+
+def couple(axis: object) -> np.ndarray:
+    return np.concatenate((np.zeros(3), axis))  # type: ignore[arg-type]
+
+
+def seen_from(N: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """The same wrenches with their moments about another point."""
+    return np.concatenate((N[:3], N[3:] - np.cross(point, N[:3], axis=0)))
+
+
+def largest_sine(A: np.ndarray, B: np.ndarray, size: float = SIZE) -> float:
+    """Between range(A) and range(B), by their orthogonal projectors."""
+    assert A.shape == B.shape
+    projectors = []
+    for columns in (A, B):
+        scaled = columns / np.array([1.0] * 3 + [size] * 3)[:, None]
+        projectors.append(scaled @ np.linalg.pinv(scaled))
+    return float(np.linalg.norm(projectors[0] - projectors[1], 2))
+
+
+def space_of(found: RaibertCraig) -> np.ndarray:
+    return selection_columns(found.frame, found.forces, found.couples)
+
+
+def kind(forces: object, couples: object) -> tuple[int, int, int]:
+    """Numbers of forces, of couples, and of axes with both."""
+    f, c = np.asarray(forces), np.asarray(couples)
+    return int(f.sum()), int(c.sum()), int((f & c).sum())
+
+
+def assert_describes(found: RaibertCraig, N: np.ndarray, size: float = SIZE) -> None:
+    assert found, found.reason
+    assert found.reason == "" and 0.0 <= found.residual <= 1e-9
+    E = found.frame.rotation
+    np.testing.assert_allclose(E.T @ E, np.eye(3), atol=1e-12)
+    assert np.linalg.det(E) > 0.0
+    assert largest_sine(space_of(found), N, size) < 1e-9
+
+
+# What a frame selects -----------------------------------------------------------------------------
+
+
+def test_columns_of_a_selection() -> None:
+    """Frame turned by 90° about z (its x is the world's y), origin at (1, 2, 3) m."""
+    frame = pin.SE3(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([1.0, 2, 3]))
+    N = selection_columns(frame, (True, False, True), [False, True, False])
+    expected = [[0, 1, 0, -3, 0, 1], [0, 0, 1, 2, -1, 0], [0, 0, 0, -1, 0, 0]]
+    np.testing.assert_allclose(N.T, expected, atol=1e-15)
+    assert selection_columns(frame, NONE, NONE).shape == (6, 0)
+    assert selection_columns(frame, np.array(ALL), ALL).shape == (6, 6)
+
+
+# Found --------------------------------------------------------------------------------------------
+
+
+def test_every_frame_and_selection_is_recognised_in_any_basis(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(raibert_craig, "_REFINEMENTS", 0)  # by construction, not by search
+    rng = np.random.default_rng(1)
+    kinds = set()
+    for _ in range(1000):
+        forces, couples = selection(rng)
+        N = selection_columns(frame_at(rng), forces, couples)
+        N = N @ rng.normal(size=(N.shape[1],) * 2)
+        found = as_raibert_craig(N, SIZE)
+        assert_describes(found, N)
+        assert kind(found.forces, found.couples) == kind(forces, couples)
+        kinds.add(kind(forces, couples))
+    assert len(kinds) == 20  # all there are
+    assert {f + c for f, c, _ in kinds} == set(range(7))
+
+
+LEAN, Z, Q = np.array([0.6, 0.0, 0.8]), np.array([0.0, 0.0, 1.0]), np.array([0.1, -0.2, 0.05])
+SPIN = np.concatenate((np.cross(Q, LEAN), LEAN))
+SLIDE = np.concatenate((LEAN, np.zeros(3)))
+USUAL = {
+    "free": (np.zeros((6, 0)), (0, 0, 0)),
+    "vertex on face": (line(LEAN, Q)[:, None], (1, 0, 0)),
+    "one couple": (couple(LEAN)[:, None], (0, 1, 0)),
+    "edge on face": (np.column_stack((line(Z, Q), couple([3.0, 4, 0]))), (1, 1, 0)),
+    "two parallel lines": (np.column_stack((line(LEAN, Q), line(LEAN, -Q))), (1, 1, 0)),
+    "wrench of a screw and its couple": (np.column_stack((line(Z, Q), couple(Z))), (1, 1, 1)),
+    "two lines meet, not at 90°": (np.column_stack((line(LEAN, Q), line(Z, Q))), (2, 0, 0)),
+    "face on face": (
+        np.column_stack([line(Z, p) for p in ([0, 0, 0], [0.2, 0, 0], [0, 0.3, 0])]),
+        (1, 2, 0),
+    ),
+    "three lines meet": (np.column_stack([line(d, Q) for d in (LEAN, Z, (0, 1, 1))]), (3, 0, 0)),
+    "cylinder in hole": (Contact.from_tangents(np.column_stack((SPIN, SLIDE))).N, (2, 2, 2)),
+    "revolute": (Contact.from_tangents(SPIN[:, None]).N, (3, 2, 2)),
+    "prismatic": (Contact.from_tangents(SLIDE[:, None]).N, (2, 3, 2)),
+    "fixed": (np.eye(6), (3, 3, 3)),
+}
+
+
+@pytest.mark.parametrize("name", USUAL)
+def test_usual_contacts(name: str) -> None:
+    N, expected = USUAL[name]
+    found = as_raibert_craig(N, SIZE)
+    assert_describes(found, N)
+    assert kind(found.forces, found.couples) == expected
+
+
+def test_the_frame_lies_where_one_would_put_it() -> None:
+    """Axes named like the world's where they can be, the origin where the lines meet."""
+    face = as_raibert_craig(USUAL["face on face"][0], SIZE)
+    assert face.forces == (False, False, True) and face.couples == (True, True, False)
+    np.testing.assert_allclose(face.frame.rotation, np.eye(3), atol=1e-12)
+    for name in ("two lines meet, not at 90°", "three lines meet"):
+        np.testing.assert_allclose(
+            as_raibert_craig(USUAL[name][0], SIZE).frame.translation, Q, atol=1e-12
+        )
+    # on a single line: the point nearest to the centre
+    found = as_raibert_craig(USUAL["vertex on face"][0], SIZE, centre=[1.0, 0, 0])
+    foot = Q + LEAN * (LEAN @ ([1.0, 0, 0] - Q))
+    np.testing.assert_allclose(found.frame.translation, foot, atol=1e-12)
+
+
+# Refused ------------------------------------------------------------------------------------------
+
+
+def test_skew_lines_are_refused_with_their_distance() -> None:
+    """Fig. 1 and a thousand more, in any basis: (ii) fails, (i) does not."""
+    rng = np.random.default_rng(2)
+    for _ in range(1000):
+        u, v = rng.normal(size=(2, 3))
+        p, q = SIZE * rng.normal(size=(2, 3))
+        distance = abs(np.cross(u, v) @ (p - q)) / np.linalg.norm(np.cross(u, v))
+        N = np.column_stack((line(u, p), line(v, q))) @ rng.normal(size=(2, 2))
+        found = as_raibert_craig(N, SIZE)
+        assert not found and 1e-9 < found.residual <= 1.0
+        match = re.match(
+            r"\(ii\) the lines of force pass (\S+) mm apart; no one point lies on both",
+            found.reason,
+        )
+        assert match and "(i)" not in found.reason, found.reason
+        assert float(match[1]) == pytest.approx(1e3 * distance, rel=1e-3)
+        assert largest_sine(space_of(found), N) == pytest.approx(found.residual, abs=1e-9)
+
+
+def cone_in_groove(angle: float) -> np.ndarray:
+    """Fig. 2: spin about the cone's axis, slide along a groove at `angle` from it. N (6, 4)."""
+    axis = np.array([np.cos(angle), 0.0, np.sin(angle)])
+    spin = np.concatenate((np.cross(Q, axis), axis))
+    return Contact.from_tangents(np.column_stack((spin, [1.0, 0, 0, 0, 0, 0]))).N
+
+
+def test_cone_in_groove_is_refused_for_its_axes() -> None:
+    found = as_raibert_craig(cone_in_groove(np.deg2rad(60.0)), SIZE)
+    assert not found
+    assert found.reason.startswith(
+        "(i) the couples and the forces have no common triad of axes: the normal of the plane of "
+        "the forces and the normal of the plane of the couples are 60° apart, neither parallel "
+        "nor perpendicular"
+    )
+    assert "(ii)" not in found.reason
+    for angle in (0.0, np.pi / 2):
+        assert_describes(as_raibert_craig(cone_in_groove(angle), SIZE), cone_in_groove(angle))
+    # a little off the right angle: off by about as little
+    assert 1e-4 < as_raibert_craig(cone_in_groove(np.pi / 2 - 1e-3), SIZE).residual < 1e-2
+
+
+@pytest.mark.parametrize("r", [1, 5])
+def test_screws_are_refused_with_their_pitch(r: int) -> None:
+    pitch = 0.007
+    screw = line(LEAN, Q) + pitch * couple(LEAN)
+    joint = screw.copy()
+    joint[:3], joint[3:] = line(LEAN, Q)[3:] + pitch * LEAN, LEAN
+    N = screw[:, None] if r == 1 else Contact.from_tangents(joint[:, None]).N
+    found = as_raibert_craig(N, SIZE)
+    assert not found
+    assert found.reason == (
+        "(ii) the forces do not act through one point: taken through the best one, a unit force "
+        "still carries a couple of 7 mm"
+    )
+
+
+def test_both_conditions_can_fail() -> None:
+    """A couple at 45° to the plane of two forces through Q, one of them screwed by 10 mm."""
+    N = np.column_stack((line([1.0, 0, 0], Q), line(Z, Q), couple([0, 1.0, 1.0])))
+    tilted = as_raibert_craig(N, SIZE)
+    assert tilted.reason.startswith(
+        "(i) the couples and the forces have no common triad of axes: the normal of the plane of "
+        "the forces and the line of the couples are 45° apart"
+    )
+    assert not tilted and "(ii)" not in tilted.reason
+    N[3:, 0] += [0.01, 0, 0]
+    both = as_raibert_craig(N, SIZE)
+    assert not both and both.reason.startswith(tilted.reason)
+    assert "; (ii) the forces do not act through one point" in both.reason
+    assert "a unit force still carries a couple of 10 mm" in both.reason
+    N[3:, 0] += [4.0, 0, 0]  # a pitch of many sizes hides nothing
+    assert as_raibert_craig(N, SIZE).reason.startswith(tilted.reason.split(";")[0])
+
+
+def test_a_nearly_parallel_pair_says_what_it_nearly_is() -> None:
+    N = np.column_stack((line([0, 0, 1.0], [0.2, 0, 0]), line([0, 1e-6, 1.0], [-0.2, 0, 0])))
+    found = as_raibert_craig(N, SIZE)
+    assert not found and 1e-8 < found.residual < 2e-6
+    assert found.reason == (
+        "(ii) the lines of force pass 400 mm apart; no one point lies on both; "
+        "the nearest frame has forces on 1, couples on 1 axes"
+    )
+    assert as_raibert_craig(N, SIZE, tolerance=1e-5)
+
+
+# The residual -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("refinements", [0, 12])
+@pytest.mark.parametrize("noise", [1e-3, 1e-6])
+def test_the_residual_grows_no_faster_than_the_noise(
+    noise: float, refinements: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither does that of the frames as constructed."""
+    monkeypatch.setattr(raibert_craig, "_REFINEMENTS", refinements)
+    rng = np.random.default_rng(3)
+    scale = np.array([1.0] * 3 + [SIZE] * 3)[:, None]
+    for _ in range(300):
+        N = selection_columns(frame_at(rng), *selection(rng, range(1, 6))) / scale
+        N /= np.linalg.norm(N, axis=0)
+        error = rng.normal(size=N.shape)
+        N += noise * error / np.linalg.norm(error, axis=0)
+        found = as_raibert_craig(N * scale, SIZE)
+        assert 0.0 < found.residual <= 50.0 * noise
+        assert bool(found) == (found.residual <= 1e-9)
+
+
+def test_no_random_frame_comes_closer() -> None:
+    rng = np.random.default_rng(4)
+    for r in range(1, 6):
+        for _ in range(4):
+            N = np.concatenate((rng.normal(size=(3, r)), SIZE * rng.normal(size=(3, r))))
+            residual = as_raibert_craig(N, SIZE).residual
+            for _ in range(200):
+                other = selection_columns(frame_at(rng), *selection(rng, range(r, r + 1)))
+                assert residual <= largest_sine(other, N)
+
+
+@pytest.mark.parametrize("r", range(1, 6))
+def test_neighbouring_frames_come_hardly_closer(r: int) -> None:
+    """Gauss–Newton takes the sum of squares: with a single sine (r = 1, 5) that is the sine."""
+    rng = np.random.default_rng([5, r])
+    for _ in range(4):
+        N = np.concatenate((rng.normal(size=(3, r)), SIZE * rng.normal(size=(3, r))))
+        found = as_raibert_craig(N, SIZE)
+        nearest = 1.0
+        for _ in range(300):
+            small = 10 ** rng.uniform(-3, -0.5) * rng.normal(size=6)
+            turn, origin = pin.exp3(small[3:]), found.frame.translation + SIZE * small[:3]
+            moved = pin.SE3(turn @ found.frame.rotation, origin)
+            S = selection_columns(moved, found.forces, found.couples)
+            nearest = min(nearest, largest_sine(S, N))
+        assert found.residual <= (1.01 if r in (1, 5) else 1.25) * nearest
+
+
+def test_nothing_depends_on_operational_point_axes_units_or_basis() -> None:
+    rng = np.random.default_rng(6)
+    for i in range(60):
+        r = 1 + i % 5
+        N = np.concatenate((rng.normal(size=(3, r)), SIZE * rng.normal(size=(3, r))))
+        if i % 2:
+            N = selection_columns(frame_at(rng), *selection(rng, range(r, r + 1)))
+        centre, shift = SIZE * rng.normal(size=(2, 3))
+        found = as_raibert_craig(N, SIZE, centre=centre)
+
+        R = frame_at(rng).rotation
+        turned = np.concatenate((R @ N[:3], R @ N[3:]))
+        for other, back in (
+            (
+                as_raibert_craig(seen_from(N, shift), SIZE, centre=centre - shift),
+                (np.eye(3), shift),
+            ),
+            (as_raibert_craig(turned, SIZE, centre=R @ centre), (R.T, np.zeros(3))),
+            (as_raibert_craig(N @ rng.normal(size=(r, r)), SIZE, centre=centre), None),
+        ):
+            assert other.residual == pytest.approx(found.residual, rel=1e-6, abs=1e-9)
+            assert other.reason == found.reason
+            assert kind(other.forces, other.couples) == kind(found.forces, found.couples)
+            carried = other.frame if back is None else pin.SE3(*back) * other.frame
+            S = selection_columns(carried, other.forces, other.couples)
+            assert largest_sine(S, space_of(found)) < 1e-4
+
+        millimetres = as_raibert_craig(
+            N * ([[1.0]] * 3 + [[1e3]] * 3), 1e3 * SIZE, centre=1e3 * centre
+        )
+        assert millimetres.residual == pytest.approx(found.residual, rel=1e-6, abs=1e-9)
+        assert millimetres.forces == found.forces and millimetres.couples == found.couples
+
+
+def test_the_verdict_needs_no_centre_but_the_residual_does() -> None:
+    """Skew lines look like two couples from afar: sine → 0, verdict and reason stay."""
+    N = np.column_stack((line([0, 0, 1.0], [0.1, 0, 0]), line([0, 1.0, 0.5], [-0.1, 0, 0])))
+    away = np.array([0.0, 1.0, 0.0])
+    residuals = []
+    for distance in (0.0, 1.0, 10.0, 100.0, 1000.0):
+        found = as_raibert_craig(seen_from(N, distance * np.array([1.0, 0, 0]) + away), SIZE)
+        assert not found and found.reason.startswith("(ii) the lines of force pass 200 mm apart")
+        residuals.append(found.residual)
+    assert residuals[0] > 0.1 and residuals[-1] < 1e-2
+    assert (np.diff(residuals) < 0.0).all()
+    near = as_raibert_craig(seen_from(N, 1000.0 * away), SIZE, centre=-1000.0 * away)
+    assert near.residual == pytest.approx(as_raibert_craig(N, SIZE).residual, rel=1e-6)
+
+
+# Refusals -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flags", [(True, False), (True, False, 2), (True, None, False), True])
+def test_malformed_selections_are_refused(flags: object) -> None:
+    with pytest.raises(InvalidInputError, match=r"forces = .* three times True or False"):
+        selection_columns(pin.SE3.Identity(), flags, ALL)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInputError, match="couples = "):
+        selection_columns(pin.SE3.Identity(), ALL, flags)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("size", [0.0, -1.0, np.nan, np.inf])
+def test_impossible_sizes_are_refused(size: float) -> None:
+    with pytest.raises(InvalidInputError, match="size = "):
+        as_raibert_craig(np.eye(6), size)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1.0, np.nan])
+def test_impossible_tolerances_are_refused(tolerance: float) -> None:
+    with pytest.raises(InvalidInputError, match="tolerance = "):
+        as_raibert_craig(np.eye(6), SIZE, tolerance)
+
+
+def test_impossible_normals_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match=r"N: expected shape \(6, any\)"):
+        as_raibert_craig(np.eye(5), SIZE)
+    with pytest.raises(InvalidInputError, match=r"centre: expected shape \(3\)"):
+        as_raibert_craig(np.eye(6), SIZE, centre=np.zeros(2))
+    with pytest.raises(ContactError, match="columns are dependent"):
+        as_raibert_craig(np.ones((6, 2)), SIZE)
+    for bad in (np.zeros((6, 1)), np.ones((6, 7))):
+        with pytest.raises(ContactError, match="remove them"):
+            as_raibert_craig(bad, SIZE)
