@@ -178,22 +178,34 @@ class Contact:
 
         Where `split_is_unique` is false this is *one* of many, the one with the smallest sum of
         squared magnitudes (N; a couple of 1 N m counts as 1 N). It is no measurement, and nothing
-        keeps it positive. The other way round, magnitudes commanded one by one make α = R times
-        them.
+        keeps it positive.
         """
         split = as_array("alpha", alpha, (self.r,))
         return split if "R" not in self.__dict__ else self._share @ split
+
+    def alpha(self, magnitudes: npt.ArrayLike) -> Array:
+        """The other way round: α = R magnitudes (r,) of the force that all stacked columns make
+        together, N α = N_all magnitudes, given one by one (r_all,)."""
+        stacked = self.r if "R" not in self.__dict__ else self.R.shape[1]
+        each = as_array("magnitudes", magnitudes, (stacked,))
+        return each if "R" not in self.__dict__ else self.R @ each
 
     @cached_property
     def _share(self) -> Array:
         """(r_all, r) the pseudo-inverse of R: R has full row rank, and magnitudes have a norm."""
         return self.R.T @ np.linalg.inv(self.R @ self.R.T)
 
-    def as_raibert_craig(self, size: float) -> RaibertCraig:
-        """Can one constraint frame describe this contact? `size`: of the held object (m)."""
+    def as_raibert_craig(
+        self, size: float = 1.0, tolerance: float = 1e-9, centre: npt.ArrayLike | None = None
+    ) -> RaibertCraig:
+        """The constraint frame and selection that describe this contact, or why there is none.
+
+        `size` (m) and `centre` (3,) of the held object serve the residual only; see
+        `contacts.raibert_craig.as_raibert_craig`.
+        """
         from osc_contact.contacts.raibert_craig import as_raibert_craig
 
-        return as_raibert_craig(self.N, size)
+        return as_raibert_craig(self.N, size, tolerance, centre)
 
     def force_projection(self, A_inv: Array) -> Array:
         """Ω_f(A), eq. 5, given A⁻¹ (6, 6)."""
