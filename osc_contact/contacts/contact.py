@@ -178,17 +178,11 @@ class Contact:
 
         Where `split_is_unique` is false this is *one* of many, the one with the smallest sum of
         squared magnitudes (N; a couple of 1 N m counts as 1 N). It is no measurement, and nothing
-        keeps it positive.
+        keeps it positive. The other way round, magnitudes commanded one by one make α = R times
+        them.
         """
         split = as_array("alpha", alpha, (self.r,))
         return split if "R" not in self.__dict__ else self._share @ split
-
-    def alpha(self, magnitudes: npt.ArrayLike) -> Array:
-        """The other way round: α = R magnitudes (r,) of the force that all stacked columns make
-        together, N α = N_all magnitudes, given one by one (r_all,)."""
-        stacked = self.r if "R" not in self.__dict__ else self.R.shape[1]
-        each = as_array("magnitudes", magnitudes, (stacked,))
-        return each if "R" not in self.__dict__ else self.R @ each
 
     @cached_property
     def _share(self) -> Array:
