@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -9,7 +10,10 @@ from typing import Any
 import numpy as np
 
 from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs import ContactPair, VertexOnFace
+from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.experiments.contacts import feet
 from osc_contact.experiments.rig import Rig
 from osc_contact.spatial import Array
 from osc_contact.visual.contact_picture import common_perpendicular
@@ -121,21 +125,44 @@ def _locked(state: ChainState) -> list[str]:
 
 def _contact_lines(rig: Rig) -> list[str]:
     X = rig.state().X_WO
-    return [
-        f"contact '{pair.name}': force along {_vector(pair.direction())} into the face, "
-        f"through {_vector(pair.point_on_face(X))} m."
-        for pair in rig.pairs
-    ]
+    lines = []
+    for pair in rig.pairs:
+        points, directions = feet(pair, X)
+        if len(points) == 1:
+            kind = "the face" if isinstance(pair, VertexOnFace) else f"the {_on(pair)}"
+            lines.append(
+                f"contact '{pair.name}': force along {_vector(directions[0])} into {kind}, "
+                f"through {_vector(points[0])} m."
+            )
+            continue
+        sign = "pushing only" if pushes_only(pair) else "of either sign"
+        lines.append(
+            f"contact '{pair.name}' ({_words(pair)}): {len(points)} forces at once, {sign}; any "
+            "force and couple it transmits is made of them:"
+        )
+        lines += [
+            f"  {pair.name}.{i + 1} along {_vector(d)} through {_vector(p)} m"
+            for i, (p, d) in enumerate(zip(points, directions, strict=True))
+        ]
+    return lines
+
+
+def _words(pair: ContactPair) -> str:
+    """FaceOnFace → face on face."""
+    return re.sub(r"(?<!^)(?=[A-Z])", " ", type(pair).__name__).lower()
+
+
+def _on(pair: ContactPair) -> str:
+    return _words(pair).split()[-1]
 
 
 def _skew(rig: Rig) -> list[str]:
-    """How the lines of force lie to each other, two at a time."""
+    """How the lines of force lie to each other, two contacts with one line each at a time."""
     X = rig.state().X_WO
+    all_lines = [(pair, *feet(pair, X)) for pair in rig.pairs]
     lines = []
-    for a, b in combinations(rig.pairs, 2):
-        between = common_perpendicular(
-            a.point_on_face(X), a.direction(), b.point_on_face(X), b.direction()
-        )
+    for (a, p, d), (b, q, e) in combinations([one for one in all_lines if len(one[1]) == 1], 2):
+        between = common_perpendicular(p[0], d[0], q[0], e[0])
         names, gap = f"'{a.name}' and '{b.name}'", f"{1e3 * between.distance:.1f} mm apart"
         if between.angle < 1e-9:
             lines.append(f"{names} press along parallel lines, {gap}.")

@@ -59,9 +59,7 @@ def write_scene_of(recording: Recording, rig: Rig, path: Path) -> Path:
         for spec, arm, part in zip(scenario.arms, rig.chain.arms, rig.chain.slices, strict=True)
     ]
     bodies = [BodyVisual("object", *robots.resolve_urdf(scenario.object.urdf, source), None)]
-    for spec, pair in zip(scenario.contacts, rig.pairs, strict=True):
-        urdf = robots.resolve_urdf(spec.face.urdf, source)
-        bodies.append(BodyVisual(f"face_{pair.name}", *urdf, pair.face_placement()))
+    bodies += [BodyVisual(body.name, *body.urdf, body.placement) for body in rig.bodies]
     return write_scene(recording, arms, bodies, path)
 
 

@@ -9,15 +9,18 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.control.allocation import squeeze_rows
 from osc_contact.control.controller import Controller
 from osc_contact.errors import PlantError
+from osc_contact.experiments.contacts import feet
 from osc_contact.experiments.references import force_steps
 from osc_contact.experiments.rig import Rig, build_rig
 from osc_contact.interface import Reference
 from osc_contact.plants.plant import Truth
 from osc_contact.recorder import Recorder, Recording
 from osc_contact.scenarios.schema import Scenario
+from osc_contact.scenarios.touching import MAGNITUDES
 from osc_contact.spatial import Array, pose_error
 
 __all__ = ["run"]
@@ -125,15 +128,16 @@ def _channels(
 ) -> dict[str, Any]:
     """What the recording keeps of a tick besides joints and torques."""
     s = controller.last_signals()
-    r = len(rig.pairs)
+    k, r = len(rig.pairs), len(reference.alpha_d)
     state = s.state
     wrench = s.f_meas - state.bias_out
     Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
     E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
     V_rel = state.V_O - s.environment.V_e
     X = truth.X_WO
-    faces = truth.X_WE or (pin.SE3.Identity(),) * r
-    touching = list(zip(rig.pairs, faces, strict=True))
+    moved = truth.X_WE or (pin.SE3.Identity(),) * k
+    lines = [feet(pair, X, E) for pair, E in zip(rig.pairs, moved, strict=True)]
+    bodies = [rig.bodies[i].placement for i in rig.on]
     return {
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
@@ -141,11 +145,14 @@ def _channels(
         "alpha_meas": s.contact.magnitudes(s.alpha_meas) if controller.engaged else np.zeros(r),
         "alpha_true": truth.alpha,
         "closed": truth.closed,
-        "contact_point": np.array([p.point_on_face(X, E) for p, E in touching]).reshape(r, 3),
-        "contact_direction": np.array([p.direction(E) for p, E in touching]).reshape(r, 3),
+        "N": np.hstack(
+            [np.zeros((6, 0)), *(lines_of_force((p - X.translation).T, d.T) for p, d in lines)]
+        ),
+        "contact_point": np.array([points.mean(axis=0) for points, _ in lines]).reshape(k, 3),
+        "contact_direction": np.array([directions[0] for _, directions in lines]).reshape(k, 3),
         "face_pose": np.array(
-            [pin.SE3ToXYZQUAT(E * p.face_placement()) for p, E in touching]
-        ).reshape(r, 7),
+            [pin.SE3ToXYZQUAT(E * body) for body, E in zip(bodies, moved, strict=True)]
+        ).reshape(k, 7),
         "wrench_meas": wrench,
         "power_total": float(V_rel @ wrench),
         "power_projected": float(V_rel @ s.f_c_meas),
@@ -166,6 +173,7 @@ def _meta(rig: Rig, seed: int) -> dict[str, object]:
         "arm_names": [arm.name for arm in rig.chain.arms],
         "joint_names": rig.chain.joint_names,
         "contact_names": [pair.name for pair in rig.pairs],
+        "columns": [i for i, c in enumerate(scenario.contacts) for _ in range(MAGNITUDES[c.type])],
         "control_rate_hz": scenario.control.rate,
         "force_steps_s": force_steps(scenario),
     }

@@ -101,8 +101,10 @@ def write_scene(
     anchors = [arm.base.translation for arm in arms] or [np.zeros(3)]
     names = [str(name) for name in recording.meta.get("contact_names", [])]
     contacts = names if "contact_point" in channels and "contact_direction" in channels else []
-    for index, name in enumerate(contacts):
-        _draw_contact(scene["contacts"][name], animation, index, channels)
+    columns = recording.magnitude_names if contacts else []
+    owners = recording.meta.get("columns", range(len(contacts)))
+    for index, (name, owner) in enumerate(zip(columns, owners, strict=False)):
+        _draw_contact(scene["contacts"][name], animation, index, owner, channels)
     set_stage(
         scene,
         np.vstack([*points, *anchors]),
@@ -174,15 +176,21 @@ def _draw_body(
 
 
 def _draw_contact(
-    node: Visualizer, animation: Animation, index: int, channels: dict[str, Any]
+    node: Visualizer, animation: Animation, index: int, owner: int, channels: dict[str, Any]
 ) -> None:
-    colour = contact_colour(index)
+    """One force of a contact, along its line: column `index` of N, of contact `owner`."""
+    colour = contact_colour(owner)
     points, directions = (
-        np.asarray(channels[key], dtype=float)[:, index]
+        np.asarray(channels[key], dtype=float)[:, owner]
         for key in ("contact_point", "contact_direction")
     )
+    if "N" in channels:
+        origin, N = channels["pose"][:, :3], channels["N"][:, :, index]
+        directions = N[:, :3]
+        foot = origin + np.cross(directions, N[:, 3:])
+        points = foot + np.sum((points - foot) * directions, axis=1)[:, None] * directions
     known = np.isfinite(points).all(axis=1) & (np.linalg.norm(directions, axis=1) > 0.5)
-    closed = known & channels["closed"][:, index].astype(bool) if "closed" in channels else known
+    closed = known & channels["closed"][:, owner].astype(bool) if "closed" in channels else known
     poses = [
         along(p, d) if ok else pin.SE3.Identity()
         for p, d, ok in zip(points, directions, known, strict=True)
