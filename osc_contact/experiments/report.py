@@ -55,7 +55,7 @@ def write_scene_of(recording: Recording, rig: Rig, path: Path) -> Path:
     scenario = rig.scenario
     source = None if scenario.source is None else scenario.source.parent
     arms = [
-        ArmVisual(arm.name, *robots.resolve_urdf(spec.urdf, source), arm.base, part)
+        ArmVisual(arm.name, *robots.resolve_urdf(spec.urdf, source), arm.base, part, arm.locked)
         for spec, arm, part in zip(scenario.arms, rig.chain.arms, rig.chain.slices, strict=True)
     ]
     bodies = [BodyVisual("object", *robots.resolve_urdf(scenario.object.urdf, source), None)]

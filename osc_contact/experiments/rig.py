@@ -179,6 +179,7 @@ def build_chain(scenario: Scenario, arm_mass: float = 1.0, object_mass: float = 
             tip=spec.tip,
             base=pose_of(spec.base),
             passive_joints=spec.passive_joints,
+            locked=spec.locked_joints,
             wrist_sensor=spec.wrist_sensor,
             mass_factor=arm_mass,
         )

@@ -57,10 +57,9 @@ def scene(
     for arm, urdf in zip(chain.arms, arm_urdfs, strict=True):
         part = mujoco.MjSpec.from_string(_skeleton(urdf))
         part.compiler.fusestatic = False
-        driven = set(list(arm.model.names)[1:])
         for joint in list(part.joints):
-            if joint.name not in driven:
-                part.delete(joint)
+            if joint.name in arm.locked:
+                _lock(mujoco, part, joint, arm.locked[joint.name])
         spec.attach(part, prefix=f"{arm.name}/", frame=_frame(spec.worldbody, arm.base))
         if arm.wrist_sensor is not None:
             _wrist_sensor(mujoco, spec, arm.name, arm.wrist_sensor)
@@ -85,6 +84,21 @@ def _skeleton(urdf: Path) -> str:
             for child in element.findall(tag):
                 element.remove(child)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _lock(mujoco: Any, part: Any, joint: Any, position: float) -> None:
+    """Weld a link where its joint is held; a URDF's joints have the axes of their child links."""
+    body, axis = joint.parent, np.array(joint.axis)
+    pose, turn = np.zeros(3), np.zeros(4)
+    if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+        mujoco.mju_rotVecQuat(pose, position * axis, body.quat)
+        body.pos = np.array(body.pos) + pose
+    else:
+        mujoco.mju_axisAngle2Quat(turn, axis, position)
+        held = np.zeros(4)
+        mujoco.mju_mulQuat(held, body.quat, turn)
+        body.quat = held
+    part.delete(joint)
 
 
 def _frame(body: Any, X: pin.SE3) -> Any:

@@ -44,6 +44,7 @@ class ArmSpec(Spec):
     """the frame of the URDF that holds the object"""
     wrist_sensor: Text | None = None
     passive_joints: tuple[Text, ...] = ()
+    locked_joints: dict[str, JointValue] = Field(default_factory=dict)
     posture: Annotated[tuple[JointValue, ...], Field(min_length=1)]
     """the start guess of all joints in model order, such as [30 deg, 0.1 m]"""
 

@@ -7,9 +7,10 @@ wider, paler arrow for the desired force. Contacts that are open show neither li
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -44,13 +45,17 @@ Array = NDArray[np.float64]
 
 
 class ArmVisual(NamedTuple):
-    """An arm to draw: its URDF, where its base stands (X_WB), where its joints are in q."""
+    """An arm to draw: its URDF, where its base stands (X_WB), where its joints are in q.
+
+    Joints that q does not have are in `locked`, with their positions (m, rad).
+    """
 
     name: str
     urdf: str | Path
     package_dirs: Sequence[str | Path]
     base: pin.SE3
     q_slice: slice
+    locked: Mapping[str, float] = MappingProxyType({})
 
 
 class BodyVisual(NamedTuple):
@@ -134,18 +139,22 @@ def _draw_arm(
     model = pin.buildModelFromUrdf(str(arm.urdf))
     shapes = _shapes(model, arm.urdf, arm.package_dirs)
     q = _channel(channels, "q", f"arm {arm.name!r}")[:, arm.q_slice]
-    if q.shape[1] != model.nq:
+    moving = [j - 1 for j in range(1, model.njoints) if model.names[j] not in arm.locked]
+    if model.nq != model.nv or q.shape[1] != len(moving):
         raise InvalidInputError(
             f"arm {arm.name!r}: {arm.q_slice} takes {q.shape[1]} numbers of q, "
-            f"but {arm.urdf} has nq = {model.nq}"
+            f"but {arm.urdf} has nq = {model.nq}, {len(arm.locked)} of them locked"
         )
+    rest = [arm.locked.get(name, 0.0) for name in list(model.names)[1:]]
+    full = np.tile(rest, (len(q), 1))
+    full[:, moving] = q
     joints = sorted({shape.parentJoint for shape in shapes})
     nodes = {joint: node[model.names[joint] if joint else "base"] for joint in joints}
     for number, shape in enumerate(shapes):
         urdf_geometry(nodes[shape.parentJoint][f"{number}_{shape.name}"], shape)
     data = model.createData()
     poses: dict[int, list[pin.SE3]] = {joint: [] for joint in joints}
-    for sample in q:
+    for sample in full:
         pin.forwardKinematics(model, data, sample)
         for joint in joints:
             poses[joint].append(arm.base * data.oMi[joint])
