@@ -222,7 +222,7 @@ def test_every_metric_is_documented(recording: osc.Recording) -> None:
 
 
 def test_every_channel_is_documented_with_its_shape(recording: osc.Recording) -> None:
-    sizes = {"T": len(recording), "n": 10, "n_a": 8, "r": 2}
+    sizes = {"T": len(recording), "n": 10, "n_a": 8, "r": 2, "c": 2}
     told = {}
     for row in table_rows("metrics.md", "The recording"):
         shape = tuple(

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.control.allocation import squeeze_rows
 from osc_contact.control.controller import Controller
+from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.errors import PlantError
 from osc_contact.experiments.contacts import feet
 from osc_contact.experiments.references import force_steps
@@ -131,7 +133,6 @@ def _channels(
     k, r = len(rig.pairs), len(reference.alpha_d)
     state = s.state
     wrench = s.f_meas - state.bias_out
-    Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
     E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
     V_rel = state.V_O - s.environment.V_e
     X = truth.X_WO
@@ -156,11 +157,23 @@ def _channels(
         "wrench_meas": wrench,
         "power_total": float(V_rel @ wrench),
         "power_projected": float(V_rel @ s.f_c_meas),
-        "motion_error": Omega_m @ pose_error(reference.X_WD, state.X_WO),
+        "motion_error": _free_part(state, s.contact, pose_error(reference.X_WD, state.X_WO)),
         "squeeze_cmd": reference.squeeze_d,
         "squeeze": float((E @ tau - e0)[0]) if len(e0) else 0.0,
         "status": int(controller.status),
     }
+
+
+def _free_part(state: ChainState, contact: Contact, x: Array) -> Array:
+    """The part of a displacement (6,) that the arms can make and the contacts permit.
+
+    Both cuts in the object's energy metric; for d = 6 this is Ω_m(Λ_o⁻¹) x. For d < 6 that
+    projection would answer the yielding of a contact with turns that the arms cannot make.
+    """
+    S, Lambda = state.S, state.metric
+    H, N_S = S.T @ Lambda @ S, S.T @ contact.N
+    eta, held = np.linalg.solve(H, S.T @ Lambda @ x), np.linalg.solve(H, N_S)
+    return np.asarray(S @ (eta - held @ np.linalg.solve(N_S.T @ held, N_S.T @ eta)))
 
 
 def _meta(rig: Rig, seed: int) -> dict[str, object]:
