@@ -172,7 +172,12 @@ def schema_keys(model: type[BaseModel], prefix: str = "") -> tuple[dict[str, Any
     return keys, signals
 
 
-OF_EACH_KIND = {"motion.kind", "contacts.face.motion.type"}
+OF_EACH_KIND = {
+    "motion.kind",
+    "contacts.type",
+    "contacts.face.motion.type",
+    "environment.motion.type",
+}
 """Each kind has its own model, of which this key is the default."""
 GROUPS = {"gains.motion", "gains.force", "control", "model_error", "plant"}
 SCENARIO_TABLES = ("Who and where", "Contacts and commands", "Control and plant")

@@ -129,6 +129,8 @@ def feet(pair: ContactPair, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> tuple
     surface = _on_surface(pair)
     surface = surface if X_WE is None else X_WE.act(surface)
     height = (directions @ (surface - O))[:, None]  # along each line, counted from O
+    if isinstance(pair, kinds.FaceOnVertex):
+        height = height - pair.radius
     return O + cross(directions.T, moments.T).T + height * directions, directions
 
 
