@@ -237,4 +237,4 @@ def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_p
     plant, controller = rig.plant(), rig.controller()
     for k in range(300):
         plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
-    np.testing.assert_allclose(plant.truth().alpha, list(wanted.values()), atol=1e-3)
+    np.testing.assert_allclose(plant.truth().alpha, list(wanted.values()), atol=5e-3)
