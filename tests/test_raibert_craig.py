@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.contacts import raibert_craig
+from osc_contact.contacts import constraint_frames
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.raibert_craig import RaibertCraig, as_raibert_craig, selection_columns
 from osc_contact.errors import ContactError, InvalidInputError
@@ -92,7 +92,7 @@ def test_columns_of_a_selection() -> None:
 def test_every_frame_and_selection_is_recognised_in_any_basis(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(raibert_craig, "_REFINEMENTS", 0)  # by construction, not by search
+    monkeypatch.setattr(constraint_frames, "_REFINEMENTS", 0)  # by construction, not by search
     rng = np.random.default_rng(1)
     kinds = set()
     for _ in range(1000):
@@ -273,7 +273,7 @@ def test_the_residual_grows_no_faster_than_the_noise(
     noise: float, refinements: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither does that of the frames as constructed."""
-    monkeypatch.setattr(raibert_craig, "_REFINEMENTS", refinements)
+    monkeypatch.setattr(constraint_frames, "_REFINEMENTS", refinements)
     rng = np.random.default_rng(3)
     scale = np.array([1.0] * 3 + [SIZE] * 3)[:, None]
     for _ in range(300):
