@@ -165,6 +165,14 @@ def test_one_body_behind_every_contact_stays_what_it_is():
     assert close_to(b.acceleration, a.acceleration) < RTOL
     assert np.abs(b.a_e - a.a_e).max() > 1e-3  # only Nᵀa_e has a meaning
     assert close_to(N.T @ b.a_e, N.T @ a.a_e) < RTOL
+    driven = Environment(b_e=np.eye(6)[0], V_e=np.eye(6)[1])
+    for other in (replace(driven, b_e=np.zeros(6)), replace(driven, V_e=np.zeros(6))):
+        both = Environment.combine(s.parts, [driven, other], s.state.metric)
+        for motion in ("b_e", "V_e"):
+            own = [
+                p.N.T @ getattr(e, motion) for p, e in zip(s.parts, (driven, other), strict=True)
+            ]
+            np.testing.assert_allclose(N.T @ getattr(both, motion), np.concatenate(own), atol=1e-12)
     apart = Environment.combine(s.parts, [env, replace(env)], s.state.metric)
     assert close_to(contact_response(s.state, s.contact, apart, tau=tau).alpha, a.alpha) > 1e-3
 

@@ -235,6 +235,15 @@ def test_screws_are_refused_with_their_pitch(r: int) -> None:
     )
 
 
+def test_forces_that_miss_one_another_beside_couples_at_right_angles() -> None:
+    """A screwed force and a couple across it: the axes fit, the moment does not."""
+    N = np.column_stack((line(Z, Q) + 0.01 * couple(Z), couple([1.0, 0, 0])))
+    found = as_raibert_craig(N, SIZE)
+    assert not found and found.reason.startswith("(ii)") and "(i)" not in found.reason
+    N[:, 0] -= 0.01 * couple(Z)
+    assert_describes(as_raibert_craig(N, SIZE), N)
+
+
 def test_both_conditions_can_fail() -> None:
     """A couple at 45° to the plane of two forces through Q, one of them screwed by 10 mm."""
     N = np.column_stack((line([1.0, 0, 0], Q), line(Z, Q), couple([0, 1.0, 1.0])))
