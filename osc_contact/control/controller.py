@@ -137,7 +137,7 @@ class Controller:
 
         Args:
             chain: model of arms and object.
-            contacts: pairs in the order of alpha_d.
+            contacts: pairs in the order of alpha_d, which has one element per column of their N.
             gains: of both loops.
             dt: control period (s).
             B: metric of the motion filter Ω_m(B), eq. 24: "object" (Λ_o⁻¹), "chain"
@@ -263,7 +263,9 @@ class Controller:
 
     @block("force law", "force", r"$\alpha_d + K_i\!\int(\alpha_d-\alpha_{meas})$")
     def _force_law(self, s: Signals) -> None:
-        desired = s.alpha_d if self.engaged else np.zeros(0)
+        desired = np.zeros(0)
+        if self.engaged:
+            desired = as_array("reference alpha_d", s.alpha_d, (s.contact.r,))
         speed = s.contact.N.T @ (s.state.V_O - self.environment.V_e)
         s.alpha_u = self.force_law.command(desired, s.alpha_meas, speed)
 
@@ -323,10 +325,9 @@ class Controller:
 
     def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
         self.status, self.reason = Status.OK, ""
-        arms, contacts = len(self.chain.arms), len(self.contacts)
         s.q, s.v = measurement.q, measurement.v
-        s.wrenches = as_array("wrist wrenches", measurement.wrenches, (arms, 6))
-        s.alpha_d = as_array("reference alpha_d", reference.alpha_d, (contacts,))
+        s.wrenches = as_array("wrist wrenches", measurement.wrenches, (len(self.chain.arms), 6))
+        s.alpha_d = as_array("reference alpha_d", reference.alpha_d, (None,))
         s.squeeze_d = float(as_array("reference squeeze_d", reference.squeeze_d, ()))
         as_array("reference V_D", reference.V_D, (6,))
         as_array("reference A_D", reference.A_D, (6,))

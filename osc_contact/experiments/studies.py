@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.table import Table
 
 from osc_contact.experiments.report import write_json
@@ -82,6 +83,33 @@ def _kinematic_stability(seed: int, duration: float | None) -> Study:
     )
 
 
+def _fig2(seed: int, duration: float | None) -> Study:
+    from osc_contact.experiments import cone_in_groove as experiment
+    from osc_contact.experiments.cone_in_groove.picture import draw_run, draw_state
+
+    result = experiment.run(5.0 if duration is None else duration)
+    found = result.as_dict()
+    table = Table("quantity", "value", title="fig. 2: a Panda turns a cone in its groove")
+    frame = found["raibert_craig"]
+    rms = ", ".join(f"{1e3 * value:.2g}" for value in found["wall_force_rms_N"])
+    rows = {
+        "constraint frame": "describes it" if frame["describes_it"] else frame["reason"],
+        "force step → motion": f"{found['force_step_to_motion']:.2g} of the free object's answer",
+        "motion step → force": f"{found['motion_step_to_force']:.2g} of the force it means",
+        "forces": f"rms error {rms} mN; least push {found['wall_force_least_N']:.2f} N",
+        "turn": f"{np.rad2deg(found['turned_rad']):.1f}°, "
+        f"rms error {1e6 * found['turn_rms_rad']:.2g} µrad",
+        "slide": f"{1e3 * found['slid_m']:.1f} mm, rms error {1e6 * found['slide_rms_m']:.2g} µm",
+        "contact power": f"at most {found['contact_power_W']:.2g} W",
+        "N per tick": f"changes by at most {found['N_change_per_tick']:.2g}, its change by "
+        f"{found['N_second_difference']:.2g} (1, m)",
+    }
+    for row in rows.items():
+        table.add_row(*row)
+    return Study({"fig2": draw_state(result.rig), "fig2_run": draw_run(result)}, table, found)
+
+
 STUDIES: dict[str, Callable[[int, float | None], Study]] = {
+    "fig2": _fig2,
     "kinematic_stability": _kinematic_stability,
 }

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.pairs import VertexOnFace
+from osc_contact.contacts.pairs import ContactPair
 from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import ModelError, PlantError
@@ -27,7 +27,7 @@ __all__ = ["RigidPlant"]
 class RigidPlant:
     """Arms, rod and faces as rigid bodies whose contacts neither open nor yield."""
 
-    def __init__(self, chain: ClosedChain, contacts: Sequence[VertexOnFace], step: float) -> None:
+    def __init__(self, chain: ClosedChain, contacts: Sequence[ContactPair], step: float) -> None:
         """Build from the true parts.
 
         Args:
@@ -193,7 +193,7 @@ class RigidPlant:
         return np.hstack([c.N for c in parts]), np.concatenate([c.n_gamma for c in parts])
 
     def _gaps(self, X: pin.SE3) -> tuple[Array, Array]:
-        gaps = np.array([pair.gap(X) for pair in self.contacts])
+        gaps = np.concatenate([np.zeros(0), *(pair.gaps(X) for pair in self.contacts)])
         return gaps, self._normals(X, np.zeros(6))[0]
 
     def _on_constraints(self, v: Array) -> Array:
