@@ -22,6 +22,7 @@ from osc_contact.experiments.inspection import inspect_rig
 from osc_contact.experiments.report import require_judgeable, write_json, write_report
 from osc_contact.experiments.rig import build_rig
 from osc_contact.experiments.run import run as run_scenario
+from osc_contact.experiments.studies import STUDIES, write_study
 from osc_contact.experiments.timing import time_tick
 from osc_contact.recorder import Recording
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
@@ -37,6 +38,7 @@ app = typer.Typer(
 out = Console(width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True)
 PARTIAL = "recording_until_failure.npz"
+REPRODUCIBLE = (*paper_figures.FIGURES, *STUDIES)
 EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim"}
 
 
@@ -101,7 +103,7 @@ def run(
 @app.command()
 def reproduce(
     figure: Annotated[
-        str, typer.Argument(help=" | ".join((*paper_figures.FIGURES, "all")), metavar="FIGURE")
+        str, typer.Argument(help=" | ".join((*REPRODUCIBLE, "all")), metavar="FIGURE")
     ],
     plant: PlantOption = None,
     duration: DurationOption = None,
@@ -112,11 +114,17 @@ def reproduce(
     set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Make figures of the paper from our own data (PNG and SVG)."""
+    """Make figures of the paper from our own data, and figures and tables of the experiments."""
     with _exit_codes():
-        names = paper_figures.FIGURES if figure == "all" else (figure,)
-        paper_figures.require_known(names)
+        asked = REPRODUCIBLE if figure == "all" else (figure,)
+        paper_figures.require_known(asked)
         _require("matplotlib")
+        names = [name for name in asked if name not in STUDIES]
+        if not names and (set_ or plant):
+            raise InvalidInputError(
+                f"{figure} is not made from a scenario: --set, --plant change "
+                "nothing; leave them out"
+            )
         scenario = _load(paper_figures.SCENARIO, set_, plant, duration)
         recording, verdict = None, {}
         if any(name in paper_figures.needs_run for name in names):
@@ -124,10 +132,17 @@ def reproduce(
             verdict = write_report(recording, scenario, out_dir / scenario.name)
             out.print(tables.verdict_table(verdict))
         written = [paper_figures.write_figure(n, out_dir, scenario, recording) for n in names]
+        found = {}
+        for name in (name for name in asked if name in STUDIES):
+            study, files = write_study(name, out_dir, seed, duration)
+            out.print(study.table)
+            written += files
+            found[name] = study.data
         for path in written:
             _say(f"written: {path}")
         if json_file:
-            write_json({"figures": [str(p) for p in written], "metrics": verdict}, json_file)
+            result = {"figures": [str(p) for p in written], "metrics": verdict, "studies": found}
+            write_json(result, json_file)
 
 
 @app.command()
@@ -151,9 +166,9 @@ def list_(json_file: JsonOption = None) -> None:
     with _exit_codes():
         scenarios = list_scenarios()
         out.print(tables.scenario_table(scenarios))
-        _say(f"osc-contact reproduce {' | '.join(paper_figures.FIGURES)} | all")
+        _say(f"osc-contact reproduce {' | '.join(REPRODUCIBLE)} | all")
         if json_file:
-            write_json({"scenarios": scenarios, "figures": list(paper_figures.FIGURES)}, json_file)
+            write_json({"scenarios": scenarios, "figures": list(REPRODUCIBLE)}, json_file)
 
 
 @app.command()
