@@ -18,6 +18,8 @@ from osc_contact import __version__
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.experiments import figures as paper_figures
 from osc_contact.experiments import tables
+from osc_contact.experiments.baselines.compare import compare
+from osc_contact.experiments.baselines.report import write_comparison
 from osc_contact.experiments.inspection import inspect_rig
 from osc_contact.experiments.report import require_judgeable, write_json, write_report
 from osc_contact.experiments.rig import build_rig
@@ -101,7 +103,12 @@ def run(
 @app.command()
 def reproduce(
     figure: Annotated[
-        str, typer.Argument(help=" | ".join((*paper_figures.FIGURES, "all")), metavar="FIGURE")
+        str,
+        typer.Argument(
+            help=" | ".join((*paper_figures.FIGURES, "all"))
+            + " | baselines (several minutes, not in all)",
+            metavar="FIGURE",
+        ),
     ],
     plant: PlantOption = None,
     duration: DurationOption = None,
@@ -112,8 +119,16 @@ def reproduce(
     set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Make figures of the paper from our own data (PNG and SVG)."""
+    """Make figures of the paper from our own data (PNG and SVG).
+
+    `baselines` compares with selection-matrix laws on both plants: a table, baselines.json, and a
+    figure (PNG and PDF).
+    """
     with _exit_codes():
+        if figure == "baselines":
+            _compare(_load(paper_figures.SCENARIO, set_, None, duration), plant, seed, out_dir,
+                     json_file)  # fmt: skip
+            return
         names = paper_figures.FIGURES if figure == "all" else (figure,)
         paper_figures.require_known(names)
         _require("matplotlib")
@@ -151,7 +166,7 @@ def list_(json_file: JsonOption = None) -> None:
     with _exit_codes():
         scenarios = list_scenarios()
         out.print(tables.scenario_table(scenarios))
-        _say(f"osc-contact reproduce {' | '.join(paper_figures.FIGURES)} | all")
+        _say(f"osc-contact reproduce {' | '.join(paper_figures.FIGURES)} | all | baselines")
         if json_file:
             write_json({"scenarios": scenarios, "figures": list(paper_figures.FIGURES)}, json_file)
 
@@ -204,6 +219,27 @@ def _run(scenario: Scenario, seed: int, folder: Path) -> Recording:
                 error.recording.save(folder / PARTIAL)
                 error.add_note(f"recorded until then: {folder / PARTIAL}")
             raise
+
+
+def _compare(
+    scenario: Scenario, plant: PlantName | None, seed: int, folder: Path, json_file: Path | None
+) -> None:
+    """Print and write what the comparison with the baselines found."""
+    if plant is not None:
+        raise InvalidInputError("baselines are compared on both plants; leave --plant out")
+    _require("matplotlib")
+    _require("mujoco")
+    folder.mkdir(parents=True, exist_ok=True)
+    with err.status("best frames") as status:
+        found = compare(
+            scenario, seed=seed, progress=lambda what, t: status.update(f"{what} {t:.1f} s")
+        )
+    result = found.as_dict()
+    out.print(tables.comparison_table(result))
+    for path in write_comparison(found, folder):
+        _say(f"written: {path}")
+    if json_file:
+        write_json(result, json_file)
 
 
 def _require(package: str) -> None:

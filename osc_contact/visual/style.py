@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from osc_contact.visual import OKABE_ITO
 
@@ -45,6 +45,7 @@ def style() -> Iterator[None]:
         "figure.constrained_layout.use": True,
         "figure.facecolor": "white",
         "svg.fonttype": "path",
+        "pdf.fonttype": 42,
         "svg.hashsalt": "osc_contact",
     }
     with matplotlib.rc_context(look):
@@ -70,16 +71,19 @@ def legend(ax: Axes) -> None:
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
 
 
-def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
-    """Write the figure as PNG (150 dpi) and SVG; each file appears complete or not at all.
+def save(
+    figure: Figure, path_without_suffix: str | Path, vector: Literal["svg", "pdf"] = "svg"
+) -> tuple[Path, Path]:
+    """Write the figure as PNG (150 dpi) and SVG or PDF; each file appears complete or not at all.
 
     Returns:
-        The paths of the PNG and of the SVG.
+        The paths of the PNG and of the vector file.
     """
     base = Path(path_without_suffix)
     base.parent.mkdir(parents=True, exist_ok=True)
     written = []
-    extras: tuple[tuple[str, Any], ...] = ((".png", {}), (".svg", {"metadata": {"Date": None}}))
+    undated = {"metadata": {{"svg": "Date", "pdf": "CreationDate"}[vector]: None}}
+    extras: tuple[tuple[str, Any], ...] = ((".png", {}), (f".{vector}", undated))
     for suffix, extra in extras:
         target = base.with_name(base.name + suffix)
         descriptor, temporary = tempfile.mkstemp(dir=base.parent, prefix=f".{target.name}.")
