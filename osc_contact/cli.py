@@ -22,7 +22,7 @@ from osc_contact.experiments.inspection import inspect_rig
 from osc_contact.experiments.report import require_judgeable, write_json, write_report
 from osc_contact.experiments.rig import build_rig
 from osc_contact.experiments.run import run as run_scenario
-from osc_contact.experiments.studies import STUDIES, write_study
+from osc_contact.experiments.studies import SLOW, STUDIES, Ask, write_study
 from osc_contact.experiments.timing import time_tick
 from osc_contact.recorder import Recording
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
@@ -103,7 +103,11 @@ def run(
 @app.command()
 def reproduce(
     figure: Annotated[
-        str, typer.Argument(help=" | ".join((*REPRODUCIBLE, "all")), metavar="FIGURE")
+        str,
+        typer.Argument(
+            help=f"{' | '.join(REPRODUCIBLE)} | all (without {', '.join(SLOW)}: minutes)",
+            metavar="FIGURE",
+        ),
     ],
     plant: PlantOption = None,
     duration: DurationOption = None,
@@ -116,15 +120,14 @@ def reproduce(
 ) -> None:
     """Make figures of the paper from our own data, and figures and tables of the experiments."""
     with _exit_codes():
-        asked = REPRODUCIBLE if figure == "all" else (figure,)
+        asked: tuple[str, ...] = (figure,)
+        if figure == "all":
+            asked = tuple(name for name in REPRODUCIBLE if name not in SLOW)
         paper_figures.require_known(asked)
         _require("matplotlib")
         names = [name for name in asked if name not in STUDIES]
-        if not names and (set_ or plant):
-            raise InvalidInputError(
-                f"{figure} is not made from a scenario: --set, --plant change "
-                "nothing; leave them out"
-            )
+        if not names and plant is not None:
+            raise InvalidInputError(f"{figure} chooses its own plants; leave --plant out")
         scenario = _load(paper_figures.SCENARIO, set_, plant, duration)
         recording, verdict = None, {}
         if any(name in paper_figures.needs_run for name in names):
@@ -134,7 +137,10 @@ def reproduce(
         written = [paper_figures.write_figure(n, out_dir, scenario, recording) for n in names]
         found = {}
         for name in (name for name in asked if name in STUDIES):
-            study, files = write_study(name, out_dir, seed, duration)
+            changes = () if names else tuple(set_ or ())
+            with err.status(name) as status:
+                ask = Ask(seed, duration, changes, tell=status.update)
+                study, files = write_study(name, out_dir, ask)
             out.print(study.table)
             written += files
             found[name] = study.data

@@ -45,6 +45,7 @@ def style() -> Iterator[None]:
         "figure.constrained_layout.use": True,
         "figure.facecolor": "white",
         "svg.fonttype": "path",
+        "pdf.fonttype": 42,
         "svg.hashsalt": "osc_contact",
     }
     with matplotlib.rc_context(look):
