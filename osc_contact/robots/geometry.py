@@ -53,7 +53,9 @@ def check_mesh_files(document: Document, package_dirs: Sequence[Path]) -> None:
             document.add("mesh", mesh, "the mesh is not there; looked for "
                          f"{', '.join(map(str, candidates)) or 'it in no folder'}",
                          "pass package_dirs", "filename")  # fmt: skip
-        elif not _inside(file.resolve(), [Path(d).resolve() for d in _roots(document, package_dirs)]):
+        elif not _inside(
+            file.resolve(), [Path(d).resolve() for d in _roots(document, package_dirs)]
+        ):
             document.add("mesh", mesh, f"leads to {file.resolve()}, outside of the robot's folders",
                          "copy the file", "filename")  # fmt: skip
         elif file.stat().st_size > MAX_MESH_BYTES:

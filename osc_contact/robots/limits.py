@@ -110,7 +110,10 @@ def check_limits(document: Document) -> None:
 
 def _check_values(document: Document, joint: Joint, where: Element) -> None:
     limits, turns = joint.limits, joint.kind != "prismatic"
-    for key, unit in (("effort", "N m" if turns else "N"), ("velocity", "rad/s" if turns else "m/s")):
+    for key, unit in (
+        ("effort", "N m" if turns else "N"),
+        ("velocity", "rad/s" if turns else "m/s"),
+    ):
         if key in limits and not limits[key] > 0:
             document.add("limit", where, f"{key} limit {limits[key]:g} {unit} must be > 0",
                          f"write what the joint can bear, passive joints too{_by_hand(joint)}",

@@ -9,7 +9,7 @@ from pathlib import Path
 import pinocchio as pin
 
 from osc_contact.errors import ModelError
-from osc_contact.robots.document import Document, read_document
+from osc_contact.robots.document import Document
 from osc_contact.robots.findings import Finding, refuse
 from osc_contact.robots.geometry import check_geometry, check_mesh_files
 from osc_contact.robots.inertias import (
@@ -20,6 +20,7 @@ from osc_contact.robots.inertias import (
 )
 from osc_contact.robots.limits import JointLimits, check_limits, give_limits
 from osc_contact.robots.model import build_model, check_mass_matrix
+from osc_contact.robots.reading import read_document
 from osc_contact.robots.second_reader import compare
 from osc_contact.robots.tree import check_mimics, check_tree
 from osc_contact.robots.xml_tree import read_bytes

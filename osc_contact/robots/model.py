@@ -108,9 +108,7 @@ def _is_positive(unit: Array) -> bool:
     return bool(np.isfinite(factor).all())
 
 
-def _refuse_mass_matrix(
-    model: pin.Model, document: Document | None, q: Array, weak: Array
-) -> None:
+def _refuse_mass_matrix(model: pin.Model, document: Document | None, q: Array, weak: Array) -> None:
     names = [n for n, bad in zip(list(model.names)[1:], weak, strict=True) if bad]
     joint = f"joint {', '.join(names)}"
     reason = (
@@ -152,7 +150,7 @@ def _joint(joint: Joint) -> str:
     kind = "revolute" if joint.kind == "continuous" else joint.kind
     limit = joint.limits
     return (
-        f"<joint name={quoteattr(joint.name)} type=\"{kind}\">"
+        f'<joint name={quoteattr(joint.name)} type="{kind}">'
         f"<parent link={quoteattr(joint.parent)}/><child link={quoteattr(joint.child)}/>"
         f'{_origin(joint.xyz, joint.rpy)}<axis xyz="{_numbers(joint.axis)}"/>'
         f'<limit lower="0" upper="0" effort="{limit.get("effort", 0.0)!r}" '

@@ -5,12 +5,9 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from typing import TYPE_CHECKING
 
+from osc_contact.robots.document import Document
 from osc_contact.robots.xml_tree import Element
-
-if TYPE_CHECKING:
-    from osc_contact.robots.document import Document
 
 __all__ = ["check_words", "number", "vector"]
 

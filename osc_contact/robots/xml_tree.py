@@ -15,9 +15,11 @@ from xml.parsers import expat
 
 from osc_contact.robots.findings import Finding, refuse
 
-__all__ = ["MAX_BYTES", "MAX_DEPTH", "MAX_ELEMENTS", "Element", "read_bytes", "parse"]
+__all__ = ["MAX_BYTES", "MAX_DEPTH", "MAX_ELEMENTS", "MAX_LINKS", "Element", "read_bytes", "parse"]
 
 MAX_BYTES, MAX_DEPTH, MAX_ELEMENTS = 8 * 2**20, 64, 100_000
+MAX_LINKS = 512
+"""Most links (joints) of a robot; Pinocchio's reader dies of a few thousand."""
 _ENCODING = re.compile(rb"""^\s*<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""")
 _KNOWN_ENCODINGS = {b"utf-8", b"utf8", b"us-ascii", b"ascii"}
 _WIDE_MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16", b"\x00\x00": "UTF-32"}
@@ -92,7 +94,7 @@ def parse(file: Path, data: bytes) -> Element:
     _check_text(file, data)
     stack: list[Element] = []
     roots: list[Element] = []
-    count = 0
+    count, parts = 0, {"link": 0, "joint": 0}
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -104,6 +106,11 @@ def parse(file: Path, data: bytes) -> Element:
                   "a URDF needs about 6 levels")  # fmt: skip
         if count > MAX_ELEMENTS:
             _stop(file, "xml", line, column, f"more than {MAX_ELEMENTS} elements", "split the file")
+        if len(stack) == 1 and tag in parts:
+            parts[tag] += 1
+            if parts[tag] > MAX_LINKS:
+                _stop(file, "xml", line, column, f"more than {MAX_LINKS} {tag}s",
+                      "split the robot or drop what does not move")  # fmt: skip
         prefix, colon, name = tag.partition(":")
         if colon and (prefix == "xacro" or name == "include"):
             _stop(file, "xml", line, column, f"<{tag}> is not URDF",
