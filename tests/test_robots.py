@@ -526,7 +526,7 @@ def test_cross_check_reports_where_two_readers_differ(
 
 def test_limits_given_by_hand_stand_in_for_missing_ones(tmp_path: Path) -> None:
     file = write(tmp_path, limit="", links={"tip": BALL, "end": BALL})
-    with pytest.raises(ModelError, match="joint 'turn': has no <limit>.*JointLimits"):
+    with pytest.raises(ModelError, match=r"joint 'turn': has no <limit>.*JointLimits"):
         robots.load_model(file)
     given = robots.JointLimits(lower=-1.5, upper=2.5, effort=7, velocity=3)
     free = robots.JointLimits(-math.inf, math.inf, 4, 5)
@@ -536,7 +536,7 @@ def test_limits_given_by_hand_stand_in_for_missing_ones(tmp_path: Path) -> None:
     assert np.array_equal(model.effortLimit, [7, 4])
     assert np.array_equal(model.velocityLimit, [3, 5])
     with pytest.raises(
-        InvalidInputError, match="no moving joint matches 'trun'. Did you mean turn"
+        InvalidInputError, match=r"no moving joint matches 'trun'. Did you mean turn"
     ):
         robots.load_model(file, limits={"trun": given})
 
@@ -568,7 +568,7 @@ def test_positive_is_content_with_moving_bodies_that_have_energy(tmp_path: Path)
         robots.load_model(file)
     assert robots.load_model(file, inertias="positive").nv == 1
     alone = write(tmp_path, links={"tip": slip.replace('"-1e-3"', '"-9e-3"')})
-    with pytest.raises(ModelError, match="joint 'turn': the body that it moves .* negative"):
+    with pytest.raises(ModelError, match=r"joint 'turn': the body that it moves .* negative"):
         robots.load_model(alone, inertias="positive")
     flat = write(tmp_path, links={"tip": inertial("1", "0.1", "0.1", "0.3")})
     assert robots.load_model(flat, inertias="positive").nv == 1

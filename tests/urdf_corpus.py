@@ -207,10 +207,11 @@ CORPUS: dict[str, Bad] = {
     "axis zero": spoil('axis xyz="0 0 1"', 'axis xyz="0 0 0"', "joint", "axis has length 0"),
     "axis too long": spoil('axis xyz="0 0 1"', 'axis xyz="0 0 2"', "joint", "axis has length 2"),
     "axis without xyz": spoil('<axis xyz="1 0 0"/>', "<axis/>", "number", "xyz has 0 numbers"),
+    "friction negative": spoil('friction="0.2"', 'friction="-0.2"', "joint", "-0.2 is negative"),
     "mimic of nothing": spoil('mimic joint="lift"', 'mimic joint="left"', "joint",
                               "follows the joint 'left', which does not exist. Did you mean lift"),
     "mimic of itself": spoil('mimic joint="lift"', 'mimic joint="grip"', "joint", "follows itself"),
-    "mimic of a fixed joint": spoil('mimic joint="lift"', 'mimic joint="tip"', "joint", "the fixed"),
+    "mimic of fixed joint": spoil('mimic joint="lift"', 'mimic joint="tip"', "joint", "the fixed"),
     # limits
     "no limit": spoil(FINGER_LIMIT, "", "limit", "has no <limit>", "joint 'grip'", 5),
     "lower missing": spoil('lower="-2" ', "", "limit", "lower is missing", "joint 'turn' <limit>"),
@@ -232,7 +233,7 @@ CORPUS: dict[str, Bad] = {
                                 "joint grip can move without moving mass", "joint 'grip'", -24),
     # shapes
     "cylinder nan": spoil('radius="0.05"', 'radius="nan"', "number", "radius = 'nan'"),
-    "cylinder negative": spoil('length="0.4"', 'length="-0.4"', "geometry", "negative size: length"),
+    "cylinder negative": spoil('length="0.4"', 'length="-0.4"', "geometry", "negative size"),
     "unknown shape": spoil("<cylinder ", "<cone ", "geometry", "unknown shape <cone>"),
     "no shape": spoil('<cylinder radius="0.05" length="0.4"/>', "", "geometry", "one shape", up=2),
     "mesh at an address": _mesh("http://example.org/a.stl", "scheme 'http:'"),
@@ -259,6 +260,7 @@ SOUND: dict[str, Callable[[str], str | bytes]] = {
     "names beyond ASCII": lambda good: good.replace('"slide"', '"schlitten ä &amp; &lt;b&gt;"'),
     "defaults of the specification": lambda good: good.replace('<axis xyz="1 0 0"/>', "", 1),
     "link and joint of one name": lambda good: good.replace('"roll"', '"hand"', 1),
+    "limits so wide that they are none": lambda good: good.replace('upper="2.5"', 'upper="1e300"'),
     "mesh of a package": lambda good: good.replace("meshes/column", "package://arm/column"),
     "point mass": lambda good: good.replace(
         'ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"',

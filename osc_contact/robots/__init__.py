@@ -8,7 +8,7 @@ inertias (`inertias`), Pinocchio and its mass matrix (`model`); on demand a seco
 
 from osc_contact.robots.findings import Finding, suggest
 from osc_contact.robots.inertias import Inertias
-from osc_contact.robots.library import find_robot, resolve_urdf, urdf_path
+from osc_contact.robots.library import find_robot, locate, resolve_urdf, urdf_path
 from osc_contact.robots.limits import JointLimits
 from osc_contact.robots.loading import (
     Loaded,
@@ -19,11 +19,14 @@ from osc_contact.robots.loading import (
     load_model,
 )
 from osc_contact.robots.model import check_mass_matrix, frame_id
+from osc_contact.robots.report import RobotReport, check_robot
+from osc_contact.robots.summary import RobotSummary, summarise
 
 __all__ = [
     "urdf_path",
     "find_robot",
     "resolve_urdf",
+    "locate",
     "load_model",
     "load_body",
     "load_geometry",
@@ -35,5 +38,9 @@ __all__ = [
     "frame_id",
     "check_mass_matrix",
     "cross_check",
+    "check_robot",
+    "RobotReport",
+    "summarise",
+    "RobotSummary",
     "suggest",
 ]

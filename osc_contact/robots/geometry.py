@@ -9,6 +9,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from osc_contact.robots.document import Document
+from osc_contact.robots.findings import Finding
 from osc_contact.robots.words import number, vector
 from osc_contact.robots.xml_tree import Element
 
@@ -32,43 +33,51 @@ def check_geometry(document: Document, package_dirs: Sequence[Path]) -> None:
             if part.tag not in ("visual", "collision"):
                 continue
             origin, shape = part.find("origin"), part.find("geometry")
-            for key in ("xyz", "rpy") if origin is not None else ():
-                vector(document, origin, key, (0.0, 0.0, 0.0))
+            if origin is not None:
+                for key in ("xyz", "rpy"):
+                    vector(document, origin, key, (0.0, 0.0, 0.0))
             if shape is None or len(shape.children) != 1:
                 document.add("geometry", part, f"<{part.tag}> needs one <geometry> with one shape")
                 continue
             _check_shape(document, shape.children[0], package_dirs)
 
 
-def check_mesh_files(document: Document, package_dirs: Sequence[Path]) -> None:
-    """Note mesh files that are missing, lead outside through a link, are huge, or are Collada
-    files whose textures lie elsewhere."""
+def check_mesh_files(document: Document, package_dirs: Sequence[Path]) -> list[Finding]:
+    """Note mesh files that lead outside through a link, are huge, or are Collada files whose
+    textures lie elsewhere. Returns, without noting them, those that are not there."""
     addresses: dict[str, Element] = {}
     for mesh in document.root.iter("mesh"):
         addresses.setdefault(mesh.get("filename") or "", mesh)
+    missing = []
     for address, mesh in addresses.items():
-        candidates = _places(document, address, package_dirs)
-        file = next((path for path in candidates if path.is_file()), None)
+        places = _places(document, address, package_dirs)
+        file = next((path for path in places if path.is_file()), None)
         if file is None:
-            document.add("mesh", mesh, "the mesh is not there; looked for "
-                         f"{', '.join(map(str, candidates)) or 'it in no folder'}",
-                         "pass package_dirs", "filename")  # fmt: skip
-        elif not _inside(
-            file.resolve(), [Path(d).resolve() for d in _roots(document, package_dirs)]
-        ):
-            document.add("mesh", mesh, f"leads to {file.resolve()}, outside of the robot's folders",
-                         "copy the file", "filename")  # fmt: skip
-        elif file.stat().st_size > MAX_MESH_BYTES:
-            document.add("mesh", mesh, f"has {file.stat().st_size / 2**20:.0f} MiB",
-                         f"simplify it to at most {MAX_MESH_BYTES // 2**20} MiB",
-                         "filename")  # fmt: skip
-        elif file.suffix.lower() == ".dae":
-            for found in _TEXTURE.findall(file.read_bytes()):
-                texture = unquote(found.decode("utf-8", "replace"))
-                if _leads_out(texture):
-                    document.add("mesh", mesh, f"{file.name} takes a texture from {texture!r}",
-                                 "keep textures beside the mesh, or convert it to STL or OBJ",
-                                 "filename")  # fmt: skip
+            looked = f"the mesh is not there; looked for {', '.join(map(str, places)) or 'nothing'}"
+            place = (document.file, mesh.line, mesh.column, mesh.label("filename"))
+            missing.append(Finding("mesh", *place, looked, "pass package_dirs"))
+        elif problem := _file_problem(file, _roots(document, package_dirs)):
+            document.add("mesh", mesh, *problem, "filename")
+    return missing
+
+
+def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
+    """(what is wrong with a mesh file, cure)."""
+    real = file.resolve()
+    if not _inside(real, [root.resolve() for root in roots]):
+        return f"leads to {real}, outside of the robot's folders", "copy the file"
+    size = real.stat().st_size
+    if size > MAX_MESH_BYTES:
+        limit = MAX_MESH_BYTES // 2**20
+        return f"has {size / 2**20:.0f} MiB", f"simplify it to at most {limit} MiB"
+    for found in _TEXTURE.findall(real.read_bytes()) if file.suffix.lower() == ".dae" else ():
+        texture = unquote(found.decode("utf-8", "replace"))
+        if _leads_out(texture):
+            return (
+                f"{file.name} takes a texture from {texture!r}",
+                "keep textures beside the mesh, or convert it to STL or OBJ",
+            )
+    return None
 
 
 def _check_shape(document: Document, shape: Element, package_dirs: Sequence[Path]) -> None:

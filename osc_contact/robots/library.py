@@ -10,7 +10,7 @@ import pinocchio as pin
 from osc_contact.errors import ModelError
 from osc_contact.robots.findings import suggest
 
-__all__ = ["ROBOT_DATA", "urdf_path", "find_robot", "resolve_urdf"]
+__all__ = ["ROBOT_DATA", "urdf_path", "find_robot", "resolve_urdf", "locate"]
 
 ROBOT_DATA = "example-robot-data"
 
@@ -80,6 +80,22 @@ def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path,
         f"URDF {reference!r} is neither the file {path} nor packaged; a robot of the data package "
         f"is written '{ROBOT_DATA}:panda'. {suggest(reference, packaged)}"
     )
+
+
+def locate(reference: str) -> tuple[Path, tuple[Path, ...]]:
+    """As `resolve_urdf`, for people: a file, a packaged name, or a robot's name as it is ("panda").
+
+    Raises:
+        ModelError: nothing is found; the message says where was looked.
+    """
+    plain = "/" not in reference and "\\" not in reference and not Path(reference).is_file()
+    packaged = _packaged()
+    if plain and (file := packaged.get(reference) or packaged.get(f"{reference}.urdf")):
+        return file, ()
+    if plain and ":" not in reference and not reference.endswith(".urdf"):
+        path, package_dir = find_robot(reference)
+        return path, (package_dir,)
+    return resolve_urdf(reference)
 
 
 def _packaged() -> dict[str, Path]:

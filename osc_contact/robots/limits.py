@@ -71,7 +71,7 @@ def give_limits(document: Document, limits: Mapping[str, JointLimits]) -> None:
         InvalidInputError: a key that no moving joint matches.
     """
     moving = [joint for joint in document.joints.values() if joint.kind != "fixed"]
-    used = set()
+    used: set[str] = set()
     for joint in moving:
         key = next((key for key in limits if fnmatchcase(joint.name, key)), None)
         if key is not None:

@@ -123,7 +123,7 @@ def load_geometry(
     """
     file, folders = Path(path), [Path(folder) for folder in package_dirs]
     document = _sound(file, folders)
-    check_mesh_files(document, folders)
+    document.findings.extend(check_mesh_files(document, folders))
     document.require()
     model = build_model(document)
     try:

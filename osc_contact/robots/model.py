@@ -14,9 +14,11 @@ from osc_contact.robots.document import Document, Inertial, Joint
 from osc_contact.robots.findings import Finding, refuse, suggest
 from osc_contact.spatial import Array
 
-__all__ = ["build_model", "check_mass_matrix", "frame_id", "random_configurations"]
+__all__ = ["SAMPLES", "build_model", "check_mass_matrix", "frame_id", "random_configurations"]
 
 SAMPLES = 20
+_ENDLESS = 1e9
+"""A position limit beyond (m or rad) is none; Pinocchio writes 1.8e308 for it."""
 _DIAGONAL_FLOOR, _EIGENVALUE_FLOOR = 1e-13, 1e-11
 """Below these the mass matrix is singular: diagonal / (moved mass · extent²), and eigenvalue at
 unit diagonal. Neither changes with the units of length, mass or joints."""
@@ -32,8 +34,7 @@ def build_model(document: Document) -> pin.Model:
         model = pin.buildModelFromXML(_text(document))
     except (ValueError, RuntimeError) as error:
         reason = f"Pinocchio refuses the file: {error}"
-        finding = Finding("tree", document.file, 0, 0, "", reason, "details are on stderr")
-        raise ModelError(str(finding)) from error
+        refuse([Finding("tree", document.file, 0, 0, "", reason, "details are on stderr")])
     low, high = model.lowerPositionLimit, model.upperPositionLimit
     for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
         limits = document.joints[name].limits
@@ -79,7 +80,7 @@ def random_configurations(model: pin.Model, count: int) -> Iterator[Array]:
     random = np.random.default_rng(0)
     low = np.array(model.lowerPositionLimit)
     high = np.array(model.upperPositionLimit)
-    open_below, open_above = ~np.isfinite(low), ~np.isfinite(high)
+    open_below, open_above = ~(low > -_ENDLESS), ~(high < _ENDLESS)
     low[open_below] = np.where(open_above, -np.pi, high - 2 * np.pi)[open_below]
     high[open_above] = low[open_above] + 2 * np.pi
     for _ in range(count):

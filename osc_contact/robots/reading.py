@@ -102,7 +102,7 @@ def _joint(document: Document, element: Element) -> Joint:
         ends[word] = "" if child is None else child.get("link") or ""
     xyz, rpy = _origin(document, element)
     limit, dynamics, mimic = (element.find(word) for word in ("limit", "dynamics", "mimic"))
-    limits = {} if limit is None else {
+    limits: dict[str, float] = {} if limit is None else {
         key: number(document, limit, key)
         for key in ("lower", "upper", "effort", "velocity")
         if key in limit.attributes and kind != "fixed"
@@ -111,6 +111,10 @@ def _joint(document: Document, element: Element) -> Joint:
         0.0 if dynamics is None else number(document, dynamics, key, 0.0)
         for key in ("damping", "friction")
     )
+    for key, value in (("damping", damping), ("friction", friction)):
+        if dynamics is not None and value < 0:
+            document.add("joint", dynamics, f"{key} {value:g} is negative: it would drive the "
+                         "joint", "write a value ≥ 0", key)  # fmt: skip
     if mimic is not None:
         for key, default in (("multiplier", 1.0), ("offset", 0.0)):
             number(document, mimic, key, default)
