@@ -48,3 +48,9 @@ def test_sound_variant_is_accepted_and_both_readers_agree(name: str, tmp_path: P
     file = write(tmp_path, SOUND[name](GOOD))
     assert robots.load_model(file).nv == 4
     assert robots.cross_check(file) < 1e-12
+
+
+def test_every_check_has_a_row_on_the_page_on_robots() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "robots.md").read_text()
+    rows = re.findall(r"^\| ([a-z ]+) \|", page.split("| check |")[1].split("\n\n")[0], re.M)
+    assert {bad.check for bad in CORPUS.values()} | {"second reader"} == set(rows)

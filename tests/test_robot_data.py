@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from pathlib import Path
 
@@ -70,6 +71,19 @@ def test_every_robot_of_the_data_package_has_a_verdict() -> None:
     files = [robots.find_robot(name)[0] for name in names]
     assert len(set(files)) == len(files)
     assert set(files) == set(library._robot_data_root().glob("*/*/*.urdf"))
+
+
+def test_the_page_on_robots_tells_these_verdicts() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "robots.md").read_text()
+    told = re.search(
+        r"Of its (\d+) files (\d+) load as they are.*?(\d+) need.*?(\d+) are", page, re.S
+    )
+    assert told is not None
+    loading, helped, refused = len(ARMS) + len(OTHERS), len(HELPED), len(REFUSED)
+    assert [int(n) for n in told.groups()] == [loading + helped + refused, loading, helped, refused]
+    table = page.split("| robots | what is wrong")[1]
+    for name in (*HELPED, *REFUSED):
+        assert f"`{name.rpartition('/')[2]}`" in table, name
 
 
 @pytest.mark.parametrize("name", (*ARMS, *OTHERS))
