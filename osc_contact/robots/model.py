@@ -20,7 +20,7 @@ SAMPLES = 20
 _ENDLESS = 1e9
 """A position limit beyond (m or rad) is none; Pinocchio writes 1.8e308 for it."""
 _DIAGONAL_FLOOR, _EIGENVALUE_FLOOR = 1e-13, 1e-11
-"""Below these the mass matrix is singular: diagonal / (moved mass · extent²), and eigenvalue at
+"""Below these the mass matrix is singular: diagonal / (moved mass · its extent²), and eigenvalue at
 unit diagonal. Neither changes with the units of length, mass or joints."""
 
 
@@ -57,8 +57,10 @@ def check_mass_matrix(model: pin.Model, document: Document | None = None) -> Non
     q = np.vstack((pin.neutral(model), *random_configurations(model, SAMPLES)))
     M = np.array([np.array(pin.crba(model, data, row)) for row in q])
     diagonal = np.einsum("kii->ki", M)
-    extent = sum(float(np.linalg.norm(X.translation)) for X in model.jointPlacements)
-    extent += max(float(np.linalg.norm(body.lever)) for body in model.inertias)
+    reach = np.array([np.linalg.norm(X.translation) for X in model.jointPlacements])
+    lever = np.array([np.linalg.norm(body.lever) for body in model.inertias])
+    below = [list(subtree) for subtree in list(model.subtrees)[1:]]
+    extent = np.array([reach[tree[1:]].sum() + lever[tree].max() for tree in below])
     turns = np.array(["P" not in joint.shortname()[10:] for joint in list(model.joints)[1:]])
     mass = np.array([inertia.mass for inertia in list(data.Ycrb)[1:]])
     floor = _DIAGONAL_FLOOR * mass * np.where(turns, extent**2, 1.0)
