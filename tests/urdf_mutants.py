@@ -162,8 +162,8 @@ def main(seed: int, count: int) -> None:
     checks: Counter[str] = Counter()
     slowest, worst_off, least, broken = 0.0, 0.0, np.inf, []
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "mutant.urdf"
-        for _ in range(count):
+        for number in range(count):
+            file = Path(folder) / f"{number}.urdf"  # truncating one file would wait for the disk
             text = mutant(rng, plain if rng.random() < 0.2 else GOOD)
             file.write_bytes(text)
             start = time.perf_counter()
@@ -172,6 +172,7 @@ def main(seed: int, count: int) -> None:
                 verdict = "accepted"
             except ModelError as error:
                 verdict = error.findings[0].check if error.findings else "no finding"
+            file.unlink()
             slowest = max(slowest, time.perf_counter() - start)
             checks[verdict] += 1
             if verdict != "accepted" or model.nv == 0:
