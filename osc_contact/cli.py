@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from osc_contact import __version__
+from osc_contact import __version__, robots
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.experiments import figures as paper_figures
 from osc_contact.experiments import tables
@@ -40,6 +40,13 @@ err = Console(stderr=True)
 PARTIAL = "recording_until_failure.npz"
 REPRODUCIBLE = (*paper_figures.FIGURES, *STUDIES)
 EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim"}
+
+
+class InertiaLevel(StrEnum):
+    """What is asked of the inertias of a URDF."""
+
+    possible = "possible"
+    positive = "positive"
 
 
 class PlantName(StrEnum):
@@ -164,6 +171,42 @@ def inspect(
             out.print(table)
         if json_file:
             write_json(found.as_dict(), json_file)
+
+
+@app.command()
+def check(
+    robot: Annotated[str, typer.Argument(help="a URDF, or the name of a robot such as panda")],
+    tip: Annotated[str | None, typer.Option(help="frame to describe (default: all ends)")] = None,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option("--limit", help="JOINT:effort=…,velocity=…,lower=…,upper=…, any number"),
+    ] = None,
+    inertias: Annotated[
+        InertiaLevel, typer.Option(help="positive: for parameters that no body has exactly")
+    ] = InertiaLevel.possible,
+    package_dir: Annotated[
+        list[Path] | None, typer.Option("--package-dir", help="folder that meshes may lie in")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Check a robot's URDF and say what the robot is; exit code 1 if something is wrong."""
+    with _exit_codes():
+        path, folders = robots.locate(robot)
+        report = robots.check_robot(
+            path,
+            limits=dict(robots.JointLimits.parse(text) for text in limit or []),
+            inertias=inertias.value,
+            package_dirs=[*folders, *(package_dir or [])],
+            tip=tip,
+        )
+        for line in report.lines():
+            _say(line)
+        for table in tables.robot_tables(report.summary) if report.summary else ():
+            out.print(table)
+        if json_file:
+            write_json(report.as_dict(), json_file)
+    if not report.sound:
+        raise typer.Exit(1)
 
 
 @app.command("list")

@@ -160,7 +160,7 @@ def _moving_face(ask: Ask) -> Study:
 def _baselines(ask: Ask) -> Study:
     from osc_contact.experiments.baselines.compare import compare
     from osc_contact.experiments.baselines.figure import draw
-    from osc_contact.experiments.tables import comparison_table
+    from osc_contact.experiments.baselines.table import comparison_table
 
     changes = list(ask.changes)
     if ask.duration is not None:
