@@ -8,11 +8,10 @@ from typing import Any
 from rich.table import Table
 
 from osc_contact.experiments.inspection import Inspection
+from osc_contact.robots import RobotSummary
 from osc_contact.spatial import Array
 
-__all__ = ["basis_tables", "comparison_table", "scenario_table", "tick_table", "verdict_table"]
-
-_Numbers = list[float | None]
+__all__ = ["basis_tables", "robot_tables", "scenario_table", "tick_table", "verdict_table"]
 
 
 def verdict_table(verdict: Mapping[str, Any]) -> Table:
@@ -70,58 +69,33 @@ def tick_table(result: Mapping[str, Mapping[str, float]]) -> Table:
     return table
 
 
-def comparison_table(result: Mapping[str, Any]) -> Table:
-    """baselines.json: a column for each law, and how many times smaller the first one's number is
-    than the best of the others'."""
-    laws = list(result["laws"].values())
-    table = Table(
-        "cross-talk", *(law["label"] for law in laws), "best / ours",
-        title=f"{result['scenario']}: ours and selection laws with their best frames",
-    )  # fmt: skip
-    for words, numbers in _comparison_rows(result, laws):
-        known = [x for x in numbers[1:] if x is not None]
-        ours = numbers[0]
-        ratio = f"{min(known) / ours:.3g}" if known and ours else "-"
-        shown = ["failed" if x is None else f"{x:.3g}" for x in numbers]
-        table.add_row(words, *shown, ratio)
-    return table
+def robot_tables(robot: RobotSummary) -> Iterator[Table]:
+    """The joints, and what the tips can do."""
+    joints = Table("joint", "type", "positions", "effort", "velocity", "moves (kg)",
+                   title=f"{robot.name}: joints")  # fmt: skip
+    for joint in robot.joints:
+        angle, effort, speed = (
+            ("m", "N", "m/s") if joint.kind == "prismatic" else ("rad", "N m", "rad/s")
+        )
+        joints.add_row(
+            joint.name, joint.kind, f"{_range(joint.lower, joint.upper)} {angle}",
+            f"{joint.effort:g} {effort}", f"{joint.velocity:g} {speed}", f"{joint.moved_mass:.4g}",
+        )  # fmt: skip
+    if robot.joints:
+        yield joints
+    tips = Table("tip", "joints", "apparent mass (kg)", "apparent inertia (kg m²)",
+                 "mobility σ₁, σ₂, … (unit-free)", title="reachable at the tips")  # fmt: skip
+    for tip in robot.tips:
+        sigma = ", ".join(_range(low, high, 2) for low, high in tip.mobility)
+        tips.add_row(tip.tip, str(tip.joints), _range(*tip.mass, 3), _range(*tip.inertia, 3),
+                     sigma or "the tip's body is no solid")  # fmt: skip
+    if robot.tips:
+        yield tips
 
 
-def _comparison_rows(
-    result: Mapping[str, Any], laws: Sequence[Mapping[str, Any]]
-) -> Iterator[tuple[str, _Numbers]]:
-    yield (
-        "rigid, one instant: force → motion (1)",
-        [law["measured"]["force_to_motion"] for law in laws],
-    )
-    yield (
-        "rigid, one instant: motion → force (1)",
-        [law["measured"]["motion_to_force"] for law in laws],
-    )
-    force, motion = f"{result['force_step_N']:g} N", f"{1e3 * result['motion_step_m']:g} mm"
-    for plant in ("rigid", "mujoco"):
-        found = [law[plant] for law in laws]
-        tasks = [x["task"] for x in found]
-        yield (
-            f"{plant}, {force} step: object moves (µm)",
-            [1e6 * max(x["force_to_motion_m"]) for x in found],
-        )
-        yield (
-            f"{plant}, {motion} step: force error (N)",
-            [max(x["motion_to_force_N"]) for x in found],
-        )
-        yield (
-            f"{plant}, whole task: force rms (N)",
-            [
-                max(x["rms_error_N"] for x in t["force"].values()) if "force" in t else None
-                for t in tasks
-            ],
-        )
-        for unit, scaled in (("m", "mm"), ("rad", "mrad")):
-            yield (
-                f"{plant}, whole task: motion rms ({scaled})",
-                [1e3 * t["motion"][f"rms_error_{unit}"] if "motion" in t else None for t in tasks],
-            )
+def _range(low: float, high: float, digits: int = 4) -> str:
+    words = (f"{value:.{digits}g}".replace("inf", "∞") for value in (low, high))
+    return " … ".join(words)
 
 
 def _basis(

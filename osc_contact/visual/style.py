@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from osc_contact.visual import OKABE_ITO
 
@@ -72,28 +72,27 @@ def legend(ax: Axes) -> None:
 
 
 def save(
-    figure: Figure, path_without_suffix: str | Path, vector: Literal["svg", "pdf"] = "svg"
-) -> tuple[Path, Path]:
-    """Write the figure as PNG (150 dpi) and SVG or PDF; each file appears complete or not at all.
+    figure: Figure, path_without_suffix: str | Path, suffixes: Sequence[str] = (".png", ".svg")
+) -> tuple[Path, ...]:
+    """Write the figure as PNG (150 dpi), SVG, PDF; each file appears complete or not at all.
 
     Returns:
-        The paths of the PNG and of the vector file.
+        The paths, one for each suffix.
     """
     base = Path(path_without_suffix)
     base.parent.mkdir(parents=True, exist_ok=True)
     written = []
-    undated = {"metadata": {{"svg": "Date", "pdf": "CreationDate"}[vector]: None}}
-    extras: tuple[tuple[str, Any], ...] = ((".png", {}), (f".{vector}", undated))
-    for suffix, extra in extras:
+    undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    for suffix in suffixes:
         target = base.with_name(base.name + suffix)
         descriptor, temporary = tempfile.mkstemp(dir=base.parent, prefix=f".{target.name}.")
         try:
             with os.fdopen(descriptor, "wb") as file:
-                figure.savefig(file, dpi=150, format=suffix[1:], **extra)
+                figure.savefig(file, dpi=150, format=suffix[1:], metadata=undated.get(suffix))
             os.chmod(temporary, 0o644)
             os.replace(temporary, target)
         except BaseException:
             os.unlink(temporary)
             raise
         written.append(target)
-    return written[0], written[1]
+    return tuple(written)
