@@ -101,7 +101,7 @@ BASELINES: dict[str, Baseline] = {
         selected_before_and_after,
         1,
         "F = ΩᵀΛΩa + Ω̄f + μ + p",
-        "Isaac Lab 2 and 3.0, isaaclab/controllers/operational_space.py: the gains are selected "
+        "Isaac Lab 2, isaaclab/controllers/operational_space.py: the gains are selected "
         "and so is the force Λa they give, all on the axes of one task frame; there at the tool "
         "point and without velocity terms",
     ),
