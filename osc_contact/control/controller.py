@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -36,6 +36,9 @@ from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.spatial import Array, as_array
+
+if TYPE_CHECKING:
+    from osc_contact.control.compiled import CompiledTick
 
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
 
@@ -80,6 +83,14 @@ class Signals:
     f_S: Array  #: (d,) generalised force
     tau: Array  #: (n_a,) motor torques
 
+    def __getattr__(self, name: str) -> Any:
+        """After a compiled tick the wires are worked out when somebody first looks at one."""
+        fill = self.__dict__.pop("_fill", None)
+        if fill is None or name.startswith("_"):
+            raise AttributeError(f"no tick has set the signal '{name}'")
+        fill()
+        return getattr(self, name)
+
 
 @dataclass(frozen=True)
 class Block:
@@ -113,6 +124,8 @@ class Controller:
         engaged: whether the contacts are part of the model; False treats the object as free.
         f_tare: (6,) constant error of the wrist readings at O, removed from each.
         f_bias: (6,) constant wrench added to the command, learnt before contact.
+
+    Gains, chain, pairs, bodies and B are taken at construction; to change them make another one.
     """
 
     def __init__(
@@ -126,6 +139,7 @@ class Controller:
         bodies: Sequence[Body | None] | None = None,
         posture: Array | None = None,
         engaged: bool = True,
+        compiled: bool = True,
     ) -> None:
         """Assemble the loops.
 
@@ -140,6 +154,9 @@ class Controller:
                 be seen to move. The same object twice: both contacts are on one body.
             posture: (n,) where redundant arms return to (default: neutral).
             engaged: start in contact.
+            compiled: run on the kernels, some hundred times faster; False: on the readable path
+                below, which gives the same torques. The first controller ever made on a machine
+                compiles them.
 
         Raises:
             InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
@@ -169,12 +186,36 @@ class Controller:
         self.force_law = ForceLaw(gains.force, dt)
         rest = np.zeros(chain.nq) if posture is None else np.asarray(posture, dtype=float)
         self.allocation = Allocation(chain, rest)
-        self.f_tare: Array = np.zeros(6)
-        self.f_bias: Array = np.zeros(6)
+        self._tare, self._bias = np.zeros(6), np.zeros(6)
         self.signals = Signals()
+        self._looked = True  # whether `signals` must be emptied by the next compiled tick
         self.status = Status.OK
         self.reason = ""
         self._last_tau: Array = np.zeros(chain.n_a)
+        self._fast: CompiledTick | None = None
+        if compiled:
+            from osc_contact.control.compiled import CompiledTick
+
+            self._fast = fast = CompiledTick(self)
+            self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
+
+    @property
+    def f_tare(self) -> Array:
+        """(6,) constant error of the wrist readings at O (N, N m), removed from each."""
+        return self._tare
+
+    @f_tare.setter
+    def f_tare(self, wrench: Array) -> None:
+        self._tare[:] = as_array("f_tare", wrench, (6,))
+
+    @property
+    def f_bias(self) -> Array:
+        """(6,) constant wrench added to the command at O (N, N m)."""
+        return self._bias
+
+    @f_bias.setter
+    def f_bias(self, wrench: Array) -> None:
+        self._bias[:] = as_array("f_bias", wrench, (6,))
 
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
         """Motor torques (n_a,) for one control period.
@@ -182,20 +223,55 @@ class Controller:
         Never raises on bad data and never returns a torque that is not finite or exceeds a motor
         limit: a tick that cannot be computed repeats the last good torques, see `status`.
         """
-        s = self.signals
+        fast = self._fast
+        if fast is not None:
+            code = fast(measurement, reference, self.engaged)
+            if code != _ASK:
+                if self._looked:
+                    self._looked = False
+                    self.signals.__dict__.clear()
+                    self.signals.__dict__["_fill"] = self._fill_signals
+                self.status, self.reason = _STATUS[code], "" if code == 0 else fast.limit_reached()
+                return self._last_tau.copy()
+        return self._readable_tick(measurement, reference)
+
+    def _readable_tick(self, measurement: Measurement, reference: Reference) -> Array:
+        """The tick box by box; it also has the last word where the kernels have none."""
+        s = Signals()
         before = (self.motion_law.integral, self.force_law.integral)
         try:
             self._take_in(measurement, reference, s)
             for stage in self.STAGES:
                 stage(self, s)
-            tau = self._limited(s.tau)
+            self._last_tau[:] = self._limited(s.tau)
+            self.signals.__dict__.clear()
+            self.signals.__dict__.update(s.__dict__)
+            self._looked = True
         except (OscContactError, np.linalg.LinAlgError) as error:
             self.status, self.reason = Status.HELD, str(error)
-            tau = self._last_tau
         if self.status is not Status.OK:
             self.motion_law.integral, self.force_law.integral = before
-        self._last_tau = tau
-        return tau.copy()
+        return self._last_tau.copy()
+
+    def _fill_signals(self) -> None:
+        """The wires of the last compiled tick, by the readable path."""
+        assert self._fast is not None
+        measurement, reference, then = self._fast.inputs()
+        motion, force = self.motion_law, self.force_law
+        now = (motion.integral, force.integral, self._tare, self._bias)
+        how = (self.engaged, self.status, self.reason)
+        s = Signals()
+        try:
+            motion.integral, force.integral = then.error_sum, then.force_sum
+            self._tare, self._bias, self.engaged = then.tare, then.bias, then.engaged
+            self._take_in(measurement, reference, s)
+            for stage in self.STAGES:
+                stage(self, s)
+        finally:
+            motion.integral, force.integral, self._tare, self._bias = now
+            self.engaged, self.status, self.reason = how
+        self.signals.__dict__.update(s.__dict__)
+        self._looked = True
 
     def last_signals(self) -> Signals:
         """The wires of the last tick that could be computed.
@@ -383,6 +459,8 @@ class Controller:
         return tau / excess
 
 
+_STATUS = (Status.OK, Status.SATURATED)
+_ASK = 2  #: the kernels' answer where the readable path must decide
 _AT_REST = Environment.fixed()
 _STILL = np.zeros(6)
 
