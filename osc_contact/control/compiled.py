@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.control.found import Found
 from osc_contact.control.pack import pack
 from osc_contact.errors import OscContactError
 from osc_contact.interface import Measurement, Reference, Touched
@@ -21,7 +22,7 @@ from osc_contact.spatial import Array
 if TYPE_CHECKING:
     from osc_contact.control.controller import Controller
 
-__all__ = ["CompiledTick", "Found"]
+__all__ = ["Before", "CompiledTick"]
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,7 @@ class CompiledTick:
         state: (25,) ∫e dt, f_tare, f_bias, ∫(α_d − α) dt and how many of these count.
         tau: (n_a,) torques of the last tick that was computed.
         tare, bias: (6,) views of the state: f_tare, f_bias.
+        found: what the last tick found; its arrays are overwritten by the next one.
     """
 
     def __init__(self, controller: Controller) -> None:
@@ -58,13 +60,10 @@ class CompiledTick:
         self._world = pin.Convention.WORLD
         self._arrays, self._pairs = pack(controller, self._data)
         self.state, self.tau = self._arrays[at.STATE], self._arrays[at.TAU]
-        self._bound = np.array(
-            [
-                (self._arrays[row].__array_interface__["data"][0], len(self._arrays[row]))
-                for row in range(at.COUNT)
-            ],
-            dtype=np.int64,
-        )
+        self._bound = np.zeros((at.COUNT, 4), dtype=np.int64)
+        for row, array in self._arrays.items():
+            self._bound[row, 0] = array.__array_interface__["data"][0]
+            self._bound[row, 1 : 1 + array.ndim] = array.shape
         self._error_sum = self.state[at.ERROR_SUM : at.TARE]
         self.tare, self.bias = self.state[at.TARE : at.BIAS], self.state[at.BIAS : at.FORCE_SUM]
         self._force_sums = [self.state[at.FORCE_SUM : at.FORCE_SUM + r] for r in range(7)]
@@ -73,9 +72,10 @@ class CompiledTick:
         self._bodies = [
             (c, body)
             for c, body in enumerate(controller.bodies)
-            if self._arrays[at.BODIES_I][c, 0] == at.ELSEWHERE
+            if self._arrays[at.BODIES_I][c].tolist() == [at.ELSEWHERE, c]
         ]
         self._elsewhere = bool(self._pairs.elsewhere or self._bodies)
+        self.found = _found(self._arrays)
         self._crba, self._kernel = pin.crba, _kernel()
         self._load()
 
@@ -99,15 +99,12 @@ class CompiledTick:
             )  # fmt: skip
         except _REFUSED:
             return at.ASK
-        if code & 3 == at.OK:
-            force.integral = self._force_sum = self._force_sums[code >> 2]
+        r = code >> 2
+        if code & 3 == at.OK and force.integral is not self._force_sums[r]:
+            force.integral = self._force_sum = self._force_sums[r]
         return code & 3
 
     # --- what a tick found ---------------------------------------------------------------------
-
-    def found(self) -> Found:
-        """The numbers of the last tick that was computed, without the readable path."""
-        return Found(self._arrays)
 
     def limit_reached(self) -> str:
         """Which motor the last tick wanted too much of, and how much."""
@@ -217,39 +214,18 @@ class CompiledTick:
             self._kernel.disable_compile()  # other types are converted or refused
 
 
-class Found:
-    """Read access to what the last computed tick found, for recordings.
+def _found(arrays: dict[int, Array]) -> Found:
+    s, columns = arrays[at.SIGNALS], arrays[at.COLUMNS]
 
-    Attributes:
-        f_meas, bias_out, f_c, V_O, error, free_error: (6,) at O, world axes: wrist readings less
-            tare, what they would be without contact, the contact force, the object's twist, the
-            pose error, and Ω_m(Λ_o⁻¹) of it.
-        X_WO: (4, 4) pose of the object. squeeze: (N). r: independent columns of N.
-        alpha_meas, alpha_u: (r,) contact magnitudes measured and commanded.
-    """
+    def six(start: int) -> Array:
+        return s[start : start + 6]
 
-    def __init__(self, arrays: dict[int, Array]) -> None:
-        s, columns = arrays[at.SIGNALS], arrays[at.COLUMNS]
-        self.f_meas, self.bias_out = s[at.F_MEAS : at.F_MEAS + 6], s[at.BIAS_OUT : at.BIAS_OUT + 6]
-        self.f_c, self.V_O = s[at.F_C : at.F_C + 6], s[at.V_O : at.V_O + 6]
-        self.error, self.free_error = s[at.ERROR : at.ERROR + 6], s[at.FREE_ERROR : at.FREE_ERROR + 6]
-        self.X_WO = s[at.X_WO : at.X_WO + 16].reshape(4, 4)
-        self._signals, self._columns = s, columns
-
-    @property
-    def squeeze(self) -> float:
-        """Internal force along the grasp line (N), > 0 compresses."""
-        return float(self._signals[at.SQUEEZE])
-
-    @property
-    def r(self) -> int:
-        """Number of independent columns of N."""
-        return int(self._signals[at.RANK])
-
-    @property
-    def alpha_meas(self) -> Array:
-        """(r,)"""
-        return self._columns[at.ALPHA_MEAS, : self.r]
+    return Found(
+        f_meas=six(at.F_MEAS), bias_out=six(at.BIAS_OUT), f_c=six(at.F_C), V_O=six(at.V_O),
+        X_WO=s[at.X_WO : at.X_WO + 16].reshape(4, 4), error=six(at.ERROR),
+        free_error=six(at.FREE_ERROR), squeeze=s[at.SQUEEZE : at.SQUEEZE + 1],
+        magnitudes=columns[at.ALPHA_MEAS], rank=s[at.RANK : at.RANK + 1],
+    )  # fmt: skip
 
 
 @cache

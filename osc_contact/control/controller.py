@@ -29,6 +29,7 @@ from osc_contact.control.force import (
     magnitudes,
     sum_of_wrenches,
 )
+from osc_contact.control.found import Found
 from osc_contact.control.motion import MotionGains, MotionLaw
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.environment import Environment
@@ -189,8 +190,9 @@ class Controller:
         self._tare, self._bias = np.zeros(6), np.zeros(6)
         self.signals = Signals()
         self._looked = True  # whether `signals` must be emptied by the next compiled tick
+        self._by_twin = True  # whether the readable path computed the last tick
         self.status = Status.OK
-        self.reason = ""
+        self._reason: str | None = ""  # None: a motor limit, said when somebody asks
         self._last_tau: Array = np.zeros(chain.n_a)
         self._fast: CompiledTick | None = None
         if compiled:
@@ -198,6 +200,13 @@ class Controller:
 
             self._fast = fast = CompiledTick(self)
             self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
+
+    @property
+    def reason(self) -> str:
+        """Why `status` is not OK; empty if it is."""
+        if self._reason is None and self._fast is not None:
+            self._reason = self._fast.limit_reached()
+        return self._reason or ""
 
     @property
     def f_tare(self) -> Array:
@@ -228,10 +237,10 @@ class Controller:
             code = fast(measurement, reference, self.engaged)
             if code != _ASK:
                 if self._looked:
-                    self._looked = False
+                    self._looked = self._by_twin = False
                     self.signals.__dict__.clear()
                     self.signals.__dict__["_fill"] = self._fill_signals
-                self.status, self.reason = _STATUS[code], "" if code == 0 else fast.limit_reached()
+                self.status, self._reason = _STATUS[code]
                 return self._last_tau.copy()
         return self._readable_tick(measurement, reference)
 
@@ -246,9 +255,9 @@ class Controller:
             self._last_tau[:] = self._limited(s.tau)
             self.signals.__dict__.clear()
             self.signals.__dict__.update(s.__dict__)
-            self._looked = True
+            self._looked = self._by_twin = True
         except (OscContactError, np.linalg.LinAlgError) as error:
-            self.status, self.reason = Status.HELD, str(error)
+            self.status, self._reason = Status.HELD, str(error)
         if self.status is not Status.OK:
             self.motion_law.integral, self.force_law.integral = before
         return self._last_tau.copy()
@@ -259,7 +268,7 @@ class Controller:
         measurement, reference, then = self._fast.inputs()
         motion, force = self.motion_law, self.force_law
         now = (motion.integral, force.integral, self._tare, self._bias)
-        how = (self.engaged, self.status, self.reason)
+        how = (self.engaged, self.status, self._reason)
         s = Signals()
         try:
             motion.integral, force.integral = then.error_sum, then.force_sum
@@ -269,7 +278,7 @@ class Controller:
                 stage(self, s)
         finally:
             motion.integral, force.integral, self._tare, self._bias = now
-            self.engaged, self.status, self.reason = how
+            self.engaged, self.status, self._reason = how
         self.signals.__dict__.update(s.__dict__)
         self._looked = True
 
@@ -286,14 +295,30 @@ class Controller:
             )
         return self.signals
 
+    def last_torques(self) -> Array:
+        """(n_a,) what the last tick gave out."""
+        return self._last_tau.copy()
+
+    def found(self) -> Found:
+        """The numbers of the last computed tick that recordings keep.
+
+        After a compiled tick they cost nothing, and are overwritten by the next one.
+
+        Raises:
+            InvalidInputError: there was no tick yet.
+        """
+        if self._fast is not None and not self._by_twin:
+            return self._fast.found
+        return Found.of(self.last_signals(), self)
+
     def residual_wrench(self) -> Array:
         """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
 
         Its mean over a moment at rest without contact is the tare: weight errors of object and
         grippers cannot be told from contact forces once contact is made. Store it in `f_tare`.
         """
-        s = self.last_signals()
-        return np.asarray(s.f_meas + self.f_tare - s.state.bias_out)
+        found = self.found()
+        return found.f_meas + self.f_tare - found.bias_out
 
     def engage(self) -> None:
         """Take the contacts into the model, without a jump.
@@ -425,7 +450,7 @@ class Controller:
         return blocks
 
     def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
-        self.status, self.reason = Status.OK, ""
+        self.status, self._reason = Status.OK, ""
         arms, contacts = len(self.chain.arms), len(self.contacts)
         s.q, s.v = measurement.q, measurement.v
         s.wrenches = as_array("wrist wrenches", measurement.wrenches, (arms, 6))
@@ -455,11 +480,11 @@ class Controller:
         motor = int(np.argmax(np.abs(tau) / self.chain.tau_max))
         name = self.chain.joint_names[self.chain.actuated[motor]]
         self.status = Status.SATURATED
-        self.reason = f"{name}: {tau[motor]:.4g} of ±{self.chain.tau_max[motor]:.4g} wanted"
+        self._reason = f"{name}: {tau[motor]:.4g} of ±{self.chain.tau_max[motor]:.4g} wanted"
         return tau / excess
 
 
-_STATUS = (Status.OK, Status.SATURATED)
+_STATUS = ((Status.OK, ""), (Status.SATURATED, None))
 _ASK = 2  #: the kernels' answer where the readable path must decide
 _AT_REST = Environment.fixed()
 _STILL = np.zeros(6)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.control.allocation import squeeze_rows
 from osc_contact.control.controller import Controller
 from osc_contact.errors import PlantError
 from osc_contact.experiments.references import force_steps
@@ -18,7 +17,7 @@ from osc_contact.interface import Reference
 from osc_contact.plants.plant import Truth
 from osc_contact.recorder import Recorder, Recording
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.spatial import Array, pose_error
+from osc_contact.spatial import Array
 
 __all__ = ["run"]
 
@@ -82,7 +81,7 @@ def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
                 v=measurement.v,
                 tau=tau,
                 tick_s=spent,
-                **_channels(rig, controller, reference, truth, tau),
+                **_channels(rig, controller, reference, truth),
             )
             plant.step(tau, period)
             if progress is not None and k % 100 == 99:
@@ -121,31 +120,28 @@ class _Tare:
 
 
 def _channels(
-    rig: Rig, controller: Controller, reference: Reference, truth: Truth, tau: Array
+    rig: Rig, controller: Controller, reference: Reference, truth: Truth
 ) -> dict[str, Any]:
     """What the recording keeps of a tick besides joints and torques."""
-    s = controller.last_signals()
-    r = len(rig.pairs)
-    state = s.state
-    wrench = s.f_meas - state.bias_out
-    Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
-    E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
+    found, r = controller.found(), len(rig.pairs)
+    wrench = found.f_meas - found.bias_out
+    alpha = found.alpha_meas
     X = truth.X_WO
     return {
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
         "alpha_cmd": reference.alpha_d,
-        "alpha_meas": s.alpha_meas if controller.engaged and len(s.alpha_meas) else np.zeros(r),
+        "alpha_meas": alpha if len(alpha) else np.zeros(r),
         "alpha_true": truth.alpha,
         "closed": truth.closed,
         "contact_point": np.array([pair.point_on_face(X) for pair in rig.pairs]).reshape(r, 3),
         "contact_direction": np.array([pair.direction() for pair in rig.pairs]).reshape(r, 3),
         "wrench_meas": wrench,
-        "power_total": float(state.V_O @ wrench),
-        "power_projected": float(state.V_O @ s.f_c_meas),
-        "motion_error": Omega_m @ pose_error(reference.X_WD, state.X_WO),
+        "power_total": float(found.V_O @ wrench),
+        "power_projected": float(found.V_O @ found.f_c),
+        "motion_error": found.free_error,
         "squeeze_cmd": reference.squeeze_d,
-        "squeeze": float((E @ tau - e0)[0]) if len(e0) else 0.0,
+        "squeeze": float(found.squeeze[0]),
         "status": int(controller.status),
     }
 

@@ -152,5 +152,11 @@ def _joint_forces(lo, hi, kinds, columns, forces, outboard, bodies, h):
         beyond = beyond or kinds[j, 0] != 0
         if beyond:
             c = columns[j]
-            outboard[j, 0], outboard[j, 1], outboard[j, 2], outboard[j, 3], outboard[j, 4], \
-                outboard[j, 5] = _times(bodies[j], c[0], c[1], c[2], c[3], c[4], c[5])
+            (
+                outboard[j, 0],
+                outboard[j, 1],
+                outboard[j, 2],
+                outboard[j, 3],
+                outboard[j, 4],
+                outboard[j, 5],
+            ) = _times(bodies[j], c[0], c[1], c[2], c[3], c[4], c[5])

@@ -31,7 +31,9 @@ def entry(function: Any) -> Any:
     """A kernel that Python calls; compiled at its first call, then cached on disk."""
     if config.DISABLE_JIT:
         return np.errstate(all="ignore")(function)  # compiled code does not warn either
-    return njit(cache=True, error_model="numpy", fastmath=_FASTMATH, no_cfunc_wrapper=True)(function)
+    return njit(cache=True, error_model="numpy", fastmath=_FASTMATH, no_cfunc_wrapper=True)(
+        function
+    )
 
 
 @intrinsic
@@ -56,25 +58,26 @@ def _integers_at(context, address):  # type: ignore[no-untyped-def]
 
 if config.DISABLE_JIT:
 
-    def _view(bound: Any, row: int, shape: tuple[int, ...], kind: Any) -> Any:
+    def _view(bound: Any, row: int, axes: int, kind: Any) -> Any:
+        shape = tuple(int(size) for size in bound[row, 1 : 1 + axes])
         buffer = (kind * int(np.prod(shape))).from_address(int(bound[row, 0]))
         return np.ctypeslib.as_array(buffer).reshape(shape)
 
     def vector(bound: Any, row: int) -> Any:
         """Bound array of floats, one axis."""
-        return _view(bound, row, (bound[row, 1],), ctypes.c_double)
+        return _view(bound, row, 1, ctypes.c_double)
 
-    def matrix(bound: Any, row: int, columns: int) -> Any:
-        """Bound array of floats, two axes, the second of the given length."""
-        return _view(bound, row, (bound[row, 1], columns), ctypes.c_double)
+    def matrix(bound: Any, row: int) -> Any:
+        """Bound array of floats, two axes."""
+        return _view(bound, row, 2, ctypes.c_double)
 
-    def cube(bound: Any, row: int, rows: int, columns: int) -> Any:
-        """Bound array of floats, three axes, the last two of the given lengths."""
-        return _view(bound, row, (bound[row, 1], rows, columns), ctypes.c_double)
+    def cube(bound: Any, row: int) -> Any:
+        """Bound array of floats, three axes."""
+        return _view(bound, row, 3, ctypes.c_double)
 
-    def integers(bound: Any, row: int, columns: int) -> Any:
-        """Bound array of integers, two axes, the second of the given length."""
-        return _view(bound, row, (bound[row, 1], columns), ctypes.c_int64)
+    def integers(bound: Any, row: int) -> Any:
+        """Bound array of integers, two axes."""
+        return _view(bound, row, 2, ctypes.c_int64)
 
 else:
 
@@ -84,16 +87,16 @@ else:
         return carray(_doubles_at(bound[row, 0]), (bound[row, 1],))
 
     @compiled
-    def matrix(bound, row, columns):  # type: ignore[no-untyped-def]
-        """Bound array of floats, two axes, the second of the given length."""
-        return carray(_doubles_at(bound[row, 0]), (bound[row, 1], columns))
+    def matrix(bound, row):  # type: ignore[no-untyped-def]
+        """Bound array of floats, two axes."""
+        return carray(_doubles_at(bound[row, 0]), (bound[row, 1], bound[row, 2]))
 
     @compiled
-    def cube(bound, row, rows, columns):  # type: ignore[no-untyped-def]
-        """Bound array of floats, three axes, the last two of the given lengths."""
-        return carray(_doubles_at(bound[row, 0]), (bound[row, 1], rows, columns))
+    def cube(bound, row):  # type: ignore[no-untyped-def]
+        """Bound array of floats, three axes."""
+        return carray(_doubles_at(bound[row, 0]), (bound[row, 1], bound[row, 2], bound[row, 3]))
 
     @compiled
-    def integers(bound, row, columns):  # type: ignore[no-untyped-def]
-        """Bound array of integers, two axes, the second of the given length."""
-        return carray(_integers_at(bound[row, 0]), (bound[row, 1], columns))
+    def integers(bound, row):  # type: ignore[no-untyped-def]
+        """Bound array of integers, two axes."""
+        return carray(_integers_at(bound[row, 0]), (bound[row, 1], bound[row, 2]))

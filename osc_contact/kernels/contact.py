@@ -16,7 +16,6 @@ from osc_contact.kernels.linalg import cross, dot6
 __all__ = ["contact_columns"]
 
 
-
 @compiled
 def turn(R, x, y, z):
     """R (x, y, z), R the rotation in the first rows and columns of a matrix."""
@@ -84,7 +83,9 @@ def contact_columns(pairs, count, shapes, X_WO, V_O, bodies, moving, N, n_gamma,
             V_rel[i] = V_O[i] - V_E[i]
         rows = shapes[pairs[k, 3] :]
         if kind == POINTS:
-            _points(pairs[k, 2], rows, X_WO, V_O, R_E, V_E, V_rel, moving, N[first:], n_gamma[first:])
+            _points(
+                pairs[k, 2], rows, X_WO, V_O, R_E, V_E, V_rel, moving, N[first:], n_gamma[first:]
+            )
         elif kind == FACE_ON_VERTEX:
             _face_on_vertex(rows, X_WO, V_O, R_E, V_E, V_rel, N[first], n_gamma[first:], scratch[3])
         elif kind == EDGES:

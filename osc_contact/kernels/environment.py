@@ -10,7 +10,6 @@ from osc_contact.kernels.white import motion_to
 __all__ = ["along_normals"]
 
 
-
 @compiled
 def _answer(kind, parameters, E, O, Phi, b, V):
     """Φ_e (36,), b_e and V_e (6,) of one body at O.
@@ -51,12 +50,15 @@ def along_normals(
 
     Args:
         N: (r_all, 6) at O. keep: (r,). owners: (r_all,) contact of each column.
-        kinds: (contacts,) of the bodies. same: (contacts,) equal numbers: one body.
+        kinds: (contacts,) of the bodies. same: (contacts,) the first
+            contact on the same body, whose motion counts.
         parameters: (contacts, 48), see `_answer`; ELSEWHERE: Φ_e (36), b_e, V_e at O.
         bodies: (contacts, 28) X_WE, V_E, A_E. O: (3,).
         answers: (contacts, 48) scratch.
     """
     for c in range(contacts):
+        if same[c] != c:
+            continue
         if kinds[c] == ELSEWHERE:
             for i in range(48):
                 answers[c, i] = parameters[c, i]
@@ -64,12 +66,12 @@ def along_normals(
             a = answers[c]
             _answer(kinds[c], parameters[c], bodies[c], O, a[:36], a[36:42], a[42:48])
     for a in range(r):
-        n, mine = N[keep[a]], owners[keep[a]]
+        n, mine = N[keep[a]], same[owners[keep[a]]]
         b_N[a] = dot6(n, answers[mine, 36:42])
         V_N[a] = dot6(n, answers[mine, 42:48])
         for b in range(r):
             s = 0.0
-            if same[owners[keep[b]]] == same[mine]:
+            if same[owners[keep[b]]] == mine:
                 for i in range(6):
                     s += n[i] * dot6(answers[mine, 6 * i : 6 * i + 6], N[keep[b]])
             Phi_N[a, b] = s

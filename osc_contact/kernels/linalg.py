@@ -246,7 +246,7 @@ def one_sided_jacobi(X, count, length, carried):
     """Rotate the rows X[:count, :length] until they are orthogonal; their norms are the singular
     values. The next `carried` elements of each row are rotated along."""
     for _ in range(30):
-        largest = 0.0
+        turned = False
         for p in range(count - 1):
             for q in range(p + 1, count):
                 a = b = c = 0.0
@@ -254,9 +254,9 @@ def one_sided_jacobi(X, count, length, carried):
                     a += X[p, i] * X[p, i]
                     b += X[q, i] * X[q, i]
                     c += X[p, i] * X[q, i]
-                if abs(c) <= 1e-16 * sqrt(a * b) or c == 0.0:
+                if abs(c) <= 2e-16 * max(a, b):
                     continue
-                largest = max(largest, abs(c) / sqrt(a * b))
+                turned = True
                 zeta = (b - a) / (2.0 * c)
                 t = 1.0 / (abs(zeta) + sqrt(1.0 + zeta * zeta))
                 if zeta < 0.0:
@@ -267,5 +267,5 @@ def one_sided_jacobi(X, count, length, carried):
                     x, y = X[p, i], X[q, i]
                     X[p, i] = cosine * x - sine * y
                     X[q, i] = sine * x + cosine * y
-        if largest < 1e-15:
+        if not turned:
             return

@@ -63,31 +63,31 @@ def add_arm(bound, sizes, k, v, row):
     Args:
         bound: see `layout`. sizes: row SIZES of it. v: (n,). row: first free row of LOCKED.
     """
-    rows, squares = matrix(bound, at.ROWS, 8), cube(bound, at.SQUARES, 6, 6)
-    arms, kinds = integers(bound, at.ARMS_I, 4), integers(bound, at.JOINTS_I, 2)
-    head, axes = vector(bound, at.HEAD), cube(bound, at.AXES, 3, 3)
+    rows, squares = matrix(bound, at.ROWS), cube(bound, at.SQUARES)
+    arms, kinds = integers(bound, at.ARMS_I), integers(bound, at.JOINTS_I)
+    head, axes = vector(bound, at.HEAD), cube(bound, at.AXES)
     n_all, lo, hi = sizes[at.N_JOINTS], arms[k, 0], arms[k, 1]
-    parts, locked = cube(bound, at.JOINT_ROWS, n_all, 6), matrix(bound, at.LOCKED, 7)
+    parts, locked = cube(bound, at.JOINT_ROWS), matrix(bound, at.LOCKED)
     white, bar, outboard = parts[1], parts[2], parts[4]
-    h = matrix(bound, at.JOINT_VECTORS, n_all)[0]
-    joints, X = matrix(bound, at.JOINTS, 24), matrix(bound, at.HOUSEHOLDER, 20)
+    h = matrix(bound, at.JOINT_VECTORS)[0]
+    joints, X = matrix(bound, at.JOINTS), matrix(bound, at.HOUSEHOLDER)
     side = min(k, 1)
     V = rows[at.SCRATCH]
     if k == 0:
         V = rows[at.V]
     arm_motion(
-        lo, hi, v, matrix(bound, at.J, 6), matrix(bound, at.POSE, 12), joints, kinds,
-        rows[at.CENTRE], head[:3], parts[0], parts[3], outboard, matrix(bound, at.LINKS, 10), h,
+        lo, hi, v, matrix(bound, at.J), matrix(bound, at.POSE), joints, kinds,
+        rows[at.CENTRE], head[:3], parts[0], parts[3], outboard, matrix(bound, at.LINKS), h,
         V, rows[at.DRIFT], rows[at.BIAS_LINKS],
     )  # fmt: skip
     for j in range(lo, hi):
         white_motion(axes, parts[0, j], white[j])
     gamma = rows[at.GAMMA]
     white_motion(axes, rows[at.DRIFT], gamma)
-    Lambda, effort = squares[at.ARM], cube(bound, at.ARM_SQUARES, 6, 6)[k]
+    Lambda, effort = squares[at.ARM], cube(bound, at.ARM_SQUARES)[k]
     count = arm_terms(
-        lo, hi - lo, matrix(bound, at.M, n_all), white, head[at.TOLERANCE], bar, Lambda, locked,
-        row, matrix(bound, at.TRIANGLE, 10), X, matrix(bound, at.Q_FACTOR, 10), rows[at.DIAGONAL],
+        lo, hi - lo, matrix(bound, at.M), white, head[at.TOLERANCE], bar, Lambda, locked,
+        row, matrix(bound, at.TRIANGLE), X, matrix(bound, at.Q_FACTOR), rows[at.DIAGONAL],
         rows[at.BETA],
     )  # fmt: skip
     if count < 0:
@@ -138,4 +138,3 @@ def _add_outboard(lo, hi, axes, kinds, bar, outboard, gamma, out_T, bias_out):
             bias_out[a] -= s * outboard[j, a]
             for b in range(6):
                 out_T[b, a] += outboard[j, a] * bar[j, b]
-

@@ -43,9 +43,7 @@ def pose_error(X_WD, X_WO, out):
 def motion_command(error, integral, V_D, A_D, V_O, stiffness, damping, gain, a_u):
     """a_u (6,) at O: p̈_d + K_d ė + K_p e + K_i ∫e, less ω × v."""
     for i in range(6):
-        a_u[i] = (
-            A_D[i] + damping * (V_D[i] - V_O[i]) + stiffness * error[i] + gain * integral[i]
-        )
+        a_u[i] = A_D[i] + damping * (V_D[i] - V_O[i]) + stiffness * error[i] + gain * integral[i]
     x, y, z = cross(V_O[3], V_O[4], V_O[5], V_O[0], V_O[1], V_O[2])
     a_u[0] -= x
     a_u[1] -= y

@@ -43,7 +43,7 @@ def build(stamp: int) -> Any:
         """One control period; the torques and what `layout` names are left in the bound arrays.
 
         Args:
-            bound: (COUNT, 2) addresses and lengths, see `layout`. Pinocchio's `crba` (WORLD) has
+            bound: (COUNT, 4) addresses and shapes, see `layout`. Pinocchio's `crba` (WORLD) has
                 run.
             q, v, wrenches: as in `interface.Measurement`.
             X_WD: (4, 4), V_D, A_D, alpha_d, squeeze: as in `interface.Reference`.
@@ -54,7 +54,7 @@ def build(stamp: int) -> Any:
         """
         if stamp < 0:
             return at.ASK
-        sizes = integers(bound, at.SIZES, 16)[0]
+        sizes = integers(bound, at.SIZES)[0]
         r_all = sizes[at.N_COLUMNS] if engaged else 0
         if not _fit(
             bound, sizes, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, engaged, moving
@@ -105,7 +105,7 @@ def _fit(bound, sizes, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, engaged
     for i in range(alpha_d.size):
         s += alpha_d[i] * 0.0
     if moving:
-        touched = matrix(bound, at.TOUCHED, 28)
+        touched = matrix(bound, at.TOUCHED)
         for c in range(sizes[at.N_CONTACTS]):
             for i in range(28):
                 s += touched[c, i] * 0.0
@@ -141,7 +141,7 @@ def _keep(bound, sizes, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, engage
     for i in range(at.STATE_SIZE):
         inputs[inputs.size - at.STATE_SIZE + i] = state[i]
     if moving:
-        touched, before = matrix(bound, at.TOUCHED, 28), matrix(bound, at.TOUCHED_BEFORE, 28)
+        touched, before = matrix(bound, at.TOUCHED), matrix(bound, at.TOUCHED_BEFORE)
         for c in range(sizes[at.N_CONTACTS]):
             for i in range(28):
                 before[c, i] = touched[c, i]
@@ -161,11 +161,11 @@ def _commit(bound, r):
 @compiled
 def _model(bound, sizes, v):
     """The closed chain; returns the number of directions it locks, or −1."""
-    head, rows = vector(bound, at.HEAD), matrix(bound, at.ROWS, 8)
-    squares, arms = cube(bound, at.SQUARES, 6, 6), integers(bound, at.ARMS_I, 4)
-    pose, tips = matrix(bound, at.POSE, 12), matrix(bound, at.ARMS, 16)
-    axes, signals = cube(bound, at.AXES, 3, 3), vector(bound, at.SIGNALS)
-    locked, Z = matrix(bound, at.LOCKED, 7), matrix(bound, at.Q_FACTOR, 10)
+    head, rows = vector(bound, at.HEAD), matrix(bound, at.ROWS)
+    squares, arms = cube(bound, at.SQUARES), integers(bound, at.ARMS_I)
+    pose, tips = matrix(bound, at.POSE), matrix(bound, at.ARMS)
+    axes, signals = cube(bound, at.AXES), vector(bound, at.SIGNALS)
+    locked, Z = matrix(bound, at.LOCKED), matrix(bound, at.Q_FACTOR)
 
     C, O, line = rows[at.CENTRE], rows[at.O], rows[at.LINE]
     first = pose[arms[0, 2]]
@@ -240,33 +240,33 @@ def _grasp_line(pose, arms, tips, rows, C, axes):
 @compiled
 def _contact(bound, sizes, r_all, moving):
     """N, n_γ and what the touched bodies do along N; returns the number r of columns, or −1."""
-    columns = matrix(bound, at.COLUMNS, sizes[at.N_COLUMNS] + 6)
-    squares, rows = cube(bound, at.SQUARES, 6, 6), matrix(bound, at.ROWS, 8)
+    columns = matrix(bound, at.COLUMNS)
+    squares, rows = cube(bound, at.SQUARES), matrix(bound, at.ROWS)
     Phi_N = squares[at.PHI_N]
     signals = vector(bound, at.SIGNALS)
     signals[at.RANK] = 0.0
     if r_all == 0:
         return 0
-    N, owners = matrix(bound, at.N_O, 6), integers(bound, at.COLUMNS_I, 1)
-    touched, bodies = matrix(bound, at.TOUCHED, 28), integers(bound, at.BODIES_I, 2)
-    sets = cube(bound, at.CONTACT_ROWS, sizes[at.N_COLUMNS] + 6, 6)
-    share = matrix(bound, at.SHARE, sizes[at.N_COLUMNS] + 6)
+    N, owners = matrix(bound, at.N_O), integers(bound, at.COLUMNS_I)
+    touched, bodies = matrix(bound, at.TOUCHED), integers(bound, at.BODIES_I)
+    sets = cube(bound, at.CONTACT_ROWS)
+    share = matrix(bound, at.SHARE)
     O, C = rows[at.O], rows[at.CENTRE]
     X_WO = signals[at.X_WO : at.X_WO + 16].reshape(4, 4)
     n_gamma, scratch = columns[at.N_GAMMA], sets[at.SOLVED]
     if not contact_columns(
-        integers(bound, at.PAIRS_I, 6), sizes[at.N_PAIRS], matrix(bound, at.SHAPES, 16), X_WO,
+        integers(bound, at.PAIRS_I), sizes[at.N_PAIRS], matrix(bound, at.SHAPES), X_WO,
         signals[at.V_O : at.V_O + 6], touched, moving, N, n_gamma, scratch,
     ):  # fmt: skip
         return -1
-    axes, white = cube(bound, at.AXES, 3, 3), sets[at.ALL]
+    axes, white = cube(bound, at.AXES), sets[at.ALL]
     for j in range(r_all):
         wrench_to(N[j], O, C, rows[at.SCRATCH])
         white_wrench(axes, rows[at.SCRATCH], white[j])
-    keep = integers(bound, at.KEEP, 1)
+    keep = integers(bound, at.KEEP)
     r = stack(
         white, r_all, n_gamma, columns[at.SIZE], sets[at.REST], keep[:, 0], share,
-        matrix(bound, at.HOUSEHOLDER, 20), matrix(bound, at.STACK_Q, 10), rows[at.X], rows[at.Y],
+        matrix(bound, at.HOUSEHOLDER), matrix(bound, at.STACK_Q), rows[at.X], rows[at.Y],
     )  # fmt: skip
     if r < 0:
         return -1
@@ -286,8 +286,8 @@ def _contact(bound, sizes, r_all, moving):
                     return -1
         along_normals(
             N, keep[:, 0], r, owners[:, 0], bodies[:, 0], bodies[:, 1],
-            matrix(bound, at.BODIES, 48), touched, sizes[at.N_CONTACTS], O,
-            matrix(bound, at.ANSWERS, 48), Phi_N, rows[at.B_N], rows[at.V_N],
+            matrix(bound, at.BODIES), touched, sizes[at.N_CONTACTS], O,
+            matrix(bound, at.ANSWERS), Phi_N, rows[at.B_N], rows[at.V_N],
         )  # fmt: skip
     return r
 
@@ -295,13 +295,17 @@ def _contact(bound, sizes, r_all, moving):
 @compiled
 def _force(bound, sizes, r, r_all, wrenches, alpha_d):
     """Wrist readings to contact magnitudes, and the force command."""
-    rows, arms = matrix(bound, at.ROWS, 8), integers(bound, at.ARMS_I, 4)
-    signals, state, head = vector(bound, at.SIGNALS), vector(bound, at.STATE), vector(bound, at.HEAD)
-    pose, tips = matrix(bound, at.POSE, 12), matrix(bound, at.ARMS, 16)
-    axes, squares = cube(bound, at.AXES, 3, 3), cube(bound, at.SQUARES, 6, 6)
-    columns = matrix(bound, at.COLUMNS, sizes[at.N_COLUMNS] + 6)
-    sets = cube(bound, at.CONTACT_ROWS, sizes[at.N_COLUMNS] + 6, 6)
-    N, keep = matrix(bound, at.N_O, 6), integers(bound, at.KEEP, 1)
+    rows, arms = matrix(bound, at.ROWS), integers(bound, at.ARMS_I)
+    signals, state, head = (
+        vector(bound, at.SIGNALS),
+        vector(bound, at.STATE),
+        vector(bound, at.HEAD),
+    )
+    pose, tips = matrix(bound, at.POSE), matrix(bound, at.ARMS)
+    axes, squares = cube(bound, at.AXES), cube(bound, at.SQUARES)
+    columns = matrix(bound, at.COLUMNS)
+    sets = cube(bound, at.CONTACT_ROWS)
+    N, keep = matrix(bound, at.N_O), integers(bound, at.KEEP)
     C, O, total, scratch = rows[at.CENTRE], rows[at.O], rows[at.TOTAL], vector(bound, at.WIDE)
     f_meas = signals[at.F_MEAS : at.F_MEAS + 6]
     total[:] = 0.0
@@ -328,7 +332,7 @@ def _force(bound, sizes, r, r_all, wrenches, alpha_d):
     ):  # fmt: skip
         return False
     V_O = signals[at.V_O : at.V_O + 6]
-    share = matrix(bound, at.SHARE, sizes[at.N_COLUMNS] + 6)
+    share = matrix(bound, at.SHARE)
     for a in range(r):
         n = N[keep[a, 0]]
         alpha = rows[at.ALPHA, a]
@@ -357,12 +361,12 @@ def _force(bound, sizes, r, r_all, wrenches, alpha_d):
 @compiled
 def _motion(bound, sizes, r, m, X_WD, V_D, A_D):
     """The motion law and its filter: rows[X] = the object's acceleration ã, turned."""
-    rows, head = matrix(bound, at.ROWS, 8), vector(bound, at.HEAD)
+    rows, head = matrix(bound, at.ROWS), vector(bound, at.HEAD)
     signals, state = vector(bound, at.SIGNALS), vector(bound, at.STATE)
-    axes, squares = cube(bound, at.AXES, 3, 3), cube(bound, at.SQUARES, 6, 6)
-    columns = matrix(bound, at.COLUMNS, sizes[at.N_COLUMNS] + 6)
-    sets = cube(bound, at.CONTACT_ROWS, sizes[at.N_COLUMNS] + 6, 6)
-    Z, K = matrix(bound, at.Q_FACTOR, 10), matrix(bound, at.TRIANGLE, 10)
+    axes, squares = cube(bound, at.AXES), cube(bound, at.SQUARES)
+    columns = matrix(bound, at.COLUMNS)
+    sets = cube(bound, at.CONTACT_ROWS)
+    Z, K = matrix(bound, at.Q_FACTOR), matrix(bound, at.TRIANGLE)
     C, O, beta = rows[at.CENTRE], rows[at.O], rows[at.BETA]
     kept, turned, solved = sets[at.KEPT], sets[at.TURNED], sets[at.SOLVED]
     Lambda, B_inv, gram = squares[at.LAMBDA], squares[at.B_INV], squares[at.GRAM]
@@ -420,9 +424,7 @@ def _motion(bound, sizes, r, m, X_WD, V_D, A_D):
             rho[a] = s
         if not reachable(turned, r, m, Lambda, held, own, gram, L, squares[at.FACTOR], work):
             return False
-    if not filter_motion(
-        turned, r, m, L, x, rho, by_object, B_inv, solved, K, work, weight
-    ):
+    if not filter_motion(turned, r, m, L, x, rho, by_object, B_inv, solved, K, work, weight):
         return False
     for i in range(m):
         x[i] = sigma[i]
@@ -445,7 +447,7 @@ def _free_error(rows, axes, error, kept, r, by_object, B_inv, solved, K, gram, L
 @compiled
 def _metric(bound, sizes, m):
     """B⁻¹ of the motion filter, white and turned."""
-    squares, rows = cube(bound, at.SQUARES, 6, 6), matrix(bound, at.ROWS, 8)
+    squares, rows = cube(bound, at.SQUARES), matrix(bound, at.ROWS)
     B_inv = squares[at.B_INV]
     if sizes[at.METRIC_KIND] == at.BY_CHAIN:
         for i in range(6):
@@ -453,7 +455,7 @@ def _metric(bound, sizes, m):
                 B_inv[i, j] = squares[at.LAMBDA, i, j]
             B_inv[i, i] += 1.0
         return
-    given, axes, work = matrix(bound, at.METRIC, 6), cube(bound, at.AXES, 3, 3), squares[at.WORK]
+    given, axes, work = matrix(bound, at.METRIC), cube(bound, at.AXES), squares[at.WORK]
     for half in range(2):  # the map from wrenches to white ones, from both sides
         for i in range(6):
             row = given[i] if half == 0 else work[i]
@@ -464,17 +466,17 @@ def _metric(bound, sizes, m):
         for i in range(6):
             for j in range(6):
                 work[i, j] = B_inv[j, i]
-    reflect_sides(matrix(bound, at.Q_FACTOR, 10), rows[at.BETA], m, B_inv)
+    reflect_sides(matrix(bound, at.Q_FACTOR), rows[at.BETA], m, B_inv)
 
 
 @compiled
 def _structure(bound, sizes, r, m, squeeze):
     """The dynamic control structure, eq. 21, and the multipliers of the torque allocation."""
-    rows, squares = matrix(bound, at.ROWS, 8), cube(bound, at.SQUARES, 6, 6)
-    axes, state = cube(bound, at.AXES, 3, 3), vector(bound, at.STATE)
-    columns = matrix(bound, at.COLUMNS, sizes[at.N_COLUMNS] + 6)
-    turned = cube(bound, at.CONTACT_ROWS, sizes[at.N_COLUMNS] + 6, 6)[at.TURNED]
-    Z, beta = matrix(bound, at.Q_FACTOR, 10), rows[at.BETA]
+    rows, squares = matrix(bound, at.ROWS), cube(bound, at.SQUARES)
+    axes, state = cube(bound, at.AXES), vector(bound, at.STATE)
+    columns = matrix(bound, at.COLUMNS)
+    turned = cube(bound, at.CONTACT_ROWS)[at.TURNED]
+    Z, beta = matrix(bound, at.Q_FACTOR), rows[at.BETA]
     x, f_S, bias, line = rows[at.X], rows[at.F_S], rows[at.Y], rows[at.TOTAL]
     held = 1.0 if sizes[at.HELD] else 0.0
     wrench_to(state[at.BIAS : at.BIAS + 6], rows[at.O], rows[at.CENTRE], rows[at.WORLD])
@@ -502,19 +504,19 @@ def _structure(bound, sizes, r, m, squeeze):
         signals[at.SQUEEZE] = e0
     return multipliers(
         squares[at.EFFORT], m, two, skewed, own, f_S, squeeze + e0,
-        matrix(bound, at.TRIANGLE, 10), matrix(bound, at.HOUSEHOLDER, 20), rows[at.Z],
+        matrix(bound, at.TRIANGLE), matrix(bound, at.HOUSEHOLDER), rows[at.Z],
     )  # fmt: skip
 
 
 @compiled
 def _torques(bound, sizes, r, m, q, v, squeeze):
     """Motor torques within their limits."""
-    rows, head = matrix(bound, at.ROWS, 8), vector(bound, at.HEAD)
+    rows, head = matrix(bound, at.ROWS), vector(bound, at.HEAD)
     n = sizes[at.N_JOINTS]
-    vectors, joint_rows = matrix(bound, at.JOINT_VECTORS, n), cube(bound, at.JOINT_ROWS, n, 6)
-    arms, joints = integers(bound, at.ARMS_I, 4), matrix(bound, at.JOINTS, 24)
-    motors, tau_max = integers(bound, at.JOINTS_I, 2), vector(bound, at.TAU_MAX)
-    effort, M = cube(bound, at.ARM_SQUARES, 6, 6), matrix(bound, at.M, n)
+    vectors, joint_rows = matrix(bound, at.JOINT_VECTORS), cube(bound, at.JOINT_ROWS)
+    arms, joints = integers(bound, at.ARMS_I), matrix(bound, at.JOINTS)
+    motors, tau_max = integers(bound, at.JOINTS_I), vector(bound, at.TAU_MAX)
+    effort, M = cube(bound, at.ARM_SQUARES), matrix(bound, at.M)
     tau, out = vectors[1], vector(bound, at.TAU)
     h, white, bar, y, z = vectors[0], joint_rows[1], joint_rows[2], rows[at.Y], rows[at.Z]
     signals = vector(bound, at.SIGNALS)
@@ -522,7 +524,7 @@ def _torques(bound, sizes, r, m, q, v, squeeze):
     whole = rows[at.WORLD]
     for i in range(6):
         whole[i] = z[i] if i >= m else 0.0
-    reflect_back(matrix(bound, at.Q_FACTOR, 10), rows[at.BETA], m, whole)
+    reflect_back(matrix(bound, at.Q_FACTOR), rows[at.BETA], m, whole)
     for k in range(sizes[at.N_ARMS]):
         lo, count = arms[k, 0], arms[k, 1] - arms[k, 0]
         for i in range(6):
