@@ -72,7 +72,7 @@ class CompiledTick:
         self._bodies = [
             (c, body)
             for c, body in enumerate(controller.bodies)
-            if self._arrays[at.BODIES_I][c].tolist() == [at.ELSEWHERE, c]
+            if body is not None and self._arrays[at.BODIES_I][c].tolist() == [at.ELSEWHERE, c]
         ]
         self._elsewhere = bool(self._pairs.elsewhere or self._bodies)
         self.found = _found(self._arrays)

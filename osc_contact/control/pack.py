@@ -154,10 +154,12 @@ def _scratch(chain: ClosedChain, r_all: int) -> Arrays:
         at.SHARE: (6, columns), at.AXES: (4, 3, 3), at.JOINT_VECTORS: (2, n),
         at.ANSWERS: (r_all + 1, 48), at.INPUTS: (inputs,), at.STACK_Q: (10, 10), at.WIDE: (16,),
     }  # fmt: skip
+    arrays = {row: np.zeros(shape) for row, shape in shapes.items()}
+    arrays[at.SIGNALS][at.X_WO + 15] = 1.0
     return {
         at.KEEP: np.zeros((columns, 1), dtype=np.int64),
         at.TAU_MAX: chain.tau_max.copy(),
-        **{row: np.zeros(shape) for row, shape in shapes.items()},
+        **arrays,
     }
 
 

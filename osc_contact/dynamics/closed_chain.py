@@ -84,7 +84,8 @@ class ClosedChain:
         arms: as given. slices: each arm's part of q and v.
         actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits.
         tips, sensors: frame of each arm's tip and wrist sensor (None: it has none).
-        outboard: links beyond each sensor. reference: the object, or its stand-in for rank decisions.
+        outboard: links beyond each sensor.
+        reference: the object, or its stand-in for rank decisions.
     """
 
     def __init__(

@@ -10,7 +10,7 @@ __all__ = ["arm_motion"]
 
 @compiled
 def _place(pose, joint, C, table, row, start, body):
-    """Body `table[row, start:]` (mass, lever, inertia at its centre; joint axes) in world axes at C.
+    """Body `table[row, start:]` (mass, lever, inertia at its centre; joint axes) in the world at C.
 
     Written to `body`: mass, mass × centre (3), rotational inertia about C (xx, xy, xz, yy, yz, zz).
     """
@@ -80,7 +80,7 @@ def arm_motion(
     """One arm, base to tip and back: Jacobian, drift, joint forces, what is outboard of the wrist.
 
     Args:
-        lo, hi: the arm's joints. v: (n,) velocities. J: (n, 6) Jacobian columns at the world origin.
+        lo, hi: the arm's joints. v: (n,) velocities. J: (n, 6) columns at the world origin.
         pose: (n + 1, 12) joint placements, rotation column by column, then position.
         joints: (n, 20…) bodies: the whole link, then its part outboard of the wrist sensor.
         kinds: (n, …) 0: nothing of the link is outboard, 1: all of it, 2: the second body.

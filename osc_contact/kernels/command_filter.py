@@ -33,7 +33,7 @@ def reachable(N, r, m, Lambda, held, own, gram, L, K, Y):
     is between 1 and its trace, so is its inverse, and NᵀΦ₀N between NᵀN / trace and NᵀN.
 
     Args:
-        N: (r, 6) white, turned. Lambda: (6, 6) ΣΛ_i, turned. held: 1.0 if an object is held, else 0.
+        N: (r, 6) white, turned. Lambda: (6, 6) ΣΛ_i, turned. held: 1 if an object is held, else 0.
         own: (r,) squared size of each column. gram: (6, 6) filled with N_SᵀN_S. L: its factor.
         K, Y: scratch.
     """

@@ -20,43 +20,46 @@ __all__ = ["compiled", "entry", "cube", "integers", "matrix", "vector"]
 _FASTMATH = {"contract", "reassoc", "nsz"}
 
 
+_OPTIONS: dict[str, Any] = {
+    "error_model": "numpy", "fastmath": _FASTMATH, "no_cfunc_wrapper": True,
+}  # fmt: skip
+_njit: Any = njit
+_PLAIN_PYTHON: bool = getattr(config, "DISABLE_JIT")  # noqa: B009 - set at run time
+
+
 def compiled(function: Any) -> Any:
     """A part of a kernel, to be called from other compiled functions only."""
-    return njit(
-        error_model="numpy", fastmath=_FASTMATH, no_cpython_wrapper=True, no_cfunc_wrapper=True
-    )(function)
+    return _njit(no_cpython_wrapper=True, **_OPTIONS)(function)
 
 
 def entry(function: Any) -> Any:
     """A kernel that Python calls; compiled at its first call, then cached on disk."""
-    if config.DISABLE_JIT:
+    if _PLAIN_PYTHON:
         return np.errstate(all="ignore")(function)  # compiled code does not warn either
-    return njit(cache=True, error_model="numpy", fastmath=_FASTMATH, no_cfunc_wrapper=True)(
-        function
-    )
+    return _njit(cache=True, **_OPTIONS)(function)
 
 
 @intrinsic
-def _doubles_at(context, address):  # type: ignore[no-untyped-def]
+def _doubles_at(context, address):
     pointer = types.CPointer(types.float64)
 
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    def generate(context, builder, signature, arguments):
         return builder.inttoptr(arguments[0], context.get_value_type(pointer))
 
     return pointer(types.int64), generate
 
 
 @intrinsic
-def _integers_at(context, address):  # type: ignore[no-untyped-def]
+def _integers_at(context, address):
     pointer = types.CPointer(types.int64)
 
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    def generate(context, builder, signature, arguments):
         return builder.inttoptr(arguments[0], context.get_value_type(pointer))
 
     return pointer(types.int64), generate
 
 
-if config.DISABLE_JIT:
+if _PLAIN_PYTHON:
 
     def _view(bound: Any, row: int, axes: int, kind: Any) -> Any:
         shape = tuple(int(size) for size in bound[row, 1 : 1 + axes])
@@ -82,21 +85,21 @@ if config.DISABLE_JIT:
 else:
 
     @compiled
-    def vector(bound, row):  # type: ignore[no-untyped-def]
+    def vector(bound, row):
         """Bound array of floats, one axis."""
         return carray(_doubles_at(bound[row, 0]), (bound[row, 1],))
 
     @compiled
-    def matrix(bound, row):  # type: ignore[no-untyped-def]
+    def matrix(bound, row):
         """Bound array of floats, two axes."""
         return carray(_doubles_at(bound[row, 0]), (bound[row, 1], bound[row, 2]))
 
     @compiled
-    def cube(bound, row):  # type: ignore[no-untyped-def]
+    def cube(bound, row):
         """Bound array of floats, three axes."""
         return carray(_doubles_at(bound[row, 0]), (bound[row, 1], bound[row, 2], bound[row, 3]))
 
     @compiled
-    def integers(bound, row):  # type: ignore[no-untyped-def]
+    def integers(bound, row):
         """Bound array of integers, two axes."""
         return carray(_integers_at(bound[row, 0]), (bound[row, 1], bound[row, 2]))

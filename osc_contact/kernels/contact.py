@@ -148,7 +148,7 @@ def _along_first(a, e, m, mm):
 
 @compiled
 def _edges(rows, X_WO, V_O, R_E, V_E, V_rel, N, n_gamma, rate):
-    """Row: point and direction of A's edge (0:3, 3:6), of E's (6:9, 9:12), side (12), normal (13:16).
+    """Row: point, direction of A's edge (0:3, 3:6), of E's (6:9, 9:12), side (12), normal (13:16).
 
     The side is ±1, or 0 where the environment's outward normal tells it.
     """

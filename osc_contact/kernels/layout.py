@@ -10,13 +10,13 @@ __all__: list[str] = []
 
 (
     SIZES,  # (1, 16) integers, see below
-    ARMS_I,  # (k, 4) first joint, one past the last, pose row of the tip, pose row of the sensor or −1
+    ARMS_I,  # (k, 4) first joint, one past the last, pose rows of tip and sensor (−1: none)
     JOINTS_I,  # (n, 2) what of the link is outboard (0, 1: all, 2: a part); motor number or −1
     PAIRS_I,  # (pairs, 6) see `contact`
     COLUMNS_I,  # (r_all, 1) contact of each column
     BODIES_I,  # (c, 2) kind of the touched body, see `environment`; its number
     HEAD,  # constants, see below
-    ARMS,  # (k, 16) tip point in its joint (0:3), sensor in its joint: rotation (3:12), point (12:15)
+    ARMS,  # (k, 16) tip point in its joint (0:3), sensor in its: rotation (3:12), point (12:15)
     JOINTS,  # (n, 24) link (0:10), outboard part (10:20), τ_max² (20), 1/τ_max² (21), posture (22)
     SHAPES,  # (…, 16) see `contact`
     BODIES,  # (c, 48) see `environment`
@@ -45,7 +45,7 @@ __all__: list[str] = []
     AXES,  # (4, 3, 3)
     JOINT_VECTORS,  # (2, n) h, τ of all joints
     ANSWERS,  # (c, 48)
-    INPUTS,  # of the last computed tick, see `tick._keep`; at its end STATE as it found it
+    INPUTS,  # of the last computed tick, see `inputs.keep`; at its end STATE as it found it
     KEEP,  # (r_all + 6, 1) integers: the columns of N that were kept
     STACK_Q,  # (10, 10) scratch
     WIDE,  # (16,) scratch

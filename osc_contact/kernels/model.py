@@ -1,4 +1,4 @@
-"""The model stage of a tick: placement of the object, terms of every arm."""
+"""The model stage of a tick: placement of the object, terms of every arm, what they lock."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from osc_contact.kernels import layout as at
 from osc_contact.kernels.allocation import effort_metric
 from osc_contact.kernels.arm import arm_terms
 from osc_contact.kernels.body import arm_motion
+from osc_contact.kernels.closed_chain import intersect
 from osc_contact.kernels.compile import compiled, cube, integers, matrix, vector
-from osc_contact.kernels.linalg import cross, dot6
-from osc_contact.kernels.white import white_motion, white_wrench
+from osc_contact.kernels.linalg import cross, dot6, reflect, reflect_sides
+from osc_contact.kernels.white import motion_to, set_axes, white_motion, white_wrench
 
-__all__ = ["add_arm", "object_terms", "place", "point_in"]
+__all__ = ["model_stage"]
 
 
 @compiled
@@ -41,7 +42,6 @@ def object_terms(axes, V, gravity, roots, squares, out):
     In its principal axes: √m (ω × v) and (ω × Iω)/√I, weight −√m g.
     """
     white_motion(axes, V, out)
-    m = roots[0]
     vx, vy, vz = out[0], out[1], out[2]  # √m v
     wx, wy, wz = out[3] / roots[1], out[4] / roots[2], out[5] / roots[3]
     x, y, z = cross(wx, wy, wz, vx, vy, vz)
@@ -66,7 +66,7 @@ def add_arm(bound, sizes, k, v, row):
     rows, squares = matrix(bound, at.ROWS), cube(bound, at.SQUARES)
     arms, kinds = integers(bound, at.ARMS_I), integers(bound, at.JOINTS_I)
     head, axes = vector(bound, at.HEAD), cube(bound, at.AXES)
-    n_all, lo, hi = sizes[at.N_JOINTS], arms[k, 0], arms[k, 1]
+    lo, hi = arms[k, 0], arms[k, 1]
     parts, locked = cube(bound, at.JOINT_ROWS), matrix(bound, at.LOCKED)
     white, bar, outboard = parts[1], parts[2], parts[4]
     h = matrix(bound, at.JOINT_VECTORS)[0]
@@ -138,3 +138,82 @@ def _add_outboard(lo, hi, axes, kinds, bar, outboard, gamma, out_T, bias_out):
             bias_out[a] -= s * outboard[j, a]
             for b in range(6):
                 out_T[b, a] += outboard[j, a] * bar[j, b]
+
+
+@compiled
+def model_stage(bound, sizes, v):
+    """The closed chain; returns the number of directions it locks, or −1."""
+    head, rows = vector(bound, at.HEAD), matrix(bound, at.ROWS)
+    squares, arms = cube(bound, at.SQUARES), integers(bound, at.ARMS_I)
+    pose, tips = matrix(bound, at.POSE), matrix(bound, at.ARMS)
+    axes, signals = cube(bound, at.AXES), vector(bound, at.SIGNALS)
+    locked, Z = matrix(bound, at.LOCKED), matrix(bound, at.Q_FACTOR)
+
+    C, O, line = rows[at.CENTRE], rows[at.O], rows[at.LINE]
+    first = pose[arms[0, 2]]
+    X_WO = signals[at.X_WO : at.X_WO + 16].reshape(4, 4)
+    place(first, head, at.X_JO, X_WO, O)
+    for i in range(3):
+        X_WO[i, 3] = O[i]
+    R = rows[at.R_0 : at.R_2 + 1]
+    place(first, head, at.X_JP, R, C)
+    set_axes(R, head[at.ROOTS : at.ROOTS + 4], axes)
+    two = sizes[at.N_ARMS] == 2 and _grasp_line(pose, arms, tips, rows, C, axes)
+
+    for k in range(at.B_INV):
+        squares[k] = 0.0
+    held = 1.0 if sizes[at.HELD] else 0.0
+    rows[at.BIAS_LINKS] = 0.0
+    rows[at.BIAS_WHITE] = 0.0
+    rows[at.CHAIN] = 0.0
+    if not two:
+        line[:] = 0.0
+    count = 0 * sizes[at.N_ARMS]
+    for k in range(sizes[at.N_ARMS]):
+        found = add_arm(bound, sizes, k, v, count)
+        if found < 0:
+            return -1
+        count += found
+    motion_to(rows[at.V], C, O, signals[at.V_O : at.V_O + 6])
+    object_terms(
+        axes, rows[at.V], head[:3], head[at.ROOTS : at.ROOTS + 4], head[at.PRINCIPAL :],
+        rows[at.WEIGHT],
+    )  # fmt: skip
+    white_wrench(axes, rows[at.BIAS_LINKS], rows[at.SCRATCH])
+    for i in range(6):
+        squares[at.OUT_T, i, i] += held
+        weight = held * rows[at.WEIGHT, i]
+        rows[at.CHAIN, i] += weight
+        rows[at.BIAS_WHITE, i] += weight + rows[at.SCRATCH, i]
+    m = intersect(
+        locked, count, head[at.TOLERANCE], Z, rows[at.BETA], rows[at.DIAGONAL], rows[at.SIGMA]
+    )
+    if m > 0:
+        beta = rows[at.BETA]
+        for k in (at.LAMBDA, at.EFFORT):
+            reflect_sides(Z, beta, m, squares[k])
+        for k in (at.CHAIN, at.SIGMA, at.OWN_0, at.OWN_1):
+            reflect(Z, beta, m, rows[k])
+        if two:
+            for k in (at.ALONG_0, at.ALONG_1, at.EFFORT_0, at.EFFORT_1):
+                reflect(Z, beta, m, rows[k])
+    return m
+
+
+@compiled
+def _grasp_line(pose, arms, tips, rows, C, axes):
+    """The unit translation from the first grasp to the second, white; False if they coincide."""
+    p, s = rows[at.POINT], rows[at.SCRATCH]
+    point_in(pose[arms[0, 2]], tips[0], 0, p)
+    point_in(pose[arms[1, 2]], tips[1], 0, s)
+    square = 0.0
+    for i in range(3):
+        p[i] = s[i] - p[i]
+        square += p[i] * p[i]
+        p[3 + i] = 0.0
+    if square < 1e-18:
+        return False
+    for i in range(3):
+        p[i] /= square**0.5
+    white_motion(axes, p, rows[at.LINE])
+    return True
