@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,6 +104,17 @@ class CompiledTick:
         if code & 3 == at.OK and force.integral is not self._force_sums[r]:
             force.integral = self._force_sum = self._force_sums[r]
         return code & 3
+
+    def bare_call(
+        self, measurement: Measurement, reference: Reference, engaged: bool
+    ) -> Callable[[], int]:
+        """The kernel on prepared arguments, at the positions last given to Pinocchio."""
+        self(measurement, reference, engaged)
+        return partial(
+            self._kernel, self._bound, measurement.q, measurement.v, measurement.wrenches,
+            reference.X_WD.homogeneous, reference.V_D, reference.A_D, reference.alpha_d,
+            reference.squeeze_d, engaged, self._moved,
+        )  # fmt: skip
 
     # --- what a tick found ---------------------------------------------------------------------
 

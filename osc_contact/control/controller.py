@@ -6,7 +6,7 @@ Each method marked `@block` is one box of the figure: it reads and writes the na
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING
@@ -242,6 +242,12 @@ class Controller:
     def last_torques(self) -> Array:
         """(n_a,) what the last tick gave out."""
         return self._last_tau.copy()
+
+    def kernel_call(self, measurement: Measurement, reference: Reference) -> Callable[[], int]:
+        """The kernel call of a tick by itself, to be timed; the state of the loops moves on."""
+        if self._fast is None:
+            raise InvalidInputError("this controller runs on the readable path: no kernel to call")
+        return self._fast.bare_call(measurement, reference, self.engaged)
 
     def found(self) -> Found:
         """The numbers of the last computed tick that recordings keep.

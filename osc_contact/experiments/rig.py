@@ -79,7 +79,7 @@ class Rig:
         plant.reset(self.q_start)
         return plant
 
-    def controller(self) -> Controller:
+    def controller(self, *, compiled: bool = True) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
         gains = self.scenario.gains
         return Controller(
@@ -90,6 +90,7 @@ class Rig:
             B=self.scenario.control.metric,
             posture=self.q_contact,
             engaged=self.scenario.tare is None,
+            compiled=compiled,
         )
 
     def state(self) -> ChainState:

@@ -11,7 +11,7 @@ import ctypes
 from typing import Any
 
 import numpy as np
-from numba import carray, config, njit, types
+from numba import carray, config, njit, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
 __all__ = ["compiled", "entry", "cube", "integers", "matrix", "vector"]
