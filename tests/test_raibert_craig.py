@@ -8,7 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from osc_contact.contacts import raibert_craig
+import osc_contact as osc
+from osc_contact.contacts import constraint_frames
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.raibert_craig import RaibertCraig, as_raibert_craig, selection_columns
 from osc_contact.errors import ContactError, InvalidInputError
@@ -91,7 +92,7 @@ def test_columns_of_a_selection() -> None:
 def test_every_frame_and_selection_is_recognised_in_any_basis(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(raibert_craig, "_REFINEMENTS", 0)  # by construction, not by search
+    monkeypatch.setattr(constraint_frames, "_REFINEMENTS", 0)  # by construction, not by search
     rng = np.random.default_rng(1)
     kinds = set()
     for _ in range(1000):
@@ -196,6 +197,29 @@ def test_cone_in_groove_is_refused_for_its_axes() -> None:
     assert 1e-4 < as_raibert_craig(cone_in_groove(np.pi / 2 - 1e-3), SIZE).residual < 1e-2
 
 
+def test_the_figures_of_the_paper_by_their_own_geometry() -> None:
+    """Fig. 1 is the packaged rod on its two faces, fig. 2 the pair `ConeInGroove`."""
+    rod = osc.build_rig(osc.load_scenario("two_contact_rod")).contact()
+    p, q = (rod.N[:, j] for j in (0, 1))
+    apart = abs(p[:3] @ q[3:] + q[:3] @ p[3:]) / np.linalg.norm(np.cross(p[:3], q[:3]))
+    fig1 = rod.as_raibert_craig()
+    assert not fig1 and fig1.residual > 0.1
+    assert fig1.reason.startswith(f"(ii) the lines of force pass {1e3 * apart:.4g} mm apart")
+
+    z, lean = np.array([0, 0, 1.0]), np.array([np.sin(0.5), 0, np.cos(0.5)])
+    cone = osc.ConeInGroove(0.05 * z, lean, np.zeros(3), [1.0, 0, 0], lean)
+    X = pin.SE3(np.eye(3), -0.05 * z)
+    fig2 = cone.contact(X, np.zeros(6)).as_raibert_craig(size=SIZE)
+    assert not fig2 and fig2.residual > 0.1
+    assert fig2.reason.startswith("(i) ") and "are 61.35° apart" in fig2.reason
+
+    frame = pin.SE3(pin.exp3(0.3 * lean), 0.1 * z)
+    for centre in (None, [0.1, 0.2, 0.3]):
+        same = Contact.from_selection(frame, (True, False, False), (False, True, True))
+        found = same.as_raibert_craig(centre=centre)
+        assert_describes(found, same.N)
+
+
 @pytest.mark.parametrize("r", [1, 5])
 def test_screws_are_refused_with_their_pitch(r: int) -> None:
     pitch = 0.007
@@ -209,6 +233,15 @@ def test_screws_are_refused_with_their_pitch(r: int) -> None:
         "(ii) the forces do not act through one point: taken through the best one, a unit force "
         "still carries a couple of 7 mm"
     )
+
+
+def test_forces_that_miss_one_another_beside_couples_at_right_angles() -> None:
+    """A screwed force and a couple across it: the axes fit, the moment does not."""
+    N = np.column_stack((line(Z, Q) + 0.01 * couple(Z), couple([1.0, 0, 0])))
+    found = as_raibert_craig(N, SIZE)
+    assert not found and found.reason.startswith("(ii)") and "(i)" not in found.reason
+    N[:, 0] -= 0.01 * couple(Z)
+    assert_describes(as_raibert_craig(N, SIZE), N)
 
 
 def test_both_conditions_can_fail() -> None:
@@ -249,7 +282,7 @@ def test_the_residual_grows_no_faster_than_the_noise(
     noise: float, refinements: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither does that of the frames as constructed."""
-    monkeypatch.setattr(raibert_craig, "_REFINEMENTS", refinements)
+    monkeypatch.setattr(constraint_frames, "_REFINEMENTS", refinements)
     rng = np.random.default_rng(3)
     scale = np.array([1.0] * 3 + [SIZE] * 3)[:, None]
     for _ in range(300):

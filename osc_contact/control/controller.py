@@ -177,7 +177,7 @@ class Controller:
         limit: a tick that cannot be computed repeats the last good torques, see `status`.
         """
         fast = self._fast
-        if fast is not None:
+        if fast is not None and self.STAGES is _STAGES:
             code = fast(measurement, reference, self.engaged)
             if code != _ASK:
                 if self._looked:
@@ -383,6 +383,15 @@ class Controller:
         _allocate,
     )
 
+    @property
+    def restaged(self) -> bool:
+        """Whether STAGES of this controller or its class were replaced.
+
+        Only reading them one by one computes such a controller: a tick compiled from the stages
+        above would not.
+        """
+        return self.STAGES is not Controller.STAGES
+
     # --- border --------------------------------------------------------------------------------
 
     def wiring(self, measurement: Measurement, reference: Reference) -> list[Block]:
@@ -434,6 +443,7 @@ class Controller:
         return tau / excess
 
 
+_STAGES = Controller.STAGES  #: what the kernels compute; others are read box by box
 _STATUS = ((Status.OK, ""), (Status.SATURATED, None))
 _ASK = 2  #: the kernels' answer where the readable path must decide
 _AT_REST = Environment.fixed()

@@ -22,6 +22,7 @@ from osc_contact.spatial import Array
 __all__ = ["run"]
 
 Progress = Callable[[float], None]
+Install = Callable[[Controller], Controller]
 
 
 def run(
@@ -31,6 +32,7 @@ def run(
     duration: float | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    install: Install | None = None,
 ) -> Recording:
     """Run a scenario and record it.
 
@@ -40,6 +42,7 @@ def run(
         duration: s, instead of the scenario's own.
         seed: of everything random in the run (sensors and plants without noise use none).
         progress: called with the simulated time now and then.
+        install: puts another control law into each controller of the run.
 
     Returns:
         The recording; `metrics(recording)` judges it.
@@ -53,17 +56,19 @@ def run(
     if duration is not None:
         changes["duration"] = duration
     scenario = Scenario.model_validate(changes).with_source(scenario.source)
-    return _loop(build_rig(scenario), seed, progress)
+    return _loop(build_rig(scenario), seed, progress, install)
 
 
-def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
+def _loop(rig: Rig, seed: int, progress: Progress | None, install: Install | None) -> Recording:
     scenario = rig.scenario
     period = 1.0 / scenario.control.rate
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(ticks, _meta(rig, seed))
-    plant, controller = rig.plant(), rig.controller()
+    plant, controller, first = rig.plant(), rig.controller(), rig.controller()
+    if install is not None:
+        controller, first = install(controller), install(first)
     # the rig starts under the torques that hold it, not limp
-    plant.hold(rig.controller().tick(plant.measure(), rig.references.at(0.0)))
+    plant.hold(first.tick(plant.measure(), rig.references.at(0.0)))
     tare = _Tare(rig, controller)
     began = perf_counter()
     try:
@@ -81,7 +86,7 @@ def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
                 v=measurement.v,
                 tau=tau,
                 tick_s=spent,
-                **_channels(rig, controller, reference, truth),
+                **_channels(rig, controller, reference, truth, measurement.touched is not None),
             )
             plant.step(tau, period)
             if progress is not None and k % 100 == 99:
@@ -120,25 +125,34 @@ class _Tare:
 
 
 def _channels(
-    rig: Rig, controller: Controller, reference: Reference, truth: Truth
+    rig: Rig, controller: Controller, reference: Reference, truth: Truth, moving: bool
 ) -> dict[str, Any]:
     """What the recording keeps of a tick besides joints and torques."""
     found, r = controller.found(), len(rig.pairs)
     wrench = found.f_meas - found.bias_out
-    alpha = found.alpha_meas
+    alpha, V_rel = found.alpha_meas, found.V_O
+    if moving or 0 < len(alpha) < r:
+        s = controller.last_signals()
+        V_rel = V_rel - s.environment.V_e
+        alpha = s.contact.magnitudes(alpha)
     X = truth.X_WO
+    faces = truth.X_WE or (pin.SE3.Identity(),) * r
+    touching = list(zip(rig.pairs, faces, strict=True))
     return {
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
         "alpha_cmd": reference.alpha_d,
-        "alpha_meas": alpha if len(alpha) else np.zeros(r),
+        "alpha_meas": alpha if len(alpha) == r else np.zeros(r),
         "alpha_true": truth.alpha,
         "closed": truth.closed,
-        "contact_point": np.array([pair.point_on_face(X) for pair in rig.pairs]).reshape(r, 3),
-        "contact_direction": np.array([pair.direction() for pair in rig.pairs]).reshape(r, 3),
+        "contact_point": np.array([p.point_on_face(X, E) for p, E in touching]).reshape(r, 3),
+        "contact_direction": np.array([p.direction(E) for p, E in touching]).reshape(r, 3),
+        "face_pose": np.array(
+            [pin.SE3ToXYZQUAT(E * p.face_placement()) for p, E in touching]
+        ).reshape(r, 7),
         "wrench_meas": wrench,
-        "power_total": float(found.V_O @ wrench),
-        "power_projected": float(found.V_O @ found.f_c),
+        "power_total": float(V_rel @ wrench),
+        "power_projected": float(V_rel @ found.f_c),
         "motion_error": found.free_error,
         "squeeze_cmd": reference.squeeze_d,
         "squeeze": float(found.squeeze[0]),
