@@ -81,7 +81,7 @@ class Rig:
         plant.reset(self.q_start)
         return plant
 
-    def controller(self) -> Controller:
+    def controller(self, *, compiled: bool = True) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
         gains = self.scenario.gains
         return Controller(
@@ -93,6 +93,7 @@ class Rig:
             bodies=faces.bodies(self.scenario),
             posture=self.q_contact,
             engaged=self.scenario.tare is None,
+            compiled=compiled,
         )
 
     def controlled_pairs(self) -> tuple[ContactPair, ...]:

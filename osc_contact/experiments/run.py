@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.control.allocation import squeeze_rows
 from osc_contact.control.controller import Controller
 from osc_contact.errors import PlantError
 from osc_contact.experiments.references import force_steps
@@ -18,7 +17,7 @@ from osc_contact.interface import Reference
 from osc_contact.plants.plant import Truth
 from osc_contact.recorder import Recorder, Recording
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.spatial import Array, pose_error
+from osc_contact.spatial import Array
 
 __all__ = ["run"]
 
@@ -87,7 +86,7 @@ def _loop(rig: Rig, seed: int, progress: Progress | None, install: Install | Non
                 v=measurement.v,
                 tau=tau,
                 tick_s=spent,
-                **_channels(rig, controller, reference, truth, tau),
+                **_channels(rig, controller, reference, truth, measurement.touched is not None),
             )
             plant.step(tau, period)
             if progress is not None and k % 100 == 99:
@@ -126,16 +125,16 @@ class _Tare:
 
 
 def _channels(
-    rig: Rig, controller: Controller, reference: Reference, truth: Truth, tau: Array
+    rig: Rig, controller: Controller, reference: Reference, truth: Truth, moving: bool
 ) -> dict[str, Any]:
     """What the recording keeps of a tick besides joints and torques."""
-    s = controller.last_signals()
-    r = len(rig.pairs)
-    state = s.state
-    wrench = s.f_meas - state.bias_out
-    Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
-    E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
-    V_rel = state.V_O - s.environment.V_e
+    found, r = controller.found(), len(rig.pairs)
+    wrench = found.f_meas - found.bias_out
+    alpha, V_rel = found.alpha_meas, found.V_O
+    if moving or 0 < len(alpha) < r:
+        s = controller.last_signals()
+        V_rel = V_rel - s.environment.V_e
+        alpha = s.contact.magnitudes(alpha)
     X = truth.X_WO
     faces = truth.X_WE or (pin.SE3.Identity(),) * r
     touching = list(zip(rig.pairs, faces, strict=True))
@@ -143,7 +142,7 @@ def _channels(
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
         "alpha_cmd": reference.alpha_d,
-        "alpha_meas": s.contact.magnitudes(s.alpha_meas) if s.contact.r else np.zeros(r),
+        "alpha_meas": alpha if len(alpha) == r else np.zeros(r),
         "alpha_true": truth.alpha,
         "closed": truth.closed,
         "contact_point": np.array([p.point_on_face(X, E) for p, E in touching]).reshape(r, 3),
@@ -153,10 +152,10 @@ def _channels(
         ).reshape(r, 7),
         "wrench_meas": wrench,
         "power_total": float(V_rel @ wrench),
-        "power_projected": float(V_rel @ s.f_c_meas),
-        "motion_error": Omega_m @ pose_error(reference.X_WD, state.X_WO),
+        "power_projected": float(V_rel @ found.f_c),
+        "motion_error": found.free_error,
         "squeeze_cmd": reference.squeeze_d,
-        "squeeze": float((E @ tau - e0)[0]) if len(e0) else 0.0,
+        "squeeze": float(found.squeeze[0]),
         "status": int(controller.status),
     }
 

@@ -32,7 +32,8 @@ from osc_contact.control.command_filter import (
     generalised_force,
     object_coordinates,
 )
-from osc_contact.control.controller import Controller, Signals, block
+from osc_contact.control.controller import Controller, Signals
+from osc_contact.control.wires import block
 from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.experiments.baselines.selection import Selection
