@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +90,7 @@ class Rig:
         plant.reset(self.q_start)
         return plant
 
-    def controller(self) -> Controller:
+    def controller(self, *, compiled: bool = True) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
         gains = self.scenario.gains
         return Controller(
@@ -103,6 +104,7 @@ class Rig:
             ),
             posture=self.q_contact,
             engaged=self.scenario.tare is None,
+            compiled=compiled,
         )
 
     def controlled_pairs(self) -> tuple[ContactPair, ...]:
@@ -117,6 +119,11 @@ class Rig:
         """The body of each contact, a number of `bodies`."""
         of = {i: k for k, body in enumerate(self.bodies) for i in body.contacts}
         return tuple(of[i] for i in range(len(self.pairs)))
+
+    @cached_property
+    def d(self) -> int:
+        """Motions the object can make at the start."""
+        return self.state().d
 
     def state(self) -> ChainState:
         """The true chain at rest in contact."""

@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import lines_of_force
-from osc_contact.control.allocation import squeeze_rows
 from osc_contact.control.controller import Controller
-from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.errors import PlantError
 from osc_contact.experiments.contacts import feet
+from osc_contact.experiments.free_motion import free_part
 from osc_contact.experiments.references import force_steps
 from osc_contact.experiments.rig import Rig, build_rig
 from osc_contact.interface import Reference
@@ -23,11 +21,12 @@ from osc_contact.plants.plant import Truth
 from osc_contact.recorder import Recorder, Recording
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.touching import MAGNITUDES
-from osc_contact.spatial import Array, pose_error
+from osc_contact.spatial import Array
 
 __all__ = ["run"]
 
 Progress = Callable[[float], None]
+Install = Callable[[Controller], Controller]
 
 
 def run(
@@ -37,6 +36,7 @@ def run(
     duration: float | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    install: Install | None = None,
 ) -> Recording:
     """Run a scenario and record it.
 
@@ -46,6 +46,7 @@ def run(
         duration: s, instead of the scenario's own.
         seed: of everything random in the run (sensors and plants without noise use none).
         progress: called with the simulated time now and then.
+        install: puts another control law into each controller of the run.
 
     Returns:
         The recording; `metrics(recording)` judges it.
@@ -59,17 +60,19 @@ def run(
     if duration is not None:
         changes["duration"] = duration
     scenario = Scenario.model_validate(changes).with_source(scenario.source)
-    return _loop(build_rig(scenario), seed, progress)
+    return _loop(build_rig(scenario), seed, progress, install)
 
 
-def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
+def _loop(rig: Rig, seed: int, progress: Progress | None, install: Install | None) -> Recording:
     scenario = rig.scenario
     period = 1.0 / scenario.control.rate
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(ticks, _meta(rig, seed))
-    plant, controller = rig.plant(), rig.controller()
+    plant, controller, first = rig.plant(), rig.controller(), rig.controller()
+    if install is not None:
+        controller, first = install(controller), install(first)
     # the rig starts under the torques that hold it, not limp
-    plant.hold(rig.controller().tick(plant.measure(), rig.references.at(0.0)))
+    plant.hold(first.tick(plant.measure(), rig.references.at(0.0)))
     tare = _Tare(rig, controller)
     began = perf_counter()
     try:
@@ -87,7 +90,14 @@ def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
                 v=measurement.v,
                 tau=tau,
                 tick_s=spent,
-                **_channels(rig, controller, reference, truth, tau),
+                **_channels(
+                    rig,
+                    controller,
+                    reference,
+                    truth,
+                    measurement.q,
+                    measurement.touched is not None,
+                ),
             )
             plant.step(tau, period)
             if progress is not None and k % 100 == 99:
@@ -126,29 +136,35 @@ class _Tare:
 
 
 def _channels(
-    rig: Rig, controller: Controller, reference: Reference, truth: Truth, tau: Array
+    rig: Rig, controller: Controller, reference: Reference, truth: Truth, q: Array, moving: bool
 ) -> dict[str, Any]:
     """What the recording keeps of a tick besides joints and torques."""
-    s = controller.last_signals()
-    k, r = len(rig.pairs), len(reference.alpha_d)
-    state = s.state
-    wrench = s.f_meas - state.bias_out
-    E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
-    V_rel = state.V_O - s.environment.V_e
+    found, k, r = controller.found(), len(rig.pairs), len(reference.alpha_d)
+    wrench = found.f_meas - found.bias_out
+    alpha, V_rel = found.alpha_meas, found.V_O
+    if moving or 0 < len(alpha) < r:
+        s = controller.last_signals()
+        V_rel = V_rel - s.environment.V_e
+        alpha = s.contact.magnitudes(alpha)
     X = truth.X_WO
     moved = truth.X_WE or (pin.SE3.Identity(),) * k
     lines = [feet(pair, X, E) for pair, E in zip(rig.pairs, moved, strict=True)]
+    N = np.hstack(
+        [np.zeros((6, 0)), *(lines_of_force((p - X.translation).T, d.T) for p, d in lines)]
+    )
+    free_error = found.free_error
+    if rig.d < 6:
+        held = N if controller.engaged else N[:, :0]
+        free_error = free_part(rig.model, q, pin.SE3(found.X_WO), held, found.error)
     bodies = [rig.bodies[i].placement for i in rig.on]
     return {
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
         "alpha_cmd": reference.alpha_d,
-        "alpha_meas": s.contact.magnitudes(s.alpha_meas) if controller.engaged else np.zeros(r),
+        "alpha_meas": alpha if len(alpha) == r else np.zeros(r),
         "alpha_true": truth.alpha,
         "closed": truth.closed,
-        "N": np.hstack(
-            [np.zeros((6, 0)), *(lines_of_force((p - X.translation).T, d.T) for p, d in lines)]
-        ),
+        "N": N,
         "contact_point": np.array([points.mean(axis=0) for points, _ in lines]).reshape(k, 3),
         "contact_direction": np.array([directions[0] for _, directions in lines]).reshape(k, 3),
         "face_pose": np.array(
@@ -156,24 +172,12 @@ def _channels(
         ).reshape(k, 7),
         "wrench_meas": wrench,
         "power_total": float(V_rel @ wrench),
-        "power_projected": float(V_rel @ s.f_c_meas),
-        "motion_error": _free_part(state, s.contact, pose_error(reference.X_WD, state.X_WO)),
+        "power_projected": float(V_rel @ found.f_c),
+        "motion_error": free_error,
         "squeeze_cmd": reference.squeeze_d,
-        "squeeze": float((E @ tau - e0)[0]) if len(e0) else 0.0,
+        "squeeze": float(found.squeeze[0]),
         "status": int(controller.status),
     }
-
-
-def _free_part(state: ChainState, contact: Contact, x: Array) -> Array:
-    """The part of a displacement (6,) that the arms can make and the contacts permit.
-
-    Both cuts in the object's energy metric; for d = 6 this is Ω_m(Λ_o⁻¹) x. For d < 6 that
-    projection would answer the yielding of a contact with turns that the arms cannot make.
-    """
-    S, Lambda = state.S, state.metric
-    H, N_S = S.T @ Lambda @ S, S.T @ contact.N
-    eta, held = np.linalg.solve(H, S.T @ Lambda @ x), np.linalg.solve(H, N_S)
-    return np.asarray(S @ (eta - held @ np.linalg.solve(N_S.T @ held, N_S.T @ eta)))
 
 
 def _meta(rig: Rig, seed: int) -> dict[str, object]:
