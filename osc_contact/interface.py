@@ -19,11 +19,13 @@ class Measurement:
         q, v: (n,) joint positions and velocities of all arms, passive joints included.
         wrenches: (arms, 6) wrench that each arm exerts on its gripper, at the sensor's origin and
             in the sensor's axes (N, N m). Rows of arms without a sensor are zero.
+        joint_torques: (n_a,) what the joint torque sensors read (N m, N); None: there are none.
     """
 
     q: Array
     v: Array
     wrenches: Array
+    joint_torques: Array | None = None
 
 
 @dataclass(frozen=True)
