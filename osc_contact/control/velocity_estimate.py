@@ -24,19 +24,21 @@ class VelocityEstimate:
 
     Attributes:
         alpha, beta: (k,) gains of position and of velocity.
-        dt: period (s).
+        dt: period of `update` (s). sample: period of the sensor (s), which the gains are for.
     """
 
     alpha: Array
     beta: Array
     dt: float
+    sample: float = 0.0  #: 0: the same
     x: Array | None = field(default=None, init=False)  #: (k,) last estimate
     v: Array = field(init=False)  #: (k,)
 
     def __post_init__(self) -> None:
         self.alpha, self.beta = np.atleast_1d(self.alpha), np.atleast_1d(self.beta)
         stable = (self.alpha > 0) & (self.beta > 0) & (2 * self.alpha + self.beta < 4)
-        if not stable.all() or not self.dt > 0.0:
+        self.sample = self.sample or self.dt
+        if not stable.all() or not self.dt > 0.0 or not self.sample > 0.0:
             raise InvalidInputError(
                 f"velocity estimate: α = {self.alpha}, β = {self.beta}, dt = {self.dt}; a stable "
                 "filter has α > 0, β > 0, 2α + β < 4, dt > 0"
@@ -44,8 +46,12 @@ class VelocityEstimate:
         self.v = np.zeros(len(self.alpha))
 
     @classmethod
-    def optimal(cls, noise: Array, acceleration: Array, dt: float) -> VelocityEstimate:
+    def optimal(
+        cls, noise: Array, acceleration: Array, dt: float, sample: float = 0.0
+    ) -> VelocityEstimate:
         """Least mean square error under noise (k,) and unknown acceleration (k,), both rms.
+
+        The acceleration is white from sample to sample (Kalata's random-velocity model).
 
         Raises:
             InvalidInputError: one of them is not > 0.
@@ -56,10 +62,10 @@ class VelocityEstimate:
                 f"velocity estimate: noise {noise} and unknown acceleration {acceleration} must "
                 "both be > 0; without noise take the resolution of the sensor"
             )
-        index = acceleration * dt**2 / noise
+        index = acceleration * (sample or dt) ** 2 / noise
         r = (4.0 + index - np.sqrt(8.0 * index + index**2)) / 4.0
         alpha = 1.0 - r**2
-        return cls(alpha, 2.0 * (2.0 - alpha) - 4.0 * r, dt)
+        return cls(alpha, 2.0 * (2.0 - alpha) - 4.0 * r, dt, sample)
 
     @classmethod
     def with_bandwidth(cls, bandwidth: Array, dt: float) -> VelocityEstimate:
@@ -90,5 +96,5 @@ class VelocityEstimate:
         if fresh:
             innovation = x - self.x
             self.x = self.x + self.alpha * innovation
-            self.v = self.v + self.beta / self.dt * innovation
+            self.v = self.v + self.beta / self.sample * innovation
         return self.x, self.v

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +13,19 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import VertexOnFace
 from osc_contact.control.controller import Controller, Gains
 from osc_contact.control.force import ForceGains
+from osc_contact.control.friction import Friction
 from osc_contact.control.motion import MotionGains
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, reach
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import ScenarioError
+from osc_contact.experiments import hardware
 from osc_contact.experiments.references import References
 from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
 from osc_contact.plants.plant import Plant
 from osc_contact.plants.rigid import RigidPlant
+from osc_contact.plants.sensors import SensedPlant
 from osc_contact.response import require_reachable
 from osc_contact.scenarios.schema import PoseSpec, Scenario
 from osc_contact.spatial import Array
@@ -51,8 +54,11 @@ class Rig:
     q_start: Array
     references: References
 
-    def plant(self) -> Plant:
-        """The plant the scenario names, at its start.
+    def plant(self, seed: int = 0) -> Plant:
+        """The plant the scenario names, at its start, seen through its sensors.
+
+        Args:
+            seed: of everything random in sensors and motors.
 
         Raises:
             ScenarioError: a tare on the rigid plant, whose contacts cannot open.
@@ -75,9 +81,31 @@ class Rig:
                 self.pairs,
                 [robots.resolve_urdf(c.face.urdf, source)[0] for c in self.scenario.contacts],
                 MujocoOptions(spec.step, spec.solref, spec.solimp, spec.friction),
+                drives=hardware.drives(self.scenario, self.chain, self.state(), seed),
             )
         plant.reset(self.q_start)
-        return plant
+        if self.scenario.sensors.ideal:
+            return plant
+        return SensedPlant(plant, hardware.sensors(self.scenario.sensors, self.chain), seed)
+
+    def holding_torques(self, plant: Plant) -> Array:
+        """(n_a,) motor torques of the first tick at the start, for a plant at rest there."""
+        read = plant.measure()
+        at_rest = replace(read, q=self.q_start, v=np.zeros(self.chain.nq))
+        if read.touched is not None:
+            still = np.zeros_like(read.touched.V_E)
+            at_rest = replace(at_rest, touched=replace(read.touched, V_E=still))
+        return self.controller().tick(at_rest, self.references.at(0.0))
+
+    def drive(self, plant: Plant) -> hardware.Drive:
+        """What carries the controller's torques to a plant: the joint torque loop, if any."""
+        joints = hardware.flexible_joints(self.scenario, self.chain, self.state())
+        loop = hardware.torque_loop(self.scenario, self.chain, joints)
+        return hardware.Drive(plant, loop, 1.0 / self.scenario.control.rate)
+
+    def observer(self) -> hardware.Observer:
+        """What estimates the velocities that the sensors do not give."""
+        return hardware.Observer(self.scenario, self.model)
 
     def controller(self) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
@@ -90,7 +118,12 @@ class Rig:
             B=self.scenario.control.metric,
             posture=self.q_contact,
             engaged=self.scenario.tare is None,
+            friction=self._friction(),
         )
+
+    def _friction(self) -> Friction | None:
+        spec = self.scenario.control.friction
+        return None if spec is None else Friction(float(spec.mu), float(spec.slip))
 
     def state(self) -> ChainState:
         """The true chain at rest in contact."""

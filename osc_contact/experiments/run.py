@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from osc_contact.control.allocation import squeeze_rows
 from osc_contact.control.controller import Controller
+from osc_contact.control.monitor import ContactMonitor
 from osc_contact.errors import PlantError
 from osc_contact.experiments.references import force_steps
 from osc_contact.experiments.rig import Rig, build_rig
@@ -62,19 +63,23 @@ def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
     period = 1.0 / scenario.control.rate
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(ticks, _meta(rig, seed))
-    plant, controller = rig.plant(), rig.controller()
+    plant, controller = rig.plant(seed), rig.controller()
     # the rig starts under the torques that hold it, not limp
-    plant.hold(rig.controller().tick(plant.measure(), rig.references.at(0.0)))
-    tare = _Tare(rig, controller)
+    plant.hold(rig.holding_torques(plant))
+    drive, observer = rig.drive(plant), rig.observer()
+    acceleration = None
+    tare, monitor = _Tare(rig, controller), ContactMonitor(len(rig.pairs), period)
     began = perf_counter()
     try:
         for k in range(ticks):
             t = k * period
             reference = rig.references.at(t)
-            measurement, truth = plant.measure(), plant.truth()
+            measurement = observer.complete(plant.measure(), acceleration)
+            truth = plant.truth()
             start = perf_counter()
             tau = controller.tick(measurement, reference)
             spent = perf_counter() - start
+            acceleration = controller.joint_acceleration()
             tare.watch(t)
             recorder.append(
                 t=t,
@@ -82,9 +87,10 @@ def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
                 v=measurement.v,
                 tau=tau,
                 tick_s=spent,
+                **_watched(controller, monitor),
                 **_channels(rig, controller, reference, truth, tau),
             )
-            plant.step(tau, period)
+            drive.step(tau)
             if progress is not None and k % 100 == 99:
                 progress(t + period)
     except PlantError as error:
@@ -118,6 +124,17 @@ class _Tare:
             self.samples = []
         if t >= self.engage_at:
             self.controller.engage()
+
+
+def _watched(controller: Controller, monitor: ContactMonitor) -> dict[str, Array]:
+    """What the contact monitor tells from projected force and power."""
+    s = controller.last_signals()
+    alpha = speed = np.zeros(monitor.contacts)
+    if s.parts:  # contacts are part of the model
+        alpha = s.contact.magnitudes(s.alpha_meas)
+        speed = (s.state.V_O - s.environment.V_e) @ s.contact.N @ s.contact.R
+    seen = monitor.update(alpha, speed)
+    return {"contact_seen": seen.closed, "collision_seen": seen.collision}
 
 
 def _channels(

@@ -1,4 +1,4 @@
-"""What makes a rig real: flexible joints, motors, friction of the joints, sensors and their errors."""
+"""What makes a rig real: flexible joints, imperfect motors, sensors and their errors."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from .quantities import Angle, Force, Frequency, Length, Number, Spec, Time, Tor
 
 __all__ = [
     "EncoderSpec",
+    "EstimateSpec",
     "FlexibleJointsSpec",
+    "FrictionSpec",
     "JointTorqueSpec",
     "MotorsSpec",
     "SensorsSpec",
     "TorqueSensorSpec",
-    "VelocitySpec",
     "VisionSpec",
     "WristSpec",
 ]
@@ -63,11 +64,21 @@ class JointTorqueSpec(Spec):
     damping_ratio: Positive = 0.7
 
 
-class VelocitySpec(Spec):
-    """What the velocity estimate believes: accelerations (1/s²) that it is not told of."""
+class FrictionSpec(Spec):
+    """What the controller believes of the contacts' friction, and from which slip speed on."""
 
-    angular: Positive = 5.0
-    linear: Positive = 2.0
+    mu: NotNegative
+    """the Coulomb coefficient, such as 0.1"""
+    slip: Positive = 0.002
+
+
+class EstimateSpec(Spec):
+    """Accelerations that the estimates of velocities are not told of: joints, tracked bodies."""
+
+    joint_angular: Positive = 2.0
+    joint_linear: Positive = 0.5
+    body_angular: Positive = 0.1
+    body_linear: Positive = 0.05
 
 
 class _Clock(Spec):
@@ -147,3 +158,8 @@ class SensorsSpec(Spec):
     joint_torque: TorqueSensorSpec | None = None
     wrist: WristSpec | None = None
     vision: VisionSpec | None = None
+
+    @property
+    def ideal(self) -> bool:
+        """Whether every sensor reads what is."""
+        return all(value is None for _, value in self)
