@@ -29,6 +29,7 @@ from osc_contact.control.force import (
     magnitudes,
     sum_of_wrenches,
 )
+from osc_contact.control.friction import Friction
 from osc_contact.control.motion import MotionGains, MotionLaw
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.environment import Environment
@@ -69,6 +70,7 @@ class Signals:
     state: ChainState  #: Λ_S, μ, p, S, σ, G of the closed chain
     parts: list[Contact]  #: N, n_γ of each contact
     contact: Contact  #: N, T, n_γ of all together
+    drag: Array  #: (6, r) friction for each newton of contact force, N_μ − N
     environment: Environment  #: Φ_e, b_e, V_e
     f_meas: Array  #: (6,) sum of the wrist readings at O, tare removed
     f_c_meas: Array  #: (6,) contact force inside it
@@ -126,6 +128,7 @@ class Controller:
         bodies: Sequence[Body | None] | None = None,
         posture: Array | None = None,
         engaged: bool = True,
+        friction: Friction | None = None,
     ) -> None:
         """Assemble the loops.
 
@@ -140,6 +143,7 @@ class Controller:
                 be seen to move. The same object twice: both contacts are on one body.
             posture: (n,) where redundant arms return to (default: neutral).
             engaged: start in contact.
+            friction: what is believed of the contacts' friction; None: nothing.
 
         Raises:
             InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
@@ -159,8 +163,11 @@ class Controller:
             raise InvalidInputError(
                 f"{len(contacts)} contacts but {len(bodies)} bodies; give one for each contact"
             )
+        if friction is not None:
+            friction.require_known_points(contacts)
         gains = Gains() if gains is None else gains
         self.chain = chain
+        self.friction = friction
         self.contacts = tuple(contacts)
         self.bodies = (None,) * len(self.contacts) if bodies is None else tuple(bodies)
         self.B = B
@@ -210,6 +217,11 @@ class Controller:
             )
         return self.signals
 
+    def joint_acceleration(self) -> Array:
+        """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
+        s = self.last_signals()
+        return np.asarray(s.state.W @ s.eta_c + s.state.w)
+
     def residual_wrench(self) -> Array:
         """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
 
@@ -254,6 +266,9 @@ class Controller:
             parts = [pair.contact(X_WO, V_O, pin.SE3(X), V) for pair, X, V in moving]
         s.parts = parts
         s.contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
+        s.drag = np.zeros_like(s.contact.N)
+        if self.friction is not None:
+            s.drag = self.friction.drags(pairs, X_WO, V_O, touched) @ s.contact.R.T
 
     @block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)")
     def _environment(self, s: Signals) -> None:
@@ -281,7 +296,7 @@ class Controller:
 
     @block("force filter", "force", r"$\Omega_f(\Lambda_{out})$")
     def _force_filter(self, s: Signals) -> None:
-        s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, s.environment)
+        s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, s.environment, s.drag)
 
     @block("generalised inverse", "force", r"$N^{\#}$")
     def _magnitudes(self, s: Signals) -> None:
@@ -295,7 +310,7 @@ class Controller:
 
     @block("to operational space", "force", r"$N\alpha_u$  (16)")
     def _operational_force(self, s: Signals) -> None:
-        s.f_ccomm = s.contact.N @ s.alpha_u
+        s.f_ccomm = (s.contact.N + s.drag) @ s.alpha_u
 
     @block("motion law", "motion", r"$\ddot x_d + K_d\dot e + K_p e + K_i\!\int\! e$")
     def _motion_law(self, s: Signals) -> None:
