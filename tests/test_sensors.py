@@ -17,7 +17,7 @@ STEP = 1e-3
 
 
 class Toy:
-    """A plant with known readings: joint k at (k + 1) t, wrists at 5, a body that moves and turns."""
+    """A plant with known readings: joint k at (k + 1) t, wrists at 5, a body that moves, turns."""
 
     def __init__(self):
         self.time = 0.0

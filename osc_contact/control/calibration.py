@@ -65,26 +65,28 @@ def calibrate_wrist(
     if k < 3:
         raise InvalidInputError(f"{k} postures; mass, centre and bias need three or more")
     readings = as_array("readings", readings, (k, 6))
-    weight = 1.0 / np.broadcast_to(np.asarray(noise, dtype=float), (6,))
-    if not (np.isfinite(weight).all() and weight.min() > 0.0):
+    spread = np.broadcast_to(np.asarray(noise, dtype=float), (6,))
+    if not (np.isfinite(spread).all() and spread.min() > 0.0):
         raise InvalidInputError(f"noise = {noise}; give finite numbers > 0")
+    weight = 1.0 / spread
     g = as_array("gravity", gravity, (3,))
     rows = np.vstack([weight[:, None] * _regressor(-np.asarray(R).T @ g) for R in rotations])
     scale = np.linalg.norm(rows, axis=0)
     scale[scale == 0.0] = 1.0
     U, s, Vh = np.linalg.svd(rows / scale, full_matrices=False)
     if s[-1] < 1e-3 * s[0]:
-        blind = [n for n, part in zip(NAMES, np.abs(Vh[-1]), strict=True) if part > 0.1]
+        part = np.abs(Vh[s < 1e-3 * s[0]]).max(axis=0)
+        blind = [name for name, share in zip(NAMES, part, strict=True) if share > 0.1]
         raise ModelError(
             f"these {k} postures do not tell {', '.join(blind)} apart: the sensor is never turned "
             "enough against gravity. Tilt it about two horizontal axes by 30 deg or more; a wrist "
             "that can only turn about the vertical has to be tared instead"
         )
     theta = (Vh.T @ ((U.T @ (readings * weight).ravel()) / s)) / scale
-    spread = np.sqrt(np.sum((Vh.T / s) ** 2, axis=1)) / scale
+    error = np.sqrt(np.sum((Vh.T / s) ** 2, axis=1)) / scale
     mass, com = float(theta[0]), theta[1:4] / theta[0]
-    com_error = np.hypot(spread[1:4], com * spread[0]) / abs(mass)
-    return WristLoad(mass, com, theta[4:], float(spread[0]), com_error)
+    com_error = np.hypot(error[1:4], com * error[0]) / abs(mass)
+    return WristLoad(mass, com, theta[4:], float(error[0]), com_error)
 
 
 def _regressor(u: Array) -> Array:

@@ -264,11 +264,10 @@ class Controller:
         else:
             moving = zip(pairs, touched.X_WE, touched.V_E, strict=False)
             parts = [pair.contact(X_WO, V_O, pin.SE3(X), V) for pair, X, V in moving]
-        s.parts = parts
-        s.contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
-        s.drag = np.zeros_like(s.contact.N)
+        contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
+        s.parts, s.contact, s.drag = parts, contact, np.zeros_like(contact.N)
         if self.friction is not None:
-            s.drag = self.friction.drags(pairs, X_WO, V_O, touched) @ s.contact.R.T
+            s.drag = self.friction.drags(pairs, X_WO, V_O, touched) @ contact.R.T
 
     @block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)")
     def _environment(self, s: Signals) -> None:

@@ -29,8 +29,8 @@ class MonitorLimits:
 
     force_on: float = 1.0
     force_off: float = 0.4
-    power_on: float = 0.05
-    power_off: float = 0.02
+    power_on: float = 0.1
+    power_off: float = 0.03
     patience: float = 0.005
 
     def __post_init__(self) -> None:

@@ -155,7 +155,7 @@ def _channels(
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
         "alpha_cmd": reference.alpha_d,
-        "alpha_meas": s.contact.magnitudes(s.alpha_meas) if controller.engaged else np.zeros(r),
+        "alpha_meas": s.contact.magnitudes(s.alpha_meas) if s.parts else np.zeros(r),
         "alpha_true": truth.alpha,
         "closed": truth.closed,
         "contact_point": np.array([p.point_on_face(X, E) for p, E in touching]).reshape(r, 3),
