@@ -24,6 +24,7 @@ from osc_contact.experiments.report import require_judgeable, write_json, write_
 from osc_contact.experiments.rig import build_rig
 from osc_contact.experiments.run import run as run_scenario
 from osc_contact.experiments.timing import time_tick
+from osc_contact.experiments.workcell import STAGES, ladder
 from osc_contact.recorder import Recording
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
 
@@ -160,6 +161,24 @@ def calibrate(
         out.print(tables.calibration_table(found))
         if json_file:
             write_json({one.arm: one.as_dict() for one in found}, json_file)
+
+
+@app.command()
+def workcell(
+    stages: Annotated[
+        list[str] | None, typer.Argument(help=" | ".join(STAGES), metavar="[STAGE]...")
+    ] = None,
+    duration: Annotated[float, typer.Option(help="seconds of each run")] = 8.0,
+    seed: SeedOption = 0,
+    set_: SetOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Run the workcell with only part of it real, part by part: what each costs the forces."""
+    with _exit_codes():
+        rungs = ladder(stages or tuple(STAGES), duration, seed, set_ or (), _say)
+        out.print(tables.ladder_table(rungs))
+        if json_file:
+            write_json({rung.real: rung.as_dict() for rung in rungs}, json_file)
 
 
 @app.command("list")

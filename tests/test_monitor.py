@@ -55,10 +55,17 @@ def test_a_short_gap_is_not_a_lost_contact_and_a_long_one_is():
 
 
 def test_one_long_burst_of_power_is_one_collision():
-    speed = np.zeros(100)
-    speed[20:60] = 0.02
-    _, collisions = told(np.full(100, 10.0), speed)
+    alpha, speed = np.zeros(100), np.zeros(100)
+    alpha[20:], speed[20:60] = 10.0, 0.02
+    _, collisions = told(alpha, speed)
     assert collisions.tolist() == [20]
+
+
+def test_power_is_no_collision_long_after_contact_was_made():
+    speed = np.zeros(100)
+    speed[50:60] = 0.05
+    _, collisions = told(np.full(100, 10.0), speed)
+    assert len(collisions) == 0
 
 
 def test_contacts_are_judged_one_by_one():
@@ -68,7 +75,7 @@ def test_contacts_are_judged_one_by_one():
 
 
 def test_thresholds_without_hysteresis_are_refused():
-    with pytest.raises(osc.InvalidInputError, match="above its 'off'"):
+    with pytest.raises(osc.InvalidInputError, match="above force_off"):
         MonitorLimits(force_on=0.4, force_off=0.4)
 
 

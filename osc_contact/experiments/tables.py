@@ -10,9 +10,17 @@ from rich.table import Table
 
 from osc_contact.experiments.calibration import WristCalibration
 from osc_contact.experiments.inspection import Inspection
+from osc_contact.experiments.workcell import Rung
 from osc_contact.spatial import Array
 
-__all__ = ["basis_tables", "calibration_table", "scenario_table", "tick_table", "verdict_table"]
+__all__ = [
+    "basis_tables",
+    "calibration_table",
+    "ladder_table",
+    "scenario_table",
+    "tick_table",
+    "verdict_table",
+]
 
 
 def verdict_table(verdict: Mapping[str, Any]) -> Table:
@@ -64,6 +72,19 @@ def calibration_table(found: Sequence[WristCalibration]) -> Table:
             bias = np.array2string(one.found.bias, precision=3) if kind == "found" else ""
             centre = np.array2string(1e3 * com, precision=2, suppress_small=True)
             table.add_row(f"{one.arm}, {kind}", f"{mass:.4f} kg", centre, bias)
+    return table
+
+
+def ladder_table(rungs: Sequence[Rung]) -> Table:
+    """The workcell with only part of it real: what each part costs."""
+    table = Table("what is real", "force rms", "peak", "sensed within", "closed", title="workcell")
+    for rung in rungs:
+        found = rung.as_dict()
+        numbers = ["diverged", "", "", ""]
+        if rung.verdict is not None:
+            keys = ("force_rms_rel", "force_peak_rel", "sensing_rms_rel", "contact_fraction")
+            numbers = [_percent(found[key]) for key in keys]
+        table.add_row(rung.real, *numbers)
     return table
 
 
