@@ -6,12 +6,12 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import osc_contact as osc
-from osc_contact.cli import app
 from osc_contact.dynamics.joint_modes import modes
+from osc_contact.experiments import workcell
 from osc_contact.experiments.hardware import flexible_joints
+from osc_contact.experiments.studies import Ask, write_study
 from osc_contact.experiments.workcell import STAGES, ladder
 
 
@@ -64,11 +64,10 @@ def test_ideal_parts_cost_nothing_and_the_rest_is_named():
     assert set(STAGES) >= {"joints", "sensors", "contact friction", "everything"}
 
 
-def test_the_command_tells_what_a_part_costs(tmp_path):
-    file = tmp_path / "cost.json"
-    run = CliRunner().invoke(
-        app, ["workcell", "joints, no torque loop", "--duration", "1.2", "--json", str(file)]
-    )
-    assert run.exit_code == 0, run.output
-    told = json.loads(file.read_text())["joints, no torque loop"]
+def test_the_study_tells_and_draws_what_a_part_costs(tmp_path, monkeypatch):
+    stage = "joints, no torque loop"
+    monkeypatch.setattr(workcell, "STAGES", {stage: STAGES[stage]})
+    study, written = write_study("workcell", tmp_path, Ask(duration=1.2))
+    told = json.loads((tmp_path / "workcell.json").read_text())[stage]
     assert told["force_rms_rel"] is None or told["force_rms_rel"] > 0.25
+    assert all(path.is_file() for path in written) and study.table.row_count == 1

@@ -22,6 +22,7 @@ from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import ScenarioError
 from osc_contact.experiments import faces, hardware
 from osc_contact.experiments.references import References
+from osc_contact.interface import Measurement
 from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
 from osc_contact.plants.plant import Plant
 from osc_contact.plants.rigid import RigidPlant
@@ -89,14 +90,12 @@ class Rig:
             return plant
         return SensedPlant(plant, hardware.sensors(self.scenario.sensors, self.chain), seed)
 
-    def holding_torques(self, plant: Plant) -> Array:
-        """(n_a,) motor torques of the first tick at the start, for a plant at rest there."""
-        read = plant.measure()
-        at_rest = replace(read, q=self.q_start, v=np.zeros(self.chain.nq))
+    def at_start(self, read: Measurement) -> Measurement:
+        """What ideal encoders and trackers would have read at the start, where all is at rest."""
         if read.touched is not None:
             still = np.zeros_like(read.touched.V_E)
-            at_rest = replace(at_rest, touched=replace(read.touched, V_E=still))
-        return self.controller().tick(at_rest, self.references.at(0.0))
+            read = replace(read, touched=replace(read.touched, V_E=still))
+        return replace(read, q=self.q_start, v=np.zeros(self.chain.nq))
 
     def drive(self, plant: Plant) -> hardware.Drive:
         """What carries the controller's torques to a plant: the joint torque loop, if any."""

@@ -24,6 +24,7 @@ from osc_contact.spatial import Array, pose_error
 __all__ = ["run"]
 
 Progress = Callable[[float], None]
+Install = Callable[[Controller], Controller]
 
 
 def run(
@@ -33,6 +34,7 @@ def run(
     duration: float | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    install: Install | None = None,
 ) -> Recording:
     """Run a scenario and record it.
 
@@ -42,6 +44,7 @@ def run(
         duration: s, instead of the scenario's own.
         seed: of everything random in the run (sensors and plants without noise use none).
         progress: called with the simulated time now and then.
+        install: puts another control law into each controller of the run.
 
     Returns:
         The recording; `metrics(recording)` judges it.
@@ -55,17 +58,19 @@ def run(
     if duration is not None:
         changes["duration"] = duration
     scenario = Scenario.model_validate(changes).with_source(scenario.source)
-    return _loop(build_rig(scenario), seed, progress)
+    return _loop(build_rig(scenario), seed, progress, install)
 
 
-def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
+def _loop(rig: Rig, seed: int, progress: Progress | None, install: Install | None) -> Recording:
     scenario = rig.scenario
     period = 1.0 / scenario.control.rate
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(ticks, _meta(rig, seed))
-    plant, controller = rig.plant(seed), rig.controller()
+    plant, controller, first = rig.plant(seed), rig.controller(), rig.controller()
+    if install is not None:
+        controller, first = install(controller), install(first)
     # the rig starts under the torques that hold it, not limp
-    plant.hold(rig.holding_torques(plant))
+    plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
     drive, observer = rig.drive(plant), rig.observer()
     acceleration = None
     tare, monitor = _Tare(rig, controller), ContactMonitor(len(rig.pairs), period)

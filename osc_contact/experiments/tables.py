@@ -10,13 +10,13 @@ from rich.table import Table
 
 from osc_contact.experiments.calibration import WristCalibration
 from osc_contact.experiments.inspection import Inspection
-from osc_contact.experiments.workcell import Rung
+from osc_contact.robots import RobotSummary
 from osc_contact.spatial import Array
 
 __all__ = [
     "basis_tables",
     "calibration_table",
-    "ladder_table",
+    "robot_tables",
     "scenario_table",
     "tick_table",
     "verdict_table",
@@ -75,19 +75,6 @@ def calibration_table(found: Sequence[WristCalibration]) -> Table:
     return table
 
 
-def ladder_table(rungs: Sequence[Rung]) -> Table:
-    """The workcell with only part of it real: what each part costs."""
-    table = Table("what is real", "force rms", "peak", "sensed within", "closed", title="workcell")
-    for rung in rungs:
-        found = rung.as_dict()
-        numbers = ["diverged", "", "", ""]
-        if rung.verdict is not None:
-            keys = ("force_rms_rel", "force_peak_rel", "sensing_rms_rel", "contact_fraction")
-            numbers = [_percent(found[key]) for key in keys]
-        table.add_row(rung.real, *numbers)
-    return table
-
-
 def scenario_table(scenarios: Mapping[str, str]) -> Table:
     """Names and descriptions of the packaged scenarios."""
     table = Table("scenario", "what it is", title="osc-contact run SCENARIO")
@@ -103,6 +90,35 @@ def tick_table(result: Mapping[str, Mapping[str, float]]) -> Table:
     for case, row in result.items():
         table.add_row(case, *(f"{row[key]:.1f}" for key in columns))
     return table
+
+
+def robot_tables(robot: RobotSummary) -> Iterator[Table]:
+    """The joints, and what the tips can do."""
+    joints = Table("joint", "type", "positions", "effort", "velocity", "moves (kg)",
+                   title=f"{robot.name}: joints")  # fmt: skip
+    for joint in robot.joints:
+        angle, effort, speed = (
+            ("m", "N", "m/s") if joint.kind == "prismatic" else ("rad", "N m", "rad/s")
+        )
+        joints.add_row(
+            joint.name, joint.kind, f"{_range(joint.lower, joint.upper)} {angle}",
+            f"{joint.effort:g} {effort}", f"{joint.velocity:g} {speed}", f"{joint.moved_mass:.4g}",
+        )  # fmt: skip
+    if robot.joints:
+        yield joints
+    tips = Table("tip", "joints", "apparent mass (kg)", "apparent inertia (kg m²)",
+                 "mobility σ₁, σ₂, … (unit-free)", title="reachable at the tips")  # fmt: skip
+    for tip in robot.tips:
+        sigma = ", ".join(_range(low, high, 2) for low, high in tip.mobility)
+        tips.add_row(tip.tip, str(tip.joints), _range(*tip.mass, 3), _range(*tip.inertia, 3),
+                     sigma or "the tip's body is no solid")  # fmt: skip
+    if robot.tips:
+        yield tips
+
+
+def _range(low: float, high: float, digits: int = 4) -> str:
+    words = (f"{value:.{digits}g}".replace("inf", "∞") for value in (low, high))
+    return " … ".join(words)
 
 
 def _basis(

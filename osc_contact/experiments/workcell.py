@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from osc_contact.errors import InvalidInputError, PlantError
 from osc_contact.experiments.metrics import metrics
 from osc_contact.experiments.run import run
 from osc_contact.scenarios import load_scenario
 
-__all__ = ["STAGES", "Rung", "ladder"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["STAGES", "Rung", "draw", "ladder"]
 
 SCENARIO = "workcell"
 _IDEAL = {
@@ -70,7 +73,7 @@ class Rung:
 
 
 def ladder(
-    stages: Sequence[str] = tuple(STAGES),
+    stages: Sequence[str] | None = None,
     duration: float = 8.0,
     seed: int = 0,
     overrides: Sequence[str] = (),
@@ -79,14 +82,15 @@ def ladder(
     """Run the workcell with only part of it real, stage by stage.
 
     Args:
-        stages: names from `STAGES`. duration: s of each run. seed: of everything random.
+        stages: names from `STAGES`; default: all.
+        duration: s of each run. seed: of everything random.
         overrides: further changes of every run. progress: called with the stage's name.
 
     Raises:
         InvalidInputError: unknown stage.
     """
     rungs = []
-    for name in stages:
+    for name in STAGES if stages is None else stages:
         if name not in STAGES:
             raise InvalidInputError(f"no stage '{name}'; there are {', '.join(STAGES)}")
         if progress is not None:
@@ -97,3 +101,29 @@ def ladder(
         except PlantError:
             rungs.append(Rung(name, None))
     return rungs
+
+
+def draw(rungs: Sequence[Rung]) -> Figure:
+    """Force error of each run, logarithmic; runs that diverged have no bar."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from osc_contact.visual import OKABE_ITO
+    from osc_contact.visual.style import style
+
+    errors = [100 * (rung.worst("rms_error_rel") or 0.0) for rung in rungs]
+    with style():
+        figure = Figure(figsize=(6.4, 0.6 + 0.42 * len(rungs)), layout="constrained")
+        FigureCanvasAgg(figure)
+        ax = figure.subplots()
+        bars = ax.barh([rung.real for rung in rungs], errors, color=OKABE_ITO["blue"])
+        words = [
+            "diverged" if rung.verdict is None else f"{error:.2g} %"
+            for rung, error in zip(rungs, errors, strict=True)
+        ]
+        ax.bar_label(bars, words, padding=3)
+        ax.set_xscale("log")
+        ax.set_xlim(1e-2, 1e4)
+        ax.invert_yaxis()
+        ax.set_xlabel("force error, rms (% of the mean command), worse contact")
+    return figure

@@ -17,6 +17,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.robots import load_geometry
 from osc_contact.visual import contact_colour
 from osc_contact.visual.page import CommandSink, write_page
 from osc_contact.visual.primitives import (
@@ -129,8 +130,8 @@ def _draw_arm(
     node: Visualizer, animation: Animation, arm: ArmVisual, channels: dict[str, Any]
 ) -> Array:
     """Draw the arm; return the points (world) that the camera shall see."""
-    model = pin.buildModelFromUrdf(str(arm.urdf))
-    shapes = _shapes(model, arm.urdf, arm.package_dirs)
+    model, geometry, _ = load_geometry(arm.urdf, pin.GeometryType.VISUAL, arm.package_dirs)
+    shapes = list(geometry.geometryObjects)
     q = _channel(channels, "q", f"arm {arm.name!r}")[:, arm.q_slice]
     if q.shape[1] != model.nq:
         raise InvalidInputError(
@@ -157,8 +158,8 @@ def _draw_body(
     node: Visualizer, animation: Animation, body: BodyVisual, channels: dict[str, Any]
 ) -> Array:
     """Draw the body; return the points (world) that the camera shall see."""
-    model = pin.buildModelFromUrdf(str(body.urdf))
-    shapes = _shapes(model, body.urdf, body.package_dirs)
+    _, geometry, _ = load_geometry(body.urdf, pin.GeometryType.VISUAL, body.package_dirs)
+    shapes = list(geometry.geometryObjects)
     for number, shape in enumerate(shapes):
         urdf_geometry(node[f"{number}_{shape.name}"], shape)
     poses: list[Any] = [body.placement]
@@ -213,13 +214,3 @@ def _corners(shape: pin.GeometryObject) -> list[Array]:
     box = shape.geometry.aabb_local
     low, high = (np.array(end) for end in (box.min_, box.max_))
     return [shape.placement * np.where(pick, high, low) for pick in product((0, 1), repeat=3)]
-
-
-def _shapes(
-    model: pin.Model, urdf: str | Path, package_dirs: Sequence[str | Path]
-) -> list[pin.GeometryObject]:
-    folders = [str(folder) for folder in package_dirs]
-    geometry = pin.buildGeomFromUrdf(
-        model, str(urdf), pin.GeometryType.VISUAL, package_dirs=folders
-    )
-    return list(geometry.geometryObjects)
