@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.control.controller import Controller
+from osc_contact.control.monitor import ContactMonitor
 from osc_contact.errors import PlantError
 from osc_contact.experiments.references import force_steps
 from osc_contact.experiments.rig import Rig, build_rig
@@ -64,21 +65,26 @@ def _loop(rig: Rig, seed: int, progress: Progress | None, install: Install | Non
     period = 1.0 / scenario.control.rate
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(ticks, _meta(rig, seed))
-    plant, controller, first = rig.plant(), rig.controller(), rig.controller()
+    plant, controller, first = rig.plant(seed), rig.controller(), rig.controller()
     if install is not None:
         controller, first = install(controller), install(first)
     # the rig starts under the torques that hold it, not limp
-    plant.hold(first.tick(plant.measure(), rig.references.at(0.0)))
-    tare = _Tare(rig, controller)
+    plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
+    drive, observer = rig.drive(plant), rig.observer()
+    acceleration = None
+    tare, monitor = _Tare(rig, controller), ContactMonitor(len(rig.pairs), period)
     began = perf_counter()
     try:
         for k in range(ticks):
             t = k * period
             reference = rig.references.at(t)
-            measurement, truth = plant.measure(), plant.truth()
+            measurement = observer.complete(plant.measure(), acceleration)
+            truth = plant.truth()
             start = perf_counter()
             tau = controller.tick(measurement, reference)
             spent = perf_counter() - start
+            if observer.estimates:
+                acceleration = controller.joint_acceleration()
             tare.watch(t)
             recorder.append(
                 t=t,
@@ -86,9 +92,10 @@ def _loop(rig: Rig, seed: int, progress: Progress | None, install: Install | Non
                 v=measurement.v,
                 tau=tau,
                 tick_s=spent,
+                **_watched(controller, monitor),
                 **_channels(rig, controller, reference, truth, measurement.touched is not None),
             )
-            plant.step(tau, period)
+            drive.step(tau)
             if progress is not None and k % 100 == 99:
                 progress(t + period)
     except PlantError as error:
@@ -122,6 +129,19 @@ class _Tare:
             self.samples = []
         if t >= self.engage_at:
             self.controller.engage()
+
+
+def _watched(controller: Controller, monitor: ContactMonitor) -> dict[str, Array]:
+    """What the contact monitor tells from projected force and power."""
+    found, count = controller.found(), monitor.contacts
+    alpha = speed = np.zeros(count)
+    if len(found.alpha_meas) == count:
+        alpha, speed = found.alpha_meas, found.normal_speed
+    elif len(found.alpha_meas):  # some contacts depend on others
+        contact = controller.last_signals().contact
+        alpha, speed = contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
+    seen = monitor.update(alpha, speed)
+    return {"contact_seen": seen.closed, "collision_seen": seen.collision}
 
 
 def _channels(
