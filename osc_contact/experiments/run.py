@@ -19,6 +19,7 @@ from osc_contact.plants.plant import Truth
 from osc_contact.recorder import Recorder, Recording
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, pose_error
+from osc_contact.visual.live import Shows
 
 __all__ = ["run"]
 
@@ -32,6 +33,7 @@ def run(
     duration: float | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    viewer: Shows | None = None,
 ) -> Recording:
     """Run a scenario and record it.
 
@@ -41,6 +43,7 @@ def run(
         duration: s, instead of the scenario's own.
         seed: of everything random in the run (sensors and plants without noise use none).
         progress: called with the simulated time now and then.
+        viewer: shows the run while it goes on (see `open_viewer`); it cannot hold the loop up.
 
     Returns:
         The recording; `metrics(recording)` judges it.
@@ -54,10 +57,10 @@ def run(
     if duration is not None:
         changes["duration"] = duration
     scenario = Scenario.model_validate(changes).with_source(scenario.source)
-    return _loop(build_rig(scenario), seed, progress)
+    return _loop(build_rig(scenario), seed, progress, viewer)
 
 
-def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
+def _loop(rig: Rig, seed: int, progress: Progress | None, viewer: Shows | None) -> Recording:
     scenario = rig.scenario
     period = 1.0 / scenario.control.rate
     ticks = round(scenario.duration * scenario.control.rate)
@@ -76,14 +79,17 @@ def _loop(rig: Rig, seed: int, progress: Progress | None) -> Recording:
             tau = controller.tick(measurement, reference)
             spent = perf_counter() - start
             tare.watch(t)
-            recorder.append(
-                t=t,
-                q=measurement.q,
-                v=measurement.v,
-                tau=tau,
-                tick_s=spent,
+            channels = {
+                "t": t,
+                "q": measurement.q,
+                "v": measurement.v,
+                "tau": tau,
+                "tick_s": spent,
                 **_channels(rig, controller, reference, truth, tau),
-            )
+            }
+            recorder.append(**channels)
+            if viewer is not None:
+                viewer.show(channels)
             plant.step(tau, period)
             if progress is not None and k % 100 == 99:
                 progress(t + period)
