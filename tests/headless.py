@@ -79,7 +79,9 @@ class Browser:
                 if answer.get("id") == self.number:
                     assert "error" not in answer, answer["error"]
                     return answer["result"]
-            ready, _, _ = select.select([self.answers], [], [], max(0.0, deadline - time.monotonic()))
+            ready, _, _ = select.select(
+                [self.answers], [], [], max(0.0, deadline - time.monotonic())
+            )
             assert ready, f"no answer to {method} within {timeout} s"
             part = os.read(self.answers, 1 << 16)
             assert part, "the browser has ended"

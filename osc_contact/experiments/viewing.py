@@ -23,9 +23,7 @@ from osc_contact.visual.subspaces import BestFrame
 __all__ = ["best_frame", "content_of", "open_viewer", "write_scene_of"]
 
 
-def write_scene_of(
-    recording: Recording, rig: Rig, path: Path, still: float | None = None
-) -> Path:
+def write_scene_of(recording: Recording, rig: Rig, path: Path, still: float | None = None) -> Path:
     """The moving scene of a run as one HTML file that needs no server.
 
     Args:

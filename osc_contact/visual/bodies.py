@@ -91,9 +91,11 @@ class Arm:
     def corners(self, sample: Sample) -> Array:
         """(k, 3) corners of the bounding boxes at one tick, and the base."""
         states = self.states(sample)
-        placed = [(states[self.paths[shape.parentJoint]].pose, shape) for shape in self.shapes]
-        points = [pose * corner for pose, shape in placed for corner in _corners(shape)]
-        return np.array([self.arm.base.translation, *points])
+        points: list[Any] = [self.arm.base.translation]
+        for shape in self.shapes:
+            pose: Any = states[self.paths[shape.parentJoint]].pose
+            points += [pose * corner for corner in _corners(shape)]
+        return np.array(points)
 
 
 class Body:

@@ -46,7 +46,10 @@ def sandbox_flags() -> tuple[str, ...]:
 
 
 def write_png(
-    page: str | Path, path: str | Path, time: float | None = None, size: tuple[int, int] = (1280, 860)
+    page: str | Path,
+    path: str | Path,
+    time: float | None = None,
+    size: tuple[int, int] = (1280, 860),
 ) -> Path:
     """Render a page as it looks at a time (s) of its recording; returns the path of the PNG.
 
@@ -67,7 +70,7 @@ def write_png(
         picture = Path(folder) / "picture.png"
         command = [
             browser, *FLAGS, *sandbox_flags(), f"--window-size={size[0]},{size[1]}",
-            "--virtual-time-budget=4000", f"--user-data-dir={folder}/profile",
+            "--virtual-time-budget=1500", f"--user-data-dir={folder}/profile",
             f"--screenshot={picture}", address,
         ]  # fmt: skip
         try:

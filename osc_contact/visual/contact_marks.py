@@ -16,7 +16,16 @@ import pinocchio as pin
 
 from osc_contact.visual import contact_colour
 from osc_contact.visual.parts import Frame, LegendEntry, Sample, State
-from osc_contact.visual.primitives import along, arrow, arrow_lengths, cone, material, plain, rod, tube
+from osc_contact.visual.primitives import (
+    along,
+    arrow,
+    arrow_lengths,
+    cone,
+    material,
+    plain,
+    rod,
+    tube,
+)
 from osc_contact.visual.screws import contact_normals, helix, wrench_screw
 
 if TYPE_CHECKING:

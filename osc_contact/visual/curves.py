@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -34,10 +35,18 @@ def layout(sample: Mapping[str, Any], contacts: list[str]) -> list[dict[str, Any
         if key in sample
     ]
     panels = [
-        {"title": "contact force", "unit": "N", "lines": forces,
-         "note": "wide: commanded, solid: true, dashed: measured"},
-        {"title": "power", "unit": "W", "lines": powers,
-         "note": "of the measured wrench on the object’s motion"},
+        {
+            "title": "contact force",
+            "unit": "N",
+            "lines": forces,
+            "note": "wide: commanded, solid: true, dashed: measured",
+        },
+        {
+            "title": "power",
+            "unit": "W",
+            "lines": powers,
+            "note": "of the measured wrench on the object’s motion",
+        },
     ]
     return [panel for panel in panels if panel["lines"]]
 
@@ -59,8 +68,8 @@ def thinned(
     if len(t) <= 2 * bins:
         return {"t": _times(t), "y": [_numbers(row) for row in rows]}
     edges = np.linspace(0, len(t), bins + 1).astype(int)
-    parts = list(zip(edges[:-1], edges[1:], strict=True))
-    times = [moment for a, b in parts for moment in (t[a], t[(a + b) // 2])]
+    parts = list(pairwise(edges))
+    times = [moment for a, b in parts for moment in (t[a], t[b - 1])]
     thin = []
     for row in rows:
         pairs = []

@@ -107,7 +107,7 @@ class Viewer:
                 self._begin(tick)
             for name, part in self._parts:
                 self._numbers[part] = np.ravel(tick[name])
-            self._link.send(self._numbers)
+            self._link.send(self._numbers.tobytes())
             self._stalled = float("inf")
         except BlockingIOError:
             self._stalled = min(self._stalled, now)
@@ -163,7 +163,7 @@ class Viewer:
 
 
 def _started(module: str, link: socket.socket, complaints: Any) -> subprocess.Popen[bytes]:
-    """A process with one inherited descriptor, deaf to this terminal's Ctrl-C, its output unread."""
+    """A process that inherits one descriptor and does not hear the Ctrl-C of this terminal."""
     root = str(Path(__file__).parents[2])
     paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.Popen(

@@ -19,6 +19,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from osc_contact.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -66,7 +69,7 @@ class CommandSink:
 
 
 def set_camera(
-    scene: Visualizer, target: Sequence[float], offset: Sequence[float], field_of_view: float
+    scene: Visualizer, target: ArrayLike, offset: ArrayLike, field_of_view: float
 ) -> None:
     """Look at the target (m, world) from target + offset (m, world), field of view in degrees.
 
@@ -74,8 +77,8 @@ def set_camera(
     origin: the whole scene is moved so that the target lies there, and the camera sits at the
     offset in three.js axes (y up).
     """
-    x, y, z = (float(number) for number in offset)
-    shift = [-float(number) for number in target]
+    x, y, z = np.asarray(offset, dtype=float).tolist()
+    shift = (-np.asarray(target, dtype=float)).tolist()
     scene.set_transform(_meshcat().transformations.translation_matrix(shift))
     camera = scene["/Cameras/default/rotated/<object>"]
     camera.set_property("position", [x, z, -y])

@@ -92,7 +92,10 @@ class LivePage:
         """The page, as long as there is no tick one that asks again."""
         if self.scene is None:
             return WAITING
-        empty = {"t": [], "y": [[] for panel in self.scene.panels for _ in panel["lines"]]}
+        empty: dict[str, Any] = {
+            "t": [],
+            "y": [[] for panel in self.scene.panels for _ in panel["lines"]],
+        }
         config = self.scene.config(live=True, window=WINDOW_S, curves=empty)
         return page_text(self.drawn, self.content.title, config)
 
@@ -133,7 +136,8 @@ class Browser(WebSocketHandler):
 
     def initialize(self, page: LivePage) -> None:
         """Called by tornado for every request."""
-        self.page, self.shown, self.busy = page, {}, False
+        self.page, self.busy = page, False
+        self.shown: Frame = {}
         self.late: dict[str, dict[str, Any]] = {}
 
     def open(self, *_: str, **__: str) -> None:

@@ -38,8 +38,6 @@ def set_stage(
         bases: (arms, 3) where the arms stand, m.
         directions: (contacts, 3) of the contact forces, or None.
     """
-    from meshcat.geometry import Box
-
     low, high = points.min(axis=0), points.max(axis=0)
     middle = 0.5 * (low + high)
     floor = float(np.min(bases[:, 2], initial=0.0))

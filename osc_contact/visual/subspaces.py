@@ -99,7 +99,15 @@ class TwistAxes:
         return [(along(screw.point, screw.direction), screw.pitch) for screw in screws]
 
 
-_KINDS = ("label", "turn/axis", "turn/path/tube", "turn/end/head", "slide/axis", "slide/up", "slide/down")
+_KINDS = (
+    "label",
+    "turn/axis",
+    "turn/path/tube",
+    "turn/end/head",
+    "slide/axis",
+    "slide/up",
+    "slide/down",
+)
 
 
 class ConstraintFrame:

@@ -16,6 +16,9 @@ viewer.gui.domElement.style.display = "none"; // meshcat's own controls: press g
 
 const draw = (text) => viewer.handle_command_bytearray(
   Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));
+// Only what changes is written: a page at rest then needs no new layout and no new picture.
+const setText = (box, text) => { if (box.textContent !== text) box.textContent = text; };
+const setStyle = (box, key, value) => { if (box.style[key] !== value) box.style[key] = value; };
 const nodeAt = (path) => viewer.scene_tree.find(["meshcat", ...path.split("/")]);
 
 const KEYS = {
@@ -72,11 +75,11 @@ function placeLabels(labels, time) {
     for (let above = object; above; above = above.parent) seen = seen && above.visible;
     const value = line === null ? null : plots.valueAt(line, time);
     const words = value === null ? text : `${text} ${signed(value.toFixed(2))} ${unit}`;
-    if (box.textContent !== words) box.textContent = words;
+    setText(box, words);
     object.updateWorldMatrix(true, false);
     const at = new MeshCat.THREE.Vector3().setFromMatrixPosition(object.matrixWorld).project(viewer.camera);
     seen = seen && Math.abs(at.x) < 1 && Math.abs(at.y) < 1 && at.z < 1;
-    box.style.display = seen ? "" : "none";
+    setStyle(box, "display", seen ? "" : "none");
     if (!seen) continue;
     const w = box.offsetWidth, h = box.offsetHeight;
     const x = Math.min(pane.clientWidth - w - 4, Math.max(4, 0.5 * (at.x + 1) * pane.clientWidth - w / 2));
@@ -85,7 +88,7 @@ function placeLabels(labels, time) {
       if (x < other.x + other.w && other.x < x + w && Math.abs(y - other.y) < h + 2) y = other.y - h - 2;
     }
     taken.push({ x, y, w });
-    box.style.transform = `translate(${Math.round(x)}px, ${Math.round(y)}px)`;
+    setStyle(box, "transform", `translate(${Math.round(x)}px, ${Math.round(y)}px)`);
   }
 }
 
@@ -107,13 +110,13 @@ function refresh() {
   requestAnimationFrame(refresh);
   if (!CONFIG.live) {
     if (player.playing) player.time = viewer.animator.time;
-    element("play").textContent = player.playing ? "❚❚" : "▶";
+    setText(element("play"), player.playing ? "❚❚" : "▶");
     element("time").value = player.time;
   }
   const now = origin + player.time;
   const whole = CONFIG.live ? "" : ` / ${(origin + length).toFixed(1)} s`;
-  element("clock").textContent = `${now.toFixed(2)}${CONFIG.live ? " s" : whole}`;
-  plots.mark(now);
+  setText(element("clock"), `${now.toFixed(2)}${CONFIG.live ? " s" : whole}`);
+  if (plots.time !== now) plots.mark(now);
   placeLabels(labels, now);
 }
 
