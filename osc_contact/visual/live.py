@@ -71,8 +71,9 @@ class Viewer:
         self._parts: list[tuple[str, slice]] = []
         self._numbers = np.empty(0)
         self._link, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with other, tempfile.TemporaryFile() as complaints:
-            self._process = _started(module, other, complaints)
+        with tempfile.TemporaryFile() as complaints:
+            with other:  # closed here, so that the end of the process closes the link
+                self._process = _started(module, other, complaints)
             try:
                 self._link.sendall(json.dumps(about).encode())
                 self.url = self._answer()

@@ -153,6 +153,8 @@ class Browser(WebSocketHandler):
     def on_message(self, message: str | bytes) -> None:
         """Whatever it says means that the last picture is on its screen."""
         self.busy = False
+        if self.shown is not self.page.frame:
+            self.send(self.page, [], self.page.numbers)
 
     def on_close(self) -> None:
         """The browser has gone."""
