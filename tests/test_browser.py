@@ -102,6 +102,7 @@ def test_a_lost_contact_is_grey(browser: Browser) -> None:
     switch(browser, "T:")  # so that nothing else is in front
     closed, lost = slide(browser, 0.3), slide(browser, 0.5)
     switch(browser, "T:")
+    assert browser.run("document.querySelector('#labels div').textContent") == "left end lost"
     grey = "#8E939A"
     assert near(lost[:600], grey, 4) > near(closed[:600], grey, 4) + 100
     assert near(lost[:600], BLUE) < 0.5 * near(closed[:600], BLUE)

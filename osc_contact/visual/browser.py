@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -20,7 +21,7 @@ FLAGS = (
     "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--hide-scrollbars",
 )  # fmt: skip
 """Software rendering, asked for by name: the fallback to it is being withdrawn from Chromium."""
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
 
 
 def find_browser() -> str:
@@ -43,6 +44,14 @@ def find_browser() -> str:
 def sandbox_flags() -> tuple[str, ...]:
     """Chromium refuses its sandbox when it runs as root, as in many containers."""
     return ("--no-sandbox",) if os.geteuid() == 0 else ()
+
+
+def main() -> None:
+    """Print the browser's path, or say how to get one and exit with 1 (`make browser`)."""
+    try:
+        print(find_browser())
+    except ViewerError as error:
+        sys.exit(str(error))
 
 
 def write_png(
@@ -88,3 +97,7 @@ def write_png(
         shutil.copyfile(picture, unfinished)
         os.replace(unfinished, target)
     return target
+
+
+if __name__ == "__main__":
+    main()

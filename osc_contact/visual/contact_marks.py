@@ -9,7 +9,7 @@ where the two agree. A contact that is lost turns grey.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -119,6 +119,14 @@ class ContactForce:
         tail = pin.SE3(np.eye(3), np.array([0.0, -longest - 0.045, 0.0]))
         frame[f"{self.path}/label"] = State(tail)
         return frame
+
+    def ends(self, sample: Sample) -> Array:
+        """(k, 3) ends of the longest arrow at one tick; none where the contact is not known."""
+        frame = self.states(sample)
+        pose: Any = frame[self.path].pose
+        tail: Any = frame[f"{self.path}/label"].pose
+        known = contact_normals(sample, self.owners).known[self.column]
+        return np.array([pose.translation, pose * tail.translation])[: 2 * int(known)]
 
     def legend(self) -> Iterable[LegendEntry]:
         """The contact's colour; the check boxes are shared by all contacts."""

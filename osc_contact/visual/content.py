@@ -32,7 +32,7 @@ class Content:
     bodies: Sequence[BodyVisual]
     contacts: Sequence[str] = ()
     columns: Sequence[int] = ()
-    frame_words: str = ""
+    frame_words: str = "best single frame (Raibert–Craig)"
 
 
 def described(content: Content) -> dict[str, Any]:

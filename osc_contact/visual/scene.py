@@ -75,6 +75,7 @@ class Scene:
         """Floor, background, and a camera that sees what the samples show."""
         points = [arm.corners(samples[0]) for arm in self.arms]
         points += [body.corners(sample) for body in self.bodies for sample in samples]
+        points += [force.ends(sample) for force in self.forces for sample in samples]
         bases = np.array([arm.base.translation for arm in self.content.arms]).reshape(-1, 3)
         pushes = samples[0].get("contact_direction")
         set_stage(scene, np.vstack([np.zeros((0, 3)), *points]), bases, pushes)
@@ -94,13 +95,14 @@ class Scene:
                 "colour": contact_colour(force.contact),
                 "line": _place_in(keys, ("alpha_true", force.column)),
                 "unit": "N m" if force.couple else "N",
+                "lost": f"{force.path}/lost",
             }
             for force in self.forces
         ]
         if self.forces:
             labels += [
                 {"path": f"twists/{i}/label", "text": f"t{'₁₂₃₄₅₆'[i]}", "colour": T_COLOUR,
-                 "line": None, "unit": ""}
+                 "line": None, "unit": "", "lost": None}
                 for i in range(6)
             ]  # fmt: skip
         legend = [entry._asdict() for entry in entries]
@@ -114,7 +116,7 @@ def write_scene(
     path: str | Path,
     fps: float = 30.0,
     find: FindFrame | None = None,
-    frame_words: str = "",
+    frame_words: str = "best single frame",
     still: float | None = None,
 ) -> Path:
     """Write the recording as an HTML page that plays by itself, with a time slider and plots.

@@ -69,12 +69,14 @@ function showLabels(labels) {
 
 function placeLabels(labels, time) {
   const pane = element("scene"), taken = [];
-  for (const { path, text, line, unit, box } of labels) {
+  for (const { path, text, line, unit, lost, box } of labels) {
     const object = nodeAt(path).object;
     let seen = true;
     for (let above = object; above; above = above.parent) seen = seen && above.visible;
     const value = line === null ? null : plots.valueAt(line, time);
-    const words = value === null ? text : `${text} ${signed(value.toFixed(2))} ${unit}`;
+    const gone = lost && nodeAt(lost).object.visible;
+    const reading = value === null ? "" : ` ${signed(value.toFixed(2))} ${unit}`;
+    const words = text + (gone ? " lost" : reading);
     setText(box, words);
     object.updateWorldMatrix(true, false);
     const at = new MeshCat.THREE.Vector3().setFromMatrixPosition(object.matrixWorld).project(viewer.camera);
