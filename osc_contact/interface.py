@@ -8,7 +8,23 @@ import pinocchio as pin
 
 from osc_contact.spatial import Array
 
-__all__ = ["Measurement", "Reference"]
+__all__ = ["Measurement", "Reference", "Touched"]
+
+
+@dataclass(frozen=True)
+class Touched:
+    """Motion of the body at each contact, from its encoders or from a tracker.
+
+    Attributes:
+        X_WE: (contacts, 4, 4) pose of its frame E in the world; the pair's geometry is given in E.
+        V_E: (contacts, 6) its twist at E's origin, world axes.
+        A_E: (contacts, 6) [p̈; ω̇] of E, what is known of it: the acceleration a drive is commanded
+            to make. Zero for bodies that follow the contact force.
+    """
+
+    X_WE: Array
+    V_E: Array
+    A_E: Array
 
 
 @dataclass(frozen=True)
@@ -19,11 +35,13 @@ class Measurement:
         q, v: (n,) joint positions and velocities of all arms, passive joints included.
         wrenches: (arms, 6) wrench that each arm exerts on its gripper, at the sensor's origin and
             in the sensor's axes (N, N m). Rows of arms without a sensor are zero.
+        touched: how the bodies at the contacts move; None: all of them rest in the world.
     """
 
     q: Array
     v: Array
     wrenches: Array
+    touched: Touched | None = None
 
 
 @dataclass(frozen=True)

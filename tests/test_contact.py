@@ -199,15 +199,6 @@ def test_dependent_columns_are_refused_by_number(size: float) -> None:
         Contact.from_tangents(N)
 
 
-def test_a_table_on_four_legs_is_refused_and_on_three_is_not() -> None:
-    legs = np.array([[1.0, 1, 0], [1, -1, 0], [-1, -1, 0], [-1, 1, 0]]) * 0.4
-    down = np.array([0.0, 0, -1])
-    contacts = [Contact(np.concatenate((down, np.cross(p, down)))[:, None]) for p in legs]
-    assert Contact.stack(contacts[:3]).r == 3
-    with pytest.raises(ContactError, match=r"columns \[0, 1, 2, 3\] are dependent"):
-        Contact.stack(contacts)
-
-
 def test_nearly_dependent_is_not_dependent() -> None:
     """Two parallel lines of force a micrometre apart still carry two separate magnitudes."""
     N = np.array([[0, 0, 1.0, 0, 0, 0], [0, 0, 1.0, 1e-6, 0, 0]]).T
@@ -223,8 +214,6 @@ def test_more_than_six_columns_are_refused() -> None:
         Contact(seven)
     with pytest.raises(ContactError, match="T: 7 columns"):
         Contact.from_tangents(seven)
-    with pytest.raises(ContactError, match="N: 8 columns"):
-        Contact.stack([Contact(random_normals(s, 4)) for s in range(2)])
 
 
 def test_refusals_share_the_base_class() -> None:

@@ -94,7 +94,7 @@ def test_wiring_is_complete_and_runs_forward(rig):
     """Every signal is read or is a torque, every input exists before it is read."""
     controller, plant = rig.controller(), rig.plant()
     blocks = controller.wiring(plant.measure(), rig.references.at(0.0))
-    known = {"q", "v", "wrenches", "reference", "alpha_d", "squeeze_d"}
+    known = {"q", "v", "wrenches", "touched", "reference", "alpha_d", "squeeze_d"}
     for block in blocks:
         assert block.inputs and block.outputs, block.name
         assert set(block.inputs) <= known, block.name

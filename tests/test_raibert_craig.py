@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import osc_contact as osc
 from osc_contact.contacts import raibert_craig
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.raibert_craig import RaibertCraig, as_raibert_craig, selection_columns
@@ -194,6 +195,29 @@ def test_cone_in_groove_is_refused_for_its_axes() -> None:
         assert_describes(as_raibert_craig(cone_in_groove(angle), SIZE), cone_in_groove(angle))
     # a little off the right angle: off by about as little
     assert 1e-4 < as_raibert_craig(cone_in_groove(np.pi / 2 - 1e-3), SIZE).residual < 1e-2
+
+
+def test_the_figures_of_the_paper_by_their_own_geometry() -> None:
+    """Fig. 1 is the packaged rod on its two faces, fig. 2 the pair `ConeInGroove`."""
+    rod = osc.build_rig(osc.load_scenario("two_contact_rod")).contact()
+    p, q = (rod.N[:, j] for j in (0, 1))
+    apart = abs(p[:3] @ q[3:] + q[:3] @ p[3:]) / np.linalg.norm(np.cross(p[:3], q[:3]))
+    fig1 = rod.as_raibert_craig()
+    assert not fig1 and fig1.residual > 0.1
+    assert fig1.reason.startswith(f"(ii) the lines of force pass {1e3 * apart:.4g} mm apart")
+
+    z, lean = np.array([0, 0, 1.0]), np.array([np.sin(0.5), 0, np.cos(0.5)])
+    cone = osc.ConeInGroove(0.05 * z, lean, np.zeros(3), [1.0, 0, 0], lean)
+    X = pin.SE3(np.eye(3), -0.05 * z)
+    fig2 = cone.contact(X, np.zeros(6)).as_raibert_craig(size=SIZE)
+    assert not fig2 and fig2.residual > 0.1
+    assert fig2.reason.startswith("(i) ") and "are 61.35° apart" in fig2.reason
+
+    frame = pin.SE3(pin.exp3(0.3 * lean), 0.1 * z)
+    for centre in (None, [0.1, 0.2, 0.3]):
+        same = Contact.from_selection(frame, (True, False, False), (False, True, True))
+        found = same.as_raibert_craig(centre=centre)
+        assert_describes(found, same.N)
 
 
 @pytest.mark.parametrize("r", [1, 5])

@@ -189,11 +189,17 @@ class Contact:
         """(r_all, r) the pseudo-inverse of R: R has full row rank, and magnitudes have a norm."""
         return self.R.T @ np.linalg.inv(self.R @ self.R.T)
 
-    def as_raibert_craig(self, size: float) -> RaibertCraig:
-        """Can one constraint frame describe this contact? `size`: of the held object (m)."""
+    def as_raibert_craig(
+        self, size: float = 1.0, tolerance: float = 1e-9, centre: npt.ArrayLike | None = None
+    ) -> RaibertCraig:
+        """The constraint frame and selection that describe this contact, or why there is none.
+
+        `size` (m) and `centre` (3,) of the held object serve the residual only; see
+        `contacts.raibert_craig.as_raibert_craig`.
+        """
         from osc_contact.contacts.raibert_craig import as_raibert_craig
 
-        return as_raibert_craig(self.N, size)
+        return as_raibert_craig(self.N, size, tolerance, centre)
 
     def force_projection(self, A_inv: Array) -> Array:
         """Ω_f(A), eq. 5, given A⁻¹ (6, 6)."""

@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.allocation import Allocation
 from osc_contact.control.command_filter import (
     filtered_motion,
@@ -31,11 +32,12 @@ from osc_contact.control.force import (
 from osc_contact.control.motion import MotionGains, MotionLaw
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.environment import Environment
+from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError
-from osc_contact.interface import Measurement, Reference
+from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.spatial import Array, as_array
 
-__all__ = ["Block", "Controller", "ContactPair", "Gains", "Signals", "Status"]
+__all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
 
 
 class Status(IntEnum):
@@ -44,17 +46,6 @@ class Status(IntEnum):
     OK = 0
     SATURATED = 1  #: a motor limit was reached: torques were scaled, integrators held
     HELD = 2  #: bad measurement or degenerate posture: the last good torques were repeated
-
-
-class ContactPair(Protocol):
-    """Anything that gives N and n_γ at the object's pose and twist, such as `VertexOnFace`."""
-
-    @property
-    def name(self) -> str:
-        """Used in messages and recordings."""
-
-    def contact(self, X_WO: pin.SE3, V_O: Array) -> Contact:
-        """The contact at this instant."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +62,14 @@ class Signals:
     q: Array  #: (n,) encoders
     v: Array  #: (n,)
     wrenches: Array  #: (arms, 6) wrist sensors
+    touched: Touched | None  #: pose, twist, known acceleration of the touched bodies
     reference: Reference  #: desired pose, twist, acceleration of the object
-    alpha_d: Array  #: (r,) desired contact forces
+    alpha_d: Array  #: (r_all,) desired contact forces
     squeeze_d: float  #: desired internal force
     state: ChainState  #: Λ_S, μ, p, S, σ, G of the closed chain
-    contact: Contact  #: N, T, n_γ
+    parts: list[Contact]  #: N, n_γ of each contact
+    contact: Contact  #: N, T, n_γ of all together
+    environment: Environment  #: Φ_e, b_e, V_e
     f_meas: Array  #: (6,) sum of the wrist readings at O, tare removed
     f_c_meas: Array  #: (6,) contact force inside it
     alpha_meas: Array  #: (r,) its magnitudes
@@ -129,7 +123,7 @@ class Controller:
         *,
         dt: float = 1e-3,
         B: Array | str = "object",
-        environment: Environment | None = None,
+        bodies: Sequence[Body | None] | None = None,
         posture: Array | None = None,
         engaged: bool = True,
     ) -> None:
@@ -142,7 +136,8 @@ class Controller:
             dt: control period (s).
             B: metric of the motion filter Ω_m(B), eq. 24: "object" (Λ_o⁻¹), "chain"
                 ((ΣΛ_i + Λ_o)⁻¹ within the chain's motions) or a positive definite (6, 6).
-            environment: default fixed.
+            bodies: how the body at each contact answers forces; None: it does not, though it may
+                be seen to move. The same object twice: both contacts are on one body.
             posture: (n,) where redundant arms return to (default: neutral).
             engaged: start in contact.
 
@@ -160,10 +155,14 @@ class Controller:
                 f"contact forces are measured in the wrists of all arms together, but {blind} "
                 "have no wrist_sensor; name its frame when loading the arm"
             )
+        if bodies is not None and len(bodies) != len(contacts):
+            raise InvalidInputError(
+                f"{len(contacts)} contacts but {len(bodies)} bodies; give one for each contact"
+            )
         gains = Gains() if gains is None else gains
         self.chain = chain
         self.contacts = tuple(contacts)
-        self.environment = Environment.fixed() if environment is None else environment
+        self.bodies = (None,) * len(self.contacts) if bodies is None else tuple(bodies)
         self.B = B
         self.engaged = engaged
         self.motion_law = MotionLaw(gains.motion, dt)
@@ -245,9 +244,36 @@ class Controller:
 
     @block("contact geometry", "model", r"$N,\ T,\ n_\gamma$")
     def _contact(self, s: Signals) -> None:
-        state = s.state
+        X_WO, V_O = s.state.X_WO, s.state.V_O
         pairs = self.contacts if self.engaged else ()
-        s.contact = Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in pairs])
+        touched = s.touched
+        if touched is None:
+            parts = [pair.contact(X_WO, V_O) for pair in pairs]
+        else:
+            moving = zip(pairs, touched.X_WE, touched.V_E, strict=False)
+            parts = [pair.contact(X_WO, V_O, pin.SE3(X), V) for pair, X, V in moving]
+        s.parts = parts
+        s.contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
+
+    @block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)")
+    def _environment(self, s: Signals) -> None:
+        touched, parts = s.touched, s.parts
+        if touched is None or not parts:
+            s.environment = _AT_REST
+            return
+        O = s.state.X_WO.translation  # noqa: E741
+        of_body: dict[Body, Environment] = {}  # contacts on one body share its environment
+        answers = []
+        for body, matrix, V, A in zip(
+            self.bodies, touched.X_WE, touched.V_E, touched.A_E, strict=True
+        ):
+            if body is None:
+                answers.append(Environment.moving(X_WE=pin.SE3(matrix), V_E=V, A_E=_STILL, O=O))
+            else:
+                if body not in of_body:
+                    of_body[body] = body.environment(pin.SE3(matrix), V, A, O)
+                answers.append(of_body[body])
+        s.environment = Environment.combine(parts, answers, s.state.metric)
 
     @block("sum of wrist sensors", "force", r"$\Sigma$ at $O$")
     def _sense(self, s: Signals) -> None:
@@ -255,7 +281,7 @@ class Controller:
 
     @block("force filter", "force", r"$\Omega_f(\Lambda_{out})$")
     def _force_filter(self, s: Signals) -> None:
-        s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, self.environment)
+        s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, s.environment)
 
     @block("generalised inverse", "force", r"$N^{\#}$")
     def _magnitudes(self, s: Signals) -> None:
@@ -263,8 +289,8 @@ class Controller:
 
     @block("force law", "force", r"$\alpha_d + K_i\!\int(\alpha_d-\alpha_{meas})$")
     def _force_law(self, s: Signals) -> None:
-        desired = s.alpha_d if self.engaged else np.zeros(0)
-        speed = s.contact.N.T @ (s.state.V_O - self.environment.V_e)
+        desired = _independent(s.alpha_d, s.contact) if self.engaged else np.zeros(0)
+        speed = s.contact.N.T @ (s.state.V_O - s.environment.V_e)
         s.alpha_u = self.force_law.command(desired, s.alpha_meas, speed)
 
     @block("to operational space", "force", r"$N\alpha_u$  (16)")
@@ -280,7 +306,7 @@ class Controller:
     def _motion_filter(self, s: Signals) -> None:
         eta_u = object_coordinates(s.state, s.contact, s.a_u)
         s.eta_c = filtered_motion(
-            s.state, s.contact, eta_u, s.alpha_u, self._metric(s.state), self.environment
+            s.state, s.contact, eta_u, s.alpha_u, self._metric(s.state), s.environment
         )
 
     @block("dynamic control structure", "filter", r"$\Lambda_S\dot\eta_c+b_S+S^Tf_{ccomm}$  (21)")
@@ -294,6 +320,7 @@ class Controller:
     STAGES: tuple[_Stage, ...] = (
         _model,
         _contact,
+        _environment,
         _sense,
         _force_filter,
         _magnitudes,
@@ -326,7 +353,8 @@ class Controller:
         arms, contacts = len(self.chain.arms), len(self.contacts)
         s.q, s.v = measurement.q, measurement.v
         s.wrenches = as_array("wrist wrenches", measurement.wrenches, (arms, 6))
-        s.alpha_d = as_array("reference alpha_d", reference.alpha_d, (contacts,))
+        s.touched = None if measurement.touched is None else _checked(measurement.touched, contacts)
+        s.alpha_d = as_array("reference alpha_d", reference.alpha_d, (None,))
         s.squeeze_d = float(as_array("reference squeeze_d", reference.squeeze_d, ()))
         as_array("reference V_D", reference.V_D, (6,))
         as_array("reference A_D", reference.A_D, (6,))
@@ -353,6 +381,28 @@ class Controller:
         self.status = Status.SATURATED
         self.reason = f"{name}: {tau[motor]:.4g} of ±{self.chain.tau_max[motor]:.4g} wanted"
         return tau / excess
+
+
+_AT_REST = Environment.fixed()
+_STILL = np.zeros(6)
+
+
+def _independent(alpha_d: Array, contact: Contact) -> Array:
+    """Desired magnitudes (r,) of the independent columns of N from those of all columns."""
+    if len(alpha_d) != contact.R.shape[1]:
+        raise InvalidInputError(
+            f"reference alpha_d: {len(alpha_d)} forces for {contact.R.shape[1]} columns of N; give "
+            "one for each degree of constraint, contact after contact"
+        )
+    return contact.R @ alpha_d
+
+
+def _checked(touched: Touched, contacts: int) -> Touched:
+    return Touched(
+        as_array("touched X_WE", touched.X_WE, (contacts, 4, 4)),
+        as_array("touched V_E", touched.V_E, (contacts, 6)),
+        as_array("touched A_E", touched.A_E, (contacts, 6)),
+    )
 
 
 class _Traced(Signals):

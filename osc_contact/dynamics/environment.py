@@ -260,7 +260,9 @@ class Environment:
         Contacts given the *same* `Environment` object are on one body, which couples them;
         different objects are bodies that do not act on one another. (Two links of one mechanism
         do: build Φ_N = NᵀJM⁻¹JᵀN across them and use `of_contacts`.) One body touched by all
-        contacts is returned as it is.
+        contacts is returned as it is, and so is one motion that all of them share and none yields
+        to. Dependent contacts must be on one such body; next to other bodies, stack them first and
+        give them as one contact.
 
         Args:
             contacts: in the order in which they are stacked.
@@ -269,7 +271,7 @@ class Environment:
 
         Raises:
             InvalidInputError: not one environment for each contact.
-            ContactError: dependent contacts.
+            ContactError: dependent contacts on different bodies.
         """
         if len(contacts) != len(environments):
             raise InvalidInputError(
@@ -278,7 +280,7 @@ class Environment:
             )
         if not environments:
             return cls.fixed()
-        if all(env is environments[0] for env in environments):
+        if all(_move_as_one(env, environments[0]) for env in environments):
             return environments[0]
         pairs = list(zip((c.N for c in contacts), environments, strict=True))
         Phi_N = np.block(
@@ -324,6 +326,13 @@ class Environment:
             at_O @ (M_inv @ (Q + A.T @ acting)),
             carry_twist(V, p, point),
         )
+
+
+def _move_as_one(a: Environment, b: Environment) -> bool:
+    if a is b:
+        return True
+    rigid = not (a.Phi_e.any() or b.Phi_e.any())
+    return rigid and np.array_equal(a.b_e, b.b_e) and np.array_equal(a.V_e, b.V_e)
 
 
 def _symmetric(matrix: Array) -> Array:

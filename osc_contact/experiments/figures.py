@@ -32,10 +32,13 @@ __all__ = [
 ]
 
 SCENARIO = "two_contact_rod"
-BUSES = ("state", "contact")  #: read by nearly every box
+BUSES = ("state", "contact", "environment")  #: read by nearly every box
 LABELS = {
     "qv": r"$q,\ v$",
     "contact": r"$N,\ T$",
+    "parts": r"$N_i$",
+    "touched": r"$X_{WE},\ V_E$",
+    "environment": r"$\Phi_e,\ b_e$",
     "wrenches": "wrist wrenches",
     "reference": r"$x_d,\ \dot x_d,\ \ddot x_d$",
     "squeeze_d": "squeeze",

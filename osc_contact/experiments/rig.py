@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs import VertexOnFace
+from osc_contact.contacts.pairs import ContactPair, VertexOnFace
 from osc_contact.control.controller import Controller, Gains
 from osc_contact.control.force import ForceGains
 from osc_contact.control.motion import MotionGains
@@ -19,6 +19,7 @@ from osc_contact.dynamics.assembly import close, reach
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import ScenarioError
+from osc_contact.experiments import faces
 from osc_contact.experiments.references import References
 from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
 from osc_contact.plants.plant import Plant
@@ -65,7 +66,7 @@ class Rig:
                     "a tare needs contacts that open; the rigid plant's are bilateral. "
                     "Use plant.type=mujoco, or set tare: null"
                 )
-            plant = RigidPlant(self.chain, self.pairs, spec.step)
+            plant = RigidPlant(self.chain, self.pairs, spec.step, faces.rails(self.scenario))
         else:
             source = _folder(self.scenario)
             plant = MujocoPlant(
@@ -73,8 +74,9 @@ class Rig:
                 [robots.resolve_urdf(arm.urdf, source)[0] for arm in self.scenario.arms],
                 robots.resolve_urdf(self.scenario.object.urdf, source)[0],
                 self.pairs,
-                [robots.resolve_urdf(c.face.urdf, source)[0] for c in self.scenario.contacts],
+                self._face_urdfs(),
                 MujocoOptions(spec.step, spec.solref, spec.solimp, spec.friction),
+                faces.rails(self.scenario),
             )
         plant.reset(self.q_start)
         return plant
@@ -84,13 +86,25 @@ class Rig:
         gains = self.scenario.gains
         return Controller(
             self.model,
-            self.pairs,
+            self.controlled_pairs(),
             Gains(MotionGains(**gains.motion.model_dump()), ForceGains(**gains.force.model_dump())),
             dt=1.0 / self.scenario.control.rate,
             B=self.scenario.control.metric,
+            bodies=faces.bodies(self.scenario),
             posture=self.q_contact,
             engaged=self.scenario.tare is None,
         )
+
+    def controlled_pairs(self) -> tuple[ContactPair, ...]:
+        """The controller's contacts: as declared, or read off the geometry while it moves."""
+        if self.scenario.control.contacts == "declared":
+            return self.pairs
+        urdf = robots.resolve_urdf(self.scenario.object.urdf, _folder(self.scenario))[0]
+        return faces.tracked(self.pairs, urdf, self._face_urdfs())
+
+    def _face_urdfs(self) -> list[Path]:
+        source = _folder(self.scenario)
+        return [robots.resolve_urdf(c.face.urdf, source)[0] for c in self.scenario.contacts]
 
     def state(self) -> ChainState:
         """The true chain at rest in contact."""
@@ -125,7 +139,8 @@ def build_rig(scenario: Scenario) -> Rig:
     def gaps(X_WO: pin.SE3) -> tuple[Array, Array]:
         rest = np.zeros(6)
         N = [pair.contact(X_WO, rest).N for pair in pairs]
-        return np.array([pair.gap(X_WO) for pair in pairs]), np.hstack([np.zeros((6, 0)), *N])
+        gap = np.concatenate([np.zeros(0), *(pair.gaps(X_WO) for pair in pairs)])
+        return gap, np.hstack([np.zeros((6, 0)), *N])
 
     q_contact = close(chain, q_near, gaps)
     _require_within_limits(chain, q_contact)

@@ -136,19 +136,25 @@ def _channels(
     wrench = s.f_meas - state.bias_out
     Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
     E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
+    V_rel = state.V_O - s.environment.V_e
     X = truth.X_WO
+    faces = truth.X_WE or (pin.SE3.Identity(),) * r
+    touching = list(zip(rig.pairs, faces, strict=True))
     return {
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
         "alpha_cmd": reference.alpha_d,
-        "alpha_meas": s.alpha_meas if controller.engaged and len(s.alpha_meas) else np.zeros(r),
+        "alpha_meas": s.contact.magnitudes(s.alpha_meas) if controller.engaged else np.zeros(r),
         "alpha_true": truth.alpha,
         "closed": truth.closed,
-        "contact_point": np.array([pair.point_on_face(X) for pair in rig.pairs]).reshape(r, 3),
-        "contact_direction": np.array([pair.direction() for pair in rig.pairs]).reshape(r, 3),
+        "contact_point": np.array([p.point_on_face(X, E) for p, E in touching]).reshape(r, 3),
+        "contact_direction": np.array([p.direction(E) for p, E in touching]).reshape(r, 3),
+        "face_pose": np.array(
+            [pin.SE3ToXYZQUAT(E * p.face_placement()) for p, E in touching]
+        ).reshape(r, 7),
         "wrench_meas": wrench,
-        "power_total": float(state.V_O @ wrench),
-        "power_projected": float(state.V_O @ s.f_c_meas),
+        "power_total": float(V_rel @ wrench),
+        "power_projected": float(V_rel @ s.f_c_meas),
         "motion_error": Omega_m @ pose_error(reference.X_WD, state.X_WO),
         "squeeze_cmd": reference.squeeze_d,
         "squeeze": float((E @ tau - e0)[0]) if len(e0) else 0.0,

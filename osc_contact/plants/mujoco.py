@@ -1,15 +1,12 @@
 """The judging plant: MuJoCo with unilateral contacts, built from the same URDFs as the model.
 
-Nothing of the toolkit's dynamics is used here: the URDFs are read by MuJoCo's own parser, the rod
-hangs on the first arm's gripper, further arms hold it by welds, and the faces are plates whose
-contact is soft enough not to chatter.
+Nothing of the toolkit's dynamics is used here: the URDFs are read by MuJoCo's own parser.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,23 +16,15 @@ import pinocchio as pin
 from osc_contact.contacts.pairs import VertexOnFace
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import PlantError
-from osc_contact.interface import Measurement
+from osc_contact.interface import Measurement, Touched
+from osc_contact.plants.faces import Rail, touched
+from osc_contact.plants.mujoco_scene import DRIVE_MASS, MujocoOptions, scene
 from osc_contact.plants.plant import Truth
 from osc_contact.spatial import Array, as_array
 
 __all__ = ["MujocoOptions", "MujocoPlant"]
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class MujocoOptions:
-    """Integration step (s), contact softness and Coulomb friction of the faces."""
-
-    step: float = 2.5e-4
-    solref: tuple[float, float] = (0.01, 1.0)
-    solimp: tuple[float, float, float] = (0.2, 0.9, 0.0005)
-    friction: float = 0.0
 
 
 class MujocoPlant:
@@ -49,6 +38,7 @@ class MujocoPlant:
         contacts: Sequence[VertexOnFace],
         face_urdfs: Sequence[Path],
         options: MujocoOptions | None = None,
+        rails: Sequence[Rail | None] | None = None,
     ) -> None:
         """Compile the scene.
 
@@ -57,6 +47,7 @@ class MujocoPlant:
             arm_urdfs: one file for each arm. object_urdf: the held object.
             contacts: where the faces are. face_urdfs: what each face looks like.
             options: step, softness, friction.
+            rails: how each face slides; default: all are fixed.
 
         Raises:
             PlantError: MuJoCo is missing or refuses the scene.
@@ -72,8 +63,11 @@ class MujocoPlant:
         self.chain = chain
         self.contacts = tuple(contacts)
         options = MujocoOptions() if options is None else options
+        self.rails: list[Rail | None] = list(rails or [None] * len(self.contacts))
         try:
-            spec = _scene(mujoco, chain, arm_urdfs, object_urdf, contacts, face_urdfs, options)
+            spec = scene(
+                mujoco, chain, arm_urdfs, object_urdf, contacts, face_urdfs, options, self.rails
+            )
             self.model: Any = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             raise PlantError(f"MuJoCo refuses the scene: {error}") from error
@@ -84,6 +78,15 @@ class MujocoPlant:
         self._object = int(self.model.body("object/root").id)
         roots = [int(self.model.body(f"face{i}/root").id) for i in range(len(contacts))]
         self._faces = [self._plates_of(root) for root in roots]
+        self._moved = [i for i, rail in enumerate(self.rails) if rail is not None]
+        slides = [self.model.joint(f"face{i}/rail") for i in self._moved]
+        self._face_q = np.array([int(j.qposadr[0]) for j in slides], dtype=int)
+        self._face_v = np.array([int(j.dofadr[0]) for j in slides], dtype=int)
+        on_rails = list(zip(self._face_q, self._face_v, filter(None, self.rails), strict=True))
+        self._driven = [part for part in on_rails if part[2].motion is not None]
+        self._carts = [part for part in on_rails if part[2].motion is None]
+        if self._driven:  # the drive's mass must not set the scale of the solver's accuracy
+            self.model.stat.meaninertia = 1.0
         self._sensors = [
             None if arm.wrist_sensor is None else int(self.model.sensor(f"{arm.name}/force").adr[0])
             for arm in chain.arms
@@ -95,8 +98,11 @@ class MujocoPlant:
         q = as_array("q", q, (self.chain.nq,))
         self._mj.mj_resetData(self.model, self.data)
         self.data.qpos[self._q] = q
-        self._mj.mj_forward(self.model, self.data)
         self.time = 0.0
+        for _, v, cart in self._carts:
+            self.data.qfrc_applied[v] = cart.preload
+        self._drive(0.0)
+        self._mj.mj_forward(self.model, self.data)
 
     def hold(self, tau: Array) -> None:
         """Apply torques from now on; time stands still."""
@@ -109,7 +115,27 @@ class MujocoPlant:
         for i, start in enumerate(self._sensors):
             if start is not None:
                 wrenches[i] = self.data.sensordata[start : start + 6]
-        return Measurement(self.data.qpos[self._q], self.data.qvel[self._v], wrenches)
+        return Measurement(
+            self.data.qpos[self._q], self.data.qvel[self._v], wrenches, self._touched()
+        )
+
+    def _touched(self) -> Touched | None:
+        if not self._moved:
+            return None
+        travel, speed, acceleration = np.zeros((3, len(self.rails)))
+        travel[self._moved] = self.data.qpos[self._face_q]
+        speed[self._moved] = self.data.qvel[self._face_v]
+        for i, rail in enumerate(self.rails):
+            if rail is not None and rail.motion is not None:
+                acceleration[i] = rail.motion(self.time)[2]
+        return touched(self.rails, travel, speed, acceleration)
+
+    def _drive(self, t: float) -> None:
+        """Put driven faces where they are to be at t, and push them on to the next step."""
+        for q, v, rail in self._driven:
+            assert rail.motion is not None
+            self.data.qpos[q], self.data.qvel[v], acceleration = rail.motion(t)
+            self.data.qfrc_applied[v] = DRIVE_MASS * acceleration
 
     def truth(self) -> Truth:
         """Contact forces, pose and twist as of the last step's beginning, like the wrenches."""
@@ -128,13 +154,25 @@ class MujocoPlant:
         V = np.zeros(6)
         body = self._mj.mjtObj.mjOBJ_XBODY
         self._mj.mj_objectVelocity(self.model, self.data, body, self._object, V, 0)
-        return Truth(alpha, closed, X_WO, np.concatenate((V[3:], V[:3])))
+        faces = None
+        if self._moved:
+            travel = np.zeros(len(self.rails))
+            travel[self._moved] = self.data.qpos[self._face_q]
+            faces = tuple(
+                pin.SE3.Identity() if rail is None else pin.SE3(np.eye(3), rail.direction * s)
+                for rail, s in zip(self.rails, travel, strict=True)
+            )
+        return Truth(alpha, closed, X_WO, np.concatenate((V[3:], V[:3])), faces)
 
     def step(self, tau: Array, duration: float) -> None:
         """Hold the torques over the steps that fit into `duration`."""
         self.data.ctrl[:] = as_array("tau", tau, (self.chain.n_a,))
         steps = max(1, round(duration / self.model.opt.timestep))
-        self._mj.mj_step(self.model, self.data, steps)
+        if not self._driven:
+            self._mj.mj_step(self.model, self.data, steps)
+        for k in range(steps if self._driven else 0):
+            self._drive(self.time + k * self.model.opt.timestep)
+            self._mj.mj_step(self.model, self.data)
         self.time += steps * self.model.opt.timestep
         if self.data.warning.number.any() or not np.isfinite(self.data.qacc).all():
             kinds = [
@@ -152,114 +190,3 @@ class MujocoPlant:
             if int(self.model.body_parentid[body]) in bodies:
                 bodies.add(body)
         return {g for g in range(self.model.ngeom) if int(self.model.geom_bodyid[g]) in bodies}
-
-
-def _scene(
-    mujoco: Any,
-    chain: ClosedChain,
-    arm_urdfs: Sequence[Path],
-    object_urdf: Path,
-    contacts: Sequence[VertexOnFace],
-    face_urdfs: Sequence[Path],
-    options: MujocoOptions,
-) -> Any:
-    spec = mujoco.MjSpec()
-    spec.compiler.degree = False
-    spec.compiler.fusestatic = False
-    spec.option.timestep = options.step
-    spec.option.tolerance = 1e-12
-    spec.option.iterations = 100
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    for arm, urdf in zip(chain.arms, arm_urdfs, strict=True):
-        part = mujoco.MjSpec.from_file(str(urdf))
-        part.compiler.fusestatic = False
-        _silence(part)
-        driven = set(list(arm.model.names)[1:])
-        for joint in list(part.joints):
-            if joint.name not in driven:
-                part.delete(joint)
-        spec.attach(part, prefix=f"{arm.name}/", frame=_frame(spec.worldbody, arm.base))
-        if arm.wrist_sensor is not None:
-            _wrist_sensor(mujoco, spec, arm.name, arm.wrist_sensor)
-    for index in chain.actuated:
-        name = chain.joint_names[index]
-        limit = float(chain.model.upperEffortLimit[index])
-        motor = spec.add_actuator(
-            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrlrange=[-limit, limit]
-        )
-        motor.set_to_motor()
-    _hold_object(mujoco, spec, chain, object_urdf)
-    for i, (pair, urdf) in enumerate(zip(contacts, face_urdfs, strict=True)):
-        _face(mujoco, spec, i, pair, urdf, options)
-    return spec
-
-
-def _silence(part: Any) -> None:
-    """Robot links touch nothing: only the object meets the faces."""
-    for geom in part.geoms:
-        geom.contype = geom.conaffinity = 0
-
-
-def _frame(body: Any, X: pin.SE3) -> Any:
-    x, y, z, w = pin.Quaternion(X.rotation).coeffs()
-    return body.add_frame(pos=X.translation, quat=[w, x, y, z])
-
-
-def _wrist_sensor(mujoco: Any, spec: Any, arm: str, frame: str) -> None:
-    spec.body(f"{arm}/{frame}").add_site(name=f"{arm}/wrist")
-    for kind in ("force", "torque"):
-        spec.add_sensor(
-            name=f"{arm}/{kind}",
-            type=getattr(mujoco.mjtSensor, f"mjSENS_{kind.upper()}"),
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            objname=f"{arm}/wrist",
-        )
-
-
-def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None:
-    """The object rides on the first arm; welds tie it to the others."""
-    part = mujoco.MjSpec.from_file(str(urdf))
-    part.compiler.fusestatic = False
-    for geom in part.geoms:
-        geom.contype, geom.conaffinity = 0, 1
-    root = part.worldbody.first_body()
-    root.name = "root"
-    root.add_site(name="held")
-    first = chain.arms[0]
-    spec.attach(
-        part,
-        prefix="object/",
-        frame=_frame(spec.body(f"{first.name}/{first.tip}"), chain.grasps[0]),
-    )
-    for arm, X_TO in zip(chain.arms[1:], chain.grasps[1:], strict=True):
-        x, y, z, w = pin.Quaternion(X_TO.rotation).coeffs()
-        spec.body(f"{arm.name}/{arm.tip}").add_site(
-            name=f"{arm.name}/hold", pos=X_TO.translation, quat=[w, x, y, z]
-        )
-        spec.add_equality(
-            name=f"{arm.name}/weld",
-            type=mujoco.mjtEq.mjEQ_WELD,
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            name1=f"{arm.name}/hold",
-            name2="object/held",
-            solref=[2 * spec.option.timestep, 1.0],
-            solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
-            data=[0.0] * 10 + [1.0, 0.0],  # torque scale of the weld
-        )
-
-
-def _face(
-    mujoco: Any, spec: Any, i: int, pair: VertexOnFace, urdf: Path, options: MujocoOptions
-) -> None:
-    part = mujoco.MjSpec.from_file(str(urdf))
-    part.compiler.fusestatic = False
-    part.worldbody.first_body().name = "root"
-    for geom in part.geoms:
-        geom.contype, geom.conaffinity = 1, 0
-        geom.priority = 1
-        geom.solref = list(options.solref)
-        geom.solimp = [*options.solimp, 0.5, 2.0]
-        geom.condim = 1 if options.friction == 0.0 else 3
-        geom.friction = [options.friction, 0.0, 0.0]
-    spec.attach(part, prefix=f"face{i}/", frame=_frame(spec.worldbody, pair.face_placement()))

@@ -21,12 +21,14 @@ class Truth:
         alpha: (r,) normal contact forces (N).
         closed: (r,) whether each contact touches.
         X_WO: pose of the object. V_O: (6,) its twist at its origin, world axes.
+        X_WE: pose of the frame in which each contact's face is described; None: faces at rest.
     """
 
     alpha: Array
     closed: Array
     X_WO: pin.SE3
     V_O: Array
+    X_WE: tuple[pin.SE3, ...] | None = None
 
 
 class Plant(Protocol):

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.pairs import VertexOnFace
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs import ContactPair
 from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
+from osc_contact.plants.faces import Rail, touched
 from osc_contact.plants.plant import Truth
 from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_wrench
 
@@ -25,15 +27,22 @@ __all__ = ["RigidPlant"]
 
 
 class RigidPlant:
-    """Arms, rod and faces as rigid bodies whose contacts neither open nor yield."""
+    """Arms, object and faces as rigid bodies whose contacts neither open nor yield."""
 
-    def __init__(self, chain: ClosedChain, contacts: Sequence[VertexOnFace], step: float) -> None:
+    def __init__(
+        self,
+        chain: ClosedChain,
+        contacts: Sequence[ContactPair],
+        step: float,
+        rails: Sequence[Rail | None] | None = None,
+    ) -> None:
         """Build from the true parts.
 
         Args:
             chain: the true arms, grasps and object (not the controller's copy).
-            contacts: the true contacts.
+            contacts: the true contacts, of any kind.
             step: integration step (s).
+            rails: how the body at each contact slides; default: all are fixed.
 
         Raises:
             ModelError: the chain holds no object.
@@ -42,8 +51,10 @@ class RigidPlant:
             raise ModelError("the rigid plant needs an object; give the chain a payload")
         self.chain = chain
         self.contacts = tuple(contacts)
+        self.rails: list[Rail | None] = list(rails or [None] * len(self.contacts))
         self.dt = step
         self.time = 0.0
+        self._travel, self._speed = self._at_start(), np.zeros(len(self.contacts))
         self.model, self._tips = _with_object(chain)
         self._sensors = [
             None if arm.wrist_sensor is None
@@ -57,10 +68,12 @@ class RigidPlant:
 
     def reset(self, q: Array) -> None:
         """Start at rest at q, moved onto loops and contacts."""
-        self.q = close(self.chain, as_array("q", q, (self.chain.nq,)), self._gaps)
-        self.v = np.zeros(self.chain.nq)
-        self._tau = np.zeros(self.chain.n_a)
         self.time = 0.0
+        self._travel, self._speed = self._at_start(), np.zeros(len(self.contacts))
+        self._drive()
+        self.q = close(self.chain, as_array("q", q, (self.chain.nq,)), self._gaps)
+        self.v = self._on_constraints(np.zeros(self.chain.nq))
+        self._tau = np.zeros(self.chain.n_a)
 
     def hold(self, tau: Array) -> None:
         """Apply torques from now on; time stands still."""
@@ -68,42 +81,88 @@ class RigidPlant:
 
     def measure(self) -> Measurement:
         """Encoders, and the wrist wrenches under the torques applied last."""
-        _, wrenches = self._solve(self._tau, with_wrenches=True)
-        return Measurement(self.q.copy(), self.v.copy(), wrenches)
+        wrenches = self._solve(self._tau, with_wrenches=True).wrenches
+        seen = touched(self.rails, self._travel, self._speed, self._driven_acceleration())
+        return Measurement(self.q.copy(), self.v.copy(), wrenches, seen)
 
     def truth(self) -> Truth:
         """Contact forces under the torques applied last; rigid contacts are always closed."""
-        qdd, _ = self._solve(self._tau)
+        alpha = self._solve(self._tau).alpha
         X, V = self._object()
-        return Truth(qdd[self.chain.nq :], np.ones(len(self.contacts), dtype=bool), X, V)
+        faces = tuple(self._face(i)[0] for i in range(len(self.contacts)))
+        return Truth(alpha, np.ones(len(alpha), dtype=bool), X, V, faces)
 
     def step(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
         self.hold(tau)
         for _ in range(max(1, round(duration / self.dt))):
-            solution, _ = self._solve(self._tau)
-            v = self.v + solution[: self.chain.nq] * self.dt
+            solution = self._solve(self._tau)
+            v = self.v + solution.qdd * self.dt
             q = self.q + 0.5 * (self.v + v) * self.dt
             if not (np.isfinite(q).all() and np.abs(v).max() < 1e3):
                 raise PlantError(f"rigid plant diverged at t = {self.time:.4f} s, v = {v}")
+            self.time += self.dt
+            speed = self._speed + solution.sdd * self.dt
+            self._travel = self._travel + 0.5 * (self._speed + speed) * self.dt
+            self._speed = speed
+            self._drive()
             self.q = close(self.chain, q, self._gaps)
             self.v = self._on_constraints(v)
-            self.time += self.dt
 
     def accelerations(self, tau: Array) -> tuple[Array, Array, Array]:
         """(q̈ (n,), spatial object acceleration (6,) at O, α (r,)) under torques now."""
-        solution, _ = self._solve(as_array("tau", tau, (self.chain.n_a,)))
-        n = self.chain.nq
+        solution = self._solve(as_array("tau", tau, (self.chain.n_a,)))
         X, _ = self._object()
         s, J = self.chain.slices[0], self._jacobian(0, X)
-        return solution[:n], J[:, s] @ solution[:n][s] + self._drift(0, X), solution[n:]
+        return solution.qdd, J[:, s] @ solution.qdd[s] + self._drift(0, X), solution.alpha
 
-    def _solve(self, tau: Array, with_wrenches: bool = False) -> tuple[Array, Array]:
-        """[q̈; α], and the wrist wrenches (arms, 6) when asked for."""
+    # --- faces -----------------------------------------------------------------------------------
+
+    def _at_start(self) -> Array:
+        """(contacts,) travel at t = 0."""
+        return np.array(
+            [0.0 if r is None or r.motion is None else r.motion(0.0)[0] for r in self.rails]
+        )
+
+    def _drive(self) -> None:
+        """Put the driven faces where they are to be now."""
+        for i, rail in enumerate(self.rails):
+            if rail is not None and rail.motion is not None:
+                self._travel[i], self._speed[i], _ = rail.motion(self.time)
+
+    def _driven_acceleration(self) -> Array:
+        return np.array(
+            [0.0 if r is None or r.motion is None else r.motion(self.time)[2] for r in self.rails]
+        )
+
+    def _face(self, i: int) -> tuple[pin.SE3, Array]:
+        """Pose and twist of the face at contact i."""
+        rail = self.rails[i]
+        X, V = pin.SE3.Identity(), np.zeros(6)
+        if rail is not None:
+            X.translation = rail.direction * self._travel[i]
+            V[:3] = rail.direction * self._speed[i]
+        return X, V
+
+    def _along_rails(self, parts: list[Contact]) -> Array:
+        """(r, contacts) Nᵀ[u; 0]: how fast each gap closes as the face comes along its rail."""
+        out = np.zeros((sum(c.r for c in parts), len(parts)))
+        row = 0
+        for i, (part, rail) in enumerate(zip(parts, self.rails, strict=True)):
+            if rail is not None:
+                out[row : row + part.r, i] = part.N[:3].T @ rail.direction
+            row += part.r
+        return out
+
+    # --- dynamics --------------------------------------------------------------------------------
+
+    def _solve(self, tau: Array, with_wrenches: bool = False) -> _Solution:
+        """All joints and carts at once, one multiplier for each row of loops and contacts."""
         chain, n, k = self.chain, self.chain.nq, 6 * (len(self._tips) - 1)
         pin.computeAllTerms(self.model, self.data, self.q, self.v)
         X, V = self._object()
-        N, n_gamma = self._normals(X, V)
+        parts = self._parts(X, V)
+        N, n_gamma = _stacked(parts)
         pin.forwardKinematics(self.model, self.data, self.q, self.v, np.zeros(n))
         gamma = [self._drift(i, X) for i in range(len(self._tips))]
         first = np.zeros((6, n))
@@ -114,22 +173,38 @@ class RigidPlant:
             loop[:, s] -= self._jacobian(i, X)[:, s]
             rows.append(loop)
             right.append(gamma[i] - gamma[0])
+        along, driven = self._along_rails(parts), self._driven_acceleration()
         rows.append(N.T @ first)
-        right.append(n_gamma - N.T @ gamma[0])
-        A, b = np.vstack(rows), np.concatenate(right)
+        right.append(n_gamma - N.T @ gamma[0] + along @ driven)
         force = -self.data.nle
         force[chain.actuated] += tau
-        M = np.array(self.data.M)
+        on_rails = {i: r for i, r in enumerate(self.rails) if r is not None and r.motion is None}
+        carts = list(on_rails)
+        A, M = np.vstack(rows), np.array(self.data.M)
+        if carts:
+            A = np.hstack((A, np.vstack((np.zeros((k, len(carts))), -along[:, carts]))))
+            masses = np.diag([rail.mass for rail in on_rails.values()])
+            M = np.block([[M, np.zeros((n, len(carts)))], [np.zeros((len(carts), n)), masses]])
+            force = np.concatenate((force, [self._on_cart(i, r) for i, r in on_rails.items()]))
+        b = np.concatenate(right)
         free = np.linalg.solve(M, force)
         inverse, multipliers = inverse_rows(A, M, len(rows) - 1)
-        qdd = free + inverse @ (b - A @ free)
-        lam = multipliers @ (b - A @ free)  # M q̈ = force + Aᵀλ
+        x = free + inverse @ (b - A @ free)
+        lam = multipliers @ (b - A @ free)  # M x = force + Aᵀλ
+        qdd, sdd = x[:n], driven.copy()
+        sdd[carts] = x[n:]
         alpha = -lam[k:]
         wrenches = np.zeros((len(self._tips), 6))
         if with_wrenches:
             a_O = first @ qdd + gamma[0]
             wrenches = self._wrist(qdd, lam[:k].reshape(-1, 6), N @ alpha, a_O, X, V)
-        return np.concatenate((qdd, alpha)), wrenches
+        return _Solution(qdd, sdd, alpha, wrenches)
+
+    def _on_cart(self, i: int, rail: Rail) -> float:
+        """Force along the rail besides the contact's (N)."""
+        weight = rail.mass * float(rail.direction @ self.model.gravity.linear)
+        spring = rail.stiffness * self._travel[i] + rail.damping * self._speed[i]
+        return float(weight + rail.preload - spring)
 
     def _wrist(
         self, qdd: Array, loops: Array, f_c: Array, a_O: Array, X: pin.SE3, V: Array
@@ -186,23 +261,42 @@ class RigidPlant:
         ).vector
         return carry_twist(a, np.zeros(3), X.translation)
 
-    def _normals(self, X: pin.SE3, V: Array) -> tuple[Array, Array]:
-        parts = [pair.contact(X, V) for pair in self.contacts]
-        if not parts:
-            return np.zeros((6, 0)), np.zeros(0)
-        return np.hstack([c.N for c in parts]), np.concatenate([c.n_gamma for c in parts])
+    def _parts(self, X: pin.SE3, V: Array) -> list[Contact]:
+        """N and n_γ of every contact with the object at X, V and the faces where they are."""
+        faces = [self._face(i) for i in range(len(self.contacts))]
+        return [pair.contact(X, V, *face) for pair, face in zip(self.contacts, faces, strict=True)]
 
     def _gaps(self, X: pin.SE3) -> tuple[Array, Array]:
-        gaps = np.array([pair.gap(X) for pair in self.contacts])
-        return gaps, self._normals(X, np.zeros(6))[0]
+        gaps = [pair.gaps(X, self._face(i)[0]) for i, pair in enumerate(self.contacts)]
+        return np.concatenate([np.zeros(0), *gaps]), _stacked(self._parts(X, np.zeros(6)))[0]
 
     def _on_constraints(self, v: Array) -> Array:
         pin.computeAllTerms(self.chain.model, self.chain.data, self.q, v)
         X = self.chain.object_poses()[0]
-        A = constraint_rows(self.chain, X.translation, self._normals(X, np.zeros(6))[0])
+        parts = self._parts(X, np.zeros(6))
+        A = constraint_rows(self.chain, X.translation, _stacked(parts)[0])
+        along = self._along_rails(parts)
+        b = np.zeros(len(A))
+        b[len(A) - len(along) :] = -along @ self._speed
         for _ in range(2):
-            v = v - inverse_rows(A, self.chain.data.M, len(self._tips) - 1)[0] @ (A @ v)
+            v = v - inverse_rows(A, self.chain.data.M, len(self._tips) - 1)[0] @ (A @ v - b)
         return v
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """q̈ (n,), accelerations along the rails (contacts,), α (r,), wrist wrenches (arms, 6)."""
+
+    qdd: Array
+    sdd: Array
+    alpha: Array
+    wrenches: Array
+
+
+def _stacked(parts: list[Contact]) -> tuple[Array, Array]:
+    if not parts:
+        return np.zeros((6, 0)), np.zeros(0)
+    return np.hstack([c.N for c in parts]), np.concatenate([c.n_gamma for c in parts])
 
 
 def _with_object(chain: ClosedChain) -> tuple[pin.Model, list[int]]:

@@ -6,11 +6,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from .quantities import AngleVec3, JointValue, Length, Spec, UnitVec3, Vec3
+from .quantities import AngleVec3, Force, JointValue, Length, Mass, Number, Spec, UnitVec3, Vec3
+from .signals import LengthSignal
 
 __all__ = [
     "ArmSpec",
+    "CartSpec",
     "ContactSpec",
+    "ConveyorSpec",
     "FaceSpec",
     "GraspSpec",
     "Name",
@@ -58,6 +61,32 @@ class ObjectSpec(Spec):
     pose: PoseSpec = PoseSpec()
 
 
+class ConveyorSpec(Spec):
+    """A face driven along a fixed direction, whatever presses on it; signals in metres, summed."""
+
+    type: Literal["conveyor"] = "conveyor"
+    direction: UnitVec3
+    """the direction of travel [x, y, z] in world"""
+    signals: Annotated[tuple[LengthSignal, ...], Field(min_length=1)]
+    """a list of signals in lengths, 0 at the start"""
+
+
+class CartSpec(Spec):
+    """A face on a cart that slides freely on a straight rail and feels its own weight."""
+
+    type: Literal["cart"] = "cart"
+    direction: UnitVec3
+    """the direction of the rail [x, y, z] in world"""
+    mass: Annotated[Mass, Field(gt=0)]
+    """the mass of the cart, such as 3 kg"""
+    stiffness: Annotated[Number, Field(ge=0)] = 0.0
+    damping: Annotated[Number, Field(ge=0)] = 0.0
+    preload: Force = 0.0
+
+
+FaceMotion = Annotated[ConveyorSpec | CartSpec, Field(discriminator="type")]
+
+
 class FaceSpec(Spec):
     """A face of the environment: a point on it (m) and its outward unit normal, in world."""
 
@@ -67,6 +96,7 @@ class FaceSpec(Spec):
     """a point of the surface [x, y, z] in world"""
     normal: UnitVec3
     """the outward normal [x, y, z] in world"""
+    motion: FaceMotion | None = None
 
 
 class ContactSpec(Spec):

@@ -51,18 +51,20 @@ class GainsSpec(Spec):
 
 
 class ControlSpec(Spec):
-    """Tick rate (Hz) and the metric B of eq. 24."""
+    """Tick rate (Hz), the metric B of eq. 24, and where N comes from."""
 
     rate: Annotated[Frequency, Field(gt=0)]
     """the tick rate, such as 1 kHz"""
     metric: Literal["object", "chain"] = "object"
+    contacts: Literal["declared", "detected"] = "declared"
 
 
 class ModelErrorSpec(Spec):
-    """Factors on the masses and inertias that the controller believes in."""
+    """What the controller believes wrongly: factors on masses and inertias, faces that yield."""
 
     object_mass: Positive = 1.0
     arm_mass: Positive = 1.0
+    environment: Literal["known", "ignored"] = "known"
 
 
 class TareSpec(Spec):

@@ -4,5 +4,6 @@ from osc_contact.contacts.detection.detect import detect
 from osc_contact.contacts.detection.detected import Detected
 from osc_contact.contacts.detection.features import Feature
 from osc_contact.contacts.detection.shapes import CollisionShape, collision_shapes
+from osc_contact.contacts.detection.tracked import TrackedContact
 
-__all__ = ["CollisionShape", "Detected", "Feature", "collision_shapes", "detect"]
+__all__ = ["CollisionShape", "Detected", "Feature", "TrackedContact", "collision_shapes", "detect"]

@@ -13,7 +13,7 @@ from osc_contact.contacts.detection.merge import merged
 from osc_contact.contacts.detection.normals import best_direction, exact_normal, separation
 from osc_contact.contacts.detection.patch import shared_patch
 from osc_contact.contacts.detection.shapes import CollisionShape, Solid
-from osc_contact.contacts.detection.solver import Nearest, nearest, stepped_back
+from osc_contact.contacts.detection.solver import Nearest, nearest
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
@@ -64,7 +64,6 @@ def detect(
             n = best_direction(solid, solid_e)
             round_one = solid.radius + solid_e.radius > 0.0
             if round_one and separation(solid, solid_e, n) < near.distance - _EXACT:
-                near = stepped_back(near, a.shape, X_A, e.shape, X_E, 2.0 * margin)
                 n = best_direction(solid, solid_e, near.normal)
             contact = _classified(a, solid, X_WO, e, solid_e, X_WE, n, near, margin, angle)
             if contact is not None:
@@ -84,10 +83,8 @@ def _classified(
     margin: float,
     angle: float,
 ) -> Detected | None:
-    """The contact of two shapes; None if only corners are near that do not touch."""
+    """The contact of two shapes; None where they turn out to be apart after all."""
     f_a, f_e = foremost(solid_a, -n, margin, angle), foremost(solid_e, n, margin, angle)
-    if f_a.dimension + f_e.dimension < 2 and not (f_a.determined or f_e.determined):
-        return None
     distance = separation(solid_a, solid_e, n)
     n = exact_normal(f_a, f_e, n, angle)
     distance = max(distance, separation(solid_a, solid_e, n))

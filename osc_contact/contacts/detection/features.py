@@ -50,11 +50,6 @@ class Feature:
             raise InvalidInputError(f"a {self.name} is no rim and has no disc")
         return self.centre, self.axis, float(np.linalg.norm(self.points[0] - self.centre))
 
-    @property
-    def determined(self) -> bool:
-        """Whether it is round and so has, unlike a corner, one normal."""
-        return self.radius > 0.0 or self.axis is not None
-
     def moved(self, X: pin.SE3) -> Feature:
         """The same feature in the coordinates X maps to."""
         normal = None if self.normal is None else X.rotation @ self.normal

@@ -11,9 +11,7 @@ import pinocchio as pin
 
 from osc_contact.spatial import Array
 
-__all__ = ["Nearest", "nearest", "stepped_back"]
-
-_ROUNDS = 3
+__all__ = ["Nearest", "nearest"]
 
 
 @dataclass(frozen=True)
@@ -39,22 +37,6 @@ def nearest(a: Any, X_A: pin.SE3, e: Any, X_E: pin.SE3) -> Nearest:
     if not (abs(distance) < 1e6 and np.isfinite(normal).all() and np.isfinite(witness).all()):
         return Nearest(0.0, np.zeros(3), X_E.translation)
     return Nearest(float(distance), normal, witness)
-
-
-def stepped_back(near: Nearest, a: Any, X_A: pin.SE3, e: Any, X_E: pin.SE3, gap: float) -> Nearest:
-    """`near` with the normal found where the solver knows it: with a moved back to a gap.
-
-    Moved along the normal, the nearest points stay the same; repeated, as the first normal is
-    rough. An error shrinks by the gap over the radius of curvature each time.
-    """
-    back = near
-    for _ in range(_ROUNDS):
-        away = back.normal * (gap - near.distance)
-        found = nearest(a, pin.SE3(X_A.rotation, X_A.translation + away), e, X_E)
-        if found.distance <= 0.0:
-            return back
-        back = Nearest(near.distance, found.normal, found.witness)
-    return back
 
 
 def _placed(X: pin.SE3) -> coal.Transform3s:

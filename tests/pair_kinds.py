@@ -1,0 +1,394 @@
+"""Every contact pair in motion, for the tests: geometry, free coordinates, and both bodies moving.
+
+A kind is registered with its free coordinates, written down without N or T: they give poses in
+contact. Twists and accelerations come from differentiated poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs import (
+    ConeInGroove,
+    ContactPair,
+    CylinderInHole,
+    CylinderOnPlane,
+    EdgeOnEdge,
+    EdgeOnFace,
+    FaceOnFace,
+    FaceOnVertex,
+    Fixed,
+    Free,
+    GapFunctions,
+    Prismatic,
+    Revolute,
+    Screw,
+    SphereOnPlane,
+    VertexOnFace,
+)
+
+STILL = np.zeros(6)
+
+
+@dataclass(frozen=True)
+class Path:
+    """X(t) = (exp₃(w₁t + w₂t²) R₀, p₀ + p₁t + p₂t²): at t = 0, ω = w₁, ω̇ = 2w₂, v = p₁, p̈ = 2p₂."""
+
+    R0: np.ndarray
+    p: np.ndarray
+    w: np.ndarray
+
+    @classmethod
+    def random(cls, rng: np.random.Generator) -> Path:
+        q = rng.normal(size=4)
+        R0 = pin.Quaternion(*(q / np.linalg.norm(q))).matrix()
+        return cls(R0, rng.normal(size=(3, 3)), rng.normal(size=(2, 3)))
+
+    def __call__(self, t: float) -> pin.SE3:
+        p0, p1, p2 = self.p
+        return pin.SE3(
+            pin.exp3(self.w[0] * t + self.w[1] * t * t) @ self.R0, p0 + t * (p1 + t * p2)
+        )
+
+    @property
+    def twist(self) -> np.ndarray:
+        """(6,) at the body's own origin, world axes."""
+        return np.concatenate((self.p[1], self.w[0]))
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """(6,) spatial, at the body's origin at t = 0: p̈ − ω × v, ω̇."""
+        return np.concatenate((2 * self.p[2] - np.cross(self.w[0], self.p[1]), 2 * self.w[1]))
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """How the geometry is written: object frame A′ in A, environment frame E′ in E, 1/metre."""
+
+    X_A: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    X_E: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    per_metre: float = 1.0
+
+    def A(self, point: np.ndarray) -> np.ndarray:
+        return self.per_metre * self.X_A.actInv(point)
+
+    def E(self, point: np.ndarray) -> np.ndarray:
+        return self.per_metre * self.X_E.actInv(point)
+
+    def along_A(self, direction: np.ndarray) -> np.ndarray:
+        return self.X_A.rotation.T @ direction
+
+    def along_E(self, direction: np.ndarray) -> np.ndarray:
+        return self.X_E.rotation.T @ direction
+
+    def pose(self, X_EA: pin.SE3) -> pin.SE3:
+        X = self.X_E.actInv(X_EA * self.X_A)
+        return pin.SE3(X.rotation, self.per_metre * X.translation)
+
+    def gap(self, gap: Callable[[pin.SE3], np.ndarray]) -> Callable[[pin.SE3], np.ndarray]:
+        def rewritten(X: pin.SE3) -> np.ndarray:
+            X_EA = self.X_E * pin.SE3(X.rotation, X.translation / self.per_metre)
+            return self.per_metre * gap(X_EA * self.X_A.inverse())
+
+        return rewritten
+
+
+PLAIN = Coordinates()
+Poses = Callable[[np.ndarray], pin.SE3]
+Kind = Callable[[np.random.Generator, Coordinates], tuple[ContactPair, Poses, int]]
+KINDS: dict[str, Kind] = {}
+
+
+def kind(make: Kind) -> Kind:
+    """Register: rng, coordinates → pair, (6−r,) free coordinates ↦ X_EA in contact, r."""
+    KINDS[make.__name__] = make
+    return make
+
+
+def unit(rng: np.random.Generator) -> np.ndarray:
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def about(axis: np.ndarray, angle: float) -> np.ndarray:
+    return pin.exp3(angle * axis)
+
+
+def carrying(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """A rotation that turns one unit vector into another."""
+    axis = np.cross(start, end)
+    sine = np.linalg.norm(axis)
+    return pin.exp3(np.arctan2(sine, start @ end) * axis / sine)
+
+
+def placed(R: np.ndarray, of_A: np.ndarray, at_E: np.ndarray) -> pin.SE3:
+    """The pose X_EA of orientation R that puts a point of A at a point of E."""
+    return pin.SE3(R, at_E - R @ of_A)
+
+
+def in_plane(normal: np.ndarray) -> np.ndarray:
+    return np.linalg.svd(normal[None, :])[2][1:]
+
+
+def pose_of(rng: np.random.Generator) -> pin.SE3:
+    return pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
+
+
+@kind
+def vertex_on_face(rng, c):
+    vertex, point, n, rho = rng.normal(size=3), rng.normal(size=3), unit(rng), 0.2
+    plane = in_plane(n)
+    pair = VertexOnFace(c.A(vertex), c.E(point), c.along_E(n), rho * c.per_metre)
+    return pair, lambda q: placed(pin.exp3(q[:3]), vertex, point + q[3:] @ plane + rho * n), 1
+
+
+@kind
+def sphere_on_plane(rng, c):
+    centre, point, n, rho = rng.normal(size=3), rng.normal(size=3), unit(rng), 0.3
+    plane = in_plane(n)
+    pair = SphereOnPlane(c.A(centre), rho * c.per_metre, c.E(point), c.along_E(n))
+    return pair, lambda q: placed(pin.exp3(q[:3]), centre, point + q[3:] @ plane + rho * n), 1
+
+
+@kind
+def face_on_vertex(rng, c):
+    point, n, vertex, rho = rng.normal(size=3), unit(rng), rng.normal(size=3), 0.2
+    plane = in_plane(n)
+    pair = FaceOnVertex(c.A(point), c.along_A(n), c.E(vertex), rho * c.per_metre)
+    return pair, lambda q: placed(pin.exp3(q[:3]), point + q[3:] @ plane + rho * n, vertex), 1
+
+
+def crossed_edges(rng, c, hint: bool):
+    a, b = rng.normal(size=(2, 3))
+    e, f = unit(rng), unit(rng)
+    # turned by at most about 1 rad from perpendicular, so that the edges never become parallel
+    R0 = carrying(e, np.cross(f, in_plane(f)[0]))
+    side = c.along_E(-np.cross(R0 @ e, f)) if hint else -1.0
+    pair = EdgeOnEdge(c.A(a), 2 * c.along_A(e), c.E(b), 3 * c.along_E(f), side)
+    return pair, lambda q: placed(pin.exp3(0.3 * q[:3]) @ R0, a + q[3] * e, b + q[4] * f), 1
+
+
+@kind
+def edge_on_edge(rng, c):
+    return crossed_edges(rng, c, hint=False)
+
+
+@kind
+def edge_on_edge_with_hint(rng, c):
+    return crossed_edges(rng, c, hint=True)
+
+
+def line_on_plane(rng, make, rho: float):
+    point, e, face, n = rng.normal(size=3), unit(rng), rng.normal(size=3), unit(rng)
+    plane = in_plane(n)
+    R0 = carrying(e, plane[0])
+
+    def pose(q: np.ndarray) -> pin.SE3:
+        return placed(about(n, q[0]) @ R0 @ about(e, q[1]), point, face + q[2:] @ plane + rho * n)
+
+    return make(point, e, face, n), pose, 2
+
+
+@kind
+def edge_on_face(rng, c):
+    def make(point, e, face, n):
+        length = 0.3 * c.per_metre
+        return EdgeOnFace(c.A(point), c.along_A(e), c.E(face), c.along_E(n), length)
+
+    return line_on_plane(rng, make, 0.0)
+
+
+@kind
+def cylinder_on_plane(rng, c):
+    def make(point, e, face, n):
+        rho, length = 0.15 * c.per_metre, 0.4 * c.per_metre
+        return CylinderOnPlane(c.A(point), c.along_A(e), rho, c.E(face), c.along_E(n), length)
+
+    return line_on_plane(rng, make, 0.15)
+
+
+@kind
+def face_on_face(rng, c):
+    point, n, face, m = rng.normal(size=3), unit(rng), rng.normal(size=3), unit(rng)
+    R0, plane = carrying(n, -m), in_plane(m)
+    pair = FaceOnFace(c.A(point), c.along_A(n), c.E(face), c.along_E(m), 0.2 * c.per_metre)
+    return pair, lambda q: placed(about(m, q[0]) @ R0, point, face + q[1:] @ plane), 3
+
+
+@kind
+def cylinder_in_hole(rng, c):
+    point, e, hole, h = rng.normal(size=3), unit(rng), rng.normal(size=3), unit(rng)
+    R0 = carrying(e, h)
+    pair = CylinderInHole(c.A(point), c.along_A(e), c.E(hole), c.along_E(h), 0.2 * c.per_metre)
+    return pair, lambda q: placed(about(h, q[0]) @ R0, point, hole + q[1] * h), 4
+
+
+@kind
+def cone_in_groove(rng, c):
+    apex, axis, point, groove, seat = (
+        rng.normal(size=3),
+        unit(rng),
+        rng.normal(size=3),
+        *(unit(rng) for _ in range(2)),
+    )
+    R0 = carrying(axis, seat)
+    pair = ConeInGroove(c.A(apex), c.along_A(axis), c.E(point), c.along_E(groove), c.along_E(seat))
+    return pair, lambda q: placed(about(seat, q[0]) @ R0, apex, point + q[1] * groove), 4
+
+
+@kind
+def revolute(rng, c):
+    point, e, X = rng.normal(size=3), unit(rng), pose_of(rng)
+    pair = Revolute(c.A(point), c.along_A(e), c.pose(X))
+    return pair, lambda q: X * placed(about(e, q[0]), point, point), 5
+
+
+@kind
+def prismatic(rng, c):
+    point, e, X = rng.normal(size=3), unit(rng), pose_of(rng)
+    pair = Prismatic(c.A(point), c.along_A(e), c.pose(X))
+    return pair, lambda q: X * pin.SE3(np.eye(3), q[0] * e), 5
+
+
+@kind
+def screw(rng, c):
+    point, e, X, pitch = rng.normal(size=3), unit(rng), pose_of(rng), rng.normal()
+    pair = Screw(c.A(point), c.along_A(e), pitch * c.per_metre, c.pose(X))
+    return pair, lambda q: X * placed(about(e, q[0]), point, point + pitch * q[0] * e), 5
+
+
+@kind
+def fixed(rng, c):
+    X = pose_of(rng)
+    return Fixed(c.pose(X)), lambda q: X, 6
+
+
+@kind
+def free(rng, c):
+    return Free(), lambda q: pin.SE3(pin.exp3(q[:3]), q[3:]), 0
+
+
+@kind
+def point_on_a_saddle(rng, c):
+    vertex, (k, m), X = rng.normal(size=3), rng.normal(size=2), pose_of(rng)
+
+    def gap(X_EA: pin.SE3) -> np.ndarray:
+        x, y, z = X.actInv(X_EA.act(vertex))
+        return np.array([z - k * x * x - m * y * y * y])
+
+    def pose(q: np.ndarray) -> pin.SE3:
+        x, y = 0.5 * q[3:]
+        return placed(pin.exp3(q[:3]), vertex, X.act(np.array([x, y, k * x * x + m * y**3])))
+
+    return GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 1
+
+
+@kind
+def bead_on_a_wire(rng, c):
+    bead, X = rng.normal(size=3), pose_of(rng)
+
+    def gap(X_EA: pin.SE3) -> np.ndarray:
+        x, y, z = X.actInv(X_EA.act(bead))
+        return np.array([y - np.sin(x), z - 0.5 * x * x])
+
+    def pose(q: np.ndarray) -> pin.SE3:
+        return placed(pin.exp3(q[:3]), bead, X.act(np.array([q[3], np.sin(q[3]), 0.5 * q[3] ** 2])))
+
+    return GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 2
+
+
+ALL = sorted(KINDS)
+#: n_γ from T and β: it presumes that V_rel is a permitted motion.
+BY_T = {"cone_in_groove", "revolute", "prismatic", "screw", "fixed", "free"}
+TURNS = range(6)
+
+
+def steps(order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes −4 … 4 and weights of the eighth-order central difference."""
+    k = np.arange(-4.0, 5.0)
+    wanted = np.zeros(9)
+    wanted[order] = order
+    return k, np.linalg.solve(np.vander(k, increasing=True).T, wanted)
+
+
+def rate(f: Callable[[float], np.ndarray], order: int = 1, h: float = 5e-3) -> np.ndarray:
+    k, weights = steps(order)
+    return np.tensordot(weights, np.array([f(x * h) for x in k]), 1) / h**order
+
+
+def kinematics(X: Callable[[float], pin.SE3]) -> tuple[np.ndarray, np.ndarray]:
+    """Twist and spatial acceleration at the body's origin, from poses: [ω̇]× is the odd part of
+    R̈Rᵀ, and the spatial acceleration is p̈ − ω × ṗ."""
+    R = X(0.0).rotation
+
+    def odd(A: np.ndarray) -> np.ndarray:
+        return 0.5 * np.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
+
+    p_dot, p_ddot = (rate(lambda t: X(t).translation, order) for order in (1, 2))
+    w, w_dot = (odd(rate(lambda t: X(t).rotation, order) @ R.T) for order in (1, 2))
+    return np.concatenate((p_dot, w)), np.concatenate((p_ddot - np.cross(w, p_dot), w_dot))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A pair, and both bodies moving."""
+
+    pair: ContactPair
+    body: Callable[[float], pin.SE3]
+    env: Callable[[float], pin.SE3]
+
+    @classmethod
+    def keeping(cls, name: str, turn: int) -> Motion:
+        """Both bodies move, the object on the free coordinates of the pair."""
+        rng = np.random.default_rng([turn, 7])
+        pair, pose, r = KINDS[name](rng, PLAIN)
+        env, q = Path.random(rng), 0.7 * rng.normal(size=(3, 6 - r))
+        return cls(pair, lambda t: env(t) * pose(q[0] + q[1] * t + q[2] * t * t), env)
+
+    @classmethod
+    def breaking(cls, name: str, turn: int, open_by: float = 0.0) -> Motion:
+        """Both bodies move at will, at t = 0 in contact or `open_by` (m, rad) away from it."""
+        rng = np.random.default_rng([turn, 8])
+        pair, pose, r = KINDS[name](rng, PLAIN)
+        env, away = Path.random(rng), open_by * rng.normal(size=6)
+        start = env(0.0) * pose(0.7 * rng.normal(size=6 - r))
+        path = Path.random(rng)
+        p = np.vstack((start.translation + away[:3], path.p[1:]))
+        return cls(pair, Path(pin.exp3(away[3:]) @ start.rotation, p, path.w), env)
+
+    @property
+    def relative(self) -> tuple[np.ndarray, np.ndarray]:
+        """V_rel and a_rel at O, from differentiated poses, carried by Pinocchio."""
+        at_O = pin.SE3(np.eye(3), self.env(0.0).translation - self.body(0.0).translation)
+        return tuple(
+            a - at_O.act(pin.Motion(e)).vector
+            for a, e in zip(kinematics(self.body), kinematics(self.env), strict=True)
+        )
+
+    def contact(self) -> Contact:
+        X_WO, X_WE = self.body(0.0), self.env(0.0)
+        return self.pair.contact(X_WO, kinematics(self.body)[0], X_WE, kinematics(self.env)[0])
+
+    def gaps(self, t: float) -> np.ndarray:
+        return self.pair.gaps(self.body(t), self.env(t))
+
+    def N_at(self, t: float) -> np.ndarray:
+        """(6, r) N at time t, written at the operational point of t = 0."""
+        N = self.pair.contact(self.body(t), STILL, self.env(t)).N
+        away = pin.SE3(np.eye(3), self.body(t).translation - self.body(0.0).translation)
+        return away.toActionMatrixInverse().T @ N
+
+
+def free_motions(name: str, turn: int) -> tuple[Contact, np.ndarray]:
+    """A contact, and the twists (6, 6−r) of the object along each free coordinate, from poses."""
+    rng = np.random.default_rng([turn, 10])
+    pair, pose, r = KINDS[name](rng, PLAIN)
+    X_WE, q = pose_of(rng), 0.7 * rng.normal(size=6 - r)
+    X_WO = X_WE * pose(q)
+    twists = [kinematics(lambda t, e=e: X_WE * pose(q + t * e))[0] for e in np.eye(6 - r)]
+    return pair.contact(X_WO, STILL, X_WE), np.reshape(twists, (6 - r, 6)).T
