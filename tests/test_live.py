@@ -355,3 +355,11 @@ def test_no_part_of_meshcat_that_opens_sockets_is_imported() -> None:
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
+def test_a_viewer_that_cannot_draw_ends_and_is_reported(caplog: pytest.LogCaptureFixture) -> None:
+    broken = described(CONTENT)
+    broken["bodies"][0]["urdf"] = "/no/such/file.urdf"
+    with Viewer(MODULE, {"content": broken, "size": 0.6}, rate=60.0) as viewer:
+        assert_no_tick_lost(feed(viewer, 1.5))
+        assert "has ended (exit code" in str(viewer.error) and len(caplog.records) == 1

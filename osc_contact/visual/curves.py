@@ -45,7 +45,7 @@ def layout(sample: Mapping[str, Any], contacts: list[str]) -> list[dict[str, Any
             "title": "power",
             "unit": "W",
             "lines": powers,
-            "note": "of the measured wrench on the object’s motion",
+            "note": "of the measured wrench, in the motion relative to the faces",
         },
     ]
     return [panel for panel in panels if panel["lines"]]

@@ -12,8 +12,6 @@ import os
 import socket
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop, PeriodicCallback
 from tornado.netutil import bind_sockets
@@ -22,8 +20,9 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from osc_contact.visual import curves
 from osc_contact.visual.content import Content
+from osc_contact.visual.mailbox import Ticks
 from osc_contact.visual.page import CommandSink, packed, page_text
-from osc_contact.visual.parts import Frame, Sample, changes
+from osc_contact.visual.parts import Frame, changes
 from osc_contact.visual.scene import Scene
 from osc_contact.visual.subspaces import FindFrame
 
@@ -38,41 +37,6 @@ WAITING = (
     '<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="refresh" content="0.4">'
     "<title>waiting</title><p style='font: 16px sans-serif; margin: 3em'>The run has not begun.</p>"
 )
-
-
-class Ticks:
-    """The mailbox: what comes over the link, of which only the newest counts."""
-
-    def __init__(self, link: socket.socket) -> None:
-        self.link = link
-        self.link.setblocking(False)
-        self.shapes: dict[str, tuple[int, ...]] = {}
-        self.newest: Sample | None = None
-
-    def drain(self) -> bool:
-        """Take everything in; False once the other end is closed."""
-        numbers = None
-        try:
-            while message := self.link.recv(1 << 20):
-                if not self.shapes:
-                    self.shapes = {k: tuple(v) for k, v in json.loads(message).items()}
-                else:
-                    numbers = message
-        except BlockingIOError:
-            if numbers is not None:
-                self.newest = self._sample(np.frombuffer(numbers))
-            return True
-        except OSError:
-            return False
-        return False
-
-    def _sample(self, numbers: NDArray[np.float64]) -> Sample:
-        sample, start = {}, 0
-        for name, shape in self.shapes.items():
-            size = int(np.prod(shape))
-            sample[name] = numbers[start : start + size].reshape(shape)
-            start += size
-        return sample
 
 
 class LivePage:
@@ -100,7 +64,14 @@ class LivePage:
         return page_text(self.drawn, self.content.title, config)
 
     def update(self) -> None:
-        """Draw the newest tick, if there is one, and send what changed."""
+        """Draw the newest tick; an error ends the process, which the run's process reports."""
+        try:
+            self._update()
+        except Exception:
+            IOLoop.current().stop()
+            raise
+
+    def _update(self) -> None:
         if not self.ticks.drain() or os.getppid() != self.parent:
             IOLoop.current().stop()
             return
