@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import logging
 import os
@@ -64,22 +65,30 @@ def get(viewer: Viewer, path: str = "/", **headers: str) -> tuple[int, str]:
 
 
 def feed(viewer: Viewer, seconds: float, ticks: list[dict[str, Any]] = TICKS) -> np.ndarray:
-    """Show ticks at about 1 kHz; wall and CPU seconds (n, 2) of each call."""
+    """Show ticks at about 1 kHz; wall and CPU seconds (n, 2) of each call.
+
+    Without the garbage collector, which clears up after the other tests in whichever call it likes.
+    """
     spent = []
+    gc.disable()
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         wall, cpu = time.perf_counter(), time.thread_time()
         viewer.show(ticks[len(spent) % len(ticks)])
         spent.append((time.perf_counter() - wall, time.thread_time() - cpu))
         time.sleep(TICK_S)
+    gc.enable()
     return np.array(spent)
 
 
 def assert_no_tick_lost(spent: np.ndarray) -> None:
-    """A call takes less than a tick; the operating system may pause any program now and then."""
+    """At most one call computes for as long as a tick, and none waits.
+
+    Wall times have slack: the operating system may pause any program for a while.
+    """
     wall, cpu = spent.T
-    assert cpu.max() < TICK_S, f"a call computed for {1e3 * cpu.max():.2f} ms"
-    assert np.percentile(wall, 99.0) < TICK_S
+    assert (cpu > TICK_S).sum() <= 1, f"calls computed for {1e3 * np.sort(cpu)[-3:]} ms"
+    assert np.percentile(cpu, 99.0) < 0.5 * TICK_S and np.percentile(wall, 99.0) < 2.0 * TICK_S
     assert wall.max() < 0.1, f"a call took {1e3 * wall.max():.0f} ms: it waited"
 
 
@@ -194,13 +203,15 @@ def test_only_a_loopback_socket_is_open(lasting: Viewer) -> None:
     pid = lasting._process.pid
     links = (os.readlink(f"/proc/{pid}/fd/{fd}") for fd in os.listdir(f"/proc/{pid}/fd"))
     own = {link[8:-1] for link in links if link.startswith("socket:[")}
-    listening = []
+    opened, listening = [], []
     for family in ("tcp", "tcp6", "udp", "udp6"):
         for line in Path(f"/proc/{pid}/net/{family}").read_text().splitlines()[1:]:
             fields = line.split()
             if fields[9] in own:
-                listening.append((family, fields[1]))
+                opened.append((family, fields[1]))
+                listening += opened[-1:] if fields[3] == "0A" else []
     loopback = socket.inet_aton("127.0.0.1")[::-1].hex().upper()
+    assert all(family == "tcp" and where.startswith(loopback) for family, where in opened)
     assert listening == [("tcp", f"{loopback}:{port(lasting):04X}")]
     others = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None)}
     for address in others - {"127.0.0.1", "::1"}:
