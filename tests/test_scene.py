@@ -20,6 +20,7 @@ from osc_contact.visual.page import EMPTY, CommandSink, read_commands, write_pag
 from osc_contact.visual.parts import State, changes, track
 from osc_contact.visual.primitives import along, arrow_lengths, tube, urdf_geometry
 from osc_contact.visual.scene import MOST_FRAMES, write_scene
+from osc_contact.visual.stage import ASPECT, FIELD_OF_VIEW_DEG, _fitted
 from osc_contact.visual.subspaces import BestFrame
 
 FRAME = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([0.01, 0.02, 0.25]))
@@ -294,10 +295,27 @@ def test_a_long_recording_gets_fewer_frames_per_second(tmp_path: Path) -> None:
     channels = {**recording.channels, "t": 40.0 * recording["t"]}
     path = write_scene(Recording(recording.meta, channels), ARMS, BODIES, tmp_path / "s.html")
     frames = {k for nodes in tracks(path).values() for keys in nodes.values() for k in keys}
-    assert max(frames) <= MOST_FRAMES
+    assert max(frames) <= MOST_FRAMES and path.stat().st_size < 3_000_000
     (animation,) = [c for c in read_commands(path) if c["type"] == "set_animation"]
     (fps,) = {a["clip"]["fps"] for a in animation["animations"]}
     assert max(frames) / fps == pytest.approx(40.0)
+
+
+def test_the_camera_sees_everything_and_stands_no_further_than_needed() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        points = rng.standard_normal((30, 3)) * rng.uniform(0.1, 2.0, 3)
+        view = rng.standard_normal(3) + [0.0, 0.0, 0.5]
+        view /= np.linalg.norm(view)
+        target, distance = _fitted(points, view)
+        right = np.cross([0.0, 0.0, 1.0], view) / np.linalg.norm(np.cross([0.0, 0.0, 1.0], view))
+        eye = target + distance * view
+        depth = (eye - points) @ view
+        half = np.tan(np.deg2rad(FIELD_OF_VIEW_DEG / 2))
+        x = (points - eye) @ right / depth / half / ASPECT
+        y = (points - eye) @ np.cross(view, right) / depth / half
+        assert depth.min() > 0.0 and max(np.abs(x).max(), np.abs(y).max()) < 1.0
+        assert max(np.abs(x).max(), np.abs(y).max()) > 0.75
 
 
 def test_changes_sends_only_what_differs() -> None:
