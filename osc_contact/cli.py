@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from osc_contact import __version__
+from osc_contact import __version__, robots
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.experiments import figures as paper_figures
 from osc_contact.experiments import replay, tables
@@ -23,6 +23,7 @@ from osc_contact.experiments.replay import RealTime
 from osc_contact.experiments.report import require_judgeable, write_json, write_report
 from osc_contact.experiments.rig import build_rig
 from osc_contact.experiments.run import run as run_scenario
+from osc_contact.experiments.studies import SLOW, STUDIES, Ask, write_study
 from osc_contact.experiments.timing import time_tick
 from osc_contact.experiments.viewing import open_viewer, write_scene_of
 from osc_contact.recorder import Recording
@@ -40,7 +41,15 @@ app = typer.Typer(
 out = Console(width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True)
 PARTIAL = "recording_until_failure.npz"
+REPRODUCIBLE = (*paper_figures.FIGURES, *STUDIES)
 EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim"}
+
+
+class InertiaLevel(StrEnum):
+    """What is asked of the inertias of a URDF."""
+
+    possible = "possible"
+    positive = "positive"
 
 
 class PlantName(StrEnum):
@@ -105,7 +114,11 @@ def run(
 @app.command()
 def reproduce(
     figure: Annotated[
-        str, typer.Argument(help=" | ".join((*paper_figures.FIGURES, "all")), metavar="FIGURE")
+        str,
+        typer.Argument(
+            help=f"{' | '.join(REPRODUCIBLE)} | all (without {', '.join(SLOW)}: minutes)",
+            metavar="FIGURE",
+        ),
     ],
     plant: PlantOption = None,
     duration: DurationOption = None,
@@ -116,11 +129,16 @@ def reproduce(
     set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Make figures of the paper from our own data (PNG and SVG)."""
+    """Make figures of the paper from our own data, and figures and tables of the experiments."""
     with _exit_codes():
-        names = paper_figures.FIGURES if figure == "all" else (figure,)
-        paper_figures.require_known(names)
+        asked: tuple[str, ...] = (figure,)
+        if figure == "all":
+            asked = tuple(name for name in REPRODUCIBLE if name not in SLOW)
+        paper_figures.require_known(asked)
         _require("matplotlib")
+        names = [name for name in asked if name not in STUDIES]
+        if not names and plant is not None:
+            raise InvalidInputError(f"{figure} chooses its own plants; leave --plant out")
         scenario = _load(paper_figures.SCENARIO, set_, plant, duration)
         recording, verdict = None, {}
         if any(name in paper_figures.needs_run for name in names):
@@ -129,10 +147,20 @@ def reproduce(
             verdict = write_report(recording, scenario, out_dir / scenario.name)
             out.print(tables.verdict_table(verdict))
         written = [paper_figures.write_figure(n, out_dir, scenario, recording) for n in names]
+        found = {}
+        for name in (name for name in asked if name in STUDIES):
+            changes = () if names else tuple(set_ or ())
+            with err.status(name) as status:
+                ask = Ask(seed, duration, changes, tell=status.update)
+                study, files = write_study(name, out_dir, ask)
+            out.print(study.table)
+            written += files
+            found[name] = study.data
         for path in written:
             _say(f"written: {path}")
         if json_file:
-            write_json({"figures": [str(p) for p in written], "metrics": verdict}, json_file)
+            result = {"figures": [str(p) for p in written], "metrics": verdict, "studies": found}
+            write_json(result, json_file)
 
 
 @app.command()
@@ -201,15 +229,51 @@ def inspect(
             write_json(found.as_dict(), json_file)
 
 
+@app.command()
+def check(
+    robot: Annotated[str, typer.Argument(help="a URDF, or the name of a robot such as panda")],
+    tip: Annotated[str | None, typer.Option(help="frame to describe (default: all ends)")] = None,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option("--limit", help="JOINT:effort=…,velocity=…,lower=…,upper=…, any number"),
+    ] = None,
+    inertias: Annotated[
+        InertiaLevel, typer.Option(help="positive: for parameters that no body has exactly")
+    ] = InertiaLevel.possible,
+    package_dir: Annotated[
+        list[Path] | None, typer.Option("--package-dir", help="folder that meshes may lie in")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Check a robot's URDF and say what the robot is; exit code 1 if something is wrong."""
+    with _exit_codes():
+        path, folders = robots.locate(robot)
+        report = robots.check_robot(
+            path,
+            limits=dict(robots.JointLimits.parse(text) for text in limit or []),
+            inertias=inertias.value,
+            package_dirs=[*folders, *(package_dir or [])],
+            tip=tip,
+        )
+        for line in report.lines():
+            _say(line)
+        for table in tables.robot_tables(report.summary) if report.summary else ():
+            out.print(table)
+        if json_file:
+            write_json(report.as_dict(), json_file)
+    if not report.sound:
+        raise typer.Exit(1)
+
+
 @app.command("list")
 def list_(json_file: JsonOption = None) -> None:
     """List the packaged scenarios and the figures that can be reproduced."""
     with _exit_codes():
         scenarios = list_scenarios()
         out.print(tables.scenario_table(scenarios))
-        _say(f"osc-contact reproduce {' | '.join(paper_figures.FIGURES)} | all")
+        _say(f"osc-contact reproduce {' | '.join(REPRODUCIBLE)} | all")
         if json_file:
-            write_json({"scenarios": scenarios, "figures": list(paper_figures.FIGURES)}, json_file)
+            write_json({"scenarios": scenarios, "figures": list(REPRODUCIBLE)}, json_file)
 
 
 @app.command()

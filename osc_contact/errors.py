@@ -25,7 +25,13 @@ class InvalidInputError(OscContactError, ValueError):
 
 
 class ModelError(OscContactError):
-    """A robot, an object or a closed chain is impossible: bad URDF, lost or undriven motions."""
+    """A robot, an object or a closed chain is impossible: bad URDF, lost or undriven motions.
+
+    Attributes:
+        findings: of a refused URDF, every `osc_contact.robots.Finding`; else empty.
+    """
+
+    findings: tuple[Any, ...] = ()
 
 
 class ContactError(OscContactError):

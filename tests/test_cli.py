@@ -60,7 +60,8 @@ def test_list_names_scenarios_and_figures(tmp_path: Path) -> None:
     assert result.exit_code == 0 and "two_contact_rod" in result.stdout
     found = json.loads((tmp_path / "list.json").read_text())
     assert set(found["scenarios"]) == set(osc_contact.list_scenarios())
-    assert {"fig1", "fig4", "fig5", "fig6", "fig8"} <= set(found["figures"])
+    figures = {"fig1", "fig2", "fig4", "fig5", "fig6", "fig8", "kinematic_stability"}
+    assert figures <= set(found["figures"])
 
 
 def test_inspect_says_what_the_contact_state_is(tmp_path: Path) -> None:
@@ -147,6 +148,8 @@ def test_reproduce_all_from_a_short_run(tmp_path: Path) -> None:
     for name in ("fig1", "fig4", "fig5", "fig6", "fig8"):
         assert (tmp_path / f"{name}.png").stat().st_size > 20000
         assert "<svg" in (tmp_path / f"{name}.svg").read_text()
+    for name in ("fig2", "kinematic_stability"):
+        assert (tmp_path / f"{name}.pdf").exists() and (tmp_path / f"{name}.json").exists()
     assert json.loads((tmp_path / "two_contact_rod" / "metrics.json").read_text())["ticks"] == 1050
 
 
@@ -174,7 +177,8 @@ def test_bad_scenario_is_told_with_its_line(tmp_path: Path) -> None:
     ("words", "message"),
     [
         (("inspect", "two_contact_rob"), "no packaged scenario 'two_contact_rob'"),
-        (("reproduce", "fig2"), "no figure 'fig2'; there are fig1"),
+        (("reproduce", "fig3"), "no figure 'fig3'; there are fig1"),
+        (("reproduce", "fig2", "--set", "squeeze=1 N"), "fig2 is not made from a scenario"),
         (("bench", "tock"), "no benchmark 'tock'; there is: tick"),
         (("run", "two_contact_rod", "--set", "squeeze"), "expected path.to.key=value"),
         (("run", "two_contact_rod", "--duration", "0.9"), "judged from t = 1 s"),

@@ -19,6 +19,7 @@ from detection_bodies import (
 from osc_contact import robots
 from osc_contact.contacts import detection
 from osc_contact.contacts.detection import CollisionShape, collision_shapes, detect
+from osc_contact.contacts.detection.solver import nearest
 from osc_contact.errors import InvalidInputError, ModelError
 
 
@@ -74,6 +75,30 @@ def test_a_convex_mesh_touches_like_the_box_it_is(tmp_path):
         assert as_mesh.kind == as_box.kind
         for point in as_box.points:
             assert np.linalg.norm(as_mesh.points - point, axis=1).min() < 1e-7  # STL: float32
+
+
+def test_a_convex_mesh_that_is_no_mirror_image_of_itself(tmp_path):
+    """A tetrahedron on its face: outward normals are outward whatever the order of corners."""
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
+    for faces in (
+        [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)],
+        [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 3, 2)],
+    ):
+        stl(tmp_path / "wedge.stl", corners / 2, faces)
+        mesh = collision_shapes(urdf(tmp_path, MESH.format("wedge.stl")))
+        found = only(detect(mesh, pin.SE3.Identity(), TABLE))
+        assert (found.kind, found.r) == ("face on face", 3)
+        assert found.distance == pytest.approx(0.0, abs=1e-9)
+        np.testing.assert_allclose(found.normal, [0, 0, 1], atol=1e-9)
+        assert detect(mesh, pin.SE3(np.eye(3), np.array([0, 0, 0.01])), TABLE) == []
+
+
+def test_a_distance_that_is_no_number_counts_as_touching(monkeypatch):
+    """The shapes have the last word, see `separation`."""
+    monkeypatch.setattr(coal, "distance", lambda *_: np.finfo(float).max)
+    X = pin.SE3(np.eye(3), np.array([0, 0, 0.03]))
+    assert nearest(BOX[0].shape, X, TABLE[0].shape, X).distance == 0.0
+    assert only(detect(BOX, X, TABLE)).kind == "face on face"
 
 
 def test_a_dented_mesh_is_refused(tmp_path):

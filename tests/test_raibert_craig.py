@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.contacts import raibert_craig
+from osc_contact.contacts import constraint_frames
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.raibert_craig import RaibertCraig, as_raibert_craig, selection_columns
 from osc_contact.errors import ContactError, InvalidInputError
@@ -92,7 +92,7 @@ def test_columns_of_a_selection() -> None:
 def test_every_frame_and_selection_is_recognised_in_any_basis(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(raibert_craig, "_REFINEMENTS", 0)  # by construction, not by search
+    monkeypatch.setattr(constraint_frames, "_REFINEMENTS", 0)  # by construction, not by search
     rng = np.random.default_rng(1)
     kinds = set()
     for _ in range(1000):
@@ -235,6 +235,15 @@ def test_screws_are_refused_with_their_pitch(r: int) -> None:
     )
 
 
+def test_forces_that_miss_one_another_beside_couples_at_right_angles() -> None:
+    """A screwed force and a couple across it: the axes fit, the moment does not."""
+    N = np.column_stack((line(Z, Q) + 0.01 * couple(Z), couple([1.0, 0, 0])))
+    found = as_raibert_craig(N, SIZE)
+    assert not found and found.reason.startswith("(ii)") and "(i)" not in found.reason
+    N[:, 0] -= 0.01 * couple(Z)
+    assert_describes(as_raibert_craig(N, SIZE), N)
+
+
 def test_both_conditions_can_fail() -> None:
     """A couple at 45° to the plane of two forces through Q, one of them screwed by 10 mm."""
     N = np.column_stack((line([1.0, 0, 0], Q), line(Z, Q), couple([0, 1.0, 1.0])))
@@ -273,7 +282,7 @@ def test_the_residual_grows_no_faster_than_the_noise(
     noise: float, refinements: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither does that of the frames as constructed."""
-    monkeypatch.setattr(raibert_craig, "_REFINEMENTS", refinements)
+    monkeypatch.setattr(constraint_frames, "_REFINEMENTS", refinements)
     rng = np.random.default_rng(3)
     scale = np.array([1.0] * 3 + [SIZE] * 3)[:, None]
     for _ in range(300):

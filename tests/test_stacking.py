@@ -69,6 +69,7 @@ def test_up_to_three_legs_split_uniquely(legs: list[int]) -> None:
     np.testing.assert_array_equal(stacked.N, all_columns(parts)[0])
     np.testing.assert_array_equal(stacked.R, np.eye(len(legs)))
     np.testing.assert_array_equal(stacked.magnitudes(legs), legs)
+    assert stacked.split_is_unique  # also once R has been asked for
 
 
 def dependent_parts(rng: np.random.Generator) -> tuple[list[Contact], int]:

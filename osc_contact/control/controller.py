@@ -332,6 +332,15 @@ class Controller:
         _allocate,
     )
 
+    @property
+    def restaged(self) -> bool:
+        """Whether STAGES of this controller or its class were replaced.
+
+        Only reading them one by one computes such a controller: a tick compiled from the stages
+        above would not.
+        """
+        return self.STAGES is not Controller.STAGES
+
     # --- border --------------------------------------------------------------------------------
 
     def wiring(self, measurement: Measurement, reference: Reference) -> list[Block]:

@@ -53,7 +53,8 @@ class Arm:
         """Load an arm; joints that do not move the tip (fingers) are locked where they stand.
 
         Args:
-            urdf: path of a URDF, or a ready Pinocchio model.
+            urdf: path of a URDF (`robots.load_model` with its defaults judges it), or a ready
+                Pinocchio model, such as `robots.load_model` gives with other limits.
             name: prefix that keeps equal robots apart.
             tip: frame that holds the object.
             base: pose of the URDF's root in the world (default: the origin).
@@ -69,6 +70,8 @@ class Arm:
         held = dict(locked or {})
         _require_joints(model, (*passive_joints, *held))
         model = _path_to(model, robots.frame_id(model, tip), held)
+        if isinstance(urdf, pin.Model):
+            _require_sound(model)
         _require_joints(model, passive_joints)
         if wrist_sensor is not None:
             robots.frame_id(model, wrist_sensor)
@@ -85,6 +88,18 @@ def _require_joints(model: pin.Model, names: Sequence[str]) -> None:
             f"no moving joint called {missing[0]!r} on the way to the tip; "
             f"there are {list(model.names)[1:]}"
         )
+
+
+def _require_sound(model: pin.Model) -> None:
+    """What a ready model must satisfy: nq = nv, and a positive definite mass matrix."""
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+        if joint.nq != joint.nv:
+            raise ModelError(
+                f"joint {name!r} ({joint.shortname()}) has nq = {joint.nq} but nv = {joint.nv}; "
+                "load the URDF by its path or with robots.load_model, which make a continuous "
+                "joint a revolute one without end stops"
+            )
+    robots.check_mass_matrix(model)
 
 
 def _path_to(model: pin.Model, tip: int, held: Mapping[str, float]) -> pin.Model:

@@ -304,7 +304,8 @@ def _merge(arms: Sequence[Arm]) -> pin.Model:
         merged = pin.appendModel(merged, model, 0, arm.base)
     if merged.nq != merged.nv:
         raise InvalidInputError(
-            "continuous joints (nq ≠ nv) are not supported; give them limits and type 'revolute'"
+            "joints with nq ≠ nv are not supported; robots.load_model makes continuous joints "
+            "revolute ones without end stops"
         )
     return merged
 

@@ -16,8 +16,14 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact import robots
+from osc_contact.dynamics.definite import (
+    element_sizes,
+    inverse,
+    require_inverse_inertia,
+    symmetric,
+)
 from osc_contact.dynamics.payload import RigidObject
-from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.errors import InvalidInputError
 from osc_contact.projections import gram
 from osc_contact.spatial import (
     Array,
@@ -59,7 +65,7 @@ class Environment:
         object.__setattr__(self, "Phi_e", as_array("Phi_e", self.Phi_e, (6, 6)))
         object.__setattr__(self, "b_e", as_array("b_e", self.b_e, (6,)))
         object.__setattr__(self, "V_e", as_array("V_e", self.V_e, (6,)))
-        _require_inverse_inertia("Phi_e", self.Phi_e / _scales(self.Phi_e))
+        require_inverse_inertia("Phi_e", self.Phi_e / element_sizes(self.Phi_e))
 
     @classmethod
     def fixed(cls) -> Environment:
@@ -195,13 +201,13 @@ class Environment:
         data = model.createData() if data is None else data
         pin.computeAllTerms(model, data, q, v)
         free = tau - data.nle
-        M_inv = _inverse(np.array(data.M), "the environment's joint-space inertia")
+        M_inv = inverse(np.array(data.M), "the environment's joint-space inertia")
         world = pin.ReferenceFrame.WORLD
         J = carry_twist(pin.getJointJacobian(model, data, joint, world), _ZERO, point)
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
         drift = data.oMi[joint].act(data.a[joint]).vector
         b_e = J @ M_inv @ free + carry_twist(drift, _ZERO, point)
-        return cls(_symmetric(J @ M_inv @ J.T), b_e, J @ v)
+        return cls(symmetric(J @ M_inv @ J.T), b_e, J @ v)
 
     @classmethod
     def of_contacts(
@@ -240,13 +246,13 @@ class Environment:
         r = N.shape[1]
         Phi_N, b_N = as_array("Phi_N", Phi_N, (r, r)), as_array("b_N", b_N, (r,))
         V_N = as_array("V_N", V_N, (r,))
-        mobility = _inverse(as_array("metric", metric, (6, 6)), "the metric (object inertia)")
+        mobility = inverse(as_array("metric", metric, (6, 6)), "the metric (object inertia)")
         held = gram(N, mobility, "environment of several contacts")
         own = np.sqrt(np.diag(held))  # the held object's mobility along each normal
         scaled = Phi_N / np.outer(own, own)
-        _require_inverse_inertia("Phi_N", scaled / (np.abs(scaled).max(initial=0.0) or 1.0))
+        require_inverse_inertia("Phi_N", scaled / (np.abs(scaled).max(initial=0.0) or 1.0))
         K = np.linalg.solve(held, N.T @ mobility).T
-        return cls(_symmetric(K @ Phi_N @ K.T), K @ b_N, K @ V_N)
+        return cls(symmetric(K @ Phi_N @ K.T), K @ b_N, K @ V_N)
 
     @classmethod
     def combine(
@@ -319,10 +325,10 @@ class Environment:
         I: Array = pin.SE3(X_WE.rotation, _ZERO).act(inertia).matrix()  # noqa: E741
         V = A @ rates
         acting = I[:, :3] @ as_array("gravity", gravity, (3,)) - cross_wrench(V, I @ V)
-        M_inv = _inverse(A.T @ I @ A, "the body's inertia along its axes")
+        M_inv = inverse(A.T @ I @ A, "the body's inertia along its axes")
         at_O = carry_twist(A, p, point)
         return cls(
-            _symmetric(at_O @ M_inv @ at_O.T),
+            symmetric(at_O @ M_inv @ at_O.T),
             at_O @ (M_inv @ (Q + A.T @ acting)),
             carry_twist(V, p, point),
         )
@@ -333,52 +339,3 @@ def _move_as_one(a: Environment, b: Environment) -> bool:
         return True
     rigid = not (a.Phi_e.any() or b.Phi_e.any())
     return rigid and np.array_equal(a.b_e, b.b_e) and np.array_equal(a.V_e, b.V_e)
-
-
-def _symmetric(matrix: Array) -> Array:
-    return 0.5 * (matrix + matrix.T)
-
-
-def _inverse(matrix: Array, what: str) -> Array:
-    """Inverse of a positive definite matrix, judged and inverted with unit diagonal.
-
-    Raises:
-        ModelError: it is none (singular up to rounding, asymmetric, not finite).
-    """
-    diagonal = np.diag(matrix)
-    if np.isfinite(matrix).all() and diagonal.min(initial=1.0) > 0.0:
-        scale = np.sqrt(np.outer(diagonal, diagonal))
-        scaled = matrix / scale
-        skewed = np.abs(scaled - scaled.T).max(initial=0.0)
-        if skewed < 1e-9 and np.linalg.eigvalsh(scaled).min(initial=1.0) > 1e-13:
-            return np.linalg.inv(_symmetric(scaled)) / scale
-    raise ModelError(
-        f"{what} is not symmetric positive definite (diagonal {np.round(diagonal, 9)}); give every "
-        "body a mass and inertia, and independent axes"
-    )
-
-
-def _require_inverse_inertia(name: str, scaled: Array) -> None:
-    """Refuse what no passive mechanism can have; `scaled` is free of units, its largest near 1."""
-    if np.abs(scaled - scaled.T).max(initial=0.0) > 1e-9:
-        raise InvalidInputError(f"{name} is not symmetric; an inverse inertia is")
-    smallest = np.linalg.eigvalsh(scaled).min(initial=0.0)
-    if smallest < -1e-9:
-        raise InvalidInputError(
-            f"{name} is not positive semidefinite (scaled eigenvalue {smallest:.3g}); "
-            "no passive body accelerates against the force on it"
-        )
-
-
-def _scales(Phi: Array) -> Array:
-    """(6, 6) what the elements of Φ_e are measured against: its most mobile axis of each kind.
-
-    One scale for the linear and one for the angular axes, so that rounding errors in a locked
-    direction (of an inverse inertia carried from another point, say) are not blown up. An axis
-    through O leaves linear noise only: mobilities below 1 mm/rad count as noise too.
-    """
-    largest = np.sqrt(np.diag(Phi).reshape(2, 3).max(axis=1, initial=0.0))
-    largest = np.maximum(largest, 1e-3 * largest[::-1])
-    largest[largest == 0.0] = 1.0
-    scale = np.repeat(largest, 3)
-    return np.outer(scale, scale)

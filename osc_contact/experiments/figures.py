@@ -14,6 +14,7 @@ from osc_contact.control.controller import Block
 from osc_contact.errors import InvalidInputError
 from osc_contact.experiments.metrics import SETTLE_S
 from osc_contact.experiments.rig import Rig, build_rig
+from osc_contact.experiments.studies import STUDIES
 from osc_contact.recorder import Recording
 from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.spatial import Array
@@ -74,9 +75,10 @@ def require_known(names: Iterable[str]) -> None:
     Raises:
         InvalidInputError: with the names there are.
     """
+    known = (*FIGURES, *STUDIES)
     for name in names:
-        if name not in FIGURES:
-            raise InvalidInputError(f"no figure '{name}'; there are {', '.join(FIGURES)}")
+        if name not in known:
+            raise InvalidInputError(f"no figure '{name}'; there are {', '.join(known)}")
 
 
 def control_blocks(rig: Rig) -> list[Block]:

@@ -72,20 +72,20 @@ def run(
     plant: str = "mujoco",
     duration: float = 10.0,
     faces: Sequence[str] = tuple(FACES),
-    progress: Callable[[str], None] | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> list[Case]:
     """Every face under both laws.
 
     Args:
         plant: "mujoco" or "rigid". duration: of each run (s), more than the 1 s it settles.
         faces: keys of `FACES`.
-        progress: told what runs next.
+        tell: called with what runs next.
     """
     cases = []
     for face in faces:
         for law, knowledge in LAWS.items():
-            if progress is not None:
-                progress(f"{face}, {law}")
+            if tell is not None:
+                tell(f"{face}, {law}")
             changes = [*FACES[face], f"model_error.environment={knowledge}"]
             scenario = load_scenario("moving_face", changes)
             recording = run_scenario(scenario, plant=plant, duration=duration)

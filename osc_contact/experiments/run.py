@@ -24,6 +24,7 @@ from osc_contact.visual.live import Shows
 __all__ = ["run"]
 
 Progress = Callable[[float], None]
+Install = Callable[[Controller], Controller]
 
 
 def run(
@@ -34,6 +35,7 @@ def run(
     seed: int = 0,
     progress: Progress | None = None,
     viewer: Shows | None = None,
+    install: Install | None = None,
 ) -> Recording:
     """Run a scenario and record it.
 
@@ -44,6 +46,7 @@ def run(
         seed: of everything random in the run (sensors and plants without noise use none).
         progress: called with the simulated time now and then.
         viewer: shows the run while it goes on (see `open_viewer`); it cannot hold the loop up.
+        install: puts another control law into each controller of the run.
 
     Returns:
         The recording; `metrics(recording)` judges it.
@@ -57,17 +60,25 @@ def run(
     if duration is not None:
         changes["duration"] = duration
     scenario = Scenario.model_validate(changes).with_source(scenario.source)
-    return _loop(build_rig(scenario), seed, progress, viewer)
+    return _loop(build_rig(scenario), seed, progress, install, viewer)
 
 
-def _loop(rig: Rig, seed: int, progress: Progress | None, viewer: Shows | None) -> Recording:
+def _loop(
+    rig: Rig,
+    seed: int,
+    progress: Progress | None,
+    install: Install | None,
+    viewer: Shows | None,
+) -> Recording:
     scenario = rig.scenario
     period = 1.0 / scenario.control.rate
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(ticks, _meta(rig, seed))
-    plant, controller = rig.plant(), rig.controller()
+    plant, controller, first = rig.plant(), rig.controller(), rig.controller()
+    if install is not None:
+        controller, first = install(controller), install(first)
     # the rig starts under the torques that hold it, not limp
-    plant.hold(rig.controller().tick(plant.measure(), rig.references.at(0.0)))
+    plant.hold(first.tick(plant.measure(), rig.references.at(0.0)))
     tare = _Tare(rig, controller)
     began = perf_counter()
     try:

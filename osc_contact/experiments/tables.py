@@ -8,9 +8,10 @@ from typing import Any
 from rich.table import Table
 
 from osc_contact.experiments.inspection import Inspection
+from osc_contact.robots import RobotSummary
 from osc_contact.spatial import Array
 
-__all__ = ["basis_tables", "scenario_table", "tick_table", "verdict_table"]
+__all__ = ["basis_tables", "robot_tables", "scenario_table", "tick_table", "verdict_table"]
 
 
 def verdict_table(verdict: Mapping[str, Any]) -> Table:
@@ -66,6 +67,35 @@ def tick_table(result: Mapping[str, Mapping[str, float]]) -> Table:
     for case, row in result.items():
         table.add_row(case, *(f"{row[key]:.1f}" for key in columns))
     return table
+
+
+def robot_tables(robot: RobotSummary) -> Iterator[Table]:
+    """The joints, and what the tips can do."""
+    joints = Table("joint", "type", "positions", "effort", "velocity", "moves (kg)",
+                   title=f"{robot.name}: joints")  # fmt: skip
+    for joint in robot.joints:
+        angle, effort, speed = (
+            ("m", "N", "m/s") if joint.kind == "prismatic" else ("rad", "N m", "rad/s")
+        )
+        joints.add_row(
+            joint.name, joint.kind, f"{_range(joint.lower, joint.upper)} {angle}",
+            f"{joint.effort:g} {effort}", f"{joint.velocity:g} {speed}", f"{joint.moved_mass:.4g}",
+        )  # fmt: skip
+    if robot.joints:
+        yield joints
+    tips = Table("tip", "joints", "apparent mass (kg)", "apparent inertia (kg m²)",
+                 "mobility σ₁, σ₂, … (unit-free)", title="reachable at the tips")  # fmt: skip
+    for tip in robot.tips:
+        sigma = ", ".join(_range(low, high, 2) for low, high in tip.mobility)
+        tips.add_row(tip.tip, str(tip.joints), _range(*tip.mass, 3), _range(*tip.inertia, 3),
+                     sigma or "the tip's body is no solid")  # fmt: skip
+    if robot.tips:
+        yield tips
+
+
+def _range(low: float, high: float, digits: int = 4) -> str:
+    words = (f"{value:.{digits}g}".replace("inf", "∞") for value in (low, high))
+    return " … ".join(words)
 
 
 def _basis(

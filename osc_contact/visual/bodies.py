@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.robots import load_geometry
 from osc_contact.visual.parts import Frame, LegendEntry, Sample, State
 from osc_contact.visual.primitives import urdf_geometry
 
@@ -52,9 +53,10 @@ class Arm:
 
     def __init__(self, arm: ArmVisual) -> None:
         self.arm = arm
-        self.model = pin.buildModelFromUrdf(str(arm.urdf))
+        kind = pin.GeometryType.VISUAL
+        self.model, geometry, _ = load_geometry(arm.urdf, kind, arm.package_dirs)
         self.data = self.model.createData()
-        self.shapes = _shapes(self.model, arm.urdf, arm.package_dirs)
+        self.shapes = list(geometry.geometryObjects)
         joints = sorted({shape.parentJoint for shape in self.shapes})
         self.paths = {
             joint: f"arms/{arm.name}/{self.model.names[joint] if joint else 'base'}"
@@ -103,8 +105,8 @@ class Body:
 
     def __init__(self, body: BodyVisual) -> None:
         self.body = body
-        model = pin.buildModelFromUrdf(str(body.urdf))
-        self.shapes = _shapes(model, body.urdf, body.package_dirs)
+        _, geometry, _ = load_geometry(body.urdf, pin.GeometryType.VISUAL, body.package_dirs)
+        self.shapes = list(geometry.geometryObjects)
         self.path = f"bodies/{body.name}"
 
     def draw(self, scene: Visualizer) -> None:
@@ -149,9 +151,3 @@ def _corners(shape: Any) -> list[Array]:
     box = shape.geometry.aabb_local
     low, high = (np.array(end) for end in (box.min_, box.max_))
     return [shape.placement * np.where(pick, high, low) for pick in product((0, 1), repeat=3)]
-
-
-def _shapes(model: Any, urdf: str | Path, package_dirs: Sequence[str | Path]) -> list[Any]:
-    folders = [str(folder) for folder in package_dirs]
-    kind = pin.GeometryType.VISUAL
-    return list(pin.buildGeomFromUrdf(model, str(urdf), kind, package_dirs=folders).geometryObjects)

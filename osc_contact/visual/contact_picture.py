@@ -16,7 +16,9 @@ from osc_contact.visual.style import style
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["CommonPerpendicular", "common_perpendicular", "draw_contact_state"]
+__all__ = [
+    "HALO", "CommonPerpendicular", "arrow", "common_perpendicular", "draw_contact_state"
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
@@ -100,9 +102,9 @@ def draw_contact_state(
             ax.plot(*_inside(point, direction, middle, reach), color=colour, lw=1.4, zorder=5,
                     label=f"line of force of {name}")  # fmt: skip
             tail = point - 0.3 * reach * direction
-            _arrow(ax, tail, point, colour, 0.02 * reach)
+            arrow(ax, tail, point, colour, 0.02 * reach)
             ax.text(*(tail - 0.07 * reach * direction), name, color=colour, size=13, zorder=7,
-                    ha="center", va="center", bbox=_HALO)  # fmt: skip
+                    ha="center", va="center", bbox=HALO)  # fmt: skip
         for (i, j), pair in pairs.items():
             ax.plot(*np.array([pair.first, pair.second]).T, color="black", lw=1.6, ls=(0, (2, 1)),
                     marker="o", ms=4.0, zorder=6, label=_relation(i, j, pair))  # fmt: skip
@@ -124,7 +126,7 @@ _TWISTS = (
     (OKABE_ITO["green"], (0, (6, 2, 1, 2))),
     (OKABE_ITO["orange"], (0, (2, 1.5))),
 )
-_HALO = {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8}
+HALO = {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8}
 
 
 def _relation(i: int, j: int, pair: CommonPerpendicular) -> str:
@@ -177,7 +179,7 @@ def _fill(ax: Any, plate: Array) -> None:
     )
 
 
-def _arrow(ax: Any, tail: Array, tip: Array, colour: str, radius: float) -> None:
+def arrow(ax: Any, tail: Array, tip: Array, colour: str, radius: float) -> None:
     """Thick shaft and a cone whose apex is the tip."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 

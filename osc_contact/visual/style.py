@@ -45,6 +45,7 @@ def style() -> Iterator[None]:
         "figure.constrained_layout.use": True,
         "figure.facecolor": "white",
         "svg.fonttype": "path",
+        "pdf.fonttype": 42,
         "svg.hashsalt": "osc_contact",
     }
     with matplotlib.rc_context(look):
@@ -70,26 +71,28 @@ def legend(ax: Axes) -> None:
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
 
 
-def save(figure: Figure, path_without_suffix: str | Path) -> tuple[Path, Path]:
-    """Write the figure as PNG (150 dpi) and SVG; each file appears complete or not at all.
+def save(
+    figure: Figure, path_without_suffix: str | Path, suffixes: Sequence[str] = (".png", ".svg")
+) -> tuple[Path, ...]:
+    """Write the figure as PNG (150 dpi), SVG, PDF; each file appears complete or not at all.
 
     Returns:
-        The paths of the PNG and of the SVG.
+        The paths, one for each suffix.
     """
     base = Path(path_without_suffix)
     base.parent.mkdir(parents=True, exist_ok=True)
     written = []
-    extras: tuple[tuple[str, Any], ...] = ((".png", {}), (".svg", {"metadata": {"Date": None}}))
-    for suffix, extra in extras:
+    undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    for suffix in suffixes:
         target = base.with_name(base.name + suffix)
         descriptor, temporary = tempfile.mkstemp(dir=base.parent, prefix=f".{target.name}.")
         try:
             with os.fdopen(descriptor, "wb") as file:
-                figure.savefig(file, dpi=150, format=suffix[1:], **extra)
+                figure.savefig(file, dpi=150, format=suffix[1:], metadata=undated.get(suffix))
             os.chmod(temporary, 0o644)
             os.replace(temporary, target)
         except BaseException:
             os.unlink(temporary)
             raise
         written.append(target)
-    return written[0], written[1]
+    return tuple(written)

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.robot_checks import read_urdf
+from osc_contact.robots import load_geometry
 from osc_contact.spatial import Array
 
 __all__ = ["CollisionShape", "Solid", "collision_shapes"]
@@ -96,24 +96,16 @@ def collision_shapes(path: Path | str) -> list[CollisionShape]:
         ModelError: no such file, a joint moves, no collision geometry, a mesh that is not convex.
     """
     file = Path(path)
-    links, _ = read_urdf(file)
-    try:
-        model = pin.buildModelFromUrdf(str(file))
-        folders = [str(file.parent)]
-        geometry = pin.buildGeomFromUrdf(
-            model, str(file), pin.GeometryType.COLLISION, package_dirs=folders
-        )
-    except (ValueError, RuntimeError) as error:
-        raise ModelError(f"{file}: Pinocchio refuses the file: {error}") from error
+    model, geometry, document = load_geometry(file, pin.GeometryType.COLLISION)
     if model.nv > 0:
         moving = ", ".join(list(model.names)[1:])
         raise ModelError(f"{file}: one rigid body is wanted, but these joints move: {moving}")
     if len(geometry.geometryObjects) == 0:
         raise ModelError(f"{file}: no link has a <collision> element; nothing can touch")
     given = {
-        f"{link.get('name')}_{i}": collision.get("name")
-        for link in links
-        for i, collision in enumerate(link.findall("collision"))
+        f"{link.name}_{i}": collision.get("name")
+        for link in document.links.values()
+        for i, collision in enumerate(link.element.findall("collision"))
     }
     names = list(given.values())
     shapes = []

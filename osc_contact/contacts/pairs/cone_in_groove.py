@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from osc_contact.contacts.pairs.pair import Bodies, store, triad, unit_vector
+from osc_contact.contacts.pairs.pair import Bodies, read_geometry, triad
 from osc_contact.contacts.pairs.tangent_pair import Freedom, TangentPair, held_axis, slide, turn
-from osc_contact.spatial import Array, as_array
+from osc_contact.spatial import Array
 
 __all__ = ["ConeInGroove"]
 
@@ -37,17 +37,10 @@ class ConeInGroove(TangentPair):
     name: str = "cone_in_groove"
 
     def __post_init__(self) -> None:
-        name = self.name
-        store(
-            self,
-            apex=as_array(f"{name}.apex", self.apex, (3,)),
-            axis=unit_vector(f"{name}.axis", self.axis, "axis of the cone"),
-            groove_point=as_array(f"{name}.groove_point", self.groove_point, (3,)),
-            groove_direction=unit_vector(
-                f"{name}.groove_direction", self.groove_direction, "direction of the groove"
-            ),
-            seat=unit_vector(f"{name}.seat", self.seat, "direction of the seated cone's axis"),
-        )
+        read_geometry(
+            self, "apex", "groove_point", axis="axis of the cone",
+            groove_direction="direction of the groove", seat="direction of the seated cone's axis",
+        )  # fmt: skip
         across = triad(self.groove_direction)[:, :2]
         self._hold(self.apex, across, self.groove_point, *held_axis(self.axis, self.seat))
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, store, triad, unit_vector
+from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, read_geometry, store, triad
 from osc_contact.contacts.pairs.tangent_pair import (
     Freedom,
     TangentPair,
@@ -17,7 +17,7 @@ from osc_contact.contacts.pairs.tangent_pair import (
     turn,
 )
 from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import Array, as_array
+from osc_contact.spatial import Array
 
 __all__ = ["Revolute", "Prismatic", "Screw", "Fixed", "Free"]
 
@@ -174,9 +174,5 @@ class Free(TangentPair):
 
 
 def _read_joint(pair: Revolute | Prismatic | Screw) -> None:
-    store(
-        pair,
-        point=as_array(f"{pair.name}.point", pair.point, (3,)),
-        axis=unit_vector(f"{pair.name}.axis", pair.axis, "axis of the joint"),
-        assembled=pin.SE3(pair.assembled),
-    )
+    read_geometry(pair, "point", axis="axis of the joint")
+    store(pair, assembled=pin.SE3(pair.assembled))

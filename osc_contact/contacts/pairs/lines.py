@@ -12,14 +12,13 @@ from osc_contact.contacts.pairs.pair import (
     Bodies,
     lines_of_force,
     lines_of_force_rate,
+    read_geometry,
     require_length,
-    store,
-    unit_vector,
     velocity,
 )
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
 from osc_contact.errors import ContactError, InvalidInputError
-from osc_contact.spatial import Array, as_array, cross
+from osc_contact.spatial import Array, cross
 
 __all__ = ["EdgeOnEdge", "EdgeOnFace", "CylinderOnPlane", "ends"]
 
@@ -61,18 +60,10 @@ class EdgeOnEdge:
     name: str = "edge_on_edge"
 
     def __post_init__(self) -> None:
-        for body in "AE":
-            point, direction = f"point_{body}", f"direction_{body}"
-            where = as_array(f"{self.name}.{point}", getattr(self, point), (3,))
-            along = unit_vector(
-                f"{self.name}.{direction}", getattr(self, direction), "direction of the edge"
-            )
-            store(self, **{point: where, direction: along})
+        edge = "direction of the edge"
+        read_geometry(self, "point_A", "point_E", direction_A=edge, direction_E=edge)
         if np.ndim(self.side) > 0:
-            store(
-                self,
-                side=unit_vector(f"{self.name}.side", self.side, "environment's outward normal"),
-            )
+            read_geometry(self, side="environment's outward normal")
         elif self.side not in (1, -1):
             raise InvalidInputError(
                 f"{self.name}.side = {self.side}; give +1 or −1 (times e_A × e_E), or a vector "
@@ -195,12 +186,8 @@ def _twice(n: Array) -> Array:
 
 
 def _read_line_on_plane(pair: EdgeOnFace | CylinderOnPlane) -> None:
-    name = pair.name
-    store(
-        pair,
-        point=as_array(f"{name}.point", pair.point, (3,)),
-        direction=unit_vector(f"{name}.direction", pair.direction, "direction of the line"),
-        face_point=as_array(f"{name}.face_point", pair.face_point, (3,)),
-        face_normal=unit_vector(f"{name}.face_normal", pair.face_normal, "outward normal"),
-    )
-    require_length(f"{name}.length", pair.length, ">")
+    read_geometry(
+        pair, "point", "face_point",
+        direction="direction of the line", face_normal="outward normal",
+    )  # fmt: skip
+    require_length(f"{pair.name}.length", pair.length, ">")

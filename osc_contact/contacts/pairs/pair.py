@@ -17,6 +17,7 @@ __all__ = [
     "ContactPair",
     "lines_of_force",
     "lines_of_force_rate",
+    "read_geometry",
     "require_length",
     "store",
     "triad",
@@ -136,6 +137,19 @@ def store(pair: Any, **values: Any) -> None:
     """Set attributes of a frozen dataclass while it is being made."""
     for key, value in values.items():
         object.__setattr__(pair, key, value)
+
+
+def read_geometry(pair: Any, *points: str, **directions: str) -> None:
+    """Check and copy the named points (3,), check and normalise the named directions (name=what it
+    is called in messages) of a frozen pair that is being made.
+
+    Raises:
+        InvalidInputError: wrong shape, not finite, or a direction that is zero.
+    """
+    for key in points:
+        store(pair, **{key: as_array(f"{pair.name}.{key}", getattr(pair, key), (3,))})
+    for key, meaning in directions.items():
+        store(pair, **{key: unit_vector(f"{pair.name}.{key}", getattr(pair, key), meaning)})
 
 
 def unit_vector(name: str, value: Any, meaning: str) -> Array:

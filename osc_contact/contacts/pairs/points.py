@@ -11,14 +11,13 @@ from osc_contact.contacts.pairs.pair import (
     Bodies,
     lines_of_force,
     lines_of_force_rate,
+    read_geometry,
     require_length,
-    store,
     triad,
-    unit_vector,
     velocity,
 )
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
-from osc_contact.spatial import Array, as_array, cross
+from osc_contact.spatial import Array, cross
 
 __all__ = ["VertexOnFace", "FaceOnVertex", "SphereOnPlane"]
 
@@ -46,12 +45,7 @@ class VertexOnFace(PointsOnPlanes):
     name: str = "vertex_on_face"
 
     def __post_init__(self) -> None:
-        store(
-            self,
-            vertex=as_array(f"{self.name}.vertex", self.vertex, (3,)),
-            point=as_array(f"{self.name}.point", self.point, (3,)),
-            normal=unit_vector(f"{self.name}.normal", self.normal, "outward normal"),
-        )
+        read_geometry(self, "vertex", "point", normal="outward normal")
         require_length(f"{self.name}.radius", self.radius)
         self._hold(self.vertex[:, None], -self.normal[:, None], self.point[:, None], self.radius)
 
@@ -101,12 +95,7 @@ class SphereOnPlane(PointsOnPlanes):
     name: str = "sphere_on_plane"
 
     def __post_init__(self) -> None:
-        store(
-            self,
-            centre=as_array(f"{self.name}.centre", self.centre, (3,)),
-            point=as_array(f"{self.name}.point", self.point, (3,)),
-            normal=unit_vector(f"{self.name}.normal", self.normal, "outward normal"),
-        )
+        read_geometry(self, "centre", "point", normal="outward normal")
         require_length(f"{self.name}.radius", self.radius)
         self._hold(self.centre[:, None], -self.normal[:, None], self.point[:, None], self.radius)
 
@@ -134,12 +123,7 @@ class FaceOnVertex:
     name: str = "face_on_vertex"
 
     def __post_init__(self) -> None:
-        store(
-            self,
-            point=as_array(f"{self.name}.point", self.point, (3,)),
-            normal=unit_vector(f"{self.name}.normal", self.normal, "outward normal"),
-            vertex=as_array(f"{self.name}.vertex", self.vertex, (3,)),
-        )
+        read_geometry(self, "vertex", "point", normal="outward normal")
         require_length(f"{self.name}.radius", self.radius)
 
     def contact(

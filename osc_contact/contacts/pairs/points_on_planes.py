@@ -48,15 +48,7 @@ class PointsOnPlanes:
         X_WE: pin.SE3 | None = None,
         V_E: Array | None = None,
     ) -> Contact:
-        """N (6, r) and n_γ (r,) at O, world axes.
-
-        Args:
-            X_WO: pose of the object; its origin is the operational point.
-            V_O: (6,) its twist at O, world axes (m/s, rad/s).
-            X_WE: pose of the environment body (default: the world).
-            V_E: (6,) its twist at its own origin, world axes (default: at rest). Without X_WE
-                that origin is the world's.
-        """
+        """N (6, r) and n_γ (r,) at O, world axes (see `ContactPair.contact`)."""
         b = Bodies.at_O(X_WO, V_O, X_WE, V_E)
         n, p = b.turn_E(self._into), b.point_A(self._points)
         V_rel = b.V_rel

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from osc_contact.contacts.pairs.lines import ends
-from osc_contact.contacts.pairs.pair import require_length, store, triad, unit_vector
+from osc_contact.contacts.pairs.pair import read_geometry, require_length, triad
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
-from osc_contact.spatial import Array, as_array
+from osc_contact.spatial import Array
 
 __all__ = ["FaceOnFace", "CylinderInHole"]
 
@@ -42,15 +42,10 @@ class FaceOnFace(PointsOnPlanes):
     name: str = "face_on_face"
 
     def __post_init__(self) -> None:
-        name = self.name
-        store(
-            self,
-            point=as_array(f"{name}.point", self.point, (3,)),
-            normal=unit_vector(f"{name}.normal", self.normal, "outward normal"),
-            face_point=as_array(f"{name}.face_point", self.face_point, (3,)),
-            face_normal=unit_vector(f"{name}.face_normal", self.face_normal, "outward normal"),
+        read_geometry(
+            self, "point", "face_point", normal="outward normal", face_normal="outward normal"
         )
-        require_length(f"{name}.size", self.size, ">")
+        require_length(f"{self.name}.size", self.size, ">")
         drawn = np.array((np.cos(_CORNERS), np.sin(_CORNERS)))
         corners = self.point[:, None] + self.size * triad(self.normal)[:, :2] @ drawn
         into = np.tile(-self.face_normal[:, None], 3)
@@ -83,17 +78,10 @@ class CylinderInHole(PointsOnPlanes):
     name: str = "cylinder_in_hole"
 
     def __post_init__(self) -> None:
-        name = self.name
-        store(
-            self,
-            point=as_array(f"{name}.point", self.point, (3,)),
-            direction=unit_vector(f"{name}.direction", self.direction, "cylinder's axis"),
-            hole_point=as_array(f"{name}.hole_point", self.hole_point, (3,)),
-            hole_direction=unit_vector(
-                f"{name}.hole_direction", self.hole_direction, "hole's axis"
-            ),
+        read_geometry(
+            self, "point", "hole_point", direction="cylinder's axis", hole_direction="hole's axis"
         )
-        require_length(f"{name}.length", self.length, ">")
+        require_length(f"{self.name}.length", self.length, ">")
         low, high = ends(self.point, self.direction, self.length).T
         across = triad(self.hole_direction)[:, :2]
         points = np.column_stack((low, low, high, high))

@@ -1,8 +1,4 @@
-"""URDF in, checked Pinocchio model out; every file is judged before it reaches the dynamics.
-
-Files come from three places: the URDFs packaged with this library, the robots of the data package
-``example-robot-data``, and the user's own folders. :func:`resolve_urdf` knows all three.
-"""
+"""Where robots come from: packaged files, the data package example-robot-data, own folders."""
 
 from __future__ import annotations
 
@@ -12,35 +8,11 @@ from pathlib import Path
 import pinocchio as pin
 
 from osc_contact.errors import ModelError
-from osc_contact.robot_checks import (
-    check_inertia,
-    check_joints,
-    check_limits,
-    check_mass_matrix,
-    frame_id,
-    link_mass,
-    placement_difference,
-    random_configurations,
-    read_urdf,
-    suggest,
-)
+from osc_contact.robots.findings import suggest
 
-__all__ = [
-    "urdf_path",
-    "find_robot",
-    "resolve_urdf",
-    "load_model",
-    "frame_id",
-    "load_body",
-    "cross_check",
-]
+__all__ = ["ROBOT_DATA", "urdf_path", "find_robot", "resolve_urdf", "locate"]
 
 ROBOT_DATA = "example-robot-data"
-_MASS_MATRIX_SAMPLES = 10
-_CROSS_CHECK_TOLERANCE = 1e-9
-
-
-# Where the files are ------------------------------------------------------------------------------
 
 
 def urdf_path(name: str) -> Path:
@@ -110,78 +82,25 @@ def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path,
     )
 
 
-# What is in them ----------------------------------------------------------------------------------
-
-
-def load_model(path: Path | str) -> pin.Model:
-    """Build the fixed-base Pinocchio model of a URDF after checking that it can be controlled.
+def locate(reference: str) -> tuple[Path, tuple[Path, ...]]:
+    """As `resolve_urdf`, for people: a file, a packaged name, or a robot's name as it is ("panda").
 
     Raises:
-        ModelError: the file is missing or not a URDF; a limit is missing, not finite, ≤ 0 (effort,
-            velocity) or empty (lower > upper); a joint has nq ≠ nv; the inertia of a link is not
-            that of a body; the mass matrix is not positive definite at the neutral or at one of
-            ten seeded random configurations.
+        ModelError: nothing is found; the message says where was looked.
     """
-    file = Path(path)
-    links, joints = read_urdf(file)
-    for joint in joints:
-        check_limits(file, joint)
-    for link in links:
-        check_inertia(file, link)
-    try:
-        model = pin.buildModelFromUrdf(str(file))
-    except (ValueError, RuntimeError) as error:
-        raise ModelError(
-            f"{file}: Pinocchio refuses the file: {error} (details: stderr)"
-        ) from error
-    check_joints(file, model)
-    for q in (pin.neutral(model), *random_configurations(model, _MASS_MATRIX_SAMPLES)):
-        check_mass_matrix(file, model, q)
-    return model
-
-
-def load_body(path: Path | str) -> pin.Inertia:
-    """Inertia of the single body of a URDF, expressed in the frame of the file's root link.
-
-    Raises:
-        ModelError: as :func:`load_model`; or a joint moves; or not exactly one link has mass.
-    """
-    file = Path(path)
-    model = load_model(file)
-    heavy = [link.get("name", "") for link in read_urdf(file)[0] if link_mass(file, link) > 0]
-    if model.nv > 0:
-        moving = ", ".join(list(model.names)[1:])
-        raise ModelError(f"{file}: one rigid body is wanted, but these joints move: {moving}")
-    if len(heavy) != 1:
-        raise ModelError(
-            f"{file}: exactly one link with mass is wanted, found {len(heavy)} "
-            f"({', '.join(heavy) or 'none'}); merge them into one <inertial>"
-        )
-    return pin.Inertia(model.inertias[0])
-
-
-def cross_check(path: Path | str) -> float:
-    """Largest difference of all link placements between Pinocchio and a second URDF reader.
-
-    Five seeded random configurations; the entries of the 4×4 placements are compared (rotations
-    without unit, translations in m). Mimic joints follow their master in both.
-
-    Raises:
-        ModelError: as :func:`load_model`; or the difference exceeds 1e-9, with link and size.
-    """
-    worst, where = placement_difference(load_model(path), Path(path))
-    if not worst <= _CROSS_CHECK_TOLERANCE:
-        raise ModelError(
-            f"{path}: two URDF readers place link {where!r} {worst:.3g} apart (allowed "
-            f"{_CROSS_CHECK_TOLERANCE:g}); look for an axis that is not a unit vector or a rpy "
-            "with few digits"
-        )
-    return worst
+    plain = "/" not in reference and "\\" not in reference and not Path(reference).is_file()
+    packaged = _packaged()
+    if plain and (file := packaged.get(reference) or packaged.get(f"{reference}.urdf")):
+        return file, ()
+    if plain and ":" not in reference and not reference.endswith(".urdf"):
+        path, package_dir = find_robot(reference)
+        return path, (package_dir,)
+    return resolve_urdf(reference)
 
 
 def _packaged() -> dict[str, Path]:
     """Packaged URDFs by file name: inside the installed package, or beside it in a checkout."""
-    here = Path(__file__).resolve().parent
+    here = Path(__file__).resolve().parent.parent
     folder = next((f for f in (here / "urdf", here.parent / "urdf") if f.is_dir()), here / "urdf")
     return {path.name: path for path in sorted(folder.glob("*.urdf"))}
 

@@ -1,0 +1,1 @@
+"""Selection-matrix control laws beside ours: what a constraint frame cannot do (`compare`)."""

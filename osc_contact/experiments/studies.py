@@ -1,0 +1,185 @@
+"""Experiments beside the main job: each gives figures, a table and its numbers by one name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.table import Table
+
+from osc_contact.errors import InvalidInputError
+from osc_contact.experiments.report import write_json
+from osc_contact.scenarios import load_scenario
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["SLOW", "STUDIES", "Ask", "Study", "write_study"]
+
+
+@dataclass(frozen=True)
+class Study:
+    """What an experiment found.
+
+    Attributes:
+        figures: by file name, without suffix.
+        table: to print.
+        data: the numbers, for JSON.
+    """
+
+    figures: Mapping[str, Figure]
+    table: Table
+    data: Mapping[str, Any]
+
+
+def _silent(_: str) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Ask:
+    """What a study may be asked for.
+
+    Attributes:
+        seed: of everything random.
+        duration: of simulated runs (s); default: the study's own.
+        changes: "key=value" of its scenario, where it has one.
+        tell: called with what it does next.
+    """
+
+    seed: int = 0
+    duration: float | None = None
+    changes: Sequence[str] = ()
+    tell: Callable[[str], None] = _silent
+
+
+def write_study(name: str, folder: Path, ask: Ask) -> tuple[Study, list[Path]]:
+    """Run a study; write its figures (PNG, PDF) and NAME.json into a folder.
+
+    Args:
+        name: one of `STUDIES`.
+        folder: made if need be.
+        ask: seed, duration and more.
+
+    Raises:
+        InvalidInputError: changes of a scenario for a study that has none.
+    """
+    from osc_contact.visual.style import save
+
+    if ask.changes and name not in WITH_SCENARIO:
+        raise InvalidInputError(f"{name} is not made from a scenario; leave --set out")
+    folder.mkdir(parents=True, exist_ok=True)
+    study = STUDIES[name](ask)
+    written = [
+        path
+        for title, figure in study.figures.items()
+        for path in save(figure, folder / title, (".png", ".pdf"))
+    ]
+    written.append(folder / f"{name}.json")
+    write_json(study.data, written[-1])
+    return study, written
+
+
+def _kinematic_stability(ask: Ask) -> Study:
+    from osc_contact.experiments import kinematic_stability as experiment
+    from osc_contact.experiments.kinematic_stability.picture import draw
+
+    results = experiment.run(ask.seed, duration=1.0 if ask.duration is None else ask.duration)
+    table = Table(
+        "arm", "postures", "classic unstable", "classic least λ (1/s²)", "ours least λ (1/s²)",
+        "classic leaves the posture", "ours: error first → last", title="kinematic stability",
+    )  # fmt: skip
+    for found, rows in ((r.found, r.as_dict()) for r in results):
+        left = rows["classic_left_after_s"]
+        table.add_row(
+            found.arm.name,
+            str(found.tried),
+            str(found.unstable),
+            f"{found.classic[0].real:.4g}",
+            f"{found.ours_least:.4g}",
+            "not" if left is None else f"after {left:.3f} s",
+            f"{rows['first_error_mrad']:.3g} → {rows['last_error_mrad']:.3g} mrad",
+        )
+    return Study(
+        {"kinematic_stability": draw(results)}, table, {"arms": [r.as_dict() for r in results]}
+    )
+
+
+def _fig2(ask: Ask) -> Study:
+    from osc_contact.experiments import cone_in_groove as experiment
+    from osc_contact.experiments.cone_in_groove.picture import draw_run, draw_state
+
+    result = experiment.run(5.0 if ask.duration is None else ask.duration)
+    found = result.as_dict()
+    table = Table("quantity", "value", title="fig. 2: a Panda turns a cone in its groove")
+    frame = found["raibert_craig"]
+    rms = ", ".join(f"{1e3 * value:.2g}" for value in found["wall_force_rms_N"])
+    rows = {
+        "constraint frame": "describes it" if frame["describes_it"] else frame["reason"],
+        "force step → motion": f"{found['force_step_to_motion']:.2g} of the free object's answer",
+        "motion step → force": f"{found['motion_step_to_force']:.2g} of the force it means",
+        "forces": f"rms error {rms} mN; least push {found['wall_force_least_N']:.2f} N",
+        "turn": f"{np.rad2deg(found['turned_rad']):.1f}°, "
+        f"rms error {1e6 * found['turn_rms_rad']:.2g} µrad",
+        "slide": f"{1e3 * found['slid_m']:.1f} mm, rms error {1e6 * found['slide_rms_m']:.2g} µm",
+        "contact power": f"at most {found['contact_power_W']:.2g} W",
+        "N per tick": f"changes by at most {found['N_change_per_tick']:.2g}, its change by "
+        f"{found['N_second_difference']:.2g} (1, m)",
+    }
+    for row in rows.items():
+        table.add_row(*row)
+    return Study({"fig2": draw_state(result.rig), "fig2_run": draw_run(result)}, table, found)
+
+
+def _moving_face(ask: Ask) -> Study:
+    from osc_contact.experiments import moving_face as experiment
+
+    cases = experiment.run(duration=10.0 if ask.duration is None else ask.duration, tell=ask.tell)
+    table = Table(
+        "left face", "law", "left force, rms", "peak", "right force, rms", "closed", "face travels",
+        title="moving_face on mujoco",
+    )  # fmt: skip
+    for row in (case.row for case in cases):
+        table.add_row(
+            row["face"],
+            row["law"],
+            f"{row['left_end_rms_error_rel']:.3%}",
+            f"{row['left_end_peak_error_N']:.3f} N",
+            f"{row['right_end_rms_error_rel']:.3%}",
+            f"{row['contact_fraction']:.2%}",
+            f"{1e3 * row['travel_m']:.1f} mm",
+        )
+    return Study(
+        {"moving_face": experiment.draw(cases)}, table, {"cases": [case.row for case in cases]}
+    )
+
+
+def _baselines(ask: Ask) -> Study:
+    from osc_contact.experiments.baselines.compare import compare
+    from osc_contact.experiments.baselines.figure import draw
+    from osc_contact.experiments.baselines.table import comparison_table
+
+    changes = list(ask.changes)
+    if ask.duration is not None:
+        changes.append(f"duration={ask.duration!r}")
+    ask.tell("best frames")
+    found = compare(
+        load_scenario("two_contact_rod", changes),
+        seed=ask.seed,
+        progress=lambda what, t: ask.tell(f"{what} {t:.1f} s"),
+    )
+    result = found.as_dict()
+    return Study({"baselines": draw(found)}, comparison_table(result), result)
+
+
+STUDIES: dict[str, Callable[[Ask], Study]] = {
+    "fig2": _fig2,
+    "kinematic_stability": _kinematic_stability,
+    "moving_face": _moving_face,
+    "baselines": _baselines,
+}
+WITH_SCENARIO = {"baselines"}  #: whose scenario can be changed
+SLOW = {"baselines"}  #: several minutes: not in `reproduce all`

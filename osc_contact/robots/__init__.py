@@ -1,0 +1,46 @@
+"""Robots: where their files are, and how a file becomes a model that can be trusted.
+
+A URDF passes, in this order: strict XML with line numbers (`xml_tree`), words and numbers
+(`words`, `document`), tree (`tree`), shapes and mesh addresses (`geometry`), limits (`limits`),
+inertias (`inertias`), Pinocchio and its mass matrix (`model`); on demand a second reader
+(`second_reader`). docs/robots.md says what is refused and why.
+"""
+
+from osc_contact.robots.findings import Finding, suggest
+from osc_contact.robots.inertias import Inertias
+from osc_contact.robots.library import find_robot, locate, resolve_urdf, urdf_path
+from osc_contact.robots.limits import JointLimits
+from osc_contact.robots.loading import (
+    Loaded,
+    cross_check,
+    load,
+    load_body,
+    load_geometry,
+    load_model,
+)
+from osc_contact.robots.model import check_mass_matrix, frame_id
+from osc_contact.robots.report import RobotReport, check_robot
+from osc_contact.robots.summary import RobotSummary, summarise
+
+__all__ = [
+    "urdf_path",
+    "find_robot",
+    "resolve_urdf",
+    "locate",
+    "load_model",
+    "load_body",
+    "load_geometry",
+    "load",
+    "Loaded",
+    "JointLimits",
+    "Inertias",
+    "Finding",
+    "frame_id",
+    "check_mass_matrix",
+    "cross_check",
+    "check_robot",
+    "RobotReport",
+    "summarise",
+    "RobotSummary",
+    "suggest",
+]

@@ -1,0 +1,61 @@
+"""What is wrong with a robot: one finding, one sentence; all findings become one error."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+from osc_contact.errors import ModelError
+
+__all__ = ["Finding", "refuse", "suggest"]
+
+_SHOWN = 12
+"""So many findings go into the text of an error; the rest is counted."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing wrong with a file.
+
+    Attributes:
+        check: which check speaks: "file", "xml", "name", "number", "tree", "joint", "geometry",
+            "mesh", "limit", "inertia", "mass matrix" or "second reader".
+        file: the URDF. line, column: where, from 1; 0 where no place in the file is to blame.
+        element: "link 'tip' <mass value='-1'>"; empty for the file as a whole.
+        reason: what is wrong, with the numbers. cure: what to do about it.
+    """
+
+    check: str
+    file: Path
+    line: int
+    column: int
+    element: str
+    reason: str
+    cure: str
+
+    def __str__(self) -> str:
+        place = f"{self.file}:{self.line}:{self.column}" if self.line else f"{self.file}"
+        return ": ".join(part for part in (place, self.element, self.reason) if part) + (
+            f". {self.cure[0].upper()}{self.cure[1:]}" if self.cure else ""
+        )
+
+
+def refuse(findings: Sequence[Finding]) -> NoReturn:
+    """Raise a `ModelError` that tells all findings and carries them as `findings`."""
+    lines = [str(finding) for finding in findings[:_SHOWN]]
+    if len(findings) > _SHOWN:
+        lines.append(f"… and {len(findings) - _SHOWN} more")
+    error = ModelError("\n".join(lines))
+    error.findings = tuple(findings)
+    raise error
+
+
+def suggest(name: str, known: Iterable[str]) -> str:
+    """Say "Did you mean x? There is: ..." for a name that is not among `known`."""
+    names = sorted(set(known))
+    near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    listed = f"There is: {', '.join(names) or 'nothing'}"
+    return f"Did you mean {' or '.join(near)}? {listed}" if near else listed

@@ -1,0 +1,160 @@
+"""URDF in, checked Pinocchio model out; every file is judged before Pinocchio sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pinocchio as pin
+
+from osc_contact.errors import ModelError
+from osc_contact.robots.document import Document
+from osc_contact.robots.findings import Finding, refuse
+from osc_contact.robots.geometry import check_geometry, check_mesh_files
+from osc_contact.robots.inertias import (
+    Inertias,
+    check_inertias,
+    check_moving_bodies,
+    require_level,
+)
+from osc_contact.robots.limits import JointLimits, check_limits, give_limits
+from osc_contact.robots.model import build_model, check_mass_matrix
+from osc_contact.robots.reading import read_document
+from osc_contact.robots.second_reader import compare
+from osc_contact.robots.tree import check_mimics, check_tree
+from osc_contact.robots.xml_tree import read_bytes
+
+__all__ = ["Loaded", "load", "load_model", "load_body", "load_geometry", "cross_check"]
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A robot that passed: model and what the file says.
+
+    Attributes:
+        model: Pinocchio model. document: links and joints as written.
+        package_dirs: where its meshes may lie.
+    """
+
+    model: pin.Model
+    document: Document
+    package_dirs: tuple[Path, ...] = field(default=())
+
+
+def load(
+    path: Path | str,
+    *,
+    limits: Mapping[str, JointLimits] | None = None,
+    inertias: Inertias = "possible",
+    package_dirs: Sequence[Path | str] = (),
+) -> Loaded:
+    """As `load_model`, with the document beside the model."""
+    require_level(inertias)
+    folders = tuple(Path(folder) for folder in package_dirs)
+    document = _sound(Path(path), folders)
+    give_limits(document, limits or {})
+    check_limits(document)
+    check_inertias(document, inertias)
+    document.require()
+    model = build_model(document)
+    check_moving_bodies(document, model)
+    document.require()
+    check_mass_matrix(model, document)
+    return Loaded(model, document, folders)
+
+
+def load_model(
+    path: Path | str,
+    *,
+    limits: Mapping[str, JointLimits] | None = None,
+    inertias: Inertias = "possible",
+    package_dirs: Sequence[Path | str] = (),
+) -> pin.Model:
+    """Build the fixed-base Pinocchio model of a URDF after checking that it can be controlled.
+
+    Continuous joints become revolute ones without end stops (nq = nv = 1, limits ∓inf).
+
+    Args:
+        path: the URDF.
+        limits: limits given by hand, by joint name or pattern ("finger*"), where the file has none
+            or wrong ones.
+        inertias: "possible" wants bodies that can exist; "positive" is content with a positive
+            kinetic energy of the bodies that move (identified or rounded parameters).
+        package_dirs: folders that the meshes may lie in, besides the URDF's own.
+
+    Raises:
+        ModelError: what is wrong, each with file, line, element, reason and cure; the list is in
+            `ModelError.findings`.
+        InvalidInputError: limits for joints that do not exist.
+    """
+    return load(path, limits=limits, inertias=inertias, package_dirs=package_dirs).model
+
+
+def load_body(path: Path | str) -> pin.Inertia:
+    """Inertia of the single body of a URDF, expressed in the frame of the file's root link.
+
+    Raises:
+        ModelError: as :func:`load_model`; or a joint moves; or not exactly one link has mass.
+    """
+    loaded = load(path)
+    model, file = loaded.model, Path(path)
+    heavy = [k.name for k in loaded.document.links.values() if k.inertial and k.inertial.mass > 0]
+    if model.nv > 0:
+        moving = ", ".join(list(model.names)[1:])
+        raise ModelError(f"{file}: one rigid body is wanted, but these joints move: {moving}")
+    if len(heavy) != 1:
+        raise ModelError(
+            f"{file}: exactly one link with mass is wanted, found {len(heavy)} "
+            f"({', '.join(heavy) or 'none'}); merge them into one <inertial>"
+        )
+    return pin.Inertia(model.inertias[0])
+
+
+def load_geometry(
+    path: Path | str, kind: pin.GeometryType, package_dirs: Sequence[Path | str] = ()
+) -> tuple[pin.Model, pin.GeometryModel, Document]:
+    """(kinematics, shapes, document) of a URDF for drawing or collision; dynamics is not judged.
+
+    Meshes are read from the URDF's folder and `package_dirs` only.
+
+    Raises:
+        ModelError: as :func:`load_model` but for limits and inertias; or a mesh cannot be read.
+    """
+    file, folders = Path(path), [Path(folder) for folder in package_dirs]
+    document = _sound(file, folders)
+    document.findings.extend(check_mesh_files(document, folders))
+    document.require()
+    model = build_model(document)
+    try:
+        geometry = pin.buildGeomFromUrdf(
+            model, str(file), kind, package_dirs=[str(f) for f in (*folders, file.parent)]
+        )
+    except (ValueError, RuntimeError) as error:
+        refuse([Finding("mesh", file, 0, 0, "", f"Pinocchio cannot read the shapes: {error}", "")])
+    return model, geometry, document
+
+
+def cross_check(path: Path | str) -> float:
+    """Largest difference of all link placements between Pinocchio and a second URDF reader.
+
+    Neutral and five seeded random configurations; the entries of the 4×4 placements are compared
+    (rotations without unit, translations in m). Mimic joints follow their master in both.
+
+    Raises:
+        ModelError: the file is not sound; or the difference exceeds 1e-9, with link and size.
+    """
+    file = Path(path)
+    return compare(build_model(_sound(file, ())), file)
+
+
+def _sound(file: Path, package_dirs: Sequence[Path]) -> Document:
+    """Words, numbers, tree and addresses are checked; limits and inertias are not yet."""
+    document = read_document(file, read_bytes(file))
+    document.require()
+    check_tree(document)
+    document.require()
+    check_mimics(document)
+    check_geometry(document, package_dirs)
+    document.require()
+    return document

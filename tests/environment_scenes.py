@@ -1,0 +1,220 @@
+"""Chains that press on moving and yielding bodies: random scenes for the tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from environment_oracle import Body, Touch, kkt
+from rigs import one_panda, panda_pair, random_state, scara_pair
+
+import osc_contact as osc
+from osc_contact.contacts.pairs import VertexOnFace
+from osc_contact.dynamics.assembly import constraint_rows, inverse_rows
+from osc_contact.dynamics.environment import Environment
+from osc_contact.response import require_reachable
+
+G = np.array([0.0, 0.0, -9.81])
+RIGS = (scara_pair, panda_pair, one_panda)
+RTOL = 1e-9
+
+
+def close_to(got, want):
+    """Largest difference relative to the size of the vector."""
+    return np.abs(got - want).max(initial=0.0) / max(np.abs(want).max(initial=0.0), 1e-3)
+
+
+# Bodies of the environment, each as a Pinocchio model and as an Environment -----------------------
+
+
+def random_inertia(rng):
+    a, b, c = rng.uniform(0.01, 0.04, 3)  # any positive a, b, c make b + c, a + c, a + b possible
+    turn = pin.rpy.rpyToMatrix(*rng.uniform(-3, 3, 3))
+    spread = turn @ np.diag([b + c, a + c, a + b]) @ turn.T
+    return pin.Inertia(rng.uniform(0.5, 4.0), rng.uniform(-0.1, 0.1, 3), spread)
+
+
+def random_placement(rng, at):
+    return pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-3, 3, 3)), at + rng.uniform(-0.3, 0.3, 3))
+
+
+def one_joint(joint, rng, X, prescribed=False):
+    model = pin.Model()
+    model.addJointFrame(model.addJoint(0, joint, X, "body"))
+    model.appendBodyToJoint(1, random_inertia(rng), pin.SE3.Identity())
+    q = pin.integrate(model, pin.neutral(model), rng.uniform(-0.5, 0.5, model.nv))
+    v, tau = rng.uniform(-1, 1, model.nv), rng.normal(size=model.nv) * 5
+    acceleration = rng.normal(size=model.nv) * 3 if prescribed else None
+    return Body(model, q, v, tau, "body", acceleration)
+
+
+def axis(rng):
+    x = rng.normal(size=3)
+    return x / np.linalg.norm(x)
+
+
+def rigid(rng, at):
+    body = one_joint(pin.JointModelFreeFlyer(), rng, random_placement(rng, at))
+    R = body.X.rotation
+    wrench = np.concatenate((R @ body.tau[:3], R @ body.tau[3:]))
+    return body, lambda O: Environment.rigid_body(  # noqa: E741
+        body.model.inertias[1], X_WE=body.X, V_E=body.V, O=O, gravity=G, wrench=wrench
+    )
+
+
+def guided(joint):
+    """A body on one joint: rail, door, ball, plate on a plane."""
+
+    def make(rng, at):
+        body = one_joint(joint(rng), rng, random_placement(rng, at))
+        axes = np.column_stack([replace(body, v=e).V for e in np.eye(body.model.nv)])
+        if body.model.nv == 1:
+            axes = axes[:, 0]
+        return body, lambda O: Environment.rail(  # noqa: E741
+            body.model.inertias[1],
+            X_WE=body.X,
+            axes=axes,
+            rates=body.v,
+            O=O,
+            gravity=G,
+            force=body.tau,
+        )
+
+    return make
+
+
+def linkage(rng, at):
+    """Two hinges about skew axes; the second link is touched."""
+    model = pin.Model()
+    for k in range(2):
+        X = random_placement(rng, at if k == 0 else np.zeros(3))
+        model.addJoint(k, pin.JointModelRevoluteUnaligned(axis(rng)), X, f"hinge{k}")
+        model.appendBodyToJoint(k + 1, random_inertia(rng), pin.SE3.Identity())
+    for k, name in ((1, "upper"), (2, "touched")):
+        X = random_placement(rng, np.zeros(3))
+        model.addFrame(pin.Frame(name, k, 0, X, pin.FrameType.OP_FRAME))
+    body = Body(model, rng.normal(size=2), rng.normal(size=2), rng.normal(size=2) * 2, "touched")
+    return body, lambda O: Environment.articulated(  # noqa: E741
+        body.model, body.q, body.v, body.tau, "touched", O
+    )
+
+
+def moving(rng, at):
+    body = one_joint(pin.JointModelFreeFlyer(), rng, random_placement(rng, at), prescribed=True)
+    R, v, a = body.X.rotation, body.v, body.prescribed
+    classical = np.concatenate((R @ (a[:3] + np.cross(v[3:], v[:3])), R @ a[3:]))
+    return body, lambda O: Environment.moving(  # noqa: E741
+        X_WE=body.X, V_E=body.V, A_E=classical, O=O
+    )
+
+
+rail = guided(lambda rng: pin.JointModelPrismaticUnaligned(axis(rng)))
+KINDS = {  # bodies, and the body of each contact
+    "free body": ([rigid], [0, 0]),
+    "rail": ([rail], [0, 0]),
+    "hinge": ([guided(lambda rng: pin.JointModelRevoluteUnaligned(axis(rng)))], [0, 0]),
+    "ball": ([guided(lambda rng: pin.JointModelSpherical())], [0, 0]),
+    "plane": ([guided(lambda rng: pin.JointModelPlanar())], [0, 0]),
+    "linkage": ([linkage], [0, 0]),
+    "prescribed": ([moving], [0, 0]),
+    "rail and free body": ([rail, rigid], [0, 1]),
+    "prescribed and linkage": ([moving, linkage], [0, 1]),
+    "three on two bodies": ([rigid, linkage], [0, 1, 0]),
+}
+
+
+@dataclass
+class Scene:
+    chain: osc.ClosedChain
+    state: osc.ChainState
+    contact: osc.Contact
+    parts: list[osc.Contact]
+    each: list[Environment]  # behind each part
+    environment: Environment
+    bodies: list[Body]
+    touches: list[Touch]
+    q: np.ndarray
+    v: np.ndarray
+    N_dot: np.ndarray
+
+    def solve(self, tau):
+        return kkt(self.chain, self.q, self.v, tau, self.bodies, self.touches)
+
+    def normal_acceleration(self, truth):
+        """nᵀa_e of each touched body along its own contact."""
+        return np.concatenate(
+            [p.N.T @ truth.a_e[t.body] for p, t in zip(self.parts, self.touches, strict=True)]
+        )
+
+
+def contacts_at(state, bodies, touches):
+    """The contact of each touch at this instant, from vertex and face through the public pair."""
+    parts = []
+    for touch in touches:
+        body = bodies[touch.body]
+        point = body.X.actInv(state.X_WO.act(touch.vertex))
+        pair = VertexOnFace(touch.vertex, point, touch.normal)
+        parts.append(pair.contact(state.X_WO, state.V_O, body.X, body.V))
+    return parts
+
+
+def following(chain, q, v, N, normal_speed):
+    """The nearest velocity with closed loops and NᵀV_O = normal_speed."""
+    pin.computeAllTerms(chain.model, chain.data, q, v)
+    A = constraint_rows(chain, chain.object_poses()[0].translation, N)
+    b = np.concatenate((np.zeros(A.shape[0] - N.shape[1]), -normal_speed))
+    for _ in range(3):
+        v = v - inverse_rows(A, np.array(chain.data.M), len(chain.arms) - 1)[0] @ (A @ v - b)
+    return v
+
+
+def scene(rig, kind, rng):
+    """A random state of a chain pressing on random bodies, all moving, contacts kept."""
+    chain = rig()
+    makers, owners = KINDS[kind]
+    while True:
+        q, v = random_state(chain, rng)
+        state = chain.state(q, v)
+        O = state.X_WO.translation  # noqa: E741
+        made = [make(rng, O) for make in makers]
+        bodies, each = [m[0] for m in made], [m[1](O) for m in made]
+        touches = [Touch(rng.uniform(-0.3, 0.3, 3), rng.normal(size=3), i) for i in owners]
+        N = np.hstack([p.N for p in contacts_at(state, bodies, touches)])
+        try:
+            require_reachable(state, osc.Contact(N))
+        except osc.ContactError:
+            continue
+        speed = np.concatenate([N[:, [j]].T @ each[i].V_e for j, i in enumerate(owners)])
+        v = following(chain, q, v, N, speed)
+        state = chain.state(q, v)
+        parts = contacts_at(state, bodies, touches)
+        behind = [each[i] for i in owners]
+        environment = Environment.combine(parts, behind, state.metric)
+        contact = osc.Contact.stack(parts)
+        rates = [_rate(state, p.N[:3, 0], each[i].V_e, t.vertex)
+                 for p, t, i in zip(parts, touches, owners, strict=True)]  # fmt: skip
+        return Scene(chain, state, contact, parts, behind, environment, bodies, touches, q, v,
+                     np.column_stack(rates))  # fmt: skip
+
+
+def _rate(state, n, V_e, vertex):
+    """Ṅ of one contact, reference point frozen."""
+    s = state.X_WO.rotation @ vertex
+    n_dot = np.cross(V_e[3:], n)
+    s_dot = state.V_O[:3] + np.cross(state.V_O[3:], s)
+    return np.concatenate((n_dot, np.cross(s_dot, n) + np.cross(s, n_dot)))
+
+
+def cases(*rigs):
+    return pytest.mark.parametrize(
+        "rig, kind", [(rig, kind) for rig in rigs for kind in KINDS], ids=lambda x: str(
+            getattr(x, "__name__", x)
+        )
+    )  # fmt: skip
+
+
+def twist_at(body, state):
+    shift = state.X_WO.translation - body.X.translation
+    return np.concatenate((body.V[:3] + np.cross(body.V[3:], shift), body.V[3:]))

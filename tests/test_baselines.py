@@ -1,0 +1,326 @@
+"""The selection laws against their publications, their best frames, and the comparison."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from rigs import (
+    consistent,
+    contact_of,
+    one_panda,
+    random_faces,
+    random_state,
+    scara_pair,
+)
+from typer.testing import CliRunner
+
+import osc_contact as osc
+from osc_contact.cli import app
+from osc_contact.control.controller import Controller
+from osc_contact.experiments.baselines.compare import PLANTS, compare
+from osc_contact.experiments.baselines.coupling import Instant
+from osc_contact.experiments.baselines.frames import best_selection, random_selection
+from osc_contact.experiments.baselines.laws import BASELINES, Ours, SelectionLaw
+from osc_contact.experiments.baselines.selection import Selection
+from osc_contact.experiments.baselines.steps import measured_coupling, run_steps
+from osc_contact.experiments.rig import build_rig
+from osc_contact.scenarios import Scenario
+
+KHATIB, ISAAC = BASELINES["khatib"], BASELINES["isaac_lab"]
+
+
+def random_triple(rng):
+    return tuple(bool(x) for x in rng.integers(0, 2, 3))
+
+
+def random_law(baseline, rng):
+    """Any frame, any flags, but at least one axis of each kind left to motion and to force."""
+    forces, couples = (True, False, bool(rng.integers(2))), random_triple(rng)
+    frame = pin.SE3(pin.SE3.Random().rotation, rng.uniform(-0.3, 0.3, 3))
+    angular = frame.rotation if baseline.triads == 1 else pin.SE3.Random().rotation
+    return SelectionLaw(baseline, Selection(frame, np.array(angular), forces, couples))
+
+
+def panda(rng, r=2):
+    """A moving Panda with its contact: (state, contact, Λ, μ + p), all six-vectors at O."""
+    chain = one_panda()
+    q, v = random_state(chain, rng)
+    free = chain.state(q, v)
+    pairs = random_faces(free.X_WO, r, rng)
+    v = consistent(chain, q, v, contact_of(pairs, free).N)
+    state = chain.state(q, v)
+    Lambda = np.linalg.inv(state.Phi)
+    bias = np.linalg.solve(state.S.T, state.bias) - Lambda @ state.sigma  # μ + p with −Λγ
+    return state, contact_of(pairs, state), Lambda, bias
+
+
+def to_point(p):
+    """X (6, 6): motions at O to motions at O + p, world axes."""
+    return np.block([[np.eye(3), -pin.skew(p)], [np.zeros((3, 3)), np.eye(3)]])
+
+
+def at_point(selection, Lambda, a, f):
+    """Λ, a and f of the law's point, and the map of forces back to O."""
+    X = to_point(selection.linear.translation)
+    X_inv = np.linalg.inv(X)
+    return X_inv.T @ Lambda @ X_inv, X @ a, X_inv.T @ f, X.T
+
+
+def khatib_1987(selection, Lambda, a, f):
+    """Ω = diag(S_FᵀΣ_F S_F, S_MᵀΣ_M S_M), Σ = 1 where motion is free: F = ΛΩa + Ω̄f."""
+    Lambda, a, f, back = at_point(selection, Lambda, a, f)
+    S_F, S_M = selection.linear.rotation.T, selection.angular.T
+    free_F, free_M = (np.diag(1.0 - np.array(x)) for x in (selection.forces, selection.couples))
+    Omega, Omega_bar = np.zeros((6, 6)), np.zeros((6, 6))
+    Omega[:3, :3], Omega[3:, 3:] = S_F.T @ free_F @ S_F, S_M.T @ free_M @ S_M
+    Omega_bar[:3, :3] = S_F.T @ (np.eye(3) - free_F) @ S_F
+    Omega_bar[3:, 3:] = S_M.T @ (np.eye(3) - free_M) @ S_M
+    return back @ (Lambda @ Omega @ a + Omega_bar @ f)
+
+
+def newton(selection, Lambda, a, f):
+    """Everything in an operational frame, here the force triad: masked, weighed, turned back."""
+    Lambda, a, f, back = at_point(selection, Lambda, a, f)
+    E = selection.linear.rotation
+    R = np.kron(np.eye(2), E.T)  # world to operational
+    S_tau = E.T @ selection.angular
+    motion, wrench = (R @ x for x in (a, f))
+    weights = np.concatenate((selection.forces, selection.couples)).astype(float)
+    motion[:3] *= 1.0 - weights[:3]
+    wrench[:3] *= weights[:3]
+    motion[3:] = S_tau @ ((1.0 - weights[3:]) * (S_tau.T @ motion[3:]))
+    wrench[3:] = S_tau @ (weights[3:] * (S_tau.T @ wrench[3:]))
+    return back @ R.T @ (R @ Lambda @ R.T @ motion + wrench)
+
+
+def sai(selection, Lambda, a, f):
+    """σ of a space of 0 to 3 dimensions from one axis: of the line, or of the plane's normal."""
+    Lambda, a, f, back = at_point(selection, Lambda, a, f)
+
+    def sigma(axes, flags):
+        if sum(flags) in (0, 3):
+            return np.eye(3) * (sum(flags) == 3)
+        axis = axes[:, flags.index(sum(flags) == 1)]
+        line = np.outer(axis, axis)
+        return line if sum(flags) == 1 else np.eye(3) - line
+
+    sigma_force = sigma(selection.linear.rotation, selection.forces)
+    sigma_moment = sigma(selection.angular, selection.couples)
+    unit_mass = np.concatenate(
+        ((np.eye(3) - sigma_force) @ a[:3], (np.eye(3) - sigma_moment) @ a[3:])
+    )
+    forces = np.concatenate((sigma_force @ f[:3], sigma_moment @ f[3:]))
+    return back @ (Lambda @ unit_mass + forces)
+
+
+def isaac_lab(selection, Lambda, a, f):
+    """Gains masked on the task frame's axes, and the force they give masked there again."""
+    Lambda, a, f, back = at_point(selection, Lambda, a, f)
+    R = np.kron(np.eye(2), selection.linear.rotation)
+    S_force = R @ np.diag(np.concatenate((selection.forces, selection.couples)) * 1.0) @ R.T
+    S_motion = np.eye(6) - S_force
+    return back @ (S_motion @ Lambda @ (S_motion @ a) + S_force @ f)
+
+
+@pytest.mark.parametrize(
+    ("key", "published"),
+    [("khatib", khatib_1987), ("khatib", newton), ("khatib", sai), ("isaac_lab", isaac_lab)],
+)
+def test_laws_are_what_was_published(key, published):
+    """On one arm with six motions, moving, any frame and flags: f_S = Sᵀ(F + μ + p)."""
+    rng = np.random.default_rng(1)
+    pin.seed(1)
+    for _ in range(40):
+        state, contact, Lambda, bias = panda(rng)
+        law = random_law(BASELINES[key], rng)
+        a, alpha = rng.normal(size=6) * 3, rng.uniform(5, 20, 2)
+        F = published(law.selection, Lambda, a, contact.N @ alpha)
+        want = state.S.T @ (F + bias)
+        got = law.f_S(state, contact, a, alpha)
+        np.testing.assert_allclose(got, want, atol=1e-9 * np.abs(want).max())
+
+
+def representable(rng):
+    """A Panda at rest on a contact that a constraint frame describes: (instant, law to be)."""
+    chain = one_panda()
+    q, _ = random_state(chain, rng)
+    state = chain.state(q, np.zeros(7))
+    frame = pin.SE3(pin.SE3.Random().rotation, rng.uniform(-0.2, 0.2, 3))
+    forces, couples = (True, False, bool(rng.integers(2))), (False, True, False)
+    F, C = (frame.rotation[:, np.array(flags)] for flags in (forces, couples))
+    through = np.vstack((F, pin.skew(frame.translation) @ F))
+    N = np.hstack((through, np.vstack((np.zeros_like(C), C))))
+    mixed = N @ (np.eye(N.shape[1]) + 0.3 * rng.normal(size=(N.shape[1],) * 2))
+    contact = osc.Contact(mixed, np.zeros(N.shape[1]))
+    return Instant(state, contact), Selection.of_frame(frame, forces, couples)
+
+
+def test_on_a_contact_with_a_constraint_frame_selection_before_lambda_decouples_too():
+    """There every law of that kind does what ours does; selection after Λ still costs force."""
+    rng = np.random.default_rng(2)
+    pin.seed(2)
+    for _ in range(20):
+        instant, selection = representable(rng)
+        ours = instant.coupling(Ours())
+        khatib = instant.coupling(SelectionLaw(KHATIB, selection))
+        for found in (ours, khatib):
+            assert found.cost <= 1e-9
+            np.testing.assert_allclose(found.M, np.eye(len(found.M)), atol=1e-9)
+            np.testing.assert_allclose(found.K, np.eye(len(found.K)), atol=1e-9)
+        isaac = instant.coupling(SelectionLaw(ISAAC, selection))
+        assert isaac.norms[0] <= 1e-9 and isaac.norms[1] > 1e-2
+        assert instant.coupling(best_selection(instant, KHATIB, restarts=0)).cost <= 1e-9
+
+
+def fig1():
+    rig = build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
+    return rig, Instant(rig.state(), rig.contact())
+
+
+def test_on_the_skew_contact_every_frame_couples_and_the_plant_says_the_same():
+    """Whole ticks answered by joint-space multipliers agree with eqs. 17 and 18; ours ≤ 1e-9."""
+    rig, instant = fig1()
+    assert max(measured_coupling(rig, Ours(), instant).norms) <= 1e-9
+    assert instant.coupling(Ours()).cost <= 1e-9
+    for baseline in BASELINES.values():
+        law = best_selection(instant, baseline)
+        measured, predicted = measured_coupling(rig, law, instant), instant.coupling(law)
+        assert predicted.usable and min(predicted.norms) > 0.05
+        np.testing.assert_allclose(measured.residuals, predicted.residuals, atol=1e-9)
+
+
+def test_ours_decouples_whole_ticks_on_other_skew_contacts():
+    """Not only the packaged normals: five turned pairs of faces on the rigid plant."""
+    rng = np.random.default_rng(3)
+    base = osc.load_scenario("two_contact_rod", ["plant.type=rigid"]).as_dict()
+    for _ in range(5):
+        for spec in base["contacts"]:
+            face = spec["face"]
+            turned = np.array(face["normal"]) + rng.normal(size=3) * 0.15
+            face["normal"] = (turned / np.linalg.norm(turned)).tolist()
+        rig = build_rig(Scenario.model_validate(base))
+        found = measured_coupling(rig, Ours(), Instant(rig.state(), rig.contact()))
+        assert max(found.norms) <= 1e-9
+
+
+def test_a_motion_step_into_the_faces_presses_with_the_selection_laws_and_not_with_ours():
+    """Any of the five motions, also those the contact forbids; whole ticks on the rigid plant."""
+    rig, instant = fig1()
+    plant, at_rest = rig.plant(), rig.references.at(0.0)
+    measurement = plant.measure()
+
+    def pressed(law):
+        taus = [law.install(rig.controller()).tick(measurement, replace(at_rest, A_D=u))
+                for u in (np.zeros(6), *instant.state.S.T)]  # fmt: skip
+        alpha = np.array([plant.accelerations(tau)[2] for tau in taus])
+        return np.abs(alpha[1:] - alpha[0]).max() / instant.inertia
+
+    assert pressed(Ours()) <= 1e-9
+    for baseline in BASELINES.values():
+        assert pressed(best_selection(instant, baseline)) > 0.05
+
+
+def test_the_search_finds_frames_no_worse_than_200_random_ones_and_the_same_from_any_seed():
+    _, instant = fig1()
+    rng = np.random.default_rng(4)
+    for baseline in BASELINES.values():
+        least = instant.coupling(best_selection(instant, baseline)).cost
+        costs = []
+        while len(costs) < 200:  # of frames with which force and motion can be controlled
+            x = np.isin(np.arange(6), rng.choice(6, 2, replace=False))
+            drawn = random_selection(instant, baseline, rng, tuple(x[:3]), tuple(x[3:]))
+            cost = instant.coupling(SelectionLaw(baseline, drawn)).cost
+            costs += [cost] if np.isfinite(cost) else []
+        assert least <= min(costs)
+        other = instant.coupling(best_selection(instant, baseline, seed=7)).cost
+        assert other == pytest.approx(least, rel=1e-5)
+
+
+def test_a_law_does_not_depend_on_the_basis_of_the_five_motions():
+    """SCARA pair: another S gives the same wrench, and selected axes are not accelerated."""
+    rng = np.random.default_rng(5)
+    pin.seed(5)
+    chain = scara_pair()
+    state = chain.state(*random_state(chain, rng))
+    contact = contact_of(random_faces(state.X_WO, 2, rng), state)
+    Q = np.linalg.qr(rng.normal(size=(5, 5)))[0] * rng.uniform(0.2, 5, 5)
+    other = replace(state, S=state.S @ Q, Lambda=Q.T @ state.Lambda @ Q, mu=Q.T @ state.mu,
+                    p=Q.T @ state.p)  # fmt: skip
+    for baseline in BASELINES.values():
+        law = random_law(baseline, rng)
+        a, alpha = rng.normal(size=6), np.array([10.0, 5.0])
+        f_S, f_Q = (law.f_S(x, contact, a, alpha) for x in (state, other))
+        np.testing.assert_allclose(np.linalg.solve(Q.T, f_Q), f_S, atol=1e-8 * np.abs(f_S).max())
+    law = random_law(KHATIB, rng)
+    W = law.selection.wrenches
+    moved = state.S @ law.eta(state, a) + state.sigma
+    assert np.abs(W.T @ moved).max() < 1e-9 * np.abs(moved).max()
+
+
+def test_an_installed_law_says_that_only_its_stages_compute_it():
+    rig, instant = fig1()
+    assert not rig.controller().restaged and not Ours().install(rig.controller()).restaged
+    law = SelectionLaw(KHATIB, best_selection(instant, KHATIB, restarts=0).selection)
+    controller = law.install(rig.controller())
+    assert controller.restaged and len(controller.STAGES) == len(Controller.STAGES)
+    blocks = controller.wiring(rig.plant().measure(), rig.references.at(0.0))
+    written = [name for b in blocks for name in b.outputs]
+    assert len(written) == len(set(written)) and "tau" in written
+    assert not rig.controller().restaged, "other controllers keep their stages"
+
+
+def test_cross_talk_on_mujoco_is_ten_times_smaller_than_that_of_the_best_baseline():
+    rig = build_rig(osc.load_scenario("two_contact_rod", ["control.rate=500 Hz"]))
+    _, instant = fig1()
+    ours = run_steps(rig, Ours(), instant)
+    assert ours.closed > 0.99 and ours.saturated == 0
+    for baseline in BASELINES.values():
+        other = run_steps(rig, best_selection(instant, baseline), instant)
+        assert other.saturated == 0
+        np.testing.assert_array_equal(other.alpha_d, ours.alpha_d)
+        assert other.force_to_motion.max() > 10 * ours.force_to_motion.max()
+        assert other.motion_to_force.max() > 10 * ours.motion_to_force.max()
+        last = other.window(1)  # force steps do arrive
+        assert np.abs(other.alpha[last][-1] - other.alpha_d[last][-1]).max() < 0.2
+
+
+def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
+    """At 200 Hz, for a short task: everything the command makes, and what the numbers say."""
+    words = ["reproduce", "baselines", "--duration", "1.05", "--set", "control.rate=200 Hz",
+             "--out", str(tmp_path), "--json", str(tmp_path / "again.json")]  # fmt: skip
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    names = {"baselines.json", "baselines.png", "baselines.pdf", "again.json"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    assert (tmp_path / "baselines.pdf").read_bytes().startswith(b"%PDF")
+    assert (tmp_path / "baselines.png").stat().st_size > 30_000
+    found = json.loads((tmp_path / "baselines.json").read_text())
+    assert found == json.loads((tmp_path / "again.json").read_text())["studies"]["baselines"]
+    laws = found["laws"]
+    assert list(laws) == ["ours", "khatib", "isaac_lab"]
+    assert max(laws["ours"]["measured"].values()) <= 1e-9
+    for plant in PLANTS:
+        for law in laws.values():
+            assert law[plant]["task"]["status"]["held"] == 0
+            assert len(law[plant]["force_to_motion_m"]) == 2
+            assert len(law[plant]["motion_to_force_N"]) == 3
+        assert min(found["smaller_than_best_baseline"][plant].values()) > 10
+    of_motion = min(max(laws[k]["mujoco"]["force_to_motion_m"]) for k in list(laws)[1:])
+    ratio = of_motion / max(laws["ours"]["mujoco"]["force_to_motion_m"])
+    assert found["smaller_than_best_baseline"]["mujoco"]["force_to_motion"] == pytest.approx(ratio)
+    for words in ("Khatib, Newton, SAI", "Isaac Lab", f"{ratio:.3g}"):
+        assert words in result.stdout
+
+
+def test_the_comparison_refuses_what_it_cannot_compare():
+    refused = CliRunner().invoke(app, ["reproduce", "baselines", "--plant", "rigid"])
+    assert refused.exit_code == 2 and "its own plants" in refused.stderr
+    with pytest.raises(osc.InvalidInputError, match="judged"):
+        compare(osc.load_scenario("two_contact_rod", ["duration=0.5"]))
+    tare = "tare={duration: 0.3 s, standoff: 3 mm, approach: 0.3 s}"
+    with pytest.raises(osc.InvalidInputError, match="tare"):
+        compare(osc.load_scenario("two_contact_rod", [tare]))

@@ -1,0 +1,232 @@
+"""Fig. 2 held by a Panda: geometry, references, decoupling and the continuity of N."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from oracles import kkt
+from typer.testing import CliRunner
+
+import osc_contact as osc
+from osc_contact.cli import app
+from osc_contact.experiments import cone_in_groove as cg
+from osc_contact.plants.rigid import RigidPlant
+from osc_contact.spatial import pose_error
+
+STEPS = (0.51, 0.53, 0.55, 0.57)
+
+
+@cache
+def rig():
+    return cg.build_cone_rig()
+
+
+@cache
+def short_run(steps=STEPS, moving=True):
+    return cg.run(0.62, cg.ConeTask(rig(), steps, moving), 0.1)
+
+
+def cone_points(count=200, rows=9):
+    """Points of the cone's side in the world, (count·rows, 3), from its apex, axis and angle."""
+    cone, groove, X = rig().cone, rig().groove, rig().state.X_WO
+    apex, axis = X.act(cone.apex), X.rotation @ cone.axis
+    x = np.cross(axis, [0.3, 0.5, -0.8])
+    x /= np.linalg.norm(x)
+    phi = np.linspace(0, 2 * np.pi, count, endpoint=False)[:, None]
+    rim = np.tan(cone.half_angle(groove)) * (np.cos(phi) * x + np.sin(phi) * np.cross(axis, x))
+    return np.vstack([apex + s * cone.height * (axis + rim) for s in np.linspace(0.1, 1, rows)])
+
+
+def pose_at(turn, slide):
+    """The cone turned about its axis and moved along the groove, by products of poses."""
+    cone, X = rig().cone, rig().state.X_WO
+    about = pin.SE3(pin.exp3(turn * cone.axis), np.zeros(3))
+    shift = pin.SE3(np.eye(3), cone.apex)
+    along = pin.SE3(np.eye(3), slide * rig().groove.direction)
+    return along * X * shift * about * shift.inverse()
+
+
+# Geometry -----------------------------------------------------------------------------------------
+
+
+def test_the_cone_lies_on_both_walls_and_in_neither():
+    heights = []
+    for wall, generator in zip(
+        rig().groove.normals(), rig().cone.generators(rig().groove), strict=True
+    ):
+        above = (cone_points(2000) - rig().groove.point) @ wall
+        assert above.min() > -1e-12
+        assert above.min() < 1e-6, "it touches"
+        assert abs(generator @ wall) < 1e-12, "along a line of the wall"
+        assert abs(np.linalg.norm(generator) - 1) < 1e-12
+        cosine = generator @ rig().cone.seat(rig().groove)
+        assert np.arccos(cosine) == pytest.approx(rig().cone.half_angle(rig().groove))
+        assert wall[2] > 0.0 and abs(wall @ rig().groove.direction) < 1e-12
+        heights.append(wall)
+    assert heights[0] @ heights[1] == pytest.approx(np.cos(np.deg2rad(60.0)))
+
+
+def test_inertia_is_that_of_a_stack_of_discs():
+    cone, groove = rig().cone, rig().groove
+    n, h = 4000, cone.height
+    z = (np.arange(n) + 0.5) / n * h
+    radius = z * np.tan(cone.half_angle(groove))
+    m = radius**2 / (radius**2).sum() * cone.mass
+    centres = cone.apex + z[:, None] * cone.axis
+    com = m @ centres / cone.mass
+    total = np.zeros((3, 3))
+    for mass, r, c in zip(m, radius, centres - com, strict=True):
+        disc = 0.25 * mass * r**2 * (np.eye(3) + np.outer(cone.axis, cone.axis))
+        total += disc + mass * (c @ c * np.eye(3) - np.outer(c, c))
+    inertia = cone.inertia(groove)
+    np.testing.assert_allclose(inertia.lever, com, atol=1e-8)
+    np.testing.assert_allclose(inertia.inertia, total, rtol=1e-5, atol=1e-9)
+
+
+def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
+    """t₁ = [axis × (O − apex)…], t₂ = [e; 0]; pushes normal to the walls do no work on either."""
+    rng, cone, e = np.random.default_rng(0), rig().cone, rig().groove.direction
+    for _ in range(20):
+        X = pose_at(rng.uniform(-3, 3), rng.uniform(-0.1, 0.1))
+        contact = rig().pair.contact(X, np.zeros(6))
+        np.testing.assert_allclose(rig().pair.gaps(X), 0.0, atol=1e-14)
+        points, directions = rig().wall_forces(X)
+        levers = points - X.translation[:, None]
+        lines = np.vstack((directions, np.cross(levers, directions, axis=0)))
+        axis, apex = X.rotation @ cone.axis, X.act(cone.apex)
+        T = np.array([[*np.cross(axis, X.translation - apex), *axis], [*e, 0, 0, 0]]).T
+        assert np.abs(lines.T @ T).max() < 1e-14
+        assert np.abs(contact.N.T @ T).max() < 1e-14
+        assert np.linalg.matrix_rank(lines) == 4
+        np.testing.assert_allclose(contact.N @ rig().from_wall_forces, lines, atol=1e-13)
+
+
+def test_no_constraint_frame_describes_it():
+    found = rig().contact().as_raibert_craig(rig().cone.height)
+    assert not found and "(i)" in found.reason and "(ii)" not in found.reason
+    assert "32° apart, neither parallel nor perpendicular" in found.reason
+    assert found.residual > 0.1
+    axis = rig().state.X_WO.rotation @ rig().cone.axis
+    assert np.rad2deg(np.arccos(axis @ rig().groove.direction)) == pytest.approx(32.0)
+
+
+def test_N_is_continuous_over_whole_turns():
+    """No column jumps or changes sign, and after a full turn N is what it was."""
+    V, turns = np.zeros(6), np.linspace(0.0, 4 * np.pi, 4001)
+    N = np.array([rig().pair.contact(pose_at(turn, 0.0), V).N for turn in turns])
+    step = turns[1]
+    reach = np.linalg.norm(rig().cone.apex)  # from O
+    assert np.abs(np.diff(N, axis=0)).max() < 1.01 * reach * step
+    assert np.abs(np.diff(N, 2, axis=0)).max() < 1.01 * reach * step**2
+    np.testing.assert_allclose(N[2000], N[0], atol=1e-12)
+    assert np.ptp(N[:, 3:], axis=0).max() > 0.02, "it does change"
+
+
+def test_references_move_as_their_derivatives_say_and_stay_in_contact():
+    task, h = cg.ConeTask(rig()), 1e-4
+    for t in np.linspace(0.2, 4.5, 12):
+        before, now, after = task.at(t - h), task.at(t), task.at(t + h)
+        V = pose_error(after.X_WD, before.X_WD) / (2 * h)
+        np.testing.assert_allclose(now.V_D, V, atol=1e-5)
+        np.testing.assert_allclose(now.A_D, (after.V_D - before.V_D) / (2 * h), atol=1e-4)
+        np.testing.assert_allclose(rig().pair.gaps(now.X_WD), 0.0, atol=1e-14)
+        turn, slide = task.motions(t)[:, 0]
+        np.testing.assert_allclose(
+            now.X_WD.homogeneous, pose_at(turn, slide).homogeneous, atol=1e-12
+        )
+    assert np.ptp([task.motions(t)[0, 0] for t in np.linspace(0, 5, 200)]) > 1.0
+    assert min(task.wall_forces(t).min() for t in np.linspace(0.3, 5, 500)) > 0.0
+
+
+# Plant and controller -----------------------------------------------------------------------------
+
+
+def test_the_rigid_plant_answers_as_the_full_kkt_system():
+    """Any pair on the plant: seven joints, the object, four contact rows, by least squares."""
+    chain, pair, rng = rig().chain, rig().pair, np.random.default_rng(2)
+    plant = RigidPlant(chain, [pair], 1e-3)
+    plant.reset(rig().q_start)
+    for _ in range(40):
+        plant.step(rng.uniform(-8, 8, 7), 5e-3)
+        state = chain.state(plant.q, plant.v)
+        np.testing.assert_allclose(pair.gaps(state.X_WO), 0.0, atol=1e-12)
+        contact = pair.contact(state.X_WO, state.V_O)
+        assert np.abs(contact.N.T @ state.V_O).max() < 1e-10
+        tau = rng.uniform(-20, 20, 7)
+        qdd, a, alpha = plant.accelerations(tau)
+        full = kkt(chain, plant.q, plant.v, tau, contact.N, contact.n_gamma)
+        np.testing.assert_allclose(qdd, full.qdd, atol=1e-8 * np.abs(full.qdd).max())
+        np.testing.assert_allclose(a, full.a_object, atol=1e-8 * np.abs(full.a_object).max())
+        np.testing.assert_allclose(alpha, full.alpha, atol=1e-8 * np.abs(full.alpha).max())
+
+
+def test_forces_and_motions_are_controlled_at_once_and_do_not_couple():
+    found = short_run().as_dict()
+    assert found["force_step_to_motion"] <= 1e-9 and found["motion_step_to_force"] <= 1e-9
+    assert found["wall_force_peak_error_N"] < 0.15 and max(found["wall_force_rms_N"]) < 0.05
+    assert found["turn_rms_rad"] < 1e-4 and found["slide_rms_m"] < 1e-5
+    assert found["turned_rad"] > 0.4 and found["slid_m"] > 0.02
+    assert found["wall_force_least_N"] > 3.0, "the walls are pushed, never pulled"
+    assert found["contact_power_W"] < 1e-12 and found["ticks_not_ok"] == 0
+    assert found["N_second_difference"] < 0.02 * found["N_change_per_tick"]
+    assert (np.abs(np.diff(short_run().wall_d[500:], axis=0)).max(axis=0) > 2.0).all()
+
+
+def test_the_motion_is_the_same_with_and_without_force_steps():
+    steps, none = short_run(), short_run(())
+    assert np.abs(steps.wall[-1] - none.wall[-1]).min() > 2.0
+    moved = np.ptp(none.motion, axis=0)
+    assert (np.abs(steps.motion - none.motion).max(axis=0) <= 1e-9 * moved).all()
+
+
+def test_the_forces_are_the_same_at_rest_and_in_motion():
+    moving, still = short_run(), short_run(moving=False)
+    assert np.abs(still.motion).max() < 1e-9 and np.ptp(moving.motion[:, 1]) > 0.02
+    assert np.abs(moving.wall - still.wall).max() < 0.03
+
+
+def test_a_controller_with_a_wrong_seat_couples():
+    """The coupling measured is not zero by construction."""
+    c, axis = rig().chain, rig().pair.axis
+    wrong = replace(rig().pair, axis=pin.exp3(np.array([0.0, 0.1, 0.0])) @ axis)
+    plant = RigidPlant(c, [rig().pair], 1e-3)
+    plant.reset(rig().q_start)
+    controller = osc.Controller(c, [wrong], posture=rig().q_start)
+    reference = cg.ConeTask(rig()).at(1.5)
+    R = rig().from_wall_forces
+    to_motion, to_force = cg.couplings(controller, plant, plant.measure(), reference, R)
+    assert max(to_motion) > 1e-4 and max(to_force) > 1e-4
+
+
+def test_one_force_per_column_is_asked_for():
+    plant = RigidPlant(rig().chain, [rig().pair], 1e-3)
+    plant.reset(rig().q_start)
+    controller = osc.Controller(rig().chain, [rig().pair], posture=rig().q_start)
+    reference = cg.ConeTask(rig()).at(1.0)
+    controller.tick(plant.measure(), replace(reference, alpha_d=np.ones(1)))
+    assert controller.status is osc.Status.HELD and "1 forces for 4 columns" in controller.reason
+    controller.tick(plant.measure(), reference)
+    assert controller.status is osc.Status.OK
+
+
+@pytest.mark.parametrize("words", [{"duration": 0.5}, {"duration": np.nan}, {"probe_s": 0.0}])
+def test_a_run_that_cannot_be_judged_is_refused(words):
+    with pytest.raises(osc.InvalidInputError, match=r"judged from t = 0\.5 s"):
+        cg.run(**words)
+
+
+def test_reproduce_fig2_writes_pictures_and_numbers(tmp_path):
+    words = ["reproduce", "fig2", "--duration", "0.52", "--out", str(tmp_path)]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    names = {"fig2.png", "fig2.pdf", "fig2_run.png", "fig2_run.pdf", "fig2.json"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    found = json.loads((tmp_path / "fig2.json").read_text())
+    assert found["r"] == 4 and found["raibert_craig"]["describes_it"] is False
+    assert found["duration_s"] == 0.52 and found["force_step_to_motion"] < 1e-9
+    assert "32° apart" in " ".join(result.stdout.split())

@@ -1,0 +1,251 @@
+"""Kinematic stability: eigenvalues against a closed loop differentiated numerically."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from typer.testing import CliRunner
+
+from osc_contact.cli import app
+from osc_contact.errors import InvalidInputError
+from osc_contact.experiments import kinematic_stability as ks
+from osc_contact.experiments.kinematic_stability.search import eigenvalues, regularity
+
+AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+
+@cache
+def arm_of(name):
+    return {"planar": ks.planar_arm, "ur5": ks.ur5_arm}[name]()
+
+
+@cache
+def found_by(name):
+    return ks.search(arm_of(name), 0, 400)
+
+
+both = pytest.mark.parametrize("name", ["planar", "ur5"])
+
+
+# An arm and two control laws of its own, written with Pinocchio alone -----------------------------
+
+
+def tip_pose(arm, q):
+    data = arm.plant.createData()
+    pin.framesForwardKinematics(arm.plant, data, q)
+    return pin.SE3(data.oMf[arm.tip])
+
+
+def displacement(start, end):
+    turned = pin.log3(end.rotation @ start.rotation.T)
+    return np.concatenate((end.translation - start.translation, turned))
+
+
+def numeric_jacobian(arm, q, h=1e-6):
+    ends = [[tip_pose(arm, q + s * h * e) for s in (-1, 1)] for e in np.eye(len(q))]
+    return np.column_stack([displacement(a, b) / (2 * h) for a, b in ends])
+
+
+def oracle_classic(arm, q, v, goal):
+    """Joint stiffness on the filtered error."""
+    rows = list(arm.rows)
+    J = numeric_jacobian(arm, q)[rows]
+    S = np.diag([row != arm.force for row in rows]).astype(float)
+    x = displacement(goal, tip_pose(arm, q))[rows]
+    q_e = np.linalg.inv(J) @ S @ (x + ks.DAMPING_S * J @ v)
+    return pin.rnea(arm.plant, arm.plant.createData(), q, v, np.zeros(len(q))) - arm.K_q @ q_e
+
+
+def oracle_ours(arm, q, v, goal):
+    """The joint acceleration nearest to the wish in the object's energy that keeps off the face."""
+    X, J = tip_pose(arm, q), numeric_jacobian(arm, q)
+    body = arm.chain.payload.inertia
+    R, c = X.rotation, X.rotation @ body.lever
+    m, cx = body.mass, pin.skew(c)
+    Lambda = np.block([[m * np.eye(3), -m * cx], [m * cx, R @ body.inertia @ R.T - m * cx @ cx]])
+    a_u = -np.linalg.inv(Lambda) @ arm.K_prime @ (
+        displacement(goal, X) + ks.DAMPING_S * J @ v
+    )  # fmt: skip
+    across = J[arm.force]
+    KKT = np.block([[J.T @ Lambda @ J, across[:, None]], [across[None], np.zeros((1, 1))]])
+    qdd = np.linalg.solve(KKT, np.append(J.T @ Lambda @ a_u, 0.0))[:-1]
+    return pin.rnea(arm.plant, arm.plant.createData(), q, v, qdd)
+
+
+def numeric_poles(arm, law, q0, h=1e-5):
+    """Eigenvalues of the closed loop (q, v) → (v, aba), by central differences; the two of the
+    direction nobody holds (0, 0) left out."""
+    n, data, goal = len(q0), arm.plant.createData(), tip_pose(arm, q0)
+
+    def rate(x):
+        q, v = x[:n], x[n:]
+        return np.concatenate((v, pin.aba(arm.plant, data, q, v, law(arm, q, v, goal))))
+
+    start = np.concatenate((q0, np.zeros(n)))
+    A = np.column_stack([(rate(start + h * e) - rate(start - h * e)) / (2 * h)
+                         for e in np.eye(2 * n)])  # fmt: skip
+    values = np.linalg.eigvals(A)
+    values = values[np.argsort(np.abs(values))]
+    assert np.abs(values[:2]).max() < 0.05
+    return np.sort_complex(values[2:])
+
+
+def assert_same_poles(got, expected):
+    """As sets: each has a partner."""
+    distance = np.abs(got[:, None] - expected[None, :])
+    scale = np.abs(expected).max()
+    assert distance.min(axis=0).max() < 2e-4 * scale and distance.min(axis=1).max() < 2e-4 * scale
+
+
+@both
+def test_eigenvalues_give_the_poles_of_the_closed_loop_in_the_posture_found(name):
+    arm, found = arm_of(name), found_by(name)
+    classic, ours = ks.poles(found.classic), ks.poles(found.ours)
+    assert_same_poles(numeric_poles(arm, oracle_classic, found.q), classic)
+    assert_same_poles(numeric_poles(arm, oracle_ours, found.q), ours)
+    assert found.classic.real.min() < 0.0 < classic.real.max()
+    assert ours.real.max() < -1.0
+
+
+@both
+def test_eigenvalues_give_the_poles_in_random_postures(name):
+    arm, rng, seen = arm_of(name), np.random.default_rng(3), 0
+    while seen < 4:
+        q = rng.uniform(-np.pi, np.pi, arm.chain.nq)
+        if regularity(arm, q) < 1e-3:
+            continue
+        seen += 1
+        classic, ours = eigenvalues(arm, q)
+        assert_same_poles(numeric_poles(arm, oracle_classic, q), ks.poles(classic))
+        assert_same_poles(numeric_poles(arm, oracle_ours, q), ks.poles(ours))
+
+
+@both
+def test_the_laws_simulated_are_the_laws_judged(name):
+    arm, q = arm_of(name), found_by(name).q
+    for law, oracle in ((ks.classic_torque, oracle_classic), (ks.our_torque, oracle_ours)):
+        assert_same_poles(numeric_poles(arm, law, q), numeric_poles(arm, oracle, q))
+
+
+@both
+def test_ours_is_real_and_positive_next_to_singularities(name):
+    """The elbow (and the UR5's wrist) all but straight: J is as good as singular there."""
+    arm, rng = arm_of(name), np.random.default_rng(5)
+    bends = {"planar": [1], "ur5": [2, 4]}[name]
+    unstable = 0
+    for _ in range(60):
+        q = rng.uniform(-np.pi, np.pi, arm.chain.nq)
+        for joint in bends:
+            q[joint] = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-4.0, -2.0)
+        assert regularity(arm, q) < 1e-4
+        classic, ours = eigenvalues(arm, q)
+        assert np.abs(ours.imag).max() < 1e-6 * ours.real.min() and ours.real.min() > 1.0
+        unstable += classic.real.min() < 0.0
+    assert unstable > 5, "here the classic scheme has a hard time"
+
+
+def test_ours_is_real_and_positive_for_any_contact_metric_and_stiffness():
+    rng = np.random.default_rng(6)
+    for _ in range(300):
+        s = rng.integers(1, 7)
+        A, C = rng.normal(size=(2, 6, 6))
+        B, K = A @ A.T + 0.01 * np.eye(6), C @ C.T + 0.01 * np.eye(6)
+        values = ks.our_eigenvalues(rng.normal(size=(6, s)), B, K)
+        assert len(values) == s
+        assert values.real.min() > 0.0
+        assert np.abs(values.imag).max() < 1e-6 * np.abs(values).max()
+
+
+def test_scalar_gains_are_the_case_k_over_B():
+    rng = np.random.default_rng(7)
+    A = rng.normal(size=(6, 6))
+    B = A @ A.T + 0.1 * np.eye(6)
+    values = ks.our_eigenvalues(rng.normal(size=(6, 2)), B, 400.0 * np.linalg.inv(B))
+    np.testing.assert_allclose(values, 400.0, rtol=1e-9)
+
+
+@both
+def test_it_is_the_selection_that_makes_the_classic_scheme_unstable(name):
+    arm, found = arm_of(name), found_by(name)
+    M, J, _ = arm.terms(found.q)
+    everything = ks.classic_eigenvalues(M, J[list(arm.rows)], np.ones(len(found.q)), arm.K_q)
+    assert everything.real.min() > 10.0 and found.classic.real.min() < -10.0
+
+
+@both
+def test_search_counts_what_it_says(name):
+    """The same draw again, judged by NumPy on Pinocchio's matrices."""
+    arm, rows = arm_of(name), list(arm_of(name).rows)
+    found = ks.search(arm, 4, 400, 0.6)
+    judged, body = [], arm.chain.payload.inertia
+    for q in np.random.default_rng(4).uniform(-np.pi, np.pi, (400, arm.chain.nq)):
+        data = arm.plant.createData()
+        J = pin.computeFrameJacobian(arm.plant, data, q, arm.tip, AXES)[rows]
+        pin.computeAllTerms(arm.plant, data, q, np.zeros(len(q)))
+        M_inv = np.linalg.inv(data.M)
+        turned = pin.SE3(tip_pose(arm, q).rotation, np.zeros(3)).act(body).matrix()
+        object_mobility = np.linalg.inv(turned)[np.ix_(rows, rows)]
+        share = np.linalg.eigvals(np.linalg.solve(object_mobility, J @ M_inv @ J.T)).real.min()
+        S = np.diag([row != arm.force for row in rows]).astype(float)
+        least = np.linalg.eigvals(M_inv @ arm.K_q @ np.linalg.inv(J) @ S @ J).real.min()
+        judged.append((share, least, tuple(q)))
+    judged = sorted(judged, reverse=True)[:240]
+    worst = min(judged, key=lambda row: row[1])
+    assert (found.drawn, found.tried, found.ours_unstable) == (400, 240, 0)
+    assert found.unstable == sum(least < -1e-6 for _, least, _ in judged) > 0
+    assert tuple(found.q) == worst[2]
+    assert found.classic[0].real == pytest.approx(worst[1]) and found.ours_least > 0.0
+    np.testing.assert_array_equal(ks.search(arm, 4, 400, 0.6).q, found.q)
+    assert ks.search(arm, 5, 400, 0.6).q[0] != found.q[0]
+
+
+def test_the_classic_scheme_leaves_as_fast_as_its_pole_says_and_ours_returns():
+    found = found_by("planar")
+    h = ks.simulate(found, 1.2, error=1e-9)
+    size = np.abs(h.classic[:, 1])
+    later = h.t > 0.7
+    assert 1e-7 < size[-1] < 1e-3, "grown, and small still"
+    rate = np.polyfit(h.t[later], np.log(size[later]), 1)[0]
+    assert rate == pytest.approx(ks.poles(found.classic)[-1].real, rel=0.01)
+    assert np.abs(h.ours[-1]).max() < 2e-3 * np.abs(h.ours[0]).max()
+    goal, start = tip_pose(found.arm, found.q), tip_pose(found.arm, found.q + h.ours[0])
+    np.testing.assert_allclose(displacement(goal, start)[:2], [1e-9, 0.0], atol=1e-14)
+    np.testing.assert_array_equal(h.classic[0], h.ours[0])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: ks.search(arm_of("planar"), 0, 1), "at least 2"),
+        (lambda: ks.search(arm_of("planar"), 0, 5, 1.5), "share in"),
+        (lambda: ks.search(arm_of("planar"), 0, 8, 0.25), "none of 2 postures"),
+        (lambda: ks.simulate(found_by("planar"), duration=-1.0), "duration = -1.0"),
+        (lambda: ks.our_eigenvalues(np.eye(6), -np.eye(6), np.eye(6)), "B must be symmetric"),
+        (lambda: ks.our_eigenvalues(np.eye(6), np.eye(6), np.triu(np.ones((6, 6)))), "K_prime"),
+        (lambda: ks.classic_eigenvalues(np.eye(2), np.ones((2, 2)), [1, 0], np.eye(2)), "singular"),
+    ],
+)
+def test_bad_input_is_refused(call, message):
+    with pytest.raises(InvalidInputError, match=message):
+        call()
+
+
+def test_reproduce_writes_picture_and_numbers(tmp_path):
+    words = ["reproduce", "kinematic_stability", "--seed", "1", "--duration", "0.9"]
+    result = CliRunner().invoke(app, [*words, "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    names = {f"kinematic_stability.{suffix}" for suffix in ("png", "pdf", "json")}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    assert (tmp_path / "kinematic_stability.pdf").read_bytes().startswith(b"%PDF")
+    rows = json.loads((tmp_path / "kinematic_stability.json").read_text())["arms"]
+    assert [row["arm"] for row in rows] == ["planar 2R arm", "UR5"]
+    for row in rows:
+        assert row["postures"] == 1000 and row["seed"] == 1 and row["duration_s"] == 0.9
+        assert row["classic_unstable"] > 0 == row["ours_unstable"]
+        assert row["classic_left_after_s"] < 0.9
+        assert row["last_error_mrad"] < row["first_error_mrad"]
+        assert str(row["classic_unstable"]) in result.stdout

@@ -1,0 +1,273 @@
+"""The robots of example-robot-data: which load, which need a hand, which are refused and why."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import osc_contact as osc
+from osc_contact import robots
+from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.robots import JointLimits, library
+
+ARMS = (
+    "TwoDofs", "alex_nub_hands", "alex_sake_hands", "baxter", "borinot_flying_arm_2", "finger_edu",
+    "hextilt_flying_arm_5", "kinova", "panda", "panda_collision", "so100", "so101",
+    "talos_left_arm", "tiago_pro", "ur10", "ur10_joint_limited", "ur3_gripper", "ur3_joint_limited",
+    "ur3_robot", "ur5", "ur5_gripper", "ur5_joint_limited", "xarm", "z1",
+)  # fmt: skip
+"""Arms, and upper bodies with arms, that load as they are."""
+OTHERS = (
+    "a1", "alexander_v1.lowerBodyOnly", "g1_29dof_rev_1_0", "g1_29dof_with_hand_rev_1_0", "go2",
+    "quadrotor_base", "human", "icub_reduced", "iris_simple", "laikago", "simple_humanoid",
+    "simple_humanoid_classical", "solo", "solo12", "talos_full_v2", "talos_full_v2_box",
+    "talos_reduced", "talos_reduced_box", "talos_reduced_corrected",
+)  # fmt: skip
+"""Legged and flying robots that load as they are."""
+MOTOR = JointLimits(effort=5.0, velocity=5.0)
+SWING = JointLimits(-math.inf, math.inf, 5.0, 5.0)
+HELPED = {
+    "allegro_left_hand": ("inertia", {"inertias": "positive"}),
+    "allegro_right_hand": ("inertia", {"inertias": "positive"}),
+    "anymal-kinova": ("inertia", {"inertias": "positive"}),
+    "anymal_b_simple_description/anymal": ("inertia", {"inertias": "positive"}),
+    "anymal_c_simple_description/anymal": ("inertia", {"inertias": "positive"}),
+    "b1-z1": ("inertia", {"inertias": "positive"}),
+    "b1_description/b1": ("inertia", {"inertias": "positive"}),
+    "bolt": ("inertia", {"inertias": "positive"}),
+    "centauro": ("limit", {"limits": {"j_wheel_*": SWING}}),
+    "double_pendulum": ("limit", {"limits": {"joint?": SWING}}),
+    "double_pendulum_simple": ("limit", {"limits": {"*": SWING}}),
+    "double_pendulum_continuous": ("limit", {"limits": {"*": MOTOR}}),
+    "go1": ("inertia", {"inertias": "positive"}),
+    "hyq_no_sensors": ("inertia", {"inertias": "positive"}),
+    "iris": ("limit", {"limits": {"*": MOTOR}}),
+    "pr2": ("inertia", {"inertias": "positive"}),
+    "quadruped": ("limit", {"limits": {"*": JointLimits(-3, 3)}}),
+    "romeo_small": ("inertia", {"inertias": "positive"}),
+    "tiago": ("inertia", {"inertias": "positive"}),
+    "tiago_dual": ("limit", {"limits": {"caster*": MOTOR}, "inertias": "positive"}),
+    "tiago_no_hand": ("inertia", {"inertias": "positive"}),
+}
+"""What the file lacks, and what makes it usable."""
+REFUSED = {
+    "alex_psyonic_hands": "follows the joint 'index_q1', which does not exist",
+    "icub": "joint 'neck_roll': the mass matrix is not positive definite",
+    "romeo_description/romeo": "effort limit 0 N m must be > 0",
+    "romeo_laas_small": "meshes of the type .mesh are not read",
+    "ur_description/ur3": "the robot has no link",
+}
+"""Defects that no option mends."""
+
+
+def test_every_robot_of_the_data_package_has_a_verdict() -> None:
+    names = (*ARMS, *OTHERS, *HELPED, *REFUSED)
+    files = [robots.find_robot(name)[0] for name in names]
+    assert len(set(files)) == len(files)
+    assert set(files) == set(library._robot_data_root().glob("*/*/*.urdf"))
+
+
+def test_the_page_on_robots_tells_these_verdicts() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "robots.md").read_text()
+    told = re.search(
+        r"Of its (\d+) files (\d+) load as they are.*?(\d+) need.*?(\d+) are", page, re.S
+    )
+    assert told is not None
+    loading, helped, refused = len(ARMS) + len(OTHERS), len(HELPED), len(REFUSED)
+    assert [int(n) for n in told.groups()] == [loading + helped + refused, loading, helped, refused]
+    table = page.split("| robots | what is wrong")[1]
+    for name in (*HELPED, *REFUSED):
+        assert f"`{name.rpartition('/')[2]}`" in table, name
+
+
+@pytest.mark.parametrize("name", (*ARMS, *OTHERS))
+def test_sound_robot_loads_and_both_readers_agree(name: str) -> None:
+    file, package_dir = robots.find_robot(name)
+    model = robots.load_model(file, package_dirs=[package_dir])
+    assert model.nq == model.nv
+    if model.nv < 20:
+        assert robots.cross_check(file) < 1e-12
+
+
+@pytest.mark.parametrize("name", HELPED)
+def test_robot_with_defects_is_refused_and_usable_with_a_decision(name: str) -> None:
+    file, (check, options) = robots.find_robot(name)[0], HELPED[name]
+    with pytest.raises(ModelError) as caught:
+        robots.load_model(file)
+    assert caught.value.findings[0].check == check
+    assert {finding.file for finding in caught.value.findings} == {file}
+    assert robots.load_model(file, **options).nv > 0
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_defect_robot_is_refused_with_its_reason(name: str) -> None:
+    with pytest.raises(ModelError, match=REFUSED[name].replace(".", r"\.")):
+        robots.load_model(robots.find_robot(name)[0], inertias="positive")
+    if name == "romeo_description/romeo":
+        with pytest.raises(ModelError, match="mass matrix is not positive definite"):
+            robots.load_model(robots.find_robot(name)[0], limits={"*": MOTOR})
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5", "kinova", "xarm", "solo12", "talos_left_arm"])
+def test_the_model_is_the_one_pinocchio_reads_from_the_file(name: str) -> None:
+    """Nothing is lost on the way through our own text: bodies, joints, frames, limits."""
+    file = robots.find_robot(name)[0]
+    ours, theirs = robots.load_model(file), pin.buildModelFromUrdf(str(file))
+    assert list(ours.names) == list(theirs.names) and ours.name == theirs.name
+    assert [(f.name, f.type, f.parentJoint, f.parentFrame) for f in ours.frames] == [
+        (f.name, f.type, f.parentJoint, f.parentFrame) for f in theirs.frames
+    ]
+    for a, b in zip(ours.frames, theirs.frames, strict=True):
+        assert a.placement == b.placement and a.inertia == b.inertia
+    assert all(a == b for a, b in zip(ours.inertias, theirs.inertias, strict=True))
+    assert all(a == b for a, b in zip(ours.jointPlacements, theirs.jointPlacements, strict=True))
+    for key in ("effortLimit", "velocityLimit", "damping", "upperDryFrictionLimit"):
+        assert np.array_equal(getattr(ours, key), getattr(theirs, key)), key
+    if name != "kinova":
+        assert ours == theirs
+
+
+def test_a_good_load_is_quick() -> None:
+    for name in ("panda", "ur5", "kinova", "tiago_pro"):
+        file, times = robots.find_robot(name)[0], []
+        for _ in range(5):
+            start = time.thread_time()
+            robots.load_model(file)
+            times.append(time.thread_time() - start)
+        assert min(times) < 0.05, name
+
+
+# Continuous joints ------------------------------------------------------------------------------
+
+
+def unwrapped_and_wrapped(name: str, seed: int):
+    """Our model and Pinocchio's own (cos, sin) model at the same posture and velocity."""
+    file = robots.find_robot(name)[0]
+    given = {"limits": {"*": MOTOR}} if name == "double_pendulum_continuous" else {}
+    ours, theirs = robots.load_model(file, **given), pin.buildModelFromUrdf(str(file))
+    rng = np.random.default_rng(seed)
+    q, v, a = rng.uniform(-9, 9, ours.nq), rng.normal(size=ours.nv), rng.normal(size=ours.nv)
+    x = pin.neutral(theirs)
+    for joint, other in zip(list(ours.joints)[1:], list(theirs.joints)[1:], strict=True):
+        angle = q[joint.idx_q]
+        x[other.idx_q : other.idx_q + other.nq] = (
+            angle if other.nq == 1 else (math.cos(angle), math.sin(angle))
+        )
+    return ours, theirs, q, x, v, a
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("name", ["kinova", "double_pendulum_continuous", "tiago_pro"])
+def test_continuous_joint_is_a_revolute_joint_without_end_stops(name: str, seed: int) -> None:
+    ours, theirs, q, x, v, a = unwrapped_and_wrapped(name, seed)
+    assert theirs.nq > theirs.nv == ours.nv == ours.nq
+    for joint, other in zip(list(ours.joints)[1:], list(theirs.joints)[1:], strict=True):
+        open_ended = other.nq == 2
+        assert np.isinf(ours.upperPositionLimit[joint.idx_q]) == open_ended
+        assert np.isinf(ours.lowerPositionLimit[joint.idx_q]) == open_ended
+    d, e = ours.createData(), theirs.createData()
+    tau = pin.rnea(ours, d, q, v, a)
+    np.testing.assert_allclose(tau, pin.rnea(theirs, e, x, v, a), atol=1e-10)
+    np.testing.assert_allclose(pin.crba(ours, d, q), pin.crba(theirs, e, x), atol=1e-11)
+    np.testing.assert_allclose(
+        pin.computeGeneralizedGravity(ours, d, q),
+        pin.computeGeneralizedGravity(theirs, e, x),
+        atol=1e-11,
+    )
+    pin.framesForwardKinematics(ours, d, q)
+    pin.framesForwardKinematics(theirs, e, x)
+    for i in range(ours.nframes):
+        np.testing.assert_allclose(d.oMf[i].homogeneous, e.oMf[i].homogeneous, atol=1e-13)
+        J = pin.computeFrameJacobian(ours, d, q, i, pin.LOCAL_WORLD_ALIGNED)
+        K = pin.computeFrameJacobian(theirs, e, x, i, pin.LOCAL_WORLD_ALIGNED)
+        np.testing.assert_allclose(J, K, atol=1e-12)
+
+
+def test_an_arm_with_continuous_joints_makes_a_chain_any_number_of_turns_round() -> None:
+    urdf = robots.find_robot("kinova")[0]
+    arm = osc.Arm.from_urdf(urdf, name="k", tip="j2s6s200_end_effector")
+    ball = osc.RigidObject(pin.Inertia(0.5, np.zeros(3), 1e-3 * np.eye(3)))
+    chain = osc.ClosedChain([arm], [pin.SE3.Identity()], ball)
+    q, v = np.array([0.3, 2.9, 1.3, 4.2, 1.4, 0.2]), np.full(6, 0.1)
+    turned = q + 2 * np.pi * np.array([3, 0, 0, -2, 0, 1])  # the continuous ones
+    here, there = chain.state(q, v), chain.state(turned, v)
+    assert chain.nq == 6
+    np.testing.assert_allclose(there.X_WO.homogeneous, here.X_WO.homogeneous, atol=1e-13)
+    np.testing.assert_allclose(there.metric, here.metric, rtol=1e-9, atol=1e-11)
+
+
+def test_ready_models_are_judged_too() -> None:
+    wrapped = pin.buildModelFromUrdf(str(robots.find_robot("kinova")[0]))
+    with pytest.raises(ModelError, match=r"j2s6s200_joint_1.*nq = 2 but nv = 1; load the URDF by"):
+        osc.Arm.from_urdf(wrapped, name="k", tip="j2s6s200_end_effector")
+    panda = robots.load_model(robots.find_robot("panda")[0])
+    bodies = list(panda.inertias)
+    for i in range(1, panda.njoints):
+        panda.inertias[i] = pin.Inertia.Zero() if i >= 7 else bodies[i]
+    with pytest.raises(ModelError, match="panda_joint7 can move without moving mass"):
+        osc.Arm.from_urdf(panda, name="p", tip="panda_hand_tcp")
+
+
+# Meshes -----------------------------------------------------------------------------------------
+
+
+def mesh_robot(folder: Path, address: str) -> Path:
+    file = folder / "arm.urdf"
+    file.write_text(
+        '<robot name="r"><link name="a"><visual><geometry>'
+        f'<mesh filename="{address}"/></geometry></visual></link></robot>'
+    )
+    return file
+
+
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+
+
+def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "robot", tmp_path / "secret"
+    inside.mkdir()
+    outside.mkdir()
+    for folder in (inside, outside):
+        (folder / "m.obj").write_text(TRIANGLE)
+    kind = pin.GeometryType.VISUAL
+    _, geometry, _ = robots.load_geometry(mesh_robot(inside, "m.obj"), kind)
+    assert geometry.ngeoms == 1
+    absolute = mesh_robot(inside, str(outside / "m.obj"))
+    with pytest.raises(ModelError, match="outside of the robot's folders"):
+        robots.load_geometry(absolute, kind)
+    assert robots.load_geometry(absolute, kind, [outside])[1].ngeoms == 1
+    (inside / "link.obj").symlink_to(outside / "m.obj")
+    with pytest.raises(ModelError, match=r"leads to .*/secret/m\.obj, outside"):
+        robots.load_geometry(mesh_robot(inside, "link.obj"), kind)
+    with pytest.raises(ModelError, match="the mesh is not there; looked for"):
+        robots.load_geometry(mesh_robot(inside, "package://robot/m.obj"), kind)
+    assert (
+        robots.load_geometry(mesh_robot(inside, "package://robot/m.obj"), kind, [tmp_path])[
+            1
+        ].ngeoms
+        == 1
+    )
+
+
+@pytest.mark.parametrize("texture", ["/etc/hostname", "file:///etc/hostname", "../../secret.png"])
+def test_collada_files_that_take_textures_from_elsewhere_are_refused(
+    tmp_path: Path, texture: str
+) -> None:
+    (tmp_path / "m.dae").write_text(f"<COLLADA><init_from> {texture} </init_from></COLLADA>")
+    with pytest.raises(ModelError, match=r"m\.dae takes a texture from"):
+        robots.load_geometry(mesh_robot(tmp_path, "m.dae"), pin.GeometryType.VISUAL)
+
+
+def test_limits_as_words_of_the_command_line() -> None:
+    assert JointLimits.parse("arm/j*:effort=5,velocity=2.5") == (
+        "arm/j*", JointLimits(effort=5.0, velocity=2.5),
+    )  # fmt: skip
+    for wrong in ("j1", "effort=5", "j1:torque=3", "j1:effort=x", "j1:effort=-1", "j1:"):
+        with pytest.raises(InvalidInputError, match=r"j1|effort"):
+            JointLimits.parse(wrong)

@@ -1,0 +1,196 @@
+"""`osc-contact check` and the summary it prints, against closed forms and other routes."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from typer.testing import CliRunner, Result
+from urdf_corpus import GOOD
+
+from osc_contact import robots
+from osc_contact.cli import app
+from osc_contact.errors import ModelError
+
+
+def call(*words: str | Path) -> Result:
+    result = CliRunner().invoke(app, ["check", *map(str, words)])
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+    return result
+
+
+def write(folder: Path, text: str) -> Path:
+    file = folder / "arm.urdf"
+    file.write_text(text)
+    return file
+
+
+def chain(joints: list[tuple[str, str, str]], masses: list[float], length=1.0, mass=1.0) -> str:
+    """Joints (kind, axis, origin in m) one behind the other, with boxes of the given masses."""
+    text = '<robot name="toy"><link name="l0"/>'
+    for i, ((kind, axis, origin), m) in enumerate(zip(joints, masses, strict=True), 1):
+        x, y, z = (float(part) * length for part in origin.split())
+        I = 0.1 * m * mass * length**2  # noqa: E741
+        body = (
+            f'<inertial><origin xyz="{0.3 * length} 0 {0.1 * length}"/><mass value="{m * mass}"/>'
+            f'<inertia ixx="{I}" iyy="{1.5 * I}" izz="{1.7 * I}" ixy="0" ixz="0" iyz="{0.1 * I}"/>'
+            "</inertial>" if m else ""
+        )  # fmt: skip
+        text += (
+            f'<link name="l{i}">{body}</link><joint name="j{i}" type="{kind}">'
+            f'<parent link="l{i - 1}"/><child link="l{i}"/><origin xyz="{x} {y} {z}"/>'
+            f'<axis xyz="{axis}"/><limit lower="{-length if kind == "prismatic" else -1.5}" '
+            f'upper="{length if kind == "prismatic" else 1.5}" effort="1" velocity="1"/></joint>'
+        )
+    return text + "</robot>"
+
+
+def summary(folder: Path, text: str) -> robots.RobotSummary:
+    loaded = robots.load(write(folder, text))
+    return robots.summarise(loaded.model, loaded.document)
+
+
+SIX_AXES = [
+    ("revolute", "0 0 1", "0 0 0.3"), ("revolute", "0 1 0", "0.1 0 0.2"),
+    ("prismatic", "0 0 1", "0.4 0 0"), ("revolute", "1 0 0", "0.2 0 0.1"),
+    ("revolute", "0 1 0", "0.2 0.1 0"), ("revolute", "0 0 1", "0.1 0 0"),
+]  # fmt: skip
+
+
+def test_a_gantry_has_the_masses_it_pushes(tmp_path: Path) -> None:
+    axes = [("prismatic", axis, "0 0 0") for axis in ("1 0 0", "0 1 0", "0 0 1")]
+    robot = summary(tmp_path, chain(axes, [5.0, 3.0, 2.0]))
+    assert [joint.moved_mass for joint in robot.joints] == pytest.approx([10.0, 5.0, 2.0])
+    assert robot.mass == robot.moving_mass == pytest.approx(10.0)
+    (tip,) = robot.tips
+    assert tip.mass == pytest.approx((2.0, 10.0)) and tip.inertia == (math.inf, math.inf)
+    assert np.array(tip.mobility) == pytest.approx(
+        np.repeat(np.sqrt([1, 2 / 5, 2 / 10]), 2).reshape(3, 2)
+    )
+
+
+def test_mobility_is_the_share_of_the_last_body_in_the_energy(tmp_path: Path) -> None:
+    """σ² are the eigenvalues of M⁻¹ M', M' the mass matrix with the last body alone."""
+    masses = [4.0, 3.0, 2.0, 1.0, 0.5, 0.4]
+    (tip,) = summary(tmp_path, chain(SIX_AXES, masses)).tips
+    whole = robots.load_model(write(tmp_path, chain(SIX_AXES, masses)))
+    last = pin.buildModelFromXML(chain(SIX_AXES, [0.0] * 5 + [0.4]))
+    d, e, sigma = whole.createData(), last.createData(), []
+    for q in robots.model.random_configurations(whole, 200):
+        M, M_last = np.array(pin.crba(whole, d, q)), np.array(pin.crba(last, e, q))
+        sigma.append(np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(M, M_last)).real)[::-1]))
+    expected = np.column_stack((np.min(sigma, axis=0), np.max(sigma, axis=0)))
+    np.testing.assert_allclose(np.array(tip.mobility), expected, rtol=1e-6)
+    assert (np.array(tip.mobility) <= 1 + 1e-9).all()
+
+
+@pytest.mark.parametrize(("length", "mass"), [(1e3, 1.0), (1.0, 1e-3), (0.0254, 0.4536)])
+def test_mobility_does_not_depend_on_units(tmp_path: Path, length: float, mass: float) -> None:
+    masses = [4.0, 3.0, 2.0, 1.0, 0.5, 0.4]
+    (here,) = summary(tmp_path, chain(SIX_AXES, masses)).tips
+    (there,) = summary(tmp_path, chain(SIX_AXES, masses, length, mass)).tips
+    np.testing.assert_allclose(there.mobility, here.mobility, rtol=1e-7)
+    np.testing.assert_allclose(there.mass, np.array(here.mass) * mass, rtol=1e-7)
+    np.testing.assert_allclose(there.inertia, np.array(here.inertia) * mass * length**2, rtol=1e-7)
+
+
+def test_the_tip_can_be_chosen(tmp_path: Path) -> None:
+    file = write(tmp_path, GOOD)
+    loaded = robots.load(file)
+    every = robots.summarise(loaded.model, loaded.document)
+    assert [tip.tip for tip in every.tips] == ["finger", "tool"] and every.more_tips == 0
+    (slide,) = robots.summarise(loaded.model, loaded.document, "slide").tips
+    assert (slide.tip, slide.joints, len(slide.mobility)) == ("slide", 2, 2)
+    with pytest.raises(ModelError, match="no frame 'tol'"):
+        robots.summarise(loaded.model, loaded.document, "tol")
+    with pytest.raises(ModelError, match="no joint moves the frame 'base'"):
+        robots.summarise(loaded.model, loaded.document, "base")
+    assert robots.load(robots.urdf_path("rod")).model.nv == 0
+    rod = robots.check_robot(robots.urdf_path("rod"))
+    assert rod.sound and rod.summary is not None and rod.summary.tips == ()
+
+
+# The command ------------------------------------------------------------------------------------
+
+
+def test_check_prints_verdict_joints_and_tips(tmp_path: Path) -> None:
+    result = call("panda", "--json", tmp_path / "panda.json")
+    assert result.exit_code == 0, result.output
+    for words in ("panda.urdf: sound, loaded in", "9 joints move, 13 links, 17.45 kg",
+                  "panda_joint4", "-3.072 … -0.0698 rad", "87 N m", "panda_hand_tcp",
+                  "mobility"):  # fmt: skip
+        assert words in result.stdout, words
+    found = json.loads((tmp_path / "panda.json").read_text())
+    assert found["sound"] is True and found["findings"] == [] and found["meshes_missing"] == 0
+    assert found["reader_difference"] < 1e-12 and 0 < found["load_ms"] < 1000
+    assert found["robot"]["dof"] == 9 and len(found["robot"]["joints"]) == 9
+    assert found["robot"]["mass"] == pytest.approx(17.45, abs=0.01)
+
+
+def test_check_tells_everything_that_is_wrong(tmp_path: Path) -> None:
+    text = GOOD.replace('effort="40"', 'effort="0"').replace('value="4"', 'value="-4"')
+    file = write(tmp_path, text)
+    result = call(file, "--json", tmp_path / "bad.json")
+    assert result.exit_code == 1 and not result.stderr
+    assert "arm.urdf:44:5: joint 'turn' <limit effort='0'>: effort limit 0 N m" in result.stdout
+    assert "arm.urdf:7:7: link 'column' <mass value='-4'>: mass -4 kg is" in result.stdout
+    assert result.stdout.endswith("arm.urdf: refused, 2 findings\n")
+    found = json.loads((tmp_path / "bad.json").read_text())
+    assert found["sound"] is False and found["robot"] is None
+    assert [(f["check"], f["line"]) for f in found["findings"]] == [("limit", 44), ("inertia", 7)]
+
+
+def test_check_takes_limits_inertias_tip_and_package_folders(tmp_path: Path) -> None:
+    text = GOOD.replace('effort="40"', 'effort="0"').replace('izz="0.001"', 'izz="0.005"')
+    file = write(tmp_path, text.replace("meshes/column.stl", "/opt/meshes/column.stl"))
+    options = ["--limit", "t*:effort=7,lower=-1", "--inertias", "positive", "--tip", "hand"]
+    assert "outside of the robot's folders" in call(file, *options).stdout
+    result = call(file, *options, "--package-dir", "/opt/meshes", "--json", tmp_path / "c.json")
+    assert result.exit_code == 0, result.output
+    assert "1 mesh files were not found" in result.stdout
+    found = json.loads((tmp_path / "c.json").read_text())
+    assert found["robot"]["joints"][0]["effort"] == 7 and found["meshes_missing"] == 1
+    assert [joint["lower"] for joint in found["robot"]["joints"]].count(None) == 1
+    assert [tip["tip"] for tip in found["robot"]["tips"]] == ["hand"]
+
+
+def test_a_robot_that_the_second_reader_sees_otherwise_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("osc_contact.robots.second_reader.CROSS_CHECK_TOLERANCE", -1.0)
+    result = call(write(tmp_path, GOOD))
+    assert result.exit_code == 1 and "two URDF readers place link" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("./absent.urdf",), "neither the file"),
+        (("absent.urdf",), "neither the file"),
+        (("pnda",), "Did you mean panda"),
+        (("example-robot-data:pnda",), "Did you mean panda"),
+        (("panda", "--tip", "hnd"), "no frame 'hnd'"),
+        (("panda", "--limit", "elbow:effort=3"), "no moving joint matches 'elbow'"),
+        (("panda", "--limit", "panda_joint1:torque=3"), "expected JOINT:key=number"),
+        (("panda", "--inertias", "any"), "positive"),
+    ],
+)
+def test_bad_words_end_with_2(words: tuple[str, ...], message: str) -> None:
+    result = call(*words)
+    assert result.exit_code == 2 and not result.stdout
+    assert message in " ".join(result.stderr.split()) and "Traceback" not in result.stderr
+
+
+def test_exit_codes_of_the_process(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from osc_contact.cli import app; app()", "check"]
+    bad = write(tmp_path, GOOD[:500])
+    for argument, code in (("scara_left", 0), (str(bad), 1), (str(tmp_path), 2)):
+        done = subprocess.run([*command, argument], capture_output=True, text=True, timeout=60)
+        assert done.returncode == code, done.stderr
+        assert "Traceback" not in done.stderr

@@ -1,0 +1,269 @@
+"""A sound URDF and the ways to spoil it: name → (text, check, words of the reason, line)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+GOOD = """\
+<?xml version="1.0" encoding="utf-8"?>
+<robot name="sound">
+  <link name="base"/>
+  <link name="column">
+    <inertial>
+      <origin xyz="0 0 0.2" rpy="0 0 0.1"/>
+      <mass value="4"/>
+      <inertia ixx="0.05" ixy="0.001" ixz="0" iyy="0.05" iyz="0" izz="0.02"/>
+    </inertial>
+    <visual>
+      <origin xyz="0 0 0.2"/>
+      <geometry><cylinder radius="0.05" length="0.4"/></geometry>
+    </visual>
+    <collision>
+      <geometry><mesh filename="meshes/column.stl" scale="1 1 1"/></geometry>
+    </collision>
+  </link>
+  <link name="slide">
+    <inertial>
+      <origin xyz="0.1 0 0"/>
+      <mass value="1.5"/>
+      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0.001" izz="0.02"/>
+    </inertial>
+  </link>
+  <link name="hand">
+    <inertial>
+      <origin xyz="0 0.02 0.05"/>
+      <mass value="0.5"/>
+      <inertia ixx="0.002" ixy="0" ixz="0" iyy="0.002" iyz="0" izz="0.001"/>
+    </inertial>
+  </link>
+  <link name="finger">
+    <inertial>
+      <mass value="0.1"/>
+      <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/>
+    </inertial>
+  </link>
+  <link name="tool"/>
+  <joint name="turn" type="revolute">
+    <parent link="base"/>
+    <child link="column"/>
+    <origin xyz="0 0 0.1" rpy="0 0 0.5"/>
+    <axis xyz="0 0 1"/>
+    <limit lower="-2" upper="2.5" effort="40" velocity="3"/>
+    <dynamics damping="0.1" friction="0.2"/>
+  </joint>
+  <joint name="lift" type="prismatic">
+    <parent link="column"/>
+    <child link="slide"/>
+    <origin xyz="0.1 0 0.4" rpy="0.2 0 0"/>
+    <axis xyz="0 0.6 0.8"/>
+    <limit lower="0" upper="0.3" effort="200" velocity="1"/>
+  </joint>
+  <joint name="roll" type="continuous">
+    <parent link="slide"/>
+    <child link="hand"/>
+    <origin xyz="0.3 0 0"/>
+    <axis xyz="1 0 0"/>
+    <limit effort="10" velocity="6"/>
+  </joint>
+  <joint name="grip" type="revolute">
+    <parent link="hand"/>
+    <child link="finger"/>
+    <origin xyz="0 0.03 0.1"/>
+    <axis xyz="0 1 0"/>
+    <limit lower="0" upper="1" effort="5" velocity="2"/>
+    <mimic joint="lift" multiplier="2" offset="0.1"/>
+  </joint>
+  <joint name="tip" type="fixed">
+    <parent link="hand"/>
+    <child link="tool"/>
+    <origin xyz="0 0 0.15"/>
+  </joint>
+</robot>
+"""
+
+
+class Bad(NamedTuple):
+    """A spoilt file and what must be said of it."""
+
+    text: str | bytes
+    check: str
+    reason: str
+    line: int
+    element: str = ""
+
+
+def spoil(old: str, new: str, check: str, reason: str, element: str = "", up: int = 0) -> Bad:
+    """GOOD with the first `old` replaced; the complaint is about that line, or `up` lines above."""
+    line = GOOD.count("\n", 0, GOOD.index(old)) + 1 - up
+    return Bad(GOOD.replace(old, new, 1), check, reason, line, element)
+
+
+def _mass(value: str, reason: str, check: str = "number") -> Bad:
+    return spoil('value="1.5"', f'value="{value}"', check, reason, "link 'slide' <mass value=")
+
+
+def _mesh(address: str, reason: str) -> Bad:
+    return spoil("meshes/column.stl", address, "mesh", reason, "link 'column' <mesh filename=")
+
+
+FINGER_LIMIT = '<limit lower="0" upper="1" effort="5" velocity="2"/>'
+FINGER = GOOD[
+    GOOD.index('    <inertial>\n      <mass value="0.1"') : GOOD.index(
+        '  </link>\n  <link name="tool"'
+    )
+]
+CHAIN = "".join(
+    f'<link name="l{i}"/><joint name="j{i}" type="fixed"><parent link="l{i - 1}"/>'
+    f'<child link="l{i}"/></joint>'
+    for i in range(1, 5000)
+)  # fmt: skip
+BOMB = '<!DOCTYPE b [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>\n<robot'
+SPY = '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/hostname">]>\n<robot'
+
+CORPUS: dict[str, Bad] = {
+    # not the XML of a robot
+    "empty": Bad("", "xml", "is empty", 0),
+    "blank": Bad(" \n\t\n", "xml", "is empty", 0),
+    "binary": Bad(b"\x7fELF\x02\x01\x01\x00\x00\x00", "xml", "NUL byte", 1),
+    "NUL in the middle": Bad(GOOD.replace("0.05", "0.0\0005", 1), "xml", "NUL byte", 8),
+    "UTF-16": Bad(GOOD.encode("utf-16"), "xml", "encoded in UTF-16", 1),
+    "UTF-16 without mark": Bad(GOOD.encode("utf-16-le"), "xml", "NUL byte", 1),
+    "latin-1 declared": spoil("utf-8", "iso-8859-1", "xml", "declares the encoding 'iso-8859-1'"),
+    "latin-1 undeclared": Bad(
+        GOOD.replace('"base"', '"b\xe4se"').encode("latin-1"), "xml", "byte 0xe4 is not UTF-8", 3
+    ),
+    "cut at 200 bytes": Bad(GOOD[:200], "xml", "not well-formed XML: .* of line 5.*cut off", 8),
+    "cut between elements": Bad(
+        GOOD[: GOOD.index("  <joint")], "xml", "not well-formed.*<robot> of line 2.*cut off", 39
+    ),
+    "wrong end tag": spoil("</inertial>", "</inertia>", "xml", "mismatched tag"),
+    "attribute twice": spoil('ixx="0.05"', 'ixx="0.05" ixx="1"', "xml", "duplicate attribute"),
+    "bare ampersand": spoil('"base"', '"b&e"', "xml", "not well-formed XML"),
+    "two roots of XML": Bad(GOOD + "<robot/>", "xml", "junk after document element", 75),
+    "SDF": Bad('<sdf version="1.9"/>', "xml", "root element is <sdf>", 1),
+    "entity bomb": spoil("<robot", BOMB, "xml", "<!DOCTYPE> is refused"),
+    "external entity": spoil("<robot", SPY, "xml", "<!DOCTYPE> is refused"),
+    "include": spoil(
+        '<link name="base"/>', '<xi:include href="/etc/hostname"/>', "xml", "<xi:include> is not"
+    ),
+    "macro left over": spoil(
+        '<link name="base"/>', '<xacro:arm prefix="l"/>', "xml", "<xacro:arm> is not URDF"
+    ),
+    "70 levels deep": spoil("<visual>", "<a>" * 70, "xml", "nested more than 64 deep"),
+    "9 MiB": Bad(GOOD + " " * (9 * 2**20), "file", "is larger than 8 MiB", 0),
+    "5,000 links": spoil(
+        '<link name="tool"/>', '<link name="l0"/>' + CHAIN, "xml", "more than 512 links"
+    ),
+    # words
+    "misspelt element": spoil("<inertial>", "<intertial/><inertial>", "xml",
+                              "<intertial> is no word of URDF. Did you mean <inertial>"),
+    "misspelt attribute": spoil('rpy="0.2 0 0"', 'rpz="0.2 0 0"', "xml", "no attribute 'rpz'"),
+    "capital letters": spoil('<axis xyz="0 0 1"/>', '<Axis xyz="0 0 1"/>', "xml",
+                             "is no word of URDF. Did you mean <axis>"),
+    "two inertials": spoil("<visual>", '<inertial/><visual>', "xml", "the first is in line 5"),
+    "two limits": spoil(FINGER_LIMIT, FINGER_LIMIT * 2, "xml", "a second <limit>", "joint 'grip'"),
+    "two origins": spoil('<origin xyz="0 0 0.15"/>', '<origin/><origin/>', "xml", "a second <"),
+    # names
+    "robot without name": spoil(' name="sound"', "", "name", "the robot has no name"),
+    "link without name": spoil('<link name="tool"/>', "<link/>", "name", "a link without a name"),
+    "name of 300 letters": spoil('"tool"', '"' + "x" * 300 + '"', "name", "300 characters"),
+    "two links of a name": spoil('"finger"', '"hand"', "name", "a second link.*in line 25"),
+    "two joints of a name": spoil('"lift"', '"turn"', "name", "a second joint.*in line 39"),
+    "the world's name": spoil('"tool"', '"universe"', "name", "means the world", "link 'universe'"),
+    # tree
+    "no link": Bad('<robot name="r"/>', "tree", "has no link", 1),
+    "unknown parent": spoil('parent link="slide"', 'parent link="slid"', "tree",
+                            "link 'slid' does not exist. Did you mean slide", "joint 'roll'"),
+    "unknown child": spoil('child link="tool"', 'child link="tol"', "tree", "'tol' does not exist"),
+    "no parent": spoil('<parent link="hand"/>', "", "tree", "without <parent>", "joint 'grip'", 1),
+    "two parents": spoil('child link="finger"', 'child link="slide"', "tree",
+                         "'slide' already hangs on joint 'lift'", "joint 'grip'", 2),
+    "two roots": spoil('<link name="tool"/>', '<link name="tool"/><link name="loose"/>', "tree",
+                       "2 links have no parent: 'base', 'loose'", "link 'loose'"),
+    "loop": spoil('parent link="base"', 'parent link="hand"', "tree", "form a loop", up=1),
+    "link joined to itself": spoil('parent link="hand"', 'parent link="finger"', "tree", "itself",
+                                  "joint 'grip'", 1),
+    # numbers
+    "mass nan": _mass("nan", "value = 'nan' is not a finite number"),
+    "mass inf": _mass("inf", "'inf' is not a finite number"),
+    "mass 1e400": _mass("1e400", "'1e400' is not a finite number"),
+    "mass 1e300": _mass("1e300", "beyond ±1e\\+09"),
+    "mass in words": _mass("heavy", "'heavy' is not a finite number"),
+    "decimal comma": _mass("1,5", "'1,5' is not a finite number. Decimals are written with"),
+    "digits grouped": _mass("1_500", "'1_500' is not a finite number"),
+    "macro in a number": _mass("${m}", "'\\${m}' is not a finite number. Expand the macros"),
+    "origin of two numbers": spoil('"0.3 0 0"', '"0.3 0"', "number", "xyz has 2 numbers, 3 are"),
+    "origin nan": spoil('"0.3 0 0"', '"0.3 nan 0"', "number", "'nan'", "joint 'roll' <origin xyz="),
+    "origin with commas": spoil('"0.3 0 0"', '"0.3,0,0"', "number", "parted by blanks"),
+    "inertia entry missing": spoil(' izz="0.001"', "", "number", "izz is missing", "link 'hand'"),
+    "damping nan": spoil('damping="0.1"', 'damping="nan"', "number", "damping = 'nan'"),
+    "mimic offset nan": spoil('offset="0.1"', 'offset="nan"', "number", "offset = 'nan'"),
+    # joints
+    "no joint type": spoil(' type="prismatic"', "", "joint", "no joint type", "joint 'lift'"),
+    "unknown joint type": spoil('"prismatic"', '"prismatc"', "joint", "Did you mean prismatic"),
+    "floating joint": spoil('"prismatic"', '"floating"', "joint", "nq ≠ nv"),
+    "planar joint": spoil('"prismatic"', '"planar"', "joint", "nq ≠ nv"),
+    "axis zero": spoil('axis xyz="0 0 1"', 'axis xyz="0 0 0"', "joint", "axis has length 0"),
+    "axis too long": spoil('axis xyz="0 0 1"', 'axis xyz="0 0 2"', "joint", "axis has length 2"),
+    "axis without xyz": spoil('<axis xyz="1 0 0"/>', "<axis/>", "number", "xyz has 0 numbers"),
+    "friction negative": spoil('friction="0.2"', 'friction="-0.2"', "joint", "-0.2 is negative"),
+    "mimic of nothing": spoil('mimic joint="lift"', 'mimic joint="left"', "joint",
+                              "follows the joint 'left', which does not exist. Did you mean lift"),
+    "mimic of itself": spoil('mimic joint="lift"', 'mimic joint="grip"', "joint", "follows itself"),
+    "mimic of fixed joint": spoil('mimic joint="lift"', 'mimic joint="tip"', "joint", "the fixed"),
+    # limits
+    "no limit": spoil(FINGER_LIMIT, "", "limit", "has no <limit>", "joint 'grip'", 5),
+    "lower missing": spoil('lower="-2" ', "", "limit", "lower is missing", "joint 'turn' <limit>"),
+    "effort missing": spoil(' effort="10"', "", "limit", "effort is missing", "joint 'roll'"),
+    "lower above upper": spoil('lower="-2"', 'lower="3"', "limit", "lower limit 3 is above"),
+    "lower equals upper": spoil('lower="-2"', 'lower="2.5"', "limit", "equals the upper limit 2.5"),
+    "effort 0": spoil('effort="40"', 'effort="0"', "limit", "effort limit 0 N m must be > 0"),
+    "effort negative": spoil('effort="200"', 'effort="-1"', "limit", "effort limit -1 N must be"),
+    "velocity 0": spoil('velocity="6"', 'velocity="0"', "limit", "velocity limit 0 rad/s must be"),
+    "velocity nan": spoil('velocity="6"', 'velocity="nan"', "number", "'nan' is not a finite"),
+    # inertias
+    "mass negative": _mass("-1.5", "mass -1.5 kg is negative", "inertia"),
+    "mass 0": spoil('value="1.5"', 'value="0"', "inertia", "mass 0 kg with principal", up=-1),
+    "inertial without mass": spoil('<mass value="1.5"/>', "", "inertia", "without <mass>", up=2),
+    "inertia negative": spoil('izz="0.001"', 'izz="-0.001"', "inertia", "inertia is not positive"),
+    "inertia indefinite": spoil('ixy="0.001"', 'ixy="0.06"', "inertia", "is not positive"),
+    "triangle violated": spoil('izz="0.001"', 'izz="0.005"', "inertia", "exceeds the sum of"),
+    "moved mass missing": spoil(FINGER, "", "mass matrix",
+                                "joint grip can move without moving mass", "joint 'grip'", -24),
+    # shapes
+    "cylinder nan": spoil('radius="0.05"', 'radius="nan"', "number", "radius = 'nan'"),
+    "cylinder negative": spoil('length="0.4"', 'length="-0.4"', "geometry", "negative size"),
+    "unknown shape": spoil("<cylinder ", "<cone ", "geometry", "unknown shape <cone>"),
+    "no shape": spoil('<cylinder radius="0.05" length="0.4"/>', "", "geometry", "one shape", up=2),
+    "mesh at an address": _mesh("http://example.org/a.stl", "scheme 'http:'"),
+    "mesh at an absolute path": _mesh("/etc/a.stl", "outside of the robot's folders"),
+    "mesh file://": _mesh("file:///etc/a.stl", "outside of the robot's folders"),
+    "mesh above": _mesh("../../a.stl", "outside of the robot's folders"),
+    "mesh hidden above": _mesh("meshes/../../a.stl", "outside of the robot's folders"),
+    "mesh above its package": _mesh("package://arm/../../etc/a.stl", "leads out of its package"),
+    "mesh of another type": _mesh("meshes/passwd", "type without suffix are not read"),
+    "mesh without name": _mesh("", "a mesh without filename"),
+    "mesh scale nan": spoil('scale="1 1 1"', 'scale="1 nan 1"', "number", "scale = 'nan'"),
+}  # fmt: skip
+
+SOUND: dict[str, Callable[[str], str | bytes]] = {
+    "as it is": lambda good: good,
+    "byte order mark": lambda good: "\ufeff" + good,
+    "Windows line ends": lambda good: good.replace("\n", "\r\n").encode(),
+    "comments and processing instructions": lambda good: good.replace(
+        "<robot", '<?xml-model href="x"?>\n<!-- <!ENTITY --><robot', 1
+    ),
+    "extensions of simulators": lambda good: good.replace(
+        "</robot>", '<gazebo reference="tool"><mu1>nan</mu1></gazebo><transmission/></robot>'
+    ),
+    "names beyond ASCII": lambda good: good.replace('"slide"', '"schlitten ä &amp; &lt;b&gt;"'),
+    "defaults of the specification": lambda good: good.replace('<axis xyz="1 0 0"/>', "", 1),
+    "link and joint of one name": lambda good: good.replace('"roll"', '"hand"', 1),
+    "limits so wide that they are none": lambda good: good.replace('upper="2.5"', 'upper="1e300"'),
+    "mesh of a package": lambda good: good.replace("meshes/column", "package://arm/column"),
+    "point mass": lambda good: good.replace(
+        'ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"',
+        'ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"',
+    ).replace('<mass value="0.1"/>', '<origin xyz="0.05 0 0"/><mass value="0.1"/>'),
+}  # fmt: skip

@@ -1,0 +1,191 @@
+"""Seeded mutants of sound URDFs, judged by the loader and by a mass matrix of its own.
+
+Run as ``python urdf_mutants.py SEED COUNT``: prints one line of JSON. A crash of the process is
+what the caller looks for, so this runs by itself.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+import sys
+import tempfile
+import time
+import xml.etree.ElementTree as ElementTree
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from urdf_corpus import GOOD
+
+from osc_contact import robots
+from osc_contact.errors import ModelError
+
+NASTY = (
+    "nan", "inf", "-inf", "1e400", "-1e308", "1e-320", "0", "-0.0", "-1", "1e-9", "1e6", "0,5", "",
+    "0x10", "1_0", "one", "1e5 2", " ", "9" * 400, "-0.001", "5", "0.3",
+)  # fmt: skip
+WORDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "base", "hand", "slide",
+         "tool", "universe", "parent", "link", "joint", "xyz", "rpy", "lower", "mimic", "inertial",
+         "mass", "DOCTYPE", "\x01", "é", "%s%n", "../", "<", "&lt;", "]]>", "<!--")  # fmt: skip
+NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
+WORD = re.compile(r"[A-Za-z_]{3,}")
+
+
+def mutant(rng: random.Random, text: str) -> bytes:
+    """One to four changes: numbers, words, lines, spans, bytes."""
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        kind = rng.randrange(-4, 8)
+        if kind <= 2:
+            text = _exchange(rng, text, NUMBER, NASTY if kind > 0 else None)
+        elif kind == 3:
+            text = _exchange(rng, text, WORD, WORDS)
+        elif kind in (4, 5):
+            lines = text.splitlines(keepends=True)
+            i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
+            if kind == 4:
+                del lines[i : i + rng.choice((1, 1, 1, 4))]
+            else:
+                lines.insert(j, lines[i])
+            text = "".join(lines)
+        elif kind == 6:
+            i = rng.randrange(len(text) + 1)
+            text = text[:i] + text[i + rng.randrange(30) :]
+        else:
+            raw = bytearray(text.encode())
+            for _ in range(rng.randrange(1, 4)):
+                raw[rng.randrange(len(raw))] = rng.randrange(256)
+            return bytes(raw)
+        text = text or " "
+    return text.encode()
+
+
+def _exchange(rng: random.Random, text: str, pattern: re.Pattern[str], by) -> str:
+    hits = list(pattern.finditer(text))
+    if not hits:
+        return text
+    hit = rng.choice(hits)
+    if by is None:  # another size, another sign
+        factor = rng.choice((-1, 1)) * 10 ** rng.uniform(-6, 3)
+        new = repr(float(hit[0]) * factor)
+    else:
+        new = rng.choice(by)
+    return text[: hit.start()] + new + text[hit.end() :]
+
+
+# The second opinion -----------------------------------------------------------------------------
+
+
+def numbers(element: ElementTree.Element | None, key: str, default: str) -> np.ndarray:
+    return np.array((default if element is None else element.get(key, default)).split(), float)
+
+
+def placement(owner: ElementTree.Element) -> tuple[np.ndarray, np.ndarray]:
+    origin = owner.find("origin")
+    (a, b, c), p = numbers(origin, "rpy", "0 0 0"), numbers(origin, "xyz", "0 0 0")
+    return turn(np.array([0, 0, 1.0]), c) @ turn(np.array([0, 1.0, 0]), b) @ turn(
+        np.array([1.0, 0, 0]), a
+    ), p
+
+
+def turn(axis: np.ndarray, angle: float) -> np.ndarray:
+    x, y, z = axis
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+
+
+def mass_matrix(text: bytes, names: list[str], q: np.ndarray) -> np.ndarray:
+    """M(q) = Σ m JᵥᵀJᵥ + JωᵀIJω over the links, from the file itself."""
+    root = ElementTree.fromstring(text)
+    links = {link.get("name"): link for link in root.findall("link")}
+    above = {joint.find("child").get("link"): joint for joint in root.findall("joint")}
+    pending = [name for name in links if name not in above]
+    poses = {pending[0]: (np.eye(3), np.zeros(3), [])}
+    M = np.zeros((len(names), len(names)))
+    while pending:
+        parent = pending.pop()
+        R, p, screws = poses[parent]
+        inertial = links[parent].find("inertial")
+        if inertial is not None and screws:
+            M += _share(inertial, R, p, screws, len(names))
+        for child, joint in above.items():
+            if joint.find("parent").get("link") != parent:
+                continue
+            R_j, p_j = placement(joint)
+            R_c, p_c, way = R @ R_j, p + R @ p_j, list(screws)
+            kind = joint.get("type")
+            if kind != "fixed":
+                axis = numbers(joint.find("axis"), "xyz", "1 0 0")
+                axis, i = axis / np.linalg.norm(axis), names.index(joint.get("name"))
+                way.append((i, kind == "prismatic", R_c @ axis, p_c))
+                if kind == "prismatic":
+                    p_c = p_c + R_c @ axis * q[i]
+                else:
+                    R_c = R_c @ turn(axis, q[i])
+            poses[child] = (R_c, p_c, way)
+            pending.append(child)
+    return M
+
+
+def _share(inertial: ElementTree.Element, R: np.ndarray, p: np.ndarray, screws: list, n: int):
+    R_i, p_i = placement(inertial)
+    mass = float(inertial.find("mass").get("value"))
+    xx, xy, xz, yy, yz, zz = (
+        float(inertial.find("inertia").get(k)) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
+    tensor = R @ R_i @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ (R @ R_i).T
+    centre = p + R @ p_i
+    J = np.zeros((6, n))
+    for i, slides, axis, at in screws:
+        J[:3, i] = axis if slides else np.cross(axis, centre - at)
+        J[3:, i] = 0 if slides else axis
+    return mass * J[:3].T @ J[:3] + J[3:].T @ tensor @ J[3:]
+
+
+def judge(text: bytes, model: pin.Model, rng: np.random.Generator) -> tuple[float, float]:
+    """(relative difference of M from the second opinion, smallest eigenvalue at unit diagonal)."""
+    q = rng.uniform(-2, 2, model.nq)
+    M = mass_matrix(text, list(model.names)[1:], q)
+    scale = 1 / np.sqrt(np.abs(M.diagonal()) + 1e-300)
+    ours = np.array(pin.crba(model, model.createData(), q))
+    ours = np.triu(ours) + np.triu(ours, 1).T
+    off = float(np.abs(scale[:, None] * (ours - M) * scale).max())
+    return off, float(np.linalg.eigvalsh(scale[:, None] * M * scale).min())
+
+
+def main(seed: int, count: int) -> None:
+    rng, numpy_rng = random.Random(seed), np.random.default_rng(seed)
+    seeds = (GOOD, robots.urdf_path("scara_left").read_text())
+    plain = re.sub(r"\s*<(visual|collision)\b.*?</\1>", "", seeds[1], flags=re.DOTALL)
+    checks: Counter[str] = Counter()
+    slowest, worst_off, least, broken = 0.0, 0.0, np.inf, []
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(count):
+            file = Path(folder) / f"{number}.urdf"  # truncating one file would wait for the disk
+            text = mutant(rng, plain if rng.random() < 0.2 else GOOD)
+            file.write_bytes(text)
+            start = time.perf_counter()
+            try:
+                model = robots.load_model(file)
+                verdict = "accepted"
+            except ModelError as error:
+                verdict = error.findings[0].check if error.findings else "no finding"
+            file.unlink()
+            slowest = max(slowest, time.perf_counter() - start)
+            checks[verdict] += 1
+            if verdict != "accepted" or model.nv == 0:
+                continue
+            off, eigenvalue = judge(text, model, numpy_rng)
+            worst_off, least = max(worst_off, off), min(least, eigenvalue)
+            if not (off < 1e-6 and eigenvalue > 1e-12):
+                broken.append(text.decode("utf-8", "replace"))
+    print(json.dumps({
+        "mutants": count, "verdicts": dict(checks), "slowest_ms": 1e3 * slowest,
+        "largest_difference": worst_off, "least_eigenvalue": least, "broken": broken,
+    }))  # fmt: skip
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))
