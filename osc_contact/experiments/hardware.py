@@ -187,6 +187,11 @@ class Observer:
         self._bodies: list[_BodyEstimate] = []
         self._unknown = np.repeat([float(believed.body_linear), float(believed.body_angular)], 3)
 
+    @property
+    def wants_acceleration(self) -> bool:
+        """Whether `complete` makes use of it."""
+        return self._joints is not None
+
     def complete(self, measurement: Measurement, acceleration: Array | None) -> Measurement:
         """The measurement with everything a controller needs.
 

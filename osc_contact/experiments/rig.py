@@ -107,7 +107,7 @@ class Rig:
         """What estimates the velocities that the sensors do not give."""
         return hardware.Observer(self.scenario, self.model)
 
-    def controller(self) -> Controller:
+    def controller(self, *, compiled: bool = True) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
         gains = self.scenario.gains
         return Controller(
@@ -119,6 +119,7 @@ class Rig:
             bodies=faces.bodies(self.scenario),
             posture=self.q_contact,
             engaged=self.scenario.tare is None,
+            compiled=compiled,
             friction=self._friction(),
         )
 

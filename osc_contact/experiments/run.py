@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.control.allocation import squeeze_rows
 from osc_contact.control.controller import Controller
 from osc_contact.control.monitor import ContactMonitor
 from osc_contact.errors import PlantError
@@ -19,7 +18,7 @@ from osc_contact.interface import Reference
 from osc_contact.plants.plant import Truth
 from osc_contact.recorder import Recorder, Recording
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.spatial import Array, pose_error
+from osc_contact.spatial import Array
 
 __all__ = ["run"]
 
@@ -84,7 +83,8 @@ def _loop(rig: Rig, seed: int, progress: Progress | None, install: Install | Non
             start = perf_counter()
             tau = controller.tick(measurement, reference)
             spent = perf_counter() - start
-            acceleration = controller.joint_acceleration()
+            if observer.wants_acceleration:
+                acceleration = controller.joint_acceleration()
             tare.watch(t)
             recorder.append(
                 t=t,
@@ -92,8 +92,9 @@ def _loop(rig: Rig, seed: int, progress: Progress | None, install: Install | Non
                 v=measurement.v,
                 tau=tau,
                 tick_s=spent,
-                **_watched(controller, monitor),
-                **_channels(rig, controller, reference, truth, tau),
+                **_channels(
+                    rig, controller, reference, truth, measurement.touched is not None, monitor
+                ),
             )
             drive.step(tau)
             if progress is not None and k % 100 == 99:
@@ -131,28 +132,25 @@ class _Tare:
             self.controller.engage()
 
 
-def _watched(controller: Controller, monitor: ContactMonitor) -> dict[str, Array]:
-    """What the contact monitor tells from projected force and power."""
-    s = controller.last_signals()
-    alpha = speed = np.zeros(monitor.contacts)
-    if s.parts:  # contacts are part of the model
-        alpha = s.contact.magnitudes(s.alpha_meas)
-        speed = (s.state.V_O - s.environment.V_e) @ s.contact.N @ s.contact.R
-    seen = monitor.update(alpha, speed)
-    return {"contact_seen": seen.closed, "collision_seen": seen.collision}
-
-
 def _channels(
-    rig: Rig, controller: Controller, reference: Reference, truth: Truth, tau: Array
+    rig: Rig,
+    controller: Controller,
+    reference: Reference,
+    truth: Truth,
+    moving: bool,
+    monitor: ContactMonitor,
 ) -> dict[str, Any]:
     """What the recording keeps of a tick besides joints and torques."""
-    s = controller.last_signals()
-    r = len(rig.pairs)
-    state = s.state
-    wrench = s.f_meas - state.bias_out
-    Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
-    E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
-    V_rel = state.V_O - s.environment.V_e
+    found, r = controller.found(), len(rig.pairs)
+    wrench = found.f_meas - found.bias_out
+    alpha, V_rel = found.alpha_meas, found.V_O
+    if moving or 0 < len(alpha) < r:
+        s = controller.last_signals()
+        V_rel = V_rel - s.environment.V_e
+        alpha = s.contact.magnitudes(alpha)
+    if len(alpha) != r:
+        alpha = np.zeros(r)
+    seen = monitor.update(alpha, _normal_speeds(controller) if monitor.looks else np.zeros(r))
     X = truth.X_WO
     faces = truth.X_WE or (pin.SE3.Identity(),) * r
     touching = list(zip(rig.pairs, faces, strict=True))
@@ -160,9 +158,11 @@ def _channels(
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
         "alpha_cmd": reference.alpha_d,
-        "alpha_meas": s.contact.magnitudes(s.alpha_meas) if s.parts else np.zeros(r),
+        "alpha_meas": alpha,
         "alpha_true": truth.alpha,
         "closed": truth.closed,
+        "contact_seen": seen.closed,
+        "collision_seen": seen.collision,
         "contact_point": np.array([p.point_on_face(X, E) for p, E in touching]).reshape(r, 3),
         "contact_direction": np.array([p.direction(E) for p, E in touching]).reshape(r, 3),
         "face_pose": np.array(
@@ -170,12 +170,20 @@ def _channels(
         ).reshape(r, 7),
         "wrench_meas": wrench,
         "power_total": float(V_rel @ wrench),
-        "power_projected": float(V_rel @ s.f_c_meas),
-        "motion_error": Omega_m @ pose_error(reference.X_WD, state.X_WO),
+        "power_projected": float(V_rel @ found.f_c),
+        "motion_error": found.free_error,
         "squeeze_cmd": reference.squeeze_d,
-        "squeeze": float((E @ tau - e0)[0]) if len(e0) else 0.0,
+        "squeeze": float(found.squeeze[0]),
         "status": int(controller.status),
     }
+
+
+def _normal_speeds(controller: Controller) -> Array:
+    """(r,) NᵀV_rel of every contact; zero while none is engaged."""
+    s = controller.last_signals()
+    if not s.parts:
+        return np.zeros(len(controller.contacts))
+    return np.asarray((s.state.V_O - s.environment.V_e) @ s.contact.N @ s.contact.R)
 
 
 def _meta(rig: Rig, seed: int) -> dict[str, object]:
