@@ -180,7 +180,12 @@ OF_EACH_KIND = {
 }
 """Each kind has its own model, of which this key is the default."""
 GROUPS = {"gains.motion", "gains.force", "control", "model_error", "plant"}
-SCENARIO_TABLES = ("Who and where", "Contacts and commands", "Control and plant")
+SCENARIO_TABLES = (
+    "Who and where",
+    "Contacts and commands",
+    "Control and plant",
+    "Drives and sensors",
+)
 
 
 def test_every_key_of_a_scenario_is_documented() -> None:

@@ -236,7 +236,7 @@ def _found(arrays: dict[int, Array]) -> Found:
         f_meas=six(at.F_MEAS), bias_out=six(at.BIAS_OUT), f_c=six(at.F_C), V_O=six(at.V_O),
         X_WO=s[at.X_WO : at.X_WO + 16].reshape(4, 4), error=six(at.ERROR),
         free_error=six(at.FREE_ERROR), squeeze=s[at.SQUEEZE : at.SQUEEZE + 1],
-        magnitudes=columns[at.ALPHA_MEAS], rank=s[at.RANK : at.RANK + 1],
+        magnitudes=columns[at.ALPHA_MEAS], speeds=columns[at.SPEED], rank=s[at.RANK : at.RANK + 1],
     )  # fmt: skip
 
 

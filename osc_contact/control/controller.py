@@ -30,6 +30,7 @@ from osc_contact.control.force import (
     sum_of_wrenches,
 )
 from osc_contact.control.found import Found
+from osc_contact.control.friction import Friction
 from osc_contact.control.motion import MotionGains, MotionLaw
 from osc_contact.control.wires import Block, Signals, Stage, TracedSignals, block
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
@@ -85,6 +86,7 @@ class Controller:
         posture: Array | None = None,
         engaged: bool = True,
         compiled: bool = True,
+        friction: Friction | None = None,
     ) -> None:
         """Assemble the loops.
 
@@ -101,7 +103,8 @@ class Controller:
             engaged: start in contact.
             compiled: run on the kernels, some hundred times faster; False: on the readable path
                 below, which gives the same torques. The first controller ever made on a machine
-                compiles them.
+                compiles them. Friction is compensated on the readable path only.
+            friction: what is believed of the contacts' friction; None: nothing.
 
         Raises:
             InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
@@ -121,8 +124,11 @@ class Controller:
             raise InvalidInputError(
                 f"{len(contacts)} contacts but {len(bodies)} bodies; give one for each contact"
             )
+        if friction is not None:
+            friction.require_known_points(contacts)
         gains = Gains() if gains is None else gains
         self.chain = chain
+        self.friction = friction
         self.contacts = tuple(contacts)
         self.bodies = (None,) * len(self.contacts) if bodies is None else tuple(bodies)
         self.B = B
@@ -139,7 +145,7 @@ class Controller:
         self._reason: str | None = ""  # None: a motor limit, said when somebody asks
         self._last_tau: Array = np.zeros(chain.n_a)
         self._fast: CompiledTick | None = None
-        if compiled:
+        if compiled and friction is None:
             from osc_contact.control.compiled import CompiledTick
 
             self._fast = fast = CompiledTick(self)
@@ -261,6 +267,11 @@ class Controller:
             return self._fast.found
         return Found.of(self.last_signals(), self)
 
+    def joint_acceleration(self) -> Array:
+        """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
+        s = self.last_signals()
+        return np.asarray(s.state.W @ s.eta_c + s.state.w)
+
     def residual_wrench(self) -> Array:
         """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
 
@@ -303,8 +314,10 @@ class Controller:
         else:
             moving = zip(pairs, touched.X_WE, touched.V_E, strict=False)
             parts = [pair.contact(X_WO, V_O, pin.SE3(X), V) for pair, X, V in moving]
-        s.parts = parts
-        s.contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
+        contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
+        s.parts, s.contact, s.drag = parts, contact, np.zeros_like(contact.N)
+        if self.friction is not None:
+            s.drag = self.friction.drags(pairs, X_WO, V_O, touched) @ contact.R.T
 
     @block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)")
     def _environment(self, s: Signals) -> None:
@@ -332,7 +345,7 @@ class Controller:
 
     @block("force filter", "force", r"$\Omega_f(\Lambda_{out})$")
     def _force_filter(self, s: Signals) -> None:
-        s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, s.environment)
+        s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, s.environment, s.drag)
 
     @block("generalised inverse", "force", r"$N^{\#}$")
     def _magnitudes(self, s: Signals) -> None:
@@ -346,7 +359,7 @@ class Controller:
 
     @block("to operational space", "force", r"$N\alpha_u$  (16)")
     def _operational_force(self, s: Signals) -> None:
-        s.f_ccomm = s.contact.N @ s.alpha_u
+        s.f_ccomm = (s.contact.N + s.drag) @ s.alpha_u
 
     @block("motion law", "motion", r"$\ddot x_d + K_d\dot e + K_p e + K_i\!\int\! e$")
     def _motion_law(self, s: Signals) -> None:

@@ -25,7 +25,8 @@ class Found:
         f_c: (6,) contact force in them. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
         error: (6,) pose error. free_error: (6,) Ω_m(Λ_o⁻¹) of it.
         squeeze: (1,) internal force along the grasp line (N), > 0 compresses.
-        magnitudes: (≥ r,) contact magnitudes measured; the first r of them count. rank: (1,) r.
+        magnitudes: (≥ r,) contact magnitudes measured; speeds: (≥ r,) NᵀV_rel; the first r of them
+            count. rank: (1,) r.
     """
 
     f_meas: Array
@@ -37,12 +38,18 @@ class Found:
     free_error: Array
     squeeze: Array
     magnitudes: Array
+    speeds: Array
     rank: Array
 
     @property
     def alpha_meas(self) -> Array:
         """(r,) contact magnitudes measured."""
         return self.magnitudes[: int(self.rank[0])]
+
+    @property
+    def normal_speed(self) -> Array:
+        """(r,) NᵀV_rel (m/s): 0 while the contacts last."""
+        return self.speeds[: int(self.rank[0])]
 
     @classmethod
     def of(cls, s: Signals, controller: Controller) -> Found:
@@ -61,5 +68,6 @@ class Found:
             free_error=Omega_m @ error,
             squeeze=E @ tau - e0 if len(e0) else np.zeros(1),
             magnitudes=s.alpha_meas,
+            speeds=s.contact.N.T @ (state.V_O - s.environment.V_e),
             rank=np.array([len(s.alpha_meas)]),
         )

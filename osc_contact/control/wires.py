@@ -31,6 +31,7 @@ class Signals:
     state: ChainState  #: Λ_S, μ, p, S, σ, G of the closed chain
     parts: list[Contact]  #: N, n_γ of each contact
     contact: Contact  #: N, T, n_γ of all together
+    drag: Array  #: (6, r) friction for each newton of contact force, N_μ − N
     environment: Environment  #: Φ_e, b_e, V_e
     f_meas: Array  #: (6,) sum of the wrist readings at O, tare removed
     f_c_meas: Array  #: (6,) contact force inside it

@@ -17,7 +17,7 @@ from osc_contact.scenarios.signals import MinimumJerk, Step, total
 from osc_contact.scenarios.touching import MAGNITUDES, magnitude_names
 from osc_contact.spatial import Array, cross
 
-__all__ = ["References", "common_tangent", "force_names", "force_steps"]
+__all__ = ["References", "common_tangent", "force_names", "force_owners", "force_steps"]
 
 
 def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
@@ -41,6 +41,12 @@ def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
 def force_names(scenario: Scenario) -> list[str]:
     """Names of all force magnitudes, in the order of alpha: ``tip``, ``pad.1``, ``pad.2``, …"""
     return magnitude_names({c.name: MAGNITUDES[c.type] for c in scenario.contacts})
+
+
+def force_owners(scenario: Scenario) -> tuple[int, ...]:
+    """The contact of each force magnitude."""
+    owners = [i for i, c in enumerate(scenario.contacts) for _ in range(MAGNITUDES[c.type])]
+    return tuple(owners)
 
 
 def force_steps(scenario: Scenario) -> list[float]:

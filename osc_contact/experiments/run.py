@@ -11,17 +11,18 @@ import pinocchio as pin
 
 from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.control.controller import Controller
+from osc_contact.control.monitor import ContactMonitor
 from osc_contact.errors import PlantError
 from osc_contact.experiments.contacts import feet
 from osc_contact.experiments.free_motion import free_part
-from osc_contact.experiments.references import force_steps
+from osc_contact.experiments.references import force_names, force_owners, force_steps
 from osc_contact.experiments.rig import Rig, build_rig
-from osc_contact.interface import Reference
+from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.plant import Truth
 from osc_contact.recorder import Recorder, Recording
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.scenarios.touching import MAGNITUDES
 from osc_contact.spatial import Array
+from osc_contact.visual.live import Shows
 
 __all__ = ["run"]
 
@@ -36,6 +37,7 @@ def run(
     duration: float | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    viewer: Shows | None = None,
     install: Install | None = None,
 ) -> Recording:
     """Run a scenario and record it.
@@ -46,6 +48,7 @@ def run(
         duration: s, instead of the scenario's own.
         seed: of everything random in the run (sensors and plants without noise use none).
         progress: called with the simulated time now and then.
+        viewer: shows the run while it goes on (see `open_viewer`); it cannot hold the loop up.
         install: puts another control law into each controller of the run.
 
     Returns:
@@ -60,46 +63,54 @@ def run(
     if duration is not None:
         changes["duration"] = duration
     scenario = Scenario.model_validate(changes).with_source(scenario.source)
-    return _loop(build_rig(scenario), seed, progress, install)
+    return _loop(build_rig(scenario), seed, progress, install, viewer)
 
 
-def _loop(rig: Rig, seed: int, progress: Progress | None, install: Install | None) -> Recording:
+def _loop(
+    rig: Rig,
+    seed: int,
+    progress: Progress | None,
+    install: Install | None,
+    viewer: Shows | None,
+) -> Recording:
     scenario = rig.scenario
     period = 1.0 / scenario.control.rate
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(ticks, _meta(rig, seed))
-    plant, controller, first = rig.plant(), rig.controller(), rig.controller()
+    plant, controller, first = rig.plant(seed), rig.controller(), rig.controller()
     if install is not None:
         controller, first = install(controller), install(first)
     # the rig starts under the torques that hold it, not limp
-    plant.hold(first.tick(plant.measure(), rig.references.at(0.0)))
-    tare = _Tare(rig, controller)
+    plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
+    drive, observer = rig.drive(plant), rig.observer()
+    acceleration = None
+    tare, monitor = _Tare(rig, controller), ContactMonitor(len(force_names(scenario)), period)
     began = perf_counter()
     try:
         for k in range(ticks):
             t = k * period
             reference = rig.references.at(t)
-            measurement, truth = plant.measure(), plant.truth()
+            measurement = observer.complete(plant.measure(), acceleration)
+            truth = plant.truth()
             start = perf_counter()
             tau = controller.tick(measurement, reference)
             spent = perf_counter() - start
+            if observer.estimates:
+                acceleration = controller.joint_acceleration()
             tare.watch(t)
-            recorder.append(
-                t=t,
-                q=measurement.q,
-                v=measurement.v,
-                tau=tau,
-                tick_s=spent,
-                **_channels(
-                    rig,
-                    controller,
-                    reference,
-                    truth,
-                    measurement.q,
-                    measurement.touched is not None,
-                ),
-            )
-            plant.step(tau, period)
+            channels = {
+                "t": t,
+                "q": measurement.q,
+                "v": measurement.v,
+                "tau": tau,
+                "tick_s": spent,
+                **_watched(controller, monitor),
+                **_channels(rig, controller, reference, truth, measurement),
+            }
+            recorder.append(**channels)
+            if viewer is not None:
+                viewer.show(channels)
+            drive.step(tau)
             if progress is not None and k % 100 == 99:
                 progress(t + period)
     except PlantError as error:
@@ -135,14 +146,27 @@ class _Tare:
             self.controller.engage()
 
 
+def _watched(controller: Controller, monitor: ContactMonitor) -> dict[str, Array]:
+    """What the contact monitor tells from projected force and power."""
+    found, count = controller.found(), monitor.contacts
+    alpha = speed = np.zeros(count)
+    if len(found.alpha_meas) == count:
+        alpha, speed = found.alpha_meas, found.normal_speed
+    elif len(found.alpha_meas):  # some contacts depend on others
+        contact = controller.last_signals().contact
+        alpha, speed = contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
+    seen = monitor.update(alpha, speed)
+    return {"contact_seen": seen.closed, "collision_seen": seen.collision}
+
+
 def _channels(
-    rig: Rig, controller: Controller, reference: Reference, truth: Truth, q: Array, moving: bool
+    rig: Rig, controller: Controller, reference: Reference, truth: Truth, read: Measurement
 ) -> dict[str, Any]:
     """What the recording keeps of a tick besides joints and torques."""
     found, k, r = controller.found(), len(rig.pairs), len(reference.alpha_d)
     wrench = found.f_meas - found.bias_out
     alpha, V_rel = found.alpha_meas, found.V_O
-    if moving or 0 < len(alpha) < r:
+    if read.touched is not None or 0 < len(alpha) < r:
         s = controller.last_signals()
         V_rel = V_rel - s.environment.V_e
         alpha = s.contact.magnitudes(alpha)
@@ -155,7 +179,7 @@ def _channels(
     free_error = found.free_error
     if rig.d < 6:
         held = N if controller.engaged else N[:, :0]
-        free_error = free_part(rig.model, q, pin.SE3(found.X_WO), held, found.error)
+        free_error = free_part(rig.model, read.q, pin.SE3(found.X_WO), held, found.error)
     bodies = [rig.bodies[i].placement for i in rig.on]
     return {
         "pose": pin.SE3ToXYZQUAT(X),
@@ -190,7 +214,7 @@ def _meta(rig: Rig, seed: int) -> dict[str, object]:
         "arm_names": [arm.name for arm in rig.chain.arms],
         "joint_names": rig.chain.joint_names,
         "contact_names": [pair.name for pair in rig.pairs],
-        "columns": [i for i, c in enumerate(scenario.contacts) for _ in range(MAGNITUDES[c.type])],
+        "columns": list(force_owners(scenario)),
         "control_rate_hz": scenario.control.rate,
         "force_steps_s": force_steps(scenario),
     }
