@@ -209,7 +209,7 @@ def test_columns_of_the_recording_belong_together(rigs, runs):
         expected = rig.pairs[0].contact(X, np.zeros(6)).N
         np.testing.assert_allclose(recording["N"][k], expected, atol=1e-12)
         corners, directions = feet(rig.pairs[0], X)
-        on_board = (corners - [0.515, 0, 0.24]) @ directions[0]
+        on_board = (corners - [0.47, 0, 0.24]) @ directions[0]
         np.testing.assert_allclose(on_board, 0.0, atol=1e-12)
     plate = runs["three_arm_plate"]
     assert plate.magnitude_names == ["post_1", "post_2", "post_3"]
