@@ -63,10 +63,8 @@ instant = Instant(state, contact)
 laws = {"ours": Ours(), "selection": best_selection(instant, BASELINES["khatib"], restarts=0)}
 for name, law in laws.items():
     coupling = instant.coupling(law)
-    print(
-        f"{name}: acceleration along the free motions per newton {np.abs(coupling.G_f).max():.1e}"
-    )
-    print(f"{name}: newton per unit of free acceleration {np.abs(coupling.G_m).max():.1e}")
+    print(f"{name}: free acceleration per newton up to {np.abs(coupling.G_f).max():.1e},",
+          f"newtons per unit of free acceleration up to {np.abs(coupling.G_m).max():.1e}")  # fmt: skip
 
 # %% [markdown]
 # ## In motion

@@ -32,8 +32,8 @@ rig = osc.build_rig(scenario)  # loads the URDFs, closes the loop, puts the rod 
 # %% [markdown]
 # ## The state of contact
 #
-# $N$ spans the wrenches that the contacts transmit, $T$ the twists they permit, and $N^TT=0$: a
-# contact force has no power in a permitted motion. Each contact contributes one column to $N$,
+# N spans the wrenches that the contacts transmit, T the twists they permit, and NᵀT = 0: a
+# contact force has no power in a permitted motion. Each contact contributes one column to N,
 # its force pushing *into* the face.
 
 # %%
@@ -59,9 +59,9 @@ reproduce("fig1", scenario)
 # %% [markdown]
 # ## The closed chain
 #
-# Vertical joint axes and hinges leave the rod $d = 5$ motions $S$; the couple about its own axis
-# is carried by the structure. In these motions the inertia of arms and rod is $\Lambda_S$ (5×5),
-# and $\Phi_0 = S\Lambda_S^{-1}S^T$ takes the place of $\Lambda_0^{-1}$: 6×6, of rank 5. Nothing
+# Vertical joint axes and hinges leave the rod d = 5 motions S; the couple about its own axis
+# is carried by the structure. In these motions the inertia of arms and rod is Λ_S (5×5),
+# and Φ₀ = S Λ_S⁻¹ Sᵀ takes the place of Λ₀⁻¹: 6×6, of rank 5. Nothing
 # is damped or inverted by force.
 
 # %%
@@ -75,8 +75,8 @@ print("\n".join(line for line in found.lines if line.startswith("free motion")))
 # %% [markdown]
 # ## Projections
 #
-# $\Omega_f$ (eq. 5) keeps the part of a wrench that lies in $N$, $\Omega_m$ (eq. 7) the part of a
-# twist that lies in $T$. They need $\Phi_0$ only, so the rank does not matter. Different metrics
+# Ω_f (eq. 5) keeps the part of a wrench that lies in N, Ω_m (eq. 7) the part of a
+# twist that lies in T. They need Φ₀ only, so the rank does not matter. Different metrics
 # split a wrench differently, but each gives a projection, and projected forces never have power.
 
 # %%
@@ -154,6 +154,14 @@ if find_spec("mujoco"):
 from osc_contact.visual import plots
 
 plots.contact_forces(recording, recording.meta["force_steps_s"], judged_from=0.1)
+
+# %%
+from pathlib import Path
+
+from osc_contact.experiments.report import write_scene_of
+from osc_contact.visual.embed import embed
+
+embed(write_scene_of(recording, rig, Path("scene.html")))
 
 # %% [markdown]
 # ## What to change
