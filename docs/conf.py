@@ -27,8 +27,7 @@ nitpick_ignore_regex = [
     ("py:class", r"(npt\.)?(Array|ArrayLike)|TypeAliasForwardRef"),
     ("py:class", r"SE3|Inertia|Model|Data|Path|Sequence|Callable|Mapping|Any"),
     ("py:class", r"(numpy|pinocchio|coal|enum|os|pathlib|collections|typing)\..*"),
-    ("py:class", r"osc_contact\..*\.(_\w+|Block|Body|Document|References|Scenario|Solid)"),
-    ("py:class", r"osc_contact\.robots\.summary\.\w+"),
+    ("py:class", r"osc_contact\..*"),  # types in signatures that have no page
     ("py:obj", r".*"),  # arguments and formulas stand between single backticks too
 ]
 

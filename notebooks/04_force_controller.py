@@ -29,8 +29,8 @@ from osc_contact.visual.style import style
 
 scenario = osc.load_scenario(
     "two_contact_rod",
-    ["plant.type=rigid", "plant.step=1 ms", "force.left_end.1.start=0.1 s",
-     "model_error.arm_mass=1.2", "motion.0.signals.0.ramp=0.2 s"],
+    ["plant.type=rigid", "plant.step=2 ms", "control.rate=500 Hz",
+     "force.left_end.1.start=0.1 s", "model_error.arm_mass=1.2", "motion.0.signals.0.ramp=0.2 s"],
 )  # fmt: skip
 reproduce("fig5", scenario)
 
@@ -72,7 +72,7 @@ class FeedForward:
 class Integral:
     """Feed-forward and an integral that leaks: it forgets an old error within a second."""
 
-    gain, forget, dt = 60.0, 1.0, 1e-3
+    gain, forget, dt = 60.0, 1.0, 2e-3
 
     def __init__(self):
         self.sum = 0.0
@@ -118,12 +118,10 @@ figure
 
 # %%
 for gain in (0.5, 0.9, 1.1):
-    recording = osc.run(scenario, duration=0.04, install=replacing(proportional(gain)))
+    recording = osc.run(scenario, duration=0.08, install=replacing(proportional(gain)))
     error = recording["alpha_true"][:, 0] - recording["alpha_cmd"][:, 0]
     jumps = np.abs(np.diff(error))
-    print(
-        f"gain {gain}: swing from tick to tick {jumps[1]:.2f} N, after 40 ticks {jumps[-1]:.2g} N"
-    )
+    print(f"gain {gain}: swing between ticks {jumps[1]:.2f} N, after 40 {jumps[-1]:.2g} N")
 
 # %% [markdown]
 # ## And the motion?

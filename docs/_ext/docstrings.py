@@ -37,7 +37,8 @@ def tidy(_app: Any, what: str, _name: str, _object: Any, _options: Any, lines: l
 
 def no_type(app: Any, what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
     """Napoleon reads "(6,) twist: a = S η̇" of a field as a type and a text; it is one text."""
-    if what in ("attribute", "property") and len(lines) == 3 and lines[2].startswith(":type: "):
+    typed = len(lines) == 3 and lines[2].startswith(":type: ")
+    if typed and what in ("attribute", "data", "property"):
         lines[:] = [f"{lines[2].removeprefix(':type: ')}: {lines[0]}"]
 
 

@@ -35,7 +35,8 @@ class NotebookParser(MystParser):
 def as_markdown(cell: Any) -> str:
     if cell.cell_type != "code":
         return str(cell.source)
-    shown = "\n".join(s.rstrip() for s in cell.source.splitlines() if not s.startswith("# %"))
+    lines = [line for line in cell.source.splitlines() if not line.startswith("# %")]
+    shown = "\n".join(line.removesuffix("  # fmt: skip") for line in lines)
     return "\n\n".join([fenced("python", shown), *map(output, cell.outputs)])
 
 
