@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import (
     BeforeValidator,
     Field,
+    PlainSerializer,
     PlainValidator,
     PrivateAttr,
     TypeAdapter,
@@ -66,6 +67,10 @@ def _direction(value: Any) -> Any:
     return _UNIT_VECTOR.validate_python(value)
 
 
+def _as_it_is(value: Any) -> Any:
+    return value
+
+
 def _no_common_tangent(value: Any) -> Any:
     if value == "common_tangent":
         raise refuse(
@@ -80,7 +85,9 @@ class LinearMove(Spec):
 
     kind: Literal["linear"] = "linear"
     direction: Annotated[
-        tuple[float, float, float] | Literal["common_tangent"], PlainValidator(_direction)
+        tuple[float, float, float] | Literal["common_tangent"],
+        PlainValidator(_direction),
+        PlainSerializer(_as_it_is),
     ]
     """a world direction [x, y, z] or common_tangent"""
     signals: Annotated[tuple[LengthSignal, ...], Field(min_length=1)]
