@@ -33,7 +33,7 @@ test: venv browser
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 bench: venv
 	$(BIN)/python benchmarks/control_loop.py

@@ -1,4 +1,4 @@
-"""Time the control tick, its parts and Pinocchio's own model evaluation, side by side.
+"""Time the control tick, its twin's parts and Pinocchio's own model evaluation, side by side.
 
     python benchmarks/control_loop.py [--ticks N] [--scenario NAME] [--json FILE] [--figure FILE]
 
@@ -56,7 +56,11 @@ def tables(result: dict[str, Any]) -> list[Table]:
         rows = {"tick": case["tick_us"], "floor: computeAllTerms": case["floor_us"]}
         for label, times in rows.items():
             table.add_row(label, *(f"{times[key]:.1f}" for key in COLUMNS), style="bold")
+        for label, times in case["inside_us"].items():
+            table.add_row(f"  of it {label}", *(f"{times[key]:.1f}" for key in COLUMNS))
         table.add_section()
+        twin = case["readable_us"]
+        table.add_row("readable twin", *(f"{twin[key]:.1f}" for key in COLUMNS), style="bold")
         for label, times in case["parts_us"].items():
             table.add_row(label, *(f"{times[key]:.1f}" for key in COLUMNS))
         found.append(table)
@@ -64,7 +68,7 @@ def tables(result: dict[str, Any]) -> list[Table]:
 
 
 def draw(result: dict[str, Any], path: Path) -> None:
-    """Medians of the parts as bars, the floor beside them (PNG and SVG)."""
+    """Medians of tick and inner calls as bars, the floor beside them (PNG and SVG)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -77,7 +81,8 @@ def draw(result: dict[str, Any], path: Path) -> None:
         FigureCanvasAgg(figure)
         axes = figure.subplots(len(cases), 1, squeeze=False)[:, 0]
         for ax, (name, case) in zip(axes, cases.items(), strict=True):
-            parts = {"floor: computeAllTerms": case["floor_us"], **case["parts_us"]}
+            parts = {"floor: computeAllTerms": case["floor_us"], "tick": case["tick_us"]}
+            parts |= {f"of it {name}": times for name, times in case["inside_us"].items()}
             medians = [times["p50"] for times in parts.values()]
             colours = [OKABE_ITO["vermillion"], *[OKABE_ITO["blue"]] * (len(parts) - 1)]
             bars = ax.barh(list(parts), medians, color=colours)

@@ -18,6 +18,7 @@ from osc_contact import __version__, robots
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.experiments import figures as paper_figures
 from osc_contact.experiments import replay, tables
+from osc_contact.experiments.calibration import calibrate as calibrate_wrists
 from osc_contact.experiments.inspection import inspect_rig
 from osc_contact.experiments.replay import RealTime
 from osc_contact.experiments.report import require_judgeable, write_json, write_report
@@ -227,6 +228,22 @@ def inspect(
             out.print(table)
         if json_file:
             write_json(found.as_dict(), json_file)
+
+
+@app.command()
+def calibrate(
+    scenario: ScenarioArgument,
+    postures: Annotated[int, typer.Option(min=3, help="static postures")] = 8,
+    seed: SeedOption = 0,
+    set_: SetOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Find mass, centre of mass and bias at each wrist sensor from static postures."""
+    with _exit_codes():
+        found = calibrate_wrists(_load(scenario, set_), postures, seed=seed)
+        out.print(tables.calibration_table(found))
+        if json_file:
+            write_json({one.arm: one.as_dict() for one in found}, json_file)
 
 
 @app.command()

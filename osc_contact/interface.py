@@ -8,7 +8,17 @@ import pinocchio as pin
 
 from osc_contact.spatial import Array
 
-__all__ = ["Measurement", "Reference", "Touched"]
+__all__ = ["Measurement", "Reference", "Stamps", "Touched"]
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """When each kind of reading was sampled (s); all of them at one instant if no sensor lags."""
+
+    encoders: float = 0.0
+    joint_torques: float = 0.0
+    wrists: float = 0.0
+    touched: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -32,16 +42,21 @@ class Measurement:
     """What the sensors of the rig deliver at one tick; nothing a real rig would not have.
 
     Attributes:
-        q, v: (n,) joint positions and velocities of all arms, passive joints included.
+        q, v: (n,) joint positions and velocities of all arms, passive joints included. v is NaN
+            where encoders give no velocities: they must be estimated first.
         wrenches: (arms, 6) wrench that each arm exerts on its gripper, at the sensor's origin and
             in the sensor's axes (N, N m). Rows of arms without a sensor are zero.
         touched: how the bodies at the contacts move; None: all of them rest in the world.
+        joint_torques: (n_a,) what the joint torque sensors read (N m, N); None: there are none.
+        stamps: when each was sampled; None: all of them now.
     """
 
     q: Array
     v: Array
     wrenches: Array
     touched: Touched | None = None
+    joint_torques: Array | None = None
+    stamps: Stamps | None = None
 
 
 @dataclass(frozen=True)

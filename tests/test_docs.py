@@ -175,7 +175,12 @@ def schema_keys(model: type[BaseModel], prefix: str = "") -> tuple[dict[str, Any
 OF_EACH_KIND = {"motion.kind", "contacts.face.motion.type"}
 """Each kind has its own model, of which this key is the default."""
 GROUPS = {"gains.motion", "gains.force", "control", "model_error", "plant"}
-SCENARIO_TABLES = ("Who and where", "Contacts and commands", "Control and plant")
+SCENARIO_TABLES = (
+    "Who and where",
+    "Contacts and commands",
+    "Control and plant",
+    "Drives and sensors",
+)
 
 
 def test_every_key_of_a_scenario_is_documented() -> None:

@@ -87,7 +87,7 @@ def test_the_judge_takes_its_forces_from_the_plant_and_its_motion_from_the_objec
 def test_wrong_masses_are_tared_and_integrated_away(mismatch):
     """Rod and links 20 % too heavy in the model, wrists tared in free space: force ≤ 3 %."""
     scenario = mismatch.meta["scenario"]
-    assert scenario["model_error"] == {"object_mass": 1.2, "arm_mass": 1.2}
+    assert {"object_mass": 1.2, "arm_mass": 1.2}.items() <= scenario["model_error"].items()
     before = mismatch["t"] < scenario["tare"]["duration"]
     assert not mismatch["closed"][before].any()  # the tare really is in free space
     verdict = osc.metrics(mismatch)

@@ -243,7 +243,10 @@ def test_overrides(override, read, wanted):
 
 
 BAD_OVERRIDES = [
-    ("plant.frction=0.1", "plant.frction: unknown key; did you mean 'friction'? known: type, step"),
+    (
+        "plant.frction=0.1",
+        "plant.frction: unknown key; did you mean 'friction' or 'joint_friction'? known: type",
+    ),
     ("plnt.friction=0.1", "plnt: unknown key; did you mean 'plant'?"),
     ("contacts.edn.radius=1", "contacts has no item 'edn'; did you mean 'end'? known: end"),
     ("contacts.1.radius=1", "contacts has no item '1'; known: end"),

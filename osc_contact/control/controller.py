@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -29,13 +29,19 @@ from osc_contact.control.force import (
     magnitudes,
     sum_of_wrenches,
 )
+from osc_contact.control.found import Found
+from osc_contact.control.friction import Friction
 from osc_contact.control.motion import MotionGains, MotionLaw
+from osc_contact.control.wires import Block, Signals, Stage, TracedSignals, block
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.environment import Environment
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.spatial import Array, as_array
+
+if TYPE_CHECKING:
+    from osc_contact.control.compiled import CompiledTick
 
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
 
@@ -56,55 +62,6 @@ class Gains:
     force: ForceGains = field(default_factory=ForceGains)
 
 
-class Signals:
-    """The wires of fig. 4, as attributes; their values after a tick are those of that tick."""
-
-    q: Array  #: (n,) encoders
-    v: Array  #: (n,)
-    wrenches: Array  #: (arms, 6) wrist sensors
-    touched: Touched | None  #: pose, twist, known acceleration of the touched bodies
-    reference: Reference  #: desired pose, twist, acceleration of the object
-    alpha_d: Array  #: (r_all,) desired contact forces
-    squeeze_d: float  #: desired internal force
-    state: ChainState  #: Λ_S, μ, p, S, σ, G of the closed chain
-    parts: list[Contact]  #: N, n_γ of each contact
-    contact: Contact  #: N, T, n_γ of all together
-    environment: Environment  #: Φ_e, b_e, V_e
-    f_meas: Array  #: (6,) sum of the wrist readings at O, tare removed
-    f_c_meas: Array  #: (6,) contact force inside it
-    alpha_meas: Array  #: (r,) its magnitudes
-    alpha_u: Array  #: (r,) force command
-    f_ccomm: Array  #: (6,) the same in operational space
-    a_u: Array  #: (6,) motion command
-    eta_c: Array  #: (d,) filtered motion command
-    f_S: Array  #: (d,) generalised force
-    tau: Array  #: (n_a,) motor torques
-
-
-@dataclass(frozen=True)
-class Block:
-    """One box of fig. 4 or 5: what it is called, what it computes, what goes in and out."""
-
-    name: str
-    group: str
-    equation: str
-    inputs: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()
-
-
-_Stage = Callable[["Controller", Signals], None]
-
-
-def block(name: str, group: str, equation: str) -> Callable[[_Stage], _Stage]:
-    """Mark a method as one box of the figure."""
-
-    def mark(stage: _Stage) -> _Stage:
-        stage.block = Block(name, group, equation)  # type: ignore[attr-defined]
-        return stage
-
-    return mark
-
-
 class Controller:
     """Dynamically decoupled force/motion control of one held object (fig. 4).
 
@@ -113,6 +70,8 @@ class Controller:
         engaged: whether the contacts are part of the model; False treats the object as free.
         f_tare: (6,) constant error of the wrist readings at O, removed from each.
         f_bias: (6,) constant wrench added to the command, learnt before contact.
+
+    Gains, chain, pairs, bodies and B are taken at construction; to change them make another one.
     """
 
     def __init__(
@@ -126,6 +85,8 @@ class Controller:
         bodies: Sequence[Body | None] | None = None,
         posture: Array | None = None,
         engaged: bool = True,
+        compiled: bool = True,
+        friction: Friction | None = None,
     ) -> None:
         """Assemble the loops.
 
@@ -140,6 +101,10 @@ class Controller:
                 be seen to move. The same object twice: both contacts are on one body.
             posture: (n,) where redundant arms return to (default: neutral).
             engaged: start in contact.
+            compiled: run on the kernels, some hundred times faster; False: on the readable path
+                below, which gives the same torques. The first controller ever made on a machine
+                compiles them. Friction is compensated on the readable path only.
+            friction: what is believed of the contacts' friction; None: nothing.
 
         Raises:
             InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
@@ -159,8 +124,11 @@ class Controller:
             raise InvalidInputError(
                 f"{len(contacts)} contacts but {len(bodies)} bodies; give one for each contact"
             )
+        if friction is not None:
+            friction.require_known_points(contacts)
         gains = Gains() if gains is None else gains
         self.chain = chain
+        self.friction = friction
         self.contacts = tuple(contacts)
         self.bodies = (None,) * len(self.contacts) if bodies is None else tuple(bodies)
         self.B = B
@@ -169,12 +137,44 @@ class Controller:
         self.force_law = ForceLaw(gains.force, dt)
         rest = np.zeros(chain.nq) if posture is None else np.asarray(posture, dtype=float)
         self.allocation = Allocation(chain, rest)
-        self.f_tare: Array = np.zeros(6)
-        self.f_bias: Array = np.zeros(6)
+        self._tare, self._bias = np.zeros(6), np.zeros(6)
         self.signals = Signals()
+        self._looked = True  # whether `signals` must be emptied by the next compiled tick
+        self._by_twin = True  # whether the readable path computed the last tick
         self.status = Status.OK
-        self.reason = ""
+        self._reason: str | None = ""  # None: a motor limit, said when somebody asks
         self._last_tau: Array = np.zeros(chain.n_a)
+        self._fast: CompiledTick | None = None
+        if compiled and friction is None:
+            from osc_contact.control.compiled import CompiledTick
+
+            self._fast = fast = CompiledTick(self)
+            self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
+
+    @property
+    def reason(self) -> str:
+        """Why `status` is not OK; empty if it is."""
+        if self._reason is None and self._fast is not None:
+            self._reason = self._fast.limit_reached()
+        return self._reason or ""
+
+    @property
+    def f_tare(self) -> Array:
+        """(6,) constant error of the wrist readings at O (N, N m), removed from each."""
+        return self._tare
+
+    @f_tare.setter
+    def f_tare(self, wrench: Array) -> None:
+        self._tare[:] = as_array("f_tare", wrench, (6,))
+
+    @property
+    def f_bias(self) -> Array:
+        """(6,) constant wrench added to the command at O (N, N m)."""
+        return self._bias
+
+    @f_bias.setter
+    def f_bias(self, wrench: Array) -> None:
+        self._bias[:] = as_array("f_bias", wrench, (6,))
 
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
         """Motor torques (n_a,) for one control period.
@@ -182,20 +182,55 @@ class Controller:
         Never raises on bad data and never returns a torque that is not finite or exceeds a motor
         limit: a tick that cannot be computed repeats the last good torques, see `status`.
         """
-        s = self.signals
+        fast = self._fast
+        if fast is not None and self.STAGES is _STAGES:
+            code = fast(measurement, reference, self.engaged)
+            if code != _ASK:
+                if self._looked:
+                    self._looked = self._by_twin = False
+                    self.signals.__dict__.clear()
+                    self.signals.__dict__["_fill"] = self._fill_signals
+                self.status, self._reason = _STATUS[code]
+                return self._last_tau.copy()
+        return self._readable_tick(measurement, reference)
+
+    def _readable_tick(self, measurement: Measurement, reference: Reference) -> Array:
+        """The tick box by box; it also has the last word where the kernels have none."""
+        s = Signals()
         before = (self.motion_law.integral, self.force_law.integral)
         try:
             self._take_in(measurement, reference, s)
             for stage in self.STAGES:
                 stage(self, s)
-            tau = self._limited(s.tau)
+            self._last_tau[:] = self._limited(s.tau)
+            self.signals.__dict__.clear()
+            self.signals.__dict__.update(s.__dict__)
+            self._looked = self._by_twin = True
         except (OscContactError, np.linalg.LinAlgError) as error:
-            self.status, self.reason = Status.HELD, str(error)
-            tau = self._last_tau
+            self.status, self._reason = Status.HELD, str(error)
         if self.status is not Status.OK:
             self.motion_law.integral, self.force_law.integral = before
-        self._last_tau = tau
-        return tau.copy()
+        return self._last_tau.copy()
+
+    def _fill_signals(self) -> None:
+        """The wires of the last compiled tick, by the readable path."""
+        assert self._fast is not None
+        measurement, reference, then = self._fast.inputs()
+        motion, force = self.motion_law, self.force_law
+        now = (motion.integral, force.integral, self._tare, self._bias)
+        how = (self.engaged, self.status, self._reason)
+        s = Signals()
+        try:
+            motion.integral, force.integral = then.error_sum, then.force_sum
+            self._tare, self._bias, self.engaged = then.tare, then.bias, then.engaged
+            self._take_in(measurement, reference, s)
+            for stage in self.STAGES:
+                stage(self, s)
+        finally:
+            motion.integral, force.integral, self._tare, self._bias = now
+            self.engaged, self.status, self._reason = how
+        self.signals.__dict__.update(s.__dict__)
+        self._looked = True
 
     def last_signals(self) -> Signals:
         """The wires of the last tick that could be computed.
@@ -210,14 +245,41 @@ class Controller:
             )
         return self.signals
 
+    def last_torques(self) -> Array:
+        """(n_a,) what the last tick gave out."""
+        return self._last_tau.copy()
+
+    def kernel_call(self, measurement: Measurement, reference: Reference) -> Callable[[], int]:
+        """The kernel call of a tick by itself, to be timed; the state of the loops moves on."""
+        if self._fast is None:
+            raise InvalidInputError("this controller runs on the readable path: no kernel to call")
+        return self._fast.bare_call(measurement, reference, self.engaged)
+
+    def found(self) -> Found:
+        """The numbers of the last computed tick that recordings keep.
+
+        After a compiled tick they cost nothing, and are overwritten by the next one.
+
+        Raises:
+            InvalidInputError: there was no tick yet.
+        """
+        if self._fast is not None and not self._by_twin:
+            return self._fast.found
+        return Found.of(self.last_signals(), self)
+
+    def joint_acceleration(self) -> Array:
+        """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
+        s = self.last_signals()
+        return np.asarray(s.state.W @ s.eta_c + s.state.w)
+
     def residual_wrench(self) -> Array:
         """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
 
         Its mean over a moment at rest without contact is the tare: weight errors of object and
         grippers cannot be told from contact forces once contact is made. Store it in `f_tare`.
         """
-        s = self.last_signals()
-        return np.asarray(s.f_meas + self.f_tare - s.state.bias_out)
+        found = self.found()
+        return found.f_meas + self.f_tare - found.bias_out
 
     def engage(self) -> None:
         """Take the contacts into the model, without a jump.
@@ -252,8 +314,10 @@ class Controller:
         else:
             moving = zip(pairs, touched.X_WE, touched.V_E, strict=False)
             parts = [pair.contact(X_WO, V_O, pin.SE3(X), V) for pair, X, V in moving]
-        s.parts = parts
-        s.contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
+        contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
+        s.parts, s.contact, s.drag = parts, contact, np.zeros_like(contact.N)
+        if self.friction is not None:
+            s.drag = self.friction.drags(pairs, X_WO, V_O, touched) @ contact.R.T
 
     @block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)")
     def _environment(self, s: Signals) -> None:
@@ -281,7 +345,7 @@ class Controller:
 
     @block("force filter", "force", r"$\Omega_f(\Lambda_{out})$")
     def _force_filter(self, s: Signals) -> None:
-        s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, s.environment)
+        s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, s.environment, s.drag)
 
     @block("generalised inverse", "force", r"$N^{\#}$")
     def _magnitudes(self, s: Signals) -> None:
@@ -295,7 +359,7 @@ class Controller:
 
     @block("to operational space", "force", r"$N\alpha_u$  (16)")
     def _operational_force(self, s: Signals) -> None:
-        s.f_ccomm = s.contact.N @ s.alpha_u
+        s.f_ccomm = (s.contact.N + s.drag) @ s.alpha_u
 
     @block("motion law", "motion", r"$\ddot x_d + K_d\dot e + K_p e + K_i\!\int\! e$")
     def _motion_law(self, s: Signals) -> None:
@@ -317,7 +381,7 @@ class Controller:
     def _allocate(self, s: Signals) -> None:
         s.tau = self.allocation.torques(s.state, s.q, s.v, s.f_S, s.eta_c, s.squeeze_d)
 
-    STAGES: tuple[_Stage, ...] = (
+    STAGES: tuple[Stage, ...] = (
         _model,
         _contact,
         _environment,
@@ -346,7 +410,7 @@ class Controller:
     def wiring(self, measurement: Measurement, reference: Reference) -> list[Block]:
         """The boxes with the signals each one really read and wrote, observed during one tick."""
         blocks = []
-        wires = _Traced()
+        wires = TracedSignals()
         before = (self.motion_law.integral, self.force_law.integral)
         self._take_in(measurement, reference, wires)
         for stage in self.STAGES:
@@ -358,7 +422,7 @@ class Controller:
         return blocks
 
     def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
-        self.status, self.reason = Status.OK, ""
+        self.status, self._reason = Status.OK, ""
         arms, contacts = len(self.chain.arms), len(self.contacts)
         s.q, s.v = measurement.q, measurement.v
         s.wrenches = as_array("wrist wrenches", measurement.wrenches, (arms, 6))
@@ -388,10 +452,13 @@ class Controller:
         motor = int(np.argmax(np.abs(tau) / self.chain.tau_max))
         name = self.chain.joint_names[self.chain.actuated[motor]]
         self.status = Status.SATURATED
-        self.reason = f"{name}: {tau[motor]:.4g} of ±{self.chain.tau_max[motor]:.4g} wanted"
+        self._reason = f"{name}: {tau[motor]:.4g} of ±{self.chain.tau_max[motor]:.4g} wanted"
         return tau / excess
 
 
+_STAGES = Controller.STAGES  #: what the kernels compute; others are read box by box
+_STATUS = ((Status.OK, ""), (Status.SATURATED, None))
+_ASK = 2  #: the kernels' answer where the readable path must decide
 _AT_REST = Environment.fixed()
 _STILL = np.zeros(6)
 
@@ -412,26 +479,3 @@ def _checked(touched: Touched, contacts: int) -> Touched:
         as_array("touched V_E", touched.V_E, (contacts, 6)),
         as_array("touched A_E", touched.A_E, (contacts, 6)),
     )
-
-
-class _Traced(Signals):
-    """Signals that remember who read and wrote what."""
-
-    def begin(self) -> None:
-        self.__dict__["_reads"], self.__dict__["_writes"] = [], []
-
-    def seen(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        return tuple(self.__dict__["_reads"]), tuple(self.__dict__["_writes"])
-
-    def __getattribute__(self, name: str) -> Any:
-        value = super().__getattribute__(name)
-        log = super().__getattribute__("__dict__").get("_reads")
-        if log is not None and name in Signals.__annotations__ and name not in log:
-            log.append(name)
-        return value
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        log = self.__dict__.get("_writes")
-        if log is not None and name not in log:
-            log.append(name)
-        super().__setattr__(name, value)

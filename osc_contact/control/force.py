@@ -27,7 +27,11 @@ def sum_of_wrenches(wrenches: Array, state: ChainState) -> Array:
 
 
 def contact_force(
-    f_meas: Array, state: ChainState, contact: Contact, environment: Environment
+    f_meas: Array,
+    state: ChainState,
+    contact: Contact,
+    environment: Environment,
+    drag: Array | float = 0.0,
 ) -> Array:
     """The contact force f_c (6,) inside a wrist reading: the filter Ω_f(Λ_out) of fig. 5.
 
@@ -37,11 +41,16 @@ def contact_force(
         f_c = N (Nᵀ(Λ_out⁻¹ + Φ_e)N)⁻¹ [NᵀΛ_out⁻¹(f_meas − bias_out) − n_γ − Nᵀb_e]
 
     With Φ_e = 0 this is Ω_f(Λ_out) and an offset. Λ_out is the object's inertia Λ_o of the paper
-    plus the gripper parts outboard of the sensors.
+    plus the gripper parts outboard of the sensors. Contacts that slide push N_μα, N_μ = N + drag:
+    the right N of the solve becomes N_μ, and what is returned is the normal part Nα.
+
+    Args:
+        f_meas: (6,) sum of the wrist readings at O. drag: (6, r) from `Friction.drags`, or none.
+        state, contact, environment: at this instant.
     """
     N = contact.N
     Phi_N = np.linalg.solve(state.Lambda_out.T, N)  # Λ_out⁻ᵀN
-    D = Phi_N.T @ N + N.T @ environment.Phi_e @ N
+    D = (Phi_N.T + N.T @ environment.Phi_e) @ (N + drag)
     seen = Phi_N.T @ (f_meas - state.bias_out) - contact.n_gamma - N.T @ environment.b_e
     return N @ np.linalg.solve(D, seen)
 

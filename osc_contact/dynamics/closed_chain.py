@@ -83,6 +83,9 @@ class ClosedChain:
         model, data: the merged Pinocchio model, joints named "arm/joint", and its data.
         arms: as given. slices: each arm's part of q and v.
         actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits.
+        tips, sensors: frame of each arm's tip and wrist sensor (None: it has none).
+        outboard: links beyond each sensor.
+        reference: the object, or its stand-in for rank decisions.
     """
 
     def __init__(
@@ -118,6 +121,7 @@ class ClosedChain:
         if len(self.grasps) != len(arms):
             raise ModelError(f"{len(arms)} arms but {len(self.grasps)} grasps; give X_TO for each")
         self.payload = payload
+        self.reference = payload or RigidObject(_REFERENCE)
         self.rank_tolerance = rank_tolerance
         self.model = _merge(self.arms)
         self.data = self.model.createData()
@@ -135,20 +139,20 @@ class ClosedChain:
             dtype=int,
         )
         self.tau_max: Array = np.array(self.model.upperEffortLimit)[self.actuated]
-        self._tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
-        self._sensors = [
+        self.tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
+        self.sensors = [
             None
             if a.wrist_sensor is None
             else robots.frame_id(self.model, f"{a.name}/{a.wrist_sensor}")
             for a in arms
         ]
-        self._outboard: list[list[OutboardLink]] = [
+        self.outboard: list[list[OutboardLink]] = [
             [] if sensor is None else outboard_links(self.model, sensor, tip)
-            for sensor, tip in zip(self._sensors, self._tips, strict=True)
+            for sensor, tip in zip(self.sensors, self.tips, strict=True)
         ]
         self._columns = {
             j: self.model.joints[j].idx_v - self.slices[i].start + 1
-            for i, tip in enumerate(self._tips)
+            for i, tip in enumerate(self.tips)
             for j in self.model.supports[self.model.frames[tip].parentJoint]
             if j > 0
         }
@@ -184,13 +188,12 @@ class ClosedChain:
         model, data = self.model, self.data
         pin.computeAllTerms(model, data, q, v)
         gravity = model.gravity.linear
-        tips = [self._placement(f) for f in self._tips]
+        tips = [self._placement(f) for f in self.tips]
         X_WO = tips[0] * self.grasps[0]
         O = X_WO.translation  # noqa: E741 - the operational point
         J = columns_at(data.J, O)
         V_O = J[:, self.slices[0]] @ v[self.slices[0]]
-        body = self.payload or RigidObject(_REFERENCE)
-        reference = body.terms(X_WO, V_O, gravity)
+        reference = self.reference.terms(X_WO, V_O, gravity)
         payload = reference if self.payload is not None else _nothing()
         L = np.linalg.cholesky(reference.Lambda)
         terms = tuple(
@@ -227,19 +230,18 @@ class ClosedChain:
             payload=payload,
             metric=reference.Lambda,
             grasp_points=np.array([t.translation for t in tips]),
-            sensors=tuple(None if f is None else self._placement(f) for f in self._sensors),
+            sensors=tuple(None if f is None else self._placement(f) for f in self.sensors),
             Lambda_out=Lambda_out,
             bias_out=bias_out,
         )
 
     def object_poses(self) -> list[pin.SE3]:
         """Pose of the object according to each arm, at the positions last given to `data`."""
-        return [self._placement(f) * X_TO for f, X_TO in zip(self._tips, self.grasps, strict=True)]
+        return [self._placement(f) * X_TO for f, X_TO in zip(self.tips, self.grasps, strict=True)]
 
     def reference_inertia(self, X_WO: pin.SE3) -> Array:
         """(6, 6) inertia of the object at its own origin, or of its stand-in if nothing is held."""
-        body = self.payload or RigidObject(_REFERENCE)
-        return body.terms(X_WO, np.zeros(6), np.zeros(3)).Lambda
+        return self.reference.terms(X_WO, np.zeros(6), np.zeros(3)).Lambda
 
     def _placement(self, frame: int) -> pin.SE3:
         at = self.model.frames[frame]
@@ -284,7 +286,7 @@ class ClosedChain:
     ) -> tuple[Array, Array]:
         Lambda, bias = payload.Lambda.copy(), payload.mu + payload.p
         placements = list(self.data.oMi)
-        for links, s, t in zip(self._outboard, self.slices, terms, strict=True):
+        for links, s, t in zip(self.outboard, self.slices, terms, strict=True):
             inertia, wrench = outboard_terms(
                 links, placements, J[:, s], v[s], self._columns, t.J_bar, t.gamma, O, gravity
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +13,20 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair, VertexOnFace
 from osc_contact.control.controller import Controller, Gains
 from osc_contact.control.force import ForceGains
+from osc_contact.control.friction import Friction
 from osc_contact.control.motion import MotionGains
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, reach
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import ScenarioError
-from osc_contact.experiments import faces
+from osc_contact.experiments import faces, hardware
 from osc_contact.experiments.references import References
+from osc_contact.interface import Measurement
 from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
 from osc_contact.plants.plant import Plant
 from osc_contact.plants.rigid import RigidPlant
+from osc_contact.plants.sensors import SensedPlant
 from osc_contact.response import require_reachable
 from osc_contact.scenarios.schema import PoseSpec, Scenario
 from osc_contact.spatial import Array
@@ -52,8 +55,11 @@ class Rig:
     q_start: Array
     references: References
 
-    def plant(self) -> Plant:
-        """The plant the scenario names, at its start.
+    def plant(self, seed: int = 0) -> Plant:
+        """The plant the scenario names, at its start, seen through its sensors.
+
+        Args:
+            seed: of everything random in sensors and motors.
 
         Raises:
             ScenarioError: a tare on the rigid plant, whose contacts cannot open.
@@ -77,11 +83,31 @@ class Rig:
                 self._face_urdfs(),
                 MujocoOptions(spec.step, spec.solref, spec.solimp, spec.friction),
                 faces.rails(self.scenario),
+                drives=hardware.drives(self.scenario, self.chain, self.state(), seed),
             )
         plant.reset(self.q_start)
-        return plant
+        if self.scenario.sensors.ideal:
+            return plant
+        return SensedPlant(plant, hardware.sensors(self.scenario.sensors, self.chain), seed)
 
-    def controller(self) -> Controller:
+    def at_start(self, read: Measurement) -> Measurement:
+        """What ideal encoders and trackers would have read at the start, where all is at rest."""
+        if read.touched is not None:
+            still = np.zeros_like(read.touched.V_E)
+            read = replace(read, touched=replace(read.touched, V_E=still))
+        return replace(read, q=self.q_start, v=np.zeros(self.chain.nq))
+
+    def drive(self, plant: Plant) -> hardware.Drive:
+        """What carries the controller's torques to a plant: the joint torque loop, if any."""
+        joints = hardware.flexible_joints(self.scenario, self.chain, self.state())
+        loop = hardware.torque_loop(self.scenario, self.chain, joints)
+        return hardware.Drive(plant, loop, 1.0 / self.scenario.control.rate)
+
+    def observer(self) -> hardware.Observer:
+        """What estimates the velocities that the sensors do not give."""
+        return hardware.Observer(self.scenario, self.model)
+
+    def controller(self, *, compiled: bool = True) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
         gains = self.scenario.gains
         return Controller(
@@ -93,7 +119,13 @@ class Rig:
             bodies=faces.bodies(self.scenario),
             posture=self.q_contact,
             engaged=self.scenario.tare is None,
+            compiled=compiled,
+            friction=self._friction(),
         )
+
+    def _friction(self) -> Friction | None:
+        spec = self.scenario.control.friction
+        return None if spec is None else Friction(float(spec.mu), float(spec.slip))
 
     def controlled_pairs(self) -> tuple[ContactPair, ...]:
         """The controller's contacts: as declared, or read off the geometry while it moves."""

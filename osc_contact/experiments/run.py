@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.control.allocation import squeeze_rows
 from osc_contact.control.controller import Controller
+from osc_contact.control.monitor import ContactMonitor
 from osc_contact.errors import PlantError
 from osc_contact.experiments.references import force_steps
 from osc_contact.experiments.rig import Rig, build_rig
@@ -18,7 +18,7 @@ from osc_contact.interface import Reference
 from osc_contact.plants.plant import Truth
 from osc_contact.recorder import Recorder, Recording
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.spatial import Array, pose_error
+from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
 
 __all__ = ["run"]
@@ -74,21 +74,26 @@ def _loop(
     period = 1.0 / scenario.control.rate
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(ticks, _meta(rig, seed))
-    plant, controller, first = rig.plant(), rig.controller(), rig.controller()
+    plant, controller, first = rig.plant(seed), rig.controller(), rig.controller()
     if install is not None:
         controller, first = install(controller), install(first)
     # the rig starts under the torques that hold it, not limp
-    plant.hold(first.tick(plant.measure(), rig.references.at(0.0)))
-    tare = _Tare(rig, controller)
+    plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
+    drive, observer = rig.drive(plant), rig.observer()
+    acceleration = None
+    tare, monitor = _Tare(rig, controller), ContactMonitor(len(rig.pairs), period)
     began = perf_counter()
     try:
         for k in range(ticks):
             t = k * period
             reference = rig.references.at(t)
-            measurement, truth = plant.measure(), plant.truth()
+            measurement = observer.complete(plant.measure(), acceleration)
+            truth = plant.truth()
             start = perf_counter()
             tau = controller.tick(measurement, reference)
             spent = perf_counter() - start
+            if observer.estimates:
+                acceleration = controller.joint_acceleration()
             tare.watch(t)
             channels = {
                 "t": t,
@@ -96,12 +101,13 @@ def _loop(
                 "v": measurement.v,
                 "tau": tau,
                 "tick_s": spent,
-                **_channels(rig, controller, reference, truth, tau),
+                **_watched(controller, monitor),
+                **_channels(rig, controller, reference, truth, measurement.touched is not None),
             }
             recorder.append(**channels)
             if viewer is not None:
                 viewer.show(channels)
-            plant.step(tau, period)
+            drive.step(tau)
             if progress is not None and k % 100 == 99:
                 progress(t + period)
     except PlantError as error:
@@ -137,17 +143,30 @@ class _Tare:
             self.controller.engage()
 
 
+def _watched(controller: Controller, monitor: ContactMonitor) -> dict[str, Array]:
+    """What the contact monitor tells from projected force and power."""
+    found, count = controller.found(), monitor.contacts
+    alpha = speed = np.zeros(count)
+    if len(found.alpha_meas) == count:
+        alpha, speed = found.alpha_meas, found.normal_speed
+    elif len(found.alpha_meas):  # some contacts depend on others
+        contact = controller.last_signals().contact
+        alpha, speed = contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
+    seen = monitor.update(alpha, speed)
+    return {"contact_seen": seen.closed, "collision_seen": seen.collision}
+
+
 def _channels(
-    rig: Rig, controller: Controller, reference: Reference, truth: Truth, tau: Array
+    rig: Rig, controller: Controller, reference: Reference, truth: Truth, moving: bool
 ) -> dict[str, Any]:
     """What the recording keeps of a tick besides joints and torques."""
-    s = controller.last_signals()
-    r = len(rig.pairs)
-    state = s.state
-    wrench = s.f_meas - state.bias_out
-    Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
-    E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
-    V_rel = state.V_O - s.environment.V_e
+    found, r = controller.found(), len(rig.pairs)
+    wrench = found.f_meas - found.bias_out
+    alpha, V_rel = found.alpha_meas, found.V_O
+    if moving or 0 < len(alpha) < r:
+        s = controller.last_signals()
+        V_rel = V_rel - s.environment.V_e
+        alpha = s.contact.magnitudes(alpha)
     X = truth.X_WO
     faces = truth.X_WE or (pin.SE3.Identity(),) * r
     touching = list(zip(rig.pairs, faces, strict=True))
@@ -155,7 +174,7 @@ def _channels(
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
         "alpha_cmd": reference.alpha_d,
-        "alpha_meas": s.contact.magnitudes(s.alpha_meas) if controller.engaged else np.zeros(r),
+        "alpha_meas": alpha if len(alpha) == r else np.zeros(r),
         "alpha_true": truth.alpha,
         "closed": truth.closed,
         "contact_point": np.array([p.point_on_face(X, E) for p, E in touching]).reshape(r, 3),
@@ -165,10 +184,10 @@ def _channels(
         ).reshape(r, 7),
         "wrench_meas": wrench,
         "power_total": float(V_rel @ wrench),
-        "power_projected": float(V_rel @ s.f_c_meas),
-        "motion_error": Omega_m @ pose_error(reference.X_WD, state.X_WO),
+        "power_projected": float(V_rel @ found.f_c),
+        "motion_error": found.free_error,
         "squeeze_cmd": reference.squeeze_d,
-        "squeeze": float((E @ tau - e0)[0]) if len(e0) else 0.0,
+        "squeeze": float(found.squeeze[0]),
         "status": int(controller.status),
     }
 

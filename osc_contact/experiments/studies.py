@@ -175,11 +175,29 @@ def _baselines(ask: Ask) -> Study:
     return Study({"baselines": draw(found)}, comparison_table(result), result)
 
 
+def _workcell(ask: Ask) -> Study:
+    from osc_contact.experiments import workcell as experiment
+
+    rungs = experiment.ladder(
+        duration=8.0 if ask.duration is None else ask.duration,
+        seed=ask.seed,
+        overrides=ask.changes,
+        progress=ask.tell,
+    )
+    table = Table("what is real", "force, rms", "peak", "sensed within", "closed", title="workcell")
+    data = {rung.real: rung.as_dict() for rung in rungs}
+    for real, found in data.items():
+        numbers = ["diverged" if value is None else f"{value:.3%}" for value in found.values()]
+        table.add_row(real, *numbers)
+    return Study({"workcell": experiment.draw(rungs)}, table, data)
+
+
 STUDIES: dict[str, Callable[[Ask], Study]] = {
     "fig2": _fig2,
     "kinematic_stability": _kinematic_stability,
     "moving_face": _moving_face,
     "baselines": _baselines,
+    "workcell": _workcell,
 }
-WITH_SCENARIO = {"baselines"}  #: whose scenario can be changed
-SLOW = {"baselines"}  #: several minutes: not in `reproduce all`
+WITH_SCENARIO = {"baselines", "workcell"}  #: whose scenario can be changed
+SLOW = {"baselines", "workcell"}  #: several minutes: not in `reproduce all`

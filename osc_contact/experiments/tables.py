@@ -5,13 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 
+from osc_contact.experiments.calibration import WristCalibration
 from osc_contact.experiments.inspection import Inspection
 from osc_contact.robots import RobotSummary
 from osc_contact.spatial import Array
 
-__all__ = ["basis_tables", "robot_tables", "scenario_table", "tick_table", "verdict_table"]
+__all__ = [
+    "basis_tables",
+    "calibration_table",
+    "robot_tables",
+    "scenario_table",
+    "tick_table",
+    "verdict_table",
+]
 
 
 def verdict_table(verdict: Mapping[str, Any]) -> Table:
@@ -50,6 +59,20 @@ def basis_tables(found: Inspection) -> Iterator[Table]:
     names = [f"t{i + 1}" for i in range(found.T.shape[1])]
     yield _basis(f"T: motions they permit {where}", found.T, names,
                  ("linear", "angular"), ("m/s", "rad/s"))  # fmt: skip
+
+
+def calibration_table(found: Sequence[WristCalibration]) -> Table:
+    """What hangs on each wrist sensor, found and true."""
+    table = Table("wrist", "mass", "centre of mass (mm)", "bias (N, N m)", title="wrist sensors")
+    for one in found:
+        for kind, mass, com in (
+            ("found", one.found.mass, one.found.com),
+            ("true", one.mass, one.com),
+        ):
+            bias = np.array2string(one.found.bias, precision=3) if kind == "found" else ""
+            centre = np.array2string(1e3 * com, precision=2, suppress_small=True)
+            table.add_row(f"{one.arm}, {kind}", f"{mass:.4f} kg", centre, bias)
+    return table
 
 
 def scenario_table(scenarios: Mapping[str, str]) -> Table:

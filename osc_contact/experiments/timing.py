@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.experiments.rig import Rig, build_rig
+from osc_contact.interface import Measurement, Reference
 from osc_contact.scenarios import load_scenario
 from osc_contact.spatial import Array
 
@@ -27,11 +28,15 @@ class TickTimes:
     Attributes:
         tick: (rounds,) of `Controller.tick`.
         floor: (rounds,) of `pin.computeAllTerms` on the same arms at the same q, v.
-        parts: (rounds,) of each box of fig. 4, by its name.
+        inside: (rounds,) of the tick's two calls, `pin.crba` and the kernel.
+        readable: (rounds or fewer,) of the tick's readable twin.
+        parts: (rounds or fewer,) of each box of fig. 4 in that twin, by its name.
     """
 
     tick: Array
     floor: Array
+    inside: dict[str, Array]
+    readable: Array
     parts: dict[str, Array]
 
     @property
@@ -46,6 +51,8 @@ class TickTimes:
             "tick_us": _spread(self.tick),
             "floor_us": _spread(self.floor),
             "ratio": self.ratio,
+            "inside_us": {name: _spread(times) for name, times in self.inside.items()},
+            "readable_us": _spread(self.readable),
             "parts_us": {name: _spread(times) for name, times in self.parts.items()},
         }
 
@@ -69,40 +76,65 @@ def time_tick(scenarios: Sequence[str], ticks: int = 1000) -> dict[str, dict[str
 
 
 def time_parts(rig: Rig, rounds: int, *, parts: bool = True) -> TickTimes:
-    """Time tick and floor in turns, then, on a second controller, each box of fig. 4.
+    """Time tick, floor and the tick's inner calls in turns, then the readable twin, box by box.
 
     Args:
         rig: at whose start the tick is repeated.
-        rounds: how often.
-        parts: whether to time the boxes too.
+        rounds: how often; the twin, some hundred times slower, at most 500 times.
+        parts: whether to time the twin and its boxes too.
 
     Raises:
         InvalidInputError: no rounds.
     """
     if rounds < 1:
         raise InvalidInputError(f"{rounds} rounds tell no time; give 1 or more")
-    controller, second = rig.controller(), rig.controller()
     measurement, reference = rig.plant().measure(), rig.references.at(0.0)
-    model, data = rig.chain.model, rig.chain.model.createData()
-    second.tick(measurement, reference)  # its signals stay in place for the boxes
-    boxes = second.STAGES if parts else ()
-    stages = [(stage.block.name, stage) for stage in boxes]  # type: ignore[attr-defined]
-    tick, floor = np.zeros(rounds), np.zeros(rounds)
-    spent = {name: np.zeros(rounds) for name, _ in stages}
-    for k in range(-_WARM_UP, rounds):
+    tick, floor, inside = _time_tick(rig, measurement, reference, rounds)
+    twin_rounds = min(rounds, 500) if parts else 0
+    readable, boxes = _time_twin(rig, measurement, reference, twin_rounds)
+    return TickTimes(tick, floor, inside, readable, boxes)
+
+
+def _time_tick(
+    rig: Rig, measurement: Measurement, reference: Reference, rounds: int
+) -> tuple[Array, Array, dict[str, Array]]:
+    controller, model = rig.controller(), rig.chain.model
+    data = model.createData()
+    kernel = controller.kernel_call(measurement, reference)
+    times = np.zeros((rounds + _WARM_UP, 4))
+    for row in times:
         start = perf_counter_ns()
         controller.tick(measurement, reference)
-        middle = perf_counter_ns()
+        after_tick = perf_counter_ns()
         pin.computeAllTerms(model, data, measurement.q, measurement.v)
-        end = perf_counter_ns()
-        if k >= 0:
-            tick[k], floor[k] = middle - start, end - middle
+        after_floor = perf_counter_ns()
+        pin.crba(model, data, measurement.q, pin.Convention.WORLD)
+        after_crba = perf_counter_ns()
+        kernel()
+        row[:] = np.diff((start, after_tick, after_floor, after_crba, perf_counter_ns()))
+        for law in (controller.motion_law, controller.force_law):
+            law.integral[:] = 0.0  # nothing answers: keep the loops from winding up
+    tick, floor, crba, call = times[_WARM_UP:].T / 1e3
+    return tick, floor, {"pin.crba": crba, "kernel": call}
+
+
+def _time_twin(
+    rig: Rig, measurement: Measurement, reference: Reference, rounds: int
+) -> tuple[Array, dict[str, Array]]:
+    twin = rig.controller(compiled=False)
+    twin.tick(measurement, reference)  # its signals stay in place for the boxes
+    stages = [(stage.block.name, stage) for stage in twin.STAGES]  # type: ignore[attr-defined]
+    whole = np.zeros(rounds)
+    spent = {name: np.zeros(rounds) for name, _ in stages}
     for k in range(rounds):
+        start = perf_counter_ns()
+        twin.tick(measurement, reference)
+        whole[k] = perf_counter_ns() - start
         for name, stage in stages:
             start = perf_counter_ns()
-            stage(second, second.signals)
+            stage(twin, twin.signals)
             spent[name][k] = perf_counter_ns() - start
-    return TickTimes(tick / 1e3, floor / 1e3, {name: t / 1e3 for name, t in spent.items()})
+    return whole / 1e3, {name: t / 1e3 for name, t in spent.items()}
 
 
 def _spread(times: Array) -> dict[str, float]:

@@ -18,6 +18,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.faces import Rail, touched
+from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives
 from osc_contact.plants.mujoco_scene import DRIVE_MASS, MujocoOptions, scene
 from osc_contact.plants.plant import Truth
 from osc_contact.spatial import Array, as_array
@@ -39,6 +40,7 @@ class MujocoPlant:
         face_urdfs: Sequence[Path],
         options: MujocoOptions | None = None,
         rails: Sequence[Rail | None] | None = None,
+        drives: JointDrives | None = None,
     ) -> None:
         """Compile the scene.
 
@@ -48,6 +50,7 @@ class MujocoPlant:
             contacts: where the faces are. face_urdfs: what each face looks like.
             options: step, softness, friction.
             rails: how each face slides; default: all are fixed.
+            drives: springs, motor errors and friction of the joints; default: ideal drives.
 
         Raises:
             PlantError: MuJoCo is missing or refuses the scene.
@@ -64,10 +67,13 @@ class MujocoPlant:
         self.contacts = tuple(contacts)
         options = MujocoOptions() if options is None else options
         self.rails: list[Rail | None] = list(rails or [None] * len(self.contacts))
+        self.drives = JointDrives() if drives is None else drives
+        driven = [chain.joint_names[j] for j in chain.actuated]
         try:
             spec = scene(
                 mujoco, chain, arm_urdfs, object_urdf, contacts, face_urdfs, options, self.rails
             )
+            add_drives(mujoco, spec, driven, self.drives)
             self.model: Any = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             raise PlantError(f"MuJoCo refuses the scene: {error}") from error
@@ -75,6 +81,11 @@ class MujocoPlant:
         joints = [self.model.joint(name) for name in chain.joint_names]
         self._q = np.array([int(j.qposadr[0]) for j in joints])
         self._v = np.array([int(j.dofadr[0]) for j in joints])
+        self._springs = self._spring_v = np.array([], dtype=int)
+        if self.drives.flexible is not None:
+            springs = [self.model.joint(f"{name}/{SPRING}") for name in driven]
+            self._springs = np.array([int(j.qposadr[0]) for j in springs])
+            self._spring_v = np.array([int(j.dofadr[0]) for j in springs])
         self._object = int(self.model.body("object/root").id)
         roots = [int(self.model.body(f"face{i}/root").id) for i in range(len(contacts))]
         self._faces = [self._plates_of(root) for root in roots]
@@ -106,8 +117,34 @@ class MujocoPlant:
 
     def hold(self, tau: Array) -> None:
         """Apply torques from now on; time stands still."""
-        self.data.ctrl[:] = as_array("tau", tau, (self.chain.n_a,))
+        self._command(tau)
+        if self.drives.flexible is not None:  # springs wound up, motors where that puts them
+            q = self._joints(self.data.qpos, self._q, self._springs)[self.chain.actuated]
+            wound = -self.data.ctrl / self.drives.flexible.stiffness
+            self.data.qpos[self._springs] = wound
+            self.data.qpos[self._q[self.chain.actuated]] = q - wound
         self._mj.mj_forward(self.model, self.data)
+
+    def _command(self, tau: Array) -> None:
+        tau = as_array("tau", tau, (self.chain.n_a,))
+        if self.drives.motors is not None:
+            tau = self.drives.motors.torque(tau, self.data.qpos[self._q[self.chain.actuated]])
+        self.data.ctrl[:] = tau
+
+    def _joints(self, x: Array, joints: Array, springs: Array) -> Array:
+        """Positions or velocities (n,) of the links: what the motors do, plus the springs."""
+        links: Array = x[joints]
+        if len(springs):
+            links[self.chain.actuated] += x[springs]
+        return links
+
+    def _joint_torques(self) -> Array:
+        """(n_a,) what the torque sensors feel: the springs, or the motors themselves."""
+        flexible = self.drives.flexible
+        if flexible is None:
+            return self.data.ctrl.copy()
+        wound, rate = self.data.qpos[self._springs], self.data.qvel[self._spring_v]
+        return -flexible.stiffness * wound - flexible.damping * rate
 
     def measure(self) -> Measurement:
         """Encoders after the last step, wrist wrenches as of its beginning (one step old)."""
@@ -115,9 +152,9 @@ class MujocoPlant:
         for i, start in enumerate(self._sensors):
             if start is not None:
                 wrenches[i] = self.data.sensordata[start : start + 6]
-        return Measurement(
-            self.data.qpos[self._q], self.data.qvel[self._v], wrenches, self._touched()
-        )
+        q = self._joints(self.data.qpos, self._q, self._springs)
+        v = self._joints(self.data.qvel, self._v, self._spring_v)
+        return Measurement(q, v, wrenches, self._touched(), self._joint_torques())
 
     def _touched(self) -> Touched | None:
         if not self._moved:
@@ -166,7 +203,7 @@ class MujocoPlant:
 
     def step(self, tau: Array, duration: float) -> None:
         """Hold the torques over the steps that fit into `duration`."""
-        self.data.ctrl[:] = as_array("tau", tau, (self.chain.n_a,))
+        self._command(tau)
         steps = max(1, round(duration / self.model.opt.timestep))
         if not self._driven:
             self._mj.mj_step(self.model, self.data, steps)

@@ -52,7 +52,46 @@ def name_problems(
 
 
 def timing_problems(control: ControlSpec, plant: PlantSpec) -> list[Problem]:
-    """Check that the control period is a whole multiple of the plant step (within 1e-9)."""
+    """Check that the control period is a whole multiple of the plant step (within 1e-9), and so
+    for the joint torque loop; and that the plant has what is asked for."""
+    return [
+        *_step_problems(control, plant),
+        *_torque_loop_problems(control, plant),
+        *_rigid_problems(plant),
+    ]
+
+
+def _rigid_problems(plant: PlantSpec) -> Iterator[Problem]:
+    """The rigid plant has ideal joints."""
+    if plant.type == "rigid":
+        for key in ("flexible_joints", "motors", "joint_friction"):
+            if getattr(plant, key):
+                text = "the rigid plant has ideal joints; leave it out, or take plant.type mujoco"
+                yield ("plant", key), text
+
+
+def _torque_loop_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]:
+    loop = control.joint_torque
+    if loop is None:
+        return
+    key = ("control", "joint_torque")
+    if plant.flexible_joints is None:
+        text = (
+            "a joint torque loop acts on springs, and the joints are stiff; add "
+            "plant.flexible_joints, or leave it out"
+        )
+        yield key, text
+    calls, steps = loop.rate / control.rate, 1.0 / (loop.rate * plant.step)
+    if not all(round(n) >= 1 and abs(n - round(n)) <= 1e-9 for n in (calls, steps)):
+        text = (
+            f"the loop runs {calls:.9g} times in a control period and {steps:.9g} plant steps pass "
+            f"in its period (control.rate {control.rate:g} Hz, plant.step {plant.step:g} s); both "
+            "must be whole numbers"
+        )
+        yield (*key, "rate"), text
+
+
+def _step_problems(control: ControlSpec, plant: PlantSpec) -> list[Problem]:
     steps = 1.0 / (control.rate * plant.step)
     whole = round(steps)
     if whole >= 1 and abs(steps - whole) <= 1e-9:

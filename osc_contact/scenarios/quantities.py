@@ -25,6 +25,7 @@ __all__ = [
     "Number",
     "Spec",
     "Time",
+    "Torque",
     "UnitVec3",
     "Vec3",
     "refuse",
@@ -116,16 +117,18 @@ _ANGLE = Dimension("an angle", _units("rad=1 mrad=1e-3") | {"deg": Decimal(math.
 _TIME = Dimension("a time", _units("s=1 ms=1e-3 µs=1e-6 μs=1e-6 us=1e-6 min=60"))
 _FREQUENCY = Dimension("a frequency", _units("Hz=1 kHz=1e3"))
 _FORCE = Dimension("a force", _units("N=1 mN=1e-3 kN=1e3"))
+_TORQUE = Dimension("a torque", _units("Nm=1 mNm=1e-3"))
 _MASS = Dimension("a mass", _units("kg=1 g=1e-3"))
 _NUMBER = Dimension("a plain number", {})
 _JOINT_VALUE = Dimension("a joint value (length or angle)", _LENGTH.units | _ANGLE.units)
-_DIMENSIONS = (_LENGTH, _ANGLE, _TIME, _FREQUENCY, _FORCE, _MASS)
+_DIMENSIONS = (_LENGTH, _ANGLE, _TIME, _FREQUENCY, _FORCE, _TORQUE, _MASS)
 
 Length = Annotated[float, _LENGTH]
 Angle = Annotated[float, _ANGLE]
 Time = Annotated[float, _TIME]
 Frequency = Annotated[float, _FREQUENCY]
 Force = Annotated[float, _FORCE]
+Torque = Annotated[float, _TORQUE]
 Mass = Annotated[float, _MASS]
 Number = Annotated[float, _NUMBER]
 JointValue = Annotated[float, _JOINT_VALUE]

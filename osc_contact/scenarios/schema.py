@@ -18,6 +18,7 @@ from pydantic_core import InitErrorDetails
 
 from .checks import Problem, did_you_mean, name_problems, timing_problems
 from .geometry import ArmSpec, ContactSpec, FaceSpec, GraspSpec, Name, ObjectSpec, PoseSpec
+from .hardware import SensorsSpec
 from .quantities import Force, Spec, Time, UnitVec3, refuse
 from .signals import AngleSignal, ForceSignal, LengthSignal
 from .tuning import (
@@ -123,6 +124,7 @@ class Scenario(Spec):
     """the tick rate and the metric"""
     model_error: ModelErrorSpec = ModelErrorSpec()
     tare: TareSpec | None = None
+    sensors: SensorsSpec = SensorsSpec()
     plant: PlantSpec
     """the plant: type and step"""
     duration: Annotated[Time, Field(gt=0)]

@@ -6,6 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from .hardware import (
+    EstimateSpec,
+    FlexibleJointsSpec,
+    FrictionSpec,
+    JointTorqueSpec,
+    MotorsSpec,
+)
 from .quantities import Frequency, Length, Number, Spec, Time
 
 __all__ = [
@@ -57,6 +64,9 @@ class ControlSpec(Spec):
     """the tick rate, such as 1 kHz"""
     metric: Literal["object", "chain"] = "object"
     contacts: Literal["declared", "detected"] = "declared"
+    joint_torque: JointTorqueSpec | None = None
+    friction: FrictionSpec | None = None
+    estimate: EstimateSpec = EstimateSpec()
 
 
 class ModelErrorSpec(Spec):
@@ -84,3 +94,6 @@ class PlantSpec(Spec):
     solref: tuple[Positive, Positive] = (0.01, 1.0)
     solimp: tuple[Fraction, Fraction, Positive] = (0.2, 0.9, 0.0005)
     friction: NotNegative = 0.0
+    flexible_joints: FlexibleJointsSpec | None = None
+    motors: MotorsSpec | None = None
+    joint_friction: NotNegative = 0.0

@@ -90,7 +90,7 @@ def _bars(ax: Axes, found: Comparison, values: Array, limit: float | None = None
         ax.annotate(_number(value), (i, value), (0, 2), textcoords="offset points",
                     ha="center", fontsize=8.5)  # fmt: skip
     ax.set_yscale("log")
-    ax.set_ylim(low, 10.0 ** (np.ceil(np.log10(values.max())) + 0.6))
+    ax.set_ylim(low, values.max() * (values.max() / low) ** 0.13)
     ax.set_xticks([])
     ax.grid(False, axis="x")
     if limit is not None:

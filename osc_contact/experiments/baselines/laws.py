@@ -32,7 +32,8 @@ from osc_contact.control.command_filter import (
     generalised_force,
     object_coordinates,
 )
-from osc_contact.control.controller import Controller, Signals, block
+from osc_contact.control.controller import Controller, Signals
+from osc_contact.control.wires import block
 from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.experiments.baselines.selection import Selection
@@ -101,7 +102,7 @@ BASELINES: dict[str, Baseline] = {
         selected_before_and_after,
         1,
         "F = ΩᵀΛΩa + Ω̄f + μ + p",
-        "Isaac Lab 2 and 3.0, isaaclab/controllers/operational_space.py: the gains are selected "
+        "Isaac Lab 2, isaaclab/controllers/operational_space.py: the gains are selected "
         "and so is the force Λa they give, all on the axes of one task frame; there at the tool "
         "point and without velocity terms",
     ),

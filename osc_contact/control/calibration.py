@@ -1,0 +1,98 @@
+"""Wrist calibration: what hangs on a force sensor, and its bias, from a few static postures.
+
+At rest a sensor whose gripper and load weigh m, with the centre of mass at c, reads
+
+    f = m u + b_f,    τ = (m c) × u + b_τ,    u = −Rᵀg,
+
+linear in the ten unknowns m, m c, b_f, b_τ. Postures that turn the sensor against gravity tell
+them apart; where they do not (every SCARA), weight and bias look the same: then the sensors can
+only be tared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.spatial import Array, as_array, skew
+
+__all__ = ["WristLoad", "calibrate_wrist"]
+
+NAMES = ("m", *(f"{name}_{axis}" for name in ("m c", "b_f", "b_τ") for axis in "xyz"))
+
+
+@dataclass(frozen=True)
+class WristLoad:
+    """What a wrist sensor carries.
+
+    Attributes:
+        mass: kg. com: (3,) centre of mass in the sensor's axes (m).
+        bias: (6,) reading of the unloaded sensor (N, N m).
+        mass_error: standard error (kg). com_error: (3,) standard errors (m).
+    """
+
+    mass: float
+    com: Array
+    bias: Array
+    mass_error: float
+    com_error: Array
+
+
+def calibrate_wrist(
+    rotations: Sequence[Array],
+    readings: Array,
+    noise: Array | float = 1.0,
+    gravity: Sequence[float] = (0.0, 0.0, -9.81),
+) -> WristLoad:
+    """Weighted least squares on the regressor of a resting load.
+
+    Args:
+        rotations: (3, 3) of the sensor in the world, one for each posture.
+        readings: (postures, 6) mean reading at rest in the sensor's axes: the wrench that the arm
+            exerts on the gripper (N, N m).
+        noise: (6,) or one number: standard deviation of those means, which weighs N against N m
+            and gives the errors their size.
+        gravity: (3,) m/s² in the world.
+
+    Raises:
+        InvalidInputError: fewer than three postures, or shapes that do not fit.
+        ModelError: the postures do not tell weight from bias.
+    """
+    k = len(rotations)
+    if k < 3:
+        raise InvalidInputError(f"{k} postures; mass, centre and bias need three or more")
+    readings = as_array("readings", readings, (k, 6))
+    spread = np.broadcast_to(np.asarray(noise, dtype=float), (6,))
+    if not (np.isfinite(spread).all() and spread.min() > 0.0):
+        raise InvalidInputError(f"noise = {noise}; give finite numbers > 0")
+    weight = 1.0 / spread
+    g = as_array("gravity", gravity, (3,))
+    rows = np.vstack([weight[:, None] * _regressor(-np.asarray(R).T @ g) for R in rotations])
+    scale = np.linalg.norm(rows, axis=0)
+    scale[scale == 0.0] = 1.0
+    U, s, Vh = np.linalg.svd(rows / scale, full_matrices=False)
+    if s[-1] < 1e-3 * s[0]:
+        part = np.abs(Vh[s < 1e-3 * s[0]]).max(axis=0)
+        blind = [name for name, share in zip(NAMES, part, strict=True) if share > 0.1]
+        raise ModelError(
+            f"these {k} postures do not tell {', '.join(blind)} apart: the sensor is never turned "
+            "enough against gravity. Tilt it about two horizontal axes by 30 deg or more; a wrist "
+            "that can only turn about the vertical has to be tared instead"
+        )
+    theta = (Vh.T @ ((U.T @ (readings * weight).ravel()) / s)) / scale
+    error = np.sqrt(np.sum((Vh.T / s) ** 2, axis=1)) / scale
+    mass, com = float(theta[0]), theta[1:4] / theta[0]
+    com_error = np.hypot(error[1:4], com * error[0]) / abs(mass)
+    return WristLoad(mass, com, theta[4:], float(error[0]), com_error)
+
+
+def _regressor(u: Array) -> Array:
+    """(6, 10) Y(u) with reading = Y θ, θ = [m, m c, b_f, b_τ]."""
+    Y = np.zeros((6, 10))
+    Y[:3, 0] = u
+    Y[3:, 1:4] = -skew(u)
+    Y[:, 4:] = np.eye(6)
+    return Y

@@ -1,0 +1,251 @@
+"""The compiled tick: a controller's arrays, and `kernels.tick` called on them."""
+
+from __future__ import annotations
+
+import logging
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.control.found import Found
+from osc_contact.control.pack import pack
+from osc_contact.errors import OscContactError
+from osc_contact.interface import Measurement, Reference, Touched
+from osc_contact.kernels import layout as at
+from osc_contact.spatial import Array
+
+if TYPE_CHECKING:
+    from osc_contact.control.controller import Controller
+
+__all__ = ["Before", "CompiledTick"]
+
+
+@dataclass(frozen=True)
+class Before:
+    """What a tick began with: ∫e dt (6,), ∫(α_d − α) dt (r,), f_tare, f_bias (6,)."""
+
+    error_sum: Array
+    force_sum: Array
+    tare: Array
+    bias: Array
+    engaged: bool
+
+
+_log = logging.getLogger(__name__)
+
+#: What the border refuses: wrong sizes or types of what comes in. The readable path says why.
+_REFUSED = (TypeError, ValueError, AttributeError, OscContactError)
+
+
+class CompiledTick:
+    """One Pinocchio call and one kernel call.
+
+    Attributes:
+        state: (25,) ∫e dt, f_tare, f_bias, ∫(α_d − α) dt and how many of these count.
+        tau: (n_a,) torques of the last tick that was computed.
+        tare, bias: (6,) views of the state: f_tare, f_bias.
+        found: what the last tick found; its arrays are overwritten by the next one.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        """Pack the model and compile (or load) the kernel."""
+        self._controller = controller
+        chain = controller.chain
+        self._model, self._data = chain.model, chain.model.createData()
+        self._world = pin.Convention.WORLD
+        self._arrays, self._pairs = pack(controller, self._data)
+        self.state, self.tau = self._arrays[at.STATE], self._arrays[at.TAU]
+        self._bound = np.zeros((at.COUNT, 4), dtype=np.int64)
+        for row, array in self._arrays.items():
+            self._bound[row, 0] = array.__array_interface__["data"][0]
+            self._bound[row, 1 : 1 + array.ndim] = array.shape
+        self._error_sum = self.state[at.ERROR_SUM : at.TARE]
+        self.tare, self.bias = self.state[at.TARE : at.BIAS], self.state[at.BIAS : at.FORCE_SUM]
+        self._force_sums = [self.state[at.FORCE_SUM : at.FORCE_SUM + r] for r in range(7)]
+        self._force_sum: Array | None = None
+        self._moved = False
+        self._bodies = [
+            (c, body)
+            for c, body in enumerate(controller.bodies)
+            if body is not None and self._arrays[at.BODIES_I][c].tolist() == [at.ELSEWHERE, c]
+        ]
+        self._elsewhere = bool(self._pairs.elsewhere or self._bodies)
+        self.found = _found(self._arrays)
+        self._crba, self._kernel = pin.crba, _kernel()
+        self._load()
+
+    def __call__(self, measurement: Measurement, reference: Reference, engaged: bool) -> int:
+        """OK, SATURATED or ASK: then nothing has changed, and the readable path must decide."""
+        motion, force = self._controller.motion_law, self._controller.force_law
+        try:
+            q = measurement.q
+            touched = measurement.touched
+            self._crba(self._model, self._data, q, self._world)
+            if motion.integral is not self._error_sum or force.integral is not self._force_sum:
+                self._take_integrals()
+            if touched is not None or self._moved:
+                self._move(touched)
+            if self._elsewhere and engaged and not self._evaluate(measurement):
+                return at.ASK
+            code: int = self._kernel(
+                self._bound, q, measurement.v, measurement.wrenches, reference.X_WD.homogeneous,
+                reference.V_D, reference.A_D, reference.alpha_d, reference.squeeze_d, engaged,
+                self._moved,
+            )  # fmt: skip
+        except _REFUSED:
+            return at.ASK
+        r = code >> 2
+        if code & 3 == at.OK and force.integral is not self._force_sums[r]:
+            force.integral = self._force_sum = self._force_sums[r]
+        return code & 3
+
+    def bare_call(
+        self, measurement: Measurement, reference: Reference, engaged: bool
+    ) -> Callable[[], int]:
+        """The kernel on prepared arguments, at the positions last given to Pinocchio."""
+        self(measurement, reference, engaged)
+        return partial(
+            self._kernel, self._bound, measurement.q, measurement.v, measurement.wrenches,
+            reference.X_WD.homogeneous, reference.V_D, reference.A_D, reference.alpha_d,
+            reference.squeeze_d, engaged, self._moved,
+        )  # fmt: skip
+
+    # --- what a tick found ---------------------------------------------------------------------
+
+    def limit_reached(self) -> str:
+        """Which motor the last tick wanted too much of, and how much."""
+        chain = self._controller.chain
+        excess = float(self._arrays[at.SIGNALS][at.EXCESS])
+        motor = int(np.argmax(np.abs(self.tau) / chain.tau_max))
+        name = chain.joint_names[chain.actuated[motor]]
+        return f"{name}: {self.tau[motor] * excess:.4g} of ±{chain.tau_max[motor]:.4g} wanted"
+
+    def inputs(self) -> tuple[Measurement, Reference, Before]:
+        """What the last computed tick was given, and what it began with."""
+        n, k = self._model.nq, len(self._controller.chain.arms)
+        data = self._arrays[at.INPUTS].copy()
+        ends = np.cumsum([n, n, 6 * k, 16, 6, 6, 1, 1, 1, 1])
+        q, v, wrenches, X, V, A, squeeze, engaged, moved, size, alpha = np.split(
+            data[: -at.STATE_SIZE], ends
+        )
+        touched = None
+        if moved[0]:
+            rows = self._arrays[at.TOUCHED_BEFORE][:-1].copy()
+            touched = Touched(rows[:, :16].reshape(-1, 4, 4), rows[:, 16:22], rows[:, 22:])
+        measurement = Measurement(q, v, wrenches.reshape(k, 6), touched)
+        reference = Reference(
+            pin.SE3(X.reshape(4, 4)), V, A, alpha[: int(size[0])], float(squeeze[0])
+        )
+        state = data[-at.STATE_SIZE :]
+        force = state[at.FORCE_SUM : at.FORCE_SUM + int(state[at.FORCE_RANK])]
+        before = Before(
+            state[: at.TARE], force, state[at.TARE : at.BIAS], state[at.BIAS : at.FORCE_SUM],
+            bool(engaged[0]),
+        )  # fmt: skip
+        return measurement, reference, before
+
+    # --- before the kernel ---------------------------------------------------------------------
+
+    def _take_integrals(self) -> None:
+        """Integrals that somebody else has set since the last tick."""
+        motion, force = self._controller.motion_law, self._controller.force_law
+        if motion.integral is not self._error_sum:
+            self._error_sum[:] = motion.integral
+            motion.integral = self._error_sum
+        if force.integral is not self._force_sum:
+            r = len(force.integral)
+            self._force_sums[r][:] = force.integral
+            self.state[at.FORCE_RANK] = r
+            force.integral = self._force_sum = self._force_sums[r]
+
+    def _move(self, touched: Touched | None) -> None:
+        """Poses, twists and accelerations of the touched bodies; None: they rest in the world."""
+        rows = self._arrays[at.TOUCHED][:-1]
+        self._moved = touched is not None
+        if touched is None:
+            rows[:] = np.eye(4).ravel().tolist() + [0.0] * 12
+            return
+        count = len(rows)
+        if len(touched.X_WE) != count or len(touched.V_E) != count or len(touched.A_E) != count:
+            raise ValueError("one motion for each contact")
+        rows[:, :16] = touched.X_WE.reshape(count, 16)
+        rows[:, 16:22] = touched.V_E
+        rows[:, 22:] = touched.A_E
+
+    def _evaluate(self, measurement: Measurement) -> bool:
+        """What only Python code can tell: N and n_γ of some pairs, Φ_e, b_e, V_e of some bodies.
+
+        Returns False where a pair has fewer or dependent columns at this instant.
+        """
+        chain = self._controller.chain
+        frame = self._model.frames[chain.tips[0]]
+        X_WO = self._data.oMi[frame.parentJoint] * frame.placement * chain.grasps[0]
+        s = chain.slices[0]
+        V = self._data.J[:, s] @ measurement.v[s]
+        V[:3] += np.cross(V[3:], X_WO.translation)
+        touched = measurement.touched
+        for number, pair, first in self._pairs.elsewhere:
+            if touched is None:
+                contact = pair.contact(X_WO, V)
+            else:
+                contact = pair.contact(X_WO, V, pin.SE3(touched.X_WE[number]), touched.V_E[number])
+            if contact.r != self._pairs.table[number, 2] or not contact.split_is_unique:
+                return False
+            self._arrays[at.N_O][first : first + contact.r] = contact.N.T
+            self._arrays[at.COLUMNS][at.N_GAMMA, first : first + contact.r] = contact.n_gamma
+        if touched is not None:
+            O = X_WO.translation  # noqa: E741
+            for c, body in self._bodies:
+                e = body.environment(
+                    pin.SE3(touched.X_WE[c]), touched.V_E[c], touched.A_E[c], O
+                )  # fmt: skip
+                self._arrays[at.BODIES][c] = np.concatenate((e.Phi_e.ravel(), e.b_e, e.V_e))
+        return True
+
+    # --- compilation ---------------------------------------------------------------------------
+
+    def _load(self) -> None:
+        """Call the kernel once with data it refuses: now is the time to compile."""
+        if getattr(self._kernel, "signatures", None):
+            return
+        if not any(self._kernel.stats.cache_hits) if hasattr(self._kernel, "stats") else False:
+            _log.info("compiling the control tick; this takes a while once, then it is cached")
+        none = np.full(self._model.nq, np.nan)
+        six = np.zeros(6)
+        self._kernel(
+            self._bound, none, none, np.zeros((len(self._controller.chain.arms), 6)), np.eye(4),
+            six, six, np.zeros(0), 0.0, False, False,
+        )  # fmt: skip
+        if hasattr(self._kernel, "disable_compile"):
+            self._kernel.disable_compile()  # other types are converted or refused
+
+
+def _found(arrays: dict[int, Array]) -> Found:
+    s, columns = arrays[at.SIGNALS], arrays[at.COLUMNS]
+
+    def six(start: int) -> Array:
+        return s[start : start + 6]
+
+    return Found(
+        f_meas=six(at.F_MEAS), bias_out=six(at.BIAS_OUT), f_c=six(at.F_C), V_O=six(at.V_O),
+        X_WO=s[at.X_WO : at.X_WO + 16].reshape(4, 4), error=six(at.ERROR),
+        free_error=six(at.FREE_ERROR), squeeze=s[at.SQUEEZE : at.SQUEEZE + 1],
+        magnitudes=columns[at.ALPHA_MEAS], speeds=columns[at.SPEED], rank=s[at.RANK : at.RANK + 1],
+    )  # fmt: skip
+
+
+@cache
+def _kernel() -> Any:
+    """The kernel, tied to the sources of all its parts: numba looks at one file's date only."""
+    from osc_contact.kernels import tick
+
+    stamp = 0
+    for source in sorted(Path(tick.__file__).parent.glob("*.py")):
+        stamp = zlib.crc32(source.read_bytes(), stamp)
+    return tick.build(stamp)

@@ -1,0 +1,73 @@
+"""What one tick found, as plain arrays: what recordings keep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from osc_contact.control.allocation import squeeze_rows
+from osc_contact.spatial import Array, pose_error
+
+if TYPE_CHECKING:
+    from osc_contact.control.controller import Controller, Signals
+
+__all__ = ["Found"]
+
+
+@dataclass(frozen=True)
+class Found:
+    """Everything at O in world axes.
+
+    Attributes:
+        f_meas, bias_out: (6,) wrist readings less tare; what they would be without contact.
+        f_c: (6,) contact force in them. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
+        error: (6,) pose error. free_error: (6,) Ω_m(Λ_o⁻¹) of it.
+        squeeze: (1,) internal force along the grasp line (N), > 0 compresses.
+        magnitudes: (≥ r,) contact magnitudes measured; speeds: (≥ r,) NᵀV_rel; the first r of them
+            count. rank: (1,) r.
+    """
+
+    f_meas: Array
+    bias_out: Array
+    f_c: Array
+    V_O: Array
+    X_WO: Array
+    error: Array
+    free_error: Array
+    squeeze: Array
+    magnitudes: Array
+    speeds: Array
+    rank: Array
+
+    @property
+    def alpha_meas(self) -> Array:
+        """(r,) contact magnitudes measured."""
+        return self.magnitudes[: int(self.rank[0])]
+
+    @property
+    def normal_speed(self) -> Array:
+        """(r,) NᵀV_rel (m/s): 0 while the contacts last."""
+        return self.speeds[: int(self.rank[0])]
+
+    @classmethod
+    def of(cls, s: Signals, controller: Controller) -> Found:
+        """From the wires of the readable path."""
+        state, tau = s.state, controller.last_torques()
+        error = pose_error(s.reference.X_WD, state.X_WO)
+        Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
+        E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
+        return cls(
+            f_meas=s.f_meas,
+            bias_out=state.bias_out,
+            f_c=s.f_c_meas,
+            V_O=state.V_O,
+            X_WO=state.X_WO.homogeneous,
+            error=error,
+            free_error=Omega_m @ error,
+            squeeze=E @ tau - e0 if len(e0) else np.zeros(1),
+            magnitudes=s.alpha_meas,
+            speeds=s.contact.N.T @ (state.V_O - s.environment.V_e),
+            rank=np.array([len(s.alpha_meas)]),
+        )

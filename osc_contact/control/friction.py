@@ -1,0 +1,84 @@
+"""Coulomb friction at the contacts, known to some extent: N_μ, what a sliding contact pushes.
+
+A contact that slides drags the environment along: with the force α it applies N_μ α instead of N α,
+
+    N_μ = N + μ [s; p × s],    s = v_t / √(v_t² + v_0²),
+
+v_t the slip velocity of the object at the contact point p, in the tangent plane. N_μ stands where
+a force acts (on the right of the wrist filter's solve, in the feed-forward of the force command);
+N stays where the contact's constraint is tested.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.pairs import ContactPair, VertexOnFace
+from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, velocity
+from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Touched
+from osc_contact.spatial import Array
+
+__all__ = ["Friction"]
+
+
+@dataclass(frozen=True)
+class Friction:
+    """What the controller believes of the friction at its contacts.
+
+    Attributes:
+        mu: Coulomb coefficient, the same at all contacts.
+        slip: v_0, the slip speed (m/s) from which on friction counts as fully developed. Below it
+            the direction is not known well enough to push against.
+    """
+
+    mu: float
+    slip: float = 0.002
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.mu) and self.mu >= 0.0 and self.slip > 0.0):
+            raise InvalidInputError(
+                f"friction: mu = {self.mu}, slip = {self.slip} m/s; give mu ≥ 0 and slip > 0"
+            )
+
+    def require_known_points(self, pairs: Sequence[ContactPair]) -> None:
+        """Refuse contacts that touch anywhere but in one known point.
+
+        Raises:
+            InvalidInputError: with the contact's name.
+        """
+        for pair in pairs:
+            if not isinstance(pair, VertexOnFace):
+                raise InvalidInputError(
+                    f"contact '{pair.name}' is a {type(pair).__name__}; friction is compensated "
+                    "where a vertex slides on a face. Leave control.friction out"
+                )
+
+    def drag(self, normal: Array, point: Array, V_rel: Array) -> Array:
+        """(6,) friction wrench at O for one newton of normal force, world axes.
+
+        Args:
+            normal: (3,) unit, into the environment. point: (3,) of contact, from O (m).
+            V_rel: (6,) twist of the object relative to the environment, at O (m/s, rad/s).
+        """
+        v = velocity(V_rel, point)
+        v = v - (normal @ v) * normal
+        return self.mu * lines_of_force(point, v / np.sqrt(v @ v + self.slip**2))
+
+    def drags(
+        self, pairs: Sequence[ContactPair], X_WO: pin.SE3, V_O: Array, touched: Touched | None
+    ) -> Array:
+        """N_μ − N (6, r): the drag of each contact, at the pose and twist of object and bodies."""
+        columns = [np.zeros((6, 0))]
+        for i, pair in enumerate(pairs):
+            assert isinstance(pair, VertexOnFace)  # require_known_points
+            X_WE = None if touched is None else pin.SE3(touched.X_WE[i])
+            V_E = None if touched is None else touched.V_E[i]
+            point = pair.point_on_face(X_WO, X_WE) - X_WO.translation
+            V_rel = Bodies.at_O(X_WO, V_O, X_WE, V_E).V_rel
+            columns.append(self.drag(pair.direction(X_WE), point, V_rel)[:, None])
+        return np.hstack(columns)

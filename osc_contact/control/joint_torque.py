@@ -1,0 +1,110 @@
+"""The joint torque loop: a flexible joint with an imperfect motor made into a torque source.
+
+Section 6 of the paper and its reference [11]: sensors behind the springs read the torque τ that
+reaches the link. With the motor's inertia J_m and the spring K,
+
+    τ̈ = K((u − τ)/J_m − q̈),    u = τ_d + k_p(τ_d − τ) − k_d τ̇
+
+moves the resonance from ω = √(K/J_m) to ω√(1 + k_p) and makes motor inertia, bias, ripple and
+friction seem 1 + k_p times smaller. There is no integral: what it would remove is already small,
+and it would wind up in every contact loss. The loop runs at its own, higher rate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from osc_contact.control.velocity_estimate import VelocityEstimate
+from osc_contact.errors import InvalidInputError
+from osc_contact.spatial import Array, as_array
+
+__all__ = ["JointTorqueLoop"]
+
+#: The rate τ̇ is estimated with a bandwidth this many times that of the loop.
+RATE_BANDWIDTH = 6.0
+
+
+@dataclass
+class JointTorqueLoop:
+    """Torque control of every joint by itself, from its torque sensor alone.
+
+    Attributes:
+        stiffness: (n_a,) K of the springs (N m/rad; N/m).
+        motor_inertia: (n_a,) J_m (kg m²; kg).
+        tau_max: (n_a,) limits of the motors.
+        dt: period of the loop (s).
+        gain: k_p. damping_ratio: of the closed loop.
+
+    Raises:
+        InvalidInputError: impossible numbers, or the sampled loop would be unstable.
+    """
+
+    stiffness: Array
+    motor_inertia: Array
+    tau_max: Array
+    dt: float
+    gain: float = 60.0
+    damping_ratio: float = 0.7
+    rate_gain: Array = field(init=False)  #: (n_a,) k_d (s)
+    bandwidth: Array = field(init=False)  #: (n_a,) ω√(1 + k_p) (rad/s)
+
+    def __post_init__(self) -> None:
+        n = len(self.tau_max)
+        K = as_array("stiffness", self.stiffness, (n,))
+        J = as_array("motor_inertia", self.motor_inertia, (n,))
+        if min(K.min(), J.min(), self.dt, self.gain, self.damping_ratio) <= 0.0:
+            raise InvalidInputError(
+                "joint torque loop: stiffness, motor inertia, period, gain and damping ratio must "
+                f"be > 0; got {K}, {J}, {self.dt}, {self.gain}, {self.damping_ratio}"
+            )
+        self.bandwidth = np.sqrt(K * (1.0 + self.gain) / J)
+        self.rate_gain = 2.0 * self.damping_ratio * (1.0 + self.gain) / self.bandwidth
+        self._rate = VelocityEstimate.with_bandwidth(RATE_BANDWIDTH * self.bandwidth, self.dt)
+        radius = float(self.spectral_radius().max())
+        if radius >= 1.0:
+            raise InvalidInputError(
+                f"joint torque loop: at a gain of {self.gain:g} and a period of {self.dt * 1e3:g} "
+                f"ms the sampled loop is unstable (spectral radius {radius:.3f}, bandwidth "
+                f"{self.bandwidth.max() / (2 * np.pi):.0f} Hz). Raise control.joint_torque.rate or "
+                "lower control.joint_torque.gain"
+            )
+
+    def command(self, tau_d: Array, tau: Array, fresh: bool = True) -> Array:
+        """Motor torques u (n_a,), within the limits, for one period.
+
+        Args:
+            tau_d: (n_a,) wanted joint torques. tau: (n_a,) sensed ones.
+            fresh: whether the sensors have sampled since the last call.
+        """
+        _, rate = self._rate.update(tau, fresh=fresh)
+        u = tau_d + self.gain * (tau_d - tau) - self.rate_gain * rate
+        return np.asarray(np.clip(u, -self.tau_max, self.tau_max))
+
+    def spectral_radius(self) -> Array:
+        """(n_a,) largest eigenvalue magnitude of the sampled loop, the link held.
+
+        States τ, τ̇ of the joint (exact over one period, u held) and the two of the estimate.
+        """
+        radii = []
+        for K, J, k_d, a, b in zip(
+            self.stiffness, self.motor_inertia, self.rate_gain, *self._rate.gains(), strict=True
+        ):
+            w, dt = float(np.sqrt(K / J)), self.dt
+            c, s = np.cos(w * dt), np.sin(w * dt)
+            joint = np.array([[c, s / w], [-w * s, c]])
+            push = np.array([1.0 - c, w * s])
+            # estimate: x̂⁻ = (τ̂ + τ̂̇ dt, τ̂̇), x̂ = x̂⁻ + (a, b/dt)(τ − τ̂⁻)
+            keep = np.array([[1 - a, (1 - a) * dt], [-b / dt, 1 - b]])
+            take = np.array([a, b / dt])
+            # u from the estimate after it has seen τ
+            u_joint = np.array([-self.gain - k_d * take[1], 0.0])
+            u_estimate = -k_d * keep[1]
+            A = np.zeros((4, 4))
+            A[:2, :2] = joint + np.outer(push, u_joint)
+            A[:2, 2:] = np.outer(push, u_estimate)
+            A[2:, :2] = np.outer(take, [1.0, 0.0])
+            A[2:, 2:] = keep
+            radii.append(np.abs(np.linalg.eigvals(A)).max())
+        return np.array(radii)

@@ -1,0 +1,100 @@
+"""Velocities from positions: a steady-state Kalman filter for each channel (α-β filter).
+
+Each channel is a double integrator driven by the acceleration one knows and a white one that one
+does not, seen through white noise. Its stationary Kalman gains have a closed form in the tracking
+index λ = σ_a dt²/σ_n (P. R. Kalata, The tracking index, 1984). A filtered difference would lag by
+its time constant; told the commanded acceleration, this one does not lag along the command.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from osc_contact.errors import InvalidInputError
+from osc_contact.spatial import Array
+
+__all__ = ["VelocityEstimate"]
+
+
+@dataclass
+class VelocityEstimate:
+    """Positions and velocities of several channels from sampled positions.
+
+    Attributes:
+        alpha, beta: (k,) gains of position and of velocity.
+        dt: period of `update` (s). sample: period of the sensor (s), which the gains are for.
+    """
+
+    alpha: Array
+    beta: Array
+    dt: float
+    sample: float = 0.0  #: 0: the same
+    x: Array | None = field(default=None, init=False)  #: (k,) last estimate
+    v: Array = field(init=False)  #: (k,)
+
+    def __post_init__(self) -> None:
+        self.alpha, self.beta = np.atleast_1d(self.alpha), np.atleast_1d(self.beta)
+        stable = (self.alpha > 0) & (self.beta > 0) & (2 * self.alpha + self.beta < 4)
+        self.sample = self.sample or self.dt
+        if not stable.all() or not self.dt > 0.0 or not self.sample > 0.0:
+            raise InvalidInputError(
+                f"velocity estimate: α = {self.alpha}, β = {self.beta}, dt = {self.dt}; a stable "
+                "filter has α > 0, β > 0, 2α + β < 4, dt > 0"
+            )
+        self.v = np.zeros(len(self.alpha))
+
+    @classmethod
+    def optimal(
+        cls, noise: Array, acceleration: Array, dt: float, sample: float = 0.0
+    ) -> VelocityEstimate:
+        """Least mean square error under noise (k,) and unknown acceleration (k,), both rms.
+
+        The acceleration is white from sample to sample (Kalata's random-velocity model).
+
+        Raises:
+            InvalidInputError: one of them is not > 0.
+        """
+        noise, acceleration = np.atleast_1d(noise), np.atleast_1d(acceleration)
+        if not (noise.min() > 0.0 and acceleration.min() > 0.0):
+            raise InvalidInputError(
+                f"velocity estimate: noise {noise} and unknown acceleration {acceleration} must "
+                "both be > 0; without noise take the resolution of the sensor"
+            )
+        index = acceleration * (sample or dt) ** 2 / noise
+        r = (4.0 + index - np.sqrt(8.0 * index + index**2)) / 4.0
+        alpha = 1.0 - r**2
+        return cls(alpha, 2.0 * (2.0 - alpha) - 4.0 * r, dt, sample)
+
+    @classmethod
+    def with_bandwidth(cls, bandwidth: Array, dt: float) -> VelocityEstimate:
+        """Critically damped: both poles at exp(−bandwidth · dt), bandwidth (k,) in rad/s."""
+        pole = np.exp(-np.atleast_1d(bandwidth) * dt)
+        return cls(1.0 - pole**2, (1.0 - pole) ** 2, dt)
+
+    def gains(self) -> tuple[Array, Array]:
+        """(α, β), each (k,)."""
+        return self.alpha, self.beta
+
+    def update(
+        self, x: Array, acceleration: Array | float = 0.0, fresh: bool = True
+    ) -> tuple[Array, Array]:
+        """(x̂, v̂), each (k,), after one period and one reading.
+
+        Args:
+            x: (k,) positions read.
+            acceleration: (k,) known over the period that ends now.
+            fresh: False when the reading is an old one (slower sensor, lost sample): the state is
+                only predicted.
+        """
+        if self.x is None:
+            self.x = np.array(x, dtype=float)
+            return self.x, self.v
+        self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * acceleration
+        self.v = self.v + self.dt * acceleration
+        if fresh:
+            innovation = x - self.x
+            self.x = self.x + self.alpha * innovation
+            self.v = self.v + self.beta / self.sample * innovation
+        return self.x, self.v

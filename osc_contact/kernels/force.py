@@ -1,0 +1,62 @@
+"""The force path of fig. 5: wrist readings to contact magnitudes, and the force law."""
+
+from __future__ import annotations
+
+from osc_contact.kernels.compile import compiled
+from osc_contact.kernels.linalg import dot6, lu_solve
+from osc_contact.kernels.white import wrench_to
+
+__all__ = ["add_wrist_reading", "contact_magnitudes", "force_command"]
+
+
+@compiled
+def add_wrist_reading(reading, pose, sensor, C, scratch, total):
+    """Add one wrist's reading (6,), turned to world axes and carried to C.
+
+    Args:
+        pose: (12,) of the sensor's joint. sensor: (12,) rotation (row by row) and position of the
+            sensor in it. scratch: (9,).
+    """
+    point = scratch[6:9]
+    for i in range(3):
+        point[i] = (
+            pose[9 + i] + pose[i] * sensor[9] + pose[3 + i] * sensor[10] + pose[6 + i] * sensor[11]
+        )
+    for half in (0, 3):
+        x, y, z = reading[half], reading[half + 1], reading[half + 2]
+        a = sensor[0] * x + sensor[1] * y + sensor[2] * z
+        b = sensor[3] * x + sensor[4] * y + sensor[5] * z
+        c = sensor[6] * x + sensor[7] * y + sensor[8] * z
+        for i in range(3):
+            scratch[half + i] = pose[i] * a + pose[3 + i] * b + pose[6 + i] * c
+    wrench_to(scratch[:6], point, C, scratch[:6])
+    for i in range(6):
+        total[i] += scratch[i]
+
+
+@compiled
+def contact_magnitudes(Lambda_out, white, r, f, n_gamma, b_N, Phi_N, X, D, alpha):
+    """α (r,) = D⁻¹[NᵀΛ_out⁻¹f − n_γ − b_N], D = NᵀΛ_out⁻¹N + Φ_N (`control.force`).
+
+    Args:
+        Lambda_out: (6, 6) *transposed*, white; destroyed. white: (r, 6) columns of N.
+        f: (6,) reading less bias, white. X: (r, 6), D: (6, 6) scratch. alpha: (1, 6) filled.
+    """
+    for a in range(r):
+        for i in range(6):
+            X[a, i] = white[a, i]
+    if not lu_solve(Lambda_out, 6, X, r):
+        return False
+    for a in range(r):
+        for b in range(r):
+            D[a, b] = dot6(X[a], white[b]) + Phi_N[a, b]
+        alpha[0, a] = dot6(X[a], f) - n_gamma[a] - b_N[a]
+    return lu_solve(D, r, alpha, 1)
+
+
+@compiled
+def force_command(r, alpha_d, alpha_meas, speed, integral, gain, damping, dt, after, alpha_u):
+    """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel; the new integral goes to `after`."""
+    for a in range(r):
+        after[a] = integral[a] + gain * dt * (alpha_d[a] - alpha_meas[a])
+        alpha_u[a] = alpha_d[a] + after[a] - damping * speed[a]

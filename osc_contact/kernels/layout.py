@@ -1,0 +1,98 @@
+"""The arrays a tick works on, by their row in the table of bound arrays, and what is where in them.
+
+r_all columns of N, n joints, k arms, c contacts. Integers first, then what the controller knows,
+then its state, then what the tick leaves behind, then scratch.
+"""
+
+from __future__ import annotations
+
+__all__: list[str] = []
+
+(
+    SIZES,  # (1, 16) integers, see below
+    ARMS_I,  # (k, 4) first joint, one past the last, pose rows of tip and sensor (−1: none)
+    JOINTS_I,  # (n, 2) what of the link is outboard (0, 1: all, 2: a part); motor number or −1
+    PAIRS_I,  # (pairs, 6) see `contact`
+    COLUMNS_I,  # (r_all, 1) contact of each column
+    BODIES_I,  # (c, 2) kind of the touched body, see `environment`; its number
+    HEAD,  # constants, see below
+    ARMS,  # (k, 16) tip point in its joint (0:3), sensor in its: rotation (3:12), point (12:15)
+    JOINTS,  # (n, 24) link (0:10), outboard part (10:20), τ_max² (20), 1/τ_max² (21), posture (22)
+    SHAPES,  # (…, 16) see `contact`
+    BODIES,  # (c, 48) see `environment`
+    METRIC,  # (6, 6) B⁻¹ given by the user, world axes at O
+    M,  # (n, n) Pinocchio's
+    J,  # (n, 6) Pinocchio's, transposed
+    POSE,  # (n + 1, 12) Pinocchio's oMi: rotation column by column, then position
+    STATE,  # what a tick hands on to the next, see below
+    SIGNALS,  # what a tick leaves behind, see below
+    COLUMNS,  # (6, r_all) rows: see below, ALPHA_D …
+    N_O,  # (r_all, 6) columns of N at O, world axes
+    TAU,  # (n_a,)
+    TAU_MAX,  # (n_a,)
+    TOUCHED,  # (c, 28) X_WE, V_E, A_E
+    JOINT_ROWS,  # (5, n, 6) see `model.add_arm`
+    SQUARES,  # (12, 6, 6) see below, LAMBDA …
+    ARM_SQUARES,  # (k, 6, 6)
+    ROWS,  # (36, 8) see below, C …
+    LOCKED,  # (6 k + 1, 7)
+    LINKS,  # (n + 1, 10)
+    TRIANGLE,  # (10, 10)
+    HOUSEHOLDER,  # (10, 20)
+    Q_FACTOR,  # (10, 10)
+    CONTACT_ROWS,  # (5, r_all + 6, 6) see below, ALL …
+    SHARE,  # (6, r_all + 6) R
+    AXES,  # (4, 3, 3)
+    JOINT_VECTORS,  # (2, n) h, τ of all joints
+    ANSWERS,  # (c, 48)
+    INPUTS,  # of the last computed tick, see `inputs.keep`; at its end STATE as it found it
+    KEEP,  # (r_all + 6, 1) integers: the columns of N that were kept
+    STACK_Q,  # (10, 10) scratch
+    WIDE,  # (16,) scratch
+    TOUCHED_BEFORE,  # TOUCHED as the last computed tick saw it
+) = range(41)
+COUNT = 41
+
+# SIZES
+N_JOINTS, N_ARMS, N_MOTORS, N_COLUMNS, N_PAIRS, N_CONTACTS, HELD, METRIC_KIND, N_LOCKED = range(9)
+BY_OBJECT, BY_CHAIN, BY_MATRIX = range(3)
+
+# HEAD
+GRAVITY, ROOTS, PRINCIPAL = 0, 3, 7  # g (3), √ of mass and principal moments (4), those squared (4)
+X_JO, X_JP = 11, 23  # O and the principal axes in the first tip's joint: rotation by rows, point
+TOLERANCE, STIFFNESS, DAMPING, INTEGRAL, FORCE_INTEGRAL, FORCE_DAMPING, PERIOD = range(35, 42)
+POSTURE_STIFFNESS, POSTURE_DAMPING = 42, 43
+HEAD_SIZE = 44
+
+# STATE: ∫e dt (6), f_tare (6), f_bias (6), ∫(α_d − α) dt (6) and how many of them count
+ERROR_SUM, TARE, BIAS, FORCE_SUM, FORCE_RANK, STATE_SIZE = 0, 6, 12, 18, 24, 25
+
+# SIGNALS
+F_MEAS, BIAS_OUT, V_O, X_WO, F_C, ERROR, FREE_ERROR, A_U = 0, 6, 12, 18, 34, 40, 46, 52
+SQUEEZE, EXCESS, RANK = 58, 59, 60
+ERROR_SUM_NEXT, FORCE_SUM_NEXT, SIGNALS_SIZE = 61, 67, 80
+
+# COLUMNS
+ALPHA_MEAS, ALPHA_U, ALPHA_D, N_GAMMA, SPEED, SIZE = range(6)
+
+# what the tick returns
+# (and 4 r behind them, r the independent columns of N)
+OK, SATURATED, ASK = range(3)  # ASK: no plain verdict; the readable path decides
+
+# SQUARES
+LAMBDA, EFFORT, OUT_T, ARM, B_INV, PHI_N, GRAM, GRAM_L, WORK, FACTOR, MORE, LEAST = range(12)
+
+# ROWS: vectors of up to 8 elements
+(
+    CENTRE, O, R_0, R_1, R_2, POINT, LINE, V, DRIFT, GAMMA, OWN_0, OWN_1, ALONG_0, ALONG_1,
+    EFFORT_0, EFFORT_1, BIAS_LINKS, BIAS_WHITE, CHAIN, WEIGHT, SIGMA, BETA, DIAGONAL, WORLD,
+    X, RHO, F_S, Z, Y, SCRATCH, B_N, V_N, ALPHA, TOTAL,
+) = range(34)  # fmt: skip
+N_ROWS = 36
+
+# CONTACT_ROWS
+ALL, REST, KEPT, TURNED, SOLVED = range(5)
+
+# kinds of contact pairs and of touched bodies
+POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, GIVEN = range(5)
+UNYIELDING, CONVEYOR, CART, ELSEWHERE = range(4)

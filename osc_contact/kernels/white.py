@@ -1,0 +1,85 @@
+"""White coordinates of the held object: its inertia is the identity there (see the package).
+
+`axes` (4, 3, 3) holds the four maps from world axes at C: √m Rᵀ and √I Rᵀ for motions, Rᵀ/√m and
+Rᵀ/√I for wrenches, R the principal axes of the object and I its principal moments of inertia at C.
+"""
+
+from __future__ import annotations
+
+from osc_contact.kernels.compile import compiled
+from osc_contact.kernels.linalg import cross
+
+__all__ = ["motion_from_white", "set_axes", "white_motion", "white_wrench", "wrench_from_white"]
+
+
+@compiled
+def set_axes(R, roots, axes):
+    """Fill `axes` from R (3, 3) and roots = [√m, √I₁, √I₂, √I₃]."""
+    for i in range(3):
+        turning = roots[1 + i]
+        for j in range(3):
+            r = R[j, i]
+            axes[0, i, j] = roots[0] * r
+            axes[1, i, j] = turning * r
+            axes[2, i, j] = r / roots[0]
+            axes[3, i, j] = r / turning
+
+
+@compiled
+def _apply(axes, k, x, first, out):
+    """out[first : first + 3] = axes[k] x[first : first + 3]."""
+    a, b, c = x[first], x[first + 1], x[first + 2]
+    for i in range(3):  # x may be out
+        out[first + i] = axes[k, i, 0] * a + axes[k, i, 1] * b + axes[k, i, 2] * c
+
+
+@compiled
+def white_motion(axes, x, out):
+    """x̃ = Lᵀx of a motion x (6,) at C."""
+    _apply(axes, 0, x, 0, out)
+    _apply(axes, 1, x, 3, out)
+
+
+@compiled
+def white_wrench(axes, f, out):
+    """f̃ = L⁻¹f of a wrench f (6,) at C."""
+    _apply(axes, 2, f, 0, out)
+    _apply(axes, 3, f, 3, out)
+
+
+@compiled
+def motion_from_white(axes, x, out):
+    """x = L⁻ᵀx̃ at C."""
+    for i in range(3):
+        s = t = 0.0
+        for j in range(3):
+            s += axes[2, j, i] * x[j]
+            t += axes[3, j, i] * x[3 + j]
+        out[i], out[3 + i] = s, t
+
+
+@compiled
+def wrench_from_white(axes, f, out):
+    """f = L f̃ at C."""
+    for i in range(3):
+        s = t = 0.0
+        for j in range(3):
+            s += axes[0, j, i] * f[j]
+            t += axes[1, j, i] * f[3 + j]
+        out[i], out[3 + i] = s, t
+
+
+@compiled
+def motion_to(V, start, end, out):
+    """A motion carried from point to point, in place or not."""
+    x, y, z = cross(V[3], V[4], V[5], end[0] - start[0], end[1] - start[1], end[2] - start[2])
+    out[0], out[1], out[2] = V[0] + x, V[1] + y, V[2] + z
+    out[3], out[4], out[5] = V[3], V[4], V[5]
+
+
+@compiled
+def wrench_to(f, start, end, out):
+    """A wrench carried from point to point, in place or not."""
+    x, y, z = cross(start[0] - end[0], start[1] - end[1], start[2] - end[2], f[0], f[1], f[2])
+    out[3], out[4], out[5] = f[3] + x, f[4] + y, f[5] + z
+    out[0], out[1], out[2] = f[0], f[1], f[2]

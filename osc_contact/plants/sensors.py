@@ -1,0 +1,232 @@
+"""Sensors as they are: a rate, a delay, noise, bias, resolution, lost samples.
+
+`SensedPlant` wraps any plant and is one: it turns ideal readings into sensed ones, so that neither
+the plant inside nor the controller outside knows. Every draw comes from one seed.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.errors import PlantError
+from osc_contact.interface import Measurement, Stamps, Touched
+from osc_contact.plants.plant import Plant, Truth
+from osc_contact.spatial import Array
+
+__all__ = ["Clock", "Errors", "SensedPlant", "Sensor", "Sensors"]
+
+_ON_TIME = 1e-9  # s, rounding of sums of steps
+
+
+@dataclass(frozen=True)
+class Clock:
+    """When a sensor samples: rate (Hz), delay until a sample arrives (s), probability of loss."""
+
+    rate: float
+    delay: float = 0.0
+    dropout: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.rate > 0.0 and self.delay >= 0.0 and 0.0 <= self.dropout < 1.0):
+            raise PlantError(
+                f"sensor: rate = {self.rate} Hz, delay = {self.delay} s, dropout = {self.dropout}; "
+                "give rate > 0, delay ≥ 0 and 0 ≤ dropout < 1"
+            )
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of a reading, of its shape or broadcast to it, in its units.
+
+    Attributes:
+        noise: standard deviation of each sample. bias: drawn once, uniform within ±bias.
+        resolution: of the quantisation, after bias and noise; 0: none.
+    """
+
+    noise: Array | float = 0.0
+    bias: Array | float = 0.0
+    resolution: Array | float = 0.0
+
+    def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> _Drawn:
+        """The errors of one sensor, its bias fixed."""
+        return _Drawn(
+            np.broadcast_to(self.noise, shape),
+            np.broadcast_to(self.bias, shape) * rng.uniform(-1.0, 1.0, shape),
+            np.broadcast_to(self.resolution, shape),
+        )
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    noise: Array
+    bias: Array
+    resolution: Array
+
+    def applied(self, value: Array, rng: np.random.Generator) -> Array:
+        read = value + self.bias + self.noise * rng.standard_normal(value.shape)
+        step = np.where(self.resolution > 0.0, self.resolution, 1.0)
+        return np.where(self.resolution > 0.0, np.round(read / step) * step, read)
+
+
+@dataclass
+class Sensor:
+    """One sensor: samples on its own clock, errs, delivers late.
+
+    Attributes:
+        clock: when. corrupt: what a sample of a value reads. rng: for lost samples.
+    """
+
+    clock: Clock
+    corrupt: Callable[[Array], Array]
+    rng: np.random.Generator
+    _samples: deque[tuple[float, Array]] = field(default_factory=deque, init=False)
+    _count: int = field(default=0, init=False)
+
+    def begin(self, t: float, value: Array) -> None:
+        """Forget everything; the first sample is there at once and never lost."""
+        self._samples = deque([(t, self.corrupt(value))])
+        self._count = round(t * self.clock.rate) + 1
+
+    def observe(self, t: float, value: Array) -> None:
+        """Let it see the value at time t; it samples when one is due."""
+        if t < self._count / self.clock.rate - _ON_TIME:
+            return
+        self._count = int((t + _ON_TIME) * self.clock.rate) + 1
+        if self.rng.random() >= self.clock.dropout:
+            self._samples.append((t, self.corrupt(value)))
+
+    def read(self, t: float) -> tuple[float, Array]:
+        """(time of the sample, reading) that has arrived by time t."""
+        while len(self._samples) > 1 and self._samples[1][0] + self.clock.delay <= t + _ON_TIME:
+            self._samples.popleft()
+        return self._samples[0]
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What each kind of sensor does to its readings; None: it is ideal.
+
+    Attributes:
+        encoders: joint positions (n,). joint_torques: (n_a,). wrists: (arms, 6).
+        vision: clock and errors (m) of positions, (rad) of orientations of the touched bodies.
+    """
+
+    encoders: tuple[Clock, Errors] | None = None
+    joint_torques: tuple[Clock, Errors] | None = None
+    wrists: tuple[Clock, Errors] | None = None
+    vision: tuple[Clock, Errors, Errors] | None = None
+
+
+class SensedPlant:
+    """A plant seen through its sensors.
+
+    Joint velocities are NaN where encoders are modelled, twists of touched bodies NaN where vision
+    is: neither sensor gives them. Sensors sample at the ends of steps: a rate above that of the
+    steps is theirs.
+    """
+
+    def __init__(self, plant: Plant, sensors: Sensors, seed: int = 0) -> None:
+        """Wrap a plant; the same seed gives the same readings of the same motion."""
+        self.plant = plant
+        self.sensors = sensors
+        self.seed = seed
+        self.time = plant.time
+        self._begin()
+
+    def reset(self, q: Array) -> None:
+        """Start again, sensors included: same seed, same biases and noise."""
+        self.plant.reset(q)
+        self._begin()
+
+    def hold(self, tau: Array) -> None:
+        """Apply torques from now on; the sensors forget what they read before."""
+        self.plant.hold(tau)
+        self._begin()
+
+    def step(self, tau: Array, duration: float) -> None:
+        """Hold the torques; the sensors look at the end."""
+        self.plant.step(tau, duration)
+        self.time = self.plant.time
+        ideal = self.plant.measure()
+        for name, sensor in self._sensor.items():
+            sensor.observe(self.time, _value(name, ideal))
+
+    def truth(self) -> Truth:
+        """Of the plant inside: sensors do not touch it."""
+        return self.plant.truth()
+
+    def measure(self) -> Measurement:
+        """What has arrived by now, and when it was sampled."""
+        found = self.plant.measure()
+        stamps = Stamps(*[self.time] * 4)
+        for name, sensor in self._sensor.items():
+            at, reading = sensor.read(self.time)
+            stamps = replace(stamps, **{name: at})
+            if name == "encoders":
+                found = replace(found, q=reading, v=np.full(len(reading), np.nan))
+            elif name == "joint_torques":
+                found = replace(found, joint_torques=reading)
+            elif name == "wrists":
+                found = replace(found, wrenches=reading)
+            else:
+                unknown = np.full((len(reading), 6), np.nan)
+                found = replace(found, touched=Touched(reading, unknown, np.zeros_like(unknown)))
+        return replace(found, stamps=stamps)
+
+    def _begin(self) -> None:
+        self.time = self.plant.time
+        ideal = self.plant.measure()
+        streams = iter(np.random.default_rng([self.seed, 1]).spawn(4))
+        self._sensor: dict[str, Sensor] = {}
+        for name in ("encoders", "joint_torques", "wrists"):
+            rng, spec = next(streams), getattr(self.sensors, name)
+            value = _value(name, ideal)
+            if spec is not None and value is not None:
+                clock, errors = spec
+                self._sensor[name] = Sensor(clock, _noisy(errors, value.shape, rng), rng)
+        rng, eyes = next(streams), self.sensors.vision
+        if eyes is not None and ideal.touched is not None:
+            clock, position, orientation = eyes
+            self._sensor["touched"] = Sensor(
+                clock, _noisy_poses(position, orientation, len(ideal.touched.X_WE), rng), rng
+            )
+        for name, sensor in self._sensor.items():
+            sensor.begin(self.time, _value(name, ideal))
+
+
+def _value(name: str, ideal: Measurement) -> Array:
+    """The ideal reading behind a sensor, by the name of its stamp."""
+    if name == "touched":
+        return ideal.touched.X_WE if ideal.touched is not None else np.zeros((0, 4, 4))
+    attribute = {"encoders": "q", "joint_torques": "joint_torques", "wrists": "wrenches"}[name]
+    value: Array = getattr(ideal, attribute)
+    return value
+
+
+def _noisy(
+    errors: Errors, shape: tuple[int, ...], rng: np.random.Generator
+) -> Callable[[Array], Array]:
+    drawn = errors.drawn(shape, rng)
+    return lambda value: drawn.applied(value, rng)
+
+
+def _noisy_poses(
+    position: Errors, orientation: Errors, n: int, rng: np.random.Generator
+) -> Callable[[Array], Array]:
+    """Displaced and turned by small amounts, world axes."""
+    shift, turn = position.drawn((n, 3), rng), orientation.drawn((n, 3), rng)
+
+    def corrupt(X: Array) -> Array:
+        read = X.copy()
+        read[:, :3, 3] = shift.applied(X[:, :3, 3], rng)
+        angles = turn.applied(np.zeros((n, 3)), rng)
+        for i, angle in enumerate(angles):
+            read[i, :3, :3] = pin.exp3(angle) @ X[i, :3, :3]
+        return read
+
+    return corrupt

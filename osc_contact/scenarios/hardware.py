@@ -1,0 +1,165 @@
+"""What makes a rig real: flexible joints, imperfect motors, sensors and their errors."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from .quantities import Angle, Force, Frequency, Length, Number, Spec, Time, Torque, refuse
+
+__all__ = [
+    "EncoderSpec",
+    "EstimateSpec",
+    "FlexibleJointsSpec",
+    "FrictionSpec",
+    "JointTorqueSpec",
+    "MotorsSpec",
+    "SensorsSpec",
+    "TorqueSensorSpec",
+    "VisionSpec",
+    "WristSpec",
+]
+
+Positive = Annotated[Number, Field(gt=0)]
+NotNegative = Annotated[Number, Field(ge=0)]
+Probability = Annotated[Number, Field(ge=0, lt=1)]
+PerMotor = Annotated[tuple[Positive, ...], Field(min_length=1)]
+
+
+class FlexibleJointsSpec(Spec):
+    """Springs between motors and links, by the rig's first mode or by number."""
+
+    frequency: Annotated[Frequency, Field(gt=0)] | None = None
+    """the first mode of the rig with its motors held, such as 5 Hz"""
+    stiffness: dict[str, PerMotor] | None = None
+    """by arm, one number for each motor (N m/rad, N/m)"""
+    damping_ratio: NotNegative = 0.02
+    motor_inertia: Positive | dict[str, PerMotor] = 0.5
+    """a share of each joint's own inertia, or by arm one number for each motor (kg m², kg)"""
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> FlexibleJointsSpec:
+        if (self.frequency is None) == (self.stiffness is None):
+            raise refuse(
+                "expected either frequency, such as 5 Hz, or stiffness, by arm and motor; "
+                + ("got neither" if self.frequency is None else "got both")
+            )
+        return self
+
+
+class MotorsSpec(Spec):
+    """Errors of the motors as shares of each one's limit; signs and phases are drawn."""
+
+    bias: NotNegative = 0.0
+    ripple: NotNegative = 0.0
+
+
+class JointTorqueSpec(Spec):
+    """The joint torque loop: its rate (Hz), gain and damping ratio."""
+
+    rate: Annotated[Frequency, Field(gt=0)]
+    """the rate of the loop, such as 4 kHz"""
+    gain: Positive = 60.0
+    damping_ratio: Positive = 0.7
+
+
+class FrictionSpec(Spec):
+    """What the controller believes of the contacts' friction, and from which slip speed on."""
+
+    mu: NotNegative
+    """the Coulomb coefficient, such as 0.1"""
+    slip: Positive = 0.002
+
+
+class EstimateSpec(Spec):
+    """Accelerations that the estimates of velocities are not told of: joints, tracked bodies."""
+
+    joint_angular: Positive = 2.0
+    joint_linear: Positive = 0.5
+    body_angular: Positive = 0.1
+    body_linear: Positive = 0.05
+
+
+class _Clock(Spec):
+    """When a sensor samples and how its readings arrive."""
+
+    rate: Annotated[Frequency, Field(gt=0)]
+    """samples per second, such as 1 kHz"""
+    delay: Annotated[Time, Field(ge=0)] = 0.0
+    dropout: Probability = 0.0
+
+
+class AngleErrors(Spec):
+    """Errors of an angle."""
+
+    noise: Annotated[Angle, Field(ge=0)] = 0.0
+    bias: Annotated[Angle, Field(ge=0)] = 0.0
+    resolution: Annotated[Angle, Field(ge=0)] = 0.0
+
+
+class LengthErrors(Spec):
+    """Errors of a length."""
+
+    noise: Annotated[Length, Field(ge=0)] = 0.0
+    bias: Annotated[Length, Field(ge=0)] = 0.0
+    resolution: Annotated[Length, Field(ge=0)] = 0.0
+
+
+class ForceErrors(Spec):
+    """Errors of a force."""
+
+    noise: Annotated[Force, Field(ge=0)] = 0.0
+    bias: Annotated[Force, Field(ge=0)] = 0.0
+    resolution: Annotated[Force, Field(ge=0)] = 0.0
+
+
+class TorqueErrors(Spec):
+    """Errors of a torque."""
+
+    noise: Annotated[Torque, Field(ge=0)] = 0.0
+    bias: Annotated[Torque, Field(ge=0)] = 0.0
+    resolution: Annotated[Torque, Field(ge=0)] = 0.0
+
+
+class EncoderSpec(_Clock):
+    """Joint positions; an encoder gives no velocity."""
+
+    angle: AngleErrors = AngleErrors()
+    length: LengthErrors = LengthErrors()
+
+
+class TorqueSensorSpec(_Clock):
+    """Joint torques; errors are shares of each motor's limit."""
+
+    noise: NotNegative = 0.0
+    bias: NotNegative = 0.0
+    resolution: NotNegative = 0.0
+
+
+class WristSpec(_Clock):
+    """Wrist forces and torques."""
+
+    force: ForceErrors = ForceErrors()
+    torque: TorqueErrors = TorqueErrors()
+
+
+class VisionSpec(_Clock):
+    """Overhead vision: poses of the faces."""
+
+    position: LengthErrors = LengthErrors()
+    orientation: AngleErrors = AngleErrors()
+
+
+class SensorsSpec(Spec):
+    """The sensors; one that is left out is ideal. Biases are drawn once, uniform within ±bias."""
+
+    encoder: EncoderSpec | None = None
+    joint_torque: TorqueSensorSpec | None = None
+    wrist: WristSpec | None = None
+    vision: VisionSpec | None = None
+
+    @property
+    def ideal(self) -> bool:
+        """Whether every sensor reads what is."""
+        return all(value is None for _, value in self)

@@ -1,0 +1,110 @@
+"""Friction compensation: N_μ in the wrist filter, feed-forward, and what it brings in a run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rigs import scara_pair
+from test_decoupling import in_contact
+
+import osc_contact as osc
+from osc_contact.control.force import contact_force, magnitudes
+from osc_contact.control.friction import Friction
+
+
+def by_hand(pair, X_WO, V_O, mu):
+    """Coulomb's law at the contact point, fully developed: wrench at O for one newton."""
+    p = pair.point_on_face(X_WO)
+    arm = p - X_WO.translation
+    v = V_O[:3] + np.cross(V_O[3:], arm)
+    v = v - (v @ pair.normal) * pair.normal
+    force = mu * v / np.linalg.norm(v)
+    return np.concatenate((force, np.cross(arm, force)))
+
+
+def test_the_drag_is_coulombs_law():
+    rng = np.random.default_rng(0)
+    friction = Friction(0.3, slip=1e-9)
+    for _ in range(50):
+        state, _, pairs, *_ = in_contact(scara_pair(), rng)
+        got = friction.drags(pairs, state.X_WO, state.V_O, None)
+        for column, pair in zip(got.T, pairs, strict=True):
+            np.testing.assert_allclose(column, by_hand(pair, state.X_WO, state.V_O, 0.3), atol=1e-9)
+            assert column[:3] @ pair.normal == pytest.approx(0.0, abs=1e-12)
+
+
+def test_friction_takes_power_from_the_object_and_fades_at_rest():
+    rng = np.random.default_rng(1)
+    state, _, pairs, *_ = in_contact(scara_pair(), rng)
+    V = state.V_O
+    friction = Friction(0.2, slip=1e-3)
+    assert (V @ friction.drags(pairs, state.X_WO, V, None)).min() > 0.0  # given to the environment
+    slow = friction.drags(pairs, state.X_WO, 1e-6 * V / np.abs(V).max(), None)
+    assert np.abs(slow).max() < 1e-3
+
+
+def test_only_motion_relative_to_a_moving_face_counts():
+    rng = np.random.default_rng(2)
+    state, _, pairs, *_ = in_contact(scara_pair(), rng)
+    V_E = np.zeros((len(pairs), 6))
+    X_WE = np.tile(np.eye(4), (len(pairs), 1, 1))
+    V_E[:] = state.V_O  # carried along: at the world's origin, so shift to it
+    V_E[:, :3] += np.cross(state.V_O[3:], -state.X_WO.translation)
+    touched = osc.interface.Touched(X_WE, V_E, np.zeros_like(V_E))
+    np.testing.assert_allclose(
+        Friction(0.3).drags(pairs, state.X_WO, state.V_O, touched), 0.0, atol=1e-9
+    )
+
+
+def test_the_filter_is_exact_for_sliding_contacts_and_errs_without():
+    """Wrists feel Λ_out a + bias + N_μα with Nᵀa = n_γ; α must come back."""
+    rng = np.random.default_rng(3)
+    fixed, friction = osc.Environment.fixed(), Friction(0.3, slip=1e-6)
+    without = []
+    for _ in range(50):
+        state, contact, pairs, *_ = in_contact(scara_pair(), rng)
+        alpha = rng.uniform(5, 15, contact.N.shape[1])
+        drag = friction.drags(pairs, state.X_WO, state.V_O, None)
+        a = np.linalg.lstsq(contact.N.T, contact.n_gamma, rcond=None)[0]
+        a = a + contact.T @ rng.normal(size=contact.T.shape[1])
+        f_meas = state.Lambda_out @ a + state.bias_out + (contact.N + drag) @ alpha
+        got = magnitudes(contact_force(f_meas, state, contact, fixed, drag), contact)
+        np.testing.assert_allclose(got, alpha, rtol=1e-8)
+        blind = magnitudes(contact_force(f_meas, state, contact, fixed), contact)
+        without.append(np.abs(blind / alpha - 1).max())
+    assert np.median(without) > 0.03
+
+
+def worst(mu, believed, *more, duration=2.0):
+    friction = [] if believed is None else [f"control.friction={{mu: {believed}}}"]
+    scenario = osc.load_scenario(
+        "two_contact_rod_friction", [f"plant.friction={mu}", *friction, *more]
+    )
+    verdict = osc.metrics(osc.run(scenario, duration=duration))
+    assert set(verdict["contact_fraction"].values()) == {1.0}
+    return max(force["rms_error_rel"] for force in verdict["force"].values())
+
+
+@pytest.mark.parametrize(
+    ("mu", "believed", "limit"),
+    [(0.1, 0.13, 0.02), (0.1, 0.07, 0.02), (0.3, 0.39, 0.05), (0.3, 0.21, 0.05)],
+)
+def test_forces_survive_friction_known_within_thirty_per_cent(mu, believed, limit):
+    assert worst(mu, believed) <= limit
+
+
+def test_without_compensation_friction_costs_twice_as_much():
+    assert worst(0.3, None, "control.friction=null") > 2 * worst(0.3, 0.3)
+
+
+def test_friction_on_contacts_without_a_known_point_is_refused():
+    chain = scara_pair()
+    pair = osc.SphereOnPlane(np.zeros(3), 0.01, np.zeros(3), np.array([0.0, 0.0, 1.0]), name="ball")
+    with pytest.raises(osc.InvalidInputError, match=r"ball.*vertex slides"):
+        osc.Controller(chain, [pair], friction=Friction(0.1))
+
+
+@pytest.mark.parametrize("bad", [(-0.1, 1e-3), (0.1, 0.0), (float("nan"), 1e-3)])
+def test_impossible_friction_is_refused(bad):
+    with pytest.raises(osc.InvalidInputError, match="mu"):
+        Friction(*bad)

@@ -1,0 +1,92 @@
+"""Contact or not, collision or not: the monitor on signals whose story is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import osc_contact as osc
+from osc_contact.control.monitor import ContactMonitor, MonitorLimits, MonitorState, watched
+
+DT = 1e-3
+
+
+def told(alpha, speed, limits=None):
+    monitor = ContactMonitor(1, DT, limits or MonitorLimits())
+    states = [
+        monitor.update(np.array([a]), np.array([s])) for a, s in zip(alpha, speed, strict=True)
+    ]
+    closed = np.array([s.closed[0] for s in states])
+    return closed, np.flatnonzero([s.collision[0] for s in states])
+
+
+def test_approach_contact_loss_and_contact_again():
+    """300 ms free, 400 ms pressed, 200 ms lost, pressed again; 0.1 N and 1 mm/s of noise."""
+    rng = np.random.default_rng(0)
+    t = np.arange(1200)
+    pressed = ((t >= 300) & (t < 700)) | (t >= 900)
+    alpha = np.where(pressed, 8.0, 0.0) + 0.1 * rng.standard_normal(len(t))
+    speed = 1e-3 * rng.standard_normal(len(t))
+    for hit in (300, 900):
+        alpha[hit : hit + 4] = [15.0, 20.0, 12.0, 9.0]
+        speed[hit : hit + 4] = [0.03, 0.02, 0.01, 0.002]
+    closed, collisions = told(alpha, speed)
+    assert np.flatnonzero(np.diff(closed.astype(int))).tolist() == [299, 704, 899]
+    assert len(collisions) == 2
+    assert collisions[0] in range(300, 305) and collisions[1] in range(900, 905)
+
+
+def test_forces_and_powers_between_the_thresholds_change_nothing():
+    limits = MonitorLimits()
+    between = 0.5 * (limits.force_on + limits.force_off)
+    for start in (False, True):
+        state = MonitorState.of(np.array([start]))
+        for _ in range(100):
+            state = watched(state, np.array([between]), np.zeros(1), DT, limits)
+            assert state.closed[0] == start and not state.collision[0]
+
+
+def test_a_short_gap_is_not_a_lost_contact_and_a_long_one_is():
+    for gap, still in ((4, True), (8, False)):
+        alpha = np.full(60, 5.0)
+        alpha[20 : 20 + gap] = 0.0
+        closed, _ = told(alpha, np.zeros(60))
+        assert closed[10:].all() == still
+
+
+def test_one_long_burst_of_power_is_one_collision():
+    alpha, speed = np.zeros(100), np.zeros(100)
+    alpha[20:], speed[20:60] = 10.0, 0.02
+    _, collisions = told(alpha, speed)
+    assert collisions.tolist() == [20]
+
+
+def test_power_is_no_collision_long_after_contact_was_made():
+    speed = np.zeros(100)
+    speed[50:60] = 0.05
+    _, collisions = told(np.full(100, 10.0), speed)
+    assert len(collisions) == 0
+
+
+def test_contacts_are_judged_one_by_one():
+    monitor = ContactMonitor(2, DT)
+    state = monitor.update(np.array([5.0, 0.0]), np.array([0.0, 0.0]))
+    assert state.closed.tolist() == [True, False]
+
+
+def test_thresholds_without_hysteresis_are_refused():
+    with pytest.raises(osc.InvalidInputError, match="above force_off"):
+        MonitorLimits(force_on=0.4, force_off=0.4)
+
+
+def test_a_run_with_closed_contacts_is_seen_as_such():
+    recording = osc.run(osc.load_scenario("two_contact_rod"), duration=0.3)
+    assert recording["contact_seen"][20:].all()
+    assert not recording["collision_seen"][20:].any()
+
+
+def test_a_run_sees_contact_being_made_after_the_tare():
+    recording = osc.run(osc.load_scenario("two_contact_rod_mismatch"), duration=0.9)
+    t = recording["t"]
+    assert not recording["contact_seen"][t < 0.6].any()
+    assert recording["contact_seen"][t > 0.7].all()

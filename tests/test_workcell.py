@@ -1,0 +1,73 @@
+"""Everything on: what the workcell promises, in runs short enough for a test."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import osc_contact as osc
+from osc_contact.dynamics.joint_modes import modes
+from osc_contact.experiments import workcell
+from osc_contact.experiments.hardware import flexible_joints
+from osc_contact.experiments.studies import Ask, write_study
+from osc_contact.experiments.workcell import STAGES, ladder
+
+
+def test_the_workcell_is_real_in_every_respect():
+    scenario = osc.load_scenario("workcell")
+    rig = osc.build_rig(scenario)
+    joints = flexible_joints(scenario, rig.chain, rig.state())
+    assert 3.0 <= modes(rig.state(), rig.chain.actuated, joints.stiffness)[0] <= 10.0
+    sensors, plant = scenario.sensors, scenario.plant
+    assert None not in (sensors.encoder, sensors.joint_torque, sensors.wrist, sensors.vision)
+    assert (sensors.vision.rate, sensors.vision.delay) == (60.0, 0.03)
+    assert (sensors.vision.position.noise, sensors.vision.orientation.noise) == (1e-3, 5e-3)
+    assert plant.friction == 0.1 and plant.motors is not None and plant.joint_friction > 0.0
+    assert scenario.duration >= 60.0
+    for contact in scenario.contacts:
+        assert contact.face.motion.signals[0].value == 0.02
+
+
+#: Both faces move 20 mm at once, as soon as contact is made.
+SOON = [f"contacts.{side}_end.face.motion.signals.0.start=0.8 s" for side in ("left", "right")]
+
+
+@pytest.fixture(scope="module")
+def everything():
+    moved = [change.replace("start=0.8 s", "duration=2 s") for change in SOON]
+    return osc.run(osc.load_scenario("workcell", [*SOON, *moved]), duration=3.2, seed=1)
+
+
+def test_forces_survive_everything_while_the_faces_move(everything):
+    verdict = osc.metrics(everything)
+    for force in verdict["force"].values():
+        assert force["rms_error_rel"] <= 0.08
+    assert set(verdict["contact_fraction"].values()) == {1.0}
+    assert verdict["status"]["held"] == 0
+    travel = everything["face_pose"][-1, :, :3] - everything["face_pose"][0, :, :3]
+    np.testing.assert_allclose(np.linalg.norm(travel, axis=1), 0.02, rtol=1e-3)
+
+
+def test_the_monitor_raises_no_false_alarm(everything):
+    settled = everything["t"] > 0.8
+    assert everything["contact_seen"][settled].all()
+    assert not everything["collision_seen"][settled].any()
+
+
+def test_ideal_parts_cost_nothing_and_the_rest_is_named():
+    (nothing,) = ladder(["nothing"], duration=1.5)
+    assert nothing.worst("rms_error_rel") < 2e-3
+    with pytest.raises(osc.InvalidInputError, match="everything"):
+        ladder(["anything"])
+    assert set(STAGES) >= {"joints", "sensors", "contact friction", "everything"}
+
+
+def test_the_study_tells_and_draws_what_a_part_costs(tmp_path, monkeypatch):
+    stage = "joints, no torque loop"
+    monkeypatch.setattr(workcell, "STAGES", {stage: STAGES[stage]})
+    study, written = write_study("workcell", tmp_path, Ask(duration=1.2))
+    told = json.loads((tmp_path / "workcell.json").read_text())[stage]
+    assert told["force_rms_rel"] is None or told["force_rms_rel"] > 0.25
+    assert all(path.is_file() for path in written) and study.table.row_count == 1
