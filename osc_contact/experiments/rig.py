@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,11 @@ class Rig:
     q_contact: Array
     q_start: Array
     references: References
+
+    @cached_property
+    def face_placements(self) -> tuple[pin.SE3, ...]:
+        """Pose of each face's surface in its own body."""
+        return tuple(pair.face_placement() for pair in self.pairs)
 
     def plant(self) -> Plant:
         """The plant the scenario names, at its start.
