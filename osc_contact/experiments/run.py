@@ -170,6 +170,7 @@ def _channels(
     X = truth.X_WO
     faces = truth.X_WE or (pin.SE3.Identity(),) * r
     touching = list(zip(rig.pairs, faces, strict=True))
+    seats = rig.face_placements
     return {
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
@@ -180,7 +181,7 @@ def _channels(
         "contact_point": np.array([p.point_on_face(X, E) for p, E in touching]).reshape(r, 3),
         "contact_direction": np.array([p.direction(E) for p, E in touching]).reshape(r, 3),
         "face_pose": np.array(
-            [pin.SE3ToXYZQUAT(E * p.face_placement()) for p, E in touching]
+            [pin.SE3ToXYZQUAT(E * seat) for E, seat in zip(faces, seats, strict=True)]
         ).reshape(r, 7),
         "wrench_meas": wrench,
         "power_total": float(V_rel @ wrench),
