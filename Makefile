@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: venv browser demo test bench clean
+.PHONY: venv browser demo test docs bench clean
 
 venv: .venv/.installed
 
@@ -34,6 +34,10 @@ test: venv browser
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -n auto --dist loadfile
+
+docs: venv
+	$(BIN)/sphinx-build -W --keep-going -q -c docs -d out/doctrees . out/site
+	@echo "out/site/index.html"
 
 bench: venv
 	$(BIN)/python benchmarks/control_loop.py

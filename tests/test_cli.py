@@ -94,7 +94,7 @@ def test_run_leaves_everything_behind(done: tuple[Path, Result]) -> None:
         assert start.startswith(b"\x89PNG") or b"<svg" in start or b"<?xml" in start
         assert (folder / name).stat().st_size > 5000
     paths = {command.get("path") for command in read_commands(folder / "scene.html")}
-    assert "/meshcat/contacts/left_end/force" in " ".join(str(p) for p in paths)
+    assert "/meshcat/contacts/left_end/true" in " ".join(str(p) for p in paths)
     assert "\x1b" not in result.output and "━" not in result.stderr, "no progress when piped"
     assert str(folder) in result.stdout
 

@@ -141,10 +141,11 @@ class Environment:
     ) -> Environment:
         """A rigid body that moves only along given twists: Φ_e = A(AᵀIA)⁻¹Aᵀ, of rank k.
 
-        A cart on a rail along `x`: axes=[*x, 0, 0, 0], rates=[speed], force=[−k·s − c·speed]. A
-        door: axes=[ω × (p − hinge), ω] with ω a unit vector along the hinge. The space that the
-        axes span must stay fixed in the world or in the body (slides, a hinge, a ball joint, motion
-        in a plane); for a chain with moving joints in between use `articulated`.
+        A cart on a rail along `x`: `axes=[*x, 0, 0, 0]`, `rates=[speed]`,
+        `force=[−k·s − c·speed]`. A door: axes=[ω × (p − hinge), ω] with ω a unit vector along the
+        hinge. The space that the axes span must stay fixed in the world or in the body (slides, a
+        hinge, a ball joint, motion in a plane); for a chain with moving joints in between use
+        `articulated`.
 
         Args:
             inertia: in the body's own frame (kg, m); for sliding axes only the mass counts.

@@ -145,7 +145,7 @@ class Rig:
         urdf = robots.resolve_urdf(self.scenario.object.urdf, _folder(self.scenario))[0]
         return faces.tracked(self.pairs, urdf, self.bodies)
 
-    @property
+    @cached_property
     def on(self) -> tuple[int, ...]:
         """The body of each contact, a number of `bodies`."""
         of = {i: k for k, body in enumerate(self.bodies) for i in body.contacts}

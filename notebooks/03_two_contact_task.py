@@ -15,8 +15,8 @@
 # the rod slides along the one direction that lies in both faces. We want two contact forces and
 # the free motion, all at once and independent of one another.
 #
-# Equation numbers are those of the paper. Twists are [v; ω] and wrenches [f; m], both at the rod's
-# origin O and in world axes.
+# Equation numbers are those of the paper. Twists are [v; ω] and wrenches [f; m], both at the
+# rod's origin O and in world axes.
 
 # %%
 # %matplotlib inline
@@ -32,8 +32,8 @@ rig = osc.build_rig(scenario)  # loads the URDFs, closes the loop, puts the rod 
 # %% [markdown]
 # ## The state of contact
 #
-# $N$ spans the wrenches that the contacts transmit, $T$ the twists they permit, and $N^TT=0$: a
-# contact force has no power in a permitted motion. Each contact contributes one column to $N$,
+# N spans the wrenches that the contacts transmit, T the twists they permit, and NᵀT = 0: a
+# contact force has no power in a permitted motion. Each contact contributes one column to N,
 # its force pushing *into* the face.
 
 # %%
@@ -44,25 +44,25 @@ print("largest |NᵀT| =", np.abs(contact.N.T @ contact.T).max())
 # %% [markdown]
 # ### Why a selection matrix cannot hold it
 #
-# A frame with selected axes gives three lines of force through one point, at right angles. Our two
-# lines do not even meet, and the angle between them is not a right one.
+# A frame with selected axes gives three lines of force through one point, at right angles. Our
+# two lines do not even meet, and the angle between them is not a right one.
 
 # %%
 found = inspect_rig(rig)
 print("\n".join(line for line in found.lines if "lines of force" in line))
 
 # %%
-from osc_contact.experiments.figures import reproduce  # noqa: E402
+from osc_contact.experiments.figures import reproduce
 
 reproduce("fig1", scenario)
 
 # %% [markdown]
 # ## The closed chain
 #
-# Vertical joint axes and hinges leave the rod $d = 5$ motions $S$; the couple about its own axis is
-# carried by the structure. In these motions the inertia of arms and rod is $\Lambda_S$ (5×5), and
-# $\Phi_0 = S\Lambda_S^{-1}S^T$ takes the place of $\Lambda_0^{-1}$: 6×6, of rank 5. Nothing is
-# damped or inverted by force.
+# Vertical joint axes and hinges leave the rod d = 5 motions S; the couple about its own axis
+# is carried by the structure. In these motions the inertia of arms and rod is Λ_S (5×5),
+# and Φ₀ = S Λ_S⁻¹ Sᵀ takes the place of Λ₀⁻¹: 6×6, of rank 5. Nothing
+# is damped or inverted by force.
 
 # %%
 state = rig.state()
@@ -75,8 +75,8 @@ print("\n".join(line for line in found.lines if line.startswith("free motion")))
 # %% [markdown]
 # ## Projections
 #
-# $\Omega_f$ (eq. 5) keeps the part of a wrench that lies in $N$, $\Omega_m$ (eq. 7) the part of a
-# twist that lies in $T$. They need $\Phi_0$ only, so the rank does not matter. Different metrics
+# Ω_f (eq. 5) keeps the part of a wrench that lies in N, Ω_m (eq. 7) the part of a
+# twist that lies in T. They need Φ₀ only, so the rank does not matter. Different metrics
 # split a wrench differently, but each gives a projection, and projected forces never have power.
 
 # %%
@@ -89,10 +89,10 @@ for name, A_inv in (("arms and rod", state.Phi), ("rod alone", np.linalg.inv(Lam
 # %% [markdown]
 # ## Decoupling
 #
-# The controller maps commanded forces and a commanded motion to torques (eqs. 21 to 25). The rigid
-# plant solves the joint-space dynamics of all arms with one multiplier for each constraint and
-# shares no formula with it. A step in one desired force must leave the acceleration of the rod and
-# the other contact force alone.
+# The controller maps commanded forces and a commanded motion to torques (eqs. 21 to 25). The
+# rigid plant solves the joint-space dynamics of all arms with one multiplier for each constraint
+# and shares no formula with it. A step in one desired force must leave the acceleration of the
+# rod and the other contact force alone.
 
 # %%
 plant, controller = rig.plant(), rig.controller()
@@ -128,8 +128,8 @@ print(f"contact forces change by {np.abs(after[2] - before[2]).max():.1e} N")
 # %% [markdown]
 # ## A run
 #
-# Half a second on the rigid plant; then, if MuJoCo is installed, 1.2 s with compliant contacts that
-# can open. Forces are judged by the plant's truth, not by the sensors.
+# Half a second on the rigid plant; then, if MuJoCo is installed, 1.2 s with compliant contacts
+# that can open. Forces are judged by the plant's truth, not by the sensors.
 
 # %%
 recording = osc.run(scenario, duration=0.5)
@@ -137,7 +137,7 @@ error = recording["alpha_true"][50:] - recording["alpha_cmd"][50:]
 print("rigid plant: largest force error after 50 ms:", np.abs(error).max(axis=0), "N")
 
 # %%
-from importlib.util import find_spec  # noqa: E402
+from importlib.util import find_spec
 
 if find_spec("mujoco"):
     soft = osc.load_scenario("two_contact_rod", ["force.left_end.1.start=0.6 s"])
@@ -146,14 +146,22 @@ if find_spec("mujoco"):
         print(f"MuJoCo, {name}: rms error {100 * force['rms_error_rel']:.3f} % of the command")
 
 # %% [markdown]
-# The forces over time, as in fig. 8. The rigid plant keeps the two ends apart to rounding. MuJoCo's
-# faces yield a little, which the controller does not model: the step on the left end leaves a short
-# trace on the right one. The sliding motion leaves next to none on either.
+# The forces over time, as in fig. 8. The rigid plant keeps the two ends apart to rounding.
+# MuJoCo's faces yield a little, which the controller does not model: the step on the left end
+# leaves a short trace on the right one. The sliding motion leaves next to none on either.
 
 # %%
-from osc_contact.visual import plots  # noqa: E402
+from osc_contact.visual import plots
 
 plots.contact_forces(recording, recording.meta["force_steps_s"], judged_from=0.1)
+
+# %%
+from pathlib import Path
+
+from osc_contact.experiments.report import write_scene_of
+from osc_contact.visual.embed import embed
+
+embed(write_scene_of(recording, rig, Path("scene.html")))
 
 # %% [markdown]
 # ## What to change

@@ -1,0 +1,58 @@
+"""How the site is built (`make docs`). Its source is the repository, so links stay as read."""
+
+import sys
+from pathlib import Path
+
+sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parent / "_ext")]
+
+import osc_contact  # noqa: E402
+
+project = "osc_contact"
+author = "The osc_contact developers"
+project_copyright = author
+release = version = osc_contact.__version__
+
+root_doc = "docs/index"
+include_patterns = ["*.md", "docs/*.md", "docs/api/*.rst", "notebooks/*.py"]
+exclude_patterns = [".*", "out", "build", "dist", "osc_contact", "tests", "urdf", "benchmarks"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "docstrings",
+    "notebooks",
+]
+nitpicky = True
+nitpick_ignore_regex = [
+    ("py:class", r"(npt\.)?(Array|ArrayLike)|TypeAliasForwardRef"),
+    ("py:class", r"SE3|Inertia|Model|Data|Path|Sequence|Callable|Mapping|Any"),
+    ("py:class", r"(numpy|pinocchio|coal|enum|os|pathlib|collections|typing)\..*"),
+    ("py:class", r"osc_contact\..*"),  # types in signatures that have no page
+    ("py:obj", r".*"),  # arguments and formulas stand between single backticks too
+]
+
+# Pages: Markdown. Equations are written in Unicode, as in the code: no script typesets them.
+myst_enable_extensions = ["colon_fence"]
+myst_heading_anchors = 3
+
+# API: Google docstrings, names as users write them.
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+autodoc_type_aliases = {"Array": "Array", "npt.ArrayLike": "ArrayLike"}
+autodoc_default_options = {"members": True}
+autoclass_content = "both"
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+napoleon_attr_annotations = False
+napoleon_use_rtype = False
+python_use_unqualified_type_names = True
+maximum_signature_line_length = 80
+add_module_names = False
+default_role = "py:obj"
+
+# Look: furo, system fonts; nothing is fetched from anywhere.
+html_theme = "furo"
+html_title = "osc_contact"
+html_extra_path = ["_site"]
+html_copy_source = False

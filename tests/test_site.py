@@ -1,0 +1,120 @@
+"""The site: builds without a warning, its links lead somewhere, and it fetches nothing."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+import osc_contact as osc
+
+ROOT = Path(__file__).resolve().parent.parent
+LOADS = {"img": "src", "script": "src", "iframe": "src", "source": "src", "object": "data"}
+
+
+class Page(HTMLParser):
+    """Where a page leads to, what it loads, and the anchors it offers."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.loads: list[str] = []
+        self.anchors: set[str] = set()
+        self.feed(path.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = {key: value or "" for key, value in attrs}
+        self.anchors |= {given[key] for key in ("id", "name") if key in given}
+        if tag == "a" and "href" in given:
+            self.links.append(given["href"])
+        if tag == "link" and given.get("rel") not in ("canonical", "next", "prev"):
+            self.loads.append(given["href"])
+        if LOADS.get(tag) in given:
+            self.loads.append(given[LOADS[tag]])
+
+
+def build(source: Path, into: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    """As `make docs`, without running the notebooks: tests/test_notebooks.py runs them."""
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
+    command += ["-D", "run_notebooks=0", "-d", str(into / "doctrees"), *options]
+    return subprocess.run(
+        [*command, str(source), str(into / "site")], capture_output=True, text=True, timeout=300
+    )
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("docs")
+    done = build(ROOT, folder, "-c", str(ROOT / "docs"))
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+    return folder / "site"
+
+
+@pytest.fixture(scope="module")
+def pages(site: Path) -> dict[Path, Page]:
+    return {path: Page(path) for path in sorted(site.rglob("*.html"))}
+
+
+def test_every_page_is_there(site: Path) -> None:
+    sources = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/api/*.rst")]
+    for source in [*sources, *ROOT.glob("notebooks/*.py")]:
+        assert (site / source.relative_to(ROOT)).with_suffix(".html").is_file(), source.name
+    assert "docs/index.html" in (site / "index.html").read_text(encoding="utf-8")
+
+
+def test_every_link_leads_to_a_page_and_an_anchor(site: Path, pages: dict[Path, Page]) -> None:
+    for path, page in pages.items():
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme:
+                assert parts.scheme in ("https", "http", "mailto"), f"{path.name}: {link}"
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            assert target.is_file(), f"{path.relative_to(site)}: {link} leads nowhere"
+            if parts.fragment and target in pages:
+                known = pages[target].anchors | {"", "top"}
+                assert unquote(parts.fragment) in known, f"{path.relative_to(site)}: {link}"
+
+
+def test_nothing_is_fetched_from_elsewhere(site: Path, pages: dict[Path, Page]) -> None:
+    for path, page in pages.items():
+        assert page.loads or path.name == "index.html"
+        for load in page.loads:
+            local = load.startswith("data:") or not (urlsplit(load).scheme or load[:2] == "//")
+            assert local, f"{path.relative_to(site)} loads {load}"
+    for sheet in site.rglob("*.css"):
+        for address in re.findall(r"(?:url\(|@import)\s*['\"]?([^'\")\s]+)", sheet.read_text()):
+            assert not re.match(r"(https?:)?//", address), f"{sheet.name} loads {address}"
+    scripts = " ".join(script.name for script in site.rglob("*.js")).lower()
+    assert "mathjax" not in scripts and "mermaid" not in scripts
+
+
+def test_every_public_name_has_its_place_in_reading_order() -> None:
+    order = re.findall(r"^api/\w+$", (ROOT / "docs/index.md").read_text(encoding="utf-8"), re.M)
+    text = "".join((ROOT / "docs" / f"{page}.rst").read_text(encoding="utf-8") for page in order)
+    told = re.findall(r"^\.\. auto(?:class|function|exception):: (\w+)$", text, re.M)
+    assert told == osc.__all__, "a public name needs a line in docs/api/"
+
+
+def test_docstrings_reach_the_pages(site: Path) -> None:
+    text = (site / "docs/api/response.html").read_text(encoding="utf-8")
+    assert "α = D⁻¹[NᵀSΛ_S⁻¹(f_S − b_S)" in text and "TypeAlias" not in text
+    assert "neither the chain nor the environment yields" in text  # Raises:
+
+
+def test_notebooks_are_pages(site: Path) -> None:
+    text = (site / "notebooks/03_two_contact_task.html").read_text(encoding="utf-8")
+    assert "no constraint frame" in text and "build_rig" in text
+    assert "%matplotlib" not in text and "fmt: skip" not in text
+
+
+def test_a_link_that_leads_nowhere_stops_the_build(tmp_path: Path) -> None:
+    (tmp_path / "index.md").write_text("# A page\n\n[no](nowhere.md)\n", encoding="utf-8")
+    done = build(tmp_path, tmp_path, "-C", "-D", "extensions=myst_parser")
+    assert done.returncode != 0 and "nowhere.md" in done.stderr
