@@ -245,3 +245,6 @@ def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_p
     for k in range(300):
         plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
     np.testing.assert_allclose(plant.truth().alpha, list(wanted.values()), atol=5e-3)
+    recording = osc.run(rig.scenario, duration=0.3)
+    assert recording["contact_seen"][-1, :3].all()  # hole.2 pulls and counts by its size
+    assert (recording["alpha_meas"][-1, 1] < -2.9) and recording["contact_seen"].shape[1] == 4

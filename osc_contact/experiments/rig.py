@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.control.controller import Controller, Gains
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
@@ -28,7 +30,7 @@ from osc_contact.experiments.contacts import (
     environment_bodies,
     pose_of,
 )
-from osc_contact.experiments.references import References
+from osc_contact.experiments.references import References, force_owners
 from osc_contact.interface import Measurement
 from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
 from osc_contact.plants.plant import Plant
@@ -150,6 +152,12 @@ class Rig:
         """The body of each contact, a number of `bodies`."""
         of = {i: k for k, body in enumerate(self.bodies) for i in body.contacts}
         return tuple(of[i] for i in range(len(self.pairs)))
+
+    @cached_property
+    def pushing(self) -> NDArray[np.bool_]:
+        """(r,) whether each force magnitude must not become negative."""
+        owners = force_owners(self.scenario)
+        return np.array([pushes_only(self.pairs[i]) for i in owners], dtype=bool)
 
     @cached_property
     def d(self) -> int:

@@ -104,7 +104,7 @@ def _loop(
                 "v": measurement.v,
                 "tau": tau,
                 "tick_s": spent,
-                **_watched(controller, monitor),
+                **_watched(rig, controller, monitor),
                 **_channels(rig, controller, reference, truth, measurement),
             }
             recorder.append(**channels)
@@ -146,8 +146,11 @@ class _Tare:
             self.controller.engage()
 
 
-def _watched(controller: Controller, monitor: ContactMonitor) -> dict[str, Array]:
-    """What the contact monitor tells from projected force and power."""
+def _watched(rig: Rig, controller: Controller, monitor: ContactMonitor) -> dict[str, Array]:
+    """What the contact monitor tells of each magnitude, from projected force and power.
+
+    Where a magnitude may have either sign its size counts.
+    """
     found, count = controller.found(), monitor.contacts
     alpha = speed = np.zeros(count)
     if len(found.alpha_meas) == count:
@@ -155,7 +158,7 @@ def _watched(controller: Controller, monitor: ContactMonitor) -> dict[str, Array
     elif len(found.alpha_meas):  # some contacts depend on others
         contact = controller.last_signals().contact
         alpha, speed = contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
-    seen = monitor.update(alpha, speed)
+    seen = monitor.update(np.where(rig.pushing, alpha, np.abs(alpha)), speed)
     return {"contact_seen": seen.closed, "collision_seen": seen.collision}
 
 
