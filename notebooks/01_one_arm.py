@@ -64,7 +64,7 @@ with style():
         mass = 1 / np.einsum("ik,ij,jk->k", directions, Phi, directions)
         axes.plot(angle, mass, color=contact_colour(i), label=f"elbow at {elbow} rad")
     axes.set_title("apparent mass (kg), 0° forwards, 90° upwards")
-    axes.legend(loc="lower right")
+    axes.legend(loc="upper left", bbox_to_anchor=(0.85, 0.1))
 plt.close(figure)
 figure
 
