@@ -1,10 +1,10 @@
-# Needs python3 (with venv) and make; everything else goes into .venv.
+# Needs python3 (with venv) and make; everything else goes into .venv. Tests also need Chromium.
 SHELL := /bin/bash
 PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: venv demo test docs bench clean
+.PHONY: venv browser demo test docs bench clean
 
 venv: .venv/.installed
 
@@ -20,12 +20,20 @@ demo: venv
 	$(BIN)/osc-contact run two_contact_rod --out out/two_contact_rod
 	$(BIN)/osc-contact reproduce all --out out/figures
 
-test: venv
+# The tests look at pages with Chromium. Root gets it by apt-get; anybody else is told how.
+browser: venv
+	@$(BIN)/python -m osc_contact.visual.browser || { \
+		test "$$(id -u)" = 0 && command -v apt-get > /dev/null && echo "installing chromium" && \
+		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq \
+			--no-install-recommends chromium fonts-liberation > /dev/null && \
+		$(BIN)/python -m osc_contact.visual.browser; }
+
+test: venv browser
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 docs: venv
 	$(BIN)/sphinx-build -W --keep-going -q -c docs -d out/doctrees . out/site

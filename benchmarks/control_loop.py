@@ -53,18 +53,20 @@ def tables(result: dict[str, Any]) -> list[Table]:
     for name, case in result["cases"].items():
         title = f"{name}: {case['rounds']} ticks, tick / floor = {case['ratio']:.2f}"
         table = Table("µs", *COLUMNS, title=title)
-        rows = {"tick": case["tick_us"], "floor: computeAllTerms": case["floor_us"]}
-        for label, times in rows.items():
-            table.add_row(label, *(f"{times[key]:.1f}" for key in COLUMNS), style="bold")
+        _add(table, "floor: computeAllTerms", case["floor_us"], style="bold")
+        _add(table, "tick", case["tick_us"], style="bold")
         for label, times in case["inside_us"].items():
-            table.add_row(f"  of it {label}", *(f"{times[key]:.1f}" for key in COLUMNS))
+            _add(table, f"  of it {label}", times)
         table.add_section()
-        twin = case["readable_us"]
-        table.add_row("readable twin", *(f"{twin[key]:.1f}" for key in COLUMNS), style="bold")
+        _add(table, "readable twin", case["readable_us"], style="bold")
         for label, times in case["parts_us"].items():
-            table.add_row(label, *(f"{times[key]:.1f}" for key in COLUMNS))
+            _add(table, label, times)
         found.append(table)
     return found
+
+
+def _add(table: Table, label: str, times: dict[str, float], style: str = "") -> None:
+    table.add_row(label, *(f"{times[key]:.1f}" for key in COLUMNS), style=style)
 
 
 def draw(result: dict[str, Any], path: Path) -> None:

@@ -112,8 +112,9 @@ for k in range(2000):
 print(f"largest miss after 1 s: {1e3 * miss:.2f} mm")
 
 # %%
+from osc_contact.visual.bodies import ArmVisual
 from osc_contact.visual.embed import embed
-from osc_contact.visual.scene import ArmVisual, write_scene
+from osc_contact.visual.scene import write_scene
 
 fingers = np.full((len(rows), 2), 0.02)  # the drawing has two joints more than the chain
 recording = osc.Recording(

@@ -100,7 +100,7 @@ plots.contact_forces(runs["ours"], [0.3], judged_from=0.1)
 # %%
 from pathlib import Path
 
-from osc_contact.experiments.report import write_scene_of
+from osc_contact.experiments.viewing import write_scene_of
 from osc_contact.visual.embed import embed
 
 embed(write_scene_of(runs["ours"], osc.build_rig(moving), Path("scene.html")))

@@ -39,14 +39,17 @@ from osc_contact.errors import (
     PlantError,
     RecordingError,
     ScenarioError,
+    ViewerError,
 )
 from osc_contact.experiments.metrics import metrics
 from osc_contact.experiments.rig import Rig, build_rig
 from osc_contact.experiments.run import run
+from osc_contact.experiments.viewing import open_viewer
 from osc_contact.interface import Measurement, Reference
 from osc_contact.recorder import Recording
 from osc_contact.response import ContactResponse, contact_response
 from osc_contact.scenarios import list_scenarios, load_scenario
+from osc_contact.visual.live import Viewer
 
 __version__ = "0.1.0"
 
@@ -89,6 +92,8 @@ __all__ = [
     "Rig",
     "build_rig",
     "run",
+    "open_viewer",
+    "Viewer",
     "Recording",
     "metrics",
     "OscContactError",
@@ -98,4 +103,5 @@ __all__ = [
     "ScenarioError",
     "PlantError",
     "RecordingError",
+    "ViewerError",
 ]

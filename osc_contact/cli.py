@@ -17,16 +17,19 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from osc_contact import __version__, robots
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.experiments import figures as paper_figures
-from osc_contact.experiments import tables
+from osc_contact.experiments import replay, tables
 from osc_contact.experiments.calibration import calibrate as calibrate_wrists
 from osc_contact.experiments.inspection import inspect_rig
+from osc_contact.experiments.replay import RealTime
 from osc_contact.experiments.report import require_judgeable, write_json, write_report
 from osc_contact.experiments.rig import build_rig
 from osc_contact.experiments.run import run as run_scenario
 from osc_contact.experiments.studies import SLOW, STUDIES, Ask, write_study
 from osc_contact.experiments.timing import time_tick
+from osc_contact.experiments.viewing import open_viewer, write_scene_of
 from osc_contact.recorder import Recording
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
+from osc_contact.visual.browser import find_browser
 
 __all__ = ["app"]
 
@@ -100,6 +103,7 @@ def run(
     with _exit_codes():
         chosen = _load(scenario, set_, plant, duration)
         folder = out_dir or Path("out") / chosen.name
+        _require_report(chosen)
         recording = _run(chosen, seed, folder)
         verdict = write_report(recording, chosen, folder)
         out.print(tables.verdict_table(verdict))
@@ -139,6 +143,7 @@ def reproduce(
         scenario = _load(paper_figures.SCENARIO, set_, plant, duration)
         recording, verdict = None, {}
         if any(name in paper_figures.needs_run for name in names):
+            _require_report(scenario)
             recording = _run(scenario, seed, out_dir)
             verdict = write_report(recording, scenario, out_dir / scenario.name)
             out.print(tables.verdict_table(verdict))
@@ -157,6 +162,57 @@ def reproduce(
         if json_file:
             result = {"figures": [str(p) for p in written], "metrics": verdict, "studies": found}
             write_json(result, json_file)
+
+
+@app.command()
+def view(
+    what: Annotated[
+        str, typer.Argument(metavar="SCENARIO|RECORDING", help="as for `run`, or an .npz file")
+    ],
+    live: Annotated[bool, typer.Option("--live", help="in a browser, while it goes on")] = False,
+    html: Annotated[
+        Path | None,
+        typer.Option("--html", help="one file that needs no server", show_default=False),
+    ] = None,
+    png: Annotated[Path | None, typer.Option("--png", help="a picture of the page")] = None,
+    time: Annotated[
+        float | None,
+        typer.Option(help="s: stand still there (PNG: default the middle)", show_default=False),
+    ] = None,
+    hold: Annotated[
+        float | None,
+        typer.Option(help="s: wait for a browser, stay after the end (terminal: until Ctrl-C)"),
+    ] = None,
+    plant: PlantOption = None,
+    duration: DurationOption = None,
+    seed: SeedOption = 0,
+    set_: SetOption = None,
+) -> None:
+    """Look at a scenario or a recording: HTML with a time slider (default), PNG, or live."""
+    with _exit_codes():
+        if live + (html is not None) + (png is not None) > 1:
+            raise InvalidInputError("give one of --live, --html FILE and --png FILE")
+        recording = None
+        if what.endswith(".npz"):
+            if set_ or plant or duration is not None:
+                raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
+            recording = Recording.load(what)
+            scenario = replay.scenario_of(recording, Path(what))
+        else:
+            scenario = _load(what, set_, plant, duration)
+        rig = build_rig(scenario)
+        if live:
+            _live(scenario, recording, seed, hold)
+            return
+        if png is not None:
+            find_browser()
+        recording = _run(scenario, seed, None) if recording is None else recording
+        if png is not None:
+            _say(f"written: {replay.picture(recording, rig, png, time)}")
+            return
+        name = Path(what).stem if what.endswith(".npz") else scenario.name
+        page = html or Path("out") / f"{name}.html"
+        _say(f"written: {write_scene_of(recording, rig, page, time)}")
 
 
 @app.command()
@@ -253,6 +309,26 @@ def bench(
             write_json(result, json_file)
 
 
+def _live(scenario: Scenario, recording: Recording | None, seed: int, hold: float | None) -> None:
+    """Show a run, or a recording, while it goes on."""
+    at_terminal = out.is_terminal
+    with open_viewer(scenario) as viewer:
+        _say(f"open {viewer.url}" + ("   (Ctrl-C ends it)" if at_terminal else ""))
+        patience = hold if hold is not None else 15.0 * at_terminal
+        replay.wait_for(lambda: viewer.count_browsers() > 0, patience)
+        try:
+            if recording is None:
+                _run(scenario, seed, None, replay.RealTime(viewer))
+            else:
+                replay.replay(recording, viewer)
+            stay = hold if hold is not None else (float("inf") if at_terminal else 0.0)
+            replay.wait_for(lambda: viewer.error is not None, stay)
+        except KeyboardInterrupt:
+            return
+        if viewer.error is not None:
+            raise viewer.error
+
+
 def _load(
     name: str,
     overrides: list[str] | None,
@@ -267,21 +343,31 @@ def _load(
     return load_scenario(name, changes)
 
 
-def _run(scenario: Scenario, seed: int, folder: Path) -> Recording:
-    """Refuse what would fail after the run, then run, with a progress bar on a terminal."""
+def _require_report(scenario: Scenario) -> None:
+    """Refuse what would fail after the run."""
     _require("matplotlib")
     require_judgeable(scenario)
-    folder.mkdir(parents=True, exist_ok=True)
+
+
+def _run(
+    scenario: Scenario, seed: int, folder: Path | None, viewer: RealTime | None = None
+) -> Recording:
+    """Run, with a progress bar on a terminal; a failed run leaves its recording in the folder."""
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} s"),
                TimeRemainingColumn())  # fmt: skip
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
     with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
         task = bar.add_task(f"{scenario.name} on {scenario.plant.type}", total=scenario.duration)
         try:
             return run_scenario(
-                scenario, seed=seed, progress=lambda t: bar.update(task, completed=t)
+                scenario,
+                seed=seed,
+                progress=lambda t: bar.update(task, completed=t),
+                viewer=viewer,
             )
         except PlantError as error:
-            if error.recording is not None:
+            if error.recording is not None and folder is not None:
                 error.recording.save(folder / PARTIAL)
                 error.add_note(f"recorded until then: {folder / PARTIAL}")
             raise

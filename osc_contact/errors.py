@@ -12,6 +12,7 @@ __all__ = [
     "ScenarioError",
     "PlantError",
     "RecordingError",
+    "ViewerError",
 ]
 
 
@@ -53,3 +54,7 @@ class PlantError(OscContactError):
 
 class RecordingError(OscContactError):
     """A recording cannot be written or read back."""
+
+
+class ViewerError(OscContactError):
+    """A picture cannot be shown: no browser, no server, or the live view has ended."""

@@ -274,7 +274,7 @@ def test_an_installed_law_says_that_only_its_stages_compute_it():
 
 
 def test_cross_talk_on_mujoco_is_ten_times_smaller_than_that_of_the_best_baseline():
-    rig = build_rig(osc.load_scenario("two_contact_rod", ["control.rate=500 Hz"]))
+    rig = build_rig(osc.load_scenario("two_contact_rod", ["control.rate=250 Hz"]))
     _, instant = fig1()
     ours = run_steps(rig, Ours(), instant)
     assert ours.closed > 0.99 and ours.saturated == 0

@@ -50,7 +50,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
 def test_version_and_help() -> None:
     assert call("--version").stdout.strip() == f"osc-contact {osc_contact.__version__}"
     text = call("--help").stdout
-    for command in ("run", "reproduce", "inspect", "list", "bench"):
+    for command in ("run", "reproduce", "view", "inspect", "list", "bench"):
         assert command in text
     assert call("run", "--help").exit_code == 0
 
@@ -94,7 +94,7 @@ def test_run_leaves_everything_behind(done: tuple[Path, Result]) -> None:
         assert start.startswith(b"\x89PNG") or b"<svg" in start or b"<?xml" in start
         assert (folder / name).stat().st_size > 5000
     paths = {command.get("path") for command in read_commands(folder / "scene.html")}
-    assert "/meshcat/contacts/left_end/force" in " ".join(str(p) for p in paths)
+    assert "/meshcat/contacts/left_end/true" in " ".join(str(p) for p in paths)
     assert "\x1b" not in result.output and "━" not in result.stderr, "no progress when piped"
     assert str(folder) in result.stdout
 
@@ -247,3 +247,59 @@ def test_installed_command_pipes_and_exits_like_the_application(tmp_path: Path) 
     assert bad.stderr.startswith("error: no packaged scenario 'nope'") and "\x1b" not in bad.stderr
     good = subprocess.run([*command, "list"], capture_output=True, text=True, timeout=60)
     assert good.returncode == 0 and good.stderr == "" and "\x1b" not in good.stdout
+
+
+def test_view_makes_the_page_of_a_recording(done: tuple[Path, Result], tmp_path: Path) -> None:
+    recording = done[0] / "recording.npz"
+    page = tmp_path / "deep" / "page.html"
+    result = call("view", recording, "--html", page, "--time", "0.5")
+    assert result.exit_code == 0 and f"written: {page}" in result.stdout.replace("\n", "")
+    text = page.read_text(encoding="utf-8")
+    assert '"still": 0.5' in text and "best single frame" in text
+    moved, of_the_run = (
+        [c for c in read_commands(file) if c["type"] != "set_object"]
+        for file in (page, done[0] / "scene.html")
+    )
+    assert moved == of_the_run
+
+
+def test_view_runs_a_scenario_and_writes_to_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    short = ("--plant", "rigid", "--set", "plant.step=1 ms", "--duration", "0.05")
+    result = call("view", "two_contact_rod", *short)
+    assert result.exit_code == 0, result.output
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["two_contact_rod.html"]
+    result = call("view", "two_contact_rod", *short, "--png", "still.png", "--time", "0.02")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "still.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("what", ["scenario", "recording"])
+def test_view_live_serves_a_page_while_it_runs(what: str, tmp_path: Path) -> None:
+    scenario = load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
+    recording = osc_contact.run(scenario, duration=0.1).save(tmp_path / "short.npz")
+    arguments = {
+        "scenario": ("two_contact_rod", "--plant", "rigid", "--duration", "0.1"),
+        "recording": (recording,),
+    }[what]
+    result = call("view", *arguments, "--live", "--hold", "0.1")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("open http://127.0.0.1:")
+
+
+def test_view_refuses_what_it_cannot_show(
+    done: tuple[Path, Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = done[0] / "recording.npz"
+    assert "give one of" in refused("view", recording, "--live", "--html", tmp_path / "x.html")
+    assert "change runs, not recordings" in refused("view", recording, "--duration", "1")
+    assert "no recording" in refused("view", tmp_path / "none.npz")
+    words = refused("view", recording, "--png", tmp_path / "x.png", "--time", "7")
+    assert "time 7 s is not in the recording, which spans 0 to 1.04" in words
+    Recording({"contact_names": []}, {"t": np.zeros(1)}).save(tmp_path / "bare.npz")
+    assert "does not say which scenario" in refused("view", tmp_path / "bare.npz")
+    monkeypatch.setenv("OSC_CONTACT_BROWSER", "/no/browser/here")
+    assert "apt-get install chromium" in refused("view", recording, "--png", tmp_path / "x.png")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bare.npz"]

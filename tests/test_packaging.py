@@ -61,6 +61,7 @@ def constraints() -> dict[str, str]:
         ("osc_contact/scenarios/files", "*.yaml", "osc_contact/scenarios/files"),
         ("osc_contact", "**/*.py", "osc_contact"),
         ("osc_contact", "py.typed", "osc_contact"),
+        ("osc_contact/visual/assets", "*", "osc_contact/visual/assets"),
     ],
 )
 def test_wheel_carries(wheel: zipfile.ZipFile, folder: str, pattern: str, inside: str) -> None:
@@ -131,7 +132,7 @@ def test_changelog_tells_of_this_version() -> None:
     assert f"## [{PROJECT['version']}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("target", ["venv", "demo", "test", "bench", "clean"])
+@pytest.mark.parametrize("target", ["venv", "browser", "demo", "test", "bench", "clean"])
 def test_make_has_the_target(target: str) -> None:
     text = (ROOT / "Makefile").read_text(encoding="utf-8")
     assert re.search(rf"^{target}:", text, re.MULTILINE), f"the Makefile has no target {target}"

@@ -98,6 +98,11 @@ class ContactMonitor:
     def __post_init__(self) -> None:
         self.state = MonitorState.of(np.zeros(self.contacts, dtype=bool))
 
+    @property
+    def looks(self) -> bool:
+        """Whether speeds matter at the next tick: some contact is open or has just been made."""
+        return bool((~self.state.closed | (self.state.armed_for > 0.0)).any())
+
     def update(self, alpha: Array, speed: Array) -> MonitorState:
         """Judge one tick; see `watched`."""
         self.state = watched(self.state, alpha, speed, self.dt, self.limits)

@@ -38,6 +38,7 @@ LABELS = {
     "qv": r"$q,\ v$",
     "contact": r"$N,\ T$",
     "parts": r"$N_i$",
+    "drag": r"$N_\mu - N$",
     "touched": r"$X_{WE},\ V_E$",
     "environment": r"$\Phi_e,\ b_e$",
     "wrenches": "wrist wrenches",

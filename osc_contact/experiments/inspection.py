@@ -13,6 +13,7 @@ from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.experiments.rig import Rig
 from osc_contact.spatial import Array
 from osc_contact.visual.contact_picture import common_perpendicular
+from osc_contact.visual.screws import echelon
 
 __all__ = ["Inspection", "inspect_rig"]
 
@@ -92,24 +93,7 @@ def _free_motions(state: ChainState, contact: Contact) -> Array:
     """Basis of range(S) ∩ T, echelon form: translations first, as simple as they come."""
     N_S = state.S.T @ contact.N
     _, _, Vh = np.linalg.svd(N_S.T, full_matrices=True)
-    basis = (state.S @ Vh[contact.r :].T).T.copy()
-    size = 0.1  # m: only orders the pivots, so that translations are preferred over turns
-    order = [3, 4, 5, 0, 1, 2]
-    row = 0
-    for column in order:
-        if row == len(basis):
-            break
-        weight = size if column >= 3 else 1.0
-        pivot = row + int(np.abs(basis[row:, column]).argmax())
-        if np.abs(basis[pivot, column]) * weight < 1e-6 * np.abs(basis).max():
-            continue
-        basis[[row, pivot]] = basis[[pivot, row]]
-        basis[row] /= basis[row, column]
-        for other in range(len(basis)):
-            if other != row:
-                basis[other] -= basis[other, column] * basis[row]
-        row += 1
-    return np.asarray(basis[::-1].T)
+    return echelon(state.S @ Vh[contact.r :].T)
 
 
 def _locked(state: ChainState) -> list[str]:

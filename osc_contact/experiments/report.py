@@ -7,14 +7,14 @@ import os
 from pathlib import Path
 from typing import Any
 
-from osc_contact import robots
 from osc_contact.errors import InvalidInputError
 from osc_contact.experiments.metrics import SETTLE_S, metrics
-from osc_contact.experiments.rig import Rig, build_rig
+from osc_contact.experiments.rig import build_rig
+from osc_contact.experiments.viewing import write_scene_of
 from osc_contact.recorder import Recording
 from osc_contact.scenarios.schema import Scenario
 
-__all__ = ["require_judgeable", "write_json", "write_report", "write_scene_of"]
+__all__ = ["require_judgeable", "write_json", "write_report"]
 
 
 def require_judgeable(scenario: Scenario) -> None:
@@ -46,23 +46,6 @@ def write_report(recording: Recording, scenario: Scenario, folder: Path) -> dict
     plots.save(plots.torques(recording), folder / "torques")
     write_scene_of(recording, build_rig(scenario), folder / "scene.html")
     return verdict
-
-
-def write_scene_of(recording: Recording, rig: Rig, path: Path) -> Path:
-    """The moving scene of a run as one HTML file that needs no server."""
-    from osc_contact.visual.scene import ArmVisual, BodyVisual, write_scene
-
-    scenario = rig.scenario
-    source = None if scenario.source is None else scenario.source.parent
-    arms = [
-        ArmVisual(arm.name, *robots.resolve_urdf(spec.urdf, source), arm.base, part)
-        for spec, arm, part in zip(scenario.arms, rig.chain.arms, rig.chain.slices, strict=True)
-    ]
-    bodies = [BodyVisual("object", *robots.resolve_urdf(scenario.object.urdf, source), None)]
-    for spec, pair in zip(scenario.contacts, rig.pairs, strict=True):
-        urdf = robots.resolve_urdf(spec.face.urdf, source)
-        bodies.append(BodyVisual(f"face_{pair.name}", *urdf, pair.face_placement()))
-    return write_scene(recording, arms, bodies, path)
 
 
 def write_json(data: Any, path: Path) -> None:

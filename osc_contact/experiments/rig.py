@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,11 @@ class Rig:
     q_contact: Array
     q_start: Array
     references: References
+
+    @cached_property
+    def face_placements(self) -> tuple[pin.SE3, ...]:
+        """Pose of each face's surface in its own body."""
+        return tuple(pair.face_placement() for pair in self.pairs)
 
     def plant(self, seed: int = 0) -> Plant:
         """The plant the scenario names, at its start, seen through its sensors.

@@ -19,6 +19,7 @@ from osc_contact.plants.plant import Truth
 from osc_contact.recorder import Recorder, Recording
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
+from osc_contact.visual.live import Shows
 
 __all__ = ["run"]
 
@@ -33,6 +34,7 @@ def run(
     duration: float | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    viewer: Shows | None = None,
     install: Install | None = None,
 ) -> Recording:
     """Run a scenario and record it.
@@ -43,6 +45,7 @@ def run(
         duration: s, instead of the scenario's own.
         seed: of everything random in the run (sensors and plants without noise use none).
         progress: called with the simulated time now and then.
+        viewer: shows the run while it goes on (see `open_viewer`); it cannot hold the loop up.
         install: puts another control law into each controller of the run.
 
     Returns:
@@ -57,10 +60,16 @@ def run(
     if duration is not None:
         changes["duration"] = duration
     scenario = Scenario.model_validate(changes).with_source(scenario.source)
-    return _loop(build_rig(scenario), seed, progress, install)
+    return _loop(build_rig(scenario), seed, progress, install, viewer)
 
 
-def _loop(rig: Rig, seed: int, progress: Progress | None, install: Install | None) -> Recording:
+def _loop(
+    rig: Rig,
+    seed: int,
+    progress: Progress | None,
+    install: Install | None,
+    viewer: Shows | None,
+) -> Recording:
     scenario = rig.scenario
     period = 1.0 / scenario.control.rate
     ticks = round(scenario.duration * scenario.control.rate)
@@ -86,15 +95,18 @@ def _loop(rig: Rig, seed: int, progress: Progress | None, install: Install | Non
             if observer.estimates:
                 acceleration = controller.joint_acceleration()
             tare.watch(t)
-            recorder.append(
-                t=t,
-                q=measurement.q,
-                v=measurement.v,
-                tau=tau,
-                tick_s=spent,
+            channels = {
+                "t": t,
+                "q": measurement.q,
+                "v": measurement.v,
+                "tau": tau,
+                "tick_s": spent,
                 **_watched(controller, monitor),
                 **_channels(rig, controller, reference, truth, measurement.touched is not None),
-            )
+            }
+            recorder.append(**channels)
+            if viewer is not None:
+                viewer.show(channels)
             drive.step(tau)
             if progress is not None and k % 100 == 99:
                 progress(t + period)
@@ -158,6 +170,7 @@ def _channels(
     X = truth.X_WO
     faces = truth.X_WE or (pin.SE3.Identity(),) * r
     touching = list(zip(rig.pairs, faces, strict=True))
+    seats = rig.face_placements
     return {
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
@@ -168,7 +181,7 @@ def _channels(
         "contact_point": np.array([p.point_on_face(X, E) for p, E in touching]).reshape(r, 3),
         "contact_direction": np.array([p.direction(E) for p, E in touching]).reshape(r, 3),
         "face_pose": np.array(
-            [pin.SE3ToXYZQUAT(E * p.face_placement()) for p, E in touching]
+            [pin.SE3ToXYZQUAT(E * seat) for E, seat in zip(faces, seats, strict=True)]
         ).reshape(r, 7),
         "wrench_meas": wrench,
         "power_total": float(V_rel @ wrench),

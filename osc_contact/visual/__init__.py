@@ -1,8 +1,9 @@
 """Pictures of a run: three-dimensional pages, plots, signal-flow diagrams, contact pictures.
 
-Everything is written to files (or returned as a matplotlib figure); nothing opens a window, a
-server or a socket. One palette serves all pictures, so that a contact keeps its colour from the
-scene to the plots. It is the colour-blind-safe palette of Okabe and Ito (2008).
+Everything is written to files or returned as a matplotlib figure; only the live view opens a
+socket, on 127.0.0.1, in a process of its own. One palette serves all pictures, so that a contact
+keeps its colour from the scene to the plots. It is the colour-blind-safe palette of Okabe and Ito
+(2008).
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import html
+import json
 import os
 import re
 import tempfile
@@ -18,55 +19,34 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from osc_contact.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-__all__ = ["CommandSink", "set_camera", "set_background", "write_page", "read_commands"]
+__all__ = [
+    "EMPTY", "CommandSink", "packed", "page_text", "read_commands", "set_background", "set_camera",
+    "write_page",
+]  # fmt: skip
 
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src data: blob:; worker-src blob:; connect-src data: blob:"
 )
 
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{policy}">
-<title>{title}</title>
-<style>
-body {{ margin: 0; font: 14px/1.5 "Helvetica Neue", Helvetica, Arial, sans-serif; }}
-#meshcat-pane {{ width: 100vw; height: 100vh; overflow: hidden; }}
-#caption {{ position: absolute; left: 16px; top: 12px; color: #222; pointer-events: none; }}
-#caption h1 {{ font-size: 17px; font-weight: 600; margin: 0 0 4px; }}
-#caption span {{ display: inline-block; width: 18px; height: 6px; margin-right: 8px;
-  vertical-align: middle; border-radius: 3px; }}
-</style>
-</head>
-<body>
-<div id="meshcat-pane"></div>
-<div id="caption"><h1>{title}</h1>
-{legend}
-</div>
-<script>
-{viewer}
-</script>
-<script>
-const viewer = new MeshCat.Viewer(document.getElementById("meshcat-pane"));
-const draw = (text) => viewer.handle_command_bytearray(
-    Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));
-{commands}
-// page.html#t=2.5 shows the still at 2.5 s
-const still = /t=([0-9.]+)/.exec(location.hash);
-if (still) {{ viewer.animator.pause(); viewer.animator.seek(Number(still[1])); }}
-</script>
-</body>
-</html>
-"""
+_SLOT = re.compile(r"\{\{(\w+)\}\}")
 _DRAW = re.compile(r'^draw\("([A-Za-z0-9+/=]+)"\);$', re.MULTILINE)
 _COLOUR = re.compile(r"^#[0-9A-Fa-f]{6}$")
+
+
+EMPTY: dict[str, Any] = {
+    "live": False, "legend": [], "labels": [], "panels": [], "curves": {"t": [], "y": []},
+    "begin": 0.0, "length": 0.0, "window": 0.0, "still": None,
+}  # fmt: skip
+"""Configuration of a page without legend, labels and plots."""
 
 
 class CommandSink:
@@ -89,7 +69,7 @@ class CommandSink:
 
 
 def set_camera(
-    scene: Visualizer, target: Sequence[float], offset: Sequence[float], field_of_view: float
+    scene: Visualizer, target: ArrayLike, offset: ArrayLike, field_of_view: float
 ) -> None:
     """Look at the target (m, world) from target + offset (m, world), field of view in degrees.
 
@@ -97,8 +77,8 @@ def set_camera(
     origin: the whole scene is moved so that the target lies there, and the camera sits at the
     offset in three.js axes (y up).
     """
-    x, y, z = (float(number) for number in offset)
-    shift = [-float(number) for number in target]
+    x, y, z = np.asarray(offset, dtype=float).tolist()
+    shift = (-np.asarray(target, dtype=float)).tolist()
     scene.set_transform(_meshcat().transformations.translation_matrix(shift))
     camera = scene["/Cameras/default/rotated/<object>"]
     camera.set_property("position", [x, z, -y])
@@ -113,44 +93,50 @@ def set_background(scene: Visualizer, top: Sequence[float], bottom: Sequence[flo
         scene[helper].set_property("visible", False)
 
 
-def write_page(
-    sink: CommandSink, path: str | Path, title: str, legend: Sequence[tuple[str, str]] = ()
-) -> Path:
-    """Write the sink's commands as one HTML file that plays by itself, offline.
+def page_text(sink: CommandSink, title: str, config: dict[str, Any]) -> str:
+    """The page that draws the sink's commands, with everything it needs inside.
 
     Args:
         sink: the drawing commands.
-        path: the file to write; it appears complete or not at all.
         title: heading of the page.
-        legend: pairs (colour ``#RRGGBB``, meaning) shown below the heading.
-
-    Returns:
-        The path written.
+        config: what the page's scripts want to know (see `Scene.config`); JSON-able.
 
     Raises:
-        InvalidInputError: a legend colour is not of the form ``#RRGGBB``.
+        InvalidInputError: a colour is not of the form ``#RRGGBB``.
     """
-    import umsgpack
-
-    for colour, meaning in legend:
-        if not _COLOUR.match(colour):
-            raise InvalidInputError(
-                f"legend entry {meaning!r} has the colour {colour!r}: write it as #RRGGBB"
-            )
-    script = Path(_meshcat().viewer_assets_path()) / "dist" / "main.min.js"
-    page = _PAGE.format(
-        policy=_POLICY,
-        title=html.escape(title),
-        legend="\n".join(
-            f'<div><span style="background:{colour}"></span>{html.escape(meaning)}</div>'
-            for colour, meaning in legend
-        ),
-        viewer=script.read_text(encoding="utf-8"),
-        commands="\n".join(
-            f'draw("{base64.b64encode(umsgpack.packb(command)).decode("ascii")}");'
+    for place in ("legend", "labels"):
+        for entry in config[place]:
+            if not _COLOUR.match(entry["colour"]):
+                raise InvalidInputError(
+                    f"{place} entry {entry['text']!r} has the colour {entry['colour']!r}: write "
+                    "it as #RRGGBB"
+                )
+    viewer = Path(_meshcat().viewer_assets_path()) / "dist" / "main.min.js"
+    scripts = ("plot.js", "player.js", *(("live.js",) if config["live"] else ()))
+    parts = {
+        "policy": _POLICY + (" 'self'" if config["live"] else ""),
+        "title": html.escape(title),
+        "style": _asset("page.css"),
+        "viewer": viewer.read_text(encoding="utf-8"),
+        "config": json.dumps(config, allow_nan=False).replace("<", "\\u003c"),
+        "scripts": "\n".join(_asset(name).replace('"use strict";\n', "", 1) for name in scripts),
+        "commands": "\n".join(
+            f'draw("{base64.b64encode(packed(command)).decode("ascii")}");'
             for command in sink.commands
         ),
-    )
+    }
+    return _SLOT.sub(lambda slot: parts[slot[1]], _asset("page.html"))
+
+
+def write_page(
+    sink: CommandSink, path: str | Path, title: str, config: dict[str, Any] = EMPTY
+) -> Path:
+    """Write `page_text` to a file, which appears complete or not at all; returns its path.
+
+    Raises:
+        InvalidInputError: as `page_text`.
+    """
+    page = page_text(sink, title, config)
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -165,6 +151,13 @@ def write_page(
     return path
 
 
+def packed(command: dict[str, Any]) -> bytes:
+    """One command as meshcat's viewer reads it; numbers in single precision, as it keeps them."""
+    import umsgpack
+
+    return bytes(umsgpack.packb(command, force_float_precision="single"))
+
+
 def read_commands(path: str | Path) -> list[dict[str, Any]]:
     """Decode the drawing commands of a written page, in the order in which they are drawn.
 
@@ -177,6 +170,10 @@ def read_commands(path: str | Path) -> list[dict[str, Any]]:
     if not packed:
         raise InvalidInputError(f"{path} holds no drawing commands: it was not made by write_page")
     return [umsgpack.unpackb(base64.b64decode(text)) for text in packed]
+
+
+def _asset(name: str) -> str:
+    return (Path(__file__).parent / "assets" / name).read_text(encoding="utf-8")
 
 
 def _meshcat() -> Any:

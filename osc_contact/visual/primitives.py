@@ -1,4 +1,4 @@
-"""Shapes for meshcat: arrows of changing length, lines of force, URDF geometry.
+"""Shapes for meshcat: arrows of changing length, rods, tubes, URDF geometry.
 
 three.js draws its cylinders along y; every shape here that has a direction therefore lies along
 the y-axis of its node, and `along` gives the pose that turns y into the wanted direction.
@@ -15,19 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 from osc_contact.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from meshcat import Visualizer
-    from meshcat.animation import Animation
 
 __all__ = [
-    "along", "arrow", "arrow_lengths", "line_of_force", "urdf_geometry", "rgb", "material",
-    "move", "track",
+    "along", "arrow", "arrow_lengths", "cone", "material", "plain", "rgb", "rod", "tube",
+    "urdf_geometry",
 ]  # fmt: skip
 
 HEAD_LENGTH = 0.035
 """Length of an arrow's head in m; shorter arrows are all head, shrunk."""
 _SHORTEST = 1e-6
+Triple = tuple[float, float, float]
 _Y_TO_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
@@ -53,6 +51,13 @@ def rgb(colour: str | ArrayLike) -> int:
     return (red << 16) | (green << 8) | blue
 
 
+def plain(colour: str | ArrayLike, opacity: float = 1.0) -> Any:
+    """Material of exactly this colour, whatever the light."""
+    from meshcat.geometry import MeshBasicMaterial
+
+    return MeshBasicMaterial(color=rgb(colour), opacity=opacity, depthWrite=opacity == 1.0)
+
+
 def material(colour: str | ArrayLike, opacity: float = 1.0, glow: float = 0.0) -> Any:
     """Lit material; ``glow`` in 0..1 is the share of its own colour that needs no light."""
     from meshcat.geometry import MeshLambertMaterial
@@ -73,32 +78,66 @@ def arrow(node: Visualizer, colour: str, radius: float = 0.006, opacity: float =
     """
     from meshcat.geometry import Cylinder
 
-    paint = material(colour, opacity, glow=0.35)
+    paint = material(colour, opacity, glow=0.12)
     head = Cylinder(HEAD_LENGTH, radiusTop=0.0, radiusBottom=2.4 * radius)
     node["head/cone"].set_object(head, paint)
     node["head/cone"].set_transform(_shifted(-HEAD_LENGTH / 2))
     node["shaft/rod"].set_object(Cylinder(1.0, radius), paint)
     node["shaft/rod"].set_transform(_shifted(-0.5))
-    node["shaft"].set_transform(_shifted(-HEAD_LENGTH))
 
 
-def arrow_lengths(length: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """What makes an arrow ``length`` (T,) m long: (shaft scale (T,3), shaft y (T,), head scale).
+def arrow_lengths(length: float) -> tuple[Triple, float, Triple]:
+    """What makes an arrow ``length`` m long: scale of the shaft, its y, scale of the head.
 
     The head keeps its size; an arrow shorter than its head is a smaller head without shaft.
     """
-    length = np.maximum(np.nan_to_num(np.asarray(length, dtype=float)), _SHORTEST)
-    head = np.minimum(1.0, length / HEAD_LENGTH)
-    stretch = np.maximum(length - HEAD_LENGTH, _SHORTEST)
-    shaft = np.column_stack([head, stretch, head])
-    return shaft, -HEAD_LENGTH * head, np.repeat(head[:, None], 3, axis=1)
+    length = max(length, _SHORTEST) if np.isfinite(length) else _SHORTEST
+    head = min(1.0, length / HEAD_LENGTH)
+    stretch = max(length - HEAD_LENGTH, _SHORTEST)
+    return (head, stretch, head), -HEAD_LENGTH * head, (head, head, head)
 
 
-def line_of_force(node: Visualizer, colour: str, length: float, radius: float = 0.002) -> None:
-    """Long thin cylinder along the node's y-axis, centred on the node's origin."""
+def rod(node: Visualizer, paint: Any, length: float, radius: float = 0.002) -> None:
+    """Thin cylinder along the node's y-axis, centred on the node's origin."""
     from meshcat.geometry import Cylinder
 
-    node["line"].set_object(Cylinder(length, radius), material(colour, 0.75, glow=0.5))
+    node["rod"].set_object(Cylinder(length, radius), paint)
+
+
+def cone(node: Visualizer, paint: Any, tip: float, length: float, radius: float) -> None:
+    """Cone along the node's y-axis; its apex at y = tip, the base on the origin's side."""
+    from meshcat.geometry import Cylinder
+
+    ends = (0.0, radius) if tip >= 0.0 else (radius, 0.0)
+    node.set_object(Cylinder(length, radiusTop=ends[0], radiusBottom=ends[1]), paint)
+    node.set_transform(_shifted(tip - np.copysign(0.5 * length, tip)))
+
+
+def tube(points: ArrayLike, radius: float, sides: int = 6) -> Any:
+    """Mesh of a tube around a path (k, 3), k >= 2; repeated points are left out."""
+    from meshcat.geometry import TriangularMeshGeometry
+
+    path = np.asarray(points, dtype=float)
+    far = np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9
+    path = path[np.concatenate([[True], far])]
+    if len(path) < 2:
+        path = np.vstack([path, path[-1] + [0.0, 0.0, 1e-4]])
+    forward = np.gradient(path, axis=0)
+    forward /= np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-12)
+    side = np.cross(forward[0], np.eye(3)[np.argmin(np.abs(forward[0]))])
+    angles = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
+    rings = []
+    for point, along_path in zip(path, forward, strict=True):
+        side = side - (side @ along_path) * along_path  # carried along without twisting
+        side /= max(float(np.linalg.norm(side)), 1e-12)
+        other = np.cross(along_path, side)
+        rings.append(point + radius * (np.outer(np.cos(angles), side)
+                                       + np.outer(np.sin(angles), other)))  # fmt: skip
+    first = np.arange((len(path) - 1) * sides).reshape(-1, sides)
+    second = np.roll(first, -1, axis=1)
+    faces = [(first, second, first + sides), (second, second + sides, first + sides)]
+    triangles = np.concatenate([np.stack(f, axis=-1).reshape(-1, 3) for f in faces])
+    return TriangularMeshGeometry(np.vstack(rings).astype(np.float32), triangles.astype(np.uint32))
 
 
 def urdf_geometry(node: Visualizer, shape: pin.GeometryObject) -> None:
@@ -141,28 +180,6 @@ def urdf_geometry(node: Visualizer, shape: pin.GeometryObject) -> None:
             "use a box, cylinder, sphere, capsule or mesh"
         )
     node.set_transform(shape.placement.homogeneous)
-
-
-def move(node: Visualizer, animation: Animation, poses: Sequence[pin.SE3]) -> None:
-    """Start the node at the first pose and animate it through all of them."""
-    node.set_transform(poses[0].homogeneous)
-    numbers = np.array([pin.SE3ToXYZQUAT(pose) for pose in poses])
-    track(node, animation, "position", "vector3", numbers[:, :3])
-    track(node, animation, "quaternion", "quaternion", numbers[:, 3:])
-
-
-def track(
-    node: Visualizer, animation: Animation, name: str, kind: str, values: NDArray[Any]
-) -> None:
-    """Key frames of one property; keys inside a stretch of equal values are left out."""
-    from meshcat.animation import AnimationClip, AnimationTrack
-
-    same = np.all(np.reshape(values[1:] == values[:-1], (len(values) - 1, -1)), axis=1)
-    inner = np.zeros(len(values), dtype=bool)
-    inner[1:-1] = same[:-1] & same[1:]
-    frames = np.flatnonzero(~inner)
-    clip = animation.clips.setdefault(node.path, AnimationClip(fps=animation.default_framerate))
-    clip.tracks[name] = AnimationTrack(name, kind, frames.tolist(), values[frames].tolist())
 
 
 def _shifted(y: float) -> NDArray[np.float64]:

@@ -1,66 +1,112 @@
-"""The moving three-dimensional picture of a recording: arms, object, faces, contact forces.
-
-Per contact: the line of force through the contact point, an arrow of changing length whose tip
-touches the contact point and that shows the true force f_c pushing INTO the face, and around it a
-wider, paler arrow for the desired force. Contacts that are open show neither line nor arrow.
-"""
+"""The three-dimensional picture of a recording: what is in it, and the page that plays it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import product
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.robots import load_geometry
-from osc_contact.visual import contact_colour
-from osc_contact.visual.page import CommandSink, write_page
-from osc_contact.visual.primitives import (
-    along,
-    arrow,
-    arrow_lengths,
-    line_of_force,
-    move,
-    track,
-    urdf_geometry,
-)
+from osc_contact.visual import contact_colour, curves
+from osc_contact.visual.bodies import Arm, ArmVisual, Body, BodyVisual
+from osc_contact.visual.contact_marks import ContactForce, toggles
+from osc_contact.visual.content import Content
+from osc_contact.visual.page import EMPTY, CommandSink, write_page
+from osc_contact.visual.parts import Frame, LegendEntry, Part, Sample, animate
 from osc_contact.visual.stage import set_stage
+from osc_contact.visual.subspaces import T_COLOUR, ConstraintFrame, FindFrame, TwistAxes
+from osc_contact.visual.trails import Trails
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
-    from meshcat.animation import Animation
 
     from osc_contact.recorder import Recording
 
-__all__ = ["ArmVisual", "BodyVisual", "write_scene"]
+__all__ = ["Scene", "write_scene"]
 
-ARROW_METRES_PER_NEWTON = 0.01
-LINE_OF_FORCE_LENGTH = 0.7
+MOST_FRAMES = 360
+"""Key frames of a page; a longer recording gets fewer per second, and motion in between."""
 Array = NDArray[np.float64]
 
 
-class ArmVisual(NamedTuple):
-    """An arm to draw: its URDF, where its base stands (X_WB), where its joints are in q."""
+class Scene:
+    """The parts of a picture: drawn once, then told where they are at each tick.
 
-    name: str
-    urdf: str | Path
-    package_dirs: Sequence[str | Path]
-    base: pin.SE3
-    q_slice: slice
+    Args:
+        content: what to show.
+        first: the channels at the first tick; what is missing there is not drawn.
+        find: the best single frame for N, or None to leave it out.
+    """
 
+    def __init__(self, content: Content, first: Sample, find: FindFrame | None = None) -> None:
+        self.content = content
+        self.arms = [Arm(arm) for arm in content.arms]
+        self.bodies = [Body(body) for body in content.bodies]
+        self.parts: list[Part] = [*self.arms, *self.bodies]
+        self.forces: list[ContactForce] = []
+        located = {"contact_point", "contact_direction", "pose"} <= first.keys()
+        contacts = list(content.contacts) if located else []
+        if contacts:
+            owners = list(content.columns) or list(range(len(contacts)))
+            for column, owner in enumerate(owners):
+                alone = owners.count(owner) == 1
+                name = contacts[owner] if alone else f"{contacts[owner]}_{column}"
+                self.forces.append(ContactForce(name, column, owner, owners, first))
+            axes = TwistAxes(first, owners)
+            self.parts += [*self.forces, axes]
+            if find is not None:
+                self.parts.append(ConstraintFrame(find, owners, content.frame_words))
+        self.trails = Trails(contacts)
+        self.panels = curves.layout(first, contacts)
 
-class BodyVisual(NamedTuple):
-    """A body to draw: fixed at the placement (X_WB), or moving with the object when None."""
+    def draw(self, scene: Visualizer) -> None:
+        """Make all nodes."""
+        for part in self.parts:
+            part.draw(scene)
 
-    name: str
-    urdf: str | Path
-    package_dirs: Sequence[str | Path]
-    placement: pin.SE3 | None
+    def states(self, sample: Sample) -> Frame:
+        """Where everything is at one tick."""
+        return {path: state for part in self.parts for path, state in part.states(sample).items()}
+
+    def look(self, scene: Visualizer, samples: Sequence[Sample]) -> None:
+        """Floor, background, and a camera that sees what the samples show."""
+        points = [arm.corners(samples[0]) for arm in self.arms]
+        points += [body.corners(sample) for body in self.bodies for sample in samples]
+        points += [force.ends(sample) for force in self.forces for sample in samples]
+        bases = np.array([arm.base.translation for arm in self.content.arms]).reshape(-1, 3)
+        pushes = samples[0].get("contact_direction")
+        set_stage(scene, np.vstack([np.zeros((0, 3)), *points]), bases, pushes)
+
+    def config(self, **more: Any) -> dict[str, Any]:
+        """What the page's scripts want to know: legend, labels and plots."""
+        entries: list[LegendEntry] = [e for force in self.forces for e in force.legend()]
+        entries += toggles(self.forces)
+        entries += [e for part in self.parts[len(self.arms) :] for e in part.legend() if e.paths]
+        entries += self.trails.legend()
+        lines = [line for panel in self.panels for line in panel["lines"]]
+        keys = [(line["key"], line["index"]) for line in lines]
+        labels = [
+            {
+                "path": f"{force.path}/label",
+                "text": force.name.replace("_", " "),
+                "colour": contact_colour(force.contact),
+                "line": _place_in(keys, ("alpha_true", force.column)),
+                "unit": "N m" if force.couple else "N",
+                "lost": f"{force.path}/lost",
+            }
+            for force in self.forces
+        ]
+        if self.forces:
+            labels += [
+                {"path": f"twists/{i}/label", "text": f"t{'₁₂₃₄₅₆'[i]}", "colour": T_COLOUR,
+                 "line": None, "unit": "", "lost": None}
+                for i in range(6)
+            ]  # fmt: skip
+        legend = [entry._asdict() for entry in entries]
+        return EMPTY | {"legend": legend, "labels": labels, "panels": self.panels} | more
 
 
 def write_scene(
@@ -68,16 +114,22 @@ def write_scene(
     arms: Sequence[ArmVisual],
     bodies: Sequence[BodyVisual],
     path: str | Path,
-    fps: int = 30,
+    fps: float = 30.0,
+    find: FindFrame | None = None,
+    frame_words: str = "best single frame",
+    still: float | None = None,
 ) -> Path:
-    """Write the recording as an HTML page that plays by itself, again and again.
+    """Write the recording as an HTML page that plays by itself, with a time slider and plots.
 
     Args:
-        recording: needs ``t``; draws from ``q``, ``pose`` and the contact channels what is there.
+        recording: needs ``t``; draws from ``q``, ``pose``, ``face_pose`` and the contact channels
+            what is there.
         arms: the arms, moved by ``q``.
-        bodies: fixed bodies and the object (placement None), moved by ``pose``.
+        bodies: faces and the object (placement None), moved by ``pose``.
         path: the page to write.
-        fps: key frames per second.
+        fps: key frames per second, fewer if they would be more than 360.
+        find: the best single frame for N; frame_words: what the legend says about it.
+        still: s; the page opens standing still at that time instead of playing.
 
     Returns:
         The path written.
@@ -89,128 +141,48 @@ def write_scene(
     t = np.asarray(recording.channels["t"], dtype=float)
     if t.size == 0 or fps < 1:
         raise InvalidInputError(f"{t.size} ticks at {fps} frames/s make no picture: both need >= 1")
-    times = np.arange(int(np.floor((t[-1] - t[0]) * fps + 1e-9)) + 1) / fps
+    length = float(t[-1] - t[0])
+    fps = min(float(fps), MOST_FRAMES / length) if length > 0.0 else float(fps)
+    times = np.arange(int(np.floor(length * fps + 1e-9)) + 1) / fps
     ticks = np.minimum(np.searchsorted(t - t[0], times - 1e-9), t.size - 1)
-    channels = {key: np.asarray(value)[ticks] for key, value in recording.channels.items()}
+    samples = [sample_at(recording.channels, int(tick)) for tick in ticks]
+    content = Content(
+        _title(recording), arms, bodies, tuple(recording.meta.get("contact_names", ())),
+        tuple(recording.meta.get("columns", ())), frame_words,
+    )  # fmt: skip
+    picture = Scene(content, samples[0], find)
+    frames = [picture.states(sample) for sample in samples]
     sink = CommandSink()
     scene = sink.visualizer()
     from meshcat.animation import Animation
 
     animation = Animation(default_framerate=fps)
-    points = [_draw_arm(scene["arms"][arm.name], animation, arm, channels) for arm in arms]
-    points += [_draw_body(scene["bodies"][b.name], animation, b, channels) for b in bodies]
-    anchors = [arm.base.translation for arm in arms] or [np.zeros(3)]
-    names = [str(name) for name in recording.meta.get("contact_names", [])]
-    contacts = names if "contact_point" in channels and "contact_direction" in channels else []
-    for index, name in enumerate(contacts):
-        _draw_contact(scene["contacts"][name], animation, index, channels)
-    set_stage(
-        scene,
-        np.vstack([*points, *anchors]),
-        np.array([arm.base.translation for arm in arms]).reshape(-1, 3),
-        channels.get("contact_direction"),
-    )
+    picture.draw(scene)
+    for sample in samples:
+        picture.trails.extend(sample)
+    picture.trails.draw(scene)
+    animate(scene, animation, frames)
+    picture.look(scene, samples[:: max(len(samples) // 20, 1)])
     scene.set_animation(animation, play=True, repetitions=float("inf"))
-    legend = [
-        (contact_colour(i), f"force applied at {name} (wide, pale: desired)")
-        for i, name in enumerate(contacts)
-    ]
+    config = picture.config(
+        curves=curves.thinned(picture.panels, recording.channels),
+        begin=float(t[0]),
+        length=float(times[-1]),
+        still=still,
+    )
+    return write_page(sink, path, content.title, config)
+
+
+def sample_at(channels: Mapping[str, Any], tick: int) -> dict[str, Any]:
+    """The channels at one tick."""
+    return {key: np.asarray(value)[tick] for key, value in channels.items()}
+
+
+def _title(recording: Recording) -> str:
     scenario = recording.meta.get("scenario", {})
     title = scenario.get("name", "recording") if isinstance(scenario, dict) else "recording"
-    return write_page(sink, path, str(title).replace("_", " "), legend)
+    return str(title).replace("_", " ")
 
 
-def _channel(channels: dict[str, Any], key: str, needed_by: str) -> Array:
-    if key not in channels:
-        raise InvalidInputError(f"{needed_by} moves with the channel {key!r}: it is not recorded")
-    return np.asarray(channels[key], dtype=float)
-
-
-def _draw_arm(
-    node: Visualizer, animation: Animation, arm: ArmVisual, channels: dict[str, Any]
-) -> Array:
-    """Draw the arm; return the points (world) that the camera shall see."""
-    model, geometry, _ = load_geometry(arm.urdf, pin.GeometryType.VISUAL, arm.package_dirs)
-    shapes = list(geometry.geometryObjects)
-    q = _channel(channels, "q", f"arm {arm.name!r}")[:, arm.q_slice]
-    if q.shape[1] != model.nq:
-        raise InvalidInputError(
-            f"arm {arm.name!r}: {arm.q_slice} takes {q.shape[1]} numbers of q, "
-            f"but {arm.urdf} has nq = {model.nq}"
-        )
-    joints = sorted({shape.parentJoint for shape in shapes})
-    nodes = {joint: node[model.names[joint] if joint else "base"] for joint in joints}
-    for number, shape in enumerate(shapes):
-        urdf_geometry(nodes[shape.parentJoint][f"{number}_{shape.name}"], shape)
-    data = model.createData()
-    poses: dict[int, list[pin.SE3]] = {joint: [] for joint in joints}
-    for sample in q:
-        pin.forwardKinematics(model, data, sample)
-        for joint in joints:
-            poses[joint].append(arm.base * data.oMi[joint])
-    for joint in joints:
-        move(nodes[joint], animation, poses[joint])
-    corners = [(poses[s.parentJoint][0], corner) for s in shapes for corner in _corners(s)]
-    return np.array([pose * corner for pose, corner in corners]).reshape(-1, 3)
-
-
-def _draw_body(
-    node: Visualizer, animation: Animation, body: BodyVisual, channels: dict[str, Any]
-) -> Array:
-    """Draw the body; return the points (world) that the camera shall see."""
-    _, geometry, _ = load_geometry(body.urdf, pin.GeometryType.VISUAL, body.package_dirs)
-    shapes = list(geometry.geometryObjects)
-    for number, shape in enumerate(shapes):
-        urdf_geometry(node[f"{number}_{shape.name}"], shape)
-    poses: list[Any] = [body.placement]
-    if body.placement is None:
-        rows = _channel(channels, "pose", f"body {body.name!r}")
-        poses = [pin.XYZQUATToSE3(row) for row in rows]
-        move(node, animation, poses)
-    else:
-        node.set_transform(body.placement.homogeneous)
-    corners = [corner for shape in shapes for corner in _corners(shape)] or [np.zeros(3)]
-    return np.array([pose * corner for pose in poses[:: max(len(poses) // 20, 1)]
-                     for corner in corners])  # fmt: skip
-
-
-def _draw_contact(
-    node: Visualizer, animation: Animation, index: int, channels: dict[str, Any]
-) -> None:
-    colour = contact_colour(index)
-    points, directions = (
-        np.asarray(channels[key], dtype=float)[:, index]
-        for key in ("contact_point", "contact_direction")
-    )
-    known = np.isfinite(points).all(axis=1) & (np.linalg.norm(directions, axis=1) > 0.5)
-    closed = known & channels["closed"][:, index].astype(bool) if "closed" in channels else known
-    poses = [
-        along(p, d) if ok else pin.SE3.Identity()
-        for p, d, ok in zip(points, directions, known, strict=True)
-    ]
-    move(node, animation, poses)
-    line_of_force(node["line_of_force"], colour, LINE_OF_FORCE_LENGTH)
-    track(node["line_of_force"], animation, "visible", "boolean", closed)
-    for name, key, width, opacity in (
-        ("force", "alpha_true", 0.006, 1.0),
-        ("desired", "alpha_cmd", 0.011, 0.3),
-    ):
-        if key not in channels:
-            continue
-        alpha = np.asarray(channels[key], dtype=float)[:, index]
-        arrow(node[name], colour, width, opacity)
-        shaft, shaft_y, head = arrow_lengths(ARROW_METRES_PER_NEWTON * alpha)
-        base = np.column_stack([np.zeros_like(shaft_y), shaft_y, np.zeros_like(shaft_y)])
-        track(node[name]["shaft"], animation, "scale", "vector3", shaft)
-        track(node[name]["shaft"], animation, "position", "vector3", base)
-        track(node[name]["head"], animation, "scale", "vector3", head)
-        shown = (closed if name == "force" else known) & (alpha > 1e-3)
-        track(node[name], animation, "visible", "boolean", shown)
-
-
-def _corners(shape: pin.GeometryObject) -> list[Array]:
-    """Corners of the shape's bounding box, in its parent joint."""
-    shape.geometry.computeLocalAABB()
-    box = shape.geometry.aabb_local
-    low, high = (np.array(end) for end in (box.min_, box.max_))
-    return [shape.placement * np.where(pick, high, low) for pick in product((0, 1), repeat=3)]
+def _place_in(keys: Sequence[tuple[str, int]], key: tuple[str, int]) -> int | None:
+    return keys.index(key) if key in keys else None

@@ -1,0 +1,155 @@
+"use strict";
+// The page around meshcat's viewer: legend with check boxes, labels, time slider, plots.
+
+const element = (id) => document.getElementById(id);
+const viewer = new MeshCat.Viewer(element("scene"));
+viewer.renderer.setPixelRatio(window.devicePixelRatio || 1);
+const resize = viewer.set_3d_pane_size.bind(viewer);
+viewer.set_3d_pane_size = () => {
+  const w = element("scene").clientWidth, h = element("scene").clientHeight;
+  const caption = element("caption").offsetWidth; // the scene moves out from under it
+  const shift = Math.max(0, Math.min(0.5 * caption, 0.5 * (w - 1.45 * h)));
+  viewer.camera.setViewOffset(w, h, -shift, 0, w, h);
+  resize(w, h);
+};
+viewer.gui.domElement.style.display = "none"; // meshcat's own controls: press g
+
+const draw = (text) => viewer.handle_command_bytearray(
+  Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));
+// Only what changes is written: a page at rest then needs no new layout and no new picture.
+const setText = (box, text) => { if (box.textContent !== text) box.textContent = text; };
+const setStyle = (box, key, value) => { if (box.style[key] !== value) box.style[key] = value; };
+const nodeAt = (path) => viewer.scene_tree.find(["meshcat", ...path.split("/")]);
+
+const KEYS = {
+  solid: (c) => `<rect y="3.2" width="17" height="3.6" fill="${c}"/><path d="M15 0l9 5-9 5z" fill="${c}"/>`,
+  pale: (c) => `<g opacity=".32"><rect y="2" width="15" height="6" fill="${c}"/><path d="M13-2l11 7-11 7z" fill="${c}"/></g>`,
+  thin: (c) => `<rect y="4.2" width="19" height="1.6" fill="${c}"/><path d="M17 1.8l7 3.2-7 3.2z" fill="${c}"/>`,
+  line: (c) => `<rect y="4" width="24" height="2" fill="${c}"/>`,
+  trail: (c) => `<path d="M1 8C8-4 15 14 23 2" fill="none" stroke="${c}" stroke-width="2" opacity=".7"/>`,
+  turn: (c) => `<rect y="4.2" width="24" height="1.6" fill="${c}"/><path d="M14 1A5 4.4 0 1 0 15 8" fill="none" stroke="${c}" stroke-width="1.7"/>`,
+  frame: (c) => `<path d="M0 5h5m3 0h5m3 0h5" stroke="${c}" stroke-width="2"/>`,
+};
+
+function showLegend(entries) {
+  const legend = element("legend");
+  const names = legend.appendChild(document.createElement("div"));
+  names.className = "names";
+  for (const entry of entries.filter((e) => !e.paths.length)) {
+    const name = names.appendChild(document.createElement("span"));
+    name.appendChild(document.createElement("i")).style.background = entry.colour;
+    name.appendChild(document.createElement("b")).textContent = entry.text;
+  }
+  for (const entry of entries.filter((e) => e.paths.length)) {
+    const row = legend.appendChild(document.createElement("label"));
+    const box = row.appendChild(document.createElement("input"));
+    box.type = "checkbox";
+    box.checked = entry.shown;
+    box.name = entry.text;
+    const key = row.appendChild(document.createElement("span"));
+    key.className = "key";
+    key.innerHTML = `<svg width="24" height="10" style="overflow:visible">${KEYS[entry.look](entry.colour)}</svg>`;
+    row.appendChild(document.createElement("span")).textContent = entry.text;
+    const apply = () => {
+      for (const path of entry.paths) nodeAt(path).set_property("visible", box.checked);
+      viewer.set_dirty();
+    };
+    box.addEventListener("change", apply);
+    apply();
+  }
+}
+
+function showLabels(labels) {
+  return labels.map((label) => {
+    const box = element("labels").appendChild(document.createElement("div"));
+    box.style.color = label.colour;
+    return { ...label, box };
+  });
+}
+
+function placeLabels(labels, time) {
+  const pane = element("scene"), taken = [];
+  for (const { path, text, line, unit, lost, box } of labels) {
+    const object = nodeAt(path).object;
+    let seen = true;
+    for (let above = object; above; above = above.parent) seen = seen && above.visible;
+    const value = line === null ? null : plots.valueAt(line, time);
+    const gone = lost && nodeAt(lost).object.visible;
+    const reading = value === null ? "" : ` ${signed(value.toFixed(2))} ${unit}`;
+    const words = text + (gone ? " lost" : reading);
+    setText(box, words);
+    object.updateWorldMatrix(true, false);
+    const at = new MeshCat.THREE.Vector3().setFromMatrixPosition(object.matrixWorld).project(viewer.camera);
+    seen = seen && Math.abs(at.x) < 1 && Math.abs(at.y) < 1 && at.z < 1;
+    setStyle(box, "display", seen ? "" : "none");
+    if (!seen) continue;
+    const w = box.offsetWidth, h = box.offsetHeight;
+    const x = Math.min(pane.clientWidth - w - 4, Math.max(4, 0.5 * (at.x + 1) * pane.clientWidth - w / 2));
+    let y = Math.max(4, 0.5 * (1 - at.y) * pane.clientHeight - h / 2);
+    for (const other of taken) {
+      if (x < other.x + other.w && other.x < x + w && Math.abs(y - other.y) < h + 2) y = other.y - h - 2;
+    }
+    taken.push({ x, y, w });
+    setStyle(box, "transform", `translate(${Math.round(x)}px, ${Math.round(y)}px)`);
+  }
+}
+
+let plots, labels, origin = 0, length = 0;
+const player = { time: 0, get playing() { return viewer.animator.playing; }, seek, toggle };
+
+function seek(time) { // s since the beginning of the recording
+  player.time = Math.min(length, Math.max(0, time));
+  if (player.playing) viewer.animator.pause();
+  viewer.animator.seek(player.time);
+  viewer.animator.display_progress(player.time);
+}
+
+function toggle() {
+  if (player.playing) viewer.animator.pause(); else viewer.animator.play();
+}
+
+function refresh() {
+  requestAnimationFrame(refresh);
+  if (!CONFIG.live) {
+    if (player.playing) player.time = viewer.animator.time;
+    setText(element("play"), player.playing ? "❚❚" : "▶");
+    element("time").value = player.time;
+  }
+  const now = origin + player.time;
+  const whole = CONFIG.live ? "" : ` / ${(origin + length).toFixed(1)} s`;
+  setText(element("clock"), `${now.toFixed(2)}${CONFIG.live ? " s" : whole}`);
+  if (plots.time !== now) plots.mark(now);
+  placeLabels(labels, now);
+}
+
+function start() {
+  viewer.set_3d_pane_size();
+  showLegend(CONFIG.legend);
+  plots = new Plots(element("plots"), CONFIG.panels, CONFIG.curves,
+    CONFIG.live ? null : (time) => seek(time - origin));
+  plots.window = CONFIG.window;
+  labels = showLabels(CONFIG.labels);
+  origin = CONFIG.begin;
+  length = CONFIG.length;
+  element("time").max = length;
+  element("time").addEventListener("input", (event) => seek(Number(event.target.value)));
+  element("play").addEventListener("click", toggle);
+  element("speed").addEventListener("change", (event) => {
+    viewer.animator.mixer.timeScale = Number(event.target.value);
+  });
+  window.addEventListener("keydown", (event) => {
+    if (event.key === "g") {
+      const gui = viewer.gui.domElement.style;
+      gui.display = gui.display === "none" ? "" : "none";
+    }
+    if (event.key === " " && !CONFIG.live) { event.preventDefault(); toggle(); }
+  });
+  if (/[#&]bare/.test(location.hash)) document.body.className = "bare";
+  viewer.set_3d_pane_size();
+  plots.redraw();
+  const asked = /t=([0-9.]+)/.exec(location.hash); // page.html#t=2.5 shows the still at 2.5 s
+  const still = asked ? Number(asked[1]) : CONFIG.still;
+  if (still !== null) seek(still - origin);
+  if (CONFIG.live) live();
+  refresh();
+}

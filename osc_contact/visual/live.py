@@ -1,0 +1,178 @@
+"""A live view of a run that cannot disturb it.
+
+Drawing and serving happen in a process of their own. The control loop's side is one call that
+copies the newest numbers into a socket to that process, without waiting: what the other side has
+no room for is dropped, so a slow, stopped, flooded or dead viewer costs the loop microseconds. The
+viewer's thread of control being another process, it does not compete for the interpreter lock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import select
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from time import monotonic
+from types import TracebackType
+from typing import Any, Protocol
+
+import numpy as np
+
+from osc_contact.errors import InvalidInputError, ViewerError
+
+__all__ = ["Shows", "Viewer"]
+
+LOG = logging.getLogger("osc_contact.viewer")
+CHANNELS = (
+    "t", "q", "pose", "face_pose", "N", "closed", "contact_point", "contact_direction",
+    "alpha_cmd", "alpha_true", "alpha_meas", "power_total", "power_projected",
+)  # fmt: skip
+"""What a scene draws from; everything else stays in the loop's process."""
+START_S, STALLED_S = 30.0, 1.0
+ROOM = 1 << 15
+
+
+class Shows(Protocol):
+    """What a run asks of a viewer."""
+
+    def show(self, tick: Mapping[str, Any]) -> None:
+        """Take the channels of one tick; must return at once and never raise."""
+
+
+class Viewer:
+    """A live page at `url`, served on 127.0.0.1 only, by a process that ends with this one.
+
+    Args:
+        module: whose ``main`` the process runs; `osc_contact.open_viewer` knows which.
+        about: JSON-able description of the scene, handed to it.
+        rate: pictures per second at most, 1 … 60.
+
+    Attributes:
+        url: address of the page; any number of browsers may open it, none needs to.
+        error: why the view has ended, once it has; the run goes on without it.
+
+    Raises:
+        ViewerError: the process does not start.
+    """
+
+    def __init__(self, module: str, about: Mapping[str, Any], rate: float = 30.0) -> None:
+        if not 1.0 <= rate <= 60.0:
+            raise InvalidInputError(f"rate = {rate}; give 1 to 60 pictures per second")
+        self.error: ViewerError | None = None
+        self.browsers = 0
+        self._period, self._due, self._stalled = 1.0 / rate, 0.0, float("inf")
+        self._parts: list[tuple[str, slice]] = []
+        self._numbers = np.empty(0)
+        self._link, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with tempfile.TemporaryFile() as complaints:
+            with other:  # closed here, so that the end of the process closes the link
+                self._process = _started(module, other, complaints)
+            try:
+                self._link.sendall(json.dumps(about).encode())
+                self.url = self._answer()
+            except (OSError, ValueError, KeyError) as error:
+                self.close()
+                complaints.seek(0)
+                said = complaints.read().decode(errors="replace").strip().splitlines()
+                raise ViewerError(
+                    f"the live view does not start: {said[-1] if said else error}"
+                ) from error
+        self._link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, ROOM)
+        self._link.setblocking(False)
+
+    def _answer(self) -> str:
+        ready, _, _ = select.select([self._link], [], [], START_S)
+        if not ready:
+            raise OSError(f"no answer within {START_S:g} s")
+        return str(json.loads(self._link.recv(4096))["url"])
+
+    def show(self, tick: Mapping[str, Any]) -> None:
+        """Hand over the channels of one control tick; returns at once and never raises.
+
+        Most calls only look at the clock: at most `rate` ticks per second are sent. The first call
+        fixes which channels there are.
+        """
+        now = monotonic()
+        if now < self._due or self.error is not None:
+            return
+        self._due = now + self._period
+        try:
+            if not self._parts:
+                self._begin(tick)
+            for name, part in self._parts:
+                self._numbers[part] = np.ravel(tick[name])
+            self._link.send(self._numbers.tobytes())
+            self._stalled = float("inf")
+        except BlockingIOError:
+            self._stalled = min(self._stalled, now)
+            if now - self._stalled > STALLED_S:
+                self._fail(f"its process has taken nothing for {STALLED_S:g} s")
+        except OSError:
+            self._fail(f"its process has ended (exit code {self._process.poll()})")
+        except (KeyError, TypeError, ValueError) as error:
+            self._fail(f"a tick does not fit the first one: {error!r}")
+
+    def _begin(self, tick: Mapping[str, Any]) -> None:
+        layout = {name: np.shape(tick[name]) for name in CHANNELS if name in tick}
+        ends = np.cumsum([0, *(int(np.prod(shape)) for shape in layout.values())])
+        self._link.send(json.dumps(layout).encode())
+        self._numbers = np.zeros(ends[-1])
+        self._parts = [
+            (name, slice(a, b)) for name, a, b in zip(layout, ends[:-1], ends[1:], strict=True)
+        ]
+
+    def _fail(self, reason: str) -> None:
+        """Report once; the loop goes on."""
+        self.error = ViewerError(f"the live view has ended: {reason}; the run goes on without it")
+        LOG.error("%s", self.error)
+
+    def count_browsers(self) -> int:
+        """How many browsers show the page now; does not wait."""
+        with contextlib.suppress(OSError, ValueError):
+            while news := self._link.recv(4096):
+                self.browsers = int(json.loads(news)["browsers"])
+        return self.browsers
+
+    def close(self) -> None:
+        """End the process and free its port; may be called again."""
+        self._link.close()
+        try:
+            self._process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self.error is None:
+            self.error = ViewerError("the live view was closed")
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _started(module: str, link: socket.socket, complaints: Any) -> subprocess.Popen[bytes]:
+    """A process that inherits one descriptor and does not hear the Ctrl-C of this terminal."""
+    root = str(Path(__file__).parents[2])
+    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.Popen(
+        [sys.executable, "-m", module, str(link.fileno())],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=complaints,
+        pass_fds=[link.fileno()],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        start_new_session=True,
+    )

@@ -1,0 +1,162 @@
+"""Wrenches and twists as screws: an axis, a pitch, and a helix that shows it.
+
+A wrench [f; m] acts along a line in space and carries a couple about it; its pitch is that couple
+per unit force (m). A twist [v; ω] turns about a line and advances along it; its pitch is the
+advance per radian (m/rad). Pitch 0 is a pure force or a pure rotation, an infinite pitch a pure
+couple or a pure translation. Axis and pitch depend neither on units nor on where O lies
+(R. S. Ball, A Treatise on the Theory of Screws, 1900).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from osc_contact.errors import InvalidInputError
+
+__all__ = [
+    "Normals", "Screw", "contact_normals", "echelon", "helix", "tangents", "twist_screw",
+    "wrench_screw",
+]  # fmt: skip
+
+Array = NDArray[np.float64]
+FAR = 100.0
+"""m: an axis or a pitch beyond this is drawn as infinitely far, or infinite."""
+
+
+class Screw(NamedTuple):
+    """A line and a pitch.
+
+    Attributes:
+        point: (3,) the point of the axis nearest to where the wrench or twist is given, m.
+        direction: (3,) unit vector along the axis.
+        pitch: m, or m/rad; ``inf`` for a pure couple or a pure translation.
+    """
+
+    point: Array
+    direction: Array
+    pitch: float
+
+
+def wrench_screw(wrench: ArrayLike, origin: ArrayLike) -> Screw:
+    """The screw of a wrench [f; m] (6,) whose moment is taken about `origin` (3,), m.
+
+    Raises:
+        InvalidInputError: zero, not finite or not (6,).
+    """
+    force, moment = _halves(wrench)
+    return _screw(force, moment, np.asarray(origin, dtype=float))
+
+
+def twist_screw(twist: ArrayLike, origin: ArrayLike) -> Screw:
+    """The screw of a twist [v; ω] (6,) whose velocity is that of `origin` (3,), m.
+
+    Raises:
+        InvalidInputError: zero, not finite or not (6,).
+    """
+    velocity, turn = _halves(twist)
+    return _screw(turn, velocity, np.asarray(origin, dtype=float))
+
+
+def _halves(vector: ArrayLike) -> tuple[Array, Array]:
+    values = np.asarray(vector, dtype=float)
+    if values.shape != (6,) or not np.isfinite(values).all() or not values.any():
+        raise InvalidInputError(f"{values.tolist()} is no screw: 6 finite numbers, not all zero")
+    return values[:3], values[3:]
+
+
+def _screw(line: Array, moment: Array, origin: Array) -> Screw:
+    size, arm = float(np.linalg.norm(line)), float(np.linalg.norm(moment))
+    if size * FAR <= arm:
+        return Screw(origin, moment / arm, float("inf"))
+    direction = line / size
+    return Screw(
+        origin + np.cross(direction, moment / size), direction, float(direction @ moment / size)
+    )
+
+
+class Normals(NamedTuple):
+    """The contact forces of one recorded tick.
+
+    Attributes:
+        N: (6, r) at O, world axes; columns that are not known are zero.
+        owner: (r,) which contact each column belongs to.
+        known: (r,) whether the contact's place was recorded at this tick.
+        pressed: (r,) whether it is also closed, so that N really holds the column.
+    """
+
+    N: Array
+    owner: NDArray[np.intp]
+    known: NDArray[np.bool_]
+    pressed: NDArray[np.bool_]
+
+
+def contact_normals(sample: Mapping[str, Any], owners: Sequence[int] = ()) -> Normals:
+    """N of one recorded tick.
+
+    The channel ``N`` (6, r) is taken if it was recorded; otherwise each contact is a line of
+    force, [d; (p − O) × d].
+
+    Args:
+        sample: the channels at one tick.
+        owners: (r,) the contact of each column, default one column per contact.
+    """
+    directions = np.asarray(sample["contact_direction"], dtype=float).reshape(-1, 3)
+    points = np.asarray(sample["contact_point"], dtype=float).reshape(-1, 3)
+    closed = np.asarray(sample.get("closed", np.ones(len(points))), dtype=bool)
+    arms = points - np.asarray(sample["pose"], dtype=float)[:3]
+    N = np.hstack([directions, np.cross(arms, directions)]).T
+    owner = np.arange(len(points))
+    if "N" in sample:
+        N = np.asarray(sample["N"], dtype=float)
+        owner = np.asarray(owners or range(N.shape[1]), dtype=np.intp)
+    known = np.isfinite(points).all(axis=1)[owner] & np.isfinite(N).all(axis=0)
+    N = np.where(known, N, 0.0)
+    known &= N.any(axis=0)
+    return Normals(N, owner, known, known & closed[owner])
+
+
+def tangents(N: Array) -> Array:
+    """A basis T (6, 6 − r) of the motions that N (6, r) permits, as simple as they come.
+
+    Of the many bases it is the `echelon` form: translations first, then turns about the world's
+    axes as far as there are any.
+    """
+    U, values, _ = np.linalg.svd(N)
+    rank = int((values > 1e-9 * values.max(initial=0.0)).sum())
+    return echelon(U[:, rank:])
+
+
+def echelon(basis: ArrayLike) -> Array:
+    """The same space (6, k) by its reduced echelon form: translations first, then turns."""
+    rows = np.array(basis, dtype=float).T
+    size = 0.1  # m: only orders the pivots, so that translations are preferred over turns
+    row = 0
+    for column in (3, 4, 5, 0, 1, 2):
+        if row == len(rows):
+            break
+        weight = size if column >= 3 else 1.0
+        pivot = row + int(np.abs(rows[row:, column]).argmax())
+        if np.abs(rows[pivot, column]) * weight < 1e-6 * np.abs(rows).max():
+            continue
+        rows[[row, pivot]] = rows[[pivot, row]]
+        rows[row] /= rows[row, column]
+        for other in range(len(rows)):
+            if other != row:
+                rows[other] -= rows[other, column] * rows[row]
+        row += 1
+    return np.asarray(rows[::-1].T)
+
+
+def helix(pitch: float, radius: float, length: float, count: int = 48) -> Array:
+    """(count, 3) path of a point `radius` m from the y-axis that turns about it and advances.
+
+    The path is `length` m long whatever the pitch (m/rad): a circle's arc for pitch 0, ever closer
+    to a straight line as the pitch grows. The middle of the path is at y = 0.
+    """
+    angle = min(length / float(np.hypot(radius, pitch)), 1.75 * np.pi)
+    turn = np.linspace(-0.5 * angle, 0.5 * angle, count)
+    return np.column_stack([radius * np.sin(turn), pitch * turn, radius * np.cos(turn)])

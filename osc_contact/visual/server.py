@@ -1,0 +1,183 @@
+"""The server of a live page: one address on 127.0.0.1, drawing commands over a websocket.
+
+meshcat's own server listens on all interfaces, writes into a pipe that nobody reads, and answers a
+client that waits; nothing of it is used. Here the newest tick comes over a socket from the run's
+process, is drawn into meshcat commands, and goes to every browser that has taken the one before.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from typing import Any
+
+from tornado.httpserver import HTTPServer
+from tornado.ioloop import IOLoop, PeriodicCallback
+from tornado.netutil import bind_sockets
+from tornado.web import Application, RequestHandler
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+from osc_contact.visual import curves
+from osc_contact.visual.content import Content
+from osc_contact.visual.mailbox import Ticks
+from osc_contact.visual.page import CommandSink, packed, page_text
+from osc_contact.visual.parts import Frame, changes
+from osc_contact.visual.scene import Scene
+from osc_contact.visual.subspaces import FindFrame
+
+__all__ = ["serve"]
+
+LOOPBACK = "127.0.0.1"
+PICTURES_MS = 1000.0 / 60.0
+TRAIL_EVERY = 15  # pictures
+WINDOW_S = 10.0
+MOST_BROWSERS = 16
+WAITING = (
+    '<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="refresh" content="0.4">'
+    "<title>waiting</title><p style='font: 16px sans-serif; margin: 3em'>The run has not begun.</p>"
+)
+
+
+class LivePage:
+    """The scene as it is now, and the browsers that show it."""
+
+    def __init__(self, ticks: Ticks, content: Content, find: FindFrame) -> None:
+        self.ticks, self.content, self.find = ticks, content, find
+        self.scene: Scene | None = None
+        self.drawn = CommandSink()
+        self.trails: dict[str, dict[str, Any]] = {}
+        self.browsers: set[Browser] = set()
+        self.frame: Frame = {}
+        self.numbers = ""
+        self.pictures, self.parent = 0, os.getppid()
+
+    def text(self) -> str:
+        """The page, as long as there is no tick one that asks again."""
+        if self.scene is None:
+            return WAITING
+        empty: dict[str, Any] = {
+            "t": [],
+            "y": [[] for panel in self.scene.panels for _ in panel["lines"]],
+        }
+        config = self.scene.config(live=True, window=WINDOW_S, curves=empty)
+        return page_text(self.drawn, self.content.title, config)
+
+    def update(self) -> None:
+        """Draw the newest tick; an error ends the process, which the run's process reports."""
+        try:
+            self._update()
+        except Exception:
+            IOLoop.current().stop()
+            raise
+
+    def _update(self) -> None:
+        if not self.ticks.drain() or os.getppid() != self.parent:
+            IOLoop.current().stop()
+            return
+        sample, self.ticks.newest = self.ticks.newest, None
+        if sample is None:
+            return
+        if self.scene is None:
+            self.scene = Scene(self.content, sample, self.find)
+            self.scene.draw(self.drawn.visualizer())
+            self.scene.look(self.drawn.visualizer(), [sample])
+        self.frame = self.scene.states(sample)
+        self.scene.trails.extend(sample)
+        fresh = CommandSink()
+        if self.pictures % TRAIL_EVERY == 0:
+            self.scene.trails.draw(fresh.visualizer())
+            self.trails |= {command["path"]: command for command in fresh.commands}
+        self.pictures += 1
+        values = {"t": float(sample["t"]), "y": curves.values(self.scene.panels, sample)}
+        self.numbers = json.dumps(values)
+        for browser in list(self.browsers):
+            browser.send(self, fresh.commands, self.numbers)
+
+    def tell(self) -> None:
+        """Let the run's process know how many browsers there are."""
+        try:
+            self.ticks.link.send(json.dumps({"browsers": len(self.browsers)}).encode())
+        except OSError:
+            return  # it reads this only if it wants to know
+
+
+class Browser(WebSocketHandler):
+    """One browser; it gets the next picture when it has taken the last one."""
+
+    def initialize(self, page: LivePage) -> None:
+        """Called by tornado for every request."""
+        self.page, self.busy = page, False
+        self.shown: Frame = {}
+        self.late: dict[str, dict[str, Any]] = {}
+
+    def open(self, *_: str, **__: str) -> None:
+        """A page has opened: it gets everything that is not in its text."""
+        if len(self.page.browsers) >= MOST_BROWSERS:
+            self.close(1013, "too many browsers")
+            return
+        self.late = dict(self.page.trails)
+        self.page.browsers.add(self)
+        self.page.tell()
+        self.send(self.page, [], self.page.numbers)
+
+    def on_message(self, message: str | bytes) -> None:
+        """Whatever it says means that the last picture is on its screen."""
+        self.busy = False
+        if self.shown is not self.page.frame:
+            self.send(self.page, [], self.page.numbers)
+
+    def on_close(self) -> None:
+        """The browser has gone."""
+        self.page.browsers.discard(self)
+        self.page.tell()
+
+    def send(self, page: LivePage, trails: list[dict[str, Any]], numbers: str) -> None:
+        """Send what this browser does not show yet, unless it is still drawing."""
+        self.late |= {command["path"]: command for command in trails}
+        if self.busy or not page.frame:
+            return
+        sink = CommandSink()
+        changes(sink.visualizer(), self.shown, page.frame)
+        try:
+            for command in (*sink.commands, *self.late.values()):
+                self.write_message(packed(command), binary=True)
+            self.write_message(numbers)  # last: the browser answers it when all is drawn
+        except WebSocketClosedError:
+            page.browsers.discard(self)
+            return
+        self.shown, self.late, self.busy = page.frame, {}, True
+
+
+class Page(RequestHandler):
+    """The page itself."""
+
+    def initialize(self, page: LivePage) -> None:
+        """Called by tornado for every request."""
+        self.page = page
+
+    def get(self) -> None:
+        """The page of the scene, never from a cache."""
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("X-Frame-Options", "DENY")
+        self.finish(self.page.text())
+
+
+def serve(link: socket.socket, content: Content, find: FindFrame) -> None:
+    """Serve until the link closes; the address is sent back over it.
+
+    Requests are answered only if they name this machine's own address: a foreign page whose name
+    is made to point here gets 404, and its websocket 403.
+    """
+    page = LivePage(Ticks(link), content, find)
+    application = Application(websocket_max_message_size=1024, log_function=lambda _: None)
+    given = {"page": page}
+    application.add_handlers(
+        r"(127\.0\.0\.1|localhost)", [("/", Page, given), ("/frames", Browser, given)]
+    )
+    sockets = bind_sockets(0, LOOPBACK)
+    HTTPServer(application, max_body_size=1024, idle_connection_timeout=30.0).add_sockets(sockets)
+    link.send(json.dumps({"url": f"http://{LOOPBACK}:{sockets[0].getsockname()[1]}/"}).encode())
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    PeriodicCallback(page.update, PICTURES_MS).start()
+    IOLoop.current().start()

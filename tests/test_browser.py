@@ -1,0 +1,201 @@
+"""The real pages in a headless Chromium: what is on the screen, the slider, the live view."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from headless import Browser, near
+from scene_samples import ARMS, BASE, BODIES, URDF, make_recording
+from test_live import CONTENT, MODULE, TICKS
+from test_scene import find
+
+from osc_contact.errors import ViewerError
+from osc_contact.visual import contact_colour
+from osc_contact.visual.browser import write_png
+from osc_contact.visual.content import described
+from osc_contact.visual.live import Viewer
+from osc_contact.visual.scene import write_scene
+from osc_contact.visual.subspaces import T_COLOUR
+
+BLUE, VERMILLION = contact_colour(0), contact_colour(1)
+PLACE = "nodeAt('{}').object.getWorldPosition(new MeshCat.THREE.Vector3()).toArray()"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scene") / "scene.html"
+    return write_scene(make_recording(), ARMS, BODIES, path, 20, find, "best frame")
+
+
+@pytest.fixture(scope="module")
+def browser(page: Path) -> Iterator[Browser]:
+    with Browser(f"{page.as_uri()}#t=1") as opened:
+        yield opened
+        assert opened.errors == []
+
+
+def slide(browser: Browser, time: float) -> np.ndarray:
+    """Move the time slider as a hand does; the picture then."""
+    browser.run(
+        f"element('time').value = {time}; "
+        "element('time').dispatchEvent(new Event('input', {bubbles: true}))"
+    )
+    return browser.picture()
+
+
+def switch(browser: Browser, text: str) -> None:
+    browser.run(f"document.querySelector('#legend input[name^=\"{text}\"]').click()")
+
+
+def place_in(browser: Browser, path: str) -> np.ndarray:
+    """Position of a node relative to the base of the arm, in world axes (m)."""
+    here, base = (browser.run(PLACE.format(p)) for p in (path, "arms/left/base"))
+    x, y, z = np.array(here) - np.array(base)  # three.js has y up
+    return np.array([x, -z, y])
+
+
+def hinge(tick: int) -> np.ndarray:
+    """The same for the hinge, by Pinocchio."""
+    model = pin.buildModelFromUrdf(str(URDF / "scara_left.urdf"))
+    data = model.createData()
+    pin.forwardKinematics(model, data, make_recording()["q"][tick])
+    return BASE.rotation @ data.oMi[model.getJointId("hinge")].translation
+
+
+def test_the_page_is_not_blank_and_has_the_named_colours(browser: Browser) -> None:
+    picture = slide(browser, 1.0)
+    scene, dock = picture[:600], picture[640:]
+    assert scene.std() > 20 and len(np.unique(scene.reshape(-1, 3), axis=0)) > 300
+    for colour, least in ((BLUE, 200), (VERMILLION, 200), (T_COLOUR, 200)):
+        assert near(scene, colour) > least, colour
+    assert near(dock, BLUE) > 100 and near(dock, VERMILLION) > 100, "curves"
+    assert browser.run("document.querySelectorAll('#legend input').length") == 7
+
+
+def test_the_slider_moves_arms_arrows_marker_and_clock(browser: Browser) -> None:
+    seen = {}
+    for time, tick in ((0.2, 20), (0.9, 90)):
+        picture = slide(browser, time)
+        assert np.allclose(place_in(browser, "arms/left/hinge"), hinge(tick), atol=2e-3)
+        column = np.flatnonzero((picture[700:720].max(axis=2) < 60).all(axis=0))
+        assert len(column) in (1, 2), "one time marker"
+        expected = 58 + time * (1280 - 58 - 18)
+        assert abs(column.mean() - expected) < 3
+        assert browser.run("element('clock').textContent").startswith(f"{time:.2f}")
+        scale = browser.run("nodeAt('contacts/left_end/true/shaft').object.scale.y")
+        assert scale == pytest.approx(max(0.12 * time - 0.035, 1e-6), abs=2e-3)
+        label = browser.run("document.querySelector('#labels div').textContent")
+        assert label == f"left end {12 * time:.2f} N"
+        seen[time] = picture[:600]
+    moved = np.abs(seen[0.2] - seen[0.9]).max(axis=2) > 40
+    assert moved.sum() > 5000, "the arm has moved on the screen"
+    assert near(seen[0.9], VERMILLION) > near(seen[0.2], VERMILLION) + 100, "longer arrows"
+
+
+def test_a_lost_contact_is_grey(browser: Browser) -> None:
+    switch(browser, "T:")  # so that nothing else is in front
+    closed, lost = slide(browser, 0.3), slide(browser, 0.5)
+    switch(browser, "T:")
+    assert browser.run("document.querySelector('#labels div').textContent") == "left end lost"
+    grey = "#8E939A"
+    assert near(lost[:600], grey, 4) > near(closed[:600], grey, 4) + 100
+    assert near(lost[:600], BLUE) < 0.5 * near(closed[:600], BLUE)
+
+
+def test_check_boxes_show_and_hide(browser: Browser) -> None:
+    on = near(slide(browser, 1.0)[:600], T_COLOUR)
+    switch(browser, "T:")
+    assert near(browser.picture()[:600], T_COLOUR) < 0.2 * on
+    switch(browser, "T:")
+    assert near(browser.picture()[:600], T_COLOUR) == pytest.approx(on, rel=0.05)
+    black = near(browser.picture()[:600], "#15181C", 6)
+    switch(browser, "best frame")
+    assert near(browser.picture()[:600], "#15181C", 6) > black + 300
+    switch(browser, "best frame")
+
+
+def test_labels_and_legend_do_not_cover_each_other(browser: Browser) -> None:
+    for time in (0.0, 0.3, 0.5, 0.8, 1.0):
+        slide(browser, time)
+        boxes = browser.run(
+            "[...document.querySelectorAll('#labels div')].filter(d => d.style.display !== 'none')"
+            ".map(d => { const r = d.getBoundingClientRect();"
+            " return [d.textContent, r.left, r.top, r.right, r.bottom]; })"
+        )
+        assert len(boxes) >= 5
+        for (a, *p), (b, *q) in combinations(boxes, 2):
+            apart = p[2] <= q[0] or q[2] <= p[0] or p[3] <= q[1] or q[3] <= p[1]
+            assert apart, f"{a!r} covers {b!r} at {time} s"
+
+
+def test_play_goes_on_and_a_click_in_a_plot_stops_there(browser: Browser) -> None:
+    slide(browser, 0.0)
+    browser.run("element('play').click()")
+    browser.until("player.time > 0.15")
+    assert browser.run("player.playing")
+    x = 58 + 0.5 * (1280 - 58 - 18)
+    for kind in ("mousePressed", "mouseReleased"):
+        browser.ask("Input.dispatchMouseEvent", type=kind, x=x, y=720, button="left",
+                    buttons=1, clickCount=1)  # fmt: skip
+    browser.until("!player.playing")
+    assert browser.run("player.time") == pytest.approx(0.5, abs=0.01)
+
+
+def test_the_live_view_updates(tmp_path: Path) -> None:
+    with Viewer(MODULE, {"content": described(CONTENT), "size": 0.6}, rate=60.0) as viewer:
+        tick, stop = [10], threading.Event()
+
+        def run() -> None:
+            while not stop.wait(0.005):
+                viewer.show(TICKS[tick[0]])
+
+        loop = threading.Thread(target=run)
+        loop.start()
+        try:
+            with Browser(viewer.url) as browser:
+                pictures = {}
+                for now in (10, 95):
+                    tick[0] = now
+                    browser.until(f"Math.abs(player.time - {now / 100}) < 1e-6")
+                    pictures[now] = browser.picture(tmp_path / f"{now}.png")
+                    assert np.allclose(place_in(browser, "arms/left/hinge"), hinge(now), atol=1e-4)
+                    assert browser.run("element('live').textContent") == "LIVE"
+                assert pictures[95][:600].std() > 20
+                moved = np.abs(pictures[95] - pictures[10])[:600].max(axis=2) > 40
+                assert moved.sum() > 5000 and near(pictures[95][:600], VERMILLION) > 200
+                assert browser.run("CONFIG.curves.t.length") > 2
+                assert viewer.count_browsers() == 1
+                stop.set()
+                loop.join()
+                viewer.close()
+                browser.until("element('live').textContent === 'ENDED'")
+                assert browser.errors == []
+        finally:
+            stop.set()
+            loop.join()
+
+
+def test_png_of_a_moment(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from PIL import Image
+
+    pixels = {}
+    for time in (0.1, 1.0):
+        path = write_png(page, tmp_path / "deep" / f"{time}.png", time, (900, 700))
+        pixels[time] = np.asarray(Image.open(path).convert("RGB")).astype(int)
+        assert pixels[time].shape == (700, 900, 3)
+    scene = pixels[1.0][:430]
+    assert scene.std() > 20 and near(scene, BLUE) > near(pixels[0.1][:430], BLUE) + 50
+    assert sorted(p.name for p in (tmp_path / "deep").iterdir()) == ["0.1.png", "1.0.png"]
+    with pytest.raises(ViewerError, match="gave no picture"):
+        monkeypatch.setenv("OSC_CONTACT_BROWSER", "/bin/false")
+        write_png(page, tmp_path / "none.png")
+    with pytest.raises(ViewerError, match=r"no browser .*apt-get install chromium"):
+        monkeypatch.setenv("OSC_CONTACT_BROWSER", "/no/browser/here")
+        write_png(page, tmp_path / "none.png")
+    assert not (tmp_path / "none.png").exists()

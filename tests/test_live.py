@@ -1,0 +1,376 @@
+"""The live view: what its browsers get, what is open to whom, and that the loop never waits."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import json
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import umsgpack
+from scene_samples import ARMS, BASE, BODIES, URDF, make_recording
+from tornado.websocket import WebSocketClientConnection, websocket_connect
+
+import osc_contact as osc
+from osc_contact.errors import InvalidInputError, ViewerError
+from osc_contact.visual.content import Content, content_from, described
+from osc_contact.visual.live import Viewer
+
+MODULE = "osc_contact.experiments.live_page"
+CONTENT = Content("test", ARMS, BODIES, ("left_end", "right_end"))
+RECORDING = make_recording()
+TICKS = [{k: v[i] for k, v in RECORDING.channels.items()} for i in range(len(RECORDING))]
+TICK_S = 1e-3
+
+
+@pytest.fixture(scope="module")
+def lasting() -> Iterator[Viewer]:
+    """For tests that leave it as it was."""
+    with Viewer(MODULE, {"content": described(CONTENT), "size": 0.6}, rate=60.0) as opened:
+        assert "has not begun" in get(opened)[1], "the page before the first tick"
+        opened.show(TICKS[0])
+        yield opened
+
+
+@pytest.fixture
+def viewer() -> Iterator[Viewer]:
+    with Viewer(MODULE, {"content": described(CONTENT), "size": 0.6}, rate=60.0) as opened:
+        yield opened
+
+
+def port(viewer: Viewer) -> int:
+    return int(viewer.url.rsplit(":", 1)[1].strip("/"))
+
+
+def get(viewer: Viewer, path: str = "/", **headers: str) -> tuple[int, str]:
+    connection = HTTPConnection("127.0.0.1", port(viewer), timeout=20)
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    text = answer.read().decode()
+    connection.close()
+    return answer.status, text
+
+
+def feed(viewer: Viewer, seconds: float, ticks: list[dict[str, Any]] = TICKS) -> np.ndarray:
+    """Show ticks at about 1 kHz; wall and CPU seconds (n, 2) of each call.
+
+    Without the garbage collector, which clears up after the other tests in whichever call it likes.
+    """
+    spent = []
+    gc.disable()
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        wall, cpu = time.perf_counter(), time.thread_time()
+        viewer.show(ticks[len(spent) % len(ticks)])
+        spent.append((time.perf_counter() - wall, time.thread_time() - cpu))
+        time.sleep(TICK_S)
+    gc.enable()
+    return np.array(spent)
+
+
+def assert_no_tick_lost(spent: np.ndarray) -> None:
+    """At most one call computes for as long as a tick, and none waits.
+
+    Wall times have slack: the operating system may pause any program for a while.
+    """
+    wall, cpu = spent.T
+    assert (cpu > TICK_S).sum() <= 1, f"calls computed for {1e3 * np.sort(cpu)[-3:]} ms"
+    assert np.percentile(cpu, 99.0) < 0.5 * TICK_S and np.percentile(wall, 99.0) < 2.0 * TICK_S
+    assert wall.max() < 0.1, f"a call took {1e3 * wall.max():.0f} ms: it waited"
+
+
+class Client:
+    """A browser without a screen: takes messages, says when it has drawn them."""
+
+    def __init__(self, socket: WebSocketClientConnection) -> None:
+        self.socket = socket
+        self.matrices: dict[str, np.ndarray] = {}
+        self.visible: dict[str, bool] = {}
+        self.drawn: set[str] = set()
+
+    async def picture(self, timeout: float = 10.0) -> dict[str, Any]:
+        """Everything up to the numbers that end a picture."""
+        while True:
+            message = await asyncio.wait_for(self.socket.read_message(), timeout)
+            assert message is not None, "the server has gone"
+            if isinstance(message, str):
+                return json.loads(message)
+            command = umsgpack.unpackb(message)
+            if command["type"] == "set_transform":
+                self.matrices[command["path"]] = np.reshape(command["matrix"], (4, 4)).T
+            elif command["type"] == "set_object":
+                self.drawn.add(command["path"])
+            else:
+                assert command["property"] == "visible"
+                self.visible[command["path"]] = command["value"]
+
+    async def ready(self) -> None:
+        await self.socket.write_message(".")
+
+    async def leave(self) -> None:
+        self.socket.close()
+        while await self.socket.read_message() is not None:
+            continue
+
+
+async def connect(viewer: Viewer) -> Client:
+    return Client(await websocket_connect(viewer.url.replace("http", "ws") + "frames"))
+
+
+def expected(tick: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Placements that the picture of a tick must have, by Pinocchio alone."""
+    model = pin.buildModelFromUrdf(str(URDF / "scara_left.urdf"))
+    data = model.createData()
+    pin.forwardKinematics(model, data, tick["q"])
+    joints = ("joint1", "joint2", "joint3", "hinge")
+    return {
+        f"/meshcat/arms/left/{name}": (BASE * data.oMi[model.getJointId(name)]).homogeneous
+        for name in joints
+    } | {"/meshcat/bodies/rod": pin.XYZQUATToSE3(tick["pose"]).homogeneous}
+
+
+def test_browsers_get_the_newest_tick_and_only_when_they_have_drawn_the_last(
+    lasting: Viewer,
+) -> None:
+    lasting.show(TICKS[0])
+
+    async def watch() -> None:
+        client = await connect(lasting)
+        picture = await client.picture()
+        for tick in (30, 45, 100):
+            newest = TICKS[tick]
+            while picture["t"] != newest["t"]:
+                await asyncio.sleep(0.02)
+                lasting.show(newest)
+                await client.ready()
+                picture = await client.picture()
+            for path, placed in expected(newest).items():
+                assert np.allclose(client.matrices[path], placed, atol=1e-5), path
+            tip = client.matrices["/meshcat/contacts/left_end"]
+            assert np.allclose(tip[:3, 3], newest["contact_point"][0], atol=1e-6)
+            shaft = client.matrices["/meshcat/contacts/left_end/true/shaft"]
+            length = np.linalg.norm(shaft[:3, 1]) - shaft[1, 3]
+            assert length == pytest.approx(0.01 * newest["alpha_true"][0], abs=1e-5)
+            assert client.visible["/meshcat/contacts/left_end/lost"] == (tick == 45)
+            assert picture["y"][2:4] == pytest.approx(newest["alpha_true"], rel=1e-3)
+        for i in range(40):  # it has not said that it is ready
+            lasting.show(TICKS[i])
+            await asyncio.sleep(0.02)
+        with pytest.raises(TimeoutError):
+            await client.picture(0.3)
+        await client.ready()
+        assert (await client.picture())["t"] == TICKS[39]["t"], "what lies between is left out"
+        assert "/meshcat/trails/object" in client.drawn
+        late = await connect(lasting)
+        await late.picture()
+        assert late.matrices.keys() >= expected(TICKS[0]).keys(), "a late one gets everything"
+        assert lasting.count_browsers() in (1, 2)
+        await client.leave()
+        await late.leave()
+
+    asyncio.run(watch())
+    end = time.monotonic() + 5.0
+    while lasting.count_browsers():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_the_page_holds_the_scene_after_the_first_tick(lasting: Viewer) -> None:
+    status, text = get(lasting)
+    end = time.monotonic() + 20.0
+    while "CONFIG" not in text:
+        assert status == 200 and time.monotonic() < end
+        time.sleep(0.05)
+        status, text = get(lasting)
+    assert '"live": true' in text and "new WebSocket" in text
+    assert "connect-src data: blob: 'self'" in text
+
+
+def test_only_a_loopback_socket_is_open(lasting: Viewer) -> None:
+    pid = lasting._process.pid
+    links = (os.readlink(f"/proc/{pid}/fd/{fd}") for fd in os.listdir(f"/proc/{pid}/fd"))
+    own = {link[8:-1] for link in links if link.startswith("socket:[")}
+    opened, listening = [], []
+    for family in ("tcp", "tcp6", "udp", "udp6"):
+        for line in Path(f"/proc/{pid}/net/{family}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[9] in own:
+                opened.append((family, fields[1]))
+                listening += opened[-1:] if fields[3] == "0A" else []
+    loopback = socket.inet_aton("127.0.0.1")[::-1].hex().upper()
+    assert all(family == "tcp" and where.startswith(loopback) for family, where in opened)
+    assert listening == [("tcp", f"{loopback}:{port(lasting):04X}")]
+    others = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None)}
+    for address in others - {"127.0.0.1", "::1"}:
+        with pytest.raises(OSError):
+            socket.create_connection((address, port(lasting)), timeout=2.0).close()
+
+
+def test_foreign_names_and_foreign_pages_get_nothing(lasting: Viewer) -> None:
+    lasting.show(TICKS[0])
+    assert get(lasting, Host="evil.example")[0] == 404
+    assert get(lasting, Host=f"localhost:{port(lasting)}")[0] == 200
+    for path in ("/static/../etc/passwd", "//etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/frames/x"):
+        assert get(lasting, path)[0] in (400, 404)
+
+    upgrade = {
+        "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+    }  # fmt: skip
+    assert get(lasting, "/frames", **upgrade, Origin="http://evil.example")[0] == 403
+    named = {"Host": "evil.example", "Origin": "http://evil.example"}
+    assert get(lasting, "/frames", **upgrade, **named)[0] == 404
+
+
+def test_a_flood_of_bad_requests_costs_the_loop_nothing(lasting: Viewer) -> None:
+    feed(lasting, 0.2)
+    script = f"""
+import socket
+from http.client import HTTPConnection
+for i in range(20):
+    with socket.create_connection(("127.0.0.1", {port(lasting)})) as raw:
+        raw.sendall(b"\\0\\xff garbage " * 500)
+    connection = HTTPConnection("127.0.0.1", {port(lasting)})
+    for k in range(200):
+        connection.request("GET", f"/no/such/page/{{i}}/{{k}}" + "x" * 500)
+        answer = connection.getresponse()
+        answer.read()
+        assert answer.status == 404
+"""
+    spent = []
+    with subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE) as flood:
+        while flood.poll() is None:
+            spent.append(feed(lasting, 0.2))
+        assert flood.returncode == 0, flood.stderr.read().decode()
+    assert_no_tick_lost(np.concatenate(spent))
+    assert lasting.error is None and get(lasting)[0] == 200
+
+    async def watch() -> None:
+        client = await connect(lasting)
+        first = await client.picture()
+        await client.ready()
+        feed(lasting, 0.2)
+        assert (await client.picture())["t"] != first["t"]
+        await client.leave()
+
+    asyncio.run(watch())
+
+
+@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "stopped"])
+def test_a_dead_or_frozen_viewer_is_reported_once_and_never_waited_for(
+    viewer: Viewer, blow: signal.Signals, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, "osc_contact.viewer"):
+        assert_no_tick_lost(feed(viewer, 0.5))
+        viewer._process.send_signal(blow)
+        assert_no_tick_lost(feed(viewer, 2.5))
+        assert isinstance(viewer.error, ViewerError)
+        (record,) = caplog.records
+    words = "has ended" if blow == signal.SIGKILL else "has taken nothing for 1 s"
+    assert words in record.getMessage() and "the run goes on" in record.getMessage()
+    viewer.close()
+    assert viewer._process.poll() is not None
+
+
+def test_a_run_is_the_same_with_a_viewer_that_dies_in_it(caplog: pytest.LogCaptureFixture) -> None:
+    scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
+    plain = osc.run(scenario, duration=0.15)
+    with osc.open_viewer(scenario, rate=60.0) as viewer:
+        watched = osc.run(
+            scenario,
+            duration=0.15,
+            progress=lambda t: viewer._process.kill() if t > 0.05 else None,
+            viewer=viewer,
+        )
+        assert viewer.error is not None and len(caplog.records) == 1
+    for name, values in plain.channels.items():
+        if name != "tick_s":
+            assert np.array_equal(values, watched[name]), name
+
+
+def test_nothing_that_is_shown_can_raise(viewer: Viewer, caplog: pytest.LogCaptureFixture) -> None:
+    viewer.show(TICKS[0])
+    viewer._due = 0.0
+    viewer.show({"t": 0.0, "q": "no numbers"})
+    assert "does not fit the first one" in str(viewer.error) and len(caplog.records) == 1
+    viewer.show(TICKS[1])
+    assert len(caplog.records) == 1
+
+
+def test_at_most_so_many_ticks_per_second_are_sent() -> None:
+    with Viewer(MODULE, {"content": described(CONTENT), "size": 0.6}, rate=20.0) as viewer:
+        sent = 0
+        end = time.monotonic() + 1.0
+        while time.monotonic() < end:
+            due = viewer._due
+            viewer.show(TICKS[0])
+            sent += viewer._due != due
+            time.sleep(TICK_S)
+        assert 2 <= sent <= 21
+    for rate in (0.0, 61.0, float("nan")):
+        with pytest.raises(InvalidInputError, match="1 to 60"):
+            Viewer(MODULE, {}, rate=rate)
+
+
+def test_the_server_ends_with_the_program_however_that_ends() -> None:
+    script = (
+        "import os, sys; sys.path.insert(0, 'tests'); import test_live as t\n"
+        "viewer = t.Viewer(t.MODULE, {'content': t.described(t.CONTENT), 'size': 0.6})\n"
+        "print(viewer._process.pid, flush=True); os._exit(7)"
+    )
+    root = Path(__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=root)
+    assert done.returncode == 7, done.stderr
+    pid, end = int(done.stdout), time.monotonic() + 10.0
+    while Path(f"/proc/{pid}").exists():
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        if state == "Z":
+            break
+        assert time.monotonic() < end, "the server outlives the program"
+        time.sleep(0.05)
+
+
+def test_a_viewer_that_cannot_start_says_why() -> None:
+    with pytest.raises(ViewerError, match=r"does not start: .*no_such_module"):
+        Viewer("osc_contact.no_such_module", {})
+    with pytest.raises(ViewerError, match="does not start: KeyError: 'size'"):
+        Viewer(MODULE, {"content": described(CONTENT)})
+
+
+def test_content_survives_the_way_to_another_process() -> None:
+    again = content_from(json.loads(json.dumps(described(CONTENT))))
+    assert described(again) == described(CONTENT)
+    assert again.arms[0].q_slice == ARMS[0].q_slice and again.arms[0].base.isApprox(BASE)
+    assert again.bodies[0].placement is None and again.bodies[1].face == 0
+
+
+def test_no_part_of_meshcat_that_opens_sockets_is_imported() -> None:
+    script = (
+        "import sys, osc_contact.experiments.live_page\n"
+        "from osc_contact.visual.page import CommandSink\n"
+        "CommandSink().visualizer()\n"
+        "print([m for m in sys.modules if 'ngrok' in m])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
+def test_a_viewer_that_cannot_draw_ends_and_is_reported(caplog: pytest.LogCaptureFixture) -> None:
+    broken = described(CONTENT)
+    broken["bodies"][0]["urdf"] = "/no/such/file.urdf"
+    with Viewer(MODULE, {"content": broken, "size": 0.6}, rate=60.0) as viewer:
+        assert_no_tick_lost(feed(viewer, 1.5))
+        assert "has ended (exit code" in str(viewer.error) and len(caplog.records) == 1
