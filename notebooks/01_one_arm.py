@@ -64,7 +64,7 @@ with style():
         mass = 1 / np.einsum("ik,ij,jk->k", directions, Phi, directions)
         axes.plot(angle, mass, color=contact_colour(i), label=f"elbow at {elbow} rad")
     axes.set_title("apparent mass (kg), 0° forwards, 90° upwards")
-    axes.legend(loc="lower right")
+    axes.legend(loc="upper left", bbox_to_anchor=(0.85, 0.1))
 plt.close(figure)
 figure
 
@@ -112,8 +112,9 @@ for k in range(2000):
 print(f"largest miss after 1 s: {1e3 * miss:.2f} mm")
 
 # %%
+from osc_contact.visual.bodies import ArmVisual
 from osc_contact.visual.embed import embed
-from osc_contact.visual.scene import ArmVisual, write_scene
+from osc_contact.visual.scene import write_scene
 
 fingers = np.full((len(rows), 2), 0.02)  # the drawing has two joints more than the chain
 recording = osc.Recording(

@@ -51,8 +51,8 @@ print(f"the nearest frame misses N by {np.degrees(np.arcsin(rod.residual)):.1f}Â
 # ## What the nearest frame costs
 #
 # The best a selection matrix can do, searched over all frames: the law with that frame, against
-# ours that takes N itself. A step of one desired force is asked for. By how much does the rod's
-# acceleration change, and the other force?
+# ours that takes N itself. A force command should not accelerate the rod along its free motions,
+# and a motion command should not change a force. By how much do they?
 
 # %%
 from osc_contact.experiments.baselines.coupling import Instant
@@ -100,7 +100,7 @@ plots.contact_forces(runs["ours"], [0.3], judged_from=0.1)
 # %%
 from pathlib import Path
 
-from osc_contact.experiments.report import write_scene_of
+from osc_contact.experiments.viewing import write_scene_of
 from osc_contact.visual.embed import embed
 
 embed(write_scene_of(runs["ours"], osc.build_rig(moving), Path("scene.html")))

@@ -158,7 +158,7 @@ plots.contact_forces(recording, recording.meta["force_steps_s"], judged_from=0.1
 # %%
 from pathlib import Path
 
-from osc_contact.experiments.report import write_scene_of
+from osc_contact.experiments.viewing import write_scene_of
 from osc_contact.visual.embed import embed
 
 embed(write_scene_of(recording, rig, Path("scene.html")))

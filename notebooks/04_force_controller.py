@@ -138,7 +138,7 @@ plots.tracking(runs["leaking integral"])
 # %%
 from pathlib import Path
 
-from osc_contact.experiments.report import write_scene_of
+from osc_contact.experiments.viewing import write_scene_of
 from osc_contact.visual.embed import embed
 
 embed(write_scene_of(runs["leaking integral"], osc.build_rig(scenario), Path("scene.html")))

@@ -317,8 +317,7 @@ assert allocations(kernel) == border == 8
 before = sys.getallocatedblocks()
 for _ in range(100_000):
     controller.tick(measurement, reference)
-    controller.motion_law.integral[:] = 0.0
-    controller.force_law.integral[:] = 0.0
+    controller.motion_law.memory[:] = controller.force_law.memory[:] = 0.0
 after = sys.getallocatedblocks()
 assert controller.status is osc.Status.OK, controller.reason
 assert abs(after - before) < 50, after - before

@@ -111,7 +111,7 @@ def test_docstrings_reach_the_pages(site: Path) -> None:
 def test_notebooks_are_pages(site: Path) -> None:
     text = (site / "notebooks/03_two_contact_task.html").read_text(encoding="utf-8")
     assert "no constraint frame" in text and "build_rig" in text
-    assert "%matplotlib" not in text and "fmt: skip" not in text
+    assert "matplotlib</span> <span" not in text and "fmt: skip" not in text
 
 
 def test_a_link_that_leads_nowhere_stops_the_build(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ class NotebookParser(MystParser):
 def as_markdown(cell: Any) -> str:
     if cell.cell_type != "code":
         return str(cell.source)
-    lines = [line for line in cell.source.splitlines() if not line.startswith("# %")]
+    lines = [line for line in cell.source.splitlines() if not line.startswith("%")]
     shown = "\n".join(line.removesuffix("  # fmt: skip") for line in lines)
     return "\n\n".join([fenced("python", shown), *map(output, cell.outputs)])
 
