@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +16,7 @@ import pinocchio as pin
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.allocation import Allocation
+from osc_contact.control.border import Status, independent, limited, require_sound, take_in
 from osc_contact.control.command_filter import (
     filtered_motion,
     generalised_force,
@@ -37,21 +37,13 @@ from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.environment import Environment
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError
-from osc_contact.interface import Measurement, Reference, Touched
+from osc_contact.interface import Measurement, Reference
 from osc_contact.spatial import Array, as_array
 
 if TYPE_CHECKING:
     from osc_contact.control.compiled import CompiledTick
 
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
-
-
-class Status(IntEnum):
-    """How a tick ended. Anything but OK leaves a torque within limits and a reason to read."""
-
-    OK = 0
-    SATURATED = 1  #: a motor limit was reached: torques were scaled, integrators held
-    HELD = 2  #: bad measurement or degenerate posture: the last good torques were repeated
 
 
 @dataclass(frozen=True)
@@ -110,22 +102,7 @@ class Controller:
             InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
                 although there are contacts: their forces could not be measured.
         """
-        if not (np.isfinite(dt) and dt > 0.0):
-            raise InvalidInputError(f"dt = {dt}; give the control period in seconds, > 0")
-        if isinstance(B, str) and B not in ("object", "chain"):
-            raise InvalidInputError(f"B = '{B}'; give 'object', 'chain' or a (6, 6) matrix")
-        blind = [arm.name for arm in chain.arms if arm.wrist_sensor is None]
-        if contacts and blind:
-            raise InvalidInputError(
-                f"contact forces are measured in the wrists of all arms together, but {blind} "
-                "have no wrist_sensor; name its frame when loading the arm"
-            )
-        if bodies is not None and len(bodies) != len(contacts):
-            raise InvalidInputError(
-                f"{len(contacts)} contacts but {len(bodies)} bodies; give one for each contact"
-            )
-        if friction is not None:
-            friction.require_known_points(contacts)
+        require_sound(chain, contacts, dt, B, bodies, friction)
         gains = Gains() if gains is None else gains
         self.chain = chain
         self.friction = friction
@@ -353,7 +330,7 @@ class Controller:
 
     @block("force law", "force", r"$\alpha_d + K_i\!\int(\alpha_d-\alpha_{meas})$")
     def _force_law(self, s: Signals) -> None:
-        desired = _independent(s.alpha_d, s.contact) if self.engaged else np.zeros(0)
+        desired = independent(s.alpha_d, s.contact) if self.engaged else np.zeros(0)
         speed = s.contact.N.T @ (s.state.V_O - s.environment.V_e)
         s.alpha_u = self.force_law.command(desired, s.alpha_meas, speed)
 
@@ -423,16 +400,7 @@ class Controller:
 
     def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
         self.status, self._reason = Status.OK, ""
-        arms, contacts = len(self.chain.arms), len(self.contacts)
-        s.q, s.v = measurement.q, measurement.v
-        s.wrenches = as_array("wrist wrenches", measurement.wrenches, (arms, 6))
-        s.touched = None if measurement.touched is None else _checked(measurement.touched, contacts)
-        s.alpha_d = as_array("reference alpha_d", reference.alpha_d, (None,))
-        s.squeeze_d = float(as_array("reference squeeze_d", reference.squeeze_d, ()))
-        as_array("reference V_D", reference.V_D, (6,))
-        as_array("reference A_D", reference.A_D, (6,))
-        as_array("reference X_WD", reference.X_WD.homogeneous, (4, 4))
-        s.reference = reference
+        take_in(measurement, reference, s, len(self.chain.arms), len(self.contacts))
 
     def _metric(self, state: ChainState) -> Array:
         if isinstance(self.B, str):
@@ -443,17 +411,10 @@ class Controller:
         return self.B
 
     def _limited(self, tau: Array) -> Array:
-        """Scale all torques by one factor until every motor is within its limit."""
-        if not np.isfinite(tau).all():
-            raise InvalidInputError(f"computed torques are not finite: {tau}")
-        excess = float(np.max(np.abs(tau) / self.chain.tau_max, initial=0.0))
-        if excess <= 1.0:
-            return tau
-        motor = int(np.argmax(np.abs(tau) / self.chain.tau_max))
-        name = self.chain.joint_names[self.chain.actuated[motor]]
-        self.status = Status.SATURATED
-        self._reason = f"{name}: {tau[motor]:.4g} of ±{self.chain.tau_max[motor]:.4g} wanted"
-        return tau / excess
+        tau, reason = limited(tau, self.chain)
+        if reason:
+            self.status, self._reason = Status.SATURATED, reason
+        return tau
 
 
 _STAGES = Controller.STAGES  #: what the kernels compute; others are read box by box
@@ -461,21 +422,3 @@ _STATUS = ((Status.OK, ""), (Status.SATURATED, None))
 _ASK = 2  #: the kernels' answer where the readable path must decide
 _AT_REST = Environment.fixed()
 _STILL = np.zeros(6)
-
-
-def _independent(alpha_d: Array, contact: Contact) -> Array:
-    """Desired magnitudes (r,) of the independent columns of N from those of all columns."""
-    if len(alpha_d) != contact.R.shape[1]:
-        raise InvalidInputError(
-            f"reference alpha_d: {len(alpha_d)} forces for {contact.R.shape[1]} columns of N; give "
-            "one for each degree of constraint, contact after contact"
-        )
-    return contact.R @ alpha_d
-
-
-def _checked(touched: Touched, contacts: int) -> Touched:
-    return Touched(
-        as_array("touched X_WE", touched.X_WE, (contacts, 4, 4)),
-        as_array("touched V_E", touched.V_E, (contacts, 6)),
-        as_array("touched A_E", touched.A_E, (contacts, 6)),
-    )
