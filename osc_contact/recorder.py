@@ -66,6 +66,16 @@ class Recording:
     def __contains__(self, name: object) -> bool:
         return name in self.channels
 
+    @property
+    def magnitude_names(self) -> list[str]:
+        """Names of the columns of alpha: the contact's, or contact.1, contact.2, … if several."""
+        names = [str(name) for name in self.meta.get("contact_names", [])]
+        owners = list(self.meta.get("columns", range(len(names))))
+        return [
+            names[i] if owners.count(i) == 1 else f"{names[i]}.{owners[:k].count(i) + 1}"
+            for k, i in enumerate(owners)
+        ]
+
     def __len__(self) -> int:
         """Return the number of control ticks."""
         return len(next(iter(self.channels.values()), ()))

@@ -183,7 +183,12 @@ def schema_keys(model: type[BaseModel], prefix: str = "") -> tuple[dict[str, Any
     return keys, signals
 
 
-OF_EACH_KIND = {"motion.kind", "contacts.face.motion.type"}
+OF_EACH_KIND = {
+    "motion.kind",
+    "contacts.type",
+    "contacts.face.motion.type",
+    "environment.motion.type",
+}
 """Each kind has its own model, of which this key is the default."""
 GROUPS = {"gains.motion", "gains.force", "control", "model_error", "plant"}
 SCENARIO_TABLES = (
@@ -238,7 +243,7 @@ def test_every_metric_is_documented(recording: osc.Recording) -> None:
 
 
 def test_every_channel_is_documented_with_its_shape(recording: osc.Recording) -> None:
-    sizes = {"T": len(recording), "n": 10, "n_a": 8, "r": 2}
+    sizes = {"T": len(recording), "n": 10, "n_a": 8, "r": 2, "c": 2}
     told = {}
     for row in table_rows("metrics.md", "The recording"):
         shape = tuple(

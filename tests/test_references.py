@@ -61,13 +61,14 @@ def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages():
 
 
 def test_common_tangent_lies_in_every_face_and_must_be_unique():
-    pairs = osc.build_rig(osc.load_scenario("two_contact_rod")).pairs
-    u = common_tangent(pairs)
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    pairs, X = rig.pairs, rig.state().X_WO
+    u = common_tangent(pairs, X)
     assert np.linalg.norm(u) == pytest.approx(1.0)
     for pair in pairs:
         assert abs(u @ pair.normal) < 1e-12
     with pytest.raises(osc.ScenarioError, match="span 1"):
-        common_tangent(pairs[:1])
+        common_tangent(pairs[:1], X)
 
 
 def test_force_steps_are_found():

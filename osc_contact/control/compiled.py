@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.contacts.contact import Contact
 from osc_contact.control.found import Found
 from osc_contact.control.pack import pack
 from osc_contact.errors import OscContactError
@@ -62,13 +63,10 @@ class CompiledTick:
         self._arrays, self._pairs = pack(controller, self._data)
         self.state, self.tau = self._arrays[at.STATE], self._arrays[at.TAU]
         self._bound = np.zeros((at.COUNT, 4), dtype=np.int64)
-        for row, array in self._arrays.items():
-            self._bound[row, 0] = array.__array_interface__["data"][0]
-            self._bound[row, 1 : 1 + array.ndim] = array.shape
-        self._error_sum = self.state[at.ERROR_SUM : at.TARE]
+        self._bind()
         self.tare, self.bias = self.state[at.TARE : at.BIAS], self.state[at.BIAS : at.FORCE_SUM]
-        self._force_sums = [self.state[at.FORCE_SUM : at.FORCE_SUM + r] for r in range(7)]
-        self._force_sum: Array | None = None
+        controller.motion_law.memory = self.state[at.ERROR_SUM : at.TARE]
+        controller.force_law.memory = self.state[at.FORCE_SUM :]
         self._moved = False
         self._bodies = [
             (c, body)
@@ -76,19 +74,15 @@ class CompiledTick:
             if body is not None and self._arrays[at.BODIES_I][c].tolist() == [at.ELSEWHERE, c]
         ]
         self._elsewhere = bool(self._pairs.elsewhere or self._bodies)
-        self.found = _found(self._arrays)
         self._crba, self._kernel = pin.crba, _kernel()
         self._load()
 
     def __call__(self, measurement: Measurement, reference: Reference, engaged: bool) -> int:
         """OK, SATURATED or ASK: then nothing has changed, and the readable path must decide."""
-        motion, force = self._controller.motion_law, self._controller.force_law
         try:
             q = measurement.q
             touched = measurement.touched
             self._crba(self._model, self._data, q, self._world)
-            if motion.integral is not self._error_sum or force.integral is not self._force_sum:
-                self._take_integrals()
             if touched is not None or self._moved:
                 self._move(touched)
             if self._elsewhere and engaged and not self._evaluate(measurement):
@@ -100,9 +94,6 @@ class CompiledTick:
             )  # fmt: skip
         except _REFUSED:
             return at.ASK
-        r = code >> 2
-        if code & 3 == at.OK and force.integral is not self._force_sums[r]:
-            force.integral = self._force_sum = self._force_sums[r]
         return code & 3
 
     def bare_call(
@@ -150,19 +141,21 @@ class CompiledTick:
         )  # fmt: skip
         return measurement, reference, before
 
-    # --- before the kernel ---------------------------------------------------------------------
+    def _bind(self) -> None:
+        for row, array in self._arrays.items():
+            self._bound[row, 0] = array.__array_interface__["data"][0]
+            self._bound[row, 1 : 1 + array.ndim] = array.shape
+        self.found = _found(self._arrays)
 
-    def _take_integrals(self) -> None:
-        """Integrals that somebody else has set since the last tick."""
-        motion, force = self._controller.motion_law, self._controller.force_law
-        if motion.integral is not self._error_sum:
-            self._error_sum[:] = motion.integral
-            motion.integral = self._error_sum
-        if force.integral is not self._force_sum:
-            r = len(force.integral)
-            self._force_sums[r][:] = force.integral
-            self.state[at.FORCE_RANK] = r
-            force.integral = self._force_sum = self._force_sums[r]
+    def _repack(self, columns: dict[int, int]) -> None:
+        """Make room for other numbers of columns, by the pair's number."""
+        kept = (at.STATE, at.TAU, at.SIGNALS, at.TOUCHED)
+        keep = {row: self._arrays[row] for row in kept}
+        arrays, self._pairs = pack(self._controller, self._data, columns)
+        self._arrays = arrays | keep
+        self._bind()
+
+    # --- before the kernel ---------------------------------------------------------------------
 
     def _move(self, touched: Touched | None) -> None:
         """Poses, twists and accelerations of the touched bodies; None: they rest in the world."""
@@ -181,7 +174,7 @@ class CompiledTick:
     def _evaluate(self, measurement: Measurement) -> bool:
         """What only Python code can tell: N and n_γ of some pairs, Φ_e, b_e, V_e of some bodies.
 
-        Returns False where a pair has fewer or dependent columns at this instant.
+        Returns False where the columns of a pair are dependent at this instant.
         """
         chain = self._controller.chain
         frame = self._model.frames[chain.tips[0]]
@@ -190,13 +183,20 @@ class CompiledTick:
         V = self._data.J[:, s] @ measurement.v[s]
         V[:3] += np.cross(V[3:], X_WO.translation)
         touched = measurement.touched
-        for number, pair, first in self._pairs.elsewhere:
+        found: dict[int, Contact] = {}
+        for number, pair, _ in self._pairs.elsewhere:
             if touched is None:
                 contact = pair.contact(X_WO, V)
             else:
                 contact = pair.contact(X_WO, V, pin.SE3(touched.X_WE[number]), touched.V_E[number])
-            if contact.r != self._pairs.table[number, 2] or not contact.split_is_unique:
+            if not contact.split_is_unique:
                 return False
+            found[number] = contact
+        table = self._pairs.table
+        if any(contact.r != table[number, 2] for number, contact in found.items()):
+            self._repack({number: contact.r for number, contact in found.items()})
+        for number, _, first in self._pairs.elsewhere:
+            contact = found[number]
             self._arrays[at.N_O][first : first + contact.r] = contact.N.T
             self._arrays[at.COLUMNS][at.N_GAMMA, first : first + contact.r] = contact.n_gamma
         if touched is not None:

@@ -88,7 +88,17 @@ class ForceLaw:
 
     gains: ForceGains
     dt: float
-    integral: Array = field(default_factory=lambda: np.zeros(0))  #: (r,) N
+    memory: Array = field(default_factory=lambda: np.zeros(7))  #: the integral (≤ 6) and its r
+
+    @property
+    def integral(self) -> Array:
+        """(r,) K_i ∫(α_d − α_meas) dt (N)."""
+        return self.memory[: int(self.memory[6])].copy()
+
+    @integral.setter
+    def integral(self, value: Array) -> None:
+        r = len(value)
+        self.memory[:r], self.memory[6] = value, r
 
     def __post_init__(self) -> None:
         if self.gains.integral * self.dt >= 1.0:

@@ -47,7 +47,16 @@ class MotionLaw:
 
     gains: MotionGains
     dt: float
-    integral: Array = field(default_factory=lambda: np.zeros(6))  #: ∫e dt (m s, rad s)
+    memory: Array = field(default_factory=lambda: np.zeros(6))  #: where ∫e dt is kept
+
+    @property
+    def integral(self) -> Array:
+        """(6,) ∫e dt (m s, rad s)."""
+        return self.memory.copy()
+
+    @integral.setter
+    def integral(self, value: Array) -> None:
+        self.memory[:] = value
 
     def command(self, reference: Reference, state: ChainState, Omega_m: Array) -> Array:
         """Commanded spatial acceleration (6,) of the object.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,9 +23,14 @@ __all__ = ["Arrays", "pack"]
 Arrays = dict[int, Array]
 
 
-def pack(controller: Controller, data: pin.Data) -> tuple[Arrays, PackedPairs]:
-    """The bound arrays, those of `data` among them as live views, and the contact pairs."""
-    pairs = PackedPairs(controller.contacts)
+def pack(
+    controller: Controller, data: pin.Data, columns: Mapping[int, int] | None = None
+) -> tuple[Arrays, PackedPairs]:
+    """The bound arrays, those of `data` among them as live views, and the contact pairs.
+
+    `columns`: how many columns of N the pairs have that only Python code can evaluate, by number.
+    """
+    pairs = PackedPairs(controller.contacts, columns or {})
     arrays = {
         at.SIZES: _sizes(controller, pairs),
         at.HEAD: _head(controller),

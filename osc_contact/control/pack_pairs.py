@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-import pinocchio as pin
 
 from osc_contact.contacts.pairs import (
     ConeInGroove,
@@ -38,7 +37,8 @@ class PackedPairs:
         elsewhere: (pair, its first column) where only Python code can evaluate the pair.
     """
 
-    def __init__(self, pairs: Sequence[ContactPair]) -> None:
+    def __init__(self, pairs: Sequence[ContactPair], columns: Mapping[int, int]) -> None:
+        """Pack them; `columns`: of the pairs evaluated elsewhere, by number, unknown: 0."""
         table: list[list[int]] = []
         shapes: list[Array] = []
         owners: list[int] = []
@@ -47,7 +47,7 @@ class PackedPairs:
             kind, rows, freedoms = _read(pair)
             r = len(rows) - freedoms
             if kind == GIVEN:
-                r = len(pair.gaps(pin.SE3.Identity()))
+                r = columns.get(number, 0)
                 self.elsewhere.append((number, pair, len(owners)))
             table.append([kind, len(owners), r, len(shapes), number, freedoms])
             shapes.extend(rows)

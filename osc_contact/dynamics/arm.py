@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,7 @@ class Arm:
         passive_joints: names of joints without a motor (gripper hinges).
         wrist_sensor: frame of the 6-axis force/torque sensor; everything outboard of it is weighed
             by it. None: no sensor.
+        locked: positions of the URDF's other joints, which hold still (m, rad).
     """
 
     name: str
@@ -36,6 +37,7 @@ class Arm:
     base: pin.SE3
     passive_joints: tuple[str, ...] = ()
     wrist_sensor: str | None = None
+    locked: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def from_urdf(
@@ -69,6 +71,7 @@ class Arm:
         model = urdf if isinstance(urdf, pin.Model) else robots.load_model(Path(urdf))
         held = dict(locked or {})
         _require_joints(model, (*passive_joints, *held))
+        every_joint = list(model.names)[1:]
         model = _path_to(model, robots.frame_id(model, tip), held)
         if isinstance(urdf, pin.Model):
             _require_sound(model)
@@ -78,7 +81,8 @@ class Arm:
         if mass_factor != 1.0:
             model = _with_masses_scaled(model, mass_factor)
         X_WB = pin.SE3.Identity() if base is None else base
-        return cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor)
+        still = {j: held.get(j, 0.0) for j in every_joint if j not in list(model.names)}
+        return cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor, still)
 
 
 def _require_joints(model: pin.Model, names: Sequence[str]) -> None:

@@ -99,12 +99,13 @@ def _fig1(rig: Rig) -> Figure:
     from osc_contact.visual.contact_picture import draw_contact_state
 
     X = rig.state().X_WO
-    ends = np.array([X.act(pair.vertex) for pair in rig.pairs])
+    pairs = [pair for pair in rig.pairs if isinstance(pair, VertexOnFace)]
+    ends = np.array([X.act(pair.vertex) for pair in pairs])
     return draw_contact_state(
-        points=np.array([pair.point_on_face(X) for pair in rig.pairs]),
-        directions=np.array([pair.direction() for pair in rig.pairs]),
+        points=np.array([pair.point_on_face(X) for pair in pairs]),
+        directions=np.array([pair.direction() for pair in pairs]),
         object_segments=[ends],
-        faces=[_corners(pair) for pair in rig.pairs],
+        faces=[_corners(pair) for pair in pairs],
         title="Fig. 1: two contacts whose normals are skew",
     )
 

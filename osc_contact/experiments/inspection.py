@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -9,8 +10,12 @@ from typing import Any
 import numpy as np
 
 from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs import ContactPair, VertexOnFace
+from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.experiments.contacts import feet
 from osc_contact.experiments.rig import Rig
+from osc_contact.scenarios.touching import magnitude_names
 from osc_contact.spatial import Array
 from osc_contact.visual.contact_picture import common_perpendicular
 from osc_contact.visual.screws import echelon
@@ -25,7 +30,7 @@ class Inspection:
     Attributes:
         d: motions the object can make. r: independent contact forces.
         lines: the report, one sentence each.
-        N, T: bases (6, r), (6, 6−r), columns of N named by `contacts`.
+        N, T: bases (6, r), (6, 6−r), columns of N named by `contacts` (``pad.1``, … if several).
         free: (6, d−r) the motions that are both possible for the arms and permitted by the contact.
         conditioning: largest over smallest apparent mobility of the contact forces, unit-free.
     """
@@ -63,7 +68,8 @@ def inspect_rig(rig: Rig) -> Inspection:
     values = np.linalg.eigvalsh(mobility / np.outer(scale, scale)) if contact.r else np.ones(1)
     conditioning = float(values[-1] / values[0])
     motors = rig.chain.n_a
-    internal = motors - int(np.linalg.matrix_rank(state.G)) if state.d else motors
+    own = sum(t.J.shape[1] - 6 + t.C.shape[1] for t in state.arms)  # motions of an arm alone
+    internal = motors - own - (int(np.linalg.matrix_rank(state.G)) if state.d else 0)
     lines = [
         f"{len(rig.chain.arms)} arm(s), {rig.chain.nq} joints, {motors} motors; "
         f"the object can make d = {state.d} independent motions.",
@@ -73,15 +79,14 @@ def inspect_rig(rig: Rig) -> Inspection:
         *_contact_lines(rig),
         *_skew(rig),
         *(f"free motion {i + 1}: {_twist_words(t)}" for i, t in enumerate(free.T)),
-        f"{internal} internal force(s) can be set without moving the object or pressing harder"
-        + (" (squeeze along the grasp line is one)." if len(rig.chain.arms) == 2 else "."),
+        *_redundancy(len(rig.chain.arms), internal, own),
         f"conditioning of the contact forces: {conditioning:.3g} (1 = independent of each other)",
     ]
     return Inspection(
         d=state.d,
         r=contact.r,
         lines=tuple(lines),
-        contacts=tuple(pair.name for pair in rig.pairs),
+        contacts=tuple(_column_names(rig)),
         N=contact.N,
         T=contact.T,
         free=free,
@@ -103,23 +108,68 @@ def _locked(state: ChainState) -> list[str]:
     ]
 
 
+def _redundancy(arms: int, internal: int, own: int) -> list[str]:
+    lines = []
+    if internal or arms > 1:
+        lines.append(
+            f"{internal} internal force(s) can be set without moving the object or pressing harder"
+            + (" (squeeze along the grasp line is one)." if arms == 2 else ".")
+        )
+    if own:
+        lines.append(f"{own} motion(s) of arms leave the object where it is: postures to choose.")
+    return lines
+
+
+def _column_names(rig: Rig) -> list[str]:
+    """Names of the columns of N, as in commands and metrics."""
+    X = rig.state().X_WO
+    return magnitude_names({pair.name: len(feet(pair, X)[0]) for pair in rig.pairs})
+
+
 def _contact_lines(rig: Rig) -> list[str]:
     X = rig.state().X_WO
-    return [
-        f"contact '{pair.name}': force along {_vector(pair.direction())} into the face, "
-        f"through {_vector(pair.point_on_face(X))} m."
-        for pair in rig.pairs
-    ]
+    lines = []
+    for i, pair in enumerate(rig.pairs):
+        points, directions = feet(pair, X)
+        if len(points) == 1:
+            kind = (
+                "the face"
+                if isinstance(pair, VertexOnFace)
+                else f"the {_words(pair).split()[-1]} of '{_body(rig, i)}'"
+            )
+            lines.append(
+                f"contact '{pair.name}': force along {_vector(directions[0])} into {kind}, "
+                f"through {_vector(points[0])} m."
+            )
+            continue
+        sign = "pushing only" if pushes_only(pair) else "of either sign"
+        lines.append(
+            f"contact '{pair.name}' ({_words(pair)} of '{_body(rig, i)}'): {len(points)} forces at "
+            f"once, {sign}; any force and couple it transmits is made of them:"
+        )
+        lines += [
+            f"  {pair.name}.{k + 1} along {_vector(d)} through {_vector(p)} m"
+            for k, (p, d) in enumerate(zip(points, directions, strict=True))
+        ]
+    return lines
+
+
+def _words(pair: ContactPair) -> str:
+    """FaceOnFace → face on face."""
+    return re.sub(r"(?<!^)(?=[A-Z])", " ", type(pair).__name__).lower()
+
+
+def _body(rig: Rig, contact: int) -> str:
+    return rig.bodies[rig.on[contact]].name
 
 
 def _skew(rig: Rig) -> list[str]:
-    """How the lines of force lie to each other, two at a time."""
+    """How the lines of force lie to each other, two contacts with one line each at a time."""
     X = rig.state().X_WO
+    all_lines = [(pair, *feet(pair, X)) for pair in rig.pairs]
     lines = []
-    for a, b in combinations(rig.pairs, 2):
-        between = common_perpendicular(
-            a.point_on_face(X), a.direction(), b.point_on_face(X), b.direction()
-        )
+    for (a, p, d), (b, q, e) in combinations([one for one in all_lines if len(one[1]) == 1], 2):
+        between = common_perpendicular(p[0], d[0], q[0], e[0])
         names, gap = f"'{a.name}' and '{b.name}'", f"{1e3 * between.distance:.1f} mm apart"
         if between.angle < 1e-9:
             lines.append(f"{names} press along parallel lines, {gap}.")
@@ -143,7 +193,7 @@ def _twist_words(twist: Array) -> str:
     pitch = float(turn @ speed)
     point = np.cross(turn, speed)
     words = f"turning about {_vector(turn)} through {_vector(point)} m from the object's origin"
-    return words + (f", advancing {1e3 * pitch:.1f} mm/rad" if abs(pitch) > 1e-6 else "")
+    return words + (f", advancing {1e3 * pitch:.1f} mm/rad" if abs(pitch) > 5e-5 else "")
 
 
 def _wrench_words(wrench: Array) -> str:

@@ -25,6 +25,7 @@ def metrics(recording: Recording) -> dict[str, Any]:
     contact_fraction {contact}; power {total_rms_W, projected_rms_W, ratio};
     tick_us {p50, p99, p99_9, max}; status {name: ticks}.
 
+    Under force, the magnitudes of a contact with several are called contact.1, contact.2, …
     rms_error is true force minus command; sensing is what fig. 5's filter made of the wrist
     sensors, minus true force; both relative to the mean command (null where that is 0).
 
@@ -66,7 +67,7 @@ def metrics(recording: Recording) -> dict[str, Any]:
 
 def _forces(recording: Recording, rows: Array) -> dict[str, dict[str, float | None]]:
     out = {}
-    for i, name in enumerate(recording.meta["contact_names"]):
+    for i, name in enumerate(recording.magnitude_names):
         command = recording["alpha_cmd"][rows, i]
         truth = recording["alpha_true"][rows, i]
         sensed = recording["alpha_meas"][rows, i]

@@ -8,32 +8,45 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.pairs import VertexOnFace
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.errors import ScenarioError
 from osc_contact.interface import Reference
 from osc_contact.scenarios.schema import Scenario, TareSpec
 from osc_contact.scenarios.signals import MinimumJerk, Step, total
+from osc_contact.scenarios.touching import MAGNITUDES, magnitude_names
 from osc_contact.spatial import Array, cross
 
-__all__ = ["References", "common_tangent", "force_steps"]
+__all__ = ["References", "common_tangent", "force_names", "force_owners", "force_steps"]
 
 
-def common_tangent(pairs: Sequence[VertexOnFace]) -> Array:
-    """The one direction (3,) of translation that lies in every face.
+def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
+    """The one direction (3,) of translation that every contact permits at X_WO.
 
     Raises:
-        ScenarioError: the faces leave none, or more than one.
+        ScenarioError: the contacts leave none, or more than one.
     """
-    normals = np.array([pair.normal for pair in pairs]).reshape(-1, 3)
-    _, s, Vh = np.linalg.svd(normals, full_matrices=True)
+    pushes = [pair.contact(X_WO, np.zeros(6)).N[:3].T for pair in pairs]
+    _, s, Vh = np.linalg.svd(np.vstack([np.zeros((0, 3)), *pushes]), full_matrices=True)
     rank = int(np.count_nonzero(s > 1e-6))
     if rank != 2:
         raise ScenarioError(
-            f"direction: common_tangent needs face normals that span a plane; {len(pairs)} faces "
-            f"span {rank} dimension(s). Give the direction as [x, y, z] instead."
+            f"direction: common_tangent needs contact forces that span a plane; {len(pairs)} "
+            f"contacts span {rank} dimension(s). Give the direction as [x, y, z] instead."
         )
     direction: Array = Vh[2]
     return direction * np.sign(direction[np.abs(direction).argmax()])
+
+
+def force_names(scenario: Scenario) -> list[str]:
+    """Names of all force magnitudes, in the order of alpha: ``tip``, ``pad.1``, ``pad.2``, …"""
+    return magnitude_names({c.name: MAGNITUDES[c.type] for c in scenario.contacts})
+
+
+def force_owners(scenario: Scenario) -> tuple[int, ...]:
+    """The contact of each force magnitude."""
+    owners = [i for i, c in enumerate(scenario.contacts) for _ in range(MAGNITUDES[c.type])]
+    return tuple(owners)
 
 
 def force_steps(scenario: Scenario) -> list[float]:
@@ -68,7 +81,7 @@ class References:
         cls,
         scenario: Scenario,
         X_start: pin.SE3,
-        pairs: Sequence[VertexOnFace],
+        pairs: Sequence[ContactPair],
         standoff: Array,
     ) -> References:
         """Resolve `common_tangent` and check that no face is asked to pull.
@@ -77,17 +90,20 @@ class References:
             ScenarioError: see `common_tangent`; or a desired force is negative at some time.
         """
         directions = tuple(
-            common_tangent(pairs) if move.direction == "common_tangent"
+            common_tangent(pairs, X_start) if move.direction == "common_tangent"
             else np.array(move.direction, dtype=float)
             for move in scenario.motion
         )  # fmt: skip
+        names = force_names(scenario)
         references = cls(scenario, X_start, directions, standoff)
+        pushes = [pushes_only(p) for p, c in zip(pairs, scenario.contacts, strict=True)
+                  for _ in range(MAGNITUDES[c.type])]  # fmt: skip
         for t in np.linspace(0.0, scenario.duration, 2000):
-            for pair, force in zip(pairs, references._forces(float(t)), strict=True):
-                if force < 0.0:
+            for name, pushing, force in zip(names, pushes, references._forces(t), strict=True):
+                if pushing and force < 0.0:
                     raise ScenarioError(
-                        f"force.{pair.name} asks for {force:.3g} N at t = {t:.3g} s; a face cannot "
-                        "pull. Raise the constant part or lower the amplitude."
+                        f"force.{name} asks for {force:.3g} N at t = {t:.3g} s; this contact "
+                        "cannot pull. Raise the constant part or lower the amplitude."
                     )
         return references
 
@@ -122,7 +138,8 @@ class References:
         )
 
     def _forces(self, t: float) -> Array:
-        return np.array([total(self.scenario.force[c.name], t)[0] for c in self.scenario.contacts])
+        signals = self.scenario.force
+        return np.array([total(signals[name], t)[0] for name in force_names(self.scenario)])
 
 
 @dataclass(frozen=True)

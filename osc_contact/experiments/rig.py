@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs import ContactPair, VertexOnFace
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.control.controller import Controller, Gains
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
@@ -22,17 +24,23 @@ from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import ScenarioError
 from osc_contact.experiments import faces, hardware
-from osc_contact.experiments.references import References
+from osc_contact.experiments.contacts import (
+    EnvironmentBody,
+    build_pairs,
+    environment_bodies,
+    pose_of,
+)
+from osc_contact.experiments.references import References, force_owners
 from osc_contact.interface import Measurement
 from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
 from osc_contact.plants.plant import Plant
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
 from osc_contact.response import require_reachable
-from osc_contact.scenarios.schema import PoseSpec, Scenario
+from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 
-__all__ = ["Rig", "build_chain", "build_pairs", "build_rig"]
+__all__ = ["Rig", "build_chain", "build_rig"]
 
 
 @dataclass(frozen=True)
@@ -42,7 +50,7 @@ class Rig:
     Attributes:
         scenario: as loaded.
         chain: the true arms and object. model: the controller's idea of them.
-        pairs: the contacts.
+        pairs: the contacts. bodies: what they are on.
         q_contact: (n,) joint positions with loops closed and contacts touching.
         q_start: (n,) where the run starts: the same, or off the contacts if it begins with a tare.
         references: of the run.
@@ -51,15 +59,11 @@ class Rig:
     scenario: Scenario
     chain: ClosedChain
     model: ClosedChain
-    pairs: tuple[VertexOnFace, ...]
+    pairs: tuple[ContactPair, ...]
+    bodies: tuple[EnvironmentBody, ...]
     q_contact: Array
     q_start: Array
     references: References
-
-    @cached_property
-    def face_placements(self) -> tuple[pin.SE3, ...]:
-        """Pose of each face's surface in its own body."""
-        return tuple(pair.face_placement() for pair in self.pairs)
 
     def plant(self, seed: int = 0) -> Plant:
         """The plant the scenario names, at its start, seen through its sensors.
@@ -78,7 +82,7 @@ class Rig:
                     "a tare needs contacts that open; the rigid plant's are bilateral. "
                     "Use plant.type=mujoco, or set tare: null"
                 )
-            plant = RigidPlant(self.chain, self.pairs, spec.step, faces.rails(self.scenario))
+            plant = RigidPlant(self.chain, self.pairs, spec.step, faces.rails(self.bodies), self.on)
         else:
             source = _folder(self.scenario)
             plant = MujocoPlant(
@@ -86,9 +90,10 @@ class Rig:
                 [robots.resolve_urdf(arm.urdf, source)[0] for arm in self.scenario.arms],
                 robots.resolve_urdf(self.scenario.object.urdf, source)[0],
                 self.pairs,
-                self._face_urdfs(),
+                [(body.urdf[0], body.placement) for body in self.bodies],
                 MujocoOptions(spec.step, spec.solref, spec.solimp, spec.friction),
-                faces.rails(self.scenario),
+                faces.rails(self.bodies),
+                self.on,
                 drives=hardware.drives(self.scenario, self.chain, self.state(), seed),
             )
         plant.reset(self.q_start)
@@ -122,7 +127,9 @@ class Rig:
             Gains(MotionGains(**gains.motion.model_dump()), ForceGains(**gains.force.model_dump())),
             dt=1.0 / self.scenario.control.rate,
             B=self.scenario.control.metric,
-            bodies=faces.bodies(self.scenario),
+            bodies=faces.known_bodies(
+                self.bodies, len(self.pairs), self.scenario.model_error.environment == "ignored"
+            ),
             posture=self.q_contact,
             engaged=self.scenario.tare is None,
             compiled=compiled,
@@ -138,11 +145,24 @@ class Rig:
         if self.scenario.control.contacts == "declared":
             return self.pairs
         urdf = robots.resolve_urdf(self.scenario.object.urdf, _folder(self.scenario))[0]
-        return faces.tracked(self.pairs, urdf, self._face_urdfs())
+        return faces.tracked(self.pairs, urdf, self.bodies)
 
-    def _face_urdfs(self) -> list[Path]:
-        source = _folder(self.scenario)
-        return [robots.resolve_urdf(c.face.urdf, source)[0] for c in self.scenario.contacts]
+    @cached_property
+    def on(self) -> tuple[int, ...]:
+        """The body of each contact, a number of `bodies`."""
+        of = {i: k for k, body in enumerate(self.bodies) for i in body.contacts}
+        return tuple(of[i] for i in range(len(self.pairs)))
+
+    @cached_property
+    def pushing(self) -> NDArray[np.bool_]:
+        """(r,) whether each force magnitude must not become negative."""
+        owners = force_owners(self.scenario)
+        return np.array([pushes_only(self.pairs[i]) for i in owners], dtype=bool)
+
+    @cached_property
+    def d(self) -> int:
+        """Motions the object can make at the start."""
+        return self.state().d
 
     def state(self) -> ChainState:
         """The true chain at rest in contact."""
@@ -172,7 +192,7 @@ def build_rig(scenario: Scenario) -> Rig:
             f"posture: {len(q_guess)} joint positions given; on the way to their tips the arms "
             f"have: {counts}"
         )
-    q_near = reach(chain, q_guess, _pose(scenario.object.pose))
+    q_near = reach(chain, q_guess, pose_of(scenario.object.pose))
 
     def gaps(X_WO: pin.SE3) -> tuple[Array, Array]:
         rest = np.zeros(6)
@@ -191,7 +211,8 @@ def build_rig(scenario: Scenario) -> Rig:
     references = References.of(scenario, state.X_WO, pairs, standoff)
     if scenario.tare is not None:
         q_start = close(chain, reach(chain, q_contact, references.at(0.0).X_WD))
-    return Rig(scenario, chain, model, pairs, q_contact, q_start, references)
+    bodies = environment_bodies(scenario, pairs)
+    return Rig(scenario, chain, model, pairs, bodies, q_contact, q_start, references)
 
 
 def build_chain(scenario: Scenario, arm_mass: float = 1.0, object_mass: float = 1.0) -> ClosedChain:
@@ -202,30 +223,17 @@ def build_chain(scenario: Scenario, arm_mass: float = 1.0, object_mass: float = 
             robots.resolve_urdf(spec.urdf, source)[0],
             name=spec.name,
             tip=spec.tip,
-            base=_pose(spec.base),
+            base=pose_of(spec.base),
             passive_joints=spec.passive_joints,
+            locked=spec.locked_joints,
             wrist_sensor=spec.wrist_sensor,
             mass_factor=arm_mass,
         )
         for spec in scenario.arms
     ]
     body = RigidObject(robots.load_body(robots.resolve_urdf(scenario.object.urdf, source)[0]))
-    grasps = [_pose(scenario.grasps[arm.name]) for arm in scenario.arms]
+    grasps = [pose_of(scenario.grasps[arm.name]) for arm in scenario.arms]
     return ClosedChain(arms, grasps, body.scaled(object_mass))
-
-
-def build_pairs(scenario: Scenario) -> tuple[VertexOnFace, ...]:
-    """The contact pairs of a scenario, in its order."""
-    return tuple(
-        VertexOnFace(
-            vertex=np.array(spec.vertex),
-            point=np.array(spec.face.point),
-            normal=np.array(spec.face.normal),
-            radius=float(spec.radius),
-            name=spec.name,
-        )
-        for spec in scenario.contacts
-    )
 
 
 def _standoff(state: ChainState, contact: Contact, distance: float) -> Array:
@@ -245,10 +253,6 @@ def _require_within_limits(chain: ClosedChain, q: Array) -> None:
                 f"to touch the contacts joint {name} would stand at {q[j]:.4g}, outside its limits "
                 f"[{low[j]:.4g}, {high[j]:.4g}]; move object, faces or base, or change the posture"
             )
-
-
-def _pose(spec: PoseSpec) -> pin.SE3:
-    return pin.SE3(pin.rpy.rpyToMatrix(*spec.rpy), np.array(spec.xyz))
 
 
 def _folder(scenario: Scenario) -> Path | None:

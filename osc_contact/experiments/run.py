@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.control.controller import Controller
 from osc_contact.control.monitor import ContactMonitor
 from osc_contact.errors import PlantError
-from osc_contact.experiments.references import force_steps
+from osc_contact.experiments.contacts import feet
+from osc_contact.experiments.free_motion import free_part
+from osc_contact.experiments.references import force_names, force_owners, force_steps
 from osc_contact.experiments.rig import Rig, build_rig
-from osc_contact.interface import Reference
+from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.plant import Truth
 from osc_contact.recorder import Recorder, Recording
 from osc_contact.scenarios.schema import Scenario
@@ -81,7 +84,7 @@ def _loop(
     plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
     drive, observer = rig.drive(plant), rig.observer()
     acceleration = None
-    tare, monitor = _Tare(rig, controller), ContactMonitor(len(rig.pairs), period)
+    tare, monitor = _Tare(rig, controller), ContactMonitor(len(force_names(scenario)), period)
     began = perf_counter()
     try:
         for k in range(ticks):
@@ -101,8 +104,8 @@ def _loop(
                 "v": measurement.v,
                 "tau": tau,
                 "tick_s": spent,
-                **_watched(controller, monitor),
-                **_channels(rig, controller, reference, truth, measurement.touched is not None),
+                **_watched(rig, controller, monitor),
+                **_channels(rig, controller, reference, truth, measurement),
             }
             recorder.append(**channels)
             if viewer is not None:
@@ -143,8 +146,11 @@ class _Tare:
             self.controller.engage()
 
 
-def _watched(controller: Controller, monitor: ContactMonitor) -> dict[str, Array]:
-    """What the contact monitor tells from projected force and power."""
+def _watched(rig: Rig, controller: Controller, monitor: ContactMonitor) -> dict[str, Array]:
+    """What the contact monitor tells of each magnitude, from projected force and power.
+
+    Where a magnitude may have either sign its size counts.
+    """
     found, count = controller.found(), monitor.contacts
     alpha = speed = np.zeros(count)
     if len(found.alpha_meas) == count:
@@ -152,25 +158,32 @@ def _watched(controller: Controller, monitor: ContactMonitor) -> dict[str, Array
     elif len(found.alpha_meas):  # some contacts depend on others
         contact = controller.last_signals().contact
         alpha, speed = contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
-    seen = monitor.update(alpha, speed)
+    seen = monitor.update(np.where(rig.pushing, alpha, np.abs(alpha)), speed)
     return {"contact_seen": seen.closed, "collision_seen": seen.collision}
 
 
 def _channels(
-    rig: Rig, controller: Controller, reference: Reference, truth: Truth, moving: bool
+    rig: Rig, controller: Controller, reference: Reference, truth: Truth, read: Measurement
 ) -> dict[str, Any]:
     """What the recording keeps of a tick besides joints and torques."""
-    found, r = controller.found(), len(rig.pairs)
+    found, k, r = controller.found(), len(rig.pairs), len(reference.alpha_d)
     wrench = found.f_meas - found.bias_out
     alpha, V_rel = found.alpha_meas, found.V_O
-    if moving or 0 < len(alpha) < r:
+    if read.touched is not None or 0 < len(alpha) < r:
         s = controller.last_signals()
         V_rel = V_rel - s.environment.V_e
         alpha = s.contact.magnitudes(alpha)
     X = truth.X_WO
-    faces = truth.X_WE or (pin.SE3.Identity(),) * r
-    touching = list(zip(rig.pairs, faces, strict=True))
-    seats = rig.face_placements
+    moved = truth.X_WE or (pin.SE3.Identity(),) * k
+    lines = [feet(pair, X, E) for pair, E in zip(rig.pairs, moved, strict=True)]
+    N = np.hstack(
+        [np.zeros((6, 0)), *(lines_of_force((p - X.translation).T, d.T) for p, d in lines)]
+    )
+    free_error = found.free_error
+    if rig.d < 6:
+        held = N if controller.engaged else N[:, :0]
+        free_error = free_part(rig.model, read.q, pin.SE3(found.X_WO), held, found.error)
+    bodies = [rig.bodies[i].placement for i in rig.on]
     return {
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
@@ -178,15 +191,16 @@ def _channels(
         "alpha_meas": alpha if len(alpha) == r else np.zeros(r),
         "alpha_true": truth.alpha,
         "closed": truth.closed,
-        "contact_point": np.array([p.point_on_face(X, E) for p, E in touching]).reshape(r, 3),
-        "contact_direction": np.array([p.direction(E) for p, E in touching]).reshape(r, 3),
+        "N": N,
+        "contact_point": np.array([points.mean(axis=0) for points, _ in lines]).reshape(k, 3),
+        "contact_direction": np.array([directions[0] for _, directions in lines]).reshape(k, 3),
         "face_pose": np.array(
-            [pin.SE3ToXYZQUAT(E * seat) for E, seat in zip(faces, seats, strict=True)]
-        ).reshape(r, 7),
+            [pin.SE3ToXYZQUAT(E * body) for body, E in zip(bodies, moved, strict=True)]
+        ).reshape(k, 7),
         "wrench_meas": wrench,
         "power_total": float(V_rel @ wrench),
         "power_projected": float(V_rel @ found.f_c),
-        "motion_error": found.free_error,
+        "motion_error": free_error,
         "squeeze_cmd": reference.squeeze_d,
         "squeeze": float(found.squeeze[0]),
         "status": int(controller.status),
@@ -203,6 +217,7 @@ def _meta(rig: Rig, seed: int) -> dict[str, object]:
         "arm_names": [arm.name for arm in rig.chain.arms],
         "joint_names": rig.chain.joint_names,
         "contact_names": [pair.name for pair in rig.pairs],
+        "columns": list(force_owners(scenario)),
         "control_rate_hz": scenario.control.rate,
         "force_steps_s": force_steps(scenario),
     }

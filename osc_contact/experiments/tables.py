@@ -36,7 +36,7 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
             f"rms {_percent(force['rms_error_rel'])}, peak {_percent(force['peak_error_rel'])} "
             f"of {force['mean_command_N']:.2f} N; sensed within "
             f"{_percent(force['sensing_rms_rel'])}; closed "
-            f"{100 * verdict['contact_fraction'][name]:.2f} %",
+            f"{100 * verdict['contact_fraction'][name.partition('.')[0]]:.2f} %",
         )
     motion, power, tick = verdict["motion"], verdict["power"], verdict["tick_us"]
     linear, angular = 1e3 * motion["rms_error_m"], 1e3 * motion["rms_error_rad"]

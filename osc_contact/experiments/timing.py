@@ -112,8 +112,8 @@ def _time_tick(
         after_crba = perf_counter_ns()
         kernel()
         row[:] = np.diff((start, after_tick, after_floor, after_crba, perf_counter_ns()))
-        for law in (controller.motion_law, controller.force_law):
-            law.integral[:] = 0.0  # nothing answers: keep the loops from winding up
+        controller.motion_law.integral = np.zeros(6)  # nothing answers: keep the loops from
+        controller.force_law.integral = np.zeros(0)  # winding up
     tick, floor, crba, call = times[_WARM_UP:].T / 1e3
     return tick, floor, {"pin.crba": crba, "kernel": call}
 

@@ -10,6 +10,8 @@ import pinocchio as pin
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.raibert_craig import as_raibert_craig
+from osc_contact.experiments.contacts import feet
+from osc_contact.experiments.references import force_owners
 from osc_contact.experiments.rig import Rig, build_rig
 from osc_contact.recorder import Recording
 from osc_contact.scenarios.schema import Scenario
@@ -49,15 +51,14 @@ def content_of(rig: Rig) -> Content:
     scenario = rig.scenario
     source = None if scenario.source is None else scenario.source.parent
     arms = [
-        ArmVisual(arm.name, *robots.resolve_urdf(spec.urdf, source), arm.base, part)
+        ArmVisual(arm.name, *robots.resolve_urdf(spec.urdf, source), arm.base, part, arm.locked)
         for spec, arm, part in zip(scenario.arms, rig.chain.arms, rig.chain.slices, strict=True)
     ]
     bodies = [BodyVisual("object", *robots.resolve_urdf(scenario.object.urdf, source), None)]
-    for i, (spec, pair) in enumerate(zip(scenario.contacts, rig.pairs, strict=True)):
-        urdf = robots.resolve_urdf(spec.face.urdf, source)
-        bodies.append(BodyVisual(f"face_{pair.name}", *urdf, pair.face_placement(), face=i))
+    for body in rig.bodies:
+        bodies.append(BodyVisual(body.name, *body.urdf, body.placement, face=body.contacts[0]))
     names = tuple(pair.name for pair in rig.pairs)
-    return Content(title(scenario), arms, bodies, names, (), frame_words(rig))
+    return Content(title(scenario), arms, bodies, names, force_owners(scenario), frame_words(rig))
 
 
 def open_viewer(scenario: Scenario, rate: float = 30.0) -> Viewer:
@@ -104,8 +105,9 @@ def frame_words(rig: Rig) -> str:
 
 def object_size(rig: Rig) -> float:
     """Length (m) of the held object as far as its contacts tell, at least 0.1 m."""
-    vertices = np.array([pair.vertex for pair in rig.pairs]).reshape(-1, 3)
-    if not len(vertices):
+    if not rig.pairs:
         return 0.1
+    X = rig.state().X_WO
+    vertices = np.vstack([feet(pair, X)[0] for pair in rig.pairs]) - X.translation
     apart = np.linalg.norm(vertices[:, None] - vertices[None], axis=2).max()
     return max(float(apart), float(np.linalg.norm(vertices, axis=1).max()), 0.1)

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.pairs import VertexOnFace
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Touched
@@ -21,25 +22,27 @@ from osc_contact.plants.faces import Rail, touched
 from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives
 from osc_contact.plants.mujoco_scene import DRIVE_MASS, MujocoOptions, scene
 from osc_contact.plants.plant import Truth
-from osc_contact.spatial import Array, as_array
+from osc_contact.spatial import Array, as_array, cross
 
 __all__ = ["MujocoOptions", "MujocoPlant"]
 
+_AT_REST = np.zeros(6)
 _log = logging.getLogger(__name__)
 
 
 class MujocoPlant:
-    """Arms, object and faces in MuJoCo (needs the extra `sim`)."""
+    """Arms, object and environment in MuJoCo (needs the extra `sim`)."""
 
     def __init__(
         self,
         chain: ClosedChain,
         arm_urdfs: Sequence[Path],
         object_urdf: Path,
-        contacts: Sequence[VertexOnFace],
-        face_urdfs: Sequence[Path],
+        contacts: Sequence[ContactPair],
+        bodies: Sequence[tuple[Path, pin.SE3]],
         options: MujocoOptions | None = None,
         rails: Sequence[Rail | None] | None = None,
+        on: Sequence[int] | None = None,
         drives: JointDrives | None = None,
     ) -> None:
         """Compile the scene.
@@ -47,9 +50,11 @@ class MujocoPlant:
         Args:
             chain: the true arms and grasps; only names, frames and poses are taken from it.
             arm_urdfs: one file for each arm. object_urdf: the held object.
-            contacts: where the faces are. face_urdfs: what each face looks like.
+            contacts: what true forces are expressed in; what touches is the geometry's business.
+            bodies: URDF and pose in the world of each body of the environment.
             options: step, softness, friction.
-            rails: how each face slides; default: all are fixed.
+            rails: how each body slides; default: all are fixed.
+            on: the body of each contact; default: each has its own.
             drives: springs, motor errors and friction of the joints; default: ideal drives.
 
         Raises:
@@ -66,13 +71,13 @@ class MujocoPlant:
         self.chain = chain
         self.contacts = tuple(contacts)
         options = MujocoOptions() if options is None else options
-        self.rails: list[Rail | None] = list(rails or [None] * len(self.contacts))
+        self._pushes = [pushes_only(pair) for pair in self.contacts]
+        self.on = tuple(range(len(self.contacts)) if on is None else on)
+        self.rails: list[Rail | None] = list(rails or [None] * len(bodies))
         self.drives = JointDrives() if drives is None else drives
         driven = [chain.joint_names[j] for j in chain.actuated]
         try:
-            spec = scene(
-                mujoco, chain, arm_urdfs, object_urdf, contacts, face_urdfs, options, self.rails
-            )
+            spec = scene(mujoco, chain, arm_urdfs, object_urdf, bodies, options, self.rails)
             add_drives(mujoco, spec, driven, self.drives)
             self.model: Any = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
@@ -87,8 +92,8 @@ class MujocoPlant:
             self._springs = np.array([int(j.qposadr[0]) for j in springs])
             self._spring_v = np.array([int(j.dofadr[0]) for j in springs])
         self._object = int(self.model.body("object/root").id)
-        roots = [int(self.model.body(f"face{i}/root").id) for i in range(len(contacts))]
-        self._faces = [self._plates_of(root) for root in roots]
+        roots = [int(self.model.body(f"face{i}/root").id) for i in range(len(bodies))]
+        self._body_of = {geom: i for i, root in enumerate(roots) for geom in self._geoms_of(root)}
         self._moved = [i for i, rail in enumerate(self.rails) if rail is not None]
         slides = [self.model.joint(f"face{i}/rail") for i in self._moved]
         self._face_q = np.array([int(j.qposadr[0]) for j in slides], dtype=int)
@@ -165,7 +170,7 @@ class MujocoPlant:
         for i, rail in enumerate(self.rails):
             if rail is not None and rail.motion is not None:
                 acceleration[i] = rail.motion(self.time)[2]
-        return touched(self.rails, travel, speed, acceleration)
+        return touched(self.rails, self.on, travel, speed, acceleration)
 
     def _drive(self, t: float) -> None:
         """Put driven faces where they are to be at t, and push them on to the next step."""
@@ -175,31 +180,65 @@ class MujocoPlant:
             self.data.qfrc_applied[v] = DRIVE_MASS * acceleration
 
     def truth(self) -> Truth:
-        """Contact forces, pose and twist as of the last step's beginning, like the wrenches."""
-        alpha = np.zeros(len(self._faces))
-        closed = np.zeros(len(self._faces), dtype=bool)
-        wrench = np.zeros(6)
-        for k in range(self.data.ncon):
-            pair = self.data.contact[k].geom
-            for i, plates in enumerate(self._faces):
-                if pair[0] in plates or pair[1] in plates:
-                    self._mj.mj_contactForce(self.model, self.data, k, wrench)
-                    alpha[i] += wrench[0]
-                    closed[i] |= self.data.contact[k].efc_address >= 0
+        """Contact forces, pose and twist as of the last step's beginning, like the wrenches.
+
+        The normal forces of all points where the object touches one body make one wrench, which
+        the columns of the contacts on that body share: exactly, as far as it lies in their range.
+        """
         rotation = self.data.xmat[self._object].reshape(3, 3)
         X_WO = pin.SE3(rotation.copy(), self.data.xpos[self._object].copy())
         V = np.zeros(6)
         body = self._mj.mjtObj.mjOBJ_XBODY
         self._mj.mj_objectVelocity(self.model, self.data, body, self._object, V, 0)
-        faces = None
+        bodies = None
         if self._moved:
             travel = np.zeros(len(self.rails))
             travel[self._moved] = self.data.qpos[self._face_q]
-            faces = tuple(
+            bodies = [
                 pin.SE3.Identity() if rail is None else pin.SE3(np.eye(3), rail.direction * s)
                 for rail, s in zip(self.rails, travel, strict=True)
-            )
-        return Truth(alpha, closed, X_WO, np.concatenate((V[3:], V[:3])), faces)
+            ]
+        X_WE = None if bodies is None else tuple(bodies[i] for i in self.on)
+        alpha, closed = self._contact_forces(X_WO, X_WE)
+        return Truth(alpha, closed, X_WO, np.concatenate((V[3:], V[:3])), X_WE)
+
+    def _contact_forces(
+        self, X_WO: pin.SE3, X_WE: tuple[pin.SE3, ...] | None
+    ) -> tuple[Array, Array]:
+        """Magnitudes (r,) and whether each contact touches (contacts,)."""
+        O = X_WO.translation  # noqa: E741 - the operational point
+        pushed = np.zeros((len(self.rails), 6))  # at O, into each body
+        touches = np.zeros(len(self.rails), dtype=bool)
+        force = np.zeros(6)
+        for k in range(self.data.ncon):
+            contact = self.data.contact[k]
+            first, second = (self._body_of.get(int(geom)) for geom in contact.geom)
+            at = second if first is None else first
+            if at is None:
+                continue
+            self._mj.mj_contactForce(self.model, self.data, k, force)
+            n = contact.frame[:3] if first is None else -contact.frame[:3]  # from geom 1 to 2
+            pushed[at, :3] += force[0] * n
+            pushed[at, 3:] += force[0] * cross(contact.pos - O, n)
+            touches[at] |= contact.efc_address >= 0
+        Phi = np.linalg.inv(self.chain.reference_inertia(X_WO))
+        poses = X_WE or (None,) * len(self.contacts)
+        parts = [
+            pair.contact(X_WO, _AT_REST, X).N for pair, X in zip(self.contacts, poses, strict=True)
+        ]
+        alpha: list[Array] = [np.zeros(N.shape[1]) for N in parts]
+        for touched_body in np.flatnonzero(touches):
+            here = [i for i, body in enumerate(self.on) if body == touched_body]
+            N = np.hstack([parts[i] for i in here])
+            share = np.linalg.solve(N.T @ Phi @ N, N.T @ Phi @ pushed[touched_body])
+            ends = np.cumsum([len(alpha[i]) for i in here])[:-1]
+            for i, part in zip(here, np.split(share, ends), strict=True):
+                alpha[i] = part
+        closed = [
+            bool(touches[body]) and (not pushes or bool((a > 0.0).all()))
+            for body, pushes, a in zip(self.on, self._pushes, alpha, strict=True)
+        ]
+        return np.concatenate([np.zeros(0), *alpha]), np.array(closed, dtype=bool)
 
     def step(self, tau: Array, duration: float) -> None:
         """Hold the torques over the steps that fit into `duration`."""
@@ -220,8 +259,8 @@ class MujocoPlant:
                 f"{np.abs(self.data.qvel).max():.3g}. Lower the gains or the plant step."
             )
 
-    def _plates_of(self, root: int) -> set[int]:
-        """Geoms of the face's body and of the bodies fixed to it."""
+    def _geoms_of(self, root: int) -> set[int]:
+        """Geoms of a body and of the bodies fixed to it."""
         bodies = {root}
         for body in range(root + 1, self.model.nbody):
             if int(self.model.body_parentid[body]) in bodies:

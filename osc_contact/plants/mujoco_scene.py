@@ -1,7 +1,8 @@
 """The MuJoCo model of a rig, put together from the same URDFs as the toolkit's own.
 
-The object hangs on the first arm's gripper, further arms hold it by welds, the faces are plates
-whose contact is soft enough not to chatter.
+The object hangs on the first arm's gripper, further arms hold it by welds. Only the object and the
+bodies of the environment touch, with the collision geometry of their URDFs and soft enough not to
+chatter; joints have neither damping nor friction.
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.pairs import VertexOnFace
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.plants.faces import Rail
 from osc_contact.spatial import Array
@@ -27,7 +28,7 @@ DRIVE_MASS = 1e6
 
 @dataclass(frozen=True)
 class MujocoOptions:
-    """Integration step (s), contact softness and Coulomb friction of the faces."""
+    """Integration step (s), contact softness and Coulomb friction of the environment."""
 
     step: float = 2.5e-4
     solref: tuple[float, float] = (0.01, 1.0)
@@ -40,8 +41,7 @@ def scene(
     chain: ClosedChain,
     arm_urdfs: Sequence[Path],
     object_urdf: Path,
-    contacts: Sequence[VertexOnFace],
-    face_urdfs: Sequence[Path],
+    bodies: Sequence[tuple[Path, pin.SE3]],
     options: MujocoOptions,
     rails: Sequence[Rail | None],
 ) -> Any:
@@ -55,13 +55,11 @@ def scene(
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     for arm, urdf in zip(chain.arms, arm_urdfs, strict=True):
-        part = mujoco.MjSpec.from_file(str(urdf))
+        part = mujoco.MjSpec.from_string(_skeleton(urdf))
         part.compiler.fusestatic = False
-        _silence(part)
-        driven = set(list(arm.model.names)[1:])
         for joint in list(part.joints):
-            if joint.name not in driven:
-                part.delete(joint)
+            if joint.name in arm.locked:
+                _lock(mujoco, part, joint, arm.locked[joint.name])
         spec.attach(part, prefix=f"{arm.name}/", frame=_frame(spec.worldbody, arm.base))
         if arm.wrist_sensor is not None:
             _wrist_sensor(mujoco, spec, arm.name, arm.wrist_sensor)
@@ -73,15 +71,34 @@ def scene(
         )
         motor.set_to_motor()
     _hold_object(mujoco, spec, chain, object_urdf)
-    for i, (pair, urdf, rail) in enumerate(zip(contacts, face_urdfs, rails, strict=True)):
-        _face(mujoco, spec, i, pair, urdf, options, rail)
+    for i, (body, rail) in enumerate(zip(bodies, rails, strict=True)):
+        _body(mujoco, spec, i, *body, options, rail)
     return spec
 
 
-def _silence(part: Any) -> None:
-    """Robot links touch nothing: only the object meets the faces."""
-    for geom in part.geoms:
-        geom.contype = geom.conaffinity = 0
+def _skeleton(urdf: Path) -> str:
+    """A robot's URDF without shapes, which may be meshes, and without losses in its joints."""
+    root = ElementTree.parse(urdf).getroot()
+    for element in root.iter():
+        for tag in ("visual", "collision", "dynamics"):
+            for child in element.findall(tag):
+                element.remove(child)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _lock(mujoco: Any, part: Any, joint: Any, position: float) -> None:
+    """Weld a link where its joint is held; a URDF's joints have the axes of their child links."""
+    body, axis = joint.parent, np.array(joint.axis)
+    pose, turn = np.zeros(3), np.zeros(4)
+    if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+        mujoco.mju_rotVecQuat(pose, position * axis, body.quat)
+        body.pos = np.array(body.pos) + pose
+    else:
+        mujoco.mju_axisAngle2Quat(turn, axis, position)
+        held = np.zeros(4)
+        mujoco.mju_mulQuat(held, body.quat, turn)
+        body.quat = held
+    part.delete(joint)
 
 
 def _frame(body: Any, X: pin.SE3) -> Any:
@@ -132,12 +149,12 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
         )
 
 
-def _face(
+def _body(
     mujoco: Any,
     spec: Any,
     i: int,
-    pair: VertexOnFace,
     urdf: Path,
+    placement: pin.SE3,
     options: MujocoOptions,
     rail: Rail | None,
 ) -> None:
@@ -152,7 +169,6 @@ def _face(
         geom.solimp = [*options.solimp, 0.5, 2.0]
         geom.condim = 1 if options.friction == 0.0 else 3
         geom.friction = [options.friction, 0.0, 0.0]
-    placement = pair.face_placement()
     if rail is not None:
         _put_on_rail(mujoco, part, root, placement.rotation.T @ rail.direction, rail)
     spec.attach(part, prefix=f"face{i}/", frame=_frame(spec.worldbody, placement))
@@ -161,7 +177,7 @@ def _face(
 def _put_on_rail(mujoco: Any, part: Any, root: Any, axis: Array, rail: Rail) -> None:
     """A slide joint; the cart's mass, or that of its drive, is all the mass there is."""
     driven = rail.motion is not None
-    for body in part.bodies[1:]:  # links fixed to the face weigh nothing beside it
+    for body in part.bodies[1:]:  # links fixed to the body weigh nothing beside it
         body.explicitinertial = True
         body.fullinertia = [np.nan] * 6  # not given
         body.mass, body.inertia = 0.0, [0.0] * 3

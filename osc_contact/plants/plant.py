@@ -18,8 +18,8 @@ class Truth:
     """What only the plant knows; for judging, never for the controller.
 
     Attributes:
-        alpha: (r,) normal contact forces (N).
-        closed: (r,) whether each contact touches.
+        alpha: (r,) contact force magnitudes, contact after contact (N).
+        closed: (contacts,) whether each contact touches; of several points, all of them.
         X_WO: pose of the object. V_O: (6,) its twist at its origin, world axes.
         X_WE: pose of the frame in which each contact's face is described; None: faces at rest.
     """

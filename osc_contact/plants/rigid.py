@@ -35,6 +35,7 @@ class RigidPlant:
         contacts: Sequence[ContactPair],
         step: float,
         rails: Sequence[Rail | None] | None = None,
+        on: Sequence[int] | None = None,
     ) -> None:
         """Build from the true parts.
 
@@ -42,7 +43,8 @@ class RigidPlant:
             chain: the true arms, grasps and object (not the controller's copy).
             contacts: the true contacts, of any kind.
             step: integration step (s).
-            rails: how the body at each contact slides; default: all are fixed.
+            rails: how each body of the environment slides; default: all are fixed.
+            on: the body of each contact; default: each has its own.
 
         Raises:
             ModelError: the chain holds no object.
@@ -51,10 +53,12 @@ class RigidPlant:
             raise ModelError("the rigid plant needs an object; give the chain a payload")
         self.chain = chain
         self.contacts = tuple(contacts)
-        self.rails: list[Rail | None] = list(rails or [None] * len(self.contacts))
+        self.on = tuple(range(len(self.contacts)) if on is None else on)
+        bodies = max(self.on, default=-1) + 1
+        self.rails: list[Rail | None] = list(rails or [None] * bodies)
         self.dt = step
         self.time = 0.0
-        self._travel, self._speed = self._at_start(), np.zeros(len(self.contacts))
+        self._travel, self._speed = self._at_start(), np.zeros(len(self.rails))
         self.model, self._tips = _with_object(chain)
         self._sensors = [
             None if arm.wrist_sensor is None
@@ -69,7 +73,7 @@ class RigidPlant:
     def reset(self, q: Array) -> None:
         """Start at rest at q, moved onto loops and contacts."""
         self.time = 0.0
-        self._travel, self._speed = self._at_start(), np.zeros(len(self.contacts))
+        self._travel, self._speed = self._at_start(), np.zeros(len(self.rails))
         self._drive()
         self.q = close(self.chain, as_array("q", q, (self.chain.nq,)), self._gaps)
         self.v = self._on_constraints(np.zeros(self.chain.nq))
@@ -82,7 +86,7 @@ class RigidPlant:
     def measure(self) -> Measurement:
         """Encoders, and the wrist wrenches under the torques applied last."""
         wrenches = self._solve(self._tau, with_wrenches=True).wrenches
-        seen = touched(self.rails, self._travel, self._speed, self._driven_acceleration())
+        seen = touched(self.rails, self.on, self._travel, self._speed, self._driven_acceleration())
         return Measurement(self.q.copy(), self.v.copy(), wrenches, seen)
 
     def truth(self) -> Truth:
@@ -90,7 +94,7 @@ class RigidPlant:
         alpha = self._solve(self._tau).alpha
         X, V = self._object()
         faces = tuple(self._face(i)[0] for i in range(len(self.contacts)))
-        return Truth(alpha, np.ones(len(alpha), dtype=bool), X, V, faces)
+        return Truth(alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
 
     def step(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
@@ -119,7 +123,7 @@ class RigidPlant:
     # --- faces -----------------------------------------------------------------------------------
 
     def _at_start(self) -> Array:
-        """(contacts,) travel at t = 0."""
+        """(bodies,) travel at t = 0."""
         return np.array(
             [0.0 if r is None or r.motion is None else r.motion(0.0)[0] for r in self.rails]
         )
@@ -136,21 +140,23 @@ class RigidPlant:
         )
 
     def _face(self, i: int) -> tuple[pin.SE3, Array]:
-        """Pose and twist of the face at contact i."""
-        rail = self.rails[i]
+        """Pose and twist of the body at contact i."""
+        body = self.on[i]
+        rail = self.rails[body]
         X, V = pin.SE3.Identity(), np.zeros(6)
         if rail is not None:
-            X.translation = rail.direction * self._travel[i]
-            V[:3] = rail.direction * self._speed[i]
+            X.translation = rail.direction * self._travel[body]
+            V[:3] = rail.direction * self._speed[body]
         return X, V
 
     def _along_rails(self, parts: list[Contact]) -> Array:
-        """(r, contacts) Nᵀ[u; 0]: how fast each gap closes as the face comes along its rail."""
-        out = np.zeros((sum(c.r for c in parts), len(parts)))
+        """(r, bodies) Nᵀ[u; 0]: how fast each gap closes as the body comes along its rail."""
+        out = np.zeros((sum(c.r for c in parts), len(self.rails)))
         row = 0
-        for i, (part, rail) in enumerate(zip(parts, self.rails, strict=True)):
+        for part, body in zip(parts, self.on, strict=True):
+            rail = self.rails[body]
             if rail is not None:
-                out[row : row + part.r, i] = part.N[:3].T @ rail.direction
+                out[row : row + part.r, body] = part.N[:3].T @ rail.direction
             row += part.r
         return out
 
@@ -285,7 +291,7 @@ class RigidPlant:
 
 @dataclass(frozen=True)
 class _Solution:
-    """q̈ (n,), accelerations along the rails (contacts,), α (r,), wrist wrenches (arms, 6)."""
+    """q̈ (n,), accelerations along the rails (bodies,), α (r,), wrist wrenches (arms, 6)."""
 
     qdd: Array
     sdd: Array

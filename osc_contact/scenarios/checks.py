@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
 from pydantic import ValidationError
 
+from .touching import magnitude_names, raw_magnitudes
 from .tuning import ControlSpec, PlantSpec
 
-__all__ = ["Problem", "did_you_mean", "name_problems", "sound_problems", "timing_problems"]
+__all__ = [
+    "Problem",
+    "body_problems",
+    "did_you_mean",
+    "name_problems",
+    "sound_problems",
+    "timing_problems",
+]
 
 Problem = tuple[tuple[str | int, ...], str]
 """Where (keys and list indices) and what is wrong."""
@@ -27,9 +35,16 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def name_problems(
-    arms: Sequence[str], contacts: Sequence[str], grasps: Iterable[str], force: Iterable[str]
+    arms: Sequence[str],
+    contacts: Sequence[str],
+    grasps: Iterable[str],
+    force: Iterable[str],
+    magnitudes: Mapping[str, int],
 ) -> list[Problem]:
-    """Check that names are unique, that each arm has a grasp and each contact a force."""
+    """Check that names are unique, that each arm has a grasp and each contact its forces.
+
+    `magnitudes`: the number of forces by contact name.
+    """
     grasps, force, found = list(grasps), list(force), list[Problem]()
     for key, names in (("arms", arms), ("contacts", contacts)):
         for index, name in enumerate(names):
@@ -38,16 +53,43 @@ def name_problems(
                 found.append(((key, index, "name"), text))
     for key, given, wanted, kind, example in (
         ("grasps", grasps, arms, "arm", "{xyz: [0, 0, 0], rpy: [0, 0, 0]}"),
-        ("force", force, contacts, "contact", "[{type: constant, value: 0 N}]"),
-    ):
+        (
+            "force", force, magnitude_names(magnitudes), "contact",
+            "[{type: constant, value: 0 N}]",
+        ),
+    ):  # fmt: skip
         for name in given:
             if name not in wanted:
                 text = f"no {kind} has this name; {did_you_mean(name, wanted)}"
+                if kind == "contact" and magnitudes.get(name, 1) > 1:
+                    text = f"this contact has {magnitudes[name]} forces; " + (
+                        f"give each its own entry, {name}.1 to {name}.{magnitudes[name]}"
+                    )
                 found.append(((key, name), text))
         for name in dict.fromkeys(wanted):
             if name not in given:
                 text = f"the {kind} {name!r} has no entry; add {name}: {example}"
                 found.append(((key,), text))
+    return found
+
+
+def body_problems(bodies: Sequence[str], used: Sequence[str | None]) -> list[Problem]:
+    """Check that bodies have different names and that contacts are on bodies that exist.
+
+    `used`: the body of each contact, None where it brings its own face.
+    """
+    found = list[Problem]()
+    for index, name in enumerate(bodies):
+        if name in bodies[:index]:
+            text = f"the name {name!r} is taken by an earlier item of environment; names are unique"
+            found.append((("environment", index, "name"), text))
+        if name not in used:
+            text = f"no contact is on the body {name!r}; give one its name as body, or remove it"
+            found.append((("environment", index), text))
+    for index, body in enumerate(used):
+        if body is not None and body not in bodies:
+            text = f"no body of environment has this name; {did_you_mean(body, bodies)}"
+            found.append((("contacts", index, "body"), text))
     return found
 
 
@@ -123,10 +165,18 @@ def sound_problems(data: Any) -> Iterator[Problem]:
         return list(given) if isinstance(given, dict) else fallback
 
     arms, contacts = names("arms"), names("contacts")
+    magnitudes = raw_magnitudes(data.get("contacts", []))
     if arms is not None:
-        yield from name_problems(arms, [], group("grasps", arms), [])
+        yield from name_problems(arms, [], group("grasps", arms), [], {})
     if contacts is not None:
-        yield from name_problems([], contacts, [], group("force", contacts))
+        forces = {} if magnitudes is None else magnitudes
+        given = group("force", magnitude_names(forces)) if magnitudes is not None else []
+        yield from name_problems([], contacts, [], given, forces)
+    bodies = names("environment")
+    if bodies is not None and isinstance(data.get("contacts", []), list):
+        items = data.get("contacts", [])
+        used = [item.get("body") if isinstance(item, dict) else None for item in items]
+        yield from body_problems(bodies, [name if isinstance(name, str) else None for name in used])
     try:
         control = ControlSpec.model_validate(data.get("control"))
         plant = PlantSpec.model_validate(data.get("plant"))

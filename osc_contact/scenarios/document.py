@@ -77,7 +77,13 @@ class Document:
         key: Key = ()
         holder = self.data
         parts = path.split(".")
-        for depth, part in enumerate(parts):
+        depth = -1
+        while (depth := depth + 1) < len(parts):
+            part = parts[depth]
+            if isinstance(holder, dict) and part not in holder and depth + 1 < len(parts):
+                dotted = f"{part}.{parts[depth + 1]}"  # a force magnitude, such as pad.1
+                if dotted in holder:
+                    parts[depth : depth + 2] = [part := dotted]
             where = ".".join(parts[:depth]) or "the scenario"
             if not part:
                 raise ScenarioError("the path has an empty part; write path.to.key=value")

@@ -17,11 +17,12 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
-from .checks import Problem, did_you_mean, name_problems, timing_problems
-from .geometry import ArmSpec, ContactSpec, FaceSpec, GraspSpec, Name, ObjectSpec, PoseSpec
+from .checks import Problem, body_problems, did_you_mean, name_problems, timing_problems
+from .geometry import ArmSpec, GraspSpec, Name, ObjectSpec, PoseSpec
 from .hardware import SensorsSpec
 from .quantities import Force, Spec, Time, UnitVec3, refuse
 from .signals import AngleSignal, ForceSignal, LengthSignal
+from .touching import MAGNITUDES, BodySpec, ContactSpec, FaceSpec
 from .tuning import (
     ControlSpec,
     ForceGains,
@@ -35,6 +36,7 @@ from .tuning import (
 __all__ = [
     "AngularMove",
     "ArmSpec",
+    "BodySpec",
     "ContactSpec",
     "ControlSpec",
     "FaceSpec",
@@ -119,6 +121,7 @@ class Scenario(Spec):
     """the held object: urdf and pose"""
     grasps: dict[str, GraspSpec]
     """by arm name, the pose of the object in the tip frame"""
+    environment: tuple[BodySpec, ...] = ()
     contacts: tuple[ContactSpec, ...] = ()
     force: dict[str, Annotated[tuple[ForceSignal, ...], Field(min_length=1)]] = Field(
         default_factory=dict
@@ -165,6 +168,11 @@ class Scenario(Spec):
             [contact.name for contact in self.contacts],
             self.grasps,
             self.force,
+            {contact.name: MAGNITUDES[contact.type] for contact in self.contacts},
+        )
+        found += body_problems(
+            [body.name for body in self.environment],
+            [getattr(contact, "body", None) for contact in self.contacts],
         )
         found += timing_problems(self.control, self.plant)
         if found:

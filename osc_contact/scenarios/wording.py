@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from .checks import Problem, did_you_mean, sound_problems
 from .document import Key
 from .schema import Scenario
+from .touching import MAGNITUDES
 
 __all__ = ["complaints"]
 
@@ -23,7 +24,10 @@ _SHAPES = {
 _SIGNS = {
     "greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"), "less_than": ("<", "lt"),
 }  # fmt: skip
-_TAGS = "constant, step, sine or minimum_jerk for a signal; linear or angular for a move"
+_TAGS = (
+    "constant, step, sine or minimum_jerk for a signal; linear or angular for a move; "
+    f"for a contact {', '.join(MAGNITUDES)}"
+)
 
 
 def complaints(error: ValidationError, data: Any) -> Iterator[Problem]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -25,13 +26,17 @@ Array = NDArray[np.float64]
 
 
 class ArmVisual(NamedTuple):
-    """An arm to draw: its URDF, where its base stands (X_WB), where its joints are in q."""
+    """An arm to draw: its URDF, where its base stands (X_WB), where its joints are in q.
+
+    Joints that q does not have are in `locked`, with their positions (m, rad).
+    """
 
     name: str
     urdf: str | Path
     package_dirs: Sequence[str | Path]
     base: pin.SE3
     q_slice: slice
+    locked: Mapping[str, float] = MappingProxyType({})
 
 
 class BodyVisual(NamedTuple):
@@ -57,6 +62,9 @@ class Arm:
         self.model, geometry, _ = load_geometry(arm.urdf, kind, arm.package_dirs)
         self.data = self.model.createData()
         self.shapes = list(geometry.geometryObjects)
+        names = list(self.model.names)[1:]
+        self.q = np.array([arm.locked.get(name, 0.0) for name in names])
+        self.moving = [j for j, name in enumerate(names) if name not in arm.locked]
         joints = sorted({shape.parentJoint for shape in self.shapes})
         self.paths = {
             joint: f"arms/{arm.name}/{self.model.names[joint] if joint else 'base'}"
@@ -76,12 +84,13 @@ class Arm:
             InvalidInputError: q is not recorded, or its slice does not fit the URDF.
         """
         q = _channel(sample, "q", f"arm {self.arm.name!r}")[self.arm.q_slice]
-        if q.shape != (self.model.nq,):
+        if self.model.nq != self.model.nv or q.shape != (len(self.moving),):
             raise InvalidInputError(
                 f"arm {self.arm.name!r}: {self.arm.q_slice} takes {q.size} numbers of q, "
-                f"but {self.arm.urdf} has nq = {self.model.nq}"
+                f"but {self.arm.urdf} has nq = {self.model.nq}, {len(self.arm.locked)} locked"
             )
-        pin.forwardKinematics(self.model, self.data, q)
+        self.q[self.moving] = q
+        pin.forwardKinematics(self.model, self.data, self.q)
         return {
             path: State(self.arm.base * self.data.oMi[joint]) for joint, path in self.paths.items()
         }

@@ -40,7 +40,12 @@ def described(content: Content) -> dict[str, Any]:
     return {
         "title": content.title,
         "arms": [
-            {**_files(arm), "base": _pose(arm.base), "q": _ends(arm.q_slice)}
+            {
+                **_files(arm),
+                "base": _pose(arm.base),
+                "q": _ends(arm.q_slice),
+                "locked": dict(arm.locked),
+            }
             for arm in content.arms
         ],
         "bodies": [
@@ -56,7 +61,7 @@ def described(content: Content) -> dict[str, Any]:
 def content_from(data: dict[str, Any]) -> Content:
     """Back from `described`."""
     arms = [
-        ArmVisual(a["name"], a["urdf"], a["dirs"], _placed(a["base"]), slice(*a["q"]))
+        ArmVisual(a["name"], a["urdf"], a["dirs"], _placed(a["base"]), slice(*a["q"]), a["locked"])
         for a in data["arms"]
     ]
     bodies = [

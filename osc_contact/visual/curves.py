@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -21,13 +21,24 @@ _POWERS = (
 )
 
 
-def layout(sample: Mapping[str, Any], contacts: list[str]) -> list[dict[str, Any]]:
-    """The panels and their lines, for what was recorded; JSON-able."""
+def layout(
+    sample: Mapping[str, Any], contacts: list[str], columns: Sequence[int] = ()
+) -> list[dict[str, Any]]:
+    """The panels and their lines, for what was recorded; JSON-able.
+
+    `columns`: the contact of each force, default one force per contact.
+    """
+    owners = list(columns) or list(range(len(contacts)))
+    names = [
+        contacts[i] if owners.count(i) == 1 else f"{contacts[i]}.{owners[: k + 1].count(i)}"
+        for k, i in enumerate(owners if contacts else [])
+    ]
     forces = [
-        {"key": key, "index": i, "colour": contact_colour(i) if look != "dashed" else "#15181C",
-         "look": look, "name": name.replace("_", " ") if look == "solid" else ""}
+        {"key": key, "index": i, "look": look,
+         "colour": contact_colour(owners[i]) if look != "dashed" else "#15181C",
+         "name": name.replace("_", " ") if look == "solid" else ""}
         for key, look in _FORCES if key in sample
-        for i, name in enumerate(contacts[: np.size(sample[key])])
+        for i, name in enumerate(names[: np.size(sample[key])])
     ]  # fmt: skip
     powers = [
         {"key": key, "index": -1, "colour": colour, "look": look, "name": name}

@@ -46,7 +46,7 @@ def contact_forces(
         InvalidInputError: a channel is missing.
     """
     t = _get(recording, "t")
-    names = [str(name) for name in recording.meta.get("contact_names", [])]
+    names = recording.magnitude_names
     with style():
         figure, axes = panels(len(names) + 1, 2.0)
         if not names:

@@ -53,14 +53,15 @@ class Scene:
             owners = list(content.columns) or list(range(len(contacts)))
             for column, owner in enumerate(owners):
                 alone = owners.count(owner) == 1
-                name = contacts[owner] if alone else f"{contacts[owner]}_{column}"
+                number = owners[: column + 1].count(owner)
+                name = contacts[owner] if alone else f"{contacts[owner]}.{number}"
                 self.forces.append(ContactForce(name, column, owner, owners, first))
             axes = TwistAxes(first, owners)
             self.parts += [*self.forces, axes]
             if find is not None:
                 self.parts.append(ConstraintFrame(find, owners, content.frame_words))
         self.trails = Trails(contacts)
-        self.panels = curves.layout(first, contacts)
+        self.panels = curves.layout(first, contacts, content.columns)
 
     def draw(self, scene: Visualizer) -> None:
         """Make all nodes."""

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from osc_contact.experiments.baselines.coupling import Coupling, Instant
 from osc_contact.experiments.baselines.laws import Law
+from osc_contact.experiments.contacts import feet
 from osc_contact.experiments.rig import Rig
 from osc_contact.interface import Reference
 from osc_contact.plants.rigid import RigidPlant
@@ -112,8 +113,8 @@ def run_steps(
         if progress is not None and k % 100 == 99:
             progress(float(now) + period)
     alpha, alpha_d, motion, closed, status = (np.array(x) for x in zip(*rows, strict=True))
-    R = instant.state.X_WO.rotation
-    ends = np.array([np.zeros(3), *(R @ pair.vertex for pair in rig.pairs)])
+    X = instant.state.X_WO
+    ends = np.vstack([np.zeros(3), *(feet(pair, X)[0] - X.translation for pair in rig.pairs)])
     return StepRun(t, starts, alpha, alpha_d, motion, ends, float(closed.mean()), int(status.sum()))
 
 

@@ -1,0 +1,250 @@
+"""Packaged scenarios: each touches, keeps the limits on both plants, and can be looked at."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import osc_contact as osc
+from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.control.allocation import Allocation
+from osc_contact.experiments.contacts import feet
+from osc_contact.experiments.inspection import inspect_rig
+from osc_contact.experiments.viewing import write_scene_of
+from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.scenarios import Scenario
+from osc_contact.spatial import carry_wrench
+
+ROBOTS = {  # d, r, motors, words of `inspect`
+    "panda_edge": (6, 1, 7, ("into the edge of 'table'", "1 motion(s) of arms")),
+    "dual_panda_rod": (6, 2, 14, ("no single frame", "6 internal force(s)", "2 motion(s) of arms")),
+    "ur5_wipe": (6, 3, 6, ("cloth.3 along", "pushing only", "face on face of 'board'")),
+    "three_arm_plate": (6, 3, 19, ("into the vertex of 'tripod'", "12 internal force(s)")),
+    "scara_peg": (4, 2, 4, ("into the plane of 'socket'", "the arms' structure carries")),
+}
+NAMES = list(ROBOTS)
+
+
+@pytest.fixture(scope="module")
+def rigs():
+    return {name: osc.build_rig(osc.load_scenario(name)) for name in NAMES}
+
+
+@pytest.fixture(scope="module")
+def runs(rigs):
+    """Each on MuJoCo for 2 s, with changes of a commanded force brought forward to 1.2 s."""
+    found = {}
+    for name in rigs:
+        data = osc.load_scenario(name).as_dict() | {"duration": 2.0}
+        for signal in (s for signals in data["force"].values() for s in signals):
+            if signal.get("start", 0.0) > 1.0:
+                signal["start"] = 1.2
+        found[name] = osc.run(Scenario.model_validate(data))
+    return found
+
+
+def test_all_are_listed_with_a_description():
+    listed = osc.scenarios.list_scenarios()
+    assert set(NAMES) <= set(listed) and all(listed.values())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_starts_touching_within_limits_and_is_told_in_words(rigs, name):
+    rig = rigs[name]
+    d, r, motors, words = ROBOTS[name]
+    found = inspect_rig(rig)
+    assert (found.d, found.r, rig.chain.n_a) == (d, r, motors)
+    assert len(found.contacts) == r == len(set(found.contacts))
+    report = "\n".join(found.lines)
+    assert all(text in report for text in words), report
+    json.dumps(found.as_dict())
+    X = rig.state().X_WO
+    assert max(np.abs(pair.gaps(X)).max() for pair in rig.pairs) < 1e-12
+    wanted = rig.scenario.object.pose
+    assert np.linalg.norm(X.translation - np.array(wanted.xyz)) < 0.02  # near what the file says
+    for t in np.linspace(0.0, rig.scenario.duration, 50):
+        assert (rig.references.at(t).alpha_d > 0.0).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_geometry_touches_where_the_pairs_say(rigs, name):
+    """Pressed 0.1 mm into every contact, MuJoCo finds points on every body and none elsewhere."""
+    rig = rigs[name]
+    plant = rig.plant()
+    assert isinstance(plant, MujocoPlant)
+    state, contact = rig.state(), rig.contact()
+    held = np.linalg.solve(state.Phi + 1e-9 * np.eye(6), np.eye(6))
+    H_inv_N = np.linalg.solve(state.S.T @ held @ state.S, state.S.T @ contact.N)
+    eta = H_inv_N @ np.linalg.solve(contact.N.T @ state.S @ H_inv_N, 1e-4 * np.ones(contact.r))
+    plant.reset(rig.q_contact + state.W @ eta)
+    points = np.array([plant.data.contact[k].pos for k in range(plant.data.ncon)])
+    X = plant.truth().X_WO
+    assert len(points) >= len(rig.pairs)
+    everywhere = [feet(pair, X) for pair in rig.pairs]
+    for pair, (places, directions) in zip(rig.pairs, everywhere, strict=True):
+        away = points - places.mean(axis=0)
+        height = np.abs(away @ directions[0])
+        near = np.linalg.norm(away, axis=1) < (0.12 if len(places) > 1 else 1e-3)
+        assert near.any(), f"{pair.name}: nothing touches there"
+        assert height[near].max() < 2e-4
+    for point in points:
+        assert min(np.linalg.norm(p.mean(axis=0) - point) for p, _ in everywhere) < 0.12
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_limits_on_mujoco(runs, name):
+    """Force ≤ 1 % rms and ≤ 5 % peak, ≤ 0.5 mm and ≤ 2 mrad, closed and unsaturated throughout."""
+    verdict = osc.metrics(runs[name])
+    assert len(verdict["force"]) == ROBOTS[name][1]
+    for force in verdict["force"].values():
+        assert force["rms_error_rel"] <= 0.01
+        assert force["peak_error_rel"] <= 0.05
+        assert force["sensing_rms_rel"] <= 0.01
+    assert verdict["motion"]["rms_error_m"] <= 0.5e-3
+    assert verdict["motion"]["rms_error_rad"] <= 2e-3
+    assert set(verdict["contact_fraction"].values()) == {1.0}
+    assert verdict["status"] == {"ok": verdict["ticks"], "saturated": 0, "held": 0}
+    assert np.ptp(runs[name]["pose"][:, :3], axis=0).max() > 0.01  # it does move
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rigid_plant_decouples_exactly(rigs, name):
+    """Steps of one command, ≤ 1e-9 of what they cause in their own space, felt in the other."""
+    rig = rigs[name]
+    scenario = osc.load_scenario(name, ["plant.type=rigid", "plant.step=1 ms"])
+    rig = osc.build_rig(scenario)
+    plant, controller = rig.plant(), rig.controller()
+    for k in range(40):
+        plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+    controller.tick(plant.measure(), rig.references.at(0.04))
+    s = controller.last_signals()
+    allocation = Allocation(rig.chain, rig.q_contact)
+    _, N_S = s.state, s.state.S.T @ s.contact.N
+    B_S = np.linalg.inv(s.state.S.T @ s.state.metric @ s.state.S)
+    held = B_S @ N_S @ np.linalg.solve(N_S.T @ B_S @ N_S, N_S.T)
+    rng = np.random.default_rng(5)
+
+    def answer(eta, alpha):
+        f_S = s.state.Lambda @ eta + s.state.bias + N_S @ alpha
+        tau = allocation.torques(s.state, s.q, s.v, f_S, eta, s.squeeze_d)
+        _, a, forces = plant.accelerations(tau)
+        return a, forces
+
+    a0, f0 = answer(s.eta_c, s.alpha_u)
+    step = rng.normal(size=len(f0))
+    a1, f1 = answer(s.eta_c, s.alpha_u + step)
+    np.testing.assert_allclose(f1 - f0, step, atol=1e-8)
+    kick = rng.normal(size=s.state.d)
+    kick = kick - held @ kick
+    a2, f2 = answer(s.eta_c + kick, s.alpha_u)
+    size = np.abs(s.state.S @ kick).max()
+    assert np.abs(a1 - a0).max() < 1e-9 * max(size, np.abs(a0).max(), 1.0)
+    np.testing.assert_allclose(a2 - a0, s.state.S @ kick, atol=1e-8 * size)
+    assert np.abs(f2 - f0).max() < 1e-9 * max(np.abs(f0).max(), s.state.Lambda.max() * size)
+
+
+@pytest.mark.parametrize("name", ["ur5_wipe", "scara_peg"])
+def test_limits_on_the_rigid_plant(name):
+    scenario = osc.load_scenario(name, ["plant.step=1 ms"])
+    recording = osc.run(scenario, plant="rigid", duration=1.1)
+    verdict = osc.metrics(recording)
+    for force in verdict["force"].values():
+        assert force["rms_error_rel"] <= 0.01 and force["sensing_rms_rel"] <= 1e-9
+    assert verdict["motion"]["rms_error_m"] <= 1e-5
+    assert verdict["power"]["ratio"] <= 1e-10
+    assert recording["closed"].all()
+
+
+def test_true_forces_are_the_wrench_mujoco_applies_to_the_object(rigs, runs):
+    """Of a face on a face: MuJoCo's own constraint force on the object, carried to O."""
+    rig = rigs["ur5_wipe"]
+    plant, controller = rig.plant(), rig.controller()
+    for k in range(150):
+        plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+    mj, model, data = plant._mj, plant.model, plant.data
+    mj.mj_rnePostConstraint(model, data)
+    truth = plant.truth()
+    body = int(model.body("object/root").id)
+    jac = np.zeros((6, model.nv))
+    mj.mj_jac(model, data, jac[:3], jac[3:], truth.X_WO.translation, body)
+    N = np.hstack([p.contact(truth.X_WO, truth.V_O).N for p in rig.pairs])
+    # one arm, no welds: all constraint forces are contact forces, qfrc = Jᵀ(−f_c)
+    np.testing.assert_allclose(data.qfrc_constraint, -jac.T @ (N @ truth.alpha), atol=2e-4)
+    assert truth.alpha.min() > 0.5
+    f_c = N @ truth.alpha
+    centre = carry_wrench(f_c, truth.X_WO.translation, feet(rig.pairs[0], truth.X_WO)[0].mean(0))
+    assert np.abs(centre[3:]).max() < 0.04 * np.linalg.norm(centre[:3])  # within the triangle
+
+
+def test_a_corner_that_lifts_opens_the_contact(rigs):
+    """Tipped by 20 mrad the block touches along an edge: no longer a face on a face."""
+    rig = rigs["ur5_wipe"]
+    plant = rig.plant()
+    tipped = rig.state()
+    eta = np.linalg.lstsq(tipped.S, np.array([0, 0, 0, 0, 0.02, 0.0]), rcond=None)[0]
+    plant.reset(rig.q_contact + tipped.W @ eta)
+    truth = plant.truth()
+    assert plant.data.ncon > 0 and not truth.closed[0]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_can_be_looked_at(rigs, runs, name, tmp_path):
+    page = write_scene_of(runs[name], rigs[name], tmp_path / "scene.html")
+    assert page.stat().st_size > 100_000
+
+
+def test_columns_of_the_recording_belong_together(rigs, runs):
+    recording = runs["ur5_wipe"]
+    assert recording.magnitude_names == ["cloth.1", "cloth.2", "cloth.3"]
+    assert recording.meta["columns"] == [0, 0, 0]
+    T = len(recording)
+    assert recording["N"].shape == (T, 6, 3) and recording["alpha_true"].shape == (T, 3)
+    assert recording["closed"].shape == (T, 1) and recording["contact_point"].shape == (T, 1, 3)
+    rig = rigs["ur5_wipe"]
+    for k in (0, 700, T - 1):
+        X = pin.XYZQUATToSE3(recording["pose"][k])
+        expected = rig.pairs[0].contact(X, np.zeros(6)).N
+        np.testing.assert_allclose(recording["N"][k], expected, atol=1e-12)
+        corners, directions = feet(rig.pairs[0], X)
+        on_board = (corners - [0.47, 0, 0.24]) @ directions[0]
+        np.testing.assert_allclose(on_board, 0.0, atol=1e-12)
+    plate = runs["three_arm_plate"]
+    assert plate.magnitude_names == ["post_1", "post_2", "post_3"]
+    assert plate["closed"].shape[1] == 3
+
+
+def test_only_pairs_that_push_must_push(rigs):
+    assert all(pushes_only(pair) for rig in rigs.values() for pair in rig.pairs)
+    hole = osc.CylinderInHole([0, 0, 0], [0, 0, 1], [0, 0, 0], [0, 0, 1])
+    assert not pushes_only(hole)
+
+
+def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_plant():
+    """cylinder_in_hole, r = 4, held by a Panda; one magnitude is commanded negative."""
+    data = osc.load_scenario("panda_edge").as_dict()
+    data["plant"] |= {"type": "rigid", "step": 1e-3}
+    pose = {"xyz": [0.45, 0.05, 0.3], "rpy": [0.1, -0.1, 0.3]}
+    data["environment"] = [{"name": "socket", "urdf": "socket.urdf", "pose": pose}]
+    data["object"] = {"urdf": "peg.urdf", "pose": {"xyz": [0.45, 0.05, 0.43]}}
+    data["grasps"]["panda"] = {"xyz": [0, 0, 0], "rpy": [np.pi, 0, 0]}
+    data["contacts"] = [{
+        "name": "hole", "type": "cylinder_in_hole", "body": "socket", "point": [0, 0, -0.13],
+        "direction": [0, 0, 1], "length": 0.04, "hole_point": [0, 0, 0],
+        "hole_direction": [0, 0, 1],
+    }]  # fmt: skip
+    wanted = dict(zip(["hole.1", "hole.2", "hole.3", "hole.4"], [5.0, -3.0, 2.0, 1.0], strict=True))
+    data["force"] = {k: [{"type": "constant", "value": v}] for k, v in wanted.items()}
+    sine = {"type": "sine", "amplitude": 0.01, "frequency": 1.0, "ramp": 0.1}
+    data["motion"] = [{"kind": "linear", "direction": [0, 0, 1], "signals": [sine]}]
+    rig = osc.build_rig(Scenario.model_validate(data))
+    assert rig.contact().r == 4 and "of either sign" in "\n".join(inspect_rig(rig).lines)
+    plant, controller = rig.plant(), rig.controller()
+    for k in range(300):
+        plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+    np.testing.assert_allclose(plant.truth().alpha, list(wanted.values()), atol=5e-3)
+    recording = osc.run(rig.scenario, duration=0.3)
+    assert recording["contact_seen"][-1, :3].all()  # hole.2 pulls and counts by its size
+    assert (recording["alpha_meas"][-1, 1] < -2.9) and recording["contact_seen"].shape[1] == 4
