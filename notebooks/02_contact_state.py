@@ -70,7 +70,7 @@ for name, law in laws.items():
 # ## In motion
 #
 # The same controller, plant and gains; only the two boxes differ that contain the selection. The
-# rod slides, and one force steps at 0.3 s.
+# rod slides, and one force steps at 0.25 s.
 
 # %%
 from osc_contact.visual import plots
@@ -78,24 +78,24 @@ from osc_contact.visual import plots
 moving = osc.load_scenario(
     "two_contact_rod",
     ["plant.type=rigid", "plant.step=2 ms", "control.rate=500 Hz",
-     "force.left_end.1.start=0.3 s", "motion.0.signals.0.ramp=0.2 s"],
+     "force.left_end.1.start=0.25 s", "motion.0.signals.0.ramp=0.2 s"],
 )  # fmt: skip
-runs = {name: osc.run(moving, duration=0.5, install=law.install) for name, law in laws.items()}
+runs = {name: osc.run(moving, duration=0.4, install=law.install) for name, law in laws.items()}
 for name, recording in runs.items():
     error = np.abs(recording["alpha_true"] - recording["alpha_cmd"])
-    print(f"{name}: force error before the step at most {error[50:150].max():.3f} N")
+    print(f"{name}: force error before the step at most {error[50:125].max():.3f} N")
 
 # %% [markdown]
 # The two forces under the selection law: each follows the motion and the other force.
 
 # %%
-plots.contact_forces(runs["selection"], [0.3], judged_from=0.1)
+plots.contact_forces(runs["selection"], [0.25], judged_from=0.1)
 
 # %% [markdown]
 # Under ours they do not.
 
 # %%
-plots.contact_forces(runs["ours"], [0.3], judged_from=0.1)
+plots.contact_forces(runs["ours"], [0.25], judged_from=0.1)
 
 # %%
 from pathlib import Path

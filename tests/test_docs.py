@@ -13,6 +13,7 @@ import pytest
 import typer
 import yaml
 from pydantic import BaseModel
+from test_paper_map import complaint
 
 import osc_contact as osc
 from osc_contact.cli import app
@@ -138,8 +139,15 @@ def test_pictures_are_small_and_all_shown() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_files_named_in_backticks_exist(page: Path) -> None:
     for name in TICKED.findall(FENCE.sub("", text_of(page))):
-        if re.fullmatch(r"(osc_contact|urdf|docs|tests)/[\w./]*", name):
+        if re.fullmatch(r"(osc_contact|urdf|docs|tests|notebooks|benchmarks)/[\w./]*", name):
             assert (ROOT / name).exists(), f"{page.name} names {name}, which is not there"
+        if re.fullmatch(r"(osc_contact|urdf)/[\w./]+::[\w.]+", name):
+            assert not complaint(name, test=False), f"{page.name}: {complaint(name, test=False)}"
+
+
+def test_every_section_of_the_theory_says_where_it_is_computed() -> None:
+    for section in text_of(ROOT / "docs" / "theory.md").split("\n## ")[1:]:
+        assert re.search(r"^In code: `osc_contact/\S+::\S+`", section, re.M), section.split("\n")[0]
 
 
 # Tables of keys ------------------------------------------------------------------------------

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from html.parser import HTMLParser
 from pathlib import Path
 
 import jupytext
 import nbclient
 import nbformat
 import pytest
+
+from osc_contact.visual.embed import embed
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
 
@@ -29,8 +32,23 @@ def printed(notebook: nbformat.NotebookNode) -> str:
     )
 
 
-def test_there_are_notebooks() -> None:
-    assert NOTEBOOKS
+def test_notebooks_are_numbered() -> None:
+    assert [path.stem[:3] for path in NOTEBOOKS] == ["01_", "02_", "03_", "04_", "05_"]
+
+
+def test_a_page_is_embedded_whole(tmp_path: Path) -> None:
+    page = '<!DOCTYPE html>\n<p title="a & b">it\'s "here"</p>\n'
+    (tmp_path / "page.html").write_text(page, encoding="utf-8")
+    shown = embed(tmp_path / "page.html", height=321)
+    found: dict[str, str | None] = {}
+
+    class Reader(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            found[tag] = dict(attrs).get("srcdoc")
+
+    Reader().feed(shown._repr_html_())
+    assert found == {"iframe": page}
+    assert "321px" in shown._repr_html_() and len(repr(shown)) < 100
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -49,6 +67,9 @@ def test_notebook_runs(path: Path, tmp_path: Path) -> None:
         output for cell in code for output in cell.outputs if "image/png" in output.get("data", {})
     ]
     assert len(pictures) >= path.read_text(encoding="utf-8").count("plots.contact_forces(")
+    shown = [output.data.get("text/html", "") for cell in code for output in cell.outputs[-1:]
+             if "data" in output]  # fmt: skip
+    assert sum("MeshCat" in page and page.startswith("<iframe") for page in shown) == 1
 
 
 def test_an_error_in_a_cell_fails(tmp_path: Path) -> None:

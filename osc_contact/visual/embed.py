@@ -23,7 +23,7 @@ class Embedded:
         )
 
 
-def embed(path: str | Path, height: int = 480) -> Embedded:
+def embed(path: str | Path, height: int = 640) -> Embedded:
     """Show a page of `write_scene` as the value of a notebook's cell.
 
     Args:
