@@ -45,7 +45,8 @@ def no_type(app: Any, what: str, _name: str, _object: Any, _options: Any, lines:
 def short_aliases(
     _app: Any, _what: str, _name: str, _object: Any, _options: Any, given: str, returned: str
 ) -> tuple[str | None, str | None] | None:
-    """Array, not TypeAliasForwardRef('Array')."""
+    """Array, not TypeAliasForwardRef('Array'); an ellipsis for defaults made anew."""
     if given is None:  # no function
         return None
+    given = given.replace("<factory>", "...")  # no Python expression: it would not be parsed
     return ALIAS.sub(r"\1", given), returned and ALIAS.sub(r"\1", returned)
