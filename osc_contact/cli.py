@@ -18,6 +18,7 @@ from osc_contact import __version__, robots
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.experiments import figures as paper_figures
 from osc_contact.experiments import replay, tables
+from osc_contact.experiments.benchmarks.program import BENCHMARKS, run_benchmark
 from osc_contact.experiments.calibration import calibrate as calibrate_wrists
 from osc_contact.experiments.inspection import inspect_rig
 from osc_contact.experiments.replay import RealTime
@@ -25,7 +26,6 @@ from osc_contact.experiments.report import require_judgeable, write_json, write_
 from osc_contact.experiments.rig import build_rig
 from osc_contact.experiments.run import run as run_scenario
 from osc_contact.experiments.studies import SLOW, STUDIES, Ask, write_study
-from osc_contact.experiments.timing import time_tick
 from osc_contact.experiments.viewing import open_viewer, write_scene_of
 from osc_contact.recorder import Recording
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
@@ -295,18 +295,18 @@ def list_(json_file: JsonOption = None) -> None:
 
 @app.command()
 def bench(
-    what: Annotated[str, typer.Argument(help="tick", metavar="WHAT")],
-    ticks: Annotated[int, typer.Option(min=1, help="timed ticks")] = 1000,
+    what: Annotated[str, typer.Argument(help=" | ".join(BENCHMARKS), metavar="WHAT")],
+    ticks: Annotated[int | None, typer.Option(min=1, help="timed ticks of each case")] = None,
+    tsid_python: Annotated[Path | None, typer.Option(help="peers: TSID's interpreter")] = None,
+    figure: Annotated[Path | None, typer.Option(help="also draw it (PNG, SVG)")] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Time the control tick against Pinocchio's own model evaluation of the same arms."""
+    """Time the control tick: beside its floor and peers, by size, on the clock, in a run."""
     with _exit_codes():
-        if what != "tick":
-            raise InvalidInputError(f"no benchmark '{what}'; there is: tick")
-        result = time_tick([paper_figures.SCENARIO], ticks)
-        out.print(tables.tick_table(result))
-        if json_file:
-            write_json(result, json_file)
+        report = run_benchmark(what, ticks, json_file, figure, tsid_python)
+        _say("\n".join(report.lines))
+        for table in report.tables:
+            out.print(table)
 
 
 def _live(scenario: Scenario, recording: Recording | None, seed: int, hold: float | None) -> None:

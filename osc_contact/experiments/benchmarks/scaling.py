@@ -1,0 +1,155 @@
+"""How the tick grows: with arms, with the degree of constraint r, with contacts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from rich.table import Table
+
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.control.controller import Status
+from osc_contact.errors import InvalidInputError
+from osc_contact.experiments.benchmarks.measuring import (
+    machine,
+    new_axes,
+    require_count,
+    take_turns,
+)
+from osc_contact.experiments.benchmarks.random_arms import (
+    KINDS,
+    RandomRig,
+    contact_of,
+    faces_of,
+    random_rig,
+)
+
+__all__ = ["draw", "measure", "tables"]
+
+ARMS = (1, 2, 3, 4, 5, 6, 7, 8)
+RANKS = (0, 1, 2, 3, 4, 5, 6)
+CONTACTS = (1, 2, 4, 8, 16)
+COLUMNS = ("kind", "arms", "joints", "d", "contacts", "r", "tick_p50_us", "floor_p50_us")
+
+
+def measure(rounds: int = 300, seed: int = 0) -> dict[str, Any]:
+    """{"machine": …, "arms": rows, "ranks": rows, "contacts": rows}.
+
+    `arms`: 1 to 8 of each kind and mixed, two contacts. `ranks`: r from 0 to 6, each with as many
+    contacts, two arms. `contacts`: 1 to 16 on two arms, those beyond the sixth dependent; and all
+    of them with r = 1. The tick takes turns with `pin.computeAllTerms` of the same arms.
+
+    Args:
+        rounds: of each rig. seed: of the random arms and faces.
+
+    Raises:
+        InvalidInputError: no rounds.
+    """
+    require_count(rounds, "rounds")
+    rng = np.random.default_rng(seed)
+    by_arms = [
+        _row(kind, random_rig(_kinds(kind, count), rng), 2, 2, rng, rounds)
+        for kind in (*KINDS, "mixed")
+        for count in ARMS
+    ]
+    pair = random_rig(["ur5", "ur5"], rng)
+    by_rank = [_row("ur5", pair, r, r, rng, rounds) for r in RANKS]
+    by_contacts = [_row("ur5", pair, c, min(c, 6), rng, rounds) for c in CONTACTS]
+    by_contacts += [_row("ur5", pair, c, 1, rng, rounds) for c in CONTACTS[1:]]
+    return {
+        "machine": machine(),
+        "rounds": rounds,
+        "arms": by_arms,
+        "ranks": by_rank,
+        "contacts": by_contacts,
+    }
+
+
+def _kinds(kind: str, count: int) -> list[str]:
+    """`count` arms of a kind; mixed: UR5s and SCARAs by turns."""
+    return [("ur5", "scara")[i % 2] if kind == "mixed" else kind for i in range(count)]
+
+
+def _row(
+    kind: str, rig: RandomRig, contacts: int, r: int, rng: np.random.Generator, rounds: int
+) -> dict[str, Any]:
+    pairs: list[ContactPair] = faces_of(rig, contacts, r, rng)
+    controller, measurement, reference = rig.controller(pairs)
+    chain = rig.chain
+    data = chain.model.createData()
+    laws = (controller.motion_law, controller.force_law)
+
+    def unwind() -> None:
+        for law in laws:
+            law.integral[:] = 0.0
+
+    controller.tick(measurement, reference)
+    if controller.status is not Status.OK:
+        raise InvalidInputError(f"{kind} × {len(chain.arms)}: {controller.reason}")
+    found = take_turns(
+        {
+            "tick": lambda: controller.tick(measurement, reference),
+            "floor": lambda: pin.computeAllTerms(chain.model, data, measurement.q, measurement.v),
+        },
+        rounds,
+        between=unwind,
+    )
+    tick, floor = (float(np.median(found[name])) for name in ("tick", "floor"))
+    return {
+        "kind": kind,
+        "arms": len(chain.arms),
+        "joints": chain.nq,
+        "d": chain.state(rig.q, np.zeros(chain.nq)).d,
+        "contacts": contacts,
+        "r": contact_of(rig, pairs).r,
+        "tick_p50_us": tick,
+        "floor_p50_us": floor,
+        "ratio": tick / floor,
+        "tick_per_arm_us": tick / len(chain.arms),
+    }
+
+
+def tables(result: dict[str, Any]) -> list[Table]:
+    """One table for each thing that grows."""
+    titles = {"arms": "arms, two contacts", "ranks": "constraints", "contacts": "contacts"}
+    found = []
+    for what, title in titles.items():
+        table = Table(
+            "kind", "arms", "joints", "d", "contacts", "r", "tick p50 (µs)", "floor p50 (µs)",
+            "tick / floor", "tick / arm (µs)", title=f"{title}: {result['rounds']} rounds",
+        )  # fmt: skip
+        for row in result[what]:
+            sizes = (str(row[key]) for key in COLUMNS[:6])
+            times = (f"{row[key]:.1f}" for key in COLUMNS[6:])
+            table.add_row(*sizes, *times, f"{row['ratio']:.2f}", f"{row['tick_per_arm_us']:.1f}")
+        found.append(table)
+    return found
+
+
+def draw(result: dict[str, Any], path: Path) -> None:
+    """Tick over arms (by kind), over r, over contacts."""
+    from osc_contact.visual import OKABE_ITO
+    from osc_contact.visual.plots import save, style
+
+    with style():
+        figure, axes = new_axes(3)
+        colours = list(OKABE_ITO.values())
+        for kind, colour in zip((*KINDS, "mixed"), colours[1:], strict=False):
+            rows = [row for row in result["arms"] if row["kind"] == kind]
+            _line(axes[0], rows, "arms", kind, colour)
+        _line(axes[1], result["ranks"], "r", "independent contacts", colours[1])
+        rows = result["contacts"]
+        _line(axes[2], rows[: len(CONTACTS)], "contacts", "r = min(contacts, 6)", colours[1])
+        _line(axes[2], rows[len(CONTACTS) :], "contacts", "r = 1", colours[2])
+        for ax in axes:
+            ax.set_ylim(bottom=0.0)
+            ax.legend()
+        save(figure, path.with_suffix(""))
+
+
+def _line(ax: Any, rows: list[dict[str, Any]], over: str, label: str, colour: str) -> None:
+    times = [row["tick_p50_us"] for row in rows]
+    ax.plot([row[over] for row in rows], times, "o-", label=label, color=colour)
+    ax.set(xlabel=over, ylabel="median tick (µs)")

@@ -1,0 +1,139 @@
+"""How much faster than real time a whole run is, and where its time goes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from rich.table import Table
+
+from osc_contact.control.controller import Controller
+from osc_contact.errors import PlantError
+from osc_contact.experiments.benchmarks.measuring import bars, machine, new_axes, require_count
+from osc_contact.experiments.references import References
+from osc_contact.experiments.run import run
+from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.recorder import Recorder
+from osc_contact.scenarios import load_scenario
+
+__all__ = ["Ledger", "draw", "measure", "tables"]
+
+SCENARIO = "two_contact_rod"
+REST = "loop, what is worked out for the recording"
+
+
+class Ledger:
+    """Time spent in some calls; a call inside another counts for itself only."""
+
+    def __init__(self) -> None:
+        self.spent: dict[str, float] = {}
+        self._inner: list[float] = []
+
+    def timed(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function, which writes its time down."""
+        self.spent.setdefault(name, 0.0)
+
+        @wraps(function)
+        def call(*args: Any, **kwargs: Any) -> Any:
+            self._inner.append(0.0)
+            start = perf_counter()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                whole = perf_counter() - start
+                self.spent[name] += whole - self._inner.pop()
+                if self._inner:
+                    self._inner[-1] += whole
+
+        return call
+
+    @contextmanager
+    def watching(self, calls: list[tuple[str, Any, str]]) -> Iterator[None]:
+        """Time attributes (label, owner, name) as long as the block lasts."""
+        before = [(owner, name, getattr(owner, name)) for _, owner, name in calls]
+        try:
+            for label, owner, name in calls:
+                setattr(owner, name, self.timed(label, getattr(owner, name)))
+            yield
+        finally:
+            for owner, name, function in before:
+                setattr(owner, name, function)
+
+
+def measure(ticks: int = 10000) -> dict[str, Any]:
+    """{"machine": …, "real_time_factor", "simulated_s", "wall_s", "us_per_tick": {part: …}, …}.
+
+    `two_contact_rod` on MuJoCo as packaged: 0.25 ms steps, 1 kHz control, recording on. The run is
+    done twice: undisturbed for the real-time factor, then with its calls timed for the shares.
+
+    Args:
+        ticks: control ticks to simulate.
+
+    Raises:
+        InvalidInputError: no ticks. PlantError: MuJoCo is missing.
+    """
+    require_count(ticks, "ticks")
+    try:
+        import mujoco
+    except ImportError as error:
+        raise PlantError("MuJoCo is missing: pip install osc_contact[sim]") from error
+    scenario = load_scenario(SCENARIO)
+    duration = ticks / scenario.control.rate
+    run(scenario, duration=10 / scenario.control.rate)  # everything loaded
+    wall = float(run(scenario, duration=duration).meta["wall_s"])
+    ledger = Ledger()
+    calls = [
+        ("MuJoCo: mj_step", mujoco, "mj_step"),
+        ("plant around MuJoCo", MujocoPlant, "step"),
+        ("sensors", MujocoPlant, "measure"),
+        ("truth", MujocoPlant, "truth"),
+        ("tick", Controller, "tick"),
+        ("references", References, "at"),
+        ("recorder", Recorder, "append"),
+    ]
+    with ledger.watching(calls):
+        timed = float(run(scenario, duration=duration).meta["wall_s"])
+    parts = {name: spent / ticks * 1e6 for name, spent in ledger.spent.items()}
+    parts[REST] = timed / ticks * 1e6 - sum(parts.values())
+    return {
+        "machine": machine(),
+        "scenario": scenario.name,
+        "step_s": scenario.plant.step,
+        "rate_hz": scenario.control.rate,
+        "ticks": ticks,
+        "simulated_s": duration,
+        "wall_s": wall,
+        "real_time_factor": duration / wall,
+        "watched_wall_s": timed,
+        "us_per_tick": parts,
+        "shares": {name: spent * ticks / 1e6 / timed for name, spent in parts.items()},
+    }
+
+
+def tables(result: dict[str, Any]) -> list[Table]:
+    """Real-time factor, and the parts of a tick of the run."""
+    title = (
+        f"{result['scenario']}, {result['simulated_s']:g} s in {result['wall_s']:.2f} s: "
+        f"{result['real_time_factor']:.1f} × real time"
+    )
+    table = Table("part", "µs per tick", "share", title=title)
+    for name, spent in result["us_per_tick"].items():
+        table.add_row(name, f"{spent:.1f}", f"{100 * result['shares'][name]:.1f} %")
+    slower = result["watched_wall_s"] / result["wall_s"]
+    table.caption = f"shares from a second run, {slower:.2f} × as long, with its calls timed"
+    return [table]
+
+
+def draw(result: dict[str, Any], path: Path) -> None:
+    """The parts as bars."""
+    from osc_contact.visual.plots import save, style
+
+    with style():
+        figure, (ax,) = new_axes(1)
+        bars(ax, result["us_per_tick"], "µs per tick of the run", marked=("MuJoCo: mj_step",))
+        ax.set_title(f"{result['scenario']}: {result['real_time_factor']:.1f} × real time")
+        save(figure, path.with_suffix(""))

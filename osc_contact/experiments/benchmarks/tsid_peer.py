@@ -1,0 +1,94 @@
+"""Time TSID on a Panda: run by the interpreter of TSID's own environment, prints JSON.
+
+    python -I tsid_peer.py panda.urdf ROUNDS
+
+Task: pose of the tool (6 rows), posture (7 rows) and one point contact of the tool with friction
+cone (3 motion rows, 3 forces), fingers locked. Timed apart: `computeProblemData` (model and tasks),
+`solve` (eiquadprog) with `getActuatorForces`, and both together; beside them the floor of that
+environment's Pinocchio.
+"""
+
+from __future__ import annotations
+
+import glob
+import json
+import sys
+from time import perf_counter_ns
+from typing import Any
+
+for _folder in glob.glob(
+    f"{sys.prefix}/lib/python*/site-packages/cmeel.prefix/lib/python*/site-packages/tsid"
+):
+    sys.path.insert(0, _folder)
+
+import numpy as np  # noqa: E402
+import pinocchio as pin  # noqa: E402
+import tsid_pywrap as tsid  # noqa: E402
+
+WARM_UP = 5
+TOOL = "panda_hand_tcp"
+Q = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78])
+
+
+def main(urdf: str, rounds: int) -> None:
+    """Measure and print."""
+    full = pin.buildModelFromUrdf(urdf)
+    fingers = [j for j in range(1, full.njoints) if "finger" in full.names[j]]
+    model = pin.buildReducedModel(full, fingers, pin.neutral(full))
+    robot = tsid.RobotWrapper(model, tsid.FIXED_BASE_SYSTEM, False)
+    v = np.full(7, 0.1)
+    law = tsid.InverseDynamicsFormulationAccForce("law", robot, False)
+    law.computeProblemData(0.0, Q, v)
+    pose = robot.framePosition(law.data(), model.getFrameId(TOOL))
+
+    contact = tsid.ContactPoint("contact", robot, TOOL, np.array([0.0, 0.0, 1.0]), 0.3, 1.0, 100.0)
+    contact.setKp(100.0 * np.ones(3))
+    contact.setKd(20.0 * np.ones(3))
+    contact.setReference(pose)
+    law.addRigidContact(contact, 1e-5)
+
+    tool = tsid.TaskSE3Equality("tool", robot, TOOL)
+    tool.setKp(900.0 * np.ones(6))
+    tool.setKd(60.0 * np.ones(6))
+    tool.setReference(tsid.TrajectorySE3Constant("tool", pose).computeNext())
+    law.addMotionTask(tool, 1.0, 1, 0.0)
+
+    posture = tsid.TaskJointPosture("posture", robot)
+    posture.setKp(25.0 * np.ones(7))
+    posture.setKd(10.0 * np.ones(7))
+    posture.setReference(tsid.TrajectoryEuclidianConstant("posture", Q).computeNext())
+    law.addMotionTask(posture, 1e-3, 1, 0.0)
+
+    solver = tsid.SolverHQuadProgFast("solver")
+    solver.resize(law.nVar, law.nEq, law.nIn)
+    data = model.createData()
+    times = np.zeros((rounds + WARM_UP, 3))
+    for row in times:
+        start = perf_counter_ns()
+        problem = law.computeProblemData(0.0, Q, v)
+        middle = perf_counter_ns()
+        solution = solver.solve(problem)
+        tau = law.getActuatorForces(solution)
+        end = perf_counter_ns()
+        pin.computeAllTerms(model, data, Q, v)
+        row[:] = middle - start, end - middle, perf_counter_ns() - end
+        if solution.status != 0 or not np.isfinite(tau).all():
+            raise SystemExit(f"TSID found no solution: status {solution.status}")
+    setup, solve, floor = times[WARM_UP:].T / 1e3
+    print(json.dumps({
+        "pin": pin.__version__,
+        "variables": law.nVar,
+        "total_us": _spread(setup + solve),
+        "problem_us": _spread(setup),
+        "solve_us": _spread(solve),
+        "floor_us": _spread(floor),
+    }))  # fmt: skip
+
+
+def _spread(times: Any) -> dict[str, float]:
+    p50, p99, p99_9 = (float(x) for x in np.percentile(times, [50, 99, 99.9]))
+    return {"p50": p50, "p99": p99, "p99_9": p99_9, "max": float(times.max())}
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]))
