@@ -103,7 +103,8 @@ def two_contact_rod() -> Case:
     spec = rig.scenario.gains
     gains = Gains(MotionGains(**spec.motion.model_dump()), ForceGains(**spec.force.model_dump()))
     at = rig.references.at
-    return in_motion("two_contact_rod", rig.chain, rig.pairs, rig.q_contact, gains, at)
+    pairs = tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace))
+    return in_motion("two_contact_rod", rig.chain, pairs, rig.q_contact, gains, at)
 
 
 def one_panda() -> Case:

@@ -66,7 +66,7 @@ def mujoco_inverse(case: Case) -> Callable[[], object]:
     """
     with TemporaryDirectory() as folder:
         urdfs = [_without_shapes(arm.model.name, Path(folder)) for arm in case.chain.arms]
-        faces = [robots.urdf_path("face") for _ in case.pairs]
+        faces = [(robots.urdf_path("face"), pair.face_placement()) for pair in case.pairs]
         plant = MujocoPlant(case.chain, urdfs, robots.urdf_path("rod"), case.pairs, faces)
     import mujoco
 
