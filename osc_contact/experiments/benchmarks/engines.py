@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -14,7 +16,9 @@ from osc_contact import robots
 from osc_contact.experiments.benchmarks.cases import Case
 from osc_contact.plants.mujoco import MujocoPlant
 
-__all__ = ["constraint_dynamics", "mujoco_inverse"]
+__all__ = ["constraint_dynamics", "mujoco_inverse", "mujoco_state"]
+
+DEPTH = 2e-5  # m
 
 
 def constraint_dynamics(case: Case) -> Callable[[], object]:
@@ -64,21 +68,30 @@ def mujoco_inverse(case: Case) -> Callable[[], object]:
     Raises:
         PlantError: MuJoCo is missing or refuses the scene.
     """
-    with TemporaryDirectory() as folder:
-        urdfs = [_without_shapes(arm.model.name, Path(folder)) for arm in case.chain.arms]
-        faces = [(robots.urdf_path("face"), pair.face_placement()) for pair in case.pairs]
-        plant = MujocoPlant(case.chain, urdfs, robots.urdf_path("rod"), case.pairs, faces)
+    model, data = mujoco_state(case)
     import mujoco
 
-    model, data = plant.model, plant.data
+    return lambda: mujoco.mj_inverse(model, data)
+
+
+def mujoco_state(case: Case) -> tuple[Any, Any]:
+    """MuJoCo's model and data of a case, under the torques of its tick; object: packaged rod.
+
+    The faces stand a little into the object, so that MuJoCo finds every contact.
+    """
+    pairs = [replace(pair, point=pair.point + DEPTH * pair.normal) for pair in case.pairs]
+    with TemporaryDirectory() as folder:
+        urdfs = [_without_shapes(arm.model.name, Path(folder)) for arm in case.chain.arms]
+        faces = [robots.urdf_path("face") for _ in pairs]
+        plant = MujocoPlant(case.chain, urdfs, robots.urdf_path("rod"), pairs, faces)
     for name, q, v in zip(
         case.chain.joint_names, case.measurement.q, case.measurement.v, strict=True
     ):
-        joint = model.joint(name)
-        data.qpos[joint.qposadr] = q
-        data.qvel[joint.dofadr] = v
+        joint = plant.model.joint(name)
+        plant.data.qpos[joint.qposadr] = q
+        plant.data.qvel[joint.dofadr] = v
     plant.hold(case.controller().tick(case.measurement, case.reference))
-    return lambda: mujoco.mj_inverse(model, data)
+    return plant.model, plant.data
 
 
 def _without_shapes(name: str, folder: Path) -> Path:

@@ -154,5 +154,5 @@ def draw(result: dict[str, Any], path: Path) -> None:
             range(len(result["rates"])), [f"{int(r) / 1000:g} kHz" for r in result["rates"]]
         )
         ax.set(yscale="log", ylabel="µs: p50, whisker to p99.9")
-        ax.legend()
+        ax.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         save(figure, path.with_suffix(""))

@@ -15,7 +15,16 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
-__all__ = ["bars", "machine", "machine_lines", "new_axes", "require_count", "spread", "take_turns"]
+__all__ = [
+    "bars",
+    "joined",
+    "machine",
+    "machine_lines",
+    "new_axes",
+    "require_count",
+    "spread",
+    "take_turns",
+]
 
 PACKAGES = ("osc-contact", "pin", "numpy", "numba", "mujoco")
 WARM_UP = 5
@@ -80,6 +89,11 @@ def take_turns(
     return dict(zip(calls, times[WARM_UP:].T / 1e3, strict=True))
 
 
+def joined(blocks: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    """Times of several `take_turns` of the same calls, end to end."""
+    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+
+
 def spread(times: Array) -> dict[str, float]:
     """p50, p99, p99.9 and largest of some times, in their unit."""
     p50, p99, p99_9 = (float(x) for x in np.percentile(times, [50, 99, 99.9]))
@@ -102,7 +116,7 @@ def bars(ax: Any, values: Mapping[str, float], unit: str, marked: Sequence[str] 
 
     colours = [OKABE_ITO["vermillion" if name in marked else "blue"] for name in values]
     found = ax.barh(list(values), list(values.values()), color=colours)
-    ax.bar_label(found, fmt="{:.3g}", padding=3, fontsize=8.5)
+    ax.bar_label(found, fmt="{:.4g}", padding=3, fontsize=8.5)
     ax.invert_yaxis()
     ax.grid(axis="y", visible=False)
     ax.margins(x=0.12)

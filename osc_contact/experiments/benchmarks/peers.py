@@ -24,6 +24,7 @@ from osc_contact.experiments.benchmarks.cases import CASES, Case
 from osc_contact.experiments.benchmarks.engines import constraint_dynamics, mujoco_inverse
 from osc_contact.experiments.benchmarks.measuring import (
     bars,
+    joined,
     machine,
     new_axes,
     require_count,
@@ -87,7 +88,8 @@ def measure(rounds: int = 500, tsid_python: Path | None = None) -> dict[str, Any
 
     Compiled peers take turns among themselves, those in Python among themselves, in alternating
     blocks: microseconds measured right after a millisecond of Python are those of cold caches.
-    `ratio` is a median over the tick's. TSID runs alone in a process before and after its case.
+    `ratio` is a median over the tick's. TSID alternates with its own Pinocchio's floor in another
+    process, twice; between, the tick alternates with its floor alone (`tsid.tick_us`, `.ratio`).
 
     Args:
         rounds: of the peers in Python; compiled ones have ten times as many.
@@ -102,11 +104,10 @@ def measure(rounds: int = 500, tsid_python: Path | None = None) -> dict[str, Any
     tsid: dict[str, Any] = {"missing": HOW_TO_TSID}
     for name in ("two_contact_rod", "one_panda"):
         with_tsid = name == TSID_CASE and given is not None
-        runs = [_tsid(Path(str(given)), 10 * rounds)] if with_tsid else []
-        times = {peer: spread(t) for peer, t in _in_blocks(peers_of(CASES[name]()), rounds).items()}
+        peers = peers_of(CASES[name]())
+        times = {peer: spread(found) for peer, found in _in_blocks(peers, rounds).items()}
         if with_tsid:
-            runs.append(_tsid(Path(str(given)), 10 * rounds))
-            tsid = min(runs, key=lambda run: float(run["total_us"]["p50"]))
+            tsid = _beside_tsid(peers, Path(str(given)), 10 * rounds)
             times[TSID] = tsid["total_us"]
         tick = times[TICK]["p50"]
         cases[name] = {
@@ -122,7 +123,17 @@ def _in_blocks(peers: Peers, rounds: int) -> dict[str, Array]:
     for _ in range(blocks):
         fast = take_turns(peers.compiled, 10 * rounds // blocks, between=peers.unwind)
         found.append(fast | take_turns(peers.python, max(1, rounds // blocks)))
-    return {name: np.concatenate([block[name] for block in found]) for name in found[0]}
+    return joined(found)
+
+
+def _beside_tsid(peers: Peers, python: Path, rounds: int) -> dict[str, Any]:
+    """TSID's run that was less disturbed, and the tick in the same pattern: next to its floor."""
+    runs = [_tsid(python, rounds)]
+    alone = {name: peers.compiled[name] for name in (TICK, FLOOR)}
+    tick = spread(take_turns(alone, rounds, between=peers.unwind)[TICK])
+    runs.append(_tsid(python, rounds))
+    best = min(runs, key=lambda run: float(run["total_us"]["p50"]))
+    return best | {"tick_us": tick, "ratio": best["total_us"]["p50"] / tick["p50"]}
 
 
 def _tsid(python: Path, rounds: int) -> dict[str, Any]:
@@ -153,8 +164,9 @@ def tables(result: dict[str, Any]) -> list[Table]:
         found.append(table)
     if "floor_us" in result["tsid"]:
         found[-1].caption = (
-            "TSID: computeProblemData {problem_us[p50]:.1f}, solve {solve_us[p50]:.1f}, in its own "
-            "process; floor of its Pinocchio {pin} there {floor_us[p50]:.1f}"
+            "TSID, in its own process: computeProblemData {problem_us[p50]:.1f}, solve "
+            "{solve_us[p50]:.1f}, its floor (pin {pin}) {floor_us[p50]:.1f}; the tick, next to its "
+            "floor alone as TSID is: {tick_us[p50]:.1f}; TSID / tick {ratio:.2f}"
         ).format(**result["tsid"])
     return found
 

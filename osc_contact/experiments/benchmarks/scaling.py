@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +11,10 @@ import numpy as np
 import pinocchio as pin
 from rich.table import Table
 
-from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.controller import Status
 from osc_contact.errors import InvalidInputError
 from osc_contact.experiments.benchmarks.measuring import (
+    joined,
     machine,
     new_axes,
     require_count,
@@ -25,11 +27,13 @@ from osc_contact.experiments.benchmarks.random_arms import (
     faces_of,
     random_rig,
 )
+from osc_contact.spatial import Array
 
 __all__ = ["draw", "measure", "tables"]
 
 ARMS = (1, 2, 3, 4, 5, 6, 7, 8)
 RANKS = (0, 1, 2, 3, 4, 5, 6)
+BLOCKS = 5
 CONTACTS = (1, 2, 4, 8, 16)
 COLUMNS = ("kind", "arms", "joints", "d", "contacts", "r", "tick_p50_us", "floor_p50_us")
 
@@ -50,20 +54,24 @@ def measure(rounds: int = 300, seed: int = 0) -> dict[str, Any]:
     require_count(rounds, "rounds")
     rng = np.random.default_rng(seed)
     by_arms = [
-        _row(kind, random_rig(_kinds(kind, count), rng), 2, 2, rng, rounds)
+        _Timed.of(kind, random_rig(_kinds(kind, count), rng), 2, 2, rng)
         for kind in (*KINDS, "mixed")
         for count in ARMS
     ]
     pair = random_rig(["ur5", "ur5"], rng)
-    by_rank = [_row("ur5", pair, r, r, rng, rounds) for r in RANKS]
-    by_contacts = [_row("ur5", pair, c, min(c, 6), rng, rounds) for c in CONTACTS]
-    by_contacts += [_row("ur5", pair, c, 1, rng, rounds) for c in CONTACTS[1:]]
+    by_rank = [_Timed.of("ur5", pair, r, r, rng) for r in RANKS]
+    by_contacts = [_Timed.of("ur5", pair, c, min(c, 6), rng) for c in CONTACTS]
+    by_contacts += [_Timed.of("ur5", pair, c, 1, rng) for c in CONTACTS[1:]]
+    blocks = min(BLOCKS, rounds)
+    for _ in range(blocks):  # what disturbs the machine for a while does not hit one size only
+        for one in (*by_arms, *by_rank, *by_contacts):
+            one.blocks.append(take_turns(one.calls, rounds // blocks, between=one.unwind))
     return {
         "machine": machine(),
-        "rounds": rounds,
-        "arms": by_arms,
-        "ranks": by_rank,
-        "contacts": by_contacts,
+        "rounds": rounds // blocks * blocks,
+        "arms": [one.row() for one in by_arms],
+        "ranks": [one.row() for one in by_rank],
+        "contacts": [one.row() for one in by_contacts],
     }
 
 
@@ -72,43 +80,54 @@ def _kinds(kind: str, count: int) -> list[str]:
     return [("ur5", "scara")[i % 2] if kind == "mixed" else kind for i in range(count)]
 
 
-def _row(
-    kind: str, rig: RandomRig, contacts: int, r: int, rng: np.random.Generator, rounds: int
-) -> dict[str, Any]:
-    pairs: list[ContactPair] = faces_of(rig, contacts, r, rng)
-    controller, measurement, reference = rig.controller(pairs)
-    chain = rig.chain
-    data = chain.model.createData()
-    laws = (controller.motion_law, controller.force_law)
+@dataclass(frozen=True)
+class _Timed:
+    """One size: what it is, what is called, the times of each block."""
 
-    def unwind() -> None:
-        for law in laws:
-            law.integral[:] = 0.0
+    size: dict[str, Any]
+    calls: dict[str, Callable[[], object]]
+    unwind: Callable[[], None]
+    blocks: list[dict[str, Array]]
 
-    controller.tick(measurement, reference)
-    if controller.status is not Status.OK:
-        raise InvalidInputError(f"{kind} × {len(chain.arms)}: {controller.reason}")
-    found = take_turns(
-        {
+    @classmethod
+    def of(
+        cls, kind: str, rig: RandomRig, contacts: int, r: int, rng: np.random.Generator
+    ) -> _Timed:
+        pairs = faces_of(rig, contacts, r, rng)
+        controller, measurement, reference = rig.controller(pairs)
+        chain, q, v = rig.chain, measurement.q, measurement.v
+        data = chain.model.createData()
+        controller.tick(measurement, reference)
+        if controller.status is not Status.OK:
+            raise InvalidInputError(f"{kind} × {len(chain.arms)}: {controller.reason}")
+
+        def unwind() -> None:
+            for law in (controller.motion_law, controller.force_law):
+                law.integral[:] = 0.0
+
+        calls: dict[str, Callable[[], object]] = {
             "tick": lambda: controller.tick(measurement, reference),
-            "floor": lambda: pin.computeAllTerms(chain.model, data, measurement.q, measurement.v),
-        },
-        rounds,
-        between=unwind,
-    )
-    tick, floor = (float(np.median(found[name])) for name in ("tick", "floor"))
-    return {
-        "kind": kind,
-        "arms": len(chain.arms),
-        "joints": chain.nq,
-        "d": chain.state(rig.q, np.zeros(chain.nq)).d,
-        "contacts": contacts,
-        "r": contact_of(rig, pairs).r,
-        "tick_p50_us": tick,
-        "floor_p50_us": floor,
-        "ratio": tick / floor,
-        "tick_per_arm_us": tick / len(chain.arms),
-    }
+            "floor": lambda: pin.computeAllTerms(chain.model, data, q, v),
+        }
+        size = {
+            "kind": kind,
+            "arms": len(chain.arms),
+            "joints": chain.nq,
+            "d": chain.state(q, v).d,
+            "contacts": contacts,
+            "r": contact_of(rig, pairs).r,
+        }
+        return cls(size, calls, unwind, [])
+
+    def row(self) -> dict[str, Any]:
+        found = joined(self.blocks)
+        tick, floor = (float(np.median(found[name])) for name in ("tick", "floor"))
+        return self.size | {
+            "tick_p50_us": tick,
+            "floor_p50_us": floor,
+            "ratio": tick / floor,
+            "tick_per_arm_us": tick / self.size["arms"],
+        }
 
 
 def tables(result: dict[str, Any]) -> list[Table]:
