@@ -82,7 +82,7 @@ def mujoco_state(case: Case) -> tuple[Any, Any]:
     pairs = [replace(pair, point=pair.point + DEPTH * pair.normal) for pair in case.pairs]
     with TemporaryDirectory() as folder:
         urdfs = [_without_shapes(arm.model.name, Path(folder)) for arm in case.chain.arms]
-        faces = [robots.urdf_path("face") for _ in pairs]
+        faces = [(robots.urdf_path("face"), pair.face_placement()) for pair in pairs]
         plant = MujocoPlant(case.chain, urdfs, robots.urdf_path("rod"), pairs, faces)
     for name, q, v in zip(
         case.chain.joint_names, case.measurement.q, case.measurement.v, strict=True
