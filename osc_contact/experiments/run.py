@@ -168,11 +168,10 @@ def _channels(
     """What the recording keeps of a tick besides joints and torques."""
     found, k, r = controller.found(), len(rig.pairs), len(reference.alpha_d)
     wrench = found.f_meas - found.bias_out
-    alpha, V_rel = found.alpha_meas, found.V_O
-    if read.touched is not None or 0 < len(alpha) < r:
-        s = controller.last_signals()
-        V_rel = V_rel - s.environment.V_e
-        alpha = s.contact.magnitudes(alpha)
+    alpha = found.alpha_meas
+    projected = float(found.normal_speed @ alpha)  # V_relᵀNα, whatever the faces do
+    if 0 < len(alpha) < r:  # some contacts depend on others
+        alpha = controller.last_signals().contact.magnitudes(alpha)
     X = truth.X_WO
     moved = truth.X_WE or (pin.SE3.Identity(),) * k
     lines = [feet(pair, X, E) for pair, E in zip(rig.pairs, moved, strict=True)]
@@ -198,8 +197,8 @@ def _channels(
             [pin.SE3ToXYZQUAT(E * body) for body, E in zip(bodies, moved, strict=True)]
         ).reshape(k, 7),
         "wrench_meas": wrench,
-        "power_total": float(V_rel @ wrench),
-        "power_projected": float(V_rel @ found.f_c),
+        "power_total": float(found.V_O @ (wrench - found.f_c)) + projected,
+        "power_projected": projected,
         "motion_error": free_error,
         "squeeze_cmd": reference.squeeze_d,
         "squeeze": float(found.squeeze[0]),
