@@ -60,7 +60,7 @@ def test_list_names_scenarios_and_figures(tmp_path: Path) -> None:
     assert result.exit_code == 0 and "two_contact_rod" in result.stdout
     found = json.loads((tmp_path / "list.json").read_text())
     assert set(found["scenarios"]) == set(osc_contact.list_scenarios())
-    figures = {"fig1", "fig2", "fig4", "fig5", "fig6", "fig8", "kinematic_stability"}
+    figures = {"fig1", "fig2", "fig3", "fig4", "fig5", "fig6", "fig8", "kinematic_stability"}
     assert figures <= set(found["figures"])
 
 

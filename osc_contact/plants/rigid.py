@@ -19,9 +19,16 @@ from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
-from osc_contact.plants.faces import Rail, touched
+from osc_contact.plants.faces import Rail, poses, touched
 from osc_contact.plants.plant import Truth
-from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_wrench
+from osc_contact.spatial import (
+    Array,
+    as_array,
+    carry_twist,
+    carry_wrench,
+    classical_to_spatial,
+    cross_wrench,
+)
 
 __all__ = ["RigidPlant"]
 
@@ -43,7 +50,7 @@ class RigidPlant:
             chain: the true arms, grasps and object (not the controller's copy).
             contacts: the true contacts, of any kind.
             step: integration step (s).
-            rails: how each body of the environment slides; default: all are fixed.
+            rails: how each body of the environment moves; default: all are fixed.
             on: the body of each contact; default: each has its own.
 
         Raises:
@@ -54,11 +61,12 @@ class RigidPlant:
         self.chain = chain
         self.contacts = tuple(contacts)
         self.on = tuple(range(len(self.contacts)) if on is None else on)
-        bodies = max(self.on, default=-1) + 1
-        self.rails: list[Rail | None] = list(rails or [None] * bodies)
+        self.rails: list[Rail | None] = list(rails or [None] * (max(self.on, default=-1) + 1))
         self.dt = step
         self.time = 0.0
-        self._travel, self._speed = self._at_start(), np.zeros(len(self.rails))
+        #: travel and angle of every body (bodies, 2), and their rates
+        self._s: Array = np.zeros((len(self.rails), 2))
+        self._rates: Array = np.zeros((len(self.rails), 2))
         self.model, self._tips = _with_object(chain)
         self._sensors = [
             None if arm.wrist_sensor is None
@@ -73,7 +81,7 @@ class RigidPlant:
     def reset(self, q: Array) -> None:
         """Start at rest at q, moved onto loops and contacts."""
         self.time = 0.0
-        self._travel, self._speed = self._at_start(), np.zeros(len(self.rails))
+        self._s, self._rates = np.zeros_like(self._s), np.zeros_like(self._s)
         self._drive()
         self.q = close(self.chain, as_array("q", q, (self.chain.nq,)), self._gaps)
         self.v = self._on_constraints(np.zeros(self.chain.nq))
@@ -86,14 +94,15 @@ class RigidPlant:
     def measure(self) -> Measurement:
         """Encoders, and the wrist wrenches under the torques applied last."""
         wrenches = self._solve(self._tau, with_wrenches=True).wrenches
-        seen = touched(self.rails, self.on, self._travel, self._speed, self._driven_acceleration())
+        seen = touched(self.rails, self.on, self._s, self._rates, self._driven_acceleration())
         return Measurement(self.q.copy(), self.v.copy(), wrenches, seen)
 
     def truth(self) -> Truth:
         """Contact forces under the torques applied last; rigid contacts are always closed."""
         alpha = self._solve(self._tau).alpha
         X, V = self._object()
-        faces = tuple(self._face(i)[0] for i in range(len(self.contacts)))
+        bodies = poses(self.rails, self._s)
+        faces = tuple(bodies[body] for body in self.on)
         return Truth(alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
 
     def step(self, tau: Array, duration: float) -> None:
@@ -106,9 +115,9 @@ class RigidPlant:
             if not (np.isfinite(q).all() and np.abs(v).max() < 1e3):
                 raise PlantError(f"rigid plant diverged at t = {self.time:.4f} s, v = {v}")
             self.time += self.dt
-            speed = self._speed + solution.sdd * self.dt
-            self._travel = self._travel + 0.5 * (self._speed + speed) * self.dt
-            self._speed = speed
+            rates = self._rates + solution.sdd * self.dt
+            self._s = self._s + 0.5 * (self._rates + rates) * self.dt
+            self._rates = rates
             self._drive()
             self.q = close(self.chain, q, self._gaps)
             self.v = self._on_constraints(v)
@@ -122,48 +131,62 @@ class RigidPlant:
 
     # --- faces -----------------------------------------------------------------------------------
 
-    def _at_start(self) -> Array:
-        """(bodies,) travel at t = 0."""
-        return np.array(
-            [0.0 if r is None or r.motion is None else r.motion(0.0)[0] for r in self.rails]
-        )
-
     def _drive(self) -> None:
         """Put the driven faces where they are to be now."""
         for i, rail in enumerate(self.rails):
             if rail is not None and rail.motion is not None:
-                self._travel[i], self._speed[i], _ = rail.motion(self.time)
+                self._s[i], self._rates[i], _ = rail.motion(self.time)
 
     def _driven_acceleration(self) -> Array:
         return np.array(
-            [0.0 if r is None or r.motion is None else r.motion(self.time)[2] for r in self.rails]
-        )
+            [
+                np.zeros(2) if r is None or r.motion is None else r.motion(self.time)[2]
+                for r in self.rails
+            ]
+        ).reshape(-1, 2)
 
     def _face(self, i: int) -> tuple[pin.SE3, Array]:
         """Pose and twist of the body at contact i."""
         body = self.on[i]
         rail = self.rails[body]
-        X, V = pin.SE3.Identity(), np.zeros(6)
-        if rail is not None:
-            X.translation = rail.direction * self._travel[body]
-            V[:3] = rail.direction * self._speed[body]
-        return X, V
+        if rail is None:
+            return pin.SE3.Identity(), np.zeros(6)
+        X = rail.pose(self._s[body])
+        return X, rail.twist(self._s[body], self._rates[body], X.translation)
 
-    def _along_rails(self, parts: list[Contact]) -> Array:
-        """(r, bodies) Nᵀ[u; 0]: how fast each gap closes as the body comes along its rail."""
-        out = np.zeros((sum(c.r for c in parts), len(self.rails)))
+    def _free(self) -> dict[int, Rail]:
+        """The bodies that follow the contact force."""
+        return {i: r for i, r in enumerate(self.rails) if r is not None and r.motion is None}
+
+    def _along_rails(self, parts: list[Contact], point: Array) -> Array:
+        """(r, bodies, 2) Nᵀ × the twists per unit rate: how fast each gap closes with them."""
+        out = np.zeros((sum(c.r for c in parts), len(self.rails), 2))
         row = 0
         for part, body in zip(parts, self.on, strict=True):
             rail = self.rails[body]
             if rail is not None:
-                out[row : row + part.r, body] = part.N[:3].T @ rail.direction
+                for k, rate in enumerate(np.eye(2)):
+                    twist = rail.twist(self._s[body], rate, point)
+                    out[row : row + part.r, body, k] = part.N.T @ twist
             row += part.r
         return out
+
+    def _drift_of_faces(self, parts: list[Contact], point: Array) -> Array:
+        """(r,) Nᵀ × the spatial acceleration at O of bodies at s̈ = 0."""
+        out = [np.zeros(0)]
+        for part, body in zip(parts, self.on, strict=True):
+            rail, drift = self.rails[body], np.zeros(6)
+            if rail is not None:
+                s, rates = self._s[body], self._rates[body]
+                drift = rail.acceleration(s, rates, np.zeros(2), point)
+                drift = classical_to_spatial(drift, rail.twist(s, rates, point))
+            out.append(part.N.T @ drift)
+        return np.concatenate(out)
 
     # --- dynamics --------------------------------------------------------------------------------
 
     def _solve(self, tau: Array, with_wrenches: bool = False) -> _Solution:
-        """All joints and carts at once, one multiplier for each row of loops and contacts."""
+        """All joints and free bodies at once, one multiplier for each row of loops and contacts."""
         chain, n, k = self.chain, self.chain.nq, 6 * (len(self._tips) - 1)
         pin.computeAllTerms(self.model, self.data, self.q, self.v)
         X, V = self._object()
@@ -179,26 +202,27 @@ class RigidPlant:
             loop[:, s] -= self._jacobian(i, X)[:, s]
             rows.append(loop)
             right.append(gamma[i] - gamma[0])
-        along, driven = self._along_rails(parts), self._driven_acceleration()
+        along, driven = self._along_rails(parts, X.translation), self._driven_acceleration()
+        drift = self._drift_of_faces(parts, X.translation)
         rows.append(N.T @ first)
-        right.append(n_gamma - N.T @ gamma[0] + along @ driven)
+        right.append(n_gamma - N.T @ gamma[0] + drift + np.tensordot(along, driven))
         force = -self.data.nle
         force[chain.actuated] += tau
-        on_rails = {i: r for i, r in enumerate(self.rails) if r is not None and r.motion is None}
-        carts = list(on_rails)
+        free = self._free()
+        at = np.array(list(free), dtype=int), np.array([r.joints[0] for r in free.values()], int)
         A, M = np.vstack(rows), np.array(self.data.M)
-        if carts:
-            A = np.hstack((A, np.vstack((np.zeros((k, len(carts))), -along[:, carts]))))
-            masses = np.diag([rail.mass for rail in on_rails.values()])
-            M = np.block([[M, np.zeros((n, len(carts)))], [np.zeros((len(carts), n)), masses]])
-            force = np.concatenate((force, [self._on_cart(i, r) for i, r in on_rails.items()]))
+        if free:
+            A = np.hstack((A, np.vstack((np.zeros((k, len(free))), -along[:, *at]))))
+            inertias = np.diag([rail.inertia for rail in free.values()])
+            M = np.block([[M, np.zeros((n, len(free)))], [np.zeros((len(free), n)), inertias]])
+            force = np.concatenate((force, [self._on_rail(i, r) for i, r in free.items()]))
         b = np.concatenate(right)
-        free = np.linalg.solve(M, force)
+        unheld = np.linalg.solve(M, force)
         inverse, multipliers = inverse_rows(A, M, len(rows) - 1)
-        x = free + inverse @ (b - A @ free)
-        lam = multipliers @ (b - A @ free)  # M x = force + Aᵀλ
+        x = unheld + inverse @ (b - A @ unheld)
+        lam = multipliers @ (b - A @ unheld)  # M x = force + Aᵀλ
         qdd, sdd = x[:n], driven.copy()
-        sdd[carts] = x[n:]
+        sdd[at] = x[n:]
         alpha = -lam[k:]
         wrenches = np.zeros((len(self._tips), 6))
         if with_wrenches:
@@ -206,10 +230,11 @@ class RigidPlant:
             wrenches = self._wrist(qdd, lam[:k].reshape(-1, 6), N @ alpha, a_O, X, V)
         return _Solution(qdd, sdd, alpha, wrenches)
 
-    def _on_cart(self, i: int, rail: Rail) -> float:
-        """Force along the rail besides the contact's (N)."""
-        weight = rail.mass * float(rail.direction @ self.model.gravity.linear)
-        spring = rail.stiffness * self._travel[i] + rail.damping * self._speed[i]
+    def _on_rail(self, i: int, rail: Rail) -> float:
+        """Force along a free body's joint besides the contact's (N, N m); hinges are balanced."""
+        k = rail.joints[0]
+        weight = rail.inertia * float(rail.direction @ self.model.gravity.linear)
+        spring = rail.stiffness * self._s[i, k] + rail.damping * self._rates[i, k]
         return float(weight + rail.preload - spring)
 
     def _wrist(
@@ -281,9 +306,9 @@ class RigidPlant:
         X = self.chain.object_poses()[0]
         parts = self._parts(X, np.zeros(6))
         A = constraint_rows(self.chain, X.translation, _stacked(parts)[0])
-        along = self._along_rails(parts)
+        along = self._along_rails(parts, X.translation)
         b = np.zeros(len(A))
-        b[len(A) - len(along) :] = -along @ self._speed
+        b[len(A) - len(along) :] = -np.tensordot(along, self._rates)
         for _ in range(2):
             v = v - inverse_rows(A, self.chain.data.M, len(self._tips) - 1)[0] @ (A @ v - b)
         return v
@@ -291,7 +316,7 @@ class RigidPlant:
 
 @dataclass(frozen=True)
 class _Solution:
-    """q̈ (n,), accelerations along the rails (bodies,), α (r,), wrist wrenches (arms, 6)."""
+    """q̈ (n,), accelerations along the rails (bodies, 2), α (r,), wrist wrenches (arms, 6)."""
 
     qdd: Array
     sdd: Array

@@ -145,6 +145,7 @@ function start() {
     if (event.key === " " && !CONFIG.live) { event.preventDefault(); toggle(); }
   });
   if (/[#&]bare/.test(location.hash)) document.body.className = "bare";
+  else if (!CONFIG.live && !length) document.body.className = "still";
   viewer.set_3d_pane_size();
   plots.redraw();
   const asked = /t=([0-9.]+)/.exec(location.hash); // page.html#t=2.5 shows the still at 2.5 s
