@@ -1,8 +1,9 @@
 """The exact plant: Pinocchio joint-space dynamics, bilateral rigid contacts, loops by multipliers.
 
 It shares no formula with the closed chain of the controller: no S, no Λ_S, but all joints of all
-arms at once with one multiplier per constraint row. Positions and velocities are projected onto
-the constraints after each step, so NᵀV_rel = 0 to rounding.
+arms at once with one multiplier per constraint row. The object rides on the first arm that holds
+it rigidly; where none does it is a body of its own. Positions and velocities are projected onto the
+constraints after each step, so NᵀV_rel = 0 to rounding.
 """
 
 from __future__ import annotations
@@ -15,13 +16,31 @@ import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows
+from osc_contact.dynamics.assembly import (
+    closed,
+    constraint_rows,
+    inertia_of,
+    inverse_rows,
+    object_columns,
+    object_pose,
+    row_groups,
+)
 from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.held_object import moved
+from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
 from osc_contact.plants.faces import Rail, touched
 from osc_contact.plants.plant import Truth
-from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_wrench
+from osc_contact.spatial import (
+    Array,
+    as_array,
+    carry_twist,
+    carry_wrench,
+    cross,
+    cross_twist,
+    cross_wrench,
+)
 
 __all__ = ["RigidPlant"]
 
@@ -68,6 +87,7 @@ class RigidPlant:
         self.data = self.model.createData()
         self.q = np.zeros(chain.nq)
         self.v = np.zeros(chain.nq)
+        self._X, self._V = pin.SE3.Identity(), np.zeros(6)  # of an object that no arm leads
         self._tau = np.zeros(chain.n_a)
 
     def reset(self, q: Array) -> None:
@@ -75,8 +95,9 @@ class RigidPlant:
         self.time = 0.0
         self._travel, self._speed = self._at_start(), np.zeros(len(self.rails))
         self._drive()
-        self.q = close(self.chain, as_array("q", q, (self.chain.nq,)), self._gaps)
-        self.v = self._on_constraints(np.zeros(self.chain.nq))
+        q = as_array("q", q, (self.chain.nq,))
+        self.q, self._X = closed(self.chain, q, object_pose(self.chain, q), self._gaps)
+        self.v, self._V = self._on_constraints(np.zeros(self.chain.nq), np.zeros(6))
         self._tau = np.zeros(self.chain.n_a)
 
     def hold(self, tau: Array) -> None:
@@ -110,15 +131,15 @@ class RigidPlant:
             self._travel = self._travel + 0.5 * (self._speed + speed) * self.dt
             self._speed = speed
             self._drive()
-            self.q = close(self.chain, q, self._gaps)
-            self.v = self._on_constraints(v)
+            V = self._V + solution.object_rate * self.dt
+            X = moved(self._X, 0.5 * (self._V + V) * self.dt)
+            self.q, self._X = closed(self.chain, q, X, self._gaps)
+            self.v, self._V = self._on_constraints(v, V)
 
     def accelerations(self, tau: Array) -> tuple[Array, Array, Array]:
         """(q̈ (n,), spatial object acceleration (6,) at O, α (r,)) under torques now."""
         solution = self._solve(as_array("tau", tau, (self.chain.n_a,)))
-        X, _ = self._object()
-        s, J = self.chain.slices[0], self._jacobian(0, X)
-        return solution.qdd, J[:, s] @ solution.qdd[s] + self._drift(0, X), solution.alpha
+        return solution.qdd, solution.a_O, solution.alpha
 
     # --- faces -----------------------------------------------------------------------------------
 
@@ -164,47 +185,66 @@ class RigidPlant:
 
     def _solve(self, tau: Array, with_wrenches: bool = False) -> _Solution:
         """All joints and carts at once, one multiplier for each row of loops and contacts."""
-        chain, n, k = self.chain, self.chain.nq, 6 * (len(self._tips) - 1)
+        chain, n = self.chain, self.chain.nq
         pin.computeAllTerms(self.model, self.data, self.q, self.v)
         X, V = self._object()
         parts = self._parts(X, V)
         N, n_gamma = _stacked(parts)
         pin.forwardKinematics(self.model, self.data, self.q, self.v, np.zeros(n))
-        gamma = [self._drift(i, X) for i in range(len(self._tips))]
-        first = np.zeros((6, n))
-        first[:, chain.slices[0]] = self._jacobian(0, X)[:, chain.slices[0]]
-        rows, right = [], []
-        for i, s in enumerate(chain.slices[1:], start=1):
-            loop = first.copy()
-            loop[:, s] -= self._jacobian(i, X)[:, s]
+        J = self._jacobian(X)
+        first = object_columns(chain, J)
+        gamma_O = np.zeros(6) if chain.leader is None else self._drift(chain.leader, X)
+        rows, right, normals = [], [], []
+        for i, (s, grasp) in enumerate(zip(chain.slices, chain.grasps, strict=True)):
+            if i == chain.leader:
+                continue
+            loop, drift, passed = first.copy(), self._drift(i, X) - gamma_O, np.eye(6)
+            loop[:, s] -= J[:, s]
+            if not grasp.is_rigid:  # N is carried by the tip while the object slips
+                passed = grasp.wrenches_at(self._tip(i), X.translation)
+                loop = passed.T @ loop
+                drift = passed.T @ (drift + cross_twist(J[:, s] @ self.v[s], V))
             rows.append(loop)
-            right.append(gamma[i] - gamma[0])
+            right.append(drift)
+            normals.append(passed)
         along, driven = self._along_rails(parts), self._driven_acceleration()
+        k = sum(map(len, right))
         rows.append(N.T @ first)
-        right.append(n_gamma - N.T @ gamma[0] + along @ driven)
+        right.append(n_gamma - N.T @ gamma_O + along @ driven)
         force = -self.data.nle
         force[chain.actuated] += tau
+        M = np.array(self.data.M)
+        if chain.leader is None:
+            body = self._body(X, V)
+            force = np.concatenate((force, -body.mu - body.p))
+            M = _beside(M, body.Lambda)
         on_rails = {i: r for i, r in enumerate(self.rails) if r is not None and r.motion is None}
         carts = list(on_rails)
-        A, M = np.vstack(rows), np.array(self.data.M)
+        A, size = np.vstack(rows), len(M)
         if carts:
             A = np.hstack((A, np.vstack((np.zeros((k, len(carts))), -along[:, carts]))))
-            masses = np.diag([rail.mass for rail in on_rails.values()])
-            M = np.block([[M, np.zeros((n, len(carts)))], [np.zeros((len(carts), n)), masses]])
+            M = _beside(M, np.diag([rail.mass for rail in on_rails.values()]))
             force = np.concatenate((force, [self._on_cart(i, r) for i, r in on_rails.items()]))
         b = np.concatenate(right)
         free = np.linalg.solve(M, force)
-        inverse, multipliers = inverse_rows(A, M, len(rows) - 1)
+        inverse, multipliers = inverse_rows(A, M, row_groups(chain))
         x = free + inverse @ (b - A @ free)
         lam = multipliers @ (b - A @ free)  # M x = force + Aᵀλ
         qdd, sdd = x[:n], driven.copy()
-        sdd[carts] = x[n:]
-        alpha = -lam[k:]
+        sdd[carts] = x[size:]
+        alpha, a_O = -lam[k:], first @ x[:size] + gamma_O
         wrenches = np.zeros((len(self._tips), 6))
         if with_wrenches:
-            a_O = first @ qdd + gamma[0]
-            wrenches = self._wrist(qdd, lam[:k].reshape(-1, 6), N @ alpha, a_O, X, V)
-        return _Solution(qdd, sdd, alpha, wrenches)
+            ends = np.cumsum([passed.shape[1] for passed in normals])[:-1]
+            shares = np.split(lam[:k], ends) if normals else []
+            # the multiplier of a loop row is what that arm does to the object
+            loops = [passed @ share for passed, share in zip(normals, shares, strict=True)]
+            wrenches = self._wrist(qdd, loops, N @ alpha, a_O, X, V)
+        return _Solution(qdd, sdd, a_O, _rate(a_O, V), alpha, wrenches)
+
+    def _body(self, X: pin.SE3, V: Array) -> ObjectTerms:
+        assert self.chain.payload is not None  # the constructor refused otherwise
+        return self.chain.payload.terms(X, V, self.model.gravity.linear)
 
     def _on_cart(self, i: int, rail: Rail) -> float:
         """Force along the rail besides the contact's (N)."""
@@ -213,25 +253,24 @@ class RigidPlant:
         return float(weight + rail.preload - spring)
 
     def _wrist(
-        self, qdd: Array, loops: Array, f_c: Array, a_O: Array, X: pin.SE3, V: Array
+        self, qdd: Array, loops: list[Array], f_c: Array, a_O: Array, X: pin.SE3, V: Array
     ) -> Array:
         """Wrist wrenches in sensor axes: what each arm's joint transmits, minus its own side.
 
         Newton–Euler from the base: the wrench through the sensor's joint, less what the links
         between that joint and the sensor need.
         """
-        chain = self.chain
-        payload = chain.payload
-        assert payload is not None  # the constructor refused otherwise
-        body = payload.terms(X, V, self.model.gravity.linear)
-        # the multiplier of a loop row is what that arm does to the object; the first bears the rest
+        leader = self.chain.leader
+        body = self._body(X, V)
         hold = body.Lambda @ a_O + body.mu + body.p + f_c
-        on_object = [hold - loops.sum(axis=0), *loops]
+        on_object = list(loops)
+        if leader is not None:  # it bears the rest
+            on_object.insert(leader, hold - sum(loops, np.zeros(6)))
         external = [pin.Force.Zero() for _ in range(self.model.njoints)]
         for i, (tip, wrench) in enumerate(zip(self._tips, on_object, strict=True)):
             joint = self.model.frames[tip].parentJoint
             at_origin = carry_wrench(-wrench, X.translation, np.zeros(3))
-            if i == 0:  # the object's inertia rides on this joint: add only what differs
+            if i == leader:  # the object's inertia rides on this joint: add only what differs
                 at_origin = carry_wrench(hold - wrench - f_c, X.translation, np.zeros(3))
             external[joint] = self.data.oMi[joint].actInv(pin.Force(at_origin))
         pin.rnea(self.model, self.data, self.q, self.v, qdd, external)
@@ -248,17 +287,19 @@ class RigidPlant:
         return np.asarray(sensor.placement.actInv(pin.Force(wrench)).vector)
 
     def _object(self) -> tuple[pin.SE3, Array]:
-        X = self._pose(0)
-        s = self.chain.slices[0]
-        return X, self._jacobian(0, X)[:, s] @ self.v[s]
+        leader = self.chain.leader
+        if leader is None:
+            return self._X, self._V
+        X = self._tip(leader) * self.chain.grasps[leader].X_TO
+        s = self.chain.slices[leader]
+        return X, self._jacobian(X)[:, s] @ self.v[s]
 
-    def _pose(self, i: int) -> pin.SE3:
+    def _tip(self, i: int) -> pin.SE3:
         frame = self.model.frames[self._tips[i]]
-        return self.data.oMi[frame.parentJoint] * frame.placement * self.chain.grasps[i]
+        return self.data.oMi[frame.parentJoint] * frame.placement
 
-    def _jacobian(self, i: int, X: pin.SE3) -> Array:
-        J = pin.getFrameJacobian(self.model, self.data, self._tips[i], pin.ReferenceFrame.WORLD)
-        return carry_twist(J, np.zeros(3), X.translation)
+    def _jacobian(self, X: pin.SE3) -> Array:
+        return carry_twist(self.data.J, np.zeros(3), X.translation)
 
     def _drift(self, i: int, X: pin.SE3) -> Array:
         """Spatial drift at O, from Pinocchio's own acceleration pass at q̈ = 0."""
@@ -276,27 +317,42 @@ class RigidPlant:
         gaps = [pair.gaps(X, self._face(i)[0]) for i, pair in enumerate(self.contacts)]
         return np.concatenate([np.zeros(0), *gaps]), _stacked(self._parts(X, np.zeros(6)))[0]
 
-    def _on_constraints(self, v: Array) -> Array:
-        pin.computeAllTerms(self.chain.model, self.chain.data, self.q, v)
-        X = self.chain.object_poses()[0]
+    def _on_constraints(self, v: Array, V: Array) -> tuple[Array, Array]:
+        chain, n = self.chain, self.chain.nq
+        pin.computeAllTerms(chain.model, chain.data, self.q, v)
+        X = self._X if chain.leader is None else chain.object_pose()
         parts = self._parts(X, np.zeros(6))
-        A = constraint_rows(self.chain, X.translation, _stacked(parts)[0])
+        A = constraint_rows(chain, X.translation, _stacked(parts)[0])
         along = self._along_rails(parts)
         b = np.zeros(len(A))
         b[len(A) - len(along) :] = -along @ self._speed
+        x = np.concatenate((v, V))[: A.shape[1]]
         for _ in range(2):
-            v = v - inverse_rows(A, self.chain.data.M, len(self._tips) - 1)[0] @ (A @ v - b)
-        return v
+            x = x - inverse_rows(A, inertia_of(chain, X), row_groups(chain))[0] @ (A @ x - b)
+        return x[:n], x[n:] if chain.leader is None else V
 
 
 @dataclass(frozen=True)
 class _Solution:
-    """q̈ (n,), accelerations along the rails (bodies,), α (r,), wrist wrenches (arms, 6)."""
+    """What one instant's equations say."""
 
-    qdd: Array
-    sdd: Array
-    alpha: Array
-    wrenches: Array
+    qdd: Array  # (n,)
+    sdd: Array  # (bodies,) accelerations along the rails
+    a_O: Array  # (6,) of the object, spatial
+    object_rate: Array  # (6,) rate of its twist at its own origin
+    alpha: Array  # (r,)
+    wrenches: Array  # (arms, 6) in the wrists
+
+
+def _rate(a_O: Array, V: Array) -> Array:
+    return a_O + np.concatenate((cross(V[3:], V[:3]), np.zeros(3)))
+
+
+def _beside(A: Array, B: Array) -> Array:
+    """The block-diagonal matrix of two."""
+    out = np.zeros((len(A) + len(B), len(A) + len(B)))
+    out[: len(A), : len(A)], out[len(A) :, len(A) :] = A, B
+    return out
 
 
 def _stacked(parts: list[Contact]) -> tuple[Array, Array]:
@@ -306,14 +362,14 @@ def _stacked(parts: list[Contact]) -> tuple[Array, Array]:
 
 
 def _with_object(chain: ClosedChain) -> tuple[pin.Model, list[int]]:
-    """The merged model with the object's inertia riding on the first arm's last joint."""
+    """The merged model with the object's inertia riding on the last joint of the leading arm."""
     model = chain.model.copy()
     tips = [model.getFrameId(f"{arm.name}/{arm.tip}") for arm in chain.arms]
-    frame = model.frames[tips[0]]
-    assert chain.payload is not None
-    model.appendBodyToJoint(
-        frame.parentJoint, chain.payload.inertia, frame.placement * chain.grasps[0]
-    )
+    if chain.leader is not None:
+        frame = model.frames[tips[chain.leader]]
+        assert chain.payload is not None
+        X_TO = chain.grasps[chain.leader].X_TO
+        model.appendBodyToJoint(frame.parentJoint, chain.payload.inertia, frame.placement * X_TO)
     return model, tips
 
 
