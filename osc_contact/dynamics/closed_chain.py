@@ -138,7 +138,7 @@ class ClosedChain:
         if payload is None and len(rigid) < len(self.grasps):
             raise ModelError(
                 "an object without mass cannot be held by grasps that permit motions: nothing "
-                "resists these. Give a payload, or put the joint into the URDF with links that weigh"
+                "resists these. Give a payload, or put the joint into the URDF, with a link"
             )
         self.payload = payload
         self.reference = payload or RigidObject(_REFERENCE)

@@ -38,7 +38,7 @@ class Grasp:
     """
 
     X_TO: pin.SE3
-    T: npt.ArrayLike = field(default_factory=lambda: np.zeros((6, 0)))
+    T: Array = field(default_factory=lambda: np.zeros((6, 0)))
     N: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -92,7 +92,7 @@ class Grasp:
     @property
     def kind(self) -> str:
         """rigid, hinge, ball, or other."""
-        T = np.asarray(self.T)
+        T = self.T
         if self.is_rigid:
             return "rigid"
         if T[:3].any() or T.shape[1] == 2:
@@ -111,7 +111,7 @@ class Grasp:
         displacement from tip to object is taken off first.
         """
         away = X_WT.actInv(X_WO * self.X_TO.inverse())  # zero motion: identity
-        T = np.asarray(self.T)
+        T = self.T
         left: Array = pin.log6(away).vector
         for _ in range(50 if T.shape[1] else 0):
             part = np.linalg.lstsq(T, left, rcond=None)[0]

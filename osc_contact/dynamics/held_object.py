@@ -108,7 +108,7 @@ def _aligned(grasps: Sequence[Grasp], tips: Sequence[pin.SE3]) -> pin.SE3:
     turns = np.zeros((3, 3))
     radius = 0.1  # a metre of axis counts as this much distance between points
     for grasp, tip in zip(grasps, tips, strict=True):
-        T = np.asarray(grasp.T)
+        T = grasp.T
         X_OT = grasp.X_TO.inverse()
         if not T[:3].any():
             own.append(X_OT.translation)

@@ -1,9 +1,9 @@
 """The MuJoCo model of a rig, put together from the same URDFs as the toolkit's own.
 
 The object hangs on the first arm's gripper, welded or by a joint of the grasp's kind; equality
-constraints tie it to the others: a weld, one point (ball) or two points of an axis (hinge). Only the object and the
-bodies of the environment touch, with the collision geometry of their URDFs and soft enough not to
-chatter; joints have neither damping nor friction.
+constraints tie it to the others: a weld, one point (ball) or two points of an axis (hinge). Only
+the object and the bodies of the environment touch, with the collision geometry of their URDFs and
+soft enough not to chatter; joints have neither damping nor friction.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def _tie_points(grasp: Grasp) -> list[Array]:
         return []
     if grasp.kind == "ball":
         return [np.zeros(3)]
-    axis = np.asarray(grasp.T)[3:, 0]
+    axis = grasp.T[3:, 0]
     return [HINGE_SPAN * axis, -HINGE_SPAN * axis]
 
 
