@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from grasp_rigs import BODY, KINDS, random_case
+from grasp_rigs import BODY, KINDS, grasp_of, random_case, slip_of
 from rigs import contact_of, random_faces
 
 import osc_contact as osc
 from osc_contact.control.allocation import Allocation
 from osc_contact.control.command_filter import filtered_motion, generalised_force
 from osc_contact.control.force import contact_force, magnitudes, sum_of_wrenches
+from osc_contact.dynamics.assembly import close, object_pose, reach
+from osc_contact.dynamics.held_object import moved
 from osc_contact.plants.rigid import RigidPlant
 
 ARMS = ("scara", "ur5", "panda", "2R", "3R")
@@ -289,3 +291,118 @@ def test_one_arm_whose_tip_is_the_object(arm):
         got = osc.contact_response(state, contact, tau=tau)
         assert miss(got.acceleration, oracle.a_object) < RTOL
         assert miss(got.alpha, oracle.alpha) < RTOL
+
+
+def test_loops_close_and_tips_are_reached():
+    """From a few centimetres and tenths of a radian away; grasps then hold to rounding."""
+    rng, done = np.random.default_rng(9), 0
+    for case in driven(rng, 15, arms=("ur5", "panda"), kinds=("rigid", "hinge", "ball"), least=2):
+        chain = case.chain
+        try:
+            q = close(chain, case.q + rng.uniform(-0.05, 0.05, chain.nq))
+        except osc.ModelError:  # arms at the border of their reach
+            continue
+        X = object_pose(chain, q)
+        for grasp, tip in zip(chain.grasps, chain.tip_poses(), strict=True):
+            assert np.abs(grasp.miss(tip, X)).max(initial=0.0) < 1e-12
+        start = case.q + rng.uniform(-0.1, 0.1, chain.nq)
+        q = reach(chain, start, case.X_WO, tolerance=1e-12)
+        pin.forwardKinematics(chain.model, chain.data, q)
+        for grasp, tip in zip(chain.grasps, chain.tip_poses(), strict=True):
+            assert np.abs(grasp.miss(tip, case.X_WO)).max(initial=0.0) < 1e-9
+        done += 1
+    assert done >= 12
+
+
+def test_a_grasp_keeps_its_motions_and_nothing_else():
+    """miss = 0 over the whole group; its rate is Nᵀ(V_O − V_tip) there."""
+    rng = np.random.default_rng(10)
+    for kind in KINDS:
+        X_TO, axis, X_WT = pin.SE3.Random(), rng.normal(size=3), pin.SE3.Random()
+        grasp = grasp_of(kind, X_TO, axis)
+        grasp = osc.Grasp.rigid(grasp) if isinstance(grasp, pin.SE3) else grasp
+        assert grasp.kind == (kind if kind in ("rigid", "hinge", "ball") else "other")
+        X_WO = X_WT * slip_of(kind, axis, rng) * X_TO
+        assert np.abs(grasp.miss(X_WT, X_WO)).max() < 1e-14
+        V, h = rng.normal(size=6), 1e-6
+        O = X_WO.translation  # noqa: E741
+        rate = (grasp.miss(X_WT, moved(X_WO, h * V)) - grasp.miss(X_WT, moved(X_WO, -h * V))) / 2
+        want = grasp.wrenches_at(X_WT, O).T @ V
+        np.testing.assert_allclose(rate / h, want, atol=1e-8 * np.abs(want).max())
+
+
+@pytest.mark.parametrize(
+    "make, words",
+    [
+        (lambda X: osc.Grasp(X, np.eye(6)[:, 3:5]), "group of motions"),
+        (lambda X: osc.Grasp(X, np.eye(6)[:, [0, 4]]), "group of motions"),
+        (lambda X: osc.Grasp(X, np.eye(6)[:, [3, 3]]), "dependent"),
+        (lambda X: osc.Grasp(X, np.zeros((6, 1))), "column is zero"),
+        (lambda X: osc.Grasp(X, np.full((6, 1), np.nan)), "nan"),
+        (lambda X: osc.Grasp(X, np.ones((3, 1))), "shape"),
+        (lambda X: osc.Grasp.hinge(X, [0, 0, 0]), "no direction"),
+        (lambda X: osc.Grasp(np.eye(4)), "pin.SE3"),
+    ],
+)
+def test_what_is_no_grasp_is_refused(make, words):
+    with pytest.raises(osc.InvalidInputError, match=words):
+        make(pin.SE3.Identity())
+
+
+def test_an_object_without_mass_needs_rigid_grasps():
+    arm = random_case(["ur5"], ["rigid"], np.random.default_rng(11)).chain.arms[0]
+    with pytest.raises(osc.ModelError, match="without mass"):
+        osc.ClosedChain([arm], [osc.Grasp.ball(pin.SE3.Identity())])
+
+
+HANDS = [
+    "{xyz: [0.12, 0, 0], rpy: [180 deg, 0, 0]%s}",
+    "{xyz: [0.12, 0, 0], rpy: [180 deg, 0, 180 deg]%s}",
+]
+HOW = {"rigid": "", "hinge": ", type: hinge, axis: [0, 1, 0]", "ball": ", type: ball"}
+
+
+@pytest.mark.parametrize(
+    "kinds", [("rigid", "hinge"), ("rigid", "ball"), ("hinge", "hinge"), ("ball", "hinge")]
+)
+def test_mujoco_holds_the_object_the_same_way(kinds):
+    """Joints and equality constraints of MuJoCo against N of the grasps, 0.2 s under control."""
+    sets = [
+        f"grasps.{side}={hand % HOW[kind]}"
+        for side, hand, kind in zip(("left", "right"), HANDS, kinds, strict=True)
+    ]
+    rig = osc.build_rig(osc.load_scenario("dual_panda_rod", sets))
+    assert tuple(grasp.kind for grasp in rig.chain.grasps) == kinds
+    plant, controller = rig.plant(), rig.controller()
+    started = plant.truth().X_WO
+    np.testing.assert_allclose(started.homogeneous, rig.state().X_WO.homogeneous, atol=1e-12)
+    for k in range(200):
+        plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+    q, truth = plant.measure().q, plant.truth()
+    X = object_pose(rig.chain, q)
+    assert np.linalg.norm(X.translation - started.translation) > 1e-4  # it moves
+    for grasp, tip in zip(rig.chain.grasps, rig.chain.tip_poses(), strict=True):
+        assert np.abs(grasp.miss(tip, X)).max(initial=0.0) < 2e-5
+    np.testing.assert_allclose(truth.X_WO.homogeneous, X.homogeneous, atol=1e-4)
+    assert truth.closed.all() and controller.status is osc.Status.OK
+    np.testing.assert_allclose(truth.alpha, rig.references.at(0.199).alpha_d, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    "how, words",
+    [
+        ("{type: hinge}", "a hinge needs an axis"),
+        ("{type: ball, axis: [0, 0, 1]}", "a ball grasp has no axis"),
+        ("{type: glue}", "'rigid', 'hinge' or 'ball'"),
+        ("{type: hinge, axis: [0, 0, 0]}", "whose length is 0"),
+    ],
+)
+def test_scenarios_refuse_half_a_grasp(how, words):
+    with pytest.raises(osc.ScenarioError, match=words):
+        osc.load_scenario("dual_panda_rod", [f"grasps.left={how}"])
+
+
+def test_two_balls_in_a_scenario_are_refused_with_the_motion():
+    both = ["grasps.left.type=ball", "grasps.right.type=ball"]
+    with pytest.raises(osc.ModelError, match="do not tell where the object is"):
+        osc.build_rig(osc.load_scenario("dual_panda_rod", both))
