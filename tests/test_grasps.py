@@ -406,3 +406,41 @@ def test_two_balls_in_a_scenario_are_refused_with_the_motion():
     both = ["grasps.left.type=ball", "grasps.right.type=ball"]
     with pytest.raises(osc.ModelError, match="do not tell where the object is"):
         osc.build_rig(osc.load_scenario("dual_panda_rod", both))
+
+
+def test_exact_plant_steps_an_object_that_no_arm_leads():
+    """It is a body of its own there: a short step changes its twist by what the oracle says."""
+    rng, dt = np.random.default_rng(12), 1e-6
+    for case in driven(rng, 8, arms=("ur5", "panda"), kinds=("hinge", "ball"), least=2, most=3):
+        v, V = (5.0 * x for x in case.moving(rng))
+        plant = RigidPlant(case.chain, [], dt)
+        plant.q, plant.v, plant._X, plant._V = case.q, v, case.X_WO, V
+        tau = rng.normal(size=case.chain.n_a) * 20.0
+        oracle = case.system(v, V).solve(forces(case, tau), NOTHING.N, np.zeros(0))
+        classical = oracle.a_object + np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
+        plant.step(tau, dt)
+        assert miss((plant._V - V) / dt, classical) < 1e-3
+        want = moved(case.X_WO, 0.5 * dt * (V + plant._V))
+        np.testing.assert_allclose(plant._X.homogeneous, want.homogeneous, atol=1e-10)
+        assert plant.truth().X_WO == plant._X
+
+
+def test_what_an_arm_does_without_the_object_is_held():
+    """A six-joint arm turns about its ball without the rod: its posture task stops that."""
+    rng = np.random.default_rng(13)
+    case = next(driven(rng, 1, arms=("ur5",), kinds=("ball",), least=3, most=3))
+    chain = case.chain
+    X_WO = object_pose(chain, case.q)
+    plant = RigidPlant(chain, [], 2e-3)
+    plant.reset(case.q)
+    state = chain.state(plant.q, np.zeros(18))
+    inner = np.linalg.svd(state.arms[0].N.T @ state.arms[0].J)[2][3:]
+    plant.v = np.concatenate((inner.T @ [0.3, -0.2, 0.3], np.zeros(12)))
+    controller = osc.Controller(chain, [], dt=2e-3, posture=plant.q)
+    wanted = osc.Reference(X_WO, np.zeros(6), np.zeros(6), np.zeros(0))
+    before = np.linalg.norm(plant.v)
+    for _ in range(100):
+        plant.step(controller.tick(plant.measure(), wanted), 2e-3)
+        assert controller.status is not osc.Status.HELD, controller.reason
+    assert np.linalg.norm(plant.v) < 0.3 * before  # damping 10 1/s, 0.2 s
+    assert np.abs(plant.truth().X_WO.translation - X_WO.translation).max() < 1e-5
