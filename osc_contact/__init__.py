@@ -30,6 +30,7 @@ from osc_contact.control.motion import MotionGains
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.environment import Environment
+from osc_contact.dynamics.grasp import Grasp
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import (
     ContactError,
@@ -56,6 +57,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Arm",
     "RigidObject",
+    "Grasp",
     "ClosedChain",
     "ChainState",
     "Contact",

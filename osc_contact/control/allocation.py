@@ -61,11 +61,12 @@ class Allocation:
     damping: float = 10.0
 
     def __post_init__(self) -> None:
-        for arm in self.chain.arms:
-            if arm.model.nv > 6 and arm.passive_joints:
+        for arm, grasp in zip(self.chain.arms, self.chain.grasps, strict=True):
+            if arm.model.nv > grasp.N.shape[1] and arm.passive_joints:
                 raise ModelError(
                     f"arm '{arm.name}' has {arm.model.nv} joints, {len(arm.passive_joints)} of "
-                    "them passive: posture torques for redundant arms need a motor in every joint"
+                    f"them passive, to move the object in {grasp.N.shape[1]} ways: posture torques "
+                    "for redundant arms need a motor in every joint"
                 )
 
     def torques(
@@ -106,9 +107,9 @@ class Allocation:
         limits[chain.actuated] = np.where(np.isfinite(chain.tau_max), chain.tau_max, 1.0)
         for s, arm in zip(chain.slices, state.arms, strict=True):
             square = np.diag(limits[s] ** 2)
-            if arm.J.shape[1] > 6:
-                JR = arm.J / limits[s] ** 2
-                square = arm.J.T @ np.linalg.solve(JR @ arm.J.T, arm.J)
+            if arm.J.shape[1] > arm.N.shape[1]:
+                J = arm.N.T @ arm.J
+                square = J.T @ np.linalg.solve((J / limits[s] ** 2) @ J.T, J)
             full[s, s] = square
         return full[np.ix_(chain.actuated, chain.actuated)]
 
@@ -116,7 +117,7 @@ class Allocation:
         chain = self.chain
         full = np.zeros(chain.nq)
         for s, arm in zip(chain.slices, state.arms, strict=True):
-            if arm.J.shape[1] > 6:
+            if arm.J.shape[1] > arm.N.shape[1]:
                 pull = self.stiffness * (self.posture[s] - q[s]) - self.damping * v[s]
                 tau_0 = state.h[s] + arm.M @ pull
                 full[s] = tau_0 - arm.J.T @ (arm.J_bar.T @ tau_0)

@@ -178,7 +178,7 @@ class CompiledTick:
         """
         chain = self._controller.chain
         frame = self._model.frames[chain.tips[0]]
-        X_WO = self._data.oMi[frame.parentJoint] * frame.placement * chain.grasps[0]
+        X_WO = self._data.oMi[frame.parentJoint] * frame.placement * chain.grasps[0].X_TO
         s = chain.slices[0]
         V = self._data.J[:, s] @ measurement.v[s]
         V[:3] += np.cross(V[3:], X_WO.translation)

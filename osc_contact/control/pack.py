@@ -66,7 +66,7 @@ def _head(controller: Controller) -> Array:
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     head[at.PRINCIPAL : at.PRINCIPAL + 4] = body.mass, *moments
     head[at.ROOTS : at.ROOTS + 4] = np.sqrt(head[at.PRINCIPAL : at.PRINCIPAL + 4])
-    X_JO = chain.model.frames[chain.tips[0]].placement * chain.grasps[0]
+    X_JO = chain.model.frames[chain.tips[0]].placement * chain.grasps[0].X_TO
     for start, X in ((at.X_JO, X_JO), (at.X_JP, X_JO * pin.SE3(axes, body.lever))):
         head[start : start + 12] = *X.rotation.ravel(), *X.translation
     head[at.TOLERANCE] = chain.rank_tolerance
