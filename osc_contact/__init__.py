@@ -39,6 +39,7 @@ from osc_contact.errors import (
     PlantError,
     RecordingError,
     ScenarioError,
+    SolverError,
     ViewerError,
 )
 from osc_contact.experiments.metrics import metrics
@@ -101,6 +102,7 @@ __all__ = [
     "ModelError",
     "ContactError",
     "ScenarioError",
+    "SolverError",
     "PlantError",
     "RecordingError",
     "ViewerError",

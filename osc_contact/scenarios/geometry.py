@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from .quantities import AngleVec3, JointValue, Spec, Vec3
+from .quantities import AngleVec3, JointValue, Number, Spec, Vec3
 
 __all__ = [
     "ArmSpec",
@@ -45,6 +45,7 @@ class ArmSpec(Spec):
     wrist_sensor: Text | None = None
     passive_joints: tuple[Text, ...] = ()
     locked_joints: dict[str, JointValue] = Field(default_factory=dict)
+    effort_factor: Annotated[Number, Field(gt=0)] = 1.0
     posture: Annotated[tuple[JointValue, ...], Field(min_length=1)]
     """the start guess of all joints in model order, such as [30 deg, 0.1 m]"""
 
