@@ -19,7 +19,7 @@ from osc_contact.control.motion import MotionGains
 from osc_contact.interface import Measurement, Reference
 
 GAINS = osc.Gains(MotionGains(400, 40, 2000), ForceGains(30, 5))
-FORCE, SQUEEZE, TORQUE, FLOOR = 1e-3, 1e-6, 1e-9, 1.0
+FORCE, SQUEEZE, TORQUE, FLOOR = 1e-3, 1e-5, 1e-7, 1.0
 MAX = np.finfo(float).max
 
 
@@ -198,7 +198,7 @@ def test_an_unsolved_program_holds_the_last_torques(monkeypatch, compiled):
     controller.tick(measurement, reference)
     assert controller.status is osc.Status.SATURATED and (strong > weak).all()
     before, sums = controller.last_torques(), controller.force_law.integral
-    monkeypatch.setattr(daqp, "solve", lambda *a: (np.full(8, np.nan), 0.0, -3, {}))
+    monkeypatch.setattr(daqp, "solve", lambda *a, **k: (np.full(8, np.nan), 0.0, -3, {}))
     tau = controller.tick(measurement, replace(reference, alpha_d=reference.alpha_d + 1))
     assert controller.status is osc.Status.HELD and "limits" in controller.reason
     assert (tau == before).all() and controller.given_up is None

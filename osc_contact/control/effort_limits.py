@@ -29,8 +29,9 @@ __all__ = ["EffortLimits", "GivenUp", "Relief", "Response", "relieve"]
 
 #: Weights beside the 1 of motion: what has memory goes last. Torques that do nothing to the object
 #: count relative to the mean energy of the others.
-_FORCE, _SQUEEZE, _TORQUE = 1e-3, 1e-6, 1e-9
-_OPEN = 1e8  # of a force below its floor, where no torques within the limits keep it
+_FORCE, _SQUEEZE, _TORQUE = 1e-3, 1e-5, 1e-7
+_BEYOND = 1e2  # of a force outside its range, where no torques within the limits keep it
+_INFINITE = 1e30  # the solver's
 _SLACK = 1e-9  # of the limits, for rounding errors
 
 
@@ -147,7 +148,9 @@ def relieve(wanted: Response) -> Relief:
     rows = np.vstack((energy / size, np.sqrt(_TORQUE) * np.eye(n)))
     low, high = (-x.tau_max - x.tau) / scale, (x.tau_max - x.tau) / scale
     least = x.floor - x.share @ x.alpha  # ≤ 0: nobody presses harder than commanded
-    low, high = np.append(low, least), np.append(high, np.zeros(len(least)))
+    unit = np.linalg.norm(floors, axis=1)
+    floors /= unit[:, None]
+    low, high = np.append(low, least / unit), np.append(high, np.zeros(len(least)))
     z, short = _solve(rows, floors, low, high), False
     if z is None:
         z, short = _with_slack(rows, floors, low, high), True
@@ -163,8 +166,8 @@ def relieve(wanted: Response) -> Relief:
 def _with_slack(rows: Array, A: Array, low: Array, high: Array) -> Array | None:
     """The same with forces that may leave their ranges, at a price."""
     n, k = rows.shape[1], len(A)
-    unit = np.sqrt(_OPEN / max((A**2).sum() / n, 1e-300))
-    wider = np.block([[rows, np.zeros((len(rows), k))], [np.zeros((k, n)), unit * np.eye(k)]])
+    price = np.sqrt(_BEYOND) * np.eye(k)
+    wider = np.block([[rows, np.zeros((len(rows), k))], [np.zeros((k, n)), price]])
     low, high = np.insert(low, n, np.full(k, -np.inf)), np.insert(high, n, np.full(k, np.inf))
     z = _solve(wider, np.hstack((A, np.eye(k))), low, high)
     return None if z is None else z[:n]
@@ -179,11 +182,10 @@ def _solve(rows: Array, A: Array, low: Array, high: Array) -> Array | None:
     import daqp
 
     n = rows.shape[1]
-    inf = 1e30
-    upper, lower = np.minimum(high, inf), np.maximum(low, -inf)
+    upper, lower = np.minimum(high, _INFINITE), np.maximum(low, -_INFINITE)
     z, _, verdict, info = daqp.solve(
         rows.T @ rows, np.zeros(n), np.ascontiguousarray(A), upper, lower,
-        np.zeros(len(upper), dtype=np.int32),
+        np.zeros(len(upper), dtype=np.int32), primal_tol=1e-10,
     )  # fmt: skip
     if verdict < 1:
         return None
