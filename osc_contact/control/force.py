@@ -141,3 +141,7 @@ class ForceLaw:
             self.integral = np.zeros(len(alpha_d))
         self.integral = self.integral + self.gains.integral * self.dt * (alpha_d - alpha_meas)
         return alpha_d + self.integral - self.gains.damping * normal_speed
+
+    def forgo(self, lost: Array) -> None:
+        """Take back what the last `command` integrated of forces (r,) that will not come."""
+        self.integral = self.integral - self.gains.integral * self.dt * lost

@@ -229,6 +229,7 @@ def build_chain(scenario: Scenario, arm_mass: float = 1.0, object_mass: float = 
             locked=spec.locked_joints,
             wrist_sensor=spec.wrist_sensor,
             mass_factor=arm_mass,
+            effort_factor=float(spec.effort_factor),
         )
         for spec in scenario.arms
     ]

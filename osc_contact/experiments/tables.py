@@ -48,6 +48,9 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
     )
     table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
     table.add_row("ticks", ", ".join(f"{n} {name}" for name, n in verdict["status"].items() if n))
+    if verdict["at_limit"]:
+        motors = ", ".join(f"{joint} {n}" for joint, n in verdict["at_limit"])
+        table.add_row("ticks at a motor limit", motors)
     return table
 
 
