@@ -14,8 +14,21 @@ viewer.set_3d_pane_size = () => {
 };
 viewer.gui.domElement.style.display = "none"; // meshcat's own controls: press g
 
-const draw = (text) => viewer.handle_command_bytearray(
-  Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));
+async function drawAll(text) { // base64, zlib; each command after its length
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const whole = await new Response(stream).arrayBuffer(), view = new DataView(whole);
+  for (let start = 0, end; start < whole.byteLength; start = end) {
+    end = start + 4 + view.getUint32(start, true);
+    viewer.handle_command_bytearray(new Uint8Array(whole.slice(start + 4, end)));
+  }
+}
+
+function complain(error) {
+  element("labels").textContent = `This page does not run in this browser: ${error}`;
+  throw error;
+}
+
 // Only what changes is written: a page at rest then needs no new layout and no new picture.
 const setText = (box, text) => { if (box.textContent !== text) box.textContent = text; };
 const setStyle = (box, key, value) => { if (box.style[key] !== value) box.style[key] = value; };
@@ -95,7 +108,7 @@ function placeLabels(labels, time) {
 }
 
 let plots, labels, origin = 0, length = 0;
-const player = { time: 0, get playing() { return viewer.animator.playing; }, seek, toggle };
+const player = { ready: false, time: 0, get playing() { return viewer.animator.playing; }, seek, toggle };
 
 function seek(time) { // s since the beginning of the recording
   player.time = Math.min(length, Math.max(0, time));
@@ -152,4 +165,5 @@ function start() {
   if (still !== null) seek(still - origin);
   if (CONFIG.live) live();
   refresh();
+  player.ready = true;
 }
