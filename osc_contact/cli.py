@@ -43,7 +43,7 @@ app = typer.Typer(
 out = Console(width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True)
 PARTIAL = "recording_until_failure.npz"
-REPRODUCIBLE = (*paper_figures.FIGURES, *STUDIES)
+REPRODUCIBLE = tuple(sorted((*paper_figures.FIGURES, *STUDIES), key=lambda n: (n[:3] != "fig", n)))
 EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim"}
 
 
