@@ -123,6 +123,22 @@ def test_commanded_measured_and_true_forces_are_arrows_of_their_lengths(browser:
     switch(browser, "T:")
 
 
+def test_on_a_phone_the_legend_is_folded_and_the_whole_scene_is_seen(page: Path) -> None:
+    with Browser(f"{page.as_uri()}#t=1", size=(390, 844)) as phone:
+        assert phone.run("document.documentElement.scrollWidth") == 390
+        assert phone.run("element('legend').clientHeight") == 0
+        labels = phone.run(
+            "[...document.querySelectorAll('#labels div')].filter(d => d.style.display !== 'none')"
+            ".map(d => d.textContent)"
+        )
+        assert {"left end 12.00 N", "right end 9.00 N"} <= set(labels)
+        scene = phone.picture()[: int(phone.run("element('scene').clientHeight"))]
+        assert near(scene, BLUE) > 30 and near(scene, VERMILLION) > 30
+        phone.run("document.querySelector('#caption h1').click()")
+        assert phone.run("element('legend').clientHeight") > 100
+        assert phone.errors == []
+
+
 def test_a_browser_without_decompression_is_told(page: Path, tmp_path: Path) -> None:
     text = page.read_text(encoding="utf-8")
     old = tmp_path / "old.html"

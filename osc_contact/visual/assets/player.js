@@ -9,6 +9,7 @@ viewer.set_3d_pane_size = () => {
   const w = element("scene").clientWidth, h = element("scene").clientHeight;
   const caption = element("caption").offsetWidth; // the scene moves out from under it
   const shift = Math.max(0, Math.min(0.5 * caption, 0.5 * (w - 1.45 * h)));
+  viewer.camera.zoom = Math.min(1, w / h / 1.5); // the camera was placed for a pane 1.5 times as wide as high
   viewer.camera.setViewOffset(w, h, -shift, 0, w, h);
   resize(w, h);
 };
@@ -150,6 +151,9 @@ function start() {
   element("speed").addEventListener("change", (event) => {
     viewer.animator.mixer.timeScale = Number(event.target.value);
   });
+  const caption = element("caption");
+  caption.classList.toggle("folded", window.innerWidth < 700);
+  caption.querySelector("h1").addEventListener("click", () => caption.classList.toggle("folded"));
   window.addEventListener("keydown", (event) => {
     if (event.key === "g") {
       const gui = viewer.gui.domElement.style;
