@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EMPTY", "POLICY", "CommandSink", "asset", "filled", "packed", "page_text", "read_commands",
-    "set_background", "set_camera", "write_page", "write_whole",
+    "set_background", "set_camera", "unfolded", "write_page", "write_whole",
 ]  # fmt: skip
 
 POLICY = (
@@ -39,7 +39,7 @@ POLICY = (
 )
 
 _SLOT = re.compile(r"\{\{(\w+)\}\}")
-_DRAW = re.compile(r'^drawAll\("([A-Za-z0-9+/=]*)"\)\.then\(', re.MULTILINE)
+_DRAW = re.compile(r'^unfold\("([A-Za-z0-9+/=]*)"\)\..*;$', re.MULTILINE)
 _COLOUR = re.compile(r"^#[0-9A-Fa-f]{6}$")
 
 
@@ -167,6 +167,15 @@ def packed(command: dict[str, Any]) -> bytes:
     return bytes(umsgpack.packb(command, force_float_precision="single"))
 
 
+def unfolded(page: str) -> str:
+    """The same page with its commands uncompressed, drawn before it counts as loaded.
+
+    For renderers with a clock of their own, which a stream may stall (`write_png`).
+    """
+    commands = base64.b64encode(_unfold(page)).decode("ascii")
+    return _DRAW.sub(lambda _: f'drawAll(bytesOf("{commands}")); start();', page)
+
+
 def read_commands(path: str | Path) -> list[dict[str, Any]]:
     """Decode the drawing commands of a written page, in the order in which they are drawn.
 
@@ -175,15 +184,22 @@ def read_commands(path: str | Path) -> list[dict[str, Any]]:
     """
     import umsgpack
 
-    found = _DRAW.search(Path(path).read_text(encoding="utf-8"))
-    if not found:
-        raise InvalidInputError(f"{path} holds no drawing commands: it was not made by write_page")
-    whole, commands, start = zlib.decompress(base64.b64decode(found[1])), [], 0
+    try:
+        whole, commands, start = _unfold(Path(path).read_text(encoding="utf-8")), [], 0
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path}: {error}") from error
     while start < len(whole):
         end = start + 4 + int.from_bytes(whole[start : start + 4], "little")
         commands.append(umsgpack.unpackb(whole[start + 4 : end]))
         start = end
     return commands
+
+
+def _unfold(page: str) -> bytes:
+    found = _DRAW.search(page)
+    if not found:
+        raise InvalidInputError("holds no drawing commands: it was not made by write_page")
+    return zlib.decompress(base64.b64decode(found[1]))
 
 
 def filled(template: str, parts: Mapping[str, str]) -> str:

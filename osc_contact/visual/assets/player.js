@@ -15,13 +15,18 @@ viewer.set_3d_pane_size = () => {
 };
 viewer.gui.domElement.style.display = "none"; // meshcat's own controls: press g
 
-async function drawAll(text) { // base64, zlib; each command after its length
-  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const whole = await new Response(stream).arrayBuffer(), view = new DataView(whole);
-  for (let start = 0, end; start < whole.byteLength; start = end) {
-    end = start + 4 + view.getUint32(start, true);
-    viewer.handle_command_bytearray(new Uint8Array(whole.slice(start + 4, end)));
+const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)); // base64
+
+async function unfold(text) { // base64 of zlib
+  const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+function drawAll(bytes) { // each command after its length
+  const lengths = new DataView(bytes.buffer);
+  for (let start = 0, end; start < bytes.length; start = end) {
+    end = start + 4 + lengths.getUint32(start, true);
+    viewer.handle_command_bytearray(bytes.slice(start + 4, end));
   }
 }
 
