@@ -169,7 +169,8 @@ def _fig3(ask: Ask) -> Study:
         figures["fig3"] = experiment.draw(cell)
     except ViewerError as error:  # the page is there all the same
         table.add_row("picture", f"not rendered: {error}")
-    return Study(figures, table, data, {"fig3": partial(cell.page, cell.shots()[0])})
+    pages = {"fig3": partial(cell.page, cell.shots()[0])}
+    return Study(figures, table, data, cell.answers(), pages)
 
 
 def _moving_face(ask: Ask) -> Study:
