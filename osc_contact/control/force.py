@@ -50,7 +50,7 @@ def contact_force(
     """
     N = contact.N
     Phi_N = np.linalg.solve(state.Lambda_out.T, N)  # Λ_out⁻ᵀN
-    D = (Phi_N.T + N.T @ environment.Phi_e) @ (N + drag)
+    D = Phi_N.T @ (N + drag) + environment.yielding(N, drag)
     seen = Phi_N.T @ (f_meas - state.bias_out) - contact.n_gamma - N.T @ environment.b_e
     return N @ np.linalg.solve(D, seen)
 
