@@ -99,6 +99,9 @@ class MujocoPlant:
             self._springs = np.array([int(j.qposadr[0]) for j in springs])
             self._spring_v = np.array([int(j.dofadr[0]) for j in springs])
         self._object = int(self.model.body("object/root").id)
+        self._seen = [self._object] + [
+            int(self.model.body(f"{arm.name}/{arm.tip}").id) for arm in chain.arms
+        ]
         roots = [int(self.model.body(f"face{i}/root").id) for i in range(len(bodies))]
         self._body_of = {geom: i for i, root in enumerate(roots) for geom in self._geoms_of(root)}
         self._moved = {i: rail for i, rail in enumerate(self.rails) if rail is not None}
@@ -222,6 +225,13 @@ class MujocoPlant:
         X_WE = None if bodies is None else tuple(bodies[i] for i in self.on)
         alpha, closed = self._contact_forces(X_WO, X_WE)
         return Truth(alpha, closed, X_WO, np.concatenate((V[3:], V[:3])), X_WE)
+
+    def poses(self) -> Array:
+        """See `Plant.poses`; as of the last step's beginning."""
+        X = np.tile(np.eye(4), (len(self._seen), 1, 1))
+        X[:, :3, :3] = self.data.xmat[self._seen].reshape(-1, 3, 3)
+        X[:, :3, 3] = self.data.xpos[self._seen]
+        return X
 
     def _contact_forces(
         self, X_WO: pin.SE3, X_WE: tuple[pin.SE3, ...] | None

@@ -48,6 +48,9 @@ class Plant(Protocol):
     def truth(self) -> Truth:
         """What they cannot read."""
 
+    def poses(self) -> Array:
+        """(1 + arms, 4, 4) of the object and of the arms' tips, as they really are."""
+
     def step(self, tau: Array, duration: float) -> None:
         """Hold motor torques (n_a,) for `duration` seconds.
 

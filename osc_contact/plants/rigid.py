@@ -120,6 +120,12 @@ class RigidPlant:
         faces = tuple(bodies[body] for body in self.on)
         return Truth(alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
 
+    def poses(self) -> Array:
+        """See `Plant.poses`."""
+        pin.framesForwardKinematics(self.model, self.data, self.q)
+        tips = [self.data.oMf[tip] for tip in self._tips]
+        return np.array([X.homogeneous for X in (tips[0] * self.chain.grasps[0], *tips)])
+
     def step(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
         self.hold(tau)
