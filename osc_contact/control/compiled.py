@@ -233,6 +233,7 @@ def _found(arrays: dict[int, Array]) -> Found:
         return s[start : start + 6]
 
     return Found(
+        J=arrays[at.J],
         f_meas=six(at.F_MEAS), bias_out=six(at.BIAS_OUT), f_c=six(at.F_C), V_O=six(at.V_O),
         X_WO=s[at.X_WO : at.X_WO + 16].reshape(4, 4), error=six(at.ERROR),
         free_error=six(at.FREE_ERROR), squeeze=s[at.SQUEEZE : at.SQUEEZE + 1],

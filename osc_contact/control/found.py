@@ -21,6 +21,7 @@ class Found:
     """Everything at O in world axes.
 
     Attributes:
+        J: (n, 6) the joints' columns at the world's origin, one in each row.
         f_meas, bias_out: (6,) wrist readings less tare; what they would be without contact.
         f_c: (6,) contact force in them. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
         error: (6,) pose error. free_error: (6,) Ω_m(Λ_o⁻¹) of it.
@@ -29,6 +30,7 @@ class Found:
             count. rank: (1,) r.
     """
 
+    J: Array
     f_meas: Array
     bias_out: Array
     f_c: Array
@@ -59,6 +61,7 @@ class Found:
         Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
         E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
         return cls(
+            J=controller.chain.data.J.T,
             f_meas=s.f_meas,
             bias_out=state.bias_out,
             f_c=s.f_c_meas,

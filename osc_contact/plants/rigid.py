@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -20,7 +21,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
 from osc_contact.plants.faces import Rail, touched
-from osc_contact.plants.plant import Truth
+from osc_contact.plants.plant import Truth, Watched
 from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_wrench
 
 __all__ = ["RigidPlant"]
@@ -69,6 +70,7 @@ class RigidPlant:
         self.q = np.zeros(chain.nq)
         self.v = np.zeros(chain.nq)
         self._tau = np.zeros(chain.n_a)
+        self._solved: tuple[bytes, Any] = b"", None
 
     def reset(self, q: Array) -> None:
         """Start at rest at q, moved onto loops and contacts."""
@@ -85,16 +87,28 @@ class RigidPlant:
 
     def measure(self) -> Measurement:
         """Encoders, and the wrist wrenches under the torques applied last."""
-        wrenches = self._solve(self._tau, with_wrenches=True).wrenches
+        wrenches = self._now()[0].wrenches.copy()
         seen = touched(self.rails, self.on, self._travel, self._speed, self._driven_acceleration())
         return Measurement(self.q.copy(), self.v.copy(), wrenches, seen)
 
     def truth(self) -> Truth:
         """Contact forces under the torques applied last; rigid contacts are always closed."""
-        alpha = self._solve(self._tau).alpha
-        X, V = self._object()
+        solution, (X, V) = self._now()
         faces = tuple(self._face(i)[0] for i in range(len(self.contacts)))
-        return Truth(alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
+        return Truth(solution.alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
+
+    def log(self, capacity: int) -> Watched:
+        """A log of the truth of up to `capacity` instants."""
+        return Watched(self, self.contacts)
+
+    def _now(self) -> tuple[_Solution, tuple[pin.SE3, Array]]:
+        """The solution under the torques applied last, pose and twist of the object."""
+        state = (self.q, self.v, self._tau, self._travel, self._speed, np.array([self.time]))
+        key = np.concatenate(state).tobytes()
+        if self._solved[0] != key:  # `measure` and `truth` of one instant share it
+            found = self._solve(self._tau, with_wrenches=True)
+            self._solved = key, (found, self._object())
+        return self._solved[1]
 
     def step(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""

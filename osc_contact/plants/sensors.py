@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Stamps, Touched
-from osc_contact.plants.plant import Plant, Truth
+from osc_contact.plants.plant import Plant, Truth, TruthLog
 from osc_contact.spatial import Array
 
 __all__ = ["Clock", "Errors", "SensedPlant", "Sensor", "Sensors"]
@@ -159,6 +159,10 @@ class SensedPlant:
     def truth(self) -> Truth:
         """Of the plant inside: sensors do not touch it."""
         return self.plant.truth()
+
+    def log(self, capacity: int) -> TruthLog:
+        """Of the plant inside."""
+        return self.plant.log(capacity)
 
     def measure(self) -> Measurement:
         """What has arrived by now, and when it was sampled."""
