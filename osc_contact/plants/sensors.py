@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Seen, Stamps, Touched
-from osc_contact.plants.plant import Plant, Truth
+from osc_contact.plants.plant import Plant, Truth, TruthLog
 from osc_contact.spatial import Array
 
 __all__ = ["Clock", "Errors", "Eyes", "SensedPlant", "Sensor", "Sensors"]
@@ -182,6 +182,10 @@ class SensedPlant:
     def poses(self) -> Array:
         """Of the plant inside."""
         return self.plant.poses()
+
+    def log(self, capacity: int) -> TruthLog:
+        """Of the plant inside."""
+        return self.plant.log(capacity)
 
     def measure(self) -> Measurement:
         """What has arrived by now, and when it was sampled."""
