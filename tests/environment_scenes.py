@@ -12,7 +12,7 @@ from rigs import one_panda, panda_pair, random_state, scara_pair
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import VertexOnFace
-from osc_contact.dynamics.assembly import constraint_rows, inverse_rows
+from osc_contact.dynamics.assembly import constraint_rows, inverse_rows, row_groups
 from osc_contact.dynamics.environment import Environment
 from osc_contact.dynamics.rail import Conveyor, Hinge
 from osc_contact.plants.faces import Rail, touched
@@ -206,7 +206,7 @@ def following(chain, q, v, N, normal_speed):
     A = constraint_rows(chain, chain.object_poses()[0].translation, N)
     b = np.concatenate((np.zeros(A.shape[0] - N.shape[1]), -normal_speed))
     for _ in range(3):
-        v = v - inverse_rows(A, np.array(chain.data.M), len(chain.arms) - 1)[0] @ (A @ v - b)
+        v = v - inverse_rows(A, np.array(chain.data.M), row_groups(chain))[0] @ (A @ v - b)
     return v
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.experiments.paper import Answer
 from osc_contact.experiments.rig import Rig, build_rig
 from osc_contact.experiments.run import run as run_scenario
 from osc_contact.experiments.viewing import content_of
@@ -164,6 +165,32 @@ class Workcell:
                 f"{wrist.torque.noise:g} N m noise"
             )
         return found
+
+    def answers(self) -> dict[str, Answer]:
+        """To what the paper states about fig. 3."""
+        scenario, chain, d = self.rig.scenario, self.rig.chain, self.rig.d
+        motors = [arm.model.nv - len(arm.passive_joints) for arm in chain.arms]
+        hinges = [len(arm.passive_joints) for arm in chain.arms]
+        length = float(np.linalg.norm(np.diff(self.sample["contact_point"], axis=0)))
+        closed = int(np.count_nonzero(self.sample["closed"]))
+        return {
+            "arms": Answer(
+                f"{len(motors)} arms with {motors} driven joints hold a rod whose ends touch "
+                f"{1e2 * length:.1f} cm apart.",
+                motors == [4, 4] and 0.55 < length < 0.65,
+            ),
+            "hinges": Answer(
+                f"{hinges} hinges; the closed chain of arms and rod has {d} freedoms.",
+                hinges == [1, 1] and d == 5,
+            ),
+            "vision": Answer(
+                f"Simulated: {_vision_words(self)}.", scenario.sensors.vision is not None
+            ),
+            "contacts": Answer(
+                f"{closed} of {len(scenario.contacts)} contacts are closed in the picture.",
+                closed == len(scenario.contacts) == 2,
+            ),
+        }
 
     def shots(self) -> list[Shot]:
         """The whole cell, the task, a gripper."""

@@ -12,6 +12,7 @@ import numpy as np
 from rich.table import Table
 
 from osc_contact.errors import InvalidInputError, ViewerError
+from osc_contact.experiments.paper import Answer
 from osc_contact.experiments.report import write_json
 from osc_contact.scenarios import load_scenario
 
@@ -29,12 +30,15 @@ class Study:
         figures: by file name, without suffix.
         table: to print.
         data: the numbers, for JSON.
+        answers: of a study named as a figure of the paper, to what the paper states about it, by
+            the keys of `PAPER`.
         pages: what writes a page to a path, by file name without suffix.
     """
 
     figures: Mapping[str, Figure]
     table: Table
     data: Mapping[str, Any]
+    answers: Mapping[str, Answer] = field(default_factory=dict)
     pages: Mapping[str, Callable[[Path], Path]] = field(default_factory=dict)
 
 
@@ -60,7 +64,7 @@ class Ask:
 
 
 def write_study(name: str, folder: Path, ask: Ask) -> tuple[Study, list[Path]]:
-    """Run a study; write its figures (PNG, PDF) and NAME.json into a folder.
+    """Run a study; write its figures (PNG, SVG, PDF) and NAME.json into a folder.
 
     Args:
         name: one of `STUDIES`.
@@ -70,7 +74,7 @@ def write_study(name: str, folder: Path, ask: Ask) -> tuple[Study, list[Path]]:
     Raises:
         InvalidInputError: changes of a scenario for a study that has none.
     """
-    from osc_contact.visual.style import save
+    from osc_contact.visual.style import PRINT, save
 
     if ask.changes and name not in WITH_SCENARIO:
         raise InvalidInputError(f"{name} is not made from a scenario; leave --set out")
@@ -79,7 +83,7 @@ def write_study(name: str, folder: Path, ask: Ask) -> tuple[Study, list[Path]]:
     written = [
         path
         for title, figure in study.figures.items()
-        for path in save(figure, folder / title, (".png", ".pdf"))
+        for path in save(figure, folder / title, PRINT)
     ]
     written += [write(folder / f"{title}.html") for title, write in study.pages.items()]
     written.append(folder / f"{name}.json")
@@ -135,7 +139,18 @@ def _fig2(ask: Ask) -> Study:
     }
     for row in rows.items():
         table.add_row(*row)
-    return Study({"fig2": draw_state(result.rig), "fig2_run": draw_run(result)}, table, found)
+    answers = {
+        "freedoms": Answer(
+            f"T has {6 - found['r']} columns. A Panda turns the cone by "
+            f"{np.rad2deg(found['turned_rad']):.1f}° and slides it by "
+            f"{1e3 * found['slid_m']:.1f} mm while all four wall forces push.",
+            found["r"] == 4 and found["wall_force_least_N"] > 0.0,
+        ),
+        "axes": Answer(f"They are {found['axes_deg']:.1f}° apart.", 1.0 < found["axes_deg"] < 89.0),
+        "frame": Answer(f"No frame: {frame['reason']}.", not frame["describes_it"]),
+    }
+    figures = {"fig2": draw_state(result.rig), "fig2_run": draw_run(result)}
+    return Study(figures, table, found, answers)
 
 
 def _fig3(ask: Ask) -> Study:
@@ -154,7 +169,8 @@ def _fig3(ask: Ask) -> Study:
         figures["fig3"] = experiment.draw(cell)
     except ViewerError as error:  # the page is there all the same
         table.add_row("picture", f"not rendered: {error}")
-    return Study(figures, table, data, {"fig3": partial(cell.page, cell.shots()[0])})
+    pages = {"fig3": partial(cell.page, cell.shots()[0])}
+    return Study(figures, table, data, cell.answers(), pages)
 
 
 def _moving_face(ask: Ask) -> Study:

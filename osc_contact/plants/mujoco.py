@@ -15,12 +15,19 @@ import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.faces import Rail, poses, touched
 from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives
-from osc_contact.plants.mujoco_scene import DRIVE_MASS, GUIDES, MujocoOptions, scene
+from osc_contact.plants.mujoco_scene import (
+    DRIVE_MASS,
+    GRASP_JOINT,
+    GUIDES,
+    MujocoOptions,
+    scene,
+)
 from osc_contact.plants.plant import Truth
 from osc_contact.spatial import Array, as_array, cross
 
@@ -117,11 +124,27 @@ class MujocoPlant:
         q = as_array("q", q, (self.chain.nq,))
         self._mj.mj_resetData(self.model, self.data)
         self.data.qpos[self._q] = q
+        self._turn_object(q)
         self.time = 0.0
         for i, v in zip(self._guided[0], self._face_v, strict=True):
             self.data.qfrc_applied[v] = self._moved[i].preload
         self._drive(0.0)
         self._mj.mj_forward(self.model, self.data)
+
+    def _turn_object(self, q: Array) -> None:
+        """Put the joint of the first grasp, if it is one, where the other arms hold the object."""
+        grasp = self.chain.grasps[0]
+        if grasp.is_rigid:
+            return
+        X_WO = object_pose(self.chain, q)
+        R = (self.chain.tip_poses()[0] * grasp.X_TO).rotation.T @ X_WO.rotation
+        joint = self.model.joint(GRASP_JOINT)
+        start = int(joint.qposadr[0])
+        if grasp.kind == "ball":
+            x, y, z, w = pin.Quaternion(R).coeffs()
+            self.data.qpos[start : start + 4] = w, x, y, z
+        else:
+            self.data.qpos[start] = pin.log3(R) @ joint.axis
 
     def hold(self, tau: Array) -> None:
         """Apply torques from now on; time stands still."""

@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 from osc_contact.errors import ViewerError
+from osc_contact.visual.page import unfolded
 
 __all__ = ["FLAGS", "find_browser", "write_png"]
 
@@ -75,14 +76,16 @@ def write_png(
 
     Raises:
         ViewerError: no browser, or it gave no picture.
+        InvalidInputError: the page holds no drawing commands.
     """
     target = Path(path).resolve()
-    address = f"{Path(page).resolve().as_uri()}#t={0.0 if time is None else time:g}"
-    address += "&bare" if bare else ""
     browser = find_browser()
+    text = unfolded(Path(page).read_text(encoding="utf-8"))
     target.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="osc_contact_", ignore_cleanup_errors=True) as folder:
-        picture = Path(folder) / "picture.png"
+        picture, plain = Path(folder) / "picture.png", Path(folder) / "page.html"
+        plain.write_text(text, encoding="utf-8")
+        address = f"{plain.as_uri()}#t={0.0 if time is None else time:g}" + "&bare" * bare
         command = [
             browser, *FLAGS, *sandbox_flags(), f"--window-size={size[0]},{size[1]}",
             f"--force-device-scale-factor={density:g}", "--virtual-time-budget=1500",
