@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from osc_contact import __version__, robots
+from osc_contact.control import compiling
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.experiments import figures as paper_figures
 from osc_contact.experiments import replay, reproduction, tables
@@ -86,6 +87,7 @@ def main(
     ] = False,
 ) -> None:
     """Decoupled force and motion control of arms in contact."""
+    compiling.tell(lambda text: err.print(text, style="dim", highlight=False))
 
 
 @app.command()
@@ -358,10 +360,7 @@ def _run(
         task = bar.add_task(f"{scenario.name} on {scenario.plant.type}", total=scenario.duration)
         try:
             return run_scenario(
-                scenario,
-                seed=seed,
-                progress=lambda t: bar.update(task, completed=t),
-                viewer=viewer,
+                scenario, seed=seed, progress=lambda t: bar.update(task, completed=t), viewer=viewer
             )
         except PlantError as error:
             if error.recording is not None and folder is not None:

@@ -329,7 +329,7 @@ class Controller:
                 if body not in of_body:
                     of_body[body] = body.environment(pin.SE3(matrix), V, A, O)
                 answers.append(of_body[body])
-        s.environment = Environment.combine(parts, answers, s.state.metric)
+        s.environment = Environment.combine(parts, answers, s.state.metric, s.drag)
 
     @block("sum of wrist sensors", "force", r"$\Sigma$ at $O$")
     def _sense(self, s: Signals) -> None:
@@ -362,7 +362,7 @@ class Controller:
     def _motion_filter(self, s: Signals) -> None:
         eta_u = object_coordinates(s.state, s.contact, s.a_u)
         s.eta_c = filtered_motion(
-            s.state, s.contact, eta_u, s.alpha_u, self._metric(s.state), s.environment
+            s.state, s.contact, eta_u, s.alpha_u, self._metric(s.state), s.environment, s.drag
         )
 
     @block("dynamic control structure", "filter", r"$\Lambda_S\dot\eta_c+b_S+S^Tf_{ccomm}$  (21)")

@@ -56,7 +56,7 @@ def contact_force(
     if state.d < 6 and not state.payload.Lambda.any():
         return _of_the_tip(f_meas, state, contact, environment, drag)
     Phi_N = np.linalg.solve(state.Lambda_out.T, N)  # Λ_out⁻ᵀN
-    D = (Phi_N.T + N.T @ environment.Phi_e) @ (N + drag)
+    D = Phi_N.T @ (N + drag) + environment.yielding(N, drag)
     seen = Phi_N.T @ (f_meas - state.bias_out) - contact.n_gamma - N.T @ environment.b_e
     return N @ np.linalg.solve(D, seen)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -31,7 +32,7 @@ from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
 from osc_contact.plants.faces import Rail, poses, touched
-from osc_contact.plants.plant import Truth
+from osc_contact.plants.plant import Truth, Watched
 from osc_contact.plants.wrist_cut import wrist_cut
 from osc_contact.spatial import (
     Array,
@@ -91,6 +92,7 @@ class RigidPlant:
         self.v = np.zeros(chain.nq)
         self._X, self._V = pin.SE3.Identity(), np.zeros(6)  # of an object that no arm leads
         self._tau = np.zeros(chain.n_a)
+        self._solved: tuple[bytes, Any] = b"", None
 
     def reset(self, q: Array) -> None:
         """Start at rest at q, moved onto loops and contacts."""
@@ -108,17 +110,38 @@ class RigidPlant:
 
     def measure(self) -> Measurement:
         """Encoders, and the wrist wrenches under the torques applied last."""
-        wrenches = self._solve(self._tau, with_wrenches=True).wrenches
+        wrenches = self._now()[0].wrenches.copy()
         seen = touched(self.rails, self.on, self._s, self._rates, self._driven_acceleration())
         return Measurement(self.q.copy(), self.v.copy(), wrenches, seen)
 
     def truth(self) -> Truth:
         """Contact forces under the torques applied last; rigid contacts are always closed."""
-        alpha = self._solve(self._tau).alpha
-        X, V = self._object()
+        solution, (X, V) = self._now()
         bodies = poses(self.rails, self._s)
         faces = tuple(bodies[body] for body in self.on)
-        return Truth(alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
+        return Truth(solution.alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
+
+    def log(self, capacity: int) -> Watched:
+        """A log of the truth of up to `capacity` instants."""
+        return Watched(self, self.contacts)
+
+    def _now(self) -> tuple[_Solution, tuple[pin.SE3, Array]]:
+        """The solution under the torques applied last, pose and twist of the object."""
+        state = (
+            self.q, self.v, self._tau, self._s.ravel(), self._rates.ravel(), self._V,
+            self._X.homogeneous.ravel(), np.array([self.time]),
+        )  # fmt: skip
+        key = np.concatenate(state).tobytes()
+        if self._solved[0] != key:  # `measure` and `truth` of one instant share it
+            found = self._solve(self._tau, with_wrenches=True)
+            self._solved = key, (found, self._object())
+        return self._solved[1]
+
+    def poses(self) -> Array:
+        """See `Plant.poses`."""
+        pin.framesForwardKinematics(self.model, self.data, self.q)
+        tips = [self.data.oMf[tip] for tip in self._tips]
+        return np.array([X.homogeneous for X in (tips[0] * self.chain.grasps[0], *tips)])
 
     def step(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
