@@ -24,7 +24,7 @@ __all__ = ["write_paper_report"]
 
 _TYPES = {".svg": "image/svg+xml", ".png": "image/png"}  #: shown: the first there is
 _SIZE = re.compile(r'viewBox="0 0 ([0-9.]+) ([0-9.]+)"')
-MOST_BYTES = 1_000_000  #: of a picture; a larger one is shown as PNG
+MOST_BYTES = 500_000  #: of a picture; a larger one is shown as PNG
 BROAD = 1.8  #: a figure wider than this, by its height, stands above its text
 _MARKS = {
     Verdict.reproduced: ("yes", "✓"),
