@@ -20,7 +20,7 @@ __all__ = ["Recorder", "Recording"]
 
 _FORMAT = 1
 _META = "meta"
-_INTEGER_CHANNELS = frozenset({"status"})
+_INTEGER_CHANNELS = frozenset({"status", "contact_phase"})
 _RESERVED = frozenset({_META, "file", "allow_pickle"})
 _UNREADABLE = (
     OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, OverflowError,

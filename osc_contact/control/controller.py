@@ -7,11 +7,9 @@ Each method marked `@block` is one box of the figure: it reads and writes the na
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
@@ -20,10 +18,12 @@ from osc_contact.control.border import Status, independent, limited, require_sou
 from osc_contact.control.command_filter import (
     filtered_motion,
     generalised_force,
+    metric_of,
     object_coordinates,
 )
+from osc_contact.control.contact_state import chosen, parts_in_force, surroundings
 from osc_contact.control.force import (
-    ForceGains,
+    ContactTerms,
     ForceLaw,
     contact_force,
     magnitudes,
@@ -31,10 +31,12 @@ from osc_contact.control.force import (
 )
 from osc_contact.control.found import Found
 from osc_contact.control.friction import Friction
-from osc_contact.control.motion import MotionGains, MotionLaw
-from osc_contact.control.wires import Block, Signals, Stage, TracedSignals, block
-from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
-from osc_contact.dynamics.environment import Environment
+from osc_contact.control.gains import Gains
+from osc_contact.control.life import ContactLife, slewed
+from osc_contact.control.living import hand_over, live
+from osc_contact.control.motion import MotionLaw
+from osc_contact.control.wires import Block, Signals, Stage, TracedSignals, block, observed
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError
 from osc_contact.interface import Measurement, Reference
@@ -46,20 +48,14 @@ if TYPE_CHECKING:
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
 
 
-@dataclass(frozen=True)
-class Gains:
-    """Gains of the two loops."""
-
-    motion: MotionGains = field(default_factory=MotionGains)
-    force: ForceGains = field(default_factory=ForceGains)
-
-
 class Controller:
     """Dynamically decoupled force/motion control of one held object (fig. 4).
 
     Attributes:
         signals: every wire of the last tick. status, reason: how it ended.
         engaged: whether the contacts are part of the model; False treats the object as free.
+        terms: on what terms each contact takes part. life: what sets them; None: all contacts are
+            closed as long as they are engaged. ticked: whether life has a tick to judge.
         f_tare: (6,) constant error of the wrist readings at O, removed from each.
         f_bias: (6,) constant wrench added to the command, learnt before contact.
 
@@ -79,6 +75,7 @@ class Controller:
         engaged: bool = True,
         compiled: bool = True,
         friction: Friction | None = None,
+        life: ContactLife | None = None,
     ) -> None:
         """Assemble the loops.
 
@@ -97,6 +94,7 @@ class Controller:
                 below, which gives the same torques. The first controller ever made on a machine
                 compiles them. Friction is compensated on the readable path only.
             friction: what is believed of the contacts' friction; None: nothing.
+            life: opens, approaches and closes the contacts one by one.
 
         Raises:
             InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
@@ -109,12 +107,13 @@ class Controller:
         self.contacts = tuple(contacts)
         self.bodies = (None,) * len(self.contacts) if bodies is None else tuple(bodies)
         self.B = B
-        self.engaged = engaged
         self.motion_law = MotionLaw(gains.motion, dt)
         self.force_law = ForceLaw(gains.force, dt)
         rest = np.zeros(chain.nq) if posture is None else np.asarray(posture, dtype=float)
         self.allocation = Allocation(chain, rest)
         self._tare, self._bias = np.zeros(6), np.zeros(6)
+        self.life = life
+        self.terms = ContactTerms(np.zeros((len(self.contacts), 4)), gains.force)
         self.signals = Signals()
         self._looked = True  # whether `signals` must be emptied by the next compiled tick
         self._by_twin = True  # whether the readable path computed the last tick
@@ -127,6 +126,9 @@ class Controller:
 
             self._fast = fast = CompiledTick(self)
             self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
+            self.terms = ContactTerms(fast.terms, gains.force)
+        self.engaged = engaged
+        self.ticked = False
 
     @property
     def reason(self) -> str:
@@ -153,15 +155,37 @@ class Controller:
     def f_bias(self, wrench: Array) -> None:
         self._bias[:] = as_array("f_bias", wrench, (6,))
 
+    @property
+    def engaged(self) -> bool:
+        """Whether the contacts are part of the model; False: the object counts as free."""
+        return self._engaged
+
+    @engaged.setter
+    def engaged(self, engaged: bool) -> None:
+        self._engaged = engaged
+        if self.life is None or not engaged:
+            self.terms.rows[:, 0] = engaged
+
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
         """Motor torques (n_a,) for one control period.
 
         Never raises on bad data and never returns a torque that is not finite or exceeds a motor
         limit: a tick that cannot be computed repeats the last good torques, see `status`.
         """
+        if self.life is None:
+            return self._computed(measurement, reference)
+        last = self._last_tau.copy()
+        tau = self._computed(measurement, live(self, self.life, reference))
+        if self.ticked and self.status is not Status.HELD:
+            step = self.life.settings.torque_rate * self.force_law.dt * self.chain.tau_max
+            self._last_tau[:] = tau = slewed(tau, last, step)
+        self.ticked |= self.status is not Status.HELD
+        return tau
+
+    def _computed(self, measurement: Measurement, reference: Reference) -> Array:
         fast = self._fast
         if fast is not None and self.STAGES is _STAGES:
-            code = fast(measurement, reference, self.engaged)
+            code = fast(measurement, reference)
             if code != _ASK:
                 if self._looked:
                     self._looked = self._by_twin = False
@@ -192,21 +216,7 @@ class Controller:
     def _fill_signals(self) -> None:
         """The wires of the last compiled tick, by the readable path."""
         assert self._fast is not None
-        measurement, reference, then = self._fast.inputs()
-        motion, force = self.motion_law, self.force_law
-        now = (motion.integral, force.integral, self._tare, self._bias)
-        how = (self.engaged, self.status, self._reason)
-        s = Signals()
-        try:
-            motion.integral, force.integral = then.error_sum, then.force_sum
-            self._tare, self._bias, self.engaged = then.tare, then.bias, then.engaged
-            self._take_in(measurement, reference, s)
-            for stage in self.STAGES:
-                stage(self, s)
-        finally:
-            motion.integral, force.integral, self._tare, self._bias = now
-            self.engaged, self.status, self._reason = how
-        self.signals.__dict__.update(s.__dict__)
+        self.signals.__dict__.update(self._fast.replay().__dict__)
         self._looked = True
 
     def last_signals(self) -> Signals:
@@ -230,7 +240,7 @@ class Controller:
         """The kernel call of a tick by itself, to be timed; the state of the loops moves on."""
         if self._fast is None:
             raise InvalidInputError("this controller runs on the readable path: no kernel to call")
-        return self._fast.bare_call(measurement, reference, self.engaged)
+        return self._fast.bare_call(measurement, reference)
 
     def found(self) -> Found:
         """The numbers of the last computed tick that recordings keep.
@@ -252,8 +262,8 @@ class Controller:
     def residual_wrench(self) -> Array:
         """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
 
-        Its mean over a moment at rest without contact is the tare: weight errors of object and
-        grippers cannot be told from contact forces once contact is made. Store it in `f_tare`.
+        Its mean at rest without contact is the tare, to be stored in `f_tare`: weight errors
+        cannot be told from contact forces once contact is made.
         """
         found = self.found()
         return found.f_meas + self.f_tare - found.bias_out
@@ -264,16 +274,10 @@ class Controller:
         What the motion integral has learnt in free space (weight errors, as a force) goes on as a
         constant wrench, in the contact directions too; the integrators start again from zero.
         """
-        if self.engaged:
-            return
-        s = self.last_signals()
-        learnt = self.motion_law.gains.integral * self.motion_law.integral
-        force = s.state.Lambda @ object_coordinates(s.state, s.contact, learnt + s.state.sigma)
-        H = s.state.S.T @ s.state.metric @ s.state.S
-        self.f_bias = s.state.metric @ s.state.S @ np.linalg.solve(H, force)  # Sᵀf_bias = force
-        self.motion_law.integral = np.zeros(6)
-        self.force_law.integral = np.zeros(0)
-        self.engaged = True
+        if not self.engaged:
+            hand_over(self)
+            self.force_law.integral = np.zeros(0)
+            self.engaged = True
 
     # --- the boxes of fig. 4, in the order in which the signals meet them -----------------------
 
@@ -283,38 +287,22 @@ class Controller:
 
     @block("contact geometry", "model", r"$N,\ T,\ n_\gamma$")
     def _contact(self, s: Signals) -> None:
-        X_WO, V_O = s.state.X_WO, s.state.V_O
-        pairs = self.contacts if self.engaged else ()
-        touched = s.touched
-        if touched is None:
-            parts = [pair.contact(X_WO, V_O) for pair in pairs]
-        else:
-            moving = zip(pairs, touched.X_WE, touched.V_E, strict=False)
-            parts = [pair.contact(X_WO, V_O, pin.SE3(X), V) for pair, X, V in moving]
-        contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
-        s.parts, s.contact, s.drag = parts, contact, np.zeros_like(contact.N)
+        active = self.terms.active
+        pairs = [pair for pair, on in zip(self.contacts, active, strict=True) if on]
+        touched = chosen(s.touched, active)
+        s.parts = parts_in_force(pairs, s.state, touched)
+        s.contact = contact = Contact.stack(s.parts, np.linalg.inv(s.state.metric))
+        s.drag = np.zeros_like(contact.N)
         if self.friction is not None:
-            s.drag = self.friction.drags(pairs, X_WO, V_O, touched) @ contact.R.T
+            drags = self.friction.drags(pairs, s.state.X_WO, s.state.V_O, touched)
+            s.drag = drags @ contact.R.T
+        self._owners = np.repeat(np.flatnonzero(active), [part.R.shape[1] for part in s.parts])
 
     @block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)")
     def _environment(self, s: Signals) -> None:
-        touched, parts = s.touched, s.parts
-        if touched is None or not parts:
-            s.environment = _AT_REST
-            return
-        O = s.state.X_WO.translation  # noqa: E741
-        of_body: dict[Body, Environment] = {}  # contacts on one body share its environment
-        answers = []
-        for body, matrix, V, A in zip(
-            self.bodies, touched.X_WE, touched.V_E, touched.A_E, strict=True
-        ):
-            if body is None:
-                answers.append(Environment.moving(X_WE=pin.SE3(matrix), V_E=V, A_E=_STILL, O=O))
-            else:
-                if body not in of_body:
-                    of_body[body] = body.environment(pin.SE3(matrix), V, A, O)
-                answers.append(of_body[body])
-        s.environment = Environment.combine(parts, answers, s.state.metric)
+        active = self.terms.active
+        bodies = [body for body, on in zip(self.bodies, active, strict=True) if on]
+        s.environment = surroundings(bodies, s.parts, chosen(s.touched, active), s.state)
 
     @block("sum of wrist sensors", "force", r"$\Sigma$ at $O$")
     def _sense(self, s: Signals) -> None:
@@ -330,9 +318,13 @@ class Controller:
 
     @block("force law", "force", r"$\alpha_d + K_i\!\int(\alpha_d-\alpha_{meas})$")
     def _force_law(self, s: Signals) -> None:
-        desired = independent(s.alpha_d, s.contact) if self.engaged else np.zeros(0)
+        wanted, active = s.alpha_d, self.terms.active
+        if self.life is not None and not active.all():
+            wanted = wanted[active[self.life.columns.owners]]
+        desired = independent(wanted, s.contact) if active.any() else np.zeros(0)
         speed = s.contact.N.T @ (s.state.V_O - s.environment.V_e)
-        s.alpha_u = self.force_law.command(desired, s.alpha_meas, speed)
+        terms = self.terms.of_columns(self._owners, s.contact.r)
+        s.alpha_u = self.force_law.command(desired, s.alpha_meas, speed, terms)
 
     @block("to operational space", "force", r"$N\alpha_u$  (16)")
     def _operational_force(self, s: Signals) -> None:
@@ -340,14 +332,14 @@ class Controller:
 
     @block("motion law", "motion", r"$\ddot x_d + K_d\dot e + K_p e + K_i\!\int\! e$")
     def _motion_law(self, s: Signals) -> None:
-        Omega_m = s.contact.motion_projection(self._metric(s.state))
+        Omega_m = s.contact.motion_projection(metric_of(self.B, s.state))
         s.a_u = self.motion_law.command(s.reference, s.state, Omega_m)
 
     @block("motion filter", "filter", r"$\Omega_m(B)$  (24)")
     def _motion_filter(self, s: Signals) -> None:
         eta_u = object_coordinates(s.state, s.contact, s.a_u)
         s.eta_c = filtered_motion(
-            s.state, s.contact, eta_u, s.alpha_u, self._metric(s.state), s.environment
+            s.state, s.contact, eta_u, s.alpha_u, metric_of(self.B, s.state), s.environment
         )
 
     @block("dynamic control structure", "filter", r"$\Lambda_S\dot\eta_c+b_S+S^Tf_{ccomm}$  (21)")
@@ -375,40 +367,23 @@ class Controller:
 
     @property
     def restaged(self) -> bool:
-        """Whether STAGES of this controller or its class were replaced.
-
-        Only reading them one by one computes such a controller: a tick compiled from the stages
-        above would not.
-        """
+        """Whether STAGES were replaced: then only reading them one by one computes the tick."""
         return self.STAGES is not Controller.STAGES
 
     # --- border --------------------------------------------------------------------------------
 
     def wiring(self, measurement: Measurement, reference: Reference) -> list[Block]:
         """The boxes with the signals each one really read and wrote, observed during one tick."""
-        blocks = []
-        wires = TracedSignals()
         before = (self.motion_law.integral, self.force_law.integral)
+        wires = TracedSignals()
         self._take_in(measurement, reference, wires)
-        for stage in self.STAGES:
-            wires.begin()
-            stage(self, wires)
-            own: Block = stage.block  # type: ignore[attr-defined]
-            blocks.append(Block(own.name, own.group, own.equation, *wires.seen()))
+        blocks = observed(self, self.STAGES, wires)
         self.motion_law.integral, self.force_law.integral = before
         return blocks
 
     def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
         self.status, self._reason = Status.OK, ""
         take_in(measurement, reference, s, len(self.chain.arms), len(self.contacts))
-
-    def _metric(self, state: ChainState) -> Array:
-        if isinstance(self.B, str):
-            if self.B == "object":
-                return np.linalg.inv(state.metric)
-            inertia = state.metric + sum(arm.Lambda for arm in state.arms)
-            return np.asarray(np.linalg.inv(inertia))
-        return self.B
 
     def _limited(self, tau: Array) -> Array:
         tau, reason = limited(tau, self.chain)
@@ -420,5 +395,3 @@ class Controller:
 _STAGES = Controller.STAGES  #: what the kernels compute; others are read box by box
 _STATUS = ((Status.OK, ""), (Status.SATURATED, None))
 _ASK = 2  #: the kernels' answer where the readable path must decide
-_AT_REST = Environment.fixed()
-_STILL = np.zeros(6)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from osc_contact.control.allocation import squeeze_rows
+from osc_contact.control.force import outboard_mobility
 from osc_contact.spatial import Array, pose_error
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ class Found:
         squeeze: (1,) internal force along the grasp line (N), > 0 compresses.
         magnitudes: (≥ r,) contact magnitudes measured; speeds: (≥ r,) NᵀV_rel; the first r of them
             count. rank: (1,) r.
+        mobilities: (≥ r, ≥ r) D of the force filter, see `contact_force`.
     """
 
     f_meas: Array
@@ -39,6 +41,7 @@ class Found:
     squeeze: Array
     magnitudes: Array
     speeds: Array
+    mobilities: Array
     rank: Array
 
     @property
@@ -50,6 +53,12 @@ class Found:
     def normal_speed(self) -> Array:
         """(r,) NᵀV_rel (m/s): 0 while the contacts last."""
         return self.speeds[: int(self.rank[0])]
+
+    @property
+    def mobility(self) -> Array:
+        """(r, r) D: normal acceleration for each newton on what is outboard of the sensors."""
+        r = int(self.rank[0])
+        return self.mobilities[:r, :r]
 
     @classmethod
     def of(cls, s: Signals, controller: Controller) -> Found:
@@ -69,5 +78,6 @@ class Found:
             squeeze=E @ tau - e0 if len(e0) else np.zeros(1),
             magnitudes=s.alpha_meas,
             speeds=s.contact.N.T @ (state.V_O - s.environment.V_e),
+            mobilities=outboard_mobility(state, s.contact, s.environment, s.drag)[0],
             rank=np.array([len(s.alpha_meas)]),
         )

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.control.controller import Controller
+from osc_contact.control.living import measured, phases
 from osc_contact.control.monitor import ContactMonitor
 from osc_contact.errors import PlantError
 from osc_contact.experiments.contacts import feet
@@ -151,14 +152,11 @@ def _watched(rig: Rig, controller: Controller, monitor: ContactMonitor) -> dict[
 
     Where a magnitude may have either sign its size counts.
     """
-    found, count = controller.found(), monitor.contacts
-    alpha = speed = np.zeros(count)
-    if len(found.alpha_meas) == count:
-        alpha, speed = found.alpha_meas, found.normal_speed
-    elif len(found.alpha_meas):  # some contacts depend on others
-        contact = controller.last_signals().contact
-        alpha, speed = contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
-    seen = monitor.update(np.where(rig.pushing, alpha, np.abs(alpha)), speed)
+    if controller.life is not None:
+        seen = controller.life.state.seen
+    else:
+        alpha, speed = measured(controller, rig.owners)
+        seen = monitor.update(np.where(rig.pushing, alpha, np.abs(alpha)), speed)
     return {"contact_seen": seen.closed, "collision_seen": seen.collision}
 
 
@@ -166,12 +164,10 @@ def _channels(
     rig: Rig, controller: Controller, reference: Reference, truth: Truth, read: Measurement
 ) -> dict[str, Any]:
     """What the recording keeps of a tick besides joints and torques."""
-    found, k, r = controller.found(), len(rig.pairs), len(reference.alpha_d)
+    found, k = controller.found(), len(rig.pairs)
     wrench = found.f_meas - found.bias_out
-    alpha = found.alpha_meas
-    projected = float(found.normal_speed @ alpha)  # V_relᵀNα, whatever the faces do
-    if 0 < len(alpha) < r:  # some contacts depend on others
-        alpha = controller.last_signals().contact.magnitudes(alpha)
+    projected = float(found.normal_speed @ found.alpha_meas)  # V_relᵀNα, whatever the faces do
+    alpha = measured(controller, rig.owners)[0]
     X = truth.X_WO
     moved = truth.X_WE or (pin.SE3.Identity(),) * k
     lines = [feet(pair, X, E) for pair, E in zip(rig.pairs, moved, strict=True)]
@@ -180,14 +176,14 @@ def _channels(
     )
     free_error = found.free_error
     if rig.d < 6:
-        held = N if controller.engaged else N[:, :0]
+        held = N[:, controller.terms.active[rig.owners]]
         free_error = free_part(rig.model, read.q, pin.SE3(found.X_WO), held, found.error)
     bodies = [rig.bodies[i].placement for i in rig.on]
     return {
         "pose": pin.SE3ToXYZQUAT(X),
         "twist": truth.V_O,
         "alpha_cmd": reference.alpha_d,
-        "alpha_meas": alpha if len(alpha) == r else np.zeros(r),
+        "alpha_meas": alpha,
         "alpha_true": truth.alpha,
         "closed": truth.closed,
         "N": N,
@@ -203,6 +199,7 @@ def _channels(
         "squeeze_cmd": reference.squeeze_d,
         "squeeze": float(found.squeeze[0]),
         "status": int(controller.status),
+        "contact_phase": phases(controller),
     }
 
 
@@ -217,6 +214,7 @@ def _meta(rig: Rig, seed: int) -> dict[str, object]:
         "joint_names": rig.chain.joint_names,
         "contact_names": [pair.name for pair in rig.pairs],
         "columns": list(force_owners(scenario)),
+        "tau_max": [x if np.isfinite(x) else None for x in rig.chain.tau_max.tolist()],
         "control_rate_hz": scenario.control.rate,
         "force_steps_s": force_steps(scenario),
     }
