@@ -290,13 +290,14 @@ class Controller:
         active = self.terms.active
         pairs = [pair for pair, on in zip(self.contacts, active, strict=True) if on]
         touched = chosen(s.touched, active)
-        s.parts = parts_in_force(pairs, s.state, touched)
-        s.contact = contact = Contact.stack(s.parts, np.linalg.inv(s.state.metric))
-        s.drag = np.zeros_like(contact.N)
+        s.parts = parts = parts_in_force(pairs, s.state, touched)
+        s.contact = contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
+        drag = np.zeros_like(contact.N)
         if self.friction is not None:
             drags = self.friction.drags(pairs, s.state.X_WO, s.state.V_O, touched)
-            s.drag = drags @ contact.R.T
-        self._owners = np.repeat(np.flatnonzero(active), [part.R.shape[1] for part in s.parts])
+            drag = drags @ contact.R.T
+        s.drag = drag
+        self._owners = np.repeat(np.flatnonzero(active), [part.R.shape[1] for part in parts])
 
     @block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)")
     def _environment(self, s: Signals) -> None:
