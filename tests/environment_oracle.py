@@ -73,10 +73,10 @@ class Whole:
         merged.appendBodyToJoint(j, chain.payload.inertia, pin.SE3.Identity())
         add_point(merged, "object_frame", j, pin.SE3.Identity())
         self.tips = []
-        for arm, X_TO in zip(chain.arms, chain.grasps, strict=True):
+        for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
             tip = merged.frames[merged.getFrameId(f"{arm.name}/{arm.tip}")]
             name = f"object held by {arm.name}"
-            add_point(merged, name, tip.parentJoint, tip.placement * X_TO)
+            add_point(merged, name, tip.parentJoint, tip.placement * grasp.X_TO)
             self.tips.append(name)
         self.parts = []
         for i, model in enumerate(models):
@@ -174,7 +174,7 @@ def _object_state(chain, q, v):
     pin.forwardKinematics(chain.model, data, q, v)
     pin.updateFramePlacements(chain.model, data)
     f = chain.model.getFrameId(f"{arm.name}/{arm.tip}")
-    X = data.oMf[f] * chain.grasps[0]
+    X = data.oMf[f] * chain.grasps[0].X_TO
     V = pin.getFrameVelocity(chain.model, data, f, LWA).vector
     shift = X.translation - data.oMf[f].translation
     return X, np.concatenate((V[:3] + np.cross(V[3:], shift), V[3:]))

@@ -24,13 +24,8 @@ from osc_contact.control.life import (
     slewed,
 )
 from osc_contact.control.monitor import Heard, MonitorState, heard
-from osc_contact.experiments.contact_life import (
-    collisions,
-    draw_collisions,
-    draw_landing,
-    false_alarms,
-    land,
-)
+from osc_contact.experiments.contact_life import answers, collisions, false_alarms, land
+from osc_contact.experiments.contact_life_pictures import draw_collisions, draw_landing
 
 DT = 1e-3
 OPEN, APPROACHING, CLOSED = Phase
@@ -300,6 +295,7 @@ def test_figure_7_shows_power_peaks_at_the_collisions(knocked):
     for hit in hits:
         assert hit.power > 4.0 * np.percentile(power[held], 99)
         assert power[np.abs(t - hit.t) <= 0.02].max() == pytest.approx(hit.power)
+    assert all(answer.holds for answer in answers(knocked).values())
     figure = draw_collisions(knocked)
     total, projected, force = (ax.get_title(loc="left") for ax in figure.axes)
     assert total.startswith("total") and projected.startswith("projected") and "force" in force

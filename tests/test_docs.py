@@ -171,7 +171,11 @@ def schema_keys(model: type[BaseModel], prefix: str = "") -> tuple[dict[str, Any
     signals: dict[str, Any] = {}
     for name, field in model.model_fields.items():
         inner = models_in(field.annotation)
-        if not ({"xyz", "rpy"} & {key for one in inner for key in one.model_fields}):
+        if {"xyz", "rpy"} & {key for one in inner for key in one.model_fields}:
+            for one in inner:
+                beside = set(one.model_fields) - {"xyz", "rpy"}
+                keys |= {f"{prefix}{name}.{key}": one.model_fields[key] for key in beside}
+        else:
             for one in inner:
                 if "type" in one.model_fields and {"value", "amplitude"} & set(one.model_fields):
                     signals |= one.model_fields

@@ -14,8 +14,10 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
+from osc_contact.control.effort_limits import GivenUp, relieve
 from osc_contact.control.found import Found
 from osc_contact.control.pack import pack
+from osc_contact.control.saturated import saturated
 from osc_contact.control.wires import Signals
 from osc_contact.errors import OscContactError
 from osc_contact.interface import Measurement, Reference, Touched
@@ -111,13 +113,22 @@ class CompiledTick:
 
     # --- what a tick found ---------------------------------------------------------------------
 
-    def limit_reached(self) -> str:
-        """Which motor the last tick wanted too much of, and how much."""
-        chain = self._controller.chain
-        excess = float(self._arrays[at.SIGNALS][at.EXCESS])
-        motor = int(np.argmax(np.abs(self.tau) / chain.tau_max))
-        name = chain.joint_names[chain.actuated[motor]]
-        return f"{name}: {self.tau[motor] * excess:.4g} of ±{chain.tau_max[motor]:.4g} wanted"
+    def relieve(self) -> GivenUp:
+        """Torques within the limits after SATURATED; the integrals move on without what they lack.
+
+        Raises:
+            SolverError: there are none; then nothing has changed.
+        """
+        controller, arrays = self._controller, self._arrays
+        wanted, R, S = saturated(arrays, controller.limits)
+        relief = relieve(wanted)
+        r, next_sum = len(wanted.alpha), arrays[at.SIGNALS][at.FORCE_SUM_NEXT :]
+        controller.force_law.integral = next_sum[:r]
+        controller.force_law.forgo(relief.force, arrays[at.COLUMNS][at.GAIN, :r])
+        self.tau[:] = relief.tau
+        if len(relief.squeeze):
+            arrays[at.SIGNALS][at.SQUEEZE] -= relief.squeeze[0]
+        return controller.limits.given_up(wanted, relief, R, S @ relief.motion)
 
     def inputs(self) -> tuple[Measurement, Reference, Before]:
         """What the last computed tick was given, and what it began with."""
@@ -149,7 +160,8 @@ class CompiledTick:
         measurement, reference, then = self.inputs()
         motion, force, terms = controller.motion_law, controller.force_law, controller.terms
         now = motion.integral, force.integral, controller._tare, controller._bias
-        how, rows, s = (controller.status, controller._reason), terms.rows.copy(), Signals()
+        how = controller.status, controller._reason, controller.given_up
+        rows, s = terms.rows.copy(), Signals()
         try:
             motion.integral, force.integral = then.error_sum, then.force_sum
             controller._tare, controller._bias, terms.rows[:] = then.tare, then.bias, then.terms
@@ -158,7 +170,7 @@ class CompiledTick:
                 stage(controller, s)
         finally:
             motion.integral, force.integral, controller._tare, controller._bias = now
-            controller.status, controller._reason = how
+            controller.status, controller._reason, controller.given_up = how
             terms.rows[:] = rows
         return s
 
@@ -199,7 +211,7 @@ class CompiledTick:
         """
         chain = self._controller.chain
         frame = self._model.frames[chain.tips[0]]
-        X_WO = self._data.oMi[frame.parentJoint] * frame.placement * chain.grasps[0]
+        X_WO = self._data.oMi[frame.parentJoint] * frame.placement * chain.grasps[0].X_TO
         s = chain.slices[0]
         V = self._data.J[:, s] @ measurement.v[s]
         V[:3] += np.cross(V[3:], X_WO.translation)

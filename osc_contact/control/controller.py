@@ -14,7 +14,7 @@ import numpy as np
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.allocation import Allocation
-from osc_contact.control.border import Status, independent, limited, require_sound, take_in
+from osc_contact.control.border import Status, independent, require_sound, take_in
 from osc_contact.control.command_filter import (
     filtered_motion,
     generalised_force,
@@ -22,6 +22,7 @@ from osc_contact.control.command_filter import (
     object_coordinates,
 )
 from osc_contact.control.contact_state import chosen, parts_in_force, surroundings
+from osc_contact.control.effort_limits import EffortLimits, GivenUp
 from osc_contact.control.force import (
     ContactTerms,
     ForceLaw,
@@ -36,6 +37,7 @@ from osc_contact.control.life import ContactLife, slewed
 from osc_contact.control.living import hand_over, live
 from osc_contact.control.motion import MotionLaw
 from osc_contact.control.wires import Block, Signals, Stage, TracedSignals, block, observed
+from osc_contact.control.within_limits import within_limits
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError
@@ -53,6 +55,7 @@ class Controller:
 
     Attributes:
         signals: every wire of the last tick. status, reason: how it ended.
+        given_up: what motor limits cost in the last tick; None: nothing.
         engaged: whether the contacts are part of the model; False treats the object as free.
         terms: on what terms each contact takes part. life: what sets them; None: all contacts are
             closed as long as they are engaged. ticked: whether life has a tick to judge.
@@ -92,7 +95,7 @@ class Controller:
             engaged: start in contact.
             compiled: run on the kernels, some hundred times faster; False: on the readable path
                 below, which gives the same torques. The first controller ever made on a machine
-                compiles them. Friction is compensated on the readable path only.
+                compiles them. Friction and grasps that move need the readable path.
             friction: what is believed of the contacts' friction; None: nothing.
             life: opens, approaches and closes the contacts one by one.
 
@@ -111,6 +114,8 @@ class Controller:
         self.force_law = ForceLaw(gains.force, dt)
         rest = np.zeros(chain.nq) if posture is None else np.asarray(posture, dtype=float)
         self.allocation = Allocation(chain, rest)
+        self.limits = EffortLimits(chain, self.contacts)
+        self.given_up: GivenUp | None = None
         self._tare, self._bias = np.zeros(6), np.zeros(6)
         self.life = life
         self.terms = ContactTerms(np.zeros((len(self.contacts), 4)), gains.force)
@@ -118,10 +123,10 @@ class Controller:
         self._looked = True  # whether `signals` must be emptied by the next compiled tick
         self._by_twin = True  # whether the readable path computed the last tick
         self.status = Status.OK
-        self._reason: str | None = ""  # None: a motor limit, said when somebody asks
+        self._reason = ""
         self._last_tau: Array = np.zeros(chain.n_a)
         self._fast: CompiledTick | None = None
-        if compiled and friction is None:
+        if compiled and friction is None and all(g.is_rigid for g in chain.grasps):
             from osc_contact.control.compiled import CompiledTick
 
             self._fast = fast = CompiledTick(self)
@@ -133,9 +138,7 @@ class Controller:
     @property
     def reason(self) -> str:
         """Why `status` is not OK; empty if it is."""
-        if self._reason is None and self._fast is not None:
-            self._reason = self._fast.limit_reached()
-        return self._reason or ""
+        return self._reason or str(self.given_up or "")
 
     @property
     def f_tare(self) -> Array:
@@ -169,8 +172,8 @@ class Controller:
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
         """Motor torques (n_a,) for one control period.
 
-        Never raises on bad data and never returns a torque that is not finite or exceeds a motor
-        limit: a tick that cannot be computed repeats the last good torques, see `status`.
+        Never raises on bad data, never returns a torque that is not finite or exceeds a limit: a
+        tick that cannot be computed repeats the last good torques, see `status`.
         """
         if self.life is None:
             return self._computed(measurement, reference)
@@ -191,7 +194,12 @@ class Controller:
                     self._looked = self._by_twin = False
                     self.signals.__dict__.clear()
                     self.signals.__dict__["_fill"] = self._fill_signals
-                self.status, self._reason = _STATUS[code]
+                self.status, self._reason, self.given_up = Status.OK, "", None
+                if code == _SATURATED:
+                    try:
+                        self.status, self.given_up = Status.SATURATED, fast.relieve()
+                    except OscContactError as error:
+                        self._hold(error)
                 return self._last_tau.copy()
         return self._readable_tick(measurement, reference)
 
@@ -203,18 +211,19 @@ class Controller:
             self._take_in(measurement, reference, s)
             for stage in self.STAGES:
                 stage(self, s)
-            self._last_tau[:] = self._limited(s.tau)
+            self._last_tau[:] = within_limits(self, s, *before)
             self.signals.__dict__.clear()
             self.signals.__dict__.update(s.__dict__)
             self._looked = self._by_twin = True
         except (OscContactError, np.linalg.LinAlgError) as error:
-            self.status, self._reason = Status.HELD, str(error)
-        if self.status is not Status.OK:
+            self._hold(error)
             self.motion_law.integral, self.force_law.integral = before
         return self._last_tau.copy()
 
+    def _hold(self, error: Exception) -> None:
+        self.status, self._reason, self.given_up = Status.HELD, str(error), None
+
     def _fill_signals(self) -> None:
-        """The wires of the last compiled tick, by the readable path."""
         assert self._fast is not None
         self.signals.__dict__.update(self._fast.replay().__dict__)
         self._looked = True
@@ -383,16 +392,9 @@ class Controller:
         return blocks
 
     def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
-        self.status, self._reason = Status.OK, ""
+        self.status, self._reason, self.given_up = Status.OK, "", None
         take_in(measurement, reference, s, len(self.chain.arms), len(self.contacts))
-
-    def _limited(self, tau: Array) -> Array:
-        tau, reason = limited(tau, self.chain)
-        if reason:
-            self.status, self._reason = Status.SATURATED, reason
-        return tau
 
 
 _STAGES = Controller.STAGES  #: what the kernels compute; others are read box by box
-_STATUS = ((Status.OK, ""), (Status.SATURATED, None))
-_ASK = 2  #: the kernels' answer where the readable path must decide
+_SATURATED, _ASK = 1, 2  #: the kernels' answer where the readable path must decide

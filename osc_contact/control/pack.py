@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.control.allocation import effort_scale
 from osc_contact.control.pack_pairs import PackedPairs
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Cart, Conveyor
@@ -66,7 +67,7 @@ def _head(controller: Controller) -> Array:
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     head[at.PRINCIPAL : at.PRINCIPAL + 4] = body.mass, *moments
     head[at.ROOTS : at.ROOTS + 4] = np.sqrt(head[at.PRINCIPAL : at.PRINCIPAL + 4])
-    X_JO = chain.model.frames[chain.tips[0]].placement * chain.grasps[0]
+    X_JO = chain.model.frames[chain.tips[0]].placement * chain.grasps[0].X_TO
     for start, X in ((at.X_JO, X_JO), (at.X_JP, X_JO * pin.SE3(axes, body.lever))):
         head[start : start + 12] = *X.rotation.ravel(), *X.translation
     head[at.TOLERANCE] = chain.rank_tolerance
@@ -81,7 +82,7 @@ def _chain(chain: ClosedChain, posture: Array) -> Arrays:
     model, n, k = chain.model, chain.nq, len(chain.arms)
     arms_i, joints_i = np.zeros((k, 4), dtype=np.int64), np.zeros((n, 2), dtype=np.int64)
     arms, joints = np.zeros((k, 16)), np.zeros((n, 24))
-    limits = np.where(np.isfinite(chain.tau_max), chain.tau_max, 1.0)
+    limits = effort_scale(chain.tau_max)
     joints_i[:, 1] = -1
     joints_i[chain.actuated, 1] = np.arange(chain.n_a)
     joints[chain.actuated, 20], joints[chain.actuated, 21] = limits**2, 1.0 / limits**2

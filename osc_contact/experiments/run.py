@@ -198,9 +198,16 @@ def _channels(
         "motion_error": free_error,
         "squeeze_cmd": reference.squeeze_d,
         "squeeze": float(found.squeeze[0]),
+        "alpha_given_up": _given_up(controller, len(rig.owners)),
         "status": int(controller.status),
         "contact_phase": phases(controller),
     }
+
+
+def _given_up(controller: Controller, r: int) -> Array:
+    """(r,) contact forces that the motor limits cost in this tick."""
+    cost = controller.given_up
+    return cost.force if cost is not None and len(cost.force) == r else np.zeros(r)
 
 
 def _meta(rig: Rig, seed: int) -> dict[str, object]:
@@ -212,9 +219,12 @@ def _meta(rig: Rig, seed: int) -> dict[str, object]:
         "seed": seed,
         "arm_names": [arm.name for arm in rig.chain.arms],
         "joint_names": rig.chain.joint_names,
+        "effort_limits": {
+            rig.chain.joint_names[j]: float(limit) if np.isfinite(limit) else None
+            for j, limit in zip(rig.chain.actuated, rig.chain.tau_max, strict=True)
+        },
         "contact_names": [pair.name for pair in rig.pairs],
         "columns": list(force_owners(scenario)),
-        "tau_max": [x if np.isfinite(x) else None for x in rig.chain.tau_max.tolist()],
         "control_rate_hz": scenario.control.rate,
         "force_steps_s": force_steps(scenario),
     }
