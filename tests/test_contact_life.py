@@ -228,6 +228,34 @@ def test_both_paths_agree_on_a_table_with_some_legs_up():
         agree(fast, slow, *inputs(chain, q, v, rng, 5))
 
 
+def test_both_paths_agree_on_random_masks_when_motors_are_at_their_limits():
+    """Which contacts may lose force is told by the mask, too."""
+    chain, rng = scara_pair(), np.random.default_rng(55)
+    done = 0
+    while done < 6:
+        q, v = random_state(chain, rng)
+        pairs = random_faces(chain.state(q, v).X_WO, 3, rng)
+        fast, slow = twins(chain, pairs)
+        measurement, reference = inputs(chain, q, v, rng, 3)
+        reference = replace(reference, alpha_d=200.0 * reference.alpha_d)
+        phase = given_phases(rng, np.arange(3), fast, slow)
+        for c in (fast, slow):
+            c.life.state = replace(c.life.state, since=np.ones(3))
+        if np.count_nonzero(phase) in (0, 3) or CLOSED not in phase:
+            continue
+        want = slow.tick(measurement, reference)
+        if slow.status is not osc.Status.SATURATED:
+            continue
+        got = fast.tick(measurement, reference)
+        assert fast.status is osc.Status.SATURATED
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-6 * np.abs(want).max())
+        np.testing.assert_allclose(fast.given_up.force, slow.given_up.force, rtol=1e-5, atol=1e-3)
+        np.testing.assert_allclose(
+            fast.force_law.integral, slow.force_law.integral, rtol=1e-5, atol=1e-3
+        )
+        done += 1
+
+
 def test_an_open_contact_moves_as_if_its_face_were_not_there():
     """The controller with one face open gives the torques of one that never knew of it."""
     chain, rng = scara_pair(), np.random.default_rng(53)

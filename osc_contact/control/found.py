@@ -28,7 +28,7 @@ class Found:
         squeeze: (1,) internal force along the grasp line (N), > 0 compresses.
         magnitudes: (≥ r,) contact magnitudes measured; speeds: (≥ r,) NᵀV_rel; the first r of them
             count. rank: (1,) r.
-        mobilities: (≥ r, ≥ r) D of the force filter, see `contact_force`.
+        mobilities: (≥ r, ≥ r) D of the force filter, see `contact_force`; kept for contact life.
     """
 
     f_meas: Array
@@ -66,6 +66,9 @@ class Found:
         state, tau = s.state, controller.last_torques()
         error = pose_error(s.reference.X_WD, state.X_WO)
         Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
+        D = np.zeros((0, 0))
+        if controller.life is not None and state.Lambda_out.any():
+            D = outboard_mobility(state, s.contact, s.environment, s.drag)[0]
         E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
         squeeze = E @ tau - e0 if len(e0) else np.zeros(1)
         if controller.given_up is not None and len(e0):
@@ -81,6 +84,6 @@ class Found:
             squeeze=squeeze,
             magnitudes=s.alpha_meas,
             speeds=s.contact.N.T @ (state.V_O - s.environment.V_e),
-            mobilities=outboard_mobility(state, s.contact, s.environment, s.drag)[0],
+            mobilities=D,
             rank=np.array([len(s.alpha_meas)]),
         )
