@@ -54,6 +54,7 @@ def run_plainly(rig):
             "alpha_meas": alpha, "contact_seen": seen.closed, "collision_seen": seen.collision,
             "wrench_meas": found.f_meas - found.bias_out, "squeeze": found.squeeze[0],
             "squeeze_cmd": wanted.squeeze_d, "status": int(controller.status),
+            "contact_phase": np.full(len(rig.pairs), 2 * controller.engaged),
             "power_total": found.V_O @ (found.f_meas - found.bias_out - found.f_c) + alpha @ speed,
             "power_projected": alpha @ speed, **truth, **lines(rig, truth),
             "motion_error": error(rig, controller, read, truth),

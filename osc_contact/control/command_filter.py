@@ -17,6 +17,7 @@ __all__ = [
     "filtered_motion",
     "generalised_force",
     "metric_in_coordinates",
+    "metric_of",
 ]
 
 
@@ -78,6 +79,16 @@ def metric_in_coordinates(state: ChainState, B: Array) -> Array:
     if np.abs(scaled - scaled.T).max() > 1e-9 or np.linalg.eigvalsh(scaled)[0] <= 0.0:
         raise InvalidInputError("the metric B of eq. 24 must be symmetric positive definite")
     return np.linalg.inv(state.S.T @ np.linalg.solve(B, state.S))
+
+
+def metric_of(B: Array | str, state: ChainState) -> Array:
+    """The metric (6, 6) of eq. 24: "object" Λ_o⁻¹, "chain" (ΣΛ_i + Λ_o)⁻¹, or the one given."""
+    if not isinstance(B, str):
+        return B
+    inertia = state.metric
+    if B == "chain":
+        inertia = inertia + sum(arm.Lambda for arm in state.arms)
+    return np.linalg.inv(inertia)
 
 
 def filtered_motion(

@@ -18,6 +18,7 @@ from osc_contact.control.effort_limits import GivenUp, relieve
 from osc_contact.control.found import Found
 from osc_contact.control.pack import pack
 from osc_contact.control.saturated import saturated
+from osc_contact.control.wires import Signals
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import OscContactError
@@ -33,13 +34,14 @@ __all__ = ["Before", "CompiledTick", "compilable"]
 
 @dataclass(frozen=True)
 class Before:
-    """What a tick began with: ∫e dt (6,), ∫(α_d − α) dt (r,), f_tare, f_bias (6,)."""
+    """What a tick began with: ∫e dt (6,), ∫(α_d − α) dt (r,), f_tare, f_bias (6,), and the terms
+    of the contacts (contacts, 4)."""
 
     error_sum: Array
     force_sum: Array
     tare: Array
     bias: Array
-    engaged: bool
+    terms: Array
 
 
 #: What the border refuses: wrong sizes or types of what comes in. The readable path says why.
@@ -68,6 +70,7 @@ class CompiledTick:
         state: (25,) ∫e dt, f_tare, f_bias, ∫(α_d − α) dt and how many of these count.
         tau: (n_a,) torques of the last tick that was computed.
         tare, bias: (6,) views of the state: f_tare, f_bias.
+        terms: (contacts, 4) see `control.force.ContactTerms`.
         found: what the last tick found; its arrays are overwritten by the next one.
     """
 
@@ -82,6 +85,7 @@ class CompiledTick:
         self._bound = np.zeros((at.COUNT, 4), dtype=np.int64)
         self._bind()
         self.tare, self.bias = self.state[at.TARE : at.BIAS], self.state[at.BIAS : at.FORCE_SUM]
+        self.terms = self._arrays[at.TERMS][:-1]
         controller.motion_law.memory = self.state[at.ERROR_SUM : at.TARE]
         controller.force_law.memory = self.state[at.FORCE_SUM :]
         self._moved = False
@@ -95,7 +99,7 @@ class CompiledTick:
         self._crba, self._kernel = pin.crba, _kernel()
         self._load()
 
-    def __call__(self, measurement: Measurement, reference: Reference, engaged: bool) -> int:
+    def __call__(self, measurement: Measurement, reference: Reference) -> int:
         """OK, SATURATED or ASK: then nothing has changed, and the readable path must decide."""
         try:
             q = measurement.q
@@ -103,13 +107,13 @@ class CompiledTick:
             self._crba(self._model, self._data, q, self._world)
             if touched is not None or self._moved:
                 self._move(touched)
-            if self._elsewhere and engaged and not self._evaluate(measurement):
+            if self._elsewhere and self.terms[:, 0].any() and not self._evaluate(measurement):
                 return at.ASK
             if not self._located:
                 self._locate(q)
             code: int = self._kernel(
                 self._bound, q, measurement.v, measurement.wrenches, reference.X_WD.homogeneous,
-                reference.V_D, reference.A_D, reference.alpha_d, reference.squeeze_d, engaged,
+                reference.V_D, reference.A_D, reference.alpha_d, reference.squeeze_d,
                 self._moved,
             )  # fmt: skip
         except _REFUSED:
@@ -122,15 +126,13 @@ class CompiledTick:
         X_WO = object_pose(self._controller.chain, q)
         self._arrays[at.SIGNALS][at.X_WO : at.X_WO + 16] = X_WO.homogeneous.ravel()
 
-    def bare_call(
-        self, measurement: Measurement, reference: Reference, engaged: bool
-    ) -> Callable[[], int]:
+    def bare_call(self, measurement: Measurement, reference: Reference) -> Callable[[], int]:
         """The kernel on prepared arguments, at the positions last given to Pinocchio."""
-        self(measurement, reference, engaged)
+        self(measurement, reference)
         return partial(
             self._kernel, self._bound, measurement.q, measurement.v, measurement.wrenches,
             reference.X_WD.homogeneous, reference.V_D, reference.A_D, reference.alpha_d,
-            reference.squeeze_d, engaged, self._moved,
+            reference.squeeze_d, self._moved,
         )  # fmt: skip
 
     # --- what a tick found ---------------------------------------------------------------------
@@ -146,7 +148,7 @@ class CompiledTick:
         relief = relieve(wanted)
         r, next_sum = len(wanted.alpha), arrays[at.SIGNALS][at.FORCE_SUM_NEXT :]
         controller.force_law.integral = next_sum[:r]
-        controller.force_law.forgo(relief.force)
+        controller.force_law.forgo(relief.force, arrays[at.COLUMNS][at.GAIN, :r])
         self.tau[:] = relief.tau
         if len(relief.squeeze):
             arrays[at.SIGNALS][at.SQUEEZE] -= relief.squeeze[0]
@@ -156,8 +158,8 @@ class CompiledTick:
         """What the last computed tick was given, and what it began with."""
         n, k = self._model.nq, len(self._controller.chain.arms)
         data = self._arrays[at.INPUTS].copy()
-        ends = np.cumsum([n, n, 6 * k, 16, 6, 6, 1, 1, 1, 1])
-        q, v, wrenches, X, V, A, squeeze, engaged, moved, size, alpha = np.split(
+        ends = np.cumsum([n, n, 6 * k, 16, 6, 6, 1, 1, 1])
+        q, v, wrenches, X, V, A, squeeze, moved, size, alpha = np.split(
             data[: -at.STATE_SIZE], ends
         )
         touched = None
@@ -172,9 +174,29 @@ class CompiledTick:
         force = state[at.FORCE_SUM : at.FORCE_SUM + int(state[at.FORCE_RANK])]
         before = Before(
             state[: at.TARE], force, state[at.TARE : at.BIAS], state[at.BIAS : at.FORCE_SUM],
-            bool(engaged[0]),
+            self._arrays[at.TERMS_BEFORE][:-1].copy(),
         )  # fmt: skip
         return measurement, reference, before
+
+    def replay(self) -> Signals:
+        """The wires of the last computed tick, worked out by the readable path."""
+        controller = self._controller
+        measurement, reference, then = self.inputs()
+        motion, force, terms = controller.motion_law, controller.force_law, controller.terms
+        now = motion.integral, force.integral, controller._tare, controller._bias
+        how = controller.status, controller._reason, controller.given_up
+        rows, s = terms.rows.copy(), Signals()
+        try:
+            motion.integral, force.integral = then.error_sum, then.force_sum
+            controller._tare, controller._bias, terms.rows[:] = then.tare, then.bias, then.terms
+            controller._take_in(measurement, reference, s)
+            for stage in controller.STAGES:
+                stage(controller, s)
+        finally:
+            motion.integral, force.integral, controller._tare, controller._bias = now
+            controller.status, controller._reason, controller.given_up = how
+            terms.rows[:] = rows
+        return s
 
     def _bind(self) -> None:
         for row, array in self._arrays.items():
@@ -184,7 +206,7 @@ class CompiledTick:
 
     def _repack(self, columns: dict[int, int]) -> None:
         """Make room for other numbers of columns, by the pair's number."""
-        kept = (at.STATE, at.TAU, at.SIGNALS, at.TOUCHED)
+        kept = (at.STATE, at.TAU, at.SIGNALS, at.TOUCHED, at.TERMS)
         keep = {row: self._arrays[row] for row in kept}
         arrays, self._pairs = pack(self._controller, self._data, columns)
         self._arrays = arrays | keep
@@ -257,7 +279,7 @@ class CompiledTick:
         with announced():
             self._kernel(
                 self._bound, none, none, np.zeros((len(self._controller.chain.arms), 6)), np.eye(4),
-                six, six, np.zeros(0), 0.0, False, False,
+                six, six, np.zeros(0), 0.0, False,
             )  # fmt: skip
         if hasattr(self._kernel, "disable_compile"):
             self._kernel.disable_compile()  # other types are converted or refused
@@ -265,6 +287,7 @@ class CompiledTick:
 
 def _found(arrays: dict[int, Array]) -> Found:
     s, columns = arrays[at.SIGNALS], arrays[at.COLUMNS]
+    D = arrays[at.SQUARES][at.MOBILITY]
 
     def six(start: int) -> Array:
         return s[start : start + 6]
@@ -274,7 +297,8 @@ def _found(arrays: dict[int, Array]) -> Found:
         f_meas=six(at.F_MEAS), bias_out=six(at.BIAS_OUT), f_c=six(at.F_C), V_O=six(at.V_O),
         X_WO=s[at.X_WO : at.X_WO + 16].reshape(4, 4), error=six(at.ERROR),
         free_error=six(at.FREE_ERROR), squeeze=s[at.SQUEEZE : at.SQUEEZE + 1],
-        magnitudes=columns[at.ALPHA_MEAS], speeds=columns[at.SPEED], rank=s[at.RANK : at.RANK + 1],
+        magnitudes=columns[at.ALPHA_MEAS], speeds=columns[at.SPEED], mobilities=D,
+        rank=s[at.RANK : at.RANK + 1],
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from osc_contact.control.allocation import squeeze_rows
+from osc_contact.control.force import outboard_mobility
 from osc_contact.spatial import Array, pose_error
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ class Found:
         squeeze: (1,) internal force along the grasp line (N), > 0 compresses.
         magnitudes: (≥ r,) contact magnitudes measured; speeds: (≥ r,) NᵀV_rel; the first r of them
             count. rank: (1,) r.
+        mobilities: (≥ r, ≥ r) D of the force filter, see `contact_force`; kept for contact life.
     """
 
     J: Array
@@ -41,6 +43,7 @@ class Found:
     squeeze: Array
     magnitudes: Array
     speeds: Array
+    mobilities: Array
     rank: Array
 
     @property
@@ -53,12 +56,21 @@ class Found:
         """(r,) NᵀV_rel (m/s): 0 while the contacts last."""
         return self.speeds[: int(self.rank[0])]
 
+    @property
+    def mobility(self) -> Array:
+        """(r, r) D: normal acceleration for each newton on what is outboard of the sensors."""
+        r = int(self.rank[0])
+        return self.mobilities[:r, :r]
+
     @classmethod
     def of(cls, s: Signals, controller: Controller) -> Found:
         """From the wires of the readable path."""
         state, tau = s.state, controller.last_torques()
         error = pose_error(s.reference.X_WD, state.X_WO)
         Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
+        D = np.zeros((0, 0))
+        if controller.life is not None and state.Lambda_out.any():
+            D = outboard_mobility(state, s.contact, s.environment, s.drag)[0]
         E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
         squeeze = E @ tau - e0 if len(e0) else np.zeros(1)
         if controller.given_up is not None and len(e0):
@@ -75,5 +87,6 @@ class Found:
             squeeze=squeeze,
             magnitudes=s.alpha_meas,
             speeds=s.contact.N.T @ (state.V_O - s.environment.V_e),
+            mobilities=D,
             rank=np.array([len(s.alpha_meas)]),
         )

@@ -62,7 +62,7 @@ def _sizes(controller: Controller, pairs: PackedPairs) -> Array:
 
 
 def _head(controller: Controller) -> Array:
-    chain, motion, force = controller.chain, controller.motion_law, controller.force_law
+    chain, motion = controller.chain, controller.motion_law
     head = np.zeros(at.HEAD_SIZE)
     head[at.GRAVITY : at.GRAVITY + 3] = chain.model.gravity.linear
     body = chain.reference.inertia
@@ -79,7 +79,6 @@ def _head(controller: Controller) -> Array:
     head[at.TOLERANCE] = chain.rank_tolerance
     head[at.STIFFNESS], head[at.DAMPING] = motion.gains.stiffness, motion.gains.damping
     head[at.INTEGRAL], head[at.PERIOD] = motion.gains.integral, motion.dt
-    head[at.FORCE_INTEGRAL], head[at.FORCE_DAMPING] = force.gains.integral, force.gains.damping
     head[at.POSTURE_STIFFNESS] = controller.allocation.stiffness
     head[at.POSTURE_DAMPING] = controller.allocation.damping
     return head
@@ -148,7 +147,8 @@ def _contacts(controller: Controller, pairs: PackedPairs) -> Arrays:
     return {
         at.PAIRS_I: pairs.table, at.SHAPES: pairs.shapes, at.COLUMNS_I: pairs.owners,
         at.BODIES_I: kinds, at.BODIES: bodies, at.TOUCHED: touched,
-        at.TOUCHED_BEFORE: touched.copy(),
+        at.TOUCHED_BEFORE: touched.copy(), at.TERMS: np.zeros((count + 1, 4)),
+        at.TERMS_BEFORE: np.zeros((count + 1, 4)),
     }  # fmt: skip
 
 
@@ -172,11 +172,11 @@ def _live(data: pin.Data) -> Arrays:
 
 def _scratch(chain: ClosedChain, r_all: int) -> Arrays:
     n, k, columns = chain.nq, len(chain.arms), r_all + 6
-    inputs = 2 * n + 6 * k + 32 + r_all + at.STATE_SIZE
+    inputs = 2 * n + 6 * k + 31 + r_all + at.STATE_SIZE
     shapes: dict[int, tuple[int, ...]] = {
         at.STATE: (at.STATE_SIZE,), at.SIGNALS: (at.SIGNALS_SIZE,), at.TAU: (chain.n_a,),
-        at.COLUMNS: (6, columns), at.N_O: (columns, 6), at.JOINT_ROWS: (5, n, 6),
-        at.SQUARES: (12, 6, 6), at.ARM_SQUARES: (k, 6, 6), at.ROWS: (at.N_ROWS, 8),
+        at.COLUMNS: (9, columns), at.N_O: (columns, 6), at.JOINT_ROWS: (5, n, 6),
+        at.SQUARES: (13, 6, 6), at.ARM_SQUARES: (k, 6, 6), at.ROWS: (at.N_ROWS, 8),
         at.LOCKED: (6 * k + 1, 7), at.LINKS: (n + 1, 10), at.TRIANGLE: (10, 10),
         at.HOUSEHOLDER: (10, 20), at.Q_FACTOR: (10, 10), at.CONTACT_ROWS: (5, columns, 6),
         at.SHARE: (6, columns), at.AXES: (4, 3, 3), at.JOINT_VECTORS: (2, n),
@@ -186,7 +186,7 @@ def _scratch(chain: ClosedChain, r_all: int) -> Arrays:
     arrays = {row: np.zeros(shape) for row, shape in shapes.items()}
     arrays[at.SIGNALS][at.X_WO + 15] = 1.0
     return {
-        at.KEEP: np.zeros((columns, 1), dtype=np.int64),
+        at.KEEP: np.zeros((columns, 2), dtype=np.int64),
         at.TAU_MAX: chain.tau_max.copy(),
         **arrays,
     }

@@ -60,6 +60,7 @@ def channels(rig: Rig, log: Log, plan: Plan, start: int, stop: int) -> dict[str,
         "squeeze": found["squeeze"][:, 0],
         "alpha_given_up": log.given_up[rows],
         "status": log.status[rows],
+        "contact_phase": log.phase[rows],
     }
     return {name: np.ascontiguousarray(values) for name, values in made.items()}
 
@@ -69,6 +70,9 @@ def monitored(rig: Rig, log: Log) -> dict[str, Array]:
 
     Where a magnitude may have either sign its size counts.
     """
+    if rig.scenario.control.life is not None:  # the controller had one listening
+        closed, collision = log.seen[:, : log.count]
+        return {"contact_seen": closed, "collision_seen": collision}
     alpha, speed = (log.rows(name, 0, log.count) for name in ("alpha", "speed"))
     monitor = ContactMonitor(alpha.shape[1], 1.0 / rig.scenario.control.rate)
     alpha = np.where(rig.pushing, alpha, np.abs(alpha))

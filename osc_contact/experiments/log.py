@@ -6,6 +6,8 @@ import numpy as np
 
 from osc_contact.control.controller import Controller
 from osc_contact.control.found import Found
+from osc_contact.control.life import Phase
+from osc_contact.control.living import measured, phases
 from osc_contact.experiments.rig import Rig
 from osc_contact.interface import Measurement
 from osc_contact.plants.plant import Plant
@@ -27,6 +29,8 @@ class Log:
         count: ticks noted. truth: the plant's own log of the same ticks.
         tick_s, status: as in the recording.
         held: (ticks, r) whether each contact force is in the controller's model.
+        phase: (ticks, contacts) of contact life. seen: (2, ticks, r) its monitor's contacts and
+            collisions.
         given_up: (ticks, r) contact forces that the motor limits cost.
     """
 
@@ -38,6 +42,8 @@ class Log:
         self.tick_s, self.status = np.zeros(ticks), np.zeros(ticks, dtype=np.int64)
         self.held = np.zeros((ticks, r), dtype=bool)
         self.given_up = np.zeros((ticks, r))
+        self.phase = np.zeros((ticks, len(rig.pairs)), dtype=np.int64)
+        self.seen = np.zeros((2, ticks, r), dtype=bool)
         sizes = {"q": n, "v": n, "tau": n_a, "alpha": r, "speed": r, **FOUND}
         if rig.d < 6:  # what the arms can make of an error is to be told
             sizes["J"] = 6 * n
@@ -45,7 +51,7 @@ class Log:
         self._places = dict(zip(sizes, map(slice, ends[:-1], ends[1:]), strict=True))
         self._rows = np.zeros((ticks, ends[-1]))
         self._of_found = tuple(name for name in sizes if name in FOUND or name == "J")
-        self._r, self._none = r, np.zeros(r)
+        self._r, self._owners = r, rig.owners
         self._last: Found | None = None
 
     def __contains__(self, name: str) -> bool:
@@ -66,9 +72,16 @@ class Log:
             self._parts = self._flat(found, found.magnitudes[: self._r], found.speeds[: self._r])
         parts = self._parts
         if found.rank[0] != self._r:
-            parts = self._flat(found, *self._all(controller, found))
+            parts = self._flat(found, *measured(controller, self._owners))
         np.concatenate((measurement.q, measurement.v, tau, *parts), out=self._rows[k])
-        self.tick_s[k], self.status[k], self.held[k] = spent, controller.status, controller.engaged
+        self.tick_s[k], self.status[k] = spent, controller.status
+        life = controller.life
+        if life is None:
+            self.held[k] = controller.engaged
+            self.phase[k] = Phase.CLOSED if controller.engaged else Phase.OPEN
+        else:
+            self.held[k], self.phase[k] = controller.terms.active[self._owners], phases(controller)
+            self.seen[:, k] = life.state.seen.closed, life.state.seen.collision
         cost = controller.given_up
         if cost is not None and len(cost.force) == self._r:
             self.given_up[k] = cost.force
@@ -77,10 +90,3 @@ class Log:
 
     def _flat(self, found: Found, alpha: Array, speed: Array) -> list[Array]:
         return [alpha, speed, *(np.ravel(getattr(found, name)) for name in self._of_found)]
-
-    def _all(self, controller: Controller, found: Found) -> tuple[Array, Array]:
-        """Of all contact forces: none is measured, or some contacts depend on others."""
-        if not len(found.alpha_meas):
-            return self._none, self._none
-        contact = controller.last_signals().contact
-        return contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R

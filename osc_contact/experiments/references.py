@@ -113,9 +113,13 @@ class References:
 
     @property
     def engage_at(self) -> float:
-        """When the contacts enter the controller's model (s): after tare and approach."""
+        """When the contacts enter the controller's model (s): after tare and approach, which is
+        the controller's own business where `control.life` is set."""
         tare = self.scenario.tare
-        return 0.0 if tare is None else float(tare.duration + tare.approach)
+        if tare is None:
+            return 0.0
+        by_life = self.scenario.control.life is not None
+        return float(tare.duration) if by_life else float(tare.duration + tare.approach)
 
     def at(self, t: float) -> Reference:
         """The reference at time t (s); accelerations are classical."""

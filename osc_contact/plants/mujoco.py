@@ -31,7 +31,8 @@ from osc_contact.plants.mujoco_scene import (
 )
 from osc_contact.plants.mujoco_truth import MujocoTruth
 from osc_contact.plants.plant import Truth
-from osc_contact.spatial import Array, as_array
+from osc_contact.plants.pushes import Push
+from osc_contact.spatial import Array, as_array, cross
 
 __all__ = ["MujocoOptions", "MujocoPlant"]
 
@@ -64,6 +65,7 @@ class MujocoPlant:
         rails: Sequence[Rail | None] | None = None,
         on: Sequence[int] | None = None,
         drives: JointDrives | None = None,
+        pushes: Sequence[Push] = (),
     ) -> None:
         """Compile the scene.
 
@@ -76,6 +78,7 @@ class MujocoPlant:
             rails: how each body moves; default: all are fixed.
             on: the body of each contact; default: each has its own.
             drives: springs, motor errors and friction of the joints; default: ideal drives.
+            pushes: on the arms, from outside.
 
         Raises:
             PlantError: MuJoCo is missing or refuses the scene.
@@ -95,6 +98,8 @@ class MujocoPlant:
         options = MujocoOptions() if options is None else options
         self.on = tuple(range(len(self.contacts)) if on is None else on)
         self.rails: list[Rail | None] = list(rails or [None] * len(bodies))
+        self.pushes = tuple(pushes)
+        self._wrists = {arm.name: arm.wrist_sensor for arm in chain.arms}
         self.drives = JointDrives() if drives is None else drives
         driven = [chain.joint_names[j] for j in chain.actuated]
         try:
@@ -249,6 +254,10 @@ class MujocoPlant:
     def step(self, tau: Array, duration: float) -> None:
         """Hold the torques over the steps that fit into `duration`."""
         self._command(tau)
+        if self.pushes:
+            self.data.xfrc_applied[:] = 0.0
+            for push in self.pushes:
+                self._push(push, push.at(self.time))
         steps = max(1, round(duration / self._step))
         if not self._driven:
             self._mj.mj_step(self.model, self.data, steps)
@@ -262,6 +271,13 @@ class MujocoPlant:
                 f"MuJoCo diverged at t = {self.time:.4f} s ({', '.join(kinds)}); largest speed "
                 f"{np.abs(self.data.qvel).max():.3g}. Lower the gains or the plant step."
             )
+
+    def _push(self, push: Push, force: Array) -> None:
+        sensor = self.model.body(f"{push.arm}/{self._wrists[push.arm]}")
+        body = int(self.model.body_parentid[sensor.id])
+        arm = self.data.xpos[sensor.id] - self.data.xipos[body]
+        self.data.xfrc_applied[body, :3] += force
+        self.data.xfrc_applied[body, 3:] += cross(arm, force)
 
     def _geoms_of(self, root: int) -> set[int]:
         """Geoms of a body and of the bodies fixed to it."""
