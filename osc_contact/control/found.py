@@ -69,7 +69,7 @@ class Found:
         error = pose_error(s.reference.X_WD, state.X_WO)
         Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
         D = np.zeros((0, 0))
-        if controller.life is not None and state.Lambda_out.any():
+        if controller.life is not None and (state.d == 6 or state.payload.Lambda.any()):
             D = outboard_mobility(state, s.contact, s.environment, s.drag)[0]
         E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
         squeeze = E @ tau - e0 if len(e0) else np.zeros(1)

@@ -152,7 +152,9 @@ def lived(
     seen = watched(state.seen, force, speed, dt, settings.limits, more)
     held = seen.closed & here
     seen = replace(seen, closed=held, collision=seen.collision & held)
-    closed = np.where(columns.all(held), Phase.CLOSED, Phase.APPROACHING)
+    light = wanted <= settings.limits.force_on  # too little to be told from nothing
+    made = columns.all(held | light) & columns.any(held)
+    closed = np.where(made, Phase.CLOSED, Phase.APPROACHING)
     closed = np.where(state.phase == Phase.OPEN, Phase.APPROACHING, closed)
     phase = np.where(columns.any(wanted > 0.0), closed, Phase.OPEN)
     phase = np.where(columns.pushing, phase, Phase.CLOSED)
