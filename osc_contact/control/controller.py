@@ -97,7 +97,8 @@ class Controller:
             engaged: start in contact.
             compiled: run on the kernels, some hundred times faster; False: on the readable path
                 below, which gives the same torques. The first controller ever made on a machine
-                compiles them. Friction and grasps that move need the readable path.
+                compiles them. Friction, and grasps that `compiled.compilable` does not know, are
+                for the readable path only.
             friction: what is believed of the contacts' friction; None: nothing.
 
         Raises:
@@ -126,11 +127,12 @@ class Controller:
         self._reason = ""
         self._last_tau: Array = np.zeros(chain.n_a)
         self._fast: CompiledTick | None = None
-        if compiled and friction is None and all(g.is_rigid for g in chain.grasps):
-            from osc_contact.control.compiled import CompiledTick
+        if compiled and friction is None:
+            from osc_contact.control.compiled import CompiledTick, compilable
 
-            self._fast = fast = CompiledTick(self)
-            self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
+            if compilable(chain):
+                self._fast = fast = CompiledTick(self)
+                self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
 
     @property
     def reason(self) -> str:

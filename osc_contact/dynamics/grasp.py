@@ -117,14 +117,20 @@ class Grasp:
         """
         away = X_WT.actInv(X_WO * self.X_TO.inverse())  # zero motion: identity
         T = self.T
-        left: Array = pin.log6(away).vector
+        left = self._displacement(away)
         for _ in range(50 if T.shape[1] else 0):
             part = np.linalg.lstsq(T, left, rcond=None)[0]
             away = away * pin.exp6(pin.Motion(T @ part)).inverse()
-            left = pin.log6(away).vector
+            left = self._displacement(away)
             if np.abs(part).max() < 1e-14:
                 break
         return np.asarray(self.N.T @ left)
+
+    def _displacement(self, X: pin.SE3) -> Array:
+        """(6,) of a relative pose: point and rotation by themselves, where T only turns."""
+        if self.T[:3].any():
+            return np.asarray(pin.log6(X).vector)
+        return np.concatenate((X.translation, pin.log3(X.rotation)))
 
 
 def _wrenches(T: Array) -> Array:

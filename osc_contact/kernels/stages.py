@@ -11,6 +11,7 @@ from osc_contact.kernels.compile import compiled, cube, integers, matrix, vector
 from osc_contact.kernels.contact import contact_columns
 from osc_contact.kernels.environment import along_normals
 from osc_contact.kernels.force import add_wrist_reading, contact_magnitudes, force_command
+from osc_contact.kernels.grasp import filter_reading
 from osc_contact.kernels.linalg import dot6, reflect, reflect_back, reflect_sides
 from osc_contact.kernels.motion import motion_command, pose_error
 from osc_contact.kernels.stack import stack
@@ -99,7 +100,16 @@ def force_stage(bound, sizes, r, r_all, wrenches, alpha_d):
     f_meas = signals[at.F_MEAS : at.F_MEAS + 6]
     total[:] = 0.0
     for k in range(sizes[at.N_ARMS]):
-        if arms[k, 3] >= 0:
+        if arms[k, 3] < 0:
+            continue
+        if sizes[at.SLIPPING] and integers(bound, at.GRASPS_I)[k, 2] != 0:
+            own = rows[at.Y]
+            own[:] = 0.0
+            add_wrist_reading(wrenches[k], pose[arms[k, 3]], tips[k, 3:], C, scratch, own)
+            filter_reading(axes, cube(bound, at.FILTERS)[k], own, rows[at.SCRATCH])
+            for i in range(6):
+                total[i] += own[i]
+        else:
             add_wrist_reading(wrenches[k], pose[arms[k, 3]], tips[k, 3:], C, scratch, total)
     wrench_to(total, C, O, f_meas)
     for i in range(6):
@@ -317,7 +327,10 @@ def torque_stage(bound, sizes, r, m, q, v, squeeze):
             y[i] = whole[i]
             if two:
                 y[i] += (0.5 if k == 0 else -0.5) * z[6] * rows[at.LINE, i]
-        if count > 6:
+        wide = count > 6
+        if sizes[at.SLIPPING]:
+            wide = count > integers(bound, at.GRASPS_I)[k, 0]
+        if wide:
             hold_posture(
                 lo, count, M, white, bar, joints, h, q, v, head[at.POSTURE_STIFFNESS],
                 head[at.POSTURE_DAMPING], rows[at.SCRATCH], tau,
@@ -325,7 +338,7 @@ def torque_stage(bound, sizes, r, m, q, v, squeeze):
         else:
             for j in range(lo, lo + count):
                 tau[j] = 0.0
-        arm_torques(lo, count, white, bar, joints, effort[k], y, rows[at.SCRATCH], tau)
+        arm_torques(lo, count, wide, white, bar, joints, effort[k], y, rows[at.SCRATCH], tau)
     excess, s = False, 0.0
     for j in range(n):
         i = motors[j, 1]
