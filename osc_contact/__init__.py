@@ -40,6 +40,7 @@ from osc_contact.errors import (
     PlantError,
     RecordingError,
     ScenarioError,
+    SolverError,
     ViewerError,
 )
 from osc_contact.experiments.metrics import metrics
@@ -103,6 +104,7 @@ __all__ = [
     "ModelError",
     "ContactError",
     "ScenarioError",
+    "SolverError",
     "PlantError",
     "RecordingError",
     "ViewerError",

@@ -61,8 +61,13 @@ def agree(fast, slow, measurement, reference, tolerance=TOLERANCE, plain=True):
     assert slow.status is not osc.Status.HELD, slow.reason
     assert not asked, "the kernels left the verdict to the readable path"
     size = np.abs(want).max()
+    assert fast.status is slow.status
+    if slow.status is osc.Status.SATURATED:  # a program with weights down to 1e-7
+        tolerance = max(tolerance, 1e-7)
+        assert fast.given_up.joints == slow.given_up.joints
+    else:
+        assert fast.reason == slow.reason
     np.testing.assert_allclose(got, want, rtol=0, atol=tolerance * size)
-    assert fast.status is slow.status and fast.reason == slow.reason
     for a, b in (
         (fast.motion_law.integral, slow.motion_law.integral),
         (fast.force_law.integral, slow.force_law.integral),

@@ -10,7 +10,13 @@ from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.errors import ModelError
 from osc_contact.spatial import Array
 
-__all__ = ["Allocation", "squeeze_rows"]
+__all__ = ["Allocation", "effort_scale", "squeeze_response", "squeeze_rows"]
+
+
+def effort_scale(tau_max: Array) -> Array:
+    """(n_a,) what torques are measured by: τ_max, for motors without limit the largest of them."""
+    finite = np.isfinite(tau_max)
+    return np.where(finite, tau_max, tau_max[finite].max() if finite.any() else 1.0)
 
 
 def squeeze_rows(state: ChainState, chain: ClosedChain, eta_dot: Array) -> tuple[Array, Array]:
@@ -26,11 +32,9 @@ def squeeze_rows(state: ChainState, chain: ClosedChain, eta_dot: Array) -> tuple
     n_a = chain.n_a
     if len(chain.arms) != 2:
         return np.zeros((0, n_a)), np.zeros(0)
-    line = state.grasp_points[1] - state.grasp_points[0]
-    length = float(np.linalg.norm(line))
-    if length < 1e-9:
+    e = _grasp_line(state)
+    if not e.any():
         return np.zeros((0, n_a)), np.zeros(0)
-    e = np.concatenate((line / length, np.zeros(3)))
     qdd = state.W @ eta_dot + state.w
     E = np.zeros(chain.nq)
     offset = 0.0
@@ -39,6 +43,24 @@ def squeeze_rows(state: ChainState, chain: ClosedChain, eta_dot: Array) -> tuple
         E[s] = lever
         offset += lever @ (state.h[s] + arm.M @ qdd[s])
     return E[None, chain.actuated], np.array([offset])
+
+
+def squeeze_response(state: ChainState, chain: ClosedChain) -> tuple[Array, Array]:
+    """(E, c) with δsqueeze = E δτ − c δη̇: (s, n_a) as in `squeeze_rows`, (s, d)."""
+    E, _ = squeeze_rows(state, chain, np.zeros(state.d))
+    lever = np.zeros((len(E), chain.nq))
+    if len(E):
+        e = _grasp_line(state)
+        for sign, s, arm in zip((0.5, -0.5), chain.slices, state.arms, strict=True):
+            lever[0, s] = sign * (arm.J_bar @ e)
+    return E, lever @ state.M @ state.W
+
+
+def _grasp_line(state: ChainState) -> Array:
+    """(6,) unit translation from the first grasp to the second; zero if they coincide."""
+    line = state.grasp_points[1] - state.grasp_points[0]
+    length = float(np.linalg.norm(line))
+    return np.concatenate((line / length, np.zeros(3))) if length >= 1e-9 else np.zeros(6)
 
 
 @dataclass(frozen=True)
@@ -104,7 +126,7 @@ class Allocation:
         chain = self.chain
         full = np.zeros((chain.nq, chain.nq))
         limits = np.ones(chain.nq)
-        limits[chain.actuated] = np.where(np.isfinite(chain.tau_max), chain.tau_max, 1.0)
+        limits[chain.actuated] = effort_scale(chain.tau_max)
         for s, arm in zip(chain.slices, state.arms, strict=True):
             square = np.diag(limits[s] ** 2)
             if arm.J.shape[1] > arm.N.shape[1]:

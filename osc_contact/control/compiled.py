@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,8 +13,11 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
+from osc_contact.control.compiling import announced
+from osc_contact.control.effort_limits import GivenUp, relieve
 from osc_contact.control.found import Found
 from osc_contact.control.pack import pack
+from osc_contact.control.saturated import saturated
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import OscContactError
@@ -39,8 +41,6 @@ class Before:
     bias: Array
     engaged: bool
 
-
-_log = logging.getLogger(__name__)
 
 #: What the border refuses: wrong sizes or types of what comes in. The readable path says why.
 _REFUSED = (TypeError, ValueError, AttributeError, OscContactError, np.linalg.LinAlgError)
@@ -135,13 +135,22 @@ class CompiledTick:
 
     # --- what a tick found ---------------------------------------------------------------------
 
-    def limit_reached(self) -> str:
-        """Which motor the last tick wanted too much of, and how much."""
-        chain = self._controller.chain
-        excess = float(self._arrays[at.SIGNALS][at.EXCESS])
-        motor = int(np.argmax(np.abs(self.tau) / chain.tau_max))
-        name = chain.joint_names[chain.actuated[motor]]
-        return f"{name}: {self.tau[motor] * excess:.4g} of ±{chain.tau_max[motor]:.4g} wanted"
+    def relieve(self) -> GivenUp:
+        """Torques within the limits after SATURATED; the integrals move on without what they lack.
+
+        Raises:
+            SolverError: there are none; then nothing has changed.
+        """
+        controller, arrays = self._controller, self._arrays
+        wanted, R, S = saturated(arrays, controller.limits)
+        relief = relieve(wanted)
+        r, next_sum = len(wanted.alpha), arrays[at.SIGNALS][at.FORCE_SUM_NEXT :]
+        controller.force_law.integral = next_sum[:r]
+        controller.force_law.forgo(relief.force)
+        self.tau[:] = relief.tau
+        if len(relief.squeeze):
+            arrays[at.SIGNALS][at.SQUEEZE] -= relief.squeeze[0]
+        return controller.limits.given_up(wanted, relief, R, S @ relief.motion)
 
     def inputs(self) -> tuple[Measurement, Reference, Before]:
         """What the last computed tick was given, and what it began with."""
@@ -243,14 +252,13 @@ class CompiledTick:
         """Call the kernel once with data it refuses: now is the time to compile."""
         if getattr(self._kernel, "signatures", None):
             return
-        if not any(self._kernel.stats.cache_hits) if hasattr(self._kernel, "stats") else False:
-            _log.info("compiling the control tick; this takes a while once, then it is cached")
         none = np.full(self._model.nq, np.nan)
         six = np.zeros(6)
-        self._kernel(
-            self._bound, none, none, np.zeros((len(self._controller.chain.arms), 6)), np.eye(4),
-            six, six, np.zeros(0), 0.0, False, False,
-        )  # fmt: skip
+        with announced():
+            self._kernel(
+                self._bound, none, none, np.zeros((len(self._controller.chain.arms), 6)), np.eye(4),
+                six, six, np.zeros(0), 0.0, False, False,
+            )  # fmt: skip
         if hasattr(self._kernel, "disable_compile"):
             self._kernel.disable_compile()  # other types are converted or refused
 
@@ -262,6 +270,7 @@ def _found(arrays: dict[int, Array]) -> Found:
         return s[start : start + 6]
 
     return Found(
+        J=arrays[at.J],
         f_meas=six(at.F_MEAS), bias_out=six(at.BIAS_OUT), f_c=six(at.F_C), V_O=six(at.V_O),
         X_WO=s[at.X_WO : at.X_WO + 16].reshape(4, 4), error=six(at.ERROR),
         free_error=six(at.FREE_ERROR), squeeze=s[at.SQUEEZE : at.SQUEEZE + 1],

@@ -56,7 +56,7 @@ def contact_force(
     if state.d < 6 and not state.payload.Lambda.any():
         return _of_the_tip(f_meas, state, contact, environment, drag)
     Phi_N = np.linalg.solve(state.Lambda_out.T, N)  # Λ_out⁻ᵀN
-    D = (Phi_N.T + N.T @ environment.Phi_e) @ (N + drag)
+    D = Phi_N.T @ (N + drag) + environment.yielding(N, drag)
     seen = Phi_N.T @ (f_meas - state.bias_out) - contact.n_gamma - N.T @ environment.b_e
     return N @ np.linalg.solve(D, seen)
 
@@ -141,3 +141,7 @@ class ForceLaw:
             self.integral = np.zeros(len(alpha_d))
         self.integral = self.integral + self.gains.integral * self.dt * (alpha_d - alpha_meas)
         return alpha_d + self.integral - self.gains.damping * normal_speed
+
+    def forgo(self, lost: Array) -> None:
+        """Take back what the last `command` integrated of forces (r,) that will not come."""
+        self.integral = self.integral - self.gains.integral * self.dt * lost

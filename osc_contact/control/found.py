@@ -21,6 +21,7 @@ class Found:
     """Everything at O in world axes.
 
     Attributes:
+        J: (n, 6) the joints' columns at the world's origin, one in each row.
         f_meas, bias_out: (6,) wrist readings less tare; what they would be without contact.
         f_c: (6,) contact force in them. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
         error: (6,) pose error. free_error: (6,) Ω_m(Λ_o⁻¹) of it.
@@ -29,6 +30,7 @@ class Found:
             count. rank: (1,) r.
     """
 
+    J: Array
     f_meas: Array
     bias_out: Array
     f_c: Array
@@ -58,7 +60,11 @@ class Found:
         error = pose_error(s.reference.X_WD, state.X_WO)
         Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
         E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
+        squeeze = E @ tau - e0 if len(e0) else np.zeros(1)
+        if controller.given_up is not None and len(e0):
+            squeeze = s.squeeze_d - controller.given_up.squeeze
         return cls(
+            J=controller.chain.data.J.T,
             f_meas=s.f_meas,
             bias_out=state.bias_out,
             f_c=s.f_c_meas,
@@ -66,7 +72,7 @@ class Found:
             X_WO=state.X_WO.homogeneous,
             error=error,
             free_error=Omega_m @ error,
-            squeeze=E @ tau - e0 if len(e0) else np.zeros(1),
+            squeeze=squeeze,
             magnitudes=s.alpha_meas,
             speeds=s.contact.N.T @ (state.V_O - s.environment.V_e),
             rank=np.array([len(s.alpha_meas)]),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.control.allocation import effort_scale
 from osc_contact.control.pack_pairs import PackedPairs
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Cart, Conveyor
@@ -88,7 +89,7 @@ def _chain(chain: ClosedChain, posture: Array) -> Arrays:
     model, n, k = chain.model, chain.nq, len(chain.arms)
     arms_i, joints_i = np.zeros((k, 4), dtype=np.int64), np.zeros((n, 2), dtype=np.int64)
     arms, joints = np.zeros((k, 16)), np.zeros((n, 24))
-    limits = np.where(np.isfinite(chain.tau_max), chain.tau_max, 1.0)
+    limits = effort_scale(chain.tau_max)
     joints_i[:, 1] = -1
     joints_i[chain.actuated, 1] = np.arange(chain.n_a)
     joints[chain.actuated, 20], joints[chain.actuated, 21] = limits**2, 1.0 / limits**2

@@ -51,6 +51,7 @@ class Arm:
         wrist_sensor: str | None = None,
         locked: Mapping[str, float] | None = None,
         mass_factor: float = 1.0,
+        effort_factor: float = 1.0,
     ) -> Arm:
         """Load an arm; joints that do not move the tip (fingers) are locked where they stand.
 
@@ -64,6 +65,7 @@ class Arm:
             wrist_sensor: frame of the wrist force/torque sensor.
             locked: positions of joints to hold fixed (m, rad); others off the path use neutral.
             mass_factor: multiplies every link mass and inertia (to study model error).
+            effort_factor: multiplies every effort limit (to study weak motors).
 
         Raises:
             ModelError: unreadable or impossible URDF, unknown frame or joint, no moving joint.
@@ -80,6 +82,10 @@ class Arm:
             robots.frame_id(model, wrist_sensor)
         if mass_factor != 1.0:
             model = _with_masses_scaled(model, mass_factor)
+        if effort_factor != 1.0:
+            model = model.copy()
+            model.upperEffortLimit = model.upperEffortLimit * effort_factor
+            model.lowerEffortLimit = model.lowerEffortLimit * effort_factor
         X_WB = pin.SE3.Identity() if base is None else base
         still = {j: held.get(j, 0.0) for j in every_joint if j not in list(model.names)}
         return cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor, still)

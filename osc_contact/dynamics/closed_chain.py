@@ -35,6 +35,8 @@ from osc_contact.spatial import Array, as_array, cross_twist
 
 __all__ = ["ClosedChain", "ChainState"]
 
+_UNLIMITED = 1e12  #: N m or N: an effort limit that is none
+
 #: Stands in for the object's inertia in rank decisions when the arms hold nothing:
 #: 1 kg with a radius of gyration of 0.1 m.
 _REFERENCE = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
@@ -90,7 +92,8 @@ class ClosedChain:
         arms: as given. grasps: one for each arm. slices: each arm's part of q and v.
         leader: the first arm that holds the object rigidly and so tells its pose; None: the joints
             of all arms together do, if anything does.
-        actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits.
+        actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits, inf
+            where a model names none.
         tips, sensors: frame of each arm's tip and wrist sensor (None: it has none).
         outboard: links beyond each sensor.
         reference: the object, or its stand-in for rank decisions.
@@ -158,7 +161,7 @@ class ClosedChain:
             ],
             dtype=int,
         )
-        self.tau_max: Array = np.array(self.model.upperEffortLimit)[self.actuated]
+        self.tau_max = self._effort_limits()
         self.tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
         self.sensors = [
             None
@@ -319,6 +322,18 @@ class ClosedChain:
         sigma_white = U[:, :rank] @ ((Vh[:rank] @ c) / s[:rank])
         S = np.linalg.solve(L.T, U[:, rank:])
         return S, L @ U[:, :rank], np.linalg.solve(L.T, sigma_white)
+
+    def _effort_limits(self) -> Array:
+        """(n_a,) of the motors, inf where there is none: models built in code leave DBL_MAX."""
+        given = np.array(self.model.upperEffortLimit)[self.actuated]
+        for j, limit in zip(self.actuated, given, strict=True):
+            if not limit > 0.0:
+                raise ModelError(
+                    f"joint '{self.joint_names[j]}' has an effort limit of {limit:g}: such a motor "
+                    "does nothing. Give its largest torque (N m) or force (N), or list it among "
+                    "the passive joints"
+                )
+        return np.where(given < _UNLIMITED, given, np.inf)
 
     def _undriven(self, G: Array, S: Array) -> Array:
         """(6, u) motions of the object in which GᵀU = 0; an error unless they are allowed."""

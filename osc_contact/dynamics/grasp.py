@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import Array, as_array, carry_wrench, cross_twist
+from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist
 
 __all__ = ["Grasp"]
 
@@ -103,6 +103,11 @@ class Grasp:
         """N (6, 6−k) in world axes at O, the tip standing at X_WT."""
         R = X_WT.rotation
         return carry_wrench(np.vstack((R @ self.N[:3], R @ self.N[3:])), X_WT.translation, O)
+
+    def motions_at(self, X_WT: pin.SE3, O: Array) -> Array:  # noqa: E741
+        """T (6, k) in world axes at O, the tip standing at X_WT."""
+        R = X_WT.rotation
+        return carry_twist(np.vstack((R @ self.T[:3], R @ self.T[3:])), X_WT.translation, O)
 
     def miss(self, X_WT: pin.SE3, X_WO: pin.SE3) -> Array:
         """How far the object is from where the grasp can hold it, (6−k,) along N (m, rad).

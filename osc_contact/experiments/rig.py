@@ -100,7 +100,9 @@ class Rig:
         plant.reset(self.q_start)
         if self.scenario.sensors.ideal:
             return plant
-        return SensedPlant(plant, hardware.sensors(self.scenario.sensors, self.chain), seed)
+        return SensedPlant(
+            plant, hardware.sensors(self.scenario.sensors, self.chain, self.bodies), seed
+        )
 
     def at_start(self, read: Measurement) -> Measurement:
         """What ideal encoders and trackers would have read at the start, where all is at rest."""
@@ -117,7 +119,7 @@ class Rig:
 
     def observer(self) -> hardware.Observer:
         """What estimates the velocities that the sensors do not give."""
-        return hardware.Observer(self.scenario, self.model)
+        return hardware.Observer(self.scenario, self.model, self.bodies)
 
     def controller(self, *, compiled: bool = True) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
@@ -229,6 +231,7 @@ def build_chain(scenario: Scenario, arm_mass: float = 1.0, object_mass: float = 
             locked=spec.locked_joints,
             wrist_sensor=spec.wrist_sensor,
             mass_factor=arm_mass,
+            effort_factor=float(spec.effort_factor),
         )
         for spec in scenario.arms
     ]

@@ -287,8 +287,6 @@ def structure_stage(bound, sizes, r, m, squeeze):
             s += turned[a, i] * columns[at.ALPHA_U, a]
         f_S[i] = s
     two = sizes[at.N_ARMS] == 2 and dot6(rows[at.LINE], rows[at.LINE]) > 0.0
-    signals = vector(bound, at.SIGNALS)
-    signals[at.SQUEEZE] = 0.0
     skewed, own, e0 = rows[at.WORLD], 0.0, 0.0
     if two:
         for i in range(6):
@@ -300,7 +298,6 @@ def structure_stage(bound, sizes, r, m, squeeze):
             own += 0.25 * line[i] * (first + second)
             e0 += 0.5 * line[i] * (rows[at.OWN_0, i] - rows[at.OWN_1, i])
             e0 += 0.5 * x[i] * (rows[at.ALONG_0, i] - rows[at.ALONG_1, i])
-        signals[at.SQUEEZE] = e0
     return multipliers(
         squares[at.EFFORT], m, two, skewed, own, f_S, squeeze + e0,
         matrix(bound, at.TRIANGLE), matrix(bound, at.HOUSEHOLDER), rows[at.Z],
@@ -309,7 +306,7 @@ def structure_stage(bound, sizes, r, m, squeeze):
 
 @compiled
 def torque_stage(bound, sizes, r, m, q, v, squeeze):
-    """Motor torques within their limits."""
+    """Motor torques; those beyond a limit are left where they are."""
     rows, head = matrix(bound, at.ROWS), vector(bound, at.HEAD)
     n = sizes[at.N_JOINTS]
     vectors, joint_rows = matrix(bound, at.JOINT_VECTORS), cube(bound, at.JOINT_ROWS)
@@ -342,23 +339,23 @@ def torque_stage(bound, sizes, r, m, q, v, squeeze):
             for j in range(lo, lo + count):
                 tau[j] = 0.0
         arm_torques(lo, count, wide, white, bar, joints, effort[k], y, rows[at.SCRATCH], tau)
-    excess, s = 0.0, 0.0
+    excess, s = False, 0.0
     for j in range(n):
         i = motors[j, 1]
         if i >= 0:
             s += tau[j] * 0.0
-            excess = max(excess, abs(tau[j]) / tau_max[i])
+            excess = excess or abs(tau[j]) > tau_max[i]
     for i in range(6):
         s += 0.0 * signals[at.ERROR_SUM_NEXT + i]
     for a in range(r):
         s += 0.0 * signals[at.FORCE_SUM_NEXT + a]
     if not isfinite(s):
         return at.ASK
-    signals[at.EXCESS] = excess
-    e0 = signals[at.SQUEEZE]
-    signals[at.SQUEEZE] = (squeeze + e0) / max(excess, 1.0) - e0 if two else 0.0
-    scale = 1.0 / max(excess, 1.0)
+    signals[at.LOCKED_AXES] = m
+    signals[at.SQUEEZE] = squeeze if two else 0.0
+    if excess:
+        return at.SATURATED
     for j in range(n):
         if motors[j, 1] >= 0:
-            out[motors[j, 1]] = scale * tau[j]
-    return at.SATURATED if excess > 1.0 else at.OK
+            out[motors[j, 1]] = tau[j]
+    return at.OK

@@ -23,15 +23,17 @@ from osc_contact.errors import PlantError
 from osc_contact.plants.faces import Rail
 from osc_contact.spatial import Array
 
-__all__ = ["DRIVE_MASS", "GRASP_JOINT", "MujocoOptions", "scene"]
+__all__ = ["DRIVE_MASS", "GRASP_JOINT", "GUIDES", "MujocoOptions", "scene"]
 
 #: The joint between the first arm's tip and the object, if its grasp is a hinge or a ball.
 GRASP_JOINT = "object/grasp"
 #: Distance of the two points that make a hinge from the tip's origin (m).
 HINGE_SPAN = 0.05
 
-#: Heavy enough that no contact force moves a driven face between two steps (kg).
+#: Heavy enough that no contact force moves a driven face between two steps (kg, kg m²).
 DRIVE_MASS = 1e6
+GUIDES = ("slide", "hinge")  #: joints of a body that moves
+_NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo wants mass in what moves
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,11 @@ def scene(
     spec.option.tolerance = 1e-12
     spec.option.iterations = 100
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    off = mujoco.mjtDisableBit
+    disabled = off.mjDSBL_AUTORESET | off.mjDSBL_MIDPHASE  # few geometries, all looked at
+    if not any(rails):  # all that is constrained hangs together
+        disabled |= off.mjDSBL_ISLAND
+    spec.option.disableflags = int(disabled)
     for arm, urdf in zip(chain.arms, arm_urdfs, strict=True):
         part = mujoco.MjSpec.from_string(_skeleton(urdf))
         part.compiler.fusestatic = False
@@ -210,24 +216,30 @@ def _body(
         geom.condim = 1 if options.friction == 0.0 else 3
         geom.friction = [options.friction, 0.0, 0.0]
     if rail is not None:
-        _put_on_rail(mujoco, part, root, placement.rotation.T @ rail.direction, rail)
+        _put_on_rail(mujoco, part, root, placement, rail)
     spec.attach(part, prefix=f"face{i}/", frame=_frame(spec.worldbody, placement))
 
 
-def _put_on_rail(mujoco: Any, part: Any, root: Any, axis: Array, rail: Rail) -> None:
-    """A slide joint; the cart's mass, or that of its drive, is all the mass there is."""
+def _put_on_rail(mujoco: Any, part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -> None:
+    """A slide, a hinge or both, whose inertia is all there is: a cart's weighs, others' does not.
+
+    It sits in the joints (armature), where a slide and a hinge do not act on one another.
+    """
     driven = rail.motion is not None
     for body in part.bodies[1:]:  # links fixed to the body weigh nothing beside it
         body.explicitinertial = True
         body.fullinertia = [np.nan] * 6  # not given
         body.mass, body.inertia = 0.0, [0.0] * 3
-    root.mass = DRIVE_MASS if driven else rail.mass
+    cart = not driven and rail.joints == [0]
+    root.mass = rail.inertia if cart else _NEXT_TO_NOTHING
     root.inertia = [root.mass] * 3
-    root.gravcomp = 1.0 if driven else 0.0
-    root.add_joint(
-        name="rail",
-        type=mujoco.mjtJoint.mjJNT_SLIDE,
-        axis=axis,
-        stiffness=0.0 if driven else rail.stiffness,
-        damping=0.0 if driven else rail.damping,
-    )
+    for k in rail.joints:
+        root.add_joint(
+            name=GUIDES[k],
+            type=getattr(mujoco.mjtJoint, f"mjJNT_{GUIDES[k].upper()}"),
+            pos=X_WB.actInv(rail.through) if k else [0.0] * 3,
+            axis=X_WB.rotation.T @ (rail.axis if k else rail.direction),
+            armature=DRIVE_MASS if driven else 0.0 if cart else rail.inertia,
+            stiffness=0.0 if driven else rail.stiffness,
+            damping=0.0 if driven else rail.damping,
+        )

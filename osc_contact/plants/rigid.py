@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -30,16 +31,17 @@ from osc_contact.dynamics.held_object import moved
 from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
-from osc_contact.plants.faces import Rail, touched
-from osc_contact.plants.plant import Truth
+from osc_contact.plants.faces import Rail, poses, touched
+from osc_contact.plants.plant import Truth, Watched
+from osc_contact.plants.wrist_cut import wrist_cut
 from osc_contact.spatial import (
     Array,
     as_array,
     carry_twist,
     carry_wrench,
+    classical_to_spatial,
     cross,
     cross_twist,
-    cross_wrench,
 )
 
 __all__ = ["RigidPlant"]
@@ -62,7 +64,7 @@ class RigidPlant:
             chain: the true arms, grasps and object (not the controller's copy).
             contacts: the true contacts, of any kind.
             step: integration step (s).
-            rails: how each body of the environment slides; default: all are fixed.
+            rails: how each body of the environment moves; default: all are fixed.
             on: the body of each contact; default: each has its own.
 
         Raises:
@@ -73,15 +75,16 @@ class RigidPlant:
         self.chain = chain
         self.contacts = tuple(contacts)
         self.on = tuple(range(len(self.contacts)) if on is None else on)
-        bodies = max(self.on, default=-1) + 1
-        self.rails: list[Rail | None] = list(rails or [None] * bodies)
+        self.rails: list[Rail | None] = list(rails or [None] * (max(self.on, default=-1) + 1))
         self.dt = step
         self.time = 0.0
-        self._travel, self._speed = self._at_start(), np.zeros(len(self.rails))
+        #: travel and angle of every body (bodies, 2), and their rates
+        self._s: Array = np.zeros((len(self.rails), 2))
+        self._rates: Array = np.zeros((len(self.rails), 2))
         self.model, self._tips = _with_object(chain)
         self._sensors = [
             None if arm.wrist_sensor is None
-            else _sensor(chain.model, f"{arm.name}/{arm.wrist_sensor}")
+            else wrist_cut(chain.model, f"{arm.name}/{arm.wrist_sensor}")
             for arm in chain.arms
         ]  # fmt: skip
         self.data = self.model.createData()
@@ -89,11 +92,12 @@ class RigidPlant:
         self.v = np.zeros(chain.nq)
         self._X, self._V = pin.SE3.Identity(), np.zeros(6)  # of an object that no arm leads
         self._tau = np.zeros(chain.n_a)
+        self._solved: tuple[bytes, Any] = b"", None
 
     def reset(self, q: Array) -> None:
         """Start at rest at q, moved onto loops and contacts."""
         self.time = 0.0
-        self._travel, self._speed = self._at_start(), np.zeros(len(self.rails))
+        self._s, self._rates = np.zeros_like(self._s), np.zeros_like(self._s)
         self._drive()
         q = as_array("q", q, (self.chain.nq,))
         self.q, self._X = closed(self.chain, q, object_pose(self.chain, q), self._gaps)
@@ -106,16 +110,38 @@ class RigidPlant:
 
     def measure(self) -> Measurement:
         """Encoders, and the wrist wrenches under the torques applied last."""
-        wrenches = self._solve(self._tau, with_wrenches=True).wrenches
-        seen = touched(self.rails, self.on, self._travel, self._speed, self._driven_acceleration())
+        wrenches = self._now()[0].wrenches.copy()
+        seen = touched(self.rails, self.on, self._s, self._rates, self._driven_acceleration())
         return Measurement(self.q.copy(), self.v.copy(), wrenches, seen)
 
     def truth(self) -> Truth:
         """Contact forces under the torques applied last; rigid contacts are always closed."""
-        alpha = self._solve(self._tau).alpha
-        X, V = self._object()
-        faces = tuple(self._face(i)[0] for i in range(len(self.contacts)))
-        return Truth(alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
+        solution, (X, V) = self._now()
+        bodies = poses(self.rails, self._s)
+        faces = tuple(bodies[body] for body in self.on)
+        return Truth(solution.alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
+
+    def log(self, capacity: int) -> Watched:
+        """A log of the truth of up to `capacity` instants."""
+        return Watched(self, self.contacts)
+
+    def _now(self) -> tuple[_Solution, tuple[pin.SE3, Array]]:
+        """The solution under the torques applied last, pose and twist of the object."""
+        state = (
+            self.q, self.v, self._tau, self._s.ravel(), self._rates.ravel(), self._V,
+            self._X.homogeneous.ravel(), np.array([self.time]),
+        )  # fmt: skip
+        key = np.concatenate(state).tobytes()
+        if self._solved[0] != key:  # `measure` and `truth` of one instant share it
+            found = self._solve(self._tau, with_wrenches=True)
+            self._solved = key, (found, self._object())
+        return self._solved[1]
+
+    def poses(self) -> Array:
+        """See `Plant.poses`."""
+        pin.framesForwardKinematics(self.model, self.data, self.q)
+        tips = [self.data.oMf[tip] for tip in self._tips]
+        return np.array([X.homogeneous for X in (tips[0] * self.chain.grasps[0], *tips)])
 
     def step(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
@@ -127,9 +153,9 @@ class RigidPlant:
             if not (np.isfinite(q).all() and np.abs(v).max() < 1e3):
                 raise PlantError(f"rigid plant diverged at t = {self.time:.4f} s, v = {v}")
             self.time += self.dt
-            speed = self._speed + solution.sdd * self.dt
-            self._travel = self._travel + 0.5 * (self._speed + speed) * self.dt
-            self._speed = speed
+            rates = self._rates + solution.sdd * self.dt
+            self._s = self._s + 0.5 * (self._rates + rates) * self.dt
+            self._rates = rates
             self._drive()
             V = self._V + solution.object_rate * self.dt
             X = moved(self._X, 0.5 * (self._V + V) * self.dt)
@@ -143,48 +169,62 @@ class RigidPlant:
 
     # --- faces -----------------------------------------------------------------------------------
 
-    def _at_start(self) -> Array:
-        """(bodies,) travel at t = 0."""
-        return np.array(
-            [0.0 if r is None or r.motion is None else r.motion(0.0)[0] for r in self.rails]
-        )
-
     def _drive(self) -> None:
         """Put the driven faces where they are to be now."""
         for i, rail in enumerate(self.rails):
             if rail is not None and rail.motion is not None:
-                self._travel[i], self._speed[i], _ = rail.motion(self.time)
+                self._s[i], self._rates[i], _ = rail.motion(self.time)
 
     def _driven_acceleration(self) -> Array:
         return np.array(
-            [0.0 if r is None or r.motion is None else r.motion(self.time)[2] for r in self.rails]
-        )
+            [
+                np.zeros(2) if r is None or r.motion is None else r.motion(self.time)[2]
+                for r in self.rails
+            ]
+        ).reshape(-1, 2)
 
     def _face(self, i: int) -> tuple[pin.SE3, Array]:
         """Pose and twist of the body at contact i."""
         body = self.on[i]
         rail = self.rails[body]
-        X, V = pin.SE3.Identity(), np.zeros(6)
-        if rail is not None:
-            X.translation = rail.direction * self._travel[body]
-            V[:3] = rail.direction * self._speed[body]
-        return X, V
+        if rail is None:
+            return pin.SE3.Identity(), np.zeros(6)
+        X = rail.pose(self._s[body])
+        return X, rail.twist(self._s[body], self._rates[body], X.translation)
 
-    def _along_rails(self, parts: list[Contact]) -> Array:
-        """(r, bodies) Nᵀ[u; 0]: how fast each gap closes as the body comes along its rail."""
-        out = np.zeros((sum(c.r for c in parts), len(self.rails)))
+    def _free(self) -> dict[int, Rail]:
+        """The bodies that follow the contact force."""
+        return {i: r for i, r in enumerate(self.rails) if r is not None and r.motion is None}
+
+    def _along_rails(self, parts: list[Contact], point: Array) -> Array:
+        """(r, bodies, 2) Nᵀ × the twists per unit rate: how fast each gap closes with them."""
+        out = np.zeros((sum(c.r for c in parts), len(self.rails), 2))
         row = 0
         for part, body in zip(parts, self.on, strict=True):
             rail = self.rails[body]
             if rail is not None:
-                out[row : row + part.r, body] = part.N[:3].T @ rail.direction
+                for k, rate in enumerate(np.eye(2)):
+                    twist = rail.twist(self._s[body], rate, point)
+                    out[row : row + part.r, body, k] = part.N.T @ twist
             row += part.r
         return out
+
+    def _drift_of_faces(self, parts: list[Contact], point: Array) -> Array:
+        """(r,) Nᵀ × the spatial acceleration at O of bodies at s̈ = 0."""
+        out = [np.zeros(0)]
+        for part, body in zip(parts, self.on, strict=True):
+            rail, drift = self.rails[body], np.zeros(6)
+            if rail is not None:
+                s, rates = self._s[body], self._rates[body]
+                drift = rail.acceleration(s, rates, np.zeros(2), point)
+                drift = classical_to_spatial(drift, rail.twist(s, rates, point))
+            out.append(part.N.T @ drift)
+        return np.concatenate(out)
 
     # --- dynamics --------------------------------------------------------------------------------
 
     def _solve(self, tau: Array, with_wrenches: bool = False) -> _Solution:
-        """All joints and carts at once, one multiplier for each row of loops and contacts."""
+        """All joints and free bodies at once, one multiplier for each row of loops and contacts."""
         chain, n = self.chain, self.chain.nq
         pin.computeAllTerms(self.model, self.data, self.q, self.v)
         X, V = self._object()
@@ -207,10 +247,11 @@ class RigidPlant:
             rows.append(loop)
             right.append(drift)
             normals.append(passed)
-        along, driven = self._along_rails(parts), self._driven_acceleration()
+        along, driven = self._along_rails(parts, X.translation), self._driven_acceleration()
+        on_faces = self._drift_of_faces(parts, X.translation) + np.tensordot(along, driven)
         k = sum(map(len, right))
         rows.append(N.T @ first)
-        right.append(n_gamma - N.T @ gamma_O + along @ driven)
+        right.append(n_gamma - N.T @ gamma_O + on_faces)
         force = -self.data.nle
         force[chain.actuated] += tau
         M = np.array(self.data.M)
@@ -218,20 +259,20 @@ class RigidPlant:
             body = self._body(X, V)
             force = np.concatenate((force, -body.mu - body.p))
             M = _beside(M, body.Lambda)
-        on_rails = {i: r for i, r in enumerate(self.rails) if r is not None and r.motion is None}
-        carts = list(on_rails)
+        free = self._free()
+        at = np.array(list(free), dtype=int), np.array([r.joints[0] for r in free.values()], int)
         A, size = np.vstack(rows), len(M)
-        if carts:
-            A = np.hstack((A, np.vstack((np.zeros((k, len(carts))), -along[:, carts]))))
-            M = _beside(M, np.diag([rail.mass for rail in on_rails.values()]))
-            force = np.concatenate((force, [self._on_cart(i, r) for i, r in on_rails.items()]))
+        if free:
+            A = np.hstack((A, np.vstack((np.zeros((k, len(free))), -along[:, *at]))))
+            M = _beside(M, np.diag([rail.inertia for rail in free.values()]))
+            force = np.concatenate((force, [self._on_rail(i, r) for i, r in free.items()]))
         b = np.concatenate(right)
-        free = np.linalg.solve(M, force)
+        unheld = np.linalg.solve(M, force)
         inverse, multipliers = inverse_rows(A, M, row_groups(chain))
-        x = free + inverse @ (b - A @ free)
-        lam = multipliers @ (b - A @ free)  # M x = force + Aᵀλ
+        x = unheld + inverse @ (b - A @ unheld)
+        lam = multipliers @ (b - A @ unheld)  # M x = force + Aᵀλ
         qdd, sdd = x[:n], driven.copy()
-        sdd[carts] = x[size:]
+        sdd[at] = x[size:]
         alpha, a_O = -lam[k:], first @ x[:size] + gamma_O
         wrenches = np.zeros((len(self._tips), 6))
         if with_wrenches:
@@ -246,10 +287,11 @@ class RigidPlant:
         assert self.chain.payload is not None  # the constructor refused otherwise
         return self.chain.payload.terms(X, V, self.model.gravity.linear)
 
-    def _on_cart(self, i: int, rail: Rail) -> float:
-        """Force along the rail besides the contact's (N)."""
-        weight = rail.mass * float(rail.direction @ self.model.gravity.linear)
-        spring = rail.stiffness * self._travel[i] + rail.damping * self._speed[i]
+    def _on_rail(self, i: int, rail: Rail) -> float:
+        """Force along a free body's joint besides the contact's (N, N m); hinges are balanced."""
+        k = rail.joints[0]
+        weight = rail.inertia * float(rail.direction @ self.model.gravity.linear)
+        spring = rail.stiffness * self._s[i, k] + rail.damping * self._rates[i, k]
         return float(weight + rail.preload - spring)
 
     def _wrist(
@@ -277,14 +319,8 @@ class RigidPlant:
         readings = np.zeros((len(self._tips), 6))
         for i, sensor in enumerate(self._sensors):
             if sensor is not None:
-                readings[i] = self._through(sensor)
+                readings[i] = sensor.reading(self.data)
         return readings
-
-    def _through(self, sensor: _Sensor) -> Array:
-        v, a = self.data.v[sensor.joint].vector, self.data.a_gf[sensor.joint].vector
-        own = sensor.inboard @ a + cross_wrench(v, sensor.inboard @ v)
-        wrench = self.data.f[sensor.joint].vector - own
-        return np.asarray(sensor.placement.actInv(pin.Force(wrench)).vector)
 
     def _object(self) -> tuple[pin.SE3, Array]:
         leader = self.chain.leader
@@ -323,9 +359,9 @@ class RigidPlant:
         X = self._X if chain.leader is None else chain.object_pose()
         parts = self._parts(X, np.zeros(6))
         A = constraint_rows(chain, X.translation, _stacked(parts)[0])
-        along = self._along_rails(parts)
+        along = self._along_rails(parts, X.translation)
         b = np.zeros(len(A))
-        b[len(A) - len(along) :] = -along @ self._speed
+        b[len(A) - len(along) :] = -np.tensordot(along, self._rates)
         x = np.concatenate((v, V))[: A.shape[1]]
         for _ in range(2):
             x = x - inverse_rows(A, inertia_of(chain, X), row_groups(chain))[0] @ (A @ x - b)
@@ -337,7 +373,7 @@ class _Solution:
     """What one instant's equations say."""
 
     qdd: Array  # (n,)
-    sdd: Array  # (bodies,) accelerations along the rails
+    sdd: Array  # (bodies, 2) accelerations along the rails
     a_O: Array  # (6,) of the object, spatial
     object_rate: Array  # (6,) rate of its twist at its own origin
     alpha: Array  # (r,)
@@ -371,28 +407,3 @@ def _with_object(chain: ClosedChain) -> tuple[pin.Model, list[int]]:
         X_TO = chain.grasps[chain.leader].X_TO
         model.appendBodyToJoint(frame.parentJoint, chain.payload.inertia, frame.placement * X_TO)
     return model, tips
-
-
-@dataclass(frozen=True)
-class _Sensor:
-    """A cut through a link: its joint, where it sits, what stays on the arm's side."""
-
-    joint: int
-    placement: pin.SE3
-    inboard: Array  # (6, 6) at the joint
-
-
-def _sensor(model: pin.Model, name: str) -> _Sensor:
-    cut = model.getFrameId(name)
-    frame = model.frames[cut]
-    above = frame.parentFrame
-    beyond = {above if model.frames[above].type == pin.FrameType.FIXED_JOINT else cut}
-    inboard: Array = model.inertias[frame.parentJoint].matrix()
-    if model.frames[above].type == pin.FrameType.JOINT:  # cut at the joint itself
-        return _Sensor(frame.parentJoint, frame.placement, np.zeros((6, 6)))
-    for f, other in enumerate(model.frames):
-        if other.parentFrame in beyond:
-            beyond.add(f)
-        if f in beyond and other.parentJoint == frame.parentJoint:
-            inboard = inboard - other.placement.act(other.inertia).matrix()
-    return _Sensor(frame.parentJoint, frame.placement, inboard)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from .quantities import AngleVec3, JointValue, Spec, UnitVec3, Vec3, refuse
+from .quantities import AngleVec3, JointValue, Number, Spec, UnitVec3, Vec3, refuse
 
 __all__ = [
     "ArmSpec",
@@ -57,6 +57,7 @@ class ArmSpec(Spec):
     wrist_sensor: Text | None = None
     passive_joints: tuple[Text, ...] = ()
     locked_joints: dict[str, JointValue] = Field(default_factory=dict)
+    effort_factor: Annotated[Number, Field(gt=0)] = 1.0
     posture: Annotated[tuple[JointValue, ...], Field(min_length=1)]
     """the start guess of all joints in model order, such as [30 deg, 0.1 m]"""
 

@@ -1,0 +1,86 @@
+"""What a run keeps of every tick: raw numbers, copied into rows that are allocated once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from osc_contact.control.controller import Controller
+from osc_contact.control.found import Found
+from osc_contact.experiments.rig import Rig
+from osc_contact.interface import Measurement
+from osc_contact.plants.plant import Plant
+from osc_contact.spatial import Array
+
+__all__ = ["Log"]
+
+#: What of `Found` is kept, and how many numbers that is.
+FOUND = {
+    "f_meas": 6, "bias_out": 6, "f_c": 6, "V_O": 6, "X_WO": 16, "error": 6, "free_error": 6,
+    "squeeze": 1,
+}  # fmt: skip
+
+
+class Log:
+    """Rows of a run; `channels.channels` makes a recording of them.
+
+    Attributes:
+        count: ticks noted. truth: the plant's own log of the same ticks.
+        tick_s, status: as in the recording.
+        held: (ticks, r) whether each contact force is in the controller's model.
+        given_up: (ticks, r) contact forces that the motor limits cost.
+    """
+
+    def __init__(self, rig: Rig, plant: Plant, ticks: int) -> None:
+        """Make room for the ticks of a run."""
+        n, n_a, r = rig.chain.nq, rig.chain.n_a, len(rig.pushing)
+        self.count = 0
+        self.truth = plant.log(ticks)
+        self.tick_s, self.status = np.zeros(ticks), np.zeros(ticks, dtype=np.int64)
+        self.held = np.zeros((ticks, r), dtype=bool)
+        self.given_up = np.zeros((ticks, r))
+        sizes = {"q": n, "v": n, "tau": n_a, "alpha": r, "speed": r, **FOUND}
+        if rig.d < 6:  # what the arms can make of an error is to be told
+            sizes["J"] = 6 * n
+        ends = np.cumsum([0, *sizes.values()])
+        self._places = dict(zip(sizes, map(slice, ends[:-1], ends[1:]), strict=True))
+        self._rows = np.zeros((ticks, ends[-1]))
+        self._of_found = tuple(name for name in sizes if name in FOUND or name == "J")
+        self._r, self._none = r, np.zeros(r)
+        self._last: Found | None = None
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._places
+
+    def rows(self, name: str, start: int, stop: int) -> Array:
+        """(stop − start, numbers) of q, v, tau; of alpha and speed, measured magnitudes and NᵀV_rel
+        of all contact forces, 0 where none are measured; or of a field of `Found`."""
+        return self._rows[start:stop, self._places[name]]
+
+    def note(
+        self, controller: Controller, measurement: Measurement, tau: Array, spent: float
+    ) -> None:
+        """Keep a tick: what the controller was told, what it found, what it took (s)."""
+        k, found = self.count, controller.found()
+        if found is not self._last:  # compiled ticks overwrite theirs
+            self._last = found
+            self._parts = self._flat(found, found.magnitudes[: self._r], found.speeds[: self._r])
+        parts = self._parts
+        if found.rank[0] != self._r:
+            parts = self._flat(found, *self._all(controller, found))
+        np.concatenate((measurement.q, measurement.v, tau, *parts), out=self._rows[k])
+        self.tick_s[k], self.status[k], self.held[k] = spent, controller.status, controller.engaged
+        cost = controller.given_up
+        if cost is not None and len(cost.force) == self._r:
+            self.given_up[k] = cost.force
+        self.truth.note()
+        self.count = k + 1
+
+    def _flat(self, found: Found, alpha: Array, speed: Array) -> list[Array]:
+        return [alpha, speed, *(np.ravel(getattr(found, name)) for name in self._of_found)]
+
+    def _all(self, controller: Controller, found: Found) -> tuple[Array, Array]:
+        """Of all contact forces: none is measured, or some contacts depend on others."""
+        if not len(found.alpha_meas):
+            return self._none, self._none
+        contact = controller.last_signals().contact
+        return contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
