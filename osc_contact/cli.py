@@ -105,7 +105,7 @@ def run(
     """Run a scenario; write metrics.json, the recording, figures and an HTML scene."""
     with _exit_codes():
         chosen = _load(scenario, set_, plant, duration)
-        folder = out_dir or Path("out") / chosen.name
+        folder = out_dir or Path("out") / chosen.file_stem
         _require_report(chosen)
         recording = _run(chosen, seed, folder)
         verdict = write_report(recording, chosen, folder)
@@ -209,7 +209,7 @@ def view(
         if png is not None:
             _say(f"written: {replay.picture(recording, rig, png, time)}")
             return
-        name = Path(what).stem if what.endswith(".npz") else scenario.name
+        name = Path(what).stem if what.endswith(".npz") else scenario.file_stem
         page = html or Path("out") / f"{name}.html"
         _say(f"written: {write_scene_of(recording, rig, page, time)}")
 

@@ -206,7 +206,7 @@ def poses_at(chain, q):
     data = chain.model.createData()
     pin.framesForwardKinematics(chain.model, data, q)
     tips = [data.oMf[tip] for tip in chain.tips]
-    return np.array([X.homogeneous for X in (tips[0] * chain.grasps[0], *tips)])
+    return np.array([X.homogeneous for X in (tips[0] * chain.grasps[0].X_TO, *tips)])
 
 
 def replace_q(m, n):

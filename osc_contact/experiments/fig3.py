@@ -133,7 +133,8 @@ class Workcell:
         for node, (X, radius, colour) in self.rings().items():
             ring(scene[f"sensors/{node}"], X, radius, colour, 0.0042)
         heading, elevation = np.deg2rad([shot.heading, shot.elevation])
-        axes = set_view(scene, shot.points, heading, elevation, shot.size[0] / shot.size[1])
+        aspect = shot.size[0] / shot.size[1]
+        axes = set_view(scene, shot.points, heading, elevation, aspect)
         labels = [c.draw(scene, f"callouts/{k}", axes) for k, c in enumerate(shot.callouts)]
         legend = [
             LegendEntry(VISION, "view of the overhead camera", "line", ("vision/view",)),
@@ -141,7 +142,8 @@ class Workcell:
             LegendEntry(WRIST, "wrist force/torque sensors", "line", ("sensors/wrist",)),
             LegendEntry("#15181C", "labels", "line", ("callouts",)),
         ]
-        config = EMPTY | {"legend": [entry._asdict() for entry in legend], "labels": labels}
+        entries = [entry._asdict() for entry in legend]
+        config = EMPTY | {"legend": entries, "labels": labels, "aspect": aspect}
         return write_page(sink, path, shot.title, config)
 
     def as_dict(self) -> dict[str, str]:

@@ -12,6 +12,7 @@ import pinocchio as pin
 from osc_contact.control.joint_torque import JointTorqueLoop
 from osc_contact.control.velocity_estimate import VelocityEstimate
 from osc_contact.control.vision_fusion import Registration, VisionFusion
+from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.joint_modes import joint_inertias, stiffness_for
 from osc_contact.errors import ScenarioError
@@ -249,11 +250,8 @@ class Observer:
 
 def _robots(chain: ClosedChain) -> Callable[[Array], list[pin.SE3]]:
     """Joint positions → poses of the object and of the arms' tips, as the controller knows them."""
-    data = chain.model.createData()
 
     def known(q: Array) -> list[pin.SE3]:
-        pin.framesForwardKinematics(chain.model, data, q)
-        tips = [data.oMf[tip].copy() for tip in chain.tips]
-        return [tips[0] * chain.grasps[0], *tips]
+        return [object_pose(chain, q), *chain.tip_poses()]
 
     return known

@@ -139,9 +139,9 @@ class RigidPlant:
 
     def poses(self) -> Array:
         """See `Plant.poses`."""
-        pin.framesForwardKinematics(self.model, self.data, self.q)
-        tips = [self.data.oMf[tip] for tip in self._tips]
-        return np.array([X.homogeneous for X in (tips[0] * self.chain.grasps[0], *tips)])
+        pin.computeAllTerms(self.model, self.data, self.q, self.v)
+        tips = [self._tip(i) for i in range(len(self._tips))]
+        return np.array([X.homogeneous for X in (self._object()[0], *tips)])
 
     def step(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
