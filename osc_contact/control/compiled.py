@@ -45,7 +45,7 @@ class Before:
 
 
 #: What the border refuses: wrong sizes or types of what comes in. The readable path says why.
-_REFUSED = (TypeError, ValueError, AttributeError, OscContactError)
+_REFUSED = (TypeError, ValueError, AttributeError, OscContactError, np.linalg.LinAlgError)
 
 
 def compilable(chain: ClosedChain) -> bool:

@@ -157,7 +157,8 @@ class RigidPlant:
             self._s = self._s + 0.5 * (self._rates + rates) * self.dt
             self._rates = rates
             self._drive()
-            V = self._V + solution.object_rate * self.dt
+            turning = cross(self._V[3:], self._V[:3])  # from spatial to classical
+            V = self._V + (solution.a_O + np.concatenate((turning, np.zeros(3)))) * self.dt
             X = moved(self._X, 0.5 * (self._V + V) * self.dt)
             self.q, self._X = closed(self.chain, q, X, self._gaps)
             self.v, self._V = self._on_constraints(v, V)
@@ -276,12 +277,10 @@ class RigidPlant:
         alpha, a_O = -lam[k:], first @ x[:size] + gamma_O
         wrenches = np.zeros((len(self._tips), 6))
         if with_wrenches:
-            ends = np.cumsum([passed.shape[1] for passed in normals])[:-1]
-            shares = np.split(lam[:k], ends) if normals else []
-            # the multiplier of a loop row is what that arm does to the object
-            loops = [passed @ share for passed, share in zip(normals, shares, strict=True)]
+            shares = np.split(lam[:k], np.cumsum([N_i.shape[1] for N_i in normals]))  # on object
+            loops = [passed @ share for passed, share in zip(normals, shares, strict=False)]
             wrenches = self._wrist(qdd, loops, N @ alpha, a_O, X, V)
-        return _Solution(qdd, sdd, a_O, _rate(a_O, V), alpha, wrenches)
+        return _Solution(qdd, sdd, a_O, alpha, wrenches)
 
     def _body(self, X: pin.SE3, V: Array) -> ObjectTerms:
         assert self.chain.payload is not None  # the constructor refused otherwise
@@ -305,11 +304,10 @@ class RigidPlant:
         leader = self.chain.leader
         body = self._body(X, V)
         hold = body.Lambda @ a_O + body.mu + body.p + f_c
-        on_object = list(loops)
         if leader is not None:  # it bears the rest
-            on_object.insert(leader, hold - sum(loops, np.zeros(6)))
+            loops.insert(leader, hold - sum(loops, np.zeros(6)))
         external = [pin.Force.Zero() for _ in range(self.model.njoints)]
-        for i, (tip, wrench) in enumerate(zip(self._tips, on_object, strict=True)):
+        for i, (tip, wrench) in enumerate(zip(self._tips, loops, strict=True)):
             joint = self.model.frames[tip].parentJoint
             at_origin = carry_wrench(-wrench, X.translation, np.zeros(3))
             if i == leader:  # the object's inertia rides on this joint: add only what differs
@@ -375,26 +373,19 @@ class _Solution:
     qdd: Array  # (n,)
     sdd: Array  # (bodies, 2) accelerations along the rails
     a_O: Array  # (6,) of the object, spatial
-    object_rate: Array  # (6,) rate of its twist at its own origin
     alpha: Array  # (r,)
     wrenches: Array  # (arms, 6) in the wrists
 
 
-def _rate(a_O: Array, V: Array) -> Array:
-    return a_O + np.concatenate((cross(V[3:], V[:3]), np.zeros(3)))
-
-
 def _beside(A: Array, B: Array) -> Array:
     """The block-diagonal matrix of two."""
-    out = np.zeros((len(A) + len(B), len(A) + len(B)))
-    out[: len(A), : len(A)], out[len(A) :, len(A) :] = A, B
-    return out
+    none = np.zeros((len(A), len(B)))
+    return np.block([[A, none], [none.T, B]])
 
 
 def _stacked(parts: list[Contact]) -> tuple[Array, Array]:
-    if not parts:
-        return np.zeros((6, 0)), np.zeros(0)
-    return np.hstack([c.N for c in parts]), np.concatenate([c.n_gamma for c in parts])
+    N = np.hstack([np.zeros((6, 0)), *(c.N for c in parts)])
+    return N, np.concatenate([np.zeros(0), *(c.n_gamma for c in parts)])
 
 
 def _with_object(chain: ClosedChain) -> tuple[pin.Model, list[int]]:
@@ -402,8 +393,8 @@ def _with_object(chain: ClosedChain) -> tuple[pin.Model, list[int]]:
     model = chain.model.copy()
     tips = [model.getFrameId(f"{arm.name}/{arm.tip}") for arm in chain.arms]
     if chain.leader is not None:
-        frame = model.frames[tips[chain.leader]]
         assert chain.payload is not None
-        X_TO = chain.grasps[chain.leader].X_TO
-        model.appendBodyToJoint(frame.parentJoint, chain.payload.inertia, frame.placement * X_TO)
+        tip = model.frames[tips[chain.leader]]
+        X = tip.placement * chain.grasps[chain.leader].X_TO
+        model.appendBodyToJoint(tip.parentJoint, chain.payload.inertia, X)
     return model, tips
