@@ -274,9 +274,9 @@ def test_free_parts_are_the_free_part_of_each_in_singular_states_too():
         X, _ = random_poses(rng, k)
         N, x = rng.normal(size=(6, 2, k)), rng.normal(size=(6, k))
         N[:, 1, 12], N[:, 0, 13] = 2.0 * N[:, 0, 12], 0.0  # dependent, and none at all
-        J = np.zeros((k, chain.nq, 6))
+        J = np.zeros((6, chain.nq, k))
         for i in range(k):
-            J[i] = pin.computeJointJacobians(chain.model, chain.data, q[i]).T
+            J[:, :, i] = pin.computeJointJacobians(chain.model, chain.data, q[i])
         found = free_parts(chain, q, J, X, N, x)
         for i in range(k):
             want = free_part(chain, q[i], X[i], N[:, :, i], x[:, i])

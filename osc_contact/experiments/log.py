@@ -15,7 +15,7 @@ __all__ = ["Log"]
 
 #: What of `Found` is kept, and how many numbers that is.
 FOUND = {
-    "f_meas": 6, "bias_out": 6, "f_c": 6, "V_O": 6, "X_WO": 16, "error": 6, "free_error": 6,
+    "f_meas": 6, "bias_out": 6, "V_O": 6, "X_WO": 16, "f_c": 6, "error": 6, "free_error": 6,
     "squeeze": 1,
 }  # fmt: skip
 
@@ -25,8 +25,6 @@ class Log:
 
     Attributes:
         count: ticks noted. truth: the plant's own log of the same ticks.
-        tick_s, status: as in the recording.
-        held: (ticks, r) whether each contact force is in the controller's model.
     """
 
     def __init__(self, rig: Rig, plant: Plant, ticks: int) -> None:
@@ -34,8 +32,7 @@ class Log:
         n, n_a, r = rig.chain.nq, rig.chain.n_a, len(rig.pushing)
         self.count = 0
         self.truth = plant.log(ticks)
-        self.tick_s, self.status = np.zeros(ticks), np.zeros(ticks, dtype=np.int64)
-        self.held = np.zeros((ticks, r), dtype=bool)
+        self._ends: list[tuple[float, int, bool]] = []
         sizes = {"q": n, "v": n, "tau": n_a, "alpha": r, "speed": r, **FOUND}
         if rig.d < 6:  # what the arms can make of an error is to be told
             sizes["J"] = 6 * n
@@ -54,6 +51,11 @@ class Log:
         of all contact forces, 0 where none are measured; or of a field of `Found`."""
         return self._rows[start:stop, self._places[name]]
 
+    def ends(self, start: int, stop: int) -> tuple[Array, Array, Array]:
+        """How ticks ended: what each took (s), its status, whether contacts are in the model."""
+        spent, status, engaged = zip(*self._ends[start:stop], strict=True)
+        return np.array(spent), np.array(status, dtype=np.int64), np.array(engaged, dtype=bool)
+
     def note(
         self, controller: Controller, measurement: Measurement, tau: Array, spent: float
     ) -> None:
@@ -66,12 +68,13 @@ class Log:
         if found.rank[0] != self._r:
             parts = self._flat(found, *self._all(controller, found))
         np.concatenate((measurement.q, measurement.v, tau, *parts), out=self._rows[k])
-        self.tick_s[k], self.status[k], self.held[k] = spent, controller.status, controller.engaged
+        self._ends.append((spent, controller.status, controller.engaged))
         self.truth.note()
         self.count = k + 1
 
     def _flat(self, found: Found, alpha: Array, speed: Array) -> list[Array]:
-        return [alpha, speed, *(np.ravel(getattr(found, name)) for name in self._of_found)]
+        fields = (np.ravel(getattr(found, name)) for name in self._of_found)
+        return _joined([alpha, speed, *fields])
 
     def _all(self, controller: Controller, found: Found) -> tuple[Array, Array]:
         """Of all contact forces: none is measured, or some contacts depend on others."""
@@ -79,3 +82,20 @@ class Log:
             return self._none, self._none
         contact = controller.last_signals().contact
         return contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
+
+
+def _joined(parts: list[Array]) -> list[Array]:
+    """The same numbers in the same order, neighbours in memory as one array: fewer to copy."""
+    out = parts[:1]
+    for part in parts[1:]:
+        base, end = out[-1].base, _address(out[-1]) + out[-1].nbytes
+        if base is not None and base is part.base and base.ndim == 1 and end == _address(part):
+            start = (_address(out[-1]) - _address(base)) // base.itemsize
+            out[-1] = base[start : start + out[-1].size + part.size]
+        else:
+            out.append(part)
+    return out
+
+
+def _address(x: Array) -> int:
+    return int(x.__array_interface__["data"][0])

@@ -122,8 +122,10 @@ class MujocoPlant:
         readings = [self.model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed]
         self._readings = np.add.outer(np.array(readings, dtype=int), np.arange(6))
         self._sensordata, self._ctrl = self.data.sensordata, self.data.ctrl
-        self._warnings = self.data.warning.number
-        self._step = float(self.model.opt.timestep)
+        self._warnings, self._size = self.data.warning.number, self._ctrl.shape
+        self._option = self.model.opt
+        self._step, self._flags = float(self._option.timestep), int(self._option.disableflags)
+        self._blind = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         self.time = 0.0
 
     def reset(self, q: Array) -> None:
@@ -148,9 +150,9 @@ class MujocoPlant:
         self._mj.mj_forward(self.model, self.data)
 
     def _command(self, tau: Array) -> None:
-        tau = np.asarray(tau, dtype=float)
-        if tau.shape != self._ctrl.shape or not isfinite(tau.dot(tau)):
-            tau = as_array("tau", tau, self._ctrl.shape)
+        known = type(tau) is np.ndarray and tau.shape == self._size
+        if not known or not isfinite(tau.dot(tau)):
+            tau = as_array("tau", tau, self._size)
         if self.drives.motors is not None:
             tau = self.drives.motors.torque(tau, self.data.qpos[self._q[self.chain.actuated]])
         self._ctrl[:] = tau
@@ -217,7 +219,11 @@ class MujocoPlant:
         self._command(tau)
         steps = max(1, round(duration / self._step))
         if not self._driven:
-            self._mj.mj_step(self.model, self.data, steps)
+            if steps > 1:  # what sensors read in between nobody sees
+                self._option.disableflags = self._flags | self._blind
+                self._mj.mj_step(self.model, self.data, steps - 1)
+                self._option.disableflags = self._flags
+            self._mj.mj_step(self.model, self.data)
         for k in range(steps if self._driven else 0):
             self._drive(self.time + k * self._step)
             self._mj.mj_step(self.model, self.data)
