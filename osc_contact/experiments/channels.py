@@ -28,7 +28,7 @@ def channels(rig: Rig, log: Log, plan: Plan, start: int, stop: int) -> dict[str,
         rig, plan: of the run. log: what it noted.
     """
     rows, k = slice(start, stop), stop - start
-    truth = log.truth.truths(start, stop)
+    truth = log.truth.truths(log.rows("truth", start, stop), start, stop)
     names = ("q", "v", "tau", "alpha", "speed", *FOUND)
     found = {name: log.rows(name, start, stop) for name in names}
     alpha, speed = found["alpha"], found["speed"]

@@ -36,6 +36,7 @@ class Log:
         sizes = {"q": n, "v": n, "tau": n_a, "alpha": r, "speed": r, **FOUND}
         if rig.d < 6:  # what the arms can make of an error is to be told
             sizes["J"] = 6 * n
+        sizes["truth"] = sum(part.size for part in self.truth.parts)
         ends = np.cumsum([0, *sizes.values()])
         self._places = dict(zip(sizes, map(slice, ends[:-1], ends[1:]), strict=True))
         self._rows = np.zeros((ticks, ends[-1]))
@@ -48,7 +49,7 @@ class Log:
 
     def rows(self, name: str, start: int, stop: int) -> Array:
         """(stop − start, numbers) of q, v, tau; of alpha and speed, measured magnitudes and NᵀV_rel
-        of all contact forces, 0 where none are measured; or of a field of `Found`."""
+        of all contact forces, 0 where none are measured; of a field of `Found`; or of truth."""
         return self._rows[start:stop, self._places[name]]
 
     def ends(self, start: int, stop: int) -> tuple[Array, Array, Array]:
@@ -74,7 +75,7 @@ class Log:
 
     def _flat(self, found: Found, alpha: Array, speed: Array) -> list[Array]:
         fields = (np.ravel(getattr(found, name)) for name in self._of_found)
-        return _joined([alpha, speed, *fields])
+        return [*_joined([alpha, speed, *fields]), *self.truth.parts]
 
     def _all(self, controller: Controller, found: Found) -> tuple[Array, Array]:
         """Of all contact forces: none is measured, or some contacts depend on others."""

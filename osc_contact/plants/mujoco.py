@@ -123,6 +123,7 @@ class MujocoPlant:
         self._readings = np.add.outer(np.array(readings, dtype=int), np.arange(6))
         self._sensordata, self._ctrl = self.data.sensordata, self.data.ctrl
         self._warnings, self._size = self.data.warning.number, self._ctrl.shape
+        self._calm = bytes(self._warnings.nbytes)
         self._option = self.model.opt
         self._step, self._flags = float(self._option.timestep), int(self._option.disableflags)
         self._blind = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
@@ -204,7 +205,7 @@ class MujocoPlant:
         """As of the last step's beginning, like the wrenches; see `MujocoTruth`."""
         log = self.log(1)
         log.note()
-        return log.truths(0, 1)[0]
+        return log.truths(np.concatenate(log.parts)[None], 0, 1)[0]
 
     def log(self, capacity: int) -> MujocoTruth:
         """A log of the truth of up to `capacity` instants."""
@@ -217,7 +218,7 @@ class MujocoPlant:
     def step(self, tau: Array, duration: float) -> None:
         """Hold the torques over the steps that fit into `duration`."""
         self._command(tau)
-        steps = max(1, round(duration / self._step))
+        steps = round(duration / self._step) or 1
         if not self._driven:
             if steps > 1:  # what sensors read in between nobody sees
                 self._option.disableflags = self._flags | self._blind
@@ -228,7 +229,9 @@ class MujocoPlant:
             self._drive(self.time + k * self._step)
             self._mj.mj_step(self.model, self.data)
         self.time += steps * self._step
-        if np.count_nonzero(self._warnings):  # accelerations that are not finite are among them
+        if (
+            self._warnings.tobytes() != self._calm
+        ):  # accelerations that are not finite are among them
             kinds = [self._mj.mjtWarning(i).name for i in np.flatnonzero(self._warnings)]
             raise PlantError(
                 f"MuJoCo diverged at t = {self.time:.4f} s ({', '.join(kinds)}); largest speed "
