@@ -25,7 +25,7 @@ extensions = [
 nitpicky = True
 nitpick_ignore_regex = [
     ("py:class", r"(npt\.)?(Array|ArrayLike)|TypeAliasForwardRef"),
-    ("py:class", r"SE3|Inertia|Model|Data|Path|Sequence|Callable|Mapping|Any"),
+    ("py:class", r"(pin\.)?(SE3|Inertia|Model|Data)|Path|Sequence|Callable|Mapping|Any"),
     ("py:class", r"(numpy|pinocchio|coal|enum|os|pathlib|collections|typing)\..*"),
     ("py:class", r"osc_contact\..*"),  # types in signatures that have no page
     ("py:obj", r".*"),  # arguments and formulas stand between single backticks too

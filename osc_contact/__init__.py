@@ -30,6 +30,7 @@ from osc_contact.control.motion import MotionGains
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.environment import Environment
+from osc_contact.dynamics.grasp import Grasp
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import (
     ContactError,
@@ -39,6 +40,7 @@ from osc_contact.errors import (
     PlantError,
     RecordingError,
     ScenarioError,
+    SolverError,
     ViewerError,
 )
 from osc_contact.experiments.metrics import metrics
@@ -56,6 +58,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Arm",
     "RigidObject",
+    "Grasp",
     "ClosedChain",
     "ChainState",
     "Contact",
@@ -101,6 +104,7 @@ __all__ = [
     "ModelError",
     "ContactError",
     "ScenarioError",
+    "SolverError",
     "PlantError",
     "RecordingError",
     "ViewerError",

@@ -18,15 +18,16 @@ from osc_contact import __version__, robots
 from osc_contact.control import compiling
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.experiments import figures as paper_figures
-from osc_contact.experiments import replay, tables
+from osc_contact.experiments import replay, reproduction, tables
 from osc_contact.experiments.benchmarks.program import BENCHMARKS, run_benchmark
 from osc_contact.experiments.calibration import calibrate as calibrate_wrists
 from osc_contact.experiments.inspection import inspect_rig
+from osc_contact.experiments.paper_report import write_paper_report
 from osc_contact.experiments.replay import RealTime
 from osc_contact.experiments.report import require_judgeable, write_json, write_report
 from osc_contact.experiments.rig import build_rig
 from osc_contact.experiments.run import run as run_scenario
-from osc_contact.experiments.studies import SLOW, STUDIES, Ask, write_study
+from osc_contact.experiments.studies import SLOW, STUDIES, Ask
 from osc_contact.experiments.viewing import open_viewer, write_scene_of
 from osc_contact.recorder import Recording
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
@@ -43,7 +44,7 @@ app = typer.Typer(
 out = Console(width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True)
 PARTIAL = "recording_until_failure.npz"
-REPRODUCIBLE = (*paper_figures.FIGURES, *STUDIES)
+REPRODUCIBLE = tuple(sorted((*paper_figures.FIGURES, *STUDIES), key=lambda n: (n[:3] != "fig", n)))
 EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim"}
 
 
@@ -104,7 +105,7 @@ def run(
     """Run a scenario; write metrics.json, the recording, figures and an HTML scene."""
     with _exit_codes():
         chosen = _load(scenario, set_, plant, duration)
-        folder = out_dir or Path("out") / chosen.name
+        folder = out_dir or Path("out") / chosen.file_stem
         _require_report(chosen)
         recording = _run(chosen, seed, folder)
         verdict = write_report(recording, chosen, folder)
@@ -134,36 +135,32 @@ def reproduce(
 ) -> None:
     """Make figures of the paper from our own data, and figures and tables of the experiments."""
     with _exit_codes():
-        asked: tuple[str, ...] = (figure,)
-        if figure == "all":
-            asked = tuple(name for name in REPRODUCIBLE if name not in SLOW)
-        paper_figures.require_known(asked)
+        names = reproduction.names_of(figure)
         _require("matplotlib")
-        names = [name for name in asked if name not in STUDIES]
-        if not names and plant is not None:
+        drawn = [name for name in names if name not in STUDIES]
+        if not drawn and plant is not None:
             raise InvalidInputError(f"{figure} chooses its own plants; leave --plant out")
-        scenario = _load(paper_figures.SCENARIO, set_, plant, duration)
-        recording, verdict = None, {}
-        if any(name in paper_figures.needs_run for name in names):
+        scenario = _load(paper_figures.SCENARIO, set_ if drawn else None, plant, duration)
+        if any(name in paper_figures.needs_run for name in drawn):
             _require_report(scenario)
-            recording = _run(scenario, seed, out_dir)
-            verdict = write_report(recording, scenario, out_dir / scenario.name)
-            out.print(tables.verdict_table(verdict))
-        written = [paper_figures.write_figure(n, out_dir, scenario, recording) for n in names]
-        found = {}
-        for name in (name for name in asked if name in STUDIES):
-            changes = () if names else tuple(set_ or ())
-            with err.status(name) as status:
-                ask = Ask(seed, duration, changes, tell=status.update)
-                study, files = write_study(name, out_dir, ask)
-            out.print(study.table)
-            written += files
-            found[name] = study.data
-        for path in written:
-            _say(f"written: {path}")
+        found = reproduction.make(
+            names,
+            out_dir,
+            scenario,
+            Ask(seed, duration, () if drawn else tuple(set_ or ())),
+            record=lambda: _run(scenario, seed, out_dir),
+            show=out.print,
+            waiting=err.status,
+            options=reproduction.typed(plant and plant.value, duration, seed, set_ or ()),
+        )
+        for one in found.made.values():
+            for path in one.files:
+                _say(f"written: {path}")
+        if figure == "all":
+            out.print(tables.paper_table(found.verdicts()))
+            _say(f"written: {write_paper_report(found, out_dir / 'report.html')}")
         if json_file:
-            result = {"figures": [str(p) for p in written], "metrics": verdict, "studies": found}
-            write_json(result, json_file)
+            write_json(found.as_dict(), json_file)
 
 
 @app.command()
@@ -212,7 +209,7 @@ def view(
         if png is not None:
             _say(f"written: {replay.picture(recording, rig, png, time)}")
             return
-        name = Path(what).stem if what.endswith(".npz") else scenario.name
+        name = Path(what).stem if what.endswith(".npz") else scenario.file_stem
         page = html or Path("out") / f"{name}.html"
         _say(f"written: {write_scene_of(recording, rig, page, time)}")
 

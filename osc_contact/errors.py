@@ -10,6 +10,7 @@ __all__ = [
     "ModelError",
     "ContactError",
     "ScenarioError",
+    "SolverError",
     "PlantError",
     "RecordingError",
     "ViewerError",
@@ -40,6 +41,10 @@ class ContactError(OscContactError):
 
 class ScenarioError(OscContactError):
     """A scenario file is wrong; the message names the file, the line and the key."""
+
+
+class SolverError(OscContactError):
+    """A quadratic program was not solved: a controller that meets it holds its last torques."""
 
 
 class PlantError(OscContactError):

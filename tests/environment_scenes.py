@@ -12,8 +12,10 @@ from rigs import one_panda, panda_pair, random_state, scara_pair
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import VertexOnFace
-from osc_contact.dynamics.assembly import constraint_rows, inverse_rows
+from osc_contact.dynamics.assembly import constraint_rows, inverse_rows, row_groups
 from osc_contact.dynamics.environment import Environment
+from osc_contact.dynamics.rail import Conveyor, Hinge
+from osc_contact.plants.faces import Rail, touched
 from osc_contact.response import require_reachable
 
 G = np.array([0.0, 0.0, -9.81])
@@ -110,6 +112,42 @@ def moving(rng, at):
     )
 
 
+def on_joints(rng, at, *joints, inertia):
+    """E on joints at a random point c, E's axes the world's and its origin there at q = 0."""
+    model, c = pin.Model(), at + rng.uniform(-0.3, 0.3, 3)
+    for k, joint in enumerate(joints):
+        X = pin.SE3(np.eye(3), np.zeros(3) if k else c)
+        model.addJoint(k, joint, X, f"joint{k}")
+        model.appendBodyToJoint(k + 1, inertia, pin.SE3.Identity())
+    X = pin.SE3(np.eye(3), -c)
+    model.addFrame(pin.Frame("E", len(joints), 0, X, pin.FrameType.OP_FRAME))
+    return model, c, rng.uniform(-1.5, 1.5, model.nv), rng.uniform(-1, 1, model.nv)
+
+
+def hinged(rng, at):
+    """`Hinge`: a body whose centre of mass lies on the axis, with a spring and a damper."""
+    a, joint = axis(rng), pin.JointModelRevoluteUnaligned
+    body = random_inertia(rng)
+    balanced = pin.Inertia(body.mass, rng.normal() * a, body.inertia)
+    model, c, q, v = on_joints(rng, at, joint(a), inertia=balanced)
+    k, d, preload = rng.uniform(0, 5, 3)
+    hinge = Hinge(2.0 * a, c + rng.normal() * a, a @ body.inertia @ a, k, d, preload)
+    body = Body(model, q, v, preload - k * q - d * v, "E")
+    return body, lambda O: hinge.environment(body.X, body.V, np.zeros(6), O)  # noqa: E741
+
+
+def turning(rng, at):
+    """`Rail` and `Conveyor`: a driven slide that carries a driven hinge."""
+    u, a, rates = axis(rng), axis(rng), rng.normal(size=2) * 3
+    joints = pin.JointModelPrismaticUnaligned(u), pin.JointModelRevoluteUnaligned(a)
+    model, c, q, v = on_joints(rng, at, *joints, inertia=random_inertia(rng))
+    rail = Rail(u, a, c, lambda t: (q, v, rates))
+    seen = touched([rail], [0], q[None], v[None], rates[None])
+    X, V, A = pin.SE3(seen.X_WE[0]), seen.V_E[0], seen.A_E[0]
+    body = Body(model, q, v, np.zeros(2), "E", rates)
+    return body, lambda O: Conveyor().environment(X, V, A, O)  # noqa: E741
+
+
 rail = guided(lambda rng: pin.JointModelPrismaticUnaligned(axis(rng)))
 KINDS = {  # bodies, and the body of each contact
     "free body": ([rigid], [0, 0]),
@@ -119,6 +157,8 @@ KINDS = {  # bodies, and the body of each contact
     "plane": ([guided(lambda rng: pin.JointModelPlanar())], [0, 0]),
     "linkage": ([linkage], [0, 0]),
     "prescribed": ([moving], [0, 0]),
+    "hinged face": ([hinged], [0, 0]),
+    "turning conveyor": ([turning], [0, 0]),
     "rail and free body": ([rail, rigid], [0, 1]),
     "prescribed and linkage": ([moving, linkage], [0, 1]),
     "three on two bodies": ([rigid, linkage], [0, 1, 0]),
@@ -166,7 +206,7 @@ def following(chain, q, v, N, normal_speed):
     A = constraint_rows(chain, chain.object_poses()[0].translation, N)
     b = np.concatenate((np.zeros(A.shape[0] - N.shape[1]), -normal_speed))
     for _ in range(3):
-        v = v - inverse_rows(A, np.array(chain.data.M), len(chain.arms) - 1)[0] @ (A @ v - b)
+        v = v - inverse_rows(A, np.array(chain.data.M), row_groups(chain))[0] @ (A @ v - b)
     return v
 
 

@@ -21,7 +21,12 @@ from osc_contact.visual.browser import FLAGS, find_browser, sandbox_flags
 class Browser:
     """One page; `with Browser(address) as page: page.run("1 + 1")`."""
 
-    def __init__(self, address: str, size: tuple[int, int] = (1280, 860)) -> None:
+    def __init__(
+        self,
+        address: str,
+        size: tuple[int, int] = (1280, 860),
+        ready: str = "typeof player === 'object' && player.ready",
+    ) -> None:
         self.folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         commands, self.commands = os.pipe()
         self.answers, answers = os.pipe()
@@ -51,7 +56,7 @@ class Browser:
         for domain in ("Page", "Runtime", "Log"):
             self.ask(f"{domain}.enable")
         self.ask("Page.navigate", url=address)
-        self.until("document.readyState === 'complete' && typeof player === 'object'")
+        self.until(f"document.readyState === 'complete' && {ready}")
 
     def __enter__(self) -> Browser:
         return self

@@ -43,7 +43,7 @@ def kkt(chain, q, v, tau, N=None, n_gamma=None) -> KKTSolution:
     pin.forwardKinematics(model, data, q, v, np.zeros(n))
     pin.updateFramePlacements(model, data)
     frames = [model.getFrameId(f"{a.name}/{a.tip}") for a in chain.arms]
-    X_WO = data.oMf[frames[0]] * chain.grasps[0]
+    X_WO = data.oMf[frames[0]] * chain.grasps[0].X_TO
     O = X_WO.translation  # noqa: E741
     J, gamma = [], []
     for f in frames:
@@ -108,14 +108,14 @@ class constrained_pinocchio:
         self.model, self.joint = model, joint
         self.data = model.createData()
         self.welds = []
-        for arm, X_TO in zip(chain.arms, chain.grasps, strict=True):
+        for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
             frame = chain.model.frames[chain.model.getFrameId(f"{arm.name}/{arm.tip}")]
             self.welds.append(
                 pin.RigidConstraintModel(
                     pin.ContactType.CONTACT_6D,
                     model,
                     frame.parentJoint,
-                    frame.placement * X_TO,
+                    frame.placement * grasp.X_TO,
                     joint,
                     pin.SE3.Identity(),
                     pin.LOCAL,

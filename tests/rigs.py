@@ -9,7 +9,7 @@ import pinocchio as pin
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach
+from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach, row_groups
 from osc_contact.spatial import carry_twist
 
 ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))
@@ -94,7 +94,7 @@ def consistent(chain, q, v, N=None):
     N = np.zeros((6, 0)) if N is None else N
     A = constraint_rows(chain, chain.object_poses()[0].translation, N)
     for _ in range(3):
-        v = v - inverse_rows(A, np.array(chain.data.M), len(chain.arms) - 1)[0] @ (A @ v)
+        v = v - inverse_rows(A, np.array(chain.data.M), row_groups(chain))[0] @ (A @ v)
     return v
 
 

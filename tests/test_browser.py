@@ -98,6 +98,58 @@ def test_the_slider_moves_arms_arrows_marker_and_clock(browser: Browser) -> None
     assert near(seen[0.9], VERMILLION) > near(seen[0.2], VERMILLION) + 100, "longer arrows"
 
 
+def test_commanded_measured_and_true_forces_are_arrows_of_their_lengths(browser: Browser) -> None:
+    switch(browser, "T:")
+    for time in (0.3, 0.9):
+        slide(browser, time)
+        for arrow, extra in (("commanded", 1.0), ("measured", 0.1), ("true", 0.0)):
+            node = f"nodeAt('contacts/left_end/{arrow}')"
+            assert browser.run(f"{node}.object.visible")
+            ends = [
+                browser.run(PLACE.format(f"contacts/left_end{p}")) for p in ("", f"/{arrow}/shaft")
+            ]
+            scale = browser.run(f"nodeAt('contacts/left_end/{arrow}/shaft').object.scale.y")
+            beside = 0.017 if arrow == "measured" else 0.0
+            along = np.sqrt(np.linalg.norm(np.subtract(*ends)) ** 2 - beside**2)
+            assert along + scale == pytest.approx(0.01 * (12.0 * time + extra), abs=1e-3), arrow
+    whole = browser.picture()[:600]
+    for name, least in (("commanded", 100), ("measured", 30), ("force, true", 100)):
+        switch(browser, name)
+        gone = np.abs(browser.picture()[:600] - whole).max(axis=2) > 20
+        assert gone.sum() > least, f"{name} is not on the screen"
+        switch(browser, name)
+        again = np.abs(browser.picture()[:600] - whole).max(axis=2) > 20
+        assert again.sum() < 20, name
+    switch(browser, "T:")
+
+
+def test_on_a_phone_the_legend_is_folded_and_the_whole_scene_is_seen(page: Path) -> None:
+    with Browser(f"{page.as_uri()}#t=1", size=(390, 844)) as phone:
+        assert phone.run("document.documentElement.scrollWidth") == 390
+        assert phone.run("element('legend').clientHeight") == 0
+        labels = phone.run(
+            "[...document.querySelectorAll('#labels div')].filter(d => d.style.display !== 'none')"
+            ".map(d => d.textContent)"
+        )
+        assert {"left end 12.00 N", "right end 9.00 N"} <= set(labels)
+        scene = phone.picture()[: int(phone.run("element('scene').clientHeight"))]
+        assert near(scene, BLUE) > 30 and near(scene, VERMILLION) > 30
+        phone.run("document.querySelector('#caption h1').click()")
+        assert phone.run("element('legend').clientHeight") > 100
+        assert phone.errors == []
+
+
+def test_a_browser_without_decompression_is_told(page: Path, tmp_path: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    old = tmp_path / "old.html"
+    old.write_text(
+        text.replace("<body>", "<body><script>delete window.DecompressionStream</script>")
+    )
+    with Browser(old.as_uri(), ready="document.querySelector('#labels').textContent") as browser:
+        told = browser.run("element('labels').textContent")
+        assert "does not run in this browser" in told and "DecompressionStream" in told
+
+
 def test_a_lost_contact_is_grey(browser: Browser) -> None:
     switch(browser, "T:")  # so that nothing else is in front
     closed, lost = slide(browser, 0.3), slide(browser, 0.5)

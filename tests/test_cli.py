@@ -19,6 +19,7 @@ from osc_contact.plants.rigid import RigidPlant
 from osc_contact.recorder import Recording
 from osc_contact.scenarios import load_scenario
 from osc_contact.visual.page import read_commands
+from osc_contact.visual.style import PRINT
 
 SHORT = ("--plant", "rigid", "--duration", "1.05", "--set", "plant.step=1 ms")
 
@@ -60,7 +61,7 @@ def test_list_names_scenarios_and_figures(tmp_path: Path) -> None:
     assert result.exit_code == 0 and "two_contact_rod" in result.stdout
     found = json.loads((tmp_path / "list.json").read_text())
     assert set(found["scenarios"]) == set(osc_contact.list_scenarios())
-    figures = {"fig1", "fig2", "fig4", "fig5", "fig6", "fig8", "kinematic_stability"}
+    figures = {"fig1", "fig2", "fig3", "fig4", "fig5", "fig6", "fig8", "kinematic_stability"}
     assert figures <= set(found["figures"])
 
 
@@ -137,20 +138,46 @@ def test_reproduce_figures_without_a_run(tmp_path: Path) -> None:
         result = call("reproduce", name, "--out", tmp_path, "--json", tmp_path / f"{name}.json")
         assert result.exit_code == 0, result.output
         assert (tmp_path / f"{name}.png").stat().st_size > 20000
-        (written,) = json.loads((tmp_path / f"{name}.json").read_text())["figures"]
-        assert Path(written) == tmp_path / f"{name}.png"
+        written = json.loads((tmp_path / f"{name}.json").read_text())["figures"]
+        assert [Path(file) for file in written] == [tmp_path / f"{name}{s}" for s in PRINT]
     assert not (tmp_path / "two_contact_rod").exists(), "no run was needed"
 
 
 def test_reproduce_all_from_a_short_run(tmp_path: Path) -> None:
-    result = call("reproduce", "all", *SHORT, "--out", tmp_path)
+    result = call("reproduce", "all", *SHORT, "--out", tmp_path, "--json", tmp_path / "all.json")
     assert result.exit_code == 0, result.output
-    for name in ("fig1", "fig4", "fig5", "fig6", "fig8"):
-        assert (tmp_path / f"{name}.png").stat().st_size > 20000
-        assert "<svg" in (tmp_path / f"{name}.svg").read_text()
-    for name in ("fig2", "kinematic_stability"):
-        assert (tmp_path / f"{name}.pdf").exists() and (tmp_path / f"{name}.json").exists()
+    found = json.loads((tmp_path / "all.json").read_text())
+    names = {
+        "fig1",
+        "fig2",
+        "fig3",
+        "fig4",
+        "fig5",
+        "fig6",
+        "fig8",
+        "kinematic_stability",
+        "moving_face",
+    }
+    stems = {Path(file).stem for file in found["figures"] if file.endswith(".png")}
+    assert names <= stems
+    starts = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
+    for stem in stems:
+        for suffix in PRINT:
+            assert (tmp_path / f"{stem}{suffix}").read_bytes().startswith(starts[suffix])
+        assert (tmp_path / f"{stem}.png").stat().st_size > 20000
+    for name in found["studies"]:
+        assert (tmp_path / f"{name}.json").exists()
     assert json.loads((tmp_path / "two_contact_rod" / "metrics.json").read_text())["ticks"] == 1050
+    verdicts = {name: one["verdict"] for name, one in found["paper"].items()}
+    assert "contradicted" not in verdicts.values()
+    assert all(verdicts[name] == "reproduced" for name in ("fig1", "fig2", "fig4", "fig6", "fig8"))
+    assert verdicts["fig5"] == "partly reproduced", "no force steps in this run"
+    report = (tmp_path / "report.html").read_text(encoding="utf-8")
+    missing = 8 - len(verdicts)
+    assert report.count("nothing here makes this figure yet.</div>") == missing
+    for name in names:
+        command = f"osc-contact reproduce {name} --plant rigid --duration 1.05 --set"
+        assert command in report
 
 
 def test_bench_tick(tmp_path: Path) -> None:
@@ -179,7 +206,7 @@ def test_bad_scenario_is_told_with_its_line(tmp_path: Path) -> None:
     ("words", "message"),
     [
         (("inspect", "two_contact_rob"), "no packaged scenario 'two_contact_rob'"),
-        (("reproduce", "fig3"), "no figure 'fig3'; there are fig1"),
+        (("reproduce", "fig9"), "no figure 'fig9'; there are fig1"),
         (("reproduce", "fig2", "--set", "squeeze=1 N"), "fig2 is not made from a scenario"),
         (("bench", "tock"), "no benchmark 'tock'; there are tick, peers"),
         (("run", "two_contact_rod", "--set", "squeeze"), "expected path.to.key=value"),

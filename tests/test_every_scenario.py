@@ -23,6 +23,7 @@ ROBOTS = {  # d, r, motors, words of `inspect`
     "dual_panda_rod": (6, 2, 14, ("no single frame", "6 internal force(s)", "2 motion(s) of arms")),
     "ur5_wipe": (6, 3, 6, ("cloth.3 along", "pushing only", "face on face of 'board'")),
     "three_arm_plate": (6, 3, 19, ("into the vertex of 'tripod'", "12 internal force(s)")),
+    "hinge_ball_rod": (6, 2, 14, ("2 internal force(s)", "6 motion(s) of arms")),
     "scara_peg": (4, 2, 4, ("into the plane of 'socket'", "the arms' structure carries")),
 }
 NAMES = list(ROBOTS)

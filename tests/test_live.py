@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import json
 import logging
@@ -199,10 +200,12 @@ def test_the_page_holds_the_scene_after_the_first_tick(lasting: Viewer) -> None:
     assert "connect-src data: blob: 'self'" in text
 
 
-def test_only_a_loopback_socket_is_open(lasting: Viewer) -> None:
-    pid = lasting._process.pid
-    links = (os.readlink(f"/proc/{pid}/fd/{fd}") for fd in os.listdir(f"/proc/{pid}/fd"))
-    own = {link[8:-1] for link in links if link.startswith("socket:[")}
+def sockets(pid: int) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+    """(family, address) of a process's network sockets: all that are open, those that listen."""
+    own = set()
+    for fd in os.listdir(f"/proc/{pid}/fd"):
+        with contextlib.suppress(FileNotFoundError):  # the folder itself, listed a moment ago
+            own.add(os.readlink(f"/proc/{pid}/fd/{fd}").removeprefix("socket:[").removesuffix("]"))
     opened, listening = [], []
     for family in ("tcp", "tcp6", "udp", "udp6"):
         for line in Path(f"/proc/{pid}/net/{family}").read_text().splitlines()[1:]:
@@ -210,6 +213,23 @@ def test_only_a_loopback_socket_is_open(lasting: Viewer) -> None:
             if fields[9] in own:
                 opened.append((family, fields[1]))
                 listening += opened[-1:] if fields[3] == "0A" else []
+    return opened, listening
+
+
+def test_the_runs_own_process_opens_no_network_socket() -> None:
+    script = (
+        "import os, sys; sys.path.insert(0, 'tests'); import test_live as t\n"
+        "with t.Viewer(t.MODULE, {'content': t.described(t.CONTENT), 'size': 0.6}) as viewer:\n"
+        "    t.feed(viewer, 0.3)\n"
+        "    print(t.sockets(os.getpid()), len(t.sockets(viewer._process.pid)[1]))"
+    )
+    root = Path(__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=root)
+    assert done.stdout.strip() == "([], []) 1", done.stdout + done.stderr
+
+
+def test_only_a_loopback_socket_is_open(lasting: Viewer) -> None:
+    opened, listening = sockets(lasting._process.pid)
     loopback = socket.inet_aton("127.0.0.1")[::-1].hex().upper()
     assert all(family == "tcp" and where.startswith(loopback) for family, where in opened)
     assert listening == [("tcp", f"{loopback}:{port(lasting):04X}")]

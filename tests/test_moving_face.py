@@ -9,8 +9,12 @@ import osc_contact as osc
 from osc_contact.experiments import moving_face
 from osc_contact.experiments.metrics import metrics
 
-CONVEYOR = [change.replace("ramp: 2 s", "ramp: 0.1 s") for change in moving_face.FACES["conveyor"]]
-SPRING = moving_face.FACES["cart with spring"]
+FACES = {
+    face: [change.replace("ramp: 2 s", "ramp: 0.1 s") for change in changes]
+    for face, changes in moving_face.FACES.items()
+}
+CONVEYOR, TURNING = FACES["conveyor"], FACES["turning conveyor"]
+SPRING, HINGE = FACES["cart with spring"], FACES["hinge with spring"]
 
 
 def rig_of(*changes):
@@ -26,7 +30,7 @@ def on_the_move(rig, ticks=60):
     return plant, controller
 
 
-@pytest.mark.parametrize("changes", [CONVEYOR, (), SPRING], ids=moving_face.FACES)
+@pytest.mark.parametrize("changes", FACES.values(), ids=FACES)
 def test_contact_forces_are_the_commanded_ones_at_every_instant(changes):
     """The rigid plant has no Φ_e, only a cart in its equations; α = α_u and sensing are exact."""
     rig = rig_of("plant.type=rigid", "plant.step=1 ms", *changes)
@@ -43,6 +47,8 @@ def test_contact_forces_are_the_commanded_ones_at_every_instant(changes):
         plant.step(tau, 1e-3)
         moved = max(moved, np.abs(plant.measure().touched.V_E).max())
     assert moved > 1e-3
+    turns = np.abs(plant.measure().touched.V_E[:, 3:]).max()
+    assert (turns > 1e-2) == (changes in (TURNING, HINGE))
 
 
 def test_a_law_that_ignores_the_face_is_wrong():
@@ -71,9 +77,9 @@ def test_a_cart_obeys_newton():
     acceleration = (path[2:] - 2 * path[1:-1] + path[:-2]) / 1e-6
     speed = (path[2:] - path[:-2]) / 2e-3
     mean = 0.5 * (force[:-2] + force[1:-1])  # held from tick to tick
-    weight = -9.81 * rail.mass * rail.direction[2]
+    weight = -9.81 * rail.inertia * rail.direction[2]
     expected = mean + weight - rail.stiffness * path[1:-1] - rail.damping * speed
-    np.testing.assert_allclose(rail.mass * acceleration, expected, atol=2e-3)
+    np.testing.assert_allclose(rail.inertia * acceleration, expected, atol=2e-3)
     assert np.abs(expected).max() > 0.1
 
 

@@ -14,6 +14,7 @@ from osc_contact.contacts import pairs
 from osc_contact.contacts.pairs.over_time import normals_over
 from osc_contact.control.monitor import ContactMonitor
 from osc_contact.experiments.free_motion import free_part, free_parts
+from osc_contact.experiments.moving_face import FACES
 from osc_contact.experiments.watching import watch_series
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.spatial import Poses, rotations, turned
@@ -57,6 +58,8 @@ def run_plainly(rig):
             "power_total": found.V_O @ (found.f_meas - found.bias_out - found.f_c) + alpha @ speed,
             "power_projected": alpha @ speed, **truth, **lines(rig, truth),
             "motion_error": error(rig, controller, read, truth),
+            "alpha_given_up": np.zeros(len(rig.pushing)) if controller.given_up is None
+            else controller.given_up.force,
         })  # fmt: skip
         drive.step(tau)
     return {name: np.array([tick[name] for tick in ticks]) for name in ticks[0] if name != "E"}
@@ -77,8 +80,7 @@ def judged(plant):
     mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, V, 0)
     E, root_of = [], {}
     for i, rail in enumerate(plant.rails):
-        s = 0.0 if rail is None else float(data.joint(f"face{i}/rail").qpos[0])
-        E.append(WORLD if rail is None else pin.SE3(np.eye(3), s * rail.direction))
+        E.append(WORLD if rail is None else moved(model, data, f"face{i}", rail))
         root_of[int(model.body(f"face{i}/root").id)] = i
 
     def face(geom):
@@ -109,6 +111,18 @@ def judged(plant):
         start += r
     return {"pose": pin.SE3ToXYZQUAT(X), "twist": np.concatenate((V[3:], V[:3])),
             "E": [E[on] for on in plant.on], "alpha_true": alpha, "closed": closed}  # fmt: skip
+
+
+def moved(model, data, body, rail):
+    """Where a slide and the hinge on it have carried a body."""
+    names = {model.joint(j).name for j in range(model.njnt)}
+    s, turn = (
+        float(data.joint(f"{body}/{kind}").qpos[0]) if f"{body}/{kind}" in names else 0.0
+        for kind in ("slide", "hinge")
+    )
+    K = np.cross(np.eye(3), rail.axis)
+    R = np.eye(3) + np.sin(turn) * K + (1.0 - np.cos(turn)) * K @ K
+    return pin.SE3(R, rail.through + s * rail.direction - R @ rail.through)
 
 
 def lines(rig, truth):
@@ -150,11 +164,13 @@ RUNS = {
     "two_contact_rod_mismatch": ("mujoco", 0.06, SOON),
     "two_contact_rod_friction": ("mujoco", 0.006, []),
     "moving_face": ("mujoco", 0.04, []),
+    "moving_face, turned": ("mujoco", 0.02, FACES["turning conveyor"]),
     "moving_face, rigid": ("rigid", 0.006, []),
     "panda_edge": ("mujoco", 0.02, []),
     "ur5_wipe": ("mujoco", 0.02, []),
     "three_arm_plate": ("mujoco", 0.02, []),
     "scara_peg": ("mujoco", 0.02, []),
+    "hinge_ball_rod": ("mujoco", 0.01, []),
 }
 
 

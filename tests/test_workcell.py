@@ -27,11 +27,18 @@ def test_the_workcell_is_real_in_every_respect():
     assert plant.friction == 0.1 and plant.motors is not None and plant.joint_friction > 0.0
     assert scenario.duration >= 60.0
     for contact in scenario.contacts:
-        assert contact.face.motion.signals[0].value == 0.02
+        motion, normal = contact.face.motion, contact.face.normal
+        assert motion.signals[0].value == 0.02
+        assert abs(motion.turn.signals[0].value) == pytest.approx(np.deg2rad(5.0))
+        assert abs(np.dot(motion.turn.axis, normal)) < 1e-5  # the normal turns by all of it
 
 
-#: Both faces move 20 mm at once, as soon as contact is made.
-SOON = [f"contacts.{side}_end.face.motion.signals.0.start=0.8 s" for side in ("left", "right")]
+#: Both faces move 20 mm and turn by 5° at once, as soon as contact is made.
+SOON = [
+    f"contacts.{side}_end.face.motion.{moved}signals.0.start=0.8 s"
+    for side in ("left", "right")
+    for moved in ("", "turn.")
+]
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +55,9 @@ def test_forces_survive_everything_while_the_faces_move(everything):
     assert verdict["status"]["held"] == 0
     travel = everything["face_pose"][-1, :, :3] - everything["face_pose"][0, :, :3]
     np.testing.assert_allclose(np.linalg.norm(travel, axis=1), 0.02, rtol=1e-3)
+    first, last = everything["face_pose"][[0, -1], :, 3:]
+    cosine = np.abs(np.sum(first * last, axis=1))  # of half the angle between quaternions
+    np.testing.assert_allclose(2 * np.arccos(cosine), np.deg2rad(5.0), rtol=1e-3)
 
 
 def test_the_monitor_raises_no_false_alarm(everything):

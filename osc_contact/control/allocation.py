@@ -10,7 +10,13 @@ from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.errors import ModelError
 from osc_contact.spatial import Array
 
-__all__ = ["Allocation", "squeeze_rows"]
+__all__ = ["Allocation", "effort_scale", "squeeze_response", "squeeze_rows"]
+
+
+def effort_scale(tau_max: Array) -> Array:
+    """(n_a,) what torques are measured by: τ_max, for motors without limit the largest of them."""
+    finite = np.isfinite(tau_max)
+    return np.where(finite, tau_max, tau_max[finite].max() if finite.any() else 1.0)
 
 
 def squeeze_rows(state: ChainState, chain: ClosedChain, eta_dot: Array) -> tuple[Array, Array]:
@@ -26,11 +32,9 @@ def squeeze_rows(state: ChainState, chain: ClosedChain, eta_dot: Array) -> tuple
     n_a = chain.n_a
     if len(chain.arms) != 2:
         return np.zeros((0, n_a)), np.zeros(0)
-    line = state.grasp_points[1] - state.grasp_points[0]
-    length = float(np.linalg.norm(line))
-    if length < 1e-9:
+    e = _grasp_line(state)
+    if not e.any():
         return np.zeros((0, n_a)), np.zeros(0)
-    e = np.concatenate((line / length, np.zeros(3)))
     qdd = state.W @ eta_dot + state.w
     E = np.zeros(chain.nq)
     offset = 0.0
@@ -39,6 +43,24 @@ def squeeze_rows(state: ChainState, chain: ClosedChain, eta_dot: Array) -> tuple
         E[s] = lever
         offset += lever @ (state.h[s] + arm.M @ qdd[s])
     return E[None, chain.actuated], np.array([offset])
+
+
+def squeeze_response(state: ChainState, chain: ClosedChain) -> tuple[Array, Array]:
+    """(E, c) with δsqueeze = E δτ − c δη̇: (s, n_a) as in `squeeze_rows`, (s, d)."""
+    E, _ = squeeze_rows(state, chain, np.zeros(state.d))
+    lever = np.zeros((len(E), chain.nq))
+    if len(E):
+        e = _grasp_line(state)
+        for sign, s, arm in zip((0.5, -0.5), chain.slices, state.arms, strict=True):
+            lever[0, s] = sign * (arm.J_bar @ e)
+    return E, lever @ state.M @ state.W
+
+
+def _grasp_line(state: ChainState) -> Array:
+    """(6,) unit translation from the first grasp to the second; zero if they coincide."""
+    line = state.grasp_points[1] - state.grasp_points[0]
+    length = float(np.linalg.norm(line))
+    return np.concatenate((line / length, np.zeros(3))) if length >= 1e-9 else np.zeros(6)
 
 
 @dataclass(frozen=True)
@@ -61,11 +83,12 @@ class Allocation:
     damping: float = 10.0
 
     def __post_init__(self) -> None:
-        for arm in self.chain.arms:
-            if arm.model.nv > 6 and arm.passive_joints:
+        for arm, grasp in zip(self.chain.arms, self.chain.grasps, strict=True):
+            if arm.model.nv > grasp.N.shape[1] and arm.passive_joints:
                 raise ModelError(
                     f"arm '{arm.name}' has {arm.model.nv} joints, {len(arm.passive_joints)} of "
-                    "them passive: posture torques for redundant arms need a motor in every joint"
+                    f"them passive, to move the object in {grasp.N.shape[1]} ways: posture torques "
+                    "for redundant arms need a motor in every joint"
                 )
 
     def torques(
@@ -103,12 +126,12 @@ class Allocation:
         chain = self.chain
         full = np.zeros((chain.nq, chain.nq))
         limits = np.ones(chain.nq)
-        limits[chain.actuated] = np.where(np.isfinite(chain.tau_max), chain.tau_max, 1.0)
+        limits[chain.actuated] = effort_scale(chain.tau_max)
         for s, arm in zip(chain.slices, state.arms, strict=True):
             square = np.diag(limits[s] ** 2)
-            if arm.J.shape[1] > 6:
-                JR = arm.J / limits[s] ** 2
-                square = arm.J.T @ np.linalg.solve(JR @ arm.J.T, arm.J)
+            if arm.J.shape[1] > arm.N.shape[1]:
+                J = arm.N.T @ arm.J
+                square = J.T @ np.linalg.solve((J / limits[s] ** 2) @ J.T, J)
             full[s, s] = square
         return full[np.ix_(chain.actuated, chain.actuated)]
 
@@ -116,7 +139,7 @@ class Allocation:
         chain = self.chain
         full = np.zeros(chain.nq)
         for s, arm in zip(chain.slices, state.arms, strict=True):
-            if arm.J.shape[1] > 6:
+            if arm.J.shape[1] > arm.N.shape[1]:
                 pull = self.stiffness * (self.posture[s] - q[s]) - self.damping * v[s]
                 tau_0 = state.h[s] + arm.M @ pull
                 full[s] = tau_0 - arm.J.T @ (arm.J_bar.T @ tau_0)

@@ -24,7 +24,7 @@ class Status(IntEnum):
     """How a tick ended. Anything but OK leaves a torque within limits and a reason to read."""
 
     OK = 0
-    SATURATED = 1  #: a motor limit was reached: torques were scaled, integrators held
+    SATURATED = 1  #: a motor limit was reached: `given_up` says at what cost
     HELD = 2  #: bad measurement or degenerate posture: the last good torques were repeated
 
 
@@ -99,11 +99,8 @@ def independent(alpha_d: Array, contact: Contact) -> Array:
 def limited(tau: Array, chain: ClosedChain) -> tuple[Array, str]:
     """All torques scaled by one factor until every motor is within its limit, and why if they were.
 
-    Raises:
-        InvalidInputError: they are not finite.
+    For control laws put in place of ours; `effort_limits` knows ours and keeps it decoupled.
     """
-    if not np.isfinite(tau).all():
-        raise InvalidInputError(f"computed torques are not finite: {tau}")
     share = np.abs(tau) / chain.tau_max
     excess = float(np.max(share, initial=0.0))
     if excess <= 1.0:

@@ -14,8 +14,12 @@ import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.control.compiling import announced
+from osc_contact.control.effort_limits import GivenUp, relieve
 from osc_contact.control.found import Found
 from osc_contact.control.pack import pack
+from osc_contact.control.saturated import saturated
+from osc_contact.dynamics.assembly import object_pose
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import OscContactError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.kernels import layout as at
@@ -24,7 +28,7 @@ from osc_contact.spatial import Array
 if TYPE_CHECKING:
     from osc_contact.control.controller import Controller
 
-__all__ = ["Before", "CompiledTick"]
+__all__ = ["Before", "CompiledTick", "compilable"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,21 @@ class Before:
 
 #: What the border refuses: wrong sizes or types of what comes in. The readable path says why.
 _REFUSED = (TypeError, ValueError, AttributeError, OscContactError)
+
+
+def compilable(chain: ClosedChain) -> bool:
+    """Whether the kernels know the grasps: rigid, hinge and ball, these with rigid grippers.
+
+    A gripper with joints beyond the wrist sensor can move without the object in ways that its
+    reading does not tell apart.
+    """
+    for grasp, links, tip in zip(chain.grasps, chain.outboard, chain.tips, strict=True):
+        last = chain.model.frames[tip].parentJoint
+        if grasp.kind == "other" or (
+            not grasp.is_rigid and any(link.joint != last for link in links)
+        ):
+            return False
+    return True
 
 
 class CompiledTick:
@@ -72,6 +91,7 @@ class CompiledTick:
             if body is not None and self._arrays[at.BODIES_I][c].tolist() == [at.ELSEWHERE, c]
         ]
         self._elsewhere = bool(self._pairs.elsewhere or self._bodies)
+        self._led = self._located = controller.chain.leader is not None
         self._crba, self._kernel = pin.crba, _kernel()
         self._load()
 
@@ -85,6 +105,8 @@ class CompiledTick:
                 self._move(touched)
             if self._elsewhere and engaged and not self._evaluate(measurement):
                 return at.ASK
+            if not self._located:
+                self._locate(q)
             code: int = self._kernel(
                 self._bound, q, measurement.v, measurement.wrenches, reference.X_WD.homogeneous,
                 reference.V_D, reference.A_D, reference.alpha_d, reference.squeeze_d, engaged,
@@ -92,7 +114,13 @@ class CompiledTick:
             )  # fmt: skip
         except _REFUSED:
             return at.ASK
+        self._located = self._led or code & 3 != at.ASK
         return code & 3
+
+    def _locate(self, q: Array) -> None:
+        """Tell the kernel where the object is; from then on it finds that itself, tick by tick."""
+        X_WO = object_pose(self._controller.chain, q)
+        self._arrays[at.SIGNALS][at.X_WO : at.X_WO + 16] = X_WO.homogeneous.ravel()
 
     def bare_call(
         self, measurement: Measurement, reference: Reference, engaged: bool
@@ -107,13 +135,22 @@ class CompiledTick:
 
     # --- what a tick found ---------------------------------------------------------------------
 
-    def limit_reached(self) -> str:
-        """Which motor the last tick wanted too much of, and how much."""
-        chain = self._controller.chain
-        excess = float(self._arrays[at.SIGNALS][at.EXCESS])
-        motor = int(np.argmax(np.abs(self.tau) / chain.tau_max))
-        name = chain.joint_names[chain.actuated[motor]]
-        return f"{name}: {self.tau[motor] * excess:.4g} of ±{chain.tau_max[motor]:.4g} wanted"
+    def relieve(self) -> GivenUp:
+        """Torques within the limits after SATURATED; the integrals move on without what they lack.
+
+        Raises:
+            SolverError: there are none; then nothing has changed.
+        """
+        controller, arrays = self._controller, self._arrays
+        wanted, R, S = saturated(arrays, controller.limits)
+        relief = relieve(wanted)
+        r, next_sum = len(wanted.alpha), arrays[at.SIGNALS][at.FORCE_SUM_NEXT :]
+        controller.force_law.integral = next_sum[:r]
+        controller.force_law.forgo(relief.force)
+        self.tau[:] = relief.tau
+        if len(relief.squeeze):
+            arrays[at.SIGNALS][at.SQUEEZE] -= relief.squeeze[0]
+        return controller.limits.given_up(wanted, relief, R, S @ relief.motion)
 
     def inputs(self) -> tuple[Measurement, Reference, Before]:
         """What the last computed tick was given, and what it began with."""
@@ -175,9 +212,12 @@ class CompiledTick:
         Returns False where the columns of a pair are dependent at this instant.
         """
         chain = self._controller.chain
-        frame = self._model.frames[chain.tips[0]]
-        X_WO = self._data.oMi[frame.parentJoint] * frame.placement * chain.grasps[0]
-        s = chain.slices[0]
+        if chain.leader is None:
+            return False  # only the readable path tells where the object is before the kernel
+        frame = self._model.frames[chain.tips[chain.leader]]
+        X_TO = chain.grasps[chain.leader].X_TO
+        X_WO = self._data.oMi[frame.parentJoint] * frame.placement * X_TO
+        s = chain.slices[chain.leader]
         V = self._data.J[:, s] @ measurement.v[s]
         V[:3] += np.cross(V[3:], X_WO.translation)
         touched = measurement.touched

@@ -22,6 +22,7 @@ from osc_contact.control.command_filter import (
     generalised_force,
     object_coordinates,
 )
+from osc_contact.control.effort_limits import EffortLimits, GivenUp, relieve
 from osc_contact.control.force import (
     ForceGains,
     ForceLaw,
@@ -59,6 +60,7 @@ class Controller:
 
     Attributes:
         signals: every wire of the last tick. status, reason: how it ended.
+        given_up: what motor limits cost in the last tick; None: nothing.
         engaged: whether the contacts are part of the model; False treats the object as free.
         f_tare: (6,) constant error of the wrist readings at O, removed from each.
         f_bias: (6,) constant wrench added to the command, learnt before contact.
@@ -95,7 +97,8 @@ class Controller:
             engaged: start in contact.
             compiled: run on the kernels, some hundred times faster; False: on the readable path
                 below, which gives the same torques. The first controller ever made on a machine
-                compiles them. Friction is compensated on the readable path only.
+                compiles them. Friction, and grasps that `compiled.compilable` does not know, are
+                for the readable path only.
             friction: what is believed of the contacts' friction; None: nothing.
 
         Raises:
@@ -114,26 +117,27 @@ class Controller:
         self.force_law = ForceLaw(gains.force, dt)
         rest = np.zeros(chain.nq) if posture is None else np.asarray(posture, dtype=float)
         self.allocation = Allocation(chain, rest)
+        self.limits = EffortLimits(chain, self.contacts)
+        self.given_up: GivenUp | None = None
         self._tare, self._bias = np.zeros(6), np.zeros(6)
         self.signals = Signals()
         self._looked = True  # whether `signals` must be emptied by the next compiled tick
         self._by_twin = True  # whether the readable path computed the last tick
         self.status = Status.OK
-        self._reason: str | None = ""  # None: a motor limit, said when somebody asks
+        self._reason = ""
         self._last_tau: Array = np.zeros(chain.n_a)
         self._fast: CompiledTick | None = None
         if compiled and friction is None:
-            from osc_contact.control.compiled import CompiledTick
+            from osc_contact.control.compiled import CompiledTick, compilable
 
-            self._fast = fast = CompiledTick(self)
-            self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
+            if compilable(chain):
+                self._fast = fast = CompiledTick(self)
+                self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
 
     @property
     def reason(self) -> str:
         """Why `status` is not OK; empty if it is."""
-        if self._reason is None and self._fast is not None:
-            self._reason = self._fast.limit_reached()
-        return self._reason or ""
+        return self._reason or str(self.given_up or "")
 
     @property
     def f_tare(self) -> Array:
@@ -167,7 +171,9 @@ class Controller:
                     self._looked = self._by_twin = False
                     self.signals.__dict__.clear()
                     self.signals.__dict__["_fill"] = self._fill_signals
-                self.status, self._reason = _STATUS[code]
+                self.status, self._reason, self.given_up = Status.OK, "", None
+                if code == _SATURATED:
+                    self._saturated()
                 return self._last_tau.copy()
         return self._readable_tick(measurement, reference)
 
@@ -179,15 +185,26 @@ class Controller:
             self._take_in(measurement, reference, s)
             for stage in self.STAGES:
                 stage(self, s)
-            self._last_tau[:] = self._limited(s.tau)
+            self._last_tau[:] = self._limited(s, *before)
             self.signals.__dict__.clear()
             self.signals.__dict__.update(s.__dict__)
             self._looked = self._by_twin = True
         except (OscContactError, np.linalg.LinAlgError) as error:
-            self.status, self._reason = Status.HELD, str(error)
-        if self.status is not Status.OK:
+            self._hold(error)
             self.motion_law.integral, self.force_law.integral = before
         return self._last_tau.copy()
+
+    def _saturated(self) -> None:
+        """What the kernels want of the motors is too much."""
+        assert self._fast is not None
+        try:
+            self.given_up = self._fast.relieve()
+            self.status = Status.SATURATED
+        except OscContactError as error:
+            self._hold(error)
+
+    def _hold(self, error: Exception) -> None:
+        self.status, self._reason, self.given_up = Status.HELD, str(error), None
 
     def _fill_signals(self) -> None:
         """The wires of the last compiled tick, by the readable path."""
@@ -195,7 +212,7 @@ class Controller:
         measurement, reference, then = self._fast.inputs()
         motion, force = self.motion_law, self.force_law
         now = (motion.integral, force.integral, self._tare, self._bias)
-        how = (self.engaged, self.status, self._reason)
+        how = (self.engaged, self.status, self._reason, self.given_up)
         s = Signals()
         try:
             motion.integral, force.integral = then.error_sum, then.force_sum
@@ -205,7 +222,7 @@ class Controller:
                 stage(self, s)
         finally:
             motion.integral, force.integral, self._tare, self._bias = now
-            self.engaged, self.status, self._reason = how
+            self.engaged, self.status, self._reason, self.given_up = how
         self.signals.__dict__.update(s.__dict__)
         self._looked = True
 
@@ -314,7 +331,7 @@ class Controller:
                 if body not in of_body:
                     of_body[body] = body.environment(pin.SE3(matrix), V, A, O)
                 answers.append(of_body[body])
-        s.environment = Environment.combine(parts, answers, s.state.metric)
+        s.environment = Environment.combine(parts, answers, s.state.metric, s.drag)
 
     @block("sum of wrist sensors", "force", r"$\Sigma$ at $O$")
     def _sense(self, s: Signals) -> None:
@@ -347,7 +364,7 @@ class Controller:
     def _motion_filter(self, s: Signals) -> None:
         eta_u = object_coordinates(s.state, s.contact, s.a_u)
         s.eta_c = filtered_motion(
-            s.state, s.contact, eta_u, s.alpha_u, self._metric(s.state), s.environment
+            s.state, s.contact, eta_u, s.alpha_u, self._metric(s.state), s.environment, s.drag
         )
 
     @block("dynamic control structure", "filter", r"$\Lambda_S\dot\eta_c+b_S+S^Tf_{ccomm}$  (21)")
@@ -399,7 +416,7 @@ class Controller:
         return blocks
 
     def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
-        self.status, self._reason = Status.OK, ""
+        self.status, self._reason, self.given_up = Status.OK, "", None
         take_in(measurement, reference, s, len(self.chain.arms), len(self.contacts))
 
     def _metric(self, state: ChainState) -> Array:
@@ -410,15 +427,28 @@ class Controller:
             return np.asarray(np.linalg.inv(inertia))
         return self.B
 
-    def _limited(self, tau: Array) -> Array:
-        tau, reason = limited(tau, self.chain)
-        if reason:
-            self.status, self._reason = Status.SATURATED, reason
-        return tau
+    def _limited(self, s: Signals, motion: Array, force: Array) -> Array:
+        """The torques, or those within the limits that lose least, which nobody integrates.
+
+        Args:
+            s: with `tau`. motion, force: the integrals before this tick.
+        """
+        if self.limits.kept(s.tau):
+            return s.tau
+        self.status, self.motion_law.integral = Status.SATURATED, motion
+        if self.restaged:
+            self.force_law.integral = force
+            tau, self._reason = limited(s.tau, self.chain)
+            return tau
+        wanted = self.limits.response(s)
+        relief = relieve(wanted)
+        self.force_law.forgo(relief.force)
+        lost = s.state.S @ relief.motion
+        self.given_up = self.limits.given_up(wanted, relief, s.contact.R, lost)
+        return relief.tau
 
 
 _STAGES = Controller.STAGES  #: what the kernels compute; others are read box by box
-_STATUS = ((Status.OK, ""), (Status.SATURATED, None))
-_ASK = 2  #: the kernels' answer where the readable path must decide
+_SATURATED, _ASK = 1, 2  #: the kernels' answer where the readable path must decide
 _AT_REST = Environment.fixed()
 _STILL = np.zeros(6)

@@ -16,13 +16,17 @@ __all__ = ["ForceGains", "ForceLaw", "sum_of_wrenches", "contact_force", "magnit
 
 
 def sum_of_wrenches(wrenches: Array, state: ChainState) -> Array:
-    """f_meas (6,): all wrist readings (arms, 6) turned to world axes and carried to O."""
+    """f_meas (6,): all wrist readings (arms, 6) turned to world axes and carried to O.
+
+    Of a gripper that can move without the object, `state.filters` first takes out its own motion.
+    """
     total = np.zeros(6)
-    for reading, X_WS in zip(wrenches, state.sensors, strict=True):
+    for reading, X_WS, F in zip(wrenches, state.sensors, state.filters, strict=True):
         if X_WS is not None:
             R = X_WS.rotation
             world = np.concatenate((R @ reading[:3], R @ reading[3:]))
-            total += carry_wrench(world, X_WS.translation, state.X_WO.translation)
+            at_O = carry_wrench(world, X_WS.translation, state.X_WO.translation)
+            total += at_O if F is None else F @ at_O
     return total
 
 
@@ -49,9 +53,33 @@ def contact_force(
         state, contact, environment: at this instant.
     """
     N = contact.N
+    if state.d < 6 and not state.payload.Lambda.any():
+        return _of_the_tip(f_meas, state, contact, environment, drag)
     Phi_N = np.linalg.solve(state.Lambda_out.T, N)  # Λ_out⁻ᵀN
-    D = (Phi_N.T + N.T @ environment.Phi_e) @ (N + drag)
+    D = Phi_N.T @ (N + drag) + environment.yielding(N, drag)
     seen = Phi_N.T @ (f_meas - state.bias_out) - contact.n_gamma - N.T @ environment.b_e
+    return N @ np.linalg.solve(D, seen)
+
+
+def _of_the_tip(
+    f_meas: Array,
+    state: ChainState,
+    contact: Contact,
+    environment: Environment,
+    drag: Array | float,
+) -> Array:
+    """The same where nothing is held and the tip cannot make every motion: Λ_out is singular.
+
+    Sensors see the tip in its motions S only: S(SᵀΛ_outS)⁻¹Sᵀ and σ take the place of Λ_out⁻¹.
+    """
+    N, S = contact.N, state.S
+    f = f_meas - state.bias_out - state.Lambda_out @ state.sigma
+    if not state.Lambda_out.any():  # nothing beyond the sensors: they read f_c itself
+        Phi_N = np.linalg.solve(state.metric, N)
+        return N @ np.linalg.solve(Phi_N.T @ (N + drag), Phi_N.T @ f)
+    Phi_out = S @ np.linalg.solve(S.T @ state.Lambda_out @ S, S.T)
+    D = N.T @ (Phi_out + environment.Phi_e) @ (N + drag)
+    seen = N.T @ (Phi_out @ f + state.sigma - environment.b_e) - contact.n_gamma
     return N @ np.linalg.solve(D, seen)
 
 
@@ -113,3 +141,7 @@ class ForceLaw:
             self.integral = np.zeros(len(alpha_d))
         self.integral = self.integral + self.gains.integral * self.dt * (alpha_d - alpha_meas)
         return alpha_d + self.integral - self.gains.damping * normal_speed
+
+    def forgo(self, lost: Array) -> None:
+        """Take back what the last `command` integrated of forces (r,) that will not come."""
+        self.integral = self.integral - self.gains.integral * self.dt * lost

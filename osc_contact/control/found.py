@@ -60,6 +60,9 @@ class Found:
         error = pose_error(s.reference.X_WD, state.X_WO)
         Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
         E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
+        squeeze = E @ tau - e0 if len(e0) else np.zeros(1)
+        if controller.given_up is not None and len(e0):
+            squeeze = s.squeeze_d - controller.given_up.squeeze
         return cls(
             J=controller.chain.data.J.T,
             f_meas=s.f_meas,
@@ -69,7 +72,7 @@ class Found:
             X_WO=state.X_WO.homogeneous,
             error=error,
             free_error=Omega_m @ error,
-            squeeze=E @ tau - e0 if len(e0) else np.zeros(1),
+            squeeze=squeeze,
             magnitudes=s.alpha_meas,
             speeds=s.contact.N.T @ (state.V_O - s.environment.V_e),
             rank=np.array([len(s.alpha_meas)]),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.control.allocation import effort_scale
 from osc_contact.control.pack_pairs import PackedPairs
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Cart, Conveyor
@@ -35,6 +36,7 @@ def pack(
         at.SIZES: _sizes(controller, pairs),
         at.HEAD: _head(controller),
         **_chain(controller.chain, controller.allocation.posture),
+        **_grasps(controller.chain),
         **_contacts(controller, pairs),
         **_live(data),
         **_scratch(controller.chain, pairs.r_all),
@@ -54,6 +56,8 @@ def _sizes(controller: Controller, pairs: PackedPairs) -> Array:
     sizes[0, at.HELD] = chain.payload is not None
     kinds = {"object": at.BY_OBJECT, "chain": at.BY_CHAIN}
     sizes[0, at.METRIC_KIND] = kinds[B] if isinstance(B, str) else at.BY_MATRIX
+    sizes[0, at.SLIPPING] = not all(grasp.is_rigid for grasp in chain.grasps)
+    sizes[0, at.LEADER] = -1 if chain.leader is None else chain.leader
     return sizes
 
 
@@ -66,7 +70,10 @@ def _head(controller: Controller) -> Array:
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     head[at.PRINCIPAL : at.PRINCIPAL + 4] = body.mass, *moments
     head[at.ROOTS : at.ROOTS + 4] = np.sqrt(head[at.PRINCIPAL : at.PRINCIPAL + 4])
-    X_JO = chain.model.frames[chain.tips[0]].placement * chain.grasps[0]
+    X_JO = pin.SE3.Identity()  # without a leader: in the object's own frame
+    if chain.leader is not None:
+        lead = chain.leader
+        X_JO = chain.model.frames[chain.tips[lead]].placement * chain.grasps[lead].X_TO
     for start, X in ((at.X_JO, X_JO), (at.X_JP, X_JO * pin.SE3(axes, body.lever))):
         head[start : start + 12] = *X.rotation.ravel(), *X.translation
     head[at.TOLERANCE] = chain.rank_tolerance
@@ -82,7 +89,7 @@ def _chain(chain: ClosedChain, posture: Array) -> Arrays:
     model, n, k = chain.model, chain.nq, len(chain.arms)
     arms_i, joints_i = np.zeros((k, 4), dtype=np.int64), np.zeros((n, 2), dtype=np.int64)
     arms, joints = np.zeros((k, 16)), np.zeros((n, 24))
-    limits = np.where(np.isfinite(chain.tau_max), chain.tau_max, 1.0)
+    limits = effort_scale(chain.tau_max)
     joints_i[:, 1] = -1
     joints_i[chain.actuated, 1] = np.arange(chain.n_a)
     joints[chain.actuated, 20], joints[chain.actuated, 21] = limits**2, 1.0 / limits**2
@@ -102,6 +109,21 @@ def _chain(chain: ClosedChain, posture: Array) -> Arrays:
             joints[j, 10:20] = _flat(link.inertia)
             joints_i[j, 0] = 1 if np.array_equal(joints[j, 10:20], joints[j, :10]) else 2
     return {at.ARMS_I: arms_i, at.JOINTS_I: joints_i, at.ARMS: arms, at.JOINTS: joints}
+
+
+def _grasps(chain: ClosedChain) -> Arrays:
+    k = len(chain.arms)
+    kinds, tables = np.zeros((k, 4), dtype=np.int64), np.zeros((k, 64))
+    numbers = {"rigid": at.RIGID, "hinge": at.HINGE, "ball": at.BALL}
+    for i, grasp in enumerate(chain.grasps):
+        kinds[i, 0], kinds[i, 1] = grasp.N.shape[1], numbers[grasp.kind]
+        kinds[i, 2] = not grasp.is_rigid and len(chain.outboard[i]) > 0
+        placement, X_OT = chain.model.frames[chain.tips[i]].placement, grasp.X_TO.inverse()
+        axis = grasp.T[3:, 0] if grasp.kind == "hinge" else np.zeros(3)
+        tables[i, :12] = *placement.rotation.ravel(), *placement.translation
+        tables[i, 12:48] = np.hstack((grasp.N, grasp.T)).T.ravel()
+        tables[i, 48:57] = *X_OT.translation, *(X_OT.rotation @ axis), *axis
+    return {at.GRASPS_I: kinds, at.GRASPS: tables}
 
 
 def _contacts(controller: Controller, pairs: PackedPairs) -> Arrays:
@@ -158,6 +180,7 @@ def _scratch(chain: ClosedChain, r_all: int) -> Arrays:
         at.LOCKED: (6 * k + 1, 7), at.LINKS: (n + 1, 10), at.TRIANGLE: (10, 10),
         at.HOUSEHOLDER: (10, 20), at.Q_FACTOR: (10, 10), at.CONTACT_ROWS: (5, columns, 6),
         at.SHARE: (6, columns), at.AXES: (4, 3, 3), at.JOINT_VECTORS: (2, n),
+        at.TIPS: (k, 4, 3), at.PASSED: (k, 6, 6), at.FILTERS: (k, 6, 6),
         at.ANSWERS: (r_all + 1, 48), at.INPUTS: (inputs,), at.STACK_Q: (10, 10), at.WIDE: (16,),
     }  # fmt: skip
     arrays = {row: np.zeros(shape) for row, shape in shapes.items()}

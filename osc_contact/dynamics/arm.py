@@ -51,6 +51,7 @@ class Arm:
         wrist_sensor: str | None = None,
         locked: Mapping[str, float] | None = None,
         mass_factor: float = 1.0,
+        effort_factor: float = 1.0,
     ) -> Arm:
         """Load an arm; joints that do not move the tip (fingers) are locked where they stand.
 
@@ -64,6 +65,7 @@ class Arm:
             wrist_sensor: frame of the wrist force/torque sensor.
             locked: positions of joints to hold fixed (m, rad); others off the path use neutral.
             mass_factor: multiplies every link mass and inertia (to study model error).
+            effort_factor: multiplies every effort limit (to study weak motors).
 
         Raises:
             ModelError: unreadable or impossible URDF, unknown frame or joint, no moving joint.
@@ -80,6 +82,10 @@ class Arm:
             robots.frame_id(model, wrist_sensor)
         if mass_factor != 1.0:
             model = _with_masses_scaled(model, mass_factor)
+        if effort_factor != 1.0:
+            model = model.copy()
+            model.upperEffortLimit = model.upperEffortLimit * effort_factor
+            model.lowerEffortLimit = model.lowerEffortLimit * effort_factor
         X_WB = pin.SE3.Identity() if base is None else base
         still = {j: held.get(j, 0.0) for j in every_joint if j not in list(model.names)}
         return cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor, still)
@@ -149,22 +155,34 @@ class ArmTerms:
     on range(J): the arm is a *structural constraint* with wrenches C in the other directions.
     Which generalised inverse extends them is irrelevant: they are only used as Λ(a − γ) with
     a − γ in range(J), and through Sᵀ with S in range(J).
+
+    A grasp that permits motions, with wrenches N, puts NᵀJ in place of J: Λ = NΨNᵀ with
+    Ψ = (NᵀΦN)⁺, J̄ = M⁻¹JᵀΛ, and C, γ such that Cᵀ(a − γ) = 0 still holds for the *object*.
     """
 
     J: Array  #: (6, n) Jacobian
-    gamma: Array  #: (6,) spatial drift: acceleration of the tip at q̈ = 0
+    gamma: Array  #: (6,) spatial drift: acceleration of the object at q̈ = 0, as far as N sees it
     M: Array  #: (n, n) joint-space inertia
     Phi: Array  #: (6, 6) inverse inertia J M⁻¹ Jᵀ, rank ≤ n
     Lambda: Array  #: (6, 6) inertia Φ⁺ on range(J)
     J_bar: Array  #: (n, 6) dynamically consistent inverse M⁻¹JᵀΛ
     mu: Array  #: (6,) velocity-product wrench J̄ᵀ C v − Λ γ
     p: Array  #: (6,) gravity wrench J̄ᵀ g
-    C: Array  #: (6, 6−rank) wrenches the arm's structure resists: CᵀJ = 0
-    mobility: Array  #: (min(n, 6),) singular values, √(object inertia / arm inertia), descending
+    C: Array  #: (6, m−rank) wrenches the arm's structure resists: CᵀJ = 0, C in range(N)
+    mobility: Array  #: singular values of √(object inertia / arm inertia), descending
+    N: Array  #: (6, 6) identity for a rigid grasp, else (6, rank) the wrenches it can exert
+    rank: int  #: motions of the object, as far as N sees them, that the joints can make
 
 
 def arm_terms(
-    J: Array, gamma: Array, M: Array, h: Array, g: Array, L: Array, tolerance: float
+    J: Array,
+    gamma: Array,
+    M: Array,
+    h: Array,
+    g: Array,
+    L: Array,
+    tolerance: float,
+    N: Array | None = None,
 ) -> ArmTerms:
     """Φ, Λ, J̄, μ, p and C of one arm from what Pinocchio supplies (eq. 13).
 
@@ -173,15 +191,21 @@ def arm_terms(
 
     Args:
         J: (6, n) tip Jacobian carried to the operational point.
-        gamma: (6,) spatial drift there.
+        gamma: (6,) spatial drift there, that of the object's slip in the grasp included.
         M, h, g: (n, n), (n,), (n,) joint inertia, nonlinear effects C v + g, gravity.
         L: (6, 6) lower Cholesky factor of the object's inertia.
         tolerance: a direction counts as locked when the arm's apparent inertia in it exceeds the
             object's by 1/tolerance².
+        N: (6, m) wrenches that the grasp passes on; None: all.
     """
     K = np.linalg.cholesky(M)
     A = L.T @ np.linalg.solve(K, J.T).T
-    U, s, Vh = np.linalg.svd(A, full_matrices=True)
+    if N is None:
+        U, s, Vh = np.linalg.svd(A, full_matrices=True)
+    else:
+        passed, _ = np.linalg.qr(np.linalg.solve(L, N))
+        U, s, Vh = np.linalg.svd(passed.T @ A, full_matrices=True)
+        U = passed @ U
     rank = int(np.count_nonzero(s > tolerance))
     # J̄ = M⁻¹JᵀΛ = K⁻ᵀ A⁺ Lᵀ
     J_bar = np.linalg.solve(K.T, (Vh[:rank].T / s[:rank]) @ (L @ U[:, :rank]).T)
@@ -198,4 +222,6 @@ def arm_terms(
         p=J_bar.T @ g,
         C=L @ U[:, rank:],
         mobility=s,
+        N=np.eye(6) if N is None else L @ U[:, :rank],
+        rank=rank,
     )

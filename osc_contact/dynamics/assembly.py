@@ -2,25 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.held_object import moved
 from osc_contact.dynamics.outboard import columns_at
 from osc_contact.errors import ModelError
 from osc_contact.spatial import Array, pose_error
 
-__all__ = ["Gaps", "close", "constraint_rows", "inverse_rows", "object_pose", "reach"]
+__all__ = [
+    "Gaps",
+    "close",
+    "closed",
+    "constraint_rows",
+    "inertia_of",
+    "inverse_rows",
+    "object_columns",
+    "object_pose",
+    "reach",
+    "row_groups",
+]
 
 #: Gaps (r,) and N (6, r) at a pose of the object: a gap closes as the object moves along N.
 Gaps = Callable[[pin.SE3], tuple[Array, Array]]
 
 
 def object_pose(chain: ClosedChain, q: Array) -> pin.SE3:
-    """Pose of the object according to the first arm."""
-    return _poses(chain, q)[0]
+    """Pose of the object when the joints stand at q.
+
+    Raises:
+        ModelError: they do not tell it.
+    """
+    pin.forwardKinematics(chain.model, chain.data, q)
+    return chain.object_pose()
 
 
 def reach(chain: ClosedChain, q: Array, X_WO: pin.SE3, tolerance: float = 1e-6) -> Array:
@@ -74,51 +91,120 @@ def close(
     Raises:
         ModelError: the loops and contacts cannot be met together from here.
     """
-    q = np.array(q, dtype=float)
+    return closed(chain, q, None, gaps, tolerance, max_steps)[0]
+
+
+def closed(
+    chain: ClosedChain,
+    q: Array,
+    X_WO: pin.SE3 | None = None,
+    gaps: Gaps | None = None,
+    tolerance: float = 1e-13,
+    max_steps: int = 30,
+) -> tuple[Array, pin.SE3]:
+    """`close` with the object's pose: where no arm holds it rigidly, it finds its own place.
+
+    Args:
+        chain, q, gaps, tolerance, max_steps: as for `close`.
+        X_WO: where the object is at first, if no arm tells; None: where the joints say.
+
+    Raises:
+        ModelError: as `close`; or the joints do not tell the pose, and it is not given.
+    """
+    q, X = np.array(q, dtype=float), X_WO
     error = np.zeros(0)
     for _ in range(max_steps):
         pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
-        poses = _poses(chain, q, fresh=True)
-        loops = [pose_error(poses[0], X) for X in poses[1:]]
-        gap, N = gaps(poses[0]) if gaps is not None else (np.zeros(0), np.zeros((6, 0)))
-        error = np.concatenate([*loops, gap])
+        if X is None or chain.leader is not None:
+            X = chain.object_pose()
+        gap, N = gaps(X) if gaps is not None else (np.zeros(0), np.zeros((6, 0)))
+        error = np.concatenate([*_loop_errors(chain, X), gap])
         if np.abs(error).max(initial=0.0) <= tolerance:
-            return q
-        A = constraint_rows(chain, poses[0].translation, N)
-        q = q - inverse_rows(A, chain.data.M, len(loops))[0] @ error
+            return q, X
+        A = constraint_rows(chain, X.translation, N)
+        step = inverse_rows(A, inertia_of(chain, X), row_groups(chain))[0] @ error
+        q = q - step[: chain.nq]
+        if chain.leader is None:
+            X = moved(X, -step[chain.nq :])
     if np.abs(error).max() <= 100 * tolerance:
-        return q
+        assert X is not None
+        return q, X
     raise ModelError(
         f"the loops and contacts do not close: the largest error left is {np.abs(error).max():.3g} "
         "(m or rad). Start the object nearer to the contacts, or check grasps and faces."
     )
 
 
+def _loop_errors(chain: ClosedChain, X_WO: pin.SE3) -> list[Array]:
+    """What each arm but the leader misses the object by (m, rad), as `constraint_rows` has it."""
+    held = enumerate(zip(chain.grasps, chain.tip_poses(), strict=True))
+    return [
+        pose_error(X_WO, tip * grasp.X_TO) if grasp.is_rigid else grasp.miss(tip, X_WO)
+        for i, (grasp, tip) in held
+        if i != chain.leader
+    ]
+
+
+def object_columns(chain: ClosedChain, J: Array) -> Array:
+    """(6, n or n + 6) V_O from q̇: of the leader's joints, or [q̇; V_O] where there is none.
+
+    Args:
+        chain: the arms. J: (6, n) Jacobian columns at the object's origin.
+    """
+    if chain.leader is None:
+        return np.hstack((np.zeros((6, chain.nq)), np.eye(6)))
+    first, s = np.zeros((6, chain.nq)), chain.slices[chain.leader]
+    first[:, s] = J[:, s]
+    return first
+
+
+def inertia_of(chain: ClosedChain, X_WO: pin.SE3) -> Array:
+    """Inertia of the coordinates of `object_columns`: M, or M beside the object's own."""
+    n = chain.nq
+    if chain.leader is not None:
+        return np.asarray(chain.data.M)
+    M = np.zeros((n + 6, n + 6))
+    M[:n, :n], M[n:, n:] = chain.data.M, chain.reference_inertia(X_WO)
+    return M
+
+
 def constraint_rows(chain: ClosedChain, O: Array, N: Array) -> Array:  # noqa: E741
-    """Rates of the loop errors (6 per further arm: arm 1 minus arm i) and of the gaps, times q̇.
+    """Rates of the loop errors (of each arm but the leader) and of the gaps, times q̇.
 
     The rows match the errors of `close`: loop error i is the displacement from arm i's idea of the
-    object to arm 1's, a gap shrinks as the object moves along N.
+    object to the object, as far as its grasp holds it; a gap shrinks as the object moves along N.
+    Where no arm holds the object rigidly there are six columns more, for V_O.
     """
     J = columns_at(chain.data.J, O)
-    first = np.zeros((6, chain.nq))
-    first[:, chain.slices[0]] = J[:, chain.slices[0]]
+    first = object_columns(chain, J)
     rows = []
-    for s in chain.slices[1:]:
-        loop = first.copy()
-        loop[:, s] -= J[:, s]
-        rows.append(loop)
+    held = zip(chain.slices, chain.grasps, chain.tip_poses(), strict=True)
+    for i, (s, grasp, tip) in enumerate(held):
+        if i != chain.leader:
+            loop = first.copy()
+            loop[:, s] -= J[:, s]
+            rows.append(loop if grasp.is_rigid else grasp.wrenches_at(tip, O).T @ loop)
     rows.append(-N.T @ first)
     return np.vstack(rows)
 
 
-def inverse_rows(A: Array, M: Array, loops: int) -> tuple[Array, Array]:
+def row_groups(chain: ClosedChain) -> list[int]:
+    """Sizes of the groups of loop rows that share a unit and so a scale; see `inverse_rows`."""
+    groups = []
+    for i, grasp in enumerate(chain.grasps):
+        m = grasp.N.shape[1]
+        if i != chain.leader:
+            groups += [m] if grasp.kind == "other" or m <= 3 else [3, m - 3]
+    return groups
+
+
+def inverse_rows(A: Array, M: Array, groups: Sequence[int]) -> tuple[Array, Array]:
     """Right inverse and multipliers of redundant constraints A q̈ = b in the inertia metric.
 
     Args:
         A: (m, n) rows as `constraint_rows` orders them.
         M: (n, n) joint-space inertia.
-        loops: number of closed loops; their 6 rows come first.
+        groups: sizes of groups of rows that share one scale; they come first.
 
     Returns:
         (n, m) right inverse that solves A x = b with least xᵀM x, and the (m, m) map from b to
@@ -127,8 +213,10 @@ def inverse_rows(A: Array, M: Array, loops: int) -> tuple[Array, Array]:
     white = np.linalg.solve(np.linalg.cholesky(M), A.T).T
     size = np.linalg.norm(white, axis=1)
     # the three rows of a vector share one scale: a locked direction has a zero row of its own
-    vectors = size[: 6 * loops].reshape(-1, 3)
-    size[: 6 * loops] = np.repeat(vectors.max(axis=1, initial=0.0), 3)
+    start = 0
+    for count in groups:
+        size[start : start + count] = size[start : start + count].max()
+        start += count
     U, s, Vh = np.linalg.svd(white / size[:, None], full_matrices=False)
     keep = s > 1e-8 * s.max(initial=0.0)
     U, s, Vh = U[:, keep] / size[:, None], s[keep], Vh[keep]
@@ -136,20 +224,21 @@ def inverse_rows(A: Array, M: Array, loops: int) -> tuple[Array, Array]:
     return right, (U / s**2) @ U.T
 
 
-def _poses(chain: ClosedChain, q: Array, fresh: bool = False) -> list[pin.SE3]:
-    if not fresh:
-        pin.forwardKinematics(chain.model, chain.data, q)
-    return chain.object_poses()
-
-
 def _reach_step(
     chain: ClosedChain, q: Array, X_WO: pin.SE3, L: Array, damping: float
 ) -> tuple[float, Array]:
     pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
     cost, step = 0.0, np.zeros(chain.nq)
-    for X, s in zip(_poses(chain, q, fresh=True), chain.slices, strict=True):
-        miss = L.T @ pose_error(X_WO, X)
-        J = L.T @ columns_at(chain.data.J[:, s], X.translation)
+    for tip, grasp, s in zip(chain.tip_poses(), chain.grasps, chain.slices, strict=True):
+        if grasp.is_rigid:
+            X = tip * grasp.X_TO
+            miss = L.T @ pose_error(X_WO, X)
+            J = L.T @ columns_at(chain.data.J[:, s], X.translation)
+        else:  # the rows of N alone, made orthonormal in the object's metric
+            O = X_WO.translation  # noqa: E741
+            Q, R = np.linalg.qr(np.linalg.solve(L, grasp.wrenches_at(tip, O)))
+            miss = np.linalg.solve(R.T, grasp.miss(tip, X_WO))
+            J = Q.T @ L.T @ columns_at(chain.data.J[:, s], O)
         cost += 0.5 * float(miss @ miss)
         M = chain.data.M[s, s]
         step[s] = np.linalg.solve(J.T @ J + damping * M, J.T @ miss)

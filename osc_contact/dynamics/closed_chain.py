@@ -5,6 +5,7 @@ The object can make only the motions S that every arm permits (dual SCARA: five)
     Λ_S η̇ + μ_S + p_S + Sᵀf_c = G τ,        a = S η̇ + σ,        q̈ = W η̇ + w,
 
 and Φ₀ = S Λ_S⁻¹ Sᵀ takes the place of Λ₀⁻¹: a 6×6 matrix of rank d, never a damped inverse.
+Grasps may permit motions of their own (`Grasp`); these have no mass and nobody drives them.
 """
 
 from __future__ import annotations
@@ -18,18 +19,23 @@ import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.dynamics.arm import Arm, ArmTerms, arm_terms
+from osc_contact.dynamics.grasp import Grasp
+from osc_contact.dynamics.held_object import locate, object_twist
 from osc_contact.dynamics.outboard import (
     OutboardLink,
     columns_at,
     drift,
+    grasp_filter,
     outboard_links,
     outboard_terms,
 )
 from osc_contact.dynamics.payload import ObjectTerms, RigidObject
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.spatial import Array, as_array
+from osc_contact.spatial import Array, as_array, cross_twist
 
 __all__ = ["ClosedChain", "ChainState"]
+
+_UNLIMITED = 1e12  #: N m or N: an effort limit that is none
 
 #: Stands in for the object's inertia in rank decisions when the arms hold nothing:
 #: 1 kg with a radius of gyration of 0.1 m.
@@ -62,8 +68,10 @@ class ChainState:
     metric: Array  #: (6, 6) Λ_o, or the reference inertia when nothing is held
     grasp_points: Array  #: (arms, 3) world
     sensors: tuple[pin.SE3 | None, ...]  #: placement of each wrist sensor in the world
+    filters: tuple[Array | None, ...]  #: (6, 6) F_i at O for each wrist reading; None: as it is
     Lambda_out: Array  #: (6, 6) inertia seen by the wrist sensors together (not symmetric)
     bias_out: Array  #: (6,) gravity and velocity wrench they see at a = 0
+    undriven: Array  #: (6, u) motions of the object that no motor drives
 
     @property
     def d(self) -> int:
@@ -77,12 +85,15 @@ class ChainState:
 
 
 class ClosedChain:
-    """Several arms rigidly grasping one object (or one arm whose tip is the object).
+    """Several arms that hold one object (or one arm whose tip is the object).
 
     Attributes:
         model, data: the merged Pinocchio model, joints named "arm/joint", and its data.
-        arms: as given. slices: each arm's part of q and v.
-        actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits.
+        arms: as given. grasps: one for each arm. slices: each arm's part of q and v.
+        leader: the first arm that holds the object rigidly and so tells its pose; None: the joints
+            of all arms together do, if anything does.
+        actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits, inf
+            where a model names none.
         tips, sensors: frame of each arm's tip and wrist sensor (None: it has none).
         outboard: links beyond each sensor.
         reference: the object, or its stand-in for rank decisions.
@@ -91,23 +102,28 @@ class ClosedChain:
     def __init__(
         self,
         arms: Sequence[Arm],
-        grasps: Sequence[pin.SE3] | None = None,
+        grasps: Sequence[pin.SE3 | Grasp] | None = None,
         payload: RigidObject | None = None,
         *,
         rank_tolerance: float = 1e-3,
+        allow_undriven: bool = False,
     ) -> None:
         """Merge the arms into one model.
 
         Args:
             arms: one or more, with different names.
-            grasps: X_TO, pose of the object in each arm's tip frame (default: identity).
+            grasps: for each arm X_TO, pose of the object in its tip frame, held rigidly, or a
+                `Grasp` that permits motions (default: the tip itself, rigidly).
             payload: the held object; None: nothing but the last link.
             rank_tolerance: an arm direction counts as locked when the arm's apparent inertia in it
                 is 1/tolerance² of the object's; two arms' locked directions count as the same
                 when they differ by less than this angle (rad, in the object's energy metric).
+            allow_undriven: give the state also where no motor drives some motion of the object,
+                to study how it moves by itself; a controller needs every motion driven.
 
         Raises:
-            ModelError: no arms, equal names, or a grasp too few.
+            ModelError: no arms, equal names, a grasp too few, or one that permits motions of an
+                object without mass.
         """
         if not arms:
             raise ModelError("a closed chain needs at least one arm")
@@ -115,11 +131,18 @@ class ClosedChain:
         if len(set(names)) != len(names):
             raise ModelError(f"arm names must differ, got {names}; pass name= to Arm.from_urdf")
         self.arms = tuple(arms)
-        self.grasps = (
-            tuple(grasps) if grasps is not None else tuple(pin.SE3.Identity() for _ in arms)
-        )
+        given = [pin.SE3.Identity() for _ in arms] if grasps is None else grasps
+        self.grasps = tuple(g if isinstance(g, Grasp) else Grasp.rigid(g) for g in given)
+        rigid = [i for i, grasp in enumerate(self.grasps) if grasp.is_rigid]
+        self.leader = rigid[0] if rigid else None
+        self.allow_undriven = allow_undriven
         if len(self.grasps) != len(arms):
             raise ModelError(f"{len(arms)} arms but {len(self.grasps)} grasps; give X_TO for each")
+        if payload is None and len(rigid) < len(self.grasps):
+            raise ModelError(
+                "an object without mass cannot be held by grasps that permit motions: nothing "
+                "resists these. Give a payload, or put the joint into the URDF, with a link"
+            )
         self.payload = payload
         self.reference = payload or RigidObject(_REFERENCE)
         self.rank_tolerance = rank_tolerance
@@ -138,7 +161,7 @@ class ClosedChain:
             ],
             dtype=int,
         )
-        self.tau_max: Array = np.array(self.model.upperEffortLimit)[self.actuated]
+        self.tau_max = self._effort_limits()
         self.tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
         self.sensors = [
             None
@@ -172,45 +195,61 @@ class ClosedChain:
         """All joints in the order of q and v, "arm/joint"."""
         return list(self.model.names)[1:]
 
-    def state(self, q: npt.ArrayLike, v: npt.ArrayLike) -> ChainState:
+    def state(
+        self,
+        q: npt.ArrayLike,
+        v: npt.ArrayLike,
+        X_WO: pin.SE3 | None = None,
+        V_O: npt.ArrayLike | None = None,
+    ) -> ChainState:
         """Everything the contact model needs to know of the chain at (q, v).
 
         Args:
             q: (n,) joint positions, arms in order, each in model order, passive joints included.
             v: (n,) joint velocities, consistent with the closed loop.
+            X_WO, V_O: pose and twist (6,) of the object, where the joints do not tell them.
 
         Raises:
             InvalidInputError: wrong sizes or non-finite numbers.
-            ModelError: the motors cannot drive every motion the arms permit.
+            ModelError: the joints do not tell where the object is, or the motors cannot drive
+                every motion the arms permit.
         """
         q = as_array("q", q, (self.nq,))
         v = as_array("v", v, (self.nq,))
         model, data = self.model, self.data
         pin.computeAllTerms(model, data, q, v)
         gravity = model.gravity.linear
-        tips = [self._placement(f) for f in self.tips]
-        X_WO = tips[0] * self.grasps[0]
+        tips = self.tip_poses()
+        if X_WO is None:
+            X_WO = self.object_pose()
         O = X_WO.translation  # noqa: E741 - the operational point
         J = columns_at(data.J, O)
-        V_O = J[:, self.slices[0]] @ v[self.slices[0]]
+        twists = [J[:, s] @ v[s] for s in self.slices]
+        V_O = self._twist(twists, X_WO) if V_O is None else as_array("V_O", V_O, (6,))
         reference = self.reference.terms(X_WO, V_O, gravity)
         payload = reference if self.payload is not None else _nothing()
         L = np.linalg.cholesky(reference.Lambda)
-        terms = tuple(
-            arm_terms(
-                J[:, s], drift(J[:, s], v[s]), data.M[s, s], data.nle[s], data.g[s], L,
-                self.rank_tolerance,
+        terms, passed = [], []
+        for s, grasp, tip, V in zip(self.slices, self.grasps, tips, twists, strict=True):
+            gamma, N = drift(J[:, s], v[s]), None
+            if not grasp.is_rigid:  # the object slips by V_O − V while the tip carries N along
+                gamma, N = gamma + cross_twist(V, V_O), grasp.wrenches_at(tip, O)
+            passed.append(N)
+            terms.append(
+                arm_terms(
+                    J[:, s], gamma, data.M[s, s], data.nle[s], data.g[s], L, self.rank_tolerance, N
+                )
             )
-            for s in self.slices
-        )  # fmt: skip
         S, C, sigma = self._intersect(terms, L)
         W = np.vstack([t.J_bar @ S for t in terms])
         w = np.concatenate([t.J_bar @ (sigma - t.gamma) for t in terms])
         M, h, g = np.array(data.M), np.array(data.nle), np.array(data.g)
         Lambda = W.T @ M @ W + S.T @ payload.Lambda @ S
         G = W.T[:, self.actuated]
-        self._require_driven(G, S)
-        Lambda_out, bias_out = self._wrist_terms(terms, J, v, payload, O, gravity)
+        undriven = self._undriven(G, S)
+        filters, Lambda_out, bias_out = self._wrist_terms(
+            terms, passed, J, v, payload, O, gravity, L
+        )
         return ChainState(
             X_WO=X_WO,
             V_O=V_O,
@@ -226,18 +265,41 @@ class ClosedChain:
             w=w,
             h=h,
             M=M,
-            arms=terms,
+            arms=tuple(terms),
             payload=payload,
             metric=reference.Lambda,
             grasp_points=np.array([t.translation for t in tips]),
             sensors=tuple(None if f is None else self._placement(f) for f in self.sensors),
+            filters=filters,
             Lambda_out=Lambda_out,
             bias_out=bias_out,
+            undriven=undriven,
         )
 
+    def tip_poses(self) -> list[pin.SE3]:
+        """Pose of each arm's tip in the world, at the positions last given to `data`."""
+        return [self._placement(f) for f in self.tips]
+
     def object_poses(self) -> list[pin.SE3]:
-        """Pose of the object according to each arm, at the positions last given to `data`."""
-        return [self._placement(f) * X_TO for f, X_TO in zip(self.tips, self.grasps, strict=True)]
+        """Pose of the object according to each arm, its grasp at zero, at the same positions."""
+        return [tip * grasp.X_TO for tip, grasp in zip(self.tip_poses(), self.grasps, strict=True)]
+
+    def object_pose(self) -> pin.SE3:
+        """Pose of the object at the same positions.
+
+        Raises:
+            ModelError: the joints do not tell it.
+        """
+        if self.leader is not None:
+            return self._placement(self.tips[self.leader]) * self.grasps[self.leader].X_TO
+        return locate(self.grasps, self.tip_poses(), self.reference_inertia, self.rank_tolerance)
+
+    def _twist(self, twists: Sequence[Array], X_WO: pin.SE3) -> Array:
+        if self.leader is not None:
+            return twists[self.leader]
+        inertia = self.reference_inertia(X_WO)
+        tips, O = self.tip_poses(), X_WO.translation  # noqa: E741
+        return object_twist(self.grasps, tips, twists, O, inertia, self.rank_tolerance)
 
     def reference_inertia(self, X_WO: pin.SE3) -> Array:
         """(6, 6) inertia of the object at its own origin, or of its stand-in if nothing is held."""
@@ -261,38 +323,59 @@ class ClosedChain:
         S = np.linalg.solve(L.T, U[:, rank:])
         return S, L @ U[:, :rank], np.linalg.solve(L.T, sigma_white)
 
-    def _require_driven(self, G: Array, S: Array) -> None:
+    def _effort_limits(self) -> Array:
+        """(n_a,) of the motors, inf where there is none: models built in code leave DBL_MAX."""
+        given = np.array(self.model.upperEffortLimit)[self.actuated]
+        for j, limit in zip(self.actuated, given, strict=True):
+            if not limit > 0.0:
+                raise ModelError(
+                    f"joint '{self.joint_names[j]}' has an effort limit of {limit:g}: such a motor "
+                    "does nothing. Give its largest torque (N m) or force (N), or list it among "
+                    "the passive joints"
+                )
+        return np.where(given < _UNLIMITED, given, np.inf)
+
+    def _undriven(self, G: Array, S: Array) -> Array:
+        """(6, u) motions of the object in which GᵀU = 0; an error unless they are allowed."""
         if G.shape[0] == 0:
-            return
+            return np.zeros((6, 0))
         limits = np.where(np.isfinite(self.tau_max), self.tau_max, 1.0)
         U, s, _ = np.linalg.svd(G * limits)
-        if len(s) < G.shape[0] or s[-1] < 1e-9 * s[0]:
-            motion = S @ U[:, -1]
+        driven = int(np.count_nonzero(s >= 1e-9 * s.max(initial=0.0))) if s.any() else 0
+        motions: Array = S @ U[:, driven:]
+        if motions.shape[1] and not self.allow_undriven:
             raise ModelError(
                 f"the {self.n_a} motors cannot drive every one of the {G.shape[0]} motions of the "
-                f"object: nobody drives the twist {np.array2string(motion, precision=3)} "
+                f"object: nobody drives the twist {np.array2string(motions[:, -1], precision=3)} "
                 "(linear, angular; world axes at the object). Add a motor, or grasp so that the "
                 "motion is blocked."
             )
+        return motions
 
     def _wrist_terms(
         self,
         terms: Sequence[ArmTerms],
+        passed: Sequence[Array | None],
         J: Array,
         v: Array,
         payload: ObjectTerms,
         O: Array,  # noqa: E741
         gravity: Array,
-    ) -> tuple[Array, Array]:
+        L: Array,
+    ) -> tuple[tuple[Array | None, ...], Array, Array]:
         Lambda, bias = payload.Lambda.copy(), payload.mu + payload.p
-        placements = list(self.data.oMi)
-        for links, s, t in zip(self.outboard, self.slices, terms, strict=True):
-            inertia, wrench = outboard_terms(
+        placements, filters = list(self.data.oMi), list[Array | None]()
+        for i, (links, s, t) in enumerate(zip(self.outboard, self.slices, terms, strict=True)):
+            inertia, wrench, P = outboard_terms(
                 links, placements, J[:, s], v[s], self._columns, t.J_bar, t.gamma, O, gravity
             )
+            N = passed[i]
+            filters.append(None if N is None else grasp_filter(J[:, s], N, P, L))
+            if (F := filters[i]) is not None:
+                inertia, wrench = F @ inertia, F @ wrench
             Lambda += inertia
             bias += wrench
-        return Lambda, bias
+        return tuple(filters), Lambda, bias
 
 
 def _merge(arms: Sequence[Arm]) -> pin.Model:

@@ -1,4 +1,4 @@
-"""A touched body that slides on a straight rail: driven, or free to follow the contact force."""
+"""Touched bodies: driven, or free to follow the contact force on a slide or about a hinge."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pinocchio as pin
 
 from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import Array, as_array
+from osc_contact.spatial import Array, as_array, cross
 
-__all__ = ["Body", "Cart", "Conveyor"]
+__all__ = ["Body", "Cart", "Conveyor", "Hinge"]
 
 
 class Body(Protocol):
@@ -55,16 +55,8 @@ class Cart:
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
 
     def __post_init__(self) -> None:
-        u = as_array("direction", self.direction, (3,))
-        length = float(np.linalg.norm(u))
-        if length == 0.0:
-            raise InvalidInputError("cart.direction is zero; give the direction of its rail")
-        object.__setattr__(self, "direction", u / length)
-        for name in ("mass", "stiffness", "damping", "preload"):
-            value = getattr(self, name)
-            least = -np.inf if name == "preload" else 0.0
-            if not np.isfinite(value) or value < least or (name == "mass" and value == 0.0):
-                raise InvalidInputError(f"cart.{name} = {value}; give a number a cart can have")
+        _take_unit(self, "cart", "direction")
+        _require_possible(self, "cart", "mass")
 
     def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
         """See `Body.environment`; `A_E` is not used: the cart's acceleration follows from f."""
@@ -81,3 +73,62 @@ class Cart:
             gravity=self.gravity,
             force=[force],
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Hinge:
+    """A balanced body on a hinge fixed in the world: I θ̈ = m_a + preload − k θ − c θ̇.
+
+    θ is the turn of E about a since the start, at most half a turn either way; m_a the moment of
+    the contact force about the axis. Φ_e has rank 1.
+
+    Attributes:
+        axis: (3,) a, world; normalised on entry. through: (3,) a point of the axis, world (m).
+        inertia: I about the axis (kg m²). stiffness: k (N m/rad). damping: c (N m s/rad).
+        preload: (N m).
+
+    Raises:
+        InvalidInputError: no axis, or numbers that no hinged body has.
+    """
+
+    axis: Array
+    through: Array
+    inertia: float
+    stiffness: float = 0.0
+    damping: float = 0.0
+    preload: float = 0.0
+
+    def __post_init__(self) -> None:
+        _take_unit(self, "hinge", "axis")
+        object.__setattr__(self, "through", as_array("hinge.through", self.through, (3,)))
+        _require_possible(self, "hinge", "inertia")
+
+    def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
+        """See `Body.environment`; `A_E` is not used: the acceleration follows from f."""
+        a = self.axis
+        angle, rate = float(a @ pin.log3(X_WE.rotation)), float(a @ V_E[3:])
+        moment = self.preload - self.stiffness * angle - self.damping * rate
+        return Environment.rail(
+            pin.Inertia(0.0, np.zeros(3), self.inertia * np.eye(3)),
+            X_WE=X_WE,
+            axes=np.concatenate((cross(a, X_WE.translation - self.through), a)),
+            rates=[rate],
+            O=O,
+            force=[moment],
+        )
+
+
+def _take_unit(body: object, kind: str, name: str) -> None:
+    u = as_array(f"{kind}.{name}", getattr(body, name), (3,))
+    length = float(np.linalg.norm(u))
+    if length == 0.0:
+        raise InvalidInputError(f"{kind}.{name} is zero; give a direction")
+    object.__setattr__(body, name, u / length)
+
+
+def _require_possible(body: object, kind: str, inertia: str) -> None:
+    for name in (inertia, "stiffness", "damping", "preload"):
+        value = getattr(body, name)
+        least = -np.inf if name == "preload" else 0.0
+        if not np.isfinite(value) or value < least or (name == inertia and value == 0.0):
+            raise InvalidInputError(f"{kind}.{name} = {value}; give a number a {kind} can have")

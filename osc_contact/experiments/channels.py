@@ -59,6 +59,7 @@ def channels(rig: Rig, log: Log, plan: Plan, start: int, stop: int) -> dict[str,
         "motion_error": _motion_error(rig, log, start, found, N, engaged),
         "squeeze_cmd": np.full(k, plan.squeeze_d),
         "squeeze": found["squeeze"][:, 0],
+        "alpha_given_up": log.given_up[rows],
         "status": status,
     }
     return {name: np.ascontiguousarray(values) for name, values in made.items()}

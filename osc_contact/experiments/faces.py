@@ -1,49 +1,64 @@
-"""Bodies of the environment: how they slide, what the controller knows of it, their geometry."""
+"""Bodies of the environment: how they move, what the controller knows of it, their geometry."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from osc_contact.contacts.detection import CollisionShape, TrackedContact, collision_shapes
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.dynamics.rail import Body, Cart, Conveyor
+from osc_contact.dynamics.rail import Body, Cart, Conveyor, Hinge
 from osc_contact.errors import ScenarioError
 from osc_contact.experiments.contacts import EnvironmentBody
 from osc_contact.plants.faces import Rail
 from osc_contact.scenarios.signals import total
-from osc_contact.scenarios.touching import CartSpec
+from osc_contact.scenarios.touching import CartSpec, ConveyorSpec, FaceMotion, HingeSpec
+from osc_contact.spatial import Array
 
 __all__ = ["known_bodies", "rails", "tracked"]
 
 
 def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail | None]:
-    """How each body of the plant slides; None: fixed.
+    """How each body of the plant moves; None: not at all.
 
     Raises:
-        ScenarioError: a conveyor does not start where the contacts touch.
+        ScenarioError: a driven body does not start where the contacts touch.
     """
-    found: list[Rail | None] = []
-    for body in bodies:
-        motion = body.motion
-        if motion is None:
-            found.append(None)
-        elif isinstance(motion, CartSpec):
-            found.append(Rail(np.array(motion.direction), None, motion.mass, motion.stiffness,
-                              motion.damping, motion.preload))  # fmt: skip
-        else:
-            signals = motion.signals
-            travel, speed, _ = total(signals, 0.0)
-            if abs(travel) > 1e-9 or abs(speed) > 1e-9:
-                raise ScenarioError(
-                    f"the motion of '{body.name}' starts at {travel:g} m with {speed:g} m/s, away "
-                    "from where the contacts touch; give sines a ramp, or use minimum_jerk"
-                )
-            found.append(Rail(np.array(motion.direction), partial(total, signals)))
-    return found
+    return [None if body.motion is None else _rail(body.name, body.motion) for body in bodies]
+
+
+def _rail(name: str, motion: FaceMotion) -> Rail:
+    if isinstance(motion, CartSpec):
+        return Rail(np.array(motion.direction), inertia=motion.mass, **_freely(motion))
+    if isinstance(motion, HingeSpec):
+        axis, through = np.array(motion.axis), np.array(motion.through)
+        return Rail(axis=axis, through=through, inertia=motion.inertia, **_freely(motion))
+    turn = motion.turn
+    (travel, angle), (speed, rate), _ = _commanded(motion, 0.0)
+    if max(map(abs, (travel, angle, speed, rate))) > 1e-9:
+        raise ScenarioError(
+            f"the motion of '{name}' starts at {travel:g} m with {speed:g} m/s and {angle:g} rad "
+            f"with {rate:g} rad/s, away from where the contacts touch; give sines a ramp, or use "
+            "minimum_jerk"
+        )
+    still = np.zeros(3)
+    axis, through = (still, still) if turn is None else map(np.array, (turn.axis, turn.through))
+    return Rail(np.array(motion.direction), axis, through, partial(_commanded, motion))
+
+
+def _commanded(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
+    """(s, ṡ, s̈) of travel (m) and angle (rad), each (2,)."""
+    turn = () if motion.turn is None else motion.turn.signals
+    s, rates, second = np.array([total(motion.signals, t), total(turn, t)]).T
+    return s, rates, second
+
+
+def _freely(motion: CartSpec | HingeSpec) -> dict[str, Any]:
+    return {key: getattr(motion, key) for key in ("stiffness", "damping", "preload")}
 
 
 def known_bodies(
@@ -55,8 +70,10 @@ def known_bodies(
         motion = body.motion
         answer: Body | None = None
         if isinstance(motion, CartSpec):
-            answer = Cart(np.array(motion.direction), motion.mass, motion.stiffness,
-                          motion.damping, motion.preload)  # fmt: skip
+            answer = Cart(np.array(motion.direction), motion.mass, **_freely(motion))
+        elif isinstance(motion, HingeSpec):
+            axis, through = np.array(motion.axis), np.array(motion.through)
+            answer = Hinge(axis, through, motion.inertia, **_freely(motion))
         elif motion is not None:
             answer = Conveyor()
         for i in body.contacts:

@@ -179,8 +179,8 @@ FIGURES: tuple[str, ...] = ("fig1", "fig4", "fig5", "fig6", "fig8")
 
 def write_figure(
     name: str, folder: Path, scenario: Scenario | None = None, recording: Recording | None = None
-) -> Path:
-    """Draw one figure into a folder as PNG and SVG; returns the PNG."""
-    from osc_contact.visual.plots import save
+) -> tuple[Path, ...]:
+    """Draw one figure into a folder; returns its files: PNG, SVG, PDF."""
+    from osc_contact.visual.style import PRINT, save
 
-    return save(reproduce(name, scenario, recording), folder / name)[0]
+    return save(reproduce(name, scenario, recording), folder / name, PRINT)

@@ -29,7 +29,13 @@ def free_part(chain: ClosedChain, q: Array, X_WO: pin.SE3, N: Array, x: Array) -
     L = np.linalg.cholesky(chain.reference_inertia(X_WO))
     pin.computeJointJacobians(chain.model, chain.data, q)
     J = L.T @ columns_at(chain.data.J, X_WO.translation)
-    locked = np.hstack([_outside(J[:, arm]) for arm in chain.slices])
+    slips = [
+        L.T @ grasp.motions_at(X_WT, X_WO.translation)
+        for grasp, X_WT in zip(chain.grasps, chain.tip_poses(), strict=True)
+    ]
+    locked = np.hstack(
+        [_outside(np.hstack((J[:, arm], T))) for arm, T in zip(chain.slices, slips, strict=True)]
+    )
     S = _outside(locked) if locked.shape[1] else np.eye(6)
     e, N_S = S.T @ (L.T @ x), S.T @ np.linalg.solve(L, N)
     e = e - N_S @ np.linalg.lstsq(N_S, e, rcond=None)[0]
@@ -57,6 +63,7 @@ def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x:
 
     J = white(np.concatenate((J[:3] + cross(J[3:], X_WO.p[:, None]), J[3:])))
     locked, plain = _locked([J[:, arm] for arm in chain.slices])
+    plain &= all(grasp.is_rigid for grasp in chain.grasps)
     e, lines = white(x), np.concatenate((X_WO.turn_back(N[:3]), X_WO.turn_back(N[3:])))
     basis = list(locked)
     for line in np.tensordot(np.linalg.inv(L), lines, 1).transpose(1, 0, 2):

@@ -68,7 +68,7 @@ def inspect_rig(rig: Rig) -> Inspection:
     values = np.linalg.eigvalsh(mobility / np.outer(scale, scale)) if contact.r else np.ones(1)
     conditioning = float(values[-1] / values[0])
     motors = rig.chain.n_a
-    own = sum(t.J.shape[1] - 6 + t.C.shape[1] for t in state.arms)  # motions of an arm alone
+    own = sum(t.J.shape[1] - t.rank for t in state.arms)  # motions of an arm alone
     internal = motors - own - (int(np.linalg.matrix_rank(state.G)) if state.d else 0)
     lines = [
         f"{len(rig.chain.arms)} arm(s), {rig.chain.nq} joints, {motors} motors; "

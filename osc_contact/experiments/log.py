@@ -25,6 +25,7 @@ class Log:
 
     Attributes:
         count: ticks noted. truth: the plant's own log of the same ticks.
+        given_up: (ticks, r) contact forces that the motor limits cost.
     """
 
     def __init__(self, rig: Rig, plant: Plant, ticks: int) -> None:
@@ -33,6 +34,7 @@ class Log:
         self.count = 0
         self.truth = plant.log(ticks)
         self._ends: list[tuple[float, int, bool]] = []
+        self.given_up = np.zeros((ticks, r))
         sizes = {"q": n, "v": n, "tau": n_a, "alpha": r, "speed": r, **FOUND}
         if rig.d < 6:  # what the arms can make of an error is to be told
             sizes["J"] = 6 * n
@@ -70,6 +72,9 @@ class Log:
             parts = self._flat(found, *self._all(controller, found))
         np.concatenate((measurement.q, measurement.v, tau, *parts), out=self._rows[k])
         self._ends.append((spent, controller.status, controller.engaged))
+        cost = controller.given_up
+        if cost is not None and len(cost.force) == self._r:
+            self.given_up[k] = cost.force
         self.truth.note()
         self.count = k + 1
 

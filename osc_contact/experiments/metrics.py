@@ -23,7 +23,8 @@ def metrics(recording: Recording) -> dict[str, Any]:
     force {contact: rms_error_N, rms_error_rel, peak_error_N, peak_error_rel, mean_command_N,
     sensing_rms_rel}; motion {rms_error_m, rms_error_rad} along the free directions;
     contact_fraction {contact}; power {total_rms_W, projected_rms_W, ratio};
-    tick_us {p50, p99, p99_9, max}; status {name: ticks}.
+    tick_us {p50, p99, p99_9, max}; status {name: ticks}; at_limit [[joint, ticks], …] of motors
+    that ever stood at their limit, the one that did longest first.
 
     Under force, the magnitudes of a contact with several are called contact.1, contact.2, …
     rms_error is true force minus command; sensing is what fig. 5's filter made of the wrist
@@ -62,6 +63,7 @@ def metrics(recording: Recording) -> dict[str, Any]:
         "power": _power(recording, quiet),
         "tick_us": _tick(recording["tick_s"]),
         "status": _status(recording["status"]),
+        "at_limit": _at_limit(recording),
     }
 
 
@@ -103,6 +105,16 @@ def _tick(seconds: Array) -> dict[str, float]:
 def _status(status: Array) -> dict[str, int]:
     names = {0: "ok", 1: "saturated", 2: "held"}
     return {name: int((status == code).sum()) for code, name in names.items()}
+
+
+def _at_limit(recording: Recording) -> list[list[str | int]]:
+    limits = recording.meta.get("effort_limits", {})
+    ticks = {
+        joint: int((np.abs(recording["tau"][:, i]) >= limit * (1.0 - 1e-9)).sum())
+        for i, (joint, limit) in enumerate(limits.items())
+        if limit is not None
+    }
+    return [[joint, n] for joint, n in sorted(ticks.items(), key=lambda item: -item[1]) if n]
 
 
 def _ratio(part: float, whole: float) -> float | None:

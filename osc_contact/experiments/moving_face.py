@@ -1,8 +1,8 @@
 """A face that moves while it is pressed: what Φ_e and b_e in the law are worth (eqs. 14 to 25).
 
-The left face of `moving_face` is driven to and fro, or rides on a free cart, or on a cart with a
-return spring. Each time the full law is compared with one that sees the face's pose and velocity
-but takes it as unyielding and unaccelerated.
+The left face of `moving_face` is driven to and fro, without and with a turn, or rides on a free
+cart, on a cart with a return spring, or on a hinge with one. Each time the full law is compared
+with one that sees the face's pose and velocity but takes it as unyielding and unaccelerated.
 """
 
 from __future__ import annotations
@@ -25,16 +25,24 @@ if TYPE_CHECKING:
 __all__ = ["FACES", "LAWS", "Case", "draw", "run"]
 
 _SWING = "[{type: sine, amplitude: 30 mm, frequency: 1 Hz, start: 0 s, ramp: 2 s}]"
-#: What is changed in the packaged scenario.
+_TURN = (
+    "{axis: [-0.371390, 0.928477, 0], through: [-0.295, -0.002, 0.19], "
+    "signals: [{type: sine, amplitude: 5 deg, frequency: 0.7 Hz, start: 0 s, ramp: 2 s}]}"
+)
+_DRIVEN = "type: conveyor, direction: [-0.904196, -0.361677, 0.227199], signals: " + _SWING
+#: What is changed in the packaged scenario; the hinge is 0.1 m below the contact, along the face.
 FACES: dict[str, tuple[str, ...]] = {
-    "conveyor": (
-        "contacts.left_end.face.motion="
-        f"{{type: conveyor, direction: [-0.904196, -0.361677, 0.227199], signals: {_SWING}}}",
-    ),
+    "conveyor": (f"contacts.left_end.face.motion={{{_DRIVEN}}}",),
+    "turning conveyor": (f"contacts.left_end.face.motion={{{_DRIVEN}, turn: {_TURN}}}",),
     "free cart": (),
     "cart with spring": (
         "contacts.left_end.face.motion.stiffness=100",
         "contacts.left_end.face.motion.damping=5",
+    ),
+    "hinge with spring": (
+        "contacts.left_end.face.motion={type: hinge, axis: [-0.371390, 0.928477, 0], "
+        "through: [-0.216847, 0.029262, 0.137610], inertia: 0.02, stiffness: 10, damping: 0.3, "
+        "preload: 1 Nm}",
     ),
 }
 LAWS = {"full law": "known", "without Φ_e, b_e": "ignored"}

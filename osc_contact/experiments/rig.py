@@ -21,6 +21,7 @@ from osc_contact.control.motion import MotionGains
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, reach
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.dynamics.grasp import Grasp
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import ScenarioError
 from osc_contact.experiments import faces, hardware
@@ -37,7 +38,7 @@ from osc_contact.plants.plant import Plant
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
 from osc_contact.response import require_reachable
-from osc_contact.scenarios.schema import Scenario
+from osc_contact.scenarios.schema import GraspSpec, Scenario
 from osc_contact.spatial import Array
 
 __all__ = ["Rig", "build_chain", "build_rig"]
@@ -99,7 +100,9 @@ class Rig:
         plant.reset(self.q_start)
         if self.scenario.sensors.ideal:
             return plant
-        return SensedPlant(plant, hardware.sensors(self.scenario.sensors, self.chain), seed)
+        return SensedPlant(
+            plant, hardware.sensors(self.scenario.sensors, self.chain, self.bodies), seed
+        )
 
     def at_start(self, read: Measurement) -> Measurement:
         """What ideal encoders and trackers would have read at the start, where all is at rest."""
@@ -116,7 +119,7 @@ class Rig:
 
     def observer(self) -> hardware.Observer:
         """What estimates the velocities that the sensors do not give."""
-        return hardware.Observer(self.scenario, self.model)
+        return hardware.Observer(self.scenario, self.model, self.bodies)
 
     def controller(self, *, compiled: bool = True) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
@@ -228,12 +231,21 @@ def build_chain(scenario: Scenario, arm_mass: float = 1.0, object_mass: float = 
             locked=spec.locked_joints,
             wrist_sensor=spec.wrist_sensor,
             mass_factor=arm_mass,
+            effort_factor=float(spec.effort_factor),
         )
         for spec in scenario.arms
     ]
     body = RigidObject(robots.load_body(robots.resolve_urdf(scenario.object.urdf, source)[0]))
-    grasps = [pose_of(scenario.grasps[arm.name]) for arm in scenario.arms]
+    grasps = [_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
     return ClosedChain(arms, grasps, body.scaled(object_mass))
+
+
+def _grasp(spec: GraspSpec) -> Grasp:
+    X_TO = pose_of(spec)
+    if spec.type == "hinge":
+        assert spec.axis is not None  # the schema refused otherwise
+        return Grasp.hinge(X_TO, spec.axis)
+    return Grasp.ball(X_TO) if spec.type == "ball" else Grasp.rigid(X_TO)
 
 
 def _standoff(state: ChainState, contact: Contact, distance: float) -> Array:

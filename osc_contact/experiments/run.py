@@ -142,6 +142,10 @@ def _meta(rig: Rig, seed: int) -> dict[str, object]:
         "seed": seed,
         "arm_names": [arm.name for arm in rig.chain.arms],
         "joint_names": rig.chain.joint_names,
+        "effort_limits": {
+            rig.chain.joint_names[j]: float(limit) if np.isfinite(limit) else None
+            for j, limit in zip(rig.chain.actuated, rig.chain.tau_max, strict=True)
+        },
         "contact_names": [pair.name for pair in rig.pairs],
         "columns": list(force_owners(scenario)),
         "control_rate_hz": scenario.control.rate,

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.table import Table
 
-from osc_contact.errors import InvalidInputError
+from osc_contact.errors import InvalidInputError, ViewerError
+from osc_contact.experiments.paper import Answer
 from osc_contact.experiments.report import write_json
 from osc_contact.scenarios import load_scenario
 
@@ -28,11 +30,16 @@ class Study:
         figures: by file name, without suffix.
         table: to print.
         data: the numbers, for JSON.
+        answers: of a study named as a figure of the paper, to what the paper states about it, by
+            the keys of `PAPER`.
+        pages: what writes a page to a path, by file name without suffix.
     """
 
     figures: Mapping[str, Figure]
     table: Table
     data: Mapping[str, Any]
+    answers: Mapping[str, Answer] = field(default_factory=dict)
+    pages: Mapping[str, Callable[[Path], Path]] = field(default_factory=dict)
 
 
 def _silent(_: str) -> None:
@@ -57,7 +64,7 @@ class Ask:
 
 
 def write_study(name: str, folder: Path, ask: Ask) -> tuple[Study, list[Path]]:
-    """Run a study; write its figures (PNG, PDF) and NAME.json into a folder.
+    """Run a study; write its figures (PNG, SVG, PDF) and NAME.json into a folder.
 
     Args:
         name: one of `STUDIES`.
@@ -67,7 +74,7 @@ def write_study(name: str, folder: Path, ask: Ask) -> tuple[Study, list[Path]]:
     Raises:
         InvalidInputError: changes of a scenario for a study that has none.
     """
-    from osc_contact.visual.style import save
+    from osc_contact.visual.style import PRINT, save
 
     if ask.changes and name not in WITH_SCENARIO:
         raise InvalidInputError(f"{name} is not made from a scenario; leave --set out")
@@ -76,8 +83,9 @@ def write_study(name: str, folder: Path, ask: Ask) -> tuple[Study, list[Path]]:
     written = [
         path
         for title, figure in study.figures.items()
-        for path in save(figure, folder / title, (".png", ".pdf"))
+        for path in save(figure, folder / title, PRINT)
     ]
+    written += [write(folder / f"{title}.html") for title, write in study.pages.items()]
     written.append(folder / f"{name}.json")
     write_json(study.data, written[-1])
     return study, written
@@ -131,7 +139,38 @@ def _fig2(ask: Ask) -> Study:
     }
     for row in rows.items():
         table.add_row(*row)
-    return Study({"fig2": draw_state(result.rig), "fig2_run": draw_run(result)}, table, found)
+    answers = {
+        "freedoms": Answer(
+            f"T has {6 - found['r']} columns. A Panda turns the cone by "
+            f"{np.rad2deg(found['turned_rad']):.1f}° and slides it by "
+            f"{1e3 * found['slid_m']:.1f} mm while all four wall forces push.",
+            found["r"] == 4 and found["wall_force_least_N"] > 0.0,
+        ),
+        "axes": Answer(f"They are {found['axes_deg']:.1f}° apart.", 1.0 < found["axes_deg"] < 89.0),
+        "frame": Answer(f"No frame: {frame['reason']}.", not frame["describes_it"]),
+    }
+    figures = {"fig2": draw_state(result.rig), "fig2_run": draw_run(result)}
+    return Study(figures, table, found, answers)
+
+
+def _fig3(ask: Ask) -> Study:
+    from osc_contact.experiments import fig3 as experiment
+
+    duration = 1.4 if ask.duration is None else ask.duration
+    ask.tell("making contact")
+    cell = experiment.run(duration, ask.seed, ask.changes)
+    table = Table("part", "what it is", title="fig. 3: the workcell")
+    data = cell.as_dict()
+    for part, words in data.items():
+        table.add_row(part, words)
+    figures = {}
+    ask.tell("rendering")
+    try:
+        figures["fig3"] = experiment.draw(cell)
+    except ViewerError as error:  # the page is there all the same
+        table.add_row("picture", f"not rendered: {error}")
+    pages = {"fig3": partial(cell.page, cell.shots()[0])}
+    return Study(figures, table, data, cell.answers(), pages)
 
 
 def _moving_face(ask: Ask) -> Study:
@@ -194,10 +233,11 @@ def _workcell(ask: Ask) -> Study:
 
 STUDIES: dict[str, Callable[[Ask], Study]] = {
     "fig2": _fig2,
+    "fig3": _fig3,
     "kinematic_stability": _kinematic_stability,
     "moving_face": _moving_face,
     "baselines": _baselines,
     "workcell": _workcell,
 }
-WITH_SCENARIO = {"baselines", "workcell"}  #: whose scenario can be changed
+WITH_SCENARIO = {"fig3", "baselines", "workcell"}  #: whose scenario can be changed
 SLOW = {"baselines", "workcell"}  #: several minutes: not in `reproduce all`

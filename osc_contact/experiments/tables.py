@@ -16,6 +16,7 @@ from osc_contact.spatial import Array
 __all__ = [
     "basis_tables",
     "calibration_table",
+    "paper_table",
     "robot_tables",
     "scenario_table",
     "tick_table",
@@ -48,6 +49,17 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
     )
     table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
     table.add_row("ticks", ", ".join(f"{n} {name}" for name, n in verdict["status"].items() if n))
+    if verdict["at_limit"]:
+        motors = ", ".join(f"{joint} {n}" for joint, n in verdict["at_limit"])
+        table.add_row("ticks at a motor limit", motors)
+    return table
+
+
+def paper_table(verdicts: Mapping[str, str]) -> Table:
+    """What became of each figure of the paper."""
+    table = Table("figure", "verdict", title="the paper's figures")
+    for name, verdict in verdicts.items():
+        table.add_row(name, str(verdict))
     return table
 
 

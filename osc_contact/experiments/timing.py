@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.errors import InvalidInputError
+from osc_contact.experiments.benchmarks.measuring import require_count, spread
 from osc_contact.experiments.rig import Rig, build_rig
 from osc_contact.interface import Measurement, Reference
 from osc_contact.scenarios import load_scenario
@@ -48,12 +48,12 @@ class TickTimes:
         """JSON-able: p50, p99, p99.9 and max of tick, floor and every part (µs), and the ratio."""
         return {
             "rounds": len(self.tick),
-            "tick_us": _spread(self.tick),
-            "floor_us": _spread(self.floor),
+            "tick_us": spread(self.tick),
+            "floor_us": spread(self.floor),
             "ratio": self.ratio,
-            "inside_us": {name: _spread(times) for name, times in self.inside.items()},
-            "readable_us": _spread(self.readable),
-            "parts_us": {name: _spread(times) for name, times in self.parts.items()},
+            "inside_us": {name: spread(times) for name, times in self.inside.items()},
+            "readable_us": spread(self.readable),
+            "parts_us": {name: spread(times) for name, times in self.parts.items()},
         }
 
 
@@ -86,8 +86,7 @@ def time_parts(rig: Rig, rounds: int, *, parts: bool = True) -> TickTimes:
     Raises:
         InvalidInputError: no rounds.
     """
-    if rounds < 1:
-        raise InvalidInputError(f"{rounds} rounds tell no time; give 1 or more")
+    require_count(rounds, "rounds")
     measurement, reference = rig.plant().measure(), rig.references.at(0.0)
     tick, floor, inside = _time_tick(rig, measurement, reference, rounds)
     twin_rounds = min(rounds, 500) if parts else 0
@@ -135,13 +134,3 @@ def _time_twin(
             stage(twin, twin.signals)
             spent[name][k] = perf_counter_ns() - start
     return whole / 1e3, {name: t / 1e3 for name, t in spent.items()}
-
-
-def _spread(times: Array) -> dict[str, float]:
-    p50, p99, p99_9 = np.percentile(times, [50, 99, 99.9])
-    return {
-        "p50": float(p50),
-        "p99": float(p99),
-        "p99_9": float(p99_9),
-        "max": float(times.max()),
-    }

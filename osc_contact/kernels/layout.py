@@ -50,16 +50,26 @@ __all__: list[str] = []
     STACK_Q,  # (10, 10) scratch
     WIDE,  # (16,) scratch
     TOUCHED_BEFORE,  # TOUCHED as the last computed tick saw it
-) = range(41)
-COUNT = 41
+    GRASPS_I,  # (k, 4) integers, see `grasp`
+    GRASPS,  # (k, 64) see `grasp`
+    TIPS,  # (k, 4, 3) scratch
+    PASSED,  # (k, 6, 6) N and T of each grasp, white, orthonormal rows
+    FILTERS,  # (k, 6, 6) of the wrist readings, white
+) = range(46)
+COUNT = 46
 
 # SIZES
 N_JOINTS, N_ARMS, N_MOTORS, N_COLUMNS, N_PAIRS, N_CONTACTS, HELD, METRIC_KIND, N_LOCKED = range(9)
+SLIPPING, LEADER = 14, 15  # whether some grasp permits motions; arm that holds rigidly or −1
 BY_OBJECT, BY_CHAIN, BY_MATRIX = range(3)
+
+# kinds of grasps
+RIGID, HINGE, BALL = range(3)
 
 # HEAD
 GRAVITY, ROOTS, PRINCIPAL = 0, 3, 7  # g (3), √ of mass and principal moments (4), those squared (4)
-X_JO, X_JP = 11, 23  # O and the principal axes in the first tip's joint: rotation by rows, point
+X_JO, X_JP = 11, 23  # O and the principal axes in the leader's joint: rotation by rows, point
+# (with no leader X_JP holds the principal axes in the object's frame)
 TOLERANCE, STIFFNESS, DAMPING, INTEGRAL, FORCE_INTEGRAL, FORCE_DAMPING, PERIOD = range(35, 42)
 POSTURE_STIFFNESS, POSTURE_DAMPING = 42, 43
 HEAD_SIZE = 44
@@ -69,7 +79,7 @@ ERROR_SUM, TARE, BIAS, FORCE_SUM, FORCE_RANK, STATE_SIZE = 0, 6, 12, 18, 24, 25
 
 # SIGNALS
 F_MEAS, BIAS_OUT, V_O, X_WO, F_C, ERROR, FREE_ERROR, A_U = 0, 6, 12, 18, 34, 40, 46, 52
-SQUEEZE, EXCESS, RANK = 58, 59, 60
+SQUEEZE, LOCKED_AXES, RANK = 58, 59, 60
 ERROR_SUM_NEXT, FORCE_SUM_NEXT, SIGNALS_SIZE = 61, 67, 80
 
 # COLUMNS

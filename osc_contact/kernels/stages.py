@@ -11,6 +11,7 @@ from osc_contact.kernels.compile import compiled, cube, integers, matrix, vector
 from osc_contact.kernels.contact import contact_columns
 from osc_contact.kernels.environment import along_normals
 from osc_contact.kernels.force import add_wrist_reading, contact_magnitudes, force_command
+from osc_contact.kernels.grasp import filter_reading
 from osc_contact.kernels.linalg import dot6, reflect, reflect_back, reflect_sides
 from osc_contact.kernels.motion import motion_command, pose_error
 from osc_contact.kernels.stack import stack
@@ -99,7 +100,16 @@ def force_stage(bound, sizes, r, r_all, wrenches, alpha_d):
     f_meas = signals[at.F_MEAS : at.F_MEAS + 6]
     total[:] = 0.0
     for k in range(sizes[at.N_ARMS]):
-        if arms[k, 3] >= 0:
+        if arms[k, 3] < 0:
+            continue
+        if sizes[at.SLIPPING] and integers(bound, at.GRASPS_I)[k, 2] != 0:
+            own = rows[at.Y]
+            own[:] = 0.0
+            add_wrist_reading(wrenches[k], pose[arms[k, 3]], tips[k, 3:], C, scratch, own)
+            filter_reading(axes, cube(bound, at.FILTERS)[k], own, rows[at.SCRATCH])
+            for i in range(6):
+                total[i] += own[i]
+        else:
             add_wrist_reading(wrenches[k], pose[arms[k, 3]], tips[k, 3:], C, scratch, total)
     wrench_to(total, C, O, f_meas)
     for i in range(6):
@@ -277,8 +287,6 @@ def structure_stage(bound, sizes, r, m, squeeze):
             s += turned[a, i] * columns[at.ALPHA_U, a]
         f_S[i] = s
     two = sizes[at.N_ARMS] == 2 and dot6(rows[at.LINE], rows[at.LINE]) > 0.0
-    signals = vector(bound, at.SIGNALS)
-    signals[at.SQUEEZE] = 0.0
     skewed, own, e0 = rows[at.WORLD], 0.0, 0.0
     if two:
         for i in range(6):
@@ -290,7 +298,6 @@ def structure_stage(bound, sizes, r, m, squeeze):
             own += 0.25 * line[i] * (first + second)
             e0 += 0.5 * line[i] * (rows[at.OWN_0, i] - rows[at.OWN_1, i])
             e0 += 0.5 * x[i] * (rows[at.ALONG_0, i] - rows[at.ALONG_1, i])
-        signals[at.SQUEEZE] = e0
     return multipliers(
         squares[at.EFFORT], m, two, skewed, own, f_S, squeeze + e0,
         matrix(bound, at.TRIANGLE), matrix(bound, at.HOUSEHOLDER), rows[at.Z],
@@ -299,7 +306,7 @@ def structure_stage(bound, sizes, r, m, squeeze):
 
 @compiled
 def torque_stage(bound, sizes, r, m, q, v, squeeze):
-    """Motor torques within their limits."""
+    """Motor torques; those beyond a limit are left where they are."""
     rows, head = matrix(bound, at.ROWS), vector(bound, at.HEAD)
     n = sizes[at.N_JOINTS]
     vectors, joint_rows = matrix(bound, at.JOINT_VECTORS), cube(bound, at.JOINT_ROWS)
@@ -320,7 +327,10 @@ def torque_stage(bound, sizes, r, m, q, v, squeeze):
             y[i] = whole[i]
             if two:
                 y[i] += (0.5 if k == 0 else -0.5) * z[6] * rows[at.LINE, i]
-        if count > 6:
+        wide = count > 6
+        if sizes[at.SLIPPING]:
+            wide = count > integers(bound, at.GRASPS_I)[k, 0]
+        if wide:
             hold_posture(
                 lo, count, M, white, bar, joints, h, q, v, head[at.POSTURE_STIFFNESS],
                 head[at.POSTURE_DAMPING], rows[at.SCRATCH], tau,
@@ -328,24 +338,24 @@ def torque_stage(bound, sizes, r, m, q, v, squeeze):
         else:
             for j in range(lo, lo + count):
                 tau[j] = 0.0
-        arm_torques(lo, count, white, bar, joints, effort[k], y, rows[at.SCRATCH], tau)
-    excess, s = 0.0, 0.0
+        arm_torques(lo, count, wide, white, bar, joints, effort[k], y, rows[at.SCRATCH], tau)
+    excess, s = False, 0.0
     for j in range(n):
         i = motors[j, 1]
         if i >= 0:
             s += tau[j] * 0.0
-            excess = max(excess, abs(tau[j]) / tau_max[i])
+            excess = excess or abs(tau[j]) > tau_max[i]
     for i in range(6):
         s += 0.0 * signals[at.ERROR_SUM_NEXT + i]
     for a in range(r):
         s += 0.0 * signals[at.FORCE_SUM_NEXT + a]
     if not isfinite(s):
         return at.ASK
-    signals[at.EXCESS] = excess
-    e0 = signals[at.SQUEEZE]
-    signals[at.SQUEEZE] = (squeeze + e0) / max(excess, 1.0) - e0 if two else 0.0
-    scale = 1.0 / max(excess, 1.0)
+    signals[at.LOCKED_AXES] = m
+    signals[at.SQUEEZE] = squeeze if two else 0.0
+    if excess:
+        return at.SATURATED
     for j in range(n):
         if motors[j, 1] >= 0:
-            out[motors[j, 1]] = scale * tau[j]
-    return at.SATURATED if excess > 1.0 else at.OK
+            out[motors[j, 1]] = tau[j]
+    return at.OK

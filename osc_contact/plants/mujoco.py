@@ -16,12 +16,19 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
+from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.faces import Rail, touched
 from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives
-from osc_contact.plants.mujoco_scene import DRIVE_MASS, MujocoOptions, scene
+from osc_contact.plants.mujoco_scene import (
+    DRIVE_MASS,
+    GRASP_JOINT,
+    GUIDES,
+    MujocoOptions,
+    scene,
+)
 from osc_contact.plants.mujoco_truth import MujocoTruth
 from osc_contact.plants.plant import Truth
 from osc_contact.spatial import Array, as_array
@@ -66,7 +73,7 @@ class MujocoPlant:
             contacts: what true forces are expressed in; what touches is the geometry's business.
             bodies: URDF and pose in the world of each body of the environment.
             options: step, softness, friction.
-            rails: how each body slides; default: all are fixed.
+            rails: how each body moves; default: all are fixed.
             on: the body of each contact; default: each has its own.
             drives: springs, motor errors and friction of the joints; default: ideal drives.
 
@@ -107,15 +114,18 @@ class MujocoPlant:
             self._springs = np.array([int(j.qposadr[0]) for j in springs])
             self._spring_v = np.array([int(j.dofadr[0]) for j in springs])
         self._object = int(self.model.body("object/root").id)
+        self._seen = [self._object] + [
+            int(self.model.body(f"{arm.name}/{arm.tip}").id) for arm in chain.arms
+        ]
         roots = [int(self.model.body(f"face{i}/root").id) for i in range(len(bodies))]
         self._body_of = {geom: i for i, root in enumerate(roots) for geom in self._geoms_of(root)}
-        self._moved = [i for i, rail in enumerate(self.rails) if rail is not None]
-        slides = [self.model.joint(f"face{i}/rail") for i in self._moved]
-        self._face_q = np.array([int(j.qposadr[0]) for j in slides], dtype=int)
-        self._face_v = np.array([int(j.dofadr[0]) for j in slides], dtype=int)
-        on_rails = list(zip(self._face_q, self._face_v, filter(None, self.rails), strict=True))
-        self._driven = [part for part in on_rails if part[2].motion is not None]
-        self._carts = [part for part in on_rails if part[2].motion is None]
+        self._moved = {i: rail for i, rail in enumerate(self.rails) if rail is not None}
+        kinds = [(i, k) for i, rail in self._moved.items() for k in rail.joints]
+        guides = [self.model.joint(f"face{i}/{GUIDES[k]}") for i, k in kinds]
+        self._guided = tuple(np.array(kinds, dtype=int).reshape(-1, 2).T)  # body, joint
+        self._face_q = np.array([int(j.qposadr[0]) for j in guides], dtype=int)
+        self._face_v = np.array([int(j.dofadr[0]) for j in guides], dtype=int)
+        self._driven = any(rail.motion is not None for rail in self._moved.values())
         if self._driven:  # the drive's mass must not set the scale of the solver's accuracy
             self.model.stat.meaninertia = 1.0
         self._sensed = [i for i, arm in enumerate(chain.arms) if arm.wrist_sensor is not None]
@@ -134,11 +144,27 @@ class MujocoPlant:
         q = as_array("q", q, (self.chain.nq,))
         self._mj.mj_resetData(self.model, self.data)
         self.data.qpos[self._q] = q
+        self._turn_object(q)
         self.time = 0.0
-        for _, v, cart in self._carts:
-            self.data.qfrc_applied[v] = cart.preload
+        for i, v in zip(self._guided[0], self._face_v, strict=True):
+            self.data.qfrc_applied[v] = self._moved[i].preload
         self._drive(0.0)
         self._mj.mj_forward(self.model, self.data)
+
+    def _turn_object(self, q: Array) -> None:
+        """Put the joint of the first grasp, if it is one, where the other arms hold the object."""
+        grasp = self.chain.grasps[0]
+        if grasp.is_rigid:
+            return
+        X_WO = object_pose(self.chain, q)
+        R = (self.chain.tip_poses()[0] * grasp.X_TO).rotation.T @ X_WO.rotation
+        joint = self.model.joint(GRASP_JOINT)
+        start = int(joint.qposadr[0])
+        if grasp.kind == "ball":
+            x, y, z, w = pin.Quaternion(R).coeffs()
+            self.data.qpos[start : start + 4] = w, x, y, z
+        else:
+            self.data.qpos[start] = pin.log3(R) @ joint.axis
 
     def hold(self, tau: Array) -> None:
         """Apply torques from now on; time stands still."""
@@ -186,20 +212,21 @@ class MujocoPlant:
     def _touched(self) -> Touched | None:
         if not self._moved:
             return None
-        travel, speed, acceleration = np.zeros((3, len(self.rails)))
-        travel[self._moved] = self.data.qpos[self._face_q]
-        speed[self._moved] = self.data.qvel[self._face_v]
-        for i, rail in enumerate(self.rails):
-            if rail is not None and rail.motion is not None:
-                acceleration[i] = rail.motion(self.time)[2]
-        return touched(self.rails, self.on, travel, speed, acceleration)
+        s, rates, second = np.zeros((3, len(self.rails), 2))
+        s[self._guided] = self.data.qpos[self._face_q]
+        rates[self._guided] = self.data.qvel[self._face_v]
+        for i, rail in self._moved.items():
+            if rail.motion is not None:
+                second[i] = rail.motion(self.time)[2]
+        return touched(self.rails, self.on, s, rates, second)
 
     def _drive(self, t: float) -> None:
         """Put driven faces where they are to be at t, and push them on to the next step."""
-        for q, v, rail in self._driven:
-            assert rail.motion is not None
-            self.data.qpos[q], self.data.qvel[v], acceleration = rail.motion(t)
-            self.data.qfrc_applied[v] = DRIVE_MASS * acceleration
+        now = {i: rail.motion(t) for i, rail in self._moved.items() if rail.motion is not None}
+        for i, k, q, v in zip(*self._guided, self._face_q, self._face_v, strict=True):
+            if i in now:
+                self.data.qpos[q], self.data.qvel[v], acceleration = (x[k] for x in now[i])
+                self.data.qfrc_applied[v] = DRIVE_MASS * acceleration
 
     def truth(self) -> Truth:
         """As of the last step's beginning, like the wrenches; see `MujocoTruth`."""
@@ -207,12 +234,19 @@ class MujocoPlant:
         log.note()
         return log.truths(np.concatenate(log.parts)[None], 0, 1)[0]
 
+    def poses(self) -> Array:
+        """See `Plant.poses`; as of the last step's beginning."""
+        X = np.tile(np.eye(4), (len(self._seen), 1, 1))
+        X[:, :3, :3] = self.data.xmat[self._seen].reshape(-1, 3, 3)
+        X[:, :3, 3] = self.data.xpos[self._seen]
+        return X
+
     def log(self, capacity: int) -> MujocoTruth:
         """A log of the truth of up to `capacity` instants."""
         inertia = self.chain.reference_inertia(pin.SE3.Identity())
         return MujocoTruth(
-            (self.model, self.data), self._object, self._body_of, self.rails, self._face_q,
-            self.contacts, self.on, inertia, capacity,
+            (self.model, self.data), self._object, self._body_of, self.rails,
+            (self._face_q, self._guided), self.contacts, self.on, inertia, capacity,
         )  # fmt: skip
 
     def step(self, tau: Array, duration: float) -> None:

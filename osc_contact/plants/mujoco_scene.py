@@ -1,8 +1,9 @@
 """The MuJoCo model of a rig, put together from the same URDFs as the toolkit's own.
 
-The object hangs on the first arm's gripper, further arms hold it by welds. Only the object and the
-bodies of the environment touch, with the collision geometry of their URDFs and soft enough not to
-chatter; joints have neither damping nor friction.
+The object hangs on the first arm's gripper, welded or by a joint of the grasp's kind; equality
+constraints tie it to the others: a weld, one point (ball) or two points of an axis (hinge). Only
+the object and the bodies of the environment touch, with the collision geometry of their URDFs and
+soft enough not to chatter; joints have neither damping nor friction.
 """
 
 from __future__ import annotations
@@ -17,13 +18,22 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.grasp import Grasp
+from osc_contact.errors import PlantError
 from osc_contact.plants.faces import Rail
 from osc_contact.spatial import Array
 
-__all__ = ["DRIVE_MASS", "MujocoOptions", "scene"]
+__all__ = ["DRIVE_MASS", "GRASP_JOINT", "GUIDES", "MujocoOptions", "scene"]
 
-#: Heavy enough that no contact force moves a driven face between two steps (kg).
+#: The joint between the first arm's tip and the object, if its grasp is a hinge or a ball.
+GRASP_JOINT = "object/grasp"
+#: Distance of the two points that make a hinge from the tip's origin (m).
+HINGE_SPAN = 0.05
+
+#: Heavy enough that no contact force moves a driven face between two steps (kg, kg m²).
 DRIVE_MASS = 1e6
+GUIDES = ("slide", "hinge")  #: joints of a body that moves
+_NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo wants mass in what moves
 
 
 @dataclass(frozen=True)
@@ -122,7 +132,13 @@ def _wrist_sensor(mujoco: Any, spec: Any, arm: str, frame: str) -> None:
 
 
 def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None:
-    """The object rides on the first arm; welds tie it to the others."""
+    """The object rides on the first arm; equality constraints tie it to the others."""
+    for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
+        if grasp.kind == "other":
+            raise PlantError(
+                f"arm '{arm.name}': MuJoCo is given rigid, hinge and ball grasps only; "
+                "use the rigid plant"
+            )
     part = mujoco.MjSpec.from_file(str(urdf))
     part.compiler.fusestatic = False
     for geom in part.geoms:
@@ -130,27 +146,53 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
     root = part.worldbody.first_body()
     root.name = "root"
     root.add_site(name="held")
-    first = chain.arms[0]
-    spec.attach(
-        part,
-        prefix="object/",
-        frame=_frame(spec.body(f"{first.name}/{first.tip}"), chain.grasps[0]),
+    first = chain.grasps[0]
+    for i, grasp in enumerate(chain.grasps[1:], start=1):
+        for k, point in enumerate(_tie_points(grasp)):
+            root.add_site(name=f"tie{i}.{k}", pos=grasp.X_TO.actInv(point))
+    if not first.is_rigid:
+        axis = np.zeros(3) if first.kind == "ball" else first.X_TO.rotation.T @ first.T[3:, 0]
+        root.add_joint(
+            name="grasp",
+            type=getattr(mujoco.mjtJoint, f"mjJNT_{first.kind.upper()}"),
+            pos=first.X_TO.inverse().translation,
+            **({} if first.kind == "ball" else {"axis": axis}),
+        )
+    tip = spec.body(f"{chain.arms[0].name}/{chain.arms[0].tip}")
+    spec.attach(part, prefix="object/", frame=_frame(tip, first.X_TO))
+    for i, (arm, grasp) in enumerate(zip(chain.arms[1:], chain.grasps[1:], strict=True), start=1):
+        tip = spec.body(f"{arm.name}/{arm.tip}")
+        if grasp.is_rigid:
+            x, y, z, w = pin.Quaternion(grasp.X_TO.rotation).coeffs()
+            tip.add_site(name=f"{arm.name}/hold", pos=grasp.X_TO.translation, quat=[w, x, y, z])
+            tie = _tie(mujoco, spec, f"{arm.name}/weld", f"{arm.name}/hold", "object/held")
+            tie.type = mujoco.mjtEq.mjEQ_WELD
+            tie.data = [0.0] * 10 + [1.0, 0.0]  # torque scale of the weld
+        for k, point in enumerate(_tie_points(grasp)):
+            own, other = f"{arm.name}/tie.{k}", f"object/tie{i}.{k}"
+            tip.add_site(name=own, pos=point)
+            _tie(mujoco, spec, own, own, other).type = mujoco.mjtEq.mjEQ_CONNECT
+
+
+def _tie_points(grasp: Grasp) -> list[Array]:
+    """Points of the tip frame that stay together in a hinge or a ball."""
+    if grasp.is_rigid:
+        return []
+    if grasp.kind == "ball":
+        return [np.zeros(3)]
+    axis = grasp.T[3:, 0]
+    return [HINGE_SPAN * axis, -HINGE_SPAN * axis]
+
+
+def _tie(mujoco: Any, spec: Any, name: str, first: str, second: str) -> Any:
+    return spec.add_equality(
+        name=name,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        name1=first,
+        name2=second,
+        solref=[2 * spec.option.timestep, 1.0],
+        solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
     )
-    for arm, X_TO in zip(chain.arms[1:], chain.grasps[1:], strict=True):
-        x, y, z, w = pin.Quaternion(X_TO.rotation).coeffs()
-        spec.body(f"{arm.name}/{arm.tip}").add_site(
-            name=f"{arm.name}/hold", pos=X_TO.translation, quat=[w, x, y, z]
-        )
-        spec.add_equality(
-            name=f"{arm.name}/weld",
-            type=mujoco.mjtEq.mjEQ_WELD,
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            name1=f"{arm.name}/hold",
-            name2="object/held",
-            solref=[2 * spec.option.timestep, 1.0],
-            solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
-            data=[0.0] * 10 + [1.0, 0.0],  # torque scale of the weld
-        )
 
 
 def _body(
@@ -174,24 +216,30 @@ def _body(
         geom.condim = 1 if options.friction == 0.0 else 3
         geom.friction = [options.friction, 0.0, 0.0]
     if rail is not None:
-        _put_on_rail(mujoco, part, root, placement.rotation.T @ rail.direction, rail)
+        _put_on_rail(mujoco, part, root, placement, rail)
     spec.attach(part, prefix=f"face{i}/", frame=_frame(spec.worldbody, placement))
 
 
-def _put_on_rail(mujoco: Any, part: Any, root: Any, axis: Array, rail: Rail) -> None:
-    """A slide joint; the cart's mass, or that of its drive, is all the mass there is."""
+def _put_on_rail(mujoco: Any, part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -> None:
+    """A slide, a hinge or both, whose inertia is all there is: a cart's weighs, others' does not.
+
+    It sits in the joints (armature), where a slide and a hinge do not act on one another.
+    """
     driven = rail.motion is not None
     for body in part.bodies[1:]:  # links fixed to the body weigh nothing beside it
         body.explicitinertial = True
         body.fullinertia = [np.nan] * 6  # not given
         body.mass, body.inertia = 0.0, [0.0] * 3
-    root.mass = DRIVE_MASS if driven else rail.mass
+    cart = not driven and rail.joints == [0]
+    root.mass = rail.inertia if cart else _NEXT_TO_NOTHING
     root.inertia = [root.mass] * 3
-    root.gravcomp = 1.0 if driven else 0.0
-    root.add_joint(
-        name="rail",
-        type=mujoco.mjtJoint.mjJNT_SLIDE,
-        axis=axis,
-        stiffness=0.0 if driven else rail.stiffness,
-        damping=0.0 if driven else rail.damping,
-    )
+    for k in rail.joints:
+        root.add_joint(
+            name=GUIDES[k],
+            type=getattr(mujoco.mjtJoint, f"mjJNT_{GUIDES[k].upper()}"),
+            pos=X_WB.actInv(rail.through) if k else [0.0] * 3,
+            axis=X_WB.rotation.T @ (rail.axis if k else rail.direction),
+            armature=DRIVE_MASS if driven else 0.0 if cart else rail.inertia,
+            stiffness=0.0 if driven else rail.stiffness,
+            damping=0.0 if driven else rail.damping,
+        )

@@ -32,7 +32,7 @@ class MujocoTruth:
         body: int,
         body_of: Mapping[int, int],
         rails: Sequence[Rail | None],
-        travel: Array,
+        guided: tuple[Array, tuple[Array, ...]],
         contacts: Sequence[ContactPair],
         on: Sequence[int],
         inertia: Array,
@@ -44,18 +44,20 @@ class MujocoTruth:
             plant: `MjModel` and `MjData`. Cones are elliptic: the first number of a contact's
                 constraint force is its normal force.
             body: the object's. body_of: body of the environment by its geom.
-            rails: how each of these slides. travel: places in qpos of those that do, in order.
+            rails: how each of these moves. guided: places in qpos of their joints; the body of
+                each joint and whether it is the travel (0) or the angle (1).
             contacts: the pairs. on: the body of each.
             inertia: (6, 6) of the object at its origin, in its own axes.
             capacity: instants at most.
         """
         model, self._data = plant
-        self._rails, self._travel, self._on, self._contacts = rails, travel, on, tuple(contacts)
+        self._rails, self._on, self._contacts = rails, on, tuple(contacts)
+        self._travel, self._guided = guided
         d, root = self._data, int(model.body_rootid[body])
         self.parts: Sequence[Array] = (
             d.xpos[body], d.xmat[body], d.cvel[body], d.subtree_com[root],
         )  # fmt: skip
-        self._travelled = np.zeros((capacity, len(travel)))
+        self._travelled = np.zeros((capacity, len(self._travel)))
         self._body_of = np.full(model.ngeom, -1)
         self._body_of[list(body_of)] = list(body_of.values())
         self._Phi = np.linalg.inv(inertia)
@@ -112,14 +114,14 @@ class MujocoTruth:
         """Of each contact the poses of its body; None for all where no body can move."""
         if not len(self._travel):
             return (None,) * len(self._on)
-        still = np.eye(3)[:, :, None]
-        poses, moving = [], 0
-        for rail in self._rails:
-            p = np.zeros((3, stop - start))
-            if rail is not None:
-                p = rail.direction[:, None] * self._travelled[start:stop, moving]
-                moving += 1
-            poses.append(Poses(still, p))
+        k = stop - start
+        s = np.zeros((len(self._rails), 2, k))
+        s[self._guided] = self._travelled[start:stop].T
+        still = Poses(np.eye(3)[:, :, None], np.zeros((3, k)))
+        poses = [
+            still if rail is None else rail.over(*path)
+            for rail, path in zip(self._rails, s, strict=True)
+        ]
         return tuple(poses[body] for body in self._on)
 
     def _wrenches(self, O: Array, start: int, stop: int) -> tuple[Array, Array]:  # noqa: E741

@@ -128,6 +128,9 @@ class Plant(Protocol):
     def truth(self) -> Truth:
         """What they cannot read."""
 
+    def poses(self) -> Array:
+        """(1 + arms, 4, 4) of the object and of the arms' tips, as they really are."""
+
     def log(self, capacity: int) -> TruthLog:
         """A log of the truth of up to `capacity` instants."""
 

@@ -1,8 +1,9 @@
 """The exact plant: Pinocchio joint-space dynamics, bilateral rigid contacts, loops by multipliers.
 
 It shares no formula with the closed chain of the controller: no S, no Λ_S, but all joints of all
-arms at once with one multiplier per constraint row. Positions and velocities are projected onto
-the constraints after each step, so NᵀV_rel = 0 to rounding.
+arms at once with one multiplier per constraint row. The object rides on the first arm that holds
+it rigidly; where none does it is a body of its own. Positions and velocities are projected onto the
+constraints after each step, so NᵀV_rel = 0 to rounding.
 """
 
 from __future__ import annotations
@@ -16,13 +17,32 @@ import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows
+from osc_contact.dynamics.assembly import (
+    closed,
+    constraint_rows,
+    inertia_of,
+    inverse_rows,
+    object_columns,
+    object_pose,
+    row_groups,
+)
 from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.held_object import moved
+from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
-from osc_contact.plants.faces import Rail, touched
+from osc_contact.plants.faces import Rail, poses, touched
 from osc_contact.plants.plant import Truth, Watched
-from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_wrench
+from osc_contact.plants.wrist_cut import wrist_cut
+from osc_contact.spatial import (
+    Array,
+    as_array,
+    carry_twist,
+    carry_wrench,
+    classical_to_spatial,
+    cross,
+    cross_twist,
+)
 
 __all__ = ["RigidPlant"]
 
@@ -44,7 +64,7 @@ class RigidPlant:
             chain: the true arms, grasps and object (not the controller's copy).
             contacts: the true contacts, of any kind.
             step: integration step (s).
-            rails: how each body of the environment slides; default: all are fixed.
+            rails: how each body of the environment moves; default: all are fixed.
             on: the body of each contact; default: each has its own.
 
         Raises:
@@ -55,30 +75,33 @@ class RigidPlant:
         self.chain = chain
         self.contacts = tuple(contacts)
         self.on = tuple(range(len(self.contacts)) if on is None else on)
-        bodies = max(self.on, default=-1) + 1
-        self.rails: list[Rail | None] = list(rails or [None] * bodies)
+        self.rails: list[Rail | None] = list(rails or [None] * (max(self.on, default=-1) + 1))
         self.dt = step
         self.time = 0.0
-        self._travel, self._speed = self._at_start(), np.zeros(len(self.rails))
+        #: travel and angle of every body (bodies, 2), and their rates
+        self._s: Array = np.zeros((len(self.rails), 2))
+        self._rates: Array = np.zeros((len(self.rails), 2))
         self.model, self._tips = _with_object(chain)
         self._sensors = [
             None if arm.wrist_sensor is None
-            else _sensor(chain.model, f"{arm.name}/{arm.wrist_sensor}")
+            else wrist_cut(chain.model, f"{arm.name}/{arm.wrist_sensor}")
             for arm in chain.arms
         ]  # fmt: skip
         self.data = self.model.createData()
         self.q = np.zeros(chain.nq)
         self.v = np.zeros(chain.nq)
+        self._X, self._V = pin.SE3.Identity(), np.zeros(6)  # of an object that no arm leads
         self._tau = np.zeros(chain.n_a)
         self._solved: tuple[bytes, Any] = b"", None
 
     def reset(self, q: Array) -> None:
         """Start at rest at q, moved onto loops and contacts."""
         self.time = 0.0
-        self._travel, self._speed = self._at_start(), np.zeros(len(self.rails))
+        self._s, self._rates = np.zeros_like(self._s), np.zeros_like(self._s)
         self._drive()
-        self.q = close(self.chain, as_array("q", q, (self.chain.nq,)), self._gaps)
-        self.v = self._on_constraints(np.zeros(self.chain.nq))
+        q = as_array("q", q, (self.chain.nq,))
+        self.q, self._X = closed(self.chain, q, object_pose(self.chain, q), self._gaps)
+        self.v, self._V = self._on_constraints(np.zeros(self.chain.nq), np.zeros(6))
         self._tau = np.zeros(self.chain.n_a)
 
     def hold(self, tau: Array) -> None:
@@ -88,13 +111,14 @@ class RigidPlant:
     def measure(self) -> Measurement:
         """Encoders, and the wrist wrenches under the torques applied last."""
         wrenches = self._now()[0].wrenches.copy()
-        seen = touched(self.rails, self.on, self._travel, self._speed, self._driven_acceleration())
+        seen = touched(self.rails, self.on, self._s, self._rates, self._driven_acceleration())
         return Measurement(self.q.copy(), self.v.copy(), wrenches, seen)
 
     def truth(self) -> Truth:
         """Contact forces under the torques applied last; rigid contacts are always closed."""
         solution, (X, V) = self._now()
-        faces = tuple(self._face(i)[0] for i in range(len(self.contacts)))
+        bodies = poses(self.rails, self._s)
+        faces = tuple(bodies[body] for body in self.on)
         return Truth(solution.alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
 
     def log(self, capacity: int) -> Watched:
@@ -103,12 +127,21 @@ class RigidPlant:
 
     def _now(self) -> tuple[_Solution, tuple[pin.SE3, Array]]:
         """The solution under the torques applied last, pose and twist of the object."""
-        state = (self.q, self.v, self._tau, self._travel, self._speed, np.array([self.time]))
+        state = (
+            self.q, self.v, self._tau, self._s.ravel(), self._rates.ravel(), self._V,
+            self._X.homogeneous.ravel(), np.array([self.time]),
+        )  # fmt: skip
         key = np.concatenate(state).tobytes()
         if self._solved[0] != key:  # `measure` and `truth` of one instant share it
             found = self._solve(self._tau, with_wrenches=True)
             self._solved = key, (found, self._object())
         return self._solved[1]
+
+    def poses(self) -> Array:
+        """See `Plant.poses`."""
+        pin.computeAllTerms(self.model, self.data, self.q, self.v)
+        tips = [self._tip(i) for i in range(len(self._tips))]
+        return np.array([X.homogeneous for X in (self._object()[0], *tips)])
 
     def step(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
@@ -120,159 +153,189 @@ class RigidPlant:
             if not (np.isfinite(q).all() and np.abs(v).max() < 1e3):
                 raise PlantError(f"rigid plant diverged at t = {self.time:.4f} s, v = {v}")
             self.time += self.dt
-            speed = self._speed + solution.sdd * self.dt
-            self._travel = self._travel + 0.5 * (self._speed + speed) * self.dt
-            self._speed = speed
+            rates = self._rates + solution.sdd * self.dt
+            self._s = self._s + 0.5 * (self._rates + rates) * self.dt
+            self._rates = rates
             self._drive()
-            self.q = close(self.chain, q, self._gaps)
-            self.v = self._on_constraints(v)
+            V = self._V + solution.object_rate * self.dt
+            X = moved(self._X, 0.5 * (self._V + V) * self.dt)
+            self.q, self._X = closed(self.chain, q, X, self._gaps)
+            self.v, self._V = self._on_constraints(v, V)
 
     def accelerations(self, tau: Array) -> tuple[Array, Array, Array]:
         """(q̈ (n,), spatial object acceleration (6,) at O, α (r,)) under torques now."""
         solution = self._solve(as_array("tau", tau, (self.chain.n_a,)))
-        X, _ = self._object()
-        s, J = self.chain.slices[0], self._jacobian(0, X)
-        return solution.qdd, J[:, s] @ solution.qdd[s] + self._drift(0, X), solution.alpha
+        return solution.qdd, solution.a_O, solution.alpha
 
     # --- faces -----------------------------------------------------------------------------------
-
-    def _at_start(self) -> Array:
-        """(bodies,) travel at t = 0."""
-        return np.array(
-            [0.0 if r is None or r.motion is None else r.motion(0.0)[0] for r in self.rails]
-        )
 
     def _drive(self) -> None:
         """Put the driven faces where they are to be now."""
         for i, rail in enumerate(self.rails):
             if rail is not None and rail.motion is not None:
-                self._travel[i], self._speed[i], _ = rail.motion(self.time)
+                self._s[i], self._rates[i], _ = rail.motion(self.time)
 
     def _driven_acceleration(self) -> Array:
         return np.array(
-            [0.0 if r is None or r.motion is None else r.motion(self.time)[2] for r in self.rails]
-        )
+            [
+                np.zeros(2) if r is None or r.motion is None else r.motion(self.time)[2]
+                for r in self.rails
+            ]
+        ).reshape(-1, 2)
 
     def _face(self, i: int) -> tuple[pin.SE3, Array]:
         """Pose and twist of the body at contact i."""
         body = self.on[i]
         rail = self.rails[body]
-        X, V = pin.SE3.Identity(), np.zeros(6)
-        if rail is not None:
-            X.translation = rail.direction * self._travel[body]
-            V[:3] = rail.direction * self._speed[body]
-        return X, V
+        if rail is None:
+            return pin.SE3.Identity(), np.zeros(6)
+        X = rail.pose(self._s[body])
+        return X, rail.twist(self._s[body], self._rates[body], X.translation)
 
-    def _along_rails(self, parts: list[Contact]) -> Array:
-        """(r, bodies) Nᵀ[u; 0]: how fast each gap closes as the body comes along its rail."""
-        out = np.zeros((sum(c.r for c in parts), len(self.rails)))
+    def _free(self) -> dict[int, Rail]:
+        """The bodies that follow the contact force."""
+        return {i: r for i, r in enumerate(self.rails) if r is not None and r.motion is None}
+
+    def _along_rails(self, parts: list[Contact], point: Array) -> Array:
+        """(r, bodies, 2) Nᵀ × the twists per unit rate: how fast each gap closes with them."""
+        out = np.zeros((sum(c.r for c in parts), len(self.rails), 2))
         row = 0
         for part, body in zip(parts, self.on, strict=True):
             rail = self.rails[body]
             if rail is not None:
-                out[row : row + part.r, body] = part.N[:3].T @ rail.direction
+                for k, rate in enumerate(np.eye(2)):
+                    twist = rail.twist(self._s[body], rate, point)
+                    out[row : row + part.r, body, k] = part.N.T @ twist
             row += part.r
         return out
+
+    def _drift_of_faces(self, parts: list[Contact], point: Array) -> Array:
+        """(r,) Nᵀ × the spatial acceleration at O of bodies at s̈ = 0."""
+        out = [np.zeros(0)]
+        for part, body in zip(parts, self.on, strict=True):
+            rail, drift = self.rails[body], np.zeros(6)
+            if rail is not None:
+                s, rates = self._s[body], self._rates[body]
+                drift = rail.acceleration(s, rates, np.zeros(2), point)
+                drift = classical_to_spatial(drift, rail.twist(s, rates, point))
+            out.append(part.N.T @ drift)
+        return np.concatenate(out)
 
     # --- dynamics --------------------------------------------------------------------------------
 
     def _solve(self, tau: Array, with_wrenches: bool = False) -> _Solution:
-        """All joints and carts at once, one multiplier for each row of loops and contacts."""
-        chain, n, k = self.chain, self.chain.nq, 6 * (len(self._tips) - 1)
+        """All joints and free bodies at once, one multiplier for each row of loops and contacts."""
+        chain, n = self.chain, self.chain.nq
         pin.computeAllTerms(self.model, self.data, self.q, self.v)
         X, V = self._object()
         parts = self._parts(X, V)
         N, n_gamma = _stacked(parts)
         pin.forwardKinematics(self.model, self.data, self.q, self.v, np.zeros(n))
-        gamma = [self._drift(i, X) for i in range(len(self._tips))]
-        first = np.zeros((6, n))
-        first[:, chain.slices[0]] = self._jacobian(0, X)[:, chain.slices[0]]
-        rows, right = [], []
-        for i, s in enumerate(chain.slices[1:], start=1):
-            loop = first.copy()
-            loop[:, s] -= self._jacobian(i, X)[:, s]
+        J = self._jacobian(X)
+        first = object_columns(chain, J)
+        gamma_O = np.zeros(6) if chain.leader is None else self._drift(chain.leader, X)
+        rows, right, normals = [], [], []
+        for i, (s, grasp) in enumerate(zip(chain.slices, chain.grasps, strict=True)):
+            if i == chain.leader:
+                continue
+            loop, drift, passed = first.copy(), self._drift(i, X) - gamma_O, np.eye(6)
+            loop[:, s] -= J[:, s]
+            if not grasp.is_rigid:  # N is carried by the tip while the object slips
+                passed = grasp.wrenches_at(self._tip(i), X.translation)
+                loop = passed.T @ loop
+                drift = passed.T @ (drift + cross_twist(J[:, s] @ self.v[s], V))
             rows.append(loop)
-            right.append(gamma[i] - gamma[0])
-        along, driven = self._along_rails(parts), self._driven_acceleration()
+            right.append(drift)
+            normals.append(passed)
+        along, driven = self._along_rails(parts, X.translation), self._driven_acceleration()
+        on_faces = self._drift_of_faces(parts, X.translation) + np.tensordot(along, driven)
+        k = sum(map(len, right))
         rows.append(N.T @ first)
-        right.append(n_gamma - N.T @ gamma[0] + along @ driven)
+        right.append(n_gamma - N.T @ gamma_O + on_faces)
         force = -self.data.nle
         force[chain.actuated] += tau
-        on_rails = {i: r for i, r in enumerate(self.rails) if r is not None and r.motion is None}
-        carts = list(on_rails)
-        A, M = np.vstack(rows), np.array(self.data.M)
-        if carts:
-            A = np.hstack((A, np.vstack((np.zeros((k, len(carts))), -along[:, carts]))))
-            masses = np.diag([rail.mass for rail in on_rails.values()])
-            M = np.block([[M, np.zeros((n, len(carts)))], [np.zeros((len(carts), n)), masses]])
-            force = np.concatenate((force, [self._on_cart(i, r) for i, r in on_rails.items()]))
+        M = np.array(self.data.M)
+        if chain.leader is None:
+            body = self._body(X, V)
+            force = np.concatenate((force, -body.mu - body.p))
+            M = _beside(M, body.Lambda)
+        free = self._free()
+        at = np.array(list(free), dtype=int), np.array([r.joints[0] for r in free.values()], int)
+        A, size = np.vstack(rows), len(M)
+        if free:
+            A = np.hstack((A, np.vstack((np.zeros((k, len(free))), -along[:, *at]))))
+            M = _beside(M, np.diag([rail.inertia for rail in free.values()]))
+            force = np.concatenate((force, [self._on_rail(i, r) for i, r in free.items()]))
         b = np.concatenate(right)
-        free = np.linalg.solve(M, force)
-        inverse, multipliers = inverse_rows(A, M, len(rows) - 1)
-        x = free + inverse @ (b - A @ free)
-        lam = multipliers @ (b - A @ free)  # M x = force + Aᵀλ
+        unheld = np.linalg.solve(M, force)
+        inverse, multipliers = inverse_rows(A, M, row_groups(chain))
+        x = unheld + inverse @ (b - A @ unheld)
+        lam = multipliers @ (b - A @ unheld)  # M x = force + Aᵀλ
         qdd, sdd = x[:n], driven.copy()
-        sdd[carts] = x[n:]
-        alpha = -lam[k:]
+        sdd[at] = x[size:]
+        alpha, a_O = -lam[k:], first @ x[:size] + gamma_O
         wrenches = np.zeros((len(self._tips), 6))
         if with_wrenches:
-            a_O = first @ qdd + gamma[0]
-            wrenches = self._wrist(qdd, lam[:k].reshape(-1, 6), N @ alpha, a_O, X, V)
-        return _Solution(qdd, sdd, alpha, wrenches)
+            ends = np.cumsum([passed.shape[1] for passed in normals])[:-1]
+            shares = np.split(lam[:k], ends) if normals else []
+            # the multiplier of a loop row is what that arm does to the object
+            loops = [passed @ share for passed, share in zip(normals, shares, strict=True)]
+            wrenches = self._wrist(qdd, loops, N @ alpha, a_O, X, V)
+        return _Solution(qdd, sdd, a_O, _rate(a_O, V), alpha, wrenches)
 
-    def _on_cart(self, i: int, rail: Rail) -> float:
-        """Force along the rail besides the contact's (N)."""
-        weight = rail.mass * float(rail.direction @ self.model.gravity.linear)
-        spring = rail.stiffness * self._travel[i] + rail.damping * self._speed[i]
+    def _body(self, X: pin.SE3, V: Array) -> ObjectTerms:
+        assert self.chain.payload is not None  # the constructor refused otherwise
+        return self.chain.payload.terms(X, V, self.model.gravity.linear)
+
+    def _on_rail(self, i: int, rail: Rail) -> float:
+        """Force along a free body's joint besides the contact's (N, N m); hinges are balanced."""
+        k = rail.joints[0]
+        weight = rail.inertia * float(rail.direction @ self.model.gravity.linear)
+        spring = rail.stiffness * self._s[i, k] + rail.damping * self._rates[i, k]
         return float(weight + rail.preload - spring)
 
     def _wrist(
-        self, qdd: Array, loops: Array, f_c: Array, a_O: Array, X: pin.SE3, V: Array
+        self, qdd: Array, loops: list[Array], f_c: Array, a_O: Array, X: pin.SE3, V: Array
     ) -> Array:
         """Wrist wrenches in sensor axes: what each arm's joint transmits, minus its own side.
 
         Newton–Euler from the base: the wrench through the sensor's joint, less what the links
         between that joint and the sensor need.
         """
-        chain = self.chain
-        payload = chain.payload
-        assert payload is not None  # the constructor refused otherwise
-        body = payload.terms(X, V, self.model.gravity.linear)
-        # the multiplier of a loop row is what that arm does to the object; the first bears the rest
+        leader = self.chain.leader
+        body = self._body(X, V)
         hold = body.Lambda @ a_O + body.mu + body.p + f_c
-        on_object = [hold - loops.sum(axis=0), *loops]
+        on_object = list(loops)
+        if leader is not None:  # it bears the rest
+            on_object.insert(leader, hold - sum(loops, np.zeros(6)))
         external = [pin.Force.Zero() for _ in range(self.model.njoints)]
         for i, (tip, wrench) in enumerate(zip(self._tips, on_object, strict=True)):
             joint = self.model.frames[tip].parentJoint
             at_origin = carry_wrench(-wrench, X.translation, np.zeros(3))
-            if i == 0:  # the object's inertia rides on this joint: add only what differs
+            if i == leader:  # the object's inertia rides on this joint: add only what differs
                 at_origin = carry_wrench(hold - wrench - f_c, X.translation, np.zeros(3))
             external[joint] = self.data.oMi[joint].actInv(pin.Force(at_origin))
         pin.rnea(self.model, self.data, self.q, self.v, qdd, external)
         readings = np.zeros((len(self._tips), 6))
         for i, sensor in enumerate(self._sensors):
             if sensor is not None:
-                readings[i] = self._through(sensor)
+                readings[i] = sensor.reading(self.data)
         return readings
 
-    def _through(self, sensor: _Sensor) -> Array:
-        v, a = self.data.v[sensor.joint].vector, self.data.a_gf[sensor.joint].vector
-        own = sensor.inboard @ a + cross_wrench(v, sensor.inboard @ v)
-        wrench = self.data.f[sensor.joint].vector - own
-        return np.asarray(sensor.placement.actInv(pin.Force(wrench)).vector)
-
     def _object(self) -> tuple[pin.SE3, Array]:
-        X = self._pose(0)
-        s = self.chain.slices[0]
-        return X, self._jacobian(0, X)[:, s] @ self.v[s]
+        leader = self.chain.leader
+        if leader is None:
+            return self._X, self._V
+        X = self._tip(leader) * self.chain.grasps[leader].X_TO
+        s = self.chain.slices[leader]
+        return X, self._jacobian(X)[:, s] @ self.v[s]
 
-    def _pose(self, i: int) -> pin.SE3:
+    def _tip(self, i: int) -> pin.SE3:
         frame = self.model.frames[self._tips[i]]
-        return self.data.oMi[frame.parentJoint] * frame.placement * self.chain.grasps[i]
+        return self.data.oMi[frame.parentJoint] * frame.placement
 
-    def _jacobian(self, i: int, X: pin.SE3) -> Array:
-        J = pin.getFrameJacobian(self.model, self.data, self._tips[i], pin.ReferenceFrame.WORLD)
-        return carry_twist(J, np.zeros(3), X.translation)
+    def _jacobian(self, X: pin.SE3) -> Array:
+        return carry_twist(self.data.J, np.zeros(3), X.translation)
 
     def _drift(self, i: int, X: pin.SE3) -> Array:
         """Spatial drift at O, from Pinocchio's own acceleration pass at q̈ = 0."""
@@ -290,27 +353,42 @@ class RigidPlant:
         gaps = [pair.gaps(X, self._face(i)[0]) for i, pair in enumerate(self.contacts)]
         return np.concatenate([np.zeros(0), *gaps]), _stacked(self._parts(X, np.zeros(6)))[0]
 
-    def _on_constraints(self, v: Array) -> Array:
-        pin.computeAllTerms(self.chain.model, self.chain.data, self.q, v)
-        X = self.chain.object_poses()[0]
+    def _on_constraints(self, v: Array, V: Array) -> tuple[Array, Array]:
+        chain, n = self.chain, self.chain.nq
+        pin.computeAllTerms(chain.model, chain.data, self.q, v)
+        X = self._X if chain.leader is None else chain.object_pose()
         parts = self._parts(X, np.zeros(6))
-        A = constraint_rows(self.chain, X.translation, _stacked(parts)[0])
-        along = self._along_rails(parts)
+        A = constraint_rows(chain, X.translation, _stacked(parts)[0])
+        along = self._along_rails(parts, X.translation)
         b = np.zeros(len(A))
-        b[len(A) - len(along) :] = -along @ self._speed
+        b[len(A) - len(along) :] = -np.tensordot(along, self._rates)
+        x = np.concatenate((v, V))[: A.shape[1]]
         for _ in range(2):
-            v = v - inverse_rows(A, self.chain.data.M, len(self._tips) - 1)[0] @ (A @ v - b)
-        return v
+            x = x - inverse_rows(A, inertia_of(chain, X), row_groups(chain))[0] @ (A @ x - b)
+        return x[:n], x[n:] if chain.leader is None else V
 
 
 @dataclass(frozen=True)
 class _Solution:
-    """q̈ (n,), accelerations along the rails (bodies,), α (r,), wrist wrenches (arms, 6)."""
+    """What one instant's equations say."""
 
-    qdd: Array
-    sdd: Array
-    alpha: Array
-    wrenches: Array
+    qdd: Array  # (n,)
+    sdd: Array  # (bodies, 2) accelerations along the rails
+    a_O: Array  # (6,) of the object, spatial
+    object_rate: Array  # (6,) rate of its twist at its own origin
+    alpha: Array  # (r,)
+    wrenches: Array  # (arms, 6) in the wrists
+
+
+def _rate(a_O: Array, V: Array) -> Array:
+    return a_O + np.concatenate((cross(V[3:], V[:3]), np.zeros(3)))
+
+
+def _beside(A: Array, B: Array) -> Array:
+    """The block-diagonal matrix of two."""
+    out = np.zeros((len(A) + len(B), len(A) + len(B)))
+    out[: len(A), : len(A)], out[len(A) :, len(A) :] = A, B
+    return out
 
 
 def _stacked(parts: list[Contact]) -> tuple[Array, Array]:
@@ -320,37 +398,12 @@ def _stacked(parts: list[Contact]) -> tuple[Array, Array]:
 
 
 def _with_object(chain: ClosedChain) -> tuple[pin.Model, list[int]]:
-    """The merged model with the object's inertia riding on the first arm's last joint."""
+    """The merged model with the object's inertia riding on the last joint of the leading arm."""
     model = chain.model.copy()
     tips = [model.getFrameId(f"{arm.name}/{arm.tip}") for arm in chain.arms]
-    frame = model.frames[tips[0]]
-    assert chain.payload is not None
-    model.appendBodyToJoint(
-        frame.parentJoint, chain.payload.inertia, frame.placement * chain.grasps[0]
-    )
+    if chain.leader is not None:
+        frame = model.frames[tips[chain.leader]]
+        assert chain.payload is not None
+        X_TO = chain.grasps[chain.leader].X_TO
+        model.appendBodyToJoint(frame.parentJoint, chain.payload.inertia, frame.placement * X_TO)
     return model, tips
-
-
-@dataclass(frozen=True)
-class _Sensor:
-    """A cut through a link: its joint, where it sits, what stays on the arm's side."""
-
-    joint: int
-    placement: pin.SE3
-    inboard: Array  # (6, 6) at the joint
-
-
-def _sensor(model: pin.Model, name: str) -> _Sensor:
-    cut = model.getFrameId(name)
-    frame = model.frames[cut]
-    above = frame.parentFrame
-    beyond = {above if model.frames[above].type == pin.FrameType.FIXED_JOINT else cut}
-    inboard: Array = model.inertias[frame.parentJoint].matrix()
-    if model.frames[above].type == pin.FrameType.JOINT:  # cut at the joint itself
-        return _Sensor(frame.parentJoint, frame.placement, np.zeros((6, 6)))
-    for f, other in enumerate(model.frames):
-        if other.parentFrame in beyond:
-            beyond.add(f)
-        if f in beyond and other.parentJoint == frame.parentJoint:
-            inboard = inboard - other.placement.act(other.inertia).matrix()
-    return _Sensor(frame.parentJoint, frame.placement, inboard)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from .quantities import AngleVec3, JointValue, Spec, Vec3
+from .quantities import AngleVec3, JointValue, Number, Spec, UnitVec3, Vec3, refuse
 
 __all__ = [
     "ArmSpec",
@@ -29,7 +29,19 @@ class PoseSpec(Spec):
 
 
 class GraspSpec(PoseSpec):
-    """X_TO: pose of the object in the tip frame of the arm that holds it."""
+    """X_TO: pose of the object in the tip frame of the arm that holds it, and how it does so."""
+
+    type: Literal["rigid", "hinge", "ball"] = "rigid"
+    axis: UnitVec3 | None = None
+    """the axis of a hinge [x, y, z], in the tip frame, through its origin"""
+
+    @model_validator(mode="after")
+    def _hinges_have_an_axis(self) -> GraspSpec:
+        if self.type == "hinge" and self.axis is None:
+            raise refuse("a hinge needs an axis [x, y, z] in the tip frame; add axis: [0, 1, 0]")
+        if self.type != "hinge" and self.axis is not None:
+            raise refuse(f"a {self.type} grasp has no axis; leave it out, or set type: hinge")
+        return self
 
 
 class ArmSpec(Spec):
@@ -45,6 +57,7 @@ class ArmSpec(Spec):
     wrist_sensor: Text | None = None
     passive_joints: tuple[Text, ...] = ()
     locked_joints: dict[str, JointValue] = Field(default_factory=dict)
+    effort_factor: Annotated[Number, Field(gt=0)] = 1.0
     posture: Annotated[tuple[JointValue, ...], Field(min_length=1)]
     """the start guess of all joints in model order, such as [30 deg, 0.1 m]"""
 

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from .geometry import Name, PoseSpec, Text
-from .quantities import Force, Length, Mass, Number, Spec, UnitVec3, Vec3
-from .signals import LengthSignal
+from .quantities import Force, Length, Mass, Number, Spec, Torque, UnitVec3, Vec3
+from .signals import AngleSignal, LengthSignal
 
 __all__ = [
     "BodySpec",
@@ -23,20 +23,36 @@ __all__ = [
     "ConveyorSpec",
     "FaceMotion",
     "FaceSpec",
+    "HingeSpec",
     "MAGNITUDES",
+    "TurnSpec",
     "VertexOnFaceSpec",
     "magnitude_names",
 ]
 
 
+class TurnSpec(Spec):
+    """A turn about an axis of fixed direction; signals in radians, summed."""
+
+    axis: UnitVec3
+    """the axis of the turn [x, y, z] in world"""
+    through: Vec3
+    """a point of the axis [x, y, z] in world at the start"""
+    signals: Annotated[tuple[AngleSignal, ...], Field(min_length=1)]
+    """a list of signals in angles, 0 at the start"""
+
+
 class ConveyorSpec(Spec):
-    """A body driven along a fixed direction, whatever presses on it; signals in metres, summed."""
+    """A body driven along a fixed direction, whatever presses on it; signals in metres, summed.
+
+    It may turn meanwhile, about an axis that travels with it."""
 
     type: Literal["conveyor"] = "conveyor"
     direction: UnitVec3
     """the direction of travel [x, y, z] in world"""
     signals: Annotated[tuple[LengthSignal, ...], Field(min_length=1)]
     """a list of signals in lengths, 0 at the start"""
+    turn: TurnSpec | None = None
 
 
 class CartSpec(Spec):
@@ -52,7 +68,22 @@ class CartSpec(Spec):
     preload: Force = 0.0
 
 
-FaceMotion = Annotated[ConveyorSpec | CartSpec, Field(discriminator="type")]
+class HingeSpec(Spec):
+    """A balanced body that turns freely about a fixed axis (N m, rad)."""
+
+    type: Literal["hinge"] = "hinge"
+    axis: UnitVec3
+    """the axis of the hinge [x, y, z] in world"""
+    through: Vec3
+    """a point of the axis [x, y, z] in world"""
+    inertia: Annotated[Number, Field(gt=0)]
+    """the moment of inertia about the axis, kg m², such as 0.02"""
+    stiffness: Annotated[Number, Field(ge=0)] = 0.0
+    damping: Annotated[Number, Field(ge=0)] = 0.0
+    preload: Torque = 0.0
+
+
+FaceMotion = Annotated[ConveyorSpec | CartSpec | HingeSpec, Field(discriminator="type")]
 
 
 class BodySpec(Spec):

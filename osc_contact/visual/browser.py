@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 from osc_contact.errors import ViewerError
+from osc_contact.visual.page import unfolded
 
 __all__ = ["FLAGS", "find_browser", "write_png"]
 
@@ -59,6 +60,9 @@ def write_png(
     path: str | Path,
     time: float | None = None,
     size: tuple[int, int] = (1280, 860),
+    *,
+    bare: bool = False,
+    density: float = 1.0,
 ) -> Path:
     """Render a page as it looks at a time (s) of its recording; returns the path of the PNG.
 
@@ -66,21 +70,26 @@ def write_png(
         page: file written by `write_page`.
         path: the PNG; it appears complete or not at all.
         time: s, default the beginning.
-        size: of the window, pixels.
+        size: of the window, CSS pixels.
+        bare: the scene and its labels alone.
+        density: picture pixels per CSS pixel.
 
     Raises:
         ViewerError: no browser, or it gave no picture.
+        InvalidInputError: the page holds no drawing commands.
     """
     target = Path(path).resolve()
-    address = f"{Path(page).resolve().as_uri()}#t={0.0 if time is None else time:g}"
     browser = find_browser()
+    text = unfolded(Path(page).read_text(encoding="utf-8"))
     target.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="osc_contact_", ignore_cleanup_errors=True) as folder:
-        picture = Path(folder) / "picture.png"
+        picture, plain = Path(folder) / "picture.png", Path(folder) / "page.html"
+        plain.write_text(text, encoding="utf-8")
+        address = f"{plain.as_uri()}#t={0.0 if time is None else time:g}" + "&bare" * bare
         command = [
             browser, *FLAGS, *sandbox_flags(), f"--window-size={size[0]},{size[1]}",
-            "--virtual-time-budget=1500", f"--user-data-dir={folder}/profile",
-            f"--screenshot={picture}", address,
+            f"--force-device-scale-factor={density:g}", "--virtual-time-budget=1500",
+            f"--user-data-dir={folder}/profile", f"--screenshot={picture}", address,
         ]  # fmt: skip
         try:
             done = subprocess.run(

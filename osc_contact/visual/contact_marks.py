@@ -80,7 +80,7 @@ class ContactForce:
         for state, colour in (("closed", self.colour), ("lost", LOST)):
             paint = plain(colour, 1.0 if state == "closed" else 0.7)
             node[f"{state}/point"].set_object(Sphere(0.0065), paint)
-            node[f"{state}/patch"].set_object(Cylinder(0.0016, 0.024), plain(colour, 0.5))
+            node[f"{state}/patch"].set_object(Cylinder(0.005, 0.024), plain(colour, 0.5))
             rod(node[f"{state}/line"], paint, LINE_LENGTH)
             if self.couple or self.pitch:
                 path = helix(0.0 if self.couple else self.pitch, HELIX_RADIUS, HELIX_LENGTH)

@@ -15,7 +15,8 @@ import os
 import re
 import tempfile
 import warnings
-from collections.abc import Sequence
+import zlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,25 +29,26 @@ if TYPE_CHECKING:
     from meshcat import Visualizer
 
 __all__ = [
-    "EMPTY", "CommandSink", "packed", "page_text", "read_commands", "set_background", "set_camera",
-    "write_page",
+    "EMPTY", "POLICY", "CommandSink", "asset", "filled", "packed", "page_text", "read_commands",
+    "set_background", "set_camera", "unfolded", "write_page", "write_whole",
 ]  # fmt: skip
 
-_POLICY = (
+POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src data: blob:; worker-src blob:; connect-src data: blob:"
 )
 
 _SLOT = re.compile(r"\{\{(\w+)\}\}")
-_DRAW = re.compile(r'^draw\("([A-Za-z0-9+/=]+)"\);$', re.MULTILINE)
+_DRAW = re.compile(r'^unfold\("([A-Za-z0-9+/=]*)"\)\..*;$', re.MULTILINE)
 _COLOUR = re.compile(r"^#[0-9A-Fa-f]{6}$")
 
 
 EMPTY: dict[str, Any] = {
     "live": False, "legend": [], "labels": [], "panels": [], "curves": {"t": [], "y": []},
-    "begin": 0.0, "length": 0.0, "window": 0.0, "still": None,
+    "begin": 0.0, "length": 0.0, "window": 0.0, "still": None, "aspect": 1.5,
 }  # fmt: skip
-"""Configuration of a page without legend, labels and plots."""
+"""Configuration of a page without legend, labels and plots; aspect: width over height that the
+camera was placed for, a narrower window shows everything smaller."""
 
 
 class CommandSink:
@@ -114,18 +116,15 @@ def page_text(sink: CommandSink, title: str, config: dict[str, Any]) -> str:
     viewer = Path(_meshcat().viewer_assets_path()) / "dist" / "main.min.js"
     scripts = ("plot.js", "player.js", *(("live.js",) if config["live"] else ()))
     parts = {
-        "policy": _POLICY + (" 'self'" if config["live"] else ""),
+        "policy": POLICY + (" 'self'" if config["live"] else ""),
         "title": html.escape(title),
-        "style": _asset("page.css"),
+        "style": asset("page.css"),
         "viewer": viewer.read_text(encoding="utf-8"),
         "config": json.dumps(config, allow_nan=False).replace("<", "\\u003c"),
-        "scripts": "\n".join(_asset(name).replace('"use strict";\n', "", 1) for name in scripts),
-        "commands": "\n".join(
-            f'draw("{base64.b64encode(packed(command)).decode("ascii")}");'
-            for command in sink.commands
-        ),
+        "scripts": "\n".join(asset(name).replace('"use strict";\n', "", 1) for name in scripts),
+        "commands": _folded(sink.commands),
     }
-    return _SLOT.sub(lambda slot: parts[slot[1]], _asset("page.html"))
+    return filled("page.html", parts)
 
 
 def write_page(
@@ -136,7 +135,11 @@ def write_page(
     Raises:
         InvalidInputError: as `page_text`.
     """
-    page = page_text(sink, title, config)
+    return write_whole(page_text(sink, title, config), path)
+
+
+def write_whole(page: str, path: str | Path) -> Path:
+    """Write a text file, which appears complete or not at all; returns its path."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -151,11 +154,27 @@ def write_page(
     return path
 
 
+def _folded(commands: Sequence[dict[str, Any]]) -> str:
+    """All commands, each after its length (4 bytes, little end first), zlib and base64."""
+    parts = [packed(command) for command in commands]
+    whole = b"".join(len(part).to_bytes(4, "little") + part for part in parts)
+    return base64.b64encode(zlib.compress(whole, 9)).decode("ascii")
+
+
 def packed(command: dict[str, Any]) -> bytes:
     """One command as meshcat's viewer reads it; numbers in single precision, as it keeps them."""
     import umsgpack
 
     return bytes(umsgpack.packb(command, force_float_precision="single"))
+
+
+def unfolded(page: str) -> str:
+    """The same page with its commands uncompressed, drawn before it counts as loaded.
+
+    For renderers with a clock of their own, which a stream may stall (`write_png`).
+    """
+    commands = base64.b64encode(_unfold(page)).decode("ascii")
+    return _DRAW.sub(lambda _: f'drawAll(bytesOf("{commands}")); start();', page)
 
 
 def read_commands(path: str | Path) -> list[dict[str, Any]]:
@@ -166,13 +185,31 @@ def read_commands(path: str | Path) -> list[dict[str, Any]]:
     """
     import umsgpack
 
-    packed = _DRAW.findall(Path(path).read_text(encoding="utf-8"))
-    if not packed:
-        raise InvalidInputError(f"{path} holds no drawing commands: it was not made by write_page")
-    return [umsgpack.unpackb(base64.b64decode(text)) for text in packed]
+    try:
+        whole, commands, start = _unfold(Path(path).read_text(encoding="utf-8")), [], 0
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path}: {error}") from error
+    while start < len(whole):
+        end = start + 4 + int.from_bytes(whole[start : start + 4], "little")
+        commands.append(umsgpack.unpackb(whole[start + 4 : end]))
+        start = end
+    return commands
 
 
-def _asset(name: str) -> str:
+def _unfold(page: str) -> bytes:
+    found = _DRAW.search(page)
+    if not found:
+        raise InvalidInputError("holds no drawing commands: it was not made by write_page")
+    return zlib.decompress(base64.b64decode(found[1]))
+
+
+def filled(template: str, parts: Mapping[str, str]) -> str:
+    """A template of the package's assets with its slots ``{{name}}`` filled."""
+    return _SLOT.sub(lambda slot: parts[slot[1]], asset(template))
+
+
+def asset(name: str) -> str:
+    """Text of one of the package's page parts."""
     return (Path(__file__).parent / "assets" / name).read_text(encoding="utf-8")
 
 

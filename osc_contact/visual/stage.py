@@ -8,20 +8,20 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from osc_contact.visual.page import set_background, set_camera
+from osc_contact.visual.page import EMPTY, set_background, set_camera
 from osc_contact.visual.primitives import plain, rgb
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-__all__ = ["set_stage"]
+__all__ = ["set_stage", "set_view"]
 
 BACKGROUND = ([0.93, 0.945, 0.96], [0.93, 0.945, 0.96])
 FLOOR_COLOUR, GRID_COLOUR = "#E3E7EC", "#C9D0D9"
 HALF_FLOOR, GRID_STEP, GRID_LINES = 8.0, 0.25, 16
 FIELD_OF_VIEW_DEG = 30.0
 ELEVATION = np.deg2rad(28.0)
-ASPECT = 1.5
+ASPECT = float(EMPTY["aspect"])
 """Width / height that the scene is fitted to; a wider window shows more floor."""
 FILLED = 0.9
 Array = NDArray[np.float64]
@@ -57,6 +57,33 @@ def set_stage(
     set_background(scene, *BACKGROUND)
 
 
+def set_view(
+    scene: Visualizer,
+    points: Array,
+    heading: float,
+    elevation: float = ELEVATION,
+    aspect: float = ASPECT,
+    floor: float = 0.0,
+) -> Array:
+    """The same stage, seen from a side of one's own.
+
+    Args:
+        scene: where to draw. points: (k, 3) what fills the picture, m.
+        heading, elevation: from what is looked at to the eye (rad), heading from x about z.
+        aspect: width / height of the picture. floor: its height (m).
+
+    Returns:
+        (2, 3) what is to the right and up in the picture.
+    """
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    _floor(scene["floor"], np.array([middle[0], middle[1], floor - 0.0025]))
+    view = _view(heading, elevation)
+    target, distance = _fitted(points, view, aspect)
+    set_camera(scene, target, distance * view, FIELD_OF_VIEW_DEG)
+    set_background(scene, *BACKGROUND)
+    return _picture_axes(view)
+
+
 def _floor(node: Visualizer, centre: Array) -> None:
     """A plane with lines every 0.25 m, which give the scale."""
     from meshcat.geometry import Box, LineBasicMaterial, LineSegments, PointsGeometry
@@ -73,13 +100,10 @@ def _floor(node: Visualizer, centre: Array) -> None:
     node.set_transform(pin.SE3(np.eye(3), centre).homogeneous)
 
 
-def _fitted(points: Array, view: Array) -> tuple[Array, float]:
+def _fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, float]:
     """Where to look (m) and from how far away, so that the points fill the picture."""
-    right = np.cross([0.0, 0.0, 1.0], view)
-    right /= np.linalg.norm(right)
-    up = np.cross(view, right)
-    axes = np.array([right, up, view])
-    half = np.tan(np.deg2rad(0.5 * FIELD_OF_VIEW_DEG)) * np.array([ASPECT, 1.0]) * FILLED
+    axes = np.vstack((_picture_axes(view), view))
+    half = np.tan(np.deg2rad(0.5 * FIELD_OF_VIEW_DEG)) * np.array([aspect, 1.0]) * FILLED
     target = axes.T @ (0.5 * (points @ axes.T).min(axis=0) + 0.5 * (points @ axes.T).max(axis=0))
     for _ in range(20):  # perspective: centre the picture at the distance that just fits
         seen = (points - target) @ axes.T
@@ -90,12 +114,19 @@ def _fitted(points: Array, view: Array) -> tuple[Array, float]:
     return target, max(distance, 0.3)
 
 
-def _view(heading: float) -> Array:
+def _picture_axes(view: Array) -> Array:
+    """(2, 3) right and up of a picture that is looked at against the view."""
+    right = np.cross([0.0, 0.0, 1.0], view)
+    right /= np.linalg.norm(right)
+    return np.array([right, np.cross(view, right)])
+
+
+def _view(heading: float, elevation: float = ELEVATION) -> Array:
     """Unit vector from what is looked at to the eye."""
     return np.array(
         [
-            np.cos(ELEVATION) * np.cos(heading),
-            np.cos(ELEVATION) * np.sin(heading),
-            np.sin(ELEVATION),
+            np.cos(elevation) * np.cos(heading),
+            np.cos(elevation) * np.sin(heading),
+            np.sin(elevation),
         ]
     )

@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["legend", "panels", "save", "style"]
+__all__ = ["PRINT", "legend", "panels", "save", "style"]
+
+PRINT = (".png", ".svg", ".pdf")  #: of a figure of the paper or of a study
 
 
 @contextmanager

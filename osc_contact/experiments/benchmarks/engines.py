@@ -33,7 +33,7 @@ def constraint_dynamics(case: Case) -> Callable[[], object]:
     model = chain.model.copy()
     tips = [model.frames[model.getFrameId(f"{a.name}/{a.tip}")] for a in chain.arms]
     joints = [tip.parentJoint for tip in tips]
-    at = [tip.placement * X for tip, X in zip(tips, chain.grasps, strict=True)]
+    at = [tip.placement * grasp.X_TO for tip, grasp in zip(tips, chain.grasps, strict=True)]
     model.appendBodyToJoint(joints[0], chain.payload.inertia, at[0])
     data = model.createData()
     q, v = case.measurement.q, case.measurement.v

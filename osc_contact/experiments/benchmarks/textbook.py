@@ -42,7 +42,7 @@ class TextbookLaw:
         pin.computeAllTerms(model, data, q, v)
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
         pin.updateFramePlacements(model, data)
-        X = data.oMf[self.tips[0]] * case.chain.grasps[0]
+        X = data.oMf[self.tips[0]] * case.chain.grasps[0].X_TO
         O, R = X.translation, X.rotation  # noqa: E741 - the operational point
 
         # each arm at O: Λ = (J M⁻¹Jᵀ)⁺, J̄ = M⁻¹JᵀΛ, μ + p = J̄ᵀh − Λγ

@@ -9,13 +9,32 @@ viewer.set_3d_pane_size = () => {
   const w = element("scene").clientWidth, h = element("scene").clientHeight;
   const caption = element("caption").offsetWidth; // the scene moves out from under it
   const shift = Math.max(0, Math.min(0.5 * caption, 0.5 * (w - 1.45 * h)));
+  viewer.camera.zoom = Math.min(1, w / h / CONFIG.aspect); // the camera was placed for that
   viewer.camera.setViewOffset(w, h, -shift, 0, w, h);
   resize(w, h);
 };
 viewer.gui.domElement.style.display = "none"; // meshcat's own controls: press g
 
-const draw = (text) => viewer.handle_command_bytearray(
-  Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));
+const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)); // base64
+
+async function unfold(text) { // base64 of zlib
+  const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+function drawAll(bytes) { // each command after its length
+  const lengths = new DataView(bytes.buffer);
+  for (let start = 0, end; start < bytes.length; start = end) {
+    end = start + 4 + lengths.getUint32(start, true);
+    viewer.handle_command_bytearray(bytes.slice(start + 4, end));
+  }
+}
+
+function complain(error) {
+  element("labels").textContent = `This page does not run in this browser: ${error}`;
+  throw error;
+}
+
 // Only what changes is written: a page at rest then needs no new layout and no new picture.
 const setText = (box, text) => { if (box.textContent !== text) box.textContent = text; };
 const setStyle = (box, key, value) => { if (box.style[key] !== value) box.style[key] = value; };
@@ -95,7 +114,7 @@ function placeLabels(labels, time) {
 }
 
 let plots, labels, origin = 0, length = 0;
-const player = { time: 0, get playing() { return viewer.animator.playing; }, seek, toggle };
+const player = { ready: false, time: 0, get playing() { return viewer.animator.playing; }, seek, toggle };
 
 function seek(time) { // s since the beginning of the recording
   player.time = Math.min(length, Math.max(0, time));
@@ -137,6 +156,9 @@ function start() {
   element("speed").addEventListener("change", (event) => {
     viewer.animator.mixer.timeScale = Number(event.target.value);
   });
+  const caption = element("caption");
+  caption.classList.toggle("folded", window.innerWidth < 700);
+  caption.querySelector("h1").addEventListener("click", () => caption.classList.toggle("folded"));
   window.addEventListener("keydown", (event) => {
     if (event.key === "g") {
       const gui = viewer.gui.domElement.style;
@@ -145,6 +167,7 @@ function start() {
     if (event.key === " " && !CONFIG.live) { event.preventDefault(); toggle(); }
   });
   if (/[#&]bare/.test(location.hash)) document.body.className = "bare";
+  else if (!CONFIG.live && !length) document.body.className = "still";
   viewer.set_3d_pane_size();
   plots.redraw();
   const asked = /t=([0-9.]+)/.exec(location.hash); // page.html#t=2.5 shows the still at 2.5 s
@@ -152,4 +175,5 @@ function start() {
   if (still !== null) seek(still - origin);
   if (CONFIG.live) live();
   refresh();
+  player.ready = true;
 }

@@ -1,0 +1,139 @@
+"""One full system of equations for arms that hold an object by any grasp.
+
+Every joint and the object have accelerations of their own, in classical terms; grasps are written
+as points and directions that stay together, differentiated twice by hand. Nothing here knows
+N, T, spatial drift or generalised inverses of the package.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+LWA = pin.LOCAL_WORLD_ALIGNED
+
+
+@dataclass
+class Solution:
+    qdd: np.ndarray
+    a_object: np.ndarray  # spatial, at O
+    alpha: np.ndarray
+    residual: float
+
+
+@dataclass
+class Row:
+    """coefficients · [q̈; p̈; ω̇] = right; the same coefficients times [v; ṗ; ω] vanish."""
+
+    coefficients: np.ndarray
+    right: float
+
+
+class System:
+    """Mass matrix, forces and grasp rows at a position, velocity and object state.
+
+    grasps: (kind, X_TO, axis in tip frame) for each arm.
+    """
+
+    def __init__(self, model, tips, grasps, body, q, v, X_WO, V_O):
+        data = model.createData()
+        n = model.nv
+        self.n = n
+        pin.computeAllTerms(model, data, q, v)
+        self.M, self.h = np.array(data.M), np.array(data.nle)
+        pin.forwardKinematics(model, data, q, v, np.zeros(n))
+        pin.updateFramePlacements(model, data)
+        self.V = V_O
+        p, R, w = X_WO.translation, X_WO.rotation, V_O[3:]
+        c = R @ body.lever
+        cx, m = pin.skew(c), body.mass
+        I_O = R @ body.inertia @ R.T - m * cx @ cx
+        self.I = np.block([[m * np.eye(3), -m * cx], [m * cx, I_O]])
+        g = np.array(model.gravity.linear)
+        self.pull = np.concatenate(
+            (m * g - m * np.cross(w, np.cross(w, c)), m * np.cross(c, g) - np.cross(w, I_O @ w))
+        )
+        self.rows = []
+        for tip, (kind, X_TO, axis) in zip(tips, grasps, strict=True):
+            f = model.getFrameId(tip)
+            X = data.oMf[f]
+            J = pin.getFrameJacobian(model, data, f, LWA)
+            u = pin.getFrameVelocity(model, data, f, LWA).vector
+            a = pin.getFrameClassicalAcceleration(model, data, f, LWA).vector
+            held = R @ X_TO.inverse().translation  # from O to the grasp's point of the object
+            self._grasp(kind, axis, X, J, u, a, p, held, w, R @ X_TO.rotation.T)
+
+    def _grasp(self, kind, axis, X, J, u, a, p, held, w, R_OT):
+        """`held`: O to the point G of the object that the grasp holds; R_OT: its axes there."""
+        E, zero = np.eye(3), np.zeros(3)
+        wt, at = u[3:], a[3:]
+        r = p + held - X.translation
+        rdot = self.V[:3] + np.cross(w, held) - u[:3]
+        # r̈ = p̈ + ω̇×held + ω×(ω×held) − (tip's)
+        r_bias = np.cross(w, np.cross(w, held)) - a[:3]
+        r_rows = np.hstack((-J[:3], E, -pin.skew(held)))
+        if kind in ("rigid", "hinge", "ball"):
+            for k in range(3):
+                self.rows.append(Row(r_rows[k], -r_bias[k]))
+        else:  # slide, cylinder: r stays on an axis of the tip
+            for s in across(X.rotation @ axis):
+                sdot = np.cross(wt, s)
+                bias = (np.cross(at, s) + np.cross(wt, sdot)) @ r + 2 * sdot @ rdot + s @ r_bias
+                # ω̇_tip appears in s̈·r: (ω̇×s)·r = ω̇·(s×r)
+                c = s @ r_rows
+                c[: J.shape[1]] += np.cross(s, r) @ J[3:]
+                self.rows.append(Row(c, -bias))
+        pairs = {
+            "rigid": [(E[i], E[j]) for i, j in ((0, 1), (1, 2), (2, 0))],
+            "slide": [(E[i], E[j]) for i, j in ((0, 1), (1, 2), (2, 0))],
+            "hinge": [] if axis is None else [(s, axis) for s in across(axis)],
+            "cylinder": [] if axis is None else [(s, axis) for s in across(axis)],
+            "ball": [],
+        }[kind]
+        for of_tip, of_object in pairs:  # stay perpendicular
+            s, b = X.rotation @ of_tip, R_OT @ of_object
+            sdot, bdot = np.cross(wt, s), np.cross(w, b)
+            bias = (
+                (np.cross(at, s) + np.cross(wt, sdot)) @ b + 2 * sdot @ bdot + s @ np.cross(w, bdot)
+            )
+            c = np.concatenate((np.cross(s, b) @ J[3:], zero, np.cross(b, s)))
+            self.rows.append(Row(c, -bias))
+
+    def velocities(self, N, rng):
+        """A random [v; V_O] that keeps the grasps and contacts, by the rows' null space."""
+        A = np.vstack([row.coefficients for row in self.rows])
+        A = np.vstack((A, np.hstack((np.zeros((N.shape[1], self.n)), N.T))))
+        _, s, Vh = np.linalg.svd(A)
+        free = Vh[np.count_nonzero(s > 1e-9 * s[0]) :]
+        return free.T @ (free @ rng.normal(size=self.n + 6))
+
+    def solve(self, force, N, n_gamma) -> Solution:
+        """Accelerations and contact forces under joint forces (n,)."""
+        n, k, r = self.n, len(self.rows), N.shape[1]
+        size = n + 6 + k + r
+        K, y = np.zeros((size, size)), np.zeros(size)
+        K[:n, :n], K[n : n + 6, n : n + 6] = self.M, self.I
+        y[:n], y[n : n + 6] = force - self.h, self.pull
+        v, w = self.V[:3], self.V[3:]
+        for i, row in enumerate(self.rows):
+            K[n + 6 + i, : n + 6] = K[: n + 6, n + 6 + i] = row.coefficients
+            y[n + 6 + i] = row.right
+        K[n : n + 6, n + 6 + k :], K[n + 6 + k :, n : n + 6] = N, N.T
+        y[n + 6 + k :] = n_gamma + N.T @ np.concatenate((np.cross(w, v), np.zeros(3)))
+        scale = 1.0 / np.sqrt(np.abs(K).max(axis=1))
+        Ks = K * np.outer(scale, scale)
+        x = scale * np.linalg.lstsq(Ks, scale * y, rcond=1e-13)[0]
+        for _ in range(3):
+            x += scale * np.linalg.lstsq(Ks, scale * (y - K @ x), rcond=1e-13)[0]
+        residual = float(np.abs(scale * (K @ x - y)).max())
+        spatial = x[n : n + 6] - np.concatenate((np.cross(w, v), np.zeros(3)))
+        return Solution(x[:n], spatial, x[n + 6 + k :], residual)
+
+
+def across(axis):
+    """Two unit vectors perpendicular to an axis (3,)."""
+    first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    first /= np.linalg.norm(first)
+    return first, np.cross(axis / np.linalg.norm(axis), first)

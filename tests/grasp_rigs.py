@@ -1,0 +1,134 @@
+"""Random chains: arms of any kind around an object, each with a grasp of any kind, loops closed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+from grasp_oracle import System
+
+import osc_contact as osc
+from osc_contact import robots
+
+BODY = pin.Inertia(2.5, np.array([0.02, -0.03, 0.01]), np.diag([0.02, 0.05, 0.045]))
+KINDS = ("rigid", "hinge", "ball", "slide", "cylinder")
+
+
+@cache
+def _urdf(kind):
+    if kind == "scara":
+        return robots.load_model(robots.urdf_path("scara_left")), "tool", ("hinge",)
+    path, _ = robots.find_robot(kind)
+    return robots.load_model(path), {"ur5": "tool0", "panda": "panda_hand_tcp"}[kind], ()
+
+
+def planar(joints, rng):
+    """Two or three parallel axes."""
+    model, last = pin.Model(), 0
+    for i in range(joints):
+        at = np.array([0.35 if i else 0.0, 0.0, 0.02 * i])
+        last = model.addJoint(last, pin.JointModelRZ(), pin.SE3(np.eye(3), at), f"joint{i}")
+        body = pin.Inertia(rng.uniform(1, 3), rng.uniform(-0.1, 0.1, 3), 0.02 * np.eye(3))
+        model.appendBodyToJoint(last, body, pin.SE3.Identity())
+    model.upperEffortLimit = np.full(joints, 80.0)
+    X = pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0]))
+    model.addFrame(pin.Frame("wrist", last, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    model.addFrame(pin.Frame("tip", last, 0, X, pin.FrameType.OP_FRAME))
+    return model, "tip", ()
+
+
+def posture(kind, rng, bend):
+    """Joint positions; `bend`: of the elbow, 0 is singular."""
+    n = {"2R": 2, "3R": 3, "scara": 5, "ur5": 6, "panda": 7}[kind]
+    q = rng.uniform(-1.5, 1.5, n)
+    if kind == "scara":
+        q[2:] *= [0.05, 1.0, 0.3]
+    elbow = {"2R": 1, "3R": 1, "scara": 1, "ur5": 2, "panda": 3}[kind]
+    q[elbow] = -abs(bend) if kind == "panda" else bend
+    return q
+
+
+def grasp_of(kind, X_TO, axis):
+    a = axis / np.linalg.norm(axis)
+    turn, slide = np.concatenate((np.zeros(3), a)), np.concatenate((a, np.zeros(3)))
+    return {
+        "rigid": lambda: X_TO,
+        "hinge": lambda: osc.Grasp.hinge(X_TO, axis),
+        "ball": lambda: osc.Grasp.ball(X_TO),
+        "slide": lambda: osc.Grasp(X_TO, slide[:, None]),
+        "cylinder": lambda: osc.Grasp(X_TO, np.column_stack((turn, slide))),
+    }[kind]()
+
+
+def slip_of(kind, axis, rng):
+    """A random motion that the grasp permits, far from zero."""
+    a = axis / np.linalg.norm(axis)
+    turn, slide = rng.uniform(-2, 2) * a, rng.uniform(-0.05, 0.05) * a
+    R = {"hinge": pin.exp3(turn), "cylinder": pin.exp3(turn), "ball": pin.exp3(rng.normal(size=3))}
+    p = slide if kind in ("slide", "cylinder") else np.zeros(3)
+    return pin.SE3(R.get(kind, np.eye(3)), p)
+
+
+@dataclass
+class Case:
+    """A chain in one posture, with what the oracle needs to know of it."""
+
+    chain: osc.ClosedChain
+    q: np.ndarray
+    X_WO: pin.SE3
+    grasps: list  # (kind, X_TO, axis)
+
+    def system(self, v, V):
+        chain = self.chain
+        tips = [f"{arm.name}/{arm.tip}" for arm in chain.arms]
+        body = pin.Inertia.Zero() if chain.payload is None else chain.payload.inertia
+        return System(chain.model, tips, self.grasps, body, self.q, v, self.X_WO, V)
+
+    def moving(self, rng, N=None):
+        """(v, V_O) that keep loops and contacts."""
+        still = self.system(np.zeros(self.chain.nq), np.zeros(6))
+        x = still.velocities(np.zeros((6, 0)) if N is None else N, rng)
+        return x[: self.chain.nq], x[self.chain.nq :]
+
+
+def random_case(arms, kinds, rng, bends=None, tolerance=1e-3, upright=False, body=BODY) -> Case:
+    """Arms of `arms` with grasps of `kinds`, bases wherever that puts them."""
+    X_WO = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-0.5, 0.5, 3)), rng.uniform(-0.5, 0.5, 3))
+    parts, held, told, positions = [], [], [], []
+    for i, (arm, kind) in enumerate(zip(arms, kinds, strict=True)):
+        model, tip, passive = planar(int(arm[0]), rng) if arm[0] in "23" else _urdf(arm)
+        bend = rng.uniform(0.5, 1.5) if bends is None else bends[i]
+        q = posture(arm, rng, bend)
+        axis = rng.normal(size=3)
+        turned = pin.rpy.rpyToMatrix(*rng.uniform(-1.5, 1.5, 3))
+        if upright:
+            turned, axis = pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3)), np.array([0, 0, 1.0])
+            X_WO = pin.SE3(np.eye(3), X_WO.translation)
+        X_TO = pin.SE3(turned, rng.uniform(-0.2, 0.2, 3))
+        slip = slip_of(kind, axis, rng)
+        sensor = {
+            "2R": "wrist",
+            "3R": "wrist",
+            "scara": "wrist_sensor",
+            "panda": "panda_hand",
+            "ur5": "wrist_3_link",
+        }
+        made = osc.Arm.from_urdf(
+            model, name=f"arm{i}", tip=tip, passive_joints=passive,
+            wrist_sensor=sensor[arm],
+        )  # fmt: skip
+        X_WT = X_WO * (slip * X_TO).inverse()
+        data = made.model.createData()
+        pin.framesForwardKinematics(made.model, data, q)
+        base = X_WT * data.oMf[made.model.getFrameId(tip)].inverse()
+        parts.append(
+            osc.Arm(made.name, made.model, tip, base, passive, made.wrist_sensor, made.locked)
+        )
+        held.append(grasp_of(kind, X_TO, axis))
+        told.append((kind, X_TO, axis / np.linalg.norm(axis)))
+        positions.append(q)
+    payload = None if body is None else osc.RigidObject(body)
+    chain = osc.ClosedChain(parts, held, payload, rank_tolerance=tolerance, allow_undriven=True)
+    return Case(chain, np.concatenate(positions), X_WO, told)

@@ -1,0 +1,304 @@
+"""Motor limits: kept, at the least loss, told, and not integrated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import daqp
+import numpy as np
+import pytest
+from oracles import kkt
+from rigs import one_panda, panda_pair, scara_pair
+from test_decoupling import in_contact
+
+import osc_contact as osc
+from osc_contact.control.allocation import Allocation
+from osc_contact.control.controller import Controller
+from osc_contact.control.force import ForceGains
+from osc_contact.control.motion import MotionGains
+from osc_contact.interface import Measurement, Reference
+
+GAINS = osc.Gains(MotionGains(400, 40, 2000), ForceGains(30, 5))
+FORCE, SQUEEZE, TORQUE, FLOOR = 1e-3, 1e-5, 1e-7, 1.0
+MAX = np.finfo(float).max
+
+
+def weakened(chain, tau_max):
+    """The same chain with other motors."""
+    weak = osc.ClosedChain(chain.arms, chain.grasps, chain.payload)
+    weak.tau_max = np.asarray(tau_max, dtype=float)
+    return weak
+
+
+def demanding(chain, rng, r):
+    """Controller, measurement and reference of a tick that motors with `share` could not make."""
+    state, _, pairs, q, v = in_contact(chain, rng, r)
+    wrenches = np.zeros((len(chain.arms), 6))
+    reference = Reference(state.X_WO, state.V_O, 2 * rng.normal(size=6), rng.uniform(5, 20, r), 5.0)
+    return pairs, Measurement(q, v, wrenches), reference
+
+
+def limited_tick(chain, rng, r, share):
+    """A saturated controller; its limits are `share` of what the tick asks of each motor's size."""
+    while True:
+        pairs, measurement, reference = demanding(chain, rng, r)
+        free = Controller(chain, pairs, GAINS, compiled=False)
+        free.tick(measurement, reference)
+        wanted = free.last_signals().tau
+        weak = weakened(chain, chain.tau_max * share * np.abs(wanted / chain.tau_max).max())
+        controller = Controller(weak, pairs, GAINS, compiled=False)
+        tau = controller.tick(measurement, reference)
+        assert controller.status is osc.Status.SATURATED, controller.reason
+        if not controller.given_up.short:  # else no torques keep the forces in their range
+            return controller, measurement, tau
+
+
+class Answers:
+    """What the chain makes of torques, by the KKT system of all bodies: affine, so sampled."""
+
+    def __init__(self, controller, measurement):
+        s, chain = controller.last_signals(), controller.chain
+        self.s, self.chain, n = s, chain, chain.n_a
+        self.scale = chain.tau_max
+        line = np.zeros(6)
+        if len(chain.arms) == 2:
+            grasps = s.state.grasp_points
+            line[:3] = (grasps[1] - grasps[0]) / np.linalg.norm(grasps[1] - grasps[0])
+
+        def at(tau):
+            got = kkt(chain, measurement.q, measurement.v, tau, s.contact.N, s.contact.n_gamma)
+            half = 0.5 * line @ (got.loops[0] - got.loops[-1])
+            return np.concatenate((got.a_object, got.alpha, [half]))
+
+        self.base = at(s.tau)
+        steps = [at(s.tau + self.scale * e) - self.base for e in np.eye(n)]
+        self.slope = np.array(steps).T
+
+    def energy_rows(self):
+        """Rows whose squares make the energy of what is given up."""
+        s, r = self.s, self.s.contact.r
+        inertia = self.chain.payload.terms(s.state.X_WO, np.zeros(6), np.zeros(3)).Lambda
+        N = s.contact.N
+        normal = N.T @ np.linalg.solve(inertia, N)
+        rows = np.vstack(
+            (
+                np.linalg.cholesky(inertia).T @ self.slope[:6],
+                np.sqrt(FORCE) * np.linalg.cholesky(normal).T @ self.slope[6 : 6 + r],
+                np.sqrt(SQUEEZE / self.chain.payload.inertia.mass) * self.slope[6 + r :],
+            )
+        )
+        size = np.sqrt((rows**2).sum() / rows.shape[1])
+        return np.vstack((rows, np.sqrt(TORQUE) * size * np.eye(rows.shape[1])))
+
+
+@pytest.mark.parametrize("share", [0.95, 0.6])
+@pytest.mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
+def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
+    """KKT conditions of the program, its matrices sampled from the full multibody system."""
+    chain, rng = rig(), np.random.default_rng(40)
+    for k in range(12):
+        controller, measurement, tau = limited_tick(chain, rng, k % 4, share)
+        answers, cost = Answers(controller, measurement), controller.given_up
+        s, r, n = answers.s, answers.s.contact.r, len(tau)
+        limit = controller.chain.tau_max
+        assert (np.abs(tau) <= limit).all()
+        z = (tau - s.tau) / answers.scale
+        got = answers.base + answers.slope @ z
+        # what came is what was said
+        size = np.abs(answers.slope).max()
+        np.testing.assert_allclose(answers.base[6 : 6 + r], s.alpha_u, atol=1e-6)
+        np.testing.assert_allclose(answers.base[6 : 6 + r] - got[6 : 6 + r], cost.force, atol=1e-6)
+        lost = answers.base[:6] - got[:6]
+        np.testing.assert_allclose(lost, cost.acceleration, atol=1e-8 * size)
+        if len(chain.arms) == 2:
+            assert answers.base[-1] - got[-1] == pytest.approx(cost.squeeze[0], abs=1e-5)
+        # forces stay between their floor and what was commanded
+        floor = np.minimum(FLOOR, s.alpha_u)
+        assert (got[6 : 6 + r] >= floor - 1e-5).all() and (cost.force >= -1e-6).all()
+        # stationary, with multipliers of the right sign
+        rows = answers.energy_rows()
+        gradient = rows.T @ (rows @ z)
+        active = [
+            (np.eye(n)[i], -np.sign(tau[i])) for i in range(n) if limit[i] - abs(tau[i]) < 1e-9
+        ]
+        names = [chain.joint_names[chain.actuated[i]] for i in range(n)]
+        assert cost.joints == tuple(names[i] for i in range(n) if limit[i] - abs(tau[i]) < 1e-9)
+        assert cost.joints and all(name in controller.reason for name in cost.joints)
+        for i in range(r):
+            if got[6 + i] - floor[i] < 1e-6:
+                active.append((answers.slope[6 + i], 1.0))
+            elif cost.force[i] < 1e-6:
+                active.append((answers.slope[6 + i], -1.0))
+        C = np.array([row for row, _ in active]).T
+        multipliers, *_ = np.linalg.lstsq(C, gradient, rcond=1e-9)
+        weight = np.abs(rows.T @ np.abs(rows @ z)).max() + np.abs(gradient).max()
+        np.testing.assert_allclose(C @ multipliers, gradient, atol=1e-5 * weight)
+        signs = np.array([sign for _, sign in active])
+        assert (multipliers * signs >= -1e-5 * np.abs(multipliers).max()).all()
+
+
+@pytest.mark.parametrize("rig", [scara_pair, one_panda])
+def test_within_the_limits_nothing_changes_and_beyond_them_nothing_jumps(rig):
+    chain, rng = rig(), np.random.default_rng(41)
+    for r in (0, 2):
+        pairs, measurement, reference = demanding(chain, rng, r)
+        before = None
+        free = Controller(chain, pairs, GAINS, compiled=False)
+        free.tick(measurement, reference)
+        worst = np.abs(free.last_signals().tau / chain.tau_max).max()
+        for share in (1.0002, 1.00001, 0.9998, 0.9996, 0.9994):
+            weak = weakened(chain, chain.tau_max * worst * share)
+            limited = Controller(weak, pairs, GAINS, compiled=False)
+            tau = limited.tick(measurement, reference)
+            if share >= 1.0:
+                assert limited.status is osc.Status.OK and limited.given_up is None
+                s = limited.last_signals()
+                plain = Allocation(weak, np.zeros(chain.nq)).torques(
+                    s.state, s.q, s.v, s.f_S, s.eta_c, s.squeeze_d
+                )
+                assert (tau == plain).all()
+            if before is not None:
+                assert np.abs((tau - before) / weak.tau_max).max() < 0.02
+            before = tau
+
+
+def test_squeeze_goes_first_and_alone_where_that_is_enough():
+    chain, rng = scara_pair(), np.random.default_rng(42)
+    pairs, measurement, reference = demanding(chain, rng, 2)
+    reference = replace(reference, A_D=np.zeros(6), squeeze_d=400.0)
+    weak = weakened(chain, 0.5 * chain.tau_max)
+    controller = Controller(weak, pairs, GAINS, compiled=False)
+    calm = Controller(weak, pairs, GAINS, compiled=False)
+    calm.tick(measurement, replace(reference, squeeze_d=0.0))
+    assert calm.status is osc.Status.OK
+    controller.tick(measurement, reference)
+    cost = controller.given_up
+    assert cost.squeeze[0] > 10.0
+    np.testing.assert_allclose(cost.force, 0.0, atol=0.1)
+    np.testing.assert_allclose(cost.acceleration, 0.0, atol=0.1)
+
+
+def test_a_contact_that_cannot_keep_its_range_says_so():
+    chain, rng = scara_pair(), np.random.default_rng(43)
+    pairs, measurement, reference = demanding(chain, rng, 2)
+    feeble = weakened(chain, np.full(8, 1e-3))
+    for compiled in (True, False):
+        controller = Controller(feeble, pairs, GAINS, compiled=compiled)
+        tau = controller.tick(measurement, reference)
+        assert controller.status is osc.Status.SATURATED and controller.given_up.short
+        assert (np.abs(tau) <= 1e-3).all() and "range" in controller.reason
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_an_unsolved_program_holds_the_last_torques(monkeypatch, compiled):
+    chain, rng = scara_pair(), np.random.default_rng(44)
+    pairs, measurement, reference = demanding(chain, rng, 1)
+    strong, weak = chain.tau_max, 0.02 * chain.tau_max
+    controller = Controller(weakened(chain, weak), pairs, GAINS, compiled=compiled)
+    controller.tick(measurement, reference)
+    assert controller.status is osc.Status.SATURATED and (strong > weak).all()
+    before, sums = controller.last_torques(), controller.force_law.integral
+    monkeypatch.setattr(daqp, "solve", lambda *a, **k: (np.full(8, np.nan), 0.0, -3, {}))
+    tau = controller.tick(measurement, replace(reference, alpha_d=reference.alpha_d + 1))
+    assert controller.status is osc.Status.HELD and "limits" in controller.reason
+    assert (tau == before).all() and controller.given_up is None
+    np.testing.assert_array_equal(controller.force_law.integral, sums)
+
+
+@pytest.mark.parametrize("rig", [scara_pair, one_panda])
+def test_motors_without_limit(rig):
+    """DBL_MAX and inf are no limits; the largest of the others measures such motors."""
+    chain, rng = rig(), np.random.default_rng(45)
+    pairs, measurement, reference = demanding(chain, rng, 2)
+    arms = []
+    for arm in chain.arms:
+        model = arm.model.copy()
+        model.upperEffortLimit = np.full(model.nv, MAX)
+        arms.append(replace(arm, model=model))
+    endless = osc.ClosedChain(arms, chain.grasps, chain.payload)
+    assert np.isinf(endless.tau_max).all()
+    mixed = weakened(chain, np.where(np.arange(chain.n_a) % 2, np.inf, 60.0))
+    same = weakened(chain, np.full(chain.n_a, 60.0))
+    seen = []
+    for one in (endless, mixed, same):
+        for compiled in (True, False):
+            controller = Controller(one, pairs, GAINS, compiled=compiled)
+            tau = controller.tick(measurement, reference)
+            assert np.isfinite(tau).all() and (np.abs(tau) <= one.tau_max).all()
+            seen.append(tau if controller.status is osc.Status.OK else None)
+    wanted = [tau for tau in seen if tau is not None]
+    for tau in wanted[1:]:
+        np.testing.assert_allclose(tau, wanted[0], atol=1e-9 * np.abs(tau).max())
+    weak = weakened(chain, np.where(np.arange(chain.n_a) % 2, np.inf, 0.5))
+    controller = Controller(weak, pairs, GAINS)
+    tau = controller.tick(measurement, reference)
+    assert controller.status is osc.Status.SATURATED
+    assert np.isfinite(tau).all() and (np.abs(tau) <= weak.tau_max).all()
+
+
+@pytest.mark.parametrize("limit", [0.0, -3.0])
+def test_a_motor_that_can_do_nothing_is_refused(limit):
+    arm = one_panda().arms[0]
+    model = arm.model.copy()
+    limits = np.array(model.upperEffortLimit)
+    limits[2] = limit
+    model.upperEffortLimit = limits
+    with pytest.raises(osc.ModelError, match=r"arm/panda_joint3.*effort"):
+        osc.ClosedChain([replace(arm, model=model)])
+
+
+def test_random_states_saturated_both_paths_integrate_alike():
+    chain, rng = scara_pair(), np.random.default_rng(46)
+    for _ in range(5):
+        pairs, measurement, reference = demanding(chain, rng, 2)
+        weak = weakened(chain, 0.03 * chain.tau_max)
+        fast, slow = Controller(weak, pairs, GAINS), Controller(weak, pairs, GAINS, compiled=False)
+        for _ in range(5):
+            a, b = fast.tick(measurement, reference), slow.tick(measurement, reference)
+            assert fast.status is slow.status is osc.Status.SATURATED
+            np.testing.assert_allclose(a, b, atol=1e-9)
+        np.testing.assert_allclose(fast.force_law.integral, slow.force_law.integral, atol=1e-9)
+        np.testing.assert_array_equal(fast.motion_law.integral, np.zeros(6))
+        np.testing.assert_array_equal(slow.motion_law.integral, np.zeros(6))
+
+
+@pytest.fixture(scope="module")
+def run():
+    """With integral action in both loops: what winds up is seen."""
+    return osc.run(osc.load_scenario("limited_rod", ["gains.motion.integral=8000"]))
+
+
+def test_limits_are_kept_and_no_contact_opens(run):
+    limits = np.array(list(run.meta["effort_limits"].values()))
+    assert (np.abs(run["tau"]) <= limits).all()
+    assert (run["status"] == 1).sum() > 500 and not (run["status"] == 2).any()
+    settled = run["t"] > 0.05
+    assert run["closed"][settled].all() and (run["alpha_true"] >= 0.0).all()
+
+
+def test_the_verdict_names_the_joints(run):
+    verdict = osc.metrics(run)
+    joint, ticks = verdict["at_limit"][0]
+    assert joint == "right/joint3" and ticks > 500
+    assert {name for name, _ in verdict["at_limit"]} <= set(run.meta["effort_limits"])
+
+
+def test_nothing_winds_up(run):
+    """0.2 s after the demand is feasible again force and motion are where they were before."""
+    t, force = run["t"], np.abs(run["alpha_true"] - run["alpha_cmd"])
+    motion = np.abs(run["motion_error"])
+    for end in (3.0, 5.25, 6.25):  # the steps of the motion ask too much for a quarter second
+        ends = t[(run["status"] == 1) & (t < end + 0.2)].max()
+        back = (t >= max(ends, end) + 0.2) & (t < max(ends, end) + 0.5)
+        assert (run["status"][back] == 0).all()
+        assert (force[back] / run["alpha_cmd"][back]).max() < 0.02, end
+        assert motion[back, :3].max() < 2e-3 and motion[back, 3:].max() < 2e-3, end
+
+
+def test_the_other_contact_and_the_motion_are_left_alone(run):
+    """A force that is out of reach costs nothing but itself and the squeeze."""
+    asked = (run["t"] > 2.1) & (run["t"] < 3.0)
+    assert (run["status"][asked] == 1).all()
+    assert run["alpha_given_up"][asked, 0].min() > 10.0
+    assert np.abs(run["alpha_true"] - run["alpha_cmd"])[asked, 1].max() < 0.2
+    assert np.abs(run["motion_error"][asked, :3]).max() < 1e-3

@@ -1,0 +1,446 @@
+"""Chains of any arms with any grasps, against one full system of equations (grasp_oracle.py)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from grasp_rigs import BODY, KINDS, grasp_of, random_case, slip_of
+from rigs import contact_of, random_faces
+
+import osc_contact as osc
+from osc_contact.control.allocation import Allocation
+from osc_contact.control.command_filter import filtered_motion, generalised_force
+from osc_contact.control.force import contact_force, magnitudes, sum_of_wrenches
+from osc_contact.dynamics.assembly import close, object_pose, reach
+from osc_contact.dynamics.held_object import moved
+from osc_contact.plants.rigid import RigidPlant
+
+ARMS = ("scara", "ur5", "panda", "2R", "3R")
+NOTHING = osc.Contact(np.zeros((6, 0)))
+FIXED = osc.Environment.fixed()
+RTOL = 1e-9
+
+
+def miss(got, want, least=1.0):
+    """Largest difference over the largest element, or over 1 (m/s², rad/s², N) if that is more."""
+    return np.abs(got - want).max(initial=0.0) / max(np.abs(want).max(initial=0.0), least)
+
+
+def draw(rng, arms=ARMS, kinds=KINDS, least=1, most=4, **options):
+    n = rng.integers(least, most + 1)
+    return random_case(list(rng.choice(arms, n)), list(rng.choice(kinds, n)), rng, **options)
+
+
+def touching(case, rng, most=2):
+    """Faces on which this chain can push in earnest, none if it cannot."""
+    still = case.chain.state(case.q, np.zeros(case.chain.nq), case.X_WO, np.zeros(6))
+    pairs = random_faces(case.X_WO, min(most, still.d), rng)
+    if pairs:
+        N = contact_of(pairs, still).N
+        felt = np.linalg.svd(np.linalg.cholesky(still.metric).T @ still.S)[0][:, : still.d]
+        N = felt.T @ np.linalg.solve(np.linalg.cholesky(still.metric), N)
+        if np.linalg.svd(N)[1][-1] < 0.05 * np.linalg.norm(N):
+            return [], NOTHING.N
+    return pairs, contact_of(pairs, still).N
+
+
+def moving(case, pairs, N, rng):
+    """(q̇, V_O, state, contact) at a random velocity that keeps grasps and contacts."""
+    v, V = case.moving(rng, N)
+    state = case.chain.state(case.q, v, case.X_WO, V)
+    return v, V, state, contact_of(pairs, state)
+
+
+def forces(case, tau):
+    out = np.zeros(case.chain.nq)
+    out[case.chain.actuated] = tau
+    return out
+
+
+def test_motion_and_contact_forces_agree_with_the_full_system():
+    """Eqs. 13–20: 60 random chains of 1–4 arms, with grasps that turn, slide and hold."""
+    rng, seen = np.random.default_rng(1), {"undriven": 0, "untold": 0, "contacts": 0, "d": set()}
+    for _ in range(60):
+        case = draw(rng)
+        for _ in range(3):
+            pairs, N = touching(case, rng)
+            v, V, state, contact = moving(case, pairs, N, rng)
+            tau = rng.normal(size=case.chain.n_a) * 20.0
+            oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
+            assert oracle.residual < 1e-9
+            got = osc.contact_response(state, contact, tau=tau)
+            assert miss(got.acceleration, oracle.a_object) < RTOL
+            assert miss(got.alpha, oracle.alpha) < RTOL
+            seen["undriven"] += state.undriven.shape[1] > 0
+            seen["contacts"] += contact.r > 0
+            seen["d"].add(state.d)
+            try:
+                told = case.chain.state(case.q, v)
+            except osc.ModelError as error:
+                assert "do not tell where the object is" in str(error)
+                seen["untold"] += 1
+            else:
+                assert np.abs(told.X_WO.homogeneous - case.X_WO.homogeneous).max() < 1e-10
+                assert np.abs(told.V_O - V).max() < 1e-9
+    assert min(seen["undriven"], seen["untold"], seen["contacts"]) > 20, seen
+    assert seen["d"] == set(range(7))
+
+
+@pytest.mark.parametrize("bend", [0.0, 1e-3, 1e-2])
+def test_near_and_in_singular_postures(bend):
+    """Elbows all but straight, and straight: where such velocities can go on, they agree."""
+    rng, compared = np.random.default_rng(2), 0
+    for _ in range(30):
+        case = draw(rng, bends=[bend] * 4, tolerance=1e-7)
+        v, V, state, _ = moving(case, [], NOTHING.N, rng)
+        tau = rng.normal(size=case.chain.n_a) * 20.0
+        oracle = case.system(v, V).solve(forces(case, tau), NOTHING.N, np.zeros(0))
+        if oracle.residual > 1e-9:  # straight arms: no acceleration keeps these loops closed
+            assert bend == 0.0
+            continue
+        compared += 1
+        got = osc.contact_response(state, NOTHING, tau=tau)
+        assert miss(got.acceleration, oracle.a_object) < RTOL
+    assert compared >= 25
+
+
+def driven(rng, count, **options):
+    """Chains that a controller may drive."""
+    found = 0
+    while found < count:
+        case = draw(rng, **options)
+        state = case.chain.state(case.q, np.zeros(case.chain.nq), case.X_WO, np.zeros(6))
+        redundant = any(
+            arm.passive_joints and arm.model.nv > grasp.N.shape[1]
+            for arm, grasp in zip(case.chain.arms, case.chain.grasps, strict=True)
+        )
+        if state.undriven.shape[1] == 0 and state.d > 0 and not redundant:
+            found += 1
+            yield case
+
+
+def test_commands_come_out_on_the_true_rig():
+    """Eqs. 21–25: commanded forces and filtered motion are what the full system answers."""
+    rng = np.random.default_rng(3)
+    pressed = 0
+    for case in driven(rng, 40):
+        pairs, N = touching(case, rng)
+        v, V, state, contact = moving(case, pairs, N, rng)
+        allocation = Allocation(case.chain, case.q + rng.uniform(-0.1, 0.1, case.chain.nq))
+        alpha_u, eta_u = rng.normal(size=contact.r) * 10.0, rng.normal(size=state.d)
+        A = rng.normal(size=(6, 6))
+        eta_c = filtered_motion(state, contact, eta_u, alpha_u, A @ A.T + np.eye(6), FIXED)
+        f_S = generalised_force(state, eta_c, contact.N @ alpha_u)
+        try:
+            tau = allocation.torques(state, case.q, v, f_S, eta_c, 0.0)
+        except np.linalg.LinAlgError:  # two arms whose grasps cannot squeeze along their line
+            continue
+        oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
+        assert miss(oracle.a_object, state.S @ eta_c + state.sigma) < 1e-8
+        assert miss(oracle.alpha, alpha_u) < 1e-8
+        pressed += contact.r > 0
+    assert pressed > 15
+
+
+def test_exact_plant_agrees_and_wrists_tell_the_contact_force():
+    """Fig. 5 where a grasp passes on part of the wrench: the gripper's own motion is taken out."""
+    rng, exact, raw = np.random.default_rng(4), 0, []
+    for case in driven(rng, 40):
+        pairs, N = touching(case, rng)
+        v, V, state, contact = moving(case, pairs, N, rng)
+        plant = RigidPlant(case.chain, pairs, 1e-3)
+        plant.q, plant.v, plant._X, plant._V = case.q, v, case.X_WO, V
+        tau = rng.normal(size=case.chain.n_a) * 20.0
+        plant.hold(tau)
+        _, a, alpha = plant.accelerations(tau)
+        oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
+        assert miss(a, oracle.a_object) < RTOL
+        assert miss(alpha, oracle.alpha) < RTOL
+        wrenches = plant.measure().wrenches
+        f_meas = sum_of_wrenches(wrenches, state)
+        got = magnitudes(contact_force(f_meas, state, contact, FIXED), contact)
+        np.testing.assert_allclose(got, alpha, atol=1e-8 * max(np.abs(alpha).max(initial=0), 1.0))
+        exact += contact.r > 0
+        raw += [np.abs(F - np.eye(6)).max() for F in state.filters if F is not None]
+    assert exact > 15 and np.median(raw) > 0.1
+
+
+def test_rigid_and_ball_grasps_agree_with_pinocchio_constraint_dynamics():
+    """Pinocchio's own solver: a free-flying object, 6-row welds, 3-row points."""
+    rng = np.random.default_rng(5)
+    for _ in range(30):
+        case = draw(rng, kinds=("rigid", "ball"), arms=("ur5", "panda", "scara"))
+        chain = case.chain
+        v, V, state, _ = moving(case, [], NOTHING.N, rng)
+        model = chain.model.copy()
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "object")
+        model.appendBodyToJoint(joint, BODY, pin.SE3.Identity())
+        ties = []
+        for arm, (kind, X_TO, _) in zip(chain.arms, case.grasps, strict=True):
+            tip = chain.model.frames[chain.model.getFrameId(f"{arm.name}/{arm.tip}")]
+            rows = pin.ContactType.CONTACT_6D if kind == "rigid" else pin.ContactType.CONTACT_3D
+            ties.append(
+                pin.RigidConstraintModel(
+                    rows, model, tip.parentJoint, tip.placement, joint, X_TO.inverse(), pin.LOCAL
+                )
+            )
+        data, tie_data = model.createData(), [tie.createData() for tie in ties]
+        pin.initConstraintDynamics(model, data, ties, tie_data)
+        R, n = case.X_WO.rotation, chain.nq
+        Q = np.concatenate((case.q, pin.SE3ToXYZQUAT(case.X_WO)))
+        U = np.concatenate((v, R.T @ V[:3], R.T @ V[3:]))
+        tau = rng.normal(size=chain.n_a) * 20.0
+        force = np.concatenate((forces(case, tau), np.zeros(6)))
+        settings = pin.ProximalSettings(1e-13, 1e-10, 50)
+        a = pin.constraintDynamics(model, data, Q, U, force, ties, tie_data, settings)
+        want = np.concatenate((R @ a[n : n + 3], R @ a[n + 3 :]))
+        got = osc.contact_response(state, NOTHING, tau=tau)
+        assert miss(got.acceleration, want) < 1e-8
+
+
+def in_millimetres(case):
+    """The same chain, every length in mm."""
+
+    def stretched(X):
+        return pin.SE3(X.rotation, 1e3 * X.translation)
+
+    def body(I):  # noqa: E741
+        return pin.Inertia(I.mass, 1e3 * I.lever, 1e6 * I.inertia)
+
+    arms, grasps, q = [], [], []
+    for arm, grasp, s in zip(case.chain.arms, case.chain.grasps, case.chain.slices, strict=True):
+        model = arm.model.copy()
+        sliding = ["P" in joint.shortname() for joint in list(model.joints)[1:]]
+        for j in range(1, model.njoints):
+            model.jointPlacements[j] = stretched(model.jointPlacements[j])
+            model.inertias[j] = body(model.inertias[j])
+        for frame in model.frames:
+            frame.placement, frame.inertia = stretched(frame.placement), body(frame.inertia)
+        model.armature = np.where(sliding, 1.0, 1e6) * model.armature
+        base = stretched(arm.base)
+        arms.append(
+            osc.Arm(arm.name, model, arm.tip, base, arm.passive_joints, arm.wrist_sensor, {})
+        )
+        grasps.append(osc.Grasp(stretched(grasp.X_TO), np.vstack((grasp.T[:3], grasp.T[3:]))))
+        q.append(np.where(sliding, 1e3, 1.0) * case.q[s])
+    payload = osc.RigidObject(body(case.chain.payload.inertia))
+    chain = osc.ClosedChain(arms, grasps, payload, allow_undriven=True)
+    chain.model.gravity = pin.Motion(1e3 * chain.model.gravity.linear, np.zeros(3))
+    return chain, np.concatenate(q), stretched(case.X_WO)
+
+
+def test_units_do_not_matter():
+    """Metres or millimetres: the same Φ₀, motion, contact force and undriven motions."""
+    rng, k = np.random.default_rng(6), np.array([1e3] * 3 + [1.0] * 3)
+    for _ in range(20):
+        case = draw(rng)
+        pairs, N = touching(case, rng)
+        v, V, state, contact = moving(case, pairs, N, rng)
+        chain, q, X_WO = in_millimetres(case)
+        scale = q / np.where(case.q == 0.0, 1.0, case.q)
+        mm = chain.state(q, scale * v, X_WO, k * V)
+        assert (mm.d, mm.undriven.shape) == (state.d, state.undriven.shape)
+        per_wrench = np.array([1e-3] * 3 + [1e-6] * 3)
+        assert miss(mm.Phi / np.outer(k, per_wrench), state.Phi, least=1e-9) < RTOL
+        N_mm = np.vstack((contact.N[:3], 1e3 * contact.N[3:]))
+        n_mm = 1e3 * contact.n_gamma
+        tau = rng.normal(size=chain.n_a) * 20.0
+        tau_mm = np.where(scale[chain.actuated] == 1.0, 1e6, 1e3) * tau
+        got = osc.contact_response(mm, osc.Contact(N_mm, n_mm), tau=tau_mm)
+        want = osc.contact_response(state, contact, tau=tau)
+        assert miss(got.acceleration / k, want.acceleration) < RTOL
+        assert miss(got.alpha / 1e3, want.alpha) < RTOL
+
+
+def test_a_rod_between_two_balls_spins_about_their_line():
+    """Nobody drives it, no joint tells it: both are said, and a controller holds its torques."""
+    case = random_case(["ur5", "ur5"], ["ball", "ball"], np.random.default_rng(7))
+    chain = case.chain
+    with pytest.raises(osc.ModelError, match="do not tell where the object is"):
+        chain.state(case.q, np.zeros(12))
+    state = chain.state(case.q, np.zeros(12), case.X_WO, np.zeros(6))
+    assert (state.d, state.undriven.shape) == (6, (6, 1))
+    line = state.grasp_points[1] - state.grasp_points[0]
+    spin = state.undriven[:, 0]
+    assert np.abs(np.cross(spin[3:], line)).max() < 1e-9 * np.abs(spin[3:]).max()
+    still = spin[:3] + np.cross(spin[3:], state.grasp_points[0] - state.X_WO.translation)
+    assert np.abs(still).max() < 1e-9 * np.abs(spin).max()
+    strict = osc.ClosedChain(chain.arms, chain.grasps, chain.payload)
+    with pytest.raises(osc.ModelError, match="nobody drives"):
+        strict.state(case.q, np.zeros(12), case.X_WO, np.zeros(6))
+    controller = osc.Controller(strict, [])
+    measured = osc.Measurement(case.q, np.zeros(12), np.zeros((2, 6)))
+    wanted = osc.Reference(case.X_WO, np.zeros(6), np.zeros(6), np.zeros(0))
+    np.testing.assert_array_equal(controller.tick(measured, wanted), np.zeros(12))
+    assert controller.status is osc.Status.HELD and "do not tell" in controller.reason
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_one_arm_whose_tip_is_the_object(arm):
+    """Nothing held: motion, contact forces and the wrist filter of the bare tip, d < 6 too."""
+    rng = np.random.default_rng(8)
+    for _ in range(10):
+        case = random_case([arm], ["rigid"], rng, body=None)
+        if arm == "scara":  # its hinge swings freely unless something else holds the rod
+            assert case.chain.state(case.q, np.zeros(5)).undriven.shape[1] == 1
+        pairs, N = touching(case, rng)
+        v, V, state, contact = moving(case, pairs, N, rng)
+        tau = rng.normal(size=case.chain.n_a) * 20.0
+        oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
+        got = osc.contact_response(state, contact, tau=tau)
+        assert miss(got.acceleration, oracle.a_object) < RTOL
+        assert miss(got.alpha, oracle.alpha) < RTOL
+
+
+def test_loops_close_and_tips_are_reached():
+    """From a few centimetres and tenths of a radian away; grasps then hold to rounding."""
+    rng, done = np.random.default_rng(9), 0
+    for case in driven(rng, 15, arms=("ur5", "panda"), kinds=("rigid", "hinge", "ball"), least=2):
+        chain = case.chain
+        try:
+            q = close(chain, case.q + rng.uniform(-0.05, 0.05, chain.nq))
+        except osc.ModelError:  # arms at the border of their reach
+            continue
+        X = object_pose(chain, q)
+        for grasp, tip in zip(chain.grasps, chain.tip_poses(), strict=True):
+            assert np.abs(grasp.miss(tip, X)).max(initial=0.0) < 1e-12
+        start = case.q + rng.uniform(-0.1, 0.1, chain.nq)
+        q = reach(chain, start, case.X_WO, tolerance=1e-12)
+        pin.forwardKinematics(chain.model, chain.data, q)
+        for grasp, tip in zip(chain.grasps, chain.tip_poses(), strict=True):
+            assert np.abs(grasp.miss(tip, case.X_WO)).max(initial=0.0) < 1e-9
+        done += 1
+    assert done >= 12
+
+
+def test_a_grasp_keeps_its_motions_and_nothing_else():
+    """miss = 0 over the whole group; its rate is Nᵀ(V_O − V_tip) there."""
+    rng = np.random.default_rng(10)
+    for kind in KINDS:
+        X_TO, axis, X_WT = pin.SE3.Random(), rng.normal(size=3), pin.SE3.Random()
+        grasp = grasp_of(kind, X_TO, axis)
+        grasp = osc.Grasp.rigid(grasp) if isinstance(grasp, pin.SE3) else grasp
+        assert grasp.kind == (kind if kind in ("rigid", "hinge", "ball") else "other")
+        X_WO = X_WT * slip_of(kind, axis, rng) * X_TO
+        assert np.abs(grasp.miss(X_WT, X_WO)).max() < 1e-14
+        V, h = rng.normal(size=6), 1e-6
+        O = X_WO.translation  # noqa: E741
+        rate = (grasp.miss(X_WT, moved(X_WO, h * V)) - grasp.miss(X_WT, moved(X_WO, -h * V))) / 2
+        want = grasp.wrenches_at(X_WT, O).T @ V
+        np.testing.assert_allclose(rate / h, want, atol=1e-8 * np.abs(want).max())
+
+
+@pytest.mark.parametrize(
+    "make, words",
+    [
+        (lambda X: osc.Grasp(X, np.eye(6)[:, 3:5]), "group of motions"),
+        (lambda X: osc.Grasp(X, np.eye(6)[:, [0, 4]]), "group of motions"),
+        (lambda X: osc.Grasp(X, np.eye(6)[:, [3, 3]]), "dependent"),
+        (lambda X: osc.Grasp(X, np.zeros((6, 1))), "column is zero"),
+        (lambda X: osc.Grasp(X, np.full((6, 1), np.nan)), "nan"),
+        (lambda X: osc.Grasp(X, np.ones((3, 1))), "shape"),
+        (lambda X: osc.Grasp.hinge(X, [0, 0, 0]), "no direction"),
+        (lambda X: osc.Grasp(np.eye(4)), "pin.SE3"),
+    ],
+)
+def test_what_is_no_grasp_is_refused(make, words):
+    with pytest.raises(osc.InvalidInputError, match=words):
+        make(pin.SE3.Identity())
+
+
+def test_an_object_without_mass_needs_rigid_grasps():
+    arm = random_case(["ur5"], ["rigid"], np.random.default_rng(11)).chain.arms[0]
+    with pytest.raises(osc.ModelError, match="without mass"):
+        osc.ClosedChain([arm], [osc.Grasp.ball(pin.SE3.Identity())])
+
+
+HANDS = [
+    "{xyz: [0.12, 0, 0], rpy: [180 deg, 0, 0]%s}",
+    "{xyz: [0.12, 0, 0], rpy: [180 deg, 0, 180 deg]%s}",
+]
+HOW = {"rigid": "", "hinge": ", type: hinge, axis: [0, 1, 0]", "ball": ", type: ball"}
+
+
+@pytest.mark.parametrize(
+    "kinds", [("rigid", "hinge"), ("rigid", "ball"), ("hinge", "hinge"), ("ball", "hinge")]
+)
+def test_mujoco_holds_the_object_the_same_way(kinds):
+    """Joints and equality constraints of MuJoCo against N of the grasps, 0.2 s under control."""
+    sets = [
+        f"grasps.{side}={hand % HOW[kind]}"
+        for side, hand, kind in zip(("left", "right"), HANDS, kinds, strict=True)
+    ]
+    rig = osc.build_rig(osc.load_scenario("dual_panda_rod", sets))
+    assert tuple(grasp.kind for grasp in rig.chain.grasps) == kinds
+    plant, controller = rig.plant(), rig.controller()
+    started = plant.truth().X_WO
+    np.testing.assert_allclose(started.homogeneous, rig.state().X_WO.homogeneous, atol=1e-12)
+    for k in range(200):
+        plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+    q, truth = plant.measure().q, plant.truth()
+    X = object_pose(rig.chain, q)
+    assert np.linalg.norm(X.translation - started.translation) > 1e-4  # it moves
+    for grasp, tip in zip(rig.chain.grasps, rig.chain.tip_poses(), strict=True):
+        assert np.abs(grasp.miss(tip, X)).max(initial=0.0) < 2e-5
+    np.testing.assert_allclose(truth.X_WO.homogeneous, X.homogeneous, atol=1e-4)
+    assert truth.closed.all() and controller.status is osc.Status.OK
+    np.testing.assert_allclose(truth.alpha, rig.references.at(0.199).alpha_d, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    "how, words",
+    [
+        ("{type: hinge}", "a hinge needs an axis"),
+        ("{type: ball, axis: [0, 0, 1]}", "a ball grasp has no axis"),
+        ("{type: glue}", "'rigid', 'hinge' or 'ball'"),
+        ("{type: hinge, axis: [0, 0, 0]}", "whose length is 0"),
+    ],
+)
+def test_scenarios_refuse_half_a_grasp(how, words):
+    with pytest.raises(osc.ScenarioError, match=words):
+        osc.load_scenario("dual_panda_rod", [f"grasps.left={how}"])
+
+
+def test_two_balls_in_a_scenario_are_refused_with_the_motion():
+    both = ["grasps.left.type=ball", "grasps.right.type=ball"]
+    with pytest.raises(osc.ModelError, match="do not tell where the object is"):
+        osc.build_rig(osc.load_scenario("dual_panda_rod", both))
+
+
+def test_exact_plant_steps_an_object_that_no_arm_leads():
+    """It is a body of its own there: a short step changes its twist by what the oracle says."""
+    rng, dt = np.random.default_rng(12), 1e-6
+    for case in driven(rng, 8, arms=("ur5", "panda"), kinds=("hinge", "ball"), least=2, most=3):
+        v, V = (5.0 * x for x in case.moving(rng))
+        plant = RigidPlant(case.chain, [], dt)
+        plant.q, plant.v, plant._X, plant._V = case.q, v, case.X_WO, V
+        tau = rng.normal(size=case.chain.n_a) * 20.0
+        oracle = case.system(v, V).solve(forces(case, tau), NOTHING.N, np.zeros(0))
+        classical = oracle.a_object + np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
+        plant.step(tau, dt)
+        assert miss((plant._V - V) / dt, classical) < 1e-3
+        want = moved(case.X_WO, 0.5 * dt * (V + plant._V))
+        np.testing.assert_allclose(plant._X.homogeneous, want.homogeneous, atol=1e-10)
+        assert plant.truth().X_WO == plant._X
+
+
+def test_what_an_arm_does_without_the_object_is_held():
+    """A six-joint arm turns about its ball without the rod: its posture task stops that."""
+    rng = np.random.default_rng(13)
+    case = next(driven(rng, 1, arms=("ur5",), kinds=("ball",), least=3, most=3))
+    chain = case.chain
+    X_WO = object_pose(chain, case.q)
+    plant = RigidPlant(chain, [], 2e-3)
+    plant.reset(case.q)
+    state = chain.state(plant.q, np.zeros(18))
+    inner = np.linalg.svd(state.arms[0].N.T @ state.arms[0].J)[2][3:]
+    plant.v = np.concatenate((inner.T @ [0.3, -0.2, 0.3], np.zeros(12)))
+    controller = osc.Controller(chain, [], dt=2e-3, posture=plant.q)
+    wanted = osc.Reference(X_WO, np.zeros(6), np.zeros(6), np.zeros(0))
+    before = np.linalg.norm(plant.v)
+    for _ in range(100):
+        plant.step(controller.tick(plant.measure(), wanted), 2e-3)
+        assert controller.status is not osc.Status.HELD, controller.reason
+    assert np.linalg.norm(plant.v) < 0.3 * before  # damping 10 1/s, 0.2 s
+    assert np.abs(plant.truth().X_WO.translation - X_WO.translation).max() < 1e-5

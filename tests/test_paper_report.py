@@ -1,0 +1,238 @@
+"""The report on the paper's figures: what it says, how it judges, what it shows and fetches."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from headless import Browser, near
+from rich.table import Table
+
+import osc_contact as osc
+from osc_contact.experiments.answers import ANSWERS, Evidence
+from osc_contact.experiments.figures import FIGURES
+from osc_contact.experiments.paper import PAPER, Answer, Verdict, judge
+from osc_contact.experiments.paper_report import write_paper_report
+from osc_contact.experiments.reproduction import Made, Reproduction, names_of, typed
+from osc_contact.experiments.rig import build_rig
+from osc_contact.experiments.studies import STUDIES
+from osc_contact.experiments.viewing import write_scene_of
+from osc_contact.recorder import Recording
+from osc_contact.visual import contact_colour
+
+SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {} 100"><path d="M0 0h9v9z"/></svg>'
+READY = "document.querySelector('main') !== null"
+
+
+@pytest.fixture(scope="module")
+def evidence() -> Evidence:
+    scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
+    return Evidence(build_rig(scenario), osc.run(scenario, duration=1.2))
+
+
+@pytest.fixture(scope="module")
+def report(evidence: Evidence, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All that `reproduce all` makes, with small pictures; figs. 3 and 7 are left out."""
+    folder = tmp_path_factory.mktemp("report")
+    scene = write_scene_of(evidence.recording, evidence.rig, folder / "scene.html")
+    made = {}
+    for name, width in (("fig1", 100), ("fig2", 100), ("fig4", 300), ("fig5", 100), ("fig8", 100)):
+        (folder / f"{name}.svg").write_text(SVG.format(width))
+        (folder / f"{name}.png").write_bytes(b"\x89PNG")
+        answers = {} if name == "fig2" else ANSWERS.get(name, lambda _: {})(evidence)
+        made[name] = Made((folder / f"{name}.png", folder / f"{name}.svg"), answers)
+    made["fig8"].answers["follow"] = Answer("<b>no</b>", False, "less & less")
+    table = Table("arm & leg", "value", title="a table")
+    table.add_row("left <arm>", "3 µm")
+    (folder / "steps.svg").write_text(SVG.format(100) + " " * 1_000_000)
+    (folder / "steps.png").write_bytes(b"\x89PNG")
+    files = (folder / "steps.svg", folder / "steps.png", folder / "steps.json")
+    made["steps"] = Made(files, {}, table, {"a": 1}, "--duration 10")
+    made["fig1"] = replace(made["fig1"], files=(*made["fig1"].files, scene))
+    found = Reproduction(
+        made, evidence.rig.scenario, evidence.recording, scene, "--plant rigid --set 'a=[1, 2]'"
+    )
+    return write_paper_report(found, folder / "deep" / "report.html")
+
+
+class Reader(HTMLParser):
+    """Words of the page, and what it would load."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.words, self.loads, self.links, self.silent = [], [], [], False
+        self.feed(text)
+        self.text = " ".join(" ".join(self.words).split())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.silent = tag in ("script", "style")
+        self.loads += [v or "" for k, v in attrs if k in ("src", "srcset", "data", "srcdoc")]
+        self.links += [v or "" for k, v in attrs if k == "href"]
+
+    def handle_endtag(self, tag: str) -> None:
+        self.silent = False
+
+    def handle_data(self, data: str) -> None:
+        if not self.silent:
+            self.words.append(data)
+
+
+def test_the_paper_has_eight_figures_and_all_that_we_make_are_among_them() -> None:
+    assert [figure.name for figure in PAPER] == [f"fig{n}" for n in range(1, 9)]
+    assert [figure.number for figure in PAPER] == list(range(1, 9))
+    ours = {name for name in (*FIGURES, *STUDIES) if name.startswith("fig")}
+    assert ours <= {figure.name for figure in PAPER}
+    assert set(ANSWERS) == set(FIGURES), "figures that are no studies are answered here"
+    paper = Path(__file__).parents[1] / "docs" / "paper_map.md"
+    planned = re.findall(r"^\| (fig)\. (\d):.*\| planned \|", paper.read_text("utf-8"), re.M)
+    missing = {figure.name for figure in PAPER} - ours
+    assert {"".join(found) for found in planned} == missing, "the map and the registry disagree"
+
+
+def test_the_verdict() -> None:
+    figure = PAPER[0]
+    yes, no = Answer("", True), Answer("", False)
+    keys = list(figure.states)
+    assert judge(figure, False, {}) is Verdict.missing
+    assert judge(figure, True, {}) is Verdict.partly
+    assert judge(figure, True, dict.fromkeys(keys[1:], yes)) is Verdict.partly
+    assert judge(figure, True, dict.fromkeys(keys, yes)) is Verdict.reproduced
+    assert judge(figure, True, {keys[0]: no}) is Verdict.contradicted
+    assert judge(figure, True, dict.fromkeys(keys, yes) | {keys[1]: no}) is Verdict.contradicted
+    assert judge(figure, True, {"another": yes}) is Verdict.partly
+
+
+def test_the_task_answers_every_statement_about_it(evidence: Evidence) -> None:
+    for name, ask in ANSWERS.items():
+        (figure,) = [f for f in PAPER if f.name == name]
+        answers = ask(evidence)
+        steps_late = {"motion"}  # a force steps at 5 s, after this run
+        assert set(answers) == set(figure.states) - steps_late
+        assert all(answer.holds and answer.found for answer in answers.values()), answers
+    p, d = evidence.recording["contact_point"][0], evidence.recording["contact_direction"][0]
+    normal = np.cross(d[0], d[1])
+    apart = abs((p[1] - p[0]) @ normal) / np.linalg.norm(normal)
+    angle = np.degrees(np.arccos(abs(d[0] @ d[1])))
+    said = ANSWERS["fig1"](evidence)["skew"].found
+    assert f"{angle:.1f}°" in said and f"{1e3 * apart:.1f} mm" in said
+
+
+def spoilt(evidence: Evidence, **changed: np.ndarray) -> Evidence:
+    recording = evidence.recording
+    return Evidence(evidence.rig, Recording(recording.meta, {**recording.channels, **changed}))
+
+
+def test_answers_can_fail(evidence: Evidence) -> None:
+    run = evidence.recording
+    lost = run["closed"].copy()
+    lost[-20:, 1] = False
+    assert not ANSWERS["fig6"](spoilt(evidence, closed=lost))["reciprocal"].holds
+    leak = 0.1 * run["power_total"]
+    assert not ANSWERS["fig6"](spoilt(evidence, power_projected=leak))["reciprocal"].holds
+    off = 1.02 * run["alpha_true"]
+    assert not ANSWERS["fig8"](spoilt(evidence, alpha_true=off))["follow"].holds
+    assert not ANSWERS["fig5"](spoilt(evidence, alpha_true=off))["filter"].holds
+    single = run["N"].copy()
+    single[:, :, 1] = np.roll(single[:, :, 0], 1, axis=1)  # forces through one point
+    single[:, 3:] = 0.0
+    assert not ANSWERS["fig8"](spoilt(evidence, N=single))["space"].holds
+    meta = {**run.meta, "force_steps_s": [1.1]}
+    error = run["motion_error"].copy()
+    stepped = Evidence(evidence.rig, Recording(meta, {**run.channels}))
+    assert ANSWERS["fig5"](stepped)["motion"].holds
+    error[1110, 0] = 1e-4
+    moved = Evidence(evidence.rig, Recording(meta, {**run.channels, "motion_error": error}))
+    assert not ANSWERS["fig5"](moved)["motion"].holds
+
+
+def test_the_report_tells_statements_numbers_verdicts_and_commands(report: Path) -> None:
+    text = report.read_text(encoding="utf-8")
+    told = Reader(text).text
+    for figure in PAPER:
+        for words in (figure.shows, *figure.states.values()):
+            assert words in told
+    sections = dict(re.findall(r'<section id="(\w+)">(.*?)</section>', text, re.S))
+    assert [name for name in sections if name.startswith("fig")] == [f.name for f in PAPER]
+    wanted = {
+        "fig1": "reproduced", "fig2": "partly reproduced", "fig3": "not reproduced",
+        "fig4": "reproduced", "fig5": "partly reproduced", "fig6": "not reproduced",
+        "fig7": "not reproduced", "fig8": "contradicted",
+    }  # fmt: skip
+    for name, verdict in wanted.items():
+        badges = re.findall(r'class="badge \w+">. ([\w ]+)<', sections[name])
+        assert badges == [verdict], name
+        made = verdict != "not reproduced"
+        command = f"osc-contact reproduce {name} --plant rigid --set &#x27;a=[1, 2]&#x27;"
+        assert (command in sections[name]) == made == ("<img" in sections[name])
+        assert ("nothing here makes this figure" in sections[name]) != made
+    assert "62.0° and 279.6 mm" in sections["fig1"]
+    assert sections["fig2"].count("Open: this run does not answer it.") == 3
+    assert "&lt;b&gt;no&lt;/b&gt;" in sections["fig8"] and "less &amp; less" in sections["fig8"]
+    assert 'class="pair broad"' in sections["fig4"] and 'class="pair"' in sections["fig1"]
+    assert "left &lt;arm&gt;" in sections["steps"] and "arm &amp; leg" in sections["steps"]
+    assert "fig1.png, fig1.svg" in sections["fig1"]
+    assert "1.2 s, 1200 ticks, seed 0" in told
+
+
+def test_the_report_fetches_nothing(report: Path) -> None:
+    text = report.read_text(encoding="utf-8")
+    found = Reader(text)
+    assert [v[:14] for v in found.loads] == 5 * ["data:image/svg"] + ["data:image/png"]
+    assert "osc-contact reproduce steps --duration 10 --plant rigid" in text
+    assert all(link.startswith("#fig") for link in found.links)
+    assert "default-src 'none'" in text and "connect-src data: blob:" in text
+    assert sorted(p.name for p in report.parent.iterdir()) == ["report.html"]
+
+
+@pytest.fixture(scope="module")
+def browser(report: Path) -> Iterator[Browser]:
+    with Browser(report.as_uri(), ready=READY) as opened:
+        yield opened
+        assert opened.errors == []
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_it_fits_phones_and_desks(browser: Browser, width: int) -> None:
+    metrics = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": False}
+    browser.ask("Emulation.setDeviceMetricsOverride", **metrics)
+    browser.until(f"innerWidth === {width}")
+    assert browser.run("document.documentElement.scrollWidth") == width
+    columns = browser.run(
+        "getComputedStyle(document.querySelector('#fig1 .pair')).gridTemplateColumns"
+    )
+    assert len(columns.split()) == (1 if width < 900 else 2)
+    browser.run("document.querySelector('#fig1 img').scrollIntoView()")
+    browser.until("document.querySelector('#fig1 img').naturalWidth > 0")
+
+
+def test_the_scene_is_unfolded_when_it_is_opened(browser: Browser) -> None:
+    assert browser.run("document.querySelectorAll('iframe').length") == 0, "costs nothing before"
+    browser.run("document.querySelector('#run').scrollIntoView()")
+    before = near(browser.picture(), contact_colour(0))
+    browser.run("document.querySelector('#run summary').click()")
+    inside = "document.querySelector('iframe')?.contentDocument?"
+    browser.until(f"{inside}.querySelectorAll('#legend input').length === 7")
+    browser.until(f"{inside}.querySelector('#clock').textContent.includes('1.2 s')")
+    assert near(browser.picture(), contact_colour(0)) > before + 200
+    browser.run("document.querySelector('#run summary').click()")
+    browser.run("document.querySelector('#run summary').click()")
+    assert browser.run("document.querySelectorAll('iframe').length") == 1
+    browser.run("document.querySelector('#fig1 summary').click()")
+    browser.until("document.querySelectorAll('#fig1 iframe').length === 1")
+
+
+def test_names_and_options() -> None:
+    names = names_of("all")
+    assert set(FIGURES) <= set(names) and "workcell" not in names
+    assert {name for name in STUDIES if name.startswith("fig")} <= set(names), "slow or not"
+    with pytest.raises(osc.InvalidInputError, match="no figure 'fig9'"):
+        names_of("fig9")
+    assert typed(None, None, 0, ()) == ""
+    assert typed("rigid", 1.05, 3, ["a=[1, 2]"]) == (
+        "--plant rigid --duration 1.05 --seed 3 --set 'a=[1, 2]'"
+    )
