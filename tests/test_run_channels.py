@@ -47,7 +47,8 @@ def run_plainly(rig):
         found = controller.found()
         alpha = speed = np.zeros(len(rig.pushing))
         if len(found.alpha_meas):
-            alpha, speed = found.alpha_meas.copy(), found.normal_speed.copy()
+            contact = controller.last_signals().contact
+            alpha, speed = contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
         seen = monitor.update(np.where(rig.pushing, alpha, np.abs(alpha)), speed)
         ticks.append({
             "t": k * period, "q": read.q, "v": read.v, "tau": tau, "alpha_cmd": wanted.alpha_d,
@@ -160,6 +161,7 @@ RUNS = {
     "two_contact_rod": ("mujoco", 0.06, []),
     "two_contact_rod, rigid": ("rigid", 0.006, []),
     "two_contact_rod, detected": ("mujoco", 0.01, ["control.contacts=detected"]),
+    "two_contact_rod, one face twice": ("mujoco", 0.01, []),
     "two_contact_rod_mismatch": ("mujoco", 0.06, SOON),
     "two_contact_rod_friction": ("mujoco", 0.006, []),
     "moving_face": ("mujoco", 0.04, []),
@@ -178,6 +180,11 @@ def test_channels_are_what_they_are_defined_to_be(name):
     plant, duration, changes = RUNS[name]
     changes = [*changes, f"plant.type={plant}", f"duration={duration}"]
     scenario = osc.load_scenario(name.partition(",")[0], changes)
+    if name.endswith("one face twice"):  # three contact forces, two of them independent
+        data = scenario.as_dict()
+        data["contacts"].append(data["contacts"][0] | {"name": "again"})
+        data["force"]["again"] = data["force"]["left_end"]
+        scenario = type(scenario).model_validate(data).with_source(scenario.source)
     recording = osc.run(scenario, seed=3)
     plain = run_plainly(osc.build_rig(scenario))
     assert set(recording.channels) == {*plain, "tick_s"}
@@ -291,9 +298,9 @@ def test_free_parts_are_the_free_part_of_each_in_singular_states_too():
         X, _ = random_poses(rng, k)
         N, x = rng.normal(size=(6, 2, k)), rng.normal(size=(6, k))
         N[:, 1, 12], N[:, 0, 13] = 2.0 * N[:, 0, 12], 0.0  # dependent, and none at all
-        J = np.zeros((k, chain.nq, 6))
+        J = np.zeros((6, chain.nq, k))
         for i in range(k):
-            J[i] = pin.computeJointJacobians(chain.model, chain.data, q[i]).T
+            J[:, :, i] = pin.computeJointJacobians(chain.model, chain.data, q[i])
         found = free_parts(chain, q, J, X, N, x)
         for i in range(k):
             want = free_part(chain, q[i], X[i], N[:, :, i], x[:, i])

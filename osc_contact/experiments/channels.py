@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from osc_contact.control.life import Phase
 from osc_contact.control.monitor import ContactMonitor
 from osc_contact.experiments.contacts import feet_over
 from osc_contact.experiments.free_motion import free_parts
@@ -28,11 +29,12 @@ def channels(rig: Rig, log: Log, plan: Plan, start: int, stop: int) -> dict[str,
         rig, plan: of the run. log: what it noted.
     """
     rows, k = slice(start, stop), stop - start
-    truth = log.truth.truths(start, stop)
+    truth = log.truth.truths(log.rows("truth", start, stop), start, stop)
     names = ("q", "v", "tau", "alpha", "speed", *FOUND)
     found = {name: log.rows(name, start, stop) for name in names}
     alpha, speed = found["alpha"], found["speed"]
     N, points, directions = _lines(rig, truth, k)
+    tick_s, status, phase = log.ends(start, stop)
     wrench = found["f_meas"] - found["bias_out"]
     projected = (speed * alpha).sum(axis=1)  # V_relᵀNα, whatever the faces do
     total = (found["V_O"] * (wrench - found["f_c"])).sum(axis=1) + projected
@@ -41,7 +43,7 @@ def channels(rig: Rig, log: Log, plan: Plan, start: int, stop: int) -> dict[str,
         "q": found["q"],
         "v": found["v"],
         "tau": found["tau"],
-        "tick_s": log.tick_s[rows],
+        "tick_s": tick_s,
         "pose": truth.X_WO.coordinates(k),
         "twist": truth.V_O,
         "alpha_cmd": plan.alpha_d[rows],
@@ -55,12 +57,12 @@ def channels(rig: Rig, log: Log, plan: Plan, start: int, stop: int) -> dict[str,
         "wrench_meas": wrench,
         "power_total": total,
         "power_projected": projected,
-        "motion_error": _motion_error(rig, log, start, found, N),
+        "motion_error": _motion_error(rig, log, start, found, N, phase),
         "squeeze_cmd": np.full(k, plan.squeeze_d),
         "squeeze": found["squeeze"][:, 0],
         "alpha_given_up": log.given_up[rows],
-        "status": log.status[rows],
-        "contact_phase": log.phase[rows],
+        "status": status,
+        "contact_phase": phase,
     }
     return {name: np.ascontiguousarray(values) for name, values in made.items()}
 
@@ -129,18 +131,20 @@ def _face_poses(rig: Rig, truth: Truths, k: int) -> Array:
     return out
 
 
-def _motion_error(rig: Rig, log: Log, start: int, found: Mapping[str, Array], N: Array) -> Array:
+def _motion_error(
+    rig: Rig, log: Log, start: int, found: Mapping[str, Array], N: Array, phase: Array
+) -> Array:
     """What the arms can make of the pose error and the contact forces in the model permit."""
     if "J" not in log:
         return found["free_error"]
     q, error, k = found["q"], found["error"], len(found["q"])
-    J = log.rows("J", start, start + k).reshape(k, -1, 6)
+    J = np.ascontiguousarray(log.rows("J", start, start + k).T).reshape(-1, 6, k).swapaxes(0, 1)
     X = found["X_WO"].reshape(k, 4, 4).transpose(1, 2, 0)
-    held = log.held[start : start + k]
+    held = phase[:, rig.owners] != Phase.OPEN
     changes = np.flatnonzero((held[1:] != held[:-1]).any(axis=1)) + 1
     out = np.empty((k, 6))
     for a, b in pairwise([0, *changes, k]):
         poses = Poses(X[:3, :3, a:b], X[:3, 3, a:b])
         lines = N[:, held[a], a:b]
-        out[a:b] = free_parts(rig.model, q[a:b], J[a:b], poses, lines, error[a:b].T).T
+        out[a:b] = free_parts(rig.model, q[a:b], J[:, :, a:b], poses, lines, error[a:b].T).T
     return out

@@ -52,7 +52,7 @@ def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x:
     """`free_part` (6, k) at k instants, worked out together where the ranks are plain.
 
     Args:
-        chain: of the arms. q: (k, n). J: (k, n, 6) the joints' columns there, at the world's
+        chain: of the arms. q: (k, n). J: (6, n, k) the joints' columns there, at the world's
             origin. X_WO: k poses. N: (6, r, k). x: (6, k).
     """
     L = np.linalg.cholesky(chain.reference_inertia(pin.SE3.Identity()))  # in the object's axes
@@ -61,9 +61,7 @@ def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x:
         own = np.concatenate((X_WO.turn_back(motions[:3]), X_WO.turn_back(motions[3:])))
         return np.tensordot(L.T, own, 1)
 
-    J = np.ascontiguousarray(J.transpose(2, 1, 0))
-    J[:3] += cross(J[3:], X_WO.p[:, None])
-    J = white(J)
+    J = white(np.concatenate((J[:3] + cross(J[3:], X_WO.p[:, None]), J[3:])))
     locked, plain = _locked([J[:, arm] for arm in chain.slices])
     plain &= all(grasp.is_rigid for grasp in chain.grasps)
     e, lines = white(x), np.concatenate((X_WO.turn_back(N[:3]), X_WO.turn_back(N[3:])))

@@ -17,7 +17,7 @@ __all__ = ["Log"]
 
 #: What of `Found` is kept, and how many numbers that is.
 FOUND = {
-    "f_meas": 6, "bias_out": 6, "f_c": 6, "V_O": 6, "X_WO": 16, "error": 6, "free_error": 6,
+    "f_meas": 6, "bias_out": 6, "V_O": 6, "X_WO": 16, "f_c": 6, "error": 6, "free_error": 6,
     "squeeze": 1,
 }  # fmt: skip
 
@@ -27,10 +27,8 @@ class Log:
 
     Attributes:
         count: ticks noted. truth: the plant's own log of the same ticks.
-        tick_s, status: as in the recording.
-        held: (ticks, r) whether each contact force is in the controller's model.
-        phase: (ticks, contacts) of contact life. seen: (2, ticks, r) its monitor's contacts and
-            collisions.
+        phase: (ticks, contacts) of contact life, where there is one. seen: (2, ticks, r) its
+            monitor's contacts and collisions.
         given_up: (ticks, r) contact forces that the motor limits cost.
     """
 
@@ -39,14 +37,15 @@ class Log:
         n, n_a, r = rig.chain.nq, rig.chain.n_a, len(rig.pushing)
         self.count = 0
         self.truth = plant.log(ticks)
-        self.tick_s, self.status = np.zeros(ticks), np.zeros(ticks, dtype=np.int64)
-        self.held = np.zeros((ticks, r), dtype=bool)
+        self._ends: list[tuple[float, int, bool]] = []
         self.given_up = np.zeros((ticks, r))
-        self.phase = np.zeros((ticks, len(rig.pairs)), dtype=np.int64)
-        self.seen = np.zeros((2, ticks, r), dtype=bool)
+        lived = 0 if rig.scenario.control.life is None else ticks
+        self.phase = np.zeros((lived, len(rig.pairs)), dtype=np.int64)
+        self.seen = np.zeros((2, lived, r), dtype=bool)
         sizes = {"q": n, "v": n, "tau": n_a, "alpha": r, "speed": r, **FOUND}
         if rig.d < 6:  # what the arms can make of an error is to be told
             sizes["J"] = 6 * n
+        sizes["truth"] = sum(part.size for part in self.truth.parts)
         ends = np.cumsum([0, *sizes.values()])
         self._places = dict(zip(sizes, map(slice, ends[:-1], ends[1:]), strict=True))
         self._rows = np.zeros((ticks, ends[-1]))
@@ -59,8 +58,17 @@ class Log:
 
     def rows(self, name: str, start: int, stop: int) -> Array:
         """(stop − start, numbers) of q, v, tau; of alpha and speed, measured magnitudes and NᵀV_rel
-        of all contact forces, 0 where none are measured; or of a field of `Found`."""
+        of all contact forces, 0 where none are measured; of a field of `Found`; or of truth."""
         return self._rows[start:stop, self._places[name]]
+
+    def ends(self, start: int, stop: int) -> tuple[Array, Array, Array]:
+        """How ticks ended: what each took (s), its status, the phase of each contact."""
+        spent, status, engaged = zip(*self._ends[start:stop], strict=True)
+        phase = self.phase[start:stop]
+        if not len(self.phase):
+            all_of_them = np.where(np.array(engaged), Phase.CLOSED, Phase.OPEN)
+            phase = np.repeat(all_of_them[:, None], self.phase.shape[1], axis=1).astype(np.int64)
+        return np.array(spent), np.array(status, dtype=np.int64), phase
 
     def note(
         self, controller: Controller, measurement: Measurement, tau: Array, spent: float
@@ -74,14 +82,11 @@ class Log:
         if found.rank[0] != self._r:
             parts = self._flat(found, *measured(controller, self._owners))
         np.concatenate((measurement.q, measurement.v, tau, *parts), out=self._rows[k])
-        self.tick_s[k], self.status[k] = spent, controller.status
+        self._ends.append((spent, controller.status, controller.engaged))
         life = controller.life
-        if life is None:
-            self.held[k] = controller.engaged
-            self.phase[k] = Phase.CLOSED if controller.engaged else Phase.OPEN
-        else:
-            self.held[k], self.phase[k] = controller.terms.active[self._owners], phases(controller)
-            self.seen[:, k] = life.state.seen.closed, life.state.seen.collision
+        if life is not None:
+            seen = life.state.seen
+            self.phase[k], self.seen[:, k] = phases(controller), (seen.closed, seen.collision)
         cost = controller.given_up
         if cost is not None and len(cost.force) == self._r:
             self.given_up[k] = cost.force
@@ -89,4 +94,22 @@ class Log:
         self.count = k + 1
 
     def _flat(self, found: Found, alpha: Array, speed: Array) -> list[Array]:
-        return [alpha, speed, *(np.ravel(getattr(found, name)) for name in self._of_found)]
+        fields = (np.ravel(getattr(found, name)) for name in self._of_found)
+        return [*_joined([alpha, speed, *fields]), *self.truth.parts]
+
+
+def _joined(parts: list[Array]) -> list[Array]:
+    """The same numbers in the same order, neighbours in memory as one array: fewer to copy."""
+    out = parts[:1]
+    for part in parts[1:]:
+        base, end = out[-1].base, _address(out[-1]) + out[-1].nbytes
+        if base is not None and base is part.base and base.ndim == 1 and end == _address(part):
+            start = (_address(out[-1]) - _address(base)) // base.itemsize
+            out[-1] = base[start : start + out[-1].size + part.size]
+        else:
+            out.append(part)
+    return out
+
+
+def _address(x: Array) -> int:
+    return int(x.__array_interface__["data"][0])

@@ -15,7 +15,7 @@ from osc_contact.interface import Reference
 from osc_contact.scenarios.schema import Scenario, TareSpec
 from osc_contact.scenarios.signals import MinimumJerk, Step, total_over
 from osc_contact.scenarios.touching import MAGNITUDES, magnitude_names
-from osc_contact.spatial import Array, cross, rotations, turned
+from osc_contact.spatial import Array, Poses, cross, rotations, turned
 
 __all__ = ["Plan", "References", "common_tangent", "force_names", "force_owners", "force_steps"]
 
@@ -140,7 +140,7 @@ class References:
             away = _away(self.scenario.tare, t)
             x += self.standoff[:3, None] * away[:, None]
             turn = (_Turn.start(len(t)) if turn is None else turn).then(self.standoff[3:], away)
-        R = np.broadcast_to(self.X_start.rotation[:, :, None], (3, 3, len(t)))
+        R = self.X_start.rotation[:, :, None]
         spin = np.zeros((2, 3, len(t)))
         if turn is not None:
             R, spin = turned(turn.R, R), np.stack((turn.omega, turn.omega_dot))
@@ -148,8 +148,7 @@ class References:
         names = force_names(self.scenario)
         alpha = np.array([total_over(forces[name], t)[0] for name in names])
         return Plan(
-            R=np.ascontiguousarray(R.transpose(2, 0, 1)),
-            p=self.X_start.translation + x[0].T,
+            X_WD=Poses(R, self.X_start.translation[:, None] + x[0]).coordinates(len(t)),
             V_D=np.concatenate((x[1], spin[0])).T.copy(),
             A_D=np.concatenate((x[2], spin[1])).T.copy(),
             alpha_d=alpha.reshape(len(names), len(t)).T.copy(),
@@ -162,19 +161,19 @@ class Plan:
     """References at k times, one after the other; `plan[i]` is one of them.
 
     Attributes:
-        R: (k, 3, 3), p: (k, 3) desired poses. V_D, A_D: (k, 6) their derivatives, as in
-            `Reference`. alpha_d: (k, r) desired magnitudes. squeeze_d: the same at all times.
+        X_WD: (k, 7) desired poses: position and quaternion x, y, z, w.
+        V_D, A_D: (k, 6) their derivatives, as in `Reference`.
+        alpha_d: (k, r) desired magnitudes. squeeze_d: the same at all times.
     """
 
-    R: Array
-    p: Array
+    X_WD: Array
     V_D: Array
     A_D: Array
     alpha_d: Array
     squeeze_d: float
 
     def __len__(self) -> int:
-        return len(self.p)
+        return len(self.X_WD)
 
     def __getitem__(self, i: int) -> Reference:
         return self.part(i, i + 1)[0]
@@ -185,10 +184,11 @@ class Plan:
 
     def part(self, start: int, stop: int) -> list[Reference]:
         """The references start to stop − 1."""
-        fields = (self.R, self.p, self.V_D, self.A_D, self.alpha_d)
+        fields = (self.X_WD, self.V_D, self.A_D, self.alpha_d)
+        place, squeeze = pin.XYZQUATToSE3, self.squeeze_d
         return [
-            Reference(pin.SE3(R, p), V, A, alpha, self.squeeze_d)
-            for R, p, V, A, alpha in zip(*(x[start:stop] for x in fields), strict=True)
+            Reference(place(X), V, A, alpha, squeeze)
+            for X, V, A, alpha in zip(*(x[start:stop] for x in fields), strict=True)
         ]
 
 

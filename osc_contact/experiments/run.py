@@ -89,7 +89,8 @@ def _loop(
             spent = perf_counter() - start
             if observer.estimates:
                 acceleration = controller.joint_acceleration()
-            tare.watch(k * period)
+            if not controller.engaged:
+                tare.watch(k * period)
             log.note(controller, measurement, tau, spent)
             if viewer is not None:
                 viewer.show(Tick(partial(channels, rig, log, plan, k, k + 1)))
@@ -121,7 +122,7 @@ class _Tare:
         self.samples: list[Array] = []
 
     def watch(self, t: float) -> None:
-        if self.spec is None or self.controller.engaged:
+        if self.spec is None:
             return
         if 2 * self.spec.duration / 3 <= t < self.spec.duration:  # once the start has settled
             self.samples.append(self.controller.residual_wrench())

@@ -54,8 +54,9 @@ class MujocoTruth:
         self._rails, self._on, self._contacts = rails, on, tuple(contacts)
         self._travel, self._guided = guided
         d, root = self._data, int(model.body_rootid[body])
-        self._views = d.xpos[body], d.xmat[body], d.cvel[body], d.subtree_com[root]
-        self._rows = np.zeros((capacity, 21))
+        self.parts: Sequence[Array] = (
+            d.xpos[body], d.xmat[body], d.cvel[body], d.subtree_com[root],
+        )  # fmt: skip
         self._travelled = np.zeros((capacity, len(self._travel)))
         self._body_of = np.full(model.ngeom, -1)
         self._body_of[list(body_of)] = list(body_of.values())
@@ -70,9 +71,8 @@ class MujocoTruth:
         self._frame = np.zeros((capacity, _POINTS, 9))
 
     def note(self) -> None:
-        """Keep the truth of this instant."""
+        """Keep what moves about in memory: contacts, and where bodies on rails are."""
         k, data = self._count, self._data
-        np.concatenate(self._views, out=self._rows[k])
         if len(self._travel):
             self._travelled[k] = data.qpos[self._travel]
         self._points[k] = n = data.ncon
@@ -98,10 +98,10 @@ class MujocoTruth:
             (self._place, contact.pos), (self._frame, contact.frame),
         ]  # fmt: skip
 
-    def truths(self, start: int, stop: int) -> Truths:
-        """The instants numbered start to stop − 1."""
+    def truths(self, rows: Array, start: int, stop: int) -> Truths:
+        """The instants numbered start to stop − 1, `rows` (k, 21) being the parts there."""
         k = stop - start
-        p, R, velocity, centre = np.split(self._rows[start:stop].T.copy(), [3, 12, 18])
+        p, R, velocity, centre = np.split(rows.T.copy(), [3, 12, 18])
         X_WO = Poses(R.reshape(3, 3, k), p)
         v, omega = velocity[3:] + cross(velocity[:3], p - centre), velocity[:3]
         X_WE = self._faces(start, stop)

@@ -62,11 +62,13 @@ class Truths:
 class TruthLog(Protocol):
     """Notes what a plant knows, cheaply; it is worked out when somebody asks."""
 
-    def note(self) -> None:
-        """Keep the truth of this instant."""
+    parts: Sequence[Array]  #: vectors whose numbers at every instant the caller keeps
 
-    def truths(self, start: int, stop: int) -> Truths:
-        """The instants numbered start to stop − 1."""
+    def note(self) -> None:
+        """Keep everything else about this instant."""
+
+    def truths(self, rows: Array, start: int, stop: int) -> Truths:
+        """The instants numbered start to stop − 1, `rows` (k, …) being the parts there."""
 
 
 class Watched:
@@ -75,27 +77,28 @@ class Watched:
     def __init__(self, plant: Plant, contacts: Sequence[ContactPair]) -> None:
         """Watch a plant with these contacts."""
         self._plant, self._contacts = plant, contacts
+        self.parts: Sequence[Array] = ()
         self._noted: list[Truth] = []
 
     def note(self) -> None:
         """Keep the truth of this instant."""
         self._noted.append(self._plant.truth())
 
-    def truths(self, start: int, stop: int) -> Truths:
+    def truths(self, rows: Array, start: int, stop: int) -> Truths:
         """The instants numbered start to stop − 1."""
-        rows = self._noted[start:stop]
-        X_WO = _poses([row.X_WO for row in rows])
+        noted = self._noted[start:stop]
+        X_WO = _poses([one.X_WO for one in noted])
         X_WE: list[Poses | None] = [None] * len(self._contacts)
-        if rows[0].X_WE is not None:
+        if noted[0].X_WE is not None:
             X_WE = [
-                _poses([row.X_WE[i] for row in rows if row.X_WE is not None])
+                _poses([one.X_WE[i] for one in noted if one.X_WE is not None])
                 for i in range(len(self._contacts))
             ]
         return Truths(
-            np.array([row.alpha for row in rows]),
-            np.array([row.closed for row in rows]),
+            np.array([one.alpha for one in noted]),
+            np.array([one.closed for one in noted]),
             X_WO,
-            np.array([row.V_O for row in rows]),
+            np.array([one.V_O for one in noted]),
             tuple(X_WE),
             tuple(normals_over(p, X_WO, X) for p, X in zip(self._contacts, X_WE, strict=True)),
         )
