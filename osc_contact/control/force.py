@@ -95,7 +95,7 @@ def _of_the_tip(
         Phi_N = np.linalg.solve(state.metric, N)
         return N @ np.linalg.solve(Phi_N.T @ (N + drag), Phi_N.T @ f)
     Phi_out = S @ np.linalg.solve(S.T @ state.Lambda_out @ S, S.T)
-    D = N.T @ (Phi_out + environment.Phi_e) @ (N + drag)
+    D = N.T @ Phi_out @ (N + drag) + environment.yielding(N, drag)
     seen = N.T @ (Phi_out @ f + state.sigma - environment.b_e) - contact.n_gamma
     return N @ np.linalg.solve(D, seen)
 
