@@ -27,7 +27,7 @@ from osc_contact.experiments.replay import RealTime
 from osc_contact.experiments.report import require_judgeable, write_json, write_report
 from osc_contact.experiments.rig import build_rig
 from osc_contact.experiments.run import run as run_scenario
-from osc_contact.experiments.studies import SLOW, STUDIES, Ask
+from osc_contact.experiments.studies import STUDIES, Ask
 from osc_contact.experiments.viewing import open_viewer, write_scene_of
 from osc_contact.recorder import Recording
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
@@ -45,6 +45,7 @@ out = Console(width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True)
 PARTIAL = "recording_until_failure.npz"
 REPRODUCIBLE = tuple(sorted((*paper_figures.FIGURES, *STUDIES), key=lambda n: (n[:3] != "fig", n)))
+LONG = ", ".join(name for name in REPRODUCIBLE if name not in reproduction.names_of("all"))
 EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim"}
 
 
@@ -120,7 +121,7 @@ def reproduce(
     figure: Annotated[
         str,
         typer.Argument(
-            help=f"{' | '.join(REPRODUCIBLE)} | all (without {', '.join(SLOW)}: minutes)",
+            help=f"{' | '.join(REPRODUCIBLE)} | all (with report.html; without {LONG}: minutes)",
             metavar="FIGURE",
         ),
     ],
@@ -133,7 +134,7 @@ def reproduce(
     set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Make figures of the paper from our own data, and figures and tables of the experiments."""
+    """Make the paper's figures from our own data, studies beside them, and a report on them all."""
     with _exit_codes():
         names = reproduction.names_of(figure)
         _require("matplotlib")
