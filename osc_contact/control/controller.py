@@ -107,7 +107,6 @@ class Controller:
         require_sound(chain, contacts, dt, B, bodies, friction)
         gains = Gains() if gains is None else gains
         self.chain = chain
-        self.friction = friction
         self.contacts = tuple(contacts)
         self.bodies = (None,) * len(self.contacts) if bodies is None else tuple(bodies)
         self.B = B
@@ -118,13 +117,12 @@ class Controller:
         self.limits = EffortLimits(chain, self.contacts)
         self.given_up: GivenUp | None = None
         self._tare, self._bias = np.zeros(6), np.zeros(6)
-        self.life = life
+        self.friction, self.life = friction, life
         self.terms = ContactTerms(np.zeros((len(self.contacts), 4)), gains.force)
         self.signals = Signals()
         self._looked = True  # whether `signals` must be emptied by the next compiled tick
         self._by_twin = True  # whether the readable path computed the last tick
-        self.status = Status.OK
-        self._reason = ""
+        self.status, self._reason = Status.OK, ""
         self._last_tau: Array = np.zeros(chain.n_a)
         self._fast: CompiledTick | None = None
         if compiled:
@@ -134,8 +132,7 @@ class Controller:
                 self._fast = fast = CompiledTick(self)
                 self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
                 self.terms = ContactTerms(fast.terms, gains.force)
-        self.engaged = engaged
-        self.ticked = False
+        self.engaged, self.ticked = engaged, False
 
     @property
     def reason(self) -> str:
@@ -305,11 +302,9 @@ class Controller:
         touched = chosen(s.touched, active)
         s.parts = parts = parts_in_force(pairs, s.state, touched)
         s.contact = contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
-        drag = np.zeros_like(contact.N)
+        s.drag = np.zeros_like(contact.N)
         if self.friction is not None:
-            drags = self.friction.drags(pairs, s.state.X_WO, s.state.V_O, touched)
-            drag = drags @ contact.R.T
-        s.drag = drag
+            s.drag = self.friction.drags(pairs, s.state.X_WO, s.state.V_O, touched) @ contact.R.T
         self._owners = np.repeat(np.flatnonzero(active), [part.R.shape[1] for part in parts])
 
     @block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)")
@@ -353,15 +348,8 @@ class Controller:
     @block("motion filter", "filter", r"$\Omega_m(B)$  (24)")
     def _motion_filter(self, s: Signals) -> None:
         eta_u = object_coordinates(s.state, s.contact, s.a_u)
-        s.eta_c = filtered_motion(
-            s.state,
-            s.contact,
-            eta_u,
-            s.alpha_u,
-            metric_of(self.B, s.state),
-            s.environment,
-            s.drag,
-        )
+        B = metric_of(self.B, s.state)
+        s.eta_c = filtered_motion(s.state, s.contact, eta_u, s.alpha_u, B, s.environment, s.drag)
 
     @block("dynamic control structure", "filter", r"$\Lambda_S\dot\eta_c+b_S+S^Tf_{ccomm}$  (21)")
     def _control_structure(self, s: Signals) -> None:
