@@ -105,7 +105,7 @@ def test_metrics_have_the_documented_keys(done: tuple[Path, Result]) -> None:
     verdict: dict[str, Any] = json.loads((folder / "metrics.json").read_text())
     assert set(verdict) == {
         "scenario", "plant", "seed", "duration_s", "ticks", "real_time_factor", "force", "motion",
-        "contact_fraction", "power", "tick_us", "status",
+        "contact_fraction", "power", "tick_us", "status", "at_limit",
     }  # fmt: skip
     assert (verdict["scenario"], verdict["plant"], verdict["seed"]) == (
         "two_contact_rod",
