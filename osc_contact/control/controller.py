@@ -23,6 +23,7 @@ from osc_contact.control.command_filter import (
     object_coordinates,
 )
 from osc_contact.control.effort_limits import EffortLimits, GivenUp, relieve
+from osc_contact.control.fade import LostDirection, faded_motion, lost_directions
 from osc_contact.control.force import (
     ForceGains,
     ForceLaw,
@@ -61,6 +62,7 @@ class Controller:
     Attributes:
         signals: every wire of the last tick. status, reason: how it ended.
         given_up: what motor limits cost in the last tick; None: nothing.
+        lost_directions: in which motion commands were faded near a singular posture.
         engaged: whether the contacts are part of the model; False treats the object as free.
         f_tare: (6,) constant error of the wrist readings at O, removed from each.
         f_bias: (6,) constant wrench added to the command, learnt before contact.
@@ -118,6 +120,7 @@ class Controller:
         self.allocation = Allocation(chain, rest)
         self.limits = EffortLimits(chain, self.contacts)
         self.given_up: GivenUp | None = None
+        self.lost_directions: tuple[LostDirection, ...] = ()
         self._tare, self._bias = np.zeros(6), np.zeros(6)
         self.signals = Signals()
         self._looked = True  # whether `signals` must be emptied by the next compiled tick
@@ -135,7 +138,7 @@ class Controller:
     @property
     def reason(self) -> str:
         """Why `status` is not OK; empty if it is."""
-        return self._reason or str(self.given_up or "")
+        return self._reason or str(self.given_up or "; ".join(map(str, self.lost_directions)))
 
     @property
     def f_tare(self) -> Array:
@@ -170,6 +173,7 @@ class Controller:
                     self.signals.__dict__.clear()
                     self.signals.__dict__["_fill"] = self._fill_signals
                 self.status, self._reason, self.given_up = Status.OK, "", None
+                self.lost_directions = ()
                 if code == _SATURATED:
                     self._saturated()
                 return self._last_tau.copy()
@@ -184,6 +188,7 @@ class Controller:
             for stage in self.STAGES:
                 stage(self, s)
             self._last_tau[:] = self._limited(s, *before)
+            self._note_lost(s.state, before[0])
             self.signals.__dict__.clear()
             self.signals.__dict__.update(s.__dict__)
             self._looked = self._by_twin = True
@@ -191,6 +196,14 @@ class Controller:
             self._hold(error)
             self.motion_law.integral, self.force_law.integral = before
         return self._last_tau.copy()
+
+    def _note_lost(self, state: ChainState, motion: Array) -> None:
+        """Say which directions are fading; what is not commanded is not integrated."""
+        self.lost_directions = () if self.restaged else lost_directions(state, self.chain)
+        if self.lost_directions:
+            self.motion_law.integral = motion
+            if self.status is Status.OK:
+                self.status = Status.DEGRADED
 
     def _saturated(self) -> None:
         """What the kernels want of the motors is too much."""
@@ -361,9 +374,11 @@ class Controller:
     @block("motion filter", "filter", r"$\Omega_m(B)$  (24)")
     def _motion_filter(self, s: Signals) -> None:
         eta_u = object_coordinates(s.state, s.contact, s.a_u)
-        s.eta_c = filtered_motion(
+        eta = filtered_motion(
             s.state, s.contact, eta_u, s.alpha_u, self._metric(s.state), s.environment
         )
+        posture = self.allocation.retreat(s.q, s.v)
+        s.eta_c = faded_motion(s.state, s.contact, self.chain, eta, posture)
 
     @block("dynamic control structure", "filter", r"$\Lambda_S\dot\eta_c+b_S+S^Tf_{ccomm}$  (21)")
     def _control_structure(self, s: Signals) -> None:

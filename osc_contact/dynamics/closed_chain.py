@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,7 @@ from osc_contact.dynamics.outboard import (
     outboard_terms,
 )
 from osc_contact.dynamics.payload import ObjectTerms, RigidObject
+from osc_contact.dynamics.singular import Fading, fading_of, full_rank, reference_inertia
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array, as_array, cross_twist
 
@@ -72,6 +74,8 @@ class ChainState:
     Lambda_out: Array  #: (6, 6) inertia seen by the wrist sensors together (not symmetric)
     bias_out: Array  #: (6,) gravity and velocity wrench they see at a = 0
     undriven: Array  #: (6, u) motions of the object that no motor drives
+    reference: Array  #: (6, 6) object and heaviest arm, which singular postures are judged by
+    full_ranks: tuple[int, ...]  #: motions each arm's tip can make in ordinary postures
 
     @property
     def d(self) -> int:
@@ -82,6 +86,11 @@ class ChainState:
     def bias(self) -> Array:
         """(d,) b_S = μ_S + p_S."""
         return self.mu + self.p
+
+    @cached_property
+    def fading(self) -> tuple[Fading, ...]:
+        """Directions that arms near a singular posture are losing."""
+        return tuple(fading_of(self.arms, self.full_ranks, self.reference))
 
 
 class ClosedChain:
@@ -96,7 +105,8 @@ class ClosedChain:
             where a model names none.
         tips, sensors: frame of each arm's tip and wrist sensor (None: it has none).
         outboard: links beyond each sensor.
-        reference: the object, or its stand-in for rank decisions.
+        reference: the object, or its stand-in for rank decisions. arm_mass: of the heaviest arm.
+        full_ranks: motions each arm's tip can make in ordinary postures.
     """
 
     def __init__(
@@ -162,6 +172,8 @@ class ClosedChain:
             dtype=int,
         )
         self.tau_max = self._effort_limits()
+        self.full_ranks = tuple(full_rank(arm.model, arm.tip) for arm in arms)
+        self.arm_mass = max(sum(i.mass for i in arm.model.inertias) for arm in self.arms)
         self.tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
         self.sensors = [
             None
@@ -274,6 +286,10 @@ class ClosedChain:
             Lambda_out=Lambda_out,
             bias_out=bias_out,
             undriven=undriven,
+            reference=reference_inertia(
+                reference.Lambda, self.arm_mass, X_WO.rotation @ self.reference.inertia.lever
+            ),
+            full_ranks=self.full_ranks,
         )
 
     def tip_poses(self) -> list[pin.SE3]:

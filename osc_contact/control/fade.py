@@ -1,0 +1,87 @@
+"""Motion commands that fade in directions an arm is losing, and come back with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.spatial import Array
+
+__all__ = ["LostDirection", "faded_motion", "lost_directions"]
+
+
+@dataclass(frozen=True)
+class LostDirection:
+    """A motion of the object that an arm near a singular posture is losing.
+
+    Attributes:
+        arm: its name. left: share of the motion command that still counts, 0 … 1.
+        inertia_ratio: the arm's apparent inertia there beside object and arm together.
+        twist: (6,) the motion at O in world axes, 1 m/s long (or 1 rad/s, if it only turns).
+    """
+
+    arm: str
+    left: float
+    inertia_ratio: float
+    twist: Array
+
+    def __str__(self) -> str:
+        twist = np.array2string(self.twist, precision=3, suppress_small=True)
+        return (
+            f"{self.arm} is near a singular posture: {100 * self.left:.0f} % left of the command "
+            f"along {twist}"
+        )
+
+
+def lost_directions(state: ChainState, chain: ClosedChain) -> tuple[LostDirection, ...]:
+    """Those of `state.fading` in words and units."""
+    return tuple(
+        LostDirection(
+            chain.arms[lost.arm].name,
+            lost.share,
+            1.0 / max(lost.chi, 1e-12) ** 2,
+            lost.twist / (np.linalg.norm(lost.twist[:3]) or np.linalg.norm(lost.twist[3:])),
+        )
+        for lost in state.fading
+    )
+
+
+_HARD = 1e-6  # shares below it are as good as 0
+
+
+def faded_motion(
+    state: ChainState, contact: Contact, chain: ClosedChain, eta_c: Array, posture: Array
+) -> Array:
+    """η̇ (d,): the motion command with the arms' lost directions left to their posture task.
+
+    What an arm's joints must do along a lost direction u is (uᵀ(a − γ))/χ: it grows without bound
+    while it does ever less. Share φ of it is kept; the rest is replaced by the posture's own
+    acceleration there, with the least change of the command in Λ_ref that the contacts permit:
+
+        min Δᵀ SᵀΛ_refS Δ + Σ (1 − φ)/φ (uᵀLᵀSΔ − t)²,   N_SᵀΔ = 0
+        t = χ vᵀKᵀq̈_posture − uᵀLᵀ(a − γ)
+
+    Args:
+        state, contact: at this instant. chain: its structure.
+        eta_c: (d,) filtered command. posture: (n,) acceleration of joints left to themselves.
+    """
+    if not state.fading or not state.d:
+        return eta_c
+    a = state.S @ eta_c + state.sigma
+    H = state.S.T @ state.reference @ state.S
+    pull = np.zeros(state.d)
+    for lost in state.fading:
+        arm = state.arms[lost.arm]
+        row = state.S.T @ lost.wrench
+        q_dd = posture[chain.slices[lost.arm]]
+        target = lost.chi * (lost.mode @ arm.M @ q_dd) - lost.wrench @ (a - arm.gamma)
+        weight = (1.0 - lost.share) / max(lost.share, _HARD)
+        H = H + weight * np.outer(row, row)
+        pull += weight * target * row
+    N = state.S.T @ contact.N
+    change = np.linalg.solve(H, np.column_stack((pull, N)))
+    step, held = change[:, 0], change[:, 1:]
+    return np.asarray(eta_c + step - held @ np.linalg.solve(N.T @ held, N.T @ step))
