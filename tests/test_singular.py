@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from oracles import kkt
-from rigs import one_panda, scara_pair
+from rigs import SCARA_Q, one_panda, scara_pair
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
@@ -35,20 +35,15 @@ def tick(chain, q, v, compiled=False, posture=None):
 
 def stretched_scaras():
     """(n,) postures of the pair, elbows from 0.35 rad to straight within rounding."""
-    chain = scara_pair()
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
-    base, elbow = rig.q_contact, rig.q_contact[1]
-    del chain
     postures = []
     for bend in np.concatenate((np.linspace(0.35, 0.002, 350), np.geomspace(0.002, 1e-7, 60))):
-        q = base.copy()
-        # arms of equal links: turning the shoulder by half of what the elbow gives keeps the line
-        q[1], q[6] = np.sign(elbow) * bend, -np.sign(elbow) * bend
-        postures.append(_closed(q, bend, base))
+        q = SCARA_Q.copy()
+        q[1], q[6] = -bend, bend
+        postures.append(_closed(q))
     return postures
 
 
-def _closed(q, bend, base):
+def _closed(q):
     """Both arms symmetric about x = 0 with the rod along x: solved for the shoulder angle."""
     chain = scara_pair()
 
@@ -100,7 +95,8 @@ def test_chi_is_the_inertia_that_the_arm_shows():
 @pytest.mark.parametrize("rest", [0.0, 0.4])
 def test_torques_are_continuous_through_the_straight_elbow(rest):
     """Through fading, rank loss and out again on the other side, with the arm still or moving."""
-    chain = one_panda()
+    panda = one_panda()
+    chain = osc.ClosedChain(panda.arms, panda.grasps, panda.payload, rank_tolerance=3e-3)
     v = rest * np.array([0.3, -0.5, 0.2, 0.8, 0.1, -0.4, 0.6])
     posture = straight_panda(-0.8)
     before, ranks = None, set()
@@ -145,10 +141,12 @@ def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed():
     allocation = controller.allocation
     want = allocation.stiffness * (posture - q) - allocation.retreat_damping * v
     M = s.state.arms[0].M
-    assert lost.mode @ M @ got.qdd == pytest.approx(lost.mode @ M @ want, rel=1e-5)
-    # the command, projected out of the lost direction in the reference's energy
-    keep = np.eye(6) - np.outer(lost.twist, lost.wrench)
-    np.testing.assert_allclose(keep @ got.a_object, keep @ s.a_u, atol=1e-6)
+    assert lost.mode @ M @ got.qdd == pytest.approx(lost.mode @ M @ want, rel=1e-3)
+    # the command changes by what the object resists least
+    push = np.linalg.solve(s.state.metric, lost.wrench)
+    change = got.a_object - s.a_u
+    along = (change @ s.state.metric @ push) / (push @ s.state.metric @ push)
+    np.testing.assert_allclose(change, along * push, atol=1e-6 * np.abs(change).max())
 
 
 def test_the_lost_direction_is_named_and_ordinary_postures_lose_none():
@@ -185,7 +183,7 @@ PANDA = ("panda_edge", [1, 0, 0.2], 0.4386)  # 0.4366 m
 @pytest.mark.parametrize(
     ("arms", "duration", "plant"),
     [
-        (SCARAS, 1.6, "mujoco"), (SCARAS, 1.0, "mujoco"), (SCARAS, 0.5, "mujoco"),
+        (SCARAS, 1.6, "mujoco"), (SCARAS, 1.0, "mujoco"), (SCARAS, 0.6, "mujoco"),
         (PANDA, 1.6, "mujoco"), (PANDA, 1.1, "mujoco"), (PANDA, 0.8, "mujoco"),
         (SCARAS, 1.0, "rigid"), (PANDA, 0.8, "rigid"),
     ],

@@ -186,8 +186,8 @@ class Allocation:
                 pull = self.stiffness * (self.posture[s] - q[s]) - self.damping * v[s]
                 tau_0 = state.h[s] + arm.M @ pull
                 full[s] = tau_0 - arm.J.T @ (arm.J_bar.T @ tau_0)
-                tau_0 = state.h[s] + arm.M @ self.retreat(q, v)[s]
-                for lost in state.fading:
-                    if lost.arm == i and arm.rank == min(arm.J.shape[1], arm.N.shape[1]):
-                        full[s] += (1.0 - lost.share) * (lost.mode @ tau_0) * (arm.M @ lost.mode)
+                back = state.h[s] + arm.M @ self.retreat(q, v)[s]
+                for lost in (one for one in state.fading if one.arm == i):
+                    more = back - tau_0 if lost.locked else (1.0 - lost.share) * back
+                    full[s] += (lost.mode @ more) * (arm.M @ lost.mode)
         return full[chain.actuated]

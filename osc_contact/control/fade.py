@@ -49,7 +49,8 @@ def lost_directions(state: ChainState, chain: ClosedChain) -> tuple[LostDirectio
     )
 
 
-_HARD = 1e-6  # shares below it are as good as 0
+_HARD = 1e-8  # shares below it are as good as 0
+_GONE = 1e-6  # of the mobility that Λ_ref has along any direction, 1
 
 
 def faded_motion(
@@ -59,10 +60,11 @@ def faded_motion(
 
     What an arm's joints must do along a lost direction u is (uᵀ(a − γ))/χ: it grows without bound
     while it does ever less. Share φ of it is kept; the rest is replaced by the posture's own
-    acceleration there, with the least change of the command in Λ_ref that the contacts permit:
+    acceleration there, with the least change of the command in Λ_o that the contacts permit (the
+    metric in which commands in locked directions are dropped, see `object_coordinates`):
 
-        min Δᵀ SᵀΛ_refS Δ + Σ (1 − φ)/φ (uᵀLᵀSΔ − t)²,   N_SᵀΔ = 0
-        t = χ vᵀKᵀq̈_posture − uᵀLᵀ(a − γ)
+        min Δᵀ H Δ + Σ (1 − φ)/φ (uᵀLᵀSΔ − t)² / (uᵀLᵀS H⁻¹SᵀLu),   N_SᵀΔ = 0
+        t = χ vᵀKᵀq̈_posture − uᵀLᵀ(a − γ),   H = SᵀΛ_oS
 
     Args:
         state, contact: at this instant. chain: its structure.
@@ -71,14 +73,17 @@ def faded_motion(
     if not state.fading or not state.d:
         return eta_c
     a = state.S @ eta_c + state.sigma
-    H = state.S.T @ state.reference @ state.S
+    plain = H = state.S.T @ state.metric @ state.S
     pull = np.zeros(state.d)
     for lost in state.fading:
         arm = state.arms[lost.arm]
         row = state.S.T @ lost.wrench
         q_dd = posture[chain.slices[lost.arm]]
         target = lost.chi * (lost.mode @ arm.M @ q_dd) - lost.wrench @ (a - arm.gamma)
-        weight = (1.0 - lost.share) / max(lost.share, _HARD)
+        size = row @ np.linalg.solve(plain, row)
+        if lost.locked or size < _GONE:  # no motion of the chain's any more
+            continue
+        weight = (1.0 - lost.share) / (max(lost.share, _HARD) * size)
         H = H + weight * np.outer(row, row)
         pull += weight * target * row
     N = state.S.T @ contact.N

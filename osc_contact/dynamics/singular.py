@@ -36,6 +36,7 @@ class Fading:
         wrench: (6,) L u at O, world axes: wrenchᵀ(a − γ) is the acceleration it sees.
         twist: (6,) L⁻ᵀu: the motion that is lost, its scale that of 1 J of Λ_ref.
         mode: (n,) K⁻ᵀv of the arm's joints, of unit kinetic energy (times two).
+        locked: the chain counts the direction as lost (`ClosedChain.rank_tolerance`).
     """
 
     arm: int
@@ -44,6 +45,7 @@ class Fading:
     wrench: Array
     twist: Array
     mode: Array
+    locked: bool
 
 
 def reference_inertia(metric: Array, mass: float, centre: Array) -> Array:
@@ -99,5 +101,5 @@ def fading_of(
             u = U[:, k]
             yield Fading(
                 i, float(chis[k]), share_left(float(chis[k])), L @ u, np.linalg.solve(L.T, u),
-                np.linalg.solve(K.T, Vh[k]),
+                np.linalg.solve(K.T, Vh[k]), bool(k >= arm.rank),
             )  # fmt: skip
