@@ -19,6 +19,7 @@ venv: .venv/.installed
 demo: venv
 	$(BIN)/osc-contact run two_contact_rod --out out/two_contact_rod
 	$(BIN)/osc-contact reproduce all --out out/figures
+	@echo "look at out/two_contact_rod/scene.html and out/figures/report.html"
 
 # The tests look at pages with Chromium. Root gets it by apt-get; anybody else is told how.
 browser: venv

@@ -55,4 +55,6 @@ default_role = "py:obj"
 html_theme = "furo"
 html_title = "osc_contact"
 html_extra_path = ["_site"]
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_copy_source = False

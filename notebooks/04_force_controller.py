@@ -22,7 +22,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 import osc_contact as osc
-from osc_contact.control.controller import block
+from osc_contact.control.own_laws import force_law
 from osc_contact.experiments.figures import reproduce
 from osc_contact.visual import contact_colour, plots
 from osc_contact.visual.style import style
@@ -37,29 +37,11 @@ reproduce("fig5", scenario)
 # %% [markdown]
 # ## A law is a function of two signals
 #
-# `replacing` puts a law α_u = law(α_d, α_meas) in the place of the built-in one. `osc.run`
-# installs it.
+# `force_law` puts a law α_u = law(α_d, α_meas) in the place of the built-in one. It is given what
+# makes the law, so that laws with a memory start afresh in every run.
 
 
 # %%
-def replacing(law):
-    """install= of osc.run for a force law."""
-
-    def install(controller):
-        remembers = law()
-
-        @block("my force law", "force", "")
-        def mine(_, s):
-            desired = s.contact.R @ s.alpha_d  # of the independent columns of N
-            s.alpha_u = remembers(desired, s.alpha_meas)
-
-        stages = controller.STAGES
-        controller.STAGES = tuple(mine if x is type(controller)._force_law else x for x in stages)
-        return controller
-
-    return install
-
-
 def proportional(gain):
     return lambda: lambda desired, measured: desired + gain * (desired - measured)
 
@@ -88,9 +70,9 @@ class Integral:
 
 # %%
 laws = {
-    "feed-forward": replacing(FeedForward),
-    "leaking integral": replacing(Integral),
-    "proportional, gain 0.5": replacing(proportional(0.5)),
+    "feed-forward": force_law(FeedForward),
+    "leaking integral": force_law(Integral),
+    "proportional, gain 0.5": force_law(proportional(0.5)),
     "built in": None,
 }
 runs = {name: osc.run(scenario, duration=0.2, install=law) for name, law in laws.items()}
@@ -118,7 +100,7 @@ figure
 
 # %%
 for gain in (0.5, 0.9, 1.1):
-    recording = osc.run(scenario, duration=0.08, install=replacing(proportional(gain)))
+    recording = osc.run(scenario, duration=0.08, install=force_law(proportional(gain)))
     error = recording["alpha_true"][:, 0] - recording["alpha_cmd"][:, 0]
     jumps = np.abs(np.diff(error))
     print(f"gain {gain}: swing between ticks {jumps[1]:.2f} N, after 40 {jumps[-1]:.2g} N")

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from osc_contact import __version__, robots
+from osc_contact.control import compiling
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.experiments import figures as paper_figures
 from osc_contact.experiments import replay, reproduction, tables
@@ -26,7 +27,7 @@ from osc_contact.experiments.replay import RealTime
 from osc_contact.experiments.report import require_judgeable, write_json, write_report
 from osc_contact.experiments.rig import build_rig
 from osc_contact.experiments.run import run as run_scenario
-from osc_contact.experiments.studies import SLOW, STUDIES, Ask
+from osc_contact.experiments.studies import STUDIES, Ask
 from osc_contact.experiments.viewing import open_viewer, write_scene_of
 from osc_contact.recorder import Recording
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
@@ -44,6 +45,7 @@ out = Console(width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True)
 PARTIAL = "recording_until_failure.npz"
 REPRODUCIBLE = tuple(sorted((*paper_figures.FIGURES, *STUDIES), key=lambda n: (n[:3] != "fig", n)))
+LONG = ", ".join(name for name in REPRODUCIBLE if name not in reproduction.names_of("all"))
 EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim"}
 
 
@@ -86,6 +88,7 @@ def main(
     ] = False,
 ) -> None:
     """Decoupled force and motion control of arms in contact."""
+    compiling.tell(lambda text: err.print(text, style="dim", highlight=False))
 
 
 @app.command()
@@ -103,7 +106,7 @@ def run(
     """Run a scenario; write metrics.json, the recording, figures and an HTML scene."""
     with _exit_codes():
         chosen = _load(scenario, set_, plant, duration)
-        folder = out_dir or Path("out") / chosen.name
+        folder = out_dir or Path("out") / chosen.file_stem
         _require_report(chosen)
         recording = _run(chosen, seed, folder)
         verdict = write_report(recording, chosen, folder)
@@ -118,7 +121,7 @@ def reproduce(
     figure: Annotated[
         str,
         typer.Argument(
-            help=f"{' | '.join(REPRODUCIBLE)} | all (without {', '.join(SLOW)}: minutes)",
+            help=f"{' | '.join(REPRODUCIBLE)} | all (with report.html; without {LONG}: minutes)",
             metavar="FIGURE",
         ),
     ],
@@ -131,7 +134,7 @@ def reproduce(
     set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Make figures of the paper from our own data, and figures and tables of the experiments."""
+    """Make the paper's figures from our own data, studies beside them, and a report on them all."""
     with _exit_codes():
         names = reproduction.names_of(figure)
         _require("matplotlib")
@@ -207,7 +210,7 @@ def view(
         if png is not None:
             _say(f"written: {replay.picture(recording, rig, png, time)}")
             return
-        name = Path(what).stem if what.endswith(".npz") else scenario.name
+        name = Path(what).stem if what.endswith(".npz") else scenario.file_stem
         page = html or Path("out") / f"{name}.html"
         _say(f"written: {write_scene_of(recording, rig, page, time)}")
 
@@ -358,10 +361,7 @@ def _run(
         task = bar.add_task(f"{scenario.name} on {scenario.plant.type}", total=scenario.duration)
         try:
             return run_scenario(
-                scenario,
-                seed=seed,
-                progress=lambda t: bar.update(task, completed=t),
-                viewer=viewer,
+                scenario, seed=seed, progress=lambda t: bar.update(task, completed=t), viewer=viewer
             )
         except PlantError as error:
             if error.recording is not None and folder is not None:

@@ -8,7 +8,7 @@ import pinocchio as pin
 
 from osc_contact.spatial import Array
 
-__all__ = ["Measurement", "Reference", "Stamps", "Touched"]
+__all__ = ["Measurement", "Reference", "Seen", "Stamps", "Touched"]
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Stamps:
     encoders: float = 0.0
     joint_torques: float = 0.0
     wrists: float = 0.0
-    touched: float = 0.0
+    vision: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,18 @@ class Touched:
 
 
 @dataclass(frozen=True)
+class Seen:
+    """What an overhead camera sees besides the touched bodies, in the same frame as those.
+
+    Attributes:
+        object: (4, 4) pose of the held object. tips: (arms, 4, 4) of the arms' tips.
+    """
+
+    object: Array
+    tips: Array
+
+
+@dataclass(frozen=True)
 class Measurement:
     """What the sensors of the rig deliver at one tick; nothing a real rig would not have.
 
@@ -46,9 +58,11 @@ class Measurement:
             where encoders give no velocities: they must be estimated first.
         wrenches: (arms, 6) wrench that each arm exerts on its gripper, at the sensor's origin and
             in the sensor's axes (N, N m). Rows of arms without a sensor are zero.
-        touched: how the bodies at the contacts move; None: all of them rest in the world.
+        touched: how the bodies at the contacts move; None: all of them rest in the world. Poses
+            that a camera gave are in its frame: its idea of where the world is.
         joint_torques: (n_a,) what the joint torque sensors read (N m, N); None: there are none.
         stamps: when each was sampled; None: all of them now.
+        seen: object and arms as a camera sees them; None: there is none.
     """
 
     q: Array
@@ -57,6 +71,7 @@ class Measurement:
     touched: Touched | None = None
     joint_torques: Array | None = None
     stamps: Stamps | None = None
+    seen: Seen | None = None
 
 
 @dataclass(frozen=True)

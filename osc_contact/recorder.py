@@ -1,4 +1,4 @@
-"""Preallocated time series of a run: recorder → recording → one file → back."""
+"""Time series of a run: recording → one file → back."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ import numpy.typing as npt
 
 from .errors import RecordingError
 
-__all__ = ["Recorder", "Recording"]
+__all__ = ["Recording"]
 
 _FORMAT = 1
 _META = "meta"
-_INTEGER_CHANNELS = frozenset({"status"})
 _RESERVED = frozenset({_META, "file", "allow_pickle"})
 _UNREADABLE = (
     OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, OverflowError,
@@ -132,84 +131,9 @@ class Recording:
         return cls(meta, arrays)
 
 
-class Recorder:
-    """Copies one control tick at a time into arrays that are allocated once.
-
-    Args:
-        capacity: largest number of ticks, duration · rate.
-        meta: see `Recording`.
-
-    Raises:
-        RecordingError: capacity is not a positive whole number, or meta is not JSON-able."""
-
-    def __init__(self, capacity: int, meta: Mapping[str, Any]) -> None:
-        if isinstance(capacity, bool) or int(capacity) != capacity or capacity < 1:
-            raise RecordingError(f"capacity must be a whole number of ticks >= 1; got {capacity!r}")
-        self.capacity = int(capacity)
-        self._meta = _plain(meta)
-        self._buffers: dict[str, Array] = {}
-        self._count = 0
-
-    def __len__(self) -> int:
-        """Return the number of ticks recorded so far."""
-        return self._count
-
-    def append(self, **channels: npt.ArrayLike) -> None:
-        """Copy one tick in; the first call fixes the channels' names and shapes.
-
-        Raises:
-            RecordingError: the capacity is used up, or names or shapes changed."""
-        if self._count >= self.capacity:
-            raise RecordingError(
-                f"the recorder is full: its capacity of {self.capacity} ticks does not grow; "
-                "make it with a capacity of duration * rate ticks"
-            )
-        if not self._buffers:
-            self._buffers = {
-                name: _allocate(name, self.capacity, value) for name, value in channels.items()
-            }
-        if channels.keys() != self._buffers.keys():
-            missing = sorted(self._buffers.keys() - channels.keys())
-            extra = sorted(channels.keys() - self._buffers.keys())
-            raise RecordingError(
-                f"tick {self._count}: channels differ from the first tick: missing {missing}, "
-                f"new {extra}"
-            )
-        for name, buffer in self._buffers.items():
-            value = np.asarray(channels[name])
-            if value.shape != buffer.shape[1:]:
-                raise RecordingError(
-                    f"tick {self._count}: channel {name!r} has shape {value.shape}; the first tick "
-                    f"had {buffer.shape[1:]}"
-                )
-            if not np.can_cast(value.dtype, buffer.dtype, "same_kind"):
-                raise RecordingError(
-                    f"tick {self._count}: channel {name!r} is {value.dtype}, which does not fit "
-                    f"the recorded {buffer.dtype}"
-                )
-            buffer[self._count] = value
-        self._count += 1
-
-    def recording(self) -> Recording:
-        """Return a copy of the filled part."""
-        filled = {name: buffer[: self._count].copy() for name, buffer in self._buffers.items()}
-        return Recording(self._meta, filled)
-
-
 def _check_name(name: str) -> None:
     if not name.isidentifier() or name in _RESERVED:
         raise RecordingError(f"{name!r} cannot name a channel; use an identifier, not {_RESERVED}")
-
-
-def _allocate(name: str, capacity: int, value: npt.ArrayLike) -> Array:
-    _check_name(name)
-    first = np.asarray(value)
-    if first.dtype.kind not in "biuf":
-        raise RecordingError(f"channel {name!r} is {first.dtype}; expected bool, int or float")
-    dtype: npt.DTypeLike = bool if first.dtype.kind == "b" else np.float64
-    if name in _INTEGER_CHANNELS:
-        dtype = np.int64
-    return np.zeros((capacity, *first.shape), dtype=dtype)
 
 
 def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:

@@ -19,6 +19,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,9 @@ __all__ = [
     "cross_wrench",
     "classical_to_spatial",
     "pose_error",
+    "Poses",
+    "rotations",
+    "turned",
 ]
 
 
@@ -112,3 +116,63 @@ def pose_error(X_WD: pin.SE3, X_WO: pin.SE3) -> Array:
     """Displacement (6,) from O to D, world axes at O: [p_D − p_O; log₃(R_D R_Oᵀ)] (m, rad)."""
     rotation: Array = pin.log3(X_WD.rotation @ X_WO.rotation.T)
     return np.concatenate((X_WD.translation - X_WO.translation, rotation))
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Poses at k times, which run along the last axis: R (3, 3, k) and p (3, k), as in `pin.SE3`.
+
+    Either may have one column where it is the same at all times.
+    """
+
+    R: Array
+    p: Array
+
+    def __getitem__(self, i: int) -> pin.SE3:
+        R, p = (x[..., min(i, x.shape[-1] - 1)] for x in (self.R, self.p))
+        return pin.SE3(R, p)
+
+    def turn(self, x: Array) -> Array:
+        """Vectors x, see `turned`, of the body in world axes."""
+        return turned(self.R, x)
+
+    def turn_back(self, x: Array) -> Array:
+        """Vectors x of the world in body axes."""
+        return turned(self.R.transpose(1, 0, 2), x)
+
+    def coordinates(self, k: int) -> Array:
+        """(k, 7) position and quaternion x, y, z, w, as `pin.SE3ToXYZQUAT` gives them."""
+        out = np.empty((k, 7))
+        out[:, :3], out[:, 3:] = self.p.T, _quaternions(self.R)
+        return out
+
+
+def turned(R: Array, x: Array) -> Array:
+    """R x at k times: R (3, 3, k) and x (3, k), or the columns of x (3, m, k); k or 1 of each."""
+    R = R[:, :, None] if x.ndim == 3 else R
+    out: Array = R[:, 0] * x[0]
+    out += R[:, 1] * x[1]
+    out += R[:, 2] * x[2]
+    return out
+
+
+def rotations(w: Array) -> Array:
+    """(3, 3, k) rotations by the vectors w (3, k): 1 + a [w]× + b [w]×², Rodrigues' formula."""
+    angle = np.sqrt((w * w).sum(axis=0))
+    a, b = np.sinc(angle / np.pi), 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    unit = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(angle)))
+    once = np.stack([cross(w, unit[:, j]) for j in range(3)], axis=1)
+    twice = np.stack([cross(w, once[:, j]) for j in range(3)], axis=1)
+    out: Array = unit + a * once + b * twice
+    return out
+
+
+def _quaternions(R: Array) -> Array:
+    """(k, 4) x, y, z, w of R (3, 3, k), with w ≥ 0 or, for turns of more than 120°, as Eigen."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    size = np.sqrt(np.maximum(trace, 0.0) + 1.0)
+    vector = np.array((R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])) * (0.5 / size)
+    out = np.column_stack((vector.T, 0.5 * size))
+    for i in np.flatnonzero(trace <= 0.0):
+        out[i] = pin.Quaternion(R[:, :, i].copy()).coeffs()
+    return out

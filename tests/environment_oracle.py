@@ -96,8 +96,11 @@ def add_point(model, name, joint, X):
     model.addFrame(pin.Frame(name, joint, 0, X, pin.FrameType.OP_FRAME))
 
 
-def kkt(chain, q, v, tau, bodies, touches, whole=None) -> Solution:
-    """Accelerations and forces of everything at once; V of the object follows the first arm."""
+def kkt(chain, q, v, tau, bodies, touches, whole=None, mu=0.0) -> Solution:
+    """Accelerations and forces of everything at once; V of the object follows the first arm.
+
+    With Coulomb friction mu each contact force leans against the slip of the object.
+    """
     whole = Whole(chain, [b.model for b in bodies]) if whole is None else whole
     model, data, k = whole.model, whole.data, len(chain.arms)
     n = model.nv
@@ -123,7 +126,7 @@ def kkt(chain, q, v, tau, bodies, touches, whole=None) -> Solution:
         )
 
     _, J_o, V_o, a_o = frame("object_frame")
-    rows, right = [], []
+    rows, right, leaning = [], [], {}
     for name in whole.tips:
         _, J_t, _, a_t = frame(name)
         rows.append(J_t - J_o)
@@ -141,6 +144,8 @@ def kkt(chain, q, v, tau, bodies, touches, whole=None) -> Solution:
         a_p = a_o[:3] + np.cross(a_o[3:], s) + np.cross(w, np.cross(w, s))
         a_m = a_E[:3] + np.cross(a_E[3:], r) + np.cross(u, np.cross(u, r))
         slip = V_o[:3] + np.cross(w, s) - V_E[:3] - np.cross(u, r)
+        lean = mu * slip / np.linalg.norm(slip) if mu else np.zeros(3)
+        leaning[len(rows)] = lean @ (J_p - J_m)
         rows.append((n_out @ (J_p - J_m))[None])  # + α pushes the object out of the face
         right.append([-n_out @ (a_p - a_m - 2 * np.cross(u, slip))])
     driven = [i for i, b in enumerate(bodies) if b.prescribed is not None]
@@ -149,7 +154,8 @@ def kkt(chain, q, v, tau, bodies, touches, whole=None) -> Solution:
         right.append(bodies[i].prescribed)
     A, b = np.vstack(rows), np.concatenate(right)
     m = len(b)
-    K = np.block([[M, -A.T], [A, np.zeros((m, m))]])
+    forces = np.vstack([row - leaning.get(i, 0.0) for i, row in enumerate(rows)])
+    K = np.block([[M, -forces.T], [A, np.zeros((m, m))]])
     y = np.concatenate((force - h, b))
     x = _solve(K, y)
     qdd, lam = x[:n], x[n:]

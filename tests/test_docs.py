@@ -100,7 +100,8 @@ def test_command_exists_and_parses(line: str) -> None:
     _, name, *arguments = shlex.split(line)
     assert name in group.commands, f"{name} is no command of osc-contact"
     group.commands[name].make_context(name, list(arguments))  # raises on unknown options
-    if name in ("run", "inspect") and arguments[0] != "SCENARIO":
+    made_there = "my_rod.yaml"  # tests/test_first_hour.py runs these
+    if name in ("run", "inspect") and arguments[0] not in ("SCENARIO", made_there):
         changes = [value for option, value in pairwise(arguments) if option == "--set"]
         osc.load_scenario(arguments[0], changes)
 

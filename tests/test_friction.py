@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rigs import scara_pair
+from environment_oracle import kkt, wrist_readings
+from environment_scenes import RTOL, close_to, scene
+from rigs import panda_pair, scara_pair
 from test_decoupling import in_contact
+from test_moving_environment import hardware, torques
 
 import osc_contact as osc
-from osc_contact.control.force import contact_force, magnitudes
+from osc_contact.control.command_filter import (
+    filtered_motion,
+    generalised_force,
+    object_acceleration,
+    object_coordinates,
+)
+from osc_contact.control.force import contact_force, magnitudes, sum_of_wrenches
 from osc_contact.control.friction import Friction
+from osc_contact.dynamics.environment import Environment
+from osc_contact.interface import Touched
 
 
 def by_hand(pair, X_WO, V_O, mu):
@@ -73,6 +84,59 @@ def test_the_filter_is_exact_for_sliding_contacts_and_errs_without():
         blind = magnitudes(contact_force(f_meas, state, contact, fixed), contact)
         without.append(np.abs(blind / alpha - 1).max())
     assert np.median(without) > 0.03
+
+
+def sliding(s, mu):
+    """(6, r) drags at a scene's contacts, which slide as they move, and whether they all do."""
+    pairs, X, V = [], [], []
+    for touch in s.touches:
+        body = s.bodies[touch.body]
+        point = body.X.actInv(s.state.X_WO.act(touch.vertex))
+        pairs.append(osc.VertexOnFace(touch.vertex, point, touch.normal))
+        X.append(body.X.homogeneous)
+        V.append(body.V)
+    touched = Touched(np.array(X), np.array(V), np.zeros((len(X), 6)))
+    return Friction(mu, slip=1e-9).drags(pairs, s.state.X_WO, s.state.V_O, touched)
+
+
+YIELDING = ("prescribed", "rail", "hinge", "free body", "rail and free body", "hinged face",
+            "prescribed and linkage", "three on two bodies")  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", YIELDING)
+@pytest.mark.parametrize("rig", [scara_pair, panda_pair])
+def test_law_and_filter_are_exact_on_bodies_that_friction_drags_along(rig, kind):
+    """Against everything solved at once, each force leaning against its slip; 1e-9 relative."""
+    rng, mu = np.random.default_rng(4), 0.3
+    files, cuts = hardware(rig)
+    without = []
+    for _ in range(3):
+        s = scene(rig, kind, rng)
+        state, contact, N = s.state, s.contact, s.contact.N
+        drag = sliding(s, mu)
+        environment = Environment.combine(s.parts, s.each, state.metric, drag)
+        alpha_u, relative = rng.uniform(5, 20, contact.r), rng.normal(size=6) * 3
+        a_u = object_acceleration(state, contact, environment, relative, alpha_u)
+        eta_u, B = object_coordinates(state, contact, a_u), np.linalg.inv(state.metric)
+
+        def answered(env, believed, s=s, drag=drag, alpha_u=alpha_u, eta_u=eta_u, B=B):
+            eta_c = filtered_motion(s.state, s.contact, eta_u, alpha_u, B, env, believed)
+            f_S = generalised_force(s.state, eta_c, (s.contact.N + drag) @ alpha_u)
+            tau = torques(s, f_S, eta_c)
+            return kkt(s.chain, s.q, s.v, tau, s.bodies, s.touches, mu=mu), eta_c
+
+        truth, eta_c = answered(environment, drag)
+        assert close_to(truth.alpha, alpha_u) < RTOL
+        assert close_to(truth.a_object, state.S @ eta_c + state.sigma) < RTOL
+        without.append(close_to(answered(s.environment, 0.0)[0].alpha, alpha_u))
+        O = state.X_WO.translation  # noqa: E741
+        f_meas = sum_of_wrenches(
+            wrist_readings(s.chain, files, cuts, s.q, s.v, truth, O), state
+        )  # fmt: skip
+        got = magnitudes(contact_force(f_meas, state, contact, environment, drag), contact)
+        assert close_to(got, truth.alpha) < RTOL
+    assert (max(without) > 1e-3) == (kind != "prescribed")  # N in place of N_μ behind Φ_e
+    assert N.shape[1] == len(s.touches)
 
 
 def worst(mu, believed, *more, duration=2.0):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -400,6 +402,35 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
 def test_scenarios_refuse_half_a_grasp(how, words):
     with pytest.raises(osc.ScenarioError, match=words):
         osc.load_scenario("dual_panda_rod", [f"grasps.left={how}"])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_bad_encoders_hold_the_torques_and_good_ones_go_on(bad):
+    rig = osc.build_rig(osc.load_scenario("hinge_ball_rod"))
+    controller, measured = rig.controller(), rig.plant().measure()
+    wanted, q = rig.references.at(0.0), measured.q.copy()
+    q[3] = bad
+    for _ in range(2):
+        held = controller.tick(replace(measured, q=q), wanted)
+        assert controller.status is osc.Status.HELD and np.isfinite(held).all()
+        good = controller.tick(measured, wanted)
+        assert controller.status is osc.Status.OK and np.abs(good).max() > 1.0
+
+
+def test_eight_arms():
+    """Every kind of arm and grasp at once."""
+    rng = np.random.default_rng(14)
+    arms = ["scara", "ur5", "panda", "3R", "panda", "ur5", "ur5", "panda"]
+    kinds = ["ball", "hinge", "rigid", "ball", "cylinder", "slide", "ball", "hinge"]
+    for _ in range(5):
+        case = random_case(arms, kinds, rng)
+        pairs, N = touching(case, rng)
+        v, V, state, contact = moving(case, pairs, N, rng)
+        tau = rng.normal(size=case.chain.n_a) * 20.0
+        oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
+        got = osc.contact_response(state, contact, tau=tau)
+        assert miss(got.acceleration, oracle.a_object) < RTOL
+        assert miss(got.alpha, oracle.alpha) < RTOL
 
 
 def test_two_balls_in_a_scenario_are_refused_with_the_motion():

@@ -19,7 +19,7 @@ RIG = (
     "two SCARA arms", "gripper hinges", "rod,", "vision", "joint torque sensors",
     "joint-level controller", "wrist force sensors", "two end-point contacts",
     "N continuously updated", "Λ₀ = Λ₀l + Λ₀r + Λ₀o", "force filter", "generalised inverse of N",
-    "force controller", "feed-forward", "power test",
+    "force controller", "feed-forward", "power test", "contact made, lost and regained",
 )  # fmt: skip
 
 

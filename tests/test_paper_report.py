@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -42,14 +43,17 @@ def report(evidence: Evidence, tmp_path_factory: pytest.TempPathFactory) -> Path
     made = {}
     for name, width in (("fig1", 100), ("fig2", 100), ("fig4", 300), ("fig5", 100), ("fig8", 100)):
         (folder / f"{name}.svg").write_text(SVG.format(width))
-        (folder / f"{name}.png").write_bytes(b"")
+        (folder / f"{name}.png").write_bytes(b"\x89PNG")
         answers = {} if name == "fig2" else ANSWERS.get(name, lambda _: {})(evidence)
         made[name] = Made((folder / f"{name}.png", folder / f"{name}.svg"), answers)
     made["fig8"].answers["follow"] = Answer("<b>no</b>", False, "less & less")
     table = Table("arm & leg", "value", title="a table")
     table.add_row("left <arm>", "3 µm")
-    (folder / "steps.svg").write_text(SVG.format(100))
-    made["steps"] = Made((folder / "steps.svg", folder / "steps.json"), {}, table, {"a": 1})
+    (folder / "steps.svg").write_text(SVG.format(100) + " " * 1_000_000)
+    (folder / "steps.png").write_bytes(b"\x89PNG")
+    files = (folder / "steps.svg", folder / "steps.png", folder / "steps.json")
+    made["steps"] = Made(files, {}, table, {"a": 1}, "--duration 10")
+    made["fig1"] = replace(made["fig1"], files=(*made["fig1"].files, scene))
     found = Reproduction(
         made, evidence.rig.scenario, evidence.recording, scene, "--plant rigid --set 'a=[1, 2]'"
     )
@@ -178,7 +182,8 @@ def test_the_report_tells_statements_numbers_verdicts_and_commands(report: Path)
 def test_the_report_fetches_nothing(report: Path) -> None:
     text = report.read_text(encoding="utf-8")
     found = Reader(text)
-    assert len(found.loads) == 6 and all(v.startswith("data:image/svg") for v in found.loads)
+    assert [v[:14] for v in found.loads] == 5 * ["data:image/svg"] + ["data:image/png"]
+    assert "osc-contact reproduce steps --duration 10 --plant rigid" in text
     assert all(link.startswith("#fig") for link in found.links)
     assert "default-src 'none'" in text and "connect-src data: blob:" in text
     assert sorted(p.name for p in report.parent.iterdir()) == ["report.html"]
@@ -209,19 +214,22 @@ def test_the_scene_is_unfolded_when_it_is_opened(browser: Browser) -> None:
     assert browser.run("document.querySelectorAll('iframe').length") == 0, "costs nothing before"
     browser.run("document.querySelector('#run').scrollIntoView()")
     before = near(browser.picture(), contact_colour(0))
-    browser.run("document.querySelector('#scene summary').click()")
+    browser.run("document.querySelector('#run summary').click()")
     inside = "document.querySelector('iframe')?.contentDocument?"
     browser.until(f"{inside}.querySelectorAll('#legend input').length === 7")
     browser.until(f"{inside}.querySelector('#clock').textContent.includes('1.2 s')")
     assert near(browser.picture(), contact_colour(0)) > before + 200
-    browser.run("document.querySelector('#scene summary').click()")
-    browser.run("document.querySelector('#scene summary').click()")
+    browser.run("document.querySelector('#run summary').click()")
+    browser.run("document.querySelector('#run summary').click()")
     assert browser.run("document.querySelectorAll('iframe').length") == 1
+    browser.run("document.querySelector('#fig1 summary').click()")
+    browser.until("document.querySelectorAll('#fig1 iframe').length === 1")
 
 
 def test_names_and_options() -> None:
     names = names_of("all")
     assert set(FIGURES) <= set(names) and "workcell" not in names
+    assert {name for name in STUDIES if name.startswith("fig")} <= set(names), "slow or not"
     with pytest.raises(osc.InvalidInputError, match="no figure 'fig9'"):
         names_of("fig9")
     assert typed(None, None, 0, ()) == ""

@@ -11,7 +11,7 @@ import pytest
 import osc_contact as osc
 from osc_contact.experiments.hardware import Observer
 from osc_contact.interface import Measurement, Touched
-from osc_contact.plants.sensors import Clock, Errors, SensedPlant, Sensors
+from osc_contact.plants.sensors import Clock, Errors, Eyes, SensedPlant, Sensors
 
 STEP = 1e-3
 
@@ -33,6 +33,13 @@ class Toy:
 
     def truth(self):
         return "the truth"
+
+    def poses(self):
+        """An object that swings, two arms that stand still."""
+        X = np.tile(np.eye(4), (3, 1, 1))
+        X[0, 1, 3] = 0.3 * self.time
+        X[1:, 0, 3] = -0.4, 0.4
+        return X
 
     def measure(self):
         t = self.time
@@ -108,7 +115,7 @@ def test_lost_samples_keep_the_old_reading():
 
 
 def test_encoders_give_no_velocity_and_vision_no_twist():
-    eyes = (Clock(60, 0.03), Errors(1e-3), Errors(5e-3))
+    eyes = Eyes(Clock(60, 0.03), Errors(1e-3), Errors(5e-3))
     got = readings(Sensors(encoders=(Clock(1e3), Errors()), vision=eyes), 100)[-1]
     assert np.isnan(got.v).all() and np.isnan(got.touched.V_E).all()
     assert not np.isnan(got.q).any() and got.joint_torques[0] == 7.0
@@ -123,7 +130,7 @@ def test_a_controller_holds_its_torques_rather_than_take_velocities_that_are_not
 
 
 def test_vision_errs_in_millimetres_and_milliradians():
-    eyes = (Clock(1e3), Errors(1e-3), Errors(5e-3))
+    eyes = Eyes(Clock(1e3), Errors(1e-3), Errors(5e-3))
     out = readings(Sensors(vision=eyes), 3000)
     X = np.array([m.touched.X_WE[0] for m in out])
     t = np.arange(len(X)) * STEP
@@ -185,12 +192,21 @@ def observed(overrides, steps=1500, seed=0):
     made = sensors(spec, rig.chain)
     toy = Toy()
     toy.measure = lambda: replace_q(Toy.measure(toy), rig.chain.nq)
+    toy.poses = lambda: poses_at(rig.chain, toy.measure().q)
     plant, observer = SensedPlant(toy, made, seed), Observer(scenario, rig.chain)
     out = []
     for _ in range(steps):
         out.append(observer.complete(plant.measure(), np.zeros(rig.chain.nq)))
         plant.step(np.zeros(2), STEP)
     return out
+
+
+def poses_at(chain, q):
+    """Object and tips where the joints put them."""
+    data = chain.model.createData()
+    pin.framesForwardKinematics(chain.model, data, q)
+    tips = [data.oMf[tip] for tip in chain.tips]
+    return np.array([X.homogeneous for X in (tips[0] * chain.grasps[0].X_TO, *tips)])
 
 
 def replace_q(m, n):

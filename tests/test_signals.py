@@ -27,6 +27,7 @@ from osc_contact.scenarios.signals import (
     Sine,
     Step,
     total,
+    total_over,
 )
 
 SMOOTH = [
@@ -44,6 +45,15 @@ def test_derivatives_match_central_differences(signal):
         before, here, after = signal.at(t - h), signal.at(t), signal.at(t + h)
         assert here[1] == pytest.approx((after[0] - before[0]) / (2 * h), abs=2e-5)
         assert here[2] == pytest.approx((after[1] - before[1]) / (2 * h), abs=2e-3)
+
+
+def test_many_times_at_once_are_those_times_one_by_one():
+    signals = [*SMOOTH, Step(value=5.0, start=0.7), Sine(amplitude=1.0, frequency=2.0, start=0.3)]
+    t = np.sort(np.append(np.random.default_rng(0).uniform(-0.5, 2.0, 200), [0.1, 0.3, 0.4, 0.7]))
+    for chosen in ([], *([one] for one in signals), signals):
+        found = total_over(chosen, t)
+        assert found.shape == (3, len(t))
+        np.testing.assert_allclose(found.T, [total(chosen, x) for x in t], atol=1e-12)
 
 
 def test_step_rises_at_its_start_with_zero_derivatives():

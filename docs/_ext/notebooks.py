@@ -37,7 +37,19 @@ def as_markdown(cell: Any) -> str:
         return str(cell.source)
     lines = [line for line in cell.source.splitlines() if not line.startswith("%")]
     shown = "\n".join(line.removesuffix("  # fmt: skip") for line in lines)
-    return "\n\n".join([fenced("python", shown), *map(output, cell.outputs)])
+    return "\n\n".join([fenced("python", shown), *map(output, joined(cell.outputs))])
+
+
+def joined(outputs: Any) -> list[Any]:
+    """What was printed in pieces as one output."""
+    found: list[Any] = []
+    for one in outputs:
+        if found and one.output_type == found[-1].output_type == "stream":
+            found[-1] = found[-1].copy()
+            found[-1].text += one.text
+        else:
+            found.append(one)
+    return found
 
 
 def output(of_cell: Any) -> str:

@@ -17,6 +17,7 @@ __all__ = [
     "filtered_motion",
     "generalised_force",
     "metric_in_coordinates",
+    "metric_of",
 ]
 
 
@@ -80,6 +81,16 @@ def metric_in_coordinates(state: ChainState, B: Array) -> Array:
     return np.linalg.inv(state.S.T @ np.linalg.solve(B, state.S))
 
 
+def metric_of(B: Array | str, state: ChainState) -> Array:
+    """The metric (6, 6) of eq. 24: "object" Λ_o⁻¹, "chain" (ΣΛ_i + Λ_o)⁻¹, or the one given."""
+    if not isinstance(B, str):
+        return B
+    inertia = state.metric
+    if B == "chain":
+        inertia = inertia + sum(arm.Lambda for arm in state.arms)
+    return np.linalg.inv(inertia)
+
+
 def filtered_motion(
     state: ChainState,
     contact: Contact,
@@ -87,23 +98,27 @@ def filtered_motion(
     alpha_u: Array,
     B: Array,
     environment: Environment,
+    drag: Array | float = 0.0,
 ) -> Array:
     """η̇_c (d,): the motion command after Ω_m(B), eq. 24, with the velocity-product terms.
 
-        ρ = n_γ + Nᵀ(b_e − σ + Φ_eNα_u)
+        ρ = n_γ + Nᵀ(b_e − σ + Φ_eN_μα_u)
         η̇_c = η̇_u − B_S N_S (N_SᵀB_S N_S)⁻¹ (N_Sᵀη̇_u − ρ),   N_S = SᵀN
+
+    Friction acts on the environment too: N_μ = N + drag is what pushes it; N is what is tested.
 
     Args:
         state, contact, environment: at this instant.
         eta_u: (d,) unfiltered motion command.
         alpha_u: (r,) force command.
         B: (6, 6) positive definite, any: it decides how a forbidden command is bent into T.
+        drag: (6, r) from `Friction.drags`, or none.
     """
     N = contact.N
     N_S = state.S.T @ N
     B_N = metric_in_coordinates(state, B) @ N_S
-    environment_push = environment.b_e - state.sigma + environment.Phi_e @ (N @ alpha_u)
-    rho = contact.n_gamma + N.T @ environment_push
+    pushed = environment.yielding(N, drag) @ alpha_u
+    rho = contact.n_gamma + N.T @ (environment.b_e - state.sigma) + pushed
     return np.asarray(eta_u - B_N @ np.linalg.solve(N_S.T @ B_N, N_S.T @ eta_u - rho))
 
 

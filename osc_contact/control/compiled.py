@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,10 +13,14 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
+from osc_contact.control.compiling import announced
 from osc_contact.control.effort_limits import GivenUp, relieve
 from osc_contact.control.found import Found
 from osc_contact.control.pack import pack
 from osc_contact.control.saturated import saturated
+from osc_contact.control.wires import Signals
+from osc_contact.dynamics.assembly import object_pose
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import OscContactError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.kernels import layout as at
@@ -26,24 +29,38 @@ from osc_contact.spatial import Array
 if TYPE_CHECKING:
     from osc_contact.control.controller import Controller
 
-__all__ = ["Before", "CompiledTick"]
+__all__ = ["Before", "CompiledTick", "compilable"]
 
 
 @dataclass(frozen=True)
 class Before:
-    """What a tick began with: ∫e dt (6,), ∫(α_d − α) dt (r,), f_tare, f_bias (6,)."""
+    """What a tick began with: ∫e dt (6,), ∫(α_d − α) dt (r,), f_tare, f_bias (6,), and the terms
+    of the contacts (contacts, 4)."""
 
     error_sum: Array
     force_sum: Array
     tare: Array
     bias: Array
-    engaged: bool
+    terms: Array
 
-
-_log = logging.getLogger(__name__)
 
 #: What the border refuses: wrong sizes or types of what comes in. The readable path says why.
-_REFUSED = (TypeError, ValueError, AttributeError, OscContactError)
+_REFUSED = (TypeError, ValueError, AttributeError, OscContactError, np.linalg.LinAlgError)
+
+
+def compilable(chain: ClosedChain) -> bool:
+    """Whether the kernels know the grasps: rigid, hinge and ball, these with rigid grippers.
+
+    A gripper with joints beyond the wrist sensor can move without the object in ways that its
+    reading does not tell apart.
+    """
+    for grasp, links, tip in zip(chain.grasps, chain.outboard, chain.tips, strict=True):
+        last = chain.model.frames[tip].parentJoint
+        if grasp.kind == "other" or (
+            not grasp.is_rigid and any(link.joint != last for link in links)
+        ):
+            return False
+    return True
 
 
 class CompiledTick:
@@ -53,6 +70,7 @@ class CompiledTick:
         state: (25,) ∫e dt, f_tare, f_bias, ∫(α_d − α) dt and how many of these count.
         tau: (n_a,) torques of the last tick that was computed.
         tare, bias: (6,) views of the state: f_tare, f_bias.
+        terms: (contacts, 4) see `control.force.ContactTerms`.
         found: what the last tick found; its arrays are overwritten by the next one.
     """
 
@@ -67,6 +85,7 @@ class CompiledTick:
         self._bound = np.zeros((at.COUNT, 4), dtype=np.int64)
         self._bind()
         self.tare, self.bias = self.state[at.TARE : at.BIAS], self.state[at.BIAS : at.FORCE_SUM]
+        self.terms = self._arrays[at.TERMS][:-1]
         controller.motion_law.memory = self.state[at.ERROR_SUM : at.TARE]
         controller.force_law.memory = self.state[at.FORCE_SUM :]
         self._moved = False
@@ -76,10 +95,11 @@ class CompiledTick:
             if body is not None and self._arrays[at.BODIES_I][c].tolist() == [at.ELSEWHERE, c]
         ]
         self._elsewhere = bool(self._pairs.elsewhere or self._bodies)
+        self._led = self._located = controller.chain.leader is not None
         self._crba, self._kernel = pin.crba, _kernel()
         self._load()
 
-    def __call__(self, measurement: Measurement, reference: Reference, engaged: bool) -> int:
+    def __call__(self, measurement: Measurement, reference: Reference) -> int:
         """OK, SATURATED or ASK: then nothing has changed, and the readable path must decide."""
         try:
             q = measurement.q
@@ -87,26 +107,32 @@ class CompiledTick:
             self._crba(self._model, self._data, q, self._world)
             if touched is not None or self._moved:
                 self._move(touched)
-            if self._elsewhere and engaged and not self._evaluate(measurement):
+            if self._elsewhere and self.terms[:, 0].any() and not self._evaluate(measurement):
                 return at.ASK
+            if not self._located:
+                self._locate(q)
             code: int = self._kernel(
                 self._bound, q, measurement.v, measurement.wrenches, reference.X_WD.homogeneous,
-                reference.V_D, reference.A_D, reference.alpha_d, reference.squeeze_d, engaged,
+                reference.V_D, reference.A_D, reference.alpha_d, reference.squeeze_d,
                 self._moved,
             )  # fmt: skip
         except _REFUSED:
             return at.ASK
+        self._located = self._led or code & 3 != at.ASK
         return code & 3
 
-    def bare_call(
-        self, measurement: Measurement, reference: Reference, engaged: bool
-    ) -> Callable[[], int]:
+    def _locate(self, q: Array) -> None:
+        """Tell the kernel where the object is; from then on it finds that itself, tick by tick."""
+        X_WO = object_pose(self._controller.chain, q)
+        self._arrays[at.SIGNALS][at.X_WO : at.X_WO + 16] = X_WO.homogeneous.ravel()
+
+    def bare_call(self, measurement: Measurement, reference: Reference) -> Callable[[], int]:
         """The kernel on prepared arguments, at the positions last given to Pinocchio."""
-        self(measurement, reference, engaged)
+        self(measurement, reference)
         return partial(
             self._kernel, self._bound, measurement.q, measurement.v, measurement.wrenches,
             reference.X_WD.homogeneous, reference.V_D, reference.A_D, reference.alpha_d,
-            reference.squeeze_d, engaged, self._moved,
+            reference.squeeze_d, self._moved,
         )  # fmt: skip
 
     # --- what a tick found ---------------------------------------------------------------------
@@ -122,7 +148,7 @@ class CompiledTick:
         relief = relieve(wanted)
         r, next_sum = len(wanted.alpha), arrays[at.SIGNALS][at.FORCE_SUM_NEXT :]
         controller.force_law.integral = next_sum[:r]
-        controller.force_law.forgo(relief.force)
+        controller.force_law.forgo(relief.force, arrays[at.COLUMNS][at.GAIN, :r])
         self.tau[:] = relief.tau
         if len(relief.squeeze):
             arrays[at.SIGNALS][at.SQUEEZE] -= relief.squeeze[0]
@@ -132,8 +158,8 @@ class CompiledTick:
         """What the last computed tick was given, and what it began with."""
         n, k = self._model.nq, len(self._controller.chain.arms)
         data = self._arrays[at.INPUTS].copy()
-        ends = np.cumsum([n, n, 6 * k, 16, 6, 6, 1, 1, 1, 1])
-        q, v, wrenches, X, V, A, squeeze, engaged, moved, size, alpha = np.split(
+        ends = np.cumsum([n, n, 6 * k, 16, 6, 6, 1, 1, 1])
+        q, v, wrenches, X, V, A, squeeze, moved, size, alpha = np.split(
             data[: -at.STATE_SIZE], ends
         )
         touched = None
@@ -148,9 +174,29 @@ class CompiledTick:
         force = state[at.FORCE_SUM : at.FORCE_SUM + int(state[at.FORCE_RANK])]
         before = Before(
             state[: at.TARE], force, state[at.TARE : at.BIAS], state[at.BIAS : at.FORCE_SUM],
-            bool(engaged[0]),
+            self._arrays[at.TERMS_BEFORE][:-1].copy(),
         )  # fmt: skip
         return measurement, reference, before
+
+    def replay(self) -> Signals:
+        """The wires of the last computed tick, worked out by the readable path."""
+        controller = self._controller
+        measurement, reference, then = self.inputs()
+        motion, force, terms = controller.motion_law, controller.force_law, controller.terms
+        now = motion.integral, force.integral, controller._tare, controller._bias
+        how = controller.status, controller._reason, controller.given_up
+        rows, s = terms.rows.copy(), Signals()
+        try:
+            motion.integral, force.integral = then.error_sum, then.force_sum
+            controller._tare, controller._bias, terms.rows[:] = then.tare, then.bias, then.terms
+            controller._take_in(measurement, reference, s)
+            for stage in controller.STAGES:
+                stage(controller, s)
+        finally:
+            motion.integral, force.integral, controller._tare, controller._bias = now
+            controller.status, controller._reason, controller.given_up = how
+            terms.rows[:] = rows
+        return s
 
     def _bind(self) -> None:
         for row, array in self._arrays.items():
@@ -160,7 +206,7 @@ class CompiledTick:
 
     def _repack(self, columns: dict[int, int]) -> None:
         """Make room for other numbers of columns, by the pair's number."""
-        kept = (at.STATE, at.TAU, at.SIGNALS, at.TOUCHED)
+        kept = (at.STATE, at.TAU, at.SIGNALS, at.TOUCHED, at.TERMS)
         keep = {row: self._arrays[row] for row in kept}
         arrays, self._pairs = pack(self._controller, self._data, columns)
         self._arrays = arrays | keep
@@ -188,9 +234,12 @@ class CompiledTick:
         Returns False where the columns of a pair are dependent at this instant.
         """
         chain = self._controller.chain
-        frame = self._model.frames[chain.tips[0]]
-        X_WO = self._data.oMi[frame.parentJoint] * frame.placement * chain.grasps[0].X_TO
-        s = chain.slices[0]
+        if chain.leader is None:
+            return False  # only the readable path tells where the object is before the kernel
+        frame = self._model.frames[chain.tips[chain.leader]]
+        X_TO = chain.grasps[chain.leader].X_TO
+        X_WO = self._data.oMi[frame.parentJoint] * frame.placement * X_TO
+        s = chain.slices[chain.leader]
         V = self._data.J[:, s] @ measurement.v[s]
         V[:3] += np.cross(V[3:], X_WO.translation)
         touched = measurement.touched
@@ -225,29 +274,31 @@ class CompiledTick:
         """Call the kernel once with data it refuses: now is the time to compile."""
         if getattr(self._kernel, "signatures", None):
             return
-        if not any(self._kernel.stats.cache_hits) if hasattr(self._kernel, "stats") else False:
-            _log.info("compiling the control tick; this takes a while once, then it is cached")
         none = np.full(self._model.nq, np.nan)
         six = np.zeros(6)
-        self._kernel(
-            self._bound, none, none, np.zeros((len(self._controller.chain.arms), 6)), np.eye(4),
-            six, six, np.zeros(0), 0.0, False, False,
-        )  # fmt: skip
+        with announced():
+            self._kernel(
+                self._bound, none, none, np.zeros((len(self._controller.chain.arms), 6)), np.eye(4),
+                six, six, np.zeros(0), 0.0, False,
+            )  # fmt: skip
         if hasattr(self._kernel, "disable_compile"):
             self._kernel.disable_compile()  # other types are converted or refused
 
 
 def _found(arrays: dict[int, Array]) -> Found:
     s, columns = arrays[at.SIGNALS], arrays[at.COLUMNS]
+    D = arrays[at.SQUARES][at.MOBILITY]
 
     def six(start: int) -> Array:
         return s[start : start + 6]
 
     return Found(
+        J=arrays[at.J],
         f_meas=six(at.F_MEAS), bias_out=six(at.BIAS_OUT), f_c=six(at.F_C), V_O=six(at.V_O),
         X_WO=s[at.X_WO : at.X_WO + 16].reshape(4, 4), error=six(at.ERROR),
         free_error=six(at.FREE_ERROR), squeeze=s[at.SQUEEZE : at.SQUEEZE + 1],
-        magnitudes=columns[at.ALPHA_MEAS], speeds=columns[at.SPEED], rank=s[at.RANK : at.RANK + 1],
+        magnitudes=columns[at.ALPHA_MEAS], speeds=columns[at.SPEED], mobilities=D,
+        rank=s[at.RANK : at.RANK + 1],
     )  # fmt: skip
 
 

@@ -7,25 +7,25 @@ Each method marked `@block` is one box of the figure: it reads and writes the na
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.allocation import Allocation
-from osc_contact.control.border import Status, independent, limited, require_sound, take_in
+from osc_contact.control.border import Status, independent, require_sound, take_in
 from osc_contact.control.command_filter import (
     filtered_motion,
     generalised_force,
+    metric_of,
     object_coordinates,
 )
-from osc_contact.control.effort_limits import EffortLimits, GivenUp, relieve
-from osc_contact.control.fade import LostDirection, faded_motion, lost_directions
+from osc_contact.control.contact_state import chosen, parts_in_force, surroundings
+from osc_contact.control.effort_limits import EffortLimits, GivenUp
+from osc_contact.control.fade import LostDirection, faded_motion, note_lost
 from osc_contact.control.force import (
-    ForceGains,
+    ContactTerms,
     ForceLaw,
     contact_force,
     magnitudes,
@@ -33,10 +33,13 @@ from osc_contact.control.force import (
 )
 from osc_contact.control.found import Found
 from osc_contact.control.friction import Friction
-from osc_contact.control.motion import MotionGains, MotionLaw
-from osc_contact.control.wires import Block, Signals, Stage, TracedSignals, block
-from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
-from osc_contact.dynamics.environment import Environment
+from osc_contact.control.gains import Gains
+from osc_contact.control.life import ContactLife, slewed
+from osc_contact.control.living import hand_over, live
+from osc_contact.control.motion import MotionLaw
+from osc_contact.control.wires import Block, Signals, Stage, TracedSignals, block, observed
+from osc_contact.control.within_limits import within_limits
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError
 from osc_contact.interface import Measurement, Reference
@@ -48,14 +51,6 @@ if TYPE_CHECKING:
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
 
 
-@dataclass(frozen=True)
-class Gains:
-    """Gains of the two loops."""
-
-    motion: MotionGains = field(default_factory=MotionGains)
-    force: ForceGains = field(default_factory=ForceGains)
-
-
 class Controller:
     """Dynamically decoupled force/motion control of one held object (fig. 4).
 
@@ -64,6 +59,8 @@ class Controller:
         given_up: what motor limits cost in the last tick; None: nothing.
         lost_directions: in which motion commands were faded near a singular posture.
         engaged: whether the contacts are part of the model; False treats the object as free.
+        terms: on what terms each contact takes part. life: what sets them; None: all contacts are
+            closed as long as they are engaged. ticked: whether life has a tick to judge.
         f_tare: (6,) constant error of the wrist readings at O, removed from each.
         f_bias: (6,) constant wrench added to the command, learnt before contact.
 
@@ -83,6 +80,7 @@ class Controller:
         engaged: bool = True,
         compiled: bool = True,
         friction: Friction | None = None,
+        life: ContactLife | None = None,
     ) -> None:
         """Assemble the loops.
 
@@ -99,8 +97,10 @@ class Controller:
             engaged: start in contact.
             compiled: run on the kernels, some hundred times faster; False: on the readable path
                 below, which gives the same torques. The first controller ever made on a machine
-                compiles them. Friction and grasps that move need the readable path.
+                compiles them. Friction, and grasps that `compiled.compilable` does not know, are
+                for the readable path only.
             friction: what is believed of the contacts' friction; None: nothing.
+            life: opens, approaches and closes the contacts one by one.
 
         Raises:
             InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
@@ -113,7 +113,6 @@ class Controller:
         self.contacts = tuple(contacts)
         self.bodies = (None,) * len(self.contacts) if bodies is None else tuple(bodies)
         self.B = B
-        self.engaged = engaged
         self.motion_law = MotionLaw(gains.motion, dt)
         self.force_law = ForceLaw(gains.force, dt)
         rest = np.zeros(chain.nq) if posture is None else np.asarray(posture, dtype=float)
@@ -122,6 +121,8 @@ class Controller:
         self.given_up: GivenUp | None = None
         self.lost_directions: tuple[LostDirection, ...] = ()
         self._tare, self._bias = np.zeros(6), np.zeros(6)
+        self.life = life
+        self.terms = ContactTerms(np.zeros((len(self.contacts), 4)), gains.force)
         self.signals = Signals()
         self._looked = True  # whether `signals` must be emptied by the next compiled tick
         self._by_twin = True  # whether the readable path computed the last tick
@@ -129,11 +130,15 @@ class Controller:
         self._reason = ""
         self._last_tau: Array = np.zeros(chain.n_a)
         self._fast: CompiledTick | None = None
-        if compiled and friction is None and all(g.is_rigid for g in chain.grasps):
-            from osc_contact.control.compiled import CompiledTick
+        if compiled and friction is None:
+            from osc_contact.control.compiled import CompiledTick, compilable
 
-            self._fast = fast = CompiledTick(self)
-            self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
+            if compilable(chain):
+                self._fast = fast = CompiledTick(self)
+                self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
+                self.terms = ContactTerms(fast.terms, gains.force)
+        self.engaged = engaged
+        self.ticked = False
 
     @property
     def reason(self) -> str:
@@ -158,15 +163,37 @@ class Controller:
     def f_bias(self, wrench: Array) -> None:
         self._bias[:] = as_array("f_bias", wrench, (6,))
 
+    @property
+    def engaged(self) -> bool:
+        """Whether the contacts are part of the model; False: the object counts as free."""
+        return self._engaged
+
+    @engaged.setter
+    def engaged(self, engaged: bool) -> None:
+        self._engaged = engaged
+        if self.life is None or not engaged:
+            self.terms.rows[:, 0] = engaged
+
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
         """Motor torques (n_a,) for one control period.
 
-        Never raises on bad data and never returns a torque that is not finite or exceeds a motor
-        limit: a tick that cannot be computed repeats the last good torques, see `status`.
+        Never raises on bad data, never returns a torque that is not finite or exceeds a limit: a
+        tick that cannot be computed repeats the last good torques, see `status`.
         """
+        if self.life is None:
+            return self._computed(measurement, reference)
+        last = self._last_tau.copy()
+        tau = self._computed(measurement, live(self, self.life, reference))
+        if self.ticked and self.status is not Status.HELD:
+            step = self.life.settings.torque_rate * self.force_law.dt * self.chain.tau_max
+            self._last_tau[:] = tau = slewed(tau, last, step)
+        self.ticked |= self.status is not Status.HELD
+        return tau
+
+    def _computed(self, measurement: Measurement, reference: Reference) -> Array:
         fast = self._fast
         if fast is not None and self.STAGES is _STAGES:
-            code = fast(measurement, reference, self.engaged)
+            code = fast(measurement, reference)
             if code != _ASK:
                 if self._looked:
                     self._looked = self._by_twin = False
@@ -175,7 +202,10 @@ class Controller:
                 self.status, self._reason, self.given_up = Status.OK, "", None
                 self.lost_directions = ()
                 if code == _SATURATED:
-                    self._saturated()
+                    try:
+                        self.status, self.given_up = Status.SATURATED, fast.relieve()
+                    except OscContactError as error:
+                        self._hold(error)
                 return self._last_tau.copy()
         return self._readable_tick(measurement, reference)
 
@@ -187,8 +217,8 @@ class Controller:
             self._take_in(measurement, reference, s)
             for stage in self.STAGES:
                 stage(self, s)
-            self._last_tau[:] = self._limited(s, *before)
-            self._note_lost(s.state, before[0])
+            self._last_tau[:] = within_limits(self, s, *before)
+            note_lost(self, s.state, before[0])
             self.signals.__dict__.clear()
             self.signals.__dict__.update(s.__dict__)
             self._looked = self._by_twin = True
@@ -197,44 +227,12 @@ class Controller:
             self.motion_law.integral, self.force_law.integral = before
         return self._last_tau.copy()
 
-    def _note_lost(self, state: ChainState, motion: Array) -> None:
-        """Say which directions are fading; what is not commanded is not integrated."""
-        self.lost_directions = () if self.restaged else lost_directions(state, self.chain)
-        if self.lost_directions:
-            self.motion_law.integral = motion
-            if self.status is Status.OK:
-                self.status = Status.DEGRADED
-
-    def _saturated(self) -> None:
-        """What the kernels want of the motors is too much."""
-        assert self._fast is not None
-        try:
-            self.given_up = self._fast.relieve()
-            self.status = Status.SATURATED
-        except OscContactError as error:
-            self._hold(error)
-
     def _hold(self, error: Exception) -> None:
         self.status, self._reason, self.given_up = Status.HELD, str(error), None
 
     def _fill_signals(self) -> None:
-        """The wires of the last compiled tick, by the readable path."""
         assert self._fast is not None
-        measurement, reference, then = self._fast.inputs()
-        motion, force = self.motion_law, self.force_law
-        now = (motion.integral, force.integral, self._tare, self._bias)
-        how = (self.engaged, self.status, self._reason, self.given_up)
-        s = Signals()
-        try:
-            motion.integral, force.integral = then.error_sum, then.force_sum
-            self._tare, self._bias, self.engaged = then.tare, then.bias, then.engaged
-            self._take_in(measurement, reference, s)
-            for stage in self.STAGES:
-                stage(self, s)
-        finally:
-            motion.integral, force.integral, self._tare, self._bias = now
-            self.engaged, self.status, self._reason, self.given_up = how
-        self.signals.__dict__.update(s.__dict__)
+        self.signals.__dict__.update(self._fast.replay().__dict__)
         self._looked = True
 
     def last_signals(self) -> Signals:
@@ -258,7 +256,7 @@ class Controller:
         """The kernel call of a tick by itself, to be timed; the state of the loops moves on."""
         if self._fast is None:
             raise InvalidInputError("this controller runs on the readable path: no kernel to call")
-        return self._fast.bare_call(measurement, reference, self.engaged)
+        return self._fast.bare_call(measurement, reference)
 
     def found(self) -> Found:
         """The numbers of the last computed tick that recordings keep.
@@ -280,8 +278,8 @@ class Controller:
     def residual_wrench(self) -> Array:
         """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
 
-        Its mean over a moment at rest without contact is the tare: weight errors of object and
-        grippers cannot be told from contact forces once contact is made. Store it in `f_tare`.
+        Its mean at rest without contact is the tare, to be stored in `f_tare`: weight errors
+        cannot be told from contact forces once contact is made.
         """
         found = self.found()
         return found.f_meas + self.f_tare - found.bias_out
@@ -292,16 +290,10 @@ class Controller:
         What the motion integral has learnt in free space (weight errors, as a force) goes on as a
         constant wrench, in the contact directions too; the integrators start again from zero.
         """
-        if self.engaged:
-            return
-        s = self.last_signals()
-        learnt = self.motion_law.gains.integral * self.motion_law.integral
-        force = s.state.Lambda @ object_coordinates(s.state, s.contact, learnt + s.state.sigma)
-        H = s.state.S.T @ s.state.metric @ s.state.S
-        self.f_bias = s.state.metric @ s.state.S @ np.linalg.solve(H, force)  # Sᵀf_bias = force
-        self.motion_law.integral = np.zeros(6)
-        self.force_law.integral = np.zeros(0)
-        self.engaged = True
+        if not self.engaged:
+            hand_over(self)
+            self.force_law.integral = np.zeros(0)
+            self.engaged = True
 
     # --- the boxes of fig. 4, in the order in which the signals meet them -----------------------
 
@@ -311,38 +303,24 @@ class Controller:
 
     @block("contact geometry", "model", r"$N,\ T,\ n_\gamma$")
     def _contact(self, s: Signals) -> None:
-        X_WO, V_O = s.state.X_WO, s.state.V_O
-        pairs = self.contacts if self.engaged else ()
-        touched = s.touched
-        if touched is None:
-            parts = [pair.contact(X_WO, V_O) for pair in pairs]
-        else:
-            moving = zip(pairs, touched.X_WE, touched.V_E, strict=False)
-            parts = [pair.contact(X_WO, V_O, pin.SE3(X), V) for pair, X, V in moving]
-        contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
-        s.parts, s.contact, s.drag = parts, contact, np.zeros_like(contact.N)
+        active = self.terms.active
+        pairs = [pair for pair, on in zip(self.contacts, active, strict=True) if on]
+        touched = chosen(s.touched, active)
+        s.parts = parts = parts_in_force(pairs, s.state, touched)
+        s.contact = contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
+        drag = np.zeros_like(contact.N)
         if self.friction is not None:
-            s.drag = self.friction.drags(pairs, X_WO, V_O, touched) @ contact.R.T
+            drags = self.friction.drags(pairs, s.state.X_WO, s.state.V_O, touched)
+            drag = drags @ contact.R.T
+        s.drag = drag
+        self._owners = np.repeat(np.flatnonzero(active), [part.R.shape[1] for part in parts])
 
     @block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)")
     def _environment(self, s: Signals) -> None:
-        touched, parts = s.touched, s.parts
-        if touched is None or not parts:
-            s.environment = _AT_REST
-            return
-        O = s.state.X_WO.translation  # noqa: E741
-        of_body: dict[Body, Environment] = {}  # contacts on one body share its environment
-        answers = []
-        for body, matrix, V, A in zip(
-            self.bodies, touched.X_WE, touched.V_E, touched.A_E, strict=True
-        ):
-            if body is None:
-                answers.append(Environment.moving(X_WE=pin.SE3(matrix), V_E=V, A_E=_STILL, O=O))
-            else:
-                if body not in of_body:
-                    of_body[body] = body.environment(pin.SE3(matrix), V, A, O)
-                answers.append(of_body[body])
-        s.environment = Environment.combine(parts, answers, s.state.metric)
+        active = self.terms.active
+        bodies = [body for body, on in zip(self.bodies, active, strict=True) if on]
+        touched = chosen(s.touched, active)
+        s.environment = surroundings(bodies, s.parts, touched, s.state, s.drag)
 
     @block("sum of wrist sensors", "force", r"$\Sigma$ at $O$")
     def _sense(self, s: Signals) -> None:
@@ -358,9 +336,13 @@ class Controller:
 
     @block("force law", "force", r"$\alpha_d + K_i\!\int(\alpha_d-\alpha_{meas})$")
     def _force_law(self, s: Signals) -> None:
-        desired = independent(s.alpha_d, s.contact) if self.engaged else np.zeros(0)
+        wanted, active = s.alpha_d, self.terms.active
+        if self.life is not None and not active.all():
+            wanted = wanted[active[self.life.columns.owners]]
+        desired = independent(wanted, s.contact) if active.any() else np.zeros(0)
         speed = s.contact.N.T @ (s.state.V_O - s.environment.V_e)
-        s.alpha_u = self.force_law.command(desired, s.alpha_meas, speed)
+        terms = self.terms.of_columns(self._owners, s.contact.r)
+        s.alpha_u = self.force_law.command(desired, s.alpha_meas, speed, terms)
 
     @block("to operational space", "force", r"$N\alpha_u$  (16)")
     def _operational_force(self, s: Signals) -> None:
@@ -368,14 +350,20 @@ class Controller:
 
     @block("motion law", "motion", r"$\ddot x_d + K_d\dot e + K_p e + K_i\!\int\! e$")
     def _motion_law(self, s: Signals) -> None:
-        Omega_m = s.contact.motion_projection(self._metric(s.state))
+        Omega_m = s.contact.motion_projection(metric_of(self.B, s.state))
         s.a_u = self.motion_law.command(s.reference, s.state, Omega_m)
 
     @block("motion filter", "filter", r"$\Omega_m(B)$  (24)")
     def _motion_filter(self, s: Signals) -> None:
         eta_u = object_coordinates(s.state, s.contact, s.a_u)
         eta = filtered_motion(
-            s.state, s.contact, eta_u, s.alpha_u, self._metric(s.state), s.environment
+            s.state,
+            s.contact,
+            eta_u,
+            s.alpha_u,
+            metric_of(self.B, s.state),
+            s.environment,
+            s.drag,
         )
         posture = self.allocation.retreat(s.q, s.v)
         s.eta_c = faded_motion(s.state, s.contact, self.chain, eta, posture)
@@ -405,26 +393,17 @@ class Controller:
 
     @property
     def restaged(self) -> bool:
-        """Whether STAGES of this controller or its class were replaced.
-
-        Only reading them one by one computes such a controller: a tick compiled from the stages
-        above would not.
-        """
+        """Whether STAGES were replaced: then only reading them one by one computes the tick."""
         return self.STAGES is not Controller.STAGES
 
     # --- border --------------------------------------------------------------------------------
 
     def wiring(self, measurement: Measurement, reference: Reference) -> list[Block]:
         """The boxes with the signals each one really read and wrote, observed during one tick."""
-        blocks = []
-        wires = TracedSignals()
         before = (self.motion_law.integral, self.force_law.integral)
+        wires = TracedSignals()
         self._take_in(measurement, reference, wires)
-        for stage in self.STAGES:
-            wires.begin()
-            stage(self, wires)
-            own: Block = stage.block  # type: ignore[attr-defined]
-            blocks.append(Block(own.name, own.group, own.equation, *wires.seen()))
+        blocks = observed(self, self.STAGES, wires)
         self.motion_law.integral, self.force_law.integral = before
         return blocks
 
@@ -432,36 +411,6 @@ class Controller:
         self.status, self._reason, self.given_up = Status.OK, "", None
         take_in(measurement, reference, s, len(self.chain.arms), len(self.contacts))
 
-    def _metric(self, state: ChainState) -> Array:
-        if isinstance(self.B, str):
-            if self.B == "object":
-                return np.linalg.inv(state.metric)
-            inertia = state.metric + sum(arm.Lambda for arm in state.arms)
-            return np.asarray(np.linalg.inv(inertia))
-        return self.B
-
-    def _limited(self, s: Signals, motion: Array, force: Array) -> Array:
-        """The torques, or those within the limits that lose least, which nobody integrates.
-
-        Args:
-            s: with `tau`. motion, force: the integrals before this tick.
-        """
-        if self.limits.kept(s.tau):
-            return s.tau
-        self.status, self.motion_law.integral = Status.SATURATED, motion
-        if self.restaged:
-            self.force_law.integral = force
-            tau, self._reason = limited(s.tau, self.chain)
-            return tau
-        wanted = self.limits.response(s)
-        relief = relieve(wanted)
-        self.force_law.forgo(relief.force)
-        lost = s.state.S @ relief.motion
-        self.given_up = self.limits.given_up(wanted, relief, s.contact.R, lost)
-        return relief.tau
-
 
 _STAGES = Controller.STAGES  #: what the kernels compute; others are read box by box
 _SATURATED, _ASK = 1, 2  #: the kernels' answer where the readable path must decide
-_AT_REST = Environment.fixed()
-_STILL = np.zeros(6)

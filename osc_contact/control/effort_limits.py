@@ -228,11 +228,10 @@ class EffortLimits:
             raise InvalidInputError(f"computed torques are not finite: {tau}")
         return not (np.abs(tau) > self.chain.tau_max).any()
 
-    def response(self, s: Signals) -> Response:
-        """What the chain makes of other torques than `s.tau`."""
+    def response(self, s: Signals, owners: Array) -> Response:
+        """What the chain makes of other torques than `s.tau`; `owners`: contact of each column."""
         state, contact = s.state, s.contact
         E, carried = squeeze_response(state, self.chain)
-        owners = np.repeat(np.arange(len(s.parts)), [part.R.shape[1] for part in s.parts])
         return Response(
             tau=s.tau,
             tau_max=self.chain.tau_max,

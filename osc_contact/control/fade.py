@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from osc_contact.contacts.contact import Contact
+from osc_contact.control.border import Status
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.spatial import Array
 
-__all__ = ["LostDirection", "faded_motion", "lost_directions"]
+if TYPE_CHECKING:
+    from osc_contact.control.controller import Controller
+
+__all__ = ["LostDirection", "faded_motion", "note_lost"]
 
 
 @dataclass(frozen=True)
@@ -36,8 +41,17 @@ class LostDirection:
         )
 
 
-def lost_directions(state: ChainState, chain: ClosedChain) -> tuple[LostDirection, ...]:
-    """Those of `state.fading` in words and units."""
+def note_lost(controller: Controller, state: ChainState, motion: Array) -> None:
+    """Say which directions were faded; the motion integral (6,) stays what it was before."""
+    controller.lost_directions = () if controller.restaged else _told(state, controller.chain)
+    if controller.lost_directions:
+        controller.motion_law.integral = motion
+        if controller.status is Status.OK:
+            controller.status = Status.DEGRADED
+
+
+def _told(state: ChainState, chain: ClosedChain) -> tuple[LostDirection, ...]:
+    """`state.fading` in words and units."""
     return tuple(
         LostDirection(
             chain.arms[lost.arm].name,

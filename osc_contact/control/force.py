@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.dynamics.closed_chain import ChainState
@@ -12,7 +13,15 @@ from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array, carry_wrench
 
-__all__ = ["ForceGains", "ForceLaw", "sum_of_wrenches", "contact_force", "magnitudes"]
+__all__ = [
+    "ContactTerms",
+    "ForceGains",
+    "ForceLaw",
+    "contact_force",
+    "magnitudes",
+    "outboard_mobility",
+    "sum_of_wrenches",
+]
 
 
 def sum_of_wrenches(wrenches: Array, state: ChainState) -> Array:
@@ -55,10 +64,18 @@ def contact_force(
     N = contact.N
     if state.d < 6 and not state.payload.Lambda.any():
         return _of_the_tip(f_meas, state, contact, environment, drag)
-    Phi_N = np.linalg.solve(state.Lambda_out.T, N)  # Λ_out⁻ᵀN
-    D = (Phi_N.T + N.T @ environment.Phi_e) @ (N + drag)
+    D, Phi_N = outboard_mobility(state, contact, environment, drag)
     seen = Phi_N.T @ (f_meas - state.bias_out) - contact.n_gamma - N.T @ environment.b_e
     return N @ np.linalg.solve(D, seen)
+
+
+def outboard_mobility(
+    state: ChainState, contact: Contact, environment: Environment, drag: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """D = Nᵀ(Λ_out⁻¹ + Φ_e)N_μ (r, r) and Λ_out⁻ᵀN (6, r); arguments as in `contact_force`."""
+    N = contact.N
+    Phi_N = np.linalg.solve(state.Lambda_out.T, N)
+    return Phi_N.T @ (N + drag) + environment.yielding(N, drag), Phi_N
 
 
 def _of_the_tip(
@@ -78,7 +95,7 @@ def _of_the_tip(
         Phi_N = np.linalg.solve(state.metric, N)
         return N @ np.linalg.solve(Phi_N.T @ (N + drag), Phi_N.T @ f)
     Phi_out = S @ np.linalg.solve(S.T @ state.Lambda_out @ S, S.T)
-    D = N.T @ (Phi_out + environment.Phi_e) @ (N + drag)
+    D = N.T @ Phi_out @ (N + drag) + environment.yielding(N, drag)
     seen = N.T @ (Phi_out @ f + state.sigma - environment.b_e) - contact.n_gamma
     return N @ np.linalg.solve(D, seen)
 
@@ -110,9 +127,43 @@ class ForceGains:
                 raise InvalidInputError(f"force gain {key} = {value}; give a finite number ≥ 0")
 
 
+class ContactTerms:
+    """On what terms each contact takes part in a tick; the compiled tick reads the same rows.
+
+    Attributes:
+        rows: (contacts, 4) in N (1) or out of it (0), integral gain (1/s), damping (N s/m), least
+            force command (N; −inf: none).
+    """
+
+    def __init__(self, rows: Array, gains: ForceGains) -> None:
+        self.rows = rows
+        rows[:] = 1.0, gains.integral, gains.damping, -np.inf
+
+    @property
+    def active(self) -> NDArray[np.bool_]:
+        """(contacts,) whether its columns are in N."""
+        return self.rows[:, 0] != 0.0
+
+    def of_columns(self, owners: Array, r: int) -> tuple[Array, Array, Array]:
+        """Integral gain, damping and least command (r,) of the r independent columns of N.
+
+        Args:
+            owners: the contact of each column that is in force. Where some of these depend on
+                others the most careful terms of all hold: least gain, most damping, no least.
+        """
+        rows = self.rows[owners, 1:]
+        if len(owners) != r:
+            rows = np.tile((rows[:, 0].min(), rows[:, 1].max(), -np.inf), (r, 1))
+        gain, damping, least = rows.T
+        return gain, damping, least
+
+
 @dataclass
 class ForceLaw:
-    """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel: feed-forward, integral and damping."""
+    """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel: feed-forward, integral and damping.
+
+    Where a least command is set, α_u ≥ α_min, and the integral does not run further below it.
+    """
 
     gains: ForceGains
     dt: float
@@ -135,13 +186,30 @@ class ForceLaw:
                 "leaves no stability margin; keep integral × period below 1"
             )
 
-    def command(self, alpha_d: Array, alpha_meas: Array, normal_speed: Array) -> Array:
-        """Commanded magnitudes α_u (r,); normal_speed = NᵀV_rel (r,) in m/s."""
-        if len(self.integral) != len(alpha_d):
-            self.integral = np.zeros(len(alpha_d))
-        self.integral = self.integral + self.gains.integral * self.dt * (alpha_d - alpha_meas)
-        return alpha_d + self.integral - self.gains.damping * normal_speed
+    def command(
+        self,
+        alpha_d: Array,
+        alpha_meas: Array,
+        normal_speed: Array,
+        terms: tuple[Array, Array, Array] | None = None,
+    ) -> Array:
+        """Commanded magnitudes α_u (r,).
 
-    def forgo(self, lost: Array) -> None:
-        """Take back what the last `command` integrated of forces (r,) that will not come."""
-        self.integral = self.integral - self.gains.integral * self.dt * lost
+        Args:
+            alpha_d, alpha_meas: (r,) desired and measured (N). normal_speed: NᵀV_rel (r,) in m/s.
+            terms: gain, damping, least command, (r,) each; default: the gains, no least.
+        """
+        r = len(alpha_d)
+        k = self.gains
+        alike = np.full(r, k.integral), np.full(r, k.damping), np.full(r, -np.inf)
+        gain, damping, least = alike if terms is None else terms
+        before = self.integral if len(self.integral) == r else np.zeros(r)
+        after = before + gain * self.dt * (alpha_d - alpha_meas)
+        wanted = alpha_d + after - damping * normal_speed
+        self.integral = np.where(wanted < least, np.maximum(before, after), after)
+        return np.maximum(wanted, least)
+
+    def forgo(self, lost: Array, gain: Array) -> None:
+        """Take back what the last `command`, with `gain` (r,), integrated of forces (r,) that will
+        not come."""
+        self.integral = self.integral - gain * self.dt * lost

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from osc_contact.control.allocation import squeeze_rows
+from osc_contact.control.force import outboard_mobility
 from osc_contact.spatial import Array, pose_error
 
 if TYPE_CHECKING:
@@ -21,14 +22,17 @@ class Found:
     """Everything at O in world axes.
 
     Attributes:
+        J: (n, 6) the joints' columns at the world's origin, one in each row.
         f_meas, bias_out: (6,) wrist readings less tare; what they would be without contact.
         f_c: (6,) contact force in them. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
         error: (6,) pose error. free_error: (6,) Ω_m(Λ_o⁻¹) of it.
         squeeze: (1,) internal force along the grasp line (N), > 0 compresses.
         magnitudes: (≥ r,) contact magnitudes measured; speeds: (≥ r,) NᵀV_rel; the first r of them
             count. rank: (1,) r.
+        mobilities: (≥ r, ≥ r) D of the force filter, see `contact_force`; kept for contact life.
     """
 
+    J: Array
     f_meas: Array
     bias_out: Array
     f_c: Array
@@ -39,6 +43,7 @@ class Found:
     squeeze: Array
     magnitudes: Array
     speeds: Array
+    mobilities: Array
     rank: Array
 
     @property
@@ -51,17 +56,27 @@ class Found:
         """(r,) NᵀV_rel (m/s): 0 while the contacts last."""
         return self.speeds[: int(self.rank[0])]
 
+    @property
+    def mobility(self) -> Array:
+        """(r, r) D: normal acceleration for each newton on what is outboard of the sensors."""
+        r = int(self.rank[0])
+        return self.mobilities[:r, :r]
+
     @classmethod
     def of(cls, s: Signals, controller: Controller) -> Found:
         """From the wires of the readable path."""
         state, tau = s.state, controller.last_torques()
         error = pose_error(s.reference.X_WD, state.X_WO)
         Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
+        D = np.zeros((0, 0))
+        if controller.life is not None and (state.d == 6 or state.payload.Lambda.any()):
+            D = outboard_mobility(state, s.contact, s.environment, s.drag)[0]
         E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
         squeeze = E @ tau - e0 if len(e0) else np.zeros(1)
         if controller.given_up is not None and len(e0):
             squeeze = s.squeeze_d - controller.given_up.squeeze
         return cls(
+            J=controller.chain.data.J.T,
             f_meas=s.f_meas,
             bias_out=state.bias_out,
             f_c=s.f_c_meas,
@@ -72,5 +87,6 @@ class Found:
             squeeze=squeeze,
             magnitudes=s.alpha_meas,
             speeds=s.contact.N.T @ (state.V_O - s.environment.V_e),
+            mobilities=D,
             rank=np.array([len(s.alpha_meas)]),
         )

@@ -15,7 +15,7 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
-__all__ = ["ContactMonitor", "MonitorLimits", "MonitorState", "watched"]
+__all__ = ["ContactMonitor", "Heard", "MonitorLimits", "MonitorState", "heard", "watched"]
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,9 @@ class MonitorLimits:
         power: W; more than this (in size) is a collision.
         patience: s that the force must stay low before contact counts as lost.
         window: s after contact is made in which a collision is looked for.
+        dwell: s that the force must stay high before contact counts as made (sensor noise).
+        leaving: m/s; an object that leaves its face faster has no contact, whatever the force
+            says: a face does not push on what moves away from it.
     """
 
     force_on: float = 1.0
@@ -34,16 +37,18 @@ class MonitorLimits:
     power: float = 0.05
     patience: float = 0.005
     window: float = 0.02
+    dwell: float = 0.0
+    leaving: float = np.inf
 
     def __post_init__(self) -> None:
         if not (
             self.force_on > self.force_off > 0.0
             and self.power > 0.0
-            and min(self.patience, self.window) >= 0.0
+            and min(self.patience, self.window, self.dwell, self.leaving) >= 0.0
         ):
             raise InvalidInputError(
                 f"contact monitor: {self}; force_on must lie above force_off, force_off and power "
-                "above 0, times must be ≥ 0"
+                "above 0, times and leaving must be ≥ 0"
             )
 
 
@@ -53,12 +58,16 @@ class MonitorState:
 
     Attributes:
         closed: whether contact is held to be made.
-        low_for: s since the force went low. armed_for: s in which a collision may still be told.
+        low_for, high_for: s since the force went low; since it went high.
+        burst: W; the largest power since then, or since contact was made.
+        armed_for: s in which a collision may still be told.
         collision: whether one began at this tick.
     """
 
     closed: Array
     low_for: Array
+    high_for: Array
+    burst: Array
     armed_for: Array
     collision: Array
 
@@ -67,24 +76,70 @@ class MonitorState:
         """At the start: contacts (r,) made or not."""
         closed = np.asarray(closed, dtype=bool)
         zero = np.zeros(len(closed))
-        return cls(closed, zero, zero, np.zeros(len(closed), dtype=bool))
+        return cls(closed, zero, zero, zero, zero, np.zeros(len(closed), dtype=bool))
 
 
 def watched(
-    state: MonitorState, alpha: Array, speed: Array, dt: float, limits: MonitorLimits
+    state: MonitorState,
+    alpha: Array,
+    speed: Array,
+    dt: float,
+    limits: MonitorLimits,
+    more: Array | float = 0.0,
 ) -> MonitorState:
     """The state one tick later.
 
     Args:
         state: before. alpha: (r,) measured magnitudes (N), from the wrist filter.
         speed: (r,) NᵀV_rel (m/s). dt: the tick (s). limits: thresholds.
+        more: (r,) N above force_off below which contact is lost already.
     """
-    low_for = np.where(alpha < limits.force_off, state.low_for + dt, 0.0)
+    away = speed < -limits.leaving
+    low_for = np.where(away | (alpha < limits.force_off + more), state.low_for + dt, 0.0)
+    high_for = np.where(~away & (alpha > limits.force_on), state.high_for + dt, 0.0)
     lost = state.closed & (low_for > limits.patience)
-    closed = (state.closed | (alpha > limits.force_on)) & ~lost
+    closed = (state.closed | (high_for > limits.dwell)) & ~lost
     armed_for = np.where(state.closed, np.maximum(state.armed_for - dt, 0.0), limits.window)
-    collision = closed & (armed_for > 0.0) & (np.abs(alpha * speed) > limits.power)
-    return MonitorState(closed, low_for, np.where(collision, 0.0, armed_for), collision)
+    burst = np.where(closed | (high_for > 0.0), np.maximum(state.burst, np.abs(alpha * speed)), 0.0)
+    collision = closed & (armed_for > 0.0) & (burst > limits.power)
+    armed_for = np.where(collision, 0.0, armed_for)
+    return MonitorState(closed, low_for, high_for, burst, armed_for, collision)
+
+
+@dataclass(frozen=True)
+class Heard:
+    """Low-passed magnitudes and speeds, (r,) each, of the columns that are `known`."""
+
+    force: Array
+    pace: Array
+    known: Array
+
+    @classmethod
+    def nothing(cls, r: int) -> Heard:
+        """Before the first tick."""
+        return cls(np.zeros(r), np.zeros(r), np.zeros(r, dtype=bool))
+
+
+def heard(
+    before: Heard, alpha: Array, speed: Array, inertia: Array, here: Array, dt: float, lag: float
+) -> tuple[Heard, Array]:
+    """Contact forces (r,) that do not take the contact for granted.
+
+    The filter of fig. 5 puts Nᵀa_rel = n_γ. An object that leaves its face, or flies towards it,
+    has Nᵀa_rel = n_γ + d(NᵀV_rel)/dt, and shows a contact force that is none: that of the parts
+    outboard of the sensors, D⁻¹ d(NᵀV_rel)/dt. It is taken away, both terms through the same first
+    order low-pass, which makes the derivative one of measured speeds.
+
+    Args:
+        before: of the last tick. alpha, speed: (r,) measured magnitudes (N), NᵀV_rel (m/s).
+        inertia: (r, r) D⁻¹ (kg). here: (r,) which columns are in N.
+        dt: the tick (s). lag: of the low-pass (s).
+    """
+    k = dt / (lag + dt)
+    force = np.where(before.known, before.force + k * (alpha - before.force), alpha)
+    pace = np.where(before.known, before.pace + k * (speed - before.pace), speed)
+    rate = np.where(before.known, pace - before.pace, 0.0) / dt
+    return Heard(force, pace, here), force - inertia @ rate
 
 
 @dataclass

@@ -37,6 +37,7 @@ def pack(
         at.SIZES: _sizes(controller, pairs),
         at.HEAD: _head(controller),
         **_chain(controller.chain, controller.allocation.posture),
+        **_grasps(controller.chain),
         **_contacts(controller, pairs),
         **_live(data),
         **_scratch(controller.chain, pairs.r_all),
@@ -56,11 +57,13 @@ def _sizes(controller: Controller, pairs: PackedPairs) -> Array:
     sizes[0, at.HELD] = chain.payload is not None
     kinds = {"object": at.BY_OBJECT, "chain": at.BY_CHAIN}
     sizes[0, at.METRIC_KIND] = kinds[B] if isinstance(B, str) else at.BY_MATRIX
+    sizes[0, at.SLIPPING] = not all(grasp.is_rigid for grasp in chain.grasps)
+    sizes[0, at.LEADER] = -1 if chain.leader is None else chain.leader
     return sizes
 
 
 def _head(controller: Controller) -> Array:
-    chain, motion, force = controller.chain, controller.motion_law, controller.force_law
+    chain, motion = controller.chain, controller.motion_law
     head = np.zeros(at.HEAD_SIZE)
     head[at.GRAVITY : at.GRAVITY + 3] = chain.model.gravity.linear
     body = chain.reference.inertia
@@ -68,13 +71,15 @@ def _head(controller: Controller) -> Array:
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     head[at.PRINCIPAL : at.PRINCIPAL + 4] = body.mass, *moments
     head[at.ROOTS : at.ROOTS + 4] = np.sqrt(head[at.PRINCIPAL : at.PRINCIPAL + 4])
-    X_JO = chain.model.frames[chain.tips[0]].placement * chain.grasps[0].X_TO
+    X_JO = pin.SE3.Identity()  # without a leader: in the object's own frame
+    if chain.leader is not None:
+        lead = chain.leader
+        X_JO = chain.model.frames[chain.tips[lead]].placement * chain.grasps[lead].X_TO
     for start, X in ((at.X_JO, X_JO), (at.X_JP, X_JO * pin.SE3(axes, body.lever))):
         head[start : start + 12] = *X.rotation.ravel(), *X.translation
     head[at.TOLERANCE] = chain.rank_tolerance
     head[at.STIFFNESS], head[at.DAMPING] = motion.gains.stiffness, motion.gains.damping
     head[at.INTEGRAL], head[at.PERIOD] = motion.gains.integral, motion.dt
-    head[at.FORCE_INTEGRAL], head[at.FORCE_DAMPING] = force.gains.integral, force.gains.damping
     head[at.POSTURE_STIFFNESS] = controller.allocation.stiffness
     head[at.GYRATION], head[at.FADING] = GYRATION**2, 1.0 / FULL**4
     head[at.POSTURE_DAMPING] = controller.allocation.damping
@@ -108,6 +113,21 @@ def _chain(chain: ClosedChain, posture: Array) -> Arrays:
     return {at.ARMS_I: arms_i, at.JOINTS_I: joints_i, at.ARMS: arms, at.JOINTS: joints}
 
 
+def _grasps(chain: ClosedChain) -> Arrays:
+    k = len(chain.arms)
+    kinds, tables = np.zeros((k, 4), dtype=np.int64), np.zeros((k, 64))
+    numbers = {"rigid": at.RIGID, "hinge": at.HINGE, "ball": at.BALL}
+    for i, grasp in enumerate(chain.grasps):
+        kinds[i, 0], kinds[i, 1] = grasp.N.shape[1], numbers[grasp.kind]
+        kinds[i, 2] = not grasp.is_rigid and len(chain.outboard[i]) > 0
+        placement, X_OT = chain.model.frames[chain.tips[i]].placement, grasp.X_TO.inverse()
+        axis = grasp.T[3:, 0] if grasp.kind == "hinge" else np.zeros(3)
+        tables[i, :12] = *placement.rotation.ravel(), *placement.translation
+        tables[i, 12:48] = np.hstack((grasp.N, grasp.T)).T.ravel()
+        tables[i, 48:57] = *X_OT.translation, *(X_OT.rotation @ axis), *axis
+    return {at.GRASPS_I: kinds, at.GRASPS: tables}
+
+
 def _contacts(controller: Controller, pairs: PackedPairs) -> Arrays:
     count = len(controller.contacts)
     kinds, bodies = np.zeros((count + 1, 2), dtype=np.int64), np.zeros((count + 1, 48))
@@ -130,7 +150,8 @@ def _contacts(controller: Controller, pairs: PackedPairs) -> Arrays:
     return {
         at.PAIRS_I: pairs.table, at.SHAPES: pairs.shapes, at.COLUMNS_I: pairs.owners,
         at.BODIES_I: kinds, at.BODIES: bodies, at.TOUCHED: touched,
-        at.TOUCHED_BEFORE: touched.copy(),
+        at.TOUCHED_BEFORE: touched.copy(), at.TERMS: np.zeros((count + 1, 4)),
+        at.TERMS_BEFORE: np.zeros((count + 1, 4)),
     }  # fmt: skip
 
 
@@ -154,20 +175,21 @@ def _live(data: pin.Data) -> Arrays:
 
 def _scratch(chain: ClosedChain, r_all: int) -> Arrays:
     n, k, columns = chain.nq, len(chain.arms), r_all + 6
-    inputs = 2 * n + 6 * k + 32 + r_all + at.STATE_SIZE
+    inputs = 2 * n + 6 * k + 31 + r_all + at.STATE_SIZE
     shapes: dict[int, tuple[int, ...]] = {
         at.STATE: (at.STATE_SIZE,), at.SIGNALS: (at.SIGNALS_SIZE,), at.TAU: (chain.n_a,),
-        at.COLUMNS: (6, columns), at.N_O: (columns, 6), at.JOINT_ROWS: (5, n, 6),
-        at.SQUARES: (12, 6, 6), at.ARM_SQUARES: (k, 6, 6), at.ROWS: (at.N_ROWS, 8),
+        at.COLUMNS: (9, columns), at.N_O: (columns, 6), at.JOINT_ROWS: (5, n, 6),
+        at.SQUARES: (13, 6, 6), at.ARM_SQUARES: (k, 6, 6), at.ROWS: (at.N_ROWS, 8),
         at.LOCKED: (6 * k + 1, 7), at.LINKS: (n + 1, 10), at.TRIANGLE: (10, 10),
         at.HOUSEHOLDER: (10, 20), at.Q_FACTOR: (10, 10), at.CONTACT_ROWS: (5, columns, 6),
         at.SHARE: (6, columns), at.AXES: (4, 3, 3), at.JOINT_VECTORS: (2, n),
+        at.TIPS: (k, 4, 3), at.PASSED: (k, 6, 6), at.FILTERS: (k, 6, 6),
         at.ANSWERS: (r_all + 1, 48), at.INPUTS: (inputs,), at.STACK_Q: (10, 10), at.WIDE: (16,),
     }  # fmt: skip
     arrays = {row: np.zeros(shape) for row, shape in shapes.items()}
     arrays[at.SIGNALS][at.X_WO + 15] = 1.0
     return {
-        at.KEEP: np.zeros((columns, 1), dtype=np.int64),
+        at.KEEP: np.zeros((columns, 2), dtype=np.int64),
         at.TAU_MAX: chain.tau_max.copy(),
         **arrays,
     }

@@ -29,7 +29,9 @@ def saturated(arrays: dict[int, Array], limits: EffortLimits) -> tuple[Response,
         turn -= np.outer(rows[at.BETA, k] * v, v @ turn)
     bar = arrays[at.JOINT_ROWS][2]
     N = arrays[at.CONTACT_ROWS][at.TURNED, :r]
-    count = int(sizes[at.N_COLUMNS]) if r else 0
+    owners = arrays[at.COLUMNS_I][: int(sizes[at.N_COLUMNS]), 0]
+    owners = owners[arrays[at.TERMS][owners, 0] != 0.0]  # of the columns in force
+    count = len(owners)
     R = np.eye(r) if r == count else arrays[at.SHARE][:r, :count]
     alpha = arrays[at.COLUMNS][at.ALPHA_U, :r].copy()
     E = np.zeros((0, chain.n_a))
@@ -52,7 +54,7 @@ def saturated(arrays: dict[int, Array], limits: EffortLimits) -> tuple[Response,
         E=E,
         carried=along[None] if len(E) else np.zeros((0, 6 - m)),
         mass=chain.reference.inertia.mass,
-        **limits.floors(arrays[at.COLUMNS_I][:count, 0], R, alpha),
+        **limits.floors(owners, R, alpha),
     )
     return response, R, _at_operational_point(arrays) @ turn[m:].T
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from osc_contact.spatial import Array
 if TYPE_CHECKING:
     from osc_contact.control.controller import Controller
 
-__all__ = ["Block", "Signals", "Stage", "TracedSignals", "block"]
+__all__ = ["Block", "Signals", "Stage", "TracedSignals", "block", "observed"]
 
 
 class Signals:
@@ -97,3 +97,14 @@ class TracedSignals(Signals):
         if log is not None and name not in log:
             log.append(name)
         super().__setattr__(name, value)
+
+
+def observed(controller: Controller, stages: Sequence[Stage], wires: TracedSignals) -> list[Block]:
+    """Run the stages one by one; each box with the wires it really read and wrote."""
+    blocks = []
+    for stage in stages:
+        wires.begin()
+        stage(controller, wires)
+        own: Block = stage.block  # type: ignore[attr-defined]
+        blocks.append(Block(own.name, own.group, own.equation, *wires.seen()))
+    return blocks

@@ -22,6 +22,7 @@ from osc_contact import robots
 from osc_contact.dynamics.arm import Arm, ArmTerms, arm_terms
 from osc_contact.dynamics.grasp import Grasp
 from osc_contact.dynamics.held_object import locate, object_twist
+from osc_contact.dynamics.motors import effort_limits
 from osc_contact.dynamics.outboard import (
     OutboardLink,
     columns_at,
@@ -36,8 +37,6 @@ from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array, as_array, cross_twist
 
 __all__ = ["ClosedChain", "ChainState"]
-
-_UNLIMITED = 1e12  #: N m or N: an effort limit that is none
 
 #: Stands in for the object's inertia in rank decisions when the arms hold nothing:
 #: 1 kg with a radius of gyration of 0.1 m.
@@ -171,7 +170,7 @@ class ClosedChain:
             ],
             dtype=int,
         )
-        self.tau_max = self._effort_limits()
+        self.tau_max = effort_limits(self.model, self.actuated)
         self.full_ranks = tuple(full_rank(arm.model, arm.tip) for arm in arms)
         self.arm_mass = max(sum(i.mass for i in arm.model.inertias) for arm in self.arms)
         self.tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
@@ -338,18 +337,6 @@ class ClosedChain:
         sigma_white = U[:, :rank] @ ((Vh[:rank] @ c) / s[:rank])
         S = np.linalg.solve(L.T, U[:, rank:])
         return S, L @ U[:, :rank], np.linalg.solve(L.T, sigma_white)
-
-    def _effort_limits(self) -> Array:
-        """(n_a,) of the motors, inf where there is none: models built in code leave DBL_MAX."""
-        given = np.array(self.model.upperEffortLimit)[self.actuated]
-        for j, limit in zip(self.actuated, given, strict=True):
-            if not limit > 0.0:
-                raise ModelError(
-                    f"joint '{self.joint_names[j]}' has an effort limit of {limit:g}: such a motor "
-                    "does nothing. Give its largest torque (N m) or force (N), or list it among "
-                    "the passive joints"
-                )
-        return np.where(given < _UNLIMITED, given, np.inf)
 
     def _undriven(self, G: Array, S: Array) -> Array:
         """(6, u) motions of the object in which GᵀU = 0; an error unless they are allowed."""

@@ -8,7 +8,7 @@ origin (what a tracker or an encoder tells), and leave as spatial vectors at O.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -52,6 +52,8 @@ class Environment:
         Phi_e: (6, 6) inverse inertia, positive semidefinite: acceleration per contact force.
         b_e: (6,) spatial acceleration it would have without contact.
         V_e: (6,) its twist.
+        Phi_drag: (r, r) NᵀΦ_eD of different bodies whose contacts drag them along with D (6, r) for
+            each newton, which the Φ_e that stands for them cannot tell; None: one body, or no drag.
 
     Raises:
         InvalidInputError: wrong shapes, or Φ_e not symmetric positive semidefinite.
@@ -60,12 +62,23 @@ class Environment:
     Phi_e: Array = field(default_factory=lambda: np.zeros((6, 6)))
     b_e: Array = field(default_factory=lambda: np.zeros(6))
     V_e: Array = field(default_factory=lambda: np.zeros(6))
+    Phi_drag: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "Phi_e", as_array("Phi_e", self.Phi_e, (6, 6)))
         object.__setattr__(self, "b_e", as_array("b_e", self.b_e, (6,)))
         object.__setattr__(self, "V_e", as_array("V_e", self.V_e, (6,)))
         require_inverse_inertia("Phi_e", self.Phi_e / element_sizes(self.Phi_e))
+
+    def yielding(self, N: Array, drag: Array | float = 0.0) -> Array:
+        """NᵀΦ_eN_μ (r, r), N_μ = N + drag: how the bodies give way along N per contact magnitude.
+
+        Args:
+            N: (6, r) at O. drag: (6, r) what friction adds to each column of force.
+        """
+        if self.Phi_drag is not None:
+            return np.asarray(N.T @ self.Phi_e @ N + self.Phi_drag)
+        return np.asarray(N.T @ self.Phi_e @ (N + drag))
 
     @classmethod
     def fixed(cls) -> Environment:
@@ -261,6 +274,7 @@ class Environment:
         contacts: Sequence[_HasNormals],
         environments: Sequence[Environment],
         metric: npt.ArrayLike,
+        drag: Array | None = None,
     ) -> Environment:
         """The environment of several contacts, given the environment of each.
 
@@ -275,6 +289,7 @@ class Environment:
             contacts: in the order in which they are stacked.
             environments: one for each contact, all at the same O.
             metric: (6, 6) the held object's inertia at O (`ChainState.metric`).
+            drag: (6, r) friction wrench for each column's newton; None: none.
 
         Raises:
             InvalidInputError: not one environment for each contact.
@@ -290,22 +305,29 @@ class Environment:
         if all(_move_as_one(env, environments[0]) for env in environments):
             return environments[0]
         pairs = list(zip((c.N for c in contacts), environments, strict=True))
-        Phi_N = np.block(
-            [
+        N = [n for n, _ in pairs]
+
+        def between(forces: Sequence[Array]) -> Array:
+            """Blocks nᵀΦ_e × force where both contacts are on one body."""
+            return np.block(
                 [
-                    M.T @ e.Phi_e @ N if e is f else np.zeros((M.shape[1], N.shape[1]))
-                    for N, f in pairs
+                    [n.T @ e.Phi_e @ f if e is g else np.zeros((n.shape[1], f.shape[1]))
+                     for f, (_, g) in zip(forces, pairs, strict=True)]
+                    for n, e in pairs
                 ]
-                for M, e in pairs
-            ]
-        )
-        return cls.of_contacts(
-            np.hstack([N for N, _ in pairs]),
-            Phi_N,
-            np.concatenate([N.T @ e.b_e for N, e in pairs]),
-            np.concatenate([N.T @ e.V_e for N, e in pairs]),
+            )  # fmt: skip
+
+        together = cls.of_contacts(
+            np.hstack(N),
+            between(N),
+            np.concatenate([n.T @ e.b_e for n, e in pairs]),
+            np.concatenate([n.T @ e.V_e for n, e in pairs]),
             metric,
         )
+        if drag is None:
+            return together
+        ends = np.cumsum([n.shape[1] for n in N])[:-1]
+        return replace(together, Phi_drag=between(np.split(drag, ends, axis=1)))
 
     @classmethod
     def _guided(

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import Array, as_array, carry_wrench, cross_twist
+from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist
 
 __all__ = ["Grasp"]
 
@@ -104,6 +104,11 @@ class Grasp:
         R = X_WT.rotation
         return carry_wrench(np.vstack((R @ self.N[:3], R @ self.N[3:])), X_WT.translation, O)
 
+    def motions_at(self, X_WT: pin.SE3, O: Array) -> Array:  # noqa: E741
+        """T (6, k) in world axes at O, the tip standing at X_WT."""
+        R = X_WT.rotation
+        return carry_twist(np.vstack((R @ self.T[:3], R @ self.T[3:])), X_WT.translation, O)
+
     def miss(self, X_WT: pin.SE3, X_WO: pin.SE3) -> Array:
         """How far the object is from where the grasp can hold it, (6−k,) along N (m, rad).
 
@@ -112,14 +117,20 @@ class Grasp:
         """
         away = X_WT.actInv(X_WO * self.X_TO.inverse())  # zero motion: identity
         T = self.T
-        left: Array = pin.log6(away).vector
+        left = self._displacement(away)
         for _ in range(50 if T.shape[1] else 0):
             part = np.linalg.lstsq(T, left, rcond=None)[0]
             away = away * pin.exp6(pin.Motion(T @ part)).inverse()
-            left = pin.log6(away).vector
+            left = self._displacement(away)
             if np.abs(part).max() < 1e-14:
                 break
         return np.asarray(self.N.T @ left)
+
+    def _displacement(self, X: pin.SE3) -> Array:
+        """(6,) of a relative pose: point and rotation by themselves, where T only turns."""
+        if self.T[:3].any():
+            return np.asarray(pin.log6(X).vector)
+        return np.concatenate((X.translation, pin.log3(X.rotation)))
 
 
 def _wrenches(T: Array) -> Array:

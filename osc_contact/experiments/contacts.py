@@ -16,12 +16,13 @@ import pinocchio as pin
 from osc_contact import robots
 from osc_contact.contacts import pairs as kinds
 from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.pairs.over_time import normals_over
 from osc_contact.scenarios.geometry import PoseSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.touching import FaceMotion, VertexOnFaceSpec
-from osc_contact.spatial import Array, cross
+from osc_contact.spatial import Array, Poses, cross
 
-__all__ = ["EnvironmentBody", "build_pairs", "environment_bodies", "feet", "pose_of"]
+__all__ = ["EnvironmentBody", "build_pairs", "environment_bodies", "feet", "feet_over", "pose_of"]
 
 #: What a contact's type builds; the scenario's keys are its arguments where not renamed below.
 _KINDS: dict[str, Callable[..., ContactPair]] = {
@@ -122,16 +123,24 @@ def feet(pair: ContactPair, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> tuple
 
     World axes, directions into the environment. The pair must transmit forces, not pure couples.
     """
-    O = X_WO.translation  # noqa: E741 - the operational point
-    N = pair.contact(X_WO, np.zeros(6), X_WE).N
-    size = np.linalg.norm(N[:3], axis=0)
-    directions, moments = (N[:3] / size).T, (N[3:] / size).T
-    surface = _on_surface(pair)
-    surface = surface if X_WE is None else X_WE.act(surface)
-    height = (directions @ (surface - O))[:, None]  # along each line, counted from O
+    E = None if X_WE is None else Poses(X_WE.rotation[:, :, None], X_WE.translation[:, None])
+    O = Poses(X_WO.rotation[:, :, None], X_WO.translation[:, None])  # noqa: E741
+    points, directions = feet_over(pair, normals_over(pair, O, E), O, E)
+    return points[:, :, 0].T, directions[:, :, 0].T
+
+
+def feet_over(
+    pair: ContactPair, N: Array, X_WO: Poses, X_WE: Poses | None = None
+) -> tuple[Array, Array]:
+    """The same (3, r, k) each at k instants, given the pair's N (6, r, k) there."""
+    size = np.sqrt((N[:3] * N[:3]).sum(axis=0))
+    directions, moments = N[:3] / size, N[3:] / size
+    surface = _on_surface(pair)[:, None]
+    surface = surface if X_WE is None else X_WE.p + X_WE.turn(surface)
+    height = (directions * (surface - X_WO.p)[:, None]).sum(axis=0)  # along each line, from O
     if isinstance(pair, kinds.FaceOnVertex):
         height = height - pair.radius
-    return O + cross(directions.T, moments.T).T + height * directions, directions
+    return X_WO.p[:, None] + cross(directions, moments) + height * directions, directions
 
 
 def _on_surface(pair: ContactPair) -> Array:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.experiments.paper import Answer
 from osc_contact.experiments.rig import Rig, build_rig
 from osc_contact.experiments.run import run as run_scenario
 from osc_contact.experiments.viewing import content_of
@@ -132,7 +133,8 @@ class Workcell:
         for node, (X, radius, colour) in self.rings().items():
             ring(scene[f"sensors/{node}"], X, radius, colour, 0.0042)
         heading, elevation = np.deg2rad([shot.heading, shot.elevation])
-        axes = set_view(scene, shot.points, heading, elevation, shot.size[0] / shot.size[1])
+        aspect = shot.size[0] / shot.size[1]
+        axes = set_view(scene, shot.points, heading, elevation, aspect)
         labels = [c.draw(scene, f"callouts/{k}", axes) for k, c in enumerate(shot.callouts)]
         legend = [
             LegendEntry(VISION, "view of the overhead camera", "line", ("vision/view",)),
@@ -140,7 +142,8 @@ class Workcell:
             LegendEntry(WRIST, "wrist force/torque sensors", "line", ("sensors/wrist",)),
             LegendEntry("#15181C", "labels", "line", ("callouts",)),
         ]
-        config = EMPTY | {"legend": [entry._asdict() for entry in legend], "labels": labels}
+        entries = [entry._asdict() for entry in legend]
+        config = EMPTY | {"legend": entries, "labels": labels, "aspect": aspect}
         return write_page(sink, path, shot.title, config)
 
     def as_dict(self) -> dict[str, str]:
@@ -164,6 +167,32 @@ class Workcell:
                 f"{wrist.torque.noise:g} N m noise"
             )
         return found
+
+    def answers(self) -> dict[str, Answer]:
+        """To what the paper states about fig. 3."""
+        scenario, chain, d = self.rig.scenario, self.rig.chain, self.rig.d
+        motors = [arm.model.nv - len(arm.passive_joints) for arm in chain.arms]
+        hinges = [len(arm.passive_joints) for arm in chain.arms]
+        length = float(np.linalg.norm(np.diff(self.sample["contact_point"], axis=0)))
+        closed = int(np.count_nonzero(self.sample["closed"]))
+        return {
+            "arms": Answer(
+                f"{len(motors)} arms with {motors} driven joints hold a rod whose ends touch "
+                f"{1e2 * length:.1f} cm apart.",
+                motors == [4, 4] and 0.55 < length < 0.65,
+            ),
+            "hinges": Answer(
+                f"{hinges} hinges; the closed chain of arms and rod has {d} freedoms.",
+                hinges == [1, 1] and d == 5,
+            ),
+            "vision": Answer(
+                f"Simulated: {_vision_words(self)}.", scenario.sensors.vision is not None
+            ),
+            "contacts": Answer(
+                f"{closed} of {len(scenario.contacts)} contacts are closed in the picture.",
+                closed == len(scenario.contacts) == 2,
+            ),
+        }
 
     def shots(self) -> list[Shot]:
         """The whole cell, the task, a gripper."""

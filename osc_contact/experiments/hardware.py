@@ -3,7 +3,7 @@ controller needs in front of it because of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,13 +11,16 @@ import pinocchio as pin
 
 from osc_contact.control.joint_torque import JointTorqueLoop
 from osc_contact.control.velocity_estimate import VelocityEstimate
+from osc_contact.control.vision_fusion import Registration, VisionFusion
+from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.joint_modes import joint_inertias, stiffness_for
 from osc_contact.errors import ScenarioError
-from osc_contact.interface import Measurement, Stamps, Touched
+from osc_contact.experiments.contacts import EnvironmentBody
+from osc_contact.interface import Measurement, Stamps
 from osc_contact.plants.joint_drives import FlexibleJoints, JointDrives, Motors
 from osc_contact.plants.plant import Plant
-from osc_contact.plants.sensors import Clock, Errors, Sensors
+from osc_contact.plants.sensors import Clock, Errors, Eyes, Sensors
 from osc_contact.scenarios.hardware import EncoderSpec, SensorsSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
@@ -79,7 +82,9 @@ def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]
     return np.array(found, dtype=float)
 
 
-def sensors(spec: SensorsSpec, chain: ClosedChain) -> Sensors:
+def sensors(
+    spec: SensorsSpec, chain: ClosedChain, bodies: Sequence[EnvironmentBody] = ()
+) -> Sensors:
     """The plant's sensors with the errors of a scenario."""
     made = Sensors()
     if (encoder := spec.encoder) is not None:
@@ -94,10 +99,20 @@ def sensors(spec: SensorsSpec, chain: ClosedChain) -> Sensors:
         ]
         made = replace(made, wrists=(_clock(wrist), Errors(*both)))
     if (eyes := spec.vision) is not None:
-        position = Errors(*[float(getattr(eyes.position, key)) for key in _ERRORS])
-        orientation = Errors(*[float(getattr(eyes.orientation, key)) for key in _ERRORS])
-        made = replace(made, vision=(_clock(eyes), position, orientation))
+        position, orientation = (
+            Errors(*[float(getattr(of, key)) for key in _ERRORS])
+            for of in (eyes.position, eyes.orientation)
+        )
+        frame = float(eyes.frame_position), float(eyes.frame_orientation)
+        seen = Eyes(_clock(eyes), position, orientation, frame, _markers(bodies))
+        made = replace(made, vision=seen)
     return made
+
+
+def _markers(bodies: Sequence[EnvironmentBody]) -> Array | None:
+    """(contacts, 4, 4) frames of the bodies' URDFs in E, the world at the start."""
+    of = {i: body.placement.homogeneous for body in bodies for i in body.contacts}
+    return np.array([of[i] for i in sorted(of)]) if of else None
 
 
 _ERRORS = ("noise", "bias", "resolution")
@@ -161,15 +176,20 @@ class Drive:
 
 
 class Observer:
-    """Completes measurements: joint velocities from encoders, twists of bodies from vision.
+    """Completes measurements: joint velocities from encoders, motion of bodies from vision.
 
     Readings are brought up to date by the sensors' known delay. Ideal readings pass unchanged.
+
+    Attributes:
+        vision: what fuses the camera's pictures with the encoders; None: no vision.
     """
 
-    def __init__(self, scenario: Scenario, chain: ClosedChain) -> None:
+    def __init__(
+        self, scenario: Scenario, chain: ClosedChain, bodies: Sequence[EnvironmentBody] = ()
+    ) -> None:
         """Set up the estimates from the errors the scenario gives the sensors."""
         self.dt = 1.0 / float(scenario.control.rate)
-        self._seen = Stamps(-1.0, -1.0, -1.0, -1.0)
+        self._seen, self._ticks = Stamps(-1.0, -1.0, -1.0, -1.0), 0
         spec, believed = scenario.sensors, scenario.control.estimate
         self._joints: VelocityEstimate | None = None
         self._spec = spec
@@ -184,8 +204,18 @@ class Observer:
             self._joints = VelocityEstimate.optimal(
                 np.maximum(noise, 1e-9), unknown, self.dt, 1.0 / float(spec.encoder.rate)
             )
-        self._bodies: list[_BodyEstimate] = []
-        self._unknown = np.repeat([float(believed.body_linear), float(believed.body_angular)], 3)
+        self.vision: VisionFusion | None = None
+        if (eyes := spec.vision) is not None:
+            noise = [max(float(of.noise), 1e-9) for of in (eyes.position, eyes.orientation)]
+            self.vision = VisionFusion(
+                _robots(chain),
+                Registration(noise[0], noise[1]),
+                (float(believed.body_linear), float(believed.body_angular)),
+                dt=self.dt,
+                period=1.0 / float(eyes.rate),
+                delay=float(eyes.delay),
+                markers=_markers(bodies),
+            )
 
     @property
     def estimates(self) -> bool:
@@ -207,46 +237,21 @@ class Observer:
             fresh = stamps.encoders > self._seen.encoders
             q, v = self._joints.update(measurement.q, known, fresh)
             measurement = replace(measurement, q=q + float(self._spec.encoder.delay) * v, v=v)
-        if self._spec.vision is not None and measurement.touched is not None:
-            fresh = stamps.touched > self._seen.touched
-            measurement = replace(measurement, touched=self._tracked(measurement.touched, fresh))
+        if self.vision is not None and measurement.touched is not None:
+            now = self._ticks * self.dt
+            touched = self.vision.update(
+                now, measurement.q, stamps.vision, measurement.seen, measurement.touched
+            )
+            measurement = replace(measurement, touched=touched)
+        self._ticks += 1
         self._seen = stamps
         return measurement
 
-    def _tracked(self, seen: Touched, fresh: bool) -> Touched:
-        eyes = self._spec.vision
-        assert eyes is not None
-        if not self._bodies:
-            noise = np.repeat([float(eyes.position.noise), float(eyes.orientation.noise)], 3)
-            period = 1.0 / float(eyes.rate)
-            self._bodies = [
-                _BodyEstimate(
-                    VelocityEstimate.optimal(
-                        np.maximum(noise, 1e-9), self._unknown, self.dt, period
-                    ),
-                    X[:3, :3].copy(),
-                )
-                for X in seen.X_WE
-            ]
-        found = [
-            body.update(X, fresh, float(eyes.delay))
-            for body, X in zip(self._bodies, seen.X_WE, strict=True)
-        ]
-        return Touched(np.array([X for X, _ in found]), np.array([V for _, V in found]), seen.A_E)
 
+def _robots(chain: ClosedChain) -> Callable[[Array], list[pin.SE3]]:
+    """Joint positions → poses of the object and of the arms' tips, as the controller knows them."""
 
-@dataclass
-class _BodyEstimate:
-    """Position and rotation vector of a tracked body, from its first orientation on."""
+    def known(q: Array) -> list[pin.SE3]:
+        return [object_pose(chain, q), *chain.tip_poses()]
 
-    channels: VelocityEstimate
-    R_first: Array
-
-    def update(self, X: Array, fresh: bool, delay: float) -> tuple[Array, Array]:
-        """(X_WE (4, 4), V_E (6,)) now, from a pose that is `delay` old."""
-        turned = pin.log3(X[:3, :3] @ self.R_first.T)
-        x, rate = self.channels.update(np.concatenate((X[:3, 3], turned)), fresh=fresh)
-        x = x + delay * rate
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = pin.exp3(x[3:]) @ self.R_first, x[:3]
-        return pose, np.concatenate((rate[:3], pin.Jexp3(-x[3:]) @ rate[3:]))
+    return known

@@ -24,6 +24,7 @@ __all__ = ["write_paper_report"]
 
 _TYPES = {".svg": "image/svg+xml", ".png": "image/png"}  #: shown: the first there is
 _SIZE = re.compile(r'viewBox="0 0 ([0-9.]+) ([0-9.]+)"')
+MOST_BYTES = 500_000  #: of a picture; a larger one is shown as PNG
 BROAD = 1.8  #: a figure wider than this, by its height, stands above its text
 _MARKS = {
     Verdict.reproduced: ("yes", "✓"),
@@ -56,7 +57,7 @@ def write_paper_report(found: Reproduction, path: Path) -> Path:
         "overview": "".join(_row(figure, verdicts[figure.name]) for figure in PAPER),
         "rules": "".join(f"<li>{_badge(v)} {escape(words)}</li>" for v, words in _RULES),
         "figures": "".join(_section(figure, found, verdicts[figure.name]) for figure in PAPER),
-        "scene": _scene(found.scene),
+        "scene": _scene(found.scene, "Open the moving scene of the run, with slider and plots"),
         "studies": "".join(_study(name, one, found) for name, one in beside.items()),
     }
     return write_whole(filled("report.html", parts), path)
@@ -97,7 +98,9 @@ def _section(figure: PaperFigure, found: Reproduction, verdict: Verdict) -> str:
         ours = '<div class="blank">Not reproduced: nothing here makes this figure yet.</div>'
         command = broad = ""
     else:
-        ours = "".join(_pictures(made, figure.name)) + _table(made.table)
+        pages = [path for path in made.files if path.suffix == ".html"]
+        scenes = "".join(_scene(page, "Open the scene, to turn and look at") for page in pages)
+        ours = "".join(_pictures(made, figure.name)) + scenes + _table(made.table)
         broad = " broad" if 'class="broad"' in ours else ""
         command = _command(figure.name, found)
     return (
@@ -134,9 +137,10 @@ def _study(name: str, made: Made, found: Reproduction) -> str:
 
 def _pictures(made: Made, name: str) -> Iterator[str]:
     """Each figure once, as vectors where there are, with its files to take away."""
-    for stem in dict.fromkeys(path.stem for path in made.files if path.suffix in _TYPES):
+    for stem in dict.fromkeys(path.stem for path in made.files if path.suffix == ".png"):
         files = {path.suffix: path for path in made.files if path.stem == stem}
-        suffix = next(suffix for suffix in _TYPES if suffix in files)
+        small = [s for s in _TYPES if s in files and files[s].stat().st_size < MOST_BYTES]
+        suffix = small[0] if small else ".png"
         broad = ' class="broad"' if _aspect(files) > BROAD else ""
         source = f"data:{_TYPES[suffix]};base64,{_base64(files[suffix].read_bytes())}"
         also = ", ".join(path.name for path in files.values() if path.suffix != ".json")
@@ -169,21 +173,20 @@ def _table(table: Table | None) -> str:
     return f'<div class="wide"><table>{title}<tr>{heads}</tr>{body}</table></div>'
 
 
-def _scene(scene: Path | None) -> str:
+def _scene(scene: Path | None, words: str) -> str:
+    """A page folded into this one."""
     if scene is None:
-        return "<p>No run, no scene.</p>"
+        return ""
     packed = _base64(zlib.compress(scene.read_bytes(), 9))
     return (
-        '<details id="scene"><summary>Open the moving scene of the run, with slider and plots'
-        f'</summary><div id="stage"></div></details>'
-        f'<script type="text/plain" id="packed">{packed}</script>'
+        f'<details class="scene"><summary>{escape(words)}</summary><div></div></details>'
+        f'<script type="text/plain">{packed}</script>'
     )
 
 
 def _command(name: str, found: Reproduction) -> str:
-    return (
-        f'<p class="command">{_code(f"osc-contact reproduce {name} {found.options}".strip())}</p>'
-    )
+    options = " ".join(filter(None, (found.made[name].options, found.options)))
+    return f'<p class="command">{_code(f"osc-contact reproduce {name} {options}".strip())}</p>'
 
 
 def _badge(verdict: Verdict) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -13,11 +13,11 @@ from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.errors import ScenarioError
 from osc_contact.interface import Reference
 from osc_contact.scenarios.schema import Scenario, TareSpec
-from osc_contact.scenarios.signals import MinimumJerk, Step, total
+from osc_contact.scenarios.signals import MinimumJerk, Step, total_over
 from osc_contact.scenarios.touching import MAGNITUDES, magnitude_names
-from osc_contact.spatial import Array, cross
+from osc_contact.spatial import Array, Poses, cross, rotations, turned
 
-__all__ = ["References", "common_tangent", "force_names", "force_owners", "force_steps"]
+__all__ = ["Plan", "References", "common_tangent", "force_names", "force_owners", "force_steps"]
 
 
 def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
@@ -60,6 +60,9 @@ def force_steps(scenario: Scenario) -> list[float]:
     return sorted(steps)
 
 
+_AT_ONCE = 500  #: references made in a row, which takes half the time of making them one by one
+
+
 @dataclass(frozen=True)
 class References:
     """Reference signals of one run.
@@ -94,74 +97,127 @@ class References:
             else np.array(move.direction, dtype=float)
             for move in scenario.motion
         )  # fmt: skip
-        names = force_names(scenario)
         references = cls(scenario, X_start, directions, standoff)
+        t = np.linspace(0.0, scenario.duration, 2000)
+        wanted = references.over(t).alpha_d
         pushes = [pushes_only(p) for p, c in zip(pairs, scenario.contacts, strict=True)
                   for _ in range(MAGNITUDES[c.type])]  # fmt: skip
-        for t in np.linspace(0.0, scenario.duration, 2000):
-            for name, pushing, force in zip(names, pushes, references._forces(t), strict=True):
-                if pushing and force < 0.0:
-                    raise ScenarioError(
-                        f"force.{name} asks for {force:.3g} N at t = {t:.3g} s; this contact "
-                        "cannot pull. Raise the constant part or lower the amplitude."
-                    )
+        for name, pushing, force in zip(force_names(scenario), pushes, wanted.T, strict=True):
+            if pushing and (force < 0.0).any():
+                first = int(np.argmax(force < 0.0))
+                raise ScenarioError(
+                    f"force.{name} asks for {force[first]:.3g} N at t = {t[first]:.3g} s; this "
+                    "contact cannot pull. Raise the constant part or lower the amplitude."
+                )
         return references
 
     @property
     def engage_at(self) -> float:
-        """When the contacts enter the controller's model (s): after tare and approach."""
+        """When the contacts enter the controller's model (s): after tare and approach, which is
+        the controller's own business where `control.life` is set."""
         tare = self.scenario.tare
-        return 0.0 if tare is None else float(tare.duration + tare.approach)
+        if tare is None:
+            return 0.0
+        by_life = self.scenario.control.life is not None
+        return float(tare.duration) if by_life else float(tare.duration + tare.approach)
 
     def at(self, t: float) -> Reference:
         """The reference at time t (s); accelerations are classical."""
-        p, v, a = np.zeros(3), np.zeros(3), np.zeros(3)
-        turn = _Turn()
+        return self.over(np.array([t]))[0]
+
+    def over(self, t: Array) -> Plan:
+        """The references at many times t (k,), worked out together."""
+        x = np.zeros((3, 3, len(t)))  # displacement, velocity, acceleration
+        turn = None
         for move, direction in zip(self.scenario.motion, self.directions, strict=True):
-            s, ds, dds = total(move.signals, t)
+            s = total_over(move.signals, t)
             if move.kind == "linear":
-                p, v, a = p + direction * s, v + direction * ds, a + direction * dds
+                x += direction[:, None] * s[:, None]
             else:
-                turn = turn.then(direction, s, ds, dds)
+                turn = _Turn.start(len(t)) if turn is None else turn
+                turn = turn.then(direction, s)
         if self.scenario.tare is not None:
-            s, ds, dds = _away(self.scenario.tare, t)
-            shift = self.standoff[:3]
-            p, v, a = p + shift * s, v + shift * ds, a + shift * dds
-            turn = turn.then(self.standoff[3:], s, ds, dds)
-        X = pin.SE3(turn.R @ self.X_start.rotation, self.X_start.translation + p)
-        return Reference(
-            X_WD=X,
-            V_D=np.concatenate((v, turn.omega)),
-            A_D=np.concatenate((a, turn.omega_dot)),
-            alpha_d=self._forces(t),
+            away = _away(self.scenario.tare, t)
+            x += self.standoff[:3, None] * away[:, None]
+            turn = (_Turn.start(len(t)) if turn is None else turn).then(self.standoff[3:], away)
+        R = self.X_start.rotation[:, :, None]
+        spin = np.zeros((2, 3, len(t)))
+        if turn is not None:
+            R, spin = turned(turn.R, R), np.stack((turn.omega, turn.omega_dot))
+        forces = self.scenario.force
+        names = force_names(self.scenario)
+        alpha = np.array([total_over(forces[name], t)[0] for name in names])
+        return Plan(
+            X_WD=Poses(R, self.X_start.translation[:, None] + x[0]).coordinates(len(t)),
+            V_D=np.concatenate((x[1], spin[0])).T.copy(),
+            A_D=np.concatenate((x[2], spin[1])).T.copy(),
+            alpha_d=alpha.reshape(len(names), len(t)).T.copy(),
             squeeze_d=float(self.scenario.squeeze),
         )
 
-    def _forces(self, t: float) -> Array:
-        signals = self.scenario.force
-        return np.array([total(signals[name], t)[0] for name in force_names(self.scenario)])
+
+@dataclass(frozen=True)
+class Plan:
+    """References at k times, one after the other; `plan[i]` is one of them.
+
+    Attributes:
+        X_WD: (k, 7) desired poses: position and quaternion x, y, z, w.
+        V_D, A_D: (k, 6) their derivatives, as in `Reference`.
+        alpha_d: (k, r) desired magnitudes. squeeze_d: the same at all times.
+    """
+
+    X_WD: Array
+    V_D: Array
+    A_D: Array
+    alpha_d: Array
+    squeeze_d: float
+
+    def __len__(self) -> int:
+        return len(self.X_WD)
+
+    def __getitem__(self, i: int) -> Reference:
+        return self.part(i, i + 1)[0]
+
+    def __iter__(self) -> Iterator[Reference]:
+        for start in range(0, len(self), _AT_ONCE):
+            yield from self.part(start, start + _AT_ONCE)
+
+    def part(self, start: int, stop: int) -> list[Reference]:
+        """The references start to stop − 1."""
+        fields = (self.X_WD, self.V_D, self.A_D, self.alpha_d)
+        place, squeeze = pin.XYZQUATToSE3, self.squeeze_d
+        return [
+            Reference(place(X), V, A, alpha, squeeze)
+            for X, V, A, alpha in zip(*(x[start:stop] for x in fields), strict=True)
+        ]
 
 
 @dataclass(frozen=True)
 class _Turn:
-    """A rotation with its angular velocity and acceleration, world axes."""
+    """Rotations (3, 3, k) with angular velocities and accelerations (3, k), world axes."""
 
-    R: Array = field(default_factory=lambda: np.eye(3))
-    omega: Array = field(default_factory=lambda: np.zeros(3))
-    omega_dot: Array = field(default_factory=lambda: np.zeros(3))
+    R: Array
+    omega: Array
+    omega_dot: Array
 
-    def then(self, axis: Array, s: float, ds: float, dds: float) -> _Turn:
-        """Followed by a turn of s·axis about a direction fixed in the world."""
-        E = pin.exp3(axis * s)
-        omega = E @ self.omega
+    @classmethod
+    def start(cls, count: int) -> _Turn:
+        zero = np.zeros((3, count))
+        return cls(np.repeat(np.eye(3)[:, :, None], count, axis=2), zero, zero)
+
+    def then(self, axis: Array, s: Array) -> _Turn:
+        """Followed by a turn of s[0]·axis about a direction fixed in the world; s (3, k)."""
+        along = axis[:, None]
+        E = rotations(along * s[0])
+        omega = turned(E, self.omega)
         return _Turn(
-            E @ self.R,
-            axis * ds + omega,
-            axis * dds + E @ self.omega_dot + cross(axis * ds, omega),
+            turned(E, self.R),
+            along * s[1] + omega,
+            along * s[2] + turned(E, self.omega_dot) + cross(along * s[1], omega),
         )
 
 
-def _away(tare: TareSpec, t: float) -> tuple[float, float, float]:
-    """How far off the contacts, 1 → 0, with derivatives."""
-    came = MinimumJerk(value=1.0, start=tare.duration, duration=tare.approach).at(t)
-    return 1.0 - came[0], -came[1], -came[2]
+def _away(tare: TareSpec, t: Array) -> Array:
+    """How far off the contacts, 1 → 0, with derivatives: (3, k)."""
+    came = total_over([MinimumJerk(value=1.0, start=tare.duration, duration=tare.approach)], t)
+    return np.array([[1.0], [0.0], [0.0]]) - came

@@ -24,6 +24,8 @@ from osc_contact.scenarios import Scenario
 
 __all__ = ["Made", "Reproduction", "make", "names_of", "typed"]
 
+BRIEF_S = 10.0  #: of each run of a slow study that is one of several
+
 
 class Waits(Protocol):
     """Something that tells what is going on: `Console.status`."""
@@ -39,13 +41,14 @@ class Made:
     Attributes:
         files: figures in every format, and JSON.
         answers: to what the paper states, by key; empty for studies beside the paper.
-        table: of a study. data: its numbers.
+        table: of a study. data: its numbers. options: that its command needs besides those typed.
     """
 
     files: Sequence[Path]
     answers: Mapping[str, Answer] = field(default_factory=dict)
     table: Table | None = None
     data: Mapping[str, Any] | None = None
+    options: str = ""
 
 
 @dataclass(frozen=True)
@@ -92,14 +95,17 @@ class Reproduction:
 
 
 def names_of(figure: str) -> tuple[str, ...]:
-    """The names behind one word of the command line: "all" are those that take no minutes.
+    """The names behind one word of the command line.
+
+    "all" are the paper's figures and the studies that take no minutes.
 
     Raises:
         InvalidInputError: unknown, with the names there are.
     """
     names: tuple[str, ...] = (figure,)
     if figure == "all":
-        names = tuple(name for name in (*figures.FIGURES, *STUDIES) if name not in SLOW)
+        ours, paper = (*figures.FIGURES, *STUDIES), {one.name for one in PAPER}
+        names = tuple(name for name in ours if name in paper or name not in SLOW)
     figures.require_known(names)
     return names
 
@@ -148,8 +154,12 @@ def make(
             made[name] = replace(made[name], answers=ANSWERS[name](evidence))
     for name in names:
         if name in STUDIES:
+            brief = name in SLOW and len(names) > 1 and ask.duration is None
+            duration = BRIEF_S if brief else ask.duration
             with waiting(name) as status:
-                study, files = write_study(name, folder, replace(ask, tell=status.update))
+                asked = replace(ask, duration=duration, tell=status.update)
+                study, files = write_study(name, folder, asked)
             show(study.table)
-            made[name] = Made(files, study.answers, study.table, study.data)
+            more = typed(None, duration, 0, ()) if brief else ""
+            made[name] = Made(files, study.answers, study.table, study.data, more)
     return Reproduction(made, scenario, recording, scene, options)

@@ -17,6 +17,7 @@ from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.control.controller import Controller, Gains
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
+from osc_contact.control.life import ContactLife, LifeSettings
 from osc_contact.control.motion import MotionGains
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, reach
@@ -35,6 +36,7 @@ from osc_contact.experiments.references import References, force_owners
 from osc_contact.interface import Measurement
 from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
 from osc_contact.plants.plant import Plant
+from osc_contact.plants.pushes import Push
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
 from osc_contact.response import require_reachable
@@ -96,11 +98,14 @@ class Rig:
                 faces.rails(self.bodies),
                 self.on,
                 drives=hardware.drives(self.scenario, self.chain, self.state(), seed),
+                pushes=[Push(**push.model_dump()) for push in spec.pushes],
             )
         plant.reset(self.q_start)
         if self.scenario.sensors.ideal:
             return plant
-        return SensedPlant(plant, hardware.sensors(self.scenario.sensors, self.chain), seed)
+        return SensedPlant(
+            plant, hardware.sensors(self.scenario.sensors, self.chain, self.bodies), seed
+        )
 
     def at_start(self, read: Measurement) -> Measurement:
         """What ideal encoders and trackers would have read at the start, where all is at rest."""
@@ -117,7 +122,7 @@ class Rig:
 
     def observer(self) -> hardware.Observer:
         """What estimates the velocities that the sensors do not give."""
-        return hardware.Observer(self.scenario, self.model)
+        return hardware.Observer(self.scenario, self.model, self.bodies)
 
     def controller(self, *, compiled: bool = True) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
@@ -135,6 +140,23 @@ class Rig:
             engaged=self.scenario.tare is None,
             compiled=compiled,
             friction=self._friction(),
+            life=self._life(),
+        )
+
+    def _life(self) -> ContactLife | None:
+        spec = self.scenario.control.life
+        if spec is None:
+            return None
+        pushing = [pushes_only(pair) for pair in self.pairs]
+        keys = spec.model_dump()
+        told = {key: keys.pop(key) for key in ("force_on", "force_off", "power")}
+        limits = replace(LifeSettings().limits, **told)
+        return ContactLife(
+            LifeSettings(**keys, limits=limits),
+            self.owners,
+            np.array(pushing, dtype=bool),
+            1.0 / self.scenario.control.rate,
+            closed=self.scenario.tare is None,
         )
 
     def _friction(self) -> Friction | None:
@@ -155,10 +177,14 @@ class Rig:
         return tuple(of[i] for i in range(len(self.pairs)))
 
     @cached_property
+    def owners(self) -> Array:
+        """(r,) the contact of each force magnitude."""
+        return np.array(force_owners(self.scenario), dtype=int)
+
+    @cached_property
     def pushing(self) -> NDArray[np.bool_]:
         """(r,) whether each force magnitude must not become negative."""
-        owners = force_owners(self.scenario)
-        return np.array([pushes_only(self.pairs[i]) for i in owners], dtype=bool)
+        return np.array([pushes_only(self.pairs[i]) for i in self.owners], dtype=bool)
 
     @cached_property
     def d(self) -> int:

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from time import perf_counter
-from typing import Any
+from functools import partial
+from time import perf_counter, process_time
 
 import numpy as np
-import pinocchio as pin
 
-from osc_contact.contacts.pairs.pair import lines_of_force
 from osc_contact.control.controller import Controller
-from osc_contact.control.monitor import ContactMonitor
 from osc_contact.errors import PlantError
-from osc_contact.experiments.contacts import feet
-from osc_contact.experiments.free_motion import free_part
-from osc_contact.experiments.references import force_names, force_owners, force_steps
+from osc_contact.experiments.channels import Tick, channels, monitored
+from osc_contact.experiments.log import Log
+from osc_contact.experiments.references import Plan, force_owners, force_steps
 from osc_contact.experiments.rig import Rig, build_rig
-from osc_contact.interface import Measurement, Reference
-from osc_contact.plants.plant import Truth
-from osc_contact.recorder import Recorder, Recording
+from osc_contact.recorder import Recording
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
@@ -76,52 +71,44 @@ def _loop(
     scenario = rig.scenario
     period = 1.0 / scenario.control.rate
     ticks = round(scenario.duration * scenario.control.rate)
-    recorder = Recorder(ticks, _meta(rig, seed))
     plant, controller, first = rig.plant(seed), rig.controller(), rig.controller()
     if install is not None:
         controller, first = install(controller), install(first)
     # the rig starts under the torques that hold it, not limp
     plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
-    drive, observer = rig.drive(plant), rig.observer()
+    drive, observer, tare = rig.drive(plant), rig.observer(), _Tare(rig, controller)
     acceleration = None
-    tare, monitor = _Tare(rig, controller), ContactMonitor(len(force_names(scenario)), period)
-    began = perf_counter()
+    began = perf_counter(), process_time()
+    plan = rig.references.over(np.arange(ticks) * period)
+    log = Log(rig, plant, ticks)
     try:
-        for k in range(ticks):
-            t = k * period
-            reference = rig.references.at(t)
+        for k, reference in enumerate(plan):
             measurement = observer.complete(plant.measure(), acceleration)
-            truth = plant.truth()
             start = perf_counter()
             tau = controller.tick(measurement, reference)
             spent = perf_counter() - start
             if observer.estimates:
                 acceleration = controller.joint_acceleration()
-            tare.watch(t)
-            channels = {
-                "t": t,
-                "q": measurement.q,
-                "v": measurement.v,
-                "tau": tau,
-                "tick_s": spent,
-                **_watched(rig, controller, monitor),
-                **_channels(rig, controller, reference, truth, measurement),
-            }
-            recorder.append(**channels)
+            if not controller.engaged:
+                tare.watch(k * period)
+            log.note(controller, measurement, tau, spent)
             if viewer is not None:
-                viewer.show(channels)
+                viewer.show(Tick(partial(channels, rig, log, plan, k, k + 1)))
             drive.step(tau)
             if progress is not None and k % 100 == 99:
-                progress(t + period)
+                progress((k + 1) * period)
     except PlantError as error:
-        error.recording = _finished(recorder, began)
+        error.recording = _recording(rig, log, plan, seed, began)
         raise
-    return _finished(recorder, began)
+    return _recording(rig, log, plan, seed, began)
 
 
-def _finished(recorder: Recorder, began: float) -> Recording:
-    recording = recorder.recording()
-    recording.meta["wall_s"] = perf_counter() - began
+def _recording(rig: Rig, log: Log, plan: Plan, seed: int, began: tuple[float, float]) -> Recording:
+    """What the run is remembered by; working it out counts as part of the run."""
+    values = channels(rig, log, plan, 0, log.count) | monitored(rig, log)
+    recording = Recording(_meta(rig, seed), values)
+    recording.meta["wall_s"] = perf_counter() - began[0]
+    recording.meta["cpu_s"] = process_time() - began[1]
     return recording
 
 
@@ -135,7 +122,7 @@ class _Tare:
         self.samples: list[Array] = []
 
     def watch(self, t: float) -> None:
-        if self.spec is None or self.controller.engaged:
+        if self.spec is None:
             return
         if 2 * self.spec.duration / 3 <= t < self.spec.duration:  # once the start has settled
             self.samples.append(self.controller.residual_wrench())
@@ -144,73 +131,6 @@ class _Tare:
             self.samples = []
         if t >= self.engage_at:
             self.controller.engage()
-
-
-def _watched(rig: Rig, controller: Controller, monitor: ContactMonitor) -> dict[str, Array]:
-    """What the contact monitor tells of each magnitude, from projected force and power.
-
-    Where a magnitude may have either sign its size counts.
-    """
-    found, count = controller.found(), monitor.contacts
-    alpha = speed = np.zeros(count)
-    if len(found.alpha_meas) == count:
-        alpha, speed = found.alpha_meas, found.normal_speed
-    elif len(found.alpha_meas):  # some contacts depend on others
-        contact = controller.last_signals().contact
-        alpha, speed = contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
-    seen = monitor.update(np.where(rig.pushing, alpha, np.abs(alpha)), speed)
-    return {"contact_seen": seen.closed, "collision_seen": seen.collision}
-
-
-def _channels(
-    rig: Rig, controller: Controller, reference: Reference, truth: Truth, read: Measurement
-) -> dict[str, Any]:
-    """What the recording keeps of a tick besides joints and torques."""
-    found, k, r = controller.found(), len(rig.pairs), len(reference.alpha_d)
-    wrench = found.f_meas - found.bias_out
-    alpha = found.alpha_meas
-    projected = float(found.normal_speed @ alpha)  # V_relᵀNα, whatever the faces do
-    if 0 < len(alpha) < r:  # some contacts depend on others
-        alpha = controller.last_signals().contact.magnitudes(alpha)
-    X = truth.X_WO
-    moved = truth.X_WE or (pin.SE3.Identity(),) * k
-    lines = [feet(pair, X, E) for pair, E in zip(rig.pairs, moved, strict=True)]
-    N = np.hstack(
-        [np.zeros((6, 0)), *(lines_of_force((p - X.translation).T, d.T) for p, d in lines)]
-    )
-    free_error = found.free_error
-    if rig.d < 6:
-        held = N if controller.engaged else N[:, :0]
-        free_error = free_part(rig.model, read.q, pin.SE3(found.X_WO), held, found.error)
-    bodies = [rig.bodies[i].placement for i in rig.on]
-    return {
-        "pose": pin.SE3ToXYZQUAT(X),
-        "twist": truth.V_O,
-        "alpha_cmd": reference.alpha_d,
-        "alpha_meas": alpha if len(alpha) == r else np.zeros(r),
-        "alpha_true": truth.alpha,
-        "closed": truth.closed,
-        "N": N,
-        "contact_point": np.array([points.mean(axis=0) for points, _ in lines]).reshape(k, 3),
-        "contact_direction": np.array([directions[0] for _, directions in lines]).reshape(k, 3),
-        "face_pose": np.array(
-            [pin.SE3ToXYZQUAT(E * body) for body, E in zip(bodies, moved, strict=True)]
-        ).reshape(k, 7),
-        "wrench_meas": wrench,
-        "power_total": float(found.V_O @ (wrench - found.f_c)) + projected,
-        "power_projected": projected,
-        "motion_error": free_error,
-        "squeeze_cmd": reference.squeeze_d,
-        "squeeze": float(found.squeeze[0]),
-        "alpha_given_up": _given_up(controller, r),
-        "status": int(controller.status),
-    }
-
-
-def _given_up(controller: Controller, r: int) -> Array:
-    """(r,) contact forces that the motor limits cost in this tick."""
-    cost = controller.given_up
-    return cost.force if cost is not None and len(cost.force) == r else np.zeros(r)
 
 
 def _meta(rig: Rig, seed: int) -> dict[str, object]:

@@ -169,7 +169,8 @@ def _fig3(ask: Ask) -> Study:
         figures["fig3"] = experiment.draw(cell)
     except ViewerError as error:  # the page is there all the same
         table.add_row("picture", f"not rendered: {error}")
-    return Study(figures, table, data, {"fig3": partial(cell.page, cell.shots()[0])})
+    pages = {"fig3": partial(cell.page, cell.shots()[0])}
+    return Study(figures, table, data, cell.answers(), pages)
 
 
 def _moving_face(ask: Ask) -> Study:
@@ -230,6 +231,74 @@ def _workcell(ask: Ask) -> Study:
     return Study({"workcell": experiment.draw(rungs)}, table, data)
 
 
+def _fig7(ask: Ask) -> Study:
+    from osc_contact.experiments import contact_life as experiment
+    from osc_contact.experiments.contact_life_pictures import draw_collisions
+
+    knocked, quiet = experiment.fig7(ask.duration, ask.seed, ask.changes, ask.tell)
+    hits = experiment.collisions(knocked)
+    late = [hit.flagged for hit in hits]
+    flagged = [after for after in late if after is not None]
+    data: dict[str, Any] = {
+        "collisions": [vars(hit) for hit in hits],
+        "flagged": len(flagged),
+        "slowest_flag_s": max(flagged, default=None),
+        "false_alarms": {
+            name: {"count": experiment.false_alarms(r), "duration_s": float(r["t"][-1])}
+            for name, r in {experiment.KNOCKED: knocked, **quiet}.items()
+        },
+    }
+    table = Table("quantity", "value", title="fig. 7: contacts lost and made again, on mujoco")
+    share = f"{len(flagged)} of {len(hits)}"
+    table.add_row("collisions flagged within 20 ms", share)
+    if flagged:
+        table.add_row("slowest flag", f"{1e3 * max(flagged):.0f} ms after the collision")
+    if hits:
+        met = [1e3 * hit.speed for hit in hits]
+        table.add_row("met at", f"{min(met):.0f} … {max(met):.0f} mm/s")
+        peaks = [hit.power for hit in hits]
+        table.add_row("peaks of projected power", f"{min(peaks):.3f} … {max(peaks):.3f} W")
+    for name, r in quiet.items():
+        rms = float(np.sqrt(np.mean(r["power_projected"][r["t"] >= 1.0] ** 2)))
+        table.add_row(f"projected power of {name}, rms", f"{rms:.2g} W")
+    for name, found in data["false_alarms"].items():
+        table.add_row(f"false alarms in {found['duration_s']:.0f} s of {name}", str(found["count"]))
+    figures = {"fig7": draw_collisions(knocked)}
+    return Study(figures, table, data, experiment.answers(knocked))
+
+
+def _approach_and_slide(ask: Ask) -> Study:
+    from osc_contact.experiments import contact_life as experiment
+    from osc_contact.experiments.contact_life_pictures import draw_landing
+
+    changes = list(ask.changes)
+    if ask.duration is not None:
+        changes.append(f"duration={ask.duration!r}")
+    runs = experiment.landings(range(ask.seed, ask.seed + experiment.SEEDS), changes, ask.tell)
+    rows = [run.as_dict() for run in runs]
+    table = Table(
+        "seed", "standoff", "tilt", "contacts made at", "peak / command", "force error, rms",
+        "largest torque rate", "success", title="approach_and_slide on mujoco",
+    )  # fmt: skip
+    for row in rows:
+        made = ", ".join("–" if t is None else f"{t:.2f}" for t in row["made_s"])
+        rms = row["force_rms_rel"]
+        table.add_row(
+            str(row["seed"]),
+            f"{1e3 * row['standoff_m']:.1f} mm",
+            f"{1e3 * row['tilt_rad']:.1f} mrad",
+            f"{made} s",
+            f"{row['peak_over_command']:.3f}",
+            "–" if rms is None else f"{rms:.2%}",
+            f"{row['torque_rate']:.1f} of {row['torque_rate_limit']:g} 1/s",
+            "yes" if row["success"] else "no",
+        )
+    won = sum(row["success"] for row in rows)
+    worst = max(row["peak_over_command"] for row in rows)
+    table.add_row("all", "", "", "", f"≤ {worst:.3f}", "", "", f"{won} of {len(rows)}")
+    return Study({"approach_and_slide": draw_landing(runs)}, table, {"runs": rows})
+
+
 STUDIES: dict[str, Callable[[Ask], Study]] = {
     "fig2": _fig2,
     "fig3": _fig3,
@@ -237,6 +306,10 @@ STUDIES: dict[str, Callable[[Ask], Study]] = {
     "moving_face": _moving_face,
     "baselines": _baselines,
     "workcell": _workcell,
+    "fig7": _fig7,
+    "approach_and_slide": _approach_and_slide,
 }
-WITH_SCENARIO = {"fig3", "baselines", "workcell"}  #: whose scenario can be changed
-SLOW = {"baselines", "workcell"}  #: several minutes: not in `reproduce all`
+WITH_SCENARIO = {"fig3", "baselines", "workcell", "fig7", "approach_and_slide"}
+"""whose scenario can be changed"""
+SLOW = {"baselines", "workcell", "fig7", "approach_and_slide"}
+"""several minutes: not in `reproduce all`"""

@@ -59,9 +59,9 @@ def multipliers(effort, m, two, skewed, own, f_S, e0, gram, L, z):
 
 
 @compiled
-def arm_torques(lo, n, J, bar, joints, effort, y, scratch, tau):
+def arm_torques(lo, n, wide, J, bar, joints, effort, y, scratch, tau):
     """τ += what the arm must do for the wrench-like y (6,), white: R⁻¹ J̄ y."""
-    if n <= 6:
+    if not wide:
         for j in range(lo, lo + n):
             tau[j] += joints[j, 20] * dot6(bar[j], y)
         return

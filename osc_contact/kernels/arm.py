@@ -14,7 +14,7 @@ from osc_contact.kernels.linalg import (
     qr_rows,
 )
 
-__all__ = ["arm_terms"]
+__all__ = ["arm_terms", "passed_terms"]
 
 
 @compiled
@@ -139,14 +139,33 @@ def _by_singular_values(lo, n, M, J, tolerance, bar, Lambda, locked, row, K, X, 
             X[i, j] = Z[j, i]
         for k in range(6):
             X[i, n + k] = 1.0 if i == k else 0.0
-    one_sided_jacobi(X, 6, n, 6)
+    return _from_rows(lo, n, 6, tolerance, bar, Lambda, locked, row, K, X)
+
+
+@compiled
+def passed_terms(lo, n, M, J, N, m, tolerance, bar, Lambda, locked, row, K, X, Z):
+    """`arm_terms` of an arm whose grasp passes on the wrenches N, orthonormal rows (m, 6)."""
+    if not _whiten_joints(lo, n, M, J, K, Z):
+        return -1
+    for i in range(m):
+        for j in range(n):
+            X[i, j] = dot6(N[i], Z[j])
+        for k in range(6):
+            X[i, n + k] = N[i, k]
+    return _from_rows(lo, n, m, tolerance, bar, Lambda, locked, row, K, X)
+
+
+@compiled
+def _from_rows(lo, n, rows, tolerance, bar, Lambda, locked, row, K, X):
+    """From X = [A, basis] of so many rows: A = UΣVᵀ, what is locked, J̄ = K⁻ᵀA⁺, Λ = A⁺ᵀA⁺."""
+    one_sided_jacobi(X, rows, n, 6)
     for a in range(6):
         for b in range(6):
             Lambda[a, b] = 0.0
         for j in range(n):
             bar[lo + j, a] = 0.0
     count = 0
-    for k in range(6):
+    for k in range(rows):
         square = 0.0
         for j in range(n):
             square += X[k, j] * X[k, j]

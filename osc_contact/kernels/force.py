@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from math import inf
+
 from osc_contact.kernels.compile import compiled
 from osc_contact.kernels.linalg import dot6, lu_solve
 from osc_contact.kernels.white import wrench_to
 
-__all__ = ["add_wrist_reading", "contact_magnitudes", "force_command"]
+__all__ = ["add_wrist_reading", "contact_magnitudes", "contact_terms", "force_command"]
 
 
 @compiled
@@ -35,12 +37,13 @@ def add_wrist_reading(reading, pose, sensor, C, scratch, total):
 
 
 @compiled
-def contact_magnitudes(Lambda_out, white, r, f, n_gamma, b_N, Phi_N, X, D, alpha):
+def contact_magnitudes(Lambda_out, white, r, f, n_gamma, b_N, Phi_N, X, D, mobility, alpha):
     """α (r,) = D⁻¹[NᵀΛ_out⁻¹f − n_γ − b_N], D = NᵀΛ_out⁻¹N + Φ_N (`control.force`).
 
     Args:
         Lambda_out: (6, 6) *transposed*, white; destroyed. white: (r, 6) columns of N.
-        f: (6,) reading less bias, white. X: (r, 6), D: (6, 6) scratch. alpha: (1, 6) filled.
+        f: (6,) reading less bias, white. X: (r, 6), D: (6, 6) scratch.
+        mobility: (6, 6) filled with D. alpha: (1, 6) filled.
     """
     for a in range(r):
         for i in range(6):
@@ -49,14 +52,41 @@ def contact_magnitudes(Lambda_out, white, r, f, n_gamma, b_N, Phi_N, X, D, alpha
         return False
     for a in range(r):
         for b in range(r):
-            D[a, b] = dot6(X[a], white[b]) + Phi_N[a, b]
+            mobility[a, b] = D[a, b] = dot6(X[a], white[b]) + Phi_N[a, b]
         alpha[0, a] = dot6(X[a], f) - n_gamma[a] - b_N[a]
     return lu_solve(D, r, alpha, 1)
 
 
 @compiled
-def force_command(r, alpha_d, alpha_meas, speed, integral, gain, damping, dt, after, alpha_u):
-    """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel; the new integral goes to `after`."""
+def force_command(r, alpha_d, alpha_meas, speed, integral, gain, damping, least, dt, after, out):
+    """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ α_min; the new integral: `after`."""
     for a in range(r):
-        after[a] = integral[a] + gain * dt * (alpha_d[a] - alpha_meas[a])
-        alpha_u[a] = alpha_d[a] + after[a] - damping * speed[a]
+        after[a] = integral[a] + gain[a] * dt * (alpha_d[a] - alpha_meas[a])
+        out[a] = alpha_d[a] + after[a] - damping[a] * speed[a]
+        if out[a] < least[a]:
+            out[a] = least[a]
+            after[a] = max(after[a], integral[a])
+
+
+@compiled
+def contact_terms(laws, owners, chosen, count, keep, r, gain, damping, least):
+    """Gain, damping and least command (r,) of the kept columns (`control.force.ContactTerms`).
+
+    Args:
+        laws: (contacts, 4) of each contact. owners: contact of each column.
+        chosen: (count,) the columns in force. keep: (r,) the independent ones of them.
+    """
+    for a in range(r):
+        law = laws[owners[keep[a]]]
+        gain[a], damping[a], least[a] = law[1], law[2], law[3]
+    if r == count:
+        return
+    for j in range(count):  # the most careful of all, for each of them
+        law = laws[owners[chosen[j]]]
+        for a in range(r):
+            gain[a] = min(gain[a], law[1])
+            damping[a] = max(damping[a], law[2])
+    for a in range(1, r):
+        gain[0], damping[0] = min(gain[0], gain[a]), max(damping[0], damping[a])
+    for a in range(r):
+        gain[a], damping[a], least[a] = gain[0], damping[0], -inf

@@ -5,9 +5,22 @@ from __future__ import annotations
 from math import isfinite
 
 from osc_contact.kernels import layout as at
-from osc_contact.kernels.compile import compiled, matrix, vector
+from osc_contact.kernels.compile import compiled, integers, matrix, vector
 
-__all__ = ["commit", "fit", "keep"]
+__all__ = ["choose", "commit", "fit", "keep"]
+
+
+@compiled
+def choose(bound, sizes):
+    """List the columns of N whose contacts are in force; returns their number."""
+    terms, owners = matrix(bound, at.TERMS), integers(bound, at.COLUMNS_I)
+    chosen = integers(bound, at.KEEP)[:, 1]
+    count = 0
+    for j in range(sizes[at.N_COLUMNS]):
+        if terms[owners[j, 0], 0] != 0.0:
+            chosen[count] = j
+            count += 1
+    return count
 
 
 @compiled
@@ -19,7 +32,7 @@ def fit(bound, sizes, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, engaged,
     if V_D.size != 6 or A_D.size != 6 or (engaged and alpha_d.size != r_all):
         return False
     inputs = vector(bound, at.INPUTS)
-    if inputs.size < 2 * n + 6 * arms + 32 + alpha_d.size + at.STATE_SIZE:
+    if inputs.size < 2 * n + 6 * arms + 31 + alpha_d.size + at.STATE_SIZE:
         return False
     s = squeeze * 0.0  # NaN if anything is NaN or inf
     for i in range(n):
@@ -43,8 +56,8 @@ def fit(bound, sizes, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, engaged,
 
 
 @compiled
-def keep(bound, sizes, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, engaged, moving):
-    """Copy what came in (q, v, wrenches, X_WD, V_D, A_D, squeeze, flags, α_d), then the state."""
+def keep(bound, sizes, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, moving):
+    """Copy what came in (q, v, wrenches, X_WD, V_D, A_D, squeeze, moving, α_d), then the state."""
     n = sizes[at.N_JOINTS]
     inputs, state = vector(bound, at.INPUTS), vector(bound, at.STATE)
     for i in range(n):
@@ -63,18 +76,19 @@ def keep(bound, sizes, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, engaged
         inputs[k + i] = V_D[i]
         inputs[k + 6 + i] = A_D[i]
     inputs[k + 12] = squeeze
-    inputs[k + 13] = 1.0 if engaged else 0.0
-    inputs[k + 14] = 1.0 if moving else 0.0
-    inputs[k + 15] = alpha_d.size
+    inputs[k + 13] = 1.0 if moving else 0.0
+    inputs[k + 14] = alpha_d.size
     for i in range(alpha_d.size):
-        inputs[k + 16 + i] = alpha_d[i]
+        inputs[k + 15 + i] = alpha_d[i]
     for i in range(at.STATE_SIZE):
         inputs[inputs.size - at.STATE_SIZE + i] = state[i]
-    if moving:
-        touched, before = matrix(bound, at.TOUCHED), matrix(bound, at.TOUCHED_BEFORE)
-        for c in range(sizes[at.N_CONTACTS]):
-            for i in range(28):
-                before[c, i] = touched[c, i]
+    terms, terms_before = matrix(bound, at.TERMS), matrix(bound, at.TERMS_BEFORE)
+    touched, before = matrix(bound, at.TOUCHED), matrix(bound, at.TOUCHED_BEFORE)
+    for c in range(sizes[at.N_CONTACTS]):
+        for i in range(4):
+            terms_before[c, i] = terms[c, i]
+        for i in range(28 if moving else 0):
+            before[c, i] = touched[c, i]
 
 
 @compiled

@@ -27,13 +27,13 @@ __all__: list[str] = []
     POSE,  # (n + 1, 12) Pinocchio's oMi: rotation column by column, then position
     STATE,  # what a tick hands on to the next, see below
     SIGNALS,  # what a tick leaves behind, see below
-    COLUMNS,  # (6, r_all) rows: see below, ALPHA_D …
+    COLUMNS,  # (9, r_all) rows: see below, ALPHA_D …
     N_O,  # (r_all, 6) columns of N at O, world axes
     TAU,  # (n_a,)
     TAU_MAX,  # (n_a,)
     TOUCHED,  # (c, 28) X_WE, V_E, A_E
     JOINT_ROWS,  # (5, n, 6) see `model.add_arm`
-    SQUARES,  # (12, 6, 6) see below, LAMBDA …
+    SQUARES,  # (13, 6, 6) see below, LAMBDA …
     ARM_SQUARES,  # (k, 6, 6)
     ROWS,  # (36, 8) see below, C …
     LOCKED,  # (6 k + 1, 7)
@@ -47,24 +47,36 @@ __all__: list[str] = []
     JOINT_VECTORS,  # (2, n) h, τ of all joints
     ANSWERS,  # (c, 48)
     INPUTS,  # of the last computed tick, see `inputs.keep`; at its end STATE as it found it
-    KEEP,  # (r_all + 6, 1) integers: the columns of N that were kept
+    KEEP,  # (r_all + 6, 2) integers: the columns of N that were kept; those in force
     STACK_Q,  # (10, 10) scratch
     WIDE,  # (16,) scratch
     TOUCHED_BEFORE,  # TOUCHED as the last computed tick saw it
-) = range(41)
-COUNT = 41
+    GRASPS_I,  # (k, 4) integers, see `grasp`
+    GRASPS,  # (k, 64) see `grasp`
+    TIPS,  # (k, 4, 3) scratch
+    PASSED,  # (k, 6, 6) N and T of each grasp, white, orthonormal rows
+    FILTERS,  # (k, 6, 6) of the wrist readings, white
+    TERMS,  # (c, 4) in N or out of it, integral gain, damping, least command
+    TERMS_BEFORE,  # TERMS as the last computed tick saw them
+) = range(48)
+COUNT = 48
 
 # SIZES
 N_JOINTS, N_ARMS, N_MOTORS, N_COLUMNS, N_PAIRS, N_CONTACTS, HELD, METRIC_KIND, N_LOCKED = range(9)
+SLIPPING, LEADER = 14, 15  # whether some grasp permits motions; arm that holds rigidly or −1
 BY_OBJECT, BY_CHAIN, BY_MATRIX = range(3)
+
+# kinds of grasps
+RIGID, HINGE, BALL = range(3)
 
 # HEAD
 GRAVITY, ROOTS, PRINCIPAL = 0, 3, 7  # g (3), √ of mass and principal moments (4), those squared (4)
-X_JO, X_JP = 11, 23  # O and the principal axes in the first tip's joint: rotation by rows, point
-TOLERANCE, STIFFNESS, DAMPING, INTEGRAL, FORCE_INTEGRAL, FORCE_DAMPING, PERIOD = range(35, 42)
-POSTURE_STIFFNESS, POSTURE_DAMPING = 42, 43
-GYRATION, FADING = 44, 45  # m², of the reference ball; 1/χ⁴ at which commands begin to fade
-HEAD_SIZE = 46
+X_JO, X_JP = 11, 23  # O and the principal axes in the leader's joint: rotation by rows, point
+# (with no leader X_JP holds the principal axes in the object's frame)
+TOLERANCE, STIFFNESS, DAMPING, INTEGRAL, PERIOD = range(35, 40)
+POSTURE_STIFFNESS, POSTURE_DAMPING = 40, 41
+GYRATION, FADING = 42, 43  # m², of the reference ball; 1/χ⁴ at which commands begin to fade
+HEAD_SIZE = 44
 
 # STATE: ∫e dt (6), f_tare (6), f_bias (6), ∫(α_d − α) dt (6) and how many of them count
 ERROR_SUM, TARE, BIAS, FORCE_SUM, FORCE_RANK, STATE_SIZE = 0, 6, 12, 18, 24, 25
@@ -75,7 +87,7 @@ SQUEEZE, LOCKED_AXES, RANK = 58, 59, 60
 ERROR_SUM_NEXT, FORCE_SUM_NEXT, SIGNALS_SIZE = 61, 67, 80
 
 # COLUMNS
-ALPHA_MEAS, ALPHA_U, ALPHA_D, N_GAMMA, SPEED, SIZE = range(6)
+ALPHA_MEAS, ALPHA_U, ALPHA_D, N_GAMMA, SPEED, SIZE, GAIN, DAMP, LEAST_U = range(9)
 
 # what the tick returns
 # (and 4 r behind them, r the independent columns of N)
@@ -83,6 +95,7 @@ OK, SATURATED, ASK = range(3)  # ASK: no plain verdict; the readable path decide
 
 # SQUARES
 LAMBDA, EFFORT, OUT_T, ARM, B_INV, PHI_N, GRAM, GRAM_L, WORK, FACTOR, MORE, LEAST = range(12)
+MOBILITY = 12  # D of the force filter, see `force.contact_magnitudes`
 
 # ROWS: vectors of up to 8 elements
 (

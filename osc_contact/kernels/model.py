@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from osc_contact.kernels import layout as at
 from osc_contact.kernels.allocation import effort_metric
-from osc_contact.kernels.arm import arm_terms
+from osc_contact.kernels.arm import arm_terms, passed_terms
 from osc_contact.kernels.body import arm_motion
 from osc_contact.kernels.closed_chain import intersect
 from osc_contact.kernels.compile import compiled, cube, integers, matrix, vector
+from osc_contact.kernels.grasp import (
+    add_filtered_outboard,
+    effort_passed,
+    find_object,
+    slip,
+)
 from osc_contact.kernels.linalg import cross, dot6, reflect, reflect_sides
 from osc_contact.kernels.white import motion_to, set_axes, white_motion, white_wrench
 
@@ -72,32 +78,67 @@ def add_arm(bound, sizes, k, v, row):
     h = matrix(bound, at.JOINT_VECTORS)[0]
     joints, X = matrix(bound, at.JOINTS), matrix(bound, at.HOUSEHOLDER)
     side = min(k, 1)
-    V = rows[at.SCRATCH]
-    if k == 0:
+    grasps, passed = integers(bound, at.GRASPS_I), cube(bound, at.PASSED)
+    slipping, rigid, m = sizes[at.SLIPPING] != 0, True, 6
+    V, bias_links = rows[at.SCRATCH], rows[at.BIAS_LINKS]
+    if slipping:
+        m = grasps[k, 0]
+        rigid = m == 6
+        if grasps[k, 2] != 0:
+            bias_links = rows[at.TOTAL]
+            bias_links[:] = 0.0
+    elif k == 0:
         V = rows[at.V]
     arm_motion(
         lo, hi, v, matrix(bound, at.J), matrix(bound, at.POSE), joints, kinds,
         rows[at.CENTRE], head[:3], parts[0], parts[3], outboard, matrix(bound, at.LINKS), h,
-        V, rows[at.DRIFT], rows[at.BIAS_LINKS],
+        V, rows[at.DRIFT], bias_links,
     )  # fmt: skip
+    if not rigid:  # N is carried by the tip while the object slips
+        U, a = rows[at.V], rows[at.DRIFT]
+        x, y, z = cross(V[3], V[4], V[5], U[0], U[1], U[2])
+        i, j, l = cross(V[0], V[1], V[2], U[3], U[4], U[5])
+        a[0], a[1], a[2] = a[0] + x + i, a[1] + y + j, a[2] + z + l
+        x, y, z = cross(V[3], V[4], V[5], U[3], U[4], U[5])
+        a[3], a[4], a[5] = a[3] + x, a[4] + y, a[5] + z
     for j in range(lo, hi):
         white_motion(axes, parts[0, j], white[j])
     gamma = rows[at.GAMMA]
     white_motion(axes, rows[at.DRIFT], gamma)
     Lambda, effort = squares[at.ARM], cube(bound, at.ARM_SQUARES)[k]
-    count = arm_terms(
-        lo, hi - lo, matrix(bound, at.M), white, head[at.TOLERANCE], bar, Lambda, locked,
-        row, matrix(bound, at.TRIANGLE), X, matrix(bound, at.Q_FACTOR), rows[at.DIAGONAL],
-        rows[at.BETA],
-    )  # fmt: skip
-    if count < 0 or fading(count, Lambda, matrix(bound, at.ARMS)[k], head):
+    M, K, Z = matrix(bound, at.M), matrix(bound, at.TRIANGLE), matrix(bound, at.Q_FACTOR)
+    if rigid:
+        count = arm_terms(
+            lo, hi - lo, M, white, head[at.TOLERANCE], bar, Lambda, locked, row, K, X, Z,
+            rows[at.DIAGONAL], rows[at.BETA],
+        )  # fmt: skip
+    else:
+        count = passed_terms(
+            lo, hi - lo, M, white, passed[k], m, head[at.TOLERANCE], bar, Lambda, locked, row,
+            K, X, Z,
+        )  # fmt: skip
+        if count > 0 and hi - lo > m - count:
+            return -1  # which joints move the object is not plain
+    if count < 0 or fading(count if rigid else 0, Lambda, matrix(bound, at.ARMS)[k], head):
         return -1
-    if not effort_metric(lo, hi - lo, white, bar, joints, squares[at.WORK], X, effort):
+    if not rigid and hi - lo > m:
+        if not effort_passed(
+            lo, hi - lo, white, joints, passed[k], m, squares[at.GRAM], squares[at.GRAM_L], X,
+            effort,
+        ):  # fmt: skip
+            return -1
+    elif not effort_metric(lo, hi - lo, white, bar, joints, squares[at.WORK], X, effort):
         return -1
     for a in range(row, row + count):
         locked[a, 6] = dot6(locked[a], gamma)
     _sum_up(rows, squares, side, lo, hi, h, bar, Lambda, effort)
-    if arms[k, 3] >= 0:
+    if arms[k, 3] >= 0 and slipping and grasps[k, 2] != 0:
+        if not add_filtered_outboard(
+            lo, hi, axes, bar, white, outboard, gamma, bias_links, passed[k], m, squares,
+            cube(bound, at.FILTERS)[k], rows[at.BIAS_WHITE],
+        ):  # fmt: skip
+            return -1
+    elif arms[k, 3] >= 0:
         _add_outboard(
             lo, hi, axes, kinds, bar, outboard, gamma, squares[at.OUT_T], rows[at.BIAS_WHITE]
         )
@@ -172,14 +213,19 @@ def model_stage(bound, sizes, v):
     locked, Z = matrix(bound, at.LOCKED), matrix(bound, at.Q_FACTOR)
 
     C, O, line = rows[at.CENTRE], rows[at.O], rows[at.LINE]
-    first = pose[arms[0, 2]]
-    X_WO = signals[at.X_WO : at.X_WO + 16].reshape(4, 4)
-    place(first, head, at.X_JO, X_WO, O)
-    for i in range(3):
-        X_WO[i, 3] = O[i]
-    R = rows[at.R_0 : at.R_2 + 1]
-    place(first, head, at.X_JP, R, C)
-    set_axes(R, head[at.ROOTS : at.ROOTS + 4], axes)
+    if sizes[at.LEADER] >= 0:
+        first = pose[arms[sizes[at.LEADER], 2]]
+        X_WO = signals[at.X_WO : at.X_WO + 16].reshape(4, 4)
+        place(first, head, at.X_JO, X_WO, O)
+        for i in range(3):
+            X_WO[i, 3] = O[i]
+        R = rows[at.R_0 : at.R_2 + 1]
+        place(first, head, at.X_JP, R, C)
+        set_axes(R, head[at.ROOTS : at.ROOTS + 4], axes)
+    elif not find_object(bound, sizes):
+        return -1
+    if sizes[at.SLIPPING] and not slip(bound, sizes, v):
+        return -1
     two = sizes[at.N_ARMS] == 2 and _grasp_line(pose, arms, tips, rows, C, axes)
 
     for k in range(at.B_INV):

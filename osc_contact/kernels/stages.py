@@ -10,7 +10,13 @@ from osc_contact.kernels.command_filter import filter_motion, permitted, reachab
 from osc_contact.kernels.compile import compiled, cube, integers, matrix, vector
 from osc_contact.kernels.contact import contact_columns
 from osc_contact.kernels.environment import along_normals
-from osc_contact.kernels.force import add_wrist_reading, contact_magnitudes, force_command
+from osc_contact.kernels.force import (
+    add_wrist_reading,
+    contact_magnitudes,
+    contact_terms,
+    force_command,
+)
+from osc_contact.kernels.grasp import filter_reading
 from osc_contact.kernels.linalg import dot6, reflect, reflect_back, reflect_sides
 from osc_contact.kernels.motion import motion_command, pose_error
 from osc_contact.kernels.stack import stack
@@ -27,14 +33,17 @@ __all__ = ["contact_stage", "force_stage", "motion_stage", "structure_stage", "t
 
 
 @compiled
-def contact_stage(bound, sizes, r_all, moving):
-    """N, n_γ and what the touched bodies do along N; returns the number r of columns, or −1."""
+def contact_stage(bound, sizes, count, moving):
+    """N, n_γ and what the touched bodies do along N; returns the number r of columns, or −1.
+
+    Of all columns of N, `count` are in force (`inputs.choose`).
+    """
     columns = matrix(bound, at.COLUMNS)
     squares, rows = cube(bound, at.SQUARES), matrix(bound, at.ROWS)
     Phi_N = squares[at.PHI_N]
     signals = vector(bound, at.SIGNALS)
     signals[at.RANK] = 0.0
-    if r_all == 0:
+    if count == 0:
         return 0
     N, owners = matrix(bound, at.N_O), integers(bound, at.COLUMNS_I)
     touched, bodies = matrix(bound, at.TOUCHED), integers(bound, at.BODIES_I)
@@ -49,12 +58,13 @@ def contact_stage(bound, sizes, r_all, moving):
     ):  # fmt: skip
         return -1
     axes, white = cube(bound, at.AXES), sets[at.ALL]
-    for j in range(r_all):
-        wrench_to(N[j], O, C, rows[at.SCRATCH])
-        white_wrench(axes, rows[at.SCRATCH], white[j])
     keep = integers(bound, at.KEEP)
+    for j in range(count):
+        wrench_to(N[keep[j, 1]], O, C, rows[at.SCRATCH])
+        white_wrench(axes, rows[at.SCRATCH], white[j])
+        n_gamma[j] = n_gamma[keep[j, 1]]
     r = stack(
-        white, r_all, n_gamma, columns[at.SIZE], sets[at.REST], keep[:, 0], share,
+        white, count, n_gamma, columns[at.SIZE], sets[at.REST], keep[:, 0], share,
         matrix(bound, at.HOUSEHOLDER), matrix(bound, at.STACK_Q), rows[at.X], rows[at.Y],
     )  # fmt: skip
     if r < 0:
@@ -66,10 +76,11 @@ def contact_stage(bound, sizes, r_all, moving):
             sets[at.TURNED, a, i] = white[keep[a, 0], i]
             Phi_N[a, i] = 0.0
         n_gamma[a] = n_gamma[keep[a, 0]]
+        keep[a, 0] = keep[keep[a, 0], 1]  # now among all columns
         rows[at.B_N, a] = 0.0
         rows[at.V_N, a] = 0.0
     if moving:
-        if r < r_all:  # dependent columns of different bodies are refused
+        if r < count:  # dependent columns of different bodies are refused
             for c in range(1, sizes[at.N_CONTACTS]):
                 if bodies[c, 1] != bodies[0, 1]:
                     return -1
@@ -82,7 +93,7 @@ def contact_stage(bound, sizes, r_all, moving):
 
 
 @compiled
-def force_stage(bound, sizes, r, r_all, wrenches, alpha_d):
+def force_stage(bound, sizes, r, count, wrenches, alpha_d):
     """Wrist readings to contact magnitudes, and the force command."""
     rows, arms = matrix(bound, at.ROWS), integers(bound, at.ARMS_I)
     signals, state, head = (
@@ -99,7 +110,16 @@ def force_stage(bound, sizes, r, r_all, wrenches, alpha_d):
     f_meas = signals[at.F_MEAS : at.F_MEAS + 6]
     total[:] = 0.0
     for k in range(sizes[at.N_ARMS]):
-        if arms[k, 3] >= 0:
+        if arms[k, 3] < 0:
+            continue
+        if sizes[at.SLIPPING] and integers(bound, at.GRASPS_I)[k, 2] != 0:
+            own = rows[at.Y]
+            own[:] = 0.0
+            add_wrist_reading(wrenches[k], pose[arms[k, 3]], tips[k, 3:], C, scratch, own)
+            filter_reading(axes, cube(bound, at.FILTERS)[k], own, rows[at.SCRATCH])
+            for i in range(6):
+                total[i] += own[i]
+        else:
             add_wrist_reading(wrenches[k], pose[arms[k, 3]], tips[k, 3:], C, scratch, total)
     wrench_to(total, C, O, f_meas)
     for i in range(6):
@@ -117,7 +137,8 @@ def force_stage(bound, sizes, r, r_all, wrenches, alpha_d):
         rows[at.Y, i] -= rows[at.BIAS_WHITE, i]
     if not contact_magnitudes(
         squares[at.OUT_T], sets[at.KEPT], r, rows[at.Y], columns[at.N_GAMMA], rows[at.B_N],
-        squares[at.PHI_N], sets[at.SOLVED], squares[at.WORK], rows[at.ALPHA : at.ALPHA + 1],
+        squares[at.PHI_N], sets[at.SOLVED], squares[at.WORK], squares[at.MOBILITY],
+        rows[at.ALPHA : at.ALPHA + 1],
     ):  # fmt: skip
         return False
     V_O = signals[at.V_O : at.V_O + 6]
@@ -129,19 +150,23 @@ def force_stage(bound, sizes, r, r_all, wrenches, alpha_d):
         for i in range(6):
             f_c[i] += alpha * n[i]
         columns[at.SPEED, a] = dot6(n, V_O) - rows[at.V_N, a]
-        if r == r_all:
-            columns[at.ALPHA_D, a] = alpha_d[a]
+        if r == count:
+            columns[at.ALPHA_D, a] = alpha_d[keep[a, 0]]
         else:
             s = 0.0
-            for j in range(r_all):
-                s += share[a, j] * alpha_d[j]
+            for j in range(count):
+                s += share[a, j] * alpha_d[keep[j, 1]]
             columns[at.ALPHA_D, a] = s
     integral = rows[at.SCRATCH]
     for a in range(r):  # another number of columns: start again
         integral[a] = state[at.FORCE_SUM + a] if state[at.FORCE_RANK] == r else 0.0
+    contact_terms(
+        matrix(bound, at.TERMS), integers(bound, at.COLUMNS_I)[:, 0], keep[:, 1], count,
+        keep[:, 0], r, columns[at.GAIN], columns[at.DAMP], columns[at.LEAST_U],
+    )  # fmt: skip
     force_command(
         r, columns[at.ALPHA_D], columns[at.ALPHA_MEAS], columns[at.SPEED], integral,
-        head[at.FORCE_INTEGRAL], head[at.FORCE_DAMPING], head[at.PERIOD],
+        columns[at.GAIN], columns[at.DAMP], columns[at.LEAST_U], head[at.PERIOD],
         signals[at.FORCE_SUM_NEXT :], columns[at.ALPHA_U],
     )  # fmt: skip
     return True
@@ -317,7 +342,10 @@ def torque_stage(bound, sizes, r, m, q, v, squeeze):
             y[i] = whole[i]
             if two:
                 y[i] += (0.5 if k == 0 else -0.5) * z[6] * rows[at.LINE, i]
-        if count > 6:
+        wide = count > 6
+        if sizes[at.SLIPPING]:
+            wide = count > integers(bound, at.GRASPS_I)[k, 0]
+        if wide:
             hold_posture(
                 lo, count, M, white, bar, joints, h, q, v, head[at.POSTURE_STIFFNESS],
                 head[at.POSTURE_DAMPING], rows[at.SCRATCH], tau,
@@ -325,7 +353,7 @@ def torque_stage(bound, sizes, r, m, q, v, squeeze):
         else:
             for j in range(lo, lo + count):
                 tau[j] = 0.0
-        arm_torques(lo, count, white, bar, joints, effort[k], y, rows[at.SCRATCH], tau)
+        arm_torques(lo, count, wide, white, bar, joints, effort[k], y, rows[at.SCRATCH], tau)
     excess, s = False, 0.0
     for j in range(n):
         i = motors[j, 1]

@@ -11,7 +11,7 @@ from typing import Any
 
 from osc_contact.kernels import layout as at
 from osc_contact.kernels.compile import entry, integers
-from osc_contact.kernels.inputs import commit, fit, keep
+from osc_contact.kernels.inputs import choose, commit, fit, keep
 from osc_contact.kernels.model import model_stage
 from osc_contact.kernels.stages import (
     contact_stage,
@@ -28,7 +28,7 @@ def build(stamp: int) -> Any:
     """The tick, to be compiled at its first call; `stamp` tells the cache of changed sources."""
 
     @entry
-    def tick(bound, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, engaged, moving):
+    def tick(bound, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, moving):
         """One control period; the torques and what `layout` names are left in the bound arrays.
 
         Args:
@@ -36,7 +36,7 @@ def build(stamp: int) -> Any:
                 run.
             q, v, wrenches: as in `interface.Measurement`.
             X_WD: (4, 4), V_D, A_D, alpha_d, squeeze: as in `interface.Reference`.
-            engaged: whether the contacts count. moving: whether the touched bodies move.
+            moving: whether the touched bodies move. Which contacts count: `layout.TERMS`.
 
         Returns:
             OK, SATURATED or ASK, plus 4 r.
@@ -44,14 +44,16 @@ def build(stamp: int) -> Any:
         if stamp < 0:
             return at.ASK
         sizes = integers(bound, at.SIZES)[0]
-        r_all = sizes[at.N_COLUMNS] if engaged else 0
-        if not fit(bound, sizes, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, engaged, moving):
+        count = choose(bound, sizes)
+        if not fit(
+            bound, sizes, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, count > 0, moving
+        ):  # fmt: skip
             return at.ASK
         m = model_stage(bound, sizes, v)
         if m < 0:
             return at.ASK
-        r = contact_stage(bound, sizes, r_all, moving)
-        if r < 0 or not force_stage(bound, sizes, r, r_all, wrenches, alpha_d):
+        r = contact_stage(bound, sizes, count, moving)
+        if r < 0 or not force_stage(bound, sizes, r, count, wrenches, alpha_d):
             return at.ASK
         if not motion_stage(bound, sizes, r, m, X_WD, V_D, A_D):
             return at.ASK
@@ -59,7 +61,7 @@ def build(stamp: int) -> Any:
             return at.ASK
         code = torque_stage(bound, sizes, r, m, q, v, squeeze)
         if code != at.ASK:
-            keep(bound, sizes, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, engaged, moving)
+            keep(bound, sizes, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, moving)
         if code == at.OK:
             commit(bound, r)
         return code + 4 * r

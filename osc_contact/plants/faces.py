@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.interface import Touched
-from osc_contact.spatial import Array, cross
+from osc_contact.spatial import Array, Poses, cross, rotations, turned
 
 __all__ = ["Motion", "Rail", "poses", "touched"]
 
@@ -50,6 +50,12 @@ class Rail:
         """X_WE: identity at s = 0."""
         R = pin.exp3(self.axis * s[1])
         return pin.SE3(R, self.through + self.direction * s[0] - R @ self.through)
+
+    def over(self, travel: Array, angle: Array) -> Poses:
+        """`pose` at k times; travel and angle (k,)."""
+        R = rotations(self.axis[:, None] * angle)
+        c = np.repeat(self.through[:, None], len(travel), axis=1)
+        return Poses(R, c + self.direction[:, None] * travel - turned(R, c))
 
     def twist(self, s: Array, rates: Array, point: Array) -> Array:
         """(6,) of the body at a point (3,) of the world, world axes; linear in the rates (2,)."""

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from functools import cache
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,11 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Touched
-from osc_contact.plants.faces import Rail, poses, touched
+from osc_contact.plants.faces import Rail, touched
 from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives
 from osc_contact.plants.mujoco_scene import (
     DRIVE_MASS,
@@ -28,13 +29,26 @@ from osc_contact.plants.mujoco_scene import (
     MujocoOptions,
     scene,
 )
+from osc_contact.plants.mujoco_truth import MujocoTruth
 from osc_contact.plants.plant import Truth
+from osc_contact.plants.pushes import Push
 from osc_contact.spatial import Array, as_array, cross
 
 __all__ = ["MujocoOptions", "MujocoPlant"]
 
-_AT_REST = np.zeros(6)
 _log = logging.getLogger(__name__)
+
+
+def _stopped() -> float:
+    return 0.0
+
+
+@cache
+def _no_clock() -> Any:
+    """A clock that stands still, in compiled code."""
+    from numba import cfunc
+
+    return cfunc("float64()", cache=True)(_stopped)
 
 
 class MujocoPlant:
@@ -51,6 +65,7 @@ class MujocoPlant:
         rails: Sequence[Rail | None] | None = None,
         on: Sequence[int] | None = None,
         drives: JointDrives | None = None,
+        pushes: Sequence[Push] = (),
     ) -> None:
         """Compile the scene.
 
@@ -63,6 +78,7 @@ class MujocoPlant:
             rails: how each body moves; default: all are fixed.
             on: the body of each contact; default: each has its own.
             drives: springs, motor errors and friction of the joints; default: ideal drives.
+            pushes: on the arms, from outside.
 
         Raises:
             PlantError: MuJoCo is missing or refuses the scene.
@@ -75,12 +91,15 @@ class MujocoPlant:
             ) from error
         self._mj: Any = mujoco
         mujoco.set_mju_user_warning(_log.debug)  # counted below; no MUJOCO_LOG.TXT is written
+        if mujoco.get_mjcb_time() is None:  # its profiler reads the clock thirty times a step
+            mujoco.set_mjcb_time(_no_clock().ctypes)
         self.chain = chain
         self.contacts = tuple(contacts)
         options = MujocoOptions() if options is None else options
-        self._pushes = [pushes_only(pair) for pair in self.contacts]
         self.on = tuple(range(len(self.contacts)) if on is None else on)
         self.rails: list[Rail | None] = list(rails or [None] * len(bodies))
+        self.pushes = tuple(pushes)
+        self._wrists = {arm.name: arm.wrist_sensor for arm in chain.arms}
         self.drives = JointDrives() if drives is None else drives
         driven = [chain.joint_names[j] for j in chain.actuated]
         try:
@@ -93,12 +112,16 @@ class MujocoPlant:
         joints = [self.model.joint(name) for name in chain.joint_names]
         self._q = np.array([int(j.qposadr[0]) for j in joints])
         self._v = np.array([int(j.dofadr[0]) for j in joints])
+        self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._springs = self._spring_v = np.array([], dtype=int)
         if self.drives.flexible is not None:
             springs = [self.model.joint(f"{name}/{SPRING}") for name in driven]
             self._springs = np.array([int(j.qposadr[0]) for j in springs])
             self._spring_v = np.array([int(j.dofadr[0]) for j in springs])
         self._object = int(self.model.body("object/root").id)
+        self._seen = [self._object] + [
+            int(self.model.body(f"{arm.name}/{arm.tip}").id) for arm in chain.arms
+        ]
         roots = [int(self.model.body(f"face{i}/root").id) for i in range(len(bodies))]
         self._body_of = {geom: i for i, root in enumerate(roots) for geom in self._geoms_of(root)}
         self._moved = {i: rail for i, rail in enumerate(self.rails) if rail is not None}
@@ -110,10 +133,15 @@ class MujocoPlant:
         self._driven = any(rail.motion is not None for rail in self._moved.values())
         if self._driven:  # the drive's mass must not set the scale of the solver's accuracy
             self.model.stat.meaninertia = 1.0
-        self._sensors = [
-            None if arm.wrist_sensor is None else int(self.model.sensor(f"{arm.name}/force").adr[0])
-            for arm in chain.arms
-        ]  # fmt: skip
+        self._sensed = [i for i, arm in enumerate(chain.arms) if arm.wrist_sensor is not None]
+        readings = [self.model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed]
+        self._readings = np.add.outer(np.array(readings, dtype=int), np.arange(6))
+        self._sensordata, self._ctrl = self.data.sensordata, self.data.ctrl
+        self._warnings, self._size = self.data.warning.number, self._ctrl.shape
+        self._calm = bytes(self._warnings.nbytes)
+        self._option = self.model.opt
+        self._step, self._flags = float(self._option.timestep), int(self._option.disableflags)
+        self._blind = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         self.time = 0.0
 
     def reset(self, q: Array) -> None:
@@ -154,10 +182,12 @@ class MujocoPlant:
         self._mj.mj_forward(self.model, self.data)
 
     def _command(self, tau: Array) -> None:
-        tau = as_array("tau", tau, (self.chain.n_a,))
+        known = type(tau) is np.ndarray and tau.shape == self._size
+        if not known or not isfinite(tau.dot(tau)):
+            tau = as_array("tau", tau, self._size)
         if self.drives.motors is not None:
             tau = self.drives.motors.torque(tau, self.data.qpos[self._q[self.chain.actuated]])
-        self.data.ctrl[:] = tau
+        self._ctrl[:] = tau
 
     def _joints(self, x: Array, joints: Array, springs: Array) -> Array:
         """Positions or velocities (n,) of the links: what the motors do, plus the springs."""
@@ -170,18 +200,18 @@ class MujocoPlant:
         """(n_a,) what the torque sensors feel: the springs, or the motors themselves."""
         flexible = self.drives.flexible
         if flexible is None:
-            return self.data.ctrl.copy()
+            return self._ctrl.copy()
         wound, rate = self.data.qpos[self._springs], self.data.qvel[self._spring_v]
         return -flexible.stiffness * wound - flexible.damping * rate
 
     def measure(self) -> Measurement:
         """Encoders after the last step, wrist wrenches as of its beginning (one step old)."""
-        wrenches = np.zeros((len(self._sensors), 6))
-        for i, start in enumerate(self._sensors):
-            if start is not None:
-                wrenches[i] = self.data.sensordata[start : start + 6]
-        q = self._joints(self.data.qpos, self._q, self._springs)
-        v = self._joints(self.data.qvel, self._v, self._spring_v)
+        wrenches = self._sensordata[self._readings]
+        if len(wrenches) < len(self.chain.arms):
+            sensed, wrenches = wrenches, np.zeros((len(self.chain.arms), 6))
+            wrenches[self._sensed] = sensed
+        q = self._joints(self._qpos, self._q, self._springs)
+        v = self._joints(self._qvel, self._v, self._spring_v)
         return Measurement(q, v, wrenches, self._touched(), self._joint_torques())
 
     def _touched(self) -> Touched | None:
@@ -204,81 +234,59 @@ class MujocoPlant:
                 self.data.qfrc_applied[v] = DRIVE_MASS * acceleration
 
     def truth(self) -> Truth:
-        """Contact forces, pose and twist as of the last step's beginning, like the wrenches.
+        """As of the last step's beginning, like the wrenches; see `MujocoTruth`."""
+        log = self.log(1)
+        log.note()
+        return log.truths(np.concatenate(log.parts)[None], 0, 1)[0]
 
-        The normal forces of all points where the object touches one body make one wrench, which
-        the columns of the contacts on that body share: exactly, as far as it lies in their range.
-        """
-        rotation = self.data.xmat[self._object].reshape(3, 3)
-        X_WO = pin.SE3(rotation.copy(), self.data.xpos[self._object].copy())
-        V = np.zeros(6)
-        body = self._mj.mjtObj.mjOBJ_XBODY
-        self._mj.mj_objectVelocity(self.model, self.data, body, self._object, V, 0)
-        bodies = None
-        if self._moved:
-            s = np.zeros((len(self.rails), 2))
-            s[self._guided] = self.data.qpos[self._face_q]
-            bodies = poses(self.rails, s)
-        X_WE = None if bodies is None else tuple(bodies[i] for i in self.on)
-        alpha, closed = self._contact_forces(X_WO, X_WE)
-        return Truth(alpha, closed, X_WO, np.concatenate((V[3:], V[:3])), X_WE)
+    def poses(self) -> Array:
+        """See `Plant.poses`; as of the last step's beginning."""
+        X = np.tile(np.eye(4), (len(self._seen), 1, 1))
+        X[:, :3, :3] = self.data.xmat[self._seen].reshape(-1, 3, 3)
+        X[:, :3, 3] = self.data.xpos[self._seen]
+        return X
 
-    def _contact_forces(
-        self, X_WO: pin.SE3, X_WE: tuple[pin.SE3, ...] | None
-    ) -> tuple[Array, Array]:
-        """Magnitudes (r,) and whether each contact touches (contacts,)."""
-        O = X_WO.translation  # noqa: E741 - the operational point
-        pushed = np.zeros((len(self.rails), 6))  # at O, into each body
-        touches = np.zeros(len(self.rails), dtype=bool)
-        force = np.zeros(6)
-        for k in range(self.data.ncon):
-            contact = self.data.contact[k]
-            first, second = (self._body_of.get(int(geom)) for geom in contact.geom)
-            at = second if first is None else first
-            if at is None:
-                continue
-            self._mj.mj_contactForce(self.model, self.data, k, force)
-            n = contact.frame[:3] if first is None else -contact.frame[:3]  # from geom 1 to 2
-            pushed[at, :3] += force[0] * n
-            pushed[at, 3:] += force[0] * cross(contact.pos - O, n)
-            touches[at] |= contact.efc_address >= 0
-        Phi = np.linalg.inv(self.chain.reference_inertia(X_WO))
-        poses = X_WE or (None,) * len(self.contacts)
-        parts = [
-            pair.contact(X_WO, _AT_REST, X).N for pair, X in zip(self.contacts, poses, strict=True)
-        ]
-        alpha: list[Array] = [np.zeros(N.shape[1]) for N in parts]
-        for touched_body in np.flatnonzero(touches):
-            here = [i for i, body in enumerate(self.on) if body == touched_body]
-            N = np.hstack([parts[i] for i in here])
-            share = np.linalg.solve(N.T @ Phi @ N, N.T @ Phi @ pushed[touched_body])
-            ends = np.cumsum([len(alpha[i]) for i in here])[:-1]
-            for i, part in zip(here, np.split(share, ends), strict=True):
-                alpha[i] = part
-        closed = [
-            bool(touches[body]) and (not pushes or bool((a > 0.0).all()))
-            for body, pushes, a in zip(self.on, self._pushes, alpha, strict=True)
-        ]
-        return np.concatenate([np.zeros(0), *alpha]), np.array(closed, dtype=bool)
+    def log(self, capacity: int) -> MujocoTruth:
+        """A log of the truth of up to `capacity` instants."""
+        inertia = self.chain.reference_inertia(pin.SE3.Identity())
+        return MujocoTruth(
+            (self.model, self.data), self._object, self._body_of, self.rails,
+            (self._face_q, self._guided), self.contacts, self.on, inertia, capacity,
+        )  # fmt: skip
 
     def step(self, tau: Array, duration: float) -> None:
         """Hold the torques over the steps that fit into `duration`."""
         self._command(tau)
-        steps = max(1, round(duration / self.model.opt.timestep))
+        if self.pushes:
+            self.data.xfrc_applied[:] = 0.0
+            for push in self.pushes:
+                self._push(push, push.at(self.time))
+        steps = round(duration / self._step) or 1
         if not self._driven:
-            self._mj.mj_step(self.model, self.data, steps)
-        for k in range(steps if self._driven else 0):
-            self._drive(self.time + k * self.model.opt.timestep)
+            if steps > 1:  # what sensors read in between nobody sees
+                self._option.disableflags = self._flags | self._blind
+                self._mj.mj_step(self.model, self.data, steps - 1)
+                self._option.disableflags = self._flags
             self._mj.mj_step(self.model, self.data)
-        self.time += steps * self.model.opt.timestep
-        if self.data.warning.number.any() or not np.isfinite(self.data.qacc).all():
-            kinds = [
-                self._mj.mjtWarning(i).name for i in np.flatnonzero(self.data.warning.number)
-            ]  # fmt: skip
+        for k in range(steps if self._driven else 0):
+            self._drive(self.time + k * self._step)
+            self._mj.mj_step(self.model, self.data)
+        self.time += steps * self._step
+        if (
+            self._warnings.tobytes() != self._calm
+        ):  # accelerations that are not finite are among them
+            kinds = [self._mj.mjtWarning(i).name for i in np.flatnonzero(self._warnings)]
             raise PlantError(
                 f"MuJoCo diverged at t = {self.time:.4f} s ({', '.join(kinds)}); largest speed "
                 f"{np.abs(self.data.qvel).max():.3g}. Lower the gains or the plant step."
             )
+
+    def _push(self, push: Push, force: Array) -> None:
+        sensor = self.model.body(f"{push.arm}/{self._wrists[push.arm]}")
+        body = int(self.model.body_parentid[sensor.id])
+        arm = self.data.xpos[sensor.id] - self.data.xipos[body]
+        self.data.xfrc_applied[body, :3] += force
+        self.data.xfrc_applied[body, 3:] += cross(arm, force)
 
     def _geoms_of(self, root: int) -> set[int]:
         """Geoms of a body and of the bodies fixed to it."""

@@ -63,7 +63,11 @@ def scene(
     spec.option.tolerance = 1e-12
     spec.option.iterations = 100
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    off = mujoco.mjtDisableBit
+    disabled = off.mjDSBL_AUTORESET | off.mjDSBL_MIDPHASE  # few geometries, all looked at
+    if not any(rails):  # all that is constrained hangs together
+        disabled |= off.mjDSBL_ISLAND
+    spec.option.disableflags = int(disabled)
     for arm, urdf in zip(chain.arms, arm_urdfs, strict=True):
         part = mujoco.MjSpec.from_string(_skeleton(urdf))
         part.compiler.fusestatic = False

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import pinocchio as pin
 
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.pairs.over_time import normals_over
 from osc_contact.interface import Measurement
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, Poses
 
-__all__ = ["Plant", "Truth"]
+__all__ = ["Plant", "Truth", "TruthLog", "Truths", "Watched"]
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,82 @@ class Truth:
     X_WE: tuple[pin.SE3, ...] | None = None
 
 
+@dataclass(frozen=True)
+class Truths:
+    """`Truth` at k instants.
+
+    Attributes:
+        alpha: (k, r). closed: (k, contacts). X_WO: k poses. V_O: (k, 6).
+        X_WE: of each contact k poses, or None: its face rests.
+        N: of each contact its lines of force (6, r_i, k) at O, world axes.
+    """
+
+    alpha: Array
+    closed: Array
+    X_WO: Poses
+    V_O: Array
+    X_WE: tuple[Poses | None, ...]
+    N: tuple[Array, ...]
+
+    def __getitem__(self, i: int) -> Truth:
+        faces = None
+        if any(X is not None for X in self.X_WE):
+            faces = tuple(pin.SE3.Identity() if X is None else X[i] for X in self.X_WE)
+        return Truth(self.alpha[i], self.closed[i], self.X_WO[i], self.V_O[i], faces)
+
+
+class TruthLog(Protocol):
+    """Notes what a plant knows, cheaply; it is worked out when somebody asks."""
+
+    parts: Sequence[Array]  #: vectors whose numbers at every instant the caller keeps
+
+    def note(self) -> None:
+        """Keep everything else about this instant."""
+
+    def truths(self, rows: Array, start: int, stop: int) -> Truths:
+        """The instants numbered start to stop − 1, `rows` (k, …) being the parts there."""
+
+
+class Watched:
+    """The log of a plant whose `truth` costs little beside its steps."""
+
+    def __init__(self, plant: Plant, contacts: Sequence[ContactPair]) -> None:
+        """Watch a plant with these contacts."""
+        self._plant, self._contacts = plant, contacts
+        self.parts: Sequence[Array] = ()
+        self._noted: list[Truth] = []
+
+    def note(self) -> None:
+        """Keep the truth of this instant."""
+        self._noted.append(self._plant.truth())
+
+    def truths(self, rows: Array, start: int, stop: int) -> Truths:
+        """The instants numbered start to stop − 1."""
+        noted = self._noted[start:stop]
+        X_WO = _poses([one.X_WO for one in noted])
+        X_WE: list[Poses | None] = [None] * len(self._contacts)
+        if noted[0].X_WE is not None:
+            X_WE = [
+                _poses([one.X_WE[i] for one in noted if one.X_WE is not None])
+                for i in range(len(self._contacts))
+            ]
+        return Truths(
+            np.array([one.alpha for one in noted]),
+            np.array([one.closed for one in noted]),
+            X_WO,
+            np.array([one.V_O for one in noted]),
+            tuple(X_WE),
+            tuple(normals_over(p, X_WO, X) for p, X in zip(self._contacts, X_WE, strict=True)),
+        )
+
+
+def _poses(poses: Sequence[pin.SE3]) -> Poses:
+    return Poses(
+        np.stack([X.rotation for X in poses], axis=-1),
+        np.stack([X.translation for X in poses], axis=-1),
+    )
+
+
 class Plant(Protocol):
     """A rig under torque control."""
 
@@ -47,6 +127,12 @@ class Plant(Protocol):
 
     def truth(self) -> Truth:
         """What they cannot read."""
+
+    def poses(self) -> Array:
+        """(1 + arms, 4, 4) of the object and of the arms' tips, as they really are."""
+
+    def log(self, capacity: int) -> TruthLog:
+        """A log of the truth of up to `capacity` instants."""
 
     def step(self, tau: Array, duration: float) -> None:
         """Hold motor torques (n_a,) for `duration` seconds.

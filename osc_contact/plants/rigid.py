@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -31,7 +32,7 @@ from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
 from osc_contact.plants.faces import Rail, poses, touched
-from osc_contact.plants.plant import Truth
+from osc_contact.plants.plant import Truth, Watched
 from osc_contact.plants.wrist_cut import wrist_cut
 from osc_contact.spatial import (
     Array,
@@ -91,6 +92,7 @@ class RigidPlant:
         self.v = np.zeros(chain.nq)
         self._X, self._V = pin.SE3.Identity(), np.zeros(6)  # of an object that no arm leads
         self._tau = np.zeros(chain.n_a)
+        self._solved: tuple[bytes, Any] = b"", None
 
     def reset(self, q: Array) -> None:
         """Start at rest at q, moved onto loops and contacts."""
@@ -108,17 +110,38 @@ class RigidPlant:
 
     def measure(self) -> Measurement:
         """Encoders, and the wrist wrenches under the torques applied last."""
-        wrenches = self._solve(self._tau, with_wrenches=True).wrenches
+        wrenches = self._now()[0].wrenches.copy()
         seen = touched(self.rails, self.on, self._s, self._rates, self._driven_acceleration())
         return Measurement(self.q.copy(), self.v.copy(), wrenches, seen)
 
     def truth(self) -> Truth:
         """Contact forces under the torques applied last; rigid contacts are always closed."""
-        alpha = self._solve(self._tau).alpha
-        X, V = self._object()
+        solution, (X, V) = self._now()
         bodies = poses(self.rails, self._s)
         faces = tuple(bodies[body] for body in self.on)
-        return Truth(alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
+        return Truth(solution.alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
+
+    def log(self, capacity: int) -> Watched:
+        """A log of the truth of up to `capacity` instants."""
+        return Watched(self, self.contacts)
+
+    def _now(self) -> tuple[_Solution, tuple[pin.SE3, Array]]:
+        """The solution under the torques applied last, pose and twist of the object."""
+        state = (
+            self.q, self.v, self._tau, self._s.ravel(), self._rates.ravel(), self._V,
+            self._X.homogeneous.ravel(), np.array([self.time]),
+        )  # fmt: skip
+        key = np.concatenate(state).tobytes()
+        if self._solved[0] != key:  # `measure` and `truth` of one instant share it
+            found = self._solve(self._tau, with_wrenches=True)
+            self._solved = key, (found, self._object())
+        return self._solved[1]
+
+    def poses(self) -> Array:
+        """See `Plant.poses`."""
+        pin.computeAllTerms(self.model, self.data, self.q, self.v)
+        tips = [self._tip(i) for i in range(len(self._tips))]
+        return np.array([X.homogeneous for X in (self._object()[0], *tips)])
 
     def step(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
@@ -134,7 +157,8 @@ class RigidPlant:
             self._s = self._s + 0.5 * (self._rates + rates) * self.dt
             self._rates = rates
             self._drive()
-            V = self._V + solution.object_rate * self.dt
+            turning = cross(self._V[3:], self._V[:3])  # from spatial to classical
+            V = self._V + (solution.a_O + np.concatenate((turning, np.zeros(3)))) * self.dt
             X = moved(self._X, 0.5 * (self._V + V) * self.dt)
             self.q, self._X = closed(self.chain, q, X, self._gaps)
             self.v, self._V = self._on_constraints(v, V)
@@ -253,12 +277,10 @@ class RigidPlant:
         alpha, a_O = -lam[k:], first @ x[:size] + gamma_O
         wrenches = np.zeros((len(self._tips), 6))
         if with_wrenches:
-            ends = np.cumsum([passed.shape[1] for passed in normals])[:-1]
-            shares = np.split(lam[:k], ends) if normals else []
-            # the multiplier of a loop row is what that arm does to the object
-            loops = [passed @ share for passed, share in zip(normals, shares, strict=True)]
+            shares = np.split(lam[:k], np.cumsum([N_i.shape[1] for N_i in normals]))  # on object
+            loops = [passed @ share for passed, share in zip(normals, shares, strict=False)]
             wrenches = self._wrist(qdd, loops, N @ alpha, a_O, X, V)
-        return _Solution(qdd, sdd, a_O, _rate(a_O, V), alpha, wrenches)
+        return _Solution(qdd, sdd, a_O, alpha, wrenches)
 
     def _body(self, X: pin.SE3, V: Array) -> ObjectTerms:
         assert self.chain.payload is not None  # the constructor refused otherwise
@@ -282,11 +304,10 @@ class RigidPlant:
         leader = self.chain.leader
         body = self._body(X, V)
         hold = body.Lambda @ a_O + body.mu + body.p + f_c
-        on_object = list(loops)
         if leader is not None:  # it bears the rest
-            on_object.insert(leader, hold - sum(loops, np.zeros(6)))
+            loops.insert(leader, hold - sum(loops, np.zeros(6)))
         external = [pin.Force.Zero() for _ in range(self.model.njoints)]
-        for i, (tip, wrench) in enumerate(zip(self._tips, on_object, strict=True)):
+        for i, (tip, wrench) in enumerate(zip(self._tips, loops, strict=True)):
             joint = self.model.frames[tip].parentJoint
             at_origin = carry_wrench(-wrench, X.translation, np.zeros(3))
             if i == leader:  # the object's inertia rides on this joint: add only what differs
@@ -352,26 +373,19 @@ class _Solution:
     qdd: Array  # (n,)
     sdd: Array  # (bodies, 2) accelerations along the rails
     a_O: Array  # (6,) of the object, spatial
-    object_rate: Array  # (6,) rate of its twist at its own origin
     alpha: Array  # (r,)
     wrenches: Array  # (arms, 6) in the wrists
 
 
-def _rate(a_O: Array, V: Array) -> Array:
-    return a_O + np.concatenate((cross(V[3:], V[:3]), np.zeros(3)))
-
-
 def _beside(A: Array, B: Array) -> Array:
     """The block-diagonal matrix of two."""
-    out = np.zeros((len(A) + len(B), len(A) + len(B)))
-    out[: len(A), : len(A)], out[len(A) :, len(A) :] = A, B
-    return out
+    none = np.zeros((len(A), len(B)))
+    return np.block([[A, none], [none.T, B]])
 
 
 def _stacked(parts: list[Contact]) -> tuple[Array, Array]:
-    if not parts:
-        return np.zeros((6, 0)), np.zeros(0)
-    return np.hstack([c.N for c in parts]), np.concatenate([c.n_gamma for c in parts])
+    N = np.hstack([np.zeros((6, 0)), *(c.N for c in parts)])
+    return N, np.concatenate([np.zeros(0), *(c.n_gamma for c in parts)])
 
 
 def _with_object(chain: ClosedChain) -> tuple[pin.Model, list[int]]:
@@ -379,8 +393,8 @@ def _with_object(chain: ClosedChain) -> tuple[pin.Model, list[int]]:
     model = chain.model.copy()
     tips = [model.getFrameId(f"{arm.name}/{arm.tip}") for arm in chain.arms]
     if chain.leader is not None:
-        frame = model.frames[tips[chain.leader]]
         assert chain.payload is not None
-        X_TO = chain.grasps[chain.leader].X_TO
-        model.appendBodyToJoint(frame.parentJoint, chain.payload.inertia, frame.placement * X_TO)
+        tip = model.frames[tips[chain.leader]]
+        X = tip.placement * chain.grasps[chain.leader].X_TO
+        model.appendBodyToJoint(tip.parentJoint, chain.payload.inertia, X)
     return model, tips

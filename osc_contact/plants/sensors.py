@@ -9,16 +9,17 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import PlantError
-from osc_contact.interface import Measurement, Stamps, Touched
-from osc_contact.plants.plant import Plant, Truth
+from osc_contact.interface import Measurement, Seen, Stamps, Touched
+from osc_contact.plants.plant import Plant, Truth, TruthLog
 from osc_contact.spatial import Array
 
-__all__ = ["Clock", "Errors", "SensedPlant", "Sensor", "Sensors"]
+__all__ = ["Clock", "Errors", "Eyes", "SensedPlant", "Sensor", "Sensors"]
 
 _ON_TIME = 1e-9  # s, rounding of sums of steps
 
@@ -92,13 +93,13 @@ class Sensor:
         self._samples = deque([(t, self.corrupt(value))])
         self._count = round(t * self.clock.rate) + 1
 
-    def observe(self, t: float, value: Array) -> None:
+    def observe(self, t: float, value: Callable[[], Array]) -> None:
         """Let it see the value at time t; it samples when one is due."""
         if t < self._count / self.clock.rate - _ON_TIME:
             return
         self._count = int((t + _ON_TIME) * self.clock.rate) + 1
         if self.rng.random() >= self.clock.dropout:
-            self._samples.append((t, self.corrupt(value)))
+            self._samples.append((t, self.corrupt(value())))
 
     def read(self, t: float) -> tuple[float, Array]:
         """(time of the sample, reading) that has arrived by time t."""
@@ -108,26 +109,44 @@ class Sensor:
 
 
 @dataclass(frozen=True)
+class Eyes:
+    """Overhead vision of the object, the arms' tips and the touched bodies.
+
+    Attributes:
+        clock: when. position, orientation: errors of each pose (m; rad about world axes) at the
+            origin of the frame that is seen.
+        frame: ± (m, rad) how far the camera's frame may be from the world: one displacement, drawn
+            for all that is seen.
+        markers: (contacts, 4, 4) in E, what is seen of each touched body; None: E itself.
+    """
+
+    clock: Clock
+    position: Errors = Errors()
+    orientation: Errors = Errors()
+    frame: tuple[float, float] = (0.0, 0.0)
+    markers: Array | None = None
+
+
+@dataclass(frozen=True)
 class Sensors:
     """What each kind of sensor does to its readings; None: it is ideal.
 
     Attributes:
-        encoders: joint positions (n,). joint_torques: (n_a,). wrists: (arms, 6).
-        vision: clock and errors (m) of positions, (rad) of orientations of the touched bodies.
+        encoders: joint positions (n,). joint_torques: (n_a,). wrists: (arms, 6). vision: poses.
     """
 
     encoders: tuple[Clock, Errors] | None = None
     joint_torques: tuple[Clock, Errors] | None = None
     wrists: tuple[Clock, Errors] | None = None
-    vision: tuple[Clock, Errors, Errors] | None = None
+    vision: Eyes | None = None
 
 
 class SensedPlant:
     """A plant seen through its sensors.
 
     Joint velocities are NaN where encoders are modelled, twists of touched bodies NaN where vision
-    is: neither sensor gives them. Sensors sample at the ends of steps: a rate above that of the
-    steps is theirs.
+    is: neither sensor gives them. What vision sees is in the camera's frame. Sensors sample at the
+    ends of steps: a rate above that of the steps is theirs.
     """
 
     def __init__(self, plant: Plant, sensors: Sensors, seed: int = 0) -> None:
@@ -154,11 +173,19 @@ class SensedPlant:
         self.time = self.plant.time
         ideal = self.plant.measure()
         for name, sensor in self._sensor.items():
-            sensor.observe(self.time, _value(name, ideal))
+            sensor.observe(self.time, partial(self._value, name, ideal))
 
     def truth(self) -> Truth:
         """Of the plant inside: sensors do not touch it."""
         return self.plant.truth()
+
+    def poses(self) -> Array:
+        """Of the plant inside."""
+        return self.plant.poses()
+
+    def log(self, capacity: int) -> TruthLog:
+        """Of the plant inside."""
+        return self.plant.log(capacity)
 
     def measure(self) -> Measurement:
         """What has arrived by now, and when it was sampled."""
@@ -174,8 +201,7 @@ class SensedPlant:
             elif name == "wrists":
                 found = replace(found, wrenches=reading)
             else:
-                unknown = np.full((len(reading), 6), np.nan)
-                found = replace(found, touched=Touched(reading, unknown, np.zeros_like(unknown)))
+                found = self._pictured(found, reading)
         return replace(found, stamps=stamps)
 
     def _begin(self) -> None:
@@ -185,27 +211,42 @@ class SensedPlant:
         self._sensor: dict[str, Sensor] = {}
         for name in ("encoders", "joint_torques", "wrists"):
             rng, spec = next(streams), getattr(self.sensors, name)
-            value = _value(name, ideal)
+            value = None if spec is None else self._value(name, ideal)
             if spec is not None and value is not None:
                 clock, errors = spec
                 self._sensor[name] = Sensor(clock, _noisy(errors, value.shape, rng), rng)
         rng, eyes = next(streams), self.sensors.vision
-        if eyes is not None and ideal.touched is not None:
-            clock, position, orientation = eyes
-            self._sensor["touched"] = Sensor(
-                clock, _noisy_poses(position, orientation, len(ideal.touched.X_WE), rng), rng
-            )
+        if eyes is not None:
+            poses = self._value("vision", ideal)
+            self._robots = len(self.plant.poses())  # object and arms come before the bodies
+            self._sensor["vision"] = Sensor(eyes.clock, _pictures(eyes, len(poses), rng), rng)
         for name, sensor in self._sensor.items():
-            sensor.begin(self.time, _value(name, ideal))
+            sensor.begin(self.time, self._value(name, ideal))
 
+    def _value(self, name: str, ideal: Measurement) -> Array:
+        """The ideal reading behind a sensor, by the name of its stamp."""
+        if name == "vision":
+            poses, touched = self.plant.poses(), ideal.touched
+            if touched is None:
+                return poses
+            markers = self.sensors.vision.markers if self.sensors.vision else None
+            bodies = touched.X_WE if markers is None else touched.X_WE @ markers
+            return np.concatenate((poses, bodies))
+        attribute = {"encoders": "q", "joint_torques": "joint_torques", "wrists": "wrenches"}[name]
+        value: Array = getattr(ideal, attribute)
+        return value
 
-def _value(name: str, ideal: Measurement) -> Array:
-    """The ideal reading behind a sensor, by the name of its stamp."""
-    if name == "touched":
-        return ideal.touched.X_WE if ideal.touched is not None else np.zeros((0, 4, 4))
-    attribute = {"encoders": "q", "joint_torques": "joint_torques", "wrists": "wrenches"}[name]
-    value: Array = getattr(ideal, attribute)
-    return value
+    def _pictured(self, found: Measurement, poses: Array) -> Measurement:
+        """The measurement with what a picture shows."""
+        assert self.sensors.vision is not None
+        found = replace(found, seen=Seen(poses[0], poses[1 : self._robots]))
+        bodies, markers = poses[self._robots :], self.sensors.vision.markers
+        if not len(bodies):
+            return found
+        if markers is not None:
+            bodies = bodies @ np.linalg.inv(markers)
+        unknown = np.full((len(bodies), 6), np.nan)
+        return replace(found, touched=Touched(bodies, unknown, np.zeros_like(unknown)))
 
 
 def _noisy(
@@ -215,18 +256,17 @@ def _noisy(
     return lambda value: drawn.applied(value, rng)
 
 
-def _noisy_poses(
-    position: Errors, orientation: Errors, n: int, rng: np.random.Generator
-) -> Callable[[Array], Array]:
-    """Displaced and turned by small amounts, world axes."""
-    shift, turn = position.drawn((n, 3), rng), orientation.drawn((n, 3), rng)
+def _pictures(eyes: Eyes, n: int, rng: np.random.Generator) -> Callable[[Array], Array]:
+    """All poses displaced alike by the camera's frame, each by its own bias and noise."""
+    shift, turn = eyes.position.drawn((n, 3), rng), eyes.orientation.drawn((n, 3), rng)
+    offset, angle = (size * rng.uniform(-1.0, 1.0, 3) for size in eyes.frame)
+    R_CW = pin.exp3(angle)
 
     def corrupt(X: Array) -> Array:
         read = X.copy()
-        read[:, :3, 3] = shift.applied(X[:, :3, 3], rng)
-        angles = turn.applied(np.zeros((n, 3)), rng)
-        for i, angle in enumerate(angles):
-            read[i, :3, :3] = pin.exp3(angle) @ X[i, :3, :3]
+        read[:, :3, 3] = shift.applied(X[:, :3, 3] @ R_CW.T + offset, rng)
+        for i, error in enumerate(turn.applied(np.zeros((n, 3)), rng)):
+            read[i, :3, :3] = pin.exp3(error) @ R_CW @ X[i, :3, :3]
         return read
 
     return corrupt

@@ -145,10 +145,12 @@ class WristSpec(_Clock):
 
 
 class VisionSpec(_Clock):
-    """Overhead vision: poses of the faces."""
+    """Overhead vision: poses of faces, object and arms, in the camera's frame."""
 
     position: LengthErrors = LengthErrors()
     orientation: AngleErrors = AngleErrors()
+    frame_position: Annotated[Length, Field(ge=0)] = 0.0
+    frame_orientation: Annotated[Angle, Field(ge=0)] = 0.0
 
 
 class SensorsSpec(Spec):

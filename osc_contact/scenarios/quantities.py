@@ -166,6 +166,7 @@ class _Normalise:
 
 
 Vec3 = Annotated[tuple[Length, Length, Length], BeforeValidator(_three("three lengths [x, y, z]"))]
+ForceVec3 = Annotated[tuple[Force, Force, Force], BeforeValidator(_three("three forces [x, y, z]"))]
 AngleVec3 = Annotated[
     tuple[Angle, Angle, Angle], BeforeValidator(_three("three angles [roll, pitch, yaw]"))
 ]

@@ -147,6 +147,11 @@ class Scenario(Spec):
         """The file this scenario came from; relative URDF paths begin in its folder."""
         return self._source
 
+    @property
+    def file_stem(self) -> str:
+        """What results are filed under: the name of its file, or its own if it has none."""
+        return self.name if self._source is None else self._source.stem
+
     def with_source(self, source: Path | None) -> Scenario:
         """Return the same scenario with another source file."""
         copy = self.model_copy()

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable
 from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import Field
 
 from .quantities import Angle, Dimension, Force, Frequency, Length, Spec, Time
@@ -21,9 +23,11 @@ __all__ = [
     "Step",
     "Triple",
     "total",
+    "total_over",
 ]
 
 Triple = tuple[float, float, float]
+Array = npt.NDArray[np.float64]
 Q = TypeVar("Q", bound=float)
 
 
@@ -34,16 +38,24 @@ class Signal(Protocol):
         """Return value, first and second derivative at time `t` (s)."""
         ...
 
+    def over(self, t: Array) -> tuple[Any, Any, Any]:
+        """Return the same at many times (k,), each an array (k,) or the one number it is."""
+        ...
 
-def _rise(t: float, start: float, duration: float) -> Triple:
+
+def _rise(t: Any, start: float, duration: float) -> tuple[Any, Any, Any]:
     """Return the minimum-jerk rise 10s³ − 15s⁴ + 6s⁵, s = (t − start)/duration, with ds/dt.
 
-    A rise of zero duration is a step whose derivatives are zero."""
-    if t < start:
+    A rise of zero duration is a step whose derivatives are zero. `t` may be an array."""
+    if isinstance(t, np.ndarray):
+        s = np.where(t >= start + duration, 1.0, np.maximum(t - start, 0.0) / (duration or 1.0))
+    elif t < start:
         return 0.0, 0.0, 0.0
-    if t >= start + duration:
+    elif t >= start + duration:
         return 1.0, 0.0, 0.0
-    s = (t - start) / duration
+    else:
+        s = (t - start) / duration
+    duration = duration or 1.0  # s is 0 or 1 then
     return (
         s**3 * (10.0 - 15.0 * s + 6.0 * s * s),
         30.0 * s * s * (1.0 - s) ** 2 / duration,
@@ -73,6 +85,10 @@ class Constant(_Typed[Q], Generic[Q]):
         """Return (value, 0, 0)."""
         return float(self.value), 0.0, 0.0
 
+    def over(self, t: Array) -> tuple[Any, Any, Any]:
+        """Return (value, 0, 0)."""
+        return self.at(0.0)
+
 
 class Step(_Typed[Q], Generic[Q]):
     """0 before `start`, `value` from `start` on; both derivatives are 0."""
@@ -86,6 +102,10 @@ class Step(_Typed[Q], Generic[Q]):
     def at(self, t: float) -> Triple:
         """Return (0 or value, 0, 0)."""
         return (float(self.value) if t >= self.start else 0.0), 0.0, 0.0
+
+    def over(self, t: Array) -> tuple[Any, Any, Any]:
+        """Return (0 or value, 0, 0)."""
+        return np.where(t >= self.start, float(self.value), 0.0), 0.0, 0.0
 
 
 class Sine(_Typed[Q], Generic[Q]):
@@ -102,10 +122,21 @@ class Sine(_Typed[Q], Generic[Q]):
 
     def at(self, t: float) -> Triple:
         """Return the enveloped sine and its exact derivatives (product rule); 0 before start."""
+        angle = self._angle(t)
+        return self._enveloped(t, math.sin(angle), math.cos(angle))
+
+    def over(self, t: Array) -> tuple[Any, Any, Any]:
+        """Return the same at many times (k,)."""
+        angle = self._angle(t)
+        return self._enveloped(t, np.sin(angle), np.cos(angle))
+
+    def _angle(self, t: Any) -> Any:
+        return 2.0 * math.pi * self.frequency * (t - self.start) + self.phase
+
+    def _enveloped(self, t: Any, s: Any, cosine: Any) -> tuple[Any, Any, Any]:
         e, e_dot, e_ddot = _rise(t, self.start, self.ramp)
         omega = 2.0 * math.pi * self.frequency
-        angle = omega * (t - self.start) + self.phase
-        s, s_dot = math.sin(angle), omega * math.cos(angle)
+        s_dot = omega * cosine
         s_ddot = -omega * omega * s
         a = float(self.amplitude)
         return (
@@ -127,7 +158,13 @@ class MinimumJerk(_Typed[Q], Generic[Q]):
 
     def at(self, t: float) -> Triple:
         """Return value times the rise and its exact derivatives."""
-        e, e_dot, e_ddot = _rise(t, self.start, self.duration)
+        return self._scaled(*_rise(t, self.start, self.duration))
+
+    def over(self, t: Array) -> tuple[Any, Any, Any]:
+        """Return the same at many times (k,)."""
+        return self._scaled(*_rise(t, self.start, self.duration))
+
+    def _scaled(self, e: Any, e_dot: Any, e_ddot: Any) -> tuple[Any, Any, Any]:
         value = float(self.value)
         return value * e, value * e_dot, value * e_ddot
 
@@ -153,3 +190,12 @@ def total(signals: Iterable[Signal], t: float) -> Triple:
         x, x_dot, x_ddot = signal.at(t)
         value, rate, acceleration = value + x, rate + x_dot, acceleration + x_ddot
     return value, rate, acceleration
+
+
+def total_over(signals: Iterable[Signal], t: Array) -> Array:
+    """Return (3, k) the same sums at many times `t` (k,)."""
+    found = np.zeros((3, len(t)))
+    for signal in signals:
+        for row, x in zip(found, signal.over(t), strict=True):
+            row += x
+    return found

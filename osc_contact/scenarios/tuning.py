@@ -13,15 +13,17 @@ from .hardware import (
     JointTorqueSpec,
     MotorsSpec,
 )
-from .quantities import Frequency, Length, Number, Spec, Time
+from .quantities import Force, ForceVec3, Frequency, Length, Number, Spec, Time
 
 __all__ = [
     "ControlSpec",
     "ForceGains",
     "GainsSpec",
+    "LifeSpec",
     "ModelErrorSpec",
     "MotionGains",
     "PlantSpec",
+    "PushSpec",
     "TareSpec",
 ]
 
@@ -57,8 +59,22 @@ class GainsSpec(Spec):
     """integral and damping of the force loop"""
 
 
+class LifeSpec(Spec):
+    """Contacts opened, approached and closed one by one (`control.life`)."""
+
+    speed: Positive = 0.01
+    damping: Positive = 200.0
+    travel: Annotated[Length, Field(gt=0)] = 0.05
+    rise: Annotated[Time, Field(gt=0)] = 0.05
+    least: Annotated[Force, Field(gt=0)] = 0.2
+    torque_rate: Positive = 20.0
+    force_on: Annotated[Force, Field(gt=0)] = 0.6
+    force_off: Annotated[Force, Field(gt=0)] = 0.3
+    power: Positive = 0.004
+
+
 class ControlSpec(Spec):
-    """Tick rate (Hz), the metric B of eq. 24, and where N comes from."""
+    """Tick rate (Hz), the metric B of eq. 24, where N comes from, how contacts live."""
 
     rate: Annotated[Frequency, Field(gt=0)]
     """the tick rate, such as 1 kHz"""
@@ -66,6 +82,7 @@ class ControlSpec(Spec):
     contacts: Literal["declared", "detected"] = "declared"
     joint_torque: JointTorqueSpec | None = None
     friction: FrictionSpec | None = None
+    life: LifeSpec | None = None
     estimate: EstimateSpec = EstimateSpec()
 
 
@@ -85,6 +102,19 @@ class TareSpec(Spec):
     approach: Annotated[Time, Field(gt=0)] = 0.3
 
 
+class PushSpec(Spec):
+    """A half sine of force on the wrist of an arm from outside, once or again and again."""
+
+    arm: str
+    """the name of an arm with a wrist sensor"""
+    force: ForceVec3
+    """its peak [x, y, z] in world"""
+    start: Annotated[Time, Field(ge=0)] = 0.0
+    duration: Annotated[Time, Field(gt=0)]
+    """how long it acts, such as 20 ms"""
+    every: Annotated[Time, Field(ge=0)] = 0.0
+
+
 class PlantSpec(Spec):
     """The simulated workcell: step (s) and the contact parameters of the MuJoCo plant."""
 
@@ -97,3 +127,4 @@ class PlantSpec(Spec):
     flexible_joints: FlexibleJointsSpec | None = None
     motors: MotorsSpec | None = None
     joint_friction: NotNegative = 0.0
+    pushes: tuple[PushSpec, ...] = ()

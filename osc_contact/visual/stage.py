@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from osc_contact.visual.page import set_background, set_camera
+from osc_contact.visual.page import EMPTY, set_background, set_camera
 from osc_contact.visual.primitives import plain, rgb
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ FLOOR_COLOUR, GRID_COLOUR = "#E3E7EC", "#C9D0D9"
 HALF_FLOOR, GRID_STEP, GRID_LINES = 8.0, 0.25, 16
 FIELD_OF_VIEW_DEG = 30.0
 ELEVATION = np.deg2rad(28.0)
-ASPECT = 1.5
+ASPECT = float(EMPTY["aspect"])
 """Width / height that the scene is fitted to; a wider window shows more floor."""
 FILLED = 0.9
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from osc_contact.spatial import Array, cross
 
 __all__ = ["EdgeOnEdge", "EdgeOnFace", "CylinderOnPlane", "ends"]
 
-_PARALLEL = 1e-6
+PARALLEL = 1e-6
 
 
 def ends(point: Array, direction: Array, length: float) -> Array:
@@ -105,7 +105,7 @@ class EdgeOnEdge:
         """m = e_A × e_E and the unit vector n = ± m/|m| into the environment."""
         m = cross(e_A, e_E)
         sine = float(np.linalg.norm(m))
-        if sine < _PARALLEL:
+        if sine < PARALLEL:
             raise ContactError(
                 f"{self.name}: the edges are parallel (sine of their angle {sine:.2g}), so their "
                 "common normal is undefined; model this contact as an edge on a face"

@@ -9,7 +9,7 @@ viewer.set_3d_pane_size = () => {
   const w = element("scene").clientWidth, h = element("scene").clientHeight;
   const caption = element("caption").offsetWidth; // the scene moves out from under it
   const shift = Math.max(0, Math.min(0.5 * caption, 0.5 * (w - 1.45 * h)));
-  viewer.camera.zoom = Math.min(1, w / h / 1.5); // the camera was placed for a pane 1.5 times as wide as high
+  viewer.camera.zoom = Math.min(1, w / h / CONFIG.aspect); // the camera was placed for that
   viewer.camera.setViewOffset(w, h, -shift, 0, w, h);
   resize(w, h);
 };

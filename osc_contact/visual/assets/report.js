@@ -1,15 +1,16 @@
 "use strict";
-// The folded scene becomes a page of its own when it is opened for the first time.
+// A folded scene becomes a page of its own when it is opened for the first time.
 
-async function unfold() {
-  const text = document.getElementById("packed").textContent;
+async function unfold(details) {
+  const text = details.nextElementSibling.textContent;
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
   const frame = document.createElement("iframe");
-  frame.title = "moving scene of the run";
+  frame.title = details.querySelector("summary").textContent;
   frame.srcdoc = await new Response(stream).text();
-  document.getElementById("stage").appendChild(frame);
+  details.querySelector("div").appendChild(frame);
 }
 
-const scene = document.getElementById("scene");
-if (scene) scene.addEventListener("toggle", unfold, { once: true });
+for (const details of document.querySelectorAll("details.scene")) {
+  details.addEventListener("toggle", () => unfold(details), { once: true });
+}

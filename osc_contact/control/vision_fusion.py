@@ -1,0 +1,218 @@
+"""Where the touched bodies are, in the robots' frame, from old pictures of bodies and robots.
+
+A camera sees the touched bodies, the held object and the arms in a frame of its own, which lies a
+few millimetres and milliradians off the robots' frame: cameras and bases are never calibrated
+better. Only what a body does relative to the robots counts for contact. The encoders tell where
+object and arms were when the picture was taken; a Kalman filter for one constant displacement
+makes both agree, and the bodies are moved along with it. Errors of camera and bases cancel.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.control.velocity_estimate import VelocityEstimate
+from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Seen, Touched
+from osc_contact.spatial import Array, carry_twist, skew
+
+__all__ = ["BodyEstimate", "History", "Registration", "VisionFusion"]
+
+_ITERATIONS = 4  # of the update, which is nonlinear in large turns
+
+
+class History:
+    """What a signal was a while ago."""
+
+    def __init__(self, span: float) -> None:
+        """Keep `span` seconds."""
+        self.span = span
+        self._kept: deque[tuple[float, Array]] = deque()
+
+    def add(self, t: float, x: Array) -> None:
+        """The value at time t, later than all before."""
+        self._kept.append((t, np.array(x, dtype=float)))
+        while len(self._kept) > 2 and self._kept[1][0] <= t - self.span:
+            self._kept.popleft()
+
+    def at(self, t: float) -> Array:
+        """Interpolated; outside of what is kept, the value at its end.
+
+        Raises:
+            InvalidInputError: nothing is kept yet.
+        """
+        if not self._kept:
+            raise InvalidInputError("the history is empty; add a value before asking for one")
+        times = [kept for kept, _ in self._kept]
+        after = min(max(bisect_right(times, t), 1), len(times) - 1)
+        (t0, x0), (t1, x1) = self._kept[max(after - 1, 0)], self._kept[after]
+        share = 0.0 if t1 == t0 else min(max((t - t0) / (t1 - t0), 0.0), 1.0)
+        return np.asarray(x0 + share * (x1 - x0))
+
+
+@dataclass
+class Registration:
+    """X_WC, where the camera's frame lies in the robots', from bodies known in both.
+
+    A Kalman filter for ξ = [δ; θ], the displacement (world axes, at the world's origin) that
+    X_WC still lacks: a body seen at (p̃, R̃) is at p = p̂ + δ + θ × p̂, R = exp(θ) R̂ with
+    p̂ = X_WC p̃, R̂ = R_WC R̃. The noise of the camera weighs metres against radians.
+
+    Attributes:
+        position, orientation: standard deviation of each seen pose (m, rad).
+        prior: of the displacement before the first picture (m, rad).
+        drift: of the displacement, per √s (m, rad): how soon old pictures are forgotten.
+        X: X_WC. P: (6, 6) covariance of ξ.
+
+    Raises:
+        InvalidInputError: a standard deviation that is not > 0 (drift: ≥ 0).
+    """
+
+    position: float
+    orientation: float
+    prior: tuple[float, float] = (0.02, 0.05)
+    drift: tuple[float, float] = (2e-5, 2e-5)
+    X: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    P: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        sizes = (self.position, self.orientation, *self.prior)
+        if not (min(sizes) > 0.0 and min(self.drift) >= 0.0 and np.isfinite(sizes).all()):
+            raise InvalidInputError(
+                f"registration: noise {self.position} m, {self.orientation} rad, prior "
+                f"{self.prior}, drift {self.drift}; give numbers > 0 (drift ≥ 0)"
+            )
+        self.P = np.diag(np.repeat(self.prior, 3)) ** 2
+
+    def update(
+        self, known: Sequence[pin.SE3], seen: Sequence[pin.SE3], elapsed: float = 0.0
+    ) -> pin.SE3:
+        """X_WC after one picture.
+
+        Args:
+            known: poses of bodies in the robots' frame when the picture was taken.
+            seen: the same bodies in the camera's frame.
+            elapsed: time since the last picture (s).
+        """
+        believed = np.linalg.inv(self.P + elapsed * np.diag(np.repeat(self.drift, 3)) ** 2)
+        weights = np.repeat((self.position, self.orientation), 3) ** -2.0
+        start, information = self.X, believed
+        for _ in range(_ITERATIONS):  # in information form: exact noise-free poses do no harm
+            information, push = believed.copy(), -believed @ _displacement(start, self.X)
+            for X_W, X_C in zip(known, seen, strict=True):
+                found = self.X * X_C
+                turn = pin.log3(X_W.rotation @ found.rotation.T)
+                y = np.concatenate((X_W.translation - found.translation, turn))
+                H = np.eye(6)
+                H[:3, 3:] = -skew(found.translation)
+                information += H.T @ (weights[:, None] * H)
+                push += H.T @ (weights * y)
+            xi = np.linalg.solve(information, push)
+            self.X = pin.SE3(pin.exp3(xi[3:]), xi[:3]) * self.X
+        self.P = np.linalg.inv(information)
+        return self.X
+
+
+def _displacement(start: pin.SE3, end: pin.SE3) -> Array:
+    """ξ (6,) with end = (exp(θ), δ) ∘ start."""
+    rest = end * start.inverse()
+    return np.concatenate((rest.translation, pin.log3(rest.rotation)))
+
+
+@dataclass
+class BodyEstimate:
+    """Position and rotation vector of a tracked body, from its first orientation on."""
+
+    channels: VelocityEstimate
+    R_first: Array
+
+    def update(self, X: pin.SE3, fresh: bool, delay: float) -> tuple[pin.SE3, Array]:
+        """(pose, twist (6,) at its origin) now, from a pose that is `delay` old."""
+        turned = pin.log3(X.rotation @ self.R_first.T)
+        x, rate = self.channels.update(np.concatenate((X.translation, turned)), fresh=fresh)
+        x = x + delay * rate
+        pose = pin.SE3(pin.exp3(x[3:]) @ self.R_first, x[:3])
+        return pose, np.concatenate((rate[:3], pin.Jexp3(-x[3:]) @ rate[3:]))
+
+
+class VisionFusion:
+    """Poses and twists of the touched bodies now, in the robots' frame.
+
+    Attributes:
+        registration: of the camera's frame. history: of the joint positions.
+    """
+
+    def __init__(
+        self,
+        known: Callable[[Array], Sequence[pin.SE3]],
+        registration: Registration,
+        acceleration: tuple[float, float],
+        *,
+        dt: float,
+        period: float,
+        delay: float,
+        markers: Array | None = None,
+    ) -> None:
+        """Set up.
+
+        Args:
+            known: joint positions → poses of the object and of the arms' tips.
+            registration: of the camera, with its noise.
+            acceleration: unknown ones of the bodies (m/s², rad/s²).
+            dt: period of `update`. period: of the pictures. delay: until one arrives (s).
+            markers: (contacts, 4, 4) in E, what is seen of each body; None: E itself.
+        """
+        self.registration = registration
+        self.history = History(2.0 * (delay + period))
+        self._known, self._delay = known, delay
+        self._markers = None if markers is None else [pin.SE3(np.array(X)) for X in markers]
+        self._acceleration = np.repeat(acceleration, 3)
+        self._dt, self._period = dt, period
+        self._bodies: list[BodyEstimate] = []
+        self._stamp: float | None = None
+
+    def update(
+        self, now: float, q: Array, stamp: float, seen: Seen | None, touched: Touched
+    ) -> Touched:
+        """The bodies now.
+
+        Args:
+            now: time (s). q: (n,) joint positions now. stamp: when the picture was taken.
+            seen: object and arms in it; None: bodies alone, camera and robots share their frame.
+            touched: bodies in it, the camera's frame; of `A_E` what is known.
+        """
+        self.history.add(now, q)
+        fresh = self._stamp is None or stamp > self._stamp
+        if fresh:
+            elapsed = 0.0 if self._stamp is None else stamp - self._stamp
+            self._stamp = stamp
+            if seen is not None:
+                poses = [pin.SE3(np.array(X)) for X in (seen.object, *seen.tips)]
+                self.registration.update(self._known(self.history.at(stamp)), poses, elapsed)
+        frames = [pin.SE3(np.array(X)) for X in touched.X_WE]
+        markers = self._markers or [pin.SE3.Identity()] * len(frames)
+        if not self._bodies:
+            self._bodies = [
+                BodyEstimate(self._channels(), (X * M).rotation.copy())
+                for X, M in zip(frames, markers, strict=True)
+            ]
+        X_WC, X_WE, V_E = self.registration.X, [], []
+        for body, X_CE, M in zip(self._bodies, frames, markers, strict=True):
+            X_CM, V = body.update(X_CE * M, fresh, self._delay)  # filtered where it is seen
+            X_WM = X_WC * X_CM
+            X = X_WM * M.inverse()
+            turned = np.concatenate((X_WC.rotation @ V[:3], X_WC.rotation @ V[3:]))
+            X_WE.append(X.homogeneous)
+            V_E.append(carry_twist(turned, X_WM.translation, X.translation))
+        return Touched(np.array(X_WE), np.array(V_E), touched.A_E)
+
+    def _channels(self) -> VelocityEstimate:
+        """Position and rotation vector of one body."""
+        noise = np.repeat((self.registration.position, self.registration.orientation), 3)
+        return VelocityEstimate.optimal(noise, self._acceleration, self._dt, self._period)

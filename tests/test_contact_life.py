@@ -1,0 +1,369 @@
+"""Contacts opened, approached and closed one by one: the state machine, the law, and the plant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rigs import panda_pair, random_faces, random_state, scara_pair
+from test_compiled_tick import agree, disturb, inputs, twins
+
+import osc_contact as osc
+from osc_contact.control.force import ForceGains
+from osc_contact.control.life import (
+    Columns,
+    ContactLife,
+    LifeSettings,
+    LifeState,
+    Phase,
+    commanded,
+    lived,
+    slewed,
+)
+from osc_contact.control.monitor import Heard, MonitorState, heard
+from osc_contact.experiments.contact_life import answers, collisions, false_alarms, land
+from osc_contact.experiments.contact_life_pictures import draw_collisions, draw_landing
+
+DT = 1e-3
+OPEN, APPROACHING, CLOSED = Phase
+OWNERS = np.array([0, 1, 1, 2])  # one force, an edge with two, a hinge that never opens
+PUSHING = np.array([True, True, False])
+COLUMNS = Columns(OWNERS, PUSHING)
+
+
+def begin(phase=(OPEN, OPEN, CLOSED)):
+    phase = np.array(phase)
+    seen = MonitorState.of((phase == CLOSED)[OWNERS])
+    return LifeState(phase, np.zeros(3), seen, Heard.nothing(4))
+
+
+numbers = st.floats(-5.0, 20.0)
+ticks = st.lists(
+    st.tuples(
+        st.lists(numbers, min_size=4, max_size=4),
+        st.lists(st.floats(-0.05, 0.05), min_size=4, max_size=4),
+        st.lists(st.sampled_from([0.0, 5.0, 12.0]), min_size=4, max_size=4),
+        st.integers(1, 30),
+    ),
+    min_size=1,
+    max_size=12,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(ticks)
+def test_whatever_happens_the_phases_keep_their_rules(story):
+    """Any forces, speeds and wishes, each held for some ticks."""
+    state, k = begin(), LifeSettings()
+    loud = np.zeros(4)  # ticks in a row in which the force was above force_on, told afresh
+    rows = np.zeros((3, 4))
+    for alpha, speed, wanted, count in story:
+        alpha, speed, wanted = np.array(alpha), np.array(speed), np.array(wanted)
+        for _ in range(count):
+            before = state
+            state = lived(before, alpha, speed, np.zeros((4, 4)), wanted, COLUMNS, DT, k)
+            here = before.active[OWNERS]
+            loud = np.where(here & (state.heard.force > k.limits.force_on), loud + 1, 0)
+            for c in range(3):
+                mine = c == OWNERS
+                was, now = before.phase[c], state.phase[c]
+                if not PUSHING[c]:
+                    assert now == CLOSED
+                elif not (wanted[mine] > 0.0).any():
+                    assert now == OPEN
+                elif was == OPEN:
+                    assert now == APPROACHING  # never from free motion to force control
+                else:
+                    assert now != OPEN
+                if was == APPROACHING and now == CLOSED and PUSHING[c]:
+                    assert (loud[mine] * DT > k.limits.dwell).any()
+                    heavy = mine & (wanted > k.limits.force_on)
+                    assert state.seen.closed[heavy].all()  # several columns are one contact
+                if was != now:
+                    assert state.since[c] == 0.0
+            goal = commanded(state, wanted, COLUMNS, ForceGains(30, 100), k, rows)
+            for c in range(3):
+                own, phase = rows[c], state.phase[c]
+                assert (own[0] != 0.0) == (phase != OPEN)
+                if PUSHING[c] and phase == APPROACHING:
+                    assert own[1] == 0.0 and own[2] == k.damping and own[3] == -np.inf
+                    assert (goal[c == OWNERS] <= k.damping * k.speed + 1e-12).all()
+                if PUSHING[c] and phase == CLOSED:
+                    assert own[1] == 30.0 and own[2] == 100.0 and own[3] == k.least
+                    low = np.minimum(wanted, k.damping * k.speed)[c == OWNERS] - 1e-12
+                    high = np.maximum(wanted, k.damping * k.speed)[c == OWNERS] + 1e-12
+                    assert ((low <= goal[c == OWNERS]) & (goal[c == OWNERS] <= high)).all()
+            assert goal[3] == wanted[3]  # what cannot open gets what it is asked for
+
+
+def steady(state, alpha, speed, ticks, wanted=10.0, travel=0.05):
+    k = LifeSettings(travel=travel)
+    full = np.full(4, wanted)
+    for _ in range(ticks):
+        state = lived(state, np.array(alpha), np.array(speed), np.zeros((4, 4)), full, COLUMNS,
+                      DT, k)  # fmt: skip
+    return state
+
+
+def test_a_story_approach_contact_loss_and_contact_again():
+    still, none = np.zeros(4), np.zeros(4)
+    state = steady(begin(), none, still, 50)
+    assert state.phase.tolist() == [APPROACHING, APPROACHING, CLOSED]
+    state = steady(state, [2.0, 2.0, 0.0, 0.0], still, 40)
+    assert state.phase.tolist() == [CLOSED, APPROACHING, CLOSED]  # half an edge is no contact
+    state = steady(state, [9.0, 5.0, 5.0, 0.0], still, 40)
+    assert state.phase.tolist() == [CLOSED, CLOSED, CLOSED]
+    state = steady(state, [9.0, 5.0, 0.0, 0.0], still, 40)
+    assert state.phase.tolist() == [CLOSED, APPROACHING, CLOSED]
+    state = steady(state, [9.0, 5.0, 0.0, 0.0], still, 1, wanted=0.0)
+    assert state.phase.tolist() == [OPEN, OPEN, CLOSED]
+
+
+def test_an_approach_that_finds_nothing_stands_still():
+    k = LifeSettings(speed=0.01, travel=0.02)
+    rows, wanted = np.zeros((3, 4)), np.full(4, 10.0)
+    state = begin((APPROACHING, OPEN, CLOSED))
+    for t, push in ((1.9, k.damping * k.speed), (2.1, 0.0)):
+        at = replace(state, since=np.array([t, 0.0, 0.0]))
+        assert commanded(at, wanted, COLUMNS, ForceGains(), k, rows)[0] == pytest.approx(push)
+
+
+def test_the_inertia_of_a_flying_object_is_not_heard_as_contact():
+    """Free flight at 3 m/s² shows m a on the sensor of fig. 5; heard is the contact force only."""
+    t = np.arange(400) * DT
+    mass, push = 2.5, np.where(t > 0.3, 8.0, 0.0)
+    rate = np.where(t < 0.2, 3.0, 0.0)
+    speed = np.cumsum(rate) * DT
+    shown = push + mass * rate
+    state, found = Heard.nothing(1), []
+    here = np.array([True])
+    for a, v in zip(shown, speed, strict=True):
+        state, force = heard(state, np.array([a]), np.array([v]), np.eye(1) * mass, here, DT, 0.006)
+        found.append(force[0])
+    found = np.array(found)
+    assert np.abs(found[60:300]).max() < 1e-3 * mass * 3.0 + 0.01
+    assert found[-1] == pytest.approx(8.0, rel=1e-4)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_torques_go_straight_and_not_too_far(seed):
+    rng = np.random.default_rng(seed)
+    tau, last = rng.normal(size=(2, 8)) * 10
+    step = rng.uniform(0.1, 5, 8)
+    out = slewed(tau, last, step)
+    assert (np.abs(out - last) <= step * (1 + 1e-12)).all()
+    share = (out - last) / (tau - last)
+    assert np.ptp(share) < 1e-9 and 0.0 < share[0] <= 1.0
+    for _ in range(2_000):
+        last = slewed(tau, last, step)
+    np.testing.assert_allclose(last, tau)
+
+
+def test_settings_that_cannot_work_are_refused():
+    with pytest.raises(osc.InvalidInputError, match="raise speed or damping"):
+        LifeSettings(speed=0.001)
+    with pytest.raises(osc.InvalidInputError, match="rise"):
+        LifeSettings(rise=0.0)
+
+
+# --- the law on random masks ----------------------------------------------------------------------
+
+
+def given_phases(rng, owners, *controllers):
+    """The same random phases in all; none is judged before the next tick."""
+    count = int(owners.max()) + 1
+    phase = rng.integers(0, 3, count)
+    for c in controllers:
+        c.life = ContactLife(LifeSettings(), owners, np.ones(count, dtype=bool), DT, False)
+        c.life.state = replace(c.life.state, phase=phase, since=np.full(count, 0.02))
+        c.ticked = False
+    return phase
+
+
+@pytest.mark.parametrize("chain", [scara_pair, panda_pair])
+def test_both_paths_agree_on_random_masks(chain):
+    """Faces, and an edge and a triangle that count as one contact each."""
+    chain, rng = chain(), np.random.default_rng(51)
+    done = seen = 0
+    while done < 25:
+        q, v = random_state(chain, rng)
+        X = chain.state(q, v).X_WO
+        pairs = random_faces(X, 2, rng)
+        p, n = 0.1 * rng.normal(size=3), rng.normal(size=3)
+        several = [osc.FaceOnFace(p, n, X.act(p), -X.rotation @ n)]
+        several += [osc.EdgeOnFace(p, rng.normal(size=3), X.act(p), rng.normal(size=3))]
+        pairs += several[: 1 + done % 2] if chain.nq > 10 else several[1:]
+        owners = np.repeat(np.arange(len(pairs)), [len(pair.gaps(X)) for pair in pairs])
+        fast, slow = twins(chain, pairs)
+        disturb(rng, fast, slow)
+        measurement, reference = inputs(chain, q, v, rng, len(owners))
+        phase = given_phases(rng, owners, fast, slow)
+        slow.tick(measurement, reference)
+        if slow.status is osc.Status.HELD:
+            continue  # too many columns for this chain, or out of its reach
+        slow.motion_law.integral, slow.ticked = fast.motion_law.integral.copy(), False
+        slow.force_law.integral = np.zeros(0)
+        agree(fast, slow, measurement, reference, 1e-10, plain=False)
+        assert len(slow.signals.alpha_u) == slow.signals.contact.r
+        assert slow.terms.active.tolist() == (phase > 0).tolist()
+        seen |= 1 << int((phase > 0).sum())
+        done += 1
+    assert seen & 0b0110  # some were in and some out
+
+
+def test_both_paths_agree_on_a_table_with_some_legs_up():
+    chain, rng = panda_pair(), np.random.default_rng(52)
+    for _ in range(8):
+        q, v = random_state(chain, rng)
+        X = chain.state(q, v).X_WO
+        n = X.rotation @ np.array([0.0, 0.0, 1.0])
+        spots = np.column_stack((rng.uniform(-0.2, 0.2, (5, 2)), np.full(5, -0.05)))
+        pairs = [osc.VertexOnFace(p, X.act(p), n, name=f"leg{i}") for i, p in enumerate(spots)]
+        fast, slow = twins(chain, pairs)
+        disturb(rng, fast, slow)
+        given_phases(rng, np.arange(5), fast, slow)
+        agree(fast, slow, *inputs(chain, q, v, rng, 5))
+
+
+def test_both_paths_agree_on_random_masks_when_motors_are_at_their_limits():
+    """Which contacts may lose force is told by the mask, too."""
+    chain, rng = scara_pair(), np.random.default_rng(55)
+    done = 0
+    while done < 6:
+        q, v = random_state(chain, rng)
+        pairs = random_faces(chain.state(q, v).X_WO, 3, rng)
+        fast, slow = twins(chain, pairs)
+        measurement, reference = inputs(chain, q, v, rng, 3)
+        reference = replace(reference, alpha_d=200.0 * reference.alpha_d)
+        phase = given_phases(rng, np.arange(3), fast, slow)
+        for c in (fast, slow):
+            c.life.state = replace(c.life.state, since=np.ones(3))
+        if np.count_nonzero(phase) in (0, 3) or CLOSED not in phase:
+            continue
+        want = slow.tick(measurement, reference)
+        if slow.status is not osc.Status.SATURATED:
+            continue
+        got = fast.tick(measurement, reference)
+        assert fast.status is osc.Status.SATURATED
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-6 * np.abs(want).max())
+        np.testing.assert_allclose(fast.given_up.force, slow.given_up.force, rtol=1e-5, atol=1e-3)
+        np.testing.assert_allclose(
+            fast.force_law.integral, slow.force_law.integral, rtol=1e-5, atol=1e-3
+        )
+        done += 1
+
+
+def test_an_open_contact_moves_as_if_its_face_were_not_there():
+    """The controller with one face open gives the torques of one that never knew of it."""
+    chain, rng = scara_pair(), np.random.default_rng(53)
+    q, v = random_state(chain, rng)
+    pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
+    both = osc.Controller(chain, pairs, compiled=False)
+    one = osc.Controller(chain, pairs[:1], compiled=False)
+    measurement, reference = inputs(chain, q, v, rng, 2)
+    both.life = ContactLife(LifeSettings(), np.arange(2), np.ones(2, dtype=bool), DT, True)
+    both.life.state = replace(both.life.state, phase=np.array([CLOSED, OPEN]))
+    got = both.tick(measurement, reference)
+    want = one.tick(measurement, replace(reference, alpha_d=reference.alpha_d[:1]))
+    np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-9)
+
+
+def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away():
+    chain, rng = scara_pair(), np.random.default_rng(54)
+    q, _ = random_state(chain, rng)
+    v = np.zeros(chain.nq)
+    pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
+    controller = osc.Controller(chain, pairs, osc.Gains(force=ForceGains(30, 0)), compiled=False)
+    controller.life = ContactLife(LifeSettings(), np.arange(2), np.ones(2, dtype=bool), DT, True)
+    measurement, reference = inputs(chain, q, v, rng, 2)
+    s = chain.state(q, v)
+    quiet = replace(measurement, wrenches=np.zeros((2, 6)))
+    controller.tick(quiet, reference)
+    load = controller.signals.contact.N @ np.array([60.0, 60.0])
+    R, p = s.sensors[0].rotation, s.sensors[0].translation
+    moment = load[3:] - np.cross(p - s.X_WO.translation, load[:3])
+    wrenches = np.array([np.concatenate((R.T @ load[:3], R.T @ moment)), np.zeros(6)])
+    pressed = replace(measurement, wrenches=wrenches)
+    for _ in range(300):
+        controller.tick(pressed, reference)
+    least = controller.life.settings.least
+    np.testing.assert_allclose(controller.signals.alpha_u, least)
+    wanted = reference.alpha_d + controller.force_law.integral
+    assert (wanted > least - 30.0 * DT * 60.0).all()
+
+
+# --- on MuJoCo ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def knocked():
+    return osc.run(osc.load_scenario("collisions"), duration=2.5)
+
+
+def test_every_collision_of_a_knocked_rod_is_flagged_in_time(knocked):
+    """The plant's own contacts are the judge: re-made after ≥ 10 ms, at ≥ 10 mm/s."""
+    recording, hits = knocked, collisions(knocked)
+    assert {hit.contact for hit in hits} == {0, 1} and len(hits) >= 3
+    assert all(hit.flagged is not None and hit.flagged <= 0.02 for hit in hits)
+    assert all(hit.power > 0.02 for hit in hits)
+    assert (recording["status"] == 0).all()
+
+
+def test_figure_7_shows_power_peaks_at_the_collisions(knocked):
+    """Projected power: quiet while contacts hold, a peak at each collision."""
+    t, power = knocked["t"], np.abs(knocked["power_projected"])
+    hits = collisions(knocked)
+    held = knocked["closed"].all(axis=1) & (t > 0.3)
+    for hit in hits:
+        held &= (t < hit.t - 0.3) | (t > hit.t + 0.15)
+    assert held.sum() > 300
+    for hit in hits:
+        assert hit.power > 4.0 * np.percentile(power[held], 99)
+        assert power[np.abs(t - hit.t) <= 0.02].max() == pytest.approx(hit.power)
+    assert all(answer.holds for answer in answers(knocked).values())
+    figure = draw_collisions(knocked)
+    total, projected, force = (ax.get_title(loc="left") for ax in figure.axes)
+    assert total.startswith("total") and projected.startswith("projected") and "force" in force
+
+
+def test_counts_of_collisions_and_alarms_on_a_made_up_recording():
+    """Met fast, open for 5 ms only, met slowly, met fast; flags in time, too late, for nothing."""
+    ticks = 400
+    closed, speed = np.ones((ticks, 1), dtype=bool), np.zeros(ticks)
+    for lost, made, met in ((50, 70, 0.05), (120, 125, 0.05), (200, 230, 0.002), (300, 330, 0.02)):
+        closed[lost:made], speed[made - 2 : made] = False, met
+    flags = np.zeros((ticks, 1), dtype=bool)
+    flags[[75, 355, 390], 0] = True
+    N = np.zeros((ticks, 6, 1))
+    N[:, 2] = 1.0
+    twist = np.zeros((ticks, 6))
+    twist[:, 2] = speed
+    recording = osc.Recording(
+        {"control_rate_hz": 1000.0},
+        {"t": np.arange(ticks) * DT, "closed": closed, "collision_seen": flags, "N": N,
+         "twist": twist, "power_projected": np.zeros(ticks)},
+    )  # fmt: skip
+    found = [
+        (round(hit.t, 3), hit.flagged and round(hit.flagged, 3)) for hit in collisions(recording)
+    ]
+    assert found == [(0.07, 0.005), (0.33, None)]
+    assert false_alarms(recording) == 2
+
+
+def test_a_landing_is_soft_and_torques_do_not_jump():
+    found = land(3)
+    row, recording = found.as_dict(), found.recording
+    assert row["success"], row
+    assert len(draw_landing([found]).axes) == 4
+    assert row["peak_over_command"] <= 2.0
+    assert row["torque_rate"] <= row["torque_rate_limit"] * (1 + 1e-9)
+    open_at_first = recording["contact_phase"][recording["t"] < 0.39]
+    assert (open_at_first == OPEN).all()
+    changes = np.flatnonzero(np.abs(np.diff(recording["contact_phase"], axis=0)).any(axis=1))
+    jumps = np.abs(np.diff(recording["tau"], axis=0)).max(axis=1)
+    assert len(changes) >= 3
+    assert (jumps[np.clip(changes, 0, len(jumps) - 1)] < 4.0 + 1e-9).all()  # N, N m

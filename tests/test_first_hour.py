@@ -1,0 +1,58 @@
+"""The newcomer's page: its commands run one after the other in a folder, and say what it says."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from test_docs import FENCE, ROOT
+
+PAGE = ROOT / "docs" / "first_hour.md"
+PROGRAM = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
+
+
+def run(line: str, folder: Path) -> str:
+    """Output of one command of the page."""
+    name, *words = shlex.split(line)
+    if name == "cp":
+        source, target = words
+        shutil.copy(ROOT / source, folder / target)
+        return ""
+    assert name == "osc-contact", f"not told how to run {line!r}"
+    done = subprocess.run(
+        [*PROGRAM, *words], cwd=folder, capture_output=True, text=True, timeout=300
+    )
+    refused = "=-1 mm" in line
+    assert done.returncode == (2 if refused else 0), done.stderr
+    return done.stdout + done.stderr
+
+
+def edit(patch: str, file: Path) -> None:
+    """Do what a patch of the page says: each line with a minus becomes the next one with a plus."""
+    lines = patch.splitlines()
+    old = [line[1:] for line in lines if line.startswith("-")]
+    new = [line[1:] for line in lines if line.startswith("+")]
+    text = file.read_text(encoding="utf-8")
+    for before, after in zip(old, new, strict=True):
+        assert text.count(before) == 1, f"{before!r} is not in the file"
+        text = text.replace(before, after)
+    file.write_text(text, encoding="utf-8")
+
+
+def test_the_page_leads_from_the_packaged_scenario_to_a_tilted_face(tmp_path: Path) -> None:
+    said, kinds = "", []
+    for fence in FENCE.finditer(PAGE.read_text(encoding="utf-8")):
+        kind, text = fence[1], fence[2]
+        if kind == "sh":
+            said = "".join(run(line, tmp_path) for line in text.splitlines())
+        elif kind == "diff":
+            edit(text, tmp_path / "my_rod.yaml")
+        elif kind == "text" and kinds[-1] != "python":  # tests/test_docs.py runs the program
+            assert text.strip() in said
+        kinds.append(kind)
+    assert kinds == ["sh", "text", "diff", "sh", "text", "sh", "text", "python", "text"]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"my_rod.html", "my_rod"}
+    assert (tmp_path / "out" / "my_rod" / "metrics.json").exists()

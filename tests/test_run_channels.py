@@ -1,0 +1,321 @@
+"""A run's channels, worked out together at its end, against plain computations tick by tick."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from pair_kinds import KINDS, PLAIN, pose_of
+
+import osc_contact as osc
+from osc_contact.contacts import pairs
+from osc_contact.contacts.pairs.over_time import normals_over
+from osc_contact.control.monitor import ContactMonitor
+from osc_contact.experiments.free_motion import free_part, free_parts
+from osc_contact.experiments.moving_face import FACES
+from osc_contact.experiments.watching import watch_series
+from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.spatial import Poses, rotations, turned
+
+ON_SURFACE = {
+    pairs.VertexOnFace: "point", pairs.SphereOnPlane: "point", pairs.FaceOnVertex: "vertex",
+    pairs.EdgeOnEdge: "point_E", pairs.FaceOnFace: "face_point",
+}  # fmt: skip
+WORLD = pin.SE3.Identity()
+
+
+def run_plainly(rig):
+    """Channels of a run, each from its definition, tick by tick."""
+    plant, controller, first = rig.plant(3), rig.controller(), rig.controller()
+    plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
+    drive, period = rig.drive(plant), 1.0 / rig.scenario.control.rate
+    monitor, ticks, samples = ContactMonitor(len(rig.pushing), period), [], []
+    plan = rig.references.over(np.arange(round(rig.scenario.duration / period)) * period)
+    for k, wanted in enumerate(plan):
+        read, truth = plant.measure(), judged(plant)
+        tau = controller.tick(read, wanted)
+        tare = rig.scenario.tare
+        if tare is not None and not controller.engaged:
+            if 2 * tare.duration / 3 <= k * period < tare.duration:
+                samples.append(controller.residual_wrench())
+            elif samples and k * period >= tare.duration:
+                controller.f_tare, samples = np.mean(samples, axis=0), []
+            if k * period >= tare.duration + tare.approach:
+                controller.engage()
+        found = controller.found()
+        alpha = speed = np.zeros(len(rig.pushing))
+        if len(found.alpha_meas):
+            contact = controller.last_signals().contact
+            alpha, speed = contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
+        seen = monitor.update(np.where(rig.pushing, alpha, np.abs(alpha)), speed)
+        ticks.append({
+            "t": k * period, "q": read.q, "v": read.v, "tau": tau, "alpha_cmd": wanted.alpha_d,
+            "alpha_meas": alpha, "contact_seen": seen.closed, "collision_seen": seen.collision,
+            "wrench_meas": found.f_meas - found.bias_out, "squeeze": found.squeeze[0],
+            "squeeze_cmd": wanted.squeeze_d, "status": int(controller.status),
+            "contact_phase": np.full(len(rig.pairs), 2 * controller.engaged),
+            "power_total": found.V_O @ (found.f_meas - found.bias_out - found.f_c) + alpha @ speed,
+            "power_projected": alpha @ speed, **truth, **lines(rig, truth),
+            "motion_error": error(rig, controller, read, truth),
+            "alpha_given_up": np.zeros(len(rig.pushing)) if controller.given_up is None
+            else controller.given_up.force,
+        })  # fmt: skip
+        drive.step(tau)
+    return {name: np.array([tick[name] for tick in ticks]) for name in ticks[0] if name != "E"}
+
+
+def judged(plant):
+    """What the plant knows; of MuJoCo from its own functions, contact by contact."""
+    if not isinstance(plant, MujocoPlant):
+        truth = plant.truth()
+        E = truth.X_WE or [WORLD] * len(plant.contacts)
+        return {"pose": pin.SE3ToXYZQUAT(truth.X_WO), "twist": truth.V_O, "E": E,
+                "alpha_true": truth.alpha, "closed": truth.closed}  # fmt: skip
+    import mujoco
+
+    model, data = plant.model, plant.data
+    body, V, force = int(model.body("object/root").id), np.zeros(6), np.zeros(6)
+    X = pin.SE3(data.xmat[body].reshape(3, 3).copy(), data.xpos[body].copy())
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, V, 0)
+    E, root_of = [], {}
+    for i, rail in enumerate(plant.rails):
+        E.append(WORLD if rail is None else moved(model, data, f"face{i}", rail))
+        root_of[int(model.body(f"face{i}/root").id)] = i
+
+    def face(geom):
+        at = int(model.geom_bodyid[geom])
+        while at and at not in root_of:
+            at = int(model.body_parentid[at])
+        return root_of.get(at)
+
+    pushed, touched = np.zeros((len(E), 6)), np.zeros(len(E), dtype=bool)
+    for k, contact in enumerate(data.contact):
+        first, second = (face(geom) for geom in contact.geom)
+        mujoco.mj_contactForce(model, data, k, force)
+        n = force[0] * contact.frame[:3] * (1.0 if first is None else -1.0)
+        at = second if first is None else first
+        pushed[at] += np.concatenate((n, np.cross(contact.pos - X.translation, n)))
+        touched[at] |= contact.efc_address >= 0
+    alpha = []
+    Phi = np.linalg.inv(plant.chain.reference_inertia(X))
+    for at in range(len(E)):  # contacts on one body follow one another in every scenario below
+        here = [pair for pair, on in zip(plant.contacts, plant.on, strict=True) if on == at]
+        N = np.hstack([pair.contact(X, np.zeros(6), E[at]).N for pair in here])
+        share = np.linalg.solve(N.T @ Phi @ N, N.T @ Phi @ pushed[at])
+        alpha.append(share if touched[at] else np.zeros(N.shape[1]))
+    alpha, start, closed = np.concatenate(alpha), 0, []
+    for pair, on in zip(plant.contacts, plant.on, strict=True):
+        r = pair.contact(X, np.zeros(6)).r
+        closed.append(touched[on] and (alpha[start : start + r] > 0.0).all())
+        start += r
+    return {"pose": pin.SE3ToXYZQUAT(X), "twist": np.concatenate((V[3:], V[:3])),
+            "E": [E[on] for on in plant.on], "alpha_true": alpha, "closed": closed}  # fmt: skip
+
+
+def moved(model, data, body, rail):
+    """Where a slide and the hinge on it have carried a body."""
+    names = {model.joint(j).name for j in range(model.njnt)}
+    s, turn = (
+        float(data.joint(f"{body}/{kind}").qpos[0]) if f"{body}/{kind}" in names else 0.0
+        for kind in ("slide", "hinge")
+    )
+    K = np.cross(np.eye(3), rail.axis)
+    R = np.eye(3) + np.sin(turn) * K + (1.0 - np.cos(turn)) * K @ K
+    return pin.SE3(R, rail.through + s * rail.direction - R @ rail.through)
+
+
+def lines(rig, truth):
+    """Unit columns of N at the true pose, where they meet the surface, poses of the faces."""
+    X, N, points, directions, poses = pin.XYZQUATToSE3(truth["pose"]), [], [], [], []
+    for pair, on, E in zip(rig.pairs, rig.on, truth["E"], strict=True):
+        columns = pair.contact(X, np.zeros(6), E).N
+        columns = columns / np.linalg.norm(columns[:3], axis=0)
+        gap = pair.gaps(X, E)
+        feet = [np.cross(n[:3], n[3:]) for n in columns.T]  # nearest to O on each line
+        surface = E.act(getattr(pair, ON_SURFACE[type(pair)]))
+        above = pair.radius if type(pair) is pairs.FaceOnVertex else 0.0
+        feet = [f + (n[:3] @ (surface - X.translation - f) - above) * n[:3]
+                for f, n in zip(feet, columns.T, strict=True)]  # fmt: skip
+        assert len(gap) == len(feet)
+        N.append(columns)
+        points.append(np.mean(feet, axis=0) + X.translation)
+        directions.append(columns[:3, 0])
+        poses.append(pin.SE3ToXYZQUAT(E * rig.bodies[on].placement))
+    return {"N": np.hstack(N), "contact_point": points, "contact_direction": directions,
+            "face_pose": poses}  # fmt: skip
+
+
+def error(rig, controller, read, truth):
+    found = controller.found()
+    if rig.d == 6:
+        return found.free_error.copy()
+    N = lines(rig, truth)["N"]
+    N = N if controller.engaged else N[:, :0]
+    return free_part(rig.model, read.q, pin.SE3(found.X_WO.copy()), N, found.error)
+
+
+SOON = ["tare.duration=15 ms", "tare.approach=20 ms", "tare.standoff=0.3 mm"]
+RUNS = {
+    "two_contact_rod": ("mujoco", 0.06, []),
+    "two_contact_rod, rigid": ("rigid", 0.006, []),
+    "two_contact_rod, detected": ("mujoco", 0.01, ["control.contacts=detected"]),
+    "two_contact_rod, one face twice": ("mujoco", 0.01, []),
+    "two_contact_rod_mismatch": ("mujoco", 0.06, SOON),
+    "two_contact_rod_friction": ("mujoco", 0.006, []),
+    "moving_face": ("mujoco", 0.04, []),
+    "moving_face, turned": ("mujoco", 0.02, FACES["turning conveyor"]),
+    "moving_face, rigid": ("rigid", 0.006, []),
+    "panda_edge": ("mujoco", 0.02, []),
+    "ur5_wipe": ("mujoco", 0.02, []),
+    "three_arm_plate": ("mujoco", 0.02, []),
+    "scara_peg": ("mujoco", 0.02, []),
+    "hinge_ball_rod": ("mujoco", 0.01, []),
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_channels_are_what_they_are_defined_to_be(name):
+    plant, duration, changes = RUNS[name]
+    changes = [*changes, f"plant.type={plant}", f"duration={duration}"]
+    scenario = osc.load_scenario(name.partition(",")[0], changes)
+    if name.endswith("one face twice"):  # three contact forces, two of them independent
+        data = scenario.as_dict()
+        data["contacts"].append(data["contacts"][0] | {"name": "again"})
+        data["force"]["again"] = data["force"]["left_end"]
+        scenario = type(scenario).model_validate(data).with_source(scenario.source)
+    recording = osc.run(scenario, seed=3)
+    plain = run_plainly(osc.build_rig(scenario))
+    assert set(recording.channels) == {*plain, "tick_s"}
+    for channel, values in plain.items():
+        found = recording[channel]
+        if channel in ("q", "v", "tau", "closed", "contact_seen", "collision_seen", "status"):
+            np.testing.assert_array_equal(found, values, err_msg=channel)
+        else:
+            np.testing.assert_allclose(found, values, rtol=1e-11, atol=1e-13, err_msg=channel)
+
+
+def test_a_viewer_sees_the_ticks_that_are_recorded():
+    shown = []
+
+    class Viewer:
+        def show(self, tick: Mapping) -> None:
+            if len(shown) in (0, 7, 29):
+                assert "N" in tick and len(tick) > 10
+                shown.append({name: np.array(tick[name]) for name in tick})
+            else:
+                shown.append({})
+
+    recording = osc.run(osc.load_scenario("two_contact_rod"), duration=0.03, viewer=Viewer())
+    for k in (0, 7, 29):
+        for name, value in shown[k].items():
+            np.testing.assert_allclose(value, recording[name][k], atol=1e-14, err_msg=name)
+
+
+def test_a_run_that_fails_leaves_all_channels_of_what_came_before(monkeypatch):
+    scenario = osc.load_scenario("two_contact_rod", ["duration=0.02"])
+    whole, step = osc.run(scenario), MujocoPlant.step
+
+    def failing(plant, tau, duration):
+        step(plant, tau, duration)
+        if plant.time > 0.0115:
+            raise osc.PlantError("enough")
+
+    monkeypatch.setattr(MujocoPlant, "step", failing)
+    with pytest.raises(osc.PlantError, match="enough") as failure:
+        osc.run(scenario)
+    part = failure.value.recording
+    assert len(part) == 12 and part.channels.keys() == whole.channels.keys()
+    for name in set(whole.channels) - {"tick_s"}:
+        np.testing.assert_allclose(part[name], whole[name][:12], atol=1e-13, err_msg=name)
+
+
+def test_a_step_that_goes_wrong_is_told_at_once():
+    plant = osc.build_rig(osc.load_scenario("two_contact_rod")).plant()
+    plant.data.qvel[2] = np.nan
+    with pytest.raises(osc.PlantError, match="diverged"):
+        plant.step(np.zeros(8), 1e-3)
+    with pytest.raises(osc.InvalidInputError, match="tau: element"):
+        plant.step(np.full(8, np.inf), 1e-3)
+    with pytest.raises(osc.InvalidInputError, match="shape"):
+        plant.hold(np.zeros(7))
+
+
+def random_poses(rng, k):
+    w = rng.normal(size=(3, k)) * np.where(rng.random(k) < 0.2, 1e-9, 2.0)
+    return Poses(rotations(w), rng.normal(size=(3, k))), w
+
+
+def test_poses_are_those_of_pinocchio():
+    rng = np.random.default_rng(5)
+    w = rng.normal(size=(3, 60))
+    w[:, :20] *= np.pi / np.linalg.norm(w[:, :20], axis=0)  # half turns have two quaternions
+    w[:, 20], w[:, 21] = 0.0, 1e-12
+    R, p, x = rotations(w), rng.normal(size=(3, 60)), rng.normal(size=(3, 4, 60))
+    poses = Poses(R, p)
+    for i in range(60):
+        np.testing.assert_allclose(R[:, :, i], pin.exp3(w[:, i]), atol=1e-14)
+        want = pin.SE3ToXYZQUAT(pin.SE3(R[:, :, i], p[:, i]))
+        np.testing.assert_allclose(poses.coordinates(60)[i], want, atol=1e-14)
+        np.testing.assert_allclose(turned(R, x)[:, :, i], R[:, :, i] @ x[:, :, i], atol=1e-14)
+        np.testing.assert_allclose(
+            poses.turn_back(x[:, 0])[:, i], R[:, :, i].T @ x[:, 0, i], atol=1e-14
+        )
+        np.testing.assert_array_equal(poses[i].homogeneous[:3, 3], p[:, i])
+
+
+def stacked(poses):
+    return Poses(
+        np.stack([X.rotation for X in poses], -1), np.stack([X.translation for X in poses], -1)
+    )
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_lines_of_force_over_time_are_those_of_the_pair(name):
+    rng = np.random.default_rng(6)
+    pair, pose, r = KINDS[name](rng, PLAIN)
+    touching = [pose(0.5 * rng.normal(size=6 - r)) for _ in range(5)]
+    faces = [pose_of(rng) for _ in range(5)]
+    for E in ([WORLD] * 5, faces, faces[:1] * 5):
+        X = [X_WE * X_EA for X_WE, X_EA in zip(E, touching, strict=True)]
+        moving = None if E[0] is WORLD else stacked(E[:1] if E[1] is E[0] else E)
+        found = normals_over(pair, stacked(X), moving)
+        assert found.shape == (6, r, 5)
+        for i in range(5):
+            want = pair.contact(X[i], np.zeros(6), None if moving is None else E[i]).N
+            np.testing.assert_allclose(found[:, :, i], want, atol=1e-13)
+
+
+def test_free_parts_are_the_free_part_of_each_in_singular_states_too():
+    rng = np.random.default_rng(7)
+    for name in ("two_contact_rod", "scara_peg", "ur5_wipe"):
+        rig = osc.build_rig(osc.load_scenario(name))
+        chain, k = rig.model, 40
+        q = rig.q_contact + 0.1 * rng.normal(size=(k, chain.nq))  # loops open: d changes
+        q[:10] = rig.q_contact + 1e-7 * rng.normal(size=(10, chain.nq))
+        q[10], q[11] = 0.0, rig.q_contact  # stretched out
+        X, _ = random_poses(rng, k)
+        N, x = rng.normal(size=(6, 2, k)), rng.normal(size=(6, k))
+        N[:, 1, 12], N[:, 0, 13] = 2.0 * N[:, 0, 12], 0.0  # dependent, and none at all
+        J = np.zeros((6, chain.nq, k))
+        for i in range(k):
+            J[:, :, i] = pin.computeJointJacobians(chain.model, chain.data, q[i])
+        found = free_parts(chain, q, J, X, N, x)
+        for i in range(k):
+            want = free_part(chain, q[i], X[i], N[:, :, i], x[:, i])
+            np.testing.assert_allclose(found[:, i], want, atol=1e-9, err_msg=f"{name} {i}")
+
+
+def test_a_series_is_watched_as_its_ticks_are():
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        levels = rng.choice([0.0, 0.39, 0.5, 1.1, 8.0], size=(60, 3), p=[0.2, 0.1, 0.1, 0.1, 0.5])
+        alpha = np.repeat(levels, rng.integers(1, 12, 60), axis=0)
+        alpha = alpha + 0.02 * rng.normal(size=alpha.shape)
+        speed = 0.01 * rng.normal(size=alpha.shape)
+        one, other = ContactMonitor(3, 1e-3), ContactMonitor(3, 1e-3)
+        want = [one.update(a, s) for a, s in zip(alpha, speed, strict=True)]
+        closed, collision = watch_series(other, alpha, speed)
+        np.testing.assert_array_equal(closed, [state.closed for state in want])
+        np.testing.assert_array_equal(collision, [state.collision for state in want])

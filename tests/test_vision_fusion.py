@@ -1,0 +1,209 @@
+"""Vision fused with encoders: the camera's frame found, its delay undone, its noise believed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from test_moving_face import TURNING
+
+import osc_contact as osc
+from osc_contact.control.vision_fusion import History, Registration, VisionFusion
+from osc_contact.interface import Seen, Touched
+
+NOISE = (1e-3, 5e-3)
+
+
+def displaced(rng, size):
+    """A pose, some (m, rad) away from the identity."""
+    return pin.SE3(pin.exp3(size[1] * rng.normal(size=3)), size[0] * rng.normal(size=3))
+
+
+def scattered(rng, n=3):
+    return [pin.SE3.Random() if rng is None else displaced(rng, (0.4, 1.0)) for _ in range(n)]
+
+
+def noisy(X, rng, noise=NOISE):
+    """As the plant's camera errs: shifted, and turned about its own origin in world axes."""
+    R = pin.exp3(noise[1] * rng.normal(size=3)) @ X.rotation
+    return pin.SE3(R, X.translation + noise[0] * rng.normal(size=3))
+
+
+def lacking(estimate, true):
+    """ξ = [δ; θ] with true = (exp(θ), δ) ∘ estimate."""
+    rest = true * estimate.inverse()
+    return np.concatenate((rest.translation, pin.log3(rest.rotation)))
+
+
+def test_without_noise_one_picture_finds_the_camera():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        X_WC, known = displaced(rng, (0.1, 0.3)), scattered(rng)
+        found = Registration(1e-9, 1e-9, prior=(1.0, 1.0))
+        found.update(known, [X_WC.inverse() * X for X in known])
+        np.testing.assert_allclose(lacking(found.X, X_WC), 0.0, atol=1e-8)
+
+
+def test_the_covariance_is_that_of_the_error():
+    """Normalised squared error over 300 cameras: chi² with 6 degrees of freedom, mean 6 ± 0.2."""
+    rng, squares, spread = np.random.default_rng(1), [], []
+    for _ in range(300):
+        prior = (5e-3, 5e-3)
+        X_WC, known = displaced(rng, prior), scattered(rng)
+        found = Registration(*NOISE, prior=prior, drift=(0.0, 0.0))
+        for _ in range(20):
+            found.update(known, [noisy(X_WC.inverse() * X, rng) for X in known], 1 / 60)
+        error = lacking(found.X, X_WC)
+        squares.append(error @ np.linalg.solve(found.P, error))
+        spread.append(error / np.sqrt(np.diag(found.P)))
+    assert np.mean(squares) == pytest.approx(6.0, abs=4 * np.sqrt(12 / 300))
+    np.testing.assert_allclose(np.std(spread, axis=0), 1.0, atol=0.15)
+
+
+def test_pictures_are_averaged_and_a_wandering_camera_is_followed():
+    rng = np.random.default_rng(2)
+    known = scattered(rng)
+    still, kept = Registration(*NOISE), []
+    for n in range(1, 241):
+        still.update(known, [noisy(X, rng) for X in known], 1 / 60)
+        if n in (60, 240):
+            kept.append(np.sqrt(np.diag(still.P)))
+    assert np.abs(lacking(still.X, pin.SE3.Identity())[:3]).max() < 5e-4
+    assert (kept[1] < kept[0]).all() and (kept[1] > 0.45 * kept[0]).all()  # ~ 1/√n
+    moved = pin.SE3(pin.exp3(np.array([0, 0, 2e-3])), np.array([3e-3, 0, 0]))
+    lively = Registration(*NOISE, drift=(1e-3, 1e-3))
+    for where in (pin.SE3.Identity(), moved):
+        for _ in range(600):
+            lively.update(known, [noisy(where.inverse() * X, rng) for X in known], 1 / 60)
+    assert np.abs(lacking(lively.X, moved)).max() < 1.5e-3
+
+
+def test_history_tells_what_was():
+    history = History(0.1)
+    with pytest.raises(osc.InvalidInputError, match="empty"):
+        history.at(0.0)
+    for k in range(301):
+        history.add(1e-3 * k, np.array([1e-3 * k, 2.0]))
+    np.testing.assert_allclose(history.at(0.2345), [0.2345, 2.0], atol=1e-12)
+    np.testing.assert_allclose(history.at(9.0), [0.3, 2.0])
+    assert history.at(0.0)[0] == pytest.approx(0.2, abs=2e-3)  # no further back than 0.1 s
+    alone = History(1.0)
+    alone.add(0.0, np.ones(1))
+    assert alone.at(-1.0) == alone.at(5.0) == 1.0
+
+
+@pytest.mark.parametrize("bad", [{"position": 0.0}, {"prior": (1.0, 0.0)}, {"drift": (-1.0, 0.0)}])
+def test_impossible_noise_is_refused(bad):
+    with pytest.raises(osc.InvalidInputError, match="registration"):
+        Registration(**{"position": 1e-3, "orientation": 1e-3} | bad)
+
+
+def watched(noise, X_WC, seconds, rng, delay=0.03, seen=True):
+    """(truth, estimate) of a body that travels and turns while the robots swing, tick by tick."""
+    M = displaced(np.random.default_rng(9), (0.3, 1.0))  # the marker on the body
+    axis, v, w = np.array([0.6, 0.0, 0.8]), np.array([0.01, -0.02, 0.005]), 0.05
+
+    def body(t):
+        return pin.SE3(pin.exp3(axis * w * t), v * t)
+
+    def robots(q):
+        return [pin.SE3(pin.exp3(np.array([0, 0, q[0]])), np.array([0.1, q[0], 0.2])),
+                pin.SE3(np.eye(3), np.array([-0.4, -q[0], 0.4]))]  # fmt: skip
+
+    fusion = VisionFusion(robots, Registration(*noise), (0.05, 0.1), dt=1e-3, period=1 / 60,
+                          delay=delay, markers=M.homogeneous[None])  # fmt: skip
+    pictures, out, taken = [], [], 0
+    for k in range(round(1000 * seconds)):
+        t = 1e-3 * k
+        q = np.array([0.3 * t])
+        if t >= taken / 60 - 1e-9:
+            taken += 1
+            here = [noisy(X_WC.inverse() * X, rng, noise) for X in (*robots(q), body(t) * M)]
+            pictures.append((t, here))
+        arrived = [p for p in pictures if p[0] + delay <= t + 1e-9] or pictures[:1]
+        stamp, (rod, tip, marker) = arrived[-1]
+        told = Seen(rod.homogeneous, tip.homogeneous[None]) if seen else None
+        touched = Touched((marker * M.inverse()).homogeneous[None], np.full((1, 6), np.nan),
+                          np.zeros((1, 6)))  # fmt: skip
+        out.append((body(t), fusion.update(t, q, stamp, told, touched)))
+    twist = np.concatenate((v, axis * w))
+    return out, twist, fusion
+
+
+def test_delay_and_camera_cancel_where_hardly_anything_is_noisy():
+    X_WC = pin.SE3(pin.exp3(np.array([3e-3, -4e-3, 5e-3])), np.array([4e-3, -3e-3, 5e-3]))
+    out, twist, _ = watched((1e-5, 5e-5), X_WC, 1.0, np.random.default_rng(3))
+    X, found = out[-1]
+    np.testing.assert_allclose(found.X_WE[0], X.homogeneous, atol=2e-4)
+    np.testing.assert_allclose(found.V_E[0], twist, atol=3e-3)
+    alone, _, _ = watched((1e-5, 5e-5), X_WC, 1.0, np.random.default_rng(3), seen=False)
+    assert np.abs(alone[-1][1].X_WE[0] - X.homogeneous).max() > 2e-3  # the camera's own frame
+
+
+def test_under_noise_bodies_are_followed_within_a_few_milliradians():
+    X_WC = pin.SE3(pin.exp3(np.array([3e-3, -4e-3, 5e-3])), np.array([4e-3, -3e-3, 5e-3]))
+    out, twist, fusion = watched(NOISE, X_WC, 4.0, np.random.default_rng(4))
+    turn = [pin.log3(f.X_WE[0, :3, :3] @ X.rotation.T) for X, f in out[1500:]]
+    assert np.sqrt(np.mean(np.square(turn))) < 2.5e-3
+    speed = np.array([f.V_E[0, 3:] for _, f in out[1500:]])
+    np.testing.assert_allclose(speed.mean(axis=0), twist[3:], atol=5e-3)
+    error = lacking(fusion.registration.X, X_WC)
+    assert error @ np.linalg.solve(fusion.registration.P, error) < 30.0
+
+
+VISION = (
+    "sensors.vision={rate: 60 Hz, delay: 30 ms, position: {noise: 1 mm}, "
+    "orientation: {noise: 5 mrad}, frame_position: 5 mm, frame_orientation: 5 mrad}"
+)
+
+
+@pytest.mark.parametrize("plant", ["rigid", "mujoco"])
+def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
+    """Against the true N, with and without the fusion, while the face travels and tilts."""
+    slow = [c.replace(": 0.7 Hz", ": 0.1 Hz").replace(": 1 Hz", ": 0.1 Hz") for c in TURNING]
+    slow = [c.replace("ramp: 0.1 s", "ramp: 4 s") for c in slow]
+    changes = [*slow, VISION, f"plant.type={plant}", "plant.step=1 ms", "control.rate=1 kHz"]
+    if plant == "mujoco":
+        changes[-2] = "plant.step=0.25 ms"
+    rig = osc.build_rig(osc.load_scenario("moving_face", changes))
+    sensed, controller, observer = rig.plant(2), rig.controller(), rig.observer()
+    ours, raw = [], []
+    for k in range(2500):
+        read = sensed.measure()
+        done = observer.complete(read, None)
+        if k >= 1200 and k % 20 == 0:
+            truth = sensed.truth()
+            n = rig.pairs[0].direction(truth.X_WE[0])
+            for kept, touched in ((ours, done.touched), (raw, read.touched)):
+                n_hat = rig.pairs[0].direction(pin.SE3(touched.X_WE[0]))
+                kept.append(
+                    [
+                        np.linalg.norm(np.cross(n, n_hat)),
+                        abs(rig.pairs[0].gaps(truth.X_WO, pin.SE3(touched.X_WE[0]))[0]),
+                    ]
+                )
+        sensed.step(controller.tick(done, rig.references.at(1e-3 * k)), 1e-3)
+    ours, raw = np.array(ours), np.array(raw)
+    rms = np.sqrt(np.mean(ours**2, axis=0))
+    assert rms[0] < 4e-3 and rms[1] < 1.2e-3, rms  # rad; m from where it touches
+    assert (rms < 0.6 * np.sqrt(np.mean(raw**2, axis=0))).all(), (rms, raw)
+    assert controller.status is osc.Status.OK
+
+
+def test_vision_tracks_rod_and_arms_where_they_are():
+    rig = osc.build_rig(osc.load_scenario("moving_face", ["plant.type=rigid", VISION]))
+    sensed = rig.plant(5)
+    seen, truth = sensed.measure().seen, sensed.truth()
+    for X, Y in zip((seen.object, *seen.tips), sensed.plant.poses(), strict=True):
+        assert 1e-4 < np.abs(X[:3, 3] - Y[:3, 3]).max() < 1.5e-2
+        assert np.linalg.norm(pin.log3(X[:3, :3] @ Y[:3, :3].T)) < 0.04
+    np.testing.assert_allclose(sensed.plant.poses()[0], truth.X_WO.homogeneous, atol=1e-12)
+    assert seen.tips.shape == (2, 4, 4)
+
+
+def test_both_plants_tell_the_same_poses():
+    found = []
+    for plant in ("rigid", "mujoco"):
+        rig = osc.build_rig(osc.load_scenario("two_contact_rod", [f"plant.type={plant}"]))
+        found.append(rig.plant().poses())
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
