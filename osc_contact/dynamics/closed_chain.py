@@ -103,9 +103,8 @@ class ClosedChain:
         actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits, inf
             where a model names none.
         tips, sensors: frame of each arm's tip and wrist sensor (None: it has none).
-        outboard: links beyond each sensor.
-        reference: the object, or its stand-in for rank decisions. arm_mass: of the heaviest arm.
-        full_ranks: motions each arm's tip can make in ordinary postures.
+        outboard: links beyond each sensor. arm_mass: of the heaviest arm.
+        reference: the object, or its stand-in for rank decisions. full_ranks: as in `ChainState`.
     """
 
     def __init__(
