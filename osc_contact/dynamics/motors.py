@@ -22,8 +22,9 @@ def effort_limits(model: pin.Model, actuated: Array) -> Array:
     given = np.array(model.upperEffortLimit)[actuated]
     for j, limit in zip(actuated, given, strict=True):
         if not limit > 0.0:
+            name = model.names[int(j) + 1]
             raise ModelError(
-                f"joint '{model.names[int(j) + 1]}' has an effort limit of {limit:g}: such a motor does "
+                f"joint '{name}' has an effort limit of {limit:g}: such a motor does "
                 "nothing. Give its largest torque (N m) or force (N), or list it among the passive "
                 "joints"
             )
