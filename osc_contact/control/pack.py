@@ -12,6 +12,7 @@ from osc_contact.control.allocation import effort_scale
 from osc_contact.control.pack_pairs import PackedPairs
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Cart, Conveyor
+from osc_contact.dynamics.singular import FULL, GYRATION
 from osc_contact.errors import ModelError
 from osc_contact.kernels import layout as at
 from osc_contact.spatial import Array
@@ -80,6 +81,7 @@ def _head(controller: Controller) -> Array:
     head[at.STIFFNESS], head[at.DAMPING] = motion.gains.stiffness, motion.gains.damping
     head[at.INTEGRAL], head[at.PERIOD] = motion.gains.integral, motion.dt
     head[at.POSTURE_STIFFNESS] = controller.allocation.stiffness
+    head[at.GYRATION], head[at.FADING] = GYRATION**2, 1.0 / FULL**4
     head[at.POSTURE_DAMPING] = controller.allocation.damping
     return head
 
@@ -87,7 +89,7 @@ def _head(controller: Controller) -> Array:
 def _chain(chain: ClosedChain, posture: Array) -> Arrays:
     model, n, k = chain.model, chain.nq, len(chain.arms)
     arms_i, joints_i = np.zeros((k, 4), dtype=np.int64), np.zeros((n, 2), dtype=np.int64)
-    arms, joints = np.zeros((k, 16)), np.zeros((n, 24))
+    arms, joints = np.zeros((k, 17)), np.zeros((n, 24))
     limits = effort_scale(chain.tau_max)
     joints_i[:, 1] = -1
     joints_i[chain.actuated, 1] = np.arange(chain.n_a)
@@ -97,7 +99,8 @@ def _chain(chain: ClosedChain, posture: Array) -> Arrays:
     for i, (tip, sensor, s) in enumerate(zip(chain.tips, chain.sensors, chain.slices, strict=True)):
         at_tip = model.frames[tip]
         arms_i[i] = s.start, s.stop, at_tip.parentJoint, -1
-        arms[i, :3] = at_tip.placement.translation
+        arms[i, :3], arms[i, 15] = at_tip.placement.translation, chain.arm_mass
+        arms[i, 16] = chain.full_ranks[i]
         if sensor is not None:
             at_wrist = model.frames[sensor]
             X = at_wrist.placement
