@@ -145,7 +145,8 @@ BAD = {
     "bad name": ("name: end", "name: my.end", 13, "contacts.my.end.name", "expected a name of"),
     "signal type": (
         "type: constant", "type: konstant", 20, "force.end.0.type",
-        "expected one of 'constant', 'step', 'sine', 'minimum_jerk'; got 'konstant'",
+        "expected one of 'constant', 'step', 'sine', 'minimum_jerk', "
+        "'jerk_limited', 'points'; got 'konstant'",
     ),
     "no signal type": ("{type: constant, value", "{value", 20, "force.end.0", "'type' is missing"),
     "no signals": ("\n    - {type: constant, value: 3 N}", " []", 19, "force.end", "at least 1"),

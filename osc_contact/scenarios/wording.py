@@ -25,8 +25,8 @@ _SIGNS = {
     "greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"), "less_than": ("<", "lt"),
 }  # fmt: skip
 _TAGS = (
-    "constant, step, sine or minimum_jerk for a signal; linear or angular for a move; "
-    f"for a contact {', '.join(MAGNITUDES)}"
+    "constant, step, sine, minimum_jerk, jerk_limited or points for a signal; linear or angular "
+    f"for a move; for a contact {', '.join(MAGNITUDES)}"
 )
 
 
