@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from osc_contact.control.joint_limits import JointLimits
 from osc_contact.dynamics.arm import ArmTerms
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
-from osc_contact.errors import ModelError
+from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array
 
 __all__ = ["Allocation", "effort_scale", "squeeze_response", "squeeze_rows"]
@@ -87,13 +89,16 @@ class Allocation:
 
     Arms with more joints than they need use only torques Jᵀφ for the task; the rest holds their
     posture in the dynamically consistent null space, (1 − JᵀJ̄ᵀ)τ₀ with
-    τ₀ = h + M (−k_d q̇ + k_p (q₀ − q)).
+    τ₀ = h + M (−k_d q̇ + k_p (q₀ − q)) + diag(M) a_l(q), a_l the push away from joint limits. This
+    one acts on each joint by its own inertia, so that no other joint's push turns it around.
 
     Attributes:
         chain: structure and torque limits.
         posture: (n,) joint positions that redundant arms return to.
         stiffness, damping: 1/s², 1/s of that posture task. retreat_damping: 1/s, instead of
             damping, of joint motions that a singular posture takes from the task.
+        limit_stiffness: 1/s², of the push away from joint limits; 0: none. limit_margin: where it
+            begins, as a share of the joint's range (see `JointLimits`).
     """
 
     chain: ClosedChain
@@ -101,8 +106,15 @@ class Allocation:
     stiffness: float = 25.0
     damping: float = 10.0
     retreat_damping: float = 50.0
+    limit_stiffness: float = 400.0
+    limit_margin: float = 0.05
 
     def __post_init__(self) -> None:
+        if not 0.0 < self.limit_margin < 0.5 or not 0.0 <= self.limit_stiffness < np.inf:
+            raise InvalidInputError(
+                f"limit_margin {self.limit_margin}, limit_stiffness {self.limit_stiffness} 1/s²: "
+                "expected a share of the joint's range below 0.5, and a finite number ≥ 0"
+            )
         for arm, grasp in zip(self.chain.arms, self.chain.grasps, strict=True):
             if arm.model.nv > grasp.N.shape[1] and arm.passive_joints:
                 raise ModelError(
@@ -158,6 +170,11 @@ class Allocation:
             full[s, s] = square
         return full[np.ix_(chain.actuated, chain.actuated)]
 
+    @cached_property
+    def limits(self) -> JointLimits:
+        """What pushes redundant arms away from joint limits."""
+        return JointLimits.of(self.chain.model, self.limit_stiffness, self.limit_margin)
+
     def retreat(self, q: Array, v: Array) -> Array:
         """q̈ (n,) = −k_r q̇ + k_p (q₀ − q) in motions that a singular posture takes from the task."""
         return self.stiffness * (self.posture - q) - self.retreat_damping * v
@@ -180,11 +197,11 @@ class Allocation:
 
     def _posture_torques(self, state: ChainState, q: Array, v: Array) -> Array:
         chain = self.chain
-        full = np.zeros(chain.nq)
+        full, push = np.zeros(chain.nq), self.limits.push(q)
         for i, (s, arm) in enumerate(zip(chain.slices, state.arms, strict=True)):
             if arm.J.shape[1] > arm.N.shape[1]:
                 pull = self.stiffness * (self.posture[s] - q[s]) - self.damping * v[s]
-                tau_0 = state.h[s] + arm.M @ pull
+                tau_0 = state.h[s] + arm.M @ pull + np.diag(arm.M) * push[s]
                 full[s] = tau_0 - arm.J.T @ (arm.J_bar.T @ tau_0)
                 back = state.h[s] + arm.M @ self.retreat(q, v)[s]
                 for lost in (one for one in state.fading if one.arm == i):

@@ -11,7 +11,7 @@ import ctypes
 from typing import Any
 
 import numpy as np
-from numba import config, njit, types  # type: ignore[attr-defined]
+from numba import config, njit, types
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 

@@ -50,7 +50,8 @@ def along_normals(
     """Fill Φ_N, Φ_μ (6, 6), b_N and V_N (6,) for the kept columns.
 
     Args:
-        N: (r_all, 6) at O. keep: (r,). drag: (r, 6) N_μ − N at O. owners: (r_all,) contact of each column.
+        N: (r_all, 6) at O. keep: (r,). drag: (r, 6) N_μ − N at O.
+        owners: (r_all,) contact of each column.
         kinds: (contacts,) of the bodies. same: (contacts,) the first
             contact on the same body, whose motion counts.
         parameters: (contacts, 48), see `_answer`; ELSEWHERE: Φ_e (36), b_e, V_e at O.

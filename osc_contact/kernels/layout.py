@@ -18,7 +18,8 @@ __all__: list[str] = []
     HEAD,  # constants, see below
     ARMS,  # (k, 17) tip point in its joint (0:3), sensor in its: rotation (3:12), point (12:15),
     # mass of the heaviest arm (15), motions it can make (16)
-    JOINTS,  # (n, 24) link (0:10), outboard part (10:20), τ_max² (20), 1/τ_max² (21), posture (22)
+    JOINTS,  # (n, 27) link (0:10), outboard part (10:20), τ_max² (20), 1/τ_max² (21), posture (22),
+    # near its limits: where margins begin (23, 24), their width (25), greatest push (26)
     SHAPES,  # (…, 16) see `contact`
     BODIES,  # (c, 48) see `environment`
     METRIC,  # (6, 6) B⁻¹ given by the user, world axes at O
