@@ -26,7 +26,7 @@ def assert_motion(verdict):
     assert verdict["motion"]["rms_error_m"] <= 0.5e-3
     assert verdict["motion"]["rms_error_rad"] <= 2e-3
     assert set(verdict["contact_fraction"].values()) == {1.0}
-    assert verdict["status"] == {"ok": verdict["ticks"], "saturated": 0, "held": 0}
+    assert verdict["status"] == {"ok": verdict["ticks"], "saturated": 0, "held": 0, "degraded": 0}
 
 
 def test_the_task_is_the_one_described(nominal):
