@@ -13,6 +13,7 @@ from test_compiled_tick import agree, disturb, inputs, twins
 
 import osc_contact as osc
 from osc_contact.control.force import ForceGains
+from osc_contact.control.friction import Friction
 from osc_contact.control.life import (
     Columns,
     ContactLife,
@@ -215,7 +216,8 @@ def test_both_paths_agree_on_random_masks(chain):
     assert seen & 0b0110  # some were in and some out
 
 
-def test_both_paths_agree_on_a_table_with_some_legs_up():
+@pytest.mark.parametrize("friction", [None, Friction(0.4)])
+def test_both_paths_agree_on_a_table_with_some_legs_up(friction):
     chain, rng = panda_pair(), np.random.default_rng(52)
     for _ in range(8):
         q, v = random_state(chain, rng)
@@ -223,20 +225,21 @@ def test_both_paths_agree_on_a_table_with_some_legs_up():
         n = X.rotation @ np.array([0.0, 0.0, 1.0])
         spots = np.column_stack((rng.uniform(-0.2, 0.2, (5, 2)), np.full(5, -0.05)))
         pairs = [osc.VertexOnFace(p, X.act(p), n, name=f"leg{i}") for i, p in enumerate(spots)]
-        fast, slow = twins(chain, pairs)
+        fast, slow = twins(chain, pairs, friction=friction)
         disturb(rng, fast, slow)
         given_phases(rng, np.arange(5), fast, slow)
         agree(fast, slow, *inputs(chain, q, v, rng, 5))
 
 
-def test_both_paths_agree_on_random_masks_when_motors_are_at_their_limits():
+@pytest.mark.parametrize("friction", [None, Friction(0.4)])
+def test_both_paths_agree_on_random_masks_when_motors_are_at_their_limits(friction):
     """Which contacts may lose force is told by the mask, too."""
     chain, rng = scara_pair(), np.random.default_rng(55)
     done = 0
     while done < 6:
         q, v = random_state(chain, rng)
         pairs = random_faces(chain.state(q, v).X_WO, 3, rng)
-        fast, slow = twins(chain, pairs)
+        fast, slow = twins(chain, pairs, friction=friction)
         measurement, reference = inputs(chain, q, v, rng, 3)
         reference = replace(reference, alpha_d=200.0 * reference.alpha_d)
         phase = given_phases(rng, np.arange(3), fast, slow)

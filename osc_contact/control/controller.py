@@ -23,6 +23,7 @@ from osc_contact.control.command_filter import (
 )
 from osc_contact.control.contact_state import chosen, parts_in_force, surroundings
 from osc_contact.control.effort_limits import EffortLimits, GivenUp
+from osc_contact.control.fade import LostDirection, faded_motion, note_lost
 from osc_contact.control.force import (
     ContactTerms,
     ForceLaw,
@@ -56,6 +57,7 @@ class Controller:
     Attributes:
         signals: every wire of the last tick. status, reason: how it ended.
         given_up: what motor limits cost in the last tick; None: nothing.
+        lost_directions: in which motion commands were faded near a singular posture.
         engaged: whether the contacts are part of the model; False treats the object as free.
         terms: on what terms each contact takes part. life: what sets them; None: all contacts are
             closed as long as they are engaged. ticked: whether life has a tick to judge.
@@ -95,8 +97,8 @@ class Controller:
             engaged: start in contact.
             compiled: run on the kernels, some hundred times faster; False: on the readable path
                 below, which gives the same torques. The first controller ever made on a machine
-                compiles them. Friction, and grasps that `compiled.compilable` does not know, are
-                for the readable path only.
+                compiles them. Grasps and pairs with friction that `compiled.compilable` does not
+                know are for the readable path only.
             friction: what is believed of the contacts' friction; None: nothing.
             life: opens, approaches and closes the contacts one by one.
 
@@ -117,6 +119,7 @@ class Controller:
         self.allocation = Allocation(chain, rest)
         self.limits = EffortLimits(chain, self.contacts)
         self.given_up: GivenUp | None = None
+        self.lost_directions: tuple[LostDirection, ...] = ()
         self._tare, self._bias = np.zeros(6), np.zeros(6)
         self.life = life
         self.terms = ContactTerms(np.zeros((len(self.contacts), 4)), gains.force)
@@ -127,10 +130,10 @@ class Controller:
         self._reason = ""
         self._last_tau: Array = np.zeros(chain.n_a)
         self._fast: CompiledTick | None = None
-        if compiled and friction is None:
+        if compiled:
             from osc_contact.control.compiled import CompiledTick, compilable
 
-            if compilable(chain):
+            if compilable(chain, self.contacts, friction):
                 self._fast = fast = CompiledTick(self)
                 self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
                 self.terms = ContactTerms(fast.terms, gains.force)
@@ -140,7 +143,7 @@ class Controller:
     @property
     def reason(self) -> str:
         """Why `status` is not OK; empty if it is."""
-        return self._reason or str(self.given_up or "")
+        return self._reason or str(self.given_up or "; ".join(map(str, self.lost_directions)))
 
     @property
     def f_tare(self) -> Array:
@@ -197,6 +200,7 @@ class Controller:
                     self.signals.__dict__.clear()
                     self.signals.__dict__["_fill"] = self._fill_signals
                 self.status, self._reason, self.given_up = Status.OK, "", None
+                self.lost_directions = ()
                 if code == _SATURATED:
                     try:
                         self.status, self.given_up = Status.SATURATED, fast.relieve()
@@ -214,6 +218,7 @@ class Controller:
             for stage in self.STAGES:
                 stage(self, s)
             self._last_tau[:] = within_limits(self, s, *before)
+            note_lost(self, s.state, before[0])
             self.signals.__dict__.clear()
             self.signals.__dict__.update(s.__dict__)
             self._looked = self._by_twin = True
@@ -267,6 +272,8 @@ class Controller:
 
     def joint_acceleration(self) -> Array:
         """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
+        if self._fast is not None and not self._by_twin:
+            return self._fast.acceleration.copy()
         s = self.last_signals()
         return np.asarray(s.state.W @ s.eta_c + s.state.w)
 
@@ -351,7 +358,7 @@ class Controller:
     @block("motion filter", "filter", r"$\Omega_m(B)$  (24)")
     def _motion_filter(self, s: Signals) -> None:
         eta_u = object_coordinates(s.state, s.contact, s.a_u)
-        s.eta_c = filtered_motion(
+        eta = filtered_motion(
             s.state,
             s.contact,
             eta_u,
@@ -360,6 +367,8 @@ class Controller:
             s.environment,
             s.drag,
         )
+        posture = self.allocation.retreat(s.q, s.v)
+        s.eta_c = faded_motion(s.state, s.contact, self.chain, eta, posture)
 
     @block("dynamic control structure", "filter", r"$\Lambda_S\dot\eta_c+b_S+S^Tf_{ccomm}$  (21)")
     def _control_structure(self, s: Signals) -> None:
