@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .errors import InvalidInputError, OscContactError, SolverError
 
 __all__ = ["Bounds", "JerkLimits", "Way", "solve"]
 
+Array = NDArray[np.float64]
 Bounds = tuple[list[float], list[float], list[float]]
 """Of velocity, acceleration and jerk, one for each coordinate."""
 
@@ -102,34 +103,39 @@ def solve(
 
 
 class Way:
-    """From a state of n coordinates to rest at a goal; time is counted from its beginning."""
+    """From a state of n coordinates to rest at a goal; time is counted from its beginning.
 
-    def __init__(
-        self, x: list[float], v: list[float], a: list[float], goal: list[float], bounds: Bounds
-    ) -> None:
+    Solved from 0 in units in which each coordinate's greatest velocity is 1/s.
+    """
+
+    def __init__(self, x: Array, v: Array, a: Array, goal: Array, bounds: Bounds) -> None:
         self.goal = goal
-        self._trajectory = solve(x, v, a, goal, bounds)
+        self._origin, self._unit = x, np.array(bounds[0])
+        begin = [(each / self._unit).tolist() for each in (0.0 * x, v, a)]
+        limits = [(np.array(each) / self._unit).tolist() for each in bounds]
+        self._trajectory = solve(
+            begin[0], begin[1], begin[2], ((goal - x) / self._unit).tolist(),
+            (limits[0], limits[1], limits[2]),
+        )  # fmt: skip
         self._duration = float(self._trajectory.duration)
         self._t = 0.0
 
     @classmethod
-    def rest(cls, x: list[float], bounds: Bounds) -> Way:
+    def rest(cls, x: Array, bounds: Bounds) -> Way:
         """No way at all: at rest at x."""
-        zero = [0.0] * len(x)
-        return cls(x, zero, zero, x, bounds)
+        return cls(x, 0.0 * x, 0.0 * x, x, bounds)
 
     def advance(self, dt: float) -> None:
         """Let time pass (s)."""
         self._t += dt
 
     @property
-    def state(self) -> tuple[list[float], list[float], list[float]]:
-        """(x, v, a) now; at the end exactly the goal, at rest."""
+    def state(self) -> tuple[Array, Array, Array]:
+        """(x, v, a) now, new arrays; at the end exactly the goal, at rest."""
         if self._t >= self._duration:
-            zero = [0.0] * len(self.goal)
-            return self.goal, zero, zero
-        x, v, a = self._trajectory.at_time(self._t)
-        return x, v, a
+            return self.goal.copy(), np.zeros(len(self.goal)), np.zeros(len(self.goal))
+        x, v, a = np.array(self._trajectory.at_time(self._t)) * self._unit
+        return self._origin + x, v, a
 
     @property
     def remaining(self) -> float:

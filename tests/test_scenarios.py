@@ -176,6 +176,15 @@ BAD = {
 }  # fmt: skip
 
 
+def test_a_bad_item_is_not_told_as_a_list_too_short():
+    path = Path(__file__).parent / "scenarios" / "set_points.yaml"
+    for wrong in ("force.left_end.0.points=[[0 s, 1 N], [1 s, 2 mm]]",
+                  "motion.0.signals.0.velocity=3 N/s"):  # fmt: skip
+        with pytest.raises(ScenarioError) as caught:
+            load_scenario(path, [wrong])
+        assert len(str(caught.value).splitlines()) == 1, caught.value
+
+
 @pytest.mark.parametrize("case", BAD)
 def test_bad_files_name_line_key_and_cure(case):
     old, new, line, key, message = BAD[case]

@@ -151,6 +151,16 @@ def test_points_are_met_by_the_curve_of_least_jerk():
         assert change.max() <= 0.05 * max(1.0, np.abs(np.gradient(jerk, t[5:-5])).max())
 
 
+def test_a_value_given_twice_is_held_and_parts_the_curve():
+    t = np.linspace(-0.2, 8.0, 2000)
+    first, last = ((0.0, 3.0), (0.4, 5.0), (0.9, 4.0)), ((6.0, 4.0), (6.3, 1.0), (7.0, 2.0))
+    both = np.array(Points(points=(*first, *last)).over(t))
+    before, after = np.array(Points(points=first).over(t)), np.array(Points(points=last).over(t))
+    np.testing.assert_allclose(both, np.where(t < 3.0, before, after), atol=1e-9)
+    held = (t >= 0.9) & (t <= 6.0)
+    np.testing.assert_allclose(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), atol=1e-12)
+
+
 def test_two_points_are_minimum_jerk():
     t = np.linspace(0.0, 1.0, 101)
     ours = Points(points=((0.3, 0.0), (0.7, 2.0))).over(t)
@@ -220,6 +230,8 @@ def test_the_same_signals_hold_lengths_angles_or_forces(kind, key, good, bad):
         lambda: Points(points=((0.0, 1.0),)),
         lambda: Points(points=((0.0, 1.0), (1.0, 2.0), (1.0, 3.0))),
         lambda: Points(points=((0.0, 1.0), (1.0, math.nan))),
+        lambda: Points(points=((0.0, 1.0), (1e-300, 2.0), (1.0, 3.0))),
+        lambda: Points(points=((0.0, 1.0), (10.1, 2.0), (11.1, 3.0))),
     ],
 )
 def test_impossible_signals_are_refused(bad):

@@ -59,18 +59,18 @@ class SetPoint:
         """
         if goal is not None:
             wanted = self._numbers("goal", goal)
-            if wanted != self._way.goal:
+            if not np.array_equal(wanted, self._way.goal):
                 self._way = Way(*self._way.state, wanted, self._bounds)
         self._way.advance(self._dt)
-        return SetPointState(*(np.array(x).reshape(self._shape) for x in self._way.state))
+        return SetPointState(*(x.reshape(self._shape) for x in self._way.state))
 
     @property
     def remaining(self) -> float:
         """Time until it rests at its goal (s); 0: it does."""
         return self._way.remaining
 
-    def _numbers(self, name: str, value: ArrayLike) -> list[float]:
-        return list(as_array(name, value, self._shape).reshape(-1).tolist())
+    def _numbers(self, name: str, value: ArrayLike) -> Array:
+        return as_array(name, value, self._shape).reshape(-1)
 
 
 class PoseSetPoint:
@@ -102,7 +102,7 @@ class PoseSetPoint:
         """Rest at X from now on, wherever it was: at the start, or after the arm was held."""
         self._goal = _pose("start", X)
         self._base: Array = self._goal.rotation
-        self._way = Way.rest([*self._goal.translation.tolist(), 0.0, 0.0, 0.0], self._bounds)
+        self._way = Way.rest(np.append(self._goal.translation, np.zeros(3)), self._bounds)
 
     def step(
         self, goal: pin.SE3 | None = None, alpha_d: ArrayLike = (), squeeze_d: float = 0.0
@@ -121,7 +121,7 @@ class PoseSetPoint:
         if goal is not None and not (isinstance(goal, pin.SE3) and goal == self._goal):
             self._aim(_pose("goal", goal))
         self._way.advance(self._dt)
-        x, v, a = (np.array(each) for each in self._way.state)
+        x, v, a = self._way.state
         R, omega, omega_dot = turn_of(x[3:], v[3:], a[3:])
         return Reference(
             pin.SE3(R @ self._base, x[:3]),
@@ -133,13 +133,12 @@ class PoseSetPoint:
 
     def _aim(self, goal: pin.SE3) -> None:
         """Begin a new way at the present state; at w = 0, ẇ = ω and ẅ = ω̇."""
-        x, v, a = (np.array(each) for each in self._way.state)
+        x, v, a = self._way.state
         R, v[3:], a[3:] = turn_of(x[3:], v[3:], a[3:])
         base = pin.Quaternion(R @ self._base).normalized().toRotationMatrix()  # no drift
         x[3:] = 0.0
         w = pin.log3(goal.rotation @ base.T)
-        end = [*goal.translation.tolist(), *w.tolist()]
-        way = Way(x.tolist(), v.tolist(), a.tolist(), end, self._bounds)
+        way = Way(x, v, a, np.append(goal.translation, w), self._bounds)
         self._goal, self._base, self._way = goal, base, way
 
     @property

@@ -93,7 +93,9 @@ class JerkLimited(OfQuantity[Q], Generic[Q, V, A, J]):
 
 
 class Points(OfQuantity[Q], Generic[Q]):
-    """Through [time, value] points by the curve of least ∫ jerk² dt, at rest before and after."""
+    """Through [time, value] points by the curve of least ∫ jerk² dt, at rest before and after.
+
+    A value given twice in a row is held in between."""
 
     type: Literal["points"] = "points"
     points: Annotated[tuple[tuple[Time, Q], ...], Field(min_length=2, max_length=500)]
@@ -101,10 +103,21 @@ class Points(OfQuantity[Q], Generic[Q]):
 
     @field_validator("points")
     @classmethod
-    def _one_after_the_other(cls, points: tuple[tuple[float, Q], ...]) -> Any:
+    def _spaced_well(cls, points: tuple[tuple[float, Q], ...]) -> Any:
         for (before, _), (after, _) in pairwise(points):
-            if not before < after:
-                raise refuse(f"times must increase; {after:g} s comes after {before:g} s")
+            if not after - before >= 1e-6:
+                raise refuse(
+                    f"times must increase, by 1 µs at least; {after:.9g} s is after {before:.9g} s"
+                )
+        t = [time for time, _ in points]
+        for i in set(range(len(t))) - _stops([float(x) for _, x in points]):
+            ratio = (t[i + 1] - t[i]) / (t[i] - t[i - 1])
+            if max(ratio, 1.0 / ratio) > 10.0 + 1e-9:
+                raise refuse(
+                    f"between the points before and after {t[i]:.9g} s the curve would swing far "
+                    f"out: one is {max(ratio, 1.0 / ratio):.3g} times as far away as the other, 10 "
+                    "at most; add points, or stop by giving a value twice"
+                )
         return points
 
     def at(self, t: float) -> Triple:
@@ -147,7 +160,7 @@ def jerk_limited(
 
 @lru_cache(maxsize=64)
 def least_jerk(points: tuple[tuple[float, float], ...]) -> Pieces:
-    """The curve through (time, value) `points` that makes ∫ jerk² dt least, at rest at both ends.
+    """The curve through (time, value) `points` that makes ∫ jerk² dt least, at rest at its stops.
 
     A quintic spline: between points the sixth derivative vanishes, at points the third and fourth
     are continuous (Euler–Lagrange with free velocities and accelerations there).
@@ -158,9 +171,11 @@ def least_jerk(points: tuple[tuple[float, float], ...]) -> Pieces:
     dx = np.diff(x)
     count = len(t)
     A, b = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)  # unknowns: v, a of each point
-    for k in (0, 1, 2 * count - 2, 2 * count - 1):
-        A[k, k] = 1.0
-    for i in range(1, count - 1):
+    stops = _stops(x.tolist())
+    for i in range(count):
+        if i in stops:
+            A[2 * i, 2 * i] = A[2 * i + 1, 2 * i + 1] = 1.0
+            continue
         l, r = h[i - 1], h[i]  # noqa: E741
         left, here, right = (slice(2 * k, 2 * k + 2) for k in (i - 1, i, i + 1))
         jerk, snap = 2 * i, 2 * i + 1  # end of the piece before = begin of the piece after
@@ -174,6 +189,12 @@ def least_jerk(points: tuple[tuple[float, float], ...]) -> Pieces:
         b[snap] = -30 * (dx[i] / r**4 + dx[i - 1] / l**4)
     v, a = np.asarray(np.linalg.solve(A, b), dtype=np.float64).reshape(count, 2).T
     return Pieces(t, _quintics(x, v, a, h) / unit ** np.arange(6.0)[:, None], float(x[-1]))
+
+
+def _stops(values: list[float]) -> set[int]:
+    """The points at which a curve rests: both ends, and where a value is given twice in a row."""
+    twice = [i for i, (x, y) in enumerate(pairwise(values)) if x == y]
+    return {0, len(values) - 1, *twice, *(i + 1 for i in twice)}
 
 
 def _quintics(x: Array, v: Array, a: Array, h: Array) -> Array:
