@@ -224,7 +224,9 @@ def test_reproduce_fig2_writes_pictures_and_numbers(tmp_path):
     words = ["reproduce", "fig2", "--duration", "0.52", "--out", str(tmp_path)]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
-    names = {"fig2.png", "fig2.pdf", "fig2_run.png", "fig2_run.pdf", "fig2.json"}
+    names = {f"{n}.{s}" for n in ("fig2", "fig2_run") for s in ("png", "svg", "pdf")} | {
+        "fig2.json"
+    }
     assert {path.name for path in tmp_path.iterdir()} == names
     found = json.loads((tmp_path / "fig2.json").read_text())
     assert found["r"] == 4 and found["raibert_craig"]["describes_it"] is False

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from osc_contact.control.joint_limits import JointLimits
+from osc_contact.dynamics.arm import ArmTerms
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
-from osc_contact.errors import ModelError
+from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array
 
 __all__ = ["Allocation", "effort_scale", "squeeze_response", "squeeze_rows"]
@@ -63,26 +66,55 @@ def _grasp_line(state: ChainState) -> Array:
     return np.concatenate((line / length, np.zeros(3))) if length >= 1e-9 else np.zeros(6)
 
 
+def own_motions(arm: ArmTerms) -> Array:
+    """(n − rank, n) accelerations of an arm's joints that leave the object alone, as rows."""
+    return _modes(arm)[:, arm.rank :].T
+
+
+def _moving(arm: ArmTerms) -> Array:
+    """(n, rank) those that move it."""
+    return _modes(arm)[:, : arm.rank]
+
+
+def _modes(arm: ArmTerms) -> Array:
+    """(n, n) K⁻ᵀV: orthonormal in M, those that move the object first."""
+    K = np.linalg.cholesky(arm.M)
+    _, _, Vh = np.linalg.svd((K.T @ arm.J_bar).T)
+    return np.linalg.solve(K.T, Vh.T)
+
+
 @dataclass(frozen=True)
 class Allocation:
     """Least torque, weighted by 1/τ_max², that gives G τ = f_S and the commanded squeeze.
 
     Arms with more joints than they need use only torques Jᵀφ for the task; the rest holds their
     posture in the dynamically consistent null space, (1 − JᵀJ̄ᵀ)τ₀ with
-    τ₀ = h + M (−k_d q̇ + k_p (q₀ − q)).
+    τ₀ = h + M (−k_d q̇ + k_p (q₀ − q)) + diag(M) a_l(q), a_l the push away from joint limits. This
+    one acts on each joint by its own inertia, so that no other joint's push turns it around.
 
     Attributes:
         chain: structure and torque limits.
         posture: (n,) joint positions that redundant arms return to.
-        stiffness, damping: 1/s², 1/s of that posture task.
+        stiffness, damping: 1/s², 1/s of that posture task. retreat_damping: 1/s, instead of
+            damping, of joint motions that a singular posture takes from the task.
+        limit_stiffness: 1/s², of the push away from joint limits; 0: none. limit_margin: where it
+            begins, as a share of the joint's range (see `JointLimits`).
     """
 
     chain: ClosedChain
     posture: Array
     stiffness: float = 25.0
     damping: float = 10.0
+    retreat_damping: float = 50.0
+    limit_stiffness: float = 400.0
+    limit_margin: float = 0.05
 
     def __post_init__(self) -> None:
+        if not 0.0 < self.limit_margin < 0.5 or not 0.0 <= self.limit_stiffness < np.inf:
+            raise InvalidInputError(
+                f"limit_margin {self.limit_margin}, limit_stiffness {self.limit_stiffness} 1/s²: "
+                "expected a share of the joint's range below 0.5, and a finite number ≥ 0"
+            )
         for arm, grasp in zip(self.chain.arms, self.chain.grasps, strict=True):
             if arm.model.nv > grasp.N.shape[1] and arm.passive_joints:
                 raise ModelError(
@@ -109,8 +141,9 @@ class Allocation:
         """
         chain = self.chain
         E, e0 = squeeze_rows(state, chain, eta_dot)
-        A = np.vstack((state.G, E))
-        b = np.concatenate((f_S, squeeze_d * np.ones(len(e0)) + e0))
+        free, still = self._own_motions(state, q, v)
+        A = np.vstack((state.G, E, free))
+        b = np.concatenate((f_S, squeeze_d * np.ones(len(e0)) + e0, still))
         rest = self._posture_torques(state, q, v)
         R_inv = self._inverse_weight(state)
         # scaled rows: force and couple rows of A differ in units
@@ -131,16 +164,47 @@ class Allocation:
             square = np.diag(limits[s] ** 2)
             if arm.J.shape[1] > arm.N.shape[1]:
                 J = arm.N.T @ arm.J
+                if arm.rank < arm.N.shape[1]:  # the rest of J would be rounding errors
+                    J = (arm.M @ _moving(arm)).T
                 square = J.T @ np.linalg.solve((J / limits[s] ** 2) @ J.T, J)
             full[s, s] = square
         return full[np.ix_(chain.actuated, chain.actuated)]
 
+    @cached_property
+    def limits(self) -> JointLimits:
+        """What pushes redundant arms away from joint limits."""
+        return JointLimits.of(self.chain.model, self.limit_stiffness, self.limit_margin)
+
+    def retreat(self, q: Array, v: Array) -> Array:
+        """q̈ (n,) = −k_r q̇ + k_p (q₀ − q) in motions that a singular posture takes from the task."""
+        return self.stiffness * (self.posture - q) - self.retreat_damping * v
+
+    def _own_motions(self, state: ChainState, q: Array, v: Array) -> tuple[Array, Array]:
+        """Rows (k, n_a) and right sides (k,) that keep the posture in motions which arms without
+        joints to spare have of their own in a singular posture."""
+        chain, rows, sides = self.chain, [], []
+        want = state.h + state.M @ self.retreat(q, v)
+        for s, arm, full in zip(chain.slices, state.arms, state.full_ranks, strict=True):
+            n = arm.J.shape[1]
+            if arm.rank < min(full, arm.N.shape[1]) and n <= arm.N.shape[1]:
+                row = np.zeros((n - arm.rank, chain.nq))
+                row[:, s] = own_motions(arm)
+                rows.append(row[:, chain.actuated])
+                sides.append(row @ want)
+        if not rows:
+            return np.zeros((0, chain.n_a)), np.zeros(0)
+        return np.vstack(rows), np.concatenate(sides)
+
     def _posture_torques(self, state: ChainState, q: Array, v: Array) -> Array:
         chain = self.chain
-        full = np.zeros(chain.nq)
-        for s, arm in zip(chain.slices, state.arms, strict=True):
+        full, push = np.zeros(chain.nq), self.limits.push(q)
+        for i, (s, arm) in enumerate(zip(chain.slices, state.arms, strict=True)):
             if arm.J.shape[1] > arm.N.shape[1]:
                 pull = self.stiffness * (self.posture[s] - q[s]) - self.damping * v[s]
-                tau_0 = state.h[s] + arm.M @ pull
+                tau_0 = state.h[s] + arm.M @ pull + np.diag(arm.M) * push[s]
                 full[s] = tau_0 - arm.J.T @ (arm.J_bar.T @ tau_0)
+                back = state.h[s] + arm.M @ self.retreat(q, v)[s]
+                for lost in (one for one in state.fading if one.arm == i):
+                    more = back - tau_0 if lost.locked else (1.0 - lost.share) * back
+                    full[s] += (lost.mode @ more) * (arm.M @ lost.mode)
         return full[chain.actuated]

@@ -26,6 +26,7 @@ class Status(IntEnum):
     OK = 0
     SATURATED = 1  #: a motor limit was reached: `given_up` says at what cost
     HELD = 2  #: bad measurement or degenerate posture: the last good torques were repeated
+    DEGRADED = 3  #: near a singular posture: `lost_directions` says what was not commanded
 
 
 def require_sound(

@@ -23,6 +23,7 @@ from osc_contact.control.command_filter import (
 )
 from osc_contact.control.contact_state import chosen, parts_in_force, surroundings
 from osc_contact.control.effort_limits import EffortLimits, GivenUp
+from osc_contact.control.fade import LostDirection, faded_motion, note_lost
 from osc_contact.control.force import (
     ContactTerms,
     ForceLaw,
@@ -42,6 +43,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError
 from osc_contact.interface import Measurement, Reference
+from osc_contact.kernels.layout import ASK, SATURATED
 from osc_contact.spatial import Array, as_array
 
 if TYPE_CHECKING:
@@ -56,6 +58,7 @@ class Controller:
     Attributes:
         signals: every wire of the last tick. status, reason: how it ended.
         given_up: what motor limits cost in the last tick; None: nothing.
+        lost_directions: in which motion commands were faded near a singular posture.
         engaged: whether the contacts are part of the model; False treats the object as free.
         terms: on what terms each contact takes part. life: what sets them; None: all contacts are
             closed as long as they are engaged. ticked: whether life has a tick to judge.
@@ -93,10 +96,9 @@ class Controller:
                 be seen to move. The same object twice: both contacts are on one body.
             posture: (n,) where redundant arms return to (default: neutral).
             engaged: start in contact.
-            compiled: run on the kernels, some hundred times faster; False: on the readable path
-                below, which gives the same torques. The first controller ever made on a machine
-                compiles them. Grasps and pairs with friction that `compiled.compilable` does not
-                know are for the readable path only.
+            compiled: run on the kernels, some hundred times faster, where `compiled.compilable`
+                knows grasps and pairs; False: on the readable path below, which gives the same
+                torques. The first controller ever made on a machine compiles them.
             friction: what is believed of the contacts' friction; None: nothing.
             life: opens, approaches and closes the contacts one by one.
 
@@ -116,6 +118,7 @@ class Controller:
         self.allocation = Allocation(chain, rest)
         self.limits = EffortLimits(chain, self.contacts)
         self.given_up: GivenUp | None = None
+        self.lost_directions: tuple[LostDirection, ...] = ()
         self._tare, self._bias = np.zeros(6), np.zeros(6)
         self.friction, self.life = friction, life
         self.terms = ContactTerms(np.zeros((len(self.contacts), 4)), gains.force)
@@ -137,7 +140,7 @@ class Controller:
     @property
     def reason(self) -> str:
         """Why `status` is not OK; empty if it is."""
-        return self._reason or str(self.given_up or "")
+        return self._reason or str(self.given_up or "; ".join(map(str, self.lost_directions)))
 
     @property
     def f_tare(self) -> Array:
@@ -186,15 +189,16 @@ class Controller:
 
     def _computed(self, measurement: Measurement, reference: Reference) -> Array:
         fast = self._fast
-        if fast is not None and self.STAGES is _STAGES:
+        if fast is not None and not self.restaged:
             code = fast(measurement, reference)
-            if code != _ASK:
+            if code != ASK:
                 if self._looked:
                     self._looked = self._by_twin = False
                     self.signals.__dict__.clear()
                     self.signals.__dict__["_fill"] = self._fill_signals
                 self.status, self._reason, self.given_up = Status.OK, "", None
-                if code == _SATURATED:
+                self.lost_directions = ()
+                if code == SATURATED:
                     try:
                         self.status, self.given_up = Status.SATURATED, fast.relieve()
                     except OscContactError as error:
@@ -204,13 +208,13 @@ class Controller:
 
     def _readable_tick(self, measurement: Measurement, reference: Reference) -> Array:
         """The tick box by box; it also has the last word where the kernels have none."""
-        s = Signals()
-        before = (self.motion_law.integral, self.force_law.integral)
+        s, before = Signals(), (self.motion_law.integral, self.force_law.integral)
         try:
             self._take_in(measurement, reference, s)
             for stage in self.STAGES:
                 stage(self, s)
             self._last_tau[:] = within_limits(self, s, *before)
+            note_lost(self, s.state, before[0])
             self.signals.__dict__.clear()
             self.signals.__dict__.update(s.__dict__)
             self._looked = self._by_twin = True
@@ -311,8 +315,7 @@ class Controller:
     def _environment(self, s: Signals) -> None:
         active = self.terms.active
         bodies = [body for body, on in zip(self.bodies, active, strict=True) if on]
-        touched = chosen(s.touched, active)
-        s.environment = surroundings(bodies, s.parts, touched, s.state, s.drag)
+        s.environment = surroundings(bodies, s.parts, chosen(s.touched, active), s.state, s.drag)
 
     @block("sum of wrist sensors", "force", r"$\Sigma$ at $O$")
     def _sense(self, s: Signals) -> None:
@@ -349,7 +352,9 @@ class Controller:
     def _motion_filter(self, s: Signals) -> None:
         eta_u = object_coordinates(s.state, s.contact, s.a_u)
         B = metric_of(self.B, s.state)
-        s.eta_c = filtered_motion(s.state, s.contact, eta_u, s.alpha_u, B, s.environment, s.drag)
+        eta = filtered_motion(s.state, s.contact, eta_u, s.alpha_u, B, s.environment, s.drag)
+        posture = self.allocation.retreat(s.q, s.v)
+        s.eta_c = faded_motion(s.state, s.contact, self.chain, eta, posture)
 
     @block("dynamic control structure", "filter", r"$\Lambda_S\dot\eta_c+b_S+S^Tf_{ccomm}$  (21)")
     def _control_structure(self, s: Signals) -> None:
@@ -393,7 +398,3 @@ class Controller:
     def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
         self.status, self._reason, self.given_up = Status.OK, "", None
         take_in(measurement, reference, s, len(self.chain.arms), len(self.contacts))
-
-
-_STAGES = Controller.STAGES  #: what the kernels compute; others are read box by box
-_SATURATED, _ASK = 1, 2  #: the kernels' answer where the readable path must decide

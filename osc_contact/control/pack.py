@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.control.allocation import effort_scale
+from osc_contact.control.allocation import Allocation, effort_scale
 from osc_contact.control.pack_pairs import PackedPairs
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Cart, Conveyor
+from osc_contact.dynamics.singular import FULL, GYRATION
 from osc_contact.errors import ModelError
 from osc_contact.kernels import layout as at
 from osc_contact.spatial import Array
@@ -35,7 +36,7 @@ def pack(
     arrays = {
         at.SIZES: _sizes(controller, pairs),
         at.HEAD: _head(controller),
-        **_chain(controller.chain, controller.allocation.posture),
+        **_chain(controller.chain, controller.allocation),
         **_grasps(controller.chain),
         **_contacts(controller, pairs),
         **_live(data),
@@ -80,26 +81,30 @@ def _head(controller: Controller) -> Array:
     head[at.STIFFNESS], head[at.DAMPING] = motion.gains.stiffness, motion.gains.damping
     head[at.INTEGRAL], head[at.PERIOD] = motion.gains.integral, motion.dt
     head[at.POSTURE_STIFFNESS] = controller.allocation.stiffness
+    head[at.GYRATION], head[at.FADING] = GYRATION**2, 1.0 / FULL**4
     head[at.POSTURE_DAMPING] = controller.allocation.damping
     if controller.friction is not None:
         head[at.FRICTION], head[at.SLIP] = controller.friction.mu, controller.friction.slip
     return head
 
 
-def _chain(chain: ClosedChain, posture: Array) -> Arrays:
+def _chain(chain: ClosedChain, allocation: Allocation) -> Arrays:
     model, n, k = chain.model, chain.nq, len(chain.arms)
     arms_i, joints_i = np.zeros((k, 4), dtype=np.int64), np.zeros((n, 2), dtype=np.int64)
-    arms, joints = np.zeros((k, 16)), np.zeros((n, 24))
-    limits = effort_scale(chain.tau_max)
+    arms, joints = np.zeros((k, 17)), np.zeros((n, 27))
+    effort = effort_scale(chain.tau_max)
     joints_i[:, 1] = -1
     joints_i[chain.actuated, 1] = np.arange(chain.n_a)
-    joints[chain.actuated, 20], joints[chain.actuated, 21] = limits**2, 1.0 / limits**2
-    joints[:, 22] = posture
+    joints[chain.actuated, 20], joints[chain.actuated, 21] = effort**2, 1.0 / effort**2
+    limits = allocation.limits
+    joints[:, 22] = allocation.posture
+    joints[:, 23:27] = np.stack((limits.low, limits.high, limits.width, limits.most), axis=1)
     joints[:, :10] = [_flat(model.inertias[j + 1]) for j in range(n)]
     for i, (tip, sensor, s) in enumerate(zip(chain.tips, chain.sensors, chain.slices, strict=True)):
         at_tip = model.frames[tip]
         arms_i[i] = s.start, s.stop, at_tip.parentJoint, -1
-        arms[i, :3] = at_tip.placement.translation
+        arms[i, :3], arms[i, 15] = at_tip.placement.translation, chain.arm_mass
+        arms[i, 16] = chain.full_ranks[i]
         if sensor is not None:
             at_wrist = model.frames[sensor]
             X = at_wrist.placement

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ from osc_contact import robots
 from osc_contact.dynamics.arm import Arm, ArmTerms, arm_terms
 from osc_contact.dynamics.grasp import Grasp
 from osc_contact.dynamics.held_object import locate, object_twist
+from osc_contact.dynamics.motors import effort_limits
 from osc_contact.dynamics.outboard import (
     OutboardLink,
     columns_at,
@@ -30,12 +32,11 @@ from osc_contact.dynamics.outboard import (
     outboard_terms,
 )
 from osc_contact.dynamics.payload import ObjectTerms, RigidObject
+from osc_contact.dynamics.singular import Fading, fading_of, full_rank, reference_inertia
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array, as_array, cross_twist
 
 __all__ = ["ClosedChain", "ChainState"]
-
-_UNLIMITED = 1e12  #: N m or N: an effort limit that is none
 
 #: Stands in for the object's inertia in rank decisions when the arms hold nothing:
 #: 1 kg with a radius of gyration of 0.1 m.
@@ -72,6 +73,8 @@ class ChainState:
     Lambda_out: Array  #: (6, 6) inertia seen by the wrist sensors together (not symmetric)
     bias_out: Array  #: (6,) gravity and velocity wrench they see at a = 0
     undriven: Array  #: (6, u) motions of the object that no motor drives
+    reference: Array  #: (6, 6) object and heaviest arm, which singular postures are judged by
+    full_ranks: tuple[int, ...]  #: motions each arm's tip can make in ordinary postures
 
     @property
     def d(self) -> int:
@@ -82,6 +85,11 @@ class ChainState:
     def bias(self) -> Array:
         """(d,) b_S = μ_S + p_S."""
         return self.mu + self.p
+
+    @cached_property
+    def fading(self) -> tuple[Fading, ...]:
+        """Directions that arms near a singular posture are losing."""
+        return tuple(fading_of(self.arms, self.full_ranks, self.reference))
 
 
 class ClosedChain:
@@ -95,8 +103,8 @@ class ClosedChain:
         actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits, inf
             where a model names none.
         tips, sensors: frame of each arm's tip and wrist sensor (None: it has none).
-        outboard: links beyond each sensor.
-        reference: the object, or its stand-in for rank decisions.
+        outboard: links beyond each sensor. arm_mass: of the heaviest arm.
+        reference: the object, or its stand-in for rank decisions. full_ranks: as in `ChainState`.
     """
 
     def __init__(
@@ -161,7 +169,9 @@ class ClosedChain:
             ],
             dtype=int,
         )
-        self.tau_max = self._effort_limits()
+        self.tau_max = effort_limits(self.model, self.actuated)
+        self.full_ranks = tuple(full_rank(arm.model, arm.tip) for arm in arms)
+        self.arm_mass = max(sum(i.mass for i in arm.model.inertias) for arm in self.arms)
         self.tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
         self.sensors = [
             None
@@ -274,6 +284,10 @@ class ClosedChain:
             Lambda_out=Lambda_out,
             bias_out=bias_out,
             undriven=undriven,
+            reference=reference_inertia(
+                reference.Lambda, self.arm_mass, X_WO.rotation @ self.reference.inertia.lever
+            ),
+            full_ranks=self.full_ranks,
         )
 
     def tip_poses(self) -> list[pin.SE3]:
@@ -322,18 +336,6 @@ class ClosedChain:
         sigma_white = U[:, :rank] @ ((Vh[:rank] @ c) / s[:rank])
         S = np.linalg.solve(L.T, U[:, rank:])
         return S, L @ U[:, :rank], np.linalg.solve(L.T, sigma_white)
-
-    def _effort_limits(self) -> Array:
-        """(n_a,) of the motors, inf where there is none: models built in code leave DBL_MAX."""
-        given = np.array(self.model.upperEffortLimit)[self.actuated]
-        for j, limit in zip(self.actuated, given, strict=True):
-            if not limit > 0.0:
-                raise ModelError(
-                    f"joint '{self.joint_names[j]}' has an effort limit of {limit:g}: such a motor "
-                    "does nothing. Give its largest torque (N m) or force (N), or list it among "
-                    "the passive joints"
-                )
-        return np.where(given < _UNLIMITED, given, np.inf)
 
     def _undriven(self, G: Array, S: Array) -> Array:
         """(6, u) motions of the object in which GᵀU = 0; an error unless they are allowed."""

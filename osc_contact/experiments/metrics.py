@@ -103,7 +103,7 @@ def _tick(seconds: Array) -> dict[str, float]:
 
 
 def _status(status: Array) -> dict[str, int]:
-    names = {0: "ok", 1: "saturated", 2: "held"}
+    names = {0: "ok", 1: "saturated", 2: "held", 3: "degraded"}
     return {name: int((status == code).sum()) for code, name in names.items()}
 
 

@@ -72,12 +72,23 @@ def arm_torques(lo, n, wide, J, bar, joints, effort, y, scratch, tau):
 
 
 @compiled
+def _push(joint, q):
+    """Acceleration away from joint limits, see `control.joint_limits`."""
+    low, high, width, most = joint[23], joint[24], joint[25], joint[26]
+    depth, sign = (low - q, 1.0) if q < low else (q - high, -1.0)
+    if not depth > 0.0:
+        return 0.0
+    s = min(depth / width, 1.0)
+    return sign * most * s * s * (3.0 - 2.0 * s)
+
+
+@compiled
 def hold_posture(lo, n, M, J, bar, joints, h, q, v, stiffness, damping, scratch, tau):
-    """τ = (1 − JᵀJ̄ᵀ)τ₀, τ₀ = h + M(−k_d q̇ + k_p(q₀ − q))."""
+    """τ = (1 − JᵀJ̄ᵀ)τ₀, τ₀ = h + M(−k_d q̇ + k_p(q₀ − q)) + diag(M) a_l(q)."""
     for i in range(6):
         scratch[i] = 0.0
     for j in range(lo, lo + n):
-        s = h[j]
+        s = h[j] + M[j, j] * _push(joints[j], q[j])
         for k in range(lo, lo + n):
             s += M[j, k] * (stiffness * (joints[k, 22] - q[k]) - damping * v[k])
         tau[j] = s

@@ -16,8 +16,10 @@ __all__: list[str] = []
     COLUMNS_I,  # (r_all, 1) contact of each column
     BODIES_I,  # (c, 2) kind of the touched body, see `environment`; its number
     HEAD,  # constants, see below
-    ARMS,  # (k, 16) tip point in its joint (0:3), sensor in its: rotation (3:12), point (12:15)
-    JOINTS,  # (n, 24) link (0:10), outboard part (10:20), τ_max² (20), 1/τ_max² (21), posture (22)
+    ARMS,  # (k, 17) tip point in its joint (0:3), sensor in its: rotation (3:12), point (12:15),
+    # mass of the heaviest arm (15), motions it can make (16)
+    JOINTS,  # (n, 27) link (0:10), outboard part (10:20), τ_max² (20), 1/τ_max² (21), posture (22),
+    # near its limits: where margins begin (23, 24), their width (25), greatest push (26)
     SHAPES,  # (…, 16) see `contact`
     BODIES,  # (c, 48) see `environment`
     METRIC,  # (6, 6) B⁻¹ given by the user, world axes at O
@@ -74,8 +76,9 @@ X_JO, X_JP = 11, 23  # O and the principal axes in the leader's joint: rotation 
 # (with no leader X_JP holds the principal axes in the object's frame)
 TOLERANCE, STIFFNESS, DAMPING, INTEGRAL, PERIOD = range(35, 40)
 POSTURE_STIFFNESS, POSTURE_DAMPING = 40, 41
-FRICTION, SLIP = 42, 43  # μ (0: none is reckoned with) and v_0, see `control.friction`
-HEAD_SIZE = 44
+GYRATION, FADING = 42, 43  # m², of the reference ball; 1/χ⁴ at which commands begin to fade
+FRICTION, SLIP = 44, 45  # μ (0: none is reckoned with) and v_0, see `control.friction`
+HEAD_SIZE = 46
 
 # STATE: ∫e dt (6), f_tare (6), f_bias (6), ∫(α_d − α) dt (6) and how many of them count
 ERROR_SUM, TARE, BIAS, FORCE_SUM, FORCE_RANK, STATE_SIZE = 0, 6, 12, 18, 24, 25

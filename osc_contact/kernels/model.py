@@ -120,7 +120,7 @@ def add_arm(bound, sizes, k, v, row):
         )  # fmt: skip
         if count > 0 and hi - lo > m - count:
             return -1  # which joints move the object is not plain
-    if count < 0:
+    if count < 0 or fading(count if rigid else 0, Lambda, matrix(bound, at.ARMS)[k], head):
         return -1
     if not rigid and hi - lo > m:
         if not effort_passed(
@@ -146,6 +146,28 @@ def add_arm(bound, sizes, k, v, row):
             lo, hi, axes, kinds, bar, outboard, gamma, squares[at.OUT_T], rows[at.BIAS_WHITE]
         )
     return count
+
+
+@compiled
+def fading(count, Lambda, arm, head):
+    """Whether the arm may be near a singular posture, where the readable path must decide.
+
+    ΣΣ Λ_ij²/(Λ_ii Λ_jj)_ref ≥ 1/χ⁴, white: Λ_ref is diagonal there (`dynamics.singular`).
+
+    Args:
+        count: directions it locks. arm: its row of ARMS. head: row HEAD.
+    """
+    if count > 6 - arm[16]:
+        return True
+    s = 0.0
+    for i in range(6):
+        own = head[at.PRINCIPAL + max(i - 2, 0)]
+        x = own / (own + arm[15] * (1.0 if i < 3 else head[at.GYRATION]))
+        for j in range(6):
+            own = head[at.PRINCIPAL + max(j - 2, 0)]
+            y = own / (own + arm[15] * (1.0 if j < 3 else head[at.GYRATION]))
+            s += Lambda[i, j] * Lambda[i, j] * x * y
+    return s >= head[at.FADING]
 
 
 @compiled

@@ -1,0 +1,106 @@
+"""Motion commands that fade in directions an arm is losing, and come back with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.control.border import Status
+from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.spatial import Array
+
+if TYPE_CHECKING:
+    from osc_contact.control.controller import Controller
+
+__all__ = ["LostDirection", "faded_motion", "note_lost"]
+
+
+@dataclass(frozen=True)
+class LostDirection:
+    """A motion of the object that an arm near a singular posture is losing.
+
+    Attributes:
+        arm: its name. left: share of the motion command that still counts, 0 … 1.
+        inertia_ratio: the arm's apparent inertia there beside object and arm together.
+        twist: (6,) the motion at O in world axes, 1 m/s long (or 1 rad/s, if it only turns).
+    """
+
+    arm: str
+    left: float
+    inertia_ratio: float
+    twist: Array
+
+    def __str__(self) -> str:
+        twist = np.array2string(self.twist, precision=3, suppress_small=True)
+        return (
+            f"{self.arm} is near a singular posture: {100 * self.left:.0f} % left of the command "
+            f"along {twist}"
+        )
+
+
+def note_lost(controller: Controller, state: ChainState, motion: Array) -> None:
+    """Say which directions were faded; the motion integral (6,) stays what it was before."""
+    controller.lost_directions = () if controller.restaged else _told(state, controller.chain)
+    if controller.lost_directions:
+        controller.motion_law.integral = motion
+        if controller.status is Status.OK:
+            controller.status = Status.DEGRADED
+
+
+def _told(state: ChainState, chain: ClosedChain) -> tuple[LostDirection, ...]:
+    """`state.fading` in words and units."""
+    return tuple(
+        LostDirection(
+            chain.arms[lost.arm].name,
+            lost.share,
+            1.0 / max(lost.chi, 1e-12) ** 2,
+            lost.twist / (np.linalg.norm(lost.twist[:3]) or np.linalg.norm(lost.twist[3:])),
+        )
+        for lost in state.fading
+    )
+
+
+_HARD = 1e-8  # shares below it are as good as 0
+_GONE = 1e-6  # of the mobility that Λ_ref has along any direction, 1
+
+
+def faded_motion(
+    state: ChainState, contact: Contact, chain: ClosedChain, eta_c: Array, posture: Array
+) -> Array:
+    """η̇ (d,): the motion command with the arms' lost directions left to their posture task.
+
+    What an arm's joints must do along a lost direction u is (uᵀ(a − γ))/χ: it grows without bound
+    while it does ever less. Share φ of it is kept; the rest is replaced by the posture's own
+    acceleration there, with the least change of the command in Λ_o that the contacts permit (the
+    metric in which commands in locked directions are dropped, see `object_coordinates`):
+
+        min Δᵀ H Δ + Σ (1 − φ)/φ (uᵀLᵀSΔ − t)² / (uᵀLᵀS H⁻¹SᵀLu),   N_SᵀΔ = 0
+        t = χ vᵀKᵀq̈_posture − uᵀLᵀ(a − γ),   H = SᵀΛ_oS
+
+    Args:
+        state, contact: at this instant. chain: its structure.
+        eta_c: (d,) filtered command. posture: (n,) acceleration of joints left to themselves.
+    """
+    if not state.fading or not state.d:
+        return eta_c
+    a = state.S @ eta_c + state.sigma
+    plain = H = state.S.T @ state.metric @ state.S
+    pull = np.zeros(state.d)
+    for lost in state.fading:
+        arm = state.arms[lost.arm]
+        row = state.S.T @ lost.wrench
+        q_dd = posture[chain.slices[lost.arm]]
+        target = lost.chi * (lost.mode @ arm.M @ q_dd) - lost.wrench @ (a - arm.gamma)
+        size = row @ np.linalg.solve(plain, row)
+        if lost.locked or size < _GONE:  # no motion of the chain's any more
+            continue
+        weight = (1.0 - lost.share) / (max(lost.share, _HARD) * size)
+        H = H + weight * np.outer(row, row)
+        pull += weight * target * row
+    N = state.S.T @ contact.N
+    change = np.linalg.solve(H, np.column_stack((pull, N)))
+    step, held = change[:, 0], change[:, 1:]
+    return np.asarray(eta_c + step - held @ np.linalg.solve(N.T @ held, N.T @ step))

@@ -1,0 +1,170 @@
+"""Redundant arms keep off their joint limits, in motions that leave the object alone only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from oracles import kkt
+from rigs import PANDA_Q, ROD, one_panda, panda_pair, scara_pair
+from test_compiled_tick import agree, disturb, inputs, twins
+from test_decoupling import in_contact, torques
+
+import osc_contact as osc
+from osc_contact import robots
+from osc_contact.control.allocation import Allocation
+from osc_contact.control.joint_limits import JointLimits
+from osc_contact.plants.rigid import RigidPlant
+
+
+def panda(**limits):
+    """One Panda whose model has other limits: joint number → (lower, upper)."""
+    model = robots.load_model(robots.find_robot("panda")[0])
+    lower, upper = model.lowerPositionLimit.copy(), model.upperPositionLimit.copy()
+    for joint, (low, high) in limits.items():
+        i = model.joints[model.getJointId(f"panda_{joint}")].idx_q
+        lower[i], upper[i] = low, high
+    model.lowerPositionLimit, model.upperPositionLimit = lower, upper
+    arm = osc.Arm.from_urdf(model, name="arm", tip="panda_hand_tcp", wrist_sensor="panda_hand")
+    grasp = pin.SE3(np.eye(3), np.array([0.02, 0.01, 0.08]))
+    return osc.ClosedChain([arm], [grasp], osc.RigidObject(ROD))
+
+
+def test_the_push_is_a_bounded_slope_of_a_potential():
+    """Against the potential k w² (s³ − s⁴/2) + k w (depth beyond the limit), differentiated."""
+    model = panda(joint1=(-1.0, 2.0), joint2=(-np.inf, np.inf), joint3=(-np.inf, 1.0)).model
+    k, share = 400.0, 0.05
+    limits = JointLimits.of(model, k, share)
+    w = np.array([0.05 * 3.0, 0.0, 0.05 * np.pi, *(0.05 * np.minimum(
+        model.upperPositionLimit - model.lowerPositionLimit, np.pi))[3:]])  # fmt: skip
+
+    def potential(q):
+        total = np.zeros(7)
+        for i in (0, 2, 3, 4, 5, 6):
+            for depth in (
+                model.lowerPositionLimit[i] + w[i] - q[i],
+                q[i] - model.upperPositionLimit[i] + w[i],
+            ):
+                s = np.clip(depth / w[i], 0.0, 1.0)
+                total[i] += k * w[i] ** 2 * (s**3 - s**4 / 2)
+                total[i] += k * w[i] * max(depth - w[i], 0.0)
+        return total
+
+    x, h = np.linspace(-4.0, 4.5, 3001), 1e-6
+    pushes = np.array([limits.push(np.full(7, value)) for value in x])
+    slopes = np.array(
+        [(potential(v + h) - potential(v - h)) / (2 * h) for v in x[:, None] * np.ones(7)]
+    )
+    np.testing.assert_allclose(pushes, -slopes, atol=1e-6 * k)
+    assert (np.abs(pushes) <= k * w + 1e-9).all()
+    assert (pushes[:, 1] == 0.0).all() and (pushes[:, 2] <= 0.0).all()
+    assert np.abs(np.diff(pushes, axis=0)).max() < 1.6 * k * (x[1] - x[0])  # slope 3/2 k at most
+    assert not limits.push(PANDA_Q).any()
+
+
+@pytest.mark.parametrize("rig", [panda_pair, one_panda, scara_pair])
+def test_object_and_contact_forces_do_not_feel_it(rig):
+    """On the KKT system, with two contacts; arms without joints to spare get no push at all."""
+    chain, rng = rig(), np.random.default_rng(60)
+    model = chain.model
+    for _ in range(10):
+        state, contact, _, q, v = in_contact(chain, rng)
+        tau, _ = torques(
+            chain, state, contact, q, v, rng.normal(size=6), rng.uniform(5, 20, 2),
+            np.linalg.inv(state.metric),
+        )  # fmt: skip
+        near = limits_near(model, q, rng)
+        calm, pushed = Allocation(chain, q), Allocation(chain, q)
+        pushed.__dict__["limits"] = near
+        f_S, eta = rng.normal(size=state.d), rng.normal(size=state.d)
+        one = calm.torques(state, q, v, f_S, eta, 5.0)
+        two = pushed.torques(state, q, v, f_S, eta, 5.0)
+        if chain.nq == 10:
+            np.testing.assert_array_equal(one, two)
+            continue
+        base = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
+        other = kkt(chain, q, v, tau + (two - one), contact.N, contact.n_gamma)
+        size = np.abs(base.a_object).max()
+        np.testing.assert_allclose(other.a_object, base.a_object, atol=1e-9 * size)
+        np.testing.assert_allclose(other.alpha, base.alpha, atol=1e-9 * np.abs(base.alpha).max())
+        gain = other.qdd - base.qdd
+        assert np.abs(gain).max() > 1.0
+        push = near.push(q)  # its own work on the joints it moves is never negative
+        for s in chain.slices:
+            assert gain[s] @ (np.diag(state.M)[s] * push[s]) > 0.0
+
+
+def limits_near(model, q, rng):
+    """Limits so close to q that some joints are inside their margins, some beyond."""
+    lower, upper = q - rng.uniform(-0.05, 0.3, len(q)), q + rng.uniform(0.3, 1.5, len(q))
+    other = model.copy()
+    other.lowerPositionLimit, other.upperPositionLimit = lower, upper
+    return JointLimits.of(other, 400.0, 0.2)
+
+
+def test_one_joint_near_its_limit_is_never_pushed_towards_it():
+    """Whatever the inertia couples: n_i M_ii a_i has the sign of a_i along the null motion."""
+    rng = np.random.default_rng(61)
+    for _ in range(50):
+        q = PANDA_Q + rng.uniform(-0.6, 0.6, 7)
+        j = int(rng.integers(7))
+        chain = panda(**{f"joint{j + 1}": (q[j] - 2.0, q[j] + 0.01)})
+        state = chain.state(q, np.zeros(7))
+        off, on = (Allocation(chain, q, limit_stiffness=k) for k in (0.0, 400.0))
+        one, two = (
+            a.torques(state, q, np.zeros(7), np.zeros(6), np.zeros(6), 0) for a in (off, on)
+        )
+        q_dd = np.linalg.solve(state.M, two - one)
+        assert q_dd[j] <= 1e-9
+        whole = (state.M[j, j] * 400.0 * 0.05 * 2.01) ** 2 * np.linalg.inv(state.M)[j, j]
+        assert (two - one) @ q_dd <= whole  # the projection takes energy away
+
+
+@pytest.mark.parametrize("stiffness", [400.0, 0.0])
+def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
+    """Its rest posture lies 0.25 rad beyond a limit of joint 1; without the push it gets there."""
+    chain = panda(joint1=(-2.8, 0.2))
+    posture = PANDA_Q + [3.2, 0, 0, 0, 0, 0, 0]
+    plant = RigidPlant(chain, [], 2e-3)
+    plant.reset(PANDA_Q)
+    X = chain.state(PANDA_Q, np.zeros(7)).X_WO
+    controller = osc.Controller(chain, [], dt=2e-3, posture=posture, compiled=False)
+    controller.allocation = Allocation(chain, posture, limit_stiffness=stiffness)
+    wanted = osc.Reference(X, np.zeros(6), np.zeros(6), np.zeros(0))
+    farthest, before, jump = -np.inf, None, 0.0
+    for _ in range(400):
+        tau = controller.tick(plant.measure(), wanted)
+        assert controller.status is osc.Status.OK, controller.reason
+        jump = max(jump, 0.0 if before is None else np.abs(tau - before).max())
+        before = tau
+        plant.step(tau, 2e-3)
+        farthest = max(farthest, plant.q[0])
+    assert (farthest < 0.2) == (stiffness > 0.0)
+    assert jump < 2.0  # N m, in 2 ms
+    moved = plant.truth().X_WO
+    assert np.abs(moved.translation - X.translation).max() < 1e-5
+
+
+@pytest.mark.parametrize("past", [-0.3, -0.1, -0.02, 0.0, 0.05])
+def test_the_compiled_tick_pushes_alike(past):
+    """Some joints inside their margins, some beyond their limits, some with a limit on one side."""
+    rng = np.random.default_rng(62)
+    for _ in range(3):
+        q, v = PANDA_Q + rng.uniform(-0.5, 0.5, 7), rng.normal(size=7)
+        ends = {f"joint{j}": (-np.inf, q[j - 1] - past) for j in (1, 4)}
+        ends |= {f"joint{j}": (q[j - 1] + past, q[j - 1] + 3.0) for j in (3, 6)}
+        chain = panda(**ends)
+        fast, slow = twins(chain, [], posture=q + 0.1 * rng.normal(size=7))
+        disturb(rng, fast, slow)
+        assert fast.allocation.limits.push(q).any() == (past > -0.15)
+        agree(fast, slow, *inputs(chain, q, v, rng, 0))
+
+
+def test_gains_out_of_range_are_refused():
+    chain = one_panda()
+    for bad in ({"limit_margin": 0.5}, {"limit_margin": 0.0}, {"limit_stiffness": -1.0},
+                {"limit_stiffness": np.nan}):  # fmt: skip
+        with pytest.raises(osc.InvalidInputError, match="limit_margin"):
+            replace(Allocation(chain, PANDA_Q), **bad)
