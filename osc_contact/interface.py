@@ -83,11 +83,14 @@ class Reference:
         V_D: (6,) its twist at its own origin, world axes.
         A_D: (6,) its *classical* acceleration (second derivatives of position and rotation).
         alpha_d: (r,) desired contact force magnitudes (N).
-        squeeze_d: desired internal force along the grasp line, > 0 compresses (N).
+        squeeze_d: desired internal force along the grasp line, > 0 compresses (N). With k ≥ 3 arms:
+            in each line between two grasps, in the order (1, 2), (1, 3), …, (k − 1, k), see
+            `control.linkage`: (k(k − 1)/2,), or a number for all of them; the number 0 leaves
+            them at least effort.
     """
 
     X_WD: pin.SE3
     V_D: Array
     A_D: Array
     alpha_d: Array
-    squeeze_d: float = 0.0
+    squeeze_d: float | Array = 0.0
