@@ -171,6 +171,32 @@ def test_what_cannot_be_set_is_left_alone(arms, kinds, bends, settable):
     assert tried >= 3
 
 
+def test_an_arm_without_motors_leaves_two_of_three_combinations():
+    """The two others push on each other in any direction; bars feel what is in their plane."""
+    rng = np.random.default_rng(75)
+    for _ in range(4):
+        case = random_case(["ur5"] * 3, ["rigid"] * 3, rng)
+        *driving, last = case.chain.arms
+        limp = replace(last, passive_joints=tuple(last.model.names)[1:])
+        parts = ([*driving, limp], case.chain.grasps, case.chain.payload)
+        case = replace(case, chain=osc.ClosedChain(*parts))
+        still = np.zeros(18)
+        state = case.chain.state(case.q, still)
+        linkage = Linkage.of(state, case.chain)
+        assert linkage.basis.shape == (3, 2)
+        allocation, seen = Allocation(case.chain, case.q), []
+        for squeeze in (0.0, 30.0):
+            tau = allocation.torques(state, case.q, still, state.bias, np.zeros(6), squeeze)
+            assert np.abs(tau).max() < 1e4
+            system = case.system(still, np.zeros(6))
+            got = system.solve(forces(case, tau), np.zeros((6, 0)), np.zeros(0))
+            np.testing.assert_allclose(got.a_object, 0.0, atol=1e-9)
+            f, points = cut(case, still, tau, got.qdd)
+            seen.append(linkage.basis.T @ np.linalg.pinv(bars_of(points)) @ f.ravel())
+        np.testing.assert_allclose(seen[1], linkage.basis.T @ np.full(3, 30.0), atol=1e-7)
+        assert np.abs(seen[1] - seen[0]).max() > 1.0
+
+
 @pytest.mark.parametrize("rig", [scara_pair, panda_pair])
 def test_two_grasps_are_the_case_of_one_bar(rig):
     chain, rng = rig(), np.random.default_rng(74)

@@ -80,8 +80,11 @@ class Linkage:
         effort = np.where(np.isfinite(chain.tau_max), chain.tau_max, 1.0)
         quiet = _null_space(state.G * effort, 1e-9)
         made = basis.T @ (levers[:, chain.actuated] * effort)
-        reach = float(np.linalg.norm(made, 2)) if made.size else 0.0
-        basis = basis @ _column_space(made @ quiet, tolerance, reach)
+        U, size, Vh = np.linalg.svd(made, full_matrices=False)
+        some = size > 1e-9 * size.max(initial=0.0)
+        # by the angle to null(G): an arm near a singular posture makes some forces all too easily
+        apart = _column_space(Vh[some] @ quiet, tolerance, 1.0)
+        basis = basis @ np.linalg.qr((U[:, some] * size[some]) @ apart)[0]
         return cls(levers, np.eye(bars(k)) if basis.shape[1] == bars(k) else basis)
 
     def rows(self, state: ChainState, chain: ClosedChain, eta_dot: Array) -> tuple[Array, Array]:
