@@ -43,6 +43,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError
 from osc_contact.interface import Measurement, Reference
+from osc_contact.kernels.layout import ASK, SATURATED
 from osc_contact.spatial import Array, as_array
 
 if TYPE_CHECKING:
@@ -95,10 +96,9 @@ class Controller:
                 be seen to move. The same object twice: both contacts are on one body.
             posture: (n,) where redundant arms return to (default: neutral).
             engaged: start in contact.
-            compiled: run on the kernels, some hundred times faster; False: on the readable path
-                below, which gives the same torques. The first controller ever made on a machine
-                compiles them. Grasps and pairs with friction that `compiled.compilable` does not
-                know are for the readable path only.
+            compiled: run on the kernels, some hundred times faster, where `compiled.compilable`
+                knows grasps and pairs; False: on the readable path below, which gives the same
+                torques. The first controller ever made on a machine compiles them.
             friction: what is believed of the contacts' friction; None: nothing.
             life: opens, approaches and closes the contacts one by one.
 
@@ -109,7 +109,6 @@ class Controller:
         require_sound(chain, contacts, dt, B, bodies, friction)
         gains = Gains() if gains is None else gains
         self.chain = chain
-        self.friction = friction
         self.contacts = tuple(contacts)
         self.bodies = (None,) * len(self.contacts) if bodies is None else tuple(bodies)
         self.B = B
@@ -121,13 +120,12 @@ class Controller:
         self.given_up: GivenUp | None = None
         self.lost_directions: tuple[LostDirection, ...] = ()
         self._tare, self._bias = np.zeros(6), np.zeros(6)
-        self.life = life
+        self.friction, self.life = friction, life
         self.terms = ContactTerms(np.zeros((len(self.contacts), 4)), gains.force)
         self.signals = Signals()
         self._looked = True  # whether `signals` must be emptied by the next compiled tick
         self._by_twin = True  # whether the readable path computed the last tick
-        self.status = Status.OK
-        self._reason = ""
+        self.status, self._reason = Status.OK, ""
         self._last_tau: Array = np.zeros(chain.n_a)
         self._fast: CompiledTick | None = None
         if compiled:
@@ -137,8 +135,7 @@ class Controller:
                 self._fast = fast = CompiledTick(self)
                 self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
                 self.terms = ContactTerms(fast.terms, gains.force)
-        self.engaged = engaged
-        self.ticked = False
+        self.engaged, self.ticked = engaged, False
 
     @property
     def reason(self) -> str:
@@ -192,16 +189,16 @@ class Controller:
 
     def _computed(self, measurement: Measurement, reference: Reference) -> Array:
         fast = self._fast
-        if fast is not None and self.STAGES is _STAGES:
+        if fast is not None and not self.restaged:
             code = fast(measurement, reference)
-            if code != _ASK:
+            if code != ASK:
                 if self._looked:
                     self._looked = self._by_twin = False
                     self.signals.__dict__.clear()
                     self.signals.__dict__["_fill"] = self._fill_signals
                 self.status, self._reason, self.given_up = Status.OK, "", None
                 self.lost_directions = ()
-                if code == _SATURATED:
+                if code == SATURATED:
                     try:
                         self.status, self.given_up = Status.SATURATED, fast.relieve()
                     except OscContactError as error:
@@ -211,8 +208,7 @@ class Controller:
 
     def _readable_tick(self, measurement: Measurement, reference: Reference) -> Array:
         """The tick box by box; it also has the last word where the kernels have none."""
-        s = Signals()
-        before = (self.motion_law.integral, self.force_law.integral)
+        s, before = Signals(), (self.motion_law.integral, self.force_law.integral)
         try:
             self._take_in(measurement, reference, s)
             for stage in self.STAGES:
@@ -310,19 +306,16 @@ class Controller:
         touched = chosen(s.touched, active)
         s.parts = parts = parts_in_force(pairs, s.state, touched)
         s.contact = contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
-        drag = np.zeros_like(contact.N)
+        s.drag = np.zeros_like(contact.N)
         if self.friction is not None:
-            drags = self.friction.drags(pairs, s.state.X_WO, s.state.V_O, touched)
-            drag = drags @ contact.R.T
-        s.drag = drag
+            s.drag = self.friction.drags(pairs, s.state.X_WO, s.state.V_O, touched) @ contact.R.T
         self._owners = np.repeat(np.flatnonzero(active), [part.R.shape[1] for part in parts])
 
     @block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)")
     def _environment(self, s: Signals) -> None:
         active = self.terms.active
         bodies = [body for body, on in zip(self.bodies, active, strict=True) if on]
-        touched = chosen(s.touched, active)
-        s.environment = surroundings(bodies, s.parts, touched, s.state, s.drag)
+        s.environment = surroundings(bodies, s.parts, chosen(s.touched, active), s.state, s.drag)
 
     @block("sum of wrist sensors", "force", r"$\Sigma$ at $O$")
     def _sense(self, s: Signals) -> None:
@@ -358,15 +351,8 @@ class Controller:
     @block("motion filter", "filter", r"$\Omega_m(B)$  (24)")
     def _motion_filter(self, s: Signals) -> None:
         eta_u = object_coordinates(s.state, s.contact, s.a_u)
-        eta = filtered_motion(
-            s.state,
-            s.contact,
-            eta_u,
-            s.alpha_u,
-            metric_of(self.B, s.state),
-            s.environment,
-            s.drag,
-        )
+        B = metric_of(self.B, s.state)
+        eta = filtered_motion(s.state, s.contact, eta_u, s.alpha_u, B, s.environment, s.drag)
         posture = self.allocation.retreat(s.q, s.v)
         s.eta_c = faded_motion(s.state, s.contact, self.chain, eta, posture)
 
@@ -412,7 +398,3 @@ class Controller:
     def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
         self.status, self._reason, self.given_up = Status.OK, "", None
         take_in(measurement, reference, s, len(self.chain.arms), len(self.contacts))
-
-
-_STAGES = Controller.STAGES  #: what the kernels compute; others are read box by box
-_SATURATED, _ASK = 1, 2  #: the kernels' answer where the readable path must decide
