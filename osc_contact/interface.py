@@ -97,14 +97,17 @@ class Reference:
         V_D: (6,) its twist at its own origin, world axes.
         A_D: (6,) its classical acceleration: [second derivative of the origin's position; ω̇].
         alpha_d: (r,) desired contact force magnitudes (N).
-        squeeze_d: desired internal force along the grasp line, > 0 compresses (N).
+        squeeze_d: desired internal force along the grasp line, > 0 compresses (N). With k ≥ 3 arms:
+            in each line between two grasps, in the order (1, 2), (1, 3), …, (k − 1, k), see
+            `control.linkage`: (k(k − 1)/2,), or a number for all of them; the number 0 leaves
+            them at least effort.
     """
 
     X_WD: pin.SE3
     V_D: Array = field(default_factory=_six)
     A_D: Array = field(default_factory=_six)
     alpha_d: Array = field(default_factory=_none)
-    squeeze_d: float = 0.0
+    squeeze_d: float | Array = 0.0
 
 
 def pose_reference(
@@ -115,7 +118,7 @@ def pose_reference(
     angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
     angular_acceleration: ArrayLike = (0.0, 0.0, 0.0),
     alpha_d: ArrayLike = (),
-    squeeze_d: float = 0.0,
+    squeeze_d: float | ArrayLike = 0.0,
 ) -> Reference:
     """A reference from p, R, ṗ, p̈, ω, ω̇ of the object's origin, all in world axes.
 
@@ -136,5 +139,6 @@ def pose_reference(
         )
     )
     X_WD = as_pose("reference", position, np.eye(3) if rotation is None else rotation)
-    forces, squeeze = as_array("alpha_d", alpha_d, (None,)), as_array("squeeze_d", squeeze_d, ())
-    return Reference(X_WD, V_D, A_D, forces, float(squeeze))
+    forces = as_array("alpha_d", alpha_d, (None,))
+    squeeze = as_array("squeeze_d", squeeze_d, (None,) if np.ndim(squeeze_d) else ())
+    return Reference(X_WD, V_D, A_D, forces, squeeze if squeeze.ndim else float(squeeze))

@@ -53,7 +53,7 @@ def run_plainly(rig):
         ticks.append({
             "t": k * period, "q": read.q, "v": read.v, "tau": tau, "alpha_cmd": wanted.alpha_d,
             "alpha_meas": alpha, "contact_seen": seen.closed, "collision_seen": seen.collision,
-            "wrench_meas": found.f_meas - found.bias_out, "squeeze": found.squeeze[0],
+            "wrench_meas": found.f_meas - found.bias_out, "squeeze": np.squeeze(found.squeeze),
             "squeeze_cmd": wanted.squeeze_d, "status": int(controller.status),
             "contact_phase": np.full(len(rig.pairs), 2 * controller.engaged),
             "power_total": found.V_O @ (found.f_meas - found.bias_out - found.f_c) + alpha @ speed,

@@ -137,6 +137,12 @@ def test_bad_numbers_are_refused_at_the_door(bad):
         osc.SetPoint(0.0, LINEAR, bad)
 
 
+@pytest.mark.parametrize("start", [[], [1.0, [2.0]], [[1.0, 2.0]], "far", [np.nan]])
+def test_a_start_is_a_number_or_a_row_of_numbers(start):
+    with pytest.raises(osc.InvalidInputError, match="start"):
+        osc.SetPoint(start, LINEAR, DT)
+
+
 def test_limits_are_for_one_or_for_all_coordinates_and_periods_are_positive():
     with pytest.raises(osc.InvalidInputError, match="2 coordinates"):
         osc.SetPoint([0.0, 0.0], osc.JerkLimits([1.0, 1.0, 1.0], 1.0, 1.0), DT)

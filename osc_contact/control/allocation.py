@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from osc_contact.control.joint_limits import JointLimits
+from osc_contact.control.linkage import Linkage, bar_forces
 from osc_contact.dynamics.arm import ArmTerms
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.errors import InvalidInputError, ModelError
@@ -48,8 +49,15 @@ def squeeze_rows(state: ChainState, chain: ClosedChain, eta_dot: Array) -> tuple
     return E[None, chain.actuated], np.array([offset])
 
 
-def squeeze_response(state: ChainState, chain: ClosedChain) -> tuple[Array, Array]:
-    """(E, c) with δsqueeze = E δτ − c δη̇: (s, n_a) as in `squeeze_rows`, (s, d)."""
+def squeeze_response(
+    state: ChainState, chain: ClosedChain, squeeze_d: float | Array = 0.0
+) -> tuple[Array, Array]:
+    """(E, c) with δsqueeze = E δτ − c δη̇: (s, n_a) as in `squeeze_rows`, (s, d).
+
+    With three arms or more: of the bars of the virtual linkage, if `squeeze_d` commands them.
+    """
+    if bar_forces(len(chain.arms), squeeze_d) is not None:
+        return Linkage.of(state, chain).response(state, chain)
     E, _ = squeeze_rows(state, chain, np.zeros(state.d))
     lever = np.zeros((len(E), chain.nq))
     if len(E):
@@ -86,6 +94,9 @@ def _modes(arm: ArmTerms) -> Array:
 @dataclass(frozen=True)
 class Allocation:
     """Least torque, weighted by 1/τ_max², that gives G τ = f_S and the commanded squeeze.
+
+    With three arms or more that is the forces in the bars of a virtual linkage (`Linkage`), as many
+    combinations of them as can be set; a squeeze of 0 leaves them at least effort.
 
     Arms with more joints than they need use only torques Jᵀφ for the task; the rest holds their
     posture in the dynamically consistent null space, (1 − JᵀJ̄ᵀ)τ₀ with
@@ -130,20 +141,19 @@ class Allocation:
         v: Array,
         f_S: Array,
         eta_dot: Array,
-        squeeze_d: float,
+        squeeze_d: float | Array,
     ) -> Array:
         """Motor torques (n_a,), not yet limited.
 
         Args:
             state: of the chain. q, v: (n,) measured.
             f_S: (d,) wanted object force. eta_dot: (d,) acceleration it will cause.
-            squeeze_d: wanted squeeze (N).
+            squeeze_d: wanted squeeze (N), see `Reference`.
         """
-        chain = self.chain
-        E, e0 = squeeze_rows(state, chain, eta_dot)
+        E, side = self._internal(state, eta_dot, squeeze_d)
         free, still = self._own_motions(state, q, v)
         A = np.vstack((state.G, E, free))
-        b = np.concatenate((f_S, squeeze_d * np.ones(len(e0)) + e0, still))
+        b = np.concatenate((f_S, side, still))
         rest = self._posture_torques(state, q, v)
         R_inv = self._inverse_weight(state)
         # scaled rows: force and couple rows of A differ in units
@@ -153,6 +163,18 @@ class Allocation:
         gram = gram * np.outer(scale, scale)
         multipliers = np.linalg.solve(gram, scale * (b - A @ rest))
         return np.asarray(rest + AR.T @ (scale * multipliers))
+
+    def _internal(
+        self, state: ChainState, eta_dot: Array, squeeze_d: float | Array
+    ) -> tuple[Array, Array]:
+        """Rows (s, n_a) and right sides (s,) that give the internal forces commanded."""
+        wanted = bar_forces(len(self.chain.arms), squeeze_d)
+        if wanted is None:
+            E, e0 = squeeze_rows(state, self.chain, eta_dot)
+            return E, squeeze_d * np.ones(len(e0)) + e0
+        linkage = Linkage.of(state, self.chain)
+        E, e0 = linkage.rows(state, self.chain, eta_dot)
+        return linkage.basis.T @ E, linkage.basis.T @ (wanted + e0)
 
     def _inverse_weight(self, state: ChainState) -> Array:
         """R⁻¹ (n_a, n_a): τ_max² where every torque is needed, Jᵀ(JRJᵀ)⁻¹J in redundant arms."""

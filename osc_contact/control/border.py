@@ -10,6 +10,7 @@ import numpy as np
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.friction import Friction
+from osc_contact.control.linkage import bars
 from osc_contact.control.wires import Signals
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
@@ -72,7 +73,11 @@ def take_in(
     s.wrenches = as_array("wrist wrenches", measurement.wrenches, (arms, 6))
     s.touched = None if measurement.touched is None else _checked(measurement.touched, contacts)
     s.alpha_d = as_array("reference alpha_d", reference.alpha_d, (None,))
-    s.squeeze_d = float(as_array("reference squeeze_d", reference.squeeze_d, ()))
+    squeeze = reference.squeeze_d
+    if arms > 2 and isinstance(squeeze, np.ndarray) and squeeze.ndim:
+        s.squeeze_d = as_array("reference squeeze_d", squeeze, (bars(arms),))
+    else:
+        s.squeeze_d = float(as_array("reference squeeze_d", squeeze, ()))
     as_array("reference V_D", reference.V_D, (6,))
     as_array("reference A_D", reference.A_D, (6,))
     as_array("reference X_WD", reference.X_WD.homogeneous, (4, 4))

@@ -18,6 +18,7 @@ from osc_contact.control.compiling import announced
 from osc_contact.control.effort_limits import GivenUp, relieve
 from osc_contact.control.found import Found
 from osc_contact.control.friction import Friction
+from osc_contact.control.linkage import bar_forces, bars
 from osc_contact.control.pack import pack
 from osc_contact.control.saturated import saturated
 from osc_contact.control.wires import Signals
@@ -102,6 +103,8 @@ class CompiledTick:
         ]
         self._elsewhere = bool(self._pairs.elsewhere or self._bodies)
         self._led = self._located = controller.chain.leader is not None
+        arms = len(chain.arms)
+        self._linked = arms if arms > 2 else 0  # internal forces are the readable path's
         self._crba, self._kernel = pin.crba, _kernel()
         self._load()
 
@@ -110,6 +113,8 @@ class CompiledTick:
         try:
             q = measurement.q
             touched = measurement.touched
+            if self._linked and bar_forces(self._linked, reference.squeeze_d) is not None:
+                return at.ASK
             self._crba(self._model, self._data, q, self._world)
             if touched is not None or self._moved:
                 self._move(touched)
@@ -294,7 +299,8 @@ class CompiledTick:
 
 def _found(arrays: dict[int, Array]) -> Found:
     s, columns = arrays[at.SIGNALS], arrays[at.COLUMNS]
-    D = arrays[at.SQUARES][at.MOBILITY]
+    D, count = arrays[at.SQUARES][at.MOBILITY], bars(len(arrays[at.ARMS]))
+    squeeze = s[at.SQUEEZE : at.SQUEEZE + 1] if count < 2 else np.zeros(count)
 
     def six(start: int) -> Array:
         return s[start : start + 6]
@@ -303,7 +309,7 @@ def _found(arrays: dict[int, Array]) -> Found:
         J=arrays[at.J],
         f_meas=six(at.F_MEAS), bias_out=six(at.BIAS_OUT), f_c=six(at.F_C), V_O=six(at.V_O),
         X_WO=s[at.X_WO : at.X_WO + 16].reshape(4, 4), error=six(at.ERROR),
-        free_error=six(at.FREE_ERROR), squeeze=s[at.SQUEEZE : at.SQUEEZE + 1],
+        free_error=six(at.FREE_ERROR), squeeze=squeeze,
         magnitudes=columns[at.ALPHA_MEAS], speeds=columns[at.SPEED], mobilities=D,
         rank=s[at.RANK : at.RANK + 1],
     )  # fmt: skip

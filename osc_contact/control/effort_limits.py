@@ -231,7 +231,7 @@ class EffortLimits:
     def response(self, s: Signals, owners: Array) -> Response:
         """What the chain makes of other torques than `s.tau`; `owners`: contact of each column."""
         state, contact = s.state, s.contact
-        E, carried = squeeze_response(state, self.chain)
+        E, carried = squeeze_response(state, self.chain, s.squeeze_d)
         return Response(
             tau=s.tau,
             tau_max=self.chain.tau_max,

@@ -9,6 +9,7 @@ import numpy as np
 
 from osc_contact.control.allocation import squeeze_rows
 from osc_contact.control.force import outboard_mobility
+from osc_contact.control.linkage import Linkage, bar_forces, bars
 from osc_contact.spatial import Array, pose_error
 
 if TYPE_CHECKING:
@@ -26,7 +27,9 @@ class Found:
         f_meas, bias_out: (6,) wrist readings less tare; what they would be without contact.
         f_c: (6,) contact force in them. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
         error: (6,) pose error. free_error: (6,) Ω_m(Λ_o⁻¹) of it.
-        squeeze: (1,) internal force along the grasp line (N), > 0 compresses.
+        squeeze: (1,) internal force along the grasp line (N), > 0 compresses; with k ≥ 3 arms
+            (k(k − 1)/2,) that between each two grasps, as in `Reference.squeeze_d`, or zeros
+            where none is commanded.
         magnitudes: (≥ r,) contact magnitudes measured; speeds: (≥ r,) NᵀV_rel; the first r of them
             count. rank: (1,) r.
         mobilities: (≥ r, ≥ r) D of the force filter, see `contact_force`; kept for contact life.
@@ -65,16 +68,12 @@ class Found:
     @classmethod
     def of(cls, s: Signals, controller: Controller) -> Found:
         """From the wires of the readable path."""
-        state, tau = s.state, controller.last_torques()
+        state = s.state
         error = pose_error(s.reference.X_WD, state.X_WO)
         Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
         D = np.zeros((0, 0))
         if controller.life is not None and (state.d == 6 or state.payload.Lambda.any()):
             D = outboard_mobility(state, s.contact, s.environment, s.drag)[0]
-        E, e0 = squeeze_rows(state, controller.chain, s.eta_c)
-        squeeze = E @ tau - e0 if len(e0) else np.zeros(1)
-        if controller.given_up is not None and len(e0):
-            squeeze = s.squeeze_d - controller.given_up.squeeze
         return cls(
             J=controller.chain.data.J.T,
             f_meas=s.f_meas,
@@ -84,9 +83,26 @@ class Found:
             X_WO=state.X_WO.homogeneous,
             error=error,
             free_error=Omega_m @ error,
-            squeeze=squeeze,
+            squeeze=_squeeze(s, controller),
             magnitudes=s.alpha_meas,
             speeds=s.contact.N.T @ (state.V_O - s.environment.V_e),
             mobilities=D,
             rank=np.array([len(s.alpha_meas)]),
         )
+
+
+def _squeeze(s: Signals, controller: Controller) -> Array:
+    chain, given_up = controller.chain, controller.given_up
+    wanted = bar_forces(len(chain.arms), s.squeeze_d)
+    if wanted is not None:
+        linkage = Linkage.of(s.state, chain)
+        if given_up is not None:
+            return np.asarray(linkage.basis @ (linkage.basis.T @ wanted) - given_up.squeeze)
+        E, e0 = linkage.rows(s.state, chain, s.eta_c)
+    else:
+        E, e0 = squeeze_rows(s.state, chain, s.eta_c)
+        if not len(e0):
+            return np.zeros(max(1, bars(len(chain.arms))))
+        if given_up is not None:
+            return np.asarray(s.squeeze_d - given_up.squeeze)
+    return np.asarray(E @ controller.last_torques() - e0)

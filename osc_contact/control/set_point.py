@@ -42,8 +42,12 @@ class SetPoint:
 
     def __init__(self, start: ArrayLike, limits: JerkLimits, dt: float) -> None:
         self._dt = _period(dt)
-        self._shape: tuple[int, ...] = () if np.ndim(start) == 0 else (np.size(start),)
-        self._bounds = limits.each(np.size(start))
+        number = not isinstance(start, list | tuple) and np.ndim(start) == 0
+        numbers = as_array("start", start, () if number else (None,))
+        if numbers.size == 0:
+            raise InvalidInputError("start is empty; give a number, or one for each coordinate")
+        self._shape = numbers.shape
+        self._bounds = limits.each(numbers.size)
         self.reset(start)
 
     def reset(self, value: ArrayLike) -> None:

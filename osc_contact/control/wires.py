@@ -27,7 +27,7 @@ class Signals:
     touched: Touched | None  #: pose, twist, known acceleration of the touched bodies
     reference: Reference  #: desired pose, twist, acceleration of the object
     alpha_d: Array  #: (r_all,) desired contact forces
-    squeeze_d: float  #: desired internal force
+    squeeze_d: float | Array  #: desired internal force
     state: ChainState  #: Λ_S, μ, p, S, σ, G of the closed chain
     parts: list[Contact]  #: N, n_γ of each contact
     contact: Contact  #: N, T, n_γ of all together
@@ -63,7 +63,7 @@ class Block:
     outputs: tuple[str, ...] = ()
 
 
-Stage = Callable[["Controller", Signals], None]
+Stage = Callable[[Any, Signals], None]
 
 
 def block(name: str, group: str, equation: str) -> Callable[[Stage], Stage]:

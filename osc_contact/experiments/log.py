@@ -7,6 +7,7 @@ import numpy as np
 from osc_contact.control.controller import Controller
 from osc_contact.control.found import Found
 from osc_contact.control.life import Phase
+from osc_contact.control.linkage import bars
 from osc_contact.control.living import measured, phases
 from osc_contact.experiments.rig import Rig
 from osc_contact.interface import Measurement
@@ -43,6 +44,7 @@ class Log:
         self.phase = np.zeros((lived, len(rig.pairs)), dtype=np.int64)
         self.seen = np.zeros((2, lived, r), dtype=bool)
         sizes = {"q": n, "v": n, "tau": n_a, "alpha": r, "speed": r, **FOUND}
+        sizes["squeeze"] = max(1, bars(len(rig.chain.arms)))
         if rig.d < 6:  # what the arms can make of an error is to be told
             sizes["J"] = 6 * n
         sizes["truth"] = sum(part.size for part in self.truth.parts)

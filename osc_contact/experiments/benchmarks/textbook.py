@@ -150,7 +150,7 @@ class TextbookLaw:
                 row[s] = sign * J_bar @ e
                 offset += sign * e @ (J_bar.T @ h + Lambda @ (acceleration - gamma))
             A = np.vstack((G, row @ B))
-            b = np.concatenate((f_S, [case.reference.squeeze_d + offset]))
+            b = np.concatenate((f_S, [float(case.reference.squeeze_d) + offset]))
         W, tau_0 = B.T @ weight @ B, B.T @ rest
         scale = np.diag(1.0 / np.sqrt(np.diag(A @ W @ A.T)))
         return tau_0 + W @ A.T @ scale @ inv(scale @ A @ W @ A.T @ scale) @ scale @ (b - A @ tau_0)

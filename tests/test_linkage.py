@@ -1,0 +1,267 @@
+"""Internal forces of three or more arms, cut out at the grasps of a full system of equations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from grasp_rigs import random_case
+from rigs import contact_of, panda_pair, random_faces, random_state, scara_pair
+from test_grasps import forces, moving
+
+import osc_contact as osc
+from osc_contact.control.allocation import Allocation, squeeze_response, squeeze_rows
+from osc_contact.control.linkage import Linkage, bar_forces
+from osc_contact.response import require_reachable
+
+LWA = pin.LOCAL_WORLD_ALIGNED
+
+
+def bars_of(points):
+    """E (3k, bars): unit bar forces on the object, pushing each pair of grasps together."""
+    k, columns = len(points), []
+    for i in range(k):
+        for j in range(i + 1, k):
+            f = np.zeros((k, 3))
+            f[i] = (points[j] - points[i]) / np.linalg.norm(points[j] - points[i])
+            f[j] = -f[i]
+            columns.append(f.ravel())
+    return np.array(columns).T
+
+
+def cut(case, v, tau, qdd):
+    """(k, 3) forces the arms exert at their tips, and these points, from each arm's own motion."""
+    model, data = case.chain.model, case.chain.model.createData()
+    pin.computeAllTerms(model, data, case.q, v)
+    pin.updateFramePlacements(model, data)
+    out, points = [], []
+    balance = forces(case, tau) - data.nle - data.M @ qdd
+    for arm, (kind, *_), s in zip(case.chain.arms, case.grasps, case.chain.slices, strict=True):
+        f = model.getFrameId(f"{arm.name}/{arm.tip}")
+        J = pin.getFrameJacobian(model, data, f, LWA)[:, s]
+        J = J[:3] if kind == "ball" else J
+        wrench, *_ = np.linalg.lstsq(J.T, balance[s], rcond=1e-10)
+        np.testing.assert_allclose(J.T @ wrench, balance[s], atol=1e-6)
+        out.append(wrench[:3])
+        points.append(data.oMf[f].translation.copy())
+    return np.array(out), np.array(points)
+
+
+def cases(rng, count, arms, kinds):
+    """Random states in contact: (case, state, contact, v, V)."""
+    while count:
+        case = random_case([str(rng.choice(["ur5", "panda"])) for _ in range(arms)],
+                           [str(rng.choice(kinds)) for _ in range(arms)], rng)  # fmt: skip
+        pairs = random_faces(case.X_WO, 2, rng)
+        try:
+            state = case.chain.state(case.q, np.zeros(case.chain.nq), case.X_WO, np.zeros(6))
+            require_reachable(state, contact_of(pairs, state))
+        except osc.OscContactError:
+            continue
+        if state.undriven.shape[1] or state.d < 6:  # an arm in a singular posture
+            continue
+        v, V, state, contact = moving(case, pairs, contact_of(pairs, state).N, rng)
+        count -= 1
+        yield case, state, contact, v, V
+
+
+def answers(case, state, contact, v, V, commands, rng):
+    """For each squeeze command: forces at the tips, points, acceleration, contact forces."""
+    allocation = Allocation(case.chain, case.q + 0.1 * rng.normal(size=case.chain.nq))
+    eta = rng.normal(size=state.d)
+    lever = state.S.T @ contact.N
+    eta -= np.linalg.pinv(lever.T) @ (lever.T @ eta)
+    want = contact.n_gamma - contact.N.T @ state.sigma
+    eta += np.linalg.pinv(lever.T) @ want
+    alpha = rng.uniform(5, 20, contact.r)
+    f_S = state.Lambda @ eta + state.bias + lever @ alpha
+    for command in commands:
+        tau = allocation.torques(state, case.q, v, f_S, eta, command)
+        got = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
+        f, points = cut(case, v, tau, got.qdd)
+        yield f, points, got.a_object, got.alpha
+
+
+@pytest.mark.parametrize("arms", [3, 4])
+def test_each_bar_carries_its_command_and_nothing_else_feels_it(arms):
+    """The forces cut at the grasps, projected on the bars; then the motion-inducing rest."""
+    rng, count = np.random.default_rng(70), arms * (arms - 1) // 2
+    for case, *state in cases(rng, 8, arms, ["rigid", "rigid", "ball"]):
+        one, two = rng.normal(size=(2, count)) * 20.0
+        commands = (one, two, 7.5, 0.0)
+        seen = list(answers(case, *state, commands, rng))
+        points = seen[0][1]
+        E = bars_of(points)
+        for command, (f, *_) in zip(commands[:3], seen, strict=False):
+            t = np.linalg.lstsq(E, f.ravel(), rcond=1e-12)[0]
+            np.testing.assert_allclose(t, command * np.ones(count), atol=1e-7 * 20.0)
+        for f, _, a, alpha in seen[1:]:
+            size = np.abs(seen[0][2]).max()
+            np.testing.assert_allclose(a, seen[0][2], atol=1e-9 * max(size, 1.0))
+            np.testing.assert_allclose(alpha, seen[0][3], atol=1e-9 * np.abs(alpha).max())
+            change = f - seen[0][0]
+            np.testing.assert_allclose(change.sum(axis=0), 0.0, atol=1e-7)
+
+
+def test_three_balls_pass_on_the_bars_forces_alone():
+    """Forces without moments and without resultant lie along the triangle's sides: δf = E δt."""
+    rng = np.random.default_rng(71)
+    for case, *state in cases(rng, 6, 3, ["ball"]):
+        one, two = rng.normal(size=(2, 3)) * 20.0
+        (f, points, *_), (g, *_) = answers(case, *state, (one, two), rng)
+        np.testing.assert_allclose((g - f).ravel(), bars_of(points) @ (two - one), atol=1e-7)
+
+
+def test_dependent_bars_share_and_the_object_does_not_notice():
+    """Five arms: ten bars, nine independent; what comes is the nearest to what was wanted."""
+    rng = np.random.default_rng(72)
+    for case, *state in cases(rng, 2, 5, ["rigid", "ball"]):
+        wanted = rng.normal(size=10) * 20.0
+        (f, points, a, alpha), (_, _, b, beta) = answers(case, *state, (wanted, 0.0), rng)
+        E = bars_of(points)
+        np.testing.assert_allclose(
+            np.linalg.pinv(E) @ f.ravel(), np.linalg.pinv(E) @ (E @ wanted), atol=1e-6
+        )
+        np.testing.assert_allclose(a, b, atol=1e-9 * max(np.abs(a).max(), 1.0))
+        np.testing.assert_allclose(alpha, beta, atol=1e-9 * np.abs(beta).max())
+
+
+@pytest.mark.parametrize("arms, kinds, bends, settable", [
+    (["scara"] * 3, ["rigid"] * 3, None, 3), (["3R", "3R", "scara"], ["rigid"] * 3, None, 1),
+    (["ur5"] * 3, ["slide", "cylinder", "rigid"], None, 3), (["3R"] * 3, ["rigid"] * 3, None, 1),
+    (["ur5"] * 3, ["rigid", "rigid", "ball"], [0.0, 0.8, 0.8], 2),
+])  # fmt: skip
+def test_what_cannot_be_set_is_left_alone(arms, kinds, bends, settable):
+    """Structure, slides and straight arms: fewer combinations, same object.
+
+    Tips of planar arms at different heights: of three bars only one combination is horizontal.
+    """
+    rng, tried = np.random.default_rng(73), 0
+    for _ in range(6):
+        planar = any(arm[0] in "3s" for arm in arms)
+        case = random_case(arms, kinds, rng, bends, upright=planar)
+        still = np.zeros(case.chain.nq)
+        state = case.chain.state(case.q, still, case.X_WO, np.zeros(6))
+        if state.undriven.shape[1] or not state.d:
+            continue
+        linkage = Linkage.of(state, case.chain)
+        if bends and min(arm.mobility[-1] for arm in state.arms[1:]) < 0.05:
+            continue  # a wrist is nearly straight, too
+        assert linkage.basis.shape == (3, settable)
+        allocation, eta = Allocation(case.chain, case.q), rng.normal(size=state.d)
+        f_S = state.Lambda @ eta + state.bias
+        E, e0 = linkage.rows(state, case.chain, eta)
+        seen = []
+        for squeeze in (0.0, 30.0):
+            tau = allocation.torques(state, case.q, still, f_S, eta, squeeze)
+            system = case.system(still, np.zeros(6))
+            got = system.solve(forces(case, tau), np.zeros((6, 0)), np.zeros(0))
+            seen.append(got.a_object)
+        assert np.abs(seen[1] - seen[0]).max() < 1e-9 * max(1.0, np.abs(seen[0]).max())
+        got = linkage.basis.T @ (E @ tau - e0)
+        np.testing.assert_allclose(got, linkage.basis.T @ np.full(3, 30.0), atol=1e-6)
+        _, carried = squeeze_response(state, case.chain, 30.0)
+        change = rng.normal(size=state.d)
+        more = linkage.rows(state, case.chain, eta + change)[1] - e0
+        more = linkage.basis @ (linkage.basis.T @ more)
+        np.testing.assert_allclose(carried @ change, more, atol=1e-8 * np.abs(e0).max())
+        tried += 1
+    assert tried >= 3
+
+
+def test_an_arm_without_motors_leaves_two_of_three_combinations():
+    """The two others push on each other in any direction; bars feel what is in their plane."""
+    rng = np.random.default_rng(75)
+    for _ in range(4):
+        case = random_case(["ur5"] * 3, ["rigid"] * 3, rng)
+        *driving, last = case.chain.arms
+        limp = replace(last, passive_joints=tuple(last.model.names)[1:])
+        parts = ([*driving, limp], case.chain.grasps, case.chain.payload)
+        case = replace(case, chain=osc.ClosedChain(*parts))
+        still = np.zeros(18)
+        state = case.chain.state(case.q, still)
+        linkage = Linkage.of(state, case.chain)
+        assert linkage.basis.shape == (3, 2)
+        allocation, seen = Allocation(case.chain, case.q), []
+        for squeeze in (0.0, 30.0):
+            tau = allocation.torques(state, case.q, still, state.bias, np.zeros(6), squeeze)
+            assert np.abs(tau).max() < 1e4
+            system = case.system(still, np.zeros(6))
+            got = system.solve(forces(case, tau), np.zeros((6, 0)), np.zeros(0))
+            np.testing.assert_allclose(got.a_object, 0.0, atol=1e-9)
+            f, points = cut(case, still, tau, got.qdd)
+            seen.append(linkage.basis.T @ np.linalg.pinv(bars_of(points)) @ f.ravel())
+        np.testing.assert_allclose(seen[1], linkage.basis.T @ np.full(3, 30.0), atol=1e-7)
+        assert np.abs(seen[1] - seen[0]).max() > 1.0
+
+
+@pytest.mark.parametrize("rig", [scara_pair, panda_pair])
+def test_two_grasps_are_the_case_of_one_bar(rig):
+    chain, rng = rig(), np.random.default_rng(74)
+    for _ in range(5):
+        state = chain.state(*random_state(chain, rng))
+        eta = rng.normal(size=state.d)
+        linkage = Linkage.of(state, chain)
+        for got, want in zip(
+            (*linkage.rows(state, chain, eta), *linkage.response(state, chain)),
+            (*squeeze_rows(state, chain, eta), *squeeze_response(state, chain)),
+            strict=True,
+        ):
+            np.testing.assert_allclose(got, want, atol=1e-11 * max(1.0, np.abs(want).max()))
+    assert bar_forces(2, 5.0) is None
+
+
+@pytest.fixture(scope="module")
+def plate():
+    return osc.build_rig(osc.load_scenario("three_arm_plate"))
+
+
+def test_commands_by_number_and_by_bar(plate):
+    """0 leaves least effort and the compiled tick; anything else is the readable path's."""
+    measurement, reference = plate.plant().measure(), plate.references.at(0.0)
+    fast, slow = plate.controller(), plate.controller()
+    slow._fast = None
+    for squeeze in (0.0, 12.0, np.array([5.0, -3.0, 8.0]), np.zeros(3)):
+        wanted = replace(reference, squeeze_d=squeeze)
+        got, want = fast.tick(measurement, wanted), slow.tick(measurement, wanted)
+        assert fast.status is osc.Status.OK, fast.reason
+        size = np.abs(want).max()
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-12 * size)
+        assert fast._by_twin == (np.ndim(squeeze) > 0 or squeeze != 0.0)
+        for controller in (fast, slow):
+            np.testing.assert_allclose(
+                controller.found().squeeze, squeeze * np.ones(3), atol=1e-8, rtol=0
+            )
+    for bad in (np.zeros(2), np.array([1.0, np.nan, 0.0]), np.zeros((3, 1)), "5 N", np.nan, [1, 2]):
+        held = fast.tick(measurement, replace(reference, squeeze_d=bad))
+        assert fast.status is osc.Status.HELD and "squeeze_d" in fast.reason
+        np.testing.assert_array_equal(held, got)
+
+
+def test_motor_limits_take_it_first(plate):
+    """4 kN cannot be had: torques within limits, forces and motion hardly touched, told by bar."""
+    measurement, reference = plate.plant().measure(), plate.references.at(0.0)
+    controller = plate.controller()
+    controller.tick(measurement, reference)
+    squeeze = np.array([4000.0, 100.0, 50.0])
+    tau = controller.tick(measurement, replace(reference, squeeze_d=squeeze))
+    assert controller.status is osc.Status.SATURATED
+    assert (np.abs(tau) <= plate.chain.tau_max).all()
+    lost = controller.given_up
+    assert lost.squeeze.shape == (3,) and lost.squeeze[0] > 1000.0
+    assert np.abs(lost.acceleration).max() < 0.1 and np.abs(lost.force).max() < 1.0
+    np.testing.assert_allclose(controller.found().squeeze, squeeze - lost.squeeze, rtol=1e-9)
+
+
+def test_a_squeezed_plate_stays_within_its_limits():
+    """On MuJoCo: 10 N in every side of the triangle while three contact forces are controlled."""
+    scenario = osc.load_scenario("three_arm_plate", ["squeeze=10 N"])
+    recording = osc.run(scenario, duration=1.5)
+    verdict = osc.metrics(recording)
+    for name, force in verdict["force"].items():
+        assert force["rms_error_rel"] <= 0.01, name
+    assert recording["squeeze"].shape == (len(recording), 3)
+    np.testing.assert_allclose(recording["squeeze"], 10.0, atol=1e-6)
+    assert recording["closed"].all()
