@@ -171,7 +171,7 @@ embed(write_scene_of(recording, rig, Path("scene.html")))
 # | key | try |
 # |---|---|
 # | `contacts.left_end.face.normal` | another tilt: N, T and the free motions follow |
-# | `force.right_end` | other signals: `constant`, `step`, `sine`, `minimum_jerk`, summed |
+# | `force.right_end` | other signals, such as `minimum_jerk`, `jerk_limited` or `points` |
 # | `motion` | `kind: angular` with a unit vector: turn the rod instead of sliding it |
 # | `model_error.object_mass` | 1.2: the controller believes in a heavier rod |
 # | `plant.friction` | what the frictionless model does not know |

@@ -27,6 +27,7 @@ from osc_contact.contacts.raibert_craig import RaibertCraig
 from osc_contact.control.controller import Controller, Gains, Status
 from osc_contact.control.force import ForceGains
 from osc_contact.control.motion import MotionGains
+from osc_contact.control.set_point import PoseSetPoint, SetPoint, SetPointState
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.environment import Environment
@@ -47,7 +48,8 @@ from osc_contact.experiments.metrics import metrics
 from osc_contact.experiments.rig import Rig, build_rig
 from osc_contact.experiments.run import run
 from osc_contact.experiments.viewing import open_viewer
-from osc_contact.interface import Measurement, Reference
+from osc_contact.interface import Measurement, Reference, pose_reference
+from osc_contact.jerk_limits import JerkLimits
 from osc_contact.recorder import Recording
 from osc_contact.response import ContactResponse, contact_response
 from osc_contact.scenarios import list_scenarios, load_scenario
@@ -90,6 +92,11 @@ __all__ = [
     "Status",
     "Measurement",
     "Reference",
+    "pose_reference",
+    "SetPoint",
+    "SetPointState",
+    "PoseSetPoint",
+    "JerkLimits",
     "load_scenario",
     "list_scenarios",
     "Rig",

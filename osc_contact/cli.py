@@ -46,7 +46,7 @@ err = Console(stderr=True)
 PARTIAL = "recording_until_failure.npz"
 REPRODUCIBLE = tuple(sorted((*paper_figures.FIGURES, *STUDIES), key=lambda n: (n[:3] != "fig", n)))
 LONG = ", ".join(name for name in REPRODUCIBLE if name not in reproduction.names_of("all"))
-EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim"}
+EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim", "ruckig": "sim"}
 
 
 class InertiaLevel(StrEnum):

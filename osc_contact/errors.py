@@ -44,7 +44,8 @@ class ScenarioError(OscContactError):
 
 
 class SolverError(OscContactError):
-    """A quadratic program was not solved: a controller that meets it holds its last torques."""
+    """A quadratic program was not solved (a controller that meets it holds its last torques), or no
+    jerk-limited way was found (a set point keeps its former goal)."""
 
 
 class PlantError(OscContactError):

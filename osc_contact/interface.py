@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, as_array, as_pose
 
-__all__ = ["Measurement", "Reference", "Seen", "Stamps", "Touched"]
+__all__ = ["Measurement", "Reference", "Seen", "Stamps", "Touched", "as_squeeze", "pose_reference"]
 
 
 @dataclass(frozen=True)
@@ -74,14 +76,26 @@ class Measurement:
     seen: Seen | None = None
 
 
+def _six() -> Array:
+    return np.zeros(6)
+
+
+def _none() -> Array:
+    return np.zeros(0)
+
+
 @dataclass(frozen=True)
 class Reference:
-    """What the user wants at one tick.
+    """What the user wants at one tick; what is left out is zero.
+
+    Accelerations are *classical*, d/dt of V_D: what trajectory generators and
+    `pin.getFrameClassicalAcceleration(..., LOCAL_WORLD_ALIGNED)` give. The controller makes them
+    spatial, once, in its motion law.
 
     Attributes:
         X_WD: desired pose of the object.
         V_D: (6,) its twist at its own origin, world axes.
-        A_D: (6,) its *classical* acceleration (second derivatives of position and rotation).
+        A_D: (6,) its classical acceleration: [second derivative of the origin's position; ω̇].
         alpha_d: (r,) desired contact force magnitudes (N).
         squeeze_d: desired internal force along the grasp line, > 0 compresses (N). With k ≥ 3 arms:
             in each line between two grasps, in the order (1, 2), (1, 3), …, (k − 1, k), see
@@ -90,7 +104,52 @@ class Reference:
     """
 
     X_WD: pin.SE3
-    V_D: Array
-    A_D: Array
-    alpha_d: Array
+    V_D: Array = field(default_factory=_six)
+    A_D: Array = field(default_factory=_six)
+    alpha_d: Array = field(default_factory=_none)
     squeeze_d: float | Array = 0.0
+
+
+def pose_reference(
+    position: ArrayLike,
+    rotation: ArrayLike | None = None,
+    velocity: ArrayLike = (0.0, 0.0, 0.0),
+    acceleration: ArrayLike = (0.0, 0.0, 0.0),
+    angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+    angular_acceleration: ArrayLike = (0.0, 0.0, 0.0),
+    alpha_d: ArrayLike = (),
+    squeeze_d: float | Array = 0.0,
+) -> Reference:
+    """A reference from p, R, ṗ, p̈, ω, ω̇ of the object's origin, all in world axes.
+
+    Args:
+        position: (3,) p (m). rotation: (3, 3) R; None: the object's axes are the world's.
+        velocity, acceleration: (3,) plain time derivatives of p (m/s, m/s²).
+        angular_velocity, angular_acceleration: (3,) ω and its time derivative (rad/s, rad/s²).
+        alpha_d, squeeze_d: as in `Reference`.
+
+    Raises:
+        InvalidInputError: wrong shapes, a NaN/inf, or no rotation matrix.
+    """
+    V_D, A_D = (
+        np.concatenate((as_array(name, x, (3,)), as_array(f"angular_{name}", w, (3,))))
+        for name, x, w in (
+            ("velocity", velocity, angular_velocity),
+            ("acceleration", acceleration, angular_acceleration),
+        )
+    )
+    X_WD = as_pose("reference", position, np.eye(3) if rotation is None else rotation)
+    return Reference(
+        X_WD, V_D, A_D, as_array("alpha_d", alpha_d, (None,)), as_squeeze("squeeze_d", squeeze_d)
+    )
+
+
+def as_squeeze(name: str, squeeze_d: float | Array, pairs: int | None = None) -> float | Array:
+    """A finite number, or an array of one for each of the pairs (None: any number of them).
+
+    Raises:
+        InvalidInputError: it is neither.
+    """
+    if isinstance(squeeze_d, np.ndarray) and squeeze_d.ndim:
+        return as_array(name, squeeze_d, (pairs,))
+    return float(as_array(name, squeeze_d, ()))

@@ -33,6 +33,7 @@ Array = NDArray[Any]
 __all__ = [
     "Array",
     "as_array",
+    "as_pose",
     "cross",
     "skew",
     "carry_twist",
@@ -67,6 +68,25 @@ def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise InvalidInputError(f"{name}: element {where} is {array[where]}; give a finite number")
     return array
+
+
+def as_pose(name: str, position: Any, rotation: Any) -> pin.SE3:
+    """Return the pose of `position` (3,) and rotation matrix `rotation` (3, 3).
+
+    Raises:
+        InvalidInputError: wrong shapes, a NaN/inf, or no rotation: RᵀR ≠ 1 (by 1e-6) or det R < 0.
+    """
+    p, R = (
+        as_array(f"{name} position", position, (3,)),
+        as_array(f"{name} rotation", rotation, (3, 3)),
+    )
+    off = float(np.abs(R.T @ R - np.eye(3)).max())
+    if off > 1e-6 or np.linalg.det(R) < 0.0:
+        raise InvalidInputError(
+            f"{name} rotation: RᵀR differs from 1 by {off:.3g} and det R = {np.linalg.det(R):.3g}; "
+            "give a rotation matrix, such as pin.rpy.rpyToMatrix(roll, pitch, yaw)"
+        )
+    return pin.SE3(R, p)
 
 
 def cross(x: Array, y: Array) -> Array:

@@ -500,7 +500,7 @@ def test_outboard_terms_are_what_newton_and_euler_weigh(
     if model.nv > 6:  # only the least-energy joint motion is a function of the object's motion
         qdd = t.J_bar @ (J @ qdd)
     columns = {j: j for j in range(1, model.njoints)}
-    Lambda, bias = outboard_terms(
+    Lambda, bias, _ = outboard_terms(
         links, list(data.oMi), J, v, columns, t.J_bar, gamma, O, model.gravity.linear
     )
     weighed = light.createData()

@@ -178,7 +178,7 @@ def schema_keys(model: type[BaseModel], prefix: str = "") -> tuple[dict[str, Any
                 keys |= {f"{prefix}{name}.{key}": one.model_fields[key] for key in beside}
         else:
             for one in inner:
-                if "type" in one.model_fields and {"value", "amplitude"} & set(one.model_fields):
+                if "type" in one.model_fields and SIGNALS & set(one.model_fields):
                     signals |= one.model_fields
                     continue
                 below = schema_keys(one, f"{prefix}{name}.")
@@ -188,6 +188,7 @@ def schema_keys(model: type[BaseModel], prefix: str = "") -> tuple[dict[str, Any
     return keys, signals
 
 
+SIGNALS = {"value", "amplitude", "points"}  # one of them is in each signal
 OF_EACH_KIND = {
     "motion.kind",
     "contacts.type",

@@ -238,7 +238,7 @@ def test_reproduce_writes_picture_and_numbers(tmp_path):
     words = ["reproduce", "kinematic_stability", "--seed", "1", "--duration", "0.9"]
     result = CliRunner().invoke(app, [*words, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
-    names = {f"kinematic_stability.{suffix}" for suffix in ("png", "pdf", "json")}
+    names = {f"kinematic_stability.{suffix}" for suffix in ("png", "svg", "pdf", "json")}
     assert {path.name for path in tmp_path.iterdir()} == names
     assert (tmp_path / "kinematic_stability.pdf").read_bytes().startswith(b"%PDF")
     rows = json.loads((tmp_path / "kinematic_stability.json").read_text())["arms"]

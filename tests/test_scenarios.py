@@ -145,7 +145,8 @@ BAD = {
     "bad name": ("name: end", "name: my.end", 13, "contacts.my.end.name", "expected a name of"),
     "signal type": (
         "type: constant", "type: konstant", 20, "force.end.0.type",
-        "expected one of 'constant', 'step', 'sine', 'minimum_jerk'; got 'konstant'",
+        "expected one of 'constant', 'step', 'sine', 'minimum_jerk', "
+        "'jerk_limited', 'points'; got 'konstant'",
     ),
     "no signal type": ("{type: constant, value", "{value", 20, "force.end.0", "'type' is missing"),
     "no signals": ("\n    - {type: constant, value: 3 N}", " []", 19, "force.end", "at least 1"),
@@ -173,6 +174,15 @@ BAD = {
     "two documents": ("name: small", "name: small\n---\nname: x", 2, "not valid YAML", "single"),
     "deep": ("2 s", "[" * 5000, 31, "nested deeper", "32 levels"),
 }  # fmt: skip
+
+
+def test_a_bad_item_is_not_told_as_a_list_too_short():
+    path = Path(__file__).parent / "scenarios" / "set_points.yaml"
+    for wrong in ("force.left_end.0.points=[[0 s, 1 N], [1 s, 2 mm]]",
+                  "motion.0.signals.0.velocity=3 N/s"):  # fmt: skip
+        with pytest.raises(ScenarioError) as caught:
+            load_scenario(path, [wrong])
+        assert len(str(caught.value).splitlines()) == 1, caught.value
 
 
 @pytest.mark.parametrize("case", BAD)

@@ -22,8 +22,10 @@ from osc_contact.scenarios.signals import (
     AngleSignal,
     Constant,
     ForceSignal,
+    JerkLimited,
     LengthSignal,
     MinimumJerk,
+    Points,
     Sine,
     Step,
     total,
@@ -35,6 +37,8 @@ SMOOTH = [
     Sine(amplitude=4.0, frequency=0.5, phase=0.3, start=0.2, ramp=0.5),
     Sine(amplitude=0.05, frequency=1.3, start=-0.4),
     MinimumJerk(value=-10.0, start=0.1, duration=0.3),
+    JerkLimited(via=(0.4, -0.2), value=0.1, start=0.1, velocity=2.5, acceleration=40.0, jerk=900.0),
+    Points(points=((0.1, 3.0), (0.3, 4.0), (0.5, 3.5), (0.9, 3.0))),
 ]
 
 
@@ -80,6 +84,107 @@ def test_sine_is_silent_before_start_and_pure_after_the_ramp():
     assert sine.at(2.0) == pytest.approx(wanted, rel=1e-13)
 
 
+def rest_to_rest(distance, v, a, j):
+    """Least time (s) by the textbook's cases (Biagiotti & Melchiorri 2008, section 3.4)."""
+    ramp = v / a + a / j if v * j >= a * a else 2.0 * math.sqrt(v / j)
+    if distance >= v * ramp:
+        return distance / v + ramp
+    if distance >= 2.0 * a**3 / j**2:
+        return a / j + math.sqrt((a / j) ** 2 + 4.0 * distance / a)
+    return 4.0 * (distance / (2.0 * j)) ** (1.0 / 3.0)
+
+
+def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
+    rng = np.random.default_rng(1)
+    for _ in range(300):
+        *limits, size = 10.0 ** rng.uniform(-3, 3, 4)
+        limits = [float(x) for x in limits]
+        way = [float(x) for x in size * rng.uniform(-1, 1, 3)]
+        signal = JerkLimited(
+            via=way[:2], value=way[2], start=0.3,
+            **dict(zip(("velocity", "acceleration", "jerk"), limits, strict=True)),
+        )  # fmt: skip
+        distances = np.abs(np.diff([0.0, *way]))
+        least = [rest_to_rest(float(d), *limits) for d in distances]
+        assert signal.duration == pytest.approx(sum(least), rel=1e-9)
+        v, a, j = limits
+        smooth = max(1.875 * distances[2] / v, math.sqrt(10 / 3**0.5 * distances[2] / a),
+                     (60 * distances[2] / j) ** (1 / 3))  # fmt: skip
+        assert least[2] <= smooth * (1 + 1e-9)  # not slower than minimum jerk at the same limits
+        t = 0.3 + np.linspace(-0.05, 1.05, 4001) * signal.duration
+        x, x_dot, x_ddot = signal.over(t)
+        assert np.abs(x_dot).max() <= v * (1 + 1e-9) and np.abs(x_ddot).max() <= a * (1 + 1e-9)
+        assert np.abs(np.diff(x_ddot) / np.diff(t)).max() <= j * (1 + 1e-6)
+        steps = np.diff(x) - 0.5 * (x_dot[1:] + x_dot[:-1]) * np.diff(t)  # trapezoids, h³ x⃛/12
+        assert np.abs(steps).max() <= np.diff(t)[0] ** 3 * j / 6 + 1e-12 * size
+        for reached, when in zip(way, 0.3 + np.cumsum(least), strict=True):
+            near = signal.at(float(when))
+            assert near[0] == pytest.approx(reached, abs=1e-8 * size)
+            assert abs(near[1]) <= 1e-6 * v and abs(near[2]) <= 1e-3 * a + j * 1e-6 * sum(least)
+        assert signal.at(math.inf) == (way[2], 0.0, 0.0) and signal.at(0.3) == (0.0, 0.0, 0.0)
+
+
+def test_jerk_limited_may_have_nowhere_to_go():
+    still = JerkLimited(value=0.0, velocity=1.0, acceleration=1.0, jerk=1.0)
+    assert still.at(0.5) == still.at(2.0) == (0.0, 0.0, 0.0)
+
+
+def test_points_are_met_by_the_curve_of_least_jerk():
+    """C⁴, and ∫ x⃛ η⃛ dt = 0 for every η that vanishes at the points and rests at the ends."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        times = np.cumsum(rng.uniform(0.2, 1.0, rng.integers(2, 8)))
+        values = rng.normal(size=len(times))
+        signal = Points(points=list(zip(times.tolist(), values.tolist(), strict=True)))
+        np.testing.assert_allclose(signal.over(times)[0], values, atol=1e-10)
+        assert signal.at(-1.0) == (values[0], 0.0, 0.0)
+        assert signal.at(math.inf) == (values[-1], 0.0, 0.0)
+        t = np.linspace(times[0], times[-1], 40_001)
+        a = signal.over(t)[2]
+        ends = (t - t[0]) ** 3 * (t - t[-1]) ** 3 / (t[-1] - t[0]) ** 6
+        eta = ends * np.prod([t - x for x in times[1:-1]], axis=0) * np.cos(3.0 * t)
+        eta_ddot = np.gradient(np.gradient(eta, t), t)
+        jerk, eta_jerk = np.gradient(a, t)[5:-5], np.gradient(eta_ddot, t)[5:-5]
+        product, sizes = (jerk * eta_jerk).sum(), ((jerk**2).sum() * (eta_jerk**2).sum()) ** 0.5
+        assert abs(product) <= 2e-3 * sizes
+        change = np.abs(np.diff(np.gradient(jerk, t[5:-5])))[2:-2]  # of the fourth derivative
+        assert change.max() <= 0.05 * max(1.0, np.abs(np.gradient(jerk, t[5:-5])).max())
+
+
+def test_a_value_given_twice_is_held_and_parts_the_curve():
+    t = np.linspace(-0.2, 8.0, 2000)
+    first, last = ((0.0, 3.0), (0.4, 5.0), (0.9, 4.0)), ((6.0, 4.0), (6.3, 1.0), (7.0, 2.0))
+    both = np.array(Points(points=(*first, *last)).over(t))
+    before, after = np.array(Points(points=first).over(t)), np.array(Points(points=last).over(t))
+    np.testing.assert_allclose(both, np.where(t < 3.0, before, after), atol=1e-9)
+    held = (t >= 0.9) & (t <= 6.0)
+    np.testing.assert_allclose(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), atol=1e-12)
+
+
+def test_two_points_are_minimum_jerk():
+    t = np.linspace(0.0, 1.0, 101)
+    ours = Points(points=((0.3, 0.0), (0.7, 2.0))).over(t)
+    theirs = MinimumJerk(value=2.0, start=0.3, duration=0.4).over(t)
+    np.testing.assert_allclose(ours, theirs, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "si"),
+    [(LengthSignal, "50 mm/s", 0.05), (AngleSignal, "30 deg/s", math.radians(30)),
+     (ForceSignal, "2 kN/s", 2000.0)],
+)  # fmt: skip
+def test_limits_have_the_units_of_their_signal(kind, text, si):
+    adapter = TypeAdapter(kind)
+    data = {"type": "jerk_limited", "value": 1, "velocity": text}
+    for two, three in (("²", "³"), ("^2", "^3"), ("2", "3")):
+        more = {"acceleration": f"{text}{two}", "jerk": f"{text}{three}"}
+        signal = adapter.validate_python(data | more)
+        for found in (signal.velocity, signal.acceleration, signal.jerk):
+            assert found == pytest.approx(si, rel=1e-15)
+        with pytest.raises(ValidationError, match=r"per s²?; got|per s² in .*² per|per s²"):
+            adapter.validate_python(data | more | {"acceleration": text})
+
+
 def test_total_sums_the_triples():
     assert total([], 1.0) == (0.0, 0.0, 0.0)
     expected = np.sum([signal.at(0.31) for signal in SMOOTH], axis=0)
@@ -96,12 +201,13 @@ def test_total_sums_the_triples():
 )
 def test_the_same_signals_hold_lengths_angles_or_forces(kind, key, good, bad):
     adapter = TypeAdapter(kind)
-    for type_ in ("constant", "step", "sine", "minimum_jerk"):
+    for type_ in ("constant", "step", "sine", "minimum_jerk", "jerk_limited"):
         name = "amplitude" if type_ == "sine" else "value"
         more = {
             "sine": {"frequency": "2 Hz"},
             "step": {"start": 1},
             "minimum_jerk": {"duration": 1},
+            "jerk_limited": {"velocity": 1, "acceleration": 1, "jerk": 1},
         }
         data = {"type": type_, name: good[0], **more.get(type_, {})}
         assert getattr(adapter.validate_python(data), name) == pytest.approx(good[1], rel=1e-15)
@@ -118,6 +224,14 @@ def test_the_same_signals_hold_lengths_angles_or_forces(kind, key, good, bad):
         lambda: Constant(value=math.nan),
         lambda: Step(value=1.0),
         lambda: Constant(value=1.0, start=2.0),
+        lambda: JerkLimited(value=1.0, velocity=1.0, acceleration=0.0, jerk=1.0),
+        lambda: JerkLimited(value=1.0, velocity=math.inf, acceleration=1.0, jerk=1.0),
+        lambda: JerkLimited(value=1.0, via=(math.nan,), velocity=1.0, acceleration=1.0, jerk=1.0),
+        lambda: Points(points=((0.0, 1.0),)),
+        lambda: Points(points=((0.0, 1.0), (1.0, 2.0), (1.0, 3.0))),
+        lambda: Points(points=((0.0, 1.0), (1.0, math.nan))),
+        lambda: Points(points=((0.0, 1.0), (1e-300, 2.0), (1.0, 3.0))),
+        lambda: Points(points=((0.0, 1.0), (10.1, 2.0), (11.1, 3.0))),
     ],
 )
 def test_impossible_signals_are_refused(bad):

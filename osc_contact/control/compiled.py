@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -13,9 +13,11 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs import ContactPair, VertexOnFace
 from osc_contact.control.compiling import announced
 from osc_contact.control.effort_limits import GivenUp, relieve
 from osc_contact.control.found import Found
+from osc_contact.control.friction import Friction
 from osc_contact.control.linkage import bar_forces, bars
 from osc_contact.control.pack import pack
 from osc_contact.control.saturated import saturated
@@ -49,12 +51,15 @@ class Before:
 _REFUSED = (TypeError, ValueError, AttributeError, OscContactError, np.linalg.LinAlgError)
 
 
-def compilable(chain: ClosedChain) -> bool:
+def compilable(chain: ClosedChain, pairs: Sequence[ContactPair], friction: Friction | None) -> bool:
     """Whether the kernels know the grasps: rigid, hinge and ball, these with rigid grippers.
 
     A gripper with joints beyond the wrist sensor can move without the object in ways that its
-    reading does not tell apart.
+    reading does not tell apart. Friction they know of vertices on faces, not of pairs derived from
+    them.
     """
+    if friction is not None and any(type(pair) is not VertexOnFace for pair in pairs):
+        return False
     for grasp, links, tip in zip(chain.grasps, chain.outboard, chain.tips, strict=True):
         last = chain.model.frames[tip].parentJoint
         if grasp.kind == "other" or (
@@ -73,6 +78,7 @@ class CompiledTick:
         tare, bias: (6,) views of the state: f_tare, f_bias.
         terms: (contacts, 4) see `control.force.ContactTerms`.
         found: what the last tick found; its arrays are overwritten by the next one.
+        acceleration: (n,) q̈ as commanded by the last tick that was computed, likewise.
     """
 
     def __init__(self, controller: Controller) -> None:
@@ -208,10 +214,11 @@ class CompiledTick:
             self._bound[row, 0] = array.__array_interface__["data"][0]
             self._bound[row, 1 : 1 + array.ndim] = array.shape
         self.found = _found(self._arrays)
+        self.acceleration = self._arrays[at.JOINT_VECTORS][3]
 
     def _repack(self, columns: dict[int, int]) -> None:
         """Make room for other numbers of columns, by the pair's number."""
-        kept = (at.STATE, at.TAU, at.SIGNALS, at.TOUCHED, at.TERMS)
+        kept = (at.STATE, at.TAU, at.SIGNALS, at.TOUCHED, at.TERMS, at.JOINT_VECTORS)
         keep = {row: self._arrays[row] for row in kept}
         arrays, self._pairs = pack(self._controller, self._data, columns)
         self._arrays = arrays | keep

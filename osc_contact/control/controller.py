@@ -97,8 +97,8 @@ class Controller:
             engaged: start in contact.
             compiled: run on the kernels, some hundred times faster; False: on the readable path
                 below, which gives the same torques. The first controller ever made on a machine
-                compiles them. Friction, and grasps that `compiled.compilable` does not know, are
-                for the readable path only.
+                compiles them. Grasps and pairs with friction that `compiled.compilable` does not
+                know are for the readable path only.
             friction: what is believed of the contacts' friction; None: nothing.
             life: opens, approaches and closes the contacts one by one.
 
@@ -130,10 +130,10 @@ class Controller:
         self._reason = ""
         self._last_tau: Array = np.zeros(chain.n_a)
         self._fast: CompiledTick | None = None
-        if compiled and friction is None:
+        if compiled:
             from osc_contact.control.compiled import CompiledTick, compilable
 
-            if compilable(chain):
+            if compilable(chain, self.contacts, friction):
                 self._fast = fast = CompiledTick(self)
                 self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
                 self.terms = ContactTerms(fast.terms, gains.force)
@@ -272,6 +272,8 @@ class Controller:
 
     def joint_acceleration(self) -> Array:
         """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
+        if self._fast is not None and not self._by_twin:
+            return self._fast.acceleration.copy()
         s = self.last_signals()
         return np.asarray(s.state.W @ s.eta_c + s.state.w)
 

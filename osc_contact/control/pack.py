@@ -83,6 +83,8 @@ def _head(controller: Controller) -> Array:
     head[at.POSTURE_STIFFNESS] = controller.allocation.stiffness
     head[at.GYRATION], head[at.FADING] = GYRATION**2, 1.0 / FULL**4
     head[at.POSTURE_DAMPING] = controller.allocation.damping
+    if controller.friction is not None:
+        head[at.FRICTION], head[at.SLIP] = controller.friction.mu, controller.friction.slip
     return head
 
 
@@ -181,10 +183,10 @@ def _scratch(chain: ClosedChain, r_all: int) -> Arrays:
     shapes: dict[int, tuple[int, ...]] = {
         at.STATE: (at.STATE_SIZE,), at.SIGNALS: (at.SIGNALS_SIZE,), at.TAU: (chain.n_a,),
         at.COLUMNS: (9, columns), at.N_O: (columns, 6), at.JOINT_ROWS: (5, n, 6),
-        at.SQUARES: (13, 6, 6), at.ARM_SQUARES: (k, 6, 6), at.ROWS: (at.N_ROWS, 8),
+        at.SQUARES: (14, 6, 6), at.ARM_SQUARES: (k, 6, 6), at.ROWS: (at.N_ROWS, 8),
         at.LOCKED: (6 * k + 1, 7), at.LINKS: (n + 1, 10), at.TRIANGLE: (10, 10),
-        at.HOUSEHOLDER: (10, 20), at.Q_FACTOR: (10, 10), at.CONTACT_ROWS: (5, columns, 6),
-        at.SHARE: (6, columns), at.AXES: (4, 3, 3), at.JOINT_VECTORS: (2, n),
+        at.HOUSEHOLDER: (10, 20), at.Q_FACTOR: (10, 10), at.CONTACT_ROWS: (8, columns, 6),
+        at.SHARE: (6, columns), at.AXES: (4, 3, 3), at.JOINT_VECTORS: (4, n),
         at.TIPS: (k, 4, 3), at.PASSED: (k, 6, 6), at.FILTERS: (k, 6, 6),
         at.ANSWERS: (r_all + 1, 48), at.INPUTS: (inputs,), at.STACK_Q: (10, 10), at.WIDE: (16,),
     }  # fmt: skip

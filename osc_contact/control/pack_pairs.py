@@ -16,6 +16,7 @@ from osc_contact.contacts.pairs import (
     Prismatic,
     Revolute,
     Screw,
+    VertexOnFace,
 )
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
 from osc_contact.contacts.pairs.tangent_pair import TangentPair
@@ -62,6 +63,8 @@ def _read(pair: ContactPair) -> tuple[int, list[Array], int]:
     """Kind, shape rows, and how many of them, at the end, are freedoms."""
     if isinstance(pair, PointsOnPlanes) and type(pair).contact is PointsOnPlanes.contact:
         points, directions = pair._points.T, pair._into.T
+        if type(pair) is VertexOnFace:
+            return POINTS, [_row(points[0], directions[0], directions[0] @ pair.point)], 0
         return POINTS, [_row(p, n) for p, n in zip(points, directions, strict=True)], 0
     if type(pair) is FaceOnVertex:
         return FACE_ON_VERTEX, [_row(pair.normal, pair.vertex)], 0

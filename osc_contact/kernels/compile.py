@@ -11,10 +11,13 @@ import ctypes
 from typing import Any
 
 import numpy as np
-from numba import carray, config, njit, types  # type: ignore[attr-defined]
+from numba import config, njit, types
 from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 
-__all__ = ["compiled", "entry", "cube", "integers", "matrix", "vector"]
+from osc_contact.kernels.parts import PartCompiler, once_per_type
+
+__all__ = ["compiled", "entry", "cube", "integers", "matrix", "pose_in", "vector"]
 
 # Sums may be reordered and multiply-adds fused (rounding only); NaN and inf keep their meaning.
 _FASTMATH = {"contract", "reassoc", "nsz"}
@@ -22,6 +25,7 @@ _FASTMATH = {"contract", "reassoc", "nsz"}
 
 _OPTIONS: dict[str, Any] = {
     "error_model": "numpy", "fastmath": _FASTMATH, "no_cfunc_wrapper": True,
+    "_nrt": False,  # nothing is made, so nothing is counted
 }  # fmt: skip
 _njit: Any = njit
 _PLAIN_PYTHON: bool = getattr(config, "DISABLE_JIT")  # noqa: B009 - set at run time
@@ -29,7 +33,10 @@ _PLAIN_PYTHON: bool = getattr(config, "DISABLE_JIT")  # noqa: B009 - set at run 
 
 def compiled(function: Any) -> Any:
     """A part of a kernel, to be called from other compiled functions only."""
-    return _njit(no_cpython_wrapper=True, **_OPTIONS)(function)
+    if _PLAIN_PYTHON:
+        return function
+    options = {**_OPTIONS, "no_cpython_wrapper": True, "pipeline_class": PartCompiler}
+    return once_per_type(_njit(**options)(function))
 
 
 def entry(function: Any) -> Any:
@@ -39,24 +46,38 @@ def entry(function: Any) -> Any:
     return _njit(cache=True, **_OPTIONS)(function)
 
 
-@intrinsic
-def _doubles_at(context, address):
-    pointer = types.CPointer(types.float64)
+def _array(dtype: Any, axes: int) -> Any:
+    """An intrinsic that makes an array, `axes` axes, of a row of the table."""
 
-    def generate(context, builder, signature, arguments):
-        return builder.inttoptr(arguments[0], context.get_value_type(pointer))
+    @intrinsic
+    def made(context: Any, bound: Any, row: Any) -> Any:
+        array = types.Array(dtype, axes, "C")
 
-    return pointer(types.int64), generate
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            table = context.make_array(signature.args[0])(context, builder, arguments[0])
+            row = context.cast(builder, arguments[1], signature.args[1], types.intp)
+            first = builder.mul(row, row.type(4))
+            address, *shape = (
+                builder.load(builder.gep(table.data, [builder.add(first, first.type(i))]))
+                for i in range(1 + axes)
+            )
+            data = builder.inttoptr(address, context.get_data_type(dtype).as_pointer())
+            return _made(context, builder, array, data, shape)
+
+        return array(bound, row), generate
+
+    return made
 
 
-@intrinsic
-def _integers_at(context, address):
-    pointer = types.CPointer(types.int64)
-
-    def generate(context, builder, signature, arguments):
-        return builder.inttoptr(arguments[0], context.get_value_type(pointer))
-
-    return pointer(types.int64), generate
+def _made(context: Any, builder: Any, array: Any, data: Any, shape: Any) -> Any:
+    """An array that owns nothing."""
+    itemsize = context.get_abi_sizeof(context.get_data_type(array.dtype))
+    strides = [shape[0].type(itemsize)]
+    for size in reversed(shape[1:]):
+        strides.insert(0, builder.mul(strides[0], size))
+    made = context.make_array(array)(context, builder)
+    populate_array(made, data, shape, strides, itemsize, None)
+    return made._getvalue()
 
 
 if _PLAIN_PYTHON:
@@ -82,24 +103,23 @@ if _PLAIN_PYTHON:
         """Bound array of integers, two axes."""
         return _view(bound, row, 2, ctypes.c_int64)
 
+    def pose_in(x: Any, first: int) -> Any:
+        """Elements first … first + 15 of a vector as a matrix (4, 4)."""
+        return x[first : first + 16].reshape(4, 4)
+
 else:
+    vector, matrix, cube = (_array(types.float64, axes) for axes in (1, 2, 3))
+    integers = _array(types.int64, 2)
 
-    @compiled
-    def vector(bound, row):
-        """Bound array of floats, one axis."""
-        return carray(_doubles_at(bound[row, 0]), (bound[row, 1],))
+    @intrinsic
+    def pose_in(context: Any, x: Any, first: Any) -> Any:
+        """Elements first … first + 15 of a vector as a matrix (4, 4)."""
+        array = types.Array(types.float64, 2, "C")
 
-    @compiled
-    def matrix(bound, row):
-        """Bound array of floats, two axes."""
-        return carray(_doubles_at(bound[row, 0]), (bound[row, 1], bound[row, 2]))
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            whole = context.make_array(signature.args[0])(context, builder, arguments[0])
+            start = context.cast(builder, arguments[1], signature.args[1], types.intp)
+            data = builder.gep(whole.data, [start])
+            return _made(context, builder, array, data, [start.type(4)] * 2)
 
-    @compiled
-    def cube(bound, row):
-        """Bound array of floats, three axes."""
-        return carray(_doubles_at(bound[row, 0]), (bound[row, 1], bound[row, 2], bound[row, 3]))
-
-    @compiled
-    def integers(bound, row):
-        """Bound array of integers, two axes."""
-        return carray(_integers_at(bound[row, 0]), (bound[row, 1], bound[row, 2]))
+        return array(x, first), generate

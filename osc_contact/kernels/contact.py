@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from math import copysign, sqrt
 
-from osc_contact.kernels.compile import compiled
+from osc_contact.kernels.compile import compiled, pose_in
 from osc_contact.kernels.layout import EDGES, FACE_ON_VERTEX, GIVEN, POINTS
 from osc_contact.kernels.linalg import cross, dot6
 
@@ -48,7 +48,9 @@ def _line(N, x, y, z, a, b, c):
 
 
 @compiled
-def contact_columns(pairs, count, shapes, X_WO, V_O, bodies, moving, N, n_gamma, scratch):
+def contact_columns(
+    pairs, count, shapes, X_WO, V_O, bodies, moving, mu, slip, N, n_gamma, drags, scratch
+):
     """Fill N (r_all, 6) and n_γ (r_all,); returns False where a pair is degenerate.
 
     Args:
@@ -58,6 +60,7 @@ def contact_columns(pairs, count, shapes, X_WO, V_O, bodies, moving, N, n_gamma,
         X_WO: (4, 4) pose of the object. V_O: (6,) its twist at O.
         bodies: (contacts, 28) of each touched body: X_WE (16), V_E (6), A_E (6).
         moving: whether `bodies` counts; False: they rest in the world.
+        mu, slip: of friction; with mu > 0, vertices on faces only, `drags` (r_all, 6) is filled.
         N, n_gamma: columns of pairs evaluated elsewhere (GIVEN) are left as they are.
         scratch: (4, 6).
     """
@@ -69,7 +72,7 @@ def contact_columns(pairs, count, shapes, X_WO, V_O, bodies, moving, N, n_gamma,
         if kind == GIVEN:
             continue
         E = bodies[pairs[k, 4]]
-        R_E = E[:16].reshape(4, 4)
+        R_E = pose_in(E, 0)
         if moving:
             x, y, z = cross(
                 E[19], E[20], E[21], O[0] - R_E[0, 3], O[1] - R_E[1, 3], O[2] - R_E[2, 3]
@@ -86,6 +89,8 @@ def contact_columns(pairs, count, shapes, X_WO, V_O, bodies, moving, N, n_gamma,
             _points(
                 pairs[k, 2], rows, X_WO, V_O, R_E, V_E, V_rel, moving, N[first:], n_gamma[first:]
             )
+            if mu > 0.0:
+                _drag(rows, X_WO, R_E, V_rel, mu, slip, N[first], drags[first])
         elif kind == FACE_ON_VERTEX:
             _face_on_vertex(rows, X_WO, V_O, R_E, V_E, V_rel, N[first], n_gamma[first:], scratch[3])
         elif kind == EDGES:
@@ -100,7 +105,7 @@ def contact_columns(pairs, count, shapes, X_WO, V_O, bodies, moving, N, n_gamma,
 
 @compiled
 def _points(r, rows, X_WO, V_O, R_E, V_E, V_rel, moving, N, n_gamma):
-    """Points of A (row 0:3) on planes of E with directions into it (3:6)."""
+    """Points of A (row 0:3) on planes of E with directions into it (3:6), distance (6) along."""
     for j in range(r):
         x, y, z = turn(X_WO, rows[j, 0], rows[j, 1], rows[j, 2])
         if moving:
@@ -116,6 +121,24 @@ def _points(r, rows, X_WO, V_O, R_E, V_E, V_rel, moving, N, n_gamma):
             u, v, w = _velocity(V_rel, x, y, z)
             s -= a * u + b * v + c * w
         n_gamma[j] = s
+
+
+@compiled
+def _drag(rows, X_WO, R_E, V_rel, mu, slip, N, drag):
+    """μ [s; p × s], s = v_t / √(v_t² + v_0²), of a vertex over p on the face (`control.friction`).
+
+    N: (6,) of the contact. drag: (6,) filled.
+    """
+    a, b, c = N[0], N[1], N[2]
+    x, y, z = turn(X_WO, rows[0, 0], rows[0, 1], rows[0, 2])
+    gap = rows[0, 6] + a * (R_E[0, 3] - X_WO[0, 3] - x)
+    gap += b * (R_E[1, 3] - X_WO[1, 3] - y) + c * (R_E[2, 3] - X_WO[2, 3] - z)
+    x, y, z = x + gap * a, y + gap * b, z + gap * c
+    u, v, w = _velocity(V_rel, x, y, z)
+    s = a * u + b * v + c * w
+    u, v, w = u - s * a, v - s * b, w - s * c
+    s = mu / sqrt(u * u + v * v + w * w + slip * slip)
+    _line(drag, x, y, z, s * u, s * v, s * w)
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""What the touched bodies do along the columns of N: Φ_N = NᵀΦ_eN, b_N = Nᵀb_e, V_N = NᵀV_e."""
+"""What the touched bodies do along N: Φ_N = NᵀΦ_eN, Φ_μ = NᵀΦ_eN_μ, b_N = Nᵀb_e, V_N = NᵀV_e."""
 
 from __future__ import annotations
 
@@ -44,17 +44,19 @@ def _answer(kind, parameters, E, O, Phi, b, V):
 
 @compiled
 def along_normals(
-    N, keep, r, owners, kinds, same, parameters, bodies, contacts, O, answers, Phi_N, b_N, V_N
-):
-    """Fill Φ_N (6, 6), b_N and V_N (6,) for the kept columns.
+    N, keep, r, drag, owners, kinds, same, parameters, bodies, contacts, O, answers, given,
+    Phi_N, Phi_mu, b_N, V_N,
+):  # fmt: skip
+    """Fill Φ_N, Φ_μ (6, 6), b_N and V_N (6,) for the kept columns.
 
     Args:
-        N: (r_all, 6) at O. keep: (r,). owners: (r_all,) contact of each column.
+        N: (r_all, 6) at O. keep: (r,). drag: (r, 6) N_μ − N at O.
+        owners: (r_all,) contact of each column.
         kinds: (contacts,) of the bodies. same: (contacts,) the first
             contact on the same body, whose motion counts.
         parameters: (contacts, 48), see `_answer`; ELSEWHERE: Φ_e (36), b_e, V_e at O.
         bodies: (contacts, 28) X_WE, V_E, A_E. O: (3,).
-        answers: (contacts, 48) scratch.
+        answers: (contacts, 48), given: (6,) scratch.
     """
     for c in range(contacts):
         if same[c] != c:
@@ -69,9 +71,13 @@ def along_normals(
         n, mine = N[keep[a]], same[owners[keep[a]]]
         b_N[a] = dot6(n, answers[mine, 36:42])
         V_N[a] = dot6(n, answers[mine, 42:48])
-        for b in range(r):
+        for j in range(6):
             s = 0.0
+            for i in range(6):
+                s += n[i] * answers[mine, 6 * i + j]
+            given[j] = s
+        for b in range(r):
+            Phi_N[a, b] = Phi_mu[a, b] = 0.0
             if same[owners[keep[b]]] == mine:
-                for i in range(6):
-                    s += n[i] * dot6(answers[mine, 6 * i : 6 * i + 6], N[keep[b]])
-            Phi_N[a, b] = s
+                Phi_N[a, b] = dot6(given, N[keep[b]])
+                Phi_mu[a, b] = Phi_N[a, b] + dot6(given, drag[b])

@@ -37,11 +37,14 @@ def add_wrist_reading(reading, pose, sensor, C, scratch, total):
 
 
 @compiled
-def contact_magnitudes(Lambda_out, white, r, f, n_gamma, b_N, Phi_N, X, D, mobility, alpha):
-    """α (r,) = D⁻¹[NᵀΛ_out⁻¹f − n_γ − b_N], D = NᵀΛ_out⁻¹N + Φ_N (`control.force`).
+def contact_magnitudes(
+    Lambda_out, white, pushed, r, f, n_gamma, b_N, Phi_mu, X, D, mobility, alpha
+):
+    """α (r,) = D⁻¹[NᵀΛ_out⁻¹f − n_γ − b_N], D = NᵀΛ_out⁻¹N_μ + Φ_μ (`control.force`).
 
     Args:
-        Lambda_out: (6, 6) *transposed*, white; destroyed. white: (r, 6) columns of N.
+        Lambda_out: (6, 6) *transposed*, white; destroyed. white: (r, 6) columns of N,
+            pushed: of N_μ.
         f: (6,) reading less bias, white. X: (r, 6), D: (6, 6) scratch.
         mobility: (6, 6) filled with D. alpha: (1, 6) filled.
     """
@@ -52,7 +55,7 @@ def contact_magnitudes(Lambda_out, white, r, f, n_gamma, b_N, Phi_N, X, D, mobil
         return False
     for a in range(r):
         for b in range(r):
-            mobility[a, b] = D[a, b] = dot6(X[a], white[b]) + Phi_N[a, b]
+            mobility[a, b] = D[a, b] = dot6(X[a], pushed[b]) + Phi_mu[a, b]
         alpha[0, a] = dot6(X[a], f) - n_gamma[a] - b_N[a]
     return lu_solve(D, r, alpha, 1)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from math import atan2, cos, sin, sqrt
 
 from osc_contact.kernels import layout as at
-from osc_contact.kernels.compile import compiled, cube, integers, matrix, vector
+from osc_contact.kernels.compile import compiled, cube, integers, matrix, pose_in, vector
 from osc_contact.kernels.linalg import cholesky, cholesky_solve, cross, dot6
 from osc_contact.kernels.white import (
     motion_from_white,
@@ -157,7 +157,7 @@ def find_object(bound, sizes):
     axes, passed = cube(bound, at.AXES), cube(bound, at.PASSED)
     A, L = cube(bound, at.SQUARES)[at.GRAM], cube(bound, at.SQUARES)[at.GRAM_L]
     signals = vector(bound, at.SIGNALS)
-    X = signals[at.X_WO : at.X_WO + 16].reshape(4, 4)
+    X = pose_in(signals, at.X_WO)
     R, C, O = rows[at.R_0 : at.R_2 + 1], rows[at.CENTRE], rows[at.O]
     x, step, r = rows[at.X], rows[at.WORLD], rows[at.Y]
     for k in range(sizes[at.N_ARMS]):

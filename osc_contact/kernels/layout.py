@@ -34,7 +34,7 @@ __all__: list[str] = []
     TAU_MAX,  # (n_a,)
     TOUCHED,  # (c, 28) X_WE, V_E, A_E
     JOINT_ROWS,  # (5, n, 6) see `model.add_arm`
-    SQUARES,  # (13, 6, 6) see below, LAMBDA …
+    SQUARES,  # (14, 6, 6) see below, LAMBDA …
     ARM_SQUARES,  # (k, 6, 6)
     ROWS,  # (36, 8) see below, C …
     LOCKED,  # (6 k + 1, 7)
@@ -42,10 +42,10 @@ __all__: list[str] = []
     TRIANGLE,  # (10, 10)
     HOUSEHOLDER,  # (10, 20)
     Q_FACTOR,  # (10, 10)
-    CONTACT_ROWS,  # (5, r_all + 6, 6) see below, ALL …
+    CONTACT_ROWS,  # (8, r_all + 6, 6) see below, ALL …
     SHARE,  # (6, r_all + 6) R
     AXES,  # (4, 3, 3)
-    JOINT_VECTORS,  # (2, n) h, τ of all joints
+    JOINT_VECTORS,  # (4, n) of all joints: h, τ, w with q̈ = J̄a + w, and q̈ as commanded
     ANSWERS,  # (c, 48)
     INPUTS,  # of the last computed tick, see `inputs.keep`; at its end STATE as it found it
     KEEP,  # (r_all + 6, 2) integers: the columns of N that were kept; those in force
@@ -77,7 +77,8 @@ X_JO, X_JP = 11, 23  # O and the principal axes in the leader's joint: rotation 
 TOLERANCE, STIFFNESS, DAMPING, INTEGRAL, PERIOD = range(35, 40)
 POSTURE_STIFFNESS, POSTURE_DAMPING = 40, 41
 GYRATION, FADING = 42, 43  # m², of the reference ball; 1/χ⁴ at which commands begin to fade
-HEAD_SIZE = 44
+FRICTION, SLIP = 44, 45  # μ (0: none is reckoned with) and v_0, see `control.friction`
+HEAD_SIZE = 46
 
 # STATE: ∫e dt (6), f_tare (6), f_bias (6), ∫(α_d − α) dt (6) and how many of them count
 ERROR_SUM, TARE, BIAS, FORCE_SUM, FORCE_RANK, STATE_SIZE = 0, 6, 12, 18, 24, 25
@@ -96,7 +97,7 @@ OK, SATURATED, ASK = range(3)  # ASK: no plain verdict; the readable path decide
 
 # SQUARES
 LAMBDA, EFFORT, OUT_T, ARM, B_INV, PHI_N, GRAM, GRAM_L, WORK, FACTOR, MORE, LEAST = range(12)
-MOBILITY = 12  # D of the force filter, see `force.contact_magnitudes`
+MOBILITY, PHI_MU = 12, 13  # D of the force filter, see `force.contact_magnitudes`; NᵀΦ_eN_μ
 
 # ROWS: vectors of up to 8 elements
 (
@@ -107,7 +108,8 @@ MOBILITY = 12  # D of the force filter, see `force.contact_magnitudes`
 N_ROWS = 36
 
 # CONTACT_ROWS
-ALL, REST, KEPT, TURNED, SOLVED = range(5)
+# (N white, N_μ white and later turned, drags of all columns and of the kept ones at O)
+ALL, REST, KEPT, TURNED, SOLVED, PUSHED, DRAGS, DRAG = range(8)
 
 # kinds of contact pairs and of touched bodies
 POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, GIVEN = range(5)

@@ -7,7 +7,7 @@ from osc_contact.kernels.allocation import effort_metric
 from osc_contact.kernels.arm import arm_terms, passed_terms
 from osc_contact.kernels.body import arm_motion
 from osc_contact.kernels.closed_chain import intersect
-from osc_contact.kernels.compile import compiled, cube, integers, matrix, vector
+from osc_contact.kernels.compile import compiled, cube, integers, matrix, pose_in, vector
 from osc_contact.kernels.grasp import (
     add_filtered_outboard,
     effort_passed,
@@ -75,7 +75,8 @@ def add_arm(bound, sizes, k, v, row):
     lo, hi = arms[k, 0], arms[k, 1]
     parts, locked = cube(bound, at.JOINT_ROWS), matrix(bound, at.LOCKED)
     white, bar, outboard = parts[1], parts[2], parts[4]
-    h = matrix(bound, at.JOINT_VECTORS)[0]
+    vectors = matrix(bound, at.JOINT_VECTORS)
+    h, left = vectors[0], vectors[2]
     joints, X = matrix(bound, at.JOINTS), matrix(bound, at.HOUSEHOLDER)
     side = min(k, 1)
     grasps, passed = integers(bound, at.GRASPS_I), cube(bound, at.PASSED)
@@ -131,6 +132,8 @@ def add_arm(bound, sizes, k, v, row):
         return -1
     for a in range(row, row + count):
         locked[a, 6] = dot6(locked[a], gamma)
+    for j in range(lo, hi):
+        left[j] = -dot6(bar[j], gamma)
     _sum_up(rows, squares, side, lo, hi, h, bar, Lambda, effort)
     if arms[k, 3] >= 0 and slipping and grasps[k, 2] != 0:
         if not add_filtered_outboard(
@@ -215,7 +218,7 @@ def model_stage(bound, sizes, v):
     C, O, line = rows[at.CENTRE], rows[at.O], rows[at.LINE]
     if sizes[at.LEADER] >= 0:
         first = pose[arms[sizes[at.LEADER], 2]]
-        X_WO = signals[at.X_WO : at.X_WO + 16].reshape(4, 4)
+        X_WO = pose_in(signals, at.X_WO)
         place(first, head, at.X_JO, X_WO, O)
         for i in range(3):
             X_WO[i, 3] = O[i]

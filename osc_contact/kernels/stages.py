@@ -7,7 +7,7 @@ from math import isfinite
 from osc_contact.kernels import layout as at
 from osc_contact.kernels.allocation import arm_torques, hold_posture, multipliers
 from osc_contact.kernels.command_filter import filter_motion, permitted, reachable
-from osc_contact.kernels.compile import compiled, cube, integers, matrix, vector
+from osc_contact.kernels.compile import compiled, cube, integers, matrix, pose_in, vector
 from osc_contact.kernels.contact import contact_columns
 from osc_contact.kernels.environment import along_normals
 from osc_contact.kernels.force import (
@@ -40,7 +40,7 @@ def contact_stage(bound, sizes, count, moving):
     """
     columns = matrix(bound, at.COLUMNS)
     squares, rows = cube(bound, at.SQUARES), matrix(bound, at.ROWS)
-    Phi_N = squares[at.PHI_N]
+    Phi_N, Phi_mu, head = squares[at.PHI_N], squares[at.PHI_MU], vector(bound, at.HEAD)
     signals = vector(bound, at.SIGNALS)
     signals[at.RANK] = 0.0
     if count == 0:
@@ -50,11 +50,12 @@ def contact_stage(bound, sizes, count, moving):
     sets = cube(bound, at.CONTACT_ROWS)
     share = matrix(bound, at.SHARE)
     O, C = rows[at.O], rows[at.CENTRE]
-    X_WO = signals[at.X_WO : at.X_WO + 16].reshape(4, 4)
+    X_WO = pose_in(signals, at.X_WO)
     n_gamma, scratch = columns[at.N_GAMMA], sets[at.SOLVED]
     if not contact_columns(
         integers(bound, at.PAIRS_I), sizes[at.N_PAIRS], matrix(bound, at.SHAPES), X_WO,
-        signals[at.V_O : at.V_O + 6], touched, moving, N, n_gamma, scratch,
+        signals[at.V_O : at.V_O + 6], touched, moving, head[at.FRICTION],
+        head[at.SLIP], N, n_gamma, sets[at.DRAGS], scratch,
     ):  # fmt: skip
         return -1
     axes, white = cube(bound, at.AXES), sets[at.ALL]
@@ -74,22 +75,44 @@ def contact_stage(bound, sizes, count, moving):
         for i in range(6):
             sets[at.KEPT, a, i] = white[keep[a, 0], i]
             sets[at.TURNED, a, i] = white[keep[a, 0], i]
-            Phi_N[a, i] = 0.0
+            Phi_N[a, i] = Phi_mu[a, i] = 0.0
         n_gamma[a] = n_gamma[keep[a, 0]]
         keep[a, 0] = keep[keep[a, 0], 1]  # now among all columns
         rows[at.B_N, a] = 0.0
         rows[at.V_N, a] = 0.0
+    _pushed(head, sets, axes, keep, r, count, share, O, C, rows[at.SCRATCH])
     if moving:
         if r < count:  # dependent columns of different bodies are refused
             for c in range(1, sizes[at.N_CONTACTS]):
                 if bodies[c, 1] != bodies[0, 1]:
                     return -1
         along_normals(
-            N, keep[:, 0], r, owners[:, 0], bodies[:, 0], bodies[:, 1],
+            N, keep[:, 0], r, sets[at.DRAG], owners[:, 0], bodies[:, 0], bodies[:, 1],
             matrix(bound, at.BODIES), touched, sizes[at.N_CONTACTS], O,
-            matrix(bound, at.ANSWERS), Phi_N, rows[at.B_N], rows[at.V_N],
+            matrix(bound, at.ANSWERS), rows[at.SCRATCH], Phi_N, Phi_mu, rows[at.B_N], rows[at.V_N],
         )  # fmt: skip
     return r
+
+
+@compiled
+def _pushed(head, sets, axes, keep, r, count, share, O, C, scratch):
+    """Drags of the kept columns, D Rᵀ at O, and N_μ = N + D Rᵀ in white coordinates."""
+    drags, pushed = sets[at.DRAGS], sets[at.PUSHED]
+    for a in range(r):
+        drag = sets[at.DRAG, a]
+        for i in range(6):
+            drag[i] = 0.0
+            pushed[a, i] = sets[at.KEPT, a, i]
+        if head[at.FRICTION] == 0.0:
+            continue
+        for j in range(count):
+            s = share[a, j] if r < count else (1.0 if j == a else 0.0)
+            for i in range(6):
+                drag[i] += s * drags[keep[j, 1], i]
+        wrench_to(drag, O, C, scratch)
+        white_wrench(axes, scratch, scratch)
+        for i in range(6):
+            pushed[a, i] += scratch[i]
 
 
 @compiled
@@ -136,8 +159,8 @@ def force_stage(bound, sizes, r, count, wrenches, alpha_d):
     for i in range(6):
         rows[at.Y, i] -= rows[at.BIAS_WHITE, i]
     if not contact_magnitudes(
-        squares[at.OUT_T], sets[at.KEPT], r, rows[at.Y], columns[at.N_GAMMA], rows[at.B_N],
-        squares[at.PHI_N], sets[at.SOLVED], squares[at.WORK], squares[at.MOBILITY],
+        squares[at.OUT_T], sets[at.KEPT], sets[at.PUSHED], r, rows[at.Y], columns[at.N_GAMMA],
+        rows[at.B_N], squares[at.PHI_MU], sets[at.SOLVED], squares[at.WORK], squares[at.MOBILITY],
         rows[at.ALPHA : at.ALPHA + 1],
     ):  # fmt: skip
         return False
@@ -190,12 +213,13 @@ def motion_stage(bound, sizes, r, m, X_WD, V_D, A_D):
 
     for a in range(r):
         reflect(Z, beta, m, turned[a])
+        reflect(Z, beta, m, sets[at.PUSHED, a])
     if not by_object:
         _metric(bound, sizes, m)
     # pose error, and the part of it that the contact permits
     error = signals[at.ERROR : at.ERROR + 6]
     free, e = signals[at.FREE_ERROR : at.FREE_ERROR + 6], rows[at.Y]
-    X_WO = signals[at.X_WO : at.X_WO + 16].reshape(4, 4)
+    X_WO = pose_in(signals, at.X_WO)
     pose_error(X_WD, X_WO, error)
     after = signals[at.ERROR_SUM_NEXT : at.ERROR_SUM_NEXT + 6]
     if not _free_error(rows, axes, error, kept, r, True, B_inv, solved, K, gram, L, weight, free):
@@ -232,7 +256,7 @@ def motion_stage(bound, sizes, r, m, X_WD, V_D, A_D):
             own[a] = dot6(turned[a], turned[a])
             s = columns[at.N_GAMMA, a] + rows[at.B_N, a]
             for b in range(r):
-                s += squares[at.PHI_N, a, b] * columns[at.ALPHA_U, b]
+                s += squares[at.PHI_MU, a, b] * columns[at.ALPHA_U, b]
             for i in range(m):
                 s -= turned[a, i] * sigma[i]
             rho[a] = s
@@ -289,7 +313,7 @@ def structure_stage(bound, sizes, r, m, squeeze):
     rows, squares = matrix(bound, at.ROWS), cube(bound, at.SQUARES)
     axes, state = cube(bound, at.AXES), vector(bound, at.STATE)
     columns = matrix(bound, at.COLUMNS)
-    turned = cube(bound, at.CONTACT_ROWS)[at.TURNED]
+    pushed = cube(bound, at.CONTACT_ROWS)[at.PUSHED]
     Z, beta = matrix(bound, at.Q_FACTOR), rows[at.BETA]
     x, f_S, bias, line = rows[at.X], rows[at.F_S], rows[at.Y], rows[at.TOTAL]
     held = 1.0 if sizes[at.HELD] else 0.0
@@ -299,7 +323,7 @@ def structure_stage(bound, sizes, r, m, squeeze):
     for i in range(6):
         s = rows[at.CHAIN, i] + bias[i] + held * x[i] + dot6(squares[at.LAMBDA, i], x)
         for a in range(r):
-            s += turned[a, i] * columns[at.ALPHA_U, a]
+            s += pushed[a, i] * columns[at.ALPHA_U, a]
         f_S[i] = s
     two = sizes[at.N_ARMS] == 2 and dot6(rows[at.LINE], rows[at.LINE]) > 0.0
     skewed, own, e0 = rows[at.WORLD], 0.0, 0.0
@@ -368,6 +392,11 @@ def torque_stage(bound, sizes, r, m, q, v, squeeze):
         return at.ASK
     signals[at.LOCKED_AXES] = m
     signals[at.SQUEEZE] = squeeze if two else 0.0
+    for i in range(6):  # the object's acceleration, white; no x beside σ in the locked directions
+        whole[i] = rows[at.X, i]
+    reflect_back(matrix(bound, at.Q_FACTOR), rows[at.BETA], m, whole)
+    for j in range(n):
+        vectors[3, j] = dot6(bar[j], whole) + vectors[2, j]
     if excess:
         return at.SATURATED
     for j in range(n):

@@ -8,31 +8,41 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from numbers import Real
-from typing import Annotated, Any
+from typing import Annotated, Any, Generic, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 __all__ = [
+    "Acceleration",
     "Angle",
+    "AngularAcceleration",
+    "AngularJerk",
+    "AngularVelocity",
     "AngleVec3",
     "Dimension",
     "Force",
+    "ForceRate",
+    "ForceRate2",
+    "ForceRate3",
     "Frequency",
+    "Jerk",
     "JointValue",
     "Length",
     "Mass",
     "Number",
+    "OfQuantity",
     "Spec",
     "Time",
     "Torque",
     "UnitVec3",
     "Vec3",
+    "Velocity",
     "refuse",
     "unit_vector",
 ]
 
-_SPELLINGS = ("μm", "um", "μs", "us")  # Greek mu and ASCII beside the micro sign
+_SPELLINGS = re.compile(r"(μ|u)[ms]\b.*|.*s(\^?[23])")  # Greek mu, ASCII beside µ and s²
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 
 
@@ -42,6 +52,20 @@ class Spec(BaseModel):
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
     )
+
+
+Q = TypeVar("Q", bound=float)
+
+
+class OfQuantity(Spec, Generic[Q]):
+    """Base that names a parametrised model after its quantity: `Step[a force]`."""
+
+    @classmethod
+    def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
+        for mark in getattr(params[0], "__metadata__", ()):
+            if isinstance(mark, Dimension):
+                return f"{cls.__name__}[{mark.kind}]"
+        return super().model_parametrized_name(params)
 
 
 def refuse(text: str) -> PydanticCustomError:
@@ -64,7 +88,7 @@ class Dimension:
     @property
     def expected(self) -> str:
         """What a reader should write, as in "a length in m, mm, cm, µm"."""
-        shown = [unit for unit in self.units if unit not in _SPELLINGS]
+        shown = [unit for unit in self.units if not _SPELLINGS.fullmatch(unit)]
         return f"{self.kind} in {', '.join(shown)}" if shown else self.kind
 
     def parse(self, value: Any) -> float:
@@ -121,7 +145,22 @@ _TORQUE = Dimension("a torque", _units("Nm=1 mNm=1e-3"))
 _MASS = Dimension("a mass", _units("kg=1 g=1e-3"))
 _NUMBER = Dimension("a plain number", {})
 _JOINT_VALUE = Dimension("a joint value (length or angle)", _LENGTH.units | _ANGLE.units)
-_DIMENSIONS = (_LENGTH, _ANGLE, _TIME, _FREQUENCY, _FORCE, _TORQUE, _MASS)
+
+
+def _rates(of: Dimension) -> tuple[Dimension, Dimension, Dimension]:
+    """The first three time derivatives of a quantity: mm/s, mm/s², mm/s³ (or s^2, s2)."""
+
+    def rate(power: str, *spellings: str) -> Dimension:
+        per = (power, *spellings)
+        units = {f"{u}/s{p}": size for p in per for u, size in of.units.items()}
+        return Dimension(f"{of.kind} per s{power}", units)
+
+    return rate(""), rate("²", "^2", "2"), rate("³", "^3", "3")
+
+
+_LENGTH_RATES, _ANGLE_RATES, _FORCE_RATES = map(_rates, (_LENGTH, _ANGLE, _FORCE))
+_DIMENSIONS = (_LENGTH, _ANGLE, _TIME, _FREQUENCY, _FORCE, _TORQUE, _MASS,
+               *_LENGTH_RATES, *_ANGLE_RATES, *_FORCE_RATES)  # fmt: skip
 
 Length = Annotated[float, _LENGTH]
 Angle = Annotated[float, _ANGLE]
@@ -130,6 +169,15 @@ Frequency = Annotated[float, _FREQUENCY]
 Force = Annotated[float, _FORCE]
 Torque = Annotated[float, _TORQUE]
 Mass = Annotated[float, _MASS]
+Velocity = Annotated[float, _LENGTH_RATES[0]]
+Acceleration = Annotated[float, _LENGTH_RATES[1]]
+Jerk = Annotated[float, _LENGTH_RATES[2]]
+AngularVelocity = Annotated[float, _ANGLE_RATES[0]]
+AngularAcceleration = Annotated[float, _ANGLE_RATES[1]]
+AngularJerk = Annotated[float, _ANGLE_RATES[2]]
+ForceRate = Annotated[float, _FORCE_RATES[0]]
+ForceRate2 = Annotated[float, _FORCE_RATES[1]]
+ForceRate3 = Annotated[float, _FORCE_RATES[2]]
 Number = Annotated[float, _NUMBER]
 JointValue = Annotated[float, _JOINT_VALUE]
 

@@ -10,14 +10,33 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from .quantities import Angle, Dimension, Force, Frequency, Length, Spec, Time
+from .pieces import JerkLimited, Points, Triple
+from .quantities import (
+    Acceleration,
+    Angle,
+    AngularAcceleration,
+    AngularJerk,
+    AngularVelocity,
+    Force,
+    ForceRate,
+    ForceRate2,
+    ForceRate3,
+    Frequency,
+    Jerk,
+    Length,
+    OfQuantity,
+    Time,
+    Velocity,
+)
 
 __all__ = [
     "AngleSignal",
     "Constant",
     "ForceSignal",
+    "JerkLimited",
     "LengthSignal",
     "MinimumJerk",
+    "Points",
     "Signal",
     "Sine",
     "Step",
@@ -26,7 +45,6 @@ __all__ = [
     "total_over",
 ]
 
-Triple = tuple[float, float, float]
 Array = npt.NDArray[np.float64]
 Q = TypeVar("Q", bound=float)
 
@@ -63,18 +81,7 @@ def _rise(t: Any, start: float, duration: float) -> tuple[Any, Any, Any]:
     )
 
 
-class _Typed(Spec, Generic[Q]):
-    """Base that names a parametrised model after its quantity: `Step[a force]`."""
-
-    @classmethod
-    def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
-        for mark in getattr(params[0], "__metadata__", ()):
-            if isinstance(mark, Dimension):
-                return f"{cls.__name__}[{mark.kind}]"
-        return super().model_parametrized_name(params)
-
-
-class Constant(_Typed[Q], Generic[Q]):
+class Constant(OfQuantity[Q], Generic[Q]):
     """The same value at all times."""
 
     type: Literal["constant"] = "constant"
@@ -90,7 +97,7 @@ class Constant(_Typed[Q], Generic[Q]):
         return self.at(0.0)
 
 
-class Step(_Typed[Q], Generic[Q]):
+class Step(OfQuantity[Q], Generic[Q]):
     """0 before `start`, `value` from `start` on; both derivatives are 0."""
 
     type: Literal["step"] = "step"
@@ -108,7 +115,7 @@ class Step(_Typed[Q], Generic[Q]):
         return np.where(t >= self.start, float(self.value), 0.0), 0.0, 0.0
 
 
-class Sine(_Typed[Q], Generic[Q]):
+class Sine(OfQuantity[Q], Generic[Q]):
     """amplitude · sin(2π f (t − start) + phase) · E(t), E rising 0 → 1 over `ramp`."""
 
     type: Literal["sine"] = "sine"
@@ -146,7 +153,7 @@ class Sine(_Typed[Q], Generic[Q]):
         )
 
 
-class MinimumJerk(_Typed[Q], Generic[Q]):
+class MinimumJerk(OfQuantity[Q], Generic[Q]):
     """0 → value between start and start + duration by 10s³ − 15s⁴ + 6s⁵, then held."""
 
     type: Literal["minimum_jerk"] = "minimum_jerk"
@@ -170,17 +177,20 @@ class MinimumJerk(_Typed[Q], Generic[Q]):
 
 
 LengthSignal = Annotated[
-    Constant[Length] | Step[Length] | Sine[Length] | MinimumJerk[Length],
+    Constant[Length] | Step[Length] | Sine[Length] | MinimumJerk[Length]
+    | JerkLimited[Length, Velocity, Acceleration, Jerk] | Points[Length],
     Field(discriminator="type"),
-]
+]  # fmt: skip
 AngleSignal = Annotated[
-    Constant[Angle] | Step[Angle] | Sine[Angle] | MinimumJerk[Angle],
+    Constant[Angle] | Step[Angle] | Sine[Angle] | MinimumJerk[Angle]
+    | JerkLimited[Angle, AngularVelocity, AngularAcceleration, AngularJerk] | Points[Angle],
     Field(discriminator="type"),
-]
+]  # fmt: skip
 ForceSignal = Annotated[
-    Constant[Force] | Step[Force] | Sine[Force] | MinimumJerk[Force],
+    Constant[Force] | Step[Force] | Sine[Force] | MinimumJerk[Force]
+    | JerkLimited[Force, ForceRate, ForceRate2, ForceRate3] | Points[Force],
     Field(discriminator="type"),
-]
+]  # fmt: skip
 
 
 def total(signals: Iterable[Signal], t: float) -> Triple:

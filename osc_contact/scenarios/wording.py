@@ -25,8 +25,8 @@ _SIGNS = {
     "greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"), "less_than": ("<", "lt"),
 }  # fmt: skip
 _TAGS = (
-    "constant, step, sine or minimum_jerk for a signal; linear or angular for a move; "
-    f"for a contact {', '.join(MAGNITUDES)}"
+    "constant, step, sine, minimum_jerk, jerk_limited or points for a signal; linear or angular "
+    f"for a move; for a contact {', '.join(MAGNITUDES)}"
 )
 
 
@@ -35,6 +35,8 @@ def complaints(error: ValidationError, data: Any) -> Iterator[Problem]:
     for item in error.errors(include_url=False):
         place, owner = _locate(item["loc"], data)
         context = item.get("ctx", {})
+        if item["type"] == "too_short" and len(item["input"]) >= context["min_length"]:
+            continue  # long enough but for items that are refused themselves
         if item["type"] == "missing" and isinstance(place[-1], int):
             yield place[:-1], f"the list is too short: its item {place[-1]} is missing"
         elif item["type"] == "missing":

@@ -126,7 +126,7 @@ def contact_of(rig: RandomRig, pairs: list[ContactPair]) -> Contact:
 def _planar(rng: np.random.Generator) -> tuple[pin.Model, Array]:
     lengths = rng.uniform(0.25, 0.4, 3)
     turns = [(pin.JointModelRZ(), np.eye(3), np.array([a, 0.0, 0.0])) for a in (0.0, *lengths[:2])]
-    q = np.array([rng.uniform(-3, 3), rng.uniform(0.6, 1.6), rng.uniform(0.6, 1.6)])
+    q = np.array([rng.uniform(-3, 3), *rng.uniform(1.0, 1.8, 2)])  # well bent
     return _chain(turns, np.array([lengths[2], 0.0, 0.0]), rng), q
 
 

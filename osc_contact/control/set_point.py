@@ -1,0 +1,167 @@
+"""Set points that may be moved at any time: followed within limits, one state each period."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from osc_contact.control.turn import turn_of
+from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Reference, as_squeeze
+from osc_contact.jerk_limits import JerkLimits, Way
+from osc_contact.spatial import Array, as_array, as_pose
+
+__all__ = ["PoseSetPoint", "SetPoint", "SetPointState"]
+
+
+class SetPointState(NamedTuple):
+    """Where a set point stands on its way: arrays of the shape of its start."""
+
+    value: Array
+    velocity: Array
+    acceleration: Array
+
+
+class SetPoint:
+    """A number, or several that arrive together, led to goals that may change on the way.
+
+    The way is the fastest within the limits; from rest it is straight, whatever the number of
+    coordinates. Limits hold for each coordinate.
+
+    Args:
+        start: where it rests at first: a number, or (n,).
+        limits: of velocity, acceleration and jerk.
+        dt: period of `step` (s).
+
+    Raises:
+        InvalidInputError: start, limits or dt are not finite, of wrong shape or out of range.
+    """
+
+    def __init__(self, start: ArrayLike, limits: JerkLimits, dt: float) -> None:
+        self._dt = _period(dt)
+        number = not isinstance(start, list | tuple) and np.ndim(start) == 0
+        numbers = as_array("start", start, () if number else (None,))
+        if numbers.size == 0:
+            raise InvalidInputError("start is empty; give a number, or one for each coordinate")
+        self._shape = numbers.shape
+        self._bounds = limits.each(numbers.size)
+        self.reset(start)
+
+    def reset(self, value: ArrayLike) -> None:
+        """Rest at `value` from now on, wherever it was."""
+        self._way = Way.rest(self._numbers("start", value), self._bounds)
+
+    def step(self, goal: ArrayLike | None = None) -> SetPointState:
+        """The state one period later, on the way to `goal`; None: to the former goal.
+
+        Raises:
+            InvalidInputError: the goal is not finite or of the wrong shape.
+            SolverError: no way was found. After either the former goal is kept and no time passed.
+        """
+        if goal is not None:
+            wanted = self._numbers("goal", goal)
+            if not np.array_equal(wanted, self._way.goal):
+                self._way = Way(*self._way.state, wanted, self._bounds)
+        self._way.advance(self._dt)
+        return SetPointState(*(x.reshape(self._shape) for x in self._way.state))
+
+    @property
+    def remaining(self) -> float:
+        """Time until it rests at its goal (s); 0: it does."""
+        return self._way.remaining
+
+    def _numbers(self, name: str, value: ArrayLike) -> Array:
+        return as_array(name, value, self._shape).reshape(-1)
+
+
+class PoseSetPoint:
+    """A pose of the object, led to goals that may change on the way; steps give references.
+
+    Position moves as a `SetPoint` in world axes. Orientation moves as exp[w]× times what it was
+    when the goal last changed, so every goal is at most half a turn away and reached the short way;
+    position and w arrive together, from rest on a straight line, which is one turn about one axis.
+    Angular limits hold for each coordinate of w and so for ω of such turns; where the axis changes
+    on the way, |ω| ≤ |ẇ| still, and ω̇ differs from ẅ by terms of the size of |ω|²|w|.
+
+    Args:
+        start: where it rests at first.
+        linear: limits along each world axis (m/s, m/s², m/s³).
+        angular: limits about each world axis (rad/s, rad/s², rad/s³).
+        dt: period of `step` (s), the controller's.
+
+    Raises:
+        InvalidInputError: start, limits or dt are not finite, of wrong shape or out of range.
+    """
+
+    def __init__(self, start: pin.SE3, linear: JerkLimits, angular: JerkLimits, dt: float) -> None:
+        self._dt = _period(dt)
+        l, w = linear.each(3), angular.each(3)  # noqa: E741
+        self._bounds = (l[0] + w[0], l[1] + w[1], l[2] + w[2])
+        self.reset(start)
+
+    def reset(self, X: pin.SE3) -> None:
+        """Rest at X from now on, wherever it was: at the start, or after the arm was held."""
+        self._goal = _pose("start", X)
+        self._base: Array = self._goal.rotation
+        self._way = Way.rest(np.append(self._goal.translation, np.zeros(3)), self._bounds)
+
+    def step(
+        self,
+        goal: pin.SE3 | None = None,
+        alpha_d: ArrayLike = (),
+        squeeze_d: float | Array = 0.0,
+    ) -> Reference:
+        """The reference one period later, on the way to `goal`; None: to the former goal.
+
+        Args:
+            goal: pose of the object. alpha_d, squeeze_d: passed on, see `Reference`.
+
+        Raises:
+            InvalidInputError: goal or forces are not finite, of the wrong shape, or no pose.
+            SolverError: no way was found. After either the former goal is kept and no time passed.
+        """
+        forces = as_array("alpha_d", alpha_d, (None,))
+        squeeze = as_squeeze("squeeze_d", squeeze_d)
+        if goal is not None and not (isinstance(goal, pin.SE3) and goal == self._goal):
+            self._aim(_pose("goal", goal))
+        self._way.advance(self._dt)
+        x, v, a = self._way.state
+        R, omega, omega_dot = turn_of(x[3:], v[3:], a[3:])
+        return Reference(
+            pin.SE3(R @ self._base, x[:3]),
+            np.concatenate((v[:3], omega)),
+            np.concatenate((a[:3], omega_dot)),
+            forces,
+            squeeze,
+        )
+
+    def _aim(self, goal: pin.SE3) -> None:
+        """Begin a new way at the present state; at w = 0, ẇ = ω and ẅ = ω̇."""
+        x, v, a = self._way.state
+        R, v[3:], a[3:] = turn_of(x[3:], v[3:], a[3:])
+        base = pin.Quaternion(R @ self._base).normalized().toRotationMatrix()  # no drift
+        x[3:] = 0.0
+        w = pin.log3(goal.rotation @ base.T)
+        way = Way(x, v, a, np.append(goal.translation, w), self._bounds)
+        self._goal, self._base, self._way = goal, base, way
+
+    @property
+    def remaining(self) -> float:
+        """Time until it rests at its goal (s); 0: it does."""
+        return self._way.remaining
+
+
+def _period(dt: float) -> float:
+    found = float(as_array("dt", dt, ()))
+    if found <= 0.0:
+        raise InvalidInputError(f"dt = {found:g}; give the period of step in seconds, > 0")
+    return found
+
+
+def _pose(name: str, X: pin.SE3) -> pin.SE3:
+    if not isinstance(X, pin.SE3):
+        raise InvalidInputError(f"{name}: expected a pin.SE3, got {type(X).__name__}")
+    return as_pose(name, X.translation, X.rotation)
