@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from osc_contact.spatial import Array, as_array, as_pose
 
-__all__ = ["Measurement", "Reference", "Seen", "Stamps", "Touched", "pose_reference"]
+__all__ = ["Measurement", "Reference", "Seen", "Stamps", "Touched", "as_squeeze", "pose_reference"]
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def pose_reference(
     angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
     angular_acceleration: ArrayLike = (0.0, 0.0, 0.0),
     alpha_d: ArrayLike = (),
-    squeeze_d: float | ArrayLike = 0.0,
+    squeeze_d: float | Array = 0.0,
 ) -> Reference:
     """A reference from p, R, ṗ, p̈, ω, ω̇ of the object's origin, all in world axes.
 
@@ -139,6 +139,17 @@ def pose_reference(
         )
     )
     X_WD = as_pose("reference", position, np.eye(3) if rotation is None else rotation)
-    forces = as_array("alpha_d", alpha_d, (None,))
-    squeeze = as_array("squeeze_d", squeeze_d, (None,) if np.ndim(squeeze_d) else ())
-    return Reference(X_WD, V_D, A_D, forces, squeeze if squeeze.ndim else float(squeeze))
+    return Reference(
+        X_WD, V_D, A_D, as_array("alpha_d", alpha_d, (None,)), as_squeeze("squeeze_d", squeeze_d)
+    )
+
+
+def as_squeeze(name: str, squeeze_d: float | Array, pairs: int | None = None) -> float | Array:
+    """A finite number, or an array of one for each of the pairs (None: any number of them).
+
+    Raises:
+        InvalidInputError: it is neither.
+    """
+    if isinstance(squeeze_d, np.ndarray) and squeeze_d.ndim:
+        return as_array(name, squeeze_d, (pairs,))
+    return float(as_array(name, squeeze_d, ()))

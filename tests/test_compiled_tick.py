@@ -47,7 +47,8 @@ def inputs(chain, q, v, rng, columns, touched=None):
     X = chain.state(q, v).X_WO * pin.exp6(pin.Motion(0.02 * rng.normal(size=6)))
     wrenches = 10 * rng.normal(size=(len(chain.arms), 6))
     alpha_d = rng.uniform(5, 20, columns)
-    reference = Reference(X, 0.1 * rng.normal(size=6), rng.normal(size=6), alpha_d, 5.0)
+    squeeze = 5.0 if len(chain.arms) < 3 else 0.0  # more than two are the readable path's
+    reference = Reference(X, 0.1 * rng.normal(size=6), rng.normal(size=6), alpha_d, squeeze)
     return Measurement(q, v, wrenches, touched), reference
 
 

@@ -15,7 +15,7 @@ from osc_contact.control.wires import Signals
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError
-from osc_contact.interface import Measurement, Reference, Touched
+from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
 from osc_contact.spatial import Array, as_array
 
 __all__ = ["Status", "independent", "limited", "require_sound", "take_in"]
@@ -73,11 +73,9 @@ def take_in(
     s.wrenches = as_array("wrist wrenches", measurement.wrenches, (arms, 6))
     s.touched = None if measurement.touched is None else _checked(measurement.touched, contacts)
     s.alpha_d = as_array("reference alpha_d", reference.alpha_d, (None,))
-    squeeze = reference.squeeze_d
-    if arms > 2 and isinstance(squeeze, np.ndarray) and squeeze.ndim:
-        s.squeeze_d = as_array("reference squeeze_d", squeeze, (bars(arms),))
-    else:
-        s.squeeze_d = float(as_array("reference squeeze_d", squeeze, ()))
+    s.squeeze_d = as_squeeze("reference squeeze_d", reference.squeeze_d, bars(arms))
+    if arms < 3 and np.ndim(s.squeeze_d):
+        raise InvalidInputError(f"reference squeeze_d: {arms} arms take a number, got an array")
     as_array("reference V_D", reference.V_D, (6,))
     as_array("reference A_D", reference.A_D, (6,))
     as_array("reference X_WD", reference.X_WD.homogeneous, (4, 4))

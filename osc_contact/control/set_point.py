@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from osc_contact.control.turn import turn_of
 from osc_contact.errors import InvalidInputError
-from osc_contact.interface import Reference
+from osc_contact.interface import Reference, as_squeeze
 from osc_contact.jerk_limits import JerkLimits, Way
 from osc_contact.spatial import Array, as_array, as_pose
 
@@ -109,7 +109,10 @@ class PoseSetPoint:
         self._way = Way.rest(np.append(self._goal.translation, np.zeros(3)), self._bounds)
 
     def step(
-        self, goal: pin.SE3 | None = None, alpha_d: ArrayLike = (), squeeze_d: float = 0.0
+        self,
+        goal: pin.SE3 | None = None,
+        alpha_d: ArrayLike = (),
+        squeeze_d: float | Array = 0.0,
     ) -> Reference:
         """The reference one period later, on the way to `goal`; None: to the former goal.
 
@@ -121,7 +124,7 @@ class PoseSetPoint:
             SolverError: no way was found. After either the former goal is kept and no time passed.
         """
         forces = as_array("alpha_d", alpha_d, (None,))
-        squeeze = float(as_array("squeeze_d", squeeze_d, ()))
+        squeeze = as_squeeze("squeeze_d", squeeze_d)
         if goal is not None and not (isinstance(goal, pin.SE3) and goal == self._goal):
             self._aim(_pose("goal", goal))
         self._way.advance(self._dt)
