@@ -160,7 +160,7 @@ PROOF = "`tests/test_projections.py::test_identities_9_to_12`"
         (GOOD, PROOF, None),
         ("planned", "planned", None),
         ("`osc_contact/control/controller.py::Controller.f_tare`", PROOF, None),
-        ("`osc_contact/control/controller.py::Controller.STAGES`", PROOF, None),
+        ("`osc_contact/control/boxes.py::Boxes.STAGES`", PROOF, None),
         ("planned", PROOF, "neither"),
         (GOOD, "planned", "neither"),
         ("", PROOF, "neither"),

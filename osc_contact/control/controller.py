@@ -1,8 +1,4 @@
-"""The decoupled force/motion controller: fig. 4, assembled on one page.
-
-Each method marked `@block` is one box of the figure: it reads and writes the named signals of
-`Signals` and nothing else, so that the diagrams of figs. 4 and 5 can be drawn from a real tick.
-"""
+"""The decoupled force/motion controller: the boxes of fig. 4, run tick by tick on either path."""
 
 from __future__ import annotations
 
@@ -11,25 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.allocation import Allocation
-from osc_contact.control.border import Status, independent, require_sound, take_in
-from osc_contact.control.command_filter import (
-    filtered_motion,
-    generalised_force,
-    metric_of,
-    object_coordinates,
-)
-from osc_contact.control.contact_state import chosen, parts_in_force, surroundings
+from osc_contact.control.border import Status, require_sound, take_in
+from osc_contact.control.boxes import Boxes
 from osc_contact.control.effort_limits import EffortLimits, GivenUp
-from osc_contact.control.fade import LostDirection, faded_motion, note_lost
+from osc_contact.control.fade import LostDirection, note_lost
 from osc_contact.control.force import (
     ContactTerms,
     ForceLaw,
-    contact_force,
-    magnitudes,
-    sum_of_wrenches,
 )
 from osc_contact.control.found import Found
 from osc_contact.control.friction import Friction
@@ -37,12 +23,13 @@ from osc_contact.control.gains import Gains
 from osc_contact.control.life import ContactLife, slewed
 from osc_contact.control.living import hand_over, live
 from osc_contact.control.motion import MotionLaw
-from osc_contact.control.wires import Block, Signals, Stage, TracedSignals, block, observed
+from osc_contact.control.wires import Block, Signals, TracedSignals, observed
 from osc_contact.control.within_limits import within_limits
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError
 from osc_contact.interface import Measurement, Reference
+from osc_contact.kernels.layout import ASK, SATURATED
 from osc_contact.spatial import Array, as_array
 
 if TYPE_CHECKING:
@@ -51,7 +38,7 @@ if TYPE_CHECKING:
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
 
 
-class Controller:
+class Controller(Boxes):
     """Dynamically decoupled force/motion control of one held object (fig. 4).
 
     Attributes:
@@ -95,10 +82,9 @@ class Controller:
                 be seen to move. The same object twice: both contacts are on one body.
             posture: (n,) where redundant arms return to (default: neutral).
             engaged: start in contact.
-            compiled: run on the kernels, some hundred times faster; False: on the readable path
-                below, which gives the same torques. The first controller ever made on a machine
-                compiles them. Grasps and pairs with friction that `compiled.compilable` does not
-                know are for the readable path only.
+            compiled: run on the kernels, some hundred times faster, where `compiled.compilable`
+                knows grasps and pairs; False: on the readable path below, which gives the same
+                torques. The first controller ever made on a machine compiles them.
             friction: what is believed of the contacts' friction; None: nothing.
             life: opens, approaches and closes the contacts one by one.
 
@@ -109,7 +95,6 @@ class Controller:
         require_sound(chain, contacts, dt, B, bodies, friction)
         gains = Gains() if gains is None else gains
         self.chain = chain
-        self.friction = friction
         self.contacts = tuple(contacts)
         self.bodies = (None,) * len(self.contacts) if bodies is None else tuple(bodies)
         self.B = B
@@ -121,13 +106,12 @@ class Controller:
         self.given_up: GivenUp | None = None
         self.lost_directions: tuple[LostDirection, ...] = ()
         self._tare, self._bias = np.zeros(6), np.zeros(6)
-        self.life = life
+        self.friction, self.life = friction, life
         self.terms = ContactTerms(np.zeros((len(self.contacts), 4)), gains.force)
         self.signals = Signals()
         self._looked = True  # whether `signals` must be emptied by the next compiled tick
         self._by_twin = True  # whether the readable path computed the last tick
-        self.status = Status.OK
-        self._reason = ""
+        self.status, self._reason = Status.OK, ""
         self._last_tau: Array = np.zeros(chain.n_a)
         self._fast: CompiledTick | None = None
         if compiled:
@@ -137,8 +121,7 @@ class Controller:
                 self._fast = fast = CompiledTick(self)
                 self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
                 self.terms = ContactTerms(fast.terms, gains.force)
-        self.engaged = engaged
-        self.ticked = False
+        self.engaged, self.ticked = engaged, False
 
     @property
     def reason(self) -> str:
@@ -192,16 +175,16 @@ class Controller:
 
     def _computed(self, measurement: Measurement, reference: Reference) -> Array:
         fast = self._fast
-        if fast is not None and self.STAGES is _STAGES:
+        if fast is not None and not self.restaged:
             code = fast(measurement, reference)
-            if code != _ASK:
+            if code != ASK:
                 if self._looked:
                     self._looked = self._by_twin = False
                     self.signals.__dict__.clear()
                     self.signals.__dict__["_fill"] = self._fill_signals
                 self.status, self._reason, self.given_up = Status.OK, "", None
                 self.lost_directions = ()
-                if code == _SATURATED:
+                if code == SATURATED:
                     try:
                         self.status, self.given_up = Status.SATURATED, fast.relieve()
                     except OscContactError as error:
@@ -211,8 +194,7 @@ class Controller:
 
     def _readable_tick(self, measurement: Measurement, reference: Reference) -> Array:
         """The tick box by box; it also has the last word where the kernels have none."""
-        s = Signals()
-        before = (self.motion_law.integral, self.force_law.integral)
+        s, before = Signals(), (self.motion_law.integral, self.force_law.integral)
         try:
             self._take_in(measurement, reference, s)
             for stage in self.STAGES:
@@ -297,102 +279,6 @@ class Controller:
             self.force_law.integral = np.zeros(0)
             self.engaged = True
 
-    # --- the boxes of fig. 4, in the order in which the signals meet them -----------------------
-
-    @block("closed chain", "model", r"$\Lambda_S,\ \mu,\ p,\ S,\ \sigma,\ G$  (13)")
-    def _model(self, s: Signals) -> None:
-        s.state = self.chain.state(s.q, s.v)
-
-    @block("contact geometry", "model", r"$N,\ T,\ n_\gamma$")
-    def _contact(self, s: Signals) -> None:
-        active = self.terms.active
-        pairs = [pair for pair, on in zip(self.contacts, active, strict=True) if on]
-        touched = chosen(s.touched, active)
-        s.parts = parts = parts_in_force(pairs, s.state, touched)
-        s.contact = contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
-        drag = np.zeros_like(contact.N)
-        if self.friction is not None:
-            drags = self.friction.drags(pairs, s.state.X_WO, s.state.V_O, touched)
-            drag = drags @ contact.R.T
-        s.drag = drag
-        self._owners = np.repeat(np.flatnonzero(active), [part.R.shape[1] for part in parts])
-
-    @block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)")
-    def _environment(self, s: Signals) -> None:
-        active = self.terms.active
-        bodies = [body for body, on in zip(self.bodies, active, strict=True) if on]
-        touched = chosen(s.touched, active)
-        s.environment = surroundings(bodies, s.parts, touched, s.state, s.drag)
-
-    @block("sum of wrist sensors", "force", r"$\Sigma$ at $O$")
-    def _sense(self, s: Signals) -> None:
-        s.f_meas = sum_of_wrenches(s.wrenches, s.state) - self.f_tare
-
-    @block("force filter", "force", r"$\Omega_f(\Lambda_{out})$")
-    def _force_filter(self, s: Signals) -> None:
-        s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, s.environment, s.drag)
-
-    @block("generalised inverse", "force", r"$N^{\#}$")
-    def _magnitudes(self, s: Signals) -> None:
-        s.alpha_meas = magnitudes(s.f_c_meas, s.contact)
-
-    @block("force law", "force", r"$\alpha_d + K_i\!\int(\alpha_d-\alpha_{meas})$")
-    def _force_law(self, s: Signals) -> None:
-        wanted, active = s.alpha_d, self.terms.active
-        if self.life is not None and not active.all():
-            wanted = wanted[active[self.life.columns.owners]]
-        desired = independent(wanted, s.contact) if active.any() else np.zeros(0)
-        speed = s.contact.N.T @ (s.state.V_O - s.environment.V_e)
-        terms = self.terms.of_columns(self._owners, s.contact.r)
-        s.alpha_u = self.force_law.command(desired, s.alpha_meas, speed, terms)
-
-    @block("to operational space", "force", r"$N\alpha_u$  (16)")
-    def _operational_force(self, s: Signals) -> None:
-        s.f_ccomm = (s.contact.N + s.drag) @ s.alpha_u
-
-    @block("motion law", "motion", r"$\ddot x_d + K_d\dot e + K_p e + K_i\!\int\! e$")
-    def _motion_law(self, s: Signals) -> None:
-        Omega_m = s.contact.motion_projection(metric_of(self.B, s.state))
-        s.a_u = self.motion_law.command(s.reference, s.state, Omega_m)
-
-    @block("motion filter", "filter", r"$\Omega_m(B)$  (24)")
-    def _motion_filter(self, s: Signals) -> None:
-        eta_u = object_coordinates(s.state, s.contact, s.a_u)
-        eta = filtered_motion(
-            s.state,
-            s.contact,
-            eta_u,
-            s.alpha_u,
-            metric_of(self.B, s.state),
-            s.environment,
-            s.drag,
-        )
-        posture = self.allocation.retreat(s.q, s.v)
-        s.eta_c = faded_motion(s.state, s.contact, self.chain, eta, posture)
-
-    @block("dynamic control structure", "filter", r"$\Lambda_S\dot\eta_c+b_S+S^Tf_{ccomm}$  (21)")
-    def _control_structure(self, s: Signals) -> None:
-        s.f_S = generalised_force(s.state, s.eta_c, s.f_ccomm + self.f_bias)
-
-    @block("torque allocation", "filter", r"$G\tau = f_S$, squeeze in null$(G)$")
-    def _allocate(self, s: Signals) -> None:
-        s.tau = self.allocation.torques(s.state, s.q, s.v, s.f_S, s.eta_c, s.squeeze_d)
-
-    STAGES: tuple[Stage, ...] = (
-        _model,
-        _contact,
-        _environment,
-        _sense,
-        _force_filter,
-        _magnitudes,
-        _force_law,
-        _operational_force,
-        _motion_law,
-        _motion_filter,
-        _control_structure,
-        _allocate,
-    )
-
     @property
     def restaged(self) -> bool:
         """Whether STAGES were replaced: then only reading them one by one computes the tick."""
@@ -412,7 +298,3 @@ class Controller:
     def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
         self.status, self._reason, self.given_up = Status.OK, "", None
         take_in(measurement, reference, s, len(self.chain.arms), len(self.contacts))
-
-
-_STAGES = Controller.STAGES  #: what the kernels compute; others are read box by box
-_SATURATED, _ASK = 1, 2  #: the kernels' answer where the readable path must decide

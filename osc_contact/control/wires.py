@@ -63,7 +63,7 @@ class Block:
     outputs: tuple[str, ...] = ()
 
 
-Stage = Callable[["Controller", Signals], None]
+Stage = Callable[[Any, Signals], None]
 
 
 def block(name: str, group: str, equation: str) -> Callable[[Stage], Stage]:

@@ -41,6 +41,7 @@ __all__ = ["ClosedChain", "ChainState"]
 #: Stands in for the object's inertia in rank decisions when the arms hold nothing:
 #: 1 kg with a radius of gyration of 0.1 m.
 _REFERENCE = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
+_NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
 
 
 @dataclass(frozen=True)
@@ -237,7 +238,7 @@ class ClosedChain:
         twists = [J[:, s] @ v[s] for s in self.slices]
         V_O = self._twist(twists, X_WO) if V_O is None else as_array("V_O", V_O, (6,))
         reference = self.reference.terms(X_WO, V_O, gravity)
-        payload = reference if self.payload is not None else _nothing()
+        payload = reference if self.payload is not None else _NOTHING
         L = np.linalg.cholesky(reference.Lambda)
         terms, passed = [], []
         for s, grasp, tip, V in zip(self.slices, self.grasps, tips, twists, strict=True):
@@ -395,7 +396,3 @@ def _merge(arms: Sequence[Arm]) -> pin.Model:
             "revolute ones without end stops"
         )
     return merged
-
-
-def _nothing() -> ObjectTerms:
-    return ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))

@@ -5,10 +5,17 @@ from __future__ import annotations
 from math import inf
 
 from osc_contact.kernels.compile import compiled
+from osc_contact.kernels.layout import DRAG, DRAGS, FRICTION, KEPT, PUSHED
 from osc_contact.kernels.linalg import dot6, lu_solve
-from osc_contact.kernels.white import wrench_to
+from osc_contact.kernels.white import white_wrench, wrench_to
 
-__all__ = ["add_wrist_reading", "contact_magnitudes", "contact_terms", "force_command"]
+__all__ = [
+    "add_wrist_reading",
+    "contact_magnitudes",
+    "contact_terms",
+    "force_command",
+    "pushing_columns",
+]
 
 
 @compiled
@@ -34,6 +41,27 @@ def add_wrist_reading(reading, pose, sensor, C, scratch, total):
     wrench_to(scratch[:6], point, C, scratch[:6])
     for i in range(6):
         total[i] += scratch[i]
+
+
+@compiled
+def pushing_columns(head, sets, axes, keep, r, count, share, O, C, scratch):
+    """Drags of the kept columns, D Rᵀ at O, and N_μ = N + D Rᵀ in white coordinates."""
+    drags, pushed = sets[DRAGS], sets[PUSHED]
+    for a in range(r):
+        drag = sets[DRAG, a]
+        for i in range(6):
+            drag[i] = 0.0
+            pushed[a, i] = sets[KEPT, a, i]
+        if head[FRICTION] == 0.0:
+            continue
+        for j in range(count):
+            s = share[a, j] if r < count else (1.0 if j == a else 0.0)
+            for i in range(6):
+                drag[i] += s * drags[keep[j, 1], i]
+        wrench_to(drag, O, C, scratch)
+        white_wrench(axes, scratch, scratch)
+        for i in range(6):
+            pushed[a, i] += scratch[i]
 
 
 @compiled

@@ -1,7 +1,9 @@
 """The parts of a kernel as numba compiles them: into LLVM code only, to be inlined where called.
 
 numba optimises every function and turns it into machine code, whether Python can call it or not.
-Parts are called by the kernel alone, which is optimised as a whole with all of them in it.
+Parts are called by the kernel alone, which is optimised as a whole with all of them in it: half the
+time to compile, and faster code. This builds on numba's own compiler classes, so its version is
+bounded in pyproject.toml.
 """
 
 from __future__ import annotations

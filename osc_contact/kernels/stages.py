@@ -15,6 +15,7 @@ from osc_contact.kernels.force import (
     contact_magnitudes,
     contact_terms,
     force_command,
+    pushing_columns,
 )
 from osc_contact.kernels.grasp import filter_reading
 from osc_contact.kernels.linalg import dot6, reflect, reflect_back, reflect_sides
@@ -80,7 +81,7 @@ def contact_stage(bound, sizes, count, moving):
         keep[a, 0] = keep[keep[a, 0], 1]  # now among all columns
         rows[at.B_N, a] = 0.0
         rows[at.V_N, a] = 0.0
-    _pushed(head, sets, axes, keep, r, count, share, O, C, rows[at.SCRATCH])
+    pushing_columns(head, sets, axes, keep, r, count, share, O, C, rows[at.SCRATCH])
     if moving:
         if r < count:  # dependent columns of different bodies are refused
             for c in range(1, sizes[at.N_CONTACTS]):
@@ -92,27 +93,6 @@ def contact_stage(bound, sizes, count, moving):
             matrix(bound, at.ANSWERS), rows[at.SCRATCH], Phi_N, Phi_mu, rows[at.B_N], rows[at.V_N],
         )  # fmt: skip
     return r
-
-
-@compiled
-def _pushed(head, sets, axes, keep, r, count, share, O, C, scratch):
-    """Drags of the kept columns, D Rᵀ at O, and N_μ = N + D Rᵀ in white coordinates."""
-    drags, pushed = sets[at.DRAGS], sets[at.PUSHED]
-    for a in range(r):
-        drag = sets[at.DRAG, a]
-        for i in range(6):
-            drag[i] = 0.0
-            pushed[a, i] = sets[at.KEPT, a, i]
-        if head[at.FRICTION] == 0.0:
-            continue
-        for j in range(count):
-            s = share[a, j] if r < count else (1.0 if j == a else 0.0)
-            for i in range(6):
-                drag[i] += s * drags[keep[j, 1], i]
-        wrench_to(drag, O, C, scratch)
-        white_wrench(axes, scratch, scratch)
-        for i in range(6):
-            pushed[a, i] += scratch[i]
 
 
 @compiled
