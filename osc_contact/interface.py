@@ -118,7 +118,7 @@ def pose_reference(
     angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
     angular_acceleration: ArrayLike = (0.0, 0.0, 0.0),
     alpha_d: ArrayLike = (),
-    squeeze_d: float | Array = 0.0,
+    squeeze_d: float | ArrayLike = 0.0,
 ) -> Reference:
     """A reference from p, R, ṗ, p̈, ω, ω̇ of the object's origin, all in world axes.
 
@@ -144,12 +144,13 @@ def pose_reference(
     )
 
 
-def as_squeeze(name: str, squeeze_d: float | Array, pairs: int | None = None) -> float | Array:
+def as_squeeze(name: str, squeeze_d: ArrayLike, pairs: int | None = None) -> float | Array:
     """A finite number, or an array of one for each of the pairs (None: any number of them).
 
     Raises:
         InvalidInputError: it is neither.
     """
-    if isinstance(squeeze_d, np.ndarray) and squeeze_d.ndim:
+    by_pair = isinstance(squeeze_d, list | tuple)
+    if by_pair or (isinstance(squeeze_d, np.ndarray) and squeeze_d.ndim):
         return as_array(name, squeeze_d, (pairs,))
     return float(as_array(name, squeeze_d, ()))
