@@ -61,6 +61,12 @@ class OfQuantity(Spec, Generic[Q]):
     """Base that names a parametrised model after its quantity: `Step[a force]`."""
 
     @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Its docstrings are read: what it becomes for a quantity inherits them, a slow search."""
+        if cls.__pydantic_generic_metadata__["origin"] is None:
+            cls.model_config["use_attribute_docstrings"] = False
+
+    @classmethod
     def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
         for mark in getattr(params[0], "__metadata__", ()):
             if isinstance(mark, Dimension):
