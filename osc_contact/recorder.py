@@ -21,6 +21,9 @@ __all__ = ["Recording"]
 _FORMAT = 1
 _META = "meta"
 _RESERVED = frozenset({_META, "file", "allow_pickle"})
+#: What reading a file that is none of ours, or damaged, ends in; `load` says which. zipfile answers
+#: unknown compression with NotImplementedError, encryption with RuntimeError; sizes made of garbage
+#: end in MemoryError or OverflowError.
 _UNREADABLE = (
     OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, OverflowError,
     NotImplementedError, zipfile.BadZipFile, zlib.error,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from environment_oracle import kkt, wrist_readings
@@ -17,6 +20,7 @@ from osc_contact.control.command_filter import (
     object_acceleration,
     object_coordinates,
 )
+from osc_contact.control.effort_limits import EffortLimits, relieve
 from osc_contact.control.force import contact_force, magnitudes, sum_of_wrenches
 from osc_contact.control.friction import Friction
 from osc_contact.dynamics.environment import Environment
@@ -87,7 +91,7 @@ def test_the_filter_is_exact_for_sliding_contacts_and_errs_without():
 
 
 def sliding(s, mu):
-    """(6, r) drags at a scene's contacts, which slide as they move, and whether they all do."""
+    """A scene's contacts and their (6, r) drags, for they slide as they move."""
     pairs, X, V = [], [], []
     for touch in s.touches:
         body = s.bodies[touch.body]
@@ -96,7 +100,7 @@ def sliding(s, mu):
         X.append(body.X.homogeneous)
         V.append(body.V)
     touched = Touched(np.array(X), np.array(V), np.zeros((len(X), 6)))
-    return Friction(mu, slip=1e-9).drags(pairs, s.state.X_WO, s.state.V_O, touched)
+    return pairs, Friction(mu, slip=1e-9).drags(pairs, s.state.X_WO, s.state.V_O, touched)
 
 
 YIELDING = ("prescribed", "rail", "hinge", "free body", "rail and free body", "hinged face",
@@ -113,7 +117,7 @@ def test_law_and_filter_are_exact_on_bodies_that_friction_drags_along(rig, kind)
     for _ in range(3):
         s = scene(rig, kind, rng)
         state, contact, N = s.state, s.contact, s.contact.N
-        drag = sliding(s, mu)
+        pairs, drag = sliding(s, mu)
         environment = Environment.combine(s.parts, s.each, state.metric, drag)
         alpha_u, relative = rng.uniform(5, 20, contact.r), rng.normal(size=6) * 3
         a_u = object_acceleration(state, contact, environment, relative, alpha_u)
@@ -123,9 +127,9 @@ def test_law_and_filter_are_exact_on_bodies_that_friction_drags_along(rig, kind)
             eta_c = filtered_motion(s.state, s.contact, eta_u, alpha_u, B, env, believed)
             f_S = generalised_force(s.state, eta_c, (s.contact.N + drag) @ alpha_u)
             tau = torques(s, f_S, eta_c)
-            return kkt(s.chain, s.q, s.v, tau, s.bodies, s.touches, mu=mu), eta_c
+            return kkt(s.chain, s.q, s.v, tau, s.bodies, s.touches, mu=mu), eta_c, tau
 
-        truth, eta_c = answered(environment, drag)
+        truth, eta_c, tau = answered(environment, drag)
         assert close_to(truth.alpha, alpha_u) < RTOL
         assert close_to(truth.a_object, state.S @ eta_c + state.sigma) < RTOL
         without.append(close_to(answered(s.environment, 0.0)[0].alpha, alpha_u))
@@ -135,6 +139,13 @@ def test_law_and_filter_are_exact_on_bodies_that_friction_drags_along(rig, kind)
         )  # fmt: skip
         got = magnitudes(contact_force(f_meas, state, contact, environment, drag), contact)
         assert close_to(got, truth.alpha) < RTOL
+        # what weaker motors will cost is foreseen: the forces that come are those foretold
+        wires = SimpleNamespace(state=state, contact=contact, drag=drag, environment=environment,
+                                tau=tau, alpha_u=alpha_u, squeeze_d=0.0)  # fmt: skip
+        wanted = EffortLimits(s.chain, pairs).response(wires, np.arange(len(pairs)))
+        relief = relieve(replace(wanted, tau_max=0.9 * np.abs(tau) + 1e-3))
+        came = kkt(s.chain, s.q, s.v, relief.tau, s.bodies, s.touches, mu=mu)
+        np.testing.assert_allclose(alpha_u - came.alpha, relief.force, rtol=0, atol=1e-6)
     assert (max(without) > 1e-3) == (kind != "prescribed")  # N in place of N_μ behind Φ_e
     assert N.shape[1] == len(s.touches)
 

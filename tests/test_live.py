@@ -393,4 +393,8 @@ def test_a_viewer_that_cannot_draw_ends_and_is_reported(caplog: pytest.LogCaptur
     broken["bodies"][0]["urdf"] = "/no/such/file.urdf"
     with Viewer(MODULE, {"content": broken, "size": 0.6}, rate=60.0) as viewer:
         assert_no_tick_lost(feed(viewer, 1.5))
-        assert "has ended (exit code" in str(viewer.error) and len(caplog.records) == 1
+        said = str(viewer.error)
+        assert "has ended (exit code" in said and len(caplog.records) == 1
+        assert "/no/such/file.urdf" in said, "the cause is told, not only that it is over"
+        viewer.close()
+        assert viewer._process.poll() == 1

@@ -4,7 +4,8 @@ Torques τ + δτ instead of τ make the chain in contact answer with α + δα 
 
     δα = D⁻¹N_SᵀΛ_S⁻¹G δτ,   δη̇ = Λ_S⁻¹(G δτ − N_S δα),   D = N_SᵀΛ_S⁻¹N_S + NᵀΦ_eN
 
-so every δτ keeps the contacts' constraints, and force and motion lost are known before they are.
+(with friction the second N of each product is N_μ), so every δτ keeps the contacts' constraints,
+and force and motion lost are known before they are.
 What is given up is measured as acceleration energy (Gauss), N²/kg, in the object's inertia Λ_o:
 δη̇ᵀSᵀΛ_oS δη̇ of motion, δαᵀNᵀΛ_o⁻¹N δα of contact force, δs²/m_o of squeeze. Metres and radians
 never meet, and an arm near a singular posture cannot make its lost motion dear.
@@ -42,7 +43,7 @@ class Response:
     Attributes:
         tau, tau_max: (n_a,) wanted; limits (inf: none).
         G: (d, n_a), Lambda: (d, d) of the chain. metric: (d, d) SᵀΛ_oS.
-        N: (d, r) SᵀN. pushed: (d, r) the same with friction, SᵀN_μ. Phi_e: (r, r) NᵀΦ_eN.
+        N: (d, r) SᵀN. pushed: (d, r) the same with friction, SᵀN_μ. Phi_e: (r, r) NᵀΦ_eN_μ.
         normal: (r, r) NᵀΛ_o⁻¹N.
         alpha: (r,) force command. share: (k, r) forces that must not pull, out of α.
         floor: (k,) their least values (N), at most what is commanded.
@@ -240,7 +241,7 @@ class EffortLimits:
             metric=state.S.T @ state.metric @ state.S,
             N=state.S.T @ contact.N,
             pushed=state.S.T @ (contact.N + s.drag),
-            Phi_e=contact.N.T @ s.environment.Phi_e @ contact.N,
+            Phi_e=s.environment.yielding(contact.N, s.drag),
             normal=contact.N.T @ np.linalg.solve(state.metric, contact.N),
             alpha=s.alpha_u,
             E=E,

@@ -66,7 +66,7 @@ class Viewer:
         if not 1.0 <= rate <= 60.0:
             raise InvalidInputError(f"rate = {rate}; give 1 to 60 pictures per second")
         self.error: ViewerError | None = None
-        self.browsers = 0
+        self.browsers, self._said = 0, ""
         self._period, self._due, self._stalled = 1.0 / rate, 0.0, float("inf")
         self._parts: list[tuple[str, slice]] = []
         self._numbers = np.empty(0)
@@ -115,7 +115,9 @@ class Viewer:
             if now - self._stalled > STALLED_S:
                 self._fail(f"its process has taken nothing for {STALLED_S:g} s")
         except OSError:
-            self._fail(f"its process has ended (exit code {self._process.poll()})")
+            self._read_news()
+            why = f": {self._said}" if self._said else ""
+            self._fail(f"its process has ended (exit code {self._process.poll()}){why}")
         except (KeyError, TypeError, ValueError) as error:
             self._fail(f"a tick does not fit the first one: {error!r}")
 
@@ -135,10 +137,16 @@ class Viewer:
 
     def count_browsers(self) -> int:
         """How many browsers show the page now; does not wait."""
-        with contextlib.suppress(OSError, ValueError):
-            while news := self._link.recv(4096):
-                self.browsers = int(json.loads(news)["browsers"])
+        self._read_news()
         return self.browsers
+
+    def _read_news(self) -> None:
+        """Take in what the other process has said: how many browsers there are, why it ends."""
+        with contextlib.suppress(OSError, ValueError):  # nothing more to read, or half a message
+            while news := self._link.recv(4096):
+                told = json.loads(news)
+                self.browsers = int(told.get("browsers", self.browsers))
+                self._said = str(told.get("error", self._said))
 
     def close(self) -> None:
         """End the process and free its port; may be called again."""

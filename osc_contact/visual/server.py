@@ -7,6 +7,7 @@ process, is drawn into meshcat commands, and goes to every browser that has take
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import socket
@@ -51,6 +52,7 @@ class LivePage:
         self.frame: Frame = {}
         self.numbers = ""
         self.pictures, self.parent = 0, os.getppid()
+        self.error: Exception | None = None
 
     def text(self) -> str:
         """The page, as long as there is no tick one that asks again."""
@@ -64,12 +66,16 @@ class LivePage:
         return page_text(self.drawn, self.content.title, config)
 
     def update(self) -> None:
-        """Draw the newest tick; an error ends the process, which the run's process reports."""
+        """Draw the newest tick; an error ends the process, and the run's process is told why.
+
+        tornado would log whatever a callback raises and go on: `serve` raises it after the loop.
+        """
         try:
             self._update()
-        except Exception:
+        except Exception as error:
+            self.error = error
+            self._say({"error": f"{type(error).__name__}: {error}"[:1000]})
             IOLoop.current().stop()
-            raise
 
     def _update(self) -> None:
         if not self.ticks.drain() or os.getppid() != self.parent:
@@ -96,10 +102,11 @@ class LivePage:
 
     def tell(self) -> None:
         """Let the run's process know how many browsers there are."""
-        try:
-            self.ticks.link.send(json.dumps({"browsers": len(self.browsers)}).encode())
-        except OSError:
-            return  # it reads this only if it wants to know
+        self._say({"browsers": len(self.browsers)})
+
+    def _say(self, news: dict[str, Any]) -> None:
+        with contextlib.suppress(OSError):  # the run has ended, or does not read: it need not know
+            self.ticks.link.send(json.dumps(news).encode())
 
 
 class Browser(WebSocketHandler):
@@ -181,3 +188,5 @@ def serve(link: socket.socket, content: Content, find: FindFrame) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     PeriodicCallback(page.update, PICTURES_MS).start()
     IOLoop.current().start()
+    if page.error is not None:
+        raise page.error
