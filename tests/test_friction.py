@@ -24,6 +24,7 @@ from osc_contact.control.effort_limits import EffortLimits, relieve
 from osc_contact.control.force import contact_force, magnitudes, sum_of_wrenches
 from osc_contact.control.friction import Friction
 from osc_contact.dynamics.environment import Environment
+from osc_contact.experiments.rig import build_rig
 from osc_contact.interface import Touched
 
 
@@ -183,3 +184,22 @@ def test_friction_on_contacts_without_a_known_point_is_refused():
 def test_impossible_friction_is_refused(bad):
     with pytest.raises(osc.InvalidInputError, match="mu"):
         Friction(*bad)
+
+
+def test_both_paths_give_up_the_same_on_a_cart_that_friction_drags_along():
+    """Motors at their limits, a yielding face, friction: compiled and readable, every tick."""
+    weak = [f"arms.{name}.effort_factor=0.04" for name in ("left", "right")]
+    changes = ["control.friction={mu: 0.3}", "plant.friction=0.3", *weak]
+    rig = build_rig(osc.load_scenario("moving_face", changes))
+    fast, slow, plant = rig.controller(), rig.controller(compiled=False), rig.plant(0)
+    plant.hold(rig.controller().tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
+    drags = np.zeros(0)
+    for k in range(60):
+        measurement, reference = plant.measure(), rig.references.at(1e-3 * k)
+        got, want = fast.tick(measurement, reference), slow.tick(measurement, reference)
+        assert fast.status is slow.status is osc.Status.SATURATED
+        drags = np.append(drags, np.abs(slow.last_signals().drag).max())
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-9 * np.abs(want).max())
+        np.testing.assert_allclose(fast.given_up.force, slow.given_up.force, rtol=0, atol=1e-9)
+        plant.step(got, 1e-3)
+    assert drags[0] == 0.0 and drags[-1] > 0.1  # at rest, and sliding
