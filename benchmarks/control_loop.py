@@ -1,4 +1,4 @@
-"""Time the control tick, its twin's parts and Pinocchio's own model evaluation, side by side.
+"""Time the control tick and Pinocchio's own model evaluation, side by side.
 
     python benchmarks/control_loop.py [--ticks N] [--scenario NAME] [--json FILE] [--figure FILE]
 
@@ -35,7 +35,7 @@ def measure(scenarios: list[str], ticks: int) -> dict[str, Any]:
 
 
 def tables(result: dict[str, Any]) -> list[Table]:
-    """One table a case: the tick, the floor, then every part."""
+    """One table a case: the floor, the tick, what of it is the law."""
     found = []
     for name, case in result["cases"].items():
         title = f"{name}: {case['rounds']} ticks, tick / floor = {case['ratio']:.2f}"
@@ -44,10 +44,6 @@ def tables(result: dict[str, Any]) -> list[Table]:
         _add(table, "tick", case["tick_us"], style="bold")
         for label, times in case["inside_us"].items():
             _add(table, f"  of it {label}", times)
-        table.add_section()
-        _add(table, "readable twin", case["readable_us"], style="bold")
-        for label, times in case["parts_us"].items():
-            _add(table, label, times)
         found.append(table)
     return found
 

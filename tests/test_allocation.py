@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from oracles import kkt
+from readable.allocation import Allocation, squeeze_rows
 from rigs import PANDA_Q, panda_pair, random_state, scara_pair
 from test_decoupling import in_contact, torques
 
 import osc_contact as osc
-from osc_contact.control.allocation import Allocation, squeeze_rows
 
 
 @pytest.mark.parametrize("rig", [scara_pair, panda_pair])

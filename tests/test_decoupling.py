@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from oracles import kkt
+from readable.allocation import Allocation
 from rigs import (
     consistent,
     contact_of,
@@ -21,7 +22,6 @@ from rigs import (
 
 import osc_contact as osc
 from osc_contact import projections
-from osc_contact.control.allocation import Allocation
 from osc_contact.control.command_filter import (
     filtered_motion,
     generalised_force,

@@ -8,11 +8,11 @@ import daqp
 import numpy as np
 import pytest
 from oracles import kkt
+from readable.allocation import Allocation
 from rigs import one_panda, panda_pair, scara_pair
 from test_decoupling import in_contact
 
 import osc_contact as osc
-from osc_contact.control.allocation import Allocation
 from osc_contact.control.controller import Controller
 from osc_contact.control.force import ForceGains
 from osc_contact.control.motion import MotionGains

@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pinocchio as pin
 import pytest
+from readable.allocation import Allocation
 
 import osc_contact as osc
 from osc_contact.contacts.unilateral import pushes_only
-from osc_contact.control.allocation import Allocation
 from osc_contact.experiments.contacts import feet
 from osc_contact.experiments.inspection import inspect_rig
 from osc_contact.experiments.viewing import write_scene_of

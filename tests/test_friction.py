@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from environment_oracle import kkt, wrist_readings
 from environment_scenes import RTOL, close_to, scene
+from readable.effort_limits import EffortLimits, relieve
 from rigs import panda_pair, scara_pair
 from test_decoupling import in_contact
 from test_moving_environment import hardware, torques
@@ -20,7 +21,6 @@ from osc_contact.control.command_filter import (
     object_acceleration,
     object_coordinates,
 )
-from osc_contact.control.effort_limits import EffortLimits, relieve
 from osc_contact.control.force import contact_force, magnitudes, sum_of_wrenches
 from osc_contact.control.friction import Friction
 from osc_contact.dynamics.environment import Environment

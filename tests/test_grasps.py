@@ -8,10 +8,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from grasp_rigs import BODY, KINDS, grasp_of, random_case, slip_of
+from readable.allocation import Allocation
 from rigs import contact_of, random_faces
 
 import osc_contact as osc
-from osc_contact.control.allocation import Allocation
 from osc_contact.control.command_filter import filtered_motion, generalised_force
 from osc_contact.control.force import contact_force, magnitudes, sum_of_wrenches
 from osc_contact.dynamics.assembly import close, object_pose, reach

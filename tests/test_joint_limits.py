@@ -8,13 +8,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from oracles import kkt
+from readable.allocation import Allocation
 from rigs import PANDA_Q, ROD, one_panda, panda_pair, scara_pair
 from test_compiled_tick import agree, disturb, inputs, twins
 from test_decoupling import in_contact, torques
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.control.allocation import Allocation
 from osc_contact.control.joint_limits import JointLimits
 from osc_contact.plants.rigid import RigidPlant
 

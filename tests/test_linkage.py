@@ -8,12 +8,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from grasp_rigs import random_case
+from readable.allocation import Allocation, squeeze_response, squeeze_rows
+from readable.linkage import Linkage, bar_forces
 from rigs import contact_of, panda_pair, random_faces, random_state, scara_pair
 from test_grasps import forces, moving
 
 import osc_contact as osc
-from osc_contact.control.allocation import Allocation, squeeze_response, squeeze_rows
-from osc_contact.control.linkage import Linkage, bar_forces
 from osc_contact.response import require_reachable
 
 LWA = pin.LOCAL_WORLD_ALIGNED

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from environment_oracle import wrist_readings
 from environment_scenes import RIGS, RTOL, cases, close_to, contacts_at, scene, twist_at
+from readable.allocation import Allocation
 from rigs import one_panda, panda_pair, random_state, scara_pair
 
 import osc_contact as osc
 from osc_contact import projections, robots
-from osc_contact.control.allocation import Allocation
 from osc_contact.control.command_filter import (
     filtered_motion,
     generalised_force,

@@ -1,58 +1,69 @@
-"""The decoupled force/motion controller: the boxes of fig. 4, run tick by tick on either path."""
+"""The decoupled force/motion controller, fig. 4: one row of the law's tables, and its status."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.control.allocation import Allocation
-from osc_contact.control.border import Status, require_sound, take_in
-from osc_contact.control.boxes import Boxes
-from osc_contact.control.effort_limits import EffortLimits, GivenUp
-from osc_contact.control.fade import LostDirection, note_lost
-from osc_contact.control.force import (
-    ContactTerms,
-    ForceLaw,
-)
-from osc_contact.control.found import Found
 from osc_contact.control.friction import Friction
 from osc_contact.control.gains import Gains
-from osc_contact.control.life import ContactLife, slewed
-from osc_contact.control.living import hand_over, live
-from osc_contact.control.motion import MotionLaw
-from osc_contact.control.wires import Block, Signals, TracedSignals, observed
-from osc_contact.control.within_limits import within_limits
+from osc_contact.control.laws import Laws
+from osc_contact.control.life import LifeSettings, Phase
+from osc_contact.control.loops import ForceLoop, MotionLoop, refuse
+from osc_contact.control.outside import Outside
+from osc_contact.control.reasons import explain, require_sizes
+from osc_contact.control.reports import GivenUp, LostDirection, Status
+from osc_contact.control.result import TickResult
+from osc_contact.control.settings import PostureTask, Settings
+from osc_contact.control.signals import BLOCKS, Block, Signals
+from osc_contact.control.tick_records import TickRecords, rows
+from osc_contact.control.torque_limits import MotorLimits
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
-from osc_contact.errors import InvalidInputError, OscContactError
-from osc_contact.interface import Measurement, Reference
-from osc_contact.kernels.layout import ASK, SATURATED
+from osc_contact.errors import InvalidInputError, OscContactError, SolverError
+from osc_contact.interface import Measurement, Reference, Touched
+from osc_contact.law import tick as law
+from osc_contact.law.tables import BODY, HELD, OBJECT_UNKNOWN, OUTSIDE
 from osc_contact.spatial import Array, as_array
-
-if TYPE_CHECKING:
-    from osc_contact.control.compiled import CompiledTick
 
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
 
+#: What the door refuses: wrong sizes or types of what comes in; converted or explained then.
+_REFUSED = (TypeError, ValueError, AttributeError, OscContactError, np.linalg.LinAlgError)
+_SETTABLE = ("f_tare", "f_bias", "engaged", "motion_law.integral", "force_law.integral")
 
-class Controller(Boxes):
+
+class Controller:
     """Dynamically decoupled force/motion control of one held object (fig. 4).
 
+    Everything is taken at construction and stays: `with_gains` and `with_laws` make another
+    controller that goes on from where this one is. Controllers share nothing that changes, can be
+    copied, pickled, and each used in a thread of its own.
+
     Attributes:
-        signals: every wire of the last tick. status, reason: how it ended.
-        given_up: what motor limits cost in the last tick; None: nothing.
-        lost_directions: in which motion commands were faded near a singular posture.
-        engaged: whether the contacts are part of the model; False treats the object as free.
-        terms: on what terms each contact takes part. life: what sets them; None: all contacts are
-            closed as long as they are engaged. ticked: whether life has a tick to judge.
+        chain, contacts, gains, dt, B, bodies, posture, friction, life: as given.
         f_tare: (6,) constant error of the wrist readings at O, removed from each.
         f_bias: (6,) constant wrench added to the command, learnt before contact.
-
-    Gains, chain, pairs, bodies and B are taken at construction; to change them make another one.
+        engaged: whether the contacts are part of the model; False treats the object as free.
+        motion_law, force_law: gains and integrals of the two loops.
     """
+
+    settings: Settings
+    laws: Laws
+    motion_law: MotionLoop
+    force_law: ForceLoop
+    _records: TickRecords
+    _outside: Outside
+    _codes: Array
+    _squeeze: Array
+    _limits: MotorLimits | None
+    _given_up: GivenUp | None
+    _failure: Exception | None
+    _inputs: tuple[Measurement, Reference]
 
     def __init__(
         self,
@@ -65,9 +76,10 @@ class Controller(Boxes):
         bodies: Sequence[Body | None] | None = None,
         posture: Array | None = None,
         engaged: bool = True,
-        compiled: bool = True,
         friction: Friction | None = None,
-        life: ContactLife | None = None,
+        life: LifeSettings | None = None,
+        laws: Laws | None = None,
+        posture_task: PostureTask | None = None,
     ) -> None:
         """Assemble the loops.
 
@@ -82,80 +94,157 @@ class Controller(Boxes):
                 be seen to move. The same object twice: both contacts are on one body.
             posture: (n,) where redundant arms return to (default: neutral).
             engaged: start in contact.
-            compiled: run on the kernels, some hundred times faster, where `compiled.compilable`
-                knows grasps and pairs; False: on the readable path below, which gives the same
-                torques. The first controller ever made on a machine compiles them.
             friction: what is believed of the contacts' friction; None: nothing.
-            life: opens, approaches and closes the contacts one by one.
+            life: opens, approaches and closes the contacts one by one; None: all of them are
+                closed as long as they are engaged.
+            laws: of the user's own, in place of force law, motion law or control structure.
+            posture_task: what redundant arms do with joints they do not need.
 
         Raises:
             InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
                 although there are contacts: their forces could not be measured.
+            ModelError: an arm that the law cannot take.
         """
-        require_sound(chain, contacts, dt, B, bodies, friction)
-        gains = Gains() if gains is None else gains
-        self.chain = chain
-        self.contacts = tuple(contacts)
-        self.bodies = (None,) * len(self.contacts) if bodies is None else tuple(bodies)
-        self.B = B
-        self.motion_law = MotionLaw(gains.motion, dt)
-        self.force_law = ForceLaw(gains.force, dt)
-        rest = np.zeros(chain.nq) if posture is None else np.asarray(posture, dtype=float)
-        self.allocation = Allocation(chain, rest)
-        self.limits = EffortLimits(chain, self.contacts)
-        self.given_up: GivenUp | None = None
-        self.lost_directions: tuple[LostDirection, ...] = ()
-        self._tare, self._bias = np.zeros(6), np.zeros(6)
-        self.friction, self.life = friction, life
-        self.terms = ContactTerms(np.zeros((len(self.contacts), 4)), gains.force)
-        self.signals = Signals()
-        self._looked = True  # whether `signals` must be emptied by the next compiled tick
-        self._by_twin = True  # whether the readable path computed the last tick
-        self.status, self._reason = Status.OK, ""
-        self._last_tau: Array = np.zeros(chain.n_a)
-        self._fast: CompiledTick | None = None
-        if compiled:
-            from osc_contact.control.compiled import CompiledTick, compilable
+        self._begin(
+            Settings(
+                chain,
+                tuple(contacts),
+                Gains() if gains is None else gains,
+                dt,
+                B,
+                () if bodies is None else tuple(bodies),
+                np.zeros(0) if posture is None else posture,
+                PostureTask() if posture_task is None else posture_task,
+                friction,
+                life,
+            ),
+            Laws() if laws is None else laws,
+        )
+        memory, contacts_memory = self._records.memory, self._records.contacts
+        self._reset_contacts()
+        memory.X_WO[:] = np.eye(4)
+        memory.engaged = engaged
+        if not engaged:
+            contacts_memory.active[:] = 0
+            if life is not None:
+                pushes = self._records.row.table("bodies", len(contacts), BODY).pushes
+                contacts_memory.phase[:] = np.where(pushes, Phase.OPEN, Phase.CLOSED)
+                self._records.column_memory.closed[:] = 0
 
-            if compilable(chain, self.contacts, friction):
-                self._fast = fast = CompiledTick(self)
-                self._tare, self._bias, self._last_tau = fast.tare, fast.bias, fast.tau
-                self.terms = ContactTerms(fast.terms, gains.force)
-        self.engaged, self.ticked = engaged, False
+    def _begin(self, settings: Settings, laws: Laws, records: TickRecords | None = None) -> None:
+        outside = Outside(settings, laws)
+        if records is None:
+            records = TickRecords(outside.pack())
+        n_bars = int(records.row.head.n_bars)
+        self.__dict__.update(
+            settings=settings, laws=laws, _records=records, _outside=outside,
+            _rows=rows(), _codes=np.zeros(1, dtype=np.int64), _squeeze=np.zeros(max(1, n_bars)),
+            _still=np.zeros((len(settings.contacts), 28)),
+            _moving=np.zeros((len(settings.contacts), 28)),
+            _arms=len(settings.chain.arms), _n_a=settings.chain.n_a, _in_parts=outside.needed,
+            _limits=None, _given_up=None, _failure=None, _inputs=None, _result=None,
+            motion_law=MotionLoop(settings.gains.motion, settings.dt, records.memory),
+            force_law=ForceLoop(settings.gains.force, settings.dt, records.memory),
+        )  # fmt: skip
+        self._load()
 
-    @property
-    def reason(self) -> str:
-        """Why `status` is not OK; empty if it is."""
-        return self._reason or str(self.given_up or "; ".join(map(str, self.lost_directions)))
+    def _load(self) -> None:
+        """Call the law once with data it refuses: now is the time to compile."""
+        if getattr(self._rows, "signatures", None):
+            return
+        from osc_contact.control.compiling import announced
 
-    @property
-    def f_tare(self) -> Array:
-        """(6,) constant error of the wrist readings at O (N, N m), removed from each."""
-        return self._tare
+        none = np.full(self.chain.nq, np.nan)
+        with announced():
+            r = self._records
+            self._rows(
+                r.row.raw, r.memory_bytes, r.work_bytes, none, none, np.zeros((self._arms, 6)),
+                np.eye(4), np.zeros(6), np.zeros(6), np.zeros(0), self._squeeze, self._still, 0,
+                np.zeros(self._n_a), self._codes, 0, law.END, 0, 1,
+            )  # fmt: skip
+        self._codes[0] = 0
+        if hasattr(self._rows, "disable_compile"):
+            self._rows.disable_compile()  # other types are converted or refused
 
-    @f_tare.setter
-    def f_tare(self, wrench: Array) -> None:
-        self._tare[:] = as_array("f_tare", wrench, (6,))
+    # --- what it is made of ----------------------------------------------------------------------
 
-    @property
-    def f_bias(self) -> Array:
-        """(6,) constant wrench added to the command at O (N, N m)."""
-        return self._bias
+    def __getattr__(self, name: str) -> Any:
+        settings = self.__dict__.get("settings")
+        if settings is not None and name in ("chain", "contacts", "gains", "dt", "B", "bodies",
+                                             "posture", "friction"):  # fmt: skip
+            return getattr(settings, name)
+        if settings is not None and name == "life":
+            return settings.phases
+        raise AttributeError(f"'Controller' has no attribute '{name}'")
 
-    @f_bias.setter
-    def f_bias(self, wrench: Array) -> None:
-        self._bias[:] = as_array("f_bias", wrench, (6,))
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in _SETTABLE and not name.startswith("_"):
+            raise refuse("controller", name, _SETTABLE)
+        object.__setattr__(self, name, value)
 
-    @property
-    def engaged(self) -> bool:
-        """Whether the contacts are part of the model; False: the object counts as free."""
-        return self._engaged
+    def with_gains(self, gains: Gains) -> Controller:
+        """Another controller with these gains that goes on from here without a jump.
 
-    @engaged.setter
-    def engaged(self, engaged: bool) -> None:
-        self._engaged = engaged
-        if self.life is None or not engaged:
-            self.terms.rows[:, 0] = engaged
+        The force integral is a force and stays. What the motion integral commands stays too: ∫e is
+        scaled by the old gain over the new one, or handed to `f_bias` if the new one is 0.
+        """
+        settings = replace(self.settings, gains=gains)
+        other = self._another(settings, self.laws)
+        other._records.row.set_gains(settings)
+        before, after = self.gains.motion.integral, gains.motion.integral
+        if after > 0.0:
+            other.motion_law.integral = self.motion_law.integral * (before / after)
+        elif self._records.memory.ticked:
+            self._copy_work(other)
+            other._records.row.head.integral = before
+            other._hand_over()
+            other._records.row.head.integral = 0.0
+        contacts = other._records.contacts
+        if self.settings.phases is None:
+            contacts.gain[:], contacts.damping[:] = gains.force.integral, gains.force.damping
+        return other
+
+    def with_laws(self, **laws: Callable[..., Any] | None) -> Controller:
+        """Another controller that goes on from here with laws of the user's own, see `Laws`."""
+        return self._another(self.settings, replace(self.laws, **laws))
+
+    def _another(self, settings: Settings, laws: Laws) -> Controller:
+        other = Controller.__new__(type(self))
+        row = self._records.row.copy()
+        other._begin(settings, laws, TickRecords(row, self._records.memory_bytes))
+        return other
+
+    def _copy_work(self, other: Controller) -> None:
+        other._records.work_bytes[:] = self._records.work_bytes
+
+    def __copy__(self) -> Controller:
+        other = self._another(self.settings, self.laws)
+        self._copy_work(other)
+        for name in ("_given_up", "_failure", "_inputs"):
+            setattr(other, name, getattr(self, name))
+        other._codes[0] = self._codes[0]
+        return other
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Controller:
+        return self.__copy__()
+
+    def __getstate__(self) -> dict[str, Any]:
+        r = self._records
+        return {
+            "settings": self.settings, "laws": self.laws, "columns": dict(r.row.pairs.given),
+            "memory": r.memory_bytes, "work": r.work_bytes, "code": int(self._codes[0]),
+            "given_up": self._given_up, "inputs": self._inputs,
+        }  # fmt: skip
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        outside = Outside(state["settings"], state["laws"])
+        row = outside.pack(state["columns"])
+        self._begin(state["settings"], state["laws"], TickRecords(row, state["memory"]))
+        self._records.work_bytes[:] = state["work"]
+        self._codes[0], self._given_up = state["code"], state["given_up"]
+        self._inputs = state["inputs"]
+
+    # --- a tick ----------------------------------------------------------------------------------
 
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
         """Motor torques (n_a,) for one control period.
@@ -163,101 +252,185 @@ class Controller(Boxes):
         Never raises on bad data, never returns a torque that is not finite or exceeds a limit: a
         tick that cannot be computed repeats the last good torques, see `status`.
         """
-        if self.life is None:
-            return self._computed(measurement, reference)
-        last = self._last_tau.copy()
-        tau = self._computed(measurement, live(self, self.life, reference))
-        if self.ticked and self.status is not Status.HELD:
-            step = self.life.settings.torque_rate * self.force_law.dt * self.chain.tau_max
-            self._last_tau[:] = tau = slewed(tau, last, step)
-        self.ticked |= self.status is not Status.HELD
+        try:
+            touched, flags, table = measurement.touched, 0, self._still
+            if touched is not None:
+                table, flags = self._motions(touched), law.MOVING
+            if self._arms < 3:
+                self._squeeze[0] = reference.squeeze_d
+            else:
+                flags |= self._bar_forces(reference.squeeze_d)
+            tau = np.empty(self._n_a)
+            records = self._records
+            args = (
+                measurement.q, measurement.v, measurement.wrenches, reference.X_WD.homogeneous,
+                reference.V_D, reference.A_D, reference.alpha_d, self._squeeze, table,
+            )  # fmt: skip
+            if self._in_parts:
+                self._outside.tick(self, measurement, reference, args, flags, tau)
+            else:
+                self._rows(
+                    records.row.raw, records.memory_bytes, records.work_bytes, *args, flags, tau,
+                    self._codes, 0, 4, 0, 1,
+                )  # fmt: skip
+        except _REFUSED as error:
+            return self._convert(measurement, reference, error)
+        if self._codes[0] != 0 or self._in_parts:
+            return self._end(tau, measurement, reference)
         return tau
 
-    def _computed(self, measurement: Measurement, reference: Reference) -> Array:
-        fast = self._fast
-        if fast is not None and not self.restaged:
-            code = fast(measurement, reference)
-            if code != ASK:
-                if self._looked:
-                    self._looked = self._by_twin = False
-                    self.signals.__dict__.clear()
-                    self.signals.__dict__["_fill"] = self._fill_signals
-                self.status, self._reason, self.given_up = Status.OK, "", None
-                self.lost_directions = ()
-                if code == SATURATED:
-                    try:
-                        self.status, self.given_up = Status.SATURATED, fast.relieve()
-                    except OscContactError as error:
-                        self._hold(error)
-                return self._last_tau.copy()
-        return self._readable_tick(measurement, reference)
-
-    def _readable_tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """The tick box by box; it also has the last word where the kernels have none."""
-        s, before = Signals(), (self.motion_law.integral, self.force_law.integral)
+    def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
+        """A tick whose arrays are of other types: made what the law takes, or held."""
         try:
-            self._take_in(measurement, reference, s)
-            for stage in self.STAGES:
-                stage(self, s)
-            self._last_tau[:] = within_limits(self, s, *before)
-            note_lost(self, s.state, before[0])
-            self.signals.__dict__.clear()
-            self.signals.__dict__.update(s.__dict__)
-            self._looked = self._by_twin = True
-        except (OscContactError, np.linalg.LinAlgError) as error:
-            self._hold(error)
-            self.motion_law.integral, self.force_law.integral = before
-        return self._last_tau.copy()
+            require_sizes(measurement, reference, self.settings)
+            m, r = _converted(measurement, reference)
+            if _same_types(m, measurement, r, reference):
+                raise error
+            return self.tick(m, r)
+        except _REFUSED as why:
+            self._hold(why)
+            self._inputs = (measurement, reference)
+            return self._records.torques.copy()
 
     def _hold(self, error: Exception) -> None:
-        self.status, self._reason, self.given_up = Status.HELD, str(error), None
+        work = self._records.work
+        self._codes[0], self._failure = HELD, error
+        work.status, work.reason, self._records.memory.fresh = HELD, OUTSIDE, 0
 
-    def _fill_signals(self) -> None:
-        assert self._fast is not None
-        self.signals.__dict__.update(self._fast.replay().__dict__)
-        self._looked = True
+    def _end(self, tau: Array, measurement: Measurement, reference: Reference) -> Array:
+        """What is left to do after a tick that did not end OK."""
+        code, self._given_up = int(self._codes[0]), None
+        if code == Status.HELD:
+            self._inputs = (measurement, reference)
+            work = self._records.work
+            if work.reason == OBJECT_UNKNOWN and self._locate(measurement.q):
+                return self.tick(measurement, reference)
+            if work.reason != OUTSIDE:
+                self._failure = None
+        elif code == Status.SATURATED:
+            try:
+                if self.laws.structure is not None:
+                    return self._scale(tau)
+                if self._limits is None:
+                    self._limits = MotorLimits(self.settings, self._records.row)
+                self._given_up = self._limits.relieve(self._records, tau)
+            except SolverError as error:
+                self._hold(error)
+                tau[:] = self._records.torques
+        return tau
 
-    def last_signals(self) -> Signals:
-        """The wires of the last tick that could be computed.
+    def _scale(self, tau: Array) -> Array:
+        """Torques of a structure law beyond a limit: all scaled by one factor until none is."""
+        rows, chain = self._records, self.chain
+        wanted = rows.joints.tau[chain.actuated]
+        share = np.abs(wanted) / chain.tau_max
+        motor = int(np.argmax(share))
+        tau[:] = wanted / share[motor]
+        rows.torques[:] = tau
+        self._given_up = GivenUp(
+            (chain.joint_names[chain.actuated[motor]],), wanted[[motor]], chain.tau_max[[motor]],
+            np.zeros(0), np.zeros(6), np.zeros(0), False,
+        )  # fmt: skip
+        return tau
+
+    def _motions(self, touched: Touched) -> Array:
+        table, count = self._moving, len(self._moving)
+        if len(touched.X_WE) != count or len(touched.V_E) != count or len(touched.A_E) != count:
+            raise InvalidInputError(f"touched: {len(touched.X_WE)} motions for {count} contacts")
+        table[:, :16] = np.reshape(touched.X_WE, (count, 16))
+        table[:, 16:22], table[:, 22:] = touched.V_E, touched.A_E
+        return table
+
+    def _bar_forces(self, squeeze_d: float | Array) -> int:
+        """Internal forces of three arms and more; the number 0 leaves them at least effort."""
+        self._squeeze[:] = squeeze_d
+        return 0 if np.ndim(squeeze_d) == 0 and squeeze_d == 0.0 else law.COMMANDED
+
+    def _locate(self, q: Array) -> bool:
+        """Find the object from the joints alone; from then on the law does, tick by tick."""
+        import pinocchio as pin
+
+        chain = self.chain
+        memory = self._records.memory
+        if chain.leader is not None or memory.located == 2:  # 2: tried at this tick already
+            memory.located = 0
+            return False
+        data = chain.model.createData()
+        pin.forwardKinematics(chain.model, data, q)
+        try:
+            X_WO = chain.object_pose(data)
+        except OscContactError:
+            return False
+        memory.X_WO[:], memory.located = X_WO.homogeneous, 2
+        return True
+
+    # --- what the last tick said -----------------------------------------------------------------
+
+    @property
+    def status(self) -> Status:
+        """How the last tick ended."""
+        return Status(int(self._codes[0]))
+
+    @property
+    def reason(self) -> str:
+        """Why `status` is not OK; empty if it is."""
+        if self.status is Status.HELD:
+            return explain(self._records, self.settings, *self._inputs, self._failure)
+        return str(self.given_up or "; ".join(map(str, self.lost_directions)))
+
+    @property
+    def given_up(self) -> GivenUp | None:
+        """What motor limits cost in the last tick; None: nothing."""
+        return self._given_up if self.status is Status.SATURATED else None
+
+    @property
+    def lost_directions(self) -> tuple[LostDirection, ...]:
+        """In which motion commands were faded near a singular posture."""
+        if self.status is Status.HELD:
+            return ()
+        return self._records.lost_directions([arm.name for arm in self.chain.arms])
+
+    @property
+    def signals(self) -> Signals:
+        """The signals of fig. 4 as the last computed tick left them.
 
         Raises:
             InvalidInputError: there was none yet.
         """
-        if not hasattr(self.signals, "tau"):
-            raise InvalidInputError(
-                "no tick has been computed yet; call tick first"
-                + (f" (the last one was held: {self.reason})" if self.reason else "")
-            )
+        self._require_tick()
+        squeeze = float(self._squeeze[0]) if self._arms < 3 else self._squeeze.copy()
+        return Signals(self.settings, self._records, squeeze, self._records.torques)
+
+    def last_signals(self) -> Signals:
+        """The same."""
         return self.signals
 
-    def last_torques(self) -> Array:
-        """(n_a,) what the last tick gave out."""
-        return self._last_tau.copy()
-
-    def kernel_call(self, measurement: Measurement, reference: Reference) -> Callable[[], int]:
-        """The kernel call of a tick by itself, to be timed; the state of the loops moves on."""
-        if self._fast is None:
-            raise InvalidInputError("this controller runs on the readable path: no kernel to call")
-        return self._fast.bare_call(measurement, reference)
-
-    def found(self) -> Found:
-        """The numbers of the last computed tick that recordings keep.
-
-        After a compiled tick they cost nothing, and are overwritten by the next one.
+    def found(self) -> TickResult:
+        """The numbers of the last tick that recordings keep; the next tick overwrites them.
 
         Raises:
             InvalidInputError: there was no tick yet.
         """
-        if self._fast is not None and not self._by_twin:
-            return self._fast.found
-        return Found.of(self.last_signals(), self)
+        self._require_tick()
+        result = self.__dict__.get("_result")
+        if result is None or result.records is not self._records:
+            result = self._result = TickResult.of(self._records)
+        return result
+
+    def _require_tick(self) -> None:
+        if not self._records.memory.ticked:
+            raise InvalidInputError(
+                "no tick has been computed yet; call tick first"
+                + (f" (the last one was held: {self.reason})" if self.status else "")
+            )
+
+    def last_torques(self) -> Array:
+        """(n_a,) what the last tick gave out."""
+        return self._records.torques.copy()
 
     def joint_acceleration(self) -> Array:
         """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
-        if self._fast is not None and not self._by_twin:
-            return self._fast.acceleration.copy()
-        s = self.last_signals()
-        return np.asarray(s.state.W @ s.eta_c + s.state.w)
+        return np.array(self._records.joints.acceleration)
 
     def residual_wrench(self) -> Array:
         """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
@@ -266,7 +439,59 @@ class Controller(Boxes):
         cannot be told from contact forces once contact is made.
         """
         found = self.found()
-        return found.f_meas + self.f_tare - found.bias_out
+        return np.asarray(found.f_meas + self.f_tare - found.bias_out)
+
+    def phases(self) -> Array:
+        """(contacts,) open 0, approaching 1, closed 2 (`Phase`) as of the last tick."""
+        contacts = self._records.contacts
+        phase = contacts.phase if self.life is not None else Phase.CLOSED
+        return np.where(contacts.active != 0, phase, Phase.OPEN).astype(np.int64)
+
+    def kernel_call(self, measurement: Measurement, reference: Reference) -> Callable[[], Any]:
+        """The law's call of a tick by itself, to be timed; the state of the loops moves on."""
+        self.tick(measurement, reference)
+        r, tau = self._records, np.empty(self._n_a)
+        args = (
+            r.row.raw, r.memory_bytes, r.work_bytes, measurement.q, measurement.v,
+            measurement.wrenches, reference.X_WD.homogeneous, reference.V_D, reference.A_D,
+            reference.alpha_d, self._squeeze, self._still, 0, tau, self._codes, 0, law.END, 0, 1,
+        )  # fmt: skip
+        return lambda: self._rows(*args)
+
+    def wiring(self, measurement: Measurement, reference: Reference) -> list[Block]:
+        """The boxes of fig. 4 with the signals that each reads and writes."""
+        return self.laws.boxes(BLOCKS)
+
+    # --- contact ---------------------------------------------------------------------------------
+
+    @property
+    def f_tare(self) -> Array:
+        """(6,) constant error of the wrist readings at O (N, N m), removed from each."""
+        return np.array(self._records.memory.f_tare)
+
+    @f_tare.setter
+    def f_tare(self, wrench: Array) -> None:
+        self._records.memory.f_tare[:] = as_array("f_tare", wrench, (6,))
+
+    @property
+    def f_bias(self) -> Array:
+        """(6,) constant wrench added to the command at O (N, N m)."""
+        return np.array(self._records.memory.f_bias)
+
+    @f_bias.setter
+    def f_bias(self, wrench: Array) -> None:
+        self._records.memory.f_bias[:] = as_array("f_bias", wrench, (6,))
+
+    @property
+    def engaged(self) -> bool:
+        """Whether the contacts are part of the model; False: the object counts as free."""
+        return bool(self._records.memory.engaged)
+
+    @engaged.setter
+    def engaged(self, engaged: bool) -> None:
+        self._records.memory.engaged = engaged
+        if self.life is None or not engaged:
+            self._records.contacts.active[:] = engaged
 
     def engage(self) -> None:
         """Take the contacts into the model, without a jump.
@@ -275,26 +500,55 @@ class Controller(Boxes):
         constant wrench, in the contact directions too; the integrators start again from zero.
         """
         if not self.engaged:
-            hand_over(self)
+            self._require_tick()
+            self._hand_over()
             self.force_law.integral = np.zeros(0)
             self.engaged = True
 
-    @property
-    def restaged(self) -> bool:
-        """Whether STAGES were replaced: then only reading them one by one computes the tick."""
-        return self.STAGES is not Controller.STAGES
+    def _hand_over(self) -> None:
+        r, six = self._records, np.zeros(6)
+        codes = self._codes.copy()
+        self._rows(
+            r.row.raw, r.memory_bytes, r.work_bytes, np.zeros(self.chain.nq),
+            np.zeros(self.chain.nq), np.zeros((self._arms, 6)), np.eye(4), six, six, np.zeros(0),
+            self._squeeze, self._still, 0, np.zeros(self._n_a), codes, law.HAND_OVER, law.END, 0, 1,
+        )  # fmt: skip
 
-    # --- border --------------------------------------------------------------------------------
+    def _reset_contacts(self) -> None:
+        """All contacts closed, their terms those of the force law."""
+        contacts, gains, life = self._records.contacts, self.gains.force, self.life
+        contacts.active[:], contacts.phase[:] = 1, Phase.CLOSED
+        contacts.gain[:], contacts.damping[:] = gains.integral, gains.damping
+        contacts.least[:] = -np.inf
+        contacts.since[:] = 0.0 if life is None else life.rise
+        self._records.column_memory.closed[:] = 1
 
-    def wiring(self, measurement: Measurement, reference: Reference) -> list[Block]:
-        """The boxes with the signals each one really read and wrote, observed during one tick."""
-        before = (self.motion_law.integral, self.force_law.integral)
-        wires = TracedSignals()
-        self._take_in(measurement, reference, wires)
-        blocks = observed(self, self.STAGES, wires)
-        self.motion_law.integral, self.force_law.integral = before
-        return blocks
 
-    def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
-        self.status, self._reason, self.given_up = Status.OK, "", None
-        take_in(measurement, reference, s, len(self.chain.arms), len(self.contacts))
+def _converted(measurement: Measurement, reference: Reference) -> tuple[Measurement, Reference]:
+    def array(x: Any) -> Array:
+        return np.ascontiguousarray(x, dtype=float)
+
+    touched = measurement.touched
+    if touched is not None:
+        touched = Touched(array(touched.X_WE), array(touched.V_E), array(touched.A_E))
+    return (
+        replace(
+            measurement,
+            q=array(measurement.q),
+            v=array(measurement.v),
+            wrenches=array(measurement.wrenches),
+            touched=touched,
+        ),
+        replace(
+            reference,
+            V_D=array(reference.V_D),
+            A_D=array(reference.A_D),
+            alpha_d=array(reference.alpha_d),
+        ),
+    )
+
+
+def _same_types(m: Measurement, old: Measurement, r: Reference, before: Reference) -> bool:
+    pairs = [(m.q, old.q), (m.v, old.v), (m.wrenches, old.wrenches), (r.V_D, before.V_D),
+             (r.A_D, before.A_D), (r.alpha_d, before.alpha_d)]  # fmt: skip
+    return all(a is b for a, b in pairs)

@@ -1,34 +1,16 @@
-"""Contact life: which contacts are open, approached or closed, and what that means for the law.
-
-    OPEN ── a force is wanted ──▶ APPROACHING ── contact made ──▶ CLOSED
-     ▲                             │      ▲                         │
-     └──── no force is wanted ─────┘      └────── contact lost ─────┤
-     └──────────────────── no force is wanted ──────────────────────┘
-
-An open contact is out of N: its column is free motion. A closed one is in N under the law of
-fig. 5. An approaching one is in N too, but in place of the force law it gets a damper that drags it
-towards its face at a set speed, α_u = K_a (v_a − NᵀV_rel): a guarded move, which pushes with no
-more than K_a v_a when the face is met before anybody has noticed. So N does not change at the
-moment of impact, and every magnitude of a contact to be made is measured by the filter of fig. 5.
-Made and lost is told by `monitor.watched`.
-"""
+"""Contact phases: which contacts are open, approached or closed; `law.phases` runs them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
-from osc_contact.control.force import ForceGains
-from osc_contact.control.monitor import Heard, MonitorLimits, MonitorState, heard, watched
+from osc_contact.control.monitor import MonitorLimits
 from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import Array
 
-__all__ = ["ContactLife", "LifeSettings", "LifeState", "Phase", "commanded", "lived", "slewed"]
-
-Flags = NDArray[np.bool_]
+__all__ = ["LifeSettings", "Phase"]
 
 
 class Phase(IntEnum):
@@ -83,160 +65,3 @@ class LifeSettings:
                 f"pushes with {self.push:g} N, which is not seen as contact below "
                 f"force_on = {self.limits.force_on:g} N; raise speed or damping, or lower force_on"
             )
-
-
-@dataclass(frozen=True)
-class LifeState:
-    """Where each contact stands.
-
-    Attributes:
-        phase: (contacts,) of `Phase`. since: (contacts,) s in this phase.
-        seen: the monitor's state of each magnitude (r_all,). heard: what it listens to.
-    """
-
-    phase: Array
-    since: Array
-    seen: MonitorState
-    heard: Heard
-
-    @property
-    def active(self) -> Flags:
-        """(contacts,) whether the contact is in N."""
-        return np.asarray(self.phase != Phase.OPEN)
-
-
-@dataclass(frozen=True)
-class Columns:
-    """What is fixed about the columns of N.
-
-    Attributes:
-        owners: (r_all,) contact of each. pushing: (contacts,) whether it can only push; the others
-            (hinges, holes, grooves) are closed for ever.
-    """
-
-    owners: NDArray[np.intp]
-    pushing: Flags
-
-    def any(self, flags: Array) -> Flags:
-        """(contacts,) whether any column of the contact has its flag (r_all,) set."""
-        return np.bincount(self.owners, flags, len(self.pushing)) > 0.0
-
-    def all(self, flags: Array) -> Flags:
-        """(contacts,) whether all have."""
-        return ~self.any(~flags)
-
-
-def lived(
-    state: LifeState,
-    alpha: Array,
-    speed: Array,
-    inertia: Array,
-    wanted: Array,
-    columns: Columns,
-    dt: float,
-    settings: LifeSettings,
-) -> LifeState:
-    """The state one tick later.
-
-    Args:
-        state: before.
-        alpha, speed: (r_all,) measured magnitudes (N) and NᵀV_rel (m/s), 0 out of N.
-        inertia: (r_all, r_all) of what is outboard of the sensors (kg), see `monitor.heard`.
-        wanted: (r_all,) desired magnitudes; a contact with none > 0 is left.
-        columns, dt, settings: as they are.
-    """
-    here = state.active[columns.owners]
-    audible, force = heard(state.heard, alpha, speed, inertia, here, dt, settings.lag)
-    more = settings.share * _risen(state, columns, settings) * (wanted - settings.push)
-    force, more = np.where(here, force, 0.0), np.maximum(more, 0.0)
-    seen = watched(state.seen, force, speed, dt, settings.limits, more)
-    held = seen.closed & here
-    seen = replace(seen, closed=held, collision=seen.collision & held)
-    light = wanted <= settings.limits.force_on  # too little to be told from nothing
-    made = columns.all(held | light) & columns.any(held)
-    closed = np.where(made, Phase.CLOSED, Phase.APPROACHING)
-    closed = np.where(state.phase == Phase.OPEN, Phase.APPROACHING, closed)
-    phase = np.where(columns.any(wanted > 0.0), closed, Phase.OPEN)
-    phase = np.where(columns.pushing, phase, Phase.CLOSED)
-    since = np.where(phase == state.phase, state.since + dt, 0.0)
-    return LifeState(phase, since, seen, audible)
-
-
-def commanded(
-    state: LifeState,
-    wanted: Array,
-    columns: Columns,
-    gains: ForceGains,
-    settings: LifeSettings,
-    rows: Array,
-) -> Array:
-    """Goals α (r_all,) for the force law, and its terms for each contact.
-
-    Args:
-        state: see `lived`. wanted: (r_all,) desired magnitudes (N).
-        columns, gains, settings: as they are.
-        rows: (contacts, 4) filled, see `ContactTerms`.
-    """
-    approaching, guarded = state.phase == Phase.APPROACHING, columns.pushing
-    on_its_way = state.since * settings.speed < settings.travel
-    push = settings.push
-    rows[:, 0] = state.active
-    rows[:, 1] = np.where(approaching, 0.0, gains.integral)
-    rows[:, 2] = np.where(approaching, settings.damping, gains.damping)
-    rows[:, 3] = np.where(guarded & ~approaching, settings.least, -np.inf)
-    start = np.where(approaching, push * on_its_way, push)[columns.owners]
-    risen = np.where(guarded[columns.owners], _risen(state, columns, settings), 1.0)
-    return np.asarray(start + risen * (wanted - start))
-
-
-def _risen(state: LifeState, columns: Columns, settings: LifeSettings) -> Array:
-    """(r_all,) how much of the way from K_a v_a to its command each force has risen."""
-    risen = np.minimum(state.since / settings.rise, 1.0)
-    own = columns.pushing & (state.phase == Phase.CLOSED)
-    return np.where(own, risen, 0.0)[columns.owners]
-
-
-def slewed(tau: Array, last: Array, step: Array) -> Array:
-    """Torques on the straight way from `last` to `tau`, no motor further than its `step` (> 0)."""
-    change = tau - last
-    share = float(np.max(np.abs(change) / step, initial=0.0))
-    return tau if share <= 1.0 else last + change / share
-
-
-class ContactLife:
-    """`lived`, remembered from tick to tick.
-
-    Attributes:
-        settings: as given. columns: of N. state: of the last tick.
-    """
-
-    def __init__(
-        self, settings: LifeSettings, owners: Array, pushing: Array, dt: float, closed: bool
-    ) -> None:
-        """Start with every pushing contact closed, or open.
-
-        Args:
-            settings: of all contacts. owners: (r_all,) the contact of each column of N.
-            pushing: (contacts,) whether it can only push (`contacts.unilateral`).
-            dt: control period (s). closed: at the start.
-        """
-        pushing = np.asarray(pushing, dtype=bool)
-        self.settings, self.dt = settings, dt
-        self.columns = Columns(np.asarray(owners, dtype=np.intp), pushing)
-        phase = np.where(closed | ~pushing, Phase.CLOSED, Phase.OPEN)
-        since = np.full(len(pushing), settings.rise)
-        seen = MonitorState.of((phase == Phase.CLOSED)[self.columns.owners])
-        self.state = LifeState(phase, since, seen, Heard.nothing(len(self.columns.owners)))
-
-    def advance(self, wanted: Array, alpha: Array, speed: Array, inertia: Array) -> Flags:
-        """One tick; arguments as in `lived`.
-
-        Returns:
-            (r_all,) which columns go on under force control: only their integrals are kept.
-        """
-        before = self.state.phase
-        self.state = lived(
-            self.state, alpha, speed, inertia, wanted, self.columns, self.dt, self.settings
-        )  # fmt: skip
-        kept = (before == Phase.CLOSED) & (self.state.phase == Phase.CLOSED)
-        return np.asarray(kept[self.columns.owners])

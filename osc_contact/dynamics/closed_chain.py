@@ -212,6 +212,8 @@ class ClosedChain:
         v: npt.ArrayLike,
         X_WO: pin.SE3 | None = None,
         V_O: npt.ArrayLike | None = None,
+        *,
+        data: pin.Data | None = None,
     ) -> ChainState:
         """Everything the contact model needs to know of the chain at (q, v).
 
@@ -219,6 +221,7 @@ class ClosedChain:
             q: (n,) joint positions, arms in order, each in model order, passive joints included.
             v: (n,) joint velocities, consistent with the closed loop.
             X_WO, V_O: pose and twist (6,) of the object, where the joints do not tell them.
+            data: to work in (threads need one each); default: the chain's own.
 
         Raises:
             InvalidInputError: wrong sizes or non-finite numbers.
@@ -227,16 +230,16 @@ class ClosedChain:
         """
         q = as_array("q", q, (self.nq,))
         v = as_array("v", v, (self.nq,))
-        model, data = self.model, self.data
+        model, data = self.model, self.data if data is None else data
         pin.computeAllTerms(model, data, q, v)
         gravity = model.gravity.linear
-        tips = self.tip_poses()
+        tips = self.tip_poses(data)
         if X_WO is None:
-            X_WO = self.object_pose()
+            X_WO = self.object_pose(data)
         O = X_WO.translation  # noqa: E741 - the operational point
         J = columns_at(data.J, O)
         twists = [J[:, s] @ v[s] for s in self.slices]
-        V_O = self._twist(twists, X_WO) if V_O is None else as_array("V_O", V_O, (6,))
+        V_O = self._twist(twists, X_WO, tips) if V_O is None else as_array("V_O", V_O, (6,))
         reference = self.reference.terms(X_WO, V_O, gravity)
         payload = reference if self.payload is not None else _NOTHING
         L = np.linalg.cholesky(reference.Lambda)
@@ -259,7 +262,7 @@ class ClosedChain:
         G = W.T[:, self.actuated]
         undriven = self._undriven(G, S)
         filters, Lambda_out, bias_out = self._wrist_terms(
-            terms, passed, J, v, payload, O, gravity, L
+            terms, passed, J, v, payload, O, gravity, L, data
         )
         return ChainState(
             X_WO=X_WO,
@@ -280,7 +283,7 @@ class ClosedChain:
             payload=payload,
             metric=reference.Lambda,
             grasp_points=np.array([t.translation for t in tips]),
-            sensors=tuple(None if f is None else self._placement(f) for f in self.sensors),
+            sensors=tuple(None if f is None else self._placement(f, data) for f in self.sensors),
             filters=filters,
             Lambda_out=Lambda_out,
             bias_out=bias_out,
@@ -291,38 +294,41 @@ class ClosedChain:
             full_ranks=self.full_ranks,
         )
 
-    def tip_poses(self) -> list[pin.SE3]:
+    def tip_poses(self, data: pin.Data | None = None) -> list[pin.SE3]:
         """Pose of each arm's tip in the world, at the positions last given to `data`."""
-        return [self._placement(f) for f in self.tips]
+        return [self._placement(f, data) for f in self.tips]
 
     def object_poses(self) -> list[pin.SE3]:
         """Pose of the object according to each arm, its grasp at zero, at the same positions."""
         return [tip * grasp.X_TO for tip, grasp in zip(self.tip_poses(), self.grasps, strict=True)]
 
-    def object_pose(self) -> pin.SE3:
+    def object_pose(self, data: pin.Data | None = None) -> pin.SE3:
         """Pose of the object at the same positions.
 
         Raises:
             ModelError: the joints do not tell it.
         """
         if self.leader is not None:
-            return self._placement(self.tips[self.leader]) * self.grasps[self.leader].X_TO
-        return locate(self.grasps, self.tip_poses(), self.reference_inertia, self.rank_tolerance)
+            return self._placement(self.tips[self.leader], data) * self.grasps[self.leader].X_TO
+        tips = self.tip_poses(data)
+        return locate(self.grasps, tips, self.reference_inertia, self.rank_tolerance)
 
-    def _twist(self, twists: Sequence[Array], X_WO: pin.SE3) -> Array:
+    def _twist(
+        self, twists: Sequence[Array], X_WO: pin.SE3, tips: Sequence[pin.SE3]
+    ) -> Array:
         if self.leader is not None:
             return twists[self.leader]
         inertia = self.reference_inertia(X_WO)
-        tips, O = self.tip_poses(), X_WO.translation  # noqa: E741
+        O = X_WO.translation  # noqa: E741
         return object_twist(self.grasps, tips, twists, O, inertia, self.rank_tolerance)
 
     def reference_inertia(self, X_WO: pin.SE3) -> Array:
         """(6, 6) inertia of the object at its own origin, or of its stand-in if nothing is held."""
         return self.reference.terms(X_WO, np.zeros(6), np.zeros(3)).Lambda
 
-    def _placement(self, frame: int) -> pin.SE3:
+    def _placement(self, frame: int, data: pin.Data | None = None) -> pin.SE3:
         at = self.model.frames[frame]
-        return self.data.oMi[at.parentJoint] * at.placement
+        return (self.data if data is None else data).oMi[at.parentJoint] * at.placement
 
     def _intersect(self, terms: Sequence[ArmTerms], L: Array) -> tuple[Array, Array, Array]:
         """S = ∩ range(J_i), C with CᵀS = 0, and σ with C_iᵀσ = C_iᵀγ_i.
@@ -365,9 +371,10 @@ class ClosedChain:
         O: Array,  # noqa: E741
         gravity: Array,
         L: Array,
+        data: pin.Data,
     ) -> tuple[tuple[Array | None, ...], Array, Array]:
         Lambda, bias = payload.Lambda.copy(), payload.mu + payload.p
-        placements, filters = list(self.data.oMi), list[Array | None]()
+        placements, filters = list(data.oMi), list[Array | None]()
         for i, (links, s, t) in enumerate(zip(self.outboard, self.slices, terms, strict=True)):
             inertia, wrench, P = outboard_terms(
                 links, placements, J[:, s], v[s], self._columns, t.J_bar, t.gamma, O, gravity

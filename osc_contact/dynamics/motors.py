@@ -8,7 +8,7 @@ import pinocchio as pin
 from osc_contact.errors import ModelError
 from osc_contact.spatial import Array
 
-__all__ = ["effort_limits"]
+__all__ = ["effort_limits", "effort_scale"]
 
 _UNLIMITED = 1e12  # N m or N: an effort limit that is none
 
@@ -29,3 +29,9 @@ def effort_limits(model: pin.Model, actuated: Array) -> Array:
                 "joints"
             )
     return np.where(given < _UNLIMITED, given, np.inf)
+
+
+def effort_scale(tau_max: Array) -> Array:
+    """(n_a,) what torques are measured by: τ_max, for motors without limit the largest of them."""
+    finite = np.isfinite(tau_max)
+    return np.where(finite, tau_max, tau_max[finite].max() if finite.any() else 1.0)

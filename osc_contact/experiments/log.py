@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from osc_contact.control.controller import Controller
-from osc_contact.control.found import Found
 from osc_contact.control.life import Phase
-from osc_contact.control.linkage import bars
-from osc_contact.control.living import measured, phases
+from osc_contact.control.result import TickResult, internal_forces
 from osc_contact.experiments.rig import Rig
 from osc_contact.interface import Measurement
 from osc_contact.plants.plant import Plant
@@ -16,7 +14,7 @@ from osc_contact.spatial import Array
 
 __all__ = ["Log"]
 
-#: What of `Found` is kept, and how many numbers that is.
+#: What of `TickResult` is kept, and how many numbers that is.
 FOUND = {
     "f_meas": 6, "bias_out": 6, "V_O": 6, "X_WO": 16, "f_c": 6, "error": 6, "free_error": 6,
     "squeeze": 1,
@@ -44,7 +42,7 @@ class Log:
         self.phase = np.zeros((lived, len(rig.pairs)), dtype=np.int64)
         self.seen = np.zeros((2, lived, r), dtype=bool)
         sizes = {"q": n, "v": n, "tau": n_a, "alpha": r, "speed": r, **FOUND}
-        sizes["squeeze"] = max(1, bars(len(rig.chain.arms)))
+        sizes["squeeze"] = internal_forces(len(rig.chain.arms))
         if rig.d < 6:  # what the arms can make of an error is to be told
             sizes["J"] = 6 * n
         sizes["truth"] = sum(part.size for part in self.truth.parts)
@@ -52,15 +50,15 @@ class Log:
         self._places = dict(zip(sizes, map(slice, ends[:-1], ends[1:]), strict=True))
         self._rows = np.zeros((ticks, ends[-1]))
         self._of_found = tuple(name for name in sizes if name in FOUND or name == "J")
-        self._r, self._owners = r, rig.owners
-        self._last: Found | None = None
+        self._r = r
+        self._last: TickResult | None = None
 
     def __contains__(self, name: str) -> bool:
         return name in self._places
 
     def rows(self, name: str, start: int, stop: int) -> Array:
         """(stop − start, numbers) of q, v, tau; of alpha and speed, measured magnitudes and NᵀV_rel
-        of all contact forces, 0 where none are measured; of a field of `Found`; or of truth."""
+        of all contact forces, 0 where none are measured; of a field of `TickResult`; or truth."""
         return self._rows[start:stop, self._places[name]]
 
     def ends(self, start: int, stop: int) -> tuple[Array, Array, Array]:
@@ -81,21 +79,20 @@ class Log:
             self._last = found
             self._parts = self._flat(found, found.magnitudes[: self._r], found.speeds[: self._r])
         parts = self._parts
-        if found.rank[0] != self._r:
-            parts = self._flat(found, *measured(controller, self._owners))
+        if found.rank != self._r:
+            parts = self._flat(found, *found.records.spread())
         np.concatenate((measurement.q, measurement.v, tau, *parts), out=self._rows[k])
         self._ends.append((spent, controller.status, controller.engaged))
-        life = controller.life
-        if life is not None:
-            seen = life.state.seen
-            self.phase[k], self.seen[:, k] = phases(controller), (seen.closed, seen.collision)
+        if len(self.phase):
+            seen = found.records.column_memory
+            self.phase[k], self.seen[:, k] = controller.phases(), (seen.closed, seen.collision)
         cost = controller.given_up
         if cost is not None and len(cost.force) == self._r:
             self.given_up[k] = cost.force
         self.truth.note()
         self.count = k + 1
 
-    def _flat(self, found: Found, alpha: Array, speed: Array) -> list[Array]:
+    def _flat(self, found: TickResult, alpha: Array, speed: Array) -> list[Array]:
         fields = (np.ravel(getattr(found, name)) for name in self._of_found)
         return [*_joined([alpha, speed, *fields]), *self.truth.parts]
 

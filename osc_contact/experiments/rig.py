@@ -17,7 +17,7 @@ from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.control.controller import Controller, Gains
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
-from osc_contact.control.life import ContactLife, LifeSettings
+from osc_contact.control.life import LifeSettings
 from osc_contact.control.motion import MotionGains
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, reach
@@ -124,7 +124,7 @@ class Rig:
         """What estimates the velocities that the sensors do not give."""
         return hardware.Observer(self.scenario, self.model, self.bodies)
 
-    def controller(self, *, compiled: bool = True) -> Controller:
+    def controller(self) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
         gains = self.scenario.gains
         return Controller(
@@ -138,26 +138,17 @@ class Rig:
             ),
             posture=self.q_contact,
             engaged=self.scenario.tare is None,
-            compiled=compiled,
             friction=self._friction(),
             life=self._life(),
         )
 
-    def _life(self) -> ContactLife | None:
+    def _life(self) -> LifeSettings | None:
         spec = self.scenario.control.life
         if spec is None:
             return None
-        pushing = [pushes_only(pair) for pair in self.pairs]
         keys = spec.model_dump()
         told = {key: keys.pop(key) for key in ("force_on", "force_off", "power")}
-        limits = replace(LifeSettings().limits, **told)
-        return ContactLife(
-            LifeSettings(**keys, limits=limits),
-            self.owners,
-            np.array(pushing, dtype=bool),
-            1.0 / self.scenario.control.rate,
-            closed=self.scenario.tare is None,
-        )
+        return LifeSettings(**keys, limits=replace(LifeSettings().limits, **told))
 
     def _friction(self) -> Friction | None:
         spec = self.scenario.control.friction

@@ -32,8 +32,8 @@ from osc_contact.control.command_filter import (
     generalised_force,
     object_coordinates,
 )
-from osc_contact.control.controller import Controller, Signals
-from osc_contact.control.wires import block
+from osc_contact.control.controller import Controller
+from osc_contact.control.signals import Signals
 from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.experiments.baselines.selection import Selection
@@ -128,22 +128,13 @@ class SelectionLaw:
 
     def install(self, controller: Controller) -> Controller:
         """Put this law in the place of our filter and control structure; the rest stays."""
+        bias = controller.f_bias
 
-        @block("selection of motion", "filter", r"$\Omega,\ \Lambda$")
-        def select_motion(_: Controller, s: Signals) -> None:
-            s.eta_c = self.eta(s.state, s.a_u)
+        def select(s: Signals) -> tuple[Array, Array]:
+            eta = self.eta(s.state, s.a_u)
+            return eta, generalised_force(s.state, eta, self.selection.force @ s.f_ccomm + bias)
 
-        @block("selection of force", "filter", r"$\Lambda_S\dot\eta_c+b_S+S^T\bar\Omega f$")
-        def select_force(controller: Controller, s: Signals) -> None:
-            f = self.selection.force @ s.f_ccomm + controller.f_bias
-            s.f_S = generalised_force(s.state, s.eta_c, f)
-
-        instead = {
-            Controller._motion_filter: select_motion,
-            Controller._control_structure: select_force,
-        }
-        controller.STAGES = tuple(instead.get(stage, stage) for stage in Controller.STAGES)
-        return controller
+        return controller.with_laws(structure=select)
 
 
 @dataclass(frozen=True)

@@ -10,20 +10,21 @@ import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.contacts.pairs import VertexOnFace
-from osc_contact.control.controller import Controller, Gains
+from osc_contact.control.controller import Controller, Gains, Status
 from osc_contact.control.force import ForceGains
 from osc_contact.control.motion import MotionGains
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.payload import RigidObject
+from osc_contact.errors import InvalidInputError
 from osc_contact.experiments.rig import build_rig
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.scenarios import load_scenario
 from osc_contact.spatial import Array
 
-__all__ = ["CASES", "DT", "Case", "one_panda", "two_contact_rod", "two_pandas"]
+__all__ = ["CASES", "DT", "Case", "one_panda", "require_ok", "two_contact_rod", "two_pandas"]
 
 DT = 1e-3
 MOVING_TICKS = 40
@@ -31,6 +32,18 @@ ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.
 END, RADIUS = np.array([0.29, 0.0, 0.0]), 0.01  # the packaged rod's
 PANDA_Q = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78])
 GAINS = Gains(MotionGains(900.0, 60.0), ForceGains(30.0, 100.0))
+
+
+def require_ok(controller: Controller, name: str) -> None:
+    """Refuse to time a tick that did not end OK.
+
+    Raises:
+        InvalidInputError: with the status and its reason.
+    """
+    if controller.status is not Status.OK:
+        raise InvalidInputError(
+            f"{name}: a timed tick ended {controller.status.name} ({controller.reason})"
+        )
 
 
 @dataclass(frozen=True)
@@ -50,11 +63,10 @@ class Case:
     measurement: Measurement
     reference: Reference
 
-    def controller(self, *, compiled: bool = True, gains: Gains | None = None) -> Controller:
+    def controller(self, *, gains: Gains | None = None) -> Controller:
         """A controller of this rig."""
         return Controller(
-            self.chain, self.pairs, gains or self.gains, dt=DT, posture=self.posture,
-            compiled=compiled,
+            self.chain, self.pairs, gains or self.gains, dt=DT, posture=self.posture
         )  # fmt: skip
 
     def tick(self) -> tuple[Callable[[], Array], Callable[[], None]]:
@@ -65,8 +77,9 @@ class Case:
             return controller.tick(self.measurement, self.reference)
 
         def unwind() -> None:
-            for law in (controller.motion_law, controller.force_law):
-                law.integral[:] = 0.0
+            require_ok(controller, self.name)
+            controller.motion_law.integral = np.zeros(6)
+            controller.force_law.integral = np.zeros(0)
 
         return tick, unwind
 

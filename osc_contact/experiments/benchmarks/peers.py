@@ -67,15 +67,14 @@ def peers_of(case: Case) -> Peers:
     }
     python: dict[str, Callable[[], object]] = {
         "textbook law in NumPy": TextbookLaw(case).tick,
-        "readable twin": _ticking(case.controller(compiled=False), case),
     }
     state = case.chain.state(case.measurement.q, case.measurement.v)
     parts = [pair.contact(state.X_WO, state.V_O) for pair in case.pairs]
     instant = Instant(state, Contact.stack(parts))
     for baseline in BASELINES.values():
         law = best_selection(instant, baseline, restarts=0)
-        controller = law.install(case.controller(compiled=False))
-        python[f"{baseline.label} (readable)"] = _ticking(controller, case)
+        controller = law.install(case.controller())
+        python[f"{baseline.label} (in Python)"] = _ticking(controller, case)
     return Peers(compiled, python, unwind)
 
 

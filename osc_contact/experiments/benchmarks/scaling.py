@@ -13,6 +13,7 @@ from rich.table import Table
 
 from osc_contact.control.controller import Status
 from osc_contact.errors import InvalidInputError
+from osc_contact.experiments.benchmarks.cases import require_ok
 from osc_contact.experiments.benchmarks.measuring import (
     joined,
     machine,
@@ -102,8 +103,9 @@ class _Timed:
             raise InvalidInputError(f"{kind} × {len(chain.arms)}: {controller.reason}")
 
         def unwind() -> None:
-            for law in (controller.motion_law, controller.force_law):
-                law.integral[:] = 0.0
+            require_ok(controller, kind)
+            controller.motion_law.integral = np.zeros(6)
+            controller.force_law.integral = np.zeros(0)
 
         calls: dict[str, Callable[[], object]] = {
             "tick": lambda: controller.tick(measurement, reference),

@@ -1,0 +1,168 @@
+"""What Python evaluates between the parts of a tick: pairs, bodies and laws of the user's own."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.control.laws import Laws
+from osc_contact.control.model_row import ModelRow
+from osc_contact.control.settings import Settings
+from osc_contact.control.signals import Signals
+from osc_contact.control.tick_records import TickRecords
+from osc_contact.errors import ContactError
+from osc_contact.interface import Measurement, Reference
+from osc_contact.law import tick as law
+from osc_contact.law.tables import BODY, ELSEWHERE, HELD
+from osc_contact.spatial import Array
+
+if TYPE_CHECKING:
+    from osc_contact.control.controller import Controller
+
+__all__ = ["Outside"]
+
+
+class Outside:
+    """Calls the parts of a tick one by one, and Python code in between.
+
+    Attributes:
+        needed: whether there is anything to call.
+    """
+
+    def __init__(self, settings: Settings, laws: Laws) -> None:
+        self.settings, self.laws = settings, laws
+        row = self.pack()
+        self._given = [(number, pair) for number, pair, _ in row.pairs.elsewhere]
+        kinds = row.table("bodies", len(settings.contacts), BODY)
+        self._bodies = [
+            (c, settings.bodies[c])
+            for c, one in enumerate(kinds)
+            if one.kind == ELSEWHERE and one.same == c
+        ]
+        own = laws.force or laws.motion or laws.structure
+        self.needed = bool(self._given or self._bodies or own)
+
+    def pack(self, columns: dict[int, int] | None = None) -> ModelRow:
+        """The MODEL row; `columns`: how many of N the given pairs have, by number."""
+        return ModelRow(self.settings, dict(columns or {}))
+
+    def tick(
+        self,
+        controller: Controller,
+        measurement: Measurement,
+        reference: Reference,
+        args: tuple[Any, ...],
+        flags: int,
+        tau: Array,
+    ) -> None:
+        """One tick; the torques go to tau (n_a,), its status to the controller."""
+        codes, laws = controller._codes, self.laws
+
+        def run(begin: int, stop: int, more: int = 0) -> bool:
+            r = controller._records
+            controller._rows(
+                r.row.raw, r.memory_bytes, r.work_bytes, *args, flags | more, tau, codes, begin,
+                stop, 0, 1,
+            )  # fmt: skip
+            return bool(codes[0] != HELD)
+
+        if not run(law.LOOK, law.MEASURE, law.PARTIAL if self._given else 0):
+            return
+        rows = controller._records
+        try:
+            if self._given and rows.contacts.active.any():
+                found = self._evaluate(rows, measurement)
+                if any(N.shape[1] != rows.row.pairs.table[c][2] for c, (N, _) in found.items()):
+                    self._repack(controller, {c: N.shape[1] for c, (N, _) in found.items()})
+                    rows = controller._records
+                    if not run(law.LOOK, law.MEASURE):
+                        return
+                self._put(rows, found)
+            if self._bodies and measurement.touched is not None:
+                self._answer(rows, measurement)
+            if np.size(reference.alpha_d) != len(rows.columns) and rows.memory.engaged:
+                if not run(law.LOOK, law.MEASURE):
+                    return
+            if not run(law.MEASURE, law.COMMAND):
+                return
+            w, given = rows.work, 0
+            r = int(w.rank)
+            if laws.force is not None:
+                alpha = laws.command_force(w.alpha_d[:r].copy(), w.alpha_meas[:r].copy())
+                w.alpha_u[:r], given = alpha, given | law.OWN_FORCE
+            if laws.motion is not None:
+                X, V = pin.SE3(w.X_WO.copy()), w.V_O.copy()
+                w.a_u[:], given = laws.command_motion(reference, X, V), given | law.OWN_MOTION
+            if not run(law.COMMAND, law.ALLOCATE, given):
+                return
+            if laws.structure is not None:
+                self._structure(controller)
+        except Exception as error:  # whatever the user's code raises ends as a status
+            controller._hold(error)
+            tau[:] = rows.torques
+            return
+        run(law.ALLOCATE, law.END)
+
+    def _evaluate(self, rows: TickRecords, measurement: Measurement) -> dict[int, Any]:
+        """N (6, r) and n_γ (r,) of the pairs that only Python knows, where their contact is on."""
+        X, V, found = pin.SE3(rows.work.X_WO.copy()), rows.work.V_O.copy(), {}
+        touched = measurement.touched
+        for number, pair in self._given:
+            if not rows.contacts.active[number]:
+                continue
+            if touched is None:
+                contact = pair.contact(X, V)
+            else:
+                X_WE = pin.SE3(np.asarray(touched.X_WE[number], dtype=float))
+                contact = pair.contact(X, V, X_WE, touched.V_E[number])
+            N, n_gamma = contact.N, contact.n_gamma
+            if not (np.isfinite(N).all() and np.isfinite(n_gamma).all()):
+                raise ContactError(f"{pair.name}: N or n_γ is not finite")
+            if not contact.split_is_unique:
+                N, n_gamma = N @ contact.R, n_gamma @ contact.R
+            found[number] = (N, n_gamma)
+        return found
+
+    def _put(self, rows: TickRecords, found: dict[int, Any]) -> None:
+        for number, _, first in rows.row.pairs.elsewhere:
+            if number in found:
+                N, n_gamma = found[number]
+                part = slice(first, first + N.shape[1])
+                rows.columns.N[part], rows.columns.n_gamma_all[part] = N.T, n_gamma
+
+    def _answer(self, rows: TickRecords, measurement: Measurement) -> None:
+        touched, O = measurement.touched, rows.work.O.copy()  # noqa: E741
+        assert touched is not None
+        for c, body in self._bodies:
+            assert body is not None
+            e = body.environment(pin.SE3(touched.X_WE[c]), touched.V_E[c], touched.A_E[c], O)
+            rows.bodies.answer[c] = np.concatenate((e.Phi_e.ravel(), e.b_e, e.V_e))
+
+    def _repack(self, controller: Controller, changed: dict[int, int]) -> None:
+        """Make room for other numbers of columns; the rest of the memory goes on."""
+        old = controller._records
+        columns = {**old.row.pairs.given, **changed}
+        new = TickRecords(self.pack(columns))
+        new.memory_bytes[: old.memory.itemsize] = old.memory_bytes[: old.memory.itemsize]
+        new.contacts[:], new.torques[:] = old.contacts, old.torques
+        owners = np.asarray(new.row.pairs.owners, dtype=int)
+        new.column_memory.closed[:] = new.contacts.phase[owners] == 2
+        controller._records = new
+        controller.motion_law._memory = new.memory
+        controller.force_law._memory = new.memory
+        controller._limits = None
+
+    def _structure(self, controller: Controller) -> None:
+        """η̇_c and f_S of the own structure law, into the turned energy coordinates."""
+        assert self.laws.structure is not None
+        rows = controller._records
+        signals = Signals(self.settings, rows, 0.0, rows.torques)
+        eta, f_S = self.laws.structure(signals)
+        state = signals.state
+        turn, back = rows.reflection(), rows.motions()
+        rows.work.x[:] = turn @ np.linalg.solve(back, state.S @ eta + state.sigma)
+        H = state.S.T @ state.metric @ state.S
+        wrench = state.metric @ state.S @ np.linalg.solve(H, f_S)
+        rows.work.f_S[:] = turn @ (back.T @ wrench)

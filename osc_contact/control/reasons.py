@@ -1,0 +1,120 @@
+"""Why a tick was held, in words: made of codes and numbers when somebody reads them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from osc_contact.control.settings import Settings
+from osc_contact.control.tick_records import TickRecords
+from osc_contact.errors import OscContactError
+from osc_contact.interface import Measurement, Reference, as_squeeze
+from osc_contact.law import tables as at
+from osc_contact.spatial import as_array
+
+__all__ = ["explain", "require_sizes"]
+
+
+def require_sizes(measurement: Measurement, reference: Reference, settings: Settings) -> None:
+    """Refuse what no tick can take in.
+
+    Raises:
+        InvalidInputError: with what is wrong.
+    """
+    chain, c = settings.chain, len(settings.contacts)
+    k, n = len(chain.arms), chain.nq
+    as_array("q", measurement.q, (n,))
+    as_array("v", measurement.v, (n,))
+    as_array("wrist wrenches", measurement.wrenches, (k, 6))
+    touched = measurement.touched
+    if touched is not None:
+        as_array("touched X_WE", touched.X_WE, (c, 4, 4))
+        as_array("touched V_E", touched.V_E, (c, 6))
+        as_array("touched A_E", touched.A_E, (c, 6))
+    as_array("reference alpha_d", reference.alpha_d, (None,))
+    squeeze = as_squeeze("reference squeeze_d", reference.squeeze_d, k * (k - 1) // 2)
+    if k < 3:
+        as_array("reference squeeze_d", squeeze, ())
+    as_array("reference V_D", reference.V_D, (6,))
+    as_array("reference A_D", reference.A_D, (6,))
+    as_array("reference X_WD", reference.X_WD.homogeneous, (4, 4))
+
+
+def explain(
+    rows: TickRecords,
+    settings: Settings,
+    measurement: Measurement,
+    reference: Reference,
+    failure: Exception | None,
+) -> str:
+    """The sentence for a tick that ended HELD; `failure`: of Python code called in it."""
+    if failure is not None:
+        return str(failure)
+    code, work = int(rows.work.reason), rows.work
+    names = [settings.contacts[c].name for c in rows.row.pairs.owners]
+    if code == at.BAD_INPUT:
+        try:
+            require_sizes(measurement, reference, settings)
+        except OscContactError as error:
+            return str(error)
+        return (
+            f"reference alpha_d: {np.size(reference.alpha_d)} forces for {len(names)} columns of "
+            "N; give one for each degree of constraint, contact after contact"
+        )
+    if code in (at.UNREACHABLE, at.CONTRADICTION):
+        where = int(work.where)
+        chosen = rows.columns.chosen
+        column = int(rows.kept()[where]) if code == at.UNREACHABLE else int(where)
+        name = names[column] if len(chosen) else ""
+        if code == at.UNREACHABLE:
+            return (
+                f"the arms cannot push on contact column {column} ({name}): its mobility is "
+                f"{float(work.amount):.2g} of the free object's. The structure carries this force; "
+                "leave the contact out of N."
+            )
+        return (
+            f"{name}: singular at this instant. Its force depends on those of other contacts, but "
+            f"the acceleration that keeps it does not: column {column} needs n_γ = "
+            f"{float(rows.columns.n_gamma_all[column]):.6g}, the others imply "
+            f"{float(work.amount):.6g}. Drop one of these contacts, or move through this pose "
+            "slower or with the others released"
+        )
+    return _SENTENCES[code]
+
+
+_SENTENCES = {
+    at.NO_REASON: "",
+    at.OBJECT_UNKNOWN: (
+        "the joints do not tell where the object is: its grasps let it move while every arm stands "
+        "still. Grasp it so that this is blocked"
+    ),
+    at.BAD_INERTIA: (
+        "the joint-space inertia of an arm is not positive definite; check the masses and inertias "
+        "of its links"
+    ),
+    at.UNACTUATED: (
+        "the motors cannot drive every motion of the object. Add a motor, or grasp so that the "
+        "motion is blocked"
+    ),
+    at.DEGENERATE_PAIR: (
+        "two edges in contact are parallel: they touch along a line, which edge_on_edge does not "
+        "describe. Give an edge on a face, or turn the object"
+    ),
+    at.DIFFERENT_BODIES: (
+        "dependent contacts on different bodies: how their force is split decides how the bodies "
+        "move, and nothing tells it. Put them on one body, or drop one of them"
+    ),
+    at.INSEPARABLE: (
+        "as seen through the arms, some contact columns are dependent: their forces cannot be told "
+        "apart. Keep an independent subset"
+    ),
+    at.BAD_METRIC: "the metric B of eq. 24 is singular in the motions that the arms permit",
+    at.NOT_FINITE: (
+        "the computed torques are not finite: the measured state or the integrals are out of any "
+        "range. Check the sensors; reset the integrals"
+    ),
+    at.BLIND: (
+        "the inertia beyond the wrist sensors is singular: they cannot tell the contact force. "
+        "Check mass and inertia of gripper and object"
+    ),
+    at.OUTSIDE: "code called in the tick failed",
+}

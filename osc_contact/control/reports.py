@@ -1,0 +1,82 @@
+"""What a tick says beside its torques: how it ended, what was lost, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from osc_contact.spatial import Array
+
+__all__ = ["GivenUp", "LostDirection", "Status"]
+
+
+class Status(IntEnum):
+    """How a tick ended. Anything but OK leaves a torque within limits and a reason to read."""
+
+    OK = 0
+    SATURATED = 1  #: a motor limit was reached: `given_up` says at what cost
+    HELD = 2  #: bad measurement or degenerate posture: the last good torques were repeated
+    DEGRADED = 3  #: near a singular posture: `lost_directions` says what was not commanded
+
+
+@dataclass(frozen=True)
+class GivenUp:
+    """What the motor limits cost in one tick.
+
+    Attributes:
+        joints: whose motors stand at their limit. wanted, limits: of these (N m, N).
+        force: (r_all,) contact force magnitudes (N): commanded less predicted.
+        acceleration: (6,) of the object at O in world axes, likewise (m/s², rad/s²).
+        squeeze: (s,) internal force (N), likewise.
+        short: some contact force leaves the range between its floor and the command: no torques
+            within the limits keep it there.
+    """
+
+    joints: tuple[str, ...]
+    wanted: Array
+    limits: Array
+    force: Array
+    acceleration: Array
+    squeeze: Array
+    short: bool
+
+    def __str__(self) -> str:
+        motors = ", ".join(
+            f"{name}: {wanted:.4g} of ±{limit:.4g} wanted"
+            for name, wanted, limit in zip(self.joints, self.wanted, self.limits, strict=True)
+        )
+        a = self.acceleration
+        lost = [f"{value:.3f} {unit}" for value, unit in (
+            (np.linalg.norm(a[:3]), "m/s²"), (np.linalg.norm(a[3:]), "rad/s²")
+        )]  # fmt: skip
+        text = f"{motors}; given up: motion {lost[0]}, {lost[1]}"
+        if len(self.force):
+            text += f", contact force {np.round(self.force, 3) + 0.0} N"
+        if len(self.squeeze):
+            text += f", squeeze {np.round(self.squeeze, 3) + 0.0} N"
+        return text + ("; forces beyond their range" if self.short else "")
+
+
+@dataclass(frozen=True)
+class LostDirection:
+    """A motion of the object that an arm near a singular posture is losing.
+
+    Attributes:
+        arm: its name. left: share of the motion command that still counts, 0 … 1.
+        inertia_ratio: the arm's apparent inertia there beside object and arm together.
+        twist: (6,) the motion at O in world axes, 1 m/s long (or 1 rad/s, if it only turns).
+    """
+
+    arm: str
+    left: float
+    inertia_ratio: float
+    twist: Array
+
+    def __str__(self) -> str:
+        twist = np.array2string(self.twist, precision=3, suppress_small=True)
+        return (
+            f"{self.arm} is near a singular posture: {100 * self.left:.0f} % left of the command "
+            f"along {twist}"
+        )

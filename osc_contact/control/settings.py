@@ -1,0 +1,122 @@
+"""What a controller is made of: taken once, never changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.control.friction import Friction
+from osc_contact.control.gains import Gains
+from osc_contact.control.joint_limits import JointLimits
+from osc_contact.control.life import LifeSettings
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.rail import Body
+from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.spatial import Array, as_array
+
+__all__ = ["PostureTask", "Settings"]
+
+
+@dataclass(frozen=True)
+class PostureTask:
+    """What redundant arms do with joints they do not need.
+
+    Attributes:
+        stiffness: 1/s². damping: 1/s. retreat_damping: 1/s, instead of damping, of joint motions
+            that a singular posture takes from the task.
+        limit_stiffness: 1/s², of the push away from joint limits; 0: none. limit_margin: where it
+            begins, as a share of the joint's range (see `JointLimits`).
+    """
+
+    stiffness: float = 25.0
+    damping: float = 10.0
+    retreat_damping: float = 50.0
+    limit_stiffness: float = 400.0
+    limit_margin: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.limit_margin < 0.5 or not 0.0 <= self.limit_stiffness < np.inf:
+            raise InvalidInputError(
+                f"limit_margin {self.limit_margin}, limit_stiffness {self.limit_stiffness} 1/s²: "
+                "expected a share of the joint's range below 0.5, and a finite number ≥ 0"
+            )
+
+    def limits(self, model: pin.Model) -> JointLimits:
+        """What pushes redundant arms away from joint limits."""
+        return JointLimits.of(model, self.limit_stiffness, self.limit_margin)
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """Everything a controller is given; see `Controller`.
+
+    Raises:
+        InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
+            although there are contacts: their forces could not be measured.
+        ModelError: a redundant arm with passive joints.
+    """
+
+    chain: ClosedChain
+    contacts: Sequence[ContactPair]
+    gains: Gains = field(default_factory=Gains)
+    dt: float = 1e-3
+    B: Array | str = "object"
+    bodies: Sequence[Body | None] = ()
+    posture: Array = field(default_factory=lambda: np.zeros(0))
+    posture_task: PostureTask = field(default_factory=PostureTask)
+    friction: Friction | None = None
+    phases: LifeSettings | None = None
+
+    def __post_init__(self) -> None:
+        chain = self.chain
+        if not (np.isfinite(self.dt) and self.dt > 0.0):
+            raise InvalidInputError(f"dt = {self.dt}; give the control period in seconds, > 0")
+        if isinstance(self.B, str):
+            if self.B not in ("object", "chain"):
+                raise InvalidInputError(
+                    f"B = '{self.B}'; give 'object', 'chain' or a (6, 6) matrix"
+                )
+        else:
+            object.__setattr__(self, "B", _definite(as_array("B", self.B, (6, 6))))
+        blind = [arm.name for arm in chain.arms if arm.wrist_sensor is None]
+        if self.contacts and blind:
+            raise InvalidInputError(
+                "contact forces are measured in the wrists of all arms together, but "
+                f"{blind} have no wrist_sensor; name its frame when loading the arm"
+            )
+        object.__setattr__(self, "contacts", tuple(self.contacts))
+        bodies = tuple(self.bodies) or (None,) * len(self.contacts)
+        if len(bodies) != len(self.contacts):
+            raise InvalidInputError(
+                f"{len(self.contacts)} contacts but {len(bodies)} bodies; give one for each contact"
+            )
+        object.__setattr__(self, "bodies", bodies)
+        posture = self.posture if len(self.posture) else np.zeros(chain.nq)
+        object.__setattr__(self, "posture", as_array("posture", posture, (chain.nq,)))
+        if self.friction is not None:
+            self.friction.require_known_points(self.contacts)
+        if self.gains.force.integral * self.dt >= 1.0:
+            raise InvalidInputError(
+                f"force gain integral = {self.gains.force.integral:g} 1/s at a period of "
+                f"{self.dt:g} s leaves no stability margin; keep integral × period below 1"
+            )
+        for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
+            if arm.model.nv > grasp.N.shape[1] and arm.passive_joints:
+                raise ModelError(
+                    f"arm '{arm.name}' has {arm.model.nv} joints, {len(arm.passive_joints)} of "
+                    f"them passive, to move the object in {grasp.N.shape[1]} ways: posture torques "
+                    "for redundant arms need a motor in every joint"
+                )
+
+
+def _definite(B: Array) -> Array:
+    """B itself, if it is symmetric positive definite."""
+    scale = np.sqrt(np.diag(B)) if np.diag(B).min() > 0.0 else np.ones(6)
+    scaled = B / np.outer(scale, scale)
+    if np.abs(scaled - scaled.T).max() > 1e-9 or np.linalg.eigvalsh(scaled)[0] <= 1e-12:
+        raise InvalidInputError("the metric B of eq. 24 must be symmetric positive definite")
+    return B

@@ -1,0 +1,394 @@
+"""Motor torques for a wanted object force and wanted internal forces: what to do with null(G).
+
+The least torque in the weight 1/τ_max² (R below) with G τ = f_S and E τ = e:
+
+    τ = τ_0 + R⁻¹AᵀZ⁻¹(b − A τ_0),   A = [G; E],   Z = A R⁻¹Aᵀ
+
+E holds the squeeze of two arms, the settable bar forces of three and more (`linkage`), and the
+motions that arms without joints to spare have of their own in a singular posture. Arms with more
+joints than they need hold their posture in the dynamically consistent null space,
+τ_0 = (1 − JᵀJ̄ᵀ)(h + M(−k_d q̇ + k_p(q₀ − q)) + diag(M) a_l(q)); passive joints have no torque.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, sqrt
+
+from osc_contact.law.algebra import (
+    cholesky,
+    cholesky_solve,
+    dot6,
+    form_q,
+    qr_rows,
+    reflect,
+    reflect_back,
+)
+from osc_contact.law.arm_motion import place_point
+from osc_contact.law.energy import energy_motion
+from osc_contact.law.jit import inner, integers, matrix
+from osc_contact.law.linkage import settable_bars
+from osc_contact.law.singular import retreat
+from osc_contact.law.tables import NO_REASON, UNACTUATED
+
+__all__ = [
+    "allocate_torques",
+    "command_object",
+    "internal_forces",
+    "limit_torques",
+    "predict_joints",
+]
+
+_DRIVEN = 1e-12  #: least share of a pivot of Z
+_COINCIDE = 1e-9  #: m; grasps nearer than this have no line between them
+
+
+@inner
+def command_object(chain, work, f_bias):
+    """f_S (6,) = Λ_S η̇_c + b_S + Sᵀ(N_μ α_u + f_bias): eq. 21, turned."""
+    r, m, x, bias = work.rank, work.locked, work.x, work.u
+    held = 1.0 if chain.held != 0 else 0.0
+    _energy_of(work, f_bias, bias)
+    reflect(work.turn, work.beta, m, bias)
+    for i in range(6):
+        s = work.chain_bias[i] + bias[i] + held * x[i] + dot6(work.Lambda[i], x)
+        for a in range(r):
+            s += work.pushed_t[a, i] * work.alpha_u[a]
+        work.f_S[i] = s
+
+
+@inner
+def _energy_of(work, f, out):
+    """A wrench at O in energy coordinates."""
+    x = work.C[0] - work.O[0]
+    y = work.C[1] - work.O[1]
+    z = work.C[2] - work.O[2]
+    a = f[3] - (y * f[2] - z * f[1])
+    b = f[4] - (z * f[0] - x * f[2])
+    c = f[5] - (x * f[1] - y * f[0])
+    axes = work.axes
+    for i in range(3):
+        out[i] = axes[2, i, 0] * f[0] + axes[2, i, 1] * f[1] + axes[2, i, 2] * f[2]
+        out[3 + i] = axes[3, i, 0] * a + axes[3, i, 1] * b + axes[3, i, 2] * c
+
+
+@inner
+def predict_joints(chain, arms, work, joints):
+    """q̈ = J̄a + offset, and the torque h + Mq̈ that it takes; a is the object's acceleration `x`."""
+    a = work.w
+    for i in range(6):
+        a[i] = work.x[i]
+    reflect_back(work.turn, work.beta, work.locked, a)
+    for k in range(chain.n_arms):
+        lo, hi = arms[k].first, arms[k].end
+        for j in range(lo, hi):
+            joints[j].acceleration = dot6(joints[j].J_bar, a) + joints[j].offset
+        for j in range(lo, hi):
+            s, M = joints[j].h, joints[j].M
+            for i in range(lo, hi):
+                s += M[i - lo] * joints[i].acceleration
+            joints[j].inertial = s
+
+
+@inner
+def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, squeeze, q, v):
+    """Torques of all joints (`tau`), not yet limited; returns a reason.
+
+    Args:
+        chain, arms, table: CHAIN record, ARM and JOINT rows. work, arm_work, joints: their work.
+        extra: float scratch for the rows E. link: float scratch of `linkage`.
+        squeeze: (…,) commanded internal forces. q, v: (n,).
+    """
+    n, m = chain.n_joints, work.locked
+    d = 6 - m
+    e_max = chain.n_extra
+    wide = 6 + e_max
+    E = matrix(extra, 0, e_max, n)
+    weighed = matrix(extra, e_max * n, e_max, n)
+    Z = matrix(extra, 2 * e_max * n, wide, wide)
+    b = extra[2 * e_max * n + wide * wide :]
+    for k in range(chain.n_arms):
+        arm, own = arms[k], arm_work[k]
+        if own.wide != 0:
+            _hold_posture(chain, arm, table, own, joints, q, v, work.u)
+        else:
+            for j in range(arm.first, arm.end):
+                joints[j].rest = 0.0
+    for i in range(d):
+        b[i] = work.f_S[m + i]
+    count = 0
+    if chain.n_bars > 0:
+        count = _internal_rows(chain, arms, table, work, arm_work, joints, E, b, d, link, squeeze)
+    work.n_internal = count
+    if work.n_lost > 0:
+        count = _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, count, q, v)
+    for i in range(d):
+        for j in range(i + 1):
+            Z[i, j] = work.effort[m + i, m + j]
+    size = d + count
+    for e in range(count):
+        for k in range(chain.n_arms):
+            _weigh_row(arms[k], table, arm_work[k], joints, work, E[e], weighed[e])
+        for j in range(n):  # rows of G R⁻¹Eᵀ, turned
+            for i in range(6):
+                work.u[i] = joints[j].J_bar[i] * weighed[e, j] + (work.u[i] if j > 0 else 0.0)
+        reflect(work.turn, work.beta, m, work.u)
+        for i in range(d):
+            Z[d + e, i] = work.u[m + i]
+        for c in range(e + 1):
+            s = 0.0
+            for j in range(n):
+                s += weighed[e, j] * E[c, j]
+            Z[d + e, d + c] = s
+    if not cholesky(Z, 0, size, Z) > _DRIVEN:
+        return UNACTUATED
+    cholesky_solve(Z, size, b, 0)
+    y = work.y
+    for i in range(6):
+        y[i] = b[i - m] if i >= m else 0.0
+    reflect_back(work.turn, work.beta, m, y)
+    for k in range(chain.n_arms):
+        _add_torques(arms[k], table, arm_work[k], joints, work, y)
+    for e in range(count):
+        for j in range(n):
+            joints[j].tau += b[d + e] * weighed[e, j]
+    return NO_REASON
+
+
+@inner
+def _push(joint, q):
+    """Acceleration away from joint limits, see `control.joint_limits`."""
+    depth, sign = (joint.low - q, 1.0) if q < joint.low else (q - joint.high, -1.0)
+    if not depth > 0.0:
+        return 0.0
+    s = min(depth / joint.width, 1.0)
+    return sign * joint.most * s * s * (3.0 - 2.0 * s)
+
+
+@inner
+def _hold_posture(chain, arm, table, own, joints, q, v, scratch):
+    """rest = (1 − JᵀJ̄ᵀ)τ₀, τ₀ = h + M(−k_d q̇ + k_p(q₀ − q)) + diag(M) a_l(q), of a wide arm."""
+    lo, hi = arm.first, arm.end
+    stiffness, damping = chain.posture_stiffness, chain.posture_damping
+    for i in range(6):
+        scratch[i] = 0.0
+    for j in range(lo, hi):
+        M = joints[j].M
+        s = joints[j].h + M[j - lo] * _push(table[j], q[j])
+        for k in range(lo, hi):
+            s += M[k - lo] * (stiffness * (table[k].posture - q[k]) - damping * v[k])
+        joints[j].rest = s
+        joints[j].tau = s  # τ₀ itself
+        for i in range(6):
+            scratch[i] += joints[j].J_bar[i] * s
+    for j in range(lo, hi):
+        joints[j].rest -= dot6(joints[j].J, scratch)
+    if own.n_lost > 0:
+        _retreat_from_lost(chain, arm, table, own, joints, q, v)
+
+
+@inner
+def _retreat_from_lost(chain, arm, table, own, joints, q, v):
+    """In joint motions that a singular posture takes from the task the posture law has its way."""
+    lo, hi = arm.first, arm.end
+    for e in range(own.n_lost):
+        mode, along = own.mode[e], 0.0
+        for j in range(lo, hi):
+            back = joints[j].h
+            for k in range(lo, hi):
+                back += joints[j].M[k - lo] * retreat(chain, table[k], q[k], v[k])
+            if own.gone[e] != 0.0:
+                along += mode[j - lo] * (back - joints[j].tau)
+            else:
+                along += mode[j - lo] * (1.0 - own.share[e]) * back
+        for j in range(lo, hi):
+            for k in range(lo, hi):
+                joints[j].rest += along * joints[j].M[k - lo] * mode[k - lo]
+
+
+@inner
+def _internal_rows(chain, arms, table, work, arm_work, joints, E, b, d, link, squeeze):
+    """Rows of the commanded internal forces, and what they are to be; returns their number."""
+    if chain.n_arms == 2:
+        line = work.line
+        place_point(joints[arms[0].tip_joint], arms[0].tip, 9, work.u)
+        place_point(joints[arms[1].tip_joint], arms[1].tip, 9, work.w)
+        square = 0.0
+        for i in range(3):
+            line[i] = work.w[i] - work.u[i]
+            square += line[i] * line[i]
+            line[3 + i] = 0.0
+        work.internal[0] = 0.0
+        if square < _COINCIDE * _COINCIDE:
+            return 0
+        for i in range(3):
+            line[i] *= 0.5 / sqrt(square)
+        energy_motion(work.axes, line, line)
+        offset = 0.0
+        for k in range(2):
+            for j in range(arms[k].first, arms[k].end):
+                E[0, j] = (1.0 - 2.0 * k) * dot6(joints[j].J_bar, line)
+                offset += E[0, j] * (joints[j].inertial - joints[j].rest)
+        b[d] = squeeze[0] + offset
+        work.internal[0] = squeeze[0]
+        return 1
+    if work.commanded == 0:
+        return 0
+    return _bar_rows(chain, arms, table, work, arm_work, joints, E, b, d, link, squeeze)
+
+
+@inner
+def _bar_rows(chain, arms, table, work, arm_work, joints, E, b, d, link, squeeze):
+    """Rows of the settable bar forces of three arms and more."""
+    n, k, bars, m = chain.n_joints, chain.n_arms, chain.n_bars, work.locked
+    points = matrix(link, 0, k, 3)
+    at = 3 * k
+    first, end, owners = (
+        integers(link, at, k), integers(link, at + k, k), integers(link, at + 2 * k, 6 * k)
+    )  # fmt: skip
+    at += 8 * k
+    levers_of, G = matrix(link, at, n, 3), matrix(link, at + 3 * n, n, 6)
+    at += 9 * n
+    effort = link[at : at + n]
+    carried = matrix(link, at + n, 6 * k, 3)
+    at += n + 18 * k
+    levers, basis = matrix(link, at, bars, n), matrix(link, at + bars * n, bars, bars)
+    at += bars * (n + bars)
+    root = work.axes
+    locked = 0
+    for i in range(k):
+        place_point(joints[arms[i].tip_joint], arms[i].tip, 9, points[i])
+        first[i], end[i] = arms[i].first, arms[i].end
+        for c in range(arm_work[i].n_locked):  # of orthonormal wrenches that its structure carries
+            u = arm_work[i].resisted[c]
+            for a in range(3):
+                carried[locked, a] = 0.0
+                for j in range(3):
+                    carried[locked, a] += root[0, j, a] * u[j] / chain.roots[0]
+            owners[locked] = i
+            locked += 1
+    for j in range(n):
+        bar = joints[j].J_bar
+        effort[j] = sqrt(table[j].effort)
+        for a in range(3):  # forces in world axes: L f̃
+            levers_of[j, a] = 0.0
+            for i in range(3):
+                levers_of[j, a] += root[0, i, a] * bar[i]
+        for i in range(6):
+            work.u[i] = bar[i]
+        reflect(work.turn, work.beta, m, work.u)
+        for i in range(6):
+            G[j, i] = work.u[i] if i >= m else 0.0
+    count = settable_bars(
+        k, n, points, first, end, levers_of, G, effort, carried, owners, locked, chain.tolerance,
+        levers, basis, link[at:],
+    )  # fmt: skip
+    for e in range(count):
+        side = 0.0
+        for j in range(n):
+            s = 0.0
+            for c in range(bars):
+                s += basis[c, e] * levers[c, j]
+            E[e, j] = s
+            side += s * (joints[j].inertial - joints[j].rest)
+        for c in range(bars):
+            side += basis[c, e] * squeeze[c]
+        b[d + e] = side
+    return count
+
+
+@inner
+def _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, count, q, v):
+    """Rows that keep the posture in motions which arms without joints to spare have of their own.
+
+    In a singular posture such an arm can move without the object: νᵀτ = νᵀ(h + M q̈_posture) for
+    every joint motion ν with U J ν = 0. Takes from b what τ_0 of the others does to the object.
+    """
+    X, Q = work.X, work.Z
+    for j in range(chain.n_joints):
+        for i in range(6):
+            work.u[i] = joints[j].J_bar[i] * joints[j].rest + (work.u[i] if j > 0 else 0.0)
+    reflect(work.turn, work.beta, work.locked, work.u)
+    for i in range(d):
+        b[i] -= work.u[work.locked + i]
+    for k in range(chain.n_arms):
+        arm, own = arms[k], arm_work[k]
+        lo, n = arm.first, arm.end - arm.first
+        if own.wide != 0 or own.n_kept >= min(arm.full_rank, arm.m):
+            continue
+        for a in range(own.n_kept):
+            for j in range(n):
+                X[a, j] = dot6(own.kept[a], joints[lo + j].J)
+        qr_rows(X, own.n_kept, n, work.s, work.t)
+        form_q(X, own.n_kept, n, work.t, n, Q)
+        for a in range(own.n_kept, n):
+            side = 0.0
+            for j in range(chain.n_joints):
+                E[count, j] = 0.0
+            for i in range(n):
+                s = joints[lo + i].h
+                for j in range(n):
+                    s += joints[lo + i].M[j] * retreat(chain, table[lo + j], q[lo + j], v[lo + j])
+                side += Q[a, i] * s
+                E[count, lo + i] = Q[a, i]
+            b[d + count] = side
+            count += 1
+    return count
+
+
+@inner
+def _weigh_row(arm, table, own, joints, work, row, out):
+    """out = R⁻¹ row, over one arm's joints."""
+    lo, hi = arm.first, arm.end
+    if own.wide == 0:
+        for j in range(lo, hi):
+            out[j] = table[j].effort * row[j]
+        return
+    for j in range(lo, hi):
+        for i in range(6):
+            work.u[i] = joints[j].J[i] * row[j] + (work.u[i] if j > lo else 0.0)
+    for i in range(6):
+        work.w[i] = dot6(own.effort[i], work.u)
+    for j in range(lo, hi):
+        out[j] = dot6(joints[j].J, work.w)
+
+
+@inner
+def _add_torques(arm, table, own, joints, work, y):
+    """τ = τ_0 + R⁻¹J̄ y, y (6,) multipliers of f_S in energy coordinates."""
+    if own.wide == 0:
+        for j in range(arm.first, arm.end):
+            joints[j].tau = joints[j].rest + table[j].effort * dot6(joints[j].J_bar, y)
+        return
+    for i in range(6):
+        work.w[i] = dot6(own.effort[i], y)
+    for j in range(arm.first, arm.end):
+        joints[j].tau = joints[j].rest + dot6(joints[j].J, work.w)
+
+
+@inner
+def limit_torques(chain, table, joints, tau, first):
+    """Motor torques to tau[first:]; whether one exceeds its limit, and whether all are finite."""
+    excess, total = False, 0.0
+    for j in range(chain.n_joints):
+        i = table[j].motor
+        if i >= 0:
+            total += joints[j].tau * 0.0
+            excess = excess or abs(joints[j].tau) > table[j].tau_max
+    if not isfinite(total):
+        return False, False
+    if not excess:
+        for j in range(chain.n_joints):
+            if table[j].motor >= 0:
+                tau[first + table[j].motor] = joints[j].tau
+    return excess, True
+
+
+@inner
+def internal_forces(chain, work, joints, link, out):
+    """Forces (bars,) between each two of three grasps and more that the joints' torques make."""
+    n, k, bars = chain.n_joints, chain.n_arms, chain.n_bars
+    levers = matrix(link, 29 * k + 10 * n, bars, n)
+    for c in range(bars):
+        out[c] = 0.0
+        for j in range(n if work.commanded != 0 else 0):
+            out[c] += levers[c, j] * (joints[j].tau - joints[j].inertial)

@@ -1,0 +1,208 @@
+"""One arm, base to tip and back: placements, Jacobian, drift, joint forces, joint-space inertia.
+
+A recursion in world axes about one common point C, the object's centre of mass. Joints turn about,
+or slide along, the z axis of their frame.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+
+from osc_contact.law.algebra import cross, dot6
+from osc_contact.law.jit import inner, leaf
+
+__all__ = ["move_arm", "place_arm", "place_frame", "place_point"]
+
+
+@inner
+def place_arm(joints, work, lo, hi, q):
+    """Rotation R and point p of every joint of an arm at q (n,), in the world."""
+    for j in range(lo, hi):
+        X, w, angle = joints[j].placement, work[j], q[j]
+        R, p = w.R, w.p
+        c, s, slide = 1.0, 0.0, angle
+        if joints[j].slides == 0:
+            c, s, slide = cos(angle), sin(angle), 0.0
+        if j == lo:
+            for i in range(3):
+                R[i, 0], R[i, 1], R[i, 2], p[i] = X[3 * i], X[3 * i + 1], X[3 * i + 2], X[9 + i]
+        else:
+            before, start = work[j - 1].R, work[j - 1].p
+            for i in range(3):
+                a, b, d = before[i, 0], before[i, 1], before[i, 2]
+                R[i, 0] = a * X[0] + b * X[3] + d * X[6]
+                R[i, 1] = a * X[1] + b * X[4] + d * X[7]
+                R[i, 2] = a * X[2] + b * X[5] + d * X[8]
+                p[i] = start[i] + a * X[9] + b * X[10] + d * X[11]
+        for i in range(3):
+            a, b = R[i, 0], R[i, 1]
+            R[i, 0], R[i, 1] = c * a + s * b, c * b - s * a
+            p[i] += slide * R[i, 2]
+
+
+@leaf
+def place_point(w, table, start, out):
+    """A point given in a joint, table[start:], in the world."""
+    x, y, z = table[start], table[start + 1], table[start + 2]
+    R, p = w.R, w.p
+    for i in range(3):
+        out[i] = p[i] + R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
+
+
+@inner
+def place_frame(w, X, R, p):
+    """A frame given in a joint, X (12,): rotation by rows, then point; in the world: R, p."""
+    B = w.R
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = B[i, 0] * X[j] + B[i, 1] * X[3 + j] + B[i, 2] * X[6 + j]
+    place_point(w, X, 9, p)
+
+
+@leaf
+def _place_body(w, C, link, body):
+    """A body given in a joint (mass, centre, inertia about it) in world axes about C.
+
+    Written to `body`: mass, mass × centre (3), rotational inertia about C (xx, xy, xz, yy, yz, zz).
+    """
+    R, p = w.R, w.p
+    r00, r01, r02 = R[0, 0], R[0, 1], R[0, 2]
+    r10, r11, r12 = R[1, 0], R[1, 1], R[1, 2]
+    r20, r21, r22 = R[2, 0], R[2, 1], R[2, 2]
+    m, x, y, z = link[0], link[1], link[2], link[3]
+    cx = r00 * x + r01 * y + r02 * z + p[0] - C[0]
+    cy = r10 * x + r11 * y + r12 * z + p[1] - C[1]
+    cz = r20 * x + r21 * y + r22 * z + p[2] - C[2]
+    xx, xy, xz, yy, yz, zz = link[4], link[5], link[6], link[7], link[8], link[9]
+    a00 = r00 * xx + r01 * xy + r02 * xz
+    a01 = r00 * xy + r01 * yy + r02 * yz
+    a02 = r00 * xz + r01 * yz + r02 * zz
+    a10 = r10 * xx + r11 * xy + r12 * xz
+    a11 = r10 * xy + r11 * yy + r12 * yz
+    a12 = r10 * xz + r11 * yz + r12 * zz
+    a20 = r20 * xx + r21 * xy + r22 * xz
+    a21 = r20 * xy + r21 * yy + r22 * yz
+    a22 = r20 * xz + r21 * yz + r22 * zz
+    mx, my, mz = m * cx, m * cy, m * cz
+    body[0], body[1], body[2], body[3] = m, mx, my, mz
+    body[4] = a00 * r00 + a01 * r01 + a02 * r02 + my * cy + mz * cz
+    body[5] = a00 * r10 + a01 * r11 + a02 * r12 - mx * cy
+    body[6] = a00 * r20 + a01 * r21 + a02 * r22 - mx * cz
+    body[7] = a10 * r10 + a11 * r11 + a12 * r12 + mx * cx + mz * cz
+    body[8] = a10 * r20 + a11 * r21 + a12 * r22 - my * cz
+    body[9] = a20 * r20 + a21 * r21 + a22 * r22 + mx * cx + my * cy
+
+
+@leaf
+def _times(b, vx, vy, vz, wx, wy, wz):
+    """Inertia b times a motion: momentum, or force for an acceleration."""
+    x, y, z = cross(wx, wy, wz, b[1], b[2], b[3])
+    k, l, n = cross(b[1], b[2], b[3], vx, vy, vz)
+    return (
+        b[0] * vx + x,
+        b[0] * vy + y,
+        b[0] * vz + z,
+        b[4] * wx + b[5] * wy + b[6] * wz + k,
+        b[5] * wx + b[7] * wy + b[8] * wz + l,
+        b[6] * wx + b[8] * wy + b[9] * wz + n,
+    )
+
+
+@leaf
+def _force_on(b, V, a, gravity, out):
+    """out = I(a − g) + V ×* IV, what moves body b with twist V and spatial acceleration a."""
+    fx, fy, fz, tx, ty, tz = _times(
+        b, a[0] - gravity[0], a[1] - gravity[1], a[2] - gravity[2], a[3], a[4], a[5]
+    )
+    px, py, pz, lx, ly, lz = _times(b, V[0], V[1], V[2], V[3], V[4], V[5])
+    x, y, z = cross(V[3], V[4], V[5], px, py, pz)
+    out[0], out[1], out[2] = fx + x, fy + y, fz + z
+    x, y, z = cross(V[3], V[4], V[5], lx, ly, lz)
+    i, j, k = cross(V[0], V[1], V[2], px, py, pz)
+    out[3], out[4], out[5] = tx + x + i, ty + y + j, tz + z + k
+
+
+@inner
+def move_arm(arm, joints, work, v, C, gravity, outer, force, V, gamma, bias_out):
+    """Columns of J at C, drift γ, h = C v + g, M, and what is beyond the wrist sensor.
+
+    Args:
+        arm: ARM record. joints, work: of all joints, placed. v: (n,) velocities.
+        C: (3,) common point. gravity: (3,) m/s².
+        outer: (10,) scratch: what of the first outboard link is beyond the sensor. force: (6,)
+            scratch.
+        V, gamma: (6,) filled: twist and drift of the tip at C.
+        bias_out: (6,) added to: wrench that the outboard bodies need at q̈ = 0, at C.
+    """
+    lo, hi, sensed = arm.first, arm.end, arm.outer_joint
+    for i in range(6):
+        V[i] = 0.0
+        gamma[i] = 0.0
+    for j in range(lo, hi):
+        w, column = work[j], work[j].column
+        ax, ay, az = w.R[0, 2], w.R[1, 2], w.R[2, 2]
+        if joints[j].slides != 0:
+            vx, vy, vz, wx, wy, wz = ax, ay, az, 0.0, 0.0, 0.0
+        else:
+            vx, vy, vz = cross(w.p[0] - C[0], w.p[1] - C[1], w.p[2] - C[2], ax, ay, az)
+            wx, wy, wz = ax, ay, az
+        column[0], column[1], column[2] = vx, vy, vz
+        column[3], column[4], column[5] = wx, wy, wz
+        s = v[j]
+        vx, vy, vz, wx, wy, wz = s * vx, s * vy, s * vz, s * wx, s * wy, s * wz
+        x, y, z = cross(V[3], V[4], V[5], vx, vy, vz)
+        a, b, c = cross(V[0], V[1], V[2], wx, wy, wz)
+        gamma[0] += x + a
+        gamma[1] += y + b
+        gamma[2] += z + c
+        x, y, z = cross(V[3], V[4], V[5], wx, wy, wz)
+        gamma[3] += x
+        gamma[4] += y
+        gamma[5] += z
+        V[0] += vx
+        V[1] += vy
+        V[2] += vz
+        V[3] += wx
+        V[4] += wy
+        V[5] += wz
+        _place_body(w, C, joints[j].link, w.body)
+        _force_on(w.body, V, gamma, gravity, w.force)
+        if j == sensed:
+            _place_body(w, C, arm.outer, outer)
+            _force_on(outer, V, gamma, gravity, force)
+            for i in range(6):
+                bias_out[i] += force[i]
+    _sum_back(lo, hi, sensed, joints, work, outer, bias_out)
+
+
+@inner
+def _sum_back(lo, hi, sensed, joints, work, outer, bias_out):
+    """Forces and composite inertias from the tip back: h, M, outboard inertia times J."""
+    for j in range(hi - 1, lo - 1, -1):
+        w = work[j]
+        if j < hi - 1:
+            beyond = work[j + 1]
+            if j == sensed:
+                for i in range(6):
+                    bias_out[i] += beyond.force[i]
+                for i in range(10):
+                    outer[i] += beyond.body[i]
+            for i in range(6):
+                w.force[i] += beyond.force[i]
+            for i in range(10):
+                w.body[i] += beyond.body[i]
+        c = w.column
+        w.h = dot6(c, w.force)
+        out = w.outboard
+        out[0], out[1], out[2], out[3], out[4], out[5] = _times(
+            w.body, c[0], c[1], c[2], c[3], c[4], c[5]
+        )
+        for k in range(lo, j + 1):
+            m = dot6(work[k].column, out)
+            w.M[k - lo] = m
+            work[k].M[j - lo] = m
+        w.M[j - lo] += joints[j].armature
+        if j <= sensed:
+            out[0], out[1], out[2], out[3], out[4], out[5] = _times(
+                outer, c[0], c[1], c[2], c[3], c[4], c[5]
+            )

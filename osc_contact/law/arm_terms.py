@@ -1,0 +1,249 @@
+"""The operational-space terms of one arm in energy coordinates: J̄, Λ, what it locks, its effort."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from osc_contact.law.algebra import (
+    back_substitute,
+    cholesky,
+    cholesky_solve,
+    dot6,
+    form_q,
+    invert_spd6,
+    one_sided_jacobi,
+    qr_rows,
+)
+from osc_contact.law.jit import inner
+
+__all__ = ["arm_terms", "effort_metric", "solve_inertia_transposed"]
+
+_DEFINITE = 1e-12  #: least share of a pivot of an effort metric
+
+
+@inner
+def arm_terms(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
+    """J̄, Λ and the locked wrenches of one arm; returns their number, or −1 if M is not definite.
+
+    With M = KKᵀ and J K⁻ᵀ = U Σ Vᵀ directions with σ ≤ tolerance count as locked; the QR below
+    decides where 1/λ_max(Λ), the least σ² of all, is above it beyond doubt.
+
+    Args:
+        lo, n: its first joint, its number of joints. m: wrenches that its grasp passes on.
+        rigid: whether these are all six.
+        tolerance: see `ClosedChain`.
+        joints: JOINT_WORK rows of all joints, J and M filled; J_bar filled.
+        arm: ARM_WORK record; Lambda, kept, n_kept, n_locked filled.
+        work: WORK record, for scratch.
+        locked: (…, 7) orthonormal wrenches that the arm resists, filled from row `row` on.
+    """
+    X, Z, Lambda = work.X, work.Z, arm.Lambda
+    count = -1
+    if rigid and n > 6:
+        if _invert_wide(lo, n, joints, Lambda, work):
+            count = 0
+    elif rigid:
+        for j in range(n):
+            for i in range(6):
+                X[j, i] = joints[lo + j].J[i]
+        if qr_rows(X, n, 6, work.s, work.t):
+            form_q(X, n, 6, work.t, 6, Z)
+            back_substitute(X, n, 6, work.s, Z)
+            for j in range(n):
+                for i in range(6):
+                    joints[lo + j].J_bar[i] = Z[j, i]
+            for k in range(6 - n):
+                for i in range(6):
+                    locked[row + k, i] = Z[n + k, i]
+            count = 6 - n
+            _apply_inertia(lo, n, joints, X, Lambda)
+    if count >= 0:
+        trace = 0.0
+        for i in range(6):
+            trace += Lambda[i, i]
+        if trace * tolerance * tolerance < 1.0:
+            arm.n_locked, arm.n_kept = count, 6 - count
+            return count
+    count = _separate(lo, n, m, rigid, tolerance, joints, arm, work, locked, row)
+    arm.n_locked = count
+    return count
+
+
+@inner
+def _apply_inertia(lo, n, joints, X, Lambda):
+    """Λ = J̄ᵀ M J̄."""
+    for j in range(n):
+        M = joints[lo + j].M
+        for i in range(6):
+            s = 0.0
+            for k in range(n):
+                s += M[k] * joints[lo + k].J_bar[i]
+            X[j, i] = s
+    for a in range(6):
+        for b in range(a + 1):
+            s = 0.0
+            for j in range(n):
+                s += joints[lo + j].J_bar[a] * X[j, b]
+            Lambda[a, b] = s
+            Lambda[b, a] = s
+
+
+@inner
+def factor_inertia(lo, n, joints, K):
+    """K (n, n) with M = KKᵀ, its inverse pivots on the diagonal as in `cholesky`."""
+    for i in range(n):
+        M = joints[lo + i].M
+        for j in range(i + 1):
+            K[i, j] = M[j]
+    return cholesky(K, 0, n, K) > 0.0
+
+
+@inner
+def _weigh_joints(lo, n, joints, K, Z):
+    """Z[:n, :6] = K⁻¹Jᵀ."""
+    if not factor_inertia(lo, n, joints, K):
+        return False
+    for j in range(n):
+        J = joints[lo + j].J
+        for i in range(6):
+            s = J[i]
+            for k in range(j):
+                s -= K[j, k] * Z[k, i]
+            Z[j, i] = s * K[j, j]
+    return True
+
+
+@inner
+def solve_inertia_transposed(lo, n, K, joints):
+    """J̄ ← K⁻ᵀJ̄."""
+    for j in range(n - 1, -1, -1):
+        bar = joints[lo + j].J_bar
+        for i in range(6):
+            s = bar[i]
+            for k in range(j + 1, n):
+                s -= K[k, j] * joints[lo + k].J_bar[i]
+            bar[i] = s * K[j, j]
+
+
+@inner
+def _invert_wide(lo, n, joints, Lambda, work):
+    """More joints than directions: A = J K⁻ᵀ, J̄ = K⁻ᵀA⁺, Λ = A⁺ᵀA⁺; False: rank below six."""
+    K, X, Z = work.K, work.X, work.Z
+    if not _weigh_joints(lo, n, joints, K, Z):
+        return False
+    for i in range(6):
+        for j in range(n):
+            X[i, j] = Z[j, i]
+    if not qr_rows(X, 6, n, work.s, work.t):
+        return False
+    form_q(X, 6, n, work.t, 6, Z)
+    back_substitute(X, 6, n, work.s, Z)
+    for a in range(6):
+        for b in range(a + 1):
+            s = 0.0
+            for j in range(n):
+                s += Z[a, j] * Z[b, j]
+            Lambda[a, b] = s
+            Lambda[b, a] = s
+    for j in range(n):
+        for i in range(6):
+            joints[lo + j].J_bar[i] = Z[i, j]
+    solve_inertia_transposed(lo, n, K, joints)
+    return True
+
+
+@inner
+def _separate(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
+    """The same for any rank and any grasp, by singular values: A = N J K⁻ᵀ = UΣVᵀ."""
+    K, X, Z, Lambda, kept = work.K, work.X, work.Z, arm.Lambda, arm.kept
+    if not _weigh_joints(lo, n, joints, K, Z):
+        return -1
+    for i in range(m):
+        for j in range(n):
+            X[i, j] = Z[j, i] if rigid else dot6(arm.passed[i], Z[j])
+        for k in range(6):
+            X[i, n + k] = arm.passed[i, k] if not rigid else (1.0 if i == k else 0.0)
+    one_sided_jacobi(X, m, n, 6)
+    for a in range(6):
+        for b in range(6):
+            Lambda[a, b] = 0.0
+        for j in range(n):
+            joints[lo + j].J_bar[a] = 0.0
+    count = 0
+    left = 0
+    for k in range(m):
+        square = 0.0
+        for j in range(n):
+            square += X[k, j] * X[k, j]
+        if sqrt(square) > tolerance:
+            for j in range(n):
+                bar = joints[lo + j].J_bar
+                for i in range(6):
+                    bar[i] += X[k, j] * X[k, n + i] / square
+            for a in range(6):
+                kept[left, a] = X[k, n + a]
+                for b in range(6):
+                    Lambda[a, b] += X[k, n + a] * X[k, n + b] / square
+            left += 1
+        else:
+            for i in range(6):
+                locked[row + count, i] = X[k, n + i]
+            count += 1
+    arm.n_kept = left
+    solve_inertia_transposed(lo, n, K, joints)
+    return count
+
+
+@inner
+def effort_metric(lo, n, m, joints, table, arm, work, out):
+    """(6, 6) least effort per wrench, Σ τ²/τ_max², of an arm; False: its motors cannot make all.
+
+    J̄ᵀ τ_max² J̄ where every torque is needed; for arms with more joints than m wrenches
+    Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, the rows of U the wrenches that they can make.
+    """
+    if n <= m:
+        for a in range(6):
+            for b in range(a + 1):
+                s = 0.0
+                for j in range(lo, lo + n):
+                    s += table[j].effort * joints[j].J_bar[a] * joints[j].J_bar[b]
+                out[a, b] = s
+                out[b, a] = s
+        return True
+    if arm.n_kept == 6:
+        for a in range(6):
+            for b in range(a + 1):
+                s = 0.0
+                for j in range(lo, lo + n):
+                    s += joints[j].J[a] * joints[j].J[b] * table[j].ease
+                work.A[a, b] = s
+        return invert_spd6(work.A, work.B, out) > _DEFINITE
+    return _effort_of_kept(lo, n, joints, table, arm, work, out)
+
+
+@inner
+def _effort_of_kept(lo, n, joints, table, arm, work, out):
+    count, U, A, x = arm.n_kept, arm.kept, work.A, work.u
+    for a in range(6):
+        for b in range(6):
+            A[a, b] = 0.0
+            out[a, b] = 0.0
+    for j in range(lo, lo + n):
+        for a in range(count):
+            x[a] = dot6(U[a], joints[j].J)
+            for b in range(a + 1):
+                A[a, b] += x[a] * x[b] * table[j].ease
+    if count == 0:
+        return True
+    if not cholesky(A, 0, count, work.B) > _DEFINITE:
+        return False
+    for i in range(6):
+        for a in range(count):
+            x[a] = U[a, i]
+        cholesky_solve(work.B, count, x, 0)
+        for j in range(6):
+            s = 0.0
+            for a in range(count):
+                s += U[a, j] * x[a]
+            out[j, i] = s
+    return True

@@ -1,0 +1,174 @@
+"""Which columns of N count in a tick, which of these are independent, how the others follow."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from osc_contact.law.algebra import dot6, orthonormalise, solve_lower_transposed
+from osc_contact.law.energy import carry_wrench, energy_wrench
+from osc_contact.law.jit import inner
+from osc_contact.law.tables import CONTRADICTION, DIFFERENT_BODIES, NO_REASON
+
+__all__ = ["DEPENDENT", "choose_columns", "keep_columns"]
+
+#: A column of unit size with less than this outside the others depends on them.
+DEPENDENT = 3e-7
+_PIVOT = 0.3
+_CONSISTENT = 1e-5
+_STILL = 1e-9  # rounding error of n_γ when the bodies hardly move (m/s², rad/s²)
+
+
+@inner
+def choose_columns(chain, table, contacts, columns, work):
+    """List the columns of N whose contacts are in force; their number goes to `count`."""
+    count = 0
+    for j in range(chain.n_columns):
+        if contacts[table[j].contact].active != 0:
+            columns[count].chosen = j
+            count += 1
+    work.count = count
+
+
+@inner
+def keep_columns(table, bodies, columns, work, body_work):
+    """N (r, 6) of the independent columns in energy coordinates, N_μ, n_γ; returns a reason.
+
+    Fills rank, keep, N, pushed, drag, n_gamma; `share` of each column in force where r < count.
+    """
+    count = work.count
+    for j in range(count):
+        column = columns[j]
+        whole = columns[column.chosen]
+        carry_wrench(whole.N, work.O, work.C, column.energy)
+        energy_wrench(work.axes, column.energy, column.energy)
+        column.n_gamma = whole.n_gamma_all
+        column.extent = sqrt(dot6(column.energy, column.energy))
+        for i in range(6):
+            column.rest[i] = column.energy[i]
+    for a in range(min(count, 6)):
+        for i in range(6):
+            work.N[a, i] = columns[a].energy[i]
+        work.keep[a] = float(a)
+    work.rank = count
+    if count > 6 or (
+        count > 1 and not orthonormalise(work.N, count, 0, work.Q, work.L) > 10.0 * DEPENDENT
+    ):
+        reason = _reduce(table, bodies, columns, work, body_work)
+        if reason != NO_REASON:
+            return reason
+    r = work.rank
+    for a in range(r):
+        column = columns[int(work.keep[a])]
+        work.n_gamma[a] = column.n_gamma
+        for i in range(6):
+            work.N[a, i] = column.energy[i]
+    orthonormalise(work.N, r, 0, work.Q, work.L)
+    return NO_REASON
+
+
+@inner
+def _reduce(table, bodies, columns, work, body_work):
+    """Keep a well-conditioned subset: the first column whose rest is not much below the largest."""
+    count, rank = work.count, 0
+    for j in range(count):
+        for i in range(6):
+            columns[j].rest[i] /= columns[j].extent
+    while rank < count:
+        longest = 0.0
+        for j in range(count):
+            longest = max(longest, dot6(columns[j].rest, columns[j].rest))
+        if sqrt(longest) <= DEPENDENT or rank == 6:
+            break
+        first = -1
+        for j in range(count):
+            square = dot6(columns[j].rest, columns[j].rest)
+            if first < 0 and square >= _PIVOT * _PIVOT * longest:
+                first = j
+        work.keep[rank] = float(first)
+        rank += 1
+        _remove(columns, count, first)
+    work.rank = rank
+    for a in range(1, rank):
+        for b in range(a, 0, -1):
+            if work.keep[b] < work.keep[b - 1]:
+                work.keep[b], work.keep[b - 1] = work.keep[b - 1], work.keep[b]
+    if rank == count:
+        return NO_REASON
+    _express(columns, count, rank, work)
+    if not _consistent(columns, count, rank, work):
+        return CONTRADICTION
+    return _same_body(table, bodies, columns, count, body_work)
+
+
+@inner
+def _remove(columns, count, first):
+    """Take the direction of column `first` out of every rest, twice."""
+    length = sqrt(dot6(columns[first].rest, columns[first].rest))
+    q = columns[first].rest
+    for j in range(count):
+        if j == first:
+            continue
+        x = columns[j].rest
+        for _ in range(2):
+            t = dot6(q, x) / (length * length)
+            for i in range(6):
+                x[i] -= t * q[i]
+    for i in range(6):
+        q[i] = 0.0
+
+
+@inner
+def _express(columns, count, rank, work):
+    """share (rank,) of every column in force: N_all = N share."""
+    for a in range(rank):
+        column = columns[int(work.keep[a])]
+        for i in range(6):
+            work.A[a, i] = column.energy[i] / column.extent
+    orthonormalise(work.A, rank, 0, work.Q, work.L)
+    for j in range(count):
+        column = columns[j]
+        for a in range(rank):
+            work.u[a] = dot6(work.Q[a], column.energy)
+        solve_lower_transposed(work.L, rank, work.u)
+        for a in range(rank):
+            column.share[a] = work.u[a] / columns[int(work.keep[a])].extent
+    for a in range(rank):
+        column = columns[int(work.keep[a])]
+        for b in range(rank):
+            column.share[b] = 1.0 if a == b else 0.0
+
+
+@inner
+def _consistent(columns, count, rank, work):
+    """n_γ of every column follows from the kept ones as the column does, but for rounding."""
+    largest = 0.0
+    for j in range(count):
+        column = columns[j]
+        summands = abs(column.n_gamma)
+        for a in range(rank):
+            summands += abs(columns[int(work.keep[a])].n_gamma * column.share[a])
+        largest = max(largest, summands / column.extent)
+    for j in range(count):
+        column = columns[j]
+        implied = 0.0
+        for a in range(rank):
+            implied += columns[int(work.keep[a])].n_gamma * column.share[a]
+        if abs(column.n_gamma - implied) > max(_STILL, _CONSISTENT * column.extent * largest):
+            work.where = column.chosen
+            work.amount = implied
+            return False
+    return True
+
+
+@inner
+def _same_body(table, bodies, columns, count, body_work):
+    """Dependent columns must be on one body, or on bodies that move as one and do not yield."""
+    first = bodies[table[columns[0].chosen].contact].same
+    for j in range(1, count):
+        other = bodies[table[columns[j].chosen].contact].same
+        if other != first:
+            for i in range(48):
+                a, b = body_work[first].answer[i], body_work[other].answer[i]
+                if a != b or (i < 36 and a != 0.0):
+                    return DIFFERENT_BODIES
+    return NO_REASON

@@ -1,0 +1,245 @@
+"""Eqs. 21 and 24 in energy coordinates turned so that the first m axes are the locked ones.
+
+Coordinates η̇ are elements m … 5 of a 6-vector; SᵀΛ_oS is the identity there. Columns of N are rows.
+All projections go through an orthonormal basis: columns that nearly depend on one another cost no
+digits (normal equations would square their condition).
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from osc_contact.law.algebra import (
+    cholesky,
+    dot6,
+    meet,
+    orthonormalise,
+    reflect,
+    reflect_back,
+    reflect_sides,
+    solve_lower,
+)
+from osc_contact.law.energy import (
+    carry_motion,
+    carry_wrench,
+    energy_motion,
+    energy_wrench,
+    world_motion,
+)
+from osc_contact.law.jit import inner
+from osc_contact.law.tables import (
+    BAD_METRIC,
+    BY_CHAIN,
+    BY_OBJECT,
+    INSEPARABLE,
+    NO_REASON,
+    UNREACHABLE,
+)
+
+__all__ = [
+    "filter_motion",
+    "permit_error",
+    "require_reachable",
+    "set_metric",
+    "turn_columns",
+]
+
+_REACH = 1e-9  #: least mobility along a column, beside that of the free object
+_APART = 1e-10  #: least part of a column outside the others, as seen through the arms
+
+
+@inner
+def turn_columns(work):
+    """Columns of N and N_μ in the turned coordinates."""
+    for a in range(work.rank):
+        for i in range(6):
+            work.N_t[a, i] = work.N[a, i]
+            work.pushed_t[a, i] = work.pushed[a, i]
+        reflect(work.turn, work.beta, work.locked, work.N_t[a])
+        reflect(work.turn, work.beta, work.locked, work.pushed_t[a])
+
+
+@inner
+def require_reachable(chain, work):
+    """Whether the arms can push on every column (`response.require_reachable`); a reason.
+
+    With Λ_S = ΣΛ_i + 1 between 1 and its trace, NᵀΦ₀N lies between NᵀN / trace and NᵀN: most
+    contacts are judged on N alone. Fills Q_t, L_t: N_t = L_t Q_t over the elements m … 5.
+    """
+    r, m = work.rank, work.locked
+    if r == 0:
+        return NO_REASON
+    least = orthonormalise(work.N_t, r, m, work.Q_t, work.L_t)
+    trace = 0.0
+    for i in range(m, 6):
+        trace += work.Lambda[i, i] + 1.0
+    reach = 1.0
+    for a in range(r):
+        square = 0.0
+        for i in range(m, 6):
+            square += work.N_t[a, i] * work.N_t[a, i]
+        reach = min(reach, square / dot6(work.N_t[a], work.N_t[a]))
+    if chain.held != 0 and reach > 2.0 * _REACH * trace and least > 2.0 * _APART * sqrt(trace):
+        return NO_REASON
+    return _judge_reach(chain, work)
+
+
+@inner
+def _judge_reach(chain, work):
+    """The same on NᵀΦ₀N itself, Φ₀ = Λ_S⁻¹."""
+    r, m, held = work.rank, work.locked, 1.0 if chain.held != 0 else 0.0
+    d = 6 - m
+    if d == 0:
+        work.where, work.amount = 0, 0.0
+        return UNREACHABLE
+    for i in range(6):
+        for j in range(6):
+            work.A[i, j] = work.Lambda[i, j] + (held if i == j else 0.0)
+    if not cholesky(work.A, m, d, work.B) > 0.0:
+        return BAD_METRIC
+    for a in range(r):
+        for i in range(d):
+            s = work.N_t[a, m + i]
+            for k in range(i):
+                s -= work.B[i, k] * work.D[a, m + k]
+            work.D[a, m + i] = s * work.B[i, i]
+        square = 0.0
+        for i in range(m, 6):
+            square += work.D[a, i] * work.D[a, i]
+        work.amount = square / dot6(work.N_t[a], work.N_t[a])
+        if not work.amount > _REACH:
+            work.where = a
+            return UNREACHABLE
+    work.amount = orthonormalise(work.D, r, m, work.E, work.A)
+    if not work.amount > _APART:
+        return INSEPARABLE
+    return NO_REASON
+
+
+@inner
+def permit_error(chain, work, error, out, by_object):
+    """out (6,) = Ω_m(B) error, eq. 4, at O: with all six axes, locked or not.
+
+    Args:
+        error: (6,) at O. by_object: B is the object's inverse inertia, else `B_inv_t`.
+    """
+    e, r = work.y, work.rank
+    for a in range(r):
+        work.s[a] = 0.0
+    carry_motion(error, work.O, work.C, e)
+    energy_motion(work.axes, e, e)
+    if by_object:
+        meet(work.Q, r, 0, e, work.s)
+    else:
+        reflect(work.turn, work.beta, work.locked, e)
+        if not _meet_weighed(work, 0, e):
+            return False
+        reflect_back(work.turn, work.beta, work.locked, e)
+    world_motion(work.axes, e, out)
+    carry_motion(out, work.C, work.O, out)
+    return True
+
+
+@inner
+def _meet_weighed(work, m, x):
+    """x ← the x nearest in B⁻¹ with N x = s, over the elements m … 5; False: B⁻¹ not definite."""
+    r, d, K = work.rank, 6 - m, work.B
+    if not cholesky(work.B_inv_t, m, d, K) > 0.0:  # B⁻¹ = KKᵀ, y = Kᵀx
+        return False
+    for i in range(d):
+        s = x[m + i] / K[i, i]
+        for k in range(i + 1, d):
+            s += K[k, i] * x[m + k]
+        x[m + i] = s
+    for a in range(r):
+        for i in range(d):
+            s = work.N_t[a, m + i]
+            for k in range(i):
+                s -= K[i, k] * work.D[a, m + k]
+            work.D[a, m + i] = s * K[i, i]
+    orthonormalise(work.D, r, m, work.E, work.A)
+    for a in range(r):
+        work.u[a] = work.s[a]
+    solve_lower(work.A, r, work.u)
+    meet(work.E, r, m, x, work.u)
+    for i in range(d - 1, -1, -1):
+        s = x[m + i]
+        for k in range(i + 1, d):
+            s -= K[k, i] * x[m + k]
+        x[m + i] = s * K[i, i]
+    return True
+
+
+@inner
+def set_metric(chain, work):
+    """B⁻¹ of the motion filter in turned coordinates (`B_inv_t`); nothing for the object's own."""
+    if chain.metric == BY_OBJECT:
+        return
+    if chain.metric == BY_CHAIN:
+        for i in range(6):
+            for j in range(6):
+                work.B_inv_t[i, j] = work.Lambda[i, j] + (1.0 if i == j else 0.0)
+        return
+    _set_given_metric(chain, work)
+
+
+@inner
+def _set_given_metric(chain, work):
+    out, half_done, f = work.B_inv_t, work.A, work.u
+    for half in range(2):  # the map from wrenches to energy coordinates, from both sides
+        for i in range(6):
+            for j in range(6):
+                f[j] = chain.B_inv[i, j] if half == 0 else half_done[i, j]
+            carry_wrench(f, work.O, work.C, f)
+            energy_wrench(work.axes, f, f)
+            for j in range(6):
+                out[i, j] = f[j]
+        for i in range(6):
+            for j in range(6):
+                half_done[i, j] = out[j, i]
+    reflect_sides(work.turn, work.beta, work.locked, out)
+
+
+@inner
+def filter_motion(chain, work):
+    """x (6,) ← the object's acceleration S η̇_c + σ, turned, from the command `a_u` at O: eq. 24.
+
+        ρ = n_γ + Nᵀ(b_e − σ + Φ_eN_μα_u)
+        η̇_c = η̇_u − B_S N_S (N_SᵀB_S N_S)⁻¹ (N_Sᵀη̇_u − ρ),   N_S = SᵀN
+
+    Returns a reason.
+    """
+    r, m, x, sigma = work.rank, work.locked, work.x, work.sigma
+    carry_motion(work.a_u, work.O, work.C, x)
+    energy_motion(work.axes, x, x)
+    reflect(work.turn, work.beta, m, x)
+    for i in range(6):
+        x[i] -= sigma[i]
+    for a in range(r):
+        s = work.n_gamma[a] + work.b_N[a]
+        for b in range(r):
+            s += work.Phi_mu[a, b] * work.alpha_u[b]
+        for i in range(m):  # σ has no part along the other axes
+            s -= work.N_t[a, i] * sigma[i]
+        work.rho[a] = s
+    if r > 0:
+        if chain.metric == BY_OBJECT:
+            for a in range(r):
+                work.s[a] = work.rho[a]
+            solve_lower(work.L_t, r, work.s)
+            meet(work.Q_t, r, m, x, work.s)
+        else:
+            if m > 0:  # what the contact sees of a motion outside the chain's is not rounded away
+                for a in range(r):
+                    work.s[a] = 0.0
+                    for i in range(6):
+                        work.s[a] += work.N_t[a, i] * x[i]
+                solve_lower(work.L_t, r, work.s)
+                meet(work.Q_t, r, m, x, work.s)
+            for a in range(r):
+                work.s[a] = work.rho[a]
+            if not _meet_weighed(work, m, x):
+                return BAD_METRIC
+    for i in range(m):
+        x[i] = sigma[i]
+    return NO_REASON

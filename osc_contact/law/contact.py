@@ -1,0 +1,271 @@
+"""Contact geometry: N and n_γ at the operational point, in world axes, of every packaged pair.
+
+A PAIR names its kind, its first column of N, their number, and the first SHAPE of its geometry;
+what the numbers of a shape are is given with each function. Positions are from O, motions at O.
+"""
+
+from __future__ import annotations
+
+from math import copysign, sqrt
+
+from osc_contact.law.algebra import cross, dot6
+from osc_contact.law.jit import inner, leaf
+from osc_contact.law.tables import EDGES, FACE_ON_VERTEX, GIVEN, POINTS
+
+__all__ = ["place_contacts"]
+
+
+@leaf
+def rotated(R, x, y, z):
+    """R (x, y, z), R the rotation in the first rows and columns of a matrix."""
+    return (
+        R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
+        R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
+        R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
+    )
+
+
+@leaf
+def _velocity(V, x, y, z):
+    a, b, c = cross(V[3], V[4], V[5], x, y, z)
+    return V[0] + a, V[1] + b, V[2] + c
+
+
+@leaf
+def _line(N, x, y, z, a, b, c):
+    """N = W(n, p) = [n; p × n], the line of force along n = (a, b, c) through p = (x, y, z)."""
+    N[0], N[1], N[2] = a, b, c
+    N[3], N[4], N[5] = cross(x, y, z, a, b, c)
+
+
+@inner
+def place_contacts(chain, pairs, shapes, columns, X_WO, V_O, bodies, moving, work):
+    """Fill N, n_γ and friction wrenches of all columns; returns False where a pair is degenerate.
+
+    Args:
+        chain: CHAIN record. pairs: PAIR rows. shapes: SHAPE rows.
+        columns: COLUMN_WORK rows; those of pairs that Python evaluates (GIVEN) stay as they are.
+        X_WO: (4, 4) pose of the object. V_O: (6,) its twist at O.
+        bodies: (contacts, 28) of each touched body: X_WE (16, by rows), V_E (6), A_E (6).
+        moving: whether `bodies` counts; False: they rest in the world.
+        work: WORK record, for scratch.
+    """
+    R_E, V_E, V_rel = work.A, work.u, work.w
+    for i in range(3):
+        for j in range(4):
+            R_E[i, j] = 1.0 if i == j else 0.0
+    for i in range(6):
+        V_E[i] = 0.0
+        V_rel[i] = V_O[i]
+    for c in range(chain.n_pairs):
+        pair = pairs[c]
+        if pair.kind == GIVEN:
+            continue
+        if moving:
+            E = bodies[c]
+            for i in range(3):
+                for j in range(4):
+                    R_E[i, j] = E[4 * i + j]
+            x, y, z = cross(
+                E[19], E[20], E[21], X_WO[0, 3] - E[3], X_WO[1, 3] - E[7], X_WO[2, 3] - E[11]
+            )
+            V_E[0], V_E[1], V_E[2] = E[16] + x, E[17] + y, E[18] + z
+            V_E[3], V_E[4], V_E[5] = E[19], E[20], E[21]
+            for i in range(6):
+                V_rel[i] = V_O[i] - V_E[i]
+        first, shape = pair.first, pair.shape_at
+        if pair.kind == POINTS:
+            for j in range(pair.count):
+                _point_on_plane(
+                    shapes[shape + j].row, X_WO, V_O, R_E, V_E, V_rel, moving, columns[first + j]
+                )  # fmt: skip
+            if chain.mu > 0.0 and pair.drags != 0:
+                _friction_wrench(
+                    shapes[shape].row, X_WO, R_E, V_rel, chain.mu, chain.slip, columns[first]
+                )  # fmt: skip
+        elif pair.kind == FACE_ON_VERTEX:
+            _face_on_vertex(shapes[shape].row, X_WO, V_O, R_E, V_E, V_rel, columns[first], work.y)
+        elif pair.kind == EDGES:
+            if not _edges(shapes[shape].row, X_WO, V_O, R_E, V_E, V_rel, columns[first], work.y):
+                return False
+        else:
+            _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, work.y)
+    return True
+
+
+@inner
+def _point_on_plane(row, X_WO, V_O, R_E, V_E, V_rel, moving, column):
+    """A point of A (0:3) on a plane of E with direction into it (3:6), distance (6) along."""
+    x, y, z = rotated(X_WO, row[0], row[1], row[2])
+    a, b, c = row[3], row[4], row[5]
+    if moving:
+        a, b, c = rotated(R_E, row[3], row[4], row[5])
+    _line(column.N, x, y, z, a, b, c)
+    u, v, w = _velocity(V_O, x, y, z)
+    u, v, w = cross(V_rel[3], V_rel[4], V_rel[5], u, v, w)
+    s = -(a * u + b * v + c * w)
+    if moving:
+        a, b, c = cross(V_E[3], V_E[4], V_E[5], a, b, c)
+        u, v, w = _velocity(V_rel, x, y, z)
+        s -= a * u + b * v + c * w
+    column.n_gamma_all = s
+
+
+@inner
+def _friction_wrench(row, X_WO, R_E, V_rel, mu, slip, column):
+    """μ [s; p × s], s = v_t / √(v_t² + v_0²), of a vertex over p on its face."""
+    N = column.N
+    a, b, c = N[0], N[1], N[2]
+    x, y, z = rotated(X_WO, row[0], row[1], row[2])
+    gap = row[6] + a * (R_E[0, 3] - X_WO[0, 3] - x)
+    gap += b * (R_E[1, 3] - X_WO[1, 3] - y) + c * (R_E[2, 3] - X_WO[2, 3] - z)
+    x, y, z = x + gap * a, y + gap * b, z + gap * c
+    u, v, w = _velocity(V_rel, x, y, z)
+    s = a * u + b * v + c * w
+    u, v, w = u - s * a, v - s * b, w - s * c
+    s = mu / sqrt(u * u + v * v + w * w + slip * slip)
+    _line(column.drag, x, y, z, s * u, s * v, s * w)
+
+
+@inner
+def _rate(p, n, p_dot, n_dot, out):
+    """Ẇ(n, p) = [ṅ; ṗ × n + p × ṅ]."""
+    x, y, z = cross(p_dot[0], p_dot[1], p_dot[2], n[0], n[1], n[2])
+    a, b, c = cross(p[0], p[1], p[2], n_dot[0], n_dot[1], n_dot[2])
+    out[0], out[1], out[2] = n_dot[0], n_dot[1], n_dot[2]
+    out[3], out[4], out[5] = x + a, y + b, z + c
+
+
+@inner
+def _face_on_vertex(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
+    """Row: normal of A's face (0:3), vertex of E (3:6)."""
+    n = rotated(X_WO, row[0], row[1], row[2])
+    x, y, z = rotated(R_E, row[3], row[4], row[5])
+    p = (x + R_E[0, 3] - X_WO[0, 3], y + R_E[1, 3] - X_WO[1, 3], z + R_E[2, 3] - X_WO[2, 3])
+    _line(column.N, p[0], p[1], p[2], n[0], n[1], n[2])
+    n_dot = cross(V_O[3], V_O[4], V_O[5], n[0], n[1], n[2])
+    _rate(p, n, _velocity(V_E, p[0], p[1], p[2]), n_dot, rate)
+    column.n_gamma_all = -dot6(rate, V_rel)
+
+
+@inner
+def _along_first(a, e, m, mm):
+    """s with s e_A − t e_E = a in the plane ⟂ m = e_A × e_E."""
+    x, y, z = cross(a[0], a[1], a[2], e[0], e[1], e[2])
+    return (x * m[0] + y * m[1] + z * m[2]) / mm
+
+
+@inner
+def _edges(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
+    """Row: point, direction of A's edge (0:3, 3:6), of E's (6:9, 9:12), side (12), normal (13:16).
+
+    The side is ±1, or 0 where the environment's outward normal tells it.
+    """
+    e = rotated(X_WO, row[3], row[4], row[5])
+    f = rotated(R_E, row[9], row[10], row[11])
+    m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
+    mm = m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
+    sine = sqrt(mm)
+    if not sine >= 1e-6:
+        return False
+    side = row[12]
+    if side == 0.0:
+        o = rotated(R_E, row[13], row[14], row[15])
+        side = -(o[0] * m[0] + o[1] * m[1] + o[2] * m[2])
+    scale = copysign(1.0 / sine, side)
+    n = (scale * m[0], scale * m[1], scale * m[2])
+    q = rotated(X_WO, row[0], row[1], row[2])
+    x, y, z = rotated(R_E, row[6], row[7], row[8])
+    apart = (
+        x + R_E[0, 3] - X_WO[0, 3] - q[0],
+        y + R_E[1, 3] - X_WO[1, 3] - q[1],
+        z + R_E[2, 3] - X_WO[2, 3] - q[2],
+    )
+    s = _along_first(apart, f, m, mm)
+    p = (q[0] + s * e[0], q[1] + s * e[1], q[2] + s * e[2])
+    gap = n[0] * apart[0] + n[1] * apart[1] + n[2] * apart[2]
+    a = cross(V_O[3], V_O[4], V_O[5], e[0], e[1], e[2])
+    a = cross(a[0], a[1], a[2], f[0], f[1], f[2])
+    b = cross(V_E[3], V_E[4], V_E[5], f[0], f[1], f[2])
+    b = cross(e[0], e[1], e[2], b[0], b[1], b[2])
+    w = (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+    along = n[0] * w[0] + n[1] * w[1] + n[2] * w[2]
+    size = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
+    n_dot = (
+        (w[0] - along * n[0]) / size,
+        (w[1] - along * n[1]) / size,
+        (w[2] - along * n[2]) / size,
+    )
+    u = _velocity(V_O, p[0], p[1], p[2])
+    v = _velocity(V_E, p[0] + gap * n[0], p[1] + gap * n[1], p[2] + gap * n[2])
+    slip = (
+        u[0] - v[0] + gap * n_dot[0],
+        u[1] - v[1] + gap * n_dot[1],
+        u[2] - v[2] + gap * n_dot[2],
+    )
+    s = _along_first(slip, f, m, mm)
+    _line(column.N, p[0], p[1], p[2], n[0], n[1], n[2])
+    _rate(p, n, (u[0] - s * e[0], u[1] - s * e[1], u[2] - s * e[2]), n_dot, rate)
+    column.n_gamma_all = -dot6(rate, V_rel)
+    return True
+
+
+@inner
+def _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, Tdot_beta):
+    """The pairs given by T: n_γ = NᵀṪβ.
+
+    Shapes of the columns of N first, then those of its freedoms.
+        column: point of A (0:3), direction of E (3:6), kind (6): 0 a force along the direction
+        through the point, 1 a couple about (arm of A × mark of E), 2 a screw's thread: a force
+        along the direction and a couple −pitch / cos about it; axis of A (7:10), pitch (10).
+        freedom: point of A (0:3), axis (3:6), kind (6): 0 a turn about A's axis carried by A, 1 a
+        slide along E's axis carried by E, 2 a screw: the turn and a slide of pitch (10) along E's
+        direction (7:10).
+    """
+    r, freedoms = pair.count, pair.freedoms
+    for i in range(6):
+        Tdot_beta[i] = 0.0
+    for k in range(r, r + freedoms):
+        row = shapes[pair.shape_at + k].row
+        p = rotated(X_WO, row[0], row[1], row[2])
+        if row[6] == 1.0:
+            d = rotated(R_E, row[3], row[4], row[5])
+            v = _velocity(V_rel, p[0], p[1], p[2])
+            beta = d[0] * v[0] + d[1] * v[1] + d[2] * v[2]
+            a = cross(V_E[3], V_E[4], V_E[5], d[0], d[1], d[2])
+            for i in range(3):
+                Tdot_beta[i] += beta * a[i]
+        else:
+            w = rotated(X_WO, row[3], row[4], row[5])
+            beta = w[0] * V_rel[3] + w[1] * V_rel[4] + w[2] * V_rel[5]
+            t = cross(p[0], p[1], p[2], w[0], w[1], w[2])
+            if row[6] == 2.0:
+                d = rotated(R_E, row[7], row[8], row[9])
+                t = (
+                    t[0] + row[10] * d[0],
+                    t[1] + row[10] * d[1],
+                    t[2] + row[10] * d[2],
+                )
+            a = cross(V_O[3], V_O[4], V_O[5], t[0], t[1], t[2])
+            b = cross(V_O[0], V_O[1], V_O[2], w[0], w[1], w[2])
+            c = cross(V_O[3], V_O[4], V_O[5], w[0], w[1], w[2])
+            for i in range(3):
+                Tdot_beta[i] += beta * (a[i] + b[i])
+                Tdot_beta[3 + i] += beta * c[i]
+    for j in range(r):
+        row, N = shapes[pair.shape_at + j].row, columns[pair.first + j].N
+        p = rotated(X_WO, row[0], row[1], row[2])
+        d = rotated(R_E, row[3], row[4], row[5])
+        if row[6] == 1.0:
+            m = cross(p[0], p[1], p[2], d[0], d[1], d[2])
+            for i in range(3):
+                N[i] = 0.0
+                N[3 + i] = m[i]
+        else:
+            _line(N, p[0], p[1], p[2], d[0], d[1], d[2])
+            if row[6] == 2.0:
+                w = rotated(X_WO, row[7], row[8], row[9])
+                f = row[10] / (d[0] * w[0] + d[1] * w[1] + d[2] * w[2])
+                for i in range(3):
+                    N[3 + i] -= f * d[i]
+        columns[pair.first + j].n_gamma_all = dot6(N, Tdot_beta)

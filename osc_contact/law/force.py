@@ -1,0 +1,237 @@
+"""The force path of fig. 5: wrist readings to contact magnitudes, and the force law."""
+
+from __future__ import annotations
+
+from math import inf
+
+from osc_contact.law.algebra import (
+    dot6,
+    lu_solve,
+    reflect,
+    reflect_back,
+    solve_lower,
+    solve_lower_transposed,
+)
+from osc_contact.law.arm_motion import place_point
+from osc_contact.law.energy import carry_wrench, energy_wrench
+from osc_contact.law.grasps import filter_reading
+from osc_contact.law.jit import inner
+
+__all__ = ["add_friction", "command_force", "contact_laws", "measure_magnitudes", "sum_readings"]
+
+_NOTHING = 1e-9  #: Λ_out beside the object's inertia, below which sensors read f_c itself
+
+
+@inner
+def add_friction(chain, columns, work):
+    """N_μ = N + D share of the kept columns, _e (`pushed`), and D share at O (`drag`)."""
+    r, count = work.rank, work.count
+    for a in range(r):
+        drag, pushed = work.drag[a], work.pushed[a]
+        for i in range(6):
+            drag[i] = 0.0
+            pushed[i] = work.N[a, i]
+        if chain.mu == 0.0:
+            continue
+        for j in range(count):
+            s = columns[j].share[a] if r < count else (1.0 if j == a else 0.0)
+            for i in range(6):
+                drag[i] += s * columns[columns[j].chosen].drag[i]
+        carry_wrench(drag, work.O, work.C, work.u)
+        energy_wrench(work.axes, work.u, work.u)
+        for i in range(6):
+            pushed[i] += work.u[i]
+
+
+@inner
+def _add_reading(reading, joint, sensor, C, scratch, total):
+    """Add one wrist's reading (6,), rotated to world axes and carried to C.
+
+    Args:
+        joint: JOINT_WORK record of the sensor's. sensor: (12,) rotation (row by row) and position
+            of the sensor in it. scratch: (≥ 9,).
+    """
+    point, world, R = scratch[6:9], scratch[:6], joint.R
+    place_point(joint, sensor, 9, point)
+    for half in range(2):
+        x, y, z = reading[3 * half], reading[3 * half + 1], reading[3 * half + 2]
+        a = sensor[0] * x + sensor[1] * y + sensor[2] * z
+        b = sensor[3] * x + sensor[4] * y + sensor[5] * z
+        c = sensor[6] * x + sensor[7] * y + sensor[8] * z
+        for i in range(3):
+            world[3 * half + i] = R[i, 0] * a + R[i, 1] * b + R[i, 2] * c
+    carry_wrench(world, point, C, world)
+    for i in range(6):
+        total[i] += world[i]
+
+
+@inner
+def sum_readings(chain, arms, arm_work, joints, work, wrenches, f_tare):
+    """f_meas (6,) = Σ wrist readings less tare, at O; `reading_e`: the same less bias, energy.
+
+    Args:
+        wrenches: (arms, 6) wrist readings.
+    """
+    total, own = work.reading_e, work.y
+    for i in range(6):
+        total[i] = 0.0
+    for k in range(chain.n_arms):
+        arm = arms[k]
+        if arm.sensor_joint < 0:
+            continue
+        joint = joints[arm.sensor_joint]
+        if arm.filtered != 0:
+            for i in range(6):
+                own[i] = 0.0
+            _add_reading(wrenches[k], joint, arm.sensor, work.C, work.s, own)
+            filter_reading(work.axes, arm_work[k].filter, own, work.u)
+            for i in range(6):
+                total[i] += own[i]
+        else:
+            _add_reading(wrenches[k], joint, arm.sensor, work.C, work.s, total)
+    f_meas = work.f_meas
+    carry_wrench(total, work.C, work.O, f_meas)
+    for i in range(6):
+        f_meas[i] -= f_tare[i]
+    carry_wrench(f_meas, work.O, work.C, total)
+    energy_wrench(work.axes, total, total)
+    for i in range(6):
+        total[i] -= work.bias_e[i]
+
+
+@inner
+def measure_magnitudes(chain, work):
+    """α (r,) = D⁻¹[NᵀΛ_out⁻¹f − n_γ − b_N], D = NᵀΛ_out⁻¹N_μ + Φ_μ: the filter Ω_f(Λ_out).
+
+    f is the reading less bias. Solved in the orthonormal basis Q of the rows of N = L Q, so that
+    nearly dependent columns cost no digits of the force Nα. Where nothing is held see
+    `_measure_at_tip`. False: Λ_out is singular.
+    """
+    r = work.rank
+    work.weightless = 0
+    for a in range(r):
+        work.z[a] = 0.0
+        for i in range(6):
+            work.solved[a, i] = work.Q[a, i]
+    if chain.held == 0:
+        return _measure_at_tip(work)
+    for i in range(6):
+        for j in range(6):
+            work.B[i, j] = work.out_T[i, j]
+    if not lu_solve(work.B, 6, work.solved, r):  # rows: Λ_out⁻ᵀ q
+        return False
+    return _solve_magnitudes(work, 1.0)
+
+
+@inner
+def _solve_magnitudes(work, inertial):
+    """The rest of it: `solved` holds Λ_out⁻ᵀ q for each row q of Q, `z` qᵀσ.
+
+    inertial: 1; 0 where nothing between sensor and contact has inertia: then N α = f.
+    """
+    r, D, E, L, f = work.rank, work.D, work.E, work.L, work.reading_e
+    for a in range(r):
+        for b in range(r):
+            D[a, b] = dot6(work.solved[a], work.pushed[b])
+            E[b, a] = inertial * work.Phi_mu[a, b]
+        work.w[a] = inertial * (work.n_gamma[a] + work.b_N[a])
+    solve_lower(L, r, work.w)
+    for b in range(r):  # columns of L⁻¹Φ_μ
+        solve_lower(L, r, E[b])
+        for a in range(r):
+            D[a, b] += E[b, a]
+    for a in range(r):
+        for b in range(r):
+            s = 0.0
+            for c in range(a + 1):
+                s += L[a, c] * D[c, b]
+            work.mobility[a, b] = s
+    alpha = work.A
+    for a in range(r):
+        alpha[0, a] = dot6(work.solved[a], f) + work.z[a] - work.w[a]
+        solve_lower(L, r, D[a])  # a row of D L⁻ᵀ
+    if not lu_solve(D, r, alpha, 1):
+        return False
+    for a in range(r):
+        work.alpha_meas[a] = alpha[0, a]
+    solve_lower_transposed(L, r, work.alpha_meas)
+    return True
+
+
+@inner
+def _measure_at_tip(work):
+    """Where nothing is held: sensors see the tip in its own motions S only, or f_c itself.
+
+    S(SᵀΛ_outS)⁻¹Sᵀ takes the place of Λ_out⁻¹, and a = Sη̇ + σ has a part of its own.
+    """
+    r, m, f, A = work.rank, work.locked, work.reading_e, work.B
+    trace = 0.0
+    for i in range(6):
+        for j in range(6):
+            A[i, j] = work.out_T[i, j]
+        trace += abs(A[i, i])
+    if trace < _NOTHING:
+        work.weightless = 1
+        return _solve_magnitudes(work, 0.0)
+    turn, beta = work.turn, work.beta
+    for j in range(6):  # A = Λ_outᵀ, turned from both sides
+        for i in range(6):
+            work.u[i] = A[i, j]
+        reflect(turn, beta, m, work.u)
+        for i in range(6):
+            A[i, j] = work.u[i]
+    for i in range(6):
+        reflect(turn, beta, m, A[i])
+    reflect(turn, beta, m, f)
+    for i in range(6):  # f less Λ_out σ
+        for j in range(6):
+            f[i] -= A[j, i] * work.sigma[j]
+    for a in range(r):
+        reflect(turn, beta, m, work.pushed[a])
+        reflect(turn, beta, m, work.solved[a])
+        work.z[a] = dot6(work.solved[a], work.sigma)
+        for i in range(6 - m):
+            work.E[a, i] = work.solved[a, m + i]
+    for i in range(6 - m):
+        for j in range(6 - m):
+            work.D[i, j] = A[m + i, m + j]
+    if not lu_solve(work.D, 6 - m, work.E, r):
+        return False
+    for a in range(r):
+        for i in range(6):
+            work.solved[a, i] = work.E[a, i - m] if i >= m else 0.0
+    done = _solve_magnitudes(work, 1.0)
+    for a in range(r):
+        reflect_back(turn, beta, m, work.pushed[a])
+    return done
+
+
+@inner
+def command_force(r, alpha_d, alpha_meas, speed, integral, gain, damping, least, dt, after, out):
+    """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ α_min; the new integral: `after`."""
+    for a in range(r):
+        after[a] = integral[a] + gain[a] * dt * (alpha_d[a] - alpha_meas[a])
+        out[a] = alpha_d[a] + after[a] - damping[a] * speed[a]
+        if out[a] < least[a]:
+            out[a] = least[a]
+            after[a] = max(after[a], integral[a])
+
+
+@inner
+def contact_laws(table, contacts, columns, work):
+    """Gain, damping and least command (r,) of the kept columns, from those of their contacts.
+
+    Where columns depend on one another the most careful of all hold for each of them.
+    """
+    r, count = work.rank, work.count
+    for a in range(r):
+        law = contacts[table[columns[int(work.keep[a])].chosen].contact]
+        work.gain[a], work.damping[a], work.least[a] = law.gain, law.damping, law.least
+    if r == count:
+        return
+    gain, damping = inf, -inf
+    for j in range(count):
+        law = contacts[table[columns[j].chosen].contact]
+        gain, damping = min(gain, law.gain), max(damping, law.damping)
+    for a in range(r):
+        work.gain[a], work.damping[a], work.least[a] = gain, damping, -inf

@@ -1,0 +1,119 @@
+"""How the law is compiled: by numba, once for every rig, or not at all.
+
+The same source runs compiled and, with NUMBA_DISABLE_JIT=1, as plain Python: a debugger steps
+through it and the tests compare the two. `inner` marks functions that compiled ones call, `entry`
+those that Python calls. Public numba is enough; `accelerator` halves the time of the first
+compilation and saves a third of a tick, where the installed numba allows it.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import carray, config, njit, types  # type: ignore[attr-defined]
+from numba.extending import intrinsic
+
+__all__ = ["PLAIN_PYTHON", "entry", "inner", "integers", "leaf", "matrix", "numbers", "reader"]
+
+PLAIN_PYTHON: bool = bool(getattr(config, "DISABLE_JIT"))  # noqa: B009 - set at run time
+
+_log = logging.getLogger(__name__)
+_njit: Any = njit
+_PLAIN: dict[str, Any] = {"error_model": "numpy"}
+
+
+def _options() -> tuple[dict[str, Any], dict[str, Any]]:
+    """Options of parts, and of entries."""
+    if os.environ.get("OSC_CONTACT_ACCELERATOR", "1") != "0":
+        try:
+            from osc_contact.law.accelerator import entry_options, part_options
+
+            return {**_PLAIN, **part_options()}, {**_PLAIN, **entry_options()}
+        except Exception:
+            _log.info("this numba has no accelerator: the first compilation takes longer")
+    return _PLAIN, _PLAIN
+
+
+_INNER, _ENTRY = ({}, {}) if PLAIN_PYTHON else _options()
+
+
+def inner(function: Any) -> Any:
+    """A part of the law, called by compiled functions only."""
+    return function if PLAIN_PYTHON else _njit(**_INNER)(function)
+
+
+def leaf(function: Any) -> Any:
+    """A small part, inlined wherever it is called."""
+    return function if PLAIN_PYTHON else _njit(**_INNER, forceinline=True)(function)
+
+
+def entry(function: Any) -> Any:
+    """What Python calls: compiled at the first call, then cached on disk. Releases the GIL."""
+    if PLAIN_PYTHON:
+        return np.errstate(all="ignore")(function)  # compiled code does not warn either
+    return _njit(cache=True, nogil=True, **_ENTRY)(function)
+
+
+if PLAIN_PYTHON:
+
+    def _at(raw: Any, start: int, shape: Any, dtype: Any) -> Any:
+        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+        return raw[start : start + size].view(dtype).reshape(shape)
+
+    def reader(dtype: np.dtype[Any]) -> Any:
+        """A function (bytes, start, count) that reads records of this dtype, without a copy."""
+        return lambda raw, start, count: _at(raw, start, (count,), dtype).view(np.recarray)
+
+    def numbers(raw: Any, start: int, count: int) -> Any:
+        """`count` numbers among bytes, without a copy."""
+        return _at(raw, start, (count,), np.float64)
+
+    def matrix(x: Any, start: int, rows: int, columns: int) -> Any:
+        """A matrix among numbers, from number `start` on, without a copy."""
+        return x[start : start + rows * columns].reshape((rows, columns))
+
+    def integers(x: Any, start: int, count: int) -> Any:
+        """Room for numbers taken for integers."""
+        return x[start : start + count].view(np.int64)
+
+else:
+    _view: Any = _njit(**{**_INNER, "forceinline": True, "_nrt": True} if _INNER is not _PLAIN
+                       else _PLAIN)  # fmt: skip
+
+    @intrinsic
+    def _pointer(typing: Any, address: Any) -> Any:
+        """An address as a pointer."""
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
+
+        return types.voidptr(types.uintp), generate
+
+    def reader(dtype: np.dtype[Any]) -> Any:
+        """A function (bytes, start, count) that reads records of this dtype, without a copy."""
+
+        @_view
+        def read(raw, start, count):
+            return carray(_pointer(raw.ctypes.data + np.uintp(start)), (count,), dtype)
+
+        return read
+
+    @_view
+    def numbers(raw, start, count):
+        """`count` numbers among bytes, without a copy."""
+        return carray(_pointer(raw.ctypes.data + np.uintp(start)), (count,), np.float64)
+
+    @_view
+    def matrix(x, start, rows, columns):
+        """A matrix among numbers, from number `start` on, without a copy."""
+        at = _pointer(x.ctypes.data + np.uintp(8 * start))
+        return carray(at, (rows, columns), np.float64)
+
+    @_view
+    def integers(x, start, count):
+        """Room for numbers taken for integers."""
+        return carray(_pointer(x.ctypes.data + np.uintp(8 * start)), (count,), np.int64)

@@ -1,0 +1,69 @@
+"""The motion law: pose error, PID, and the classical acceleration made spatial."""
+
+from __future__ import annotations
+
+from math import atan2, copysign, sqrt
+
+from osc_contact.law.algebra import cross
+from osc_contact.law.jit import inner
+
+__all__ = ["command_motion", "pose_error", "rotation_vector"]
+
+
+@inner
+def rotation_vector(R, out):
+    """out (3,) = log₃ R (rad), R in the first rows and columns of a matrix."""
+    _rotation_vector(
+        R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2], out, 0
+    )
+
+
+@inner
+def _rotation_vector(r00, r01, r02, r10, r11, r12, r20, r21, r22, out, first):
+    x, y, z = 0.5 * (r21 - r12), 0.5 * (r02 - r20), 0.5 * (r10 - r01)
+    sine = sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (r00 + r11 + r22 - 1.0)
+    angle = atan2(sine, cosine)
+    if cosine > -0.99:
+        scale = angle / sine if sine > 1e-6 else 1.0 + sine * sine / 6.0
+        out[first], out[first + 1], out[first + 2] = scale * x, scale * y, scale * z
+        return
+    # near a half turn the axis comes from the symmetric part, (1 − cos) aaᵀ + cos 1
+    share = 1.0 / (1.0 - cosine)
+    a = angle * sqrt(max((r00 - cosine) * share, 0.0))
+    b = angle * sqrt(max((r11 - cosine) * share, 0.0))
+    c = angle * sqrt(max((r22 - cosine) * share, 0.0))
+    out[first], out[first + 1] = copysign(a, x), copysign(b, y)
+    out[first + 2] = copysign(c, z)
+
+
+@inner
+def pose_error(X_WD, X_WO, out):
+    """[p_D − p_O; log₃(R_D R_Oᵀ)] of two (4, 4) poses."""
+    for i in range(3):
+        out[i] = X_WD[i, 3] - X_WO[i, 3]
+    D, B = X_WD, X_WO
+    _rotation_vector(
+        D[0, 0] * B[0, 0] + D[0, 1] * B[0, 1] + D[0, 2] * B[0, 2],
+        D[0, 0] * B[1, 0] + D[0, 1] * B[1, 1] + D[0, 2] * B[1, 2],
+        D[0, 0] * B[2, 0] + D[0, 1] * B[2, 1] + D[0, 2] * B[2, 2],
+        D[1, 0] * B[0, 0] + D[1, 1] * B[0, 1] + D[1, 2] * B[0, 2],
+        D[1, 0] * B[1, 0] + D[1, 1] * B[1, 1] + D[1, 2] * B[1, 2],
+        D[1, 0] * B[2, 0] + D[1, 1] * B[2, 1] + D[1, 2] * B[2, 2],
+        D[2, 0] * B[0, 0] + D[2, 1] * B[0, 1] + D[2, 2] * B[0, 2],
+        D[2, 0] * B[1, 0] + D[2, 1] * B[1, 1] + D[2, 2] * B[1, 2],
+        D[2, 0] * B[2, 0] + D[2, 1] * B[2, 1] + D[2, 2] * B[2, 2],
+        out,
+        3,
+    )
+
+
+@inner
+def command_motion(error, integral, V_D, A_D, V_O, stiffness, damping, gain, a_u):
+    """a_u (6,) at O: p̈_d + K_d ė + K_p e + K_i ∫e, less ω × v."""
+    for i in range(6):
+        a_u[i] = A_D[i] + damping * (V_D[i] - V_O[i]) + stiffness * error[i] + gain * integral[i]
+    x, y, z = cross(V_O[3], V_O[4], V_O[5], V_O[0], V_O[1], V_O[2])
+    a_u[0] -= x
+    a_u[1] -= y
+    a_u[2] -= z

@@ -1,0 +1,220 @@
+"""Contact phases: which contacts are open, approached or closed, and what that means for the law.
+
+    OPEN ── a force is wanted ──▶ APPROACHING ── contact made ──▶ CLOSED
+     ▲                             │      ▲                         │
+     └──── no force is wanted ─────┘      └────── contact lost ─────┤
+     └──────────────────── no force is wanted ──────────────────────┘
+
+An open contact is out of N: its column is free motion. A closed one is in N under the law of
+fig. 5. An approaching one is in N too, but in place of the force law a damper drags it towards its
+face at a set speed, α_u = K_a (v_a − NᵀV_rel): a guarded move, which meets the face with no more
+than K_a v_a. So N does not change at the moment of impact, and every magnitude of a contact to be
+made is measured by the filter of fig. 5.
+
+A tick ends with `low_pass`; the next begins with `advance_phases`, which judges what that left,
+`remap_force_sums` and `set_goals`. After a tick that was held only `set_goals` is called.
+"""
+
+from __future__ import annotations
+
+from math import inf
+
+from osc_contact.law.algebra import lu_solve
+from osc_contact.law.jit import inner
+
+__all__ = ["advance_phases", "low_pass", "monitor", "remap_force_sums", "set_goals", "slew"]
+
+#: Out of N; in N and dragged towards the face; in N under force control.
+OPEN, APPROACHING, CLOSED = range(3)
+
+
+@inner
+def low_pass(column_memory, n, here, alpha, speed, D, chosen, r, independent, dt, lag, A, b):
+    """Take in what a tick has measured; `net` becomes what is known of the contact force alone.
+
+    The filter of fig. 5 puts Nᵀa_rel = n_γ. An object that leaves its face, or flies towards it,
+    has Nᵀa_rel = n_γ + d(NᵀV_rel)/dt, and shows a contact force that is none: that of the parts
+    outboard of the sensors, D⁻¹ d(NᵀV_rel)/dt. It is taken away, both terms through the same first
+    order low-pass, which makes the derivative one of measured speeds.
+
+    Args:
+        column_memory: (n,) COLUMN_MEMORY. here: (n,) whether each column is in N.
+        alpha, speed: (n,) measured magnitudes (N) and NᵀV_rel (m/s), 0 out of N.
+        D: (≥ r, ≥ r) normal acceleration for each newton (1/kg). chosen: (≥ r,) which column each
+            of its r rows is. independent: whether these are all in N; if not, inertia counts as 0.
+        dt: the tick (s). lag: of the low-pass (s). A: (≥ r, ≥ r), b: (≥ 1, ≥ r) scratch.
+    """
+    k, solved = dt / (lag + dt), False
+    if independent and r > 0:
+        for a in range(r):
+            row = column_memory[chosen[a]]
+            b[0, a] = k * (speed[chosen[a]] - row.pace) / dt if row.known != 0 else 0.0
+            for c in range(r):
+                A[a, c] = D[a, c]
+        solved = lu_solve(A, r, b, 1)
+    for j in range(n):
+        row = column_memory[j]
+        row.force = row.force + k * (alpha[j] - row.force) if row.known != 0 else alpha[j]
+        row.pace = row.pace + k * (speed[j] - row.pace) if row.known != 0 else speed[j]
+        row.known = 1 if here[j] else 0
+        row.alpha, row.speed = alpha[j], speed[j]
+        row.net = row.force if here[j] else 0.0
+    for a in range(r if solved else 0):
+        row = column_memory[chosen[a]]
+        row.net = row.net - b[0, a]
+
+
+@inner
+def monitor(
+    row, force, speed, dt, force_on, force_off, power, patience, window, dwell, leaving, more
+):
+    """Contact or no contact, from the paper's own signal: projected force and power (figs. 6, 7).
+
+    While a contact holds, the power of the projected force is zero: α_k (NᵀV_rel)_k = 0. A
+    collision is a burst of it. Force is judged with hysteresis; power only around the moment when
+    contact is made, so that noisy velocities raise no alarm while it lasts.
+
+    Args:
+        row: COLUMN_MEMORY; changed are low_for, high_for: s since the force went low, or high;
+            burst: W, the most since then, or since contact was made; armed_for: s in which a
+            collision may still be found; closed; and collision: whether one began at this tick.
+        force: (N). speed: NᵀV_rel (m/s). dt: the tick (s).
+        force_on, force_off: N; made above the first, lost `more` (N) above the second or below.
+        power: W; more than this (in size) is a collision. window: s after contact is made in which
+            one is looked for.
+        patience, dwell: s of low force until contact is lost, of high force until it is made.
+        leaving: m/s; what leaves its face faster has no contact, whatever the force says.
+    """
+    away = speed < -leaving
+    low = away or force < force_off + more
+    high = force > force_on and not away
+    row.low_for = row.low_for + dt if low else 0.0
+    row.high_for = row.high_for + dt if high else 0.0
+    before = row.closed != 0
+    lost = before and row.low_for > patience
+    closed = (before or row.high_for > dwell) and not lost
+    row.armed_for = max(row.armed_for - dt, 0.0) if before else window
+    row.burst = max(row.burst, abs(force * speed)) if closed or row.high_for > 0.0 else 0.0
+    collision = closed and row.armed_for > 0.0 and row.burst > power
+    row.armed_for = 0.0 if collision else row.armed_for
+    row.closed, row.collision = 1 if closed else 0, 1 if collision else 0
+
+
+@inner
+def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept):
+    """The phases of a tick, from what the last one measured and what is wanted now.
+
+    Args:
+        chain: CHAIN. bodies: (contacts,) BODY. columns: (n,) COLUMN.
+        contacts: (contacts,) CONTACT_MEMORY; phase and since are changed, not yet `active`.
+        column_memory: (n,) COLUMN_MEMORY after `low_pass`; changed as by `monitor`.
+        wanted: (n,) desired magnitudes (N); a contact that can only push is left if none is > 0.
+        kept: (n,) filled: 1 for columns that were and are under force control, 0 for others.
+
+    Returns:
+        Whether other contacts than in the last tick are in N.
+    """
+    dt, changed = chain.period, False
+    push = chain.approach_damping * chain.approach_speed
+    for c in range(chain.n_contacts):
+        contact, pushes = contacts[c], bodies[c].pushes
+        before, phase = contact.phase, CLOSED
+        share = chain.lost_share * _risen(chain, contact, pushes)
+        desired, some_closed, all_closed = False, False, True
+        for j in range(chain.n_columns):
+            if columns[j].contact != c:
+                continue
+            row = column_memory[j]
+            monitor(
+                row, row.net, row.speed, dt, chain.force_on, chain.force_off, chain.power,
+                chain.patience, chain.window, chain.dwell, chain.leaving,
+                max(share * (wanted[j] - push), 0.0),
+            )  # fmt: skip
+            if before == OPEN:
+                row.closed, row.collision = 0, 0
+            desired = desired or wanted[j] > 0.0
+            some_closed = some_closed or row.closed != 0
+            light = wanted[j] <= chain.force_on  # too little to be told from nothing
+            all_closed = all_closed and (light or row.closed != 0)
+        if pushes != 0 and not desired:
+            phase = OPEN
+        elif pushes != 0 and not (some_closed and all_closed):
+            phase = APPROACHING
+        contact.since = contact.since + dt if phase == before else 0.0
+        contact.phase = phase
+        changed = changed or (phase != OPEN) != (contact.active != 0)
+        for j in range(chain.n_columns):
+            if columns[j].contact == c:
+                kept[j] = 1 if before == CLOSED and phase == CLOSED else 0
+    return changed
+
+
+@inner
+def remap_force_sums(chain, memory, columns, contacts, kept, scratch):
+    """Hand the force integrals to the columns that are in N now, after `advance_phases`.
+
+    Those of columns not kept start at 0. None is left (rank 0) where they were not one for each
+    column in N, or more columns come than there is room for.
+
+    Args:
+        memory: MEMORY; force_sum, force_rank are changed. kept: (n,) flags. scratch: (n,).
+    """
+    sums, before, after = memory.force_sum, 0, 0
+    for j in range(chain.n_columns):
+        contact = contacts[columns[j].contact]
+        carried = contact.active != 0 and kept[j] != 0 and before < len(sums)
+        scratch[j] = sums[before] if carried else 0.0
+        before += 1 if contact.active != 0 else 0
+        after += 1 if contact.phase != OPEN else 0
+    memory.force_rank = after if before == memory.force_rank and after <= len(sums) else 0
+    after = 0
+    for j in range(chain.n_columns):
+        if contacts[columns[j].contact].phase != OPEN and after < memory.force_rank:
+            sums[after] = scratch[j]
+            after += 1
+
+
+@inner
+def set_goals(chain, bodies, columns, contacts, wanted, goal):
+    """How each contact takes part in a tick, and the goals of its forces.
+
+    Args:
+        contacts: (contacts,) CONTACT_MEMORY; active, gain, damping and least (−∞: none) are set.
+        wanted: (n,) desired magnitudes (N). goal: (n,) filled with α_d (N); may be `wanted`.
+    """
+    for c in range(chain.n_contacts):
+        contact = contacts[c]
+        approaching = contact.phase == APPROACHING
+        contact.active = 1 if contact.phase != OPEN else 0
+        contact.gain = 0.0 if approaching else chain.force_gain
+        contact.damping = chain.approach_damping if approaching else chain.force_damping
+        contact.least = chain.least_force if bodies[c].pushes != 0 and not approaching else -inf
+    for j in range(chain.n_columns):
+        contact, pushes = contacts[columns[j].contact], bodies[columns[j].contact].pushes
+        start = chain.approach_damping * chain.approach_speed if pushes != 0 else wanted[j]
+        if contact.phase == APPROACHING and contact.since * chain.approach_speed >= chain.travel:
+            start = 0.0  # it has found nothing and stands still
+        goal[j] = start + _risen(chain, contact, pushes) * (wanted[j] - start)
+
+
+@inner
+def _risen(chain, contact, pushes):
+    """How much of the way from K_a v_a to their goals the forces of a contact have risen."""
+    if pushes == 0 or contact.phase != CLOSED:
+        return 0.0
+    return min(contact.since / chain.rise, 1.0)
+
+
+@inner
+def slew(tau, last, step, n):
+    """Go straight from `last` to `tau`, no motor further than its `step`; `tau` is overwritten.
+
+    Args:
+        tau, last: (n,) torques wanted and of the last tick (N m, N). step: (n,) > 0, likewise.
+    """
+    share = 0.0
+    for i in range(n):
+        share = max(share, abs(tau[i] - last[i]) / step[i])
+    if share > 1.0:
+        for i in range(n):
+            tau[i] = last[i] + (tau[i] - last[i]) / share

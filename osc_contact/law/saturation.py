@@ -1,0 +1,114 @@
+"""What a saturated tick left in its records, as the quadratic program of `limits`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from osc_contact.law.algebra import cholesky, cholesky_solve, reflect
+from osc_contact.law.jit import entry, inner, matrix, numbers
+from osc_contact.law.tables import (
+    read_arms,
+    read_bodies,
+    read_chain,
+    read_column_work,
+    read_columns,
+    read_joint_work,
+    read_joints,
+    read_work,
+)
+
+__all__ = ["build"]
+
+_FLOOR = 1.0  #: N, least force of contacts that cannot pull; a command below it is its own floor
+
+
+@inner
+def _shares(work, owners, bodies, columns, alpha, share, floor, k_max):
+    """Forces that must not pull, out of α: the split of least squares, and their least values."""
+    r, count, G, x, k = work.rank, work.count, work.A, work.u, 0
+    if r < count:
+        for a in range(r):
+            for b in range(r):
+                G[a, b] = 0.0
+                for j in range(count):
+                    G[a, b] += columns[j].share[a] * columns[j].share[b]
+        cholesky(G, 0, r, work.B)
+    for j in range(count):
+        if bodies[owners[columns[j].chosen].contact].pushes == 0 or k == k_max:
+            continue
+        for a in range(r):
+            x[a] = columns[j].share[a] if r < count else (1.0 if a == j else 0.0)
+        if r < count:
+            cholesky_solve(work.B, r, x, 0)
+        s = 0.0
+        for a in range(r):
+            share[k, a] = x[a]
+            s += x[a] * alpha[a]
+        floor[k] = min(_FLOOR, s)
+        k += 1
+    return k
+
+
+def build(stamp: int) -> Any:
+    """The function that fills the program; `stamp` tells the cache of changed sources."""
+
+    @entry
+    def fill(model, raw, given, sizes):
+        """Fill the arrays of `limits.TorqueLimits`; sizes (4,): d, r, k, s.
+
+        Args:
+            model, raw: bytes of one row of MODEL, and of WORK after a tick that ended SATURATED.
+            given: wanted, tau_max, G, Λ, N, N_μ, Φ_e, α, share, floor, E, carried.
+        """
+        if stamp < 0:
+            return
+        chain, work = read_chain(model, 0, 1)[0], read_work(raw, 0, 1)[0]
+        n, m, r = chain.n_joints, work.locked, work.rank
+        table, joints = read_joints(model, chain.joints_at, n), read_joint_work(
+            raw, chain.joint_work_at, n
+        )  # fmt: skip
+        arms = read_arms(model, chain.arms_at, chain.n_arms)
+        bodies = read_bodies(model, chain.bodies_at, chain.n_contacts)
+        owners = read_columns(model, chain.columns_at, chain.n_columns)
+        columns = read_column_work(raw, chain.column_work_at, chain.n_columns)
+        rows = matrix(
+            numbers(raw, chain.extra_at, chain.n_extra * n), 0, chain.n_extra, n
+        )  # fmt: skip
+        wanted, tau_max, G, Lambda, N, pushed, Phi_e, alpha, share, floor, E, carried = given
+        for j in range(n):
+            i = table[j].motor
+            if i < 0:
+                continue
+            wanted[i], tau_max[i] = joints[j].tau, table[j].tau_max
+            for a in range(6):
+                G[i, a] = joints[j].J_bar[a]
+            reflect(work.turn, work.beta, m, G[i])
+        held = 1.0 if chain.held != 0 else 0.0
+        for a in range(6):
+            for b in range(6):
+                Lambda[a, b] = work.Lambda[a, b] + (held if a == b else 0.0)
+        for a in range(r):
+            alpha[a] = work.alpha_u[a]
+            for i in range(6):
+                N[a, i], pushed[a, i] = work.N_t[a, i], work.pushed_t[a, i]
+            for b in range(r):
+                Phi_e[a, b] = work.Phi_mu[a, b]
+        for e in range(work.n_internal):
+            for a in range(6):
+                carried[e, a] = 0.0
+            for k in range(chain.n_arms):
+                lo, hi = arms[k].first, arms[k].end
+                for j in range(lo, hi):
+                    s = 0.0
+                    for i in range(lo, hi):
+                        s += rows[e, i] * joints[i].M[j - lo]
+                    for a in range(6):
+                        carried[e, a] += s * joints[j].J_bar[a]
+            reflect(work.turn, work.beta, m, carried[e])
+            for j in range(n):
+                if table[j].motor >= 0:
+                    E[e, table[j].motor] = rows[e, j]
+        sizes[0], sizes[1], sizes[3] = 6 - m, r, work.n_internal
+        sizes[2] = _shares(work, owners, bodies, columns, alpha, share, floor, len(floor))
+
+    return fill

@@ -1,0 +1,198 @@
+"""The records that the law works on: what is given, what is remembered, what a tick works out.
+
+Each is one run of bytes: a head, then the rows of arms, joints and so on, at the offsets that the
+`CHAIN` head names. A controller has one row of MODEL and one of MEMORY; a batch has many. WORK
+belongs to whoever computes. Field names that `numpy.recarray` knows as methods are not allowed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from osc_contact.law.jit import reader
+
+__all__: list[str] = []
+
+MAX_JOINTS = 16  #: of one arm
+
+_INT, _FLOAT = np.int64, np.float64
+
+
+def _record(
+    whole: tuple[str, ...] = (), number: tuple[str, ...] = (), **shapes: int | tuple[int, ...]
+) -> np.dtype[Any]:
+    """Fields that are integers, numbers, and arrays of numbers."""
+    fields: list[Any] = [(name, _INT) for name in whole] + [(name, _FLOAT) for name in number]
+    fields += [(name, _FLOAT, shape) for name, shape in shapes.items()]
+    return np.dtype(fields, align=True)
+
+
+# What is given ----------------------------------------------------------------------------------
+
+#: metrics of the motion filter, kinds of grasps, of pairs, of touched bodies
+BY_OBJECT, BY_CHAIN, BY_MATRIX = range(3)
+RIGID, HINGE, BALL, OTHER = range(4)
+POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, GIVEN = range(5)
+UNYIELDING, CONVEYOR, CART, ELSEWHERE = range(4)
+
+CHAIN = _record(
+    whole=(
+        "n_arms", "n_joints", "n_motors", "n_pairs", "n_shapes", "n_columns", "n_contacts",
+        "n_bars",  # internal forces that can be commanded: pairs of grasps
+        "n_extra",  # rows that the torque allocation may need beside f_S
+        "held", "metric", "slipping",  # whether some grasp permits motions
+        "leader",  # arm that holds rigidly, or −1
+        "phased",  # whether contacts are opened and closed one by one
+        "row_bytes", "arms_at", "joints_at", "pairs_at", "shapes_at", "columns_at", "bodies_at",
+        "memory_bytes", "contact_memory_at", "column_memory_at", "torque_memory_at",
+        "work_bytes", "arm_work_at", "joint_work_at", "column_work_at", "body_work_at",
+        "locked_at", "extra_at", "link_at", "flat_at", "jacobian_at", "bars_at",
+    ),
+    number=(
+        "tolerance", "stiffness", "damping", "integral", "period", "posture_stiffness",
+        "posture_damping", "retreat_damping", "mu", "slip",
+        # contact phases, see `phases`
+        "force_gain", "force_damping", "approach_speed", "approach_damping", "travel", "rise",
+        "least_force", "torque_rate", "lost_share", "lag", "force_on", "force_off", "power",
+        "patience", "window", "dwell", "leaving",
+    ),
+    gravity=3,
+    roots=4,  # √ of mass and principal moments of the object
+    principal=4,  # those squared
+    reference=6,  # diagonal of Λ_ref, by which singular postures are judged
+    X_LO=12,  # object in the leader's last joint: rotation by rows, then point
+    X_LP=12,  # its principal axes there; with no leader: in the object's frame
+    B_inv=(6, 6),  # of the motion filter, where it is given: world axes at O
+)  # fmt: skip
+ARM = _record(
+    whole=(
+        "first", "end", "tip_joint", "sensor_joint", "outer_joint",  # −1: none
+        "m", "kind", "filtered", "full_rank",
+    ),
+    tip=12, sensor=12,  # frames in their joints: rotation by rows, then point
+    outer=10,  # what of the first outboard link is beyond the sensor
+    grasp=(6, 6),  # rows: m of N, 6 − m of T, in the tip
+    point=3, axis=3, tip_axis=3,  # of the grasp: in the object, and its axis in the tip
+    X_TO=12,  # object in the tip where the grasp stands at zero
+)  # fmt: skip
+#: Joints turn about or slide along the z axis of their frame.
+JOINT = _record(
+    whole=("slides", "motor"),  # motor: number or −1
+    number=(
+        "tau_max", "effort", "ease",  # τ_max², 1/τ_max²; 0 without motor
+        "armature", "posture", "low", "high", "width", "most",  # see `control.joint_limits`
+    ),
+    placement=12,  # in the joint before it, or in the world: rotation by rows, then point
+    link=10,  # mass, centre, inertia about it (xx, xy, xz, yy, yz, zz)
+)  # fmt: skip
+PAIR = _record(whole=("kind", "first", "count", "shape_at", "freedoms", "drags"))
+SHAPE = _record(row=16)
+COLUMN = _record(whole=("contact",))
+BODY = _record(whole=("kind", "same", "pushes"), parameters=48)
+
+# What is remembered -----------------------------------------------------------------------------
+
+MEMORY = _record(
+    whole=("force_rank", "located", "ticked", "fresh", "engaged", "hand_over"),
+    motion_sum=6, f_tare=6, f_bias=6,
+    force_sum=6,  # of the columns kept in the last tick
+    X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
+)  # fmt: skip
+CONTACT_MEMORY = _record(whole=("active", "phase"), number=("gain", "damping", "least", "since"))
+COLUMN_MEMORY = _record(
+    whole=("closed", "collision", "known"),
+    number=(
+        "low_for", "high_for", "burst", "armed_for",  # see `phases.monitor`
+        "force", "pace",  # low-passed magnitude and speed
+        "alpha", "speed", "net",  # of the last tick; net: without the inertia of what flies
+    ),
+)  # fmt: skip
+
+# What a tick works out --------------------------------------------------------------------------
+
+#: Vectors are at O in world axes where nothing else stands beside them; `_e`: energy coordinates;
+#: `_t`: these turned so that the first m axes are the locked ones.
+WORK = _record(
+    whole=("rank", "locked", "count", "status", "reason", "where", "n_lost", "n_internal",
+           "commanded", "moving",
+           "weightless"),
+    number=("amount",),
+    # what recordings keep, side by side
+    f_meas=6, bias_out=6, V_O=6, X_WO=(4, 4), f_c=6, error=6, free_error=6, internal=1,
+    C=3, O=3, R=(3, 3), axes=(4, 3, 3),
+    X_WD=(4, 4), V_D=6, A_D=6,  # the reference
+    V_C=6,  # twist of the object at C
+    line=6, bias_links=6, bias_e=6,
+    chain_bias=6, sigma=6,  # _e, then _t
+    Lambda=(6, 6), effort=(6, 6),  # ΣΛ_i and least effort, _e, then _t
+    out_T=(6, 6),  # Λ_out transposed, _e
+    turn=(6, 6), beta=8, pivots=8,
+    N=(6, 6), N_t=(6, 6), pushed=(6, 6), pushed_t=(6, 6), drag=(6, 6),
+    Q=(6, 6), L=(6, 6), Q_t=(6, 6), L_t=(6, 6), solved=(6, 6),
+    Phi_mu=(6, 6), mobility=(6, 6), B_inv_t=(6, 6),
+    b_N=6, V_N=6, n_gamma=6, keep=6,
+    alpha_d=6, alpha_meas=6, alpha_u=6, speed=6, gain=6, damping=6, least=6,
+    reading_e=6, motion_next=6, force_next=6, a_u=6,
+    x=6,  # the object's acceleration, _t
+    rho=6, f_S=6, multipliers=6,
+    A=(6, 6), B=(6, 6), D=(6, 6), E=(6, 6), u=6, w=6, y=6, z=6,
+    K=(MAX_JOINTS, MAX_JOINTS), X=(MAX_JOINTS, 2 * MAX_JOINTS), Z=(MAX_JOINTS, MAX_JOINTS),
+    s=MAX_JOINTS, t=MAX_JOINTS,
+    stack_X=(6, 6), stack_Z=(6, 6),
+)  # fmt: skip
+ARM_WORK = _record(
+    whole=("n_locked", "n_kept", "wide", "n_lost"),
+    tip=(4, 3),
+    reading=6,  # of its wrist
+    V=6, drift=6, bias=6,  # of the tip at C; wrench of the outboard bodies at q̈ = 0, at C
+    gamma=6,  # drift, _e, as far as the grasp passes it on
+    passed=(6, 6),  # m of N, then 6 − m of T, orthonormal _e
+    filter=(6, 6), Lambda=(6, 6), effort=(6, 6),
+    resisted=(6, 6),  # orthonormal wrenches _e that its structure carries, n_locked of them
+    kept=(6, 6),  # orthonormal wrenches _e that the joints resist with their motors or inertia
+    chi=6, share=6, gone=6,  # of lost directions; gone: the chain counts them as locked
+    lost=(6, 6), mode=(6, MAX_JOINTS),  # their wrenches _e, and the joints' motions
+)  # fmt: skip
+JOINT_WORK = _record(
+    number=("q", "v", "h", "tau", "rest", "offset", "acceleration", "inertial"),
+    R=(3, 3), p=3, column=6, J=6, J_bar=6, force=6, body=10, outboard=6, M=MAX_JOINTS,
+)  # fmt: skip
+COLUMN_WORK = _record(
+    whole=("chosen",), number=("n_gamma", "n_gamma_all", "extent", "alpha_d"),
+    N=6, drag=6, energy=6, rest=6, share=6,
+)  # fmt: skip
+BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E
+
+#: How a tick ends.
+OK, SATURATED, HELD, DEGRADED = range(4)
+#: Why it is held.
+(
+    NO_REASON, BAD_INPUT, OBJECT_UNKNOWN, BAD_INERTIA, UNACTUATED, DEGENERATE_PAIR, CONTRADICTION,
+    DIFFERENT_BODIES, UNREACHABLE, INSEPARABLE, BAD_METRIC, NOT_FINITE, BLIND, OUTSIDE,
+) = range(14)  # fmt: skip
+
+CHAIN_BYTES, ARM_BYTES, JOINT_BYTES = CHAIN.itemsize, ARM.itemsize, JOINT.itemsize
+PAIR_BYTES, SHAPE_BYTES, COLUMN_BYTES = PAIR.itemsize, SHAPE.itemsize, COLUMN.itemsize
+BODY_BYTES, MEMORY_BYTES, WORK_BYTES = BODY.itemsize, MEMORY.itemsize, WORK.itemsize
+CONTACT_MEMORY_BYTES, COLUMN_MEMORY_BYTES = CONTACT_MEMORY.itemsize, COLUMN_MEMORY.itemsize
+ARM_WORK_BYTES, JOINT_WORK_BYTES = ARM_WORK.itemsize, JOINT_WORK.itemsize
+COLUMN_WORK_BYTES, BODY_WORK_BYTES = COLUMN_WORK.itemsize, BODY_WORK.itemsize
+
+read_chain, read_arms, read_joints = reader(CHAIN), reader(ARM), reader(JOINT)
+read_pairs, read_shapes, read_columns = reader(PAIR), reader(SHAPE), reader(COLUMN)
+read_bodies, read_memory, read_work = reader(BODY), reader(MEMORY), reader(WORK)
+read_contact_memory, read_column_memory = reader(CONTACT_MEMORY), reader(COLUMN_MEMORY)
+read_arm_work, read_joint_work = reader(ARM_WORK), reader(JOINT_WORK)
+read_column_work, read_body_work = reader(COLUMN_WORK), reader(BODY_WORK)
+
+
+def allocate(sizes: Mapping[str, int]) -> tuple[dict[str, int], int]:
+    """Offsets of parts of the given sizes (bytes), one behind the other, and the sum."""
+    offsets, end = {}, 0
+    for name, size in sizes.items():
+        offsets[name] = end
+        end += -(-size // 64) * 64
+    return offsets, end

@@ -1,0 +1,397 @@
+"""Motor limits as array functions: the same optimum as the readable one, and as exact fractions."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import pickle
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import daqp
+import numpy as np
+import pytest
+from readable.effort_limits import Response, relieve
+
+import osc_contact as osc
+from osc_contact.law.limits import TorqueLimits
+
+FORCE, SQUEEZE, TORQUE, BEYOND = 1e-3, 1e-5, 1e-7, 1e2
+K_MAX, S_MAX = 9, 3
+
+
+@dataclass(frozen=True)
+class Case:
+    """What `TorqueLimits` is given; six coordinates, the last d of them free."""
+
+    d: int
+    wanted: np.ndarray
+    tau_max: np.ndarray
+    G: np.ndarray
+    Lambda: np.ndarray
+    N: np.ndarray
+    pushed: np.ndarray
+    Phi_e: np.ndarray
+    alpha: np.ndarray
+    share: np.ndarray
+    floor: np.ndarray
+    E: np.ndarray
+    carried: np.ndarray
+    mass: float = 1.5
+
+    @property
+    def counts(self):
+        return self.d, len(self.alpha), len(self.floor), len(self.E)
+
+    @property
+    def scale(self):
+        known = np.isfinite(self.tau_max)
+        return np.where(known, self.tau_max, self.tau_max[known].max(initial=0.0) or 1.0)
+
+    def response(self):
+        m = 6 - self.d
+        return Response(
+            tau=self.wanted, tau_max=self.tau_max, G=self.G[:, m:].T, Lambda=self.Lambda[m:, m:],
+            metric=np.eye(self.d), N=self.N[:, m:].T, pushed=self.pushed[:, m:].T,
+            Phi_e=self.Phi_e, normal=self.N @ self.N.T, alpha=self.alpha, share=self.share,
+            floor=self.floor, E=self.E, carried=self.carried[:, m:], mass=self.mass,
+        )  # fmt: skip
+
+
+def random_case(
+    rng, n=8, d=None, r=None, k=None, s=None, apart=None, passive=0, weak=1.0, endless=0,
+    bodies=False,
+):  # fmt: skip
+    """`apart`: of columns of N. `passive`: contacts more than forces. `bodies`: one per contact."""
+    d = int(rng.integers(3, 7)) if d is None else d
+    r = int(rng.integers(0, d + 1)) if r is None else r
+    s = int(rng.choice([0, 1, 3])) if s is None else s
+    root = rng.normal(size=(6, 6))
+    N, drag = rng.normal(size=(r, 6)), 0.3 * rng.normal(size=(r, 6)) * rng.integers(0, 2)
+    if apart and r > 1:
+        N[-1], drag[-1] = N[0] + apart * N[-1], drag[0] + apart * drag[-1]
+    shape = np.diag(rng.uniform(0.1, 1.0, r)) if bodies else 0.3 * N @ root @ root.T @ (N + drag).T
+    alpha, share = rng.uniform(5.0, 20.0, r), np.eye(r)
+    if passive and r:
+        R = rng.uniform(0.2, 1.0, (r, r + passive))
+        R[:, -1] = R[:, 0]  # two contacts in one place: dependent floors
+        alpha, share = R @ rng.uniform(5.0, 20.0, r + passive), R.T @ np.linalg.inv(R @ R.T)
+    share = share[len(share) - (int(rng.integers(0, len(share) + 1)) if k is None else k) :]
+    tau_max = rng.uniform(5.0, 80.0, n)
+    wanted = rng.normal(size=n) * tau_max * min(1.0, np.sqrt(weak))
+    tau_max *= weak
+    tau_max[rng.permutation(n)[:endless]] = np.inf
+    return Case(
+        d, wanted, tau_max, rng.normal(size=(n, 6)), np.eye(6) + root @ root.T / 6, N, N + drag,
+        shape, alpha, share, np.minimum(1.0, share @ alpha), rng.normal(size=(s, n)),
+        rng.normal(size=(s, 6)),
+    )  # fmt: skip
+
+
+MADE: dict[int, TorqueLimits] = {}
+
+
+def solve(case, limits=None):
+    """By arrays that other cases have used before."""
+    n, (d, r, k, s) = len(case.wanted), case.counts
+    if limits is None:
+        limits = MADE.setdefault(n, TorqueLimits(n, K_MAX, S_MAX))
+    limits.wanted[:], limits.tau_max[:], limits.G[:] = case.wanted, case.tau_max, case.G
+    limits.Lambda[:], limits.N[:r], limits.pushed[:r] = case.Lambda, case.N, case.pushed
+    limits.Phi_e[:r, :r], limits.alpha[:r] = case.Phi_e, case.alpha
+    limits.share[:k, :r], limits.floor[:k] = case.share, case.floor
+    limits.E[:s], limits.carried[:s], limits.mass = case.E, case.carried, case.mass
+    short = limits.solve(d, r, k, s)
+    assert not limits.lost_force[r:].any() and not limits.lost_motion[: 6 - d].any()
+    lost = limits.lost_force[:r], limits.lost_motion[6 - d :], limits.lost_squeeze[:s]
+    return limits.tau.copy(), limits.at_limit.copy(), *(x.copy() for x in lost), short
+
+
+def agree(case, tolerance=1e-9):
+    want = relieve(case.response())
+    tau, at_limit, force, motion, squeeze, short = solve(case)
+    assert (np.abs(tau) <= case.tau_max).all() and short == want.short
+    np.testing.assert_array_equal(at_limit, want.at_limit)
+    assert np.abs((tau - want.tau) / case.scale).max() < tolerance
+    for got, there in ((force, want.force), (motion, want.motion), (squeeze, want.squeeze)):
+        size = 1.0 + np.abs(there).max(initial=0.0)
+        np.testing.assert_allclose(got, there, rtol=0, atol=tolerance * size)
+    return short
+
+
+@pytest.mark.parametrize("passive", [0, 3])
+@pytest.mark.parametrize("endless", [0, 2, 8])
+def test_random_responses_as_the_readable_one(passive, endless):
+    rng, seen = np.random.default_rng(60 + passive), set()
+    for i in range(80):
+        case = random_case(rng, 8 + 6 * (i % 2), passive=passive, endless=endless)
+        agree(case)
+        seen.add(case.counts)
+    assert len(seen) > 30
+
+
+@pytest.mark.parametrize("passive", [0, 3])
+def test_forces_out_of_range_as_the_readable_one(passive):
+    rng = np.random.default_rng(62)
+    short = [
+        agree(random_case(rng, passive=passive, weak=10.0 ** rng.uniform(-3, 0)), 1e-8)
+        for _ in range(150)
+    ]
+    assert 20 < sum(short) < 130
+
+
+@pytest.mark.parametrize("apart", [1e-2, 1e-6])
+def test_nearly_dependent_contacts_on_bodies_of_their_own(apart):
+    """D is well-conditioned, N is not."""
+    rng = np.random.default_rng(63)
+    for _ in range(60):
+        agree(random_case(rng, r=3, apart=apart, bodies=True))
+
+
+# An oracle in fractions ---------------------------------------------------------------------------
+
+
+def fractions(A):
+    return np.array([Fraction(float(x)) for x in np.ravel(A)], dtype=object).reshape(np.shape(A))
+
+
+def eliminate(A, B):
+    """A⁻¹B, exactly."""
+    M = np.hstack((A, B))
+    for i in range(len(A)):
+        p = i + int(np.argmax([abs(x) for x in M[i:, i]]))
+        M[[i, p]] = M[[p, i]]
+        M[i] = M[i] / M[i, i]
+        for j in range(len(A)):
+            if j != i and M[j, i]:
+                M[j] = M[j] - M[j, i] * M[i]
+    return M[:, len(A) :]
+
+
+def exact_optimum(case, tau):
+    """Torques (n_a,), force lost (r,) and `short` of the program, all KKT conditions kept exactly.
+
+    Limits are springs that give way by 1e-40 per unit of multiplier: where that is seen, no
+    torques keep all of them. `tau`: where the search for the active ones begins.
+    """
+    m, n, k = 6 - case.d, len(tau), len(case.floor)
+    scale, N, floor = fractions(case.scale), fractions(case.N), fractions(case.floor)
+    free = eliminate(
+        fractions(case.Lambda[m:, m:]),
+        np.hstack((fractions(case.G[:, m:].T) * scale, fractions(case.pushed[:, m:].T))),
+    )
+    free, yielding = free[:, :n], free[:, n:]
+    force = eliminate(N[:, m:] @ yielding + fractions(case.Phi_e), N[:, m:] @ free)
+    motion = free - yielding @ force
+    squeeze = fractions(case.E) * scale - fractions(case.carried[:, m:]) @ motion
+    H = motion.T @ motion + Fraction(FORCE) * (N.T @ force).T @ (N.T @ force)
+    H = H + Fraction(SQUEEZE) / Fraction(case.mass) * (squeeze.T @ squeeze)
+    H = H / (np.trace(H) / n) + Fraction(TORQUE) * fractions(np.eye(n))
+    share = fractions(case.share)
+    forces = share @ force
+    unit = fractions(np.sqrt((forces.astype(float) ** 2).sum(axis=1)))
+    A = np.vstack((fractions(np.eye(n)), forces / unit[:, None]))
+    wanted, tau_max = fractions(case.wanted), fractions(case.tau_max)
+    ends = np.hstack(((tau_max - wanted) / scale, fractions(np.zeros(k))))
+    least = np.minimum((floor - share @ fractions(case.alpha)) / unit, 0)
+    starts = np.hstack(((-tau_max - wanted) / scale, least))
+    first = {i: int(np.sign(tau[i])) for i in range(n) if abs(tau[i]) >= case.tau_max[i]}
+    for soft in (Fraction(1, 10**40), Fraction(1, int(BEYOND))):
+        give = [Fraction(1, 10**40)] * n + [soft] * k
+        z, broken = active_limits(H, A, starts, ends, give, dict(first))
+        if broken < Fraction(1, 10**20) or soft > Fraction(1, 1000):
+            lost = -(force @ z).astype(float)
+            return (wanted + scale * z).astype(float), lost, soft > Fraction(1, 1000)
+    raise AssertionError
+
+
+def active_limits(H, A, starts, ends, give, sides):
+    """z of min zᵀHz with starts ≤ Az ≤ ends, and how far the limits gave way."""
+    n, rng = len(H), np.random.default_rng(0)
+    for step in range(300):
+        rows = sorted(sides)
+        C, right = A[rows], fractions(np.zeros((n + len(rows), 1)))
+        slack = fractions(np.zeros((len(rows), len(rows))))
+        for j, i in enumerate(rows):
+            right[n + j], slack[j, j] = ends[i] if sides[i] > 0 else starts[i], give[i]
+        answer = eliminate(np.block([[H, -C.T], [C, slack]]), right)[:, 0]
+        z, x = answer[:n], A @ answer[:n]
+        wrong = np.maximum(x - ends, starts - x)  # beyond a limit, or pulled by it
+        most = max([wrong[i] for i in rows], default=Fraction(0))
+        wrong[rows] = [answer[n + j] * sides[i] for j, i in enumerate(rows)]
+        if max(wrong) <= 0:
+            return z, most
+        i = int(np.argmax(wrong) if step < 15 else rng.choice(np.flatnonzero(wrong > 0)))
+        if sides.pop(i, 0) == 0:  # chance ends what would go round
+            sides[i] = 1 if x[i] > ends[i] else -1
+    raise AssertionError("the active limits were not found")
+
+
+@pytest.mark.parametrize(
+    ("how", "tolerance"),
+    [
+        ({}, 1e-11), ({"weak": 0.05}, 1e-11), ({"apart": 1e-3}, 1e-8), ({"apart": 1e-6}, 1e-8),
+        ({"apart": 1e-6, "bodies": True}, 1e-11),
+    ],
+)  # fmt: skip
+def test_the_optimum_in_exact_fractions(how, tolerance):
+    """Stationary, feasible, with multipliers of the right sign; short only where it must be."""
+    rng, seen, apart = np.random.default_rng(64), 0, how.get("apart")
+    for _ in range(10):
+        case = random_case(rng, 5, r=2, s=1, **how)
+        if apart and "bodies" not in how:
+            case = replace(case, Phi_e=np.zeros((2, 2)))  # its rounding errors count as yielding
+        tau, _, force, _, _, short = solve(case)
+        want, lost, there = exact_optimum(case, tau)
+        assert short == there and np.abs((tau - want) / case.scale).max() < tolerance
+        size = 1.0 + np.abs(lost).max(initial=0.0)
+        np.testing.assert_allclose(force, lost, rtol=0, atol=tolerance * size)
+        seen += short
+    assert seen < 10 and (seen > 1 or "weak" not in how)
+
+
+@pytest.mark.parametrize("endless", [0, 3])
+def test_units_of_torque_and_axes_do_not_matter(endless):
+    rng = np.random.default_rng(66)
+    for weak in (1.0, 0.05) * 20:
+        case = random_case(rng, weak=weak, endless=endless)
+        tau, at_limit, *_, short = solve(case)
+        unit = rng.uniform(0.1, 10.0, 8) if not endless else np.full(8, rng.uniform(0.1, 10.0))
+        other = replace(
+            case, wanted=case.wanted * unit, tau_max=case.tau_max * unit,
+            G=case.G / unit[:, None], E=case.E / unit,
+        )  # fmt: skip
+        turn, m = np.eye(6), 6 - case.d
+        turn[m:, m:] = np.linalg.qr(rng.normal(size=(case.d, case.d)))[0]
+        turned = replace(
+            case, G=case.G @ turn.T, Lambda=turn @ case.Lambda @ turn.T, N=case.N @ turn.T,
+            pushed=case.pushed @ turn.T, carried=case.carried @ turn.T,
+        )  # fmt: skip
+        for same, factor in ((other, unit), (turned, 1.0)):
+            got, there, *_, also = solve(same)
+            assert also == short and (there == at_limit).all()
+            assert np.abs((got / factor - tau) / case.scale).max() < 1e-9
+
+
+def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
+    rng = np.random.default_rng(67)
+    case = random_case(rng, d=6, r=2, k=2, s=1)
+    for G in (0.0 * case.G, case.G * (np.arange(8) > 3)[:, None]):
+        agree_within(replace(case, G=G, E=0.0 * case.E))
+    out_of_reach = replace(
+        case, Lambda=np.eye(6), N=np.eye(6)[:2], pushed=np.eye(6)[:2], Phi_e=np.zeros((2, 2)),
+        G=case.G * (np.arange(6) != 1),
+    )  # fmt: skip
+    _, _, force, *_ = agree_within(out_of_reach)
+    assert force[1] == 0.0 and np.isfinite(MADE[8]._A[:16]).all()
+
+
+def test_a_floor_above_the_command_is_the_command():
+    case = random_case(np.random.default_rng(72), d=6, r=2, k=2, s=1)
+    low = replace(case, alpha=case.alpha / 100.0)
+    for got, want in zip(solve(low), solve(replace(low, floor=low.share @ low.alpha)), strict=True):
+        np.testing.assert_array_equal(got, want)
+
+
+def test_a_floor_that_another_implies_changes_nothing(monkeypatch):
+    """Even if the solver calls both of them active."""
+    solver, active = daqp.solve, []
+
+    def both(*args, **how):
+        z, value, verdict, info = solver(*args, **how)
+        info["lam"][-1] = info["lam"][-2]
+        active.append(info["lam"][-1] != 0.0)
+        return z + 1e-9, value, verdict, info  # to be seen, if it is not worked out once more
+
+    rng = np.random.default_rng(73)
+    for _ in range(40):
+        case = random_case(rng, d=5, r=2, k=2, s=1)
+        twice = replace(case, share=case.share[[0, 1, 1]], floor=case.floor[[0, 1, 1]])
+        want, *_, short = solve(case)
+        with monkeypatch.context() as patch:
+            patch.setattr(daqp, "solve", both)
+            got, *_, also = solve(twice)
+        assert also == short and (short or np.abs((got - want) / case.scale).max() < 1e-11)
+    assert sum(active) > 10
+
+
+def agree_within(case):
+    tau, *rest = solve(case)
+    assert (np.abs(tau) <= case.tau_max).all() and all(np.isfinite(x).all() for x in rest)
+    return tau, *rest
+
+
+def arrays(limits):
+    parts = list(vars(limits).values())
+    while any(isinstance(x, tuple) for x in parts):
+        parts = [y for x in parts for y in (x if isinstance(x, tuple) else (x,))]
+    return [x for x in parts if isinstance(x, np.ndarray)]
+
+
+@pytest.mark.parametrize("how", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+def test_copies_are_equal_and_share_nothing(how):
+    rng, limits = np.random.default_rng(68), TorqueLimits(8, 6, 3)
+    case, next_case = (random_case(rng, d=6, r=3, k=3, s=1) for _ in range(2))
+    tau, *_ = solve(case, limits)
+    other = how(limits)
+    assert len(arrays(limits)) > 30 and other.mass == limits.mass
+    assert not any(np.shares_memory(a, b) for a in arrays(limits) for b in arrays(other))
+    np.testing.assert_array_equal(other.tau, tau)
+    solve(next_case, limits)
+    assert other.solve(*case.counts) == solve(case, limits)[-1]
+    np.testing.assert_array_equal(other.tau, tau)
+    np.testing.assert_array_equal(other.lost_force, limits.lost_force)
+
+
+@pytest.mark.parametrize("verdict", [-1, 1])
+def test_what_is_not_solved_is_told(monkeypatch, verdict):
+    case = random_case(np.random.default_rng(69), d=6, r=2, k=2, s=1, weak=0.05)
+    solve(random_case(np.random.default_rng(69), d=6, r=2, k=2, s=1))
+    with pytest.raises(osc.SolverError, match="motor limits"):
+        MADE[8].Lambda[:] = -np.eye(6)
+        MADE[8].solve(6, 2, 2, 1)
+    none = {"lam": np.zeros(10)}
+    monkeypatch.setattr(daqp, "solve", lambda *a, **k: (np.full(8, np.nan), 0.0, verdict, none))
+    with pytest.raises(osc.SolverError, match="motor limits"):
+        solve(replace(case, share=case.share[:0], floor=case.floor[:0]))
+
+
+def test_nothing_accumulates():
+    limits, counts = TorqueLimits(8, 6, 3), (6, 2, 2, 1)
+    solve(random_case(np.random.default_rng(70), 8, *counts), limits)
+    for _ in range(2):
+        before = sys.getallocatedblocks()
+        for _ in range(2000):
+            limits.solve(*counts)
+        after = sys.getallocatedblocks()
+    assert abs(after - before) < 20
+
+
+def answers():
+    """What both ways of running the same source are compared by, as shares of its size."""
+    rng, out = np.random.default_rng(71), []
+    for i in range(60):
+        case = random_case(
+            rng, 8 + 6 * (i % 2), weak=(1.0, 0.05)[i // 2 % 2], passive=i % 3, endless=i % 5 // 4
+        )
+        tau, at_limit, *lost, short = solve(case)
+        lost = [x / (1.0 + np.abs(x).max(initial=0.0)) for x in lost]
+        out.append([*np.concatenate((tau / case.scale, at_limit, *lost)), float(short)])
+    return out
+
+
+def test_compiled_as_plain_python():
+    done = subprocess.run(
+        [sys.executable, __file__], capture_output=True, text=True, timeout=300,
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    for got, want in zip(answers(), json.loads(done.stdout), strict=True):
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-12)
+
+
+if __name__ == "__main__":
+    print(json.dumps(answers()))

@@ -1,0 +1,524 @@
+"""Contact phases of the law: their rules, and the same answers as the NumPy state machine."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import njit
+from readable.border import Status
+from readable.living import live
+
+from osc_contact.control.force import ContactTerms, ForceGains, ForceLaw
+from osc_contact.control.life import ContactLife, LifeSettings, slewed
+from osc_contact.control.monitor import Heard, MonitorLimits, MonitorState, heard, watched
+from osc_contact.law import tables
+from osc_contact.law.phases import (
+    APPROACHING,
+    CLOSED,
+    OPEN,
+    advance_phases,
+    low_pass,
+    monitor,
+    remap_force_sums,
+    set_goals,
+    slew,
+)
+
+DT = 1e-3
+GAINS = ForceGains(30.0, 100.0)
+compiled = njit(error_model="numpy")  # not `entry`: what is cached would not notice other phases
+
+
+# --- the law's functions, called from Python ------------------------------------------------------
+
+
+@compiled
+def begin_tick(
+    chains, bodies, columns, contacts, column_memory, memories, wanted, judge, kept, goal
+):
+    chain, memory, changed = chains[0], memories[0], False
+    if judge:
+        changed = advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept)
+        remap_force_sums(chain, memory, columns, contacts, kept, goal)
+    set_goals(chain, bodies, columns, contacts, wanted, goal)
+    return changed
+
+
+@compiled
+def end_tick(column_memory, here, alpha, speed, D, chosen, r, independent, dt, lag, A, b):
+    low_pass(column_memory, len(here), here, alpha, speed, D, chosen, r, independent, dt, lag, A, b)
+
+
+@compiled
+def judge_all(column_memory, force, speed, dt, limits, more):
+    for j in range(len(force)):
+        monitor(
+            column_memory[j], force[j], speed[j], dt, limits[0], limits[1], limits[2], limits[3],
+            limits[4], limits[5], limits[6], more[j],
+        )  # fmt: skip
+
+
+@compiled
+def slew_all(tau, last, step):
+    slew(tau, last, step, len(tau))
+
+
+def rows_of(dtype, count=1):
+    """Records, all zero."""
+    return np.zeros(count, dtype).view(np.recarray)
+
+
+def limit_values(limits):
+    names = ("force_on", "force_off", "power", "patience", "window", "dwell", "leaving")
+    return np.array([getattr(limits, name) for name in names])
+
+
+class Phases:
+    """Tables for these contacts, and the stages of a tick that concern them."""
+
+    def __init__(self, owners, pushing, k=None, dt=DT, phase=None):
+        k = LifeSettings() if k is None else k
+        owners, pushing = np.asarray(owners), np.asarray(pushing, dtype=bool)
+        self.owners, self.n, count = owners, len(owners), len(pushing)
+        chains, memories = rows_of(tables.CHAIN), rows_of(tables.MEMORY)
+        bodies, columns = rows_of(tables.BODY, count), rows_of(tables.COLUMN, self.n)
+        self.contacts = rows_of(tables.CONTACT_MEMORY, count)
+        self.columns = rows_of(tables.COLUMN_MEMORY, self.n)
+        self.chain, self.memory = chains[0], memories[0]
+        self.tables = chains, bodies, columns, self.contacts, self.columns, memories
+        values = {
+            "n_columns": self.n, "n_contacts": count, "period": dt,
+            "force_gain": GAINS.integral, "force_damping": GAINS.damping,
+            "approach_speed": k.speed, "approach_damping": k.damping, "travel": k.travel,
+            "rise": k.rise, "least_force": k.least, "torque_rate": k.torque_rate,
+            "lost_share": k.share, "lag": k.lag, **vars(k.limits),
+        }  # fmt: skip
+        for name, value in values.items():
+            setattr(self.chain, name, value)
+        bodies.pushes, columns.contact = pushing, owners
+        self.contacts.phase = np.where(pushing, OPEN, CLOSED) if phase is None else phase
+        self.contacts.active = self.contacts.phase != OPEN
+        self.contacts.since = k.rise
+        self.columns.closed = (self.contacts.phase == CLOSED)[owners]
+        self.kept, self.A, self.b = np.zeros(self.n), np.zeros((9, 9)), np.zeros((1, 9))
+
+    @property
+    def here(self):
+        """(n,) which columns are in N."""
+        return self.contacts.active[self.owners] != 0
+
+    def begin(self, wanted, judge=True):
+        """Start a tick; returns whether N has changed, and the goals."""
+        wanted, goal = np.array(wanted, dtype=float), np.full(self.n, np.nan)
+        changed = begin_tick(*self.tables, wanted, judge, self.kept, goal)
+        return changed, goal
+
+    def end(self, alpha, speed, D=None, independent=False, chosen=None):
+        """End a tick with what was measured; D (r, r) is of the columns chosen, or all in N."""
+        chosen = np.flatnonzero(self.here) if chosen is None else chosen
+        D = np.eye(len(chosen)) if D is None else D
+        end_tick(
+            self.columns, self.here, np.asarray(alpha, float), np.asarray(speed, float),
+            D, chosen, len(chosen), independent, self.chain.period, self.chain.lag, self.A, self.b,
+        )  # fmt: skip
+
+    @property
+    def sums(self):
+        """(r,) the force integrals."""
+        return self.memory.force_sum[: self.memory.force_rank].copy()
+
+    def image(self):
+        """All that is remembered, as bytes."""
+        return np.frombuffer(b"".join(rows.tobytes() for rows in self.tables[3:]), np.uint8)
+
+
+# --- rules, whatever happens ----------------------------------------------------------------------
+
+OWNERS = np.array([0, 1, 1, 2])  # one force, an edge with two, a hinge that never opens
+PUSHING = np.array([True, True, False])
+numbers = st.floats(-5.0, 20.0)
+ticks = st.lists(
+    st.tuples(
+        st.lists(numbers, min_size=4, max_size=4),
+        st.lists(st.floats(-0.05, 0.05), min_size=4, max_size=4),
+        st.lists(st.sampled_from([0.0, 0.5, 5.0, 12.0]), min_size=4, max_size=4),
+        st.integers(1, 30),
+    ),
+    min_size=1,
+    max_size=12,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(ticks)
+def test_whatever_happens_the_phases_keep_their_rules(story):
+    """Any forces, speeds and wishes, each held for some ticks."""
+    k = LifeSettings()
+    phases, push = Phases(OWNERS, PUSHING, k), k.damping * k.speed
+    loud = np.zeros(4)  # ticks in a row in which the force was above force_on, counted here
+    felt = np.zeros(4, dtype=bool)  # whether these ever lasted, since the contact was opened
+    for alpha, speed, wanted, count in story:
+        alpha, speed, wanted = np.array(alpha), np.array(speed), np.array(wanted)
+        for _ in range(count):
+            before, here, net = phases.contacts.phase.copy(), phases.here, phases.columns.net
+            loud = np.where(here & (net > k.limits.force_on), loud + 1, 0)
+            felt = here & (felt | (loud * DT > k.limits.dwell))
+            changed, goal = phases.begin(wanted)
+            rows = phases.contacts
+            assert changed == ((before != OPEN) != (rows.phase != OPEN)).any()
+            np.testing.assert_array_equal(rows.active, rows.phase != OPEN)
+            for c in range(3):
+                mine = c == OWNERS
+                was, row = before[c], rows[c]
+                now = row.phase
+                assert (phases.kept[mine] == (was == now == CLOSED)).all()
+                if not PUSHING[c]:
+                    assert now == CLOSED
+                elif not (wanted[mine] > 0.0).any():
+                    assert now == OPEN
+                elif was == OPEN:
+                    assert now == APPROACHING  # never from free motion to force control
+                else:
+                    assert now != OPEN
+                if was == APPROACHING and now == CLOSED and PUSHING[c]:
+                    assert felt[mine].any()
+                    heavy = mine & (wanted > k.limits.force_on)
+                    assert (phases.columns.closed[heavy] != 0).all()  # several are one contact
+                if was != now:
+                    assert row.since == 0.0
+                if PUSHING[c] and now == APPROACHING:
+                    assert row.gain == 0.0 and row.damping == k.damping and row.least == -np.inf
+                    assert (goal[mine] <= push + 1e-12).all()
+                if PUSHING[c] and now == CLOSED:
+                    assert row.gain == 30.0 and row.damping == 100.0 and row.least == k.least
+                    low = np.minimum(wanted, push)[mine] - 1e-12
+                    high = np.maximum(wanted, push)[mine] + 1e-12
+                    assert ((low <= goal[mine]) & (goal[mine] <= high)).all()
+                if not PUSHING[c]:
+                    assert row.least == -np.inf
+            seen = (phases.columns.closed != 0) | (phases.columns.collision != 0)
+            assert not seen[~here].any()  # nothing is felt of what was not in N
+            assert goal[3] == wanted[3]  # what cannot open gets what it is asked for
+            phases.end(phases.here * alpha, phases.here * speed)
+
+
+def steady(phases, alpha, ticks, wanted=10.0):
+    for _ in range(ticks):
+        phases.begin(np.full(4, wanted))
+        phases.end(phases.here * np.array(alpha), np.zeros(4))
+    return phases.contacts.phase.tolist()
+
+
+def test_a_story_approach_contact_loss_and_contact_again():
+    phases = Phases(OWNERS, PUSHING)
+    assert steady(phases, np.zeros(4), 50) == [APPROACHING, APPROACHING, CLOSED]
+    half = steady(phases, [2.0, 2.0, 0.0, 0.0], 40)
+    assert half == [CLOSED, APPROACHING, CLOSED]  # half an edge is no contact
+    assert steady(phases, [9.0, 5.0, 5.0, 0.0], 40) == [CLOSED, CLOSED, CLOSED]
+    assert steady(phases, [9.0, 5.0, 0.0, 0.0], 40) == [CLOSED, APPROACHING, CLOSED]
+    assert steady(phases, [9.0, 5.0, 0.0, 0.0], 1, wanted=0.0) == [OPEN, OPEN, CLOSED]
+
+
+def test_an_approach_that_finds_nothing_stands_still():
+    k = LifeSettings(speed=0.01, travel=0.02)
+    phases = Phases(OWNERS, PUSHING, k, phase=(APPROACHING, OPEN, CLOSED))
+    for t, push in ((1.9, k.damping * k.speed), (2.1, 0.0)):
+        phases.contacts[0].since = t
+        assert phases.begin(np.full(4, 10.0), judge=False)[1][0] == pytest.approx(push)
+
+
+def test_the_inertia_of_a_flying_object_is_not_taken_for_contact():
+    """Free flight at 3 m/s² shows m a on the sensor of fig. 5; what counts is the contact force."""
+    t = np.arange(400) * DT
+    mass, push = 2.5, np.where(t > 0.3, 8.0, 0.0)
+    rate = np.where(t < 0.2, 3.0, 0.0)
+    phases, found = Phases([0], [True], phase=[CLOSED]), []
+    for a, v in zip(push + mass * rate, np.cumsum(rate) * DT, strict=True):
+        phases.end([a], [v], np.eye(1) / mass, independent=True)
+        found.append(phases.columns[0].net)
+    found = np.array(found)
+    assert np.abs(found[60:300]).max() < 1e-3 * mass * 3.0 + 0.01
+    assert found[-1] == pytest.approx(8.0, rel=1e-4)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_torques_go_straight_and_not_too_far(seed):
+    rng = np.random.default_rng(seed)
+    tau, last = rng.normal(size=(2, 8)) * 10
+    step = rng.uniform(0.1, 5, 8)
+    out = tau.copy()
+    slew_all(out, last, step)
+    np.testing.assert_allclose(out, slewed(tau, last, step), rtol=0, atol=1e-12)
+    assert (np.abs(out - last) <= step * (1 + 1e-12)).all()
+    share = (out - last) / (tau - last)
+    assert np.ptp(share) < 1e-9 and 0.0 < share[0] <= 1.0
+    for _ in range(1_000):
+        out = tau.copy()
+        slew_all(out, last, step)
+        last = out
+    np.testing.assert_array_equal(last, tau)
+
+
+def test_force_integrals_follow_their_columns():
+    """Contacts 0 (columns 0, 4), 1 (1), 2 (2, 3): 1 leaves, 0 comes in front and behind."""
+    phases = Phases([0, 1, 2, 2, 0], [True] * 3, phase=[OPEN, CLOSED, CLOSED])
+    phases.columns.known, phases.columns.net = 1, 9.0
+    phases.memory.force_rank, phases.memory.force_sum[:3] = 3, (1.0, 2.0, 3.0)
+    assert phases.begin([5.0, 0.0, 5.0, 5.0, 5.0])[0]
+    assert phases.sums.tolist() == [0.0, 2.0, 3.0, 0.0]
+    assert phases.kept.tolist() == [0, 0, 1, 1, 0]
+
+
+@pytest.mark.parametrize("rank", [0, 1, 3])
+def test_force_integrals_that_are_not_one_for_each_column_are_reset(rank):
+    phases = Phases([0, 1], [True] * 2, phase=[CLOSED, CLOSED])
+    phases.memory.force_rank, phases.memory.force_sum[:] = rank, 7.0
+    phases.begin([5.0, 5.0])
+    assert len(phases.sums) == 0
+
+
+def test_contacts_that_come_back_as_closed_start_without_integrals():
+    """Taken out of N from outside, `active` set to 0, they keep their phases."""
+    phases = Phases([0, 1], [True] * 2, phase=[CLOSED, CLOSED])
+    phases.contacts.active, phases.memory.force_sum[:] = 0, 7.0
+    assert phases.begin([5.0, 5.0])[0]
+    assert phases.sums.tolist() == [0.0, 0.0] and phases.kept.all()
+
+
+@pytest.mark.parametrize("count", [7, 9])
+def test_more_columns_than_there_is_room_for_start_without_integrals(count):
+    phases = Phases(np.arange(count), [True] * count)
+    assert phases.begin(np.full(count, 5.0))[0]
+    assert len(phases.sums) == 0 and (phases.contacts.phase == APPROACHING).all()
+
+
+def test_mobility_rows_may_come_in_any_order_and_a_singular_one_counts_for_nothing():
+    rng = np.random.default_rng(3)
+    D, alpha, turned = rng.normal(size=(3, 3)), rng.normal(size=3), np.array([2, 0, 1])
+    speeds = rng.normal(size=(5, 3))
+    straight, mixed, singular = (
+        Phases(np.arange(3), [True] * 3, phase=[CLOSED] * 3) for _ in "abc"
+    )
+    for speed in speeds:
+        straight.end(alpha, speed, D, True)
+        mixed.end(alpha, speed, D[np.ix_(turned, turned)], True, turned)
+        singular.end(alpha, speed, np.ones((3, 3)), True)
+    assert np.abs(straight.columns.net - alpha).max() > 0.1
+    np.testing.assert_allclose(mixed.columns.net, straight.columns.net, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(singular.columns.net, alpha, rtol=0, atol=1e-12)
+
+
+# --- against the NumPy state machine --------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Wish:
+    """The part of a `Reference` that contact phases concern."""
+
+    alpha_d: np.ndarray
+
+
+class Machine:
+    """What `living.live` sees of a controller."""
+
+    def __init__(self, owners, pushing, k, dt, closed):
+        self.life = ContactLife(k, owners, pushing, dt, closed)
+        self.terms = ContactTerms(np.zeros((len(pushing), 4)), GAINS)
+        self.terms.rows[:, 0] = self.life.state.active
+        self.force_law = ForceLaw(GAINS, dt)
+        self.motion_law = SimpleNamespace(integral=np.zeros(6))
+        self.engaged, self.ticked, self.status = True, False, Status.OK
+        self.measured = self.signals = None
+
+    def begin(self, wanted):
+        return live(self, self.life, Wish(wanted)).alpha_d
+
+    def found(self):
+        return self.measured
+
+    def last_signals(self):
+        return self.signals
+
+
+def random_contacts(rng):
+    """Owners, which can only push, settings, period: up to 6 columns of up to 4 contacts."""
+    count = rng.integers(1, 5)
+    owners = np.sort(np.concatenate((np.arange(count), rng.integers(0, count, 6 - count))))
+    if rng.random() < 0.3:
+        rng.shuffle(owners)
+    off = rng.uniform(0.1, 0.5)
+    limits = MonitorLimits(
+        off + rng.uniform(0.1, 0.6), off, 10 ** rng.uniform(-3, -1), rng.choice([0.0, 5e-3, 1e-2]),
+        rng.choice([0.0, 0.02]), rng.choice([0.0, 2e-3]), rng.choice([0.03, np.inf]),
+    )  # fmt: skip
+    k = LifeSettings(
+        speed=rng.uniform(0.01, 0.02), travel=rng.uniform(2e-4, 2e-3), rise=rng.uniform(0.01, 0.1),
+        share=rng.uniform(0.05, 0.4), lag=rng.uniform(1e-4, 1e-2), limits=limits,
+    )  # fmt: skip
+    return owners, rng.random(count) < 0.75, k, rng.choice([1e-3, 5e-4])
+
+
+def random_ticks(rng, n, ticks):
+    """Wishes, magnitudes (N) and speeds (m/s) that stay near one level for some ticks each."""
+    out = np.zeros((3, ticks, n))
+    levels = [0.0, 0.25, 0.5, 5.0, 12.0, -3.0], [0.0, 0.4, 1.0, 4.0, 9.0, 20.0], [0.0, 0.01, -0.04]
+    weights = [0.15, 0.1, 0.1, 0.3, 0.3, 0.05], [0.2, 0.1, 0.1, 0.2, 0.3, 0.1], [0.6, 0.3, 0.1]
+    for values, level, weight, long in zip(out, levels, weights, (150, 60, 40), strict=True):
+        for j in range(n):
+            k = 0
+            while k < ticks:
+                end = k + rng.integers(1, long)
+                values[k:end, j] = rng.choice(level, p=weight)
+                k = end
+        if rng.random() < 0.5:  # all alike: contacts with several columns are made as one
+            values[:] = values[:, :1]
+    out[1:] += np.array([0.05, 3e-4])[:, None, None] * rng.normal(size=(2, ticks, n))
+    return out
+
+
+def tell(seed, ticks=400, machine=True):
+    """A random story in both; returns what happened, and all that was remembered on the way."""
+    rng = np.random.default_rng(seed)
+    owners, pushing, k, dt = random_contacts(rng)
+    n, closed = len(owners), rng.random() < 0.5
+    start = np.where(closed | ~pushing, CLOSED, OPEN)
+    phases = Phases(owners, pushing, k, dt, start)
+    old = Machine(owners, pushing, k, dt, closed)
+    happened, images, held, ticked = set(), [], False, False
+    for wanted, alpha, speed in np.swapaxes(random_ticks(rng, n, ticks), 0, 1):
+        before, was_here = phases.contacts.phase.copy(), phases.contacts.active.copy()
+        changed, goal = phases.begin(wanted, judge=ticked and not held)
+        now = phases.contacts.phase
+        happened |= set(zip(before[pushing].tolist(), now[pushing].tolist(), strict=True))
+        happened |= {"collision"} if phases.columns.collision.any() else set()
+        if machine:
+            want = old.begin(wanted)
+            agree(phases, old, goal, want)
+            assert changed == (old.life.state.active != (was_here != 0)).any()
+        images.append(phases.image())
+        held, ticked = rng.random() < 0.03, True
+        old.status, old.ticked = (Status.HELD if held else Status.OK), True
+        here = phases.here
+        if held:
+            continue
+        count, independent = np.count_nonzero(here), rng.random() < 0.95
+        A, R = rng.normal(size=(count, count)), rng.normal(size=(max(count - 1, 0), count))
+        D = 0.3 * A @ A.T + np.eye(count) + 0.2 * rng.normal(size=(count, count))
+        alpha, speed = alpha * here, speed * here
+        old.measured = SimpleNamespace(alpha_meas=alpha[here], normal_speed=speed[here], mobility=D)
+        if not independent and count > 1:
+            few = speed[here] @ np.linalg.pinv(R)
+            speed[here] = few @ R
+            spread = alpha[here]
+            old.measured = SimpleNamespace(
+                alpha_meas=spread[1:], normal_speed=few, mobility=D[1:, 1:]
+            )
+            contact = SimpleNamespace(magnitudes=lambda _, found=spread: found, R=R)
+            old.signals = SimpleNamespace(contact=contact)
+            happened |= {"dependent"}
+        phases.end(alpha, speed, D, independent or count < 2)
+        rank = rng.integers(0, 7) if rng.random() < 0.05 else count
+        phases.memory.force_rank = rank
+        phases.memory.force_sum[:rank] = rng.normal(size=rank)
+        old.force_law.integral = phases.sums
+    return happened, np.array(images)
+
+
+def agree(phases, old, goal, want):
+    state, seen = old.life.state, old.life.state.seen
+    np.testing.assert_array_equal(phases.contacts.phase, state.phase)
+    close = {"rtol": 0, "atol": 1e-12}
+    np.testing.assert_allclose(phases.contacts.since, state.since, **close)
+    np.testing.assert_array_equal(phases.columns.closed, seen.closed)
+    np.testing.assert_array_equal(phases.columns.collision, seen.collision)
+    for name in ("low_for", "high_for", "burst", "armed_for"):
+        np.testing.assert_allclose(phases.columns[name], getattr(seen, name), **close)
+    for name in ("force", "pace"):
+        np.testing.assert_allclose(phases.columns[name], getattr(state.heard, name), **close)
+    np.testing.assert_array_equal(phases.columns.known, state.heard.known)
+    for k, name in enumerate(("active", "gain", "damping", "least")):
+        np.testing.assert_array_equal(phases.contacts[name], old.terms.rows[:, k])
+    np.testing.assert_allclose(goal, want, **close)
+    np.testing.assert_array_equal(phases.sums, old.force_law.integral)
+
+
+def test_random_stories_go_as_with_the_numpy_state_machine():
+    """Held ticks, dependent columns and integrals of other ranks among them."""
+    happened = set()
+    for seed in range(24):
+        happened |= tell(seed)[0]
+    both = {(a, b) for a in range(3) for b in range(3)} - {(OPEN, CLOSED)}
+    assert happened == both | {"collision", "dependent"}
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_one_magnitude_is_judged_as_by_the_numpy_monitor(seed):
+    rng = np.random.default_rng(seed)
+    limits = random_contacts(rng)[2].limits
+    if rng.random() < 0.2:
+        limits = replace(limits, patience=0.0, leaving=0.0)
+    rows = rows_of(tables.COLUMN_MEMORY, 4)
+    rows.closed = rng.integers(0, 2, 4)
+    state = MonitorState.of(rows.closed)
+    _, alphas, speeds = random_ticks(rng, 4, 150)
+    for alpha, speed in zip(alphas, speeds, strict=True):
+        more = np.where(rng.random(4) < 0.3, rng.uniform(0, 5, 4), 0.0)
+        state = watched(state, alpha, speed, DT, limits, more)
+        judge_all(rows, alpha, speed, DT, limit_values(limits), more)
+        for name in vars(state):
+            np.testing.assert_array_equal(rows[name], getattr(state, name), err_msg=name)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_measurements_are_low_passed_as_by_the_numpy_monitor(seed):
+    rng = np.random.default_rng(seed)
+    n, lag = rng.integers(1, 7), rng.choice([0.0, 1e-3, 1e-2])
+    phases = Phases(np.arange(n), [True] * n, replace(LifeSettings(), lag=max(lag, 1e-9)))
+    before = Heard.nothing(n)
+    for _ in range(60):
+        phases.contacts.active = rng.random(n) < 0.8
+        here = phases.here
+        alpha, speed = here * rng.normal(size=(2, n)) * np.array([[9.0], [0.02]])
+        count, inertia = np.count_nonzero(here), np.zeros((n, n))
+        D = rng.normal(size=(count, count)) * 0.2 + np.eye(count)
+        independent = rng.random() < 0.8
+        if independent:
+            inertia[np.ix_(here, here)] = np.linalg.inv(D)
+        before, force = heard(before, alpha, speed, inertia, here, DT, phases.chain.lag)
+        phases.end(alpha, speed, D, independent)
+        for name in ("force", "pace", "known"):
+            np.testing.assert_allclose(phases.columns[name], getattr(before, name), 1e-12, 1e-12)
+        size = 1e-12 * max(1.0, np.linalg.cond(D) if count else 1.0)
+        np.testing.assert_allclose(phases.columns.net, here * force, 1e-12, size)
+        np.testing.assert_array_equal(phases.columns.alpha, alpha)
+        np.testing.assert_array_equal(phases.columns.speed, speed)
+
+
+# --- compiled and not -----------------------------------------------------------------------------
+
+PLAIN = "import sys, numpy, test_law_phases as t; numpy.save(sys.argv[1], t.tell_some())"
+
+
+def tell_some():
+    return np.concatenate([tell(seed, 120, machine=False)[1].ravel() for seed in range(6)])
+
+
+def test_compiled_and_plain_python_remember_the_same(tmp_path):
+    out = tmp_path / "plain.npy"
+    done = subprocess.run(
+        [sys.executable, "-c", PLAIN, str(out)], capture_output=True, text=True, timeout=300,
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.path.dirname(__file__)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    np.testing.assert_array_equal(np.load(out), tell_some())
