@@ -7,6 +7,8 @@ are scaled by the largest of their kind, columns to unit length.
 
 from __future__ import annotations
 
+from typing import NoReturn
+
 import numpy as np
 
 from osc_contact.errors import ContactError
@@ -68,35 +70,16 @@ def orthonormal(columns: Array, metric: Array, what: str) -> tuple[Array, Array,
     n, k = columns.shape
     if k == 0:
         return np.zeros((n, 0)), np.zeros((n, 0)), np.zeros((0, 0))
-    sizes, F = _factor(metric, what)
-    unit, length = _unit(sizes * columns)
-    seen = np.linalg.norm(F.T @ unit, axis=0)
-    if seen.min() < BLOCKED:
-        column = int(seen.argmin())
-        raise ContactError(
-            f"{what}: column {column} has nᵀΦn = {(seen * length)[column] ** 2:.3g}, its root "
-            f"{seen[column]:.2g} of what it may be (limit {BLOCKED:g}); the metric cannot move "
-            "along it. Drop that contact, or pass a metric that is definite on N."
-        )
     if k > n:
         raise ContactError(f"{what}: {k} columns of {n} numbers are dependent. Remove some.")
+    sizes, F = _factor(metric, what)
     rows, U, C = span(columns)
     Q, M = np.linalg.qr(sizes * rows * U[:, :k])
     M = M @ C
-    independent, which = least(M)
-    if independent < DEPENDENT:
-        raise ContactError(
-            f"{what}: columns {which} are dependent (least singular value of unit columns "
-            f"{independent:.2g}, limit {DEPENDENT:g}). Remove the redundant ones."
-        )
+    independent = np.linalg.svd(_unit(M)[0], compute_uv=False)[-1]
     P, Sigma, Zt = np.linalg.svd(F.T @ Q, full_matrices=False)
-    if Sigma[-1] < max(BLOCKED, BLURRED / independent):
-        which = _large(np.linalg.solve(M, Zt[-1]) * length)
-        raise ContactError(
-            f"{what}: columns {which} are dependent as the metric sees them (least singular value "
-            f"{Sigma[-1]:.2g}, limit {BLOCKED:g}); it cannot move along one combination of "
-            "them. Drop a contact, or pass a metric that is definite on N."
-        )
+    if independent < DEPENDENT or Sigma[-1] < max(BLOCKED, BLURRED / independent):
+        _refuse(M, F.T @ Q, Zt[-1], what)
     Z = Zt.T / Sigma
     return Q @ Z / sizes, sizes * (F @ P), np.linalg.solve(M, Z)
 
@@ -105,6 +88,30 @@ def left_inverse(columns: Array, metric: Array, what: str) -> Array:
     """(NᵀΦN)⁻¹NᵀΦ (k, n), the left inverse of N (n, k) that Φ (n, n) makes; see `orthonormal`."""
     _, W, G = orthonormal(columns, metric, what)
     return G @ W.T
+
+
+def _refuse(M: Array, X: Array, unseen: Array, what: str) -> NoReturn:
+    """Say why: one column, dependent columns, or a combination (k,) of those that M maps to."""
+    unit, length = _unit(M)
+    seen = np.linalg.norm(X @ unit, axis=0)
+    column, (independent, which) = int(seen.argmin()), least(M)
+    if seen[column] < BLOCKED:
+        raise ContactError(
+            f"{what}: column {column} has nᵀΦn = {(seen * length)[column] ** 2:.3g}, its root "
+            f"{seen[column]:.2g} of what it may be (limit {BLOCKED:g}); the metric cannot move "
+            "along it. Drop that contact, or pass a metric that is definite on N."
+        )
+    if independent < DEPENDENT:
+        raise ContactError(
+            f"{what}: columns {which} are dependent (least singular value of unit columns "
+            f"{independent:.2g}, limit {DEPENDENT:g}). Remove the redundant ones."
+        )
+    share, which = np.linalg.norm(X @ unseen), _large(np.linalg.solve(unit, unseen))
+    raise ContactError(
+        f"{what}: columns {which} are dependent as the metric sees them (least singular value "
+        f"{share:.2g}, limit {max(BLOCKED, BLURRED / independent):.2g}); it cannot move along one "
+        "combination of them. Drop a contact, or pass a metric that is definite on N."
+    )
 
 
 def _unit(columns: Array) -> tuple[Array, Array]:
