@@ -11,6 +11,7 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import ContactError, InvalidInputError, ModelError
+from osc_contact.spans import orthonormal
 from osc_contact.spatial import Array, as_array
 
 __all__ = ["ContactResponse", "Lambda_rel", "contact_response", "require_reachable"]
@@ -67,10 +68,10 @@ def contact_response(
     env = Environment.fixed() if environment is None else environment
     N = contact.N
     free = np.linalg.solve(state.Lambda, force - state.bias)
-    D = N.T @ (state.Phi + env.Phi_e) @ N
     require_reachable(state, contact, env.Phi_e if env.Phi_e.any() else None)
+    _, _, G = orthonormal(N, state.Phi + env.Phi_e, "contact force")  # D⁻¹ = GGᵀ
     drive = N.T @ (state.S @ free + state.sigma - env.b_e) - contact.n_gamma
-    alpha = np.linalg.solve(D, drive)
+    alpha = G @ (G.T @ drive)
     f_c = N @ alpha
     eta_dot = free - np.linalg.solve(state.Lambda, state.S.T @ f_c)
     return ContactResponse(

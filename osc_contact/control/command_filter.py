@@ -9,6 +9,7 @@ from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import InvalidInputError
 from osc_contact.response import require_reachable
+from osc_contact.spans import left_inverse
 from osc_contact.spatial import Array
 
 __all__ = [
@@ -44,8 +45,7 @@ def object_acceleration(
     """
     N = contact.N
     if Tdot_beta is None:
-        held = np.linalg.solve(state.metric, N)
-        Tdot_beta = held @ np.linalg.solve(N.T @ held, contact.n_gamma)
+        Tdot_beta = contact.n_gamma @ left_inverse(N, np.linalg.inv(state.metric), "Ṫβ")
     return relative + Tdot_beta + environment.Phi_e @ (N @ alpha_u) + environment.b_e
 
 
@@ -63,9 +63,8 @@ def object_coordinates(state: ChainState, contact: Contact, a: Array) -> Array:
     H = state.S.T @ state.metric @ state.S
     eta = np.linalg.solve(H, state.S.T @ state.metric @ x)
     N_S = state.S.T @ contact.N
-    H_inv_N = np.linalg.solve(H, N_S)
     miss = contact.N.T @ x - N_S.T @ eta
-    return np.asarray(eta + H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, miss))
+    return np.asarray(eta + miss @ left_inverse(N_S, np.linalg.inv(H), "P_T"))
 
 
 def metric_in_coordinates(state: ChainState, B: Array) -> Array:
@@ -116,10 +115,10 @@ def filtered_motion(
     """
     N = contact.N
     N_S = state.S.T @ N
-    B_N = metric_in_coordinates(state, B) @ N_S
+    bent = left_inverse(N_S, metric_in_coordinates(state, B), "eq. 24").T
     pushed = environment.yielding(N, drag) @ alpha_u
     rho = contact.n_gamma + N.T @ (environment.b_e - state.sigma) + pushed
-    return np.asarray(eta_u - B_N @ np.linalg.solve(N_S.T @ B_N, N_S.T @ eta_u - rho))
+    return np.asarray(eta_u - bent @ (N_S.T @ eta_u - rho))
 
 
 def generalised_force(state: ChainState, eta_c: Array, f_c: Array) -> Array:

@@ -24,7 +24,7 @@ from osc_contact.dynamics.definite import (
 )
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import InvalidInputError
-from osc_contact.projections import gram
+from osc_contact.spans import left_inverse
 from osc_contact.spatial import (
     Array,
     as_array,
@@ -261,11 +261,10 @@ class Environment:
         Phi_N, b_N = as_array("Phi_N", Phi_N, (r, r)), as_array("b_N", b_N, (r,))
         V_N = as_array("V_N", V_N, (r,))
         mobility = inverse(as_array("metric", metric, (6, 6)), "the metric (object inertia)")
-        held = gram(N, mobility, "environment of several contacts")
-        own = np.sqrt(np.diag(held))  # the held object's mobility along each normal
+        K = left_inverse(N, mobility, "environment of several contacts").T
+        own = np.sqrt((N * (mobility @ N)).sum(axis=0))  # the held object yields along each normal
         scaled = Phi_N / np.outer(own, own)
         require_inverse_inertia("Phi_N", scaled / (np.abs(scaled).max(initial=0.0) or 1.0))
-        K = np.linalg.solve(held, N.T @ mobility).T
         return cls(symmetric(K @ Phi_N @ K.T), K @ b_N, K @ V_N)
 
     @classmethod

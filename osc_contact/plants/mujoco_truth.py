@@ -17,6 +17,9 @@ from osc_contact.spatial import Array, Poses, cross
 __all__ = ["MujocoTruth"]
 
 _POINTS = 4  #: of contact that have room at first; more are made room for
+#: Of what the body takes. One that only seems to touch gets 1e-17 … 1e-7, by rounding and by the
+#: places of the points; one that does, 1e-3 and more.
+_PRESSES = 1e-5
 
 
 class MujocoTruth:
@@ -150,6 +153,7 @@ class MujocoTruth:
         """Magnitudes (k, r) and whether each contact touches (k, contacts)."""
         k = touched.shape[1]
         alpha = [np.zeros((part.shape[1], k)) for part in N]
+        presses = [np.zeros(part.shape, dtype=bool) for part in alpha]
         for body in sorted(set(self._on)):
             rows = touched[body]
             here = [i for i, other in enumerate(self._on) if other == body]
@@ -157,16 +161,22 @@ class MujocoTruth:
                 continue
             at = Poses(X_WO.R[:, :, rows], X_WO.p[:, rows])
             columns = _in_axes_of(at, np.concatenate([N[i][:, :, rows] for i in here], axis=1))
-            share = _split(columns, self._Phi, _in_axes_of(at, pushed[body][:, None, rows])[:, 0])
+            whole = _in_axes_of(at, pushed[body][:, None, rows])
+            share = _split(columns, self._Phi, whole[:, 0])
+            felt = share * self._mobility(columns) > _PRESSES * self._mobility(whole)
             ends = np.cumsum([len(alpha[i]) for i in here])[:-1]
-            for i, part in zip(here, np.split(share, ends), strict=True):
-                alpha[i][:, rows] = part
+            for i, part, on in zip(here, np.split(share, ends), np.split(felt, ends), strict=True):
+                alpha[i][:, rows], presses[i][:, rows] = part, on
         closed = [
-            touched[body] & ((a > 0.0).all(axis=0) if pushes_only(pair) else True)
-            for body, pair, a in zip(self._on, self._contacts, alpha, strict=True)
+            touched[body] & (on.all(axis=0) if pushes_only(pair) else True)
+            for body, pair, on in zip(self._on, self._contacts, presses, strict=True)
         ]
         both = np.concatenate([np.zeros((0, k)), *alpha])
         return both.T.copy(), np.array(closed, dtype=bool).reshape(-1, k).T.copy()
+
+    def _mobility(self, wrenches: Array) -> Array:
+        """√(fᵀΦf) (m, k), what the object alone would feel of wrenches (6, m, k) in its axes."""
+        return np.sqrt((wrenches * np.tensordot(self._Phi, wrenches, 1)).sum(axis=0))
 
 
 def _widened(rows: Array, wanted: int) -> Array:

@@ -14,7 +14,7 @@ from osc_contact.control.command_filter import (
 from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import InvalidInputError
 from osc_contact.experiments.kinematic_stability.arms import HybridArm
-from osc_contact.projections import gram
+from osc_contact.spans import left_inverse
 from osc_contact.spatial import Array, as_array, classical_to_spatial, pose_error
 
 __all__ = [
@@ -81,9 +81,8 @@ def our_eigenvalues(T: npt.ArrayLike, B: npt.ArrayLike, K_prime: npt.ArrayLike) 
     """
     metric, K = _definite("B", B), _definite("K_prime", K_prime)
     tangents = as_array("T", T, (6, None))
-    B_inv = np.linalg.inv(metric)
-    seen = tangents.T @ B_inv @ (metric @ K) @ tangents
-    loop = np.linalg.solve(gram(tangents, B_inv, "stiffness along T"), seen)
+    along = left_inverse(tangents, np.linalg.inv(metric), "stiffness along T")
+    loop = along @ (metric @ K) @ tangents
     return np.asarray(np.sort_complex(np.linalg.eigvals(loop)).astype(complex))
 
 

@@ -1,0 +1,226 @@
+"""Columns that are nearly dependent, and metrics that are singular: accepted with all digits, or
+refused, and nothing in between. On every BLAS kernel alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from test_projections import SIZE, close, frame_change, millimetres, vanishes, well_mixing
+
+import osc_contact as osc
+from osc_contact import projections as P
+from osc_contact import spans
+from osc_contact.contacts.contact import Contact
+from osc_contact.control.command_filter import filtered_motion, object_coordinates
+from osc_contact.dynamics.environment import Environment
+from osc_contact.errors import ContactError
+from osc_contact.response import contact_response
+
+GAPS = [1e-4, 1e-5, 1e-6]
+FORCE_LAWS, MOTION_LAWS = (P.Omega_f, P.Omega_m_bar), (P.Omega_m, P.Omega_f_bar)
+
+
+@pytest.fixture(params=[0.01, 1.0, 100.0], ids=["stricter", "as is", "laxer"])
+def limits(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No verdict here may hang on a limit: each holds with limits a hundred times off."""
+    for name in ("DEPENDENT", "BLOCKED", "BLURRED", "_NO_MOBILITY"):
+        monkeypatch.setattr(spans, name, getattr(spans, name) * request.param)
+
+
+def orthogonal(rng: np.random.Generator) -> np.ndarray:
+    return np.linalg.qr(rng.normal(size=(6, 6)))[0]
+
+
+def metric(rng: np.random.Generator, size: np.ndarray, rank: int) -> np.ndarray:
+    """A random metric of rank 5 or 6; its scaled eigenvalues within a factor of about 300."""
+    root = orthogonal(rng)[:, :rank] * 10 ** rng.uniform(-1.2, 0.0, rank) * size[:, None]
+    return root @ root.T
+
+
+def nearly_dependent(rng: np.random.Generator, r: int, gap: float) -> tuple[np.ndarray, np.ndarray]:
+    """Columns (6, r), one pair `gap` apart in direction, and good ones that span the same."""
+    good = SIZE[:, None] * orthogonal(rng)[:, :r]
+    near = good.copy()
+    near[:, -1] = good[:, 0] + gap * good[:, -1]
+    return near, good
+
+
+def changes(rng: np.random.Generator) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """As it is, from another point and in other axes, in millimetres, and both."""
+    one, other = frame_change(rng), millimetres(rng)
+    yield np.eye(6), np.eye(6)
+    yield one
+    yield other
+    yield other[0] @ one[0], other[1] @ one[1]
+
+
+@pytest.mark.parametrize("gap", GAPS)
+@pytest.mark.parametrize("rank", [5, 6])
+@pytest.mark.parametrize("seed", range(12))
+def test_identities_9_to_12_hold_for_columns_that_are_nearly_dependent(
+    seed: int, rank: int, gap: float
+) -> None:
+    rng = np.random.default_rng([seed, rank, 1])
+    r = 2 + seed % 4
+    N0, _ = nearly_dependent(rng, r, gap)
+    mobility = [metric(rng, 1 / SIZE, rank) for _ in range(2)]
+    inertia = [metric(rng, SIZE, rank) for _ in range(2)]
+    for X, X_f in changes(rng):
+        for basis in (np.eye(r), np.diag(10 ** rng.uniform(-3, 3, r)), well_mixing(rng, r)):
+            N = X_f @ N0 @ basis
+            T = P.null_space(N)
+            Phi = [X @ A @ X.T for A in mobility]
+            Lambda = [X_f @ A @ X_f.T for A in inertia]
+            f1, f2 = (P.Omega_f(N, A) for A in Phi)
+            g1, g2 = (P.Omega_f_bar(T, A) for A in Lambda)
+            m1, m2 = (P.Omega_m(T, A) for A in Lambda)
+            w1, w2 = (P.Omega_m_bar(N, A) for A in Phi)
+            close(f1 @ f2, f2)
+            close(g1 @ g2, g1)
+            close(m1 @ m2, m2)
+            close(w1 @ w2, w1)
+            assert vanishes(g1, f2) and vanishes(w1, m2)
+            close(f1 @ N, N)
+            assert np.trace(f1) == pytest.approx(r, abs=1e-9)
+
+
+@pytest.mark.parametrize("gap", GAPS)
+@pytest.mark.parametrize("rank", [5, 6])
+@pytest.mark.parametrize("seed", range(12))
+def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_basis(
+    seed: int, rank: int, gap: float
+) -> None:
+    """Up to what the columns' own last digit, 1e-16 / gap, makes of the space they span."""
+    rng = np.random.default_rng([seed, rank, 2])
+    r = 2 + seed % 4
+    near, good = nearly_dependent(rng, r, gap)
+    Phi = metric(rng, 1 / SIZE, rank)
+    f, v = SIZE * rng.normal(size=6), rng.normal(size=6) / SIZE
+    for X, X_f in changes(rng):
+        for basis in (np.eye(r), np.diag(10 ** rng.uniform(-3, 3, r))):
+            N = X_f @ near @ basis
+            force = P.Omega_f(N, X @ Phi @ X.T) @ X_f @ f
+            motion = P.Omega_m_bar(N, X @ Phi @ X.T) @ X @ v
+            close(np.linalg.solve(X_f, force), P.Omega_f(good, Phi) @ f, 3e-13 / gap)
+            close(np.linalg.solve(X, motion), P.Omega_m_bar(good, Phi) @ v, 3e-13 / gap)
+
+
+@pytest.mark.usefixtures("limits")
+@pytest.mark.parametrize("rank", [5, 6])
+@pytest.mark.parametrize("seed", range(20))
+def test_columns_a_millionth_apart_are_accepted_in_every_frame(seed: int, rank: int) -> None:
+    rng = np.random.default_rng([seed, rank, 3])
+    near, _ = nearly_dependent(rng, 2 + seed % 4, 1e-6)
+    force, motion = metric(rng, 1 / SIZE, rank), metric(rng, SIZE, rank)
+    for X, X_f in changes(rng):
+        for law in FORCE_LAWS:
+            law(X_f @ near, X @ force @ X.T)
+        for law in MOTION_LAWS:
+            law(X_f @ near, X @ force @ X.T)
+            law(P.null_space(X_f @ near), X_f @ motion @ X_f.T)
+
+
+@pytest.mark.usefixtures("limits")
+@pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
+def test_singular_metrics_are_refused_in_every_frame(r: int) -> None:
+    """Φn = 0 for a column n, for a combination, and for one of columns that are hardly apart."""
+    rng = np.random.default_rng([r, 4])
+    for _ in range(60):
+        Q = orthogonal(rng)
+        root = Q[:, 1:] * 10 ** rng.uniform(-1.2, 0.0, 5) / SIZE[:, None]
+        Phi = root @ root.T  # and Φ SIZE Q[:, 0] = 0
+        N = SIZE[:, None] * np.hstack((Q[:, :1], rng.normal(size=(6, r - 1))))
+        near = N.copy()
+        near[:, 0] = N[:, -1] + 1e-6 * N[:, 0]
+        for X, X_f in changes(rng):
+            for columns in (N, N @ well_mixing(rng, r), *([near] if r > 1 else [])):
+                for law in FORCE_LAWS:
+                    with pytest.raises(ContactError, match="cannot move along"):
+                        law(X_f @ columns, X @ Phi @ X.T)
+
+
+@pytest.mark.usefixtures("limits")
+@pytest.mark.parametrize("k", [2, 3, 4, 5, 6, 7])
+def test_dependent_columns_are_refused_in_every_frame(k: int) -> None:
+    rng = np.random.default_rng([k, 5])
+    for rank in (5, 6):
+        for _ in range(30):
+            N = SIZE[:, None] * rng.normal(size=(6, k))
+            N[:, -1] = N[:, :-1] @ rng.normal(size=k - 1)
+            Phi = metric(rng, 1 / SIZE, rank)
+            for X, X_f in changes(rng):
+                for law in FORCE_LAWS + MOTION_LAWS:
+                    with pytest.raises(ContactError, match="dependent"):
+                        law(X_f @ N, X @ Phi @ X.T)
+
+
+@pytest.mark.usefixtures("limits")
+@pytest.mark.parametrize("name", ["two_contact_rod", "scara_peg"])
+def test_what_a_rig_carries_by_its_structure_is_refused(name: str) -> None:
+    """Its own Φ₀, of rank 5 and 4: the locked wrenches C, alone and beside its contacts."""
+    rig = osc.build_rig(osc.load_scenario(name))
+    state, N = rig.model.state(rig.q_contact, np.zeros(len(rig.q_contact))), rig.contact().N
+    rng = np.random.default_rng(6)
+    P.Omega_f(N, state.Phi)
+    for X, X_f in changes(rng):
+        for columns in (state.C, np.hstack((N, state.C)) @ well_mixing(rng, 2 + 6 - state.d)):
+            with pytest.raises(ContactError, match="cannot move along"):
+                P.Omega_f(X_f @ columns, X @ state.Phi @ X.T)
+
+
+def test_messages_name_the_columns() -> None:
+    e = np.eye(6)
+    singular = np.diag([1.0, 1.0, 0.0, 1.0, 1.0, 1.0])
+    with pytest.raises(ContactError, match=r"column 1 has nᵀΦn = 0, .* Drop that contact"):
+        P.Omega_f(e[:, [0, 2]], singular)
+    hidden = np.column_stack((e[0], e[1] + e[2], e[1] - e[2]))
+    with pytest.raises(ContactError, match=r"columns \[1, 2\] are dependent as the metric sees"):
+        P.Omega_f(hidden, singular)
+    with pytest.raises(ContactError, match=r"columns \[0, 2\] are dependent \(least"):
+        P.Omega_f(np.column_stack((e[0], e[1], -3.0 * e[0])), np.eye(6))
+    with pytest.raises(ContactError, match="not symmetric"):
+        P.Omega_f(e[:, :1], np.eye(6) + 1e-6 * np.eye(6, k=1))
+
+
+@pytest.mark.parametrize("n", [1, 4, 6])
+@pytest.mark.parametrize("seed", range(5))
+def test_orthonormal_is_what_it_says(n: int, seed: int) -> None:
+    rng = np.random.default_rng([n, seed, 7])
+    for k in range(n + 1):
+        N, root = rng.normal(size=(n, k)), rng.normal(size=(n, n)) + 3.0 * np.eye(n)
+        Phi = root @ root.T
+        E, W, G = spans.orthonormal(N, Phi, "test")
+        np.testing.assert_allclose(E, N @ G, atol=1e-10)
+        np.testing.assert_allclose(E.T @ Phi @ E, np.eye(k), atol=1e-12)
+        np.testing.assert_allclose(W, Phi @ E, atol=1e-11)
+        np.testing.assert_allclose(N.T @ Phi @ N @ G @ G.T, np.eye(k), atol=1e-8)
+        np.testing.assert_allclose(spans.left_inverse(N, Phi, "test") @ N, np.eye(k), atol=1e-10)
+
+
+def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns() -> None:
+    """Eqs. 17, 18, 24 and P_T on the rod; columns 1e-4 apart are as near as a law accepts."""
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    rng = np.random.default_rng(8)
+    state = rig.model.state(rig.q_contact, 0.3 * rng.normal(size=len(rig.q_contact)))
+    good, gap = rig.contact().N, 1e-4
+    C = np.array([[1.0, 1.0], [0.0, gap]])  # N = good C
+    Phi_e = np.diag([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])
+    for environment in (Environment.fixed(), Environment(Phi_e, rng.normal(size=6))):
+        n_gamma, alpha = rng.normal(size=2), rng.normal(size=2)
+        near, well = Contact(good @ C, n_gamma @ C), Contact(good, n_gamma)
+        a, f_S = rng.normal(size=6), rng.normal(size=state.d)
+
+        def solve(contact: Contact, share: np.ndarray, **given: object) -> list[np.ndarray]:
+            a, f_S, environment = given["a"], given["f_S"], given["environment"]
+            eta = object_coordinates(state, contact, a)
+            answer = contact_response(state, contact, environment, f_S=f_S)
+            B = np.linalg.inv(state.metric)
+            filtered = filtered_motion(state, contact, f_S, share, B, environment)
+            return [eta, filtered, answer.f_c, answer.acceleration]
+
+        given = {"a": a, "f_S": f_S, "environment": environment}
+        found = solve(near, np.linalg.solve(C, alpha), **given)
+        for one, other in zip(found, solve(well, alpha, **given), strict=True):
+            np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-10 * np.abs(other).max())
