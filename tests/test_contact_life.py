@@ -8,22 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from readable.life import Columns, ContactLife, LifeState, commanded, lived, slewed
 from rigs import panda_pair, random_faces, random_state, scara_pair
-from test_compiled_tick import agree, disturb, inputs, twins
+from test_law import agree, disturb, inputs, twins
 
 import osc_contact as osc
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
-from osc_contact.control.life import (
-    Columns,
-    ContactLife,
-    LifeSettings,
-    LifeState,
-    Phase,
-    commanded,
-    lived,
-    slewed,
-)
+from osc_contact.control.life import LifeSettings, Phase
 from osc_contact.control.monitor import Heard, MonitorState, heard
 from osc_contact.experiments.contact_life import answers, collisions, false_alarms, land
 from osc_contact.experiments.contact_life_pictures import draw_collisions, draw_landing

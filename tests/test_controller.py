@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from readable.motion import MotionLaw
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller, Signals
-from osc_contact.control.motion import MotionGains, MotionLaw
+from osc_contact.control.motion import MotionGains
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from readable.force import ForceLaw, contact_force, magnitudes, sum_of_wrenches
 from rigs import (
     PANDA_Q,
     ROD,
@@ -20,7 +21,6 @@ from rigs import (
 from test_decoupling import in_contact
 
 import osc_contact as osc
-from osc_contact.control.force import ForceLaw, contact_force, magnitudes, sum_of_wrenches
 from osc_contact.plants.rigid import RigidPlant
 
 FIXED = osc.Environment.fixed()

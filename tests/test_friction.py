@@ -10,6 +10,7 @@ import pytest
 from environment_oracle import kkt, wrist_readings
 from environment_scenes import RTOL, close_to, scene
 from readable.effort_limits import EffortLimits, relieve
+from readable.force import contact_force, magnitudes, sum_of_wrenches
 from rigs import panda_pair, scara_pair
 from test_decoupling import in_contact
 from test_moving_environment import hardware, torques
@@ -21,7 +22,6 @@ from osc_contact.control.command_filter import (
     object_acceleration,
     object_coordinates,
 )
-from osc_contact.control.force import contact_force, magnitudes, sum_of_wrenches
 from osc_contact.control.friction import Friction
 from osc_contact.dynamics.environment import Environment
 from osc_contact.experiments.rig import build_rig

@@ -10,8 +10,8 @@ import pytest
 from oracles import kkt
 from readable.allocation import Allocation
 from rigs import PANDA_Q, ROD, one_panda, panda_pair, scara_pair
-from test_compiled_tick import agree, disturb, inputs, twins
 from test_decoupling import in_contact, torques
+from test_law import agree, disturb, inputs, twins
 
 import osc_contact as osc
 from osc_contact import robots

@@ -13,12 +13,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
-from readable.border import Status
+from readable.force import ContactTerms, ForceLaw
+from readable.life import ContactLife, slewed
 from readable.living import live
 
-from osc_contact.control.force import ContactTerms, ForceGains, ForceLaw
-from osc_contact.control.life import ContactLife, LifeSettings, slewed
+from osc_contact.control.force import ForceGains
+from osc_contact.control.life import LifeSettings
 from osc_contact.control.monitor import Heard, MonitorLimits, MonitorState, heard, watched
+from osc_contact.control.reports import Status
 from osc_contact.law import tables
 from osc_contact.law.phases import (
     APPROACHING,

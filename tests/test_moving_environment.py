@@ -9,6 +9,7 @@ import pytest
 from environment_oracle import wrist_readings
 from environment_scenes import RIGS, RTOL, cases, close_to, contacts_at, scene, twist_at
 from readable.allocation import Allocation
+from readable.force import contact_force, magnitudes, sum_of_wrenches
 from rigs import one_panda, panda_pair, random_state, scara_pair
 
 import osc_contact as osc
@@ -19,7 +20,6 @@ from osc_contact.control.command_filter import (
     object_acceleration,
     object_coordinates,
 )
-from osc_contact.control.force import contact_force, magnitudes, sum_of_wrenches
 from osc_contact.dynamics.environment import Environment
 from osc_contact.response import Lambda_rel, contact_response
 

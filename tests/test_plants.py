@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from readable.force import sum_of_wrenches
 
 import osc_contact as osc
 from osc_contact.contacts.contact import Contact
-from osc_contact.control.force import sum_of_wrenches
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.rigid import RigidPlant
 

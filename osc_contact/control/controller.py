@@ -131,8 +131,15 @@ class Controller:
                 contacts_memory.phase[:] = np.where(pushes, Phase.OPEN, Phase.CLOSED)
                 self._records.column_memory.closed[:] = 0
 
-    def _begin(self, settings: Settings, laws: Laws, records: TickRecords | None = None) -> None:
-        outside = Outside(settings, laws)
+    def _begin(
+        self,
+        settings: Settings,
+        laws: Laws,
+        records: TickRecords | None = None,
+        outside: Outside | None = None,
+    ) -> None:
+        if outside is None:
+            outside = Outside(settings, laws)
         if records is None:
             records = TickRecords(outside.pack())
         n_bars = int(records.row.head.n_bars)
@@ -211,7 +218,8 @@ class Controller:
     def _another(self, settings: Settings, laws: Laws) -> Controller:
         other = Controller.__new__(type(self))
         row = self._records.row.copy()
-        other._begin(settings, laws, TickRecords(row, self._records.memory_bytes))
+        outside = self._outside if laws is self.laws else None
+        other._begin(settings, laws, TickRecords(row, self._records.memory_bytes.copy()), outside)
         return other
 
     def _copy_work(self, other: Controller) -> None:
@@ -239,7 +247,7 @@ class Controller:
     def __setstate__(self, state: dict[str, Any]) -> None:
         outside = Outside(state["settings"], state["laws"])
         row = outside.pack(state["columns"])
-        self._begin(state["settings"], state["laws"], TickRecords(row, state["memory"]))
+        self._begin(state["settings"], state["laws"], TickRecords(row, state["memory"].copy()))
         self._records.work_bytes[:] = state["work"]
         self._codes[0], self._given_up = state["code"], state["given_up"]
         self._inputs = state["inputs"]

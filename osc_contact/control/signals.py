@@ -80,8 +80,7 @@ class Signals:
     ) -> None:
         """Copy what a tick has left."""
         self._settings = settings
-        rows = TickRecords(records.row, records.memory_bytes)
-        rows.work_bytes[:] = records.work_bytes
+        rows = TickRecords(records.row, records.memory_bytes.copy(), records.floats.copy())
         self._rows, w = rows, rows.work
         self.q, self.v = rows.joints.q.copy(), rows.joints.v.copy()
         self.wrenches = rows.arms.reading.copy()

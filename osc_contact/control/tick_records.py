@@ -49,13 +49,15 @@ class TickRecords:
         floats: WORK as numbers; what recordings keep are slices of it.
     """
 
-    def __init__(self, row: ModelRow, memory: Bytes | None = None) -> None:
-        """Records for a MODEL row; `memory`: bytes to go on with, copied."""
+    def __init__(
+        self, row: ModelRow, memory: Bytes | None = None, floats: Array | None = None
+    ) -> None:
+        """Views for a MODEL row; `memory`, `floats`: MEMORY and WORK to look at (default: new)."""
         head = row.head
-        size = int(head.memory_bytes)
         self.row = row
-        self.memory_bytes: Bytes = np.zeros(size, np.uint8) if memory is None else memory.copy()
-        self.floats: Array = np.zeros(int(head.work_bytes) // 8)
+        size, work_size = int(head.memory_bytes), int(head.work_bytes)
+        self.memory_bytes: Bytes = np.zeros(size, np.uint8) if memory is None else memory
+        self.floats: Array = np.zeros(work_size // 8) if floats is None else floats
         self.work_bytes: Bytes = self.floats.view(np.uint8)
         raw, c, r = self.memory_bytes, int(head.n_contacts), int(head.n_columns)
         self.memory = records(raw, 0, 1, at.MEMORY)[0]

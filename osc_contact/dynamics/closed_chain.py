@@ -313,9 +313,7 @@ class ClosedChain:
         tips = self.tip_poses(data)
         return locate(self.grasps, tips, self.reference_inertia, self.rank_tolerance)
 
-    def _twist(
-        self, twists: Sequence[Array], X_WO: pin.SE3, tips: Sequence[pin.SE3]
-    ) -> Array:
+    def _twist(self, twists: Sequence[Array], X_WO: pin.SE3, tips: Sequence[pin.SE3]) -> Array:
         if self.leader is not None:
             return twists[self.leader]
         inertia = self.reference_inertia(X_WO)

@@ -28,7 +28,7 @@ from osc_contact.law.algebra import (
     lu_solve,
     one_sided_jacobi,
     qr_rows,
-)  # fmt: skip
+)
 from osc_contact.law.jit import entry, inner
 
 __all__ = ["TorqueLimits"]
@@ -278,7 +278,8 @@ class TorqueLimits:
         E: (s_max, n_a) rows of the squeeze. carried: (s_max, 6) what of it motions use up.
         mass: of the held object (kg).
         tau: (n_a,) found. at_limit: (n_a,) which motors stand at their limit.
-        lost_force: (6,), lost_motion: (6,), lost_squeeze: (s_max,) wanted less what will come.
+        lost_force: (6,), lost_motion: (6,), lost_squeeze: (s_max,) wanted less what will come; zero
+            beyond r, and in locked axes.
     """
 
     def __init__(self, n_a: int, k_max: int, s_max: int) -> None:

@@ -96,7 +96,7 @@ BODY = _record(whole=("kind", "same", "pushes"), parameters=48)
 # What is remembered -----------------------------------------------------------------------------
 
 MEMORY = _record(
-    whole=("force_rank", "located", "ticked", "fresh", "engaged", "hand_over"),
+    whole=("force_rank", "located", "ticked", "fresh", "engaged", "hand_over", "reason"),
     motion_sum=6, f_tare=6, f_bias=6,
     force_sum=6,  # of the columns kept in the last tick
     X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search

@@ -302,14 +302,16 @@ def _remember(chain, work, memory, columns, column_memory, table, contacts, flat
         if work.status == OK:
             for i in range(6):
                 memory.motion_sum[i] = work.motion_next[i]
-    if chain.phased == 0:
-        return
     n = chain.n_columns
     here, alpha, speed = flat[n : 2 * n], flat[2 * n : 3 * n], flat[3 * n : 4 * n]
     chosen = integers(flat, 4 * n, n)
     for j in range(n):
         here[j] = alpha[j] = speed[j] = 0.0
     spread_magnitudes(work, columns, alpha, speed)
+    for j in range(n):
+        column_memory[j].alpha, column_memory[j].speed = alpha[j], speed[j]
+    if chain.phased == 0:
+        return
     for j in range(work.count):
         here[columns[j].chosen] = 1.0
         chosen[j] = columns[j].chosen
@@ -444,7 +446,7 @@ def _row(
                 internal_forces(
                     chain, work, joints, link, numbers(work_bytes, chain.bars_at, chain.n_bars)
                 )
-    work.reason = reason
+    work.reason = memory.reason = reason
     if reason != NO_REASON:
         work.status, memory.fresh = HELD, 0
         for i in range(chain.n_motors):
@@ -489,6 +491,8 @@ def build(stamp: int) -> Any:
              flags, tau, codes, begin, stop, lo, hi):  # fmt: skip
         """Controllers lo … hi − 1, each from part `begin` to before part `stop`.
 
+        Returns after a tick that ends SATURATED: its `work` says what motor limits must know.
+
         Args:
             model, memory: bytes of all rows (one row of `model` serves all of them). work: bytes,
                 scratch and what the last row worked out.
@@ -496,9 +500,12 @@ def build(stamp: int) -> Any:
                 (rows · arms, 6), X_WD (rows · 4, 4), touched (rows · contacts, 28).
             flags: MOVING, COMMANDED, OWN_FORCE, OWN_MOTION.
             tau: (rows · motors,), codes: (rows,) status; filled.
+
+        Returns:
+            The row to go on with; hi when all are done.
         """
         if stamp < 0:
-            return
+            return hi
         head = read_chain(model, 0, 1)[0]
         step = head.row_bytes if model.size > head.row_bytes else 0
         n, k, c, r = head.n_joints, head.n_arms, head.n_contacts, head.n_columns
@@ -521,5 +528,8 @@ def build(stamp: int) -> Any:
                 alpha_d[i * r : (i + 1) * r], squeeze[i * s : (i + 1) * s],
                 touched[i * c : (i + 1) * c], flags, tau, i * a, begin, stop,
             )  # fmt: skip
+            if codes[i] == SATURATED:
+                return i + 1
+        return hi
 
     return rows

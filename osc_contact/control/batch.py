@@ -1,0 +1,240 @@
+"""Many controllers at once: the rows of one batch, each with a model and a memory of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from osc_contact.control.controller import Controller
+from osc_contact.control.model_row import Bytes, ModelRow, records
+from osc_contact.control.reports import Status
+from osc_contact.control.tick_records import TickRecords
+from osc_contact.control.torque_limits import MotorLimits
+from osc_contact.errors import InvalidInputError, ModelError, SolverError
+from osc_contact.law import tables as at
+from osc_contact.law import tick as law
+from osc_contact.spatial import Array
+
+__all__ = ["BatchController"]
+
+
+class BatchController:
+    """B controllers of one structure, ticked by one call; a row's answer is its single tick's.
+
+    One structure: as many arms, joints, motors, contacts and columns of N, the same kinds of
+    grasps. Masses, gains, contacts, friction, limits and memory are each row's own.
+
+    Attributes:
+        rows: B. threads: how many share a tick. status: (B,) of `Status`, of the last tick.
+    """
+
+    def __init__(self, controllers: Sequence[Controller], threads: int = 1) -> None:
+        """Take over models and memories; the controllers themselves are not touched afterwards.
+
+        Args:
+            controllers: one for each row (the same one again is copied).
+            threads: each works on a part of the rows.
+
+        Raises:
+            InvalidInputError: none, different structures, or pairs, bodies or laws that only
+                Python can evaluate.
+        """
+        if not controllers or threads < 1:
+            raise InvalidInputError(f"{len(controllers)} controllers, {threads} threads: give ≥ 1")
+        heads = [c._records.row.head for c in controllers]
+        shape = ("n_arms", "n_joints", "n_motors", "n_columns", "n_contacts", "row_bytes",
+                 "memory_bytes", "work_bytes", "slipping", "leader")  # fmt: skip
+        for i, (one, head) in enumerate(zip(controllers, heads, strict=True)):
+            differing = [name for name in shape if head[name] != heads[0][name]]
+            if differing:
+                raise InvalidInputError(
+                    f"row {i} differs from row 0 in {', '.join(differing)}; a batch has one "
+                    "structure: make one batch for each"
+                )
+            if one._outside.needed:
+                raise InvalidInputError(
+                    f"row {i} has pairs, bodies or laws that only Python can evaluate; a batch "
+                    "runs the packaged ones"
+                )
+        first = controllers[0]
+        self.rows, self.threads = len(controllers), threads
+        self._settings = [c.settings for c in controllers]
+        self._names = ModelRow.__new__(ModelRow)
+        self._names.pairs = first._records.row.pairs
+        self._model: Bytes = np.concatenate([c._records.row.raw for c in controllers])
+        self._memory: Bytes = np.concatenate([c._records.memory_bytes for c in controllers])
+        self._start = self._memory.copy()
+        self._call = first._rows
+        head, B = heads[0], self.rows
+        self._n, self._k, self._n_a = int(head.n_joints), int(head.n_arms), int(head.n_motors)
+        self._r, self._c = int(head.n_columns), int(head.n_contacts)
+        self._s, self._work_size = max(1, int(head.n_bars)), int(head.work_bytes) // 8
+        self._work = [np.zeros(self._work_size) for _ in range(threads)]
+        self._codes = np.zeros(B, dtype=np.int64)
+        self._memories = self._strided(at.MEMORY, 0, 1)[:, 0]
+        self._columns = self._strided(at.COLUMN_MEMORY, int(head.column_memory_at), self._r)
+        self._limits: dict[int, MotorLimits] = {}
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+
+    def _strided(self, dtype: np.dtype[Any], start: int, count: int) -> Any:
+        """(B, count) records of all memories."""
+        rows = self._memory.reshape(self.rows, -1)[:, start : start + count * dtype.itemsize]
+        return np.lib.stride_tricks.as_strided(
+            rows[:, :1].view(np.uint8), (self.rows, count, dtype.itemsize),
+            (rows.strides[0], dtype.itemsize, 1),
+        ).view(dtype)[..., 0]  # fmt: skip
+
+    def tick(
+        self,
+        q: npt.ArrayLike,
+        v: npt.ArrayLike,
+        wrenches: npt.ArrayLike,
+        X_WD: npt.ArrayLike,
+        V_D: npt.ArrayLike | None = None,
+        A_D: npt.ArrayLike | None = None,
+        alpha_d: npt.ArrayLike | None = None,
+        squeeze_d: npt.ArrayLike | None = None,
+        touched: npt.ArrayLike | None = None,
+    ) -> Array:
+        """Motor torques (B, n_a) for one control period; rows as in `Controller.tick`.
+
+        Args:
+            q, v: (B, n) measured. wrenches: (B, arms, 6) of the wrists (N, N m).
+            X_WD: (B, 4, 4) desired pose of the object. V_D, A_D: (B, 6), default 0.
+            alpha_d: (B, r) desired contact forces (N), default 0.
+            squeeze_d: (B,) desired internal force, or (B, bars) with three arms and more; default
+                0 (None leaves bar forces at least effort).
+            touched: (B, contacts, 28) X_WE by rows, V_E, A_E of the touched bodies; None: at rest.
+
+        Raises:
+            InvalidInputError: wrong shapes. Numbers that are not finite end their row HELD.
+        """
+        B = self.rows
+        zeros = np.zeros((B, 6))
+        flags = 0
+        motion = np.zeros((B * self._c, 28))
+        if touched is not None:
+            motion = _table("touched", touched, (B, self._c, 28)).reshape(B * self._c, 28)
+            flags |= law.MOVING
+        squeeze = np.zeros((B, self._s))
+        if squeeze_d is not None:
+            squeeze[:] = np.reshape(np.asarray(squeeze_d, dtype=float), (B, -1))
+            flags |= law.COMMANDED if self._k > 2 else 0
+        wishes = np.zeros((B, self._r)) if alpha_d is None else alpha_d
+        tau = np.empty(B * self._n_a)
+        args = (
+            _table("q", q, (B, self._n)).ravel(), _table("v", v, (B, self._n)).ravel(),
+            _table("wrenches", wrenches, (B, self._k, 6)).reshape(B * self._k, 6),
+            _table("X_WD", X_WD, (B, 4, 4)).reshape(4 * B, 4),
+            _table("V_D", zeros if V_D is None else V_D, (B, 6)).ravel(),
+            _table("A_D", zeros if A_D is None else A_D, (B, 6)).ravel(),
+            _table("alpha_d", wishes, (B, self._r)).ravel(), squeeze.ravel(), motion, flags, tau,
+        )  # fmt: skip
+        self._locate(args[0].reshape(B, self._n))
+        ends = np.linspace(0, B, self.threads + 1).astype(int)
+        if self._pool is None:
+            self._run(0, 0, B, args)
+        else:
+            parts = [
+                self._pool.submit(self._run, i, int(ends[i]), int(ends[i + 1]), args)
+                for i in range(self.threads)
+            ]
+            for part in parts:
+                part.result()
+        return tau.reshape(B, self._n_a)
+
+    def _run(self, worker: int, lo: int, hi: int, args: tuple[Any, ...]) -> None:
+        floats = self._work[worker]
+        work = floats.view(np.uint8)
+        while lo < hi:
+            lo = self._call(
+                self._model, self._memory, work, *args, self._codes, law.LOOK, law.END, lo, hi
+            )
+            if self._codes[lo - 1] == Status.SATURATED:
+                self._relieve(lo - 1, floats, args[-1])
+
+    def _row(self, i: int, floats: Array) -> TickRecords:
+        size = len(self._model) // self.rows
+        row = ModelRow.__new__(ModelRow)
+        row.raw, row.pairs = self._model[i * size : (i + 1) * size], self._names.pairs
+        row.head = records(row.raw, 0, 1, at.CHAIN)[0]
+        return TickRecords(row, self._memory.reshape(self.rows, -1)[i], floats)
+
+    def _relieve(self, i: int, floats: Array, tau: Array) -> None:
+        """Torques within the limits for a row that has just ended SATURATED."""
+        rows = self._row(i, floats)
+        out = tau[i * self._n_a : (i + 1) * self._n_a]
+        if i not in self._limits:
+            self._limits[i] = MotorLimits(self._settings[i], rows.row)
+        try:
+            self._limits[i].relieve(rows, out)
+        except SolverError:
+            self._codes[i], rows.memory.fresh, rows.memory.reason = Status.HELD, 0, at.OUTSIDE
+            out[:] = rows.torques
+
+    def _locate(self, q: Array) -> None:
+        """Where no arm holds the object rigidly: find it once, from the joints alone."""
+        if self._settings[0].chain.leader is not None:
+            return
+        import pinocchio as pin
+
+        for i in np.flatnonzero(self._memories["located"] == 0):
+            chain = self._settings[i].chain
+            data = chain.model.createData()
+            pin.forwardKinematics(chain.model, data, q[i])
+            try:
+                X_WO = chain.object_pose(data).homogeneous
+            except ModelError:
+                continue
+            self._memories["X_WO"][i], self._memories["located"][i] = X_WO, 1
+
+    def reset(self, mask: npt.ArrayLike | None = None) -> None:
+        """Rows back to the memory they began with.
+
+        Args:
+            mask: (B,) which rows; None: all of them.
+        """
+        mine = np.ones(self.rows, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+        if mine.shape != (self.rows,):
+            raise InvalidInputError(f"mask: expected ({self.rows},), got {mine.shape}")
+        self._memory.reshape(self.rows, -1)[mine] = self._start.reshape(self.rows, -1)[mine]
+        self._codes[mine] = Status.OK
+
+    @property
+    def status(self) -> Array:
+        """(B,) how each row's last tick ended, see `Status`."""
+        return self._codes.copy()
+
+    @property
+    def alpha_meas(self) -> Array:
+        """(B, r) measured contact magnitudes (N) of the last computed tick, 0 out of N."""
+        return np.array(self._columns["alpha"])
+
+    @property
+    def normal_speed(self) -> Array:
+        """(B, r) NᵀV_rel (m/s) of the last computed tick, 0 out of N."""
+        return np.array(self._columns["speed"])
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pool": None, "_call": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        from osc_contact.control.tick_records import rows
+
+        self.__dict__.update(state, _call=rows())
+        head = records(self._model, 0, 1, at.CHAIN)[0]
+        self._memories = self._strided(at.MEMORY, 0, 1)[:, 0]
+        self._columns = self._strided(at.COLUMN_MEMORY, int(head.column_memory_at), self._r)
+        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+
+
+def _table(name: str, x: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
+    """x as a contiguous array of numbers of this shape; numbers need not be finite."""
+    array = np.ascontiguousarray(x, dtype=float)
+    if array.shape != shape:
+        raise InvalidInputError(f"{name}: expected shape {shape}, got {array.shape}")
+    return array
