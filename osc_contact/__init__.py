@@ -24,8 +24,10 @@ from osc_contact.contacts.pairs import (
     VertexOnFace,
 )
 from osc_contact.contacts.raibert_craig import RaibertCraig
+from osc_contact.control.batch import BatchController
 from osc_contact.control.controller import Controller, Gains, Status
 from osc_contact.control.force import ForceGains
+from osc_contact.control.laws import Laws
 from osc_contact.control.motion import MotionGains
 from osc_contact.control.set_point import PoseSetPoint, SetPoint, SetPointState
 from osc_contact.dynamics.arm import Arm
@@ -86,9 +88,11 @@ __all__ = [
     "ContactResponse",
     "contact_response",
     "Controller",
+    "BatchController",
     "Gains",
     "MotionGains",
     "ForceGains",
+    "Laws",
     "Status",
     "Measurement",
     "Reference",

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from readable.motion import MotionLaw
 
 import osc_contact as osc
-from osc_contact.control.controller import Controller, Signals
+from osc_contact.control.controller import Controller
 from osc_contact.control.motion import MotionGains
+from osc_contact.control.signals import SIGNALS
+from osc_contact.spatial import pose_error
 
 
 @pytest.fixture(scope="module")
@@ -83,12 +89,31 @@ def test_torques_never_exceed_a_motor_limit(ready):
     assert "joint" in controller.reason
 
 
-def test_a_pose_where_the_arms_cannot_push_is_held(rig, ready):
+def test_stretched_elbows_degrade_and_a_wall_that_the_arms_cannot_push_is_held(rig, ready):
     controller, _, measurement, reference = ready
     straight = measurement.q.copy()
     straight[[1, 6]] = 0.0  # both elbows stretched
-    controller.tick(replace(measurement, q=straight), reference)
-    assert np.isfinite(controller.tick(replace(measurement, q=straight), reference)).all()
+    tau = controller.tick(replace(measurement, q=straight), reference)
+    assert controller.status is osc.Status.DEGRADED
+    assert "near a singular posture" in controller.reason
+    assert np.isfinite(tau).all() and (np.abs(tau) <= controller.chain.tau_max).all()
+
+    # a couple about the heading of the rod: both grippers' structure carries it
+    class Twist:
+        name = "twist"
+
+        def contact(self, X_WO, V_O, X_WE=None, V_E=None):
+            heading = X_WO.rotation[:, 0].copy()
+            heading[2] = 0.0
+            return osc.Contact(np.concatenate((np.zeros(3), heading))[:, None])
+
+        def gaps(self, X_WO, X_WE=None):
+            return np.zeros(1)
+
+    blocked = Controller(rig.model, [Twist()])
+    first = blocked.tick(measurement, replace(reference, alpha_d=np.ones(1)))
+    assert blocked.status is osc.Status.HELD and "cannot push on contact column 0" in blocked.reason
+    assert not first.any()  # there is nothing to repeat yet
 
 
 def test_wiring_is_complete_and_runs_forward(rig):
@@ -100,7 +125,7 @@ def test_wiring_is_complete_and_runs_forward(rig):
         assert block.inputs and block.outputs, block.name
         assert set(block.inputs) <= known, block.name
         known |= set(block.outputs)
-    assert known == set(Signals.__annotations__)
+    assert known == set(SIGNALS)
     read = {name for block in blocks for name in block.inputs}
     assert known - read == {"tau"}
 
@@ -216,3 +241,121 @@ def test_asking_for_signals_before_the_first_tick_says_so(rig):
     controller = rig.controller()
     with pytest.raises(osc.InvalidInputError, match="no tick"):
         controller.residual_wrench()
+
+
+# --- settings are taken once, controllers share nothing ------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["gains", "dt", "B", "contacts", "friction", "bodies", "posture", "life", "signals", "x"],
+)
+def test_what_would_be_ignored_is_refused(ready, name):
+    controller = ready[0]
+    with pytest.raises(osc.InvalidInputError, match="with_gains"):
+        setattr(controller, name, None)
+    for loop in (controller.motion_law, controller.force_law):
+        with pytest.raises(osc.InvalidInputError, match=r"integral"):
+            loop.gains = None
+
+
+def test_other_gains_go_on_without_a_jump(rig):
+    gains = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
+    controller, plant = Controller(rig.model, rig.pairs, gains), rig.plant()
+    measurement, reference = plant.measure(), rig.references.at(0.0)
+    shift = np.array([1e-3, -2e-3, 1e-3, 2e-3, 1e-3, -1e-3])
+    away = replace(reference, X_WD=reference.X_WD * pin.exp6(pin.Motion(shift)))
+    for _ in range(50):
+        controller.tick(measurement, away)
+    X_WO = pin.SE3(controller.found().X_WO.copy())
+    still = replace(reference, X_WD=X_WO, V_D=np.zeros(6), A_D=np.zeros(6))
+    assert np.abs(controller.motion_law.integral).max() > 1e-5
+    tau = copy.copy(controller).tick(measurement, still)
+    for integral in (3000.0, 0.0):
+        changed = osc.Gains(osc.MotionGains(400, 40, integral), gains.force)
+        other = controller.with_gains(changed)
+        assert other.gains is changed and controller.gains is gains
+        got = other.tick(measurement, still)
+        assert other.status is osc.Status.OK, other.reason
+        np.testing.assert_allclose(got, tau, rtol=0, atol=1e-6 * np.abs(tau).max())
+    np.testing.assert_array_equal(controller.force_law.gains.integral, 30)
+
+
+def test_copies_and_pickles_go_on_alike_and_alone(ready):
+    controller, plant, measurement, reference = ready
+    controller.f_tare = np.arange(6.0)
+    controller.tick(measurement, reference)
+    others = [copy.copy(controller), copy.deepcopy(controller)]
+    others.append(pickle.loads(pickle.dumps(controller)))
+    for other in others:
+        assert other.status is controller.status
+        np.testing.assert_array_equal(other.signals.tau, controller.signals.tau)
+    moved = replace(measurement, q=measurement.q + 1e-4)
+    tau = controller.tick(moved, reference)
+    before = [other.motion_law.integral for other in others]
+    assert all((x != controller.motion_law.integral).any() for x in before)
+    for other in others:
+        np.testing.assert_array_equal(other.tick(moved, reference), tau)
+    held = copy.deepcopy(controller.signals)
+    controller.tick(measurement, reference)
+    np.testing.assert_array_equal(held.tau, tau)  # what signals say is not changed by later ticks
+    np.testing.assert_array_equal(held.q, moved.q)
+    assert held.state.d == 5
+
+
+def test_two_threads_on_one_chain_do_not_disturb_one_another(rig):
+    plant, reference = rig.plant(), rig.references.at(0.0)
+    m = plant.measure()
+    rng = np.random.default_rng(4)
+    stories = [[replace(m, q=m.q + 1e-3 * rng.normal(size=10)) for _ in range(300)] for _ in "ab"]
+
+    def run(story):
+        controller = rig.controller()
+        return [
+            (controller.tick(x, reference), controller.signals.state.Lambda if i % 50 == 0 else 0)
+            for i, x in enumerate(story)
+        ]
+
+    alone = [run(story) for story in stories]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(run, stories))
+    for a, b in zip(alone, together, strict=True):
+        for (tau, Lambda), (same, again) in zip(a, b, strict=True):
+            np.testing.assert_array_equal(tau, same)
+            np.testing.assert_array_equal(Lambda, again)
+
+
+def test_laws_of_ones_own(rig, ready):
+    """Force law, motion law and structure replaced by the same laws give the same torques."""
+    controller, _, measurement, reference = ready
+    plain = rig.controller()
+    want = plain.tick(measurement, reference)
+    k = plain.gains.motion
+    sums = {"force": np.zeros(2), "motion": plain.motion_law.integral}
+
+    def force(alpha_d, alpha):
+        sums["force"] = sums["force"] + plain.gains.force.integral * plain.dt * (alpha_d - alpha)
+        speed = plain.found().normal_speed
+        return alpha_d + sums["force"] - plain.gains.force.damping * speed
+
+    def motion(reference, X_WO, V_O):
+        error = pose_error(reference.X_WD, X_WO)
+        integral = k.integral * plain.motion_law.integral
+        return reference.A_D + k.damping * (reference.V_D - V_O) + k.stiffness * error + integral
+
+    def structure(s):
+        return s.eta_c, s.f_S
+
+    for laws in ({"force": force}, {"motion": motion}, {"structure": structure}):
+        own = rig.controller().with_laws(**laws)
+        sums["force"] = np.zeros(2)
+        got = own.tick(measurement, reference)
+        assert own.status is osc.Status.OK, own.reason
+        np.testing.assert_allclose(got, want, atol=1e-9)
+        assert any(box.name.startswith("own") for box in own.wiring(measurement, reference))
+    broken = rig.controller().with_laws(motion=lambda *_: np.full(6, np.nan))
+    broken.tick(measurement, reference)
+    assert broken.status is osc.Status.HELD and "six finite numbers" in broken.reason
+    failing = rig.controller().with_laws(force=lambda *_: 1 / 0)
+    failing.tick(measurement, reference)
+    assert failing.status is osc.Status.HELD and "division" in failing.reason

@@ -87,6 +87,8 @@ def agree(fast, slow, measurement, reference, tolerance=TOLERANCE):
     assert fast.status is slow.status, (fast.reason, slow.reason)
     if slow.status is osc.Status.SATURATED:
         tolerance = max(tolerance, 1e-7)
+    if slow.status is osc.Status.DEGRADED:
+        tolerance = max(tolerance, 1e-8)  # both lose digits as 1/χ²
     np.testing.assert_allclose(got, want, rtol=0, atol=tolerance * size)
     for a, b in (
         (fast.motion_law.integral, slow.motion_law.integral),
@@ -152,20 +154,46 @@ def test_grasps_that_permit_motions():
         for _ in range(5):
             q = case.q + 1e-4 * rng.normal(size=chain.nq)
             # loops that do not quite close leave more digits to the order of sums
-            agree(fast, slow, *inputs(chain, q, rng.normal(size=chain.nq), rng, 2), 1e-10)
-            accelerated_alike(fast, slow, 1e-10)
+            agree(fast, slow, *inputs(chain, q, rng.normal(size=chain.nq), rng, 2), 1e-9)
+            accelerated_alike(fast, slow, 1e-9)
     assert leaders == {None, 0, 1, 2}
 
 
-@pytest.mark.parametrize("arms, kinds", [(["ur5", "ur5"], ["rigid", "slide"]),
-                                         (["scara", "ur5"], ["hinge", "rigid"])])  # fmt: skip
-def test_other_grasps_and_jointed_grippers_run_on_the_readable_path(arms, kinds):
-    case = random_case(arms, kinds, np.random.default_rng(37))
-    controller = Controller(case.chain, [], posture=case.q)
-    assert controller._fast is None
-    measurement = Measurement(case.q, np.zeros(case.chain.nq), np.zeros((2, 6)))
-    reference = Reference(case.X_WO, np.zeros(6), np.zeros(6), np.zeros(0))
-    assert controller.tick(measurement, reference).any() and controller.status != 2
+@pytest.mark.parametrize(
+    "arms, kinds, squeeze",
+    [
+        (["ur5", "ur5"], ["rigid", "slide"], 5.0),
+        (["ur5", "panda"], ["slide", "slide"], 5.0),  # the grasps alone fix the object
+        (["scara", "ur5"], ["hinge", "rigid"], 5.0),  # a gripper with a joint beyond its sensor
+        (["scara", "panda"], ["hinge", "ball"], 5.0),
+        (["ur5", "ur5", "ur5"], ["rigid", "rigid", "rigid"], 5.0),
+        (["ur5", "panda", "ur5"], ["rigid", "hinge", "ball"], np.array([3.0, -2.0, 5.0])),
+        (["scara", "ur5", "ur5"], ["hinge", "ball", "rigid"], 4.0),
+        (["panda", "panda", "panda", "panda"], ["rigid"] * 4, 4.0),
+    ],
+)
+def test_other_grasps_and_internal_forces(arms, kinds, squeeze):
+    """Slides, jointed grippers, bar forces; near singular postures and weak motors as they come."""
+    rng, done = np.random.default_rng(37), 0
+    while done < 6:
+        case = random_case(arms, kinds, rng)
+        chain = osc.ClosedChain(case.chain.arms, case.chain.grasps, case.chain.payload)
+        try:
+            state = chain.state(case.q, np.zeros(chain.nq))
+        except osc.ModelError:  # the grasps do not fix the object
+            continue
+        if any(lost.chi < 0.1 for lost in state.fading):
+            continue  # both lose digits as 1/χ²
+        fast, slow = twins(chain, random_faces(state.X_WO, 2, rng), posture=case.q)
+        for _ in range(2):
+            q, v = case.q + 1e-4 * rng.normal(size=chain.nq), 0.3 * rng.normal(size=chain.nq)
+            measurement, reference = inputs(chain, q, v, rng, 2)
+            agree(fast, slow, measurement, replace(reference, squeeze_d=squeeze), 1e-9)
+            accelerated_alike(fast, slow, 1e-9)
+            if fast.status is not osc.Status.HELD:
+                found = fast.found().squeeze
+                np.testing.assert_allclose(found, slow.found().squeeze, atol=1e-6)
+        done += 1
 
 
 @pytest.mark.parametrize("name", list_scenarios())
@@ -177,8 +205,11 @@ def test_every_packaged_scenario(name):
     slow = readable_of(fast)
     measurement, reference = rig.at_start(rig.plant().measure()), rig.references.at(0.3)
     n = rig.model.nq
+    phased = fast.life is not None
     for engaged in (False, True, False):
         fast.engaged = slow.engaged = engaged
+        if phased:  # what is learnt is handed over in the state of the tick, not of the last one
+            fast.motion_law.integral = slow.motion_law.integral = np.zeros(6)
         for _ in range(20):
             q = measurement.q + 1e-3 * rng.normal(size=n)
             moved = replace(measurement, q=q, v=0.1 * rng.normal(size=n))
@@ -245,8 +276,10 @@ def test_every_pair_and_body(body):
             columns = sum(len(pair.gaps(pin.SE3.Identity())) for pair in pairs)
             for touched in (None, motion_of(rng, len(pairs)), None):
                 measurement, reference = inputs(chain, q, v, rng, columns, touched)
+                # gap functions are differentiated numerically, at poses that differ by rounding
+                tolerance = 1e-9 if "gap" in kind else 1e-11
                 try:
-                    agree(fast, slow, measurement, reference, 1e-11)
+                    agree(fast, slow, measurement, reference, tolerance)
                 except AssertionError as error:
                     raise AssertionError(f"{kind}, touched={touched is not None}") from error
 
@@ -307,16 +340,6 @@ def test_friction_with_motors_that_are_too_weak():
         done += slow.status is osc.Status.SATURATED
 
 
-def test_friction_of_a_pair_derived_from_a_vertex_is_the_readable_paths():
-    class Corner(osc.VertexOnFace):
-        pass
-
-    pair = Corner(np.zeros(3), np.zeros(3), np.array([0.0, 0.0, 1.0]))
-    chain = scara_pair()
-    assert Controller(chain, [pair], friction=Friction(0.1))._fast is None
-    assert Controller(chain, [pair])._fast is not None
-
-
 def test_dependent_contacts():
     """A table on four and on eight legs, three of them independent."""
     chain, rng = panda_pair(), np.random.default_rng(34)
@@ -360,7 +383,7 @@ def test_an_arm_that_locks_more_than_its_joints_say():
         agree(fast, slow, *inputs(chain, q, v, rng, 0))
 
 
-def test_signals_after_a_compiled_tick_are_those_of_the_twin():
+def test_signals_are_those_of_the_numpy_law_and_stay():
     rig, rng = osc.build_rig(osc.load_scenario("two_contact_rod")), np.random.default_rng(37)
     fast = rig.controller()
     slow = readable_of(fast)
@@ -411,7 +434,6 @@ COUNT_ALLOCATIONS = """
 import sys
 import numpy as np
 import osc_contact as osc
-from numba import njit
 from numba.core.runtime import rtsys
 
 rig = osc.build_rig(osc.load_scenario("two_contact_rod_friction"))
@@ -420,31 +442,16 @@ reference = rig.references.at(0.0)
 for _ in range(100):
     controller.tick(measurement, reference)
 assert controller.status is osc.Status.OK, controller.reason
-
-
-@njit
-def nothing(a, b, c, d, e, f, g, h):
-    return a.size
-
-
-def allocations(call):
-    start = rtsys.get_allocation_stats()
-    call()
-    end = rtsys.get_allocation_stats()
-    assert end.free - start.free == end.alloc - start.alloc
-    return end.alloc - start.alloc
-
-
-kernel = controller.kernel_call(measurement, reference)
-arrays = [x for x in kernel.args if isinstance(x, np.ndarray)]
-assert len(arrays) == 8
-nothing(*arrays)
-assert allocations(lambda: nothing(*arrays)) == 8  # numba's usual handle on each array handed over
-assert allocations(kernel) == 0
+call = controller.kernel_call(measurement, reference)
+start = rtsys.get_allocation_stats()
+call()
+end = rtsys.get_allocation_stats()
+assert end.alloc == start.alloc, end.alloc - start.alloc
 before = sys.getallocatedblocks()
 for _ in range(100_000):
     controller.tick(measurement, reference)
-    controller.motion_law.memory[:] = controller.force_law.memory[:] = 0.0
+    controller.motion_law.integral = np.zeros(6)
+    controller.force_law.integral = np.zeros(0)
 after = sys.getallocatedblocks()
 assert controller.status is osc.Status.OK, controller.reason
 assert abs(after - before) < 50, after - before
@@ -466,7 +473,7 @@ def test_a_hundred_thousand_ticks_allocate_nothing():
 
 
 @pytest.mark.parametrize("how", ["NUMBA_DISABLE_JIT", "NUMBA_BOUNDSCHECK"])
-def test_twins_agree_without_compilation_and_with_checked_bounds(how, tmp_path):
+def test_the_same_without_compilation_and_with_checked_bounds(how, tmp_path):
     few = "every_packaged or different_bodies or dependent or locks_more or nothing_held"
     words = ("-m", "pytest", "-q", "-k", few, "-p", "no:cacheprovider", __file__)
     if os.environ.get(how):

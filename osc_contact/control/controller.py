@@ -63,6 +63,7 @@ class Controller:
     _limits: MotorLimits | None
     _given_up: GivenUp | None
     _failure: Exception | None
+    _converting: bool
     _inputs: tuple[Measurement, Reference]
 
     def __init__(
@@ -150,6 +151,7 @@ class Controller:
             _moving=np.zeros((len(settings.contacts), 28)),
             _arms=len(settings.chain.arms), _n_a=settings.chain.n_a, _in_parts=outside.needed,
             _limits=None, _given_up=None, _failure=None, _inputs=None, _result=None,
+            _converting=False,
             motion_law=MotionLoop(settings.gains.motion, settings.dt, records.memory),
             force_law=ForceLoop(settings.gains.force, settings.dt, records.memory),
         )  # fmt: skip
@@ -290,15 +292,17 @@ class Controller:
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
         """A tick whose arrays are of other types: made what the law takes, or held."""
         try:
-            require_sizes(measurement, reference, self.settings)
-            m, r = _converted(measurement, reference)
-            if _same_types(m, measurement, r, reference):
+            if self._converting:
                 raise error
-            return self.tick(m, r)
+            require_sizes(measurement, reference, self.settings)
+            self._converting = True
+            return self.tick(*_converted(measurement, reference))
         except _REFUSED as why:
             self._hold(why)
             self._inputs = (measurement, reference)
             return self._records.torques.copy()
+        finally:
+            self._converting = False
 
     def _hold(self, error: Exception) -> None:
         work = self._records.work
@@ -534,7 +538,7 @@ class Controller:
 
 def _converted(measurement: Measurement, reference: Reference) -> tuple[Measurement, Reference]:
     def array(x: Any) -> Array:
-        return np.ascontiguousarray(x, dtype=float)
+        return np.array(x, dtype=float, order="C")
 
     touched = measurement.touched
     if touched is not None:
@@ -554,9 +558,3 @@ def _converted(measurement: Measurement, reference: Reference) -> tuple[Measurem
             alpha_d=array(reference.alpha_d),
         ),
     )
-
-
-def _same_types(m: Measurement, old: Measurement, r: Reference, before: Reference) -> bool:
-    pairs = [(m.q, old.q), (m.v, old.v), (m.wrenches, old.wrenches), (r.V_D, before.V_D),
-             (r.A_D, before.A_D), (r.alpha_d, before.alpha_d)]  # fmt: skip
-    return all(a is b for a, b in pairs)

@@ -1,0 +1,180 @@
+"""Batches: every row is its single tick, bit for bit, whatever its neighbours do."""
+
+from __future__ import annotations
+
+import copy
+import os
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from grasp_rigs import random_case
+from rigs import one_panda, random_faces, random_state, scara_pair
+
+import osc_contact as osc
+from osc_contact.control.life import LifeSettings
+
+GAINS = osc.Gains(osc.MotionGains(400, 40, 2000), osc.ForceGains(30, 5))
+
+
+def controllers(chain, count, rng, **how):
+    """Controllers of one structure with different gains, faces and postures."""
+    out = []
+    q, v = random_state(chain, rng)
+    X = chain.state(q, v).X_WO
+    for _ in range(count):
+        motion = osc.MotionGains(rng.uniform(200, 600), rng.uniform(20, 60), rng.uniform(0, 2000))
+        gains = osc.Gains(motion, osc.ForceGains(rng.uniform(5, 40), 5))
+        posture = q + 0.1 * rng.normal(size=chain.nq)
+        out.append(osc.Controller(chain, random_faces(X, 2, rng), gains, posture=posture, **how))
+    return out, q
+
+
+def story(chain, q, count, ticks, rng):
+    """Measurements and references (ticks, count, …)."""
+    X = chain.state(q, np.zeros(chain.nq)).X_WO.homogeneous
+    return [
+        {
+            "q": q + 1e-3 * rng.normal(size=(count, chain.nq)),
+            "v": 1e-2 * rng.normal(size=(count, chain.nq)),
+            "wrenches": 5.0 * rng.normal(size=(count, len(chain.arms), 6)),
+            "X_WD": np.repeat(X[None], count, axis=0),
+            "V_D": 0.02 * rng.normal(size=(count, 6)),
+            "A_D": 0.1 * rng.normal(size=(count, 6)),
+            "alpha_d": rng.uniform(2, 20, (count, 2)),
+            "squeeze_d": rng.uniform(0, 3, count),
+        }
+        for _ in range(ticks)
+    ]
+
+
+def single(controller, x, i):
+    import pinocchio as pin
+
+    measurement = osc.Measurement(x["q"][i], x["v"][i], x["wrenches"][i])
+    squeeze = float(x["squeeze_d"][i])
+    reference = osc.Reference(
+        pin.SE3(x["X_WD"][i]), x["V_D"][i], x["A_D"][i], x["alpha_d"][i], squeeze
+    )
+    return controller.tick(measurement, reference)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("rig, life", [(one_panda, None), (scara_pair, None),
+                                       (scara_pair, LifeSettings())])  # fmt: skip
+def test_rows_are_single_ticks_bit_for_bit(rig, life, threads):
+    chain, rng, count = rig(), np.random.default_rng(3), 12
+    ones, q = controllers(chain, count, rng, life=life)
+    batch = osc.BatchController(ones, threads)
+    twelve = [copy.copy(c) for c in ones]
+    seen = set()
+    for x in story(chain, q, count, 8, rng):
+        x["v"][3, 0] = (
+            np.nan if rng.random() < 0.3 else x["v"][3, 0]
+        )  # one row is held now and then
+        tau = batch.tick(**x)
+        for i, c in enumerate(twelve):
+            np.testing.assert_array_equal(tau[i], single(c, x, i))
+            assert batch.status[i] == c.status
+            seen.add(int(c.status))
+            np.testing.assert_array_equal(batch.alpha_meas[i], c._records.column_memory.alpha)
+    assert osc.Status.HELD in seen and osc.Status.OK in seen
+
+
+def test_saturated_rows_get_torques_within_their_limits():
+    strong, rng = scara_pair(), np.random.default_rng(4)
+    chain = osc.ClosedChain(strong.arms, strong.grasps, strong.payload)
+    chain.tau_max = 0.25 * strong.tau_max
+    q, v = random_state(strong, rng)
+    faces = random_faces(strong.state(q, v).X_WO, 2, rng)
+    ones = [osc.Controller(chain, faces, GAINS, posture=q) for _ in range(6)]
+    batch, singles = osc.BatchController(ones, 2), [copy.copy(c) for c in ones]
+    x = story(chain, q, 6, 1, rng)[0]
+    tau = batch.tick(**x)
+    assert (batch.status == osc.Status.SATURATED).any()
+    for i, c in enumerate(singles):
+        np.testing.assert_array_equal(tau[i], single(c, x, i))
+    assert (np.abs(tau) <= chain.tau_max).all()
+
+
+def test_reset_by_mask_and_pickles():
+    chain, rng = scara_pair(), np.random.default_rng(5)
+    ones, q = controllers(chain, 4, rng)
+    batch = osc.BatchController(ones)
+    first, *rest = story(chain, q, 4, 4, rng)
+    began = batch.tick(**first)
+    for x in rest:
+        batch.tick(**x)
+    other = pickle.loads(pickle.dumps(batch))
+    np.testing.assert_array_equal(other.tick(**first), batch.tick(**first))
+    batch.reset(np.array([True, False, True, False]))
+    again = batch.tick(**first)
+    np.testing.assert_array_equal(again[[0, 2]], began[[0, 2]])
+    assert (again[[1, 3]] != began[[1, 3]]).any()
+
+
+def test_an_object_that_no_arm_holds_rigidly_is_found_row_by_row():
+    rng = np.random.default_rng(6)
+    case = random_case(["ur5", "ur5"], ["hinge", "ball"], rng)
+    chain = osc.ClosedChain(case.chain.arms, case.chain.grasps, case.chain.payload)
+    assert chain.leader is None
+    ones = [osc.Controller(chain, [], GAINS, posture=case.q) for _ in range(3)]
+    x = story(chain, case.q, 3, 1, rng)[0]
+    x["q"] = case.q + 1e-5 * rng.normal(size=(3, chain.nq))
+    x["alpha_d"] = np.zeros((3, 0))
+    batch = osc.BatchController([copy.copy(c) for c in ones])
+    tau = batch.tick(**x)
+    for i, c in enumerate(ones):
+        np.testing.assert_array_equal(tau[i], single(c, x, i))
+
+
+def test_what_is_no_batch_is_refused():
+    chain, rng = scara_pair(), np.random.default_rng(7)
+    ones, q = controllers(chain, 2, rng)
+    with pytest.raises(osc.InvalidInputError, match="≥ 1"):
+        osc.BatchController([])
+    fewer = osc.Controller(chain, ones[0].contacts[:1], GAINS)
+    with pytest.raises(osc.InvalidInputError, match="n_columns"):
+        osc.BatchController([ones[0], fewer])
+    own = ones[0].with_laws(force=lambda a, b: a)
+    with pytest.raises(osc.InvalidInputError, match="only Python"):
+        osc.BatchController([own])
+    batch = osc.BatchController(ones)
+    x = story(chain, q, 2, 1, rng)[0]
+    with pytest.raises(osc.InvalidInputError, match=r"q: expected shape \(2, 10\)"):
+        batch.tick(**{**x, "q": x["q"][:1]})
+    with pytest.raises(osc.InvalidInputError, match="mask"):
+        batch.reset([True])
+
+
+FRESH = """
+import hashlib, sys
+sys.path.insert(0, {tests!r})
+import numpy as np
+from rigs import scara_pair
+from test_batch import controllers, story, single
+import osc_contact as osc
+chain, rng = scara_pair(), np.random.default_rng(8)
+ones, q = controllers(chain, 5, rng)
+batch = osc.BatchController(ones, 2)
+x = story(chain, q, 5, 1, rng)[0]
+tau = batch.tick(**x)
+alone = np.array([single(c, x, i) for i, c in enumerate(ones)])
+assert (tau == alone).all()
+print(hashlib.sha256(tau.tobytes()).hexdigest())
+"""
+
+
+def test_two_processes_from_the_cache_say_the_same_bit_for_bit():
+    tests = os.path.dirname(__file__)
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", FRESH.format(tests=tests)], capture_output=True, text=True,
+            timeout=300,
+        )
+        for _ in range(2)
+    ]  # fmt: skip
+    assert said[0].returncode == 0, said[0].stderr[-2000:]
+    assert said[0].stdout == said[1].stdout
