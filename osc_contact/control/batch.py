@@ -151,9 +151,10 @@ class BatchController:
         floats = self._work[worker]
         work = floats.view(np.uint8)
         while lo < hi:
-            lo = self._call(
+            done = self._call(
                 self._model, self._memory, work, *args, self._codes, law.LOOK, law.END, lo, hi
             )
+            lo = done >> 1
             if self._codes[lo - 1] == Status.SATURATED:
                 self._relieve(lo - 1, floats, args[-1])
 

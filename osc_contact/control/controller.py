@@ -145,7 +145,7 @@ class Controller:
             records = TickRecords(outside.pack())
         n_bars = int(records.row.head.n_bars)
         self.__dict__.update(
-            settings=settings, laws=laws, _records=records, _outside=outside,
+            settings=settings, laws=laws, _outside=outside,
             _rows=rows(), _codes=np.zeros(1, dtype=np.int64), _squeeze=np.zeros(max(1, n_bars)),
             _still=np.zeros((len(settings.contacts), 28)),
             _moving=np.zeros((len(settings.contacts), 28)),
@@ -155,7 +155,16 @@ class Controller:
             motion_law=MotionLoop(settings.gains.motion, settings.dt, records.memory),
             force_law=ForceLoop(settings.gains.force, settings.dt, records.memory),
         )  # fmt: skip
+        self._take_records(records)
         self._load()
+
+    def _take_records(self, records: TickRecords) -> None:
+        self._records = records
+        self.motion_law._memory = self.force_law._memory = records.memory
+        self._tables = (
+            records.row.raw, records.memory_bytes, records.work_bytes, self._squeeze, self._still,
+            self._codes, self._rows, self._n_a, self._arms < 3 and not self._in_parts,
+        )  # fmt: skip
 
     def _load(self) -> None:
         """Call the law once with data it refuses: now is the time to compile."""
@@ -262,32 +271,46 @@ class Controller:
         Never raises on bad data, never returns a torque that is not finite or exceeds a limit: a
         tick that cannot be computed repeats the last good torques, see `status`.
         """
+        model, memory, work, squeeze, still, codes, call, n_a, plain = self._tables
         try:
-            touched, flags, table = measurement.touched, 0, self._still
-            if touched is not None:
-                table, flags = self._motions(touched), law.MOVING
-            if self._arms < 3:
-                self._squeeze[0] = reference.squeeze_d
-            else:
-                flags |= self._bar_forces(reference.squeeze_d)
-            tau = np.empty(self._n_a)
-            records = self._records
-            args = (
-                measurement.q, measurement.v, measurement.wrenches, reference.X_WD.homogeneous,
-                reference.V_D, reference.A_D, reference.alpha_d, self._squeeze, table,
-            )  # fmt: skip
-            if self._in_parts:
-                self._outside.tick(self, measurement, reference, args, flags, tau)
-            else:
-                self._rows(
-                    records.row.raw, records.memory_bytes, records.work_bytes, *args, flags, tau,
-                    self._codes, 0, 4, 0, 1,
+            if plain and measurement.touched is None:
+                squeeze[0] = reference.squeeze_d
+                tau = np.empty(n_a)
+                done = call(
+                    model, memory, work, measurement.q, measurement.v, measurement.wrenches,
+                    reference.X_WD.homogeneous, reference.V_D, reference.A_D, reference.alpha_d,
+                    squeeze, still, 0, tau, codes, 0, 4, 0, 1,
                 )  # fmt: skip
+                return tau if done == 2 else self._end(tau, measurement, reference)
+            return self._tick(measurement, reference)
         except _REFUSED as error:
             return self._convert(measurement, reference, error)
-        if self._codes[0] != 0 or self._in_parts:
-            return self._end(tau, measurement, reference)
-        return tau
+
+    def _tick(self, measurement: Measurement, reference: Reference) -> Array:
+        """The same with bodies that move, three arms and more, or code of the user's own."""
+        touched, flags, table = measurement.touched, 0, self._still
+        if touched is not None:
+            table, flags = self._motions(touched), law.MOVING
+        if self._arms < 3:
+            self._squeeze[0] = reference.squeeze_d
+        else:
+            flags |= self._bar_forces(reference.squeeze_d)
+        tau = np.empty(self._n_a)
+        args = (
+            measurement.q, measurement.v, measurement.wrenches, reference.X_WD.homogeneous,
+            reference.V_D, reference.A_D, reference.alpha_d, self._squeeze, table,
+        )  # fmt: skip
+        if self._in_parts:
+            self._outside.tick(self, measurement, reference, args, flags, tau)
+        else:
+            records = self._records
+            done = self._rows(
+                records.row.raw, records.memory_bytes, records.work_bytes, *args, flags, tau,
+                self._codes, 0, 4, 0, 1,
+            )  # fmt: skip
+            if done == 2:
+                return tau
+        return self._end(tau, measurement, reference)
 
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
         """A tick whose arrays are of other types: made what the law takes, or held."""

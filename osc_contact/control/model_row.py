@@ -133,6 +133,7 @@ class ModelRow:
         head.roots[:] = np.sqrt(head.principal)
         ball = np.repeat((chain.arm_mass, chain.arm_mass * GYRATION**2), 3)
         head.reference[:] = 1.0 + ball / head.principal[[0, 0, 0, 1, 2, 3]]
+        head.lightness[:] = 1.0 / head.reference
         X_LO = pin.SE3.Identity()  # without a leader: in the object's own frame
         if chain.leader is not None:
             tip = chain.model.frames[chain.tips[chain.leader]]

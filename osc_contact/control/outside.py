@@ -149,9 +149,7 @@ class Outside:
         new.contacts[:], new.torques[:] = old.contacts, old.torques
         owners = np.asarray(new.row.pairs.owners, dtype=int)
         new.column_memory.closed[:] = new.contacts.phase[owners] == 2
-        controller._records = new
-        controller.motion_law._memory = new.memory
-        controller.force_law._memory = new.memory
+        controller._take_records(new)
         controller._limits = None
 
     def _structure(self, controller: Controller) -> None:

@@ -25,7 +25,7 @@ from osc_contact.law.algebra import (
 )
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.energy import energy_motion
-from osc_contact.law.jit import inner, integers, matrix
+from osc_contact.law.jit import inner, integers, leaf, matrix
 from osc_contact.law.linkage import settable_bars
 from osc_contact.law.singular import retreat
 from osc_contact.law.tables import NO_REASON, UNACTUATED
@@ -71,7 +71,7 @@ def _energy_of(work, f, out):
         out[3 + i] = axes[3, i, 0] * a + axes[3, i, 1] * b + axes[3, i, 2] * c
 
 
-@inner
+@leaf
 def predict_joints(chain, arms, work, joints):
     """q̈ = J̄a + offset, and the torque h + Mq̈ that it takes; a is the object's acceleration `x`."""
     a = work.w
@@ -113,6 +113,10 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
         else:
             for j in range(arm.first, arm.end):
                 joints[j].rest = 0.0
+    if chain.n_arms == 1 and arm_work[0].wide != 0 and work.n_lost == 0:
+        _exert(arms[0], joints, work)
+        work.n_internal = 0
+        return NO_REASON
     for i in range(d):
         b[i] = work.f_S[m + i]
     count = 0
@@ -154,7 +158,18 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
     return NO_REASON
 
 
-@inner
+@leaf
+def _exert(arm, joints, work):
+    """τ = τ_0 + Jᵀf of one arm with joints to spare: no other arm shares the object force."""
+    f, m = work.y, work.locked
+    for i in range(6):
+        f[i] = work.f_S[i] if i >= m else 0.0
+    reflect_back(work.turn, work.beta, m, f)
+    for j in range(arm.first, arm.end):
+        joints[j].tau = joints[j].rest + dot6(joints[j].J, f)
+
+
+@leaf
 def _push(joint, q):
     """Acceleration away from joint limits, see `control.joint_limits`."""
     depth, sign = (joint.low - q, 1.0) if q < joint.low else (q - joint.high, -1.0)
@@ -164,7 +179,7 @@ def _push(joint, q):
     return sign * joint.most * s * s * (3.0 - 2.0 * s)
 
 
-@inner
+@leaf
 def _hold_posture(chain, arm, table, own, joints, q, v, scratch):
     """rest = (1 − JᵀJ̄ᵀ)τ₀, τ₀ = h + M(−k_d q̇ + k_p(q₀ − q)) + diag(M) a_l(q), of a wide arm."""
     lo, hi = arm.first, arm.end
@@ -352,7 +367,7 @@ def _weigh_row(arm, table, own, joints, work, row, out):
         out[j] = dot6(joints[j].J, work.w)
 
 
-@inner
+@leaf
 def _add_torques(arm, table, own, joints, work, y):
     """τ = τ_0 + R⁻¹J̄ y, y (6,) multipliers of f_S in energy coordinates."""
     if own.wide == 0:
@@ -365,7 +380,7 @@ def _add_torques(arm, table, own, joints, work, y):
         joints[j].tau = joints[j].rest + dot6(joints[j].J, work.w)
 
 
-@inner
+@leaf
 def limit_torques(chain, table, joints, tau, first):
     """Motor torques to tau[first:]; whether one exceeds its limit, and whether all are finite."""
     excess, total = False, 0.0

@@ -14,7 +14,7 @@ from osc_contact.law.jit import inner, leaf
 __all__ = ["move_arm", "place_arm", "place_frame", "place_point"]
 
 
-@inner
+@leaf
 def place_arm(joints, work, lo, hi, q):
     """Rotation R and point p of every joint of an arm at q (n,), in the world."""
     for j in range(lo, hi):
@@ -122,7 +122,7 @@ def _force_on(b, V, a, gravity, out):
     out[3], out[4], out[5] = tx + x + i, ty + y + j, tz + z + k
 
 
-@inner
+@leaf
 def move_arm(arm, joints, work, v, C, gravity, outer, force, V, gamma, bias_out):
     """Columns of J at C, drift γ, h = C v + g, M, and what is beyond the wrist sensor.
 
@@ -175,7 +175,7 @@ def move_arm(arm, joints, work, v, C, gravity, outer, force, V, gamma, bias_out)
     _sum_back(lo, hi, sensed, joints, work, outer, bias_out)
 
 
-@inner
+@leaf
 def _sum_back(lo, hi, sensed, joints, work, outer, bias_out):
     """Forces and composite inertias from the tip back: h, M, outboard inertia times J."""
     for j in range(hi - 1, lo - 1, -1):

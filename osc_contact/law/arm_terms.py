@@ -14,7 +14,7 @@ from osc_contact.law.algebra import (
     one_sided_jacobi,
     qr_rows,
 )
-from osc_contact.law.jit import inner
+from osc_contact.law.jit import inner, leaf
 
 __all__ = ["arm_terms", "effort_metric", "solve_inertia_transposed"]
 
@@ -69,7 +69,7 @@ def arm_terms(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
     return count
 
 
-@inner
+@leaf
 def _apply_inertia(lo, n, joints, X, Lambda):
     """Λ = J̄ᵀ M J̄."""
     for j in range(n):
@@ -88,7 +88,7 @@ def _apply_inertia(lo, n, joints, X, Lambda):
             Lambda[b, a] = s
 
 
-@inner
+@leaf
 def factor_inertia(lo, n, joints, K):
     """K (n, n) with M = KKᵀ, its inverse pivots on the diagonal as in `cholesky`."""
     for i in range(n):
@@ -98,7 +98,7 @@ def factor_inertia(lo, n, joints, K):
     return cholesky(K, 0, n, K) > 0.0
 
 
-@inner
+@leaf
 def _weigh_joints(lo, n, joints, K, Z):
     """Z[:n, :6] = K⁻¹Jᵀ."""
     if not factor_inertia(lo, n, joints, K):
@@ -125,7 +125,7 @@ def solve_inertia_transposed(lo, n, K, joints):
             bar[i] = s * K[j, j]
 
 
-@inner
+@leaf
 def _invert_wide(lo, n, joints, Lambda, work):
     """More joints than directions: A = J K⁻ᵀ, J̄ = K⁻ᵀA⁺, Λ = A⁺ᵀA⁺; False: rank below six."""
     K, X, Z = work.K, work.X, work.Z
@@ -194,7 +194,7 @@ def _separate(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
     return count
 
 
-@inner
+@leaf
 def effort_metric(lo, n, m, joints, table, arm, work, out):
     """(6, 6) least effort per wrench, Σ τ²/τ_max², of an arm; False: its motors cannot make all.
 

@@ -17,7 +17,7 @@ from osc_contact.law.energy import (
 )
 from osc_contact.law.grasps import add_slip, filter_outboard, find_twist
 from osc_contact.law.held_object import find_object
-from osc_contact.law.jit import inner
+from osc_contact.law.jit import inner, leaf
 from osc_contact.law.singular import find_lost, may_be_singular
 from osc_contact.law.tables import BAD_INERTIA, NO_REASON, OBJECT_UNKNOWN, UNACTUATED
 
@@ -104,8 +104,9 @@ def _add_arm(chain, arm, table, work, own, joints, locked, row):
         return BAD_INERTIA, 0
     if may_be_singular(chain, arm, own):
         find_lost(chain, arm, own, joints, work)
-    if not effort_metric(lo, n, m, joints, table, own, work, own.effort):
-        return UNACTUATED, 0
+    if chain.n_arms > 1 or own.wide == 0 or own.n_lost > 0:  # else there is nothing to share
+        if not effort_metric(lo, n, m, joints, table, own, work, own.effort):
+            return UNACTUATED, 0
     for k in range(row, row + count):
         locked[k, 6] = dot6(locked[k], own.gamma)
         for i in range(6):
@@ -128,7 +129,7 @@ def _add_arm(chain, arm, table, work, own, joints, locked, row):
     return NO_REASON, count
 
 
-@inner
+@leaf
 def _add_outboard(arm, own, joints, work):
     """Λ_out += I J J̄ (transposed), bias −= I J J̄ γ of the bodies beyond the wrist sensor."""
     for i in range(6):

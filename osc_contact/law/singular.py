@@ -22,7 +22,7 @@ from osc_contact.law.algebra import (
     reflect_back,
 )
 from osc_contact.law.arm_terms import factor_inertia
-from osc_contact.law.jit import inner
+from osc_contact.law.jit import inner, leaf
 
 __all__ = ["FADED", "FULL", "fade_motion", "find_lost", "may_be_singular"]
 
@@ -33,7 +33,7 @@ _GONE = 1e-6  # of the mobility that Λ_ref has along any direction, 1
 _SMALL = 1e-9  # χ below it tells no motion of the joints
 
 
-@inner
+@leaf
 def may_be_singular(chain, arm, own):
     """Whether some χ may be below FULL: a bound that never misses one.
 
@@ -43,9 +43,10 @@ def may_be_singular(chain, arm, own):
         return True
     s = 0.0
     for i in range(6):
-        x = chain.reference[i]
+        row = 0.0
         for j in range(6):
-            s += own.Lambda[i, j] * own.Lambda[i, j] / (x * chain.reference[j])
+            row += own.Lambda[i, j] * own.Lambda[i, j] * chain.lightness[j]
+        s += row * chain.lightness[i]
     return s * FULL * FULL * FULL * FULL >= 1.0
 
 

@@ -63,6 +63,7 @@ CHAIN = _record(
     roots=4,  # √ of mass and principal moments of the object
     principal=4,  # those squared
     reference=6,  # diagonal of Λ_ref, by which singular postures are judged
+    lightness=6,  # its inverse
     X_LO=12,  # object in the leader's last joint: rotation by rows, then point
     X_LP=12,  # its principal axes there; with no leader: in the object's frame
     B_inv=(6, 6),  # of the motion filter, where it is given: world axes at O
@@ -91,7 +92,7 @@ JOINT = _record(
 PAIR = _record(whole=("kind", "first", "count", "shape_at", "freedoms", "drags"))
 SHAPE = _record(row=16)
 COLUMN = _record(whole=("contact",))
-BODY = _record(whole=("kind", "same", "pushes"), parameters=48)
+BODY = _record(whole=("kind", "same", "pushes"), parameters=8)
 
 # What is remembered -----------------------------------------------------------------------------
 

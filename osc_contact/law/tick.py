@@ -18,7 +18,14 @@ from math import isfinite
 from typing import Any
 
 from osc_contact.law import phases
-from osc_contact.law.algebra import dot6, lu_solve, reflect, reflect_back
+from osc_contact.law.algebra import (
+    dot6,
+    lu_solve,
+    meet,
+    reflect,
+    reflect_back,
+    solve_lower,
+)
 from osc_contact.law.allocation import (
     allocate_torques,
     command_object,
@@ -45,7 +52,7 @@ from osc_contact.law.force import (
     measure_magnitudes,
     sum_readings,
 )
-from osc_contact.law.jit import entry, inner, integers, matrix, numbers
+from osc_contact.law.jit import entry, inner, integers, leaf, matrix, numbers
 from osc_contact.law.motion import command_motion, pose_error
 from osc_contact.law.singular import fade_motion
 from osc_contact.law.tables import (
@@ -100,31 +107,32 @@ MOVING, COMMANDED, OWN_FORCE, OWN_MOTION, PARTIAL = 1, 2, 4, 8, 16
 MISFIT, NO_WISHES = 64, 128  # set inside: sizes of what came in; of alpha_d
 
 
-@inner
+@leaf
 def _check(chain, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, touched, engaged, moving):
-    """Whether what came in is finite."""
-    s = 0.0
+    """Whether what came in is finite; sums side by side do not wait for one another."""
+    a = b = c = d = e = 0.0
     for i in range(chain.n_joints):
-        s += q[i] * 0.0 + v[i] * 0.0
+        a += q[i] * 0.0
+        b += v[i] * 0.0
     for k in range(chain.n_arms):
         for i in range(6):
-            s += wrenches[k, i] * 0.0
+            c += wrenches[k, i] * 0.0
     for i in range(4):
         for j in range(4):
-            s += X_WD[i, j] * 0.0
+            d += X_WD[i, j] * 0.0
     for i in range(6):
-        s += V_D[i] * 0.0 + A_D[i] * 0.0
+        e += V_D[i] * 0.0 + A_D[i] * 0.0
     for i in range(chain.n_columns if engaged else 0):
-        s += alpha_d[i] * 0.0
+        e += alpha_d[i] * 0.0
     for i in range(max(chain.n_bars, 1)):
-        s += squeeze[i] * 0.0
-    for c in range(chain.n_contacts if moving else 0):
+        e += squeeze[i] * 0.0
+    for k in range(chain.n_contacts if moving else 0):
         for i in range(28):
-            s += touched[c, i] * 0.0
-    return isfinite(s)
+            c += touched[k, i] * 0.0
+    return isfinite(a + b + c + d + e)
 
 
-@inner
+@leaf
 def _take_in(chain, work, arm_work, joints, columns, body_work, q, v, wrenches, X_WD, V_D, A_D,
              alpha_d, touched, engaged, moving):  # fmt: skip
     """What came in, for whoever looks at the signals of the tick afterwards."""
@@ -240,6 +248,10 @@ def hand_over(chain, work, memory):
     carry_motion(x, work.O, work.C, x)
     energy_motion(work.axes, x, x)
     reflect(work.turn, work.beta, m, x)
+    for a in range(work.rank):  # what the contacts see of a locked motion is not rounded away
+        work.s[a] = dot6(work.N_t[a], x)
+    solve_lower(work.L_t, work.rank, work.s)
+    meet(work.Q_t, work.rank, m, x, work.s)
     held = 1.0 if chain.held != 0 else 0.0
     for i in range(6):
         f[i] = 0.0
@@ -502,10 +514,11 @@ def build(stamp: int) -> Any:
             tau: (rows · motors,), codes: (rows,) status; filled.
 
         Returns:
-            The row to go on with; hi when all are done.
+            Twice the row to go on with (hi when all are done), plus 1 if some row did not end OK.
         """
+        amiss = 0
         if stamp < 0:
-            return hi
+            return 2 * hi
         head = read_chain(model, 0, 1)[0]
         step = head.row_bytes if model.size > head.row_bytes else 0
         n, k, c, r = head.n_joints, head.n_arms, head.n_contacts, head.n_columns
@@ -528,8 +541,9 @@ def build(stamp: int) -> Any:
                 alpha_d[i * r : (i + 1) * r], squeeze[i * s : (i + 1) * s],
                 touched[i * c : (i + 1) * c], flags, tau, i * a, begin, stop,
             )  # fmt: skip
+            amiss |= codes[i] != OK
             if codes[i] == SATURATED:
-                return i + 1
-        return hi
+                return 2 * (i + 1) + 1
+        return 2 * hi + amiss
 
     return rows
