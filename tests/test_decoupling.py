@@ -27,6 +27,7 @@ from osc_contact.control.command_filter import (
     generalised_force,
     object_coordinates,
 )
+from osc_contact.control.laws import Laws
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.response import require_reachable
 
@@ -59,7 +60,45 @@ def in_contact(chain, rng, r=2):
         return state, contact_of(pairs, state), pairs, q, v
 
 
-def torques(chain, state, contact, q, v, a_u, alpha_u, B, squeeze=5.0):
+def strong(chain):
+    """The same chain with motors in the same proportions that reach no limit."""
+    parts = chain.arms, chain.grasps, chain.payload
+    out = osc.ClosedChain(*parts, rank_tolerance=chain.rank_tolerance)
+    out.tau_max = 1e4 * chain.tau_max
+    return out
+
+
+def tick_with(
+    laws, chain, pairs, q, v, squeeze, touched=None, wrenches=None, weak=False, **how
+):  # fmt: skip
+    """A controller after one tick under these laws; and its torques. Strong motors unless weak."""
+    controller = osc.Controller(chain if weak else strong(chain), pairs, laws=laws, **how)
+    wrenches = np.zeros((len(chain.arms), 6)) if wrenches is None else wrenches
+    columns = sum(len(pair.gaps(pin.SE3.Identity())) for pair in pairs)
+    wanted = osc.Reference(pin.SE3.Identity(), alpha_d=np.zeros(columns), squeeze_d=squeeze)
+    tau = controller.tick(osc.Measurement(q, v, wrenches, touched), wanted)
+    assert weak or controller.status is osc.Status.OK, controller.reason
+    return controller, tau
+
+
+def commanded(chain, pairs, q, v, a_u, alpha_u, B, squeeze=5.0, **how):
+    """The tick of the law that commands a_u (6,), spatial, and alpha_u (r,)."""
+
+    def motion(reference, X_WO, V_O):
+        return a_u + np.concatenate((np.cross(V_O[3:], V_O[:3]), np.zeros(3)))  # classical
+
+    laws = Laws(force=lambda desired, measured: alpha_u, motion=motion)
+    return tick_with(laws, chain, pairs, q, v, squeeze, B=B, **how)
+
+
+def law_torques(chain, state, contact, pairs, q, v, a_u, alpha_u, B, squeeze=5.0):
+    """Torques and η̇_c of the law."""
+    controller, tau = commanded(chain, pairs, q, v, a_u, alpha_u, B, squeeze)
+    return tau, controller.signals.eta_c
+
+
+def numpy_torques(chain, state, contact, pairs, q, v, a_u, alpha_u, B, squeeze=5.0):
+    """The same from eqs. 24 and 21 in NumPy and the allocation that the law is held to."""
     eta_u = object_coordinates(state, contact, a_u)
     eta_c = filtered_motion(state, contact, eta_u, alpha_u, B, FIXED)
     f_S = generalised_force(state, eta_c, contact.N @ alpha_u)
@@ -67,32 +106,51 @@ def torques(chain, state, contact, q, v, a_u, alpha_u, B, squeeze=5.0):
     return tau, eta_c
 
 
+def structured(chain, q, v, f_S, eta, squeeze, posture=None, **how):
+    """Torques of the law's allocation for any f_S (d,) and η̇ (d,)."""
+    laws = Laws(structure=lambda signals: (eta, f_S))
+    return tick_with(laws, chain, [], q, v, squeeze, posture=posture, **how)[1]
+
+
+def numpy_allocated(chain, q, v, f_S, eta, squeeze, posture=None):
+    """The same of the allocation that the law is held to."""
+    posture = np.zeros(chain.nq) if posture is None else posture
+    return Allocation(chain, posture).torques(chain.state(q, v), q, v, f_S, eta, squeeze)
+
+
+both_laws = pytest.mark.parametrize("torques", [law_torques, numpy_torques])
+both_allocations = pytest.mark.parametrize("allocated", [structured, numpy_allocated])
+
+
+@both_laws
 @pytest.mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
-def test_force_steps_leave_the_motion_and_motion_steps_leave_the_force(rig):
+def test_force_steps_leave_the_motion_and_motion_steps_leave_the_force(rig, torques):
     """Eqs. 24 and 25 on the full KKT system, for three metrics B: coupling ≤ 1e-9."""
     chain, rng = rig(), np.random.default_rng(10)
     for _ in range(60):
-        state, contact, _, q, v = in_contact(chain, rng)
+        state, contact, pairs, q, v = in_contact(chain, rng)
+        where = chain, state, contact, pairs, q, v
         alpha = rng.uniform(5, 20, 2)
         a_u = rng.normal(size=6) * 3
         for B in metrics_B(state, rng).values():
-            tau, eta_c = torques(chain, state, contact, q, v, a_u, alpha, B)
+            tau, eta_c = torques(*where, a_u, alpha, B)
             base = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
             size_a, size_f = np.abs(base.a_object).max(), np.abs(base.alpha).max()
             np.testing.assert_allclose(base.alpha, alpha, atol=1e-9 * size_f)
             want = state.S @ eta_c + state.sigma
             np.testing.assert_allclose(base.a_object, want, atol=1e-9 * size_a)
-            tau, _ = torques(chain, state, contact, q, v, a_u, alpha + [5.0, -3.0], B)
+            tau, _ = torques(*where, a_u, alpha + [5.0, -3.0], B)
             stepped = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
             assert np.abs(stepped.a_object - base.a_object).max() <= 1e-9 * size_a
             np.testing.assert_allclose(stepped.alpha - base.alpha, [5, -3], rtol=1e-8)
-            tau, _ = torques(chain, state, contact, q, v, a_u + rng.normal(size=6), alpha, B)
+            tau, _ = torques(*where, a_u + rng.normal(size=6), alpha, B)
             pushed = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
             assert np.abs(pushed.alpha - base.alpha).max() <= 1e-9 * size_f
             assert np.abs(pushed.a_object - base.a_object).max() > 1e-2
 
 
-def test_steps_do_not_couple_on_the_rigid_plant():
+@both_laws
+def test_steps_do_not_couple_on_the_rigid_plant(torques):
     """The same through the plant of a run: joint-space multipliers, its own wrist and contacts."""
     chain, rng = scara_pair(), np.random.default_rng(11)
     for _ in range(20):
@@ -101,12 +159,10 @@ def test_steps_do_not_couple_on_the_rigid_plant():
         plant.q, plant.v = q, v
         for B in metrics_B(state, rng).values():
             a_u, alpha = rng.normal(size=6) * 3, rng.uniform(5, 20, 2)
-            _, a0, f0 = plant.accelerations(torques(chain, state, contact, q, v, a_u, alpha, B)[0])
-            _, a1, f1 = plant.accelerations(
-                torques(chain, state, contact, q, v, a_u, alpha + 5.0, B)[0]
-            )
-            _, a2, f2 = plant.accelerations(
-                torques(chain, state, contact, q, v, a_u + 1.0, alpha, B)[0]
+            steps = (a_u, alpha), (a_u, alpha + 5.0), (a_u + 1.0, alpha)
+            (a0, f0), (a1, f1), (a2, f2) = (
+                plant.accelerations(torques(chain, state, contact, pairs, q, v, *step, B)[0])[1:]
+                for step in steps
             )
             assert np.abs(a1 - a0).max() <= 1e-9 * np.abs(a0).max()
             assert np.abs(f2 - f0).max() <= 1e-9 * np.abs(f0).max()
@@ -114,7 +170,8 @@ def test_steps_do_not_couple_on_the_rigid_plant():
             assert np.abs(a2 - a0).max() > 1e-3
 
 
-def test_unfiltered_commands_couple_as_equations_22_and_23_say():
+@both_allocations
+def test_unfiltered_commands_couple_as_equations_22_and_23_say(allocated):
     """Six motions (d = 6): eqs. 21–23 written out with 6×6 projections."""
     chain, rng = panda_pair(), np.random.default_rng(12)
     for _ in range(60):
@@ -125,7 +182,7 @@ def test_unfiltered_commands_couple_as_equations_22_and_23_say():
         accel, force = rng.normal(size=6) * 2, rng.normal(size=6) * 10
         eta = np.linalg.solve(state.S, accel + Tdot_beta - state.sigma)
         f_S = generalised_force(state, eta, force)
-        tau = Allocation(chain, np.zeros(14)).torques(state, q, v, f_S, eta, 0.0)
+        tau = allocated(chain, q, v, f_S, eta, 0.0)
         got = kkt(chain, q, v, tau, N, contact.n_gamma)
         Omega_f = projections.Omega_f(N, state.Phi)
         Omega_m_bar = projections.Omega_m_bar(N, state.Phi)
@@ -138,7 +195,8 @@ def test_unfiltered_commands_couple_as_equations_22_and_23_say():
         assert np.abs(f_c - Omega_f @ force).max() > 1e-3  # and it does couple
 
 
-def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair():
+@both_allocations
+def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair(allocated):
     """Eqs. 22 and 23 in the coordinates of S, where Λ_S takes the place of Λ₀."""
     chain, rng = scara_pair(), np.random.default_rng(13)
     for _ in range(60):
@@ -150,7 +208,7 @@ def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair():
             state.metric @ state.S @ np.linalg.solve(state.S.T @ state.metric @ state.S, force)
         )  # any 6-vector with SᵀF = force
         f_S = generalised_force(state, eta + offset, F)
-        tau = Allocation(chain, np.zeros(10)).torques(state, q, v, f_S, eta, 0.0)
+        tau = allocated(chain, q, v, f_S, eta, 0.0)
         got = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
         Phi_S = np.linalg.inv(state.Lambda)
         D = N_S.T @ Phi_S @ N_S

@@ -12,8 +12,10 @@ from environment_scenes import RTOL, close_to, scene
 from readable.effort_limits import EffortLimits, relieve
 from readable.force import contact_force, magnitudes, sum_of_wrenches
 from rigs import panda_pair, scara_pair
-from test_decoupling import in_contact
-from test_moving_environment import hardware, torques
+from test_decoupling import commanded, in_contact
+from test_effort_limits import weakened
+from test_law import readable_of
+from test_moving_environment import hardware, seen, squeeze_of, torques
 
 import osc_contact as osc
 from osc_contact.control.command_filter import (
@@ -25,7 +27,6 @@ from osc_contact.control.command_filter import (
 from osc_contact.control.friction import Friction
 from osc_contact.dynamics.environment import Environment
 from osc_contact.experiments.rig import build_rig
-from osc_contact.interface import Touched
 
 
 def by_hand(pair, X_WO, V_O, mu):
@@ -78,7 +79,7 @@ def test_the_filter_is_exact_for_sliding_contacts_and_errs_without():
     fixed, friction = osc.Environment.fixed(), Friction(0.3, slip=1e-6)
     without = []
     for _ in range(50):
-        state, contact, pairs, *_ = in_contact(scara_pair(), rng)
+        state, contact, pairs, q, v = in_contact(scara_pair(), rng)
         alpha = rng.uniform(5, 15, contact.N.shape[1])
         drag = friction.drags(pairs, state.X_WO, state.V_O, None)
         a = np.linalg.lstsq(contact.N.T, contact.n_gamma, rcond=None)[0]
@@ -88,20 +89,19 @@ def test_the_filter_is_exact_for_sliding_contacts_and_errs_without():
         np.testing.assert_allclose(got, alpha, rtol=1e-8)
         blind = magnitudes(contact_force(f_meas, state, contact, fixed), contact)
         without.append(np.abs(blind / alpha - 1).max())
+        for believed, want in ((friction, alpha), (None, blind)):
+            controller = osc.Controller(scara_pair(), pairs, friction=believed)
+            controller.f_tare = -f_meas  # the wrists themselves say nothing
+            silent = osc.Measurement(q, v, np.zeros((2, 6)))
+            controller.tick(silent, osc.Reference(state.X_WO, alpha_d=alpha))
+            np.testing.assert_allclose(controller.found().alpha_meas, want, rtol=1e-8)
     assert np.median(without) > 0.03
 
 
 def sliding(s, mu):
-    """A scene's contacts and their (6, r) drags, for they slide as they move."""
-    pairs, X, V = [], [], []
-    for touch in s.touches:
-        body = s.bodies[touch.body]
-        point = body.X.actInv(s.state.X_WO.act(touch.vertex))
-        pairs.append(osc.VertexOnFace(touch.vertex, point, touch.normal))
-        X.append(body.X.homogeneous)
-        V.append(body.V)
-    touched = Touched(np.array(X), np.array(V), np.zeros((len(X), 6)))
-    return pairs, Friction(mu, slip=1e-9).drags(pairs, s.state.X_WO, s.state.V_O, touched)
+    """What a controller of the scene is given, friction, and (6, r) drags: they slide all along."""
+    (pairs, how), friction = seen(s), Friction(mu, slip=1e-9)
+    return pairs, how, friction, friction.drags(pairs, s.state.X_WO, s.state.V_O, how["touched"])
 
 
 YIELDING = ("prescribed", "rail", "hinge", "free body", "rail and free body", "hinged face",
@@ -118,7 +118,7 @@ def test_law_and_filter_are_exact_on_bodies_that_friction_drags_along(rig, kind)
     for _ in range(3):
         s = scene(rig, kind, rng)
         state, contact, N = s.state, s.contact, s.contact.N
-        pairs, drag = sliding(s, mu)
+        pairs, how, friction, drag = sliding(s, mu)
         environment = Environment.combine(s.parts, s.each, state.metric, drag)
         alpha_u, relative = rng.uniform(5, 20, contact.r), rng.normal(size=6) * 3
         a_u = object_acceleration(state, contact, environment, relative, alpha_u)
@@ -135,9 +135,8 @@ def test_law_and_filter_are_exact_on_bodies_that_friction_drags_along(rig, kind)
         assert close_to(truth.a_object, state.S @ eta_c + state.sigma) < RTOL
         without.append(close_to(answered(s.environment, 0.0)[0].alpha, alpha_u))
         O = state.X_WO.translation  # noqa: E741
-        f_meas = sum_of_wrenches(
-            wrist_readings(s.chain, files, cuts, s.q, s.v, truth, O), state
-        )  # fmt: skip
+        sensed = wrist_readings(s.chain, files, cuts, s.q, s.v, truth, O)
+        f_meas = sum_of_wrenches(sensed, state)
         got = magnitudes(contact_force(f_meas, state, contact, environment, drag), contact)
         assert close_to(got, truth.alpha) < RTOL
         # what weaker motors will cost is foreseen: the forces that come are those foretold
@@ -147,6 +146,25 @@ def test_law_and_filter_are_exact_on_bodies_that_friction_drags_along(rig, kind)
         relief = relieve(replace(wanted, tau_max=0.9 * np.abs(tau) + 1e-3))
         came = kkt(s.chain, s.q, s.v, relief.tau, s.bodies, s.touches, mu=mu)
         np.testing.assert_allclose(alpha_u - came.alpha, relief.force, rtol=0, atol=1e-6)
+        # and so is the law
+        asked = s.q, s.v, a_u, alpha_u, B, squeeze_of(s)
+        how |= {"friction": friction, "wrenches": sensed}
+        controller, tau = commanded(s.chain, pairs, *asked, **how)
+        found, reached = controller.found(), controller.signals
+        assert close_to(found.alpha_meas, truth.alpha) < RTOL
+        got = kkt(s.chain, s.q, s.v, tau, s.bodies, s.touches, mu=mu)
+        assert close_to(got.alpha, alpha_u) < RTOL
+        assert close_to(got.a_object, state.S @ reached.eta_c + state.sigma) < RTOL
+        tired = weakened(s.chain, 0.7 * np.abs(tau) + 1e-3)
+        controller, tau = commanded(tired, pairs, *asked, weak=True, **how)
+        assert controller.status is osc.Status.SATURATED
+        came = kkt(s.chain, s.q, s.v, tau, s.bodies, s.touches, mu=mu)
+        np.testing.assert_allclose(
+            alpha_u - came.alpha, controller.given_up.force, rtol=0, atol=1e-6
+        )
+        lost = got.a_object - came.a_object
+        size = max(1.0, np.abs(got.a_object).max())
+        np.testing.assert_allclose(lost, controller.given_up.acceleration, rtol=0, atol=1e-6 * size)
     assert (max(without) > 1e-3) == (kind != "prescribed")  # N in place of N_μ behind Φ_e
     assert N.shape[1] == len(s.touches)
 
@@ -186,12 +204,13 @@ def test_impossible_friction_is_refused(bad):
         Friction(*bad)
 
 
-def test_both_paths_give_up_the_same_on_a_cart_that_friction_drags_along():
-    """Motors at their limits, a yielding face, friction: compiled and readable, every tick."""
+def test_the_numpy_law_gives_up_the_same_on_a_cart_that_friction_drags_along():
+    """Motors at their limits, a yielding face, friction, every tick."""
     weak = [f"arms.{name}.effort_factor=0.04" for name in ("left", "right")]
     changes = ["control.friction={mu: 0.3}", "plant.friction=0.3", *weak]
     rig = build_rig(osc.load_scenario("moving_face", changes))
-    fast, slow, plant = rig.controller(), rig.controller(compiled=False), rig.plant(0)
+    fast, plant = rig.controller(), rig.plant(0)
+    slow = readable_of(fast)
     plant.hold(rig.controller().tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
     drags = np.zeros(0)
     for k in range(60):

@@ -8,15 +8,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from oracles import kkt
-from readable.allocation import Allocation
 from rigs import PANDA_Q, ROD, one_panda, panda_pair, scara_pair
-from test_decoupling import in_contact, torques
+from test_decoupling import commanded, in_contact, structured
 from test_law import agree, disturb, inputs, twins
 
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.control.joint_limits import JointLimits
+from osc_contact.control.settings import PostureTask
 from osc_contact.plants.rigid import RigidPlant
+
+CALM, PUSHING = PostureTask(limit_stiffness=0.0), PostureTask(limit_margin=0.2)
 
 
 def panda(**limits):
@@ -68,53 +70,51 @@ def test_the_push_is_a_bounded_slope_of_a_potential():
 def test_object_and_contact_forces_do_not_feel_it(rig):
     """On the KKT system, with two contacts; arms without joints to spare get no push at all."""
     chain, rng = rig(), np.random.default_rng(60)
-    model = chain.model
     for _ in range(10):
-        state, contact, _, q, v = in_contact(chain, rng)
-        tau, _ = torques(
-            chain, state, contact, q, v, rng.normal(size=6), rng.uniform(5, 20, 2),
-            np.linalg.inv(state.metric),
-        )  # fmt: skip
-        near = limits_near(model, q, rng)
-        calm, pushed = Allocation(chain, q), Allocation(chain, q)
-        pushed.__dict__["limits"] = near
-        f_S, eta = rng.normal(size=state.d), rng.normal(size=state.d)
-        one = calm.torques(state, q, v, f_S, eta, 5.0)
-        two = pushed.torques(state, q, v, f_S, eta, 5.0)
+        state, contact, pairs, q, v = in_contact(chain, rng)
+        a_u, alpha = rng.normal(size=6), rng.uniform(5, 20, 2)
+        close = limits_near(chain, q, rng)
+        push = PUSHING.limits(close.model).push(q)
+        B = np.linalg.inv(state.metric)
+        one, two = (
+            commanded(close, pairs, q, v, a_u, alpha, B, posture=q, posture_task=task)[1]
+            for task in (CALM, PUSHING)
+        )
         if chain.nq == 10:
             np.testing.assert_array_equal(one, two)
             continue
-        base = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
-        other = kkt(chain, q, v, tau + (two - one), contact.N, contact.n_gamma)
+        base, other = (kkt(chain, q, v, tau, contact.N, contact.n_gamma) for tau in (one, two))
         size = np.abs(base.a_object).max()
         np.testing.assert_allclose(other.a_object, base.a_object, atol=1e-9 * size)
         np.testing.assert_allclose(other.alpha, base.alpha, atol=1e-9 * np.abs(base.alpha).max())
         gain = other.qdd - base.qdd
         assert np.abs(gain).max() > 1.0
-        push = near.push(q)  # its own work on the joints it moves is never negative
-        for s in chain.slices:
+        for s in chain.slices:  # its own work on the joints it moves is never negative
             assert gain[s] @ (np.diag(state.M)[s] * push[s]) > 0.0
 
 
-def limits_near(model, q, rng):
-    """Limits so close to q that some joints are inside their margins, some beyond."""
+def limits_near(chain, q, rng):
+    """The chain with limits so close to q that some joints are in their margins, some beyond."""
     lower, upper = q - rng.uniform(-0.05, 0.3, len(q)), q + rng.uniform(0.3, 1.5, len(q))
-    other = model.copy()
-    other.lowerPositionLimit, other.upperPositionLimit = lower, upper
-    return JointLimits.of(other, 400.0, 0.2)
+    arms = []
+    for arm, s in zip(chain.arms, chain.slices, strict=True):
+        model = arm.model.copy()
+        model.lowerPositionLimit, model.upperPositionLimit = lower[s], upper[s]
+        arms.append(replace(arm, model=model))
+    return osc.ClosedChain(arms, chain.grasps, chain.payload)
 
 
 def test_one_joint_near_its_limit_is_never_pushed_towards_it():
     """Whatever the inertia couples: n_i M_ii a_i has the sign of a_i along the null motion."""
-    rng = np.random.default_rng(61)
+    rng, still = np.random.default_rng(61), np.zeros(7)
     for _ in range(50):
         q = PANDA_Q + rng.uniform(-0.6, 0.6, 7)
         j = int(rng.integers(7))
         chain = panda(**{f"joint{j + 1}": (q[j] - 2.0, q[j] + 0.01)})
-        state = chain.state(q, np.zeros(7))
-        off, on = (Allocation(chain, q, limit_stiffness=k) for k in (0.0, 400.0))
+        state = chain.state(q, still)
         one, two = (
-            a.torques(state, q, np.zeros(7), np.zeros(6), np.zeros(6), 0) for a in (off, on)
+            structured(chain, q, still, np.zeros(6), np.zeros(6), 0.0, q, posture_task=task)
+            for task in (CALM, PostureTask())
         )
         q_dd = np.linalg.solve(state.M, two - one)
         assert q_dd[j] <= 1e-9
@@ -130,8 +130,8 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     plant = RigidPlant(chain, [], 2e-3)
     plant.reset(PANDA_Q)
     X = chain.state(PANDA_Q, np.zeros(7)).X_WO
-    controller = osc.Controller(chain, [], dt=2e-3, posture=posture, compiled=False)
-    controller.allocation = Allocation(chain, posture, limit_stiffness=stiffness)
+    task = PostureTask(limit_stiffness=stiffness)
+    controller = osc.Controller(chain, [], dt=2e-3, posture=posture, posture_task=task)
     wanted = osc.Reference(X, np.zeros(6), np.zeros(6), np.zeros(0))
     farthest, before, jump = -np.inf, None, 0.0
     for _ in range(400):
@@ -148,7 +148,7 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
 
 
 @pytest.mark.parametrize("past", [-0.3, -0.1, -0.02, 0.0, 0.05])
-def test_the_compiled_tick_pushes_alike(past):
+def test_the_numpy_law_pushes_alike(past):
     """Some joints inside their margins, some beyond their limits, some with a limit on one side."""
     rng = np.random.default_rng(62)
     for _ in range(3):
@@ -158,13 +158,12 @@ def test_the_compiled_tick_pushes_alike(past):
         chain = panda(**ends)
         fast, slow = twins(chain, [], posture=q + 0.1 * rng.normal(size=7))
         disturb(rng, fast, slow)
-        assert fast.allocation.limits.push(q).any() == (past > -0.15)
+        assert PostureTask().limits(chain.model).push(q).any() == (past > -0.15)
         agree(fast, slow, *inputs(chain, q, v, rng, 0))
 
 
 def test_gains_out_of_range_are_refused():
-    chain = one_panda()
     for bad in ({"limit_margin": 0.5}, {"limit_margin": 0.0}, {"limit_stiffness": -1.0},
                 {"limit_stiffness": np.nan}):  # fmt: skip
         with pytest.raises(osc.InvalidInputError, match="limit_margin"):
-            replace(Allocation(chain, PANDA_Q), **bad)
+            PostureTask(**bad)

@@ -11,6 +11,8 @@ from environment_scenes import RIGS, RTOL, cases, close_to, contacts_at, scene, 
 from readable.allocation import Allocation
 from readable.force import contact_force, magnitudes, sum_of_wrenches
 from rigs import one_panda, panda_pair, random_state, scara_pair
+from test_decoupling import commanded as law_commanded
+from test_decoupling import structured
 
 import osc_contact as osc
 from osc_contact import projections, robots
@@ -190,19 +192,62 @@ def metrics_B(state, rng):
     return np.linalg.inv(state.metric), np.linalg.inv(total), A @ A.T + 0.1 * np.eye(6)
 
 
-def commanded(s, relative, alpha, B, Tdot_beta=None):
+class Answering:
+    """A body that answers as the scene says."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def environment(self, X_WE, V_E, A_E, O):  # noqa: E741
+        return self.answer
+
+
+def seen(s):
+    """The scene for a controller: pairs, one body for each contact, and how these move."""
+    bodies, X, V = [s.bodies[touch.body] for touch in s.touches], [], []
+    pairs = []
+    for touch, body in zip(s.touches, bodies, strict=True):
+        point = body.X.actInv(s.state.X_WO.act(touch.vertex))
+        pairs.append(osc.VertexOnFace(touch.vertex, point, touch.normal))
+        X.append(body.X.homogeneous)
+        V.append(body.V)
+    answering = {id(answer): Answering(answer) for answer in s.each}
+    touched = osc.interface.Touched(np.array(X), np.array(V), np.zeros((len(X), 6)))
+    return pairs, {"bodies": [answering[id(a)] for a in s.each], "touched": touched}
+
+
+def squeeze_of(s):
+    return 5.0 if len(s.chain.arms) == 2 else 0.0
+
+
+def law_tick(s, a_u, alpha, B):
+    """Torques and η̇_c of the law."""
+    pairs, how = seen(s)
+    controller, tau = law_commanded(s.chain, pairs, s.q, s.v, a_u, alpha, B, squeeze_of(s), **how)
+    return tau, controller.signals.eta_c
+
+
+def numpy_tick(s, a_u, alpha, B):
+    """The same from eqs. 24 and 21 in NumPy and the allocation that the law is held to."""
+    eta_u = object_coordinates(s.state, s.contact, a_u)
+    eta_c = filtered_motion(s.state, s.contact, eta_u, alpha, B, s.environment)
+    return torques(s, generalised_force(s.state, eta_c, s.contact.N @ alpha), eta_c), eta_c
+
+
+both_laws = pytest.mark.parametrize("tick", [law_tick, numpy_tick])
+
+
+def commanded(tick, s, relative, alpha, B, Tdot_beta=None):
     """Whole-system answer to a relative motion command and a force command."""
-    state, contact, env = s.state, s.contact, s.environment
-    a_u = object_acceleration(state, contact, env, relative, alpha, Tdot_beta)
-    eta_u = object_coordinates(state, contact, a_u)
-    eta_c = filtered_motion(state, contact, eta_u, alpha, B, env)
-    return s.solve(torques(s, generalised_force(state, eta_c, contact.N @ alpha), eta_c)), eta_c
+    a_u = object_acceleration(s.state, s.contact, s.environment, relative, alpha, Tdot_beta)
+    tau, eta_c = tick(s, a_u, alpha, B)
+    return s.solve(tau), eta_c
 
 
 def torques(s, f_S, eta):
+    """Of the allocation that the law is held to."""
     allocation = Allocation(s.chain, np.zeros(s.chain.nq))
-    squeeze = 5.0 if len(s.chain.arms) == 2 else 0.0
-    return allocation.torques(s.state, s.q, s.v, f_S, eta, squeeze)
+    return allocation.torques(s.state, s.q, s.v, f_S, eta, squeeze_of(s))
 
 
 def tangential(s, x):
@@ -220,8 +265,11 @@ def environment_acceleration(s, truth):
     return s.environment.Phi_e @ s.contact.N @ truth.alpha + s.environment.b_e
 
 
+@both_laws
 @cases(*RIGS)
-def test_force_and_motion_commands_do_not_disturb_each_other_on_a_yielding_environment(rig, kind):
+def test_force_and_motion_commands_do_not_disturb_each_other_on_a_yielding_environment(
+    rig, kind, tick
+):
     """α = α_u, untouched by a motion step; P_T(a − a_e − σ) untouched by a force step."""
     rng = np.random.default_rng(34)
     for _ in range(3):
@@ -229,27 +277,28 @@ def test_force_and_motion_commands_do_not_disturb_each_other_on_a_yielding_envir
         alpha, relative = rng.uniform(5, 20, s.contact.r), rng.normal(size=6) * 3
         step = rng.uniform(2, 6, s.contact.r)
         for B in metrics_B(s.state, rng):
-            base, eta_c = commanded(s, relative, alpha, B)
-            forced, _ = commanded(s, relative, alpha + step, B)
-            pushed, _ = commanded(s, relative + rng.normal(size=6), alpha, B)
+            base, eta_c = commanded(tick, s, relative, alpha, B)
+            forced, _ = commanded(tick, s, relative, alpha + step, B)
+            pushed, _ = commanded(tick, s, relative + rng.normal(size=6), alpha, B)
             size = max(np.abs(x.a_object).max() for x in (base, forced))
             assert np.abs(base.a_object - s.state.S @ eta_c - s.state.sigma).max() < RTOL * size
             assert close_to(base.alpha, alpha) < RTOL
             assert close_to(pushed.alpha, alpha) < RTOL
             assert close_to(forced.alpha, alpha + step) < RTOL
-            seen = [
+            along = [
                 tangential(s, x.a_object - environment_acceleration(s, x) - s.state.sigma)
                 for x in (base, forced, pushed)
             ]
             size = size * np.linalg.norm(np.linalg.pinv(s.state.S), 2)
-            assert np.abs(seen[1] - seen[0]).max() < RTOL * size
-            assert np.abs(seen[2] - seen[0]).max() > 1e-3
+            assert np.abs(along[1] - along[0]).max() < RTOL * size
+            assert np.abs(along[2] - along[0]).max() > 1e-3
             if s.environment.Phi_e.any():  # the object itself does follow the environment
                 assert np.abs(forced.a_object - base.a_object).max() > 1e-6
 
 
+@both_laws
 @cases(panda_pair, one_panda)
-def test_equations_21_24_and_25_with_relative_commands(rig, kind):
+def test_equations_21_24_and_25_with_relative_commands(rig, kind, tick):
     """ϑ̇′ = Ω_m(B)ϑ̇′_u and f_c = Ω_f(A)f_cu for any T, Ṫ, A, B; f′ is that of eq. 21 (d = 6)."""
     rng = np.random.default_rng(35)
     for _ in range(4):
@@ -262,7 +311,7 @@ def test_equations_21_24_and_25_with_relative_commands(rig, kind):
         f_comm = projections.Omega_f(N, A_inv) @ f_cu
         alpha_u = np.linalg.lstsq(N, f_comm, rcond=None)[0]
         for B in metrics_B(state, rng):
-            truth, eta_c = commanded(s, theta_u, alpha_u, B, Tdot_beta)
+            truth, eta_c = commanded(tick, s, theta_u, alpha_u, B, Tdot_beta)
             theta_comm = theta_u - projections.Omega_m_bar(N, B) @ theta_u
             a_e = environment_acceleration(s, truth)
             relative = truth.a_object - a_e - Tdot_beta
@@ -290,7 +339,8 @@ def test_unfiltered_commands_couple_through_the_relative_inertia(rig, kind):
         f_prime = Lambda_0 @ theta + Lambda_0 @ inverse @ force  # 21
         _, bias = six_dimensional(state, np.zeros(6))
         f = f_prime + bias + Lambda_0 @ (Tdot_beta + env.b_e)
-        truth = s.solve(torques(s, state.S.T @ f, np.zeros(6)))
+        tau = structured(s.chain, s.q, s.v, state.S.T @ f, np.zeros(6), squeeze_of(s))
+        truth = s.solve(tau)
         Omega_f, Omega_m_bar = projections.Omega_f(N, inverse), projections.Omega_m_bar(N, inverse)
         got = truth.a_object - environment_acceleration(s, truth) - Tdot_beta
         want = theta - Omega_m_bar @ theta + inverse @ (force - Omega_f @ force)  # 22
@@ -323,9 +373,18 @@ def test_contact_force_from_wrist_sensors_is_exact_on_moving_and_yielding_bodies
         tau = rng.normal(size=s.chain.n_a) * 20
         truth = s.solve(tau)
         O = s.state.X_WO.translation  # noqa: E741
-        wrenches = wrist_readings(s.chain, files, cuts, s.q, s.v, truth, O)
-        f_meas = sum_of_wrenches(wrenches, s.state)
+        sensed = wrist_readings(s.chain, files, cuts, s.q, s.v, truth, O)
+        f_meas = sum_of_wrenches(sensed, s.state)
         f_c = contact_force(f_meas, s.state, s.contact, s.environment)
         assert close_to(magnitudes(f_c, s.contact), truth.alpha) < RTOL
         ignored = contact_force(f_meas, s.state, s.contact, Environment.fixed())
         assert close_to(magnitudes(ignored, s.contact), truth.alpha) > 1e-4
+        # the law: exact with the bodies, and not without
+        pairs, how = seen(s)
+        asked = s.chain, pairs, s.q, s.v, np.zeros(6), truth.alpha, "object", squeeze_of(s)
+        given = {"touched": how["touched"], "wrenches": sensed}
+        found = law_commanded(*asked, bodies=how["bodies"], **given)[0].found()
+        assert close_to(found.alpha_meas, truth.alpha) < RTOL
+        assert close_to(found.f_c, s.contact.N @ truth.alpha) < RTOL
+        without = law_commanded(*asked, **given)[0].found()
+        assert close_to(without.alpha_meas, truth.alpha) > 1e-4

@@ -6,11 +6,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from oracles import kkt
+from readable.controller import ReadableController
 from rigs import SCARA_Q, one_panda, scara_pair
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
 from osc_contact.control.motion import MotionGains
+from osc_contact.control.settings import PostureTask
 from osc_contact.dynamics.singular import FADED, FULL, share_left
 from osc_contact.interface import Measurement, Reference
 from osc_contact.scenarios import Scenario
@@ -23,14 +25,31 @@ def straight_panda(offset):
     return np.array([0.1, 0.6, -0.2, STRAIGHT + offset, 0.2, 1.9, 0.4])
 
 
-def tick(chain, q, v, compiled=False, posture=None):
+def tick(chain, q, v, posture=None, law=Controller):
     """A controller after one tick that asks for the same motion, whatever the posture."""
     X = chain.state(q, v).X_WO
     goal = pin.SE3(X.rotation, X.translation + [0.01, -0.005, 0.004])
     reference = Reference(goal, np.zeros(6), np.zeros(6), np.zeros(0), 4.0)
-    controller = Controller(chain, [], GAINS, compiled=compiled, posture=posture)
+    controller = law(chain, [], GAINS, posture=posture)
     measurement = Measurement(q, v, np.zeros((len(chain.arms), 6)))
     return controller, controller.tick(measurement, reference)
+
+
+def assert_as_in_numpy(chain, q, v, posture, controller, tau):
+    """The same torques and lost directions.
+
+    A share φ weighs 1/φ, at most 1e8, in the least change of the command: so many digits are lost.
+    """
+    slow, want = tick(chain, q, v, posture, ReadableController)
+    assert controller.status is slow.status
+    got, lost = controller.lost_directions, slow.lost_directions
+    assert [one.arm for one in got] == [one.arm for one in lost]
+    for name in ("left", "inertia_ratio"):
+        pairs = [[getattr(one, name) for one in told] for told in (got, lost)]
+        np.testing.assert_allclose(*pairs, rtol=1e-6, atol=1e-12)
+    shares = [one.share for one in slow.last_signals().state.fading if not one.locked]
+    digits = 1e-12 / max(min(shares, default=1.0), 1e-4)
+    np.testing.assert_allclose(tau, want, rtol=0, atol=digits * np.abs(want).max())
 
 
 def stretched_scaras():
@@ -102,13 +121,16 @@ def test_torques_are_continuous_through_the_straight_elbow(rest):
     before, ranks = None, set()
     offsets = np.concatenate((np.linspace(-0.4, -2e-3, 400), np.linspace(-2e-3, 2e-3, 200),
                               np.linspace(2e-3, 0.4, 400)))  # fmt: skip
-    for offset in offsets:
-        controller, tau = tick(chain, straight_panda(offset), v, posture=posture)
+    for k, offset in enumerate(offsets):
+        q = straight_panda(offset)
+        controller, tau = tick(chain, q, v, posture)
         assert controller.status is not osc.Status.HELD, controller.reason
         ranks.add(controller.last_signals().state.arms[0].rank)
         if before is not None:
             assert np.abs((tau - before) / chain.tau_max).max() < 0.02, offset
         before = tau
+        if k % 5 == 0:
+            assert_as_in_numpy(chain, q, v, posture, controller, tau)
     assert ranks == {5, 6}
 
 
@@ -116,30 +138,33 @@ def test_torques_of_the_pair_are_continuous_until_both_elbows_are_straight():
     chain = scara_pair()
     before, ranks = None, set()
     postures = stretched_scaras()
-    for q in postures:
-        controller, tau = tick(chain, q, np.zeros(10), posture=postures[0])
+    for k, q in enumerate(postures):
+        controller, tau = tick(chain, q, np.zeros(10), postures[0])
         assert controller.status is not osc.Status.HELD, controller.reason
         state = controller.last_signals().state
         ranks.add(state.arms[0].rank)
         if before is not None:
             assert np.abs((tau - before) / chain.tau_max).max() < 0.02, q[1]
         before = tau
+        if k % 5 == 0:
+            assert_as_in_numpy(chain, q, np.zeros(10), postures[0], controller, tau)
     assert ranks == {4, 5}
 
 
-def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed():
+@pytest.mark.parametrize("law", [Controller, ReadableController])
+def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed(law):
     """Accelerations by the KKT system of all bodies."""
     chain = one_panda()
     q, v = straight_panda(0.006), 0.1 * np.arange(-3.0, 4.0)
     posture = straight_panda(-0.5)
-    controller, tau = tick(chain, q, v, posture=posture)
+    controller, tau = tick(chain, q, v, posture, law)
     assert controller.status is osc.Status.DEGRADED
     s = controller.last_signals()
     (lost,) = s.state.fading
     assert lost.share == 0.0 and lost.chi > 1e-3
     got = kkt(chain, q, v, tau)
-    allocation = controller.allocation
-    want = allocation.stiffness * (posture - q) - allocation.retreat_damping * v
+    task = PostureTask()
+    want = task.stiffness * (posture - q) - task.retreat_damping * v
     M = s.state.arms[0].M
     assert lost.mode @ M @ got.qdd == pytest.approx(lost.mode @ M @ want, rel=1e-3)
     # the command changes by what the object resists least
@@ -149,18 +174,18 @@ def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed():
     np.testing.assert_allclose(change, along * push, atol=1e-6 * np.abs(change).max())
 
 
-def test_the_lost_direction_is_named_and_ordinary_postures_lose_none():
+@pytest.mark.parametrize("law", [Controller, ReadableController])
+def test_the_lost_direction_is_named_and_ordinary_postures_lose_none(law):
     chain = one_panda()
-    for compiled in (True, False):
-        controller, _ = tick(chain, straight_panda(0.02), np.zeros(7), compiled)
-        assert controller.status is osc.Status.DEGRADED
-        (lost,) = controller.lost_directions
-        assert lost.arm == "arm" and 0.0 <= lost.left < 1.0 and lost.inertia_ratio > 10.0
-        assert "arm" in controller.reason and "singular" in controller.reason
-        away = chain.state(straight_panda(0.02), np.zeros(7)).X_WO.translation
-        assert abs(lost.twist[:3] @ (away - [0, 0, 0.333])) > 0.5 * np.linalg.norm(away)
-        bent, _ = tick(chain, straight_panda(-1.5), np.zeros(7), compiled)
-        assert bent.status is osc.Status.OK and bent.lost_directions == ()
+    controller, _ = tick(chain, straight_panda(0.02), np.zeros(7), law=law)
+    assert controller.status is osc.Status.DEGRADED
+    (lost,) = controller.lost_directions
+    assert lost.arm == "arm" and 0.0 <= lost.left < 1.0 and lost.inertia_ratio > 10.0
+    assert "arm" in controller.reason and "singular" in controller.reason
+    away = chain.state(straight_panda(0.02), np.zeros(7)).X_WO.translation
+    assert abs(lost.twist[:3] @ (away - [0, 0, 0.333])) > 0.5 * np.linalg.norm(away)
+    bent, _ = tick(chain, straight_panda(-1.5), np.zeros(7), law=law)
+    assert bent.status is osc.Status.OK and bent.lost_directions == ()
 
 
 def outward(name, direction, distance, duration, plant):
