@@ -20,7 +20,6 @@ from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact.cli import app
-from osc_contact.control.controller import Controller
 from osc_contact.experiments.baselines.compare import PLANTS, compare
 from osc_contact.experiments.baselines.coupling import Instant
 from osc_contact.experiments.baselines.frames import best_selection, random_selection
@@ -261,16 +260,31 @@ def test_a_law_does_not_depend_on_the_basis_of_the_five_motions():
     assert np.abs(W.T @ moved).max() < 1e-9 * np.abs(moved).max()
 
 
-def test_an_installed_law_says_that_only_its_stages_compute_it():
+def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
     rig, instant = fig1()
-    assert not rig.controller().restaged and not Ours().install(rig.controller()).restaged
+    measurement, reference = rig.plant().measure(), rig.references.at(0.0)
+    plain = rig.controller()
+    assert Ours().install(plain) is plain and plain.laws.structure is None
     law = SelectionLaw(KHATIB, best_selection(instant, KHATIB, restarts=0).selection)
-    controller = law.install(rig.controller())
-    assert controller.restaged and len(controller.STAGES) == len(Controller.STAGES)
-    blocks = controller.wiring(rig.plant().measure(), rig.references.at(0.0))
-    written = [name for b in blocks for name in b.outputs]
+    installed = law.install(rig.controller())
+    boxes = installed.wiring(measurement, reference)
+    own = {box.name for box in boxes if box.name.startswith("own ")}
+    assert own == {"own motion filter", "own dynamic control structure"}
+    written = [name for box in boxes for name in box.outputs]
     assert len(written) == len(set(written)) and "tau" in written
-    assert not rig.controller().restaged, "other controllers keep their stages"
+    plain.tick(measurement, reference)
+    tau = installed.tick(measurement, reference)
+    assert installed.status is osc.Status.OK, installed.reason
+    before, after = plain.signals, installed.signals
+    for name in ("f_meas", "f_c_meas", "alpha_meas", "alpha_u", "a_u"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name), name)
+    state, contact = after.state, after.contact
+    np.testing.assert_allclose(after.eta_c, law.eta(state, after.a_u), atol=1e-9)
+    want = law.f_S(state, contact, after.a_u, after.alpha_u)
+    np.testing.assert_allclose(after.f_S, want, atol=1e-9 * np.abs(want).max())
+    np.testing.assert_allclose(state.G @ tau, want, atol=1e-9 * np.abs(want).max())
+    names = [box.name for box in rig.controller().wiring(measurement, reference)]
+    assert not any(name.startswith("own") for name in names), "other controllers keep theirs"
 
 
 def test_cross_talk_on_mujoco_is_ten_times_smaller_than_that_of_the_best_baseline():

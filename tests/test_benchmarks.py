@@ -10,12 +10,13 @@ from pathlib import Path
 from time import perf_counter, sleep
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.control.controller import Controller
+from osc_contact.control.life import Phase
 from osc_contact.errors import InvalidInputError
-from osc_contact.experiments.benchmarks import jitter, peers, scaling, simulation
+from osc_contact.experiments.benchmarks import jitter, peers, scaling, simulation, ticks
 from osc_contact.experiments.benchmarks.cases import CASES
 from osc_contact.experiments.benchmarks.engines import constraint_dynamics, mujoco_state
 from osc_contact.experiments.benchmarks.measuring import take_turns
@@ -26,6 +27,7 @@ from osc_contact.experiments.benchmarks.random_arms import (
     faces_of,
     random_rig,
 )
+from osc_contact.experiments.benchmarks.special_cases import SPECIAL_CASES, BatchCase, OwnFace
 from osc_contact.experiments.benchmarks.textbook import TextbookLaw
 from osc_contact.experiments.timing import time_parts, time_tick
 
@@ -47,15 +49,12 @@ def test_benchmark_writes_table_json_and_figure(tmp_path: Path) -> None:
     assert about["packages"]["osc-contact"] == osc.__version__
     assert {"pin", "numpy", "numba"} <= set(about["packages"])
     (case,) = result["cases"].values()
-    assert set(case) == {
-        "rounds", "tick_us", "floor_us", "ratio", "inside_us", "readable_us", "parts_us"
-    }  # fmt: skip
-    assert case["rounds"] == 8
-    for times in (case["tick_us"], case["floor_us"], *case["parts_us"].values()):
+    assert set(case) == {"rounds", "tick_us", "floor_us", "ratio", "inside_us"}
+    assert case["rounds"] == 8 and set(case["inside_us"]) == {"law"}
+    for times in (case["tick_us"], case["floor_us"], case["inside_us"]["law"]):
         assert 0.0 < times["p50"] <= times["p99"] <= times["p99_9"] <= times["max"]
     assert case["ratio"] == pytest.approx(case["tick_us"]["p50"] / case["floor_us"]["p50"])
-    assert len(case["parts_us"]) == len(Controller.STAGES)
-    for name in (*case["parts_us"], "floor: computeAllTerms", about["cpu"], f"pin {_pin(about)}"):
+    for name in ("of it law", "floor: computeAllTerms", about["cpu"], f"pin {_pin(about)}"):
         assert name in done.stdout
     assert (tmp_path / "b.png").stat().st_size > 10000
 
@@ -75,15 +74,10 @@ def test_benchmark_refuses_bad_input(tmp_path: Path) -> None:
     assert not (tmp_path / "b.json").exists()
 
 
-def test_parts_add_up_to_about_a_tick() -> None:
+def test_tick_floor_and_law_are_timed_in_turns() -> None:
     times = time_parts(osc.build_rig(osc.load_scenario("two_contact_rod")), 60)
-    assert all(part.shape == times.readable.shape == (60,) for part in times.parts.values())
-    total = sum(part.min() for part in times.parts.values())
-    assert 0.4 * times.readable.min() < total < 1.3 * times.readable.min()
-    inside = sum(part.min() for part in times.inside.values())
-    assert 0.4 * times.tick.min() < inside < 1.1 * times.tick.min()
-    assert times.tick.min() < 0.1 * times.readable.min()
-    assert times.tick.min() < 4.0 * times.floor.min()
+    assert times.tick.shape == times.floor.shape == times.inside["law"].shape == (60,)
+    assert times.ratio == pytest.approx(np.median(times.tick) / np.median(times.floor))
 
 
 def test_time_tick_gives_the_documented_numbers() -> None:
@@ -114,7 +108,7 @@ def test_peers_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result, printed = run_program("peers", 2, tmp_path)
     assert set(result["cases"]) == {"two_contact_rod", "one_panda"}
     for case in result["cases"].values():
-        assert len(case["peers_us"]) == 8 and all(map(sane, case["peers_us"].values()))
+        assert len(case["peers_us"]) == 7 and all(map(sane, case["peers_us"].values()))
         tick = case["peers_us"]["tick"]["p50"]
         for name, times in case["peers_us"].items():
             assert case["ratio"][name] == pytest.approx(times["p50"] / tick)
@@ -154,30 +148,120 @@ def test_simulation_program(tmp_path: Path) -> None:
     assert {"MuJoCo: mj_step", "tick", "references", "the loop itself"} <= set(result["shares"])
 
 
-@pytest.mark.parametrize("module", [peers, scaling, jitter, simulation])
+@pytest.mark.parametrize("module", [ticks, peers, scaling, jitter, simulation])
 def test_benchmarks_refuse_no_ticks(module) -> None:
     with pytest.raises(InvalidInputError, match=r"0 .* tell no time"):
         module.measure(0)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", ticks.ALL_CASES)
+def test_each_case_is_timed_with_the_documented_numbers(name: str) -> None:
+    (row,) = ticks.measure(2, [name]).values()
+    assert set(row) == {"tick_p50_us", "floor_p50_us", "ratio", "p99_9_us"}
+    assert 0.0 < row["tick_p50_us"] <= row["p99_9_us"] and row["floor_p50_us"] > 0.0
+    assert row["ratio"] == pytest.approx(row["tick_p50_us"] / row["floor_p50_us"])
+    with pytest.raises(InvalidInputError, match="0 rounds"):
+        ticks.measure(0, [name])
+
+
+def test_the_plain_cases_come_first() -> None:
+    assert list(ticks.ALL_CASES)[:3] == ["two_contact_rod", "one_panda", "two_pandas"]
+
+
+@pytest.mark.parametrize("name", [*CASES, *SPECIAL_CASES])
+def test_every_timed_tick_is_checked_and_begins_alike(name: str) -> None:
+    """Integrals are zero at every timed tick; one that ends in another way is not timed."""
+    case = (CASES | SPECIAL_CASES)[name]()
+    controller = case.controller()
+    tick, unwind = case.ticking(controller)
+    first = tick()
+    assert controller.status is case.status, controller.reason
+    for _ in range(3):
+        unwind()
+        assert not controller.motion_law.integral.any() and not len(controller.force_law.integral)
+        again = tick()
+    np.testing.assert_allclose(again, first, rtol=0, atol=1e-12 * np.abs(first).max())
+    another = next(status for status in osc.Status if status is not case.status)
+    tick, unwind = replace(case, status=another).tick()
+    tick()
+    with pytest.raises(
+        InvalidInputError, match=f"ended {case.status.name}.*expected {another.name}"
+    ):
+        unwind()
+
+
+def test_special_cases_are_what_they_are_called() -> None:
+    found = {name: make() for name, make in SPECIAL_CASES.items()}
+    statuses = {name: case.status.name for name, case in found.items()}
+    assert statuses == {
+        "near_singular": "DEGRADED", "saturated": "SATURATED", "three_arms": "OK",
+        "contact_phases": "OK", "own_pair": "OK",
+    }  # fmt: skip
+    last = {name: case.controller() for name, case in found.items()}
+    for name, controller in last.items():
+        controller.tick(found[name].measurement, found[name].reference)
+    assert np.abs(found["near_singular"].measurement.q[[1, 6]]).max() < 0.3
+    (left, right) = last["near_singular"].lost_directions
+    assert 0.0 < left.left < 1.0 and 0.0 < right.left < 1.0
+    assert last["saturated"].given_up is not None
+    bars = found["three_arms"].reference.squeeze_d
+    np.testing.assert_allclose(last["three_arms"].found().squeeze, bars, atol=1e-6)
+    assert last["contact_phases"].life is not None
+    assert (last["contact_phases"].phases() == Phase.CLOSED).all()
+    assert [type(pair) for pair in last["own_pair"].contacts] == [OwnFace, osc.VertexOnFace]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_timed_batch_is_its_single_ticks_and_every_row_is_checked(threads: int) -> None:
+    rows = BatchCase.around(CASES["one_panda"](), 5, threads)
+    tick, unwind = rows.tick()
+    for _ in range(2):  # from the same memory each time
+        torques = tick()
+        unwind()
+        for i in range(rows.rows):
+            wanted = replace(
+                rows.case.reference, V_D=rows.V_D[i], A_D=rows.A_D[i], alpha_d=rows.alpha_d[i]
+            )
+            read = replace(
+                rows.case.measurement, q=rows.q[i], v=rows.v[i], wrenches=rows.wrenches[i]
+            )
+            np.testing.assert_array_equal(torques[i], rows.case.controller().tick(read, wanted))
+    assert len(np.unique(torques[:, 0])) == rows.rows, "every row is at a state of its own"
+    rows.q[3, 0] = np.nan
+    tick()
+    with pytest.raises(InvalidInputError, match="ended HELD in 1 rows, the first of them 3"):
+        unwind()
+
+
+@pytest.mark.parametrize("name", [*CASES, "own_pair"])
 def test_textbook_law_gives_our_torques(name: str) -> None:
     """Without force integral: what the textbook's Ω_f(Λ_o) leaves out changes no torque then."""
-    case = CASES[name]()
-    forces = replace(case.gains.force, integral=0.0)
-    case = replace(case, gains=replace(case.gains, force=forces))
+    case = (CASES | SPECIAL_CASES)[name]()
+    gains = replace(
+        case.gains,
+        force=replace(case.gains.force, integral=0.0),
+        motion=replace(case.gains.motion, integral=2000.0),
+    )
     rng = np.random.default_rng(50)
-    for _ in range(5):  # loops stay closed: only what is wanted varies
+    for _ in range(5):  # what is wanted varies
+        error = pin.exp6(pin.Motion(0.001 * rng.normal(size=6)))
         reference = replace(
             case.reference,
+            X_WD=case.reference.X_WD * error,
             A_D=rng.normal(size=6),
             V_D=0.1 * rng.normal(size=6),
             alpha_d=rng.uniform(5.0, 20.0, len(case.pairs)),
             squeeze_d=rng.uniform(0.0, 20.0),
         )
-        asked = replace(case, reference=reference)
-        ours = asked.controller(compiled=False).tick(case.measurement, reference)
-        np.testing.assert_allclose(TextbookLaw(asked).tick(), ours, atol=1e-8)
+        asked = replace(case, gains=gains, reference=reference)
+        controller, textbook = asked.controller(), TextbookLaw(asked)
+        for _ in range(4):  # the motion integral grows
+            ours = controller.tick(case.measurement, reference)
+            assert controller.status is osc.Status.OK, controller.reason
+            np.testing.assert_allclose(textbook.tick(), ours, rtol=0, atol=1e-8)
+        integral = controller.motion_law.integral
+        assert np.abs(integral).max() > 1e-6
+        np.testing.assert_allclose(textbook.motion_sum, integral, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["two_contact_rod", "one_panda"])
@@ -194,9 +278,11 @@ def test_mujoco_inverse_explains_the_torques_on_every_contact(name: str) -> None
     np.testing.assert_allclose(data.qfrc_inverse[dofs], wanted, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [*CASES, "three_arms"])
 def test_constraint_dynamics_moves_the_joints_as_commanded(name: str) -> None:
-    case = replace(CASES[name](), pairs=())  # Pinocchio's contacts do not slide, ours do
+    case = replace(
+        (CASES | SPECIAL_CASES)[name](), pairs=()
+    )  # Pinocchio's contacts do not slide, ours do
     case = replace(case, reference=replace(case.reference, alpha_d=np.zeros(0)))
     controller = case.controller()
     controller.tick(case.measurement, case.reference)

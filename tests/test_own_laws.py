@@ -1,14 +1,25 @@
-"""Force laws of one's own: installed where they belong, without shared memory, refused if bad."""
+"""Laws of one's own: installed where they belong, without shared memory, refused if bad."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
 import osc_contact as osc
-from osc_contact.control.own_laws import force_law
+from osc_contact.control.command_filter import (
+    filtered_motion,
+    generalised_force,
+    object_coordinates,
+)
+from osc_contact.control.laws import Laws
+from osc_contact.control.own_laws import force_law, motion_law
+from osc_contact.control.signals import Signals
+from osc_contact.errors import InvalidInputError
+from osc_contact.plants.rigid import RigidPlant
+from osc_contact.spatial import classical_to_spatial
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +69,120 @@ def test_a_law_that_returns_nonsense_holds_the_torques(rig: osc.Rig, bad: list[f
     tau = controller.tick(plant.measure(), reference)
     assert np.isfinite(tau).all() and controller.status is osc.Status.HELD
     assert "return 2 finite numbers" in controller.reason
+
+
+def paper(s: Signals) -> tuple[np.ndarray, np.ndarray]:
+    """Motion filter and control structure, eqs. 24 and 21, in NumPy."""
+    eta_u = object_coordinates(s.state, s.contact, s.a_u)
+    B = np.linalg.inv(s.state.metric)
+    eta = filtered_motion(s.state, s.contact, eta_u, s.alpha_u, B, s.environment, s.drag)
+    return eta, generalised_force(s.state, eta, s.f_ccomm)
+
+
+class BuiltIn:
+    """The force law of fig. 5, without damping."""
+
+    def __init__(self) -> None:
+        self.sum = np.zeros(2)
+
+    def __call__(self, desired: np.ndarray, measured: np.ndarray) -> np.ndarray:
+        self.sum = self.sum + 30.0 * 2e-3 * (desired - measured)
+        return desired + self.sum
+
+
+def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig: osc.Rig) -> None:
+    """One after the other and together, while the plant moves."""
+    gains = osc.Gains(rig.controller().gains.motion, osc.ForceGains(30.0, 0.0))
+    plain = rig.controller().with_gains(gains)
+    others = [
+        force_law(BuiltIn)(plain),
+        plain.with_laws(structure=paper),
+        plain.with_laws(force=BuiltIn(), structure=paper),
+        osc.Controller(
+            rig.model, rig.pairs, gains, dt=2e-3, posture=rig.q_contact, laws=Laws(BuiltIn())
+        ),
+    ]
+    plant = rig.plant()
+    for k in range(40):
+        reference, measurement = rig.references.at(2e-3 * k), plant.measure()
+        tau = plain.tick(measurement, reference)
+        for other in others:
+            got = other.tick(measurement, reference)
+            assert other.status is osc.Status.OK, other.reason
+            np.testing.assert_allclose(got, tau, rtol=0, atol=1e-8)
+        plant.hold(tau)
+        plant.step(tau, 2e-3)
+    assert np.abs(plain.force_law.integral).max() > 1e-6
+
+
+def test_the_plant_moves_as_the_motion_law_commands(rig: osc.Rig) -> None:
+    """eq. 24: the free part of the acceleration is that of the law, whatever the law."""
+    wanted = np.array([0.3, -0.5, 0.4, 0.2, 0.6, -0.7])
+    asked = []
+
+    def law(reference: osc.Reference, X_WO: object, V_O: np.ndarray) -> np.ndarray:
+        asked.append((reference, X_WO, V_O))
+        return wanted
+
+    plant = RigidPlant(rig.chain, rig.pairs, 2e-3)
+    plant.reset(rig.q_start)
+    measurement, reference = plant.measure(), rig.references.at(0.0)
+    controller = motion_law(lambda: law)(rig.controller())
+    tau = controller.tick(measurement, reference)
+    assert len(asked) == 1 and asked[0][0] is reference
+    signals = controller.signals
+    spatial = classical_to_spatial(wanted, signals.state.V_O)
+    np.testing.assert_allclose(signals.a_u, spatial, rtol=0, atol=1e-12)
+    _, a, _ = plant.accelerations(tau)
+    state, contact = signals.state, signals.contact
+    free = state.S @ np.linalg.svd(contact.N.T @ state.S)[2][2:].T  # S T: permitted, at rest
+    left = free.T @ state.metric
+    nearest = np.linalg.solve(left @ free, left @ wanted)
+    np.testing.assert_allclose(a, free @ nearest, atol=1e-9)
+    assert [b.name for b in controller.wiring(measurement, reference)].count("own motion law") == 1
+
+
+def test_laws_stay_when_gains_change_and_can_be_taken_out_again(rig: osc.Rig) -> None:
+    plant, reference = rig.plant(), rig.references.at(0.0)
+    measurement = plant.measure()
+    plain = rig.controller()
+    own = force_law(Seen)(plain)
+    changed = own.with_gains(replace(plain.gains, force=osc.ForceGains(10.0, 5.0)))
+    changed.tick(measurement, reference)
+    np.testing.assert_allclose(
+        changed.signals.alpha_u, np.asarray(reference.alpha_d) + [1.0, -2.0], atol=1e-12
+    )
+    back = own.with_laws(force=None)
+    np.testing.assert_array_equal(
+        back.tick(measurement, reference), plain.tick(measurement, reference)
+    )
+    with pytest.raises(InvalidInputError, match="with_laws"):
+        own.laws = Laws()  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("laws", "words"),
+    [
+        (Laws(motion=lambda *_: np.zeros(5)), "return six finite numbers"),
+        (Laws(motion=lambda *_: np.full(6, np.inf)), "return six finite numbers"),
+        (Laws(structure=lambda s: (np.zeros(5), np.full(5, np.nan))), "5 finite numbers each"),
+        (Laws(structure=lambda s: (np.zeros(6), np.zeros(5))), "5 finite numbers each"),
+        (Laws(structure=lambda s: None), "5 finite numbers each"),
+        (Laws(force=lambda *_: 1 / 0), "division by zero"),
+    ],
+)
+def test_other_laws_that_return_nonsense_hold_the_torques(
+    rig: osc.Rig, laws: Laws, words: str
+) -> None:
+    plant, reference = rig.plant(), rig.references.at(0.0)
+    controller = rig.controller()
+    before = controller.tick(plant.measure(), reference)
+    controller = controller.with_laws(**vars(laws))
+    tau = controller.tick(plant.measure(), reference)
+    np.testing.assert_array_equal(tau, before)
+    assert controller.status is osc.Status.HELD
+    assert words in controller.reason
+    integrals = controller.motion_law.integral, controller.force_law.integral
+    controller.tick(plant.measure(), reference)
+    np.testing.assert_array_equal(controller.motion_law.integral, integrals[0])
+    np.testing.assert_array_equal(controller.force_law.integral, integrals[1])

@@ -74,6 +74,26 @@ class Laws:
             raise InvalidInputError(f"the motion law returned {a}: return six finite numbers")
         return classical_to_spatial(a, V_O)
 
+    def command_structure(self, signals: Signals) -> tuple[Array, Array]:
+        """η̇_c and f_S (d,) that the own structure law commands.
+
+        Raises:
+            InvalidInputError: it returned anything but twice d finite numbers.
+        """
+        assert self.structure is not None
+        d, returned = signals.state.d, self.structure(signals)
+        try:
+            eta, f_S = (np.asarray(x, dtype=float) for x in returned)
+            fits = eta.shape == f_S.shape == (d,) and np.isfinite(eta + f_S).all()
+        except (TypeError, ValueError):
+            fits = False
+        if not fits:
+            raise InvalidInputError(
+                f"the structure law returned {returned}: return η̇_c and f_S, {d} finite numbers "
+                "each"
+            )
+        return eta, f_S
+
 
 def force_law(make: Callable[[], ForceCommand]) -> Callable[[Controller], Controller]:
     """Put α_u = law(α_d, α_meas) in the place of the force law of fig. 5.

@@ -82,9 +82,9 @@ class Outside:
                 self._put(rows, found)
             if self._bodies and measurement.touched is not None:
                 self._answer(rows, measurement)
-            if np.size(reference.alpha_d) != len(rows.columns) and rows.memory.engaged:
-                if not run(law.LOOK, law.MEASURE):
-                    return
+            misfit = np.size(reference.alpha_d) != len(rows.columns) and rows.memory.engaged
+            if misfit and not run(law.LOOK, law.MEASURE):
+                return
             if not run(law.MEASURE, law.COMMAND):
                 return
             w, given = rows.work, 0
@@ -154,10 +154,9 @@ class Outside:
 
     def _structure(self, controller: Controller) -> None:
         """η̇_c and f_S of the own structure law, into the turned energy coordinates."""
-        assert self.laws.structure is not None
         rows = controller._records
         signals = Signals(self.settings, rows, 0.0, rows.torques)
-        eta, f_S = self.laws.structure(signals)
+        eta, f_S = self.laws.command_structure(signals)
         state = signals.state
         turn, back = rows.reflection(), rows.motions()
         rows.work.x[:] = turn @ np.linalg.solve(back, state.S @ eta + state.sigma)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.experiments.benchmarks.cases import require_ok
+from osc_contact.experiments.benchmarks.cases import require_status
 from osc_contact.experiments.benchmarks.measuring import require_count, spread
 from osc_contact.experiments.rig import Rig, build_rig
 from osc_contact.interface import Measurement, Reference
@@ -98,7 +98,7 @@ def _time_tick(
         pin.computeAllTerms(model, data, measurement.q, measurement.v)
         after_floor = perf_counter_ns()
         kernel()
-        require_ok(controller, rig.scenario.name)
+        require_status(controller, rig.scenario.name)
         row[:] = np.diff((start, after_tick, after_floor, perf_counter_ns()))
         controller.motion_law.integral = np.zeros(6)  # nothing answers: keep the loops from
         controller.force_law.integral = np.zeros(0)  # winding up

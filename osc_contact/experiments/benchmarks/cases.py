@@ -12,19 +12,30 @@ from osc_contact import robots
 from osc_contact.contacts.pairs import VertexOnFace
 from osc_contact.control.controller import Controller, Gains, Status
 from osc_contact.control.force import ForceGains
+from osc_contact.control.life import LifeSettings
 from osc_contact.control.motion import MotionGains
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import InvalidInputError
-from osc_contact.experiments.rig import build_rig
+from osc_contact.experiments.rig import Rig, build_rig
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.scenarios import load_scenario
 from osc_contact.spatial import Array
 
-__all__ = ["CASES", "DT", "Case", "one_panda", "require_ok", "two_contact_rod", "two_pandas"]
+__all__ = [
+    "CASES",
+    "DT",
+    "Case",
+    "in_motion",
+    "one_panda",
+    "require_status",
+    "rod_rig",
+    "two_contact_rod",
+    "two_pandas",
+]
 
 DT = 1e-3
 MOVING_TICKS = 40
@@ -34,15 +45,16 @@ PANDA_Q = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78])
 GAINS = Gains(MotionGains(900.0, 60.0), ForceGains(30.0, 100.0))
 
 
-def require_ok(controller: Controller, name: str) -> None:
-    """Refuse to time a tick that did not end OK.
+def require_status(controller: Controller, name: str, expected: Status = Status.OK) -> None:
+    """Refuse to time a tick that did not end as expected.
 
     Raises:
         InvalidInputError: with the status and its reason.
     """
-    if controller.status is not Status.OK:
+    if controller.status is not expected:
+        reason = f" ({controller.reason})" if controller.status is not Status.OK else ""
         raise InvalidInputError(
-            f"{name}: a timed tick ended {controller.status.name} ({controller.reason})"
+            f"{name}: a timed tick ended {controller.status.name}{reason}, expected {expected.name}"
         )
 
 
@@ -53,6 +65,7 @@ class Case:
     Attributes:
         chain, pairs: arms, object and contacts. gains, posture: of the controller.
         measurement, reference: in the middle of a motion along the faces, all contacts pressed.
+        status: how every tick at this instant ends. life: of the controller.
     """
 
     name: str
@@ -62,22 +75,30 @@ class Case:
     posture: Array
     measurement: Measurement
     reference: Reference
+    status: Status = Status.OK
+    life: LifeSettings | None = None
 
-    def controller(self, *, gains: Gains | None = None) -> Controller:
+    def controller(self) -> Controller:
         """A controller of this rig."""
         return Controller(
-            self.chain, self.pairs, gains or self.gains, dt=DT, posture=self.posture
+            self.chain, self.pairs, self.gains, dt=DT, posture=self.posture, life=self.life
         )  # fmt: skip
 
     def tick(self) -> tuple[Callable[[], Array], Callable[[], None]]:
-        """A tick at this instant, and what keeps its integrators from winding up meanwhile."""
-        controller = self.controller()
+        """A tick at this instant, and what is to be called after each.
+
+        That is: how the tick ended is checked, and its integrators are set back to zero.
+        """
+        return self.ticking(self.controller())
+
+    def ticking(self, controller: Controller) -> tuple[Callable[[], Array], Callable[[], None]]:
+        """The same with a given controller."""
 
         def tick() -> Array:
             return controller.tick(self.measurement, self.reference)
 
         def unwind() -> None:
-            require_ok(controller, self.name)
+            require_status(controller, self.name, self.status)
             controller.motion_law.integral = np.zeros(6)
             controller.force_law.integral = np.zeros(0)
 
@@ -97,6 +118,7 @@ def in_motion(
     q: Array,
     gains: Gains,
     reference: Callable[[float], Reference],
+    status: Status = Status.OK,
 ) -> Case:
     """Let the rigid plant follow a reference for a moment; there the case stands."""
     plant = RigidPlant(chain, pairs, DT)
@@ -107,16 +129,21 @@ def in_motion(
         tau = controller.tick(plant.measure(), reference(k * DT))
         plant.step(tau, DT)
     end = reference(MOVING_TICKS * DT)
-    return Case(name, chain, pairs, gains, q, plant.measure(), end)
+    return Case(name, chain, pairs, gains, q, plant.measure(), end, status)
+
+
+def rod_rig() -> tuple[Rig, Gains, tuple[VertexOnFace, ...]]:
+    """The packaged scenario's rig, its gains and its two contacts."""
+    rig = build_rig(load_scenario("two_contact_rod"))
+    spec = rig.scenario.gains
+    gains = Gains(MotionGains(**spec.motion.model_dump()), ForceGains(**spec.force.model_dump()))
+    return rig, gains, tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace))
 
 
 def two_contact_rod() -> Case:
     """Two SCARA arms with gripper hinges, a rod, two skew contacts: d = 5, r = 2."""
-    rig = build_rig(load_scenario("two_contact_rod"))
-    spec = rig.scenario.gains
-    gains = Gains(MotionGains(**spec.motion.model_dump()), ForceGains(**spec.force.model_dump()))
+    rig, gains, pairs = rod_rig()
     at = rig.references.at
-    pairs = tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace))
     return in_motion("two_contact_rod", rig.chain, pairs, rig.q_contact, gains, at)
 
 

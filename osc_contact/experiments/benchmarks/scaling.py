@@ -13,7 +13,7 @@ from rich.table import Table
 
 from osc_contact.control.controller import Status
 from osc_contact.errors import InvalidInputError
-from osc_contact.experiments.benchmarks.cases import require_ok
+from osc_contact.experiments.benchmarks.cases import require_status
 from osc_contact.experiments.benchmarks.measuring import (
     joined,
     machine,
@@ -103,7 +103,7 @@ class _Timed:
             raise InvalidInputError(f"{kind} × {len(chain.arms)}: {controller.reason}")
 
         def unwind() -> None:
-            require_ok(controller, kind)
+            require_status(controller, kind)
             controller.motion_law.integral = np.zeros(6)
             controller.force_law.integral = np.zeros(0)
 
