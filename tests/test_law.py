@@ -21,6 +21,7 @@ from rigs import one_panda, panda_pair, placed, random_faces, random_state, scar
 
 import osc_contact as osc
 from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.control import front_end
 from osc_contact.control.controller import Controller
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
@@ -28,6 +29,7 @@ from osc_contact.control.motion import MotionGains
 from osc_contact.dynamics.environment import Environment
 from osc_contact.dynamics.rail import Cart, Conveyor
 from osc_contact.interface import Measurement, Reference, Touched
+from osc_contact.law.tables import JOINT
 from osc_contact.scenarios import list_scenarios
 
 GAINS = osc.Gains(MotionGains(400, 40, 2000), ForceGains(30, 5))
@@ -481,3 +483,32 @@ def test_the_same_without_compilation_and_with_checked_bounds(how, tmp_path):
     done = run_python(*words, **{how: "1", "NUMBA_CACHE_DIR": str(tmp_path)})
     assert done.returncode == 0, done.stdout[-3000:]
     assert " passed" in done.stdout
+
+
+def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
+    """J, M and h on random states; joints about and along any axis; armature; a wrong model."""
+    model, joint, X = pin.Model(), 0, placed(0.1, 0.2, 0.3, (0.3, -0.2, 0.5))
+    axis = np.array([0.3, -0.5, 0.8])
+    axis /= np.linalg.norm(axis)
+    kinds = [pin.JointModelRX(), pin.JointModelPY(), pin.JointModelRevoluteUnaligned(*axis),
+             pin.JointModelPrismaticUnaligned(*axis), pin.JointModelRY(), pin.JointModelRZ(),
+             pin.JointModelPZ()]  # fmt: skip
+    rng = np.random.default_rng(41)
+    for i, kind in enumerate(kinds):
+        joint = model.addJoint(joint, kind, X, f"joint{i}")
+        model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Random())
+        X = pin.SE3.Random()
+    model.upperEffortLimit[:] = 50.0
+    model.addFrame(pin.Frame("tip", joint, 0, placed(0.2), pin.FrameType.OP_FRAME))
+    body = osc.RigidObject(pin.Inertia(1.0, np.array([0.02, 0.01, 0.0]), 0.01 * np.eye(3)))
+    chain = osc.ClosedChain([osc.Arm.from_urdf(model, name="arm", tip="tip")], payload=body)
+    controller = Controller(chain, [])
+    assert chain in front_end._judged
+    fast, slow = twins(chain, [])
+    for _ in range(5):
+        q, v = rng.uniform(-1, 1, 7), rng.normal(size=7)
+        agree(fast, slow, *inputs(chain, q, v, rng, 0), 1e-10)
+    front_end._judged.discard(chain)
+    controller._records.row.table("joints", 7, JOINT).link[3][0] *= 1.0 + 1e-6
+    with pytest.raises(osc.ModelError, match="differs from Pinocchio"):
+        front_end.require_pinocchio_agrees(chain, controller._records)

@@ -10,6 +10,7 @@ import numpy as np
 
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.friction import Friction
+from osc_contact.control.front_end import require_pinocchio_agrees
 from osc_contact.control.gains import Gains
 from osc_contact.control.laws import Laws
 from osc_contact.control.life import LifeSettings, Phase
@@ -121,6 +122,7 @@ class Controller:
             ),
             Laws() if laws is None else laws,
         )
+        require_pinocchio_agrees(chain, self._records)
         memory, contacts_memory = self._records.memory, self._records.contacts
         self._reset_contacts()
         memory.X_WO[:] = np.eye(4)
@@ -239,8 +241,7 @@ class Controller:
     def __copy__(self) -> Controller:
         other = self._another(self.settings, self.laws)
         self._copy_work(other)
-        for name in ("_given_up", "_failure", "_inputs"):
-            setattr(other, name, getattr(self, name))
+        other._given_up, other._failure, other._inputs = self.given_up, self._failure, self._inputs
         other._codes[0] = self._codes[0]
         return other
 
@@ -252,7 +253,7 @@ class Controller:
         return {
             "settings": self.settings, "laws": self.laws, "columns": dict(r.row.pairs.given),
             "memory": r.memory_bytes, "work": r.work_bytes, "code": int(self._codes[0]),
-            "given_up": self._given_up, "inputs": self._inputs,
+            "given_up": self.given_up, "inputs": self._inputs,
         }  # fmt: skip
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -348,7 +349,7 @@ class Controller:
                     return self._scale(tau)
                 if self._limits is None:
                     self._limits = MotorLimits(self.settings, self._records.row)
-                self._given_up = self._limits.relieve(self._records, tau)
+                self._limits.relieve(self._records, tau)
             except SolverError as error:
                 self._hold(error)
                 tau[:] = self._records.torques
@@ -416,7 +417,11 @@ class Controller:
     @property
     def given_up(self) -> GivenUp | None:
         """What motor limits cost in the last tick; None: nothing."""
-        return self._given_up if self.status is Status.SATURATED else None
+        if self.status is not Status.SATURATED:
+            return None
+        if self._given_up is None and self._limits is not None:
+            self._given_up = self._limits.given_up(self._records)
+        return self._given_up
 
     @property
     def lost_directions(self) -> tuple[LostDirection, ...]:

@@ -16,7 +16,7 @@ from osc_contact.law import tables as at
 from osc_contact.law import tick as law
 from osc_contact.spatial import Array
 
-__all__ = ["TickRecords", "fill", "rows"]
+__all__ = ["TickRecords", "rows", "saturated"]
 
 
 @cache
@@ -35,9 +35,9 @@ def rows() -> Any:
 
 
 @cache
-def fill() -> Any:
-    """See `law.saturation.build`."""
-    return saturation.build(_stamp())
+def saturated() -> tuple[Any, Any]:
+    """What fills the program of the motor limits and takes in its answer, see `law.saturation`."""
+    return saturation.build_fill(_stamp()), saturation.build_settle(_stamp())
 
 
 class TickRecords:

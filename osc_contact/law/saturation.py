@@ -6,6 +6,7 @@ from typing import Any
 
 from osc_contact.law.algebra import cholesky, cholesky_solve, reflect
 from osc_contact.law.jit import entry, inner, matrix, numbers
+from osc_contact.law.phases import slew
 from osc_contact.law.tables import (
     read_arms,
     read_bodies,
@@ -14,10 +15,11 @@ from osc_contact.law.tables import (
     read_columns,
     read_joint_work,
     read_joints,
+    read_memory,
     read_work,
 )
 
-__all__ = ["build"]
+__all__ = ["build_fill", "build_settle"]
 
 _FLOOR = 1.0  #: N, least force of contacts that cannot pull; a command below it is its own floor
 
@@ -49,7 +51,7 @@ def _shares(work, owners, bodies, columns, alpha, share, floor, k_max):
     return k
 
 
-def build(stamp: int) -> Any:
+def build_fill(stamp: int) -> Any:
     """The function that fills the program; `stamp` tells the cache of changed sources."""
 
     @entry
@@ -112,3 +114,40 @@ def build(stamp: int) -> Any:
         sizes[2] = _shares(work, owners, bodies, columns, alpha, share, floor, len(floor))
 
     return fill
+
+
+def build_settle(stamp: int) -> Any:
+    """The function that takes in the answer; `stamp` tells the cache of changed sources."""
+
+    @entry
+    def settle(model, raw, memory_bytes, found, lost_force, lost_squeeze, tau):
+        """Torques found to tau, no faster than motors may change; the memory goes on with them.
+
+        Args:
+            model, raw, memory_bytes: of one row. found: (motors,) torques within the limits.
+            lost_force, lost_squeeze: wanted less what will come: the force integral does not
+                integrate it. tau: (motors,) filled.
+        """
+        if stamp < 0:
+            return
+        chain, work = read_chain(model, 0, 1)[0], read_work(raw, 0, 1)[0]
+        memory = read_memory(memory_bytes, 0, 1)[0]
+        last = numbers(memory_bytes, chain.torque_memory_at, chain.n_motors)
+        for i in range(chain.n_motors):
+            tau[i] = found[i]
+        if chain.phased != 0 and memory.ticked > 1:
+            step = numbers(raw, chain.flat_at + 40 * chain.n_columns, chain.n_motors)
+            table = read_joints(model, chain.joints_at, chain.n_joints)
+            for j in range(chain.n_joints):
+                if table[j].motor >= 0:
+                    step[table[j].motor] = chain.torque_rate * chain.period * table[j].tau_max
+            slew(tau, last, step, chain.n_motors)
+        for i in range(chain.n_motors):
+            last[i] = tau[i]
+        for a in range(work.rank):
+            memory.force_sum[a] = work.force_next[a] - work.gain[a] * chain.period * lost_force[a]
+        memory.force_rank = work.rank
+        if work.n_internal > 0 and chain.n_arms == 2:
+            work.internal[0] -= lost_squeeze[0]
+
+    return settle

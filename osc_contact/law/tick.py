@@ -303,7 +303,7 @@ def _command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D,
 def _remember(chain, work, memory, columns, column_memory, table, contacts, flat):
     """The integrals move on; phases keep what was measured."""
     r = work.rank
-    memory.ticked = memory.fresh = memory.located = 1
+    memory.ticked, memory.fresh, memory.located = memory.ticked + 1, 1, 1
     for i in range(4):
         for j in range(4):
             memory.X_WO[i, j] = work.X_WO[i, j]
