@@ -104,9 +104,9 @@ def _add_arm(chain, arm, table, work, own, joints, locked, row):
         return BAD_INERTIA, 0
     if may_be_singular(chain, arm, own):
         find_lost(chain, arm, own, joints, work)
-    if chain.n_arms > 1 or own.wide == 0 or own.n_lost > 0:  # else there is nothing to share
-        if not effort_metric(lo, n, m, joints, table, own, work, own.effort):
-            return UNACTUATED, 0
+    shared = chain.n_arms > 1 or own.wide == 0 or own.n_lost > 0  # else there is nothing to share
+    if shared and not effort_metric(lo, n, m, joints, table, own, work, own.effort):
+        return UNACTUATED, 0
     for k in range(row, row + count):
         locked[k, 6] = dot6(locked[k], own.gamma)
         for i in range(6):
