@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from osc_contact.contacts.pairs import ContactPair
+from osc_contact.control.controller_copies import ControllerCopies
 from osc_contact.control.friction import Friction
 from osc_contact.control.front_end import require_pinocchio_agrees
 from osc_contact.control.gains import Gains
@@ -16,20 +16,19 @@ from osc_contact.control.laws import Laws
 from osc_contact.control.life import LifeSettings, Phase
 from osc_contact.control.loops import ForceLoop, MotionLoop, refuse
 from osc_contact.control.outside import Outside
-from osc_contact.control.reasons import explain, require_sizes
-from osc_contact.control.reports import GivenUp, LostDirection, Status
-from osc_contact.control.result import TickResult
+from osc_contact.control.reasons import convert_arrays, require_sizes
+from osc_contact.control.reports import Status
 from osc_contact.control.settings import PostureTask, Settings
 from osc_contact.control.signals import BLOCKS, Block, Signals
 from osc_contact.control.tick_records import TickRecords, rows
-from osc_contact.control.torque_limits import MotorLimits
+from osc_contact.control.torque_limits import MotorLimits, scale_torques
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError, SolverError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
 from osc_contact.law.tables import BODY, HELD, OBJECT_UNKNOWN, OUTSIDE
-from osc_contact.spatial import Array, as_array
+from osc_contact.spatial import Array
 
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
 
@@ -38,7 +37,7 @@ _REFUSED = (TypeError, ValueError, AttributeError, OscContactError, np.linalg.Li
 _SETTABLE = ("f_tare", "f_bias", "engaged", "motion_law.integral", "force_law.integral")
 
 
-class Controller:
+class Controller(ControllerCopies):
     """Dynamically decoupled force/motion control of one held object (fig. 4).
 
     Everything is taken at construction and stays: `with_gains` and `with_laws` make another
@@ -53,19 +52,7 @@ class Controller:
         motion_law, force_law: gains and integrals of the two loops.
     """
 
-    settings: Settings
-    laws: Laws
-    motion_law: MotionLoop
-    force_law: ForceLoop
-    _records: TickRecords
-    _outside: Outside
-    _codes: Array
-    _squeeze: Array
-    _limits: MotorLimits | None
-    _given_up: GivenUp | None
-    _failure: Exception | None
     _converting: bool
-    _inputs: tuple[Measurement, Reference]
 
     def __init__(
         self,
@@ -188,81 +175,10 @@ class Controller:
 
     # --- what it is made of ----------------------------------------------------------------------
 
-    def __getattr__(self, name: str) -> Any:
-        settings = self.__dict__.get("settings")
-        if settings is not None and name in ("chain", "contacts", "gains", "dt", "B", "bodies",
-                                             "posture", "friction"):  # fmt: skip
-            return getattr(settings, name)
-        if settings is not None and name == "life":
-            return settings.phases
-        raise AttributeError(f"'Controller' has no attribute '{name}'")
-
     def __setattr__(self, name: str, value: Any) -> None:
         if name not in _SETTABLE and not name.startswith("_"):
             raise refuse("controller", name, _SETTABLE)
         object.__setattr__(self, name, value)
-
-    def with_gains(self, gains: Gains) -> Controller:
-        """Another controller with these gains that goes on from here without a jump.
-
-        The force integral is a force and stays. What the motion integral commands stays too: ∫e is
-        scaled by the old gain over the new one, or handed to `f_bias` if the new one is 0.
-        """
-        settings = replace(self.settings, gains=gains)
-        other = self._another(settings, self.laws)
-        other._records.row.set_gains(settings)
-        before, after = self.gains.motion.integral, gains.motion.integral
-        if after > 0.0:
-            other.motion_law.integral = self.motion_law.integral * (before / after)
-        elif self._records.memory.ticked:
-            self._copy_work(other)
-            other._records.row.head.integral = before
-            other._hand_over()
-            other._records.row.head.integral = 0.0
-        contacts = other._records.contacts
-        if self.settings.phases is None:
-            contacts.gain[:], contacts.damping[:] = gains.force.integral, gains.force.damping
-        return other
-
-    def with_laws(self, **laws: Callable[..., Any] | None) -> Controller:
-        """Another controller that goes on from here with laws of the user's own, see `Laws`."""
-        return self._another(self.settings, replace(self.laws, **laws))
-
-    def _another(self, settings: Settings, laws: Laws) -> Controller:
-        other = Controller.__new__(type(self))
-        row = self._records.row.copy()
-        outside = self._outside if laws is self.laws else None
-        other._begin(settings, laws, TickRecords(row, self._records.memory_bytes.copy()), outside)
-        return other
-
-    def _copy_work(self, other: Controller) -> None:
-        other._records.work_bytes[:] = self._records.work_bytes
-
-    def __copy__(self) -> Controller:
-        other = self._another(self.settings, self.laws)
-        self._copy_work(other)
-        other._given_up, other._failure, other._inputs = self.given_up, self._failure, self._inputs
-        other._codes[0] = self._codes[0]
-        return other
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Controller:
-        return self.__copy__()
-
-    def __getstate__(self) -> dict[str, Any]:
-        r = self._records
-        return {
-            "settings": self.settings, "laws": self.laws, "columns": dict(r.row.pairs.given),
-            "memory": r.memory_bytes, "work": r.work_bytes, "code": int(self._codes[0]),
-            "given_up": self.given_up, "inputs": self._inputs,
-        }  # fmt: skip
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        outside = Outside(state["settings"], state["laws"])
-        row = outside.pack(state["columns"])
-        self._begin(state["settings"], state["laws"], TickRecords(row, state["memory"].copy()))
-        self._records.work_bytes[:] = state["work"]
-        self._codes[0], self._given_up = state["code"], state["given_up"]
-        self._inputs = state["inputs"]
 
     # --- a tick ----------------------------------------------------------------------------------
 
@@ -320,7 +236,7 @@ class Controller:
                 raise error
             require_sizes(measurement, reference, self.settings)
             self._converting = True
-            return self.tick(*_converted(measurement, reference))
+            return self.tick(*convert_arrays(measurement, reference))
         except _REFUSED as why:
             self._hold(why)
             self._inputs = (measurement, reference)
@@ -346,27 +262,14 @@ class Controller:
         elif code == Status.SATURATED:
             try:
                 if self.laws.structure is not None:
-                    return self._scale(tau)
+                    self._given_up = scale_torques(self._records, self.chain, tau)
+                    return tau
                 if self._limits is None:
                     self._limits = MotorLimits(self.settings, self._records.row)
                 self._limits.relieve(self._records, tau)
             except SolverError as error:
                 self._hold(error)
                 tau[:] = self._records.torques
-        return tau
-
-    def _scale(self, tau: Array) -> Array:
-        """Torques of a structure law beyond a limit: all scaled by one factor until none is."""
-        rows, chain = self._records, self.chain
-        wanted = rows.joints.tau[chain.actuated]
-        share = np.abs(wanted) / chain.tau_max
-        motor = int(np.argmax(share))
-        tau[:] = wanted / share[motor]
-        rows.torques[:] = tau
-        self._given_up = GivenUp(
-            (chain.joint_names[chain.actuated[motor]],), wanted[[motor]], chain.tau_max[[motor]],
-            np.zeros(0), np.zeros(6), np.zeros(0), False,
-        )  # fmt: skip
         return tau
 
     def _motions(self, touched: Touched) -> Array:
@@ -400,93 +303,6 @@ class Controller:
         memory.X_WO[:], memory.located = X_WO.homogeneous, 2
         return True
 
-    # --- what the last tick said -----------------------------------------------------------------
-
-    @property
-    def status(self) -> Status:
-        """How the last tick ended."""
-        return Status(int(self._codes[0]))
-
-    @property
-    def reason(self) -> str:
-        """Why `status` is not OK; empty if it is."""
-        if self.status is Status.HELD:
-            return explain(self._records, self.settings, *self._inputs, self._failure)
-        return str(self.given_up or "; ".join(map(str, self.lost_directions)))
-
-    @property
-    def given_up(self) -> GivenUp | None:
-        """What motor limits cost in the last tick; None: nothing."""
-        if self.status is not Status.SATURATED:
-            return None
-        if self._given_up is None and self._limits is not None:
-            self._given_up = self._limits.given_up(self._records)
-        return self._given_up
-
-    @property
-    def lost_directions(self) -> tuple[LostDirection, ...]:
-        """In which motion commands were faded near a singular posture."""
-        if self.status is Status.HELD:
-            return ()
-        return self._records.lost_directions([arm.name for arm in self.chain.arms])
-
-    @property
-    def signals(self) -> Signals:
-        """The signals of fig. 4 as the last computed tick left them.
-
-        Raises:
-            InvalidInputError: there was none yet.
-        """
-        self._require_tick()
-        squeeze = float(self._squeeze[0]) if self._arms < 3 else self._squeeze.copy()
-        return Signals(self.settings, self._records, squeeze, self._records.torques)
-
-    def last_signals(self) -> Signals:
-        """The same."""
-        return self.signals
-
-    def found(self) -> TickResult:
-        """The numbers of the last tick that recordings keep; the next tick overwrites them.
-
-        Raises:
-            InvalidInputError: there was no tick yet.
-        """
-        self._require_tick()
-        result = self.__dict__.get("_result")
-        if result is None or result.records is not self._records:
-            result = self._result = TickResult.of(self._records)
-        return result
-
-    def _require_tick(self) -> None:
-        if not self._records.memory.ticked:
-            raise InvalidInputError(
-                "no tick has been computed yet; call tick first"
-                + (f" (the last one was held: {self.reason})" if self.status else "")
-            )
-
-    def last_torques(self) -> Array:
-        """(n_a,) what the last tick gave out."""
-        return self._records.torques.copy()
-
-    def joint_acceleration(self) -> Array:
-        """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
-        return np.array(self._records.joints.acceleration)
-
-    def residual_wrench(self) -> Array:
-        """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
-
-        Its mean at rest without contact is the tare, to be stored in `f_tare`: weight errors
-        cannot be told from contact forces once contact is made.
-        """
-        found = self.found()
-        return np.asarray(found.f_meas + self.f_tare - found.bias_out)
-
-    def phases(self) -> Array:
-        """(contacts,) open 0, approaching 1, closed 2 (`Phase`) as of the last tick."""
-        contacts = self._records.contacts
-        phase = contacts.phase if self.life is not None else Phase.CLOSED
-        return np.where(contacts.active != 0, phase, Phase.OPEN).astype(np.int64)
-
     def kernel_call(self, measurement: Measurement, reference: Reference) -> Callable[[], Any]:
         """The law's call of a tick by itself, to be timed; the state of the loops moves on."""
         self.tick(measurement, reference)
@@ -504,35 +320,6 @@ class Controller:
 
     # --- contact ---------------------------------------------------------------------------------
 
-    @property
-    def f_tare(self) -> Array:
-        """(6,) constant error of the wrist readings at O (N, N m), removed from each."""
-        return np.array(self._records.memory.f_tare)
-
-    @f_tare.setter
-    def f_tare(self, wrench: Array) -> None:
-        self._records.memory.f_tare[:] = as_array("f_tare", wrench, (6,))
-
-    @property
-    def f_bias(self) -> Array:
-        """(6,) constant wrench added to the command at O (N, N m)."""
-        return np.array(self._records.memory.f_bias)
-
-    @f_bias.setter
-    def f_bias(self, wrench: Array) -> None:
-        self._records.memory.f_bias[:] = as_array("f_bias", wrench, (6,))
-
-    @property
-    def engaged(self) -> bool:
-        """Whether the contacts are part of the model; False: the object counts as free."""
-        return bool(self._records.memory.engaged)
-
-    @engaged.setter
-    def engaged(self, engaged: bool) -> None:
-        self._records.memory.engaged = engaged
-        if self.life is None or not engaged:
-            self._records.contacts.active[:] = engaged
-
     def engage(self) -> None:
         """Take the contacts into the model, without a jump.
 
@@ -545,15 +332,6 @@ class Controller:
             self.force_law.integral = np.zeros(0)
             self.engaged = True
 
-    def _hand_over(self) -> None:
-        r, six = self._records, np.zeros(6)
-        codes = self._codes.copy()
-        self._rows(
-            r.row.raw, r.memory_bytes, r.work_bytes, np.zeros(self.chain.nq),
-            np.zeros(self.chain.nq), np.zeros((self._arms, 6)), np.eye(4), six, six, np.zeros(0),
-            self._squeeze, self._still, 0, np.zeros(self._n_a), codes, law.HAND_OVER, law.END, 0, 1,
-        )  # fmt: skip
-
     def _reset_contacts(self) -> None:
         """All contacts closed, their terms those of the force law."""
         contacts, gains, life = self._records.contacts, self.gains.force, self.life
@@ -562,27 +340,3 @@ class Controller:
         contacts.least[:] = -np.inf
         contacts.since[:] = 0.0 if life is None else life.rise
         self._records.column_memory.closed[:] = 1
-
-
-def _converted(measurement: Measurement, reference: Reference) -> tuple[Measurement, Reference]:
-    def array(x: Any) -> Array:
-        return np.array(x, dtype=float, order="C")
-
-    touched = measurement.touched
-    if touched is not None:
-        touched = Touched(array(touched.X_WE), array(touched.V_E), array(touched.A_E))
-    return (
-        replace(
-            measurement,
-            q=array(measurement.q),
-            v=array(measurement.v),
-            wrenches=array(measurement.wrenches),
-            touched=touched,
-        ),
-        replace(
-            reference,
-            V_D=array(reference.V_D),
-            A_D=array(reference.A_D),
-            alpha_d=array(reference.alpha_d),
-        ),
-    )

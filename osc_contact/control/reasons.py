@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from osc_contact.control.settings import Settings
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.errors import OscContactError
-from osc_contact.interface import Measurement, Reference, as_squeeze
+from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
 from osc_contact.law import tables as at
-from osc_contact.spatial import as_array
+from osc_contact.spatial import Array, as_array
 
-__all__ = ["explain", "require_sizes"]
+__all__ = ["convert_arrays", "explain", "require_sizes"]
 
 
 def require_sizes(measurement: Measurement, reference: Reference, settings: Settings) -> None:
@@ -37,6 +40,32 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
     as_array("reference V_D", reference.V_D, (6,))
     as_array("reference A_D", reference.A_D, (6,))
     as_array("reference X_WD", reference.X_WD.homogeneous, (4, 4))
+
+
+def convert_arrays(measurement: Measurement, reference: Reference) -> tuple[Measurement, Reference]:
+    """Both with arrays of their own, contiguous and of double precision."""
+
+    def array(x: Any) -> Array:
+        return np.array(x, dtype=float, order="C")
+
+    touched = measurement.touched
+    if touched is not None:
+        touched = Touched(array(touched.X_WE), array(touched.V_E), array(touched.A_E))
+    return (
+        replace(
+            measurement,
+            q=array(measurement.q),
+            v=array(measurement.v),
+            wrenches=array(measurement.wrenches),
+            touched=touched,
+        ),
+        replace(
+            reference,
+            V_D=array(reference.V_D),
+            A_D=array(reference.A_D),
+            alpha_d=array(reference.alpha_d),
+        ),
+    )
 
 
 def explain(

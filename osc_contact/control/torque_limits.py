@@ -8,10 +8,11 @@ from osc_contact.control.model_row import ModelRow
 from osc_contact.control.reports import GivenUp
 from osc_contact.control.settings import Settings
 from osc_contact.control.tick_records import TickRecords, saturated
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.law.limits import TorqueLimits
 from osc_contact.spatial import Array
 
-__all__ = ["MotorLimits"]
+__all__ = ["MotorLimits", "scale_torques"]
 
 
 class MotorLimits:
@@ -59,3 +60,19 @@ class MotorLimits:
             chain.tau_max[motors], lost,
             rows.motions() @ (rows.reflection().T @ program.lost_motion), squeeze, self._short,
         )  # fmt: skip
+
+
+def scale_torques(rows: TickRecords, chain: ClosedChain, tau: Array) -> GivenUp:
+    """All torques by one factor until none exceeds its limit, in tau (n_a,).
+
+    For control structures of the user's own, of which nothing is known.
+    """
+    wanted = rows.joints.tau[chain.actuated]
+    share = np.abs(wanted) / chain.tau_max
+    motor = int(np.argmax(share))
+    tau[:] = wanted / share[motor]
+    rows.torques[:] = tau
+    return GivenUp(
+        (chain.joint_names[chain.actuated[motor]],), wanted[[motor]], chain.tau_max[[motor]],
+        np.zeros(0), np.zeros(6), np.zeros(0), False,
+    )  # fmt: skip

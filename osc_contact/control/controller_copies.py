@@ -1,0 +1,101 @@
+"""A controller that goes on elsewhere: with other gains or laws, as a copy, from a pickle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Self
+
+import numpy as np
+
+from osc_contact.control.controller_state import ControllerState
+from osc_contact.control.gains import Gains
+from osc_contact.control.laws import Laws
+from osc_contact.control.outside import Outside
+from osc_contact.control.settings import Settings
+from osc_contact.control.tick_records import TickRecords
+from osc_contact.law import tick as law
+from osc_contact.spatial import Array
+
+__all__ = ["ControllerCopies"]
+
+
+class ControllerCopies(ControllerState):
+    """Ways of making another `Controller` that continues from this one; they share nothing."""
+
+    _outside: Outside
+    _rows: Any
+    _still: Array
+    _n_a: int
+    _begin: Callable[..., None]
+
+    def with_gains(self, gains: Gains) -> Self:
+        """Another controller with these gains that goes on from here without a jump.
+
+        The force integral is a force and stays. What the motion integral commands stays too: ∫e is
+        scaled by the old gain over the new one, or handed to `f_bias` if the new one is 0.
+        """
+        settings = replace(self.settings, gains=gains)
+        other = self._another(settings, self.laws)
+        other._records.row.set_gains(settings)
+        before, after = self.gains.motion.integral, gains.motion.integral
+        if after > 0.0:
+            other.motion_law.integral = self.motion_law.integral * (before / after)
+        elif self._records.memory.ticked:
+            self._copy_work(other)
+            other._records.row.head.integral = before
+            other._hand_over()
+            other._records.row.head.integral = 0.0
+        contacts = other._records.contacts
+        if self.settings.phases is None:
+            contacts.gain[:], contacts.damping[:] = gains.force.integral, gains.force.damping
+        return other
+
+    def with_laws(self, **laws: Callable[..., Any] | None) -> Self:
+        """Another controller that goes on from here with laws of the user's own, see `Laws`."""
+        return self._another(self.settings, replace(self.laws, **laws))
+
+    def _another(self, settings: Settings, laws: Laws) -> Self:
+        other = type(self).__new__(type(self))
+        row = self._records.row.copy()
+        outside = self._outside if laws is self.laws else None
+        other._begin(settings, laws, TickRecords(row, self._records.memory_bytes.copy()), outside)
+        return other
+
+    def _copy_work(self, other: Self) -> None:
+        other._records.work_bytes[:] = self._records.work_bytes
+
+    def __copy__(self) -> Self:
+        other = self._another(self.settings, self.laws)
+        self._copy_work(other)
+        other._given_up, other._failure, other._inputs = self.given_up, self._failure, self._inputs
+        other._codes[0] = self._codes[0]
+        return other
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return self.__copy__()
+
+    def __getstate__(self) -> dict[str, Any]:
+        r = self._records
+        return {
+            "settings": self.settings, "laws": self.laws, "columns": dict(r.row.pairs.given),
+            "memory": r.memory_bytes, "work": r.work_bytes, "code": int(self._codes[0]),
+            "given_up": self.given_up, "inputs": self._inputs,
+        }  # fmt: skip
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        outside = Outside(state["settings"], state["laws"])
+        row = outside.pack(state["columns"])
+        self._begin(state["settings"], state["laws"], TickRecords(row, state["memory"].copy()))
+        self._records.work_bytes[:] = state["work"]
+        self._codes[0], self._given_up = state["code"], state["given_up"]
+        self._inputs = state["inputs"]
+
+    def _hand_over(self) -> None:
+        r, six = self._records, np.zeros(6)
+        codes = self._codes.copy()
+        self._rows(
+            r.row.raw, r.memory_bytes, r.work_bytes, np.zeros(self.chain.nq),
+            np.zeros(self.chain.nq), np.zeros((self._arms, 6)), np.eye(4), six, six, np.zeros(0),
+            self._squeeze, self._still, 0, np.zeros(self._n_a), codes, law.HAND_OVER, law.END, 0, 1,
+        )  # fmt: skip

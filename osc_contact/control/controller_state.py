@@ -1,0 +1,163 @@
+"""What a controller remembers, and what its last tick said."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from osc_contact.control.laws import Laws
+from osc_contact.control.life import Phase
+from osc_contact.control.loops import ForceLoop, MotionLoop
+from osc_contact.control.reasons import explain
+from osc_contact.control.reports import GivenUp, LostDirection, Status
+from osc_contact.control.result import TickResult
+from osc_contact.control.settings import Settings
+from osc_contact.control.signals import Signals
+from osc_contact.control.tick_records import TickRecords
+from osc_contact.control.torque_limits import MotorLimits
+from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Measurement, Reference
+from osc_contact.spatial import Array, as_array
+
+__all__ = ["ControllerState"]
+
+
+class ControllerState:
+    """The readable side of `Controller`: everything here comes from its settings and records."""
+
+    settings: Settings
+    laws: Laws
+    motion_law: MotionLoop
+    force_law: ForceLoop
+    _records: TickRecords
+    _arms: int
+    _codes: Array
+    _squeeze: Array
+    _limits: MotorLimits | None
+    _given_up: GivenUp | None
+    _failure: Exception | None
+    _inputs: tuple[Measurement, Reference]
+
+    def __getattr__(self, name: str) -> Any:
+        settings = self.__dict__.get("settings")
+        if settings is not None and name in ("chain", "contacts", "gains", "dt", "B", "bodies",
+                                             "posture", "friction"):  # fmt: skip
+            return getattr(settings, name)
+        if settings is not None and name == "life":
+            return settings.phases
+        raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
+
+    @property
+    def status(self) -> Status:
+        """How the last tick ended."""
+        return Status(int(self._codes[0]))
+
+    @property
+    def reason(self) -> str:
+        """Why `status` is not OK; empty if it is."""
+        if self.status is Status.HELD:
+            return explain(self._records, self.settings, *self._inputs, self._failure)
+        return str(self.given_up or "; ".join(map(str, self.lost_directions)))
+
+    @property
+    def given_up(self) -> GivenUp | None:
+        """What motor limits cost in the last tick; None: nothing."""
+        if self.status is not Status.SATURATED:
+            return None
+        if self._given_up is None and self._limits is not None:
+            self._given_up = self._limits.given_up(self._records)
+        return self._given_up
+
+    @property
+    def lost_directions(self) -> tuple[LostDirection, ...]:
+        """In which motion commands were faded near a singular posture."""
+        if self.status is Status.HELD:
+            return ()
+        return self._records.lost_directions([arm.name for arm in self.chain.arms])
+
+    @property
+    def signals(self) -> Signals:
+        """The signals of fig. 4 as the last computed tick left them.
+
+        Raises:
+            InvalidInputError: there was none yet.
+        """
+        self._require_tick()
+        squeeze = float(self._squeeze[0]) if self._arms < 3 else self._squeeze.copy()
+        return Signals(self.settings, self._records, squeeze, self._records.torques)
+
+    def last_signals(self) -> Signals:
+        """The same."""
+        return self.signals
+
+    def found(self) -> TickResult:
+        """The numbers of the last tick that recordings keep; the next tick overwrites them.
+
+        Raises:
+            InvalidInputError: there was no tick yet.
+        """
+        self._require_tick()
+        result = self.__dict__.get("_result")
+        if result is None or result.records is not self._records:
+            result = self._result = TickResult.of(self._records)
+        return result
+
+    def _require_tick(self) -> None:
+        if not self._records.memory.ticked:
+            raise InvalidInputError(
+                "no tick has been computed yet; call tick first"
+                + (f" (the last one was held: {self.reason})" if self.status else "")
+            )
+
+    def last_torques(self) -> Array:
+        """(n_a,) what the last tick gave out."""
+        return self._records.torques.copy()
+
+    def joint_acceleration(self) -> Array:
+        """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
+        return np.array(self._records.joints.acceleration)
+
+    def residual_wrench(self) -> Array:
+        """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
+
+        Its mean at rest without contact is the tare, to be stored in `f_tare`: weight errors
+        cannot be told from contact forces once contact is made.
+        """
+        found = self.found()
+        return np.asarray(found.f_meas + self.f_tare - found.bias_out)
+
+    def phases(self) -> Array:
+        """(contacts,) open 0, approaching 1, closed 2 (`Phase`) as of the last tick."""
+        contacts = self._records.contacts
+        phase = contacts.phase if self.life is not None else Phase.CLOSED
+        return np.where(contacts.active != 0, phase, Phase.OPEN).astype(np.int64)
+
+    @property
+    def f_tare(self) -> Array:
+        """(6,) constant error of the wrist readings at O (N, N m), removed from each."""
+        return np.array(self._records.memory.f_tare)
+
+    @f_tare.setter
+    def f_tare(self, wrench: Array) -> None:
+        self._records.memory.f_tare[:] = as_array("f_tare", wrench, (6,))
+
+    @property
+    def f_bias(self) -> Array:
+        """(6,) constant wrench added to the command at O (N, N m)."""
+        return np.array(self._records.memory.f_bias)
+
+    @f_bias.setter
+    def f_bias(self, wrench: Array) -> None:
+        self._records.memory.f_bias[:] = as_array("f_bias", wrench, (6,))
+
+    @property
+    def engaged(self) -> bool:
+        """Whether the contacts are part of the model; False: the object counts as free."""
+        return bool(self._records.memory.engaged)
+
+    @engaged.setter
+    def engaged(self, engaged: bool) -> None:
+        self._records.memory.engaged = engaged
+        if self.life is None or not engaged:
+            self._records.contacts.active[:] = engaged
