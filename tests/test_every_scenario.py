@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pinocchio as pin
 import pytest
-from readable.allocation import Allocation
+from test_decoupling import both_allocations
 
 import osc_contact as osc
 from osc_contact.contacts.unilateral import pushes_only
@@ -111,8 +111,9 @@ def test_limits_on_mujoco(runs, name):
     assert np.ptp(runs[name]["pose"][:, :3], axis=0).max() > 0.01  # it does move
 
 
+@both_allocations
 @pytest.mark.parametrize("name", NAMES)
-def test_rigid_plant_decouples_exactly(rigs, name):
+def test_rigid_plant_decouples_exactly(rigs, name, allocated):
     """Steps of one command, ≤ 1e-9 of what they cause in their own space, felt in the other."""
     rig = rigs[name]
     scenario = osc.load_scenario(name, ["plant.type=rigid", "plant.step=1 ms"])
@@ -122,15 +123,14 @@ def test_rigid_plant_decouples_exactly(rigs, name):
         plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
     controller.tick(plant.measure(), rig.references.at(0.04))
     s = controller.last_signals()
-    allocation = Allocation(rig.chain, rig.q_contact)
-    _, N_S = s.state, s.state.S.T @ s.contact.N
+    N_S = s.state.S.T @ s.contact.N
     B_S = np.linalg.inv(s.state.S.T @ s.state.metric @ s.state.S)
     held = B_S @ N_S @ np.linalg.solve(N_S.T @ B_S @ N_S, N_S.T)
     rng = np.random.default_rng(5)
 
     def answer(eta, alpha):
         f_S = s.state.Lambda @ eta + s.state.bias + N_S @ alpha
-        tau = allocation.torques(s.state, s.q, s.v, f_S, eta, s.squeeze_d)
+        tau = allocated(rig.chain, s.q, s.v, f_S, eta, s.squeeze_d, rig.q_contact, s.state)
         _, a, forces = plant.accelerations(tau)
         return a, forces
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from readable.force import ForceLaw, contact_force, magnitudes, sum_of_wrenches
 from rigs import (
@@ -16,9 +17,10 @@ from rigs import (
     panda_pair,
     placed,
     random_faces,
+    random_state,
     scara_pair,
 )
-from test_decoupling import in_contact
+from test_decoupling import in_contact, strong
 
 import osc_contact as osc
 from osc_contact.plants.rigid import RigidPlant
@@ -33,15 +35,37 @@ def readings(chain, pairs, q, v, tau):
     return plant.measure().wrenches, plant.truth().alpha
 
 
+def found_by_law(chain, pairs, q, v, wrenches, f_tare=0.0):
+    """What the law finds in these readings."""
+    controller = osc.Controller(chain, pairs)
+    controller.f_tare = np.zeros(6) + f_tare
+    wanted = osc.Reference(pin.SE3.Identity(), alpha_d=np.zeros(len(pairs)))
+    controller.tick(osc.Measurement(q, v, wrenches), wanted)
+    assert controller.status is not osc.Status.HELD, controller.reason
+    return controller.found()
+
+
+def law_sense(chain, pairs, state, contact, q, v, wrenches):
+    return found_by_law(chain, pairs, q, v, wrenches).alpha_meas
+
+
+def numpy_sense(chain, pairs, state, contact, q, v, wrenches):
+    f_c = contact_force(sum_of_wrenches(wrenches, state), state, contact, FIXED)
+    return magnitudes(f_c, contact)
+
+
+both = pytest.mark.parametrize("sense", [law_sense, numpy_sense])
+
+
+@both
 @pytest.mark.parametrize("rig", [scara_pair, panda_pair])
-def test_contact_force_is_exact_at_any_speed_with_links_between_sensor_and_hinge(rig):
+def test_contact_force_is_exact_at_any_speed_with_links_between_sensor_and_hinge(rig, sense):
     chain, rng = rig(), np.random.default_rng(20)
     for _ in range(100):
         state, contact, pairs, q, v = in_contact(chain, rng)
         tau = rng.normal(size=chain.n_a) * 20
         wrenches, alpha = readings(chain, pairs, q, v, tau)
-        f_c = contact_force(sum_of_wrenches(wrenches, state), state, contact, FIXED)
-        got = magnitudes(f_c, contact)
+        got = sense(chain, pairs, state, contact, q, v, wrenches)
         np.testing.assert_allclose(got, alpha, atol=1e-9 * max(np.abs(alpha).max(), 1.0))
 
 
@@ -57,22 +81,63 @@ def test_forgetting_the_gripper_links_is_seen():
             Lambda_out=state.payload.Lambda,
             bias_out=state.payload.mu + state.payload.p,
         )
-        f_c = contact_force(sum_of_wrenches(wrenches, state), bare, contact, FIXED)
-        errors.append(np.abs(magnitudes(f_c, contact) - alpha).max())
+        got = numpy_sense(chain, pairs, bare, contact, q, v, wrenches)
+        errors.append(np.abs(got - alpha).max())
     assert min(errors) > 0.1
 
 
-def test_on_a_fixed_environment_the_filter_is_the_projection_omega_f():
+def test_the_law_weighs_what_is_outboard_of_the_frame_it_is_told():
+    """Readings of the hand's sensor, carried to a frame before the hand and to one beyond it."""
+    flange, hand, tool = (
+        osc.ClosedChain(
+            [panda_arm("arm", placed(), sensor)], [placed(0, 0, 0.05)], osc.RigidObject(ROD)
+        )
+        for sensor in ("panda_link8", "panda_hand", "panda_hand_tcp")
+    )
+    rng, errors = np.random.default_rng(25), []
+    for _ in range(20):
+        q, v, pairs = pressing(hand, rng)
+        wrenches, alpha = readings(hand, pairs, q, v, rng.normal(size=7) * 20)
+        X_WS, miss = hand.state(q, v).sensors[0], []
+        for chain in (flange, tool):
+            X = chain.state(q, v).sensors[0].inverse() * X_WS
+            carried = X.act(pin.Force(wrenches[0])).vector[None]
+            got = found_by_law(chain, pairs, q, v, carried).alpha_meas
+            miss.append(np.abs(got - alpha).max())
+        assert miss[0] < 1e-9 * max(np.abs(alpha).max(), 1.0)  # link 8 has no mass of its own
+        errors.append(miss[1])
+    assert min(errors) > 0.1
+
+
+def law_filter(chain, pairs, q):
+    """Ω_f (6, 6) of the law at rest, column by column."""
+    still = np.zeros(chain.nq)
+
+    def found(f_meas):  # the wrists themselves say nothing
+        silent = np.zeros((len(chain.arms), 6))
+        return found_by_law(chain, pairs, q, still, silent, -f_meas).f_c.copy()
+
+    return np.column_stack([found(e) - found(np.zeros(6)) for e in np.eye(6)])
+
+
+def numpy_filter(chain, pairs, q):
+    rest = chain.state(q, np.zeros(chain.nq))
+    contact = contact_of(pairs, rest)
+    nothing = contact_force(np.zeros(6), rest, contact, FIXED)
+    return np.column_stack([contact_force(e, rest, contact, FIXED) - nothing for e in np.eye(6)])
+
+
+@pytest.mark.parametrize("filter_of", [law_filter, numpy_filter])
+def test_on_a_fixed_environment_the_filter_is_the_projection_omega_f(filter_of):
     """Eq. 5 with Λ_out: idempotent, range N, kernel Λ_out T; a left inverse of N follows."""
-    state, contact, *_ = in_contact(scara_pair(), np.random.default_rng(22))
-    still = osc.Contact(contact.N)  # n_γ = 0: the offset is gone
-    rest = replace(state, bias_out=np.zeros(6))
-    Omega = np.column_stack([contact_force(e, rest, still, FIXED) for e in np.eye(6)])
+    chain = scara_pair()
+    state, contact, pairs, q, _ = in_contact(chain, np.random.default_rng(22))
+    Omega = filter_of(chain, pairs, q)
     np.testing.assert_allclose(Omega @ Omega, Omega, atol=1e-10)
     np.testing.assert_allclose(Omega @ contact.N, contact.N, atol=1e-10)
     np.testing.assert_allclose(Omega @ state.Lambda_out @ contact.T, 0, atol=1e-10)
     for alpha in np.eye(2):
-        np.testing.assert_allclose(magnitudes(still.N @ alpha, still), alpha, atol=1e-12)
+        np.testing.assert_allclose(magnitudes(contact.N @ alpha, contact), alpha, atol=1e-12)
 
 
 def test_projected_power_is_zero_whatever_the_inertia():
@@ -97,6 +162,30 @@ def test_force_law_integrates_and_damps_and_has_no_proportional_part():
     np.testing.assert_allclose(last - desired, [30.0, -15.0], rtol=1e-9)
 
 
+def test_so_does_the_law():
+    """A thousand ticks of one reading while the object crosses its faces."""
+    chain, rng = strong(scara_pair()), np.random.default_rng(26)
+    q, v = random_state(chain, rng)
+    state = chain.state(q, v)
+    pairs = random_faces(state.X_WO, 2, rng)
+    N, desired = contact_of(pairs, state).N, np.array([10.0, 8.0])
+    controller = osc.Controller(chain, pairs, osc.Gains(force=osc.ForceGains(30.0, 50.0)))
+    measured = osc.Measurement(q, v, np.zeros((2, 6)))
+    wanted = osc.Reference(state.X_WO, alpha_d=desired)
+    controller.tick(measured, wanted)
+    off = controller.found().alpha_meas - [9.0, 8.5]
+    controller.f_tare, controller.force_law.integral = N @ off, np.zeros(2)
+    drag = 50.0 * N.T @ state.V_O
+    assert np.abs(drag).min() > 0.1
+    for k in range(1, 1001):
+        controller.tick(measured, wanted)
+        assert controller.status is osc.Status.OK
+        if k in (1, 1000):
+            sums = 0.03 * k * np.array([1.0, -0.5])
+            np.testing.assert_allclose(controller.signals.alpha_u, desired + sums - drag, rtol=1e-8)
+    np.testing.assert_allclose(controller.force_law.integral, [30.0, -15.0], rtol=1e-8)
+
+
 @pytest.mark.parametrize("bad", [{"integral": -1.0}, {"damping": float("nan")}])
 def test_bad_force_gains_are_refused(bad):
     with pytest.raises(osc.InvalidInputError, match="gain"):
@@ -105,23 +194,27 @@ def test_bad_force_gains_are_refused(bad):
 
 def test_an_integral_gain_without_stability_margin_is_refused():
     with pytest.raises(osc.InvalidInputError, match="stability margin"):
-        ForceLaw(osc.ForceGains(integral=1000.0), 1e-3)
+        osc.Controller(scara_pair(), [], osc.Gains(force=osc.ForceGains(integral=1000.0)))
 
 
+def pressing(chain, rng):
+    """(q, v, pairs) of one Panda on two faces."""
+    q, v = PANDA_Q + rng.uniform(-0.5, 0.5, 7), rng.normal(size=7)
+    free = chain.state(q, v)
+    pairs = random_faces(free.X_WO, 2, rng)
+    return q, consistent(chain, q, v, contact_of(pairs, free).N), pairs
+
+
+@both
 @pytest.mark.parametrize("sensor", ["panda_link7", "panda_link8", "panda_hand"])
-def test_the_filter_is_exact_wherever_the_sensor_is_cut_in(sensor):
+def test_the_filter_is_exact_wherever_the_sensor_is_cut_in(sensor, sense):
     """At a joint, at a fixed flange, at the hand: what is outboard is weighed, no more, no less."""
     body = osc.RigidObject(ROD)
     chain = osc.ClosedChain([panda_arm("arm", placed(), sensor)], [placed(0, 0, 0.05)], body)
     rng = np.random.default_rng(24)
     for _ in range(20):
-        q, v = PANDA_Q + rng.uniform(-0.5, 0.5, 7), rng.normal(size=7)
-        free = chain.state(q, v)
-        pairs = random_faces(free.X_WO, 2, rng)
-        v = consistent(chain, q, v, contact_of(pairs, free).N)
+        q, v, pairs = pressing(chain, rng)
         state = chain.state(q, v)
-        contact = contact_of(pairs, state)
         wrenches, alpha = readings(chain, pairs, q, v, rng.normal(size=7) * 20)
-        f_c = contact_force(sum_of_wrenches(wrenches, state), state, contact, FIXED)
-        got = magnitudes(f_c, contact)
+        got = sense(chain, pairs, state, contact_of(pairs, state), q, v, wrenches)
         np.testing.assert_allclose(got, alpha, atol=1e-9 * max(np.abs(alpha).max(), 1.0))

@@ -11,6 +11,7 @@ from grasp_rigs import BODY, KINDS, grasp_of, random_case, slip_of
 from readable.allocation import Allocation
 from readable.force import contact_force, magnitudes, sum_of_wrenches
 from rigs import contact_of, random_faces
+from test_decoupling import commanded
 
 import osc_contact as osc
 from osc_contact.control.command_filter import filtered_motion, generalised_force
@@ -122,24 +123,52 @@ def driven(rng, count, **options):
             yield case
 
 
-def test_commands_come_out_on_the_true_rig():
+def law_knows(case):
+    """Whether joints alone tell where the object is: a controller has nothing else to go by."""
+    try:
+        case.chain.state(case.q, np.zeros(case.chain.nq))
+    except osc.ModelError:
+        return False
+    return True
+
+
+def numpy_torques(case, pairs, v, state, contact, a_u, alpha_u, B, posture):
+    """τ and Sη̇_c + σ by eqs. 24 and 21 in NumPy and the allocation that the law is held to."""
+    eta_u = np.linalg.lstsq(state.S, a_u - state.sigma, rcond=None)[0]
+    eta_c = filtered_motion(state, contact, eta_u, alpha_u, B, FIXED)
+    f_S = generalised_force(state, eta_c, contact.N @ alpha_u)
+    tau = Allocation(case.chain, posture).torques(state, case.q, v, f_S, eta_c, 0.0)
+    return tau, state.S @ eta_c + state.sigma
+
+
+def law_torques(case, pairs, v, state, contact, a_u, alpha_u, B, posture):
+    """The same by the law; near singular postures it fades the motion command."""
+    asked = case.chain, pairs, case.q, v, a_u, alpha_u, B, 0.0
+    controller, tau = commanded(*asked, posture=posture)
+    s = controller.signals
+    return tau, s.state.S @ s.eta_c + s.state.sigma
+
+
+@pytest.mark.parametrize("torques", [numpy_torques, law_torques])
+def test_commands_come_out_on_the_true_rig(torques):
     """Eqs. 21–25: commanded forces and filtered motion are what the full system answers."""
     rng = np.random.default_rng(3)
     pressed = 0
     for case in driven(rng, 40):
         pairs, N = touching(case, rng)
         v, V, state, contact = moving(case, pairs, N, rng)
-        allocation = Allocation(case.chain, case.q + rng.uniform(-0.1, 0.1, case.chain.nq))
+        posture = case.q + rng.uniform(-0.1, 0.1, case.chain.nq)
         alpha_u, eta_u = rng.normal(size=contact.r) * 10.0, rng.normal(size=state.d)
-        A = rng.normal(size=(6, 6))
-        eta_c = filtered_motion(state, contact, eta_u, alpha_u, A @ A.T + np.eye(6), FIXED)
-        f_S = generalised_force(state, eta_c, contact.N @ alpha_u)
+        A, a_u = rng.normal(size=(6, 6)), state.S @ eta_u + state.sigma
+        B = A @ A.T + np.eye(6)
+        if torques is law_torques and not law_knows(case):
+            continue
         try:
-            tau = allocation.torques(state, case.q, v, f_S, eta_c, 0.0)
+            tau, a_c = torques(case, pairs, v, state, contact, a_u, alpha_u, B, posture)
         except np.linalg.LinAlgError:  # two arms whose grasps cannot squeeze along their line
             continue
         oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
-        assert miss(oracle.a_object, state.S @ eta_c + state.sigma) < 1e-8
+        assert miss(oracle.a_object, a_c) < 1e-8
         assert miss(oracle.alpha, alpha_u) < 1e-8
         pressed += contact.r > 0
     assert pressed > 15
@@ -147,7 +176,7 @@ def test_commands_come_out_on_the_true_rig():
 
 def test_exact_plant_agrees_and_wrists_tell_the_contact_force():
     """Fig. 5 where a grasp passes on part of the wrench: the gripper's own motion is taken out."""
-    rng, exact, raw = np.random.default_rng(4), 0, []
+    rng, exact, raw, by_law = np.random.default_rng(4), 0, [], 0
     for case in driven(rng, 40):
         pairs, N = touching(case, rng)
         v, V, state, contact = moving(case, pairs, N, rng)
@@ -162,10 +191,16 @@ def test_exact_plant_agrees_and_wrists_tell_the_contact_force():
         wrenches = plant.measure().wrenches
         f_meas = sum_of_wrenches(wrenches, state)
         got = magnitudes(contact_force(f_meas, state, contact, FIXED), contact)
-        np.testing.assert_allclose(got, alpha, atol=1e-8 * max(np.abs(alpha).max(initial=0), 1.0))
+        size = max(np.abs(alpha).max(initial=0), 1.0)
+        np.testing.assert_allclose(got, alpha, atol=1e-8 * size)
+        if law_knows(case):
+            asked = case.chain, pairs, case.q, v, np.zeros(6), alpha, "object", 0.0
+            found = commanded(*asked, wrenches=wrenches)[0].found()
+            np.testing.assert_allclose(found.alpha_meas, alpha, atol=1e-8 * size)
+            by_law += contact.r > 0
         exact += contact.r > 0
         raw += [np.abs(F - np.eye(6)).max() for F in state.filters if F is not None]
-    assert exact > 15 and np.median(raw) > 0.1
+    assert exact > 15 and by_law > 10 and np.median(raw) > 0.1
 
 
 def test_rigid_and_ball_grasps_agree_with_pinocchio_constraint_dynamics():

@@ -9,7 +9,7 @@ import numpy as np
 
 from osc_contact.control.settings import Settings
 from osc_contact.control.tick_records import TickRecords
-from osc_contact.errors import OscContactError
+from osc_contact.errors import InvalidInputError, OscContactError
 from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
 from osc_contact.law import tables as at
 from osc_contact.spatial import Array, as_array
@@ -34,9 +34,9 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
         as_array("touched V_E", touched.V_E, (c, 6))
         as_array("touched A_E", touched.A_E, (c, 6))
     as_array("reference alpha_d", reference.alpha_d, (None,))
-    squeeze = as_squeeze("reference squeeze_d", reference.squeeze_d, k * (k - 1) // 2)
-    if k < 3:
-        as_array("reference squeeze_d", squeeze, ())
+    if k < 3 and np.ndim(reference.squeeze_d):
+        raise InvalidInputError(f"reference squeeze_d: {k} arms take a number, got an array")
+    as_squeeze("reference squeeze_d", reference.squeeze_d, k * (k - 1) // 2)
     as_array("reference V_D", reference.V_D, (6,))
     as_array("reference A_D", reference.A_D, (6,))
     as_array("reference X_WD", reference.X_WD.homogeneous, (4, 4))
