@@ -1,4 +1,7 @@
-"""Contacts opened, approached and closed one by one: the state machine, the law, and the plant."""
+"""Contacts opened, approached and closed one by one: the law's ticks, and the plant.
+
+The rules of the phases themselves are in test_law_phases.py.
+"""
 
 from __future__ import annotations
 
@@ -6,124 +9,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from readable.life import Columns, ContactLife, LifeState, commanded, lived, slewed
+from readable.living import phases
 from rigs import panda_pair, random_faces, random_state, scara_pair
-from test_law import agree, disturb, inputs, twins
+from test_law import agree, disturb, inputs, readable_of, twins
 
 import osc_contact as osc
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
 from osc_contact.control.life import LifeSettings, Phase
-from osc_contact.control.monitor import Heard, MonitorState, heard
+from osc_contact.control.monitor import Heard, heard
 from osc_contact.experiments.contact_life import answers, collisions, false_alarms, land
 from osc_contact.experiments.contact_life_pictures import draw_collisions, draw_landing
 
 DT = 1e-3
 OPEN, APPROACHING, CLOSED = Phase
-OWNERS = np.array([0, 1, 1, 2])  # one force, an edge with two, a hinge that never opens
-PUSHING = np.array([True, True, False])
-COLUMNS = Columns(OWNERS, PUSHING)
-
-
-def begin(phase=(OPEN, OPEN, CLOSED)):
-    phase = np.array(phase)
-    seen = MonitorState.of((phase == CLOSED)[OWNERS])
-    return LifeState(phase, np.zeros(3), seen, Heard.nothing(4))
-
-
-numbers = st.floats(-5.0, 20.0)
-ticks = st.lists(
-    st.tuples(
-        st.lists(numbers, min_size=4, max_size=4),
-        st.lists(st.floats(-0.05, 0.05), min_size=4, max_size=4),
-        st.lists(st.sampled_from([0.0, 5.0, 12.0]), min_size=4, max_size=4),
-        st.integers(1, 30),
-    ),
-    min_size=1,
-    max_size=12,
-)
-
-
-@settings(max_examples=60, deadline=None)
-@given(ticks)
-def test_whatever_happens_the_phases_keep_their_rules(story):
-    """Any forces, speeds and wishes, each held for some ticks."""
-    state, k = begin(), LifeSettings()
-    loud = np.zeros(4)  # ticks in a row in which the force was above force_on, told afresh
-    felt = np.zeros(4, dtype=bool)  # whether these ever lasted, since the contact was opened
-    rows = np.zeros((3, 4))
-    for alpha, speed, wanted, count in story:
-        alpha, speed, wanted = np.array(alpha), np.array(speed), np.array(wanted)
-        for _ in range(count):
-            before = state
-            state = lived(before, alpha, speed, np.zeros((4, 4)), wanted, COLUMNS, DT, k)
-            here = before.active[OWNERS]
-            loud = np.where(here & (state.heard.force > k.limits.force_on), loud + 1, 0)
-            felt = here & (felt | (loud * DT > k.limits.dwell))
-            for c in range(3):
-                mine = c == OWNERS
-                was, now = before.phase[c], state.phase[c]
-                if not PUSHING[c]:
-                    assert now == CLOSED
-                elif not (wanted[mine] > 0.0).any():
-                    assert now == OPEN
-                elif was == OPEN:
-                    assert now == APPROACHING  # never from free motion to force control
-                else:
-                    assert now != OPEN
-                if was == APPROACHING and now == CLOSED and PUSHING[c]:
-                    assert felt[mine].any()
-                    heavy = mine & (wanted > k.limits.force_on)
-                    assert state.seen.closed[heavy].all()  # several columns are one contact
-                if was != now:
-                    assert state.since[c] == 0.0
-            goal = commanded(state, wanted, COLUMNS, ForceGains(30, 100), k, rows)
-            for c in range(3):
-                own, phase = rows[c], state.phase[c]
-                assert (own[0] != 0.0) == (phase != OPEN)
-                if PUSHING[c] and phase == APPROACHING:
-                    assert own[1] == 0.0 and own[2] == k.damping and own[3] == -np.inf
-                    assert (goal[c == OWNERS] <= k.damping * k.speed + 1e-12).all()
-                if PUSHING[c] and phase == CLOSED:
-                    assert own[1] == 30.0 and own[2] == 100.0 and own[3] == k.least
-                    low = np.minimum(wanted, k.damping * k.speed)[c == OWNERS] - 1e-12
-                    high = np.maximum(wanted, k.damping * k.speed)[c == OWNERS] + 1e-12
-                    assert ((low <= goal[c == OWNERS]) & (goal[c == OWNERS] <= high)).all()
-            assert goal[3] == wanted[3]  # what cannot open gets what it is asked for
-
-
-def steady(state, alpha, speed, ticks, wanted=10.0, travel=0.05):
-    k = LifeSettings(travel=travel)
-    full = np.full(4, wanted)
-    for _ in range(ticks):
-        state = lived(state, np.array(alpha), np.array(speed), np.zeros((4, 4)), full, COLUMNS,
-                      DT, k)  # fmt: skip
-    return state
-
-
-def test_a_story_approach_contact_loss_and_contact_again():
-    still, none = np.zeros(4), np.zeros(4)
-    state = steady(begin(), none, still, 50)
-    assert state.phase.tolist() == [APPROACHING, APPROACHING, CLOSED]
-    state = steady(state, [2.0, 2.0, 0.0, 0.0], still, 40)
-    assert state.phase.tolist() == [CLOSED, APPROACHING, CLOSED]  # half an edge is no contact
-    state = steady(state, [9.0, 5.0, 5.0, 0.0], still, 40)
-    assert state.phase.tolist() == [CLOSED, CLOSED, CLOSED]
-    state = steady(state, [9.0, 5.0, 0.0, 0.0], still, 40)
-    assert state.phase.tolist() == [CLOSED, APPROACHING, CLOSED]
-    state = steady(state, [9.0, 5.0, 0.0, 0.0], still, 1, wanted=0.0)
-    assert state.phase.tolist() == [OPEN, OPEN, CLOSED]
-
-
-def test_an_approach_that_finds_nothing_stands_still():
-    k = LifeSettings(speed=0.01, travel=0.02)
-    rows, wanted = np.zeros((3, 4)), np.full(4, 10.0)
-    state = begin((APPROACHING, OPEN, CLOSED))
-    for t, push in ((1.9, k.damping * k.speed), (2.1, 0.0)):
-        at = replace(state, since=np.array([t, 0.0, 0.0]))
-        assert commanded(at, wanted, COLUMNS, ForceGains(), k, rows)[0] == pytest.approx(push)
 
 
 def test_the_inertia_of_a_flying_object_is_not_heard_as_contact():
@@ -143,21 +42,6 @@ def test_the_inertia_of_a_flying_object_is_not_heard_as_contact():
     assert found[-1] == pytest.approx(8.0, rel=1e-4)
 
 
-@settings(max_examples=50, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_torques_go_straight_and_not_too_far(seed):
-    rng = np.random.default_rng(seed)
-    tau, last = rng.normal(size=(2, 8)) * 10
-    step = rng.uniform(0.1, 5, 8)
-    out = slewed(tau, last, step)
-    assert (np.abs(out - last) <= step * (1 + 1e-12)).all()
-    share = (out - last) / (tau - last)
-    assert np.ptp(share) < 1e-9 and 0.0 < share[0] <= 1.0
-    for _ in range(2_000):
-        last = slewed(tau, last, step)
-    np.testing.assert_allclose(last, tau)
-
-
 def test_settings_that_cannot_work_are_refused():
     with pytest.raises(osc.InvalidInputError, match="raise speed or damping"):
         LifeSettings(speed=0.001)
@@ -168,19 +52,16 @@ def test_settings_that_cannot_work_are_refused():
 # --- the law on random masks ----------------------------------------------------------------------
 
 
-def given_phases(rng, owners, *controllers):
-    """The same random phases in all; none is judged before the next tick."""
-    count = int(owners.max()) + 1
-    phase = rng.integers(0, 3, count)
-    for c in controllers:
-        c.life = ContactLife(LifeSettings(), owners, np.ones(count, dtype=bool), DT, False)
-        c.life.state = replace(c.life.state, phase=phase, since=np.full(count, 0.02))
-        c.ticked = False
-    return phase
+def given_phases(phase, fast, slow, since=0.02):
+    """The same phases in the law and in NumPy; none is judged before the next tick."""
+    rows = fast._records
+    rows.contacts.phase, rows.contacts.since, rows.memory.fresh = phase, since, 0
+    slow.life.state = replace(slow.life.state, phase=phase, since=np.full(len(phase), since))
+    slow.ticked = False
 
 
 @pytest.mark.parametrize("chain", [scara_pair, panda_pair])
-def test_both_paths_agree_on_random_masks(chain):
+def test_random_masks_as_in_numpy(chain):
     """Faces, and an edge and a triangle that count as one contact each."""
     chain, rng = chain(), np.random.default_rng(51)
     done = seen = 0
@@ -193,17 +74,19 @@ def test_both_paths_agree_on_random_masks(chain):
         several += [osc.EdgeOnFace(p, rng.normal(size=3), X.act(p), rng.normal(size=3))]
         pairs += several[: 1 + done % 2] if chain.nq > 10 else several[1:]
         owners = np.repeat(np.arange(len(pairs)), [len(pair.gaps(X)) for pair in pairs])
-        fast, slow = twins(chain, pairs)
+        fast, slow = twins(chain, pairs, life=LifeSettings())
         disturb(rng, fast, slow)
         measurement, reference = inputs(chain, q, v, rng, len(owners))
-        phase = given_phases(rng, owners, fast, slow)
+        phase = rng.integers(0, 3, len(pairs))
+        given_phases(phase, fast, slow)
         slow.tick(measurement, reference)
         if slow.status is osc.Status.HELD:
             continue  # too many columns for this chain, or out of its reach
         slow.motion_law.integral, slow.ticked = fast.motion_law.integral.copy(), False
         slow.force_law.integral = np.zeros(0)
-        agree(fast, slow, measurement, reference, 1e-10, plain=False)
+        agree(fast, slow, measurement, reference, 1e-10)
         assert len(slow.signals.alpha_u) == slow.signals.contact.r
+        assert len(fast.signals.alpha_u) == fast.signals.contact.r == slow.signals.contact.r
         assert slow.terms.active.tolist() == (phase > 0).tolist()
         seen |= 1 << int((phase > 0).sum())
         done += 1
@@ -211,7 +94,7 @@ def test_both_paths_agree_on_random_masks(chain):
 
 
 @pytest.mark.parametrize("friction", [None, Friction(0.4)])
-def test_both_paths_agree_on_a_table_with_some_legs_up(friction):
+def test_a_table_with_some_legs_up_as_in_numpy(friction):
     chain, rng = panda_pair(), np.random.default_rng(52)
     for _ in range(8):
         q, v = random_state(chain, rng)
@@ -219,26 +102,25 @@ def test_both_paths_agree_on_a_table_with_some_legs_up(friction):
         n = X.rotation @ np.array([0.0, 0.0, 1.0])
         spots = np.column_stack((rng.uniform(-0.2, 0.2, (5, 2)), np.full(5, -0.05)))
         pairs = [osc.VertexOnFace(p, X.act(p), n, name=f"leg{i}") for i, p in enumerate(spots)]
-        fast, slow = twins(chain, pairs, friction=friction)
+        fast, slow = twins(chain, pairs, friction=friction, life=LifeSettings())
         disturb(rng, fast, slow)
-        given_phases(rng, np.arange(5), fast, slow)
+        given_phases(rng.integers(0, 3, 5), fast, slow)
         agree(fast, slow, *inputs(chain, q, v, rng, 5))
 
 
 @pytest.mark.parametrize("friction", [None, Friction(0.4)])
-def test_both_paths_agree_on_random_masks_when_motors_are_at_their_limits(friction):
+def test_random_masks_as_in_numpy_when_motors_are_at_their_limits(friction):
     """Which contacts may lose force is told by the mask, too."""
     chain, rng = scara_pair(), np.random.default_rng(55)
     done = 0
     while done < 6:
         q, v = random_state(chain, rng)
         pairs = random_faces(chain.state(q, v).X_WO, 3, rng)
-        fast, slow = twins(chain, pairs, friction=friction)
+        fast, slow = twins(chain, pairs, friction=friction, life=LifeSettings())
         measurement, reference = inputs(chain, q, v, rng, 3)
         reference = replace(reference, alpha_d=200.0 * reference.alpha_d)
-        phase = given_phases(rng, np.arange(3), fast, slow)
-        for c in (fast, slow):
-            c.life.state = replace(c.life.state, since=np.ones(3))
+        phase = rng.integers(0, 3, 3)
+        given_phases(phase, fast, slow, since=1.0)
         if np.count_nonzero(phase) in (0, 3) or CLOSED not in phase:
             continue
         want = slow.tick(measurement, reference)
@@ -259,23 +141,25 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there():
     chain, rng = scara_pair(), np.random.default_rng(53)
     q, v = random_state(chain, rng)
     pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
-    both = osc.Controller(chain, pairs, compiled=False)
-    one = osc.Controller(chain, pairs[:1], compiled=False)
     measurement, reference = inputs(chain, q, v, rng, 2)
-    both.life = ContactLife(LifeSettings(), np.arange(2), np.ones(2, dtype=bool), DT, True)
-    both.life.state = replace(both.life.state, phase=np.array([CLOSED, OPEN]))
-    got = both.tick(measurement, reference)
-    want = one.tick(measurement, replace(reference, alpha_d=reference.alpha_d[:1]))
-    np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-9)
+    knowing, blind = twins(chain, pairs, life=LifeSettings()), twins(chain, pairs[:1])
+    given_phases(np.array([CLOSED, OPEN]), *knowing, since=1.0)
+    for both, one in zip(knowing, blind, strict=True):
+        got = both.tick(measurement, reference)
+        want = one.tick(measurement, replace(reference, alpha_d=reference.alpha_d[:1]))
+        np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-9)
 
 
-def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away():
+@pytest.mark.parametrize("law", ["law", "numpy"])
+def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away(law):
     chain, rng = scara_pair(), np.random.default_rng(54)
     q, _ = random_state(chain, rng)
     v = np.zeros(chain.nq)
     pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
-    controller = osc.Controller(chain, pairs, osc.Gains(force=ForceGains(30, 0)), compiled=False)
-    controller.life = ContactLife(LifeSettings(), np.arange(2), np.ones(2, dtype=bool), DT, True)
+    gains, k = osc.Gains(force=ForceGains(30, 0)), LifeSettings()
+    controller = osc.Controller(chain, pairs, gains, life=k)
+    if law == "numpy":
+        controller = readable_of(controller)
     measurement, reference = inputs(chain, q, v, rng, 2)
     s = chain.state(q, v)
     quiet = replace(measurement, wrenches=np.zeros((2, 6)))
@@ -287,10 +171,26 @@ def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away():
     pressed = replace(measurement, wrenches=wrenches)
     for _ in range(300):
         controller.tick(pressed, reference)
-    least = controller.life.settings.least
-    np.testing.assert_allclose(controller.signals.alpha_u, least)
+    np.testing.assert_allclose(controller.signals.alpha_u, k.least)
     wanted = reference.alpha_d + controller.force_law.integral
-    assert (wanted > least - 30.0 * DT * 60.0).all()
+    assert (wanted > k.least - 30.0 * DT * 60.0).all()
+
+
+def test_a_knocked_rod_as_in_numpy_tick_by_tick():
+    """Contacts opened, approached, made and lost on the plant; without a motion integral."""
+    rig = osc.build_rig(osc.load_scenario("collisions", ["gains.motion.integral=0"]))
+    fast, plant = rig.controller(), rig.plant()
+    slow, seen = readable_of(fast), set()
+    for k in range(1500):
+        measurement, reference = rig.at_start(plant.measure()), rig.references.at(DT * k)
+        got, want = fast.tick(measurement, reference), slow.tick(measurement, reference)
+        assert fast.status is slow.status, (k, fast.reason, slow.reason)
+        np.testing.assert_allclose(got, want, rtol=0, atol=1e-9 * np.abs(want).max())
+        now = fast._records.contacts.phase.copy()
+        np.testing.assert_array_equal(now, phases(slow))
+        seen.add(tuple(now))
+        plant.step(got, DT)
+    assert len(seen) > 1, seen
 
 
 # --- on MuJoCo ------------------------------------------------------------------------------------
