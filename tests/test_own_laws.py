@@ -1,4 +1,4 @@
-"""Laws of one's own: installed where they belong, without shared memory, refused if bad."""
+"""Laws and pairs of one's own: where they belong, without shared memory, refused if bad."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import osc_contact as osc
@@ -14,10 +15,12 @@ from osc_contact.control.command_filter import (
     generalised_force,
     object_coordinates,
 )
+from osc_contact.control.friction import Friction
 from osc_contact.control.laws import Laws
 from osc_contact.control.own_laws import force_law, motion_law
 from osc_contact.control.signals import Signals
 from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Touched
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.spatial import classical_to_spatial
 
@@ -186,3 +189,59 @@ def test_other_laws_that_return_nonsense_hold_the_torques(
     controller.tick(plant.measure(), reference)
     np.testing.assert_array_equal(controller.motion_law.integral, integrals[0])
     np.testing.assert_array_equal(controller.force_law.integral, integrals[1])
+
+
+class Written(osc.VertexOnFace):
+    """Evaluated by Python."""
+
+    def contact(self, *args, **kwargs):
+        return super().contact(*args, **kwargs)
+
+
+class Named(osc.VertexOnFace):
+    """Nothing of its own: evaluated like the packaged pair."""
+
+
+class Lifted(osc.VertexOnFace):
+    """Rubs 0.1 m above its face."""
+
+    def point_on_face(self, X_WO, X_WE=None):
+        return super().point_on_face(X_WO, X_WE) + 0.1 * self._face(X_WE)[0]
+
+
+@pytest.mark.parametrize("kind", [Written, Named, Lifted])
+@pytest.mark.parametrize("moving", [False, True])
+def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(
+    rig: osc.Rig, kind: type[osc.VertexOnFace], moving: bool
+) -> None:
+    rng = np.random.default_rng(60)
+    made = [
+        kind(p.vertex, p.point, p.normal, p.radius, name=p.name)
+        for p in rig.pairs
+        if isinstance(p, osc.VertexOnFace)
+    ]
+    reference = rig.references.at(0.0)
+    measurement = rig.plant().measure()
+    measurement = replace(measurement, v=0.1 * rng.normal(size=rig.model.nq))
+    if moving:
+        X = np.array([pin.exp6(pin.Motion(0.02 * rng.normal(size=6))).homogeneous for _ in made])
+        V, A = rng.normal(size=(2, len(made), 6))
+        measurement = replace(measurement, touched=Touched(X, 0.1 * V, A))
+    for friction in (Friction(0.4), None):
+        torques = []
+        for pairs in (rig.pairs, made, [made[0], rig.pairs[1]]):
+            controller = osc.Controller(rig.model, pairs, dt=2e-3, friction=friction)
+            torques.append(controller.tick(measurement, reference))
+            assert controller.status is osc.Status.OK, controller.reason
+        signals = controller.signals
+        X = signals.state.X_WO
+        if friction is None:
+            assert not signals.drag.any()
+        else:
+            want = friction.drags(controller.contacts, X, signals.state.V_O, measurement.touched)
+            np.testing.assert_allclose(signals.drag, want, rtol=0, atol=1e-12)
+        if kind is not Lifted or friction is None:
+            for other in torques[1:]:
+                np.testing.assert_allclose(other, torques[0], rtol=0, atol=1e-10)
+        else:
+            assert np.abs(torques[1] - torques[0]).max() > 1e-3

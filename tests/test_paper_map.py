@@ -159,8 +159,10 @@ PROOF = "`tests/test_projections.py::test_identities_9_to_12`"
     [
         (GOOD, PROOF, None),
         ("planned", "planned", None),
-        ("`osc_contact/control/controller.py::Controller.f_tare`", PROOF, None),
-        ("`osc_contact/control/boxes.py::Boxes.STAGES`", PROOF, None),
+        ("`osc_contact/control/laws.py::Laws.force`", PROOF, None),
+        ("`osc_contact/control/signals.py::BLOCKS`", PROOF, None),
+        ("`osc_contact/law/force.py::command_force`", PROOF, None),
+        ("`osc_contact/law/force.py::command_motion`", PROOF, "defines no"),
         ("planned", PROOF, "neither"),
         (GOOD, "planned", "neither"),
         ("", PROOF, "neither"),

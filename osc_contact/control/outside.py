@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.laws import Laws
 from osc_contact.control.model_row import ModelRow
 from osc_contact.control.settings import Settings
 from osc_contact.control.signals import Signals
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.errors import ContactError
-from osc_contact.interface import Measurement, Reference
+from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
 from osc_contact.law.tables import BODY, ELSEWHERE, HELD
 from osc_contact.spatial import Array
@@ -74,8 +75,9 @@ class Outside:
         try:
             if self._given and rows.contacts.active.any():
                 found = self._evaluate(rows, measurement)
-                if any(N.shape[1] != rows.row.pairs.table[c][2] for c, (N, _) in found.items()):
-                    self._repack(controller, {c: N.shape[1] for c, (N, _) in found.items()})
+                columns = {c: N.shape[1] for c, (N, _, _) in found.items()}
+                if any(r != rows.row.pairs.table[c][2] for c, r in columns.items()):
+                    self._repack(controller, columns)
                     rows = controller._records
                     if not run(law.LOOK, law.MEASURE):
                         return
@@ -106,7 +108,7 @@ class Outside:
         run(law.ALLOCATE, law.END)
 
     def _evaluate(self, rows: TickRecords, measurement: Measurement) -> dict[int, Any]:
-        """N (6, r) and n_γ (r,) of the pairs that only Python knows, where their contact is on."""
+        """N (6, r), n_γ (r,) and N_μ − N (6, r) of the pairs that only Python knows, where on."""
         X, V, found = pin.SE3(rows.work.X_WO.copy()), rows.work.V_O.copy(), {}
         touched = measurement.touched
         for number, pair in self._given:
@@ -122,15 +124,35 @@ class Outside:
                 raise ContactError(f"{pair.name}: N or n_γ is not finite")
             if not contact.split_is_unique:
                 N, n_gamma = N @ contact.R, n_gamma @ contact.R
-            found[number] = (N, n_gamma)
+            found[number] = (N, n_gamma, self._drag(number, pair, N.shape[1], X, V, touched))
         return found
+
+    def _drag(
+        self,
+        number: int,
+        pair: ContactPair,
+        r: int,
+        X_WO: pin.SE3,
+        V_O: Array,
+        touched: Touched | None,
+    ) -> Array:
+        """N_μ − N (6, r) of a pair that only Python knows."""
+        if self.settings.friction is None:
+            return np.zeros((6, r))
+        if r != 1:
+            raise ContactError(f"{pair.name}: friction is known of one force, not of {r}")
+        if touched is not None:
+            here = slice(number, number + 1)
+            touched = Touched(touched.X_WE[here], touched.V_E[here], touched.A_E[here])
+        return self.settings.friction.drags([pair], X_WO, V_O, touched)
 
     def _put(self, rows: TickRecords, found: dict[int, Any]) -> None:
         for number, _, first in rows.row.pairs.elsewhere:
             if number in found:
-                N, n_gamma = found[number]
+                N, n_gamma, drag = found[number]
                 part = slice(first, first + N.shape[1])
                 rows.columns.N[part], rows.columns.n_gamma_all[part] = N.T, n_gamma
+                rows.columns.drag[part] = drag.T
 
     def _answer(self, rows: TickRecords, measurement: Measurement) -> None:
         touched, O = measurement.touched, rows.work.O.copy()  # noqa: E741

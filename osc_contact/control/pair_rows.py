@@ -27,6 +27,10 @@ __all__ = ["PairRows"]
 
 _TURN, _SLIDE, _SCREW = range(3)
 _FORCE, _COUPLE, _THREAD = range(3)
+#: what the friction of a vertex rests on; a pair that has its own is evaluated by Python
+_OF_VERTEX = {
+    name: getattr(VertexOnFace, name) for name in ("direction", "point_on_face", "_face")
+}  # fmt: skip
 
 
 class PairRows:
@@ -51,7 +55,7 @@ class PairRows:
             if kind == GIVEN:
                 r = columns.get(number, 0)
                 self.elsewhere.append((number, pair, len(owners)))
-            drags = int(type(pair) is VertexOnFace)
+            drags = int(kind == POINTS and isinstance(pair, VertexOnFace))
             table.append((kind, len(owners), r, len(shapes), freedoms, drags))
             shapes.extend(rows)
             owners.extend([number] * r)
@@ -64,7 +68,9 @@ def _read(pair: ContactPair) -> tuple[int, list[Array], int]:
     """Kind, shape rows, and how many of them, at the end, are freedoms."""
     if isinstance(pair, PointsOnPlanes) and type(pair).contact is PointsOnPlanes.contact:
         points, directions = pair._points.T, pair._into.T
-        if type(pair) is VertexOnFace:
+        if isinstance(pair, VertexOnFace):
+            if any(getattr(type(pair), name) is not own for name, own in _OF_VERTEX.items()):
+                return GIVEN, [], 0
             return POINTS, [_row(points[0], directions[0], directions[0] @ pair.point)], 0
         return POINTS, [_row(p, n) for p, n in zip(points, directions, strict=True)], 0
     if type(pair) is FaceOnVertex:
