@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import daqp
@@ -207,6 +208,8 @@ def test_an_unsolved_program_holds_the_last_torques(monkeypatch, law):
     tau = controller.tick(measurement, replace(reference, alpha_d=reference.alpha_d + 1))
     assert controller.status is osc.Status.HELD and "limits" in controller.reason
     assert (tau == before).all() and controller.given_up is None
+    if law is Controller:
+        assert pickle.loads(pickle.dumps(controller)).reason == controller.reason
     np.testing.assert_array_equal(controller.force_law.integral, sums)
 
 

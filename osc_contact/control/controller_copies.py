@@ -14,6 +14,7 @@ from osc_contact.control.laws import Laws
 from osc_contact.control.outside import Outside
 from osc_contact.control.settings import Settings
 from osc_contact.control.tick_records import TickRecords
+from osc_contact.errors import OscContactError
 from osc_contact.law import tick as law
 from osc_contact.spatial import Array
 
@@ -81,6 +82,7 @@ class ControllerCopies(ControllerState):
             "settings": self.settings, "laws": self.laws, "columns": dict(r.row.pairs.given),
             "memory": r.memory_bytes, "work": r.work_bytes, "code": int(self._codes[0]),
             "given_up": self.given_up, "inputs": self._inputs,
+            "failure": None if self._failure is None else str(self._failure),
         }  # fmt: skip
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -89,7 +91,8 @@ class ControllerCopies(ControllerState):
         self._begin(state["settings"], state["laws"], TickRecords(row, state["memory"].copy()))
         self._records.work_bytes[:] = state["work"]
         self._codes[0], self._given_up = state["code"], state["given_up"]
-        self._inputs = state["inputs"]
+        self._inputs, why = state["inputs"], state["failure"]
+        self._failure = None if why is None else OscContactError(why)
 
     def _hand_over(self) -> None:
         r, six = self._records, np.zeros(6)

@@ -56,6 +56,8 @@ class ControllerState:
     @property
     def reason(self) -> str:
         """Why `status` is not OK; empty if it is."""
+        if self.status is Status.HELD and self._failure is not None:
+            return str(self._failure)
         if self.status is Status.HELD:
             return explain(self._records, self.settings, *self._inputs, self._failure)
         return str(self.given_up or "; ".join(map(str, self.lost_directions)))
