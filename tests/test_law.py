@@ -512,3 +512,13 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
     controller._records.row.table("joints", 7, JOINT).link[3][0] *= 1.0 + 1e-6
     with pytest.raises(osc.ModelError, match="differs from Pinocchio"):
         front_end.require_pinocchio_agrees(chain, controller._records)
+
+
+@pytest.mark.parametrize("seed", [1, 12, 14])
+def test_an_arm_that_its_grasp_leaves_idle_motions_is_in_no_singular_posture(seed):
+    case = random_case(["scara", "ur5"], ["slide", "rigid"], np.random.default_rng(seed))
+    chain = osc.ClosedChain(case.chain.arms, case.chain.grasps, case.chain.payload)
+    controller = Controller(chain, [], posture=case.q)
+    measurement = Measurement(case.q, np.zeros(chain.nq), np.zeros((2, 6)))
+    controller.tick(measurement, Reference(case.X_WO))
+    assert controller.status is osc.Status.OK and controller.lost_directions == ()

@@ -1,4 +1,4 @@
-"""Says so when the control tick is really compiled, which takes half a minute, not just loaded."""
+"""Says so when the control tick is really compiled, which takes a minute, not just loaded."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def announced() -> Iterator[None]:
         def on_start(self, event: Any) -> None:
             if not began:
                 began.append(perf_counter())
-                _log.info("compiling the control tick: about half a minute, then it is cached …")
+                _log.info("compiling the control tick: about a minute, then it is cached …")
 
         def on_end(self, event: Any) -> None:
             pass

@@ -25,7 +25,7 @@ from osc_contact.law.algebra import (
 )
 from osc_contact.law.internal import internal_rows
 from osc_contact.law.jit import inner, leaf, matrix
-from osc_contact.law.singular import retreat
+from osc_contact.law.singular import expected_rank, retreat
 from osc_contact.law.tables import NO_REASON, UNACTUATED
 
 __all__ = [
@@ -233,7 +233,7 @@ def _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, count, q, 
     for k in range(chain.n_arms):
         arm, own = arms[k], arm_work[k]
         lo, n = arm.first, arm.end - arm.first
-        if own.wide != 0 or own.n_kept >= min(arm.full_rank, arm.m):
+        if own.wide != 0 or own.n_kept >= expected_rank(arm, own):
             continue
         for a in range(own.n_kept):
             for j in range(n):
