@@ -18,9 +18,12 @@ from osc_contact.control.tick_records import TickRecords
 from osc_contact.control.torque_limits import MotorLimits
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
+from osc_contact.law.tables import SATURATED
 from osc_contact.spatial import Array, as_array
 
 __all__ = ["ControllerState"]
+
+_STATUS = tuple(Status)
 
 
 class ControllerState:
@@ -51,7 +54,7 @@ class ControllerState:
     @property
     def status(self) -> Status:
         """How the last tick ended."""
-        return Status(int(self._codes[0]))
+        return _STATUS[self._codes[0]]
 
     @property
     def reason(self) -> str:
@@ -65,7 +68,7 @@ class ControllerState:
     @property
     def given_up(self) -> GivenUp | None:
         """What motor limits cost in the last tick; None: nothing."""
-        if self.status is not Status.SATURATED:
+        if self._codes[0] != SATURATED:
             return None
         if self._given_up is None and self._limits is not None:
             self._given_up = self._limits.given_up(self._records)
@@ -106,7 +109,7 @@ class ControllerState:
         return result
 
     def _require_tick(self) -> None:
-        if not self._records.memory.ticked:
+        if not self._records.ticked[0]:
             raise InvalidInputError(
                 "no tick has been computed yet; call tick first"
                 + (f" (the last one was held: {self.reason})" if self.status else "")
@@ -156,7 +159,7 @@ class ControllerState:
     @property
     def engaged(self) -> bool:
         """Whether the contacts are part of the model; False: the object counts as free."""
-        return bool(self._records.memory.engaged)
+        return bool(self._records.engaged[0])
 
     @engaged.setter
     def engaged(self, engaged: bool) -> None:

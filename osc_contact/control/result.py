@@ -58,7 +58,7 @@ class TickResult:
     @property
     def rank(self) -> int:
         """r, independent columns of N in force."""
-        return int(self.records.work.rank)
+        return int(self.records.rank[0])
 
     @property
     def alpha_meas(self) -> Array:

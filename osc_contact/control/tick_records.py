@@ -40,6 +40,12 @@ def saturated() -> tuple[Any, Any]:
     return saturation.build_fill(_stamp()), saturation.build_settle(_stamp())
 
 
+def _cell(raw: Bytes, dtype: np.dtype[Any], name: str) -> Array:
+    """(1,) an integer of a head: read every tick, so faster than by its attribute."""
+    start = int(dtype.fields[name][1])  # type: ignore[index]
+    return raw[start : start + 8].view(np.int64)
+
+
 class TickRecords:
     """MODEL, MEMORY and WORK of one controller.
 
@@ -47,6 +53,7 @@ class TickRecords:
         row: MODEL. memory_bytes, work_bytes: the others. memory, contacts, column_memory, torques:
             views of MEMORY. work, arms, joints, columns, bodies: views of WORK.
         floats: WORK as numbers; what recordings keep are slices of it.
+        rank, engaged, ticked: (1,) of WORK and MEMORY.
     """
 
     def __init__(
@@ -67,6 +74,10 @@ class TickRecords:
         self.torques: Array = raw[start : start + 8 * int(head.n_motors)].view(np.float64)
         raw, n = self.work_bytes, int(head.n_joints)
         self.work = records(raw, 0, 1, at.WORK)[0]
+        self.rank = _cell(raw, at.WORK, "rank")
+        self.engaged, self.ticked = (
+            _cell(self.memory_bytes, at.MEMORY, name) for name in ("engaged", "ticked")
+        )
         self.arms = records(raw, int(head.arm_work_at), int(head.n_arms), at.ARM_WORK)
         self.joints = records(raw, int(head.joint_work_at), n, at.JOINT_WORK)
         self.columns = records(raw, int(head.column_work_at), r, at.COLUMN_WORK)
