@@ -11,10 +11,11 @@
 # %% [markdown]
 # # Design your own force controller
 #
-# The controller is a list of boxes, `Controller.STAGES` (fig. 4). Each reads and writes named
-# signals and nothing else, so a box can be replaced: here the force law, which turns desired and
-# measured magnitudes into commanded ones. The filters behind it keep its commands out of the
-# motion, whatever they are. That is what decoupling buys: a force law can be designed for itself.
+# Fig. 4 shows the controller as boxes with named signals between them. Three laws can be replaced
+# by functions of your own (`osc_contact.Laws`), while the rest of the tick stays compiled: the
+# motion law, the control structure, and here the force law, which turns desired and measured
+# magnitudes into commanded ones. The filters behind it keep its commands out of the motion,
+# whatever they are. That is what decoupling buys: a force law can be designed for itself.
 
 # %%
 # %matplotlib inline
