@@ -286,7 +286,7 @@ def test_other_gains_go_on_without_a_jump(rig):
 
 
 def test_copies_and_pickles_go_on_alike_and_alone(ready):
-    controller, plant, measurement, reference = ready
+    controller, _, measurement, reference = ready
     controller.f_tare = np.arange(6.0)
     controller.tick(measurement, reference)
     others = [copy.copy(controller), copy.deepcopy(controller)]
@@ -331,7 +331,7 @@ def test_two_threads_on_one_chain_do_not_disturb_one_another(rig):
 
 def test_laws_of_ones_own(rig, ready):
     """Force law, motion law and structure replaced by the same laws give the same torques."""
-    controller, _, measurement, reference = ready
+    _, _, measurement, reference = ready
     plain = rig.controller()
     want = plain.tick(measurement, reference)
     k = plain.gains.motion
