@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from readable.living import phases
+from readable.low_pass import Heard, heard
 from rigs import panda_pair, random_faces, random_state, scara_pair
 from test_law import agree, disturb, inputs, readable_of, twins
 
@@ -17,7 +18,6 @@ import osc_contact as osc
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
 from osc_contact.control.life import LifeSettings, Phase
-from osc_contact.control.monitor import Heard, heard
 from osc_contact.experiments.contact_life import answers, collisions, false_alarms, land
 from osc_contact.experiments.contact_life_pictures import draw_collisions, draw_landing
 

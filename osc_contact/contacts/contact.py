@@ -79,7 +79,7 @@ class Contact:
     ) -> Contact:
         """The contact that permits exactly the motions range(T), T (6, 6−r); N follows.
 
-        Which basis N of the forces is chosen is nobody's business, so an `n_gamma` (r,) given
+        Any basis N of the forces may be chosen here, so an `n_gamma` (r,) given
         beforehand can only be right if it is zero or if N was looked up first. In motion, pass
         the velocity product instead: `T_dot_beta` (6,) = Ṫβ with V_rel = Tβ, the spatial
         acceleration the bodies have relative to one another at constant β. Then

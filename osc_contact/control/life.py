@@ -33,7 +33,7 @@ class LifeSettings:
         least: α_min, N; least force command of a closed contact: it never pulls.
         torque_rate: 1/s; no motor torque changes faster than its limit times this.
         share: of the desired force; a closed contact with less is lost.
-        lag: s; of the low-pass before the monitor, see `monitor.heard`.
+        lag: s; of the low-pass before the monitor, see `law.phases.low_pass`.
         limits: when contact counts as made and as lost.
     """
 
