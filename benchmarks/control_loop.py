@@ -16,11 +16,11 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from osc_contact.bench.measuring import bars, machine, machine_lines, new_axes
+from osc_contact.bench.timing import time_parts
 from osc_contact.errors import OscContactError
-from osc_contact.experiments.benchmarks.measuring import bars, machine, machine_lines, new_axes
-from osc_contact.experiments.report import write_json
-from osc_contact.experiments.rig import build_rig
-from osc_contact.experiments.timing import time_parts
+from osc_contact.runs.report import write_json
+from osc_contact.runs.rig import build_rig
 from osc_contact.scenarios import load_scenario
 
 COLUMNS = ("p50", "p99", "p99_9", "max")

@@ -20,7 +20,7 @@
 import numpy as np
 
 import osc_contact as osc
-from osc_contact.experiments.figures import reproduce
+from osc_contact.paper.figures import reproduce
 
 np.set_printoptions(precision=4, suppress=True, linewidth=100)
 scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
@@ -55,9 +55,9 @@ print(f"the nearest frame misses N by {np.degrees(np.arcsin(rod.residual)):.1f}Â
 # and a motion command should not change a force. By how much do they?
 
 # %%
-from osc_contact.experiments.baselines.coupling import Instant
-from osc_contact.experiments.baselines.frames import best_selection
-from osc_contact.experiments.baselines.laws import BASELINES, Ours
+from osc_contact.paper.baselines.coupling import Instant
+from osc_contact.paper.baselines.frames import best_selection
+from osc_contact.paper.baselines.laws import BASELINES, Ours
 
 instant = Instant(state, contact)
 laws = {"ours": Ours(), "selection": best_selection(instant, BASELINES["khatib"], restarts=0)}
@@ -100,7 +100,7 @@ plots.contact_forces(runs["ours"], [0.25], judged_from=0.1)
 # %%
 from pathlib import Path
 
-from osc_contact.experiments.viewing import write_scene_of
+from osc_contact.runs.viewing import write_scene_of
 from osc_contact.visual.embed import embed
 
 embed(write_scene_of(runs["ours"], osc.build_rig(moving), Path("scene.html")))

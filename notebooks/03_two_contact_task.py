@@ -23,7 +23,7 @@
 import numpy as np
 
 import osc_contact as osc
-from osc_contact.experiments.inspection import inspect_rig
+from osc_contact.runs.inspection import inspect_rig
 
 np.set_printoptions(precision=4, suppress=True, linewidth=100)
 scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
@@ -52,7 +52,7 @@ found = inspect_rig(rig)
 print("\n".join(line for line in found.lines if "lines of force" in line))
 
 # %%
-from osc_contact.experiments.figures import reproduce
+from osc_contact.paper.figures import reproduce
 
 reproduce("fig1", scenario)
 
@@ -158,7 +158,7 @@ plots.contact_forces(recording, recording.meta["force_steps_s"], judged_from=0.1
 # %%
 from pathlib import Path
 
-from osc_contact.experiments.viewing import write_scene_of
+from osc_contact.runs.viewing import write_scene_of
 from osc_contact.visual.embed import embed
 
 embed(write_scene_of(recording, rig, Path("scene.html")))

@@ -24,7 +24,7 @@ from matplotlib import pyplot as plt
 
 import osc_contact as osc
 from osc_contact.control.own_laws import force_law
-from osc_contact.experiments.figures import reproduce
+from osc_contact.paper.figures import reproduce
 from osc_contact.visual import contact_colour, plots
 from osc_contact.visual.style import style
 
@@ -121,7 +121,7 @@ plots.tracking(runs["leaking integral"])
 # %%
 from pathlib import Path
 
-from osc_contact.experiments.viewing import write_scene_of
+from osc_contact.runs.viewing import write_scene_of
 from osc_contact.visual.embed import embed
 
 embed(write_scene_of(runs["leaking integral"], osc.build_rig(scenario), Path("scene.html")))

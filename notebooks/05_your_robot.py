@@ -146,7 +146,7 @@ plots.contact_forces(recording, recording.meta["force_steps_s"], judged_from=1.0
 plots.torques(recording)
 
 # %%
-from osc_contact.experiments.viewing import write_scene_of
+from osc_contact.runs.viewing import write_scene_of
 from osc_contact.visual.embed import embed
 
 embed(write_scene_of(recording, rig, Path("scene.html")))

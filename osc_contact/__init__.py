@@ -46,14 +46,14 @@ from osc_contact.errors import (
     SolverError,
     ViewerError,
 )
-from osc_contact.experiments.metrics import metrics
-from osc_contact.experiments.rig import Rig, build_rig
-from osc_contact.experiments.run import run
-from osc_contact.experiments.viewing import open_viewer
 from osc_contact.interface import Measurement, Reference, pose_reference
 from osc_contact.jerk_limits import JerkLimits
 from osc_contact.recorder import Recording
 from osc_contact.response import ContactResponse, contact_response
+from osc_contact.runs.metrics import metrics
+from osc_contact.runs.rig import Rig, build_rig
+from osc_contact.runs.run import run
+from osc_contact.runs.viewing import open_viewer
 from osc_contact.scenarios import list_scenarios, load_scenario
 from osc_contact.visual.live import Viewer
 

@@ -15,21 +15,22 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from osc_contact import __version__, robots
+from osc_contact.bench.program import run_benchmark
 from osc_contact.control import compiling
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
-from osc_contact.experiments import figures as paper_figures
-from osc_contact.experiments import replay, reproduction, tables
-from osc_contact.experiments.benchmarks.program import BENCHMARKS, run_benchmark
-from osc_contact.experiments.calibration import calibrate as calibrate_wrists
-from osc_contact.experiments.inspection import inspect_rig
-from osc_contact.experiments.paper_report import write_paper_report
-from osc_contact.experiments.replay import RealTime
-from osc_contact.experiments.report import require_judgeable, write_json, write_report
-from osc_contact.experiments.rig import build_rig
-from osc_contact.experiments.run import run as run_scenario
-from osc_contact.experiments.studies import STUDIES, Ask
-from osc_contact.experiments.viewing import open_viewer, write_scene_of
+from osc_contact.paper import figures as paper_figures
+from osc_contact.paper import reproduction
+from osc_contact.paper.report import write_paper_report
+from osc_contact.paper.studies import STUDIES, Ask
 from osc_contact.recorder import Recording
+from osc_contact.runs import replay, tables
+from osc_contact.runs.calibration import calibrate as calibrate_wrists
+from osc_contact.runs.inspection import inspect_rig
+from osc_contact.runs.replay import RealTime
+from osc_contact.runs.report import require_judgeable, write_json, write_report
+from osc_contact.runs.rig import build_rig
+from osc_contact.runs.run import run as run_scenario
+from osc_contact.runs.viewing import open_viewer, write_scene_of
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
 from osc_contact.visual.browser import find_browser
 
@@ -295,15 +296,14 @@ def list_(json_file: JsonOption = None) -> None:
 
 @app.command()
 def bench(
-    what: Annotated[str, typer.Argument(help=" | ".join(BENCHMARKS), metavar="WHAT")],
+    what: Annotated[str, typer.Argument(help="tick", metavar="WHAT")],
     ticks: Annotated[int | None, typer.Option(min=1, help="timed ticks of each case")] = None,
-    tsid_python: Annotated[Path | None, typer.Option(help="peers: TSID's interpreter")] = None,
     figure: Annotated[Path | None, typer.Option(help="also draw it (PNG, SVG)")] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Time the control tick: beside its floor and peers, by size, on the clock, in a run."""
+    """Time the control tick beside its floor; `python -m benchmarks` in a checkout has more."""
     with _exit_codes():
-        report = run_benchmark(what, ticks, json_file, figure, tsid_python)
+        report = run_benchmark(what, ticks, json_file, figure)
         _say("\n".join(report.lines))
         for table in report.tables:
             out.print(table)

@@ -20,13 +20,13 @@ from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact.cli import app
-from osc_contact.experiments.baselines.compare import PLANTS, compare
-from osc_contact.experiments.baselines.coupling import Instant
-from osc_contact.experiments.baselines.frames import best_selection, random_selection
-from osc_contact.experiments.baselines.laws import BASELINES, Ours, SelectionLaw
-from osc_contact.experiments.baselines.selection import Selection
-from osc_contact.experiments.baselines.steps import measured_coupling, run_steps
-from osc_contact.experiments.rig import build_rig
+from osc_contact.paper.baselines.compare import PLANTS, compare
+from osc_contact.paper.baselines.coupling import Instant
+from osc_contact.paper.baselines.frames import best_selection, random_selection
+from osc_contact.paper.baselines.laws import BASELINES, Ours, SelectionLaw
+from osc_contact.paper.baselines.selection import Selection
+from osc_contact.paper.baselines.steps import measured_coupling, run_steps
+from osc_contact.runs.rig import build_rig
 from osc_contact.scenarios import Scenario
 
 KHATIB, ISAAC = BASELINES["khatib"], BASELINES["isaac_lab"]

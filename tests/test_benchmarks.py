@@ -14,30 +14,33 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.control.life import Phase
-from osc_contact.errors import InvalidInputError
-from osc_contact.experiments.benchmarks import jitter, peers, scaling, simulation, ticks
-from osc_contact.experiments.benchmarks.cases import CASES
-from osc_contact.experiments.benchmarks.engines import constraint_dynamics, mujoco_state
-from osc_contact.experiments.benchmarks.measuring import take_turns
-from osc_contact.experiments.benchmarks.program import run_benchmark
-from osc_contact.experiments.benchmarks.random_arms import (
+from benchmarks import jitter, peers, scaling, simulation
+from benchmarks.__main__ import BENCHMARKS
+from benchmarks.engines import constraint_dynamics, mujoco_state
+from benchmarks.textbook import TextbookLaw
+from osc_contact.bench import ticks
+from osc_contact.bench.cases import CASES
+from osc_contact.bench.measuring import take_turns
+from osc_contact.bench.program import run_benchmark
+from osc_contact.bench.random_arms import (
     KINDS,
     contact_of,
     faces_of,
     random_rig,
 )
-from osc_contact.experiments.benchmarks.special_cases import SPECIAL_CASES, BatchCase, OwnFace
-from osc_contact.experiments.benchmarks.textbook import TextbookLaw
-from osc_contact.experiments.timing import time_parts, time_tick
+from osc_contact.bench.special_cases import SPECIAL_CASES, BatchCase, OwnFace
+from osc_contact.bench.timing import time_parts, time_tick
+from osc_contact.control.life import Phase
+from osc_contact.errors import InvalidInputError
 
-PROGRAMS = Path(__file__).parents[1] / "benchmarks"
+ROOT = Path(__file__).parents[1]
 SPREAD = {"p50", "p99", "p99_9", "max"}
 
 
-def start(*words: str | Path, program: str = "control_loop") -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-W", "error", str(PROGRAMS / f"{program}.py"), *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+def start(*words: str | Path, program: str = "") -> subprocess.CompletedProcess[str]:
+    what = ["-m", "benchmarks", program] if program else [str(ROOT / "benchmarks/control_loop.py")]
+    command = [sys.executable, "-W", "error", *what, *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=ROOT)
 
 
 def test_benchmark_writes_table_json_and_figure(tmp_path: Path) -> None:
@@ -320,7 +323,7 @@ def test_tsid_runs_in_its_own_interpreter(tmp_path: Path) -> None:
     said = {"pin": "3.4.0", "total_us": times, "problem_us": times, "solve_us": times,
             "floor_us": times}  # fmt: skip
     python = interpreter(tmp_path / "python", f"echo '{json.dumps(said)}'")
-    report = run_benchmark("peers", 1, tsid_python=python)
+    report = run_benchmark("peers", 1, tsid_python=python, benchmarks=BENCHMARKS)
     panda = report.data["cases"]["one_panda"]
     assert panda["peers_us"][peers.TSID] == times
     tsid = report.data["tsid"]
@@ -328,11 +331,11 @@ def test_tsid_runs_in_its_own_interpreter(tmp_path: Path) -> None:
     assert "TSID / tick" in str(report.tables[-1].caption)
     broken = interpreter(tmp_path / "broken", "echo 'no module tsid' >&2; exit 1")
     with pytest.raises(InvalidInputError, match=r"no module tsid.*pip install"):
-        run_benchmark("peers", 1, tsid_python=broken)
+        run_benchmark("peers", 1, tsid_python=broken, benchmarks=BENCHMARKS)
     with pytest.raises(InvalidInputError, match=r"cannot be run.*pip install"):
-        run_benchmark("peers", 1, tsid_python=tmp_path / "nowhere")
+        run_benchmark("peers", 1, tsid_python=tmp_path / "nowhere", benchmarks=BENCHMARKS)
     with pytest.raises(InvalidInputError, match="only the benchmark 'peers'"):
-        run_benchmark("jitter", 1, tsid_python=python)
+        run_benchmark("jitter", 1, tsid_python=python, benchmarks=BENCHMARKS)
 
 
 def test_calls_take_turns() -> None:

@@ -208,7 +208,7 @@ def test_bad_scenario_is_told_with_its_line(tmp_path: Path) -> None:
         (("inspect", "two_contact_rob"), "no packaged scenario 'two_contact_rob'"),
         (("reproduce", "fig9"), "no figure 'fig9'; there are fig1"),
         (("reproduce", "fig2", "--set", "squeeze=1 N"), "fig2 is not made from a scenario"),
-        (("bench", "tock"), "no benchmark 'tock'; there are tick, peers"),
+        (("bench", "tock"), "no benchmark 'tock'; there are tick (others: `python -m benchmarks`"),
         (("run", "two_contact_rod", "--set", "squeeze"), "expected path.to.key=value"),
         (("run", "two_contact_rod", "--duration", "0.9"), "judged from t = 1 s"),
         (("run", "two_contact_rod", "--duration", "nan"), "duration"),

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact.cli import app
-from osc_contact.experiments import cone_in_groove as cg
+from osc_contact.paper import cone_in_groove as cg
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.spatial import pose_error
 

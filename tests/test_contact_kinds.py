@@ -12,8 +12,8 @@ import pytest
 
 from osc_contact.contacts import pairs as kinds
 from osc_contact.errors import ScenarioError
-from osc_contact.experiments.contacts import build_pairs, environment_bodies, feet
-from osc_contact.experiments.references import force_names
+from osc_contact.runs.contacts import build_pairs, environment_bodies, feet
+from osc_contact.runs.references import force_names
 from osc_contact.scenarios import parse_scenario
 from osc_contact.scenarios.touching import MAGNITUDES, ContactSpec, magnitude_names
 
@@ -196,7 +196,7 @@ def test_force_of_one_magnitude_can_be_overridden():
 
 
 def test_only_contacts_that_push_are_kept_from_pulling():
-    from osc_contact.experiments.references import References
+    from osc_contact.runs.references import References
 
     for kind, pulls in (("edge_on_face", False), ("cylinder_in_hole", True)):
         scenario = parse_scenario(text(kind), None, ["force.pad.2.0.value=-1 N"])

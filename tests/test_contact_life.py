@@ -18,8 +18,8 @@ import osc_contact as osc
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
 from osc_contact.control.life import LifeSettings, Phase
-from osc_contact.experiments.contact_life import answers, collisions, false_alarms, land
-from osc_contact.experiments.contact_life_pictures import draw_collisions, draw_landing
+from osc_contact.paper.contact_life import answers, collisions, false_alarms, land
+from osc_contact.paper.contact_life_pictures import draw_collisions, draw_landing
 
 DT = 1e-3
 OPEN, APPROACHING, CLOSED = Phase

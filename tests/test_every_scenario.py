@@ -11,10 +11,10 @@ from test_decoupling import both_allocations
 
 import osc_contact as osc
 from osc_contact.contacts.unilateral import pushes_only
-from osc_contact.experiments.contacts import feet
-from osc_contact.experiments.inspection import inspect_rig
-from osc_contact.experiments.viewing import write_scene_of
 from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.runs.contacts import feet
+from osc_contact.runs.inspection import inspect_rig
+from osc_contact.runs.viewing import write_scene_of
 from osc_contact.scenarios import Scenario
 from osc_contact.spatial import carry_wrench
 

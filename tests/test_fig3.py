@@ -10,8 +10,8 @@ import pytest
 from matplotlib.image import imread
 
 from osc_contact import robots
-from osc_contact.experiments import fig3
-from osc_contact.experiments.studies import Ask, write_study
+from osc_contact.paper import fig3
+from osc_contact.paper.studies import Ask, write_study
 from osc_contact.visual.browser import VARIABLE
 from osc_contact.visual.page import read_commands
 

@@ -26,7 +26,7 @@ from osc_contact.control.command_filter import (
 )
 from osc_contact.control.friction import Friction
 from osc_contact.dynamics.environment import Environment
-from osc_contact.experiments.rig import build_rig
+from osc_contact.runs.rig import build_rig
 
 
 def by_hand(pair, X_WO, V_O, mu):

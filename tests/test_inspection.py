@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.experiments.inspection import Inspection, inspect_rig
-from osc_contact.experiments.rig import Rig
+from osc_contact.runs.inspection import Inspection, inspect_rig
+from osc_contact.runs.rig import Rig
 from osc_contact.spatial import carry_twist
 
 

@@ -8,9 +8,9 @@ import pytest
 import osc_contact as osc
 from osc_contact.control.joint_torque import JointTorqueLoop
 from osc_contact.dynamics.joint_modes import joint_inertias, modes, stiffness_for
-from osc_contact.experiments.hardware import drives
 from osc_contact.plants.joint_drives import FlexibleJoints, Motors
 from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.runs.hardware import drives
 
 FLEXIBLE = "plant.flexible_joints={frequency: 5 Hz}"
 LOOP = "control.joint_torque={rate: 4 kHz}"

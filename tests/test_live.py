@@ -30,7 +30,7 @@ from osc_contact.errors import InvalidInputError, ViewerError
 from osc_contact.visual.content import Content, content_from, described
 from osc_contact.visual.live import Viewer
 
-MODULE = "osc_contact.experiments.live_page"
+MODULE = "osc_contact.runs.live_page"
 CONTENT = Content("test", ARMS, BODIES, ("left_end", "right_end"))
 RECORDING = make_recording()
 TICKS = [{k: v[i] for k, v in RECORDING.channels.items()} for i in range(len(RECORDING))]
@@ -379,7 +379,7 @@ def test_content_survives_the_way_to_another_process() -> None:
 
 def test_no_part_of_meshcat_that_opens_sockets_is_imported() -> None:
     script = (
-        "import sys, osc_contact.experiments.live_page\n"
+        "import sys, osc_contact.runs.live_page\n"
         "from osc_contact.visual.page import CommandSink\n"
         "CommandSink().visualizer()\n"
         "print([m for m in sys.modules if 'ngrok' in m])"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import osc_contact as osc
-from osc_contact.experiments import moving_face
-from osc_contact.experiments.metrics import metrics
+from osc_contact.paper import moving_face
+from osc_contact.runs.metrics import metrics
 
 FACES = {
     face: [change.replace("ramp: 2 s", "ramp: 0.1 s") for change in changes]

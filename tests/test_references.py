@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.experiments.references import References, common_tangent, force_steps
+from osc_contact.runs.references import References, common_tangent, force_steps
 
 
 def references(*overrides):

@@ -9,9 +9,9 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.experiments.hardware import Observer
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.sensors import Clock, Errors, Eyes, SensedPlant, Sensors
+from osc_contact.runs.hardware import Observer
 
 STEP = 1e-3
 
@@ -187,7 +187,7 @@ def observed(overrides, steps=1500, seed=0):
     scenario = osc.load_scenario("two_contact_rod", overrides)
     spec = scenario.sensors
     rig = osc.build_rig(scenario)
-    from osc_contact.experiments.hardware import sensors
+    from osc_contact.runs.hardware import sensors
 
     made = sensors(spec, rig.chain)
     toy = Toy()

@@ -9,10 +9,10 @@ import pytest
 
 import osc_contact as osc
 from osc_contact.dynamics.joint_modes import modes
-from osc_contact.experiments import workcell
-from osc_contact.experiments.hardware import flexible_joints
-from osc_contact.experiments.studies import Ask, write_study
-from osc_contact.experiments.workcell import STAGES, ladder
+from osc_contact.paper import workcell
+from osc_contact.paper.studies import Ask, write_study
+from osc_contact.paper.workcell import STAGES, ladder
+from osc_contact.runs.hardware import flexible_joints
 
 
 def test_the_workcell_is_real_in_every_respect():

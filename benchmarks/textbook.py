@@ -1,0 +1,164 @@
+"""The control law as textbooks write it: a matrix for every symbol, `numpy.linalg` for the rest.
+
+Pinocchio gives M, h and the Jacobians; J, Λ, μ + p of each arm, the augmented object, the contact
+and eqs. 21 to 25 are then plain NumPy. Nothing of the toolkit's own mathematics is used. One thing
+is left out: the gripper parts beyond the wrist sensors, whose wrench the readings are not rid of.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from numpy.linalg import inv, lstsq, norm, pinv, svd
+
+from osc_contact.bench.cases import DT, Case
+from osc_contact.spatial import Array
+
+__all__ = ["TextbookLaw"]
+
+STIFFNESS, DAMPING = 25.0, 10.0  # of the posture of redundant arms
+
+
+class TextbookLaw:
+    """Vertices on fixed faces, arms with full rank in the motions they share."""
+
+    def __init__(self, case: Case) -> None:
+        """Copy what the law needs to know; each tick is computed at the case's instant."""
+        chain = case.chain
+        assert chain.payload is not None
+        self.case, self.model, self.data = case, chain.model, chain.model.createData()
+        self.tips = [self.model.getFrameId(f"{a.name}/{a.tip}") for a in chain.arms]
+        self.wrists = [self.model.getFrameId(f"{a.name}/{a.wrist_sensor}") for a in chain.arms]
+        self.inertia = chain.payload.inertia.matrix()
+        self.selected = np.eye(chain.nq)[:, chain.actuated]  # B: motor torques to joint torques
+        self.limits = np.ones(chain.nq)
+        self.limits[chain.actuated] = chain.tau_max
+        self.motion_sum, self.force_sum = np.zeros(6), np.zeros(len(case.pairs))
+
+    def tick(self) -> Array:
+        """Motor torques (n_a,)."""
+        case, model, data = self.case, self.model, self.data
+        q, v = case.measurement.q, case.measurement.v
+        pin.computeAllTerms(model, data, q, v)
+        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+        pin.updateFramePlacements(model, data)
+        X = data.oMf[self.tips[0]] * case.chain.grasps[0].X_TO
+        O, R = X.translation, X.rotation  # noqa: E741 - the operational point
+
+        # each arm at O: Λ = (J M⁻¹Jᵀ)⁺, J̄ = M⁻¹JᵀΛ, μ + p = J̄ᵀh − Λγ
+        arms = []
+        V = np.zeros(6)
+        for i, (s, tip) in enumerate(zip(case.chain.slices, self.tips, strict=True)):
+            shift = carried(O - data.oMf[tip].translation)
+            J = shift @ pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)[:, s]
+            drift = pin.getFrameAcceleration(model, data, tip, pin.LOCAL_WORLD_ALIGNED)
+            M, h, gamma = data.M[s, s], data.nle[s], shift @ drift.vector
+            Minv = inv(M)
+            Lambda = pinv(J @ Minv @ J.T, rcond=1e-9)
+            arms.append((s, J, M, h, gamma, Lambda, Minv @ J.T @ Lambda))
+            if i == 0:
+                V = J @ v[s]
+        w = V[3:]
+
+        # motions that all arms permit, a = S η̇ + σ
+        left = [svd(J)[0] for _, J, *_ in arms]
+        C = np.hstack([U[:, J.shape[1] :] for U, (_, J, *_) in zip(left, arms, strict=True)])
+        locked = np.concatenate([U[:, J.shape[1] :].T @ g for U, (_, J, _, _, g, _, _)
+                                 in zip(left, arms, strict=True)])  # fmt: skip
+        if C.shape[1]:
+            U, values, _ = svd(C)
+            S = U[:, int(np.sum(values > 1e-4)) :]
+            sigma = lstsq(C.T, locked, rcond=1e-4)[0]
+        else:
+            S, sigma = np.eye(6), np.zeros(6)
+
+        # the augmented object, eq. 13
+        turn = np.kron(np.eye(2), R)
+        Lambda_o = turn @ self.inertia @ turn.T
+        momentum = Lambda_o @ V
+        bias_o = np.concatenate((
+            np.cross(w, momentum[:3]),
+            np.cross(w, momentum[3:]) + np.cross(V[:3], momentum[:3]),
+        )) - Lambda_o[:, :3] @ model.gravity.linear  # fmt: skip
+        Lambda_S = S.T @ (sum(L for *_, L, _ in arms) + Lambda_o) @ S
+        bias = bias_o + Lambda_o @ sigma
+        G = np.zeros((S.shape[1], model.nv))
+        for s, _, _, h, gamma, Lambda, J_bar in arms:
+            bias = bias + J_bar.T @ h - Lambda @ (gamma - sigma)
+            G[:, s] = S.T @ J_bar.T
+        G = G @ self.selected
+
+        # contact: columns of N push into the faces; n_γ = −ṄᵀV
+        N = np.zeros((6, len(case.pairs)))
+        n_gamma = np.zeros(len(case.pairs))
+        for i, pair in enumerate(case.pairs):
+            n, p = -pair.normal, R @ pair.vertex
+            N[:, i] = np.concatenate((n, np.cross(p, n)))
+            n_gamma[i] = -np.cross(V[:3] + np.cross(w, p), n) @ w
+
+        # force loop, fig. 5, with Ω_f(Λ_o)
+        f_meas = np.zeros(6)
+        for wrist, reading in zip(self.wrists, case.measurement.wrenches, strict=True):
+            X_S = data.oMf[wrist]
+            force = X_S.rotation @ reading[:3]
+            couple = X_S.rotation @ reading[3:] + np.cross(X_S.translation - O, force)
+            f_meas += np.concatenate((force, couple))
+        Phi_o = inv(Lambda_o)
+        alpha = inv(N.T @ Phi_o @ N) @ (N.T @ Phi_o @ (f_meas - bias_o) - n_gamma)
+        k = case.gains.force
+        alpha_d = case.reference.alpha_d
+        self.force_sum = self.force_sum + k.integral * DT * (alpha_d - alpha)
+        alpha_u = alpha_d + self.force_sum - k.damping * (N.T @ V)
+
+        # motion loop
+        g = case.gains.motion
+        e = np.concatenate((
+            case.reference.X_WD.translation - O, pin.log3(case.reference.X_WD.rotation @ R.T)
+        ))  # fmt: skip
+        Omega_m = np.eye(6) - Phi_o @ N @ inv(N.T @ Phi_o @ N) @ N.T
+        self.motion_sum = self.motion_sum + Omega_m @ e * DT
+        a = case.reference.A_D + g.damping * (case.reference.V_D - V) + g.stiffness * e
+        a = a + g.integral * self.motion_sum - np.concatenate((np.cross(w, V[:3]), np.zeros(3)))
+
+        # filters and control structure, eqs. 21, 24, 25: η̇_u = P_T(a − σ), η̇_c = Ω_m η̇_u + …
+        H, N_S = S.T @ Lambda_o @ S, S.T @ N
+        B_N = inv(H) @ N_S
+        eta = inv(H) @ S.T @ Lambda_o @ (a - sigma)
+        eta = eta + B_N @ inv(N_S.T @ B_N) @ (N.T @ (a - sigma) - N_S.T @ eta)
+        eta = eta - B_N @ inv(N_S.T @ B_N) @ (N_S.T @ eta - n_gamma + N.T @ sigma)
+        f_S = Lambda_S @ eta + S.T @ bias + N_S @ alpha_u
+        return self.allocated(arms, G, f_S, S @ eta + sigma, v, O)
+
+    def allocated(self, arms, G, f_S, acceleration, v, O) -> Array:  # type: ignore[no-untyped-def]  # noqa: E741
+        """Least torques, weighted by 1/τ_max², for f_S and the squeeze of two arms."""
+        case, B = self.case, self.selected
+        weight, rest = np.zeros((len(v), len(v))), np.zeros(len(v))
+        q = case.measurement.q
+        for s, J, M, h, _, _, J_bar in arms:
+            weight[s, s] = np.diag(self.limits[s] ** 2)
+            if J.shape[1] > 6:
+                R = np.diag(self.limits[s] ** -2.0)
+                weight[s, s] = J.T @ inv(J @ R @ J.T) @ J
+                posture = h + M @ (STIFFNESS * (case.posture[s] - q[s]) - DAMPING * v[s])
+                rest[s] = (np.eye(J.shape[1]) - J.T @ J_bar.T) @ posture
+        A, b = G, f_S
+        if len(arms) == 2:
+            ends = [self.data.oMf[tip].translation for tip in self.tips]
+            e = np.concatenate(((ends[1] - ends[0]) / norm(ends[1] - ends[0]), np.zeros(3)))
+            row, offset = np.zeros(len(v)), 0.0
+            for sign, (s, _, _, h, gamma, Lambda, J_bar) in zip((0.5, -0.5), arms, strict=True):
+                row[s] = sign * J_bar @ e
+                offset += sign * e @ (J_bar.T @ h + Lambda @ (acceleration - gamma))
+            A = np.vstack((G, row @ B))
+            b = np.concatenate((f_S, [float(case.reference.squeeze_d) + offset]))
+        W, tau_0 = B.T @ weight @ B, B.T @ rest
+        scale = np.diag(1.0 / np.sqrt(np.diag(A @ W @ A.T)))
+        return tau_0 + W @ A.T @ scale @ inv(scale @ A @ W @ A.T @ scale) @ scale @ (b - A @ tau_0)
+
+
+def carried(r: Array) -> Array:
+    """(6, 6) twists at a point to twists at the point r further on, world axes."""
+    x, y, z = r
+    matrix = np.eye(6)
+    matrix[:3, 3:] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return matrix

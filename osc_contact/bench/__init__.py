@@ -1,0 +1,1 @@
+"""What one control tick costs beside its floor (`osc-contact bench tick`)."""

@@ -1,0 +1,193 @@
+"""The run: controller and rigid plant, and how far steps of force and motion disturb each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.raibert_craig import RaibertCraig
+from osc_contact.control.controller import Controller, Gains
+from osc_contact.control.force import ForceGains
+from osc_contact.control.motion import MotionGains
+from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Measurement, Reference
+from osc_contact.paper.cone_in_groove.rig import ConeRig, build_cone_rig
+from osc_contact.paper.cone_in_groove.task import ConeTask
+from osc_contact.plants.rigid import RigidPlant
+from osc_contact.spatial import Array
+
+__all__ = ["ConeResult", "couplings", "run"]
+
+PERIOD = 1e-3  #: s
+SETTLE_S = 0.5  #: judged from here on
+
+
+@dataclass(frozen=True, eq=False)
+class ConeResult:
+    """What one run gave.
+
+    Attributes:
+        rig, task: of the run.
+        t: (k,) s.
+        wall_d, wall: (k, 4) desired and true pushes at the ends of the lines of contact (N), just
+            after the torques have changed: the difference is what the arm's motion makes of them
+            within a period (it halves with the period), and the integral action on it.
+        motion_d, motion: (k, 2) desired and true turn (rad) and slide (m).
+        power: (k,) of the contact force on the object's motion (W).
+        N: (k, 6, 4) as the controller had it.
+        force_to_motion, motion_to_force: (probes, 4) and (probes, 8), see `couplings`.
+        status: (k,) of the controller.
+    """
+
+    rig: ConeRig
+    task: ConeTask
+    t: Array
+    wall_d: Array
+    wall: Array
+    motion_d: Array
+    motion: Array
+    power: Array
+    N: Array
+    force_to_motion: Array
+    motion_to_force: Array
+    status: Array
+
+    @property
+    def raibert_craig(self) -> RaibertCraig:
+        """The nearest constraint frame at the start, moments over the cone's height about O."""
+        return self.rig.contact().as_raibert_craig(self.rig.cone.height)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The verdict, for JSON."""
+        judged = self.t >= SETTLE_S
+        force = (self.wall - self.wall_d)[judged]
+        motion = (self.motion - self.motion_d)[judged]
+        frame = self.raibert_craig
+        bend = self.N[2:] - 2 * self.N[1:-1] + self.N[:-2]
+        return {
+            "r": self.rig.contact().r,
+            "axes_deg": float(np.rad2deg(self.rig.cone.inclination)),
+            "raibert_craig": {
+                "describes_it": bool(frame),
+                "reason": frame.reason,
+                "residual": frame.residual,
+            },
+            "duration_s": len(self.t) * PERIOD,
+            "wall_force_rms_N": np.sqrt((force**2).mean(axis=0)).tolist(),
+            "wall_force_peak_error_N": float(np.abs(force).max()),
+            "wall_force_least_N": float(self.wall[judged].min()),
+            "turn_rms_rad": float(np.sqrt((motion[:, 0] ** 2).mean())),
+            "slide_rms_m": float(np.sqrt((motion[:, 1] ** 2).mean())),
+            "turned_rad": float(np.ptp(self.motion[:, 0])),
+            "slid_m": float(np.ptp(self.motion[:, 1])),
+            "force_step_to_motion": float(self.force_to_motion.max()),
+            "motion_step_to_force": float(self.motion_to_force.max()),
+            "contact_power_W": float(np.abs(self.power[judged]).max()),
+            "N_change_per_tick": float(np.abs(np.diff(self.N, axis=0)).max()),
+            "N_second_difference": float(np.abs(bend).max()),
+            "ticks_not_ok": int(np.count_nonzero(self.status)),
+        }
+
+
+def run(duration: float = 5.0, task: ConeTask | None = None, probe_s: float = 0.05) -> ConeResult:
+    """Run the task on the rigid plant at 1 kHz, probing the coupling every `probe_s` seconds.
+
+    Raises:
+        InvalidInputError: too short to be judged, or probe_s not positive.
+    """
+    if not (np.isfinite(duration) and duration > SETTLE_S and probe_s >= PERIOD):
+        raise InvalidInputError(
+            f"duration {duration} s, probe_s {probe_s} s: a run is judged from t = {SETTLE_S:g} s; "
+            f"run it longer, and probe not more often than every {PERIOD:g} s"
+        )
+    task = ConeTask(build_cone_rig()) if task is None else task
+    rig = task.rig
+    plant = RigidPlant(rig.chain, [rig.pair], PERIOD)
+    plant.reset(rig.q_start)
+    plant.hold(_controller(rig).tick(plant.measure(), task.at(0.0)))
+    controller = _controller(rig)
+    to_pair = rig.from_wall_forces
+    to_walls = np.linalg.inv(to_pair)
+    rows: list[tuple[Any, ...]] = []
+    probes: list[tuple[list[float], list[float]]] = []
+    every = round(probe_s / PERIOD)
+    for k in range(round(duration / PERIOD)):
+        t = k * PERIOD
+        reference, measurement = task.at(t), plant.measure()
+        if k % every == every - 1:
+            probes.append(couplings(controller, plant, measurement, reference, to_pair))
+        tau = controller.tick(measurement, reference)
+        N = controller.last_signals().contact.N
+        plant.hold(tau)  # rigid contacts answer at once
+        truth = plant.truth()
+        power = float((N @ truth.alpha) @ truth.V_O)
+        rows.append(
+            (t, task.wall_forces(t), to_walls @ truth.alpha, task.motions(t)[:, 0],
+             _motion(rig, truth.X_WO), power, N, int(controller.status))
+        )  # fmt: skip
+        plant.step(tau, PERIOD)
+    names = ("t", "wall_d", "wall", "motion_d", "motion", "power", "N", "status")
+    columns = {name: np.array(c) for name, c in zip(names, zip(*rows, strict=True), strict=True)}
+    to_motion, to_force = (np.array(part) for part in zip(*probes, strict=True))
+    return ConeResult(
+        rig=rig, task=task, force_to_motion=to_motion, motion_to_force=to_force, **columns
+    )
+
+
+def couplings(
+    controller: Controller,
+    plant: RigidPlant,
+    measurement: Measurement,
+    reference: Reference,
+    to_pair: Array,
+) -> tuple[list[float], list[float]]:
+    """How far a step of each wall force moves the cone, and steps of motion press on the walls.
+
+    Both are ratios of like quantities in the held object's energy metric Λ_o, so that metres and
+    radians never meet: the acceleration caused by a force step over the one that force would give
+    the free object, √(ΔaᵀΛ_oΔa / Δf_cᵀΛ_o⁻¹Δf_c); and the contact force caused by a step of the
+    acceleration command over the force that the command means, √(Δf_cᵀΛ_o⁻¹Δf_c / Δa_uᵀΛ_oΔa_u).
+    The steps of force are 5 N on each of the walls' magnitudes, α = `to_pair` λ; those of motion
+    are the two permitted ones and the six unit vectors, permitted or not.
+    """
+    before = (controller.motion_law.integral, controller.force_law.integral)
+
+    def answer(changed: Reference) -> tuple[Array, Array]:
+        tau = controller.tick(measurement, changed)
+        controller.motion_law.integral, controller.force_law.integral = before
+        _, a, alpha = plant.accelerations(tau)
+        return a, controller.last_signals().contact.N @ alpha
+
+    a_0, f_0 = answer(reference)
+    s = controller.last_signals()
+    Lambda, T = s.state.metric, s.contact.T
+
+    def size(motion: Array, force: Array) -> tuple[float, float]:
+        squares = motion @ Lambda @ motion, force @ np.linalg.solve(Lambda, force)
+        return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))
+
+    to_motion, to_force = [], []
+    for step in 5.0 * to_pair.T:
+        a, f = answer(replace(reference, alpha_d=reference.alpha_d + step))
+        moved, pressed = size(a - a_0, f - f_0)
+        to_motion.append(moved / pressed)
+    for step in np.hstack((T, np.eye(6))).T:
+        a, f = answer(replace(reference, A_D=reference.A_D + step))
+        to_force.append(size(step, f - f_0)[1] / size(step, f)[0])
+    return to_motion, to_force
+
+
+def _controller(rig: ConeRig) -> Controller:
+    gains = Gains(MotionGains(stiffness=400.0, damping=40.0), ForceGains(integral=20.0))
+    return Controller(rig.chain, [rig.pair], gains, dt=PERIOD, posture=rig.q_start)
+
+
+def _motion(rig: ConeRig, X: pin.SE3) -> Array:
+    """(2,) how far the cone has turned about its axis (rad) and slid along the groove (m)."""
+    start, cone, groove = rig.state.X_WO, rig.cone, rig.groove
+    turned = pin.log3(X.rotation @ start.rotation.T) @ cone.seat(groove)
+    slid = (X.act(cone.apex) - start.act(cone.apex)) @ groove.direction
+    return np.array([turned, slid])

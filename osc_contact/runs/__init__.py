@@ -1,0 +1,1 @@
+"""From a scenario to a verdict: build the rig, run it, judge it, report it."""

@@ -1,0 +1,105 @@
+"""Bodies of the environment: how they move, what the controller knows of it, their geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from osc_contact.contacts.detection import CollisionShape, TrackedContact, collision_shapes
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.dynamics.rail import Body, Cart, Conveyor, Hinge
+from osc_contact.errors import ScenarioError
+from osc_contact.plants.faces import Rail
+from osc_contact.runs.contacts import EnvironmentBody
+from osc_contact.scenarios.signals import total
+from osc_contact.scenarios.touching import CartSpec, ConveyorSpec, FaceMotion, HingeSpec
+from osc_contact.spatial import Array
+
+__all__ = ["known_bodies", "rails", "tracked"]
+
+
+def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail | None]:
+    """How each body of the plant moves; None: not at all.
+
+    Raises:
+        ScenarioError: a driven body does not start where the contacts touch.
+    """
+    return [None if body.motion is None else _rail(body.name, body.motion) for body in bodies]
+
+
+def _rail(name: str, motion: FaceMotion) -> Rail:
+    if isinstance(motion, CartSpec):
+        return Rail(np.array(motion.direction), inertia=motion.mass, **_freely(motion))
+    if isinstance(motion, HingeSpec):
+        axis, through = np.array(motion.axis), np.array(motion.through)
+        return Rail(axis=axis, through=through, inertia=motion.inertia, **_freely(motion))
+    turn = motion.turn
+    (travel, angle), (speed, rate), _ = _commanded(motion, 0.0)
+    if max(map(abs, (travel, angle, speed, rate))) > 1e-9:
+        raise ScenarioError(
+            f"the motion of '{name}' starts at {travel:g} m with {speed:g} m/s and {angle:g} rad "
+            f"with {rate:g} rad/s, away from where the contacts touch; give sines a ramp, or use "
+            "minimum_jerk"
+        )
+    still = np.zeros(3)
+    axis, through = (still, still) if turn is None else map(np.array, (turn.axis, turn.through))
+    return Rail(np.array(motion.direction), axis, through, partial(_commanded, motion))
+
+
+def _commanded(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
+    """(s, ṡ, s̈) of travel (m) and angle (rad), each (2,)."""
+    turn = () if motion.turn is None else motion.turn.signals
+    s, rates, second = np.array([total(motion.signals, t), total(turn, t)]).T
+    return s, rates, second
+
+
+def _freely(motion: CartSpec | HingeSpec) -> dict[str, Any]:
+    return {key: getattr(motion, key) for key in ("stiffness", "damping", "preload")}
+
+
+def known_bodies(
+    bodies: Sequence[EnvironmentBody], contacts: int, ignored: bool
+) -> list[Body | None]:
+    """How the body at each contact answers, as far as the controller knows."""
+    found: list[Body | None] = [None] * contacts
+    for body in () if ignored else bodies:
+        motion = body.motion
+        answer: Body | None = None
+        if isinstance(motion, CartSpec):
+            answer = Cart(np.array(motion.direction), motion.mass, **_freely(motion))
+        elif isinstance(motion, HingeSpec):
+            axis, through = np.array(motion.axis), np.array(motion.through)
+            answer = Hinge(axis, through, motion.inertia, **_freely(motion))
+        elif motion is not None:
+            answer = Conveyor()
+        for i in body.contacts:
+            found[i] = answer
+    return found
+
+
+def tracked(
+    pairs: Sequence[ContactPair], object_urdf: Path, bodies: Sequence[EnvironmentBody]
+) -> tuple[TrackedContact, ...]:
+    """Contacts read off the collision geometry; of the declared ones only the names are used.
+
+    Raises:
+        ScenarioError: several contacts are on one body: they could not be told apart.
+    """
+    held = collision_shapes(object_urdf)
+    found = {}
+    for body in bodies:
+        if len(body.contacts) > 1:
+            names = ", ".join(pairs[i].name for i in body.contacts)
+            raise ScenarioError(
+                f"control.contacts: detected finds all that touches '{body.name}' as one contact, "
+                f"but {names} are on it; declare one contact for each body, or use declared"
+            )
+        shapes = collision_shapes(body.urdf[0])
+        face = [CollisionShape(s.name, s.shape, body.placement * s.placement) for s in shapes]
+        for i in body.contacts:
+            found[i] = TrackedContact(held, face, pairs[i].name)
+    return tuple(found[i] for i in range(len(pairs)))

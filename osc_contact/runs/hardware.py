@@ -1,0 +1,257 @@
+"""From a scenario to what makes its rig real: drives and sensors for the plant, and what the
+controller needs in front of it because of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.control.joint_torque import JointTorqueLoop
+from osc_contact.control.velocity_estimate import VelocityEstimate
+from osc_contact.control.vision_fusion import Registration, VisionFusion
+from osc_contact.dynamics.assembly import object_pose
+from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.dynamics.joint_modes import joint_inertias, stiffness_for
+from osc_contact.errors import ScenarioError
+from osc_contact.interface import Measurement, Stamps
+from osc_contact.plants.joint_drives import FlexibleJoints, JointDrives, Motors
+from osc_contact.plants.plant import Plant
+from osc_contact.plants.sensors import Clock, Errors, Eyes, Sensors
+from osc_contact.runs.contacts import EnvironmentBody
+from osc_contact.scenarios.hardware import EncoderSpec, SensorsSpec
+from osc_contact.scenarios.schema import Scenario
+from osc_contact.spatial import Array
+
+__all__ = ["Drive", "Observer", "drives", "flexible_joints", "sensors", "torque_loop"]
+
+
+def flexible_joints(
+    scenario: Scenario, chain: ClosedChain, state: ChainState
+) -> FlexibleJoints | None:
+    """The springs of a scenario, at the state from which its first mode is counted.
+
+    Raises:
+        ScenarioError: numbers for an arm that is not there, or not one for each motor.
+    """
+    spec = scenario.plant.flexible_joints
+    if spec is None:
+        return None
+    own = joint_inertias(state, chain.actuated)
+    if spec.frequency is not None:
+        K = stiffness_for(state, chain.actuated, float(spec.frequency))
+    else:
+        K = _per_motor(chain, "stiffness", spec.stiffness or {})
+    if isinstance(spec.motor_inertia, dict):
+        J = _per_motor(chain, "motor_inertia", spec.motor_inertia)
+    else:
+        J = float(spec.motor_inertia) * own
+    # motor and link swing against each other with the reduced inertia
+    D = 2.0 * float(spec.damping_ratio) * np.sqrt(K * J * own / (J + own))
+    return FlexibleJoints(K, D, J)
+
+
+def drives(scenario: Scenario, chain: ClosedChain, state: ChainState, seed: int) -> JointDrives:
+    """Springs, motor errors and friction of every motor joint."""
+    spec, motors = scenario.plant, None
+    if spec.motors is not None:
+        sliding = _sliding(chain)[chain.actuated]
+        errors = float(spec.motors.bias), float(spec.motors.ripple)
+        motors = Motors.drawn(chain.tau_max, sliding, *errors, np.random.default_rng([seed, 2]))
+    friction = float(spec.joint_friction) * chain.tau_max if spec.joint_friction else None
+    return JointDrives(flexible_joints(scenario, chain, state), motors, friction)
+
+
+def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]]) -> Array:
+    """(n_a,) numbers of all arms, in the order of the motors."""
+    names = [arm.name for arm in chain.arms]
+    found: list[float] = []
+    for arm in chain.arms:
+        motors = arm.model.nv - len(arm.passive_joints)
+        if arm.name not in given or len(given[arm.name]) != motors:
+            raise ScenarioError(
+                f"plant.flexible_joints.{key}: give {motors} numbers for arm '{arm.name}', one for "
+                f"each motor; got {list(given.get(arm.name, ()))}"
+            )
+        found.extend(given[arm.name])
+    extra = sorted(set(given) - set(names))
+    if extra:
+        raise ScenarioError(f"plant.flexible_joints.{key}: no arm {extra}; there are {names}")
+    return np.array(found, dtype=float)
+
+
+def sensors(
+    spec: SensorsSpec, chain: ClosedChain, bodies: Sequence[EnvironmentBody] = ()
+) -> Sensors:
+    """The plant's sensors with the errors of a scenario."""
+    made = Sensors()
+    if (encoder := spec.encoder) is not None:
+        noise, bias, resolution = (_joint_errors(encoder, chain, key) for key in _ERRORS)
+        made = replace(made, encoders=(_clock(encoder), Errors(noise, bias, resolution)))
+    if (torque := spec.joint_torque) is not None:
+        share = [float(getattr(torque, key)) * chain.tau_max for key in _ERRORS]
+        made = replace(made, joint_torques=(_clock(torque), Errors(*share)))
+    if (wrist := spec.wrist) is not None:
+        both = [
+            np.repeat([getattr(wrist.force, key), getattr(wrist.torque, key)], 3) for key in _ERRORS
+        ]
+        made = replace(made, wrists=(_clock(wrist), Errors(*both)))
+    if (eyes := spec.vision) is not None:
+        position, orientation = (
+            Errors(*[float(getattr(of, key)) for key in _ERRORS])
+            for of in (eyes.position, eyes.orientation)
+        )
+        frame = float(eyes.frame_position), float(eyes.frame_orientation)
+        seen = Eyes(_clock(eyes), position, orientation, frame, _markers(bodies))
+        made = replace(made, vision=seen)
+    return made
+
+
+def _markers(bodies: Sequence[EnvironmentBody]) -> Array | None:
+    """(contacts, 4, 4) frames of the bodies' URDFs in E, the world at the start."""
+    of = {i: body.placement.homogeneous for body in bodies for i in body.contacts}
+    return np.array([of[i] for i in sorted(of)]) if of else None
+
+
+_ERRORS = ("noise", "bias", "resolution")
+
+
+def _clock(spec: object) -> Clock:
+    return Clock(*[float(getattr(spec, key)) for key in ("rate", "delay", "dropout")])
+
+
+def _joint_errors(spec: EncoderSpec, chain: ClosedChain, key: str) -> Array:
+    """(n,) an error of the encoders, by whether the joint turns or slides."""
+    return np.where(
+        _sliding(chain), float(getattr(spec.length, key)), float(getattr(spec.angle, key))
+    )
+
+
+def _sliding(chain: ClosedChain) -> Array:
+    """(n,) which joints move along their axis."""
+    kinds = [joint.shortname() for joint in list(chain.model.joints)[1:]]
+    return np.array([kind.startswith("JointModelP") for kind in kinds])
+
+
+def torque_loop(
+    scenario: Scenario, chain: ClosedChain, joints: FlexibleJoints | None
+) -> JointTorqueLoop | None:
+    """The joint torque loop of a scenario, or None."""
+    spec = scenario.control.joint_torque
+    if spec is None or joints is None:
+        return None
+    return JointTorqueLoop(
+        joints.stiffness,
+        joints.motor_inertia,
+        chain.tau_max,
+        dt=1.0 / float(spec.rate),
+        gain=float(spec.gain),
+        damping_ratio=float(spec.damping_ratio),
+    )
+
+
+@dataclass
+class Drive:
+    """Carries the controller's torques to the plant: through the joint torque loop, if any."""
+
+    plant: Plant
+    loop: JointTorqueLoop | None
+    period: float  #: of the controller (s)
+    _sampled: float = -1.0
+
+    def step(self, tau: Array) -> None:
+        """One control period."""
+        if self.loop is None:
+            self.plant.step(tau, self.period)
+            return
+        for _ in range(round(self.period / self.loop.dt)):
+            read = self.plant.measure()
+            assert read.joint_torques is not None  # the MuJoCo plant has them
+            sampled = self.plant.time if read.stamps is None else read.stamps.joint_torques
+            u = self.loop.command(tau, read.joint_torques, fresh=sampled > self._sampled)
+            self._sampled = sampled
+            self.plant.step(u, self.loop.dt)
+
+
+class Observer:
+    """Completes measurements: joint velocities from encoders, motion of bodies from vision.
+
+    Readings are brought up to date by the sensors' known delay. Ideal readings pass unchanged.
+
+    Attributes:
+        vision: what fuses the camera's pictures with the encoders; None: no vision.
+    """
+
+    def __init__(
+        self, scenario: Scenario, chain: ClosedChain, bodies: Sequence[EnvironmentBody] = ()
+    ) -> None:
+        """Set up the estimates from the errors the scenario gives the sensors."""
+        self.dt = 1.0 / float(scenario.control.rate)
+        self._seen, self._ticks = Stamps(-1.0, -1.0, -1.0, -1.0), 0
+        spec, believed = scenario.sensors, scenario.control.estimate
+        self._joints: VelocityEstimate | None = None
+        self._spec = spec
+        if spec.encoder is not None:
+            noise = np.hypot(
+                _joint_errors(spec.encoder, chain, "noise"),
+                _joint_errors(spec.encoder, chain, "resolution") / np.sqrt(12.0),
+            )
+            unknown = np.where(
+                _sliding(chain), float(believed.joint_linear), float(believed.joint_angular)
+            )
+            self._joints = VelocityEstimate.optimal(
+                np.maximum(noise, 1e-9), unknown, self.dt, 1.0 / float(spec.encoder.rate)
+            )
+        self.vision: VisionFusion | None = None
+        if (eyes := spec.vision) is not None:
+            noise = [max(float(of.noise), 1e-9) for of in (eyes.position, eyes.orientation)]
+            self.vision = VisionFusion(
+                _robots(chain),
+                Registration(noise[0], noise[1]),
+                (float(believed.body_linear), float(believed.body_angular)),
+                dt=self.dt,
+                period=1.0 / float(eyes.rate),
+                delay=float(eyes.delay),
+                markers=_markers(bodies),
+            )
+
+    @property
+    def estimates(self) -> bool:
+        """Whether joint velocities are estimated here, and accelerations of use."""
+        return self._joints is not None
+
+    def complete(self, measurement: Measurement, acceleration: Array | None) -> Measurement:
+        """The measurement with everything a controller needs.
+
+        Args:
+            measurement: as read. acceleration: (n,) of the joints, as commanded since the last
+                call; None: unknown.
+        """
+        stamps = measurement.stamps
+        if stamps is None:
+            return measurement
+        if self._joints is not None and self._spec.encoder is not None:
+            known = np.zeros(len(measurement.q)) if acceleration is None else acceleration
+            fresh = stamps.encoders > self._seen.encoders
+            q, v = self._joints.update(measurement.q, known, fresh)
+            measurement = replace(measurement, q=q + float(self._spec.encoder.delay) * v, v=v)
+        if self.vision is not None and measurement.touched is not None:
+            now = self._ticks * self.dt
+            touched = self.vision.update(
+                now, measurement.q, stamps.vision, measurement.seen, measurement.touched
+            )
+            measurement = replace(measurement, touched=touched)
+        self._ticks += 1
+        self._seen = stamps
+        return measurement
+
+
+def _robots(chain: ClosedChain) -> Callable[[Array], list[pin.SE3]]:
+    """Joint positions → poses of the object and of the arms' tips, as the controller knows them."""
+
+    def known(q: Array) -> list[pin.SE3]:
+        return [object_pose(chain, q), *chain.tip_poses()]
+
+    return known

@@ -1,0 +1,209 @@
+"""What a state of contact is, in plain words: d, r, free motions, controllable forces."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs import ContactPair, VertexOnFace
+from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.runs.contacts import feet
+from osc_contact.runs.rig import Rig
+from osc_contact.scenarios.touching import magnitude_names
+from osc_contact.spatial import Array
+from osc_contact.visual.contact_picture import common_perpendicular
+from osc_contact.visual.screws import echelon
+
+__all__ = ["Inspection", "inspect_rig"]
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """The contact state of a scenario at its start.
+
+    Attributes:
+        d: motions the object can make. r: independent contact forces.
+        lines: the report, one sentence each.
+        N, T: bases (6, r), (6, 6−r), columns of N named by `contacts` (``pad.1``, … if several).
+        free: (6, d−r) the motions that are both possible for the arms and permitted by the contact.
+        conditioning: largest over smallest apparent mobility of the contact forces, unit-free.
+    """
+
+    d: int
+    r: int
+    lines: tuple[str, ...]
+    contacts: tuple[str, ...]
+    N: Array
+    T: Array
+    free: Array
+    conditioning: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able form."""
+        return {
+            "d": self.d,
+            "r": self.r,
+            "free_motions": self.d - self.r,
+            "contacts": list(self.contacts),
+            "N": self.N.tolist(),
+            "T": self.T.tolist(),
+            "free": self.free.tolist(),
+            "conditioning": self.conditioning,
+            "report": list(self.lines),
+        }
+
+
+def inspect_rig(rig: Rig) -> Inspection:
+    """Describe the contact state of a rig at its start."""
+    state, contact = rig.state(), rig.contact()
+    free = _free_motions(state, contact)
+    mobility = contact.N.T @ state.Phi @ contact.N
+    scale = np.sqrt(np.diag(mobility))
+    values = np.linalg.eigvalsh(mobility / np.outer(scale, scale)) if contact.r else np.ones(1)
+    conditioning = float(values[-1] / values[0])
+    motors = rig.chain.n_a
+    own = sum(t.J.shape[1] - t.rank for t in state.arms)  # motions of an arm alone
+    internal = motors - own - (int(np.linalg.matrix_rank(state.G)) if state.d else 0)
+    lines = [
+        f"{len(rig.chain.arms)} arm(s), {rig.chain.nq} joints, {motors} motors; "
+        f"the object can make d = {state.d} independent motions.",
+        *_locked(state),
+        f"{len(rig.pairs)} contact(s) constrain r = {contact.r} of them; "
+        f"{state.d - contact.r} motions stay free, {contact.r} contact forces can be controlled.",
+        *_contact_lines(rig),
+        *_skew(rig),
+        *(f"free motion {i + 1}: {_twist_words(t)}" for i, t in enumerate(free.T)),
+        *_redundancy(len(rig.chain.arms), internal, own),
+        f"conditioning of the contact forces: {conditioning:.3g} (1 = independent of each other)",
+    ]
+    return Inspection(
+        d=state.d,
+        r=contact.r,
+        lines=tuple(lines),
+        contacts=tuple(_column_names(rig)),
+        N=contact.N,
+        T=contact.T,
+        free=free,
+        conditioning=conditioning,
+    )
+
+
+def _free_motions(state: ChainState, contact: Contact) -> Array:
+    """Basis of range(S) ∩ T, echelon form: translations first, as simple as they come."""
+    N_S = state.S.T @ contact.N
+    _, _, Vh = np.linalg.svd(N_S.T, full_matrices=True)
+    return echelon(state.S @ Vh[contact.r :].T)
+
+
+def _locked(state: ChainState) -> list[str]:
+    return [
+        f"the arms' structure carries the wrench {_wrench_words(c)}: it cannot be controlled."
+        for c in state.C.T
+    ]
+
+
+def _redundancy(arms: int, internal: int, own: int) -> list[str]:
+    lines = []
+    if internal or arms > 1:
+        lines.append(
+            f"{internal} internal force(s) can be set without moving the object or pressing harder"
+            + (" (squeeze along the grasp line is one)." if arms == 2 else ".")
+        )
+    if own:
+        lines.append(f"{own} motion(s) of arms leave the object where it is: postures to choose.")
+    return lines
+
+
+def _column_names(rig: Rig) -> list[str]:
+    """Names of the columns of N, as in commands and metrics."""
+    X = rig.state().X_WO
+    return magnitude_names({pair.name: len(feet(pair, X)[0]) for pair in rig.pairs})
+
+
+def _contact_lines(rig: Rig) -> list[str]:
+    X = rig.state().X_WO
+    lines = []
+    for i, pair in enumerate(rig.pairs):
+        points, directions = feet(pair, X)
+        if len(points) == 1:
+            kind = (
+                "the face"
+                if isinstance(pair, VertexOnFace)
+                else f"the {_words(pair).split()[-1]} of '{_body(rig, i)}'"
+            )
+            lines.append(
+                f"contact '{pair.name}': force along {_vector(directions[0])} into {kind}, "
+                f"through {_vector(points[0])} m."
+            )
+            continue
+        sign = "pushing only" if pushes_only(pair) else "of either sign"
+        lines.append(
+            f"contact '{pair.name}' ({_words(pair)} of '{_body(rig, i)}'): {len(points)} forces at "
+            f"once, {sign}; any force and couple it transmits is made of them:"
+        )
+        lines += [
+            f"  {pair.name}.{k + 1} along {_vector(d)} through {_vector(p)} m"
+            for k, (p, d) in enumerate(zip(points, directions, strict=True))
+        ]
+    return lines
+
+
+def _words(pair: ContactPair) -> str:
+    """FaceOnFace → face on face."""
+    return re.sub(r"(?<!^)(?=[A-Z])", " ", type(pair).__name__).lower()
+
+
+def _body(rig: Rig, contact: int) -> str:
+    return rig.bodies[rig.on[contact]].name
+
+
+def _skew(rig: Rig) -> list[str]:
+    """How the lines of force lie to each other, two contacts with one line each at a time."""
+    X = rig.state().X_WO
+    all_lines = [(pair, *feet(pair, X)) for pair in rig.pairs]
+    lines = []
+    for (a, p, d), (b, q, e) in combinations([one for one in all_lines if len(one[1]) == 1], 2):
+        between = common_perpendicular(p[0], d[0], q[0], e[0])
+        names, gap = f"'{a.name}' and '{b.name}'", f"{1e3 * between.distance:.1f} mm apart"
+        if between.angle < 1e-9:
+            lines.append(f"{names} press along parallel lines, {gap}.")
+            continue
+        skew = between.distance > 1e-6
+        kind = "skew: no single frame's axes hold both" if skew else "they meet in a point"
+        lines.append(
+            f"the lines of force of {names} enclose {np.degrees(between.angle):.1f}° and pass "
+            f"{gap} ({kind})."
+        )
+    return lines
+
+
+def _twist_words(twist: Array) -> str:
+    """A twist as pure translation, or as turning about an axis with a pitch."""
+    v, w = twist[:3], twist[3:]
+    if float(np.linalg.norm(w)) < 1e-9 * max(float(np.linalg.norm(v)), 1.0):
+        return f"translation along {_vector(v / np.linalg.norm(v))}"
+    turn = w / np.linalg.norm(w)
+    speed = v / np.linalg.norm(w)
+    pitch = float(turn @ speed)
+    point = np.cross(turn, speed)
+    words = f"turning about {_vector(turn)} through {_vector(point)} m from the object's origin"
+    return words + (f", advancing {1e3 * pitch:.1f} mm/rad" if abs(pitch) > 5e-5 else "")
+
+
+def _wrench_words(wrench: Array) -> str:
+    force, couple = wrench[:3], wrench[3:]
+    if np.linalg.norm(force) < 1e-6 * np.linalg.norm(couple):
+        return f"couple about {_vector(couple / np.linalg.norm(couple))}"
+    size = np.linalg.norm(force)
+    return f"force along {_vector(force / size)} with couple {_vector(couple / size)} m"
+
+
+def _vector(x: Array) -> str:
+    rounded = np.round(x, 3) + 0.0
+    return "[" + ", ".join(f"{value:.3f}" for value in rounded) + "]"

@@ -1,0 +1,56 @@
+"""Everything a run leaves behind: metrics.json, the recording, figures and the scene."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from osc_contact.errors import InvalidInputError
+from osc_contact.recorder import Recording
+from osc_contact.runs.metrics import SETTLE_S, metrics
+from osc_contact.runs.rig import build_rig
+from osc_contact.runs.viewing import write_scene_of
+from osc_contact.scenarios.schema import Scenario
+
+__all__ = ["require_judgeable", "write_json", "write_report"]
+
+
+def require_judgeable(scenario: Scenario) -> None:
+    """Refuse, before it runs, a run that would end before it can be judged.
+
+    Raises:
+        InvalidInputError: with the time from which runs are judged.
+    """
+    if scenario.duration <= SETTLE_S:
+        raise InvalidInputError(
+            f"duration {scenario.duration:g} s: a run is judged from t = {SETTLE_S:g} s on; "
+            "run it longer"
+        )
+
+
+def write_report(recording: Recording, scenario: Scenario, folder: Path) -> dict[str, Any]:
+    """Write metrics.json, recording.npz, the figures and scene.html; returns the metrics."""
+    from osc_contact.visual import plots
+
+    folder.mkdir(parents=True, exist_ok=True)
+    recording.save(folder / "recording.npz")
+    verdict = metrics(recording)
+    write_json(verdict, folder / "metrics.json")
+    steps = recording.meta["force_steps_s"]
+    if recording.meta["contact_names"]:
+        plots.save(plots.contact_forces(recording, steps, SETTLE_S), folder / "contact_forces")
+    plots.save(plots.power(recording, steps, SETTLE_S), folder / "power")
+    plots.save(plots.tracking(recording, SETTLE_S), folder / "tracking")
+    plots.save(plots.torques(recording), folder / "torques")
+    write_scene_of(recording, build_rig(scenario), folder / "scene.html")
+    return verdict
+
+
+def write_json(data: Any, path: Path) -> None:
+    """Write JSON through a temporary file, so that no half file stands under the final name."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+    os.replace(temporary, path)

@@ -1,0 +1,286 @@
+"""From a scenario to the parts of a run: true chain, controller's chain, contacts, plant, start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from osc_contact import robots
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.control.controller import Controller, Gains
+from osc_contact.control.force import ForceGains
+from osc_contact.control.friction import Friction
+from osc_contact.control.life import LifeSettings
+from osc_contact.control.motion import MotionGains
+from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.assembly import close, reach
+from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
+from osc_contact.dynamics.grasp import Grasp
+from osc_contact.dynamics.payload import RigidObject
+from osc_contact.errors import ScenarioError
+from osc_contact.interface import Measurement
+from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
+from osc_contact.plants.plant import Plant
+from osc_contact.plants.pushes import Push
+from osc_contact.plants.rigid import RigidPlant
+from osc_contact.plants.sensors import SensedPlant
+from osc_contact.response import require_reachable
+from osc_contact.runs import faces, hardware
+from osc_contact.runs.contacts import (
+    EnvironmentBody,
+    build_pairs,
+    environment_bodies,
+    pose_of,
+)
+from osc_contact.runs.references import References, force_owners
+from osc_contact.scenarios.schema import GraspSpec, Scenario
+from osc_contact.spatial import Array
+
+__all__ = ["Rig", "build_chain", "build_rig"]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Everything one run needs.
+
+    Attributes:
+        scenario: as loaded.
+        chain: the true arms and object. model: the controller's idea of them.
+        pairs: the contacts. bodies: what they are on.
+        q_contact: (n,) joint positions with loops closed and contacts touching.
+        q_start: (n,) where the run starts: the same, or off the contacts if it begins with a tare.
+        references: of the run.
+    """
+
+    scenario: Scenario
+    chain: ClosedChain
+    model: ClosedChain
+    pairs: tuple[ContactPair, ...]
+    bodies: tuple[EnvironmentBody, ...]
+    q_contact: Array
+    q_start: Array
+    references: References
+
+    def plant(self, seed: int = 0) -> Plant:
+        """The plant the scenario names, at its start, seen through its sensors.
+
+        Args:
+            seed: of everything random in sensors and motors.
+
+        Raises:
+            ScenarioError: a tare on the rigid plant, whose contacts cannot open.
+        """
+        spec = self.scenario.plant
+        plant: Plant
+        if spec.type == "rigid":
+            if self.scenario.tare is not None:
+                raise ScenarioError(
+                    "a tare needs contacts that open; the rigid plant's are bilateral. "
+                    "Use plant.type=mujoco, or set tare: null"
+                )
+            plant = RigidPlant(self.chain, self.pairs, spec.step, faces.rails(self.bodies), self.on)
+        else:
+            source = _folder(self.scenario)
+            plant = MujocoPlant(
+                self.chain,
+                [robots.resolve_urdf(arm.urdf, source)[0] for arm in self.scenario.arms],
+                robots.resolve_urdf(self.scenario.object.urdf, source)[0],
+                self.pairs,
+                [(body.urdf[0], body.placement) for body in self.bodies],
+                MujocoOptions(spec.step, spec.solref, spec.solimp, spec.friction),
+                faces.rails(self.bodies),
+                self.on,
+                drives=hardware.drives(self.scenario, self.chain, self.state(), seed),
+                pushes=[Push(**push.model_dump()) for push in spec.pushes],
+            )
+        plant.reset(self.q_start)
+        if self.scenario.sensors.ideal:
+            return plant
+        return SensedPlant(
+            plant, hardware.sensors(self.scenario.sensors, self.chain, self.bodies), seed
+        )
+
+    def at_start(self, read: Measurement) -> Measurement:
+        """What ideal encoders and trackers would have read at the start, where all is at rest."""
+        if read.touched is not None:
+            still = np.zeros_like(read.touched.V_E)
+            read = replace(read, touched=replace(read.touched, V_E=still))
+        return replace(read, q=self.q_start, v=np.zeros(self.chain.nq))
+
+    def drive(self, plant: Plant) -> hardware.Drive:
+        """What carries the controller's torques to a plant: the joint torque loop, if any."""
+        joints = hardware.flexible_joints(self.scenario, self.chain, self.state())
+        loop = hardware.torque_loop(self.scenario, self.chain, joints)
+        return hardware.Drive(plant, loop, 1.0 / self.scenario.control.rate)
+
+    def observer(self) -> hardware.Observer:
+        """What estimates the velocities that the sensors do not give."""
+        return hardware.Observer(self.scenario, self.model, self.bodies)
+
+    def controller(self) -> Controller:
+        """The controller with the scenario's gains, knowing only `model`."""
+        gains = self.scenario.gains
+        return Controller(
+            self.model,
+            self.controlled_pairs(),
+            Gains(MotionGains(**gains.motion.model_dump()), ForceGains(**gains.force.model_dump())),
+            dt=1.0 / self.scenario.control.rate,
+            B=self.scenario.control.metric,
+            bodies=faces.known_bodies(
+                self.bodies, len(self.pairs), self.scenario.model_error.environment == "ignored"
+            ),
+            posture=self.q_contact,
+            engaged=self.scenario.tare is None,
+            friction=self._friction(),
+            life=self._life(),
+        )
+
+    def _life(self) -> LifeSettings | None:
+        spec = self.scenario.control.life
+        if spec is None:
+            return None
+        keys = spec.model_dump()
+        told = {key: keys.pop(key) for key in ("force_on", "force_off", "power")}
+        return LifeSettings(**keys, limits=replace(LifeSettings().limits, **told))
+
+    def _friction(self) -> Friction | None:
+        spec = self.scenario.control.friction
+        return None if spec is None else Friction(float(spec.mu), float(spec.slip))
+
+    def controlled_pairs(self) -> tuple[ContactPair, ...]:
+        """The controller's contacts: as declared, or read off the geometry while it moves."""
+        if self.scenario.control.contacts == "declared":
+            return self.pairs
+        urdf = robots.resolve_urdf(self.scenario.object.urdf, _folder(self.scenario))[0]
+        return faces.tracked(self.pairs, urdf, self.bodies)
+
+    @cached_property
+    def on(self) -> tuple[int, ...]:
+        """The body of each contact, a number of `bodies`."""
+        of = {i: k for k, body in enumerate(self.bodies) for i in body.contacts}
+        return tuple(of[i] for i in range(len(self.pairs)))
+
+    @cached_property
+    def owners(self) -> Array:
+        """(r,) the contact of each force magnitude."""
+        return np.array(force_owners(self.scenario), dtype=int)
+
+    @cached_property
+    def pushing(self) -> NDArray[np.bool_]:
+        """(r,) whether each force magnitude must not become negative."""
+        return np.array([pushes_only(self.pairs[i]) for i in self.owners], dtype=bool)
+
+    @cached_property
+    def d(self) -> int:
+        """Motions the object can make at the start."""
+        return self.state().d
+
+    def state(self) -> ChainState:
+        """The true chain at rest in contact."""
+        return self.chain.state(self.q_contact, np.zeros(self.chain.nq))
+
+    def contact(self) -> Contact:
+        """The contact state there."""
+        state = self.state()
+        return Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in self.pairs])
+
+
+def build_rig(scenario: Scenario) -> Rig:
+    """Load the parts, close the loops, put the object onto the faces.
+
+    Raises:
+        ScenarioError, ModelError, ContactError: with what does not fit together.
+    """
+    error = scenario.model_error
+    chain = build_chain(scenario)
+    exact = error.arm_mass == error.object_mass == 1.0
+    model = chain if exact else build_chain(scenario, error.arm_mass, error.object_mass)
+    pairs = build_pairs(scenario)
+    q_guess = np.concatenate([arm.posture for arm in scenario.arms])
+    if q_guess.shape != (chain.nq,):
+        counts = ", ".join(f"{arm.name} {arm.model.nv}" for arm in chain.arms)
+        raise ScenarioError(
+            f"posture: {len(q_guess)} joint positions given; on the way to their tips the arms "
+            f"have: {counts}"
+        )
+    q_near = reach(chain, q_guess, pose_of(scenario.object.pose))
+
+    def gaps(X_WO: pin.SE3) -> tuple[Array, Array]:
+        rest = np.zeros(6)
+        N = [pair.contact(X_WO, rest).N for pair in pairs]
+        gap = np.concatenate([np.zeros(0), *(pair.gaps(X_WO) for pair in pairs)])
+        return gap, np.hstack([np.zeros((6, 0)), *N])
+
+    q_contact = close(chain, q_near, gaps)
+    _require_within_limits(chain, q_contact)
+    state = chain.state(q_contact, np.zeros(chain.nq))
+    contact = Contact.stack([pair.contact(state.X_WO, np.zeros(6)) for pair in pairs])
+    require_reachable(state, contact)
+    standoff, q_start = np.zeros(6), q_contact
+    if scenario.tare is not None:
+        standoff = _standoff(state, contact, float(scenario.tare.standoff))
+    references = References.of(scenario, state.X_WO, pairs, standoff)
+    if scenario.tare is not None:
+        q_start = close(chain, reach(chain, q_contact, references.at(0.0).X_WD))
+    bodies = environment_bodies(scenario, pairs)
+    return Rig(scenario, chain, model, pairs, bodies, q_contact, q_start, references)
+
+
+def build_chain(scenario: Scenario, arm_mass: float = 1.0, object_mass: float = 1.0) -> ClosedChain:
+    """Arms and object of a scenario, with masses times the given factors."""
+    source = _folder(scenario)
+    arms = [
+        Arm.from_urdf(
+            robots.resolve_urdf(spec.urdf, source)[0],
+            name=spec.name,
+            tip=spec.tip,
+            base=pose_of(spec.base),
+            passive_joints=spec.passive_joints,
+            locked=spec.locked_joints,
+            wrist_sensor=spec.wrist_sensor,
+            mass_factor=arm_mass,
+            effort_factor=float(spec.effort_factor),
+        )
+        for spec in scenario.arms
+    ]
+    body = RigidObject(robots.load_body(robots.resolve_urdf(scenario.object.urdf, source)[0]))
+    grasps = [_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
+    return ClosedChain(arms, grasps, body.scaled(object_mass))
+
+
+def _grasp(spec: GraspSpec) -> Grasp:
+    X_TO = pose_of(spec)
+    if spec.type == "hinge":
+        assert spec.axis is not None  # the schema refused otherwise
+        return Grasp.hinge(X_TO, spec.axis)
+    return Grasp.ball(X_TO) if spec.type == "ball" else Grasp.rigid(X_TO)
+
+
+def _standoff(state: ChainState, contact: Contact, distance: float) -> Array:
+    """The displacement (6,) of least kinetic energy that opens every gap by `distance`."""
+    H = state.S.T @ state.metric @ state.S
+    N_S = state.S.T @ contact.N
+    H_inv_N = np.linalg.solve(H, N_S)
+    away = -distance * np.ones(contact.r)  # a gap opens against N
+    return np.asarray(state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away)))
+
+
+def _require_within_limits(chain: ClosedChain, q: Array) -> None:
+    low, high = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    for j, name in enumerate(chain.joint_names):
+        if not low[j] <= q[j] <= high[j]:
+            raise ScenarioError(
+                f"to touch the contacts joint {name} would stand at {q[j]:.4g}, outside its limits "
+                f"[{low[j]:.4g}, {high[j]:.4g}]; move object, faces or base, or change the posture"
+            )
+
+
+def _folder(scenario: Scenario) -> Path | None:
+    return None if scenario.source is None else scenario.source.parent

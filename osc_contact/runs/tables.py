@@ -1,0 +1,148 @@
+"""The tables that the command line prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from osc_contact.robots import RobotSummary
+from osc_contact.runs.calibration import WristCalibration
+from osc_contact.runs.inspection import Inspection
+from osc_contact.spatial import Array
+
+__all__ = [
+    "basis_tables",
+    "calibration_table",
+    "paper_table",
+    "robot_tables",
+    "scenario_table",
+    "tick_table",
+    "verdict_table",
+]
+
+
+def verdict_table(verdict: Mapping[str, Any]) -> Table:
+    """metrics.json of a run, for people."""
+    title = (
+        f"{verdict['scenario']} on {verdict['plant']}, {verdict['duration_s']:g} s, "
+        f"{verdict['real_time_factor']:.2f} × real time"
+    )
+    table = Table("quantity", "value", title=title)
+    for name, force in verdict["force"].items():
+        table.add_row(
+            f"force {name}",
+            f"rms {_percent(force['rms_error_rel'])}, peak {_percent(force['peak_error_rel'])} "
+            f"of {force['mean_command_N']:.2f} N; sensed within "
+            f"{_percent(force['sensing_rms_rel'])}; closed "
+            f"{100 * verdict['contact_fraction'][name.partition('.')[0]]:.2f} %",
+        )
+    motion, power, tick = verdict["motion"], verdict["power"], verdict["tick_us"]
+    linear, angular = 1e3 * motion["rms_error_m"], 1e3 * motion["rms_error_rad"]
+    table.add_row("free motion", f"rms {linear:.4f} mm, {angular:.4f} mrad")
+    table.add_row(
+        "power",
+        f"total {power['total_rms_W']:.4g} W, projected {power['projected_rms_W']:.3g} W, "
+        f"ratio {_percent(power['ratio'])}",
+    )
+    table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
+    table.add_row("ticks", ", ".join(f"{n} {name}" for name, n in verdict["status"].items() if n))
+    if verdict["at_limit"]:
+        motors = ", ".join(f"{joint} {n}" for joint, n in verdict["at_limit"])
+        table.add_row("ticks at a motor limit", motors)
+    return table
+
+
+def paper_table(verdicts: Mapping[str, str]) -> Table:
+    """What became of each figure of the paper."""
+    table = Table("figure", "verdict", title="the paper's figures")
+    for name, verdict in verdicts.items():
+        table.add_row(name, str(verdict))
+    return table
+
+
+def basis_tables(found: Inspection) -> Iterator[Table]:
+    """N with a column for each contact, T with a column for each motion."""
+    where = "(at the object's origin, world axes)"
+    yield _basis(f"N: forces the contacts transmit {where}", found.N, found.contacts,
+                 ("force", "moment"), ("", "m"))  # fmt: skip
+    names = [f"t{i + 1}" for i in range(found.T.shape[1])]
+    yield _basis(f"T: motions they permit {where}", found.T, names,
+                 ("linear", "angular"), ("m/s", "rad/s"))  # fmt: skip
+
+
+def calibration_table(found: Sequence[WristCalibration]) -> Table:
+    """What hangs on each wrist sensor, found and true."""
+    table = Table("wrist", "mass", "centre of mass (mm)", "bias (N, N m)", title="wrist sensors")
+    for one in found:
+        for kind, mass, com in (
+            ("found", one.found.mass, one.found.com),
+            ("true", one.mass, one.com),
+        ):
+            bias = np.array2string(one.found.bias, precision=3) if kind == "found" else ""
+            centre = np.array2string(1e3 * com, precision=2, suppress_small=True)
+            table.add_row(f"{one.arm}, {kind}", f"{mass:.4f} kg", centre, bias)
+    return table
+
+
+def scenario_table(scenarios: Mapping[str, str]) -> Table:
+    """Names and descriptions of the packaged scenarios."""
+    table = Table("scenario", "what it is", title="osc-contact run SCENARIO")
+    for name, words in scenarios.items():
+        table.add_row(name, words.strip())
+    return table
+
+
+def tick_table(result: Mapping[str, Mapping[str, float]]) -> Table:
+    """Tick and floor of each case, µs."""
+    columns = ("tick_p50_us", "floor_p50_us", "ratio", "p99_9_us")
+    table = Table("case", "tick p50 (µs)", "floor p50 (µs)", "ratio", "tick p99.9 (µs)")
+    for case, row in result.items():
+        table.add_row(case, *(f"{row[key]:.1f}" for key in columns))
+    return table
+
+
+def robot_tables(robot: RobotSummary) -> Iterator[Table]:
+    """The joints, and what the tips can do."""
+    joints = Table("joint", "type", "positions", "effort", "velocity", "moves (kg)",
+                   title=f"{robot.name}: joints")  # fmt: skip
+    for joint in robot.joints:
+        angle, effort, speed = (
+            ("m", "N", "m/s") if joint.kind == "prismatic" else ("rad", "N m", "rad/s")
+        )
+        joints.add_row(
+            joint.name, joint.kind, f"{_range(joint.lower, joint.upper)} {angle}",
+            f"{joint.effort:g} {effort}", f"{joint.velocity:g} {speed}", f"{joint.moved_mass:.4g}",
+        )  # fmt: skip
+    if robot.joints:
+        yield joints
+    tips = Table("tip", "joints", "apparent mass (kg)", "apparent inertia (kg m²)",
+                 "mobility σ₁, σ₂, … (unit-free)", title="reachable at the tips")  # fmt: skip
+    for tip in robot.tips:
+        sigma = ", ".join(_range(low, high, 2) for low, high in tip.mobility)
+        tips.add_row(tip.tip, str(tip.joints), _range(*tip.mass, 3), _range(*tip.inertia, 3),
+                     sigma or "the tip's body is no solid")  # fmt: skip
+    if robot.tips:
+        yield tips
+
+
+def _range(low: float, high: float, digits: int = 4) -> str:
+    words = (f"{value:.{digits}g}".replace("inf", "∞") for value in (low, high))
+    return " … ".join(words)
+
+
+def _basis(
+    title: str, basis: Array, names: Sequence[str], kinds: Sequence[str], units: Sequence[str]
+) -> Table:
+    table = Table("", *names, title=title)
+    for i, row in enumerate(basis):
+        unit = f" ({units[i // 3]})" if units[i // 3] else ""
+        label = f"{kinds[i // 3]} {'xyz'[i % 3]}{unit}"
+        table.add_row(label, *(f"{round(float(value), 4) + 0.0:.4f}" for value in row))
+    return table
+
+
+def _percent(ratio: float) -> str:
+    return f"{100 * ratio:.3g} %"

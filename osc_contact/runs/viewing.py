@@ -1,0 +1,113 @@
+"""Scenes of scenarios and recordings: which bodies, contacts and frames a picture shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact import robots
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.raibert_craig import as_raibert_craig
+from osc_contact.recorder import Recording
+from osc_contact.runs.contacts import feet
+from osc_contact.runs.references import force_owners
+from osc_contact.runs.rig import Rig, build_rig
+from osc_contact.scenarios.schema import Scenario
+from osc_contact.spatial import Array
+from osc_contact.visual.bodies import ArmVisual, BodyVisual
+from osc_contact.visual.content import Content, described
+from osc_contact.visual.live import Viewer
+from osc_contact.visual.scene import write_scene
+from osc_contact.visual.subspaces import BestFrame
+
+__all__ = ["best_frame", "content_of", "open_viewer", "write_scene_of"]
+
+
+def write_scene_of(recording: Recording, rig: Rig, path: Path, still: float | None = None) -> Path:
+    """The moving scene of a run as one HTML file that needs no server.
+
+    Args:
+        recording: of a run of this rig.
+        rig: what the picture shows.
+        path: the page to write.
+        still: s; the page opens standing still at that time instead of playing.
+    """
+    content, size = content_of(rig), object_size(rig)
+    return write_scene(
+        recording,
+        content.arms,
+        content.bodies,
+        path,
+        find=lambda N: best_frame(N, size),
+        frame_words=content.frame_words,
+        still=still,
+    )
+
+
+def content_of(rig: Rig) -> Content:
+    """What a picture of this rig shows."""
+    scenario = rig.scenario
+    source = None if scenario.source is None else scenario.source.parent
+    arms = [
+        ArmVisual(arm.name, *robots.resolve_urdf(spec.urdf, source), arm.base, part, arm.locked)
+        for spec, arm, part in zip(scenario.arms, rig.chain.arms, rig.chain.slices, strict=True)
+    ]
+    bodies = [BodyVisual("object", *robots.resolve_urdf(scenario.object.urdf, source), None)]
+    for body in rig.bodies:
+        bodies.append(BodyVisual(body.name, *body.urdf, body.placement, face=body.contacts[0]))
+    names = tuple(pair.name for pair in rig.pairs)
+    return Content(title(scenario), arms, bodies, names, force_owners(scenario), frame_words(rig))
+
+
+def open_viewer(scenario: Scenario, rate: float = 30.0) -> Viewer:
+    """Open a live view of a scenario's runs, for ``run(scenario, viewer=...)``.
+
+    Args:
+        scenario: what will be run.
+        rate: pictures per second at most, 1 … 60.
+
+    Returns:
+        The viewer; its `url` opens in a browser on this machine, `close` ends it.
+
+    Raises:
+        ViewerError: the page's server does not start.
+    """
+    rig = build_rig(scenario)
+    about = {"content": described(content_of(rig)), "size": object_size(rig)}
+    return Viewer("osc_contact.runs.live_page", about, rate)
+
+
+def title(scenario: Scenario) -> str:
+    """Heading of a scenario's pictures."""
+    return scenario.name.replace("_", " ")
+
+
+def best_frame(N: Array, size: float) -> BestFrame:
+    """Raibert and Craig's frame that comes closest to N (6, r) at O."""
+    if not N.shape[1]:
+        return BestFrame(pin.SE3.Identity(), (False,) * 3, (False,) * 3)
+    found = as_raibert_craig(N, size)
+    return BestFrame(found.frame, found.forces, found.couples)
+
+
+def frame_words(rig: Rig) -> str:
+    """What the legend says about the best single frame, judged at the start."""
+    contact: Contact = rig.contact()
+    if not contact.r:
+        return "best single frame (Raibert–Craig)"
+    found = contact.as_raibert_craig(object_size(rig))
+    if found:
+        return "single frame that describes N (Raibert–Craig)"
+    return f"best single frame (Raibert–Craig), {np.rad2deg(np.arcsin(found.residual)):.1f}° off N"
+
+
+def object_size(rig: Rig) -> float:
+    """Length (m) of the held object as far as its contacts tell, at least 0.1 m."""
+    if not rig.pairs:
+        return 0.1
+    X = rig.state().X_WO
+    vertices = np.vstack([feet(pair, X)[0] for pair in rig.pairs]) - X.translation
+    apart = np.linalg.norm(vertices[:, None] - vertices[None], axis=2).max()
+    return max(float(apart), float(np.linalg.norm(vertices, axis=1).max()), 0.1)
