@@ -75,6 +75,7 @@ class BatchController:
         self._s, self._work_size = max(1, int(head.n_bars)), int(head.work_bytes) // 8
         self._work = [np.zeros(self._work_size) for _ in range(threads)]
         self._codes = np.zeros(B, dtype=np.int64)
+        self._still, self._zeros = np.zeros((B * self._c, 28)), np.zeros((B, 6))
         self._memories = self._strided(at.MEMORY, 0, 1)[:, 0]
         self._columns = self._strided(at.COLUMN_MEMORY, int(head.column_memory_at), self._r)
         self._limits: dict[int, MotorLimits] = {}
@@ -114,9 +115,9 @@ class BatchController:
             InvalidInputError: wrong shapes. Numbers that are not finite end their row HELD.
         """
         B = self.rows
-        zeros = np.zeros((B, 6))
+        zeros = self._zeros
         flags = 0
-        motion = np.zeros((B * self._c, 28))
+        motion = self._still
         if touched is not None:
             motion = _table("touched", touched, (B, self._c, 28)).reshape(B * self._c, 28)
             flags |= law.MOVING

@@ -15,9 +15,20 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import carray, config, njit, types  # type: ignore[attr-defined]
+from numba.core import cgutils
 from numba.extending import intrinsic
 
-__all__ = ["PLAIN_PYTHON", "entry", "inner", "integers", "leaf", "matrix", "numbers", "reader"]
+__all__ = [
+    "PLAIN_PYTHON",
+    "entry",
+    "inner",
+    "integers",
+    "leaf",
+    "matrix",
+    "numbers",
+    "prefetch",
+    "reader",
+]
 
 PLAIN_PYTHON: bool = bool(getattr(config, "DISABLE_JIT"))  # noqa: B009 - set at run time
 
@@ -80,6 +91,9 @@ if PLAIN_PYTHON:
         """Room for numbers taken for integers."""
         return x[start : start + count].view(np.int64)
 
+    def prefetch(raw: Any, start: int, count: int) -> None:
+        """Bring bytes near that are read soon: nothing to do in plain Python."""
+
 else:
     _view: Any = _njit(**{**_INNER, "forceinline": True, "_nrt": True} if _INNER is not _PLAIN
                        else _PLAIN)  # fmt: skip
@@ -92,6 +106,27 @@ else:
             return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
 
         return types.voidptr(types.uintp), generate
+
+    @intrinsic
+    def _prefetch(typing: Any, address: Any) -> Any:
+        """Ask for the cache line at an address."""
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            line = ir.IntType(8).as_pointer()
+            flag = ir.IntType(32)
+            kind = ir.FunctionType(ir.VoidType(), [line, flag, flag, flag])
+            ask = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+            at = builder.inttoptr(arguments[0], line)
+            builder.call(ask, [at, flag(0), flag(3), flag(1)])  # to read, near, data
+            return context.get_dummy_value()
+
+        return types.void(types.uintp), generate
+
+    @_view
+    def prefetch(raw, start, count):
+        """Bring bytes near that are read soon."""
+        for at in range(start, start + count, 64):
+            _prefetch(raw.ctypes.data + np.uintp(at))
 
     def reader(dtype: np.dtype[Any]) -> Any:
         """A function (bytes, start, count) that reads records of this dtype, without a copy."""

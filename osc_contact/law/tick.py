@@ -21,7 +21,7 @@ from osc_contact.law.chain import solve_chain
 from osc_contact.law.columns import choose_columns
 from osc_contact.law.energy import carry_motion
 from osc_contact.law.internal import internal_forces
-from osc_contact.law.jit import entry, inner, matrix, numbers
+from osc_contact.law.jit import entry, inner, matrix, numbers, prefetch
 from osc_contact.law.stages import (
     OWN_FORCE,
     OWN_MOTION,
@@ -218,6 +218,9 @@ def build(stamp: int) -> Any:
         elif alpha_d.size != count * r:
             flags |= NO_WISHES
         for i in range(lo, hi):
+            if i + 1 < hi:
+                prefetch(model, (i + 1) * step, step)
+                prefetch(memory, (i + 1) * head.memory_bytes, head.memory_bytes)
             codes[i] = _row(
                 model, i * step, memory, i * head.memory_bytes, work,
                 q[i * n : (i + 1) * n], v[i * n : (i + 1) * n], wrenches[i * k : (i + 1) * k],
