@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections import namedtuple
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.patches import FancyBboxPatch
 from scene_samples import make_recording
 
+from osc_contact.control.signals import SIGNALS
 from osc_contact.errors import InvalidInputError
+from osc_contact.paper.diagrams import GROUPS, LABELS, LOOP, WIRES, draw_blocks
 from osc_contact.visual import plots
 from osc_contact.visual.contact_picture import common_perpendicular, draw_contact_state
-from osc_contact.visual.diagram_text import folded_equation
-from osc_contact.visual.diagrams import draw_blocks
 
 
 def test_contact_force_figure() -> None:
@@ -79,104 +79,68 @@ def test_save_writes_png_and_svg(tmp_path: Path) -> None:
     assert paths[0].read_bytes().startswith(b"\x89PNG") and "<svg" in paths[1].read_text()
 
 
-Piece = namedtuple("Piece", "name inputs outputs equation group")
-WIRING = [
-    Piece("wrist sensors", (), ("f_meas",), "", "filter"),
-    Piece("encoders", (), ("q", "v"), "", "model"),
-    Piece("chain model", ("q", "v"), ("state",), r"$\Lambda_S, S$", "model"),
-    Piece("contact geometry", ("state",), ("contact",), "$N, T$", "model"),
-    Piece("wrist filter", ("f_meas", "state", "contact"), ("alpha_meas",), r"$\Omega_f$", "filter"),
-    Piece("force law", ("alpha_d", "alpha_meas"), ("alpha_u",), "", "force"),
-    Piece("motion law", ("X_d", "state"), ("a_u",), r"$\ddot X_d$", "motion"),
-    Piece("command filter", ("a_u", "alpha_u", "state", "contact"), ("f_S", "log"), "", "filter"),
-    Piece("allocation", ("f_S", "squeeze_d", "state"), ("tau",), r"$G\tau = f_S$", "model"),
-    Piece("plant", ("tau",), ("q", "v", "f_meas"), "two arms,\nobject", "plant"),
-]
+FIGURES = {"fig4": LOOP, "fig5": tuple(b for b in LOOP if b.group == "force")}
 
 
-def test_diagram_names_every_block_and_signal_without_overlap() -> None:
-    figure = draw_blocks(WIRING, "architecture")
-    (ax,) = figure.axes
-    shown = [text for text in ax.texts if text.get_text()]
-    words = {text.get_text().replace("\n", " ") for text in shown}
-    assert {piece.name for piece in WIRING} <= words
-    for signal in (r"$\tau$", "state", r"$\alpha_{\mathrm{d}}$", r"$f_{\mathrm{meas}}$", "log"):
-        assert signal in words
-    boxes = [(text.get_text(), text.get_window_extent()) for text in shown]
-    for (first, a), (second, b) in combinations(boxes, 2):
-        assert not a.overlaps(b), f"{first!r} covers {second!r}"
-    arrows = sum(1 for text in ax.texts if getattr(text, "arrow_patch", None) is not None)
-    inputs = sum(len(piece.inputs) for piece in WIRING)
-    returns, ends = 3, 1
-    assert arrows == inputs + returns + ends
+@pytest.fixture(params=FIGURES)
+def diagram(request):
+    """The boxes of fig. 4 or 5 with their rooms, and the axes (inches)."""
+    blocks = FIGURES[request.param]
+    (ax,) = draw_blocks(blocks, request.param).axes
+    rooms = [p for p in ax.patches if isinstance(p, FancyBboxPatch) and p.get_alpha() is None]
+    assert len(rooms) == len(blocks)
+    return list(zip(blocks, [p.get_window_extent() for p in rooms], strict=True)), ax
 
 
-def test_diagram_wires_do_not_cross_blocks_or_names() -> None:
-    (ax,) = draw_blocks(WIRING, "architecture").axes
-    from matplotlib.patches import FancyBboxPatch
+def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram) -> None:
+    """A wire's tip at the left edge, a name above, below or beside the right edge for each."""
+    boxes, ax = diagram
+    assert {*LABELS, "v"} == set(SIGNALS)
+    shown = [t for t in ax.texts if t.get_text()]
+    texts = [(t.get_text().replace("\n", " · "), t.get_window_extent()) for t in shown]
+    tips = [ax.transData.transform(t.xy) for t in ax.texts if getattr(t, "arrow_patch", None)]
+    for block, box in boxes:
+        assert ("q" in block.inputs, "q" in block.outputs) == (
+            "v" in block.inputs,
+            "v" in block.outputs,
+        ), "v is drawn with q"
+        wanted = [LABELS[s] for s in block.inputs if s != "v"]
+        named = [
+            name
+            for text, room in texts
+            if abs(room.x0 + room.x1 - box.x0 - box.x1) < 4 and 0 < _apart(room, box) < 40
+            for name in text.split(" · ")
+        ]
+        wired = sum(abs(x - box.x0) < 2 and box.y0 < y < box.y1 for x, y in tips)
+        assert set(named) <= set(wanted), block.name
+        assert len(named) + wired == len(wanted), block.name
+        beside = {text for text, room in texts
+                  if 0 < room.x0 - box.x1 < 12 and box.y0 < room.y0 < box.y1}  # fmt: skip
+        assert beside == {LABELS[s] for s in block.outputs if s != "v"}, block.name
+    for signal, reader in WIRES:
+        assert signal in next(block.inputs for block in LOOP if block.name == reader)
 
-    rooms = [p.get_window_extent() for p in ax.patches if isinstance(p, FancyBboxPatch)]
-    assert len(rooms) == len(WIRING)
-    names = [t.get_window_extent() for t in ax.texts if t.get_text()]
-    for line in ax.lines:
-        (x0, y0), (x1, y1) = ax.transData.transform(line.get_xydata()[[0, -1]])
-        for box in rooms:
-            inside_x = min(x0, x1) < box.x1 - 3 and max(x0, x1) > box.x0 + 3
-            inside_y = min(y0, y1) < box.y1 - 3 and max(y0, y1) > box.y0 + 3
-            assert not (inside_x and inside_y)
-        if x0 == x1 and y0 != y1:
-            assert not any(
-                b.x0 < x0 < b.x1 and min(y0, y1) < b.y1 and max(y0, y1) > b.y0 for b in names
-            )
+
+def _apart(a, b) -> float:
+    return max(a.y0 - b.y1, b.y0 - a.y1)
 
 
-def test_a_bus_is_named_below_its_readers_instead_of_wired() -> None:
-    (ax,) = draw_blocks(WIRING, "buses", buses=("state", "contact"), labels={"contact": "N"}).axes
-    from matplotlib.patches import FancyBboxPatch
-
-    texts = [text.get_text() for text in ax.texts]
-    readers = sum("state" in piece.inputs for piece in WIRING)
-    assert texts.count("state") == readers + 1, "each reader, and the block that puts it out"
-    assert texts.count("N") == 3 and "contact" not in texts
-    low = [p.get_window_extent() for p in ax.patches if isinstance(p, FancyBboxPatch)]
-    below = [
-        text for text in ax.texts if text.get_text() in ("state", "N") and text.get_va() == "top"
-    ]
-    assert len(below) == readers + 2
-    for text in below:
-        box = text.get_window_extent()
-        assert any(b.x0 < box.x0 and box.x1 < b.x1 and b.y0 > box.y1 for b in low)
+def test_diagrams_are_legible(diagram) -> None:
+    """No name covers another, no wire crosses a box or a name, the colours are explained."""
+    boxes, ax = diagram
     shown = [(t.get_text(), t.get_window_extent()) for t in ax.texts if t.get_text()]
+    assert {block.name for block, _ in boxes} <= {text.replace("\n", " ") for text, _ in shown}
     for (first, a), (second, b) in combinations(shown, 2):
         assert not a.overlaps(b), f"{first!r} covers {second!r}"
-
-
-@pytest.mark.parametrize(
-    ("equation", "shown"),
-    [
-        (r"$\Omega_m(B)$  (24)", r"$\Omega_m(B)$  (24)"),
-        (r"$\Lambda_S\dot\eta_c+b_S+S^Tf$  (21)", "$\\Lambda_S\\dot\\eta_c+b_S+S^Tf$\n(21)"),
-        (r"$G\tau = f_S$, squeeze in null$(G)$", "$G\\tau = f_S$,\nsqueeze in null$(G)$"),
-        (r"$\Lambda_S, \mu, p, S, \sigma, G, J$", r"$\Lambda_S, \mu, p, S, \sigma, G, J$"),
-        (r"$\int\! e$", r"$\int e$"),
-    ],
-)
-def test_long_equations_are_folded_outside_mathtext(equation: str, shown: str) -> None:
-    assert folded_equation(equation) == shown
-
-
-def test_diagram_refuses_bad_wirings() -> None:
-    loop = [Piece("a", ("y",), ("x",), "", "force"), Piece("b", ("x",), ("y",), "", "force")]
-    end = Piece("end", ("x",), (), "", "plant")
-    with pytest.raises(InvalidInputError, match=r"'a', 'b', 'end'.*cut the loop"):
-        draw_blocks([*loop, end], "loop")
-    with pytest.raises(InvalidInputError, match="both put out 'x'"):
-        draw_blocks([loop[0], loop[0]._replace(name="c"), end], "twice")
-    with pytest.raises(InvalidInputError, match="'magic'"):
-        draw_blocks([end._replace(group="magic")], "group")
-    with pytest.raises(InvalidInputError, match="at least one"):
-        draw_blocks([], "none")
-    assert draw_blocks(loop, "closed by the last block").axes
+    rooms = [*(room for _, room in boxes), *(room for _, room in shown)]
+    for line in ax.lines:
+        for (x0, y0), (x1, y1) in pairwise(ax.transData.transform(line.get_xydata())):
+            for room in rooms:
+                inside_x = min(x0, x1) < room.x1 - 2 and max(x0, x1) > room.x0 + 2
+                inside_y = min(y0, y1) < room.y1 - 2 and max(y0, y1) > room.y0 + 2
+                assert not (inside_x and inside_y)
+    groups = {GROUPS[block.group][1] for block, _ in boxes}
+    assert {text.get_text() for text in ax.get_legend().get_texts()} == groups
 
 
 def test_common_perpendicular_of_known_lines() -> None:

@@ -33,7 +33,7 @@ class Block:
 
 #: The boxes of fig. 4 in the order in which the signals meet them.
 BLOCKS = (
-    Block("closed chain", "model", r"$\Lambda_S,\ \mu,\ p,\ S,\ \sigma,\ G$  (13)",
+    Block("closed chain", "model", "$\\Lambda_S,\\ \\mu,\\ p,\\ S,\\ \\sigma,\\ G$\n(13)",
           ("q", "v"), ("state",)),
     Block("contact geometry", "model", r"$N,\ T,\ n_\gamma$",
           ("touched", "state"), ("parts", "contact", "drag")),
@@ -43,17 +43,17 @@ BLOCKS = (
     Block("force filter", "force", r"$\Omega_f(\Lambda_{out})$",
           ("f_meas", "state", "contact", "environment", "drag"), ("f_c_meas",)),
     Block("generalised inverse", "force", r"$N^{\#}$", ("f_c_meas", "contact"), ("alpha_meas",)),
-    Block("force law", "force", r"$\alpha_d + K_i\!\int(\alpha_d-\alpha_{meas})$",
+    Block("force law", "force", r"$\alpha_d + K_i\int(\alpha_d-\alpha_{meas})$",
           ("alpha_d", "contact", "state", "environment", "alpha_meas"), ("alpha_u",)),
     Block("to operational space", "force", r"$N\alpha_u$  (16)",
           ("contact", "drag", "alpha_u"), ("f_ccomm",)),
-    Block("motion law", "motion", r"$\ddot x_d + K_d\dot e + K_p e + K_i\!\int\! e$",
+    Block("motion law", "motion", r"$\ddot x_d + K_d\dot e + K_p e + K_i\int e$",
           ("contact", "state", "reference"), ("a_u",)),
     Block("motion filter", "filter", r"$\Omega_m(B)$  (24)",
           ("state", "contact", "a_u", "alpha_u", "environment", "drag", "q", "v"), ("eta_c",)),
-    Block("dynamic control structure", "filter", r"$\Lambda_S\dot\eta_c+b_S+S^Tf_{ccomm}$  (21)",
+    Block("dynamic control structure", "filter", "$\\Lambda_S\\dot\\eta_c+b_S+S^Tf_{ccomm}$\n(21)",
           ("state", "eta_c", "f_ccomm"), ("f_S",)),
-    Block("torque allocation", "filter", r"$G\tau = f_S$, squeeze in null$(G)$",
+    Block("torque allocation", "filter", "$G\\tau = f_S$,\nsqueeze in null$(G)$",
           ("state", "q", "v", "f_S", "eta_c", "squeeze_d"), ("tau",)),
 )  # fmt: skip
 

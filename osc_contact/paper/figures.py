@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from osc_contact.contacts.pairs import VertexOnFace
-from osc_contact.control.controller import Block
 from osc_contact.errors import InvalidInputError
+from osc_contact.paper.diagrams import LOOP, draw_blocks
 from osc_contact.paper.studies import STUDIES
 from osc_contact.recorder import Recording
 from osc_contact.runs.metrics import SETTLE_S
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 __all__ = [
     "FIGURES",
     "SCENARIO",
-    "control_blocks",
     "needs_run",
     "reproduce",
     "require_known",
@@ -33,20 +31,6 @@ __all__ = [
 ]
 
 SCENARIO = "two_contact_rod"
-BUSES = ("state", "contact", "environment")  #: read by nearly every box
-LABELS = {
-    "qv": r"$q,\ v$",
-    "contact": r"$N,\ T$",
-    "parts": r"$N_i$",
-    "drag": r"$N_\mu - N$",
-    "touched": r"$X_{WE},\ V_E$",
-    "environment": r"$\Phi_e,\ b_e$",
-    "wrenches": "wrist wrenches",
-    "reference": r"$x_d,\ \dot x_d,\ \ddot x_d$",
-    "squeeze_d": "squeeze",
-    "eta_c": r"$\dot\eta_c$",
-}
-_LOOP = {"f_c_meas", "alpha_meas", "alpha_u"}  # signals of the force loop behind the projection
 
 
 def reproduce(
@@ -82,19 +66,6 @@ def require_known(names: Iterable[str]) -> None:
             raise InvalidInputError(f"no figure '{name}'; there are {', '.join(known)}")
 
 
-def control_blocks(rig: Rig) -> list[Block]:
-    """The boxes of fig. 4 with the signals each one really read and wrote in a tick."""
-    controller = rig.controller()
-    plant = rig.plant()
-    measurement = plant.measure()
-    blocks = controller.wiring(measurement, rig.references.at(0.0))
-    names = sorted({name for b in blocks for name in b.outputs} & {"tau"})
-    sensed = tuple(
-        dict.fromkeys(n for b in blocks for n in b.inputs if n in ("q", "v", "wrenches"))
-    )
-    return [*blocks, Block("arms, object, environment", "plant", "", tuple(names), sensed)]
-
-
 def _fig1(rig: Rig) -> Figure:
     from osc_contact.visual.contact_picture import draw_contact_state
 
@@ -117,47 +88,12 @@ def _corners(pair: VertexOnFace, half: float = 0.09) -> Array:
 
 
 def _fig4(rig: Rig) -> Figure:
-    from osc_contact.visual.diagrams import draw_blocks
-
-    blocks = _bundled(_with_force_control_as_one_box(control_blocks(rig)))
-    title = "Fig. 4: decoupled force/motion control"
-    return draw_blocks(blocks, title, buses=BUSES, labels=LABELS)
+    return draw_blocks(LOOP, "Fig. 4: decoupled force/motion control")
 
 
 def _fig5(rig: Rig) -> Figure:
-    from osc_contact.visual.diagrams import draw_blocks
-
-    blocks = [b for b in control_blocks(rig) if b.group == "force"]
-    title = "Fig. 5: force control in the N space"
-    return draw_blocks(blocks, title, buses=BUSES, labels=LABELS)
-
-
-def _with_force_control_as_one_box(blocks: Sequence[Block]) -> list[Block]:
-    """What fig. 5 shows behind the projection, as one box with the wires that leave it."""
-    inside = [b for b in blocks if b.group == "force" and _LOOP & set(b.inputs)]
-    outside = [b for b in blocks if b not in inside]
-    made = {name for b in inside for name in b.outputs}
-    wanted = {name for b in outside for name in b.inputs}
-    box = Block(
-        "force control",
-        "force",
-        r"$N,\ N^{\#}$: fig. 5",
-        tuple(dict.fromkeys(n for b in inside for n in b.inputs if n not in made)),
-        tuple(dict.fromkeys(n for b in inside for n in b.outputs if n in wanted)),
-    )
-    at = outside.index(next(b for b in outside if wanted & set(box.outputs) & set(b.inputs)))
-    return [*outside[:at], box, *outside[at:]]
-
-
-def _bundled(blocks: Sequence[Block]) -> list[Block]:
-    """q and v as one wire, if nobody reads or writes only one of them."""
-    if any(len({"q", "v"} & set(names)) == 1 for b in blocks for names in (b.inputs, b.outputs)):
-        return list(blocks)
-
-    def one(names: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple("qv" if n == "q" else n for n in names if n != "v")
-
-    return [replace(b, inputs=one(b.inputs), outputs=one(b.outputs)) for b in blocks]
+    blocks = [block for block in LOOP if block.group == "force"]
+    return draw_blocks(blocks, "Fig. 5: force control in the N space")
 
 
 def _fig6(recording: Recording) -> Figure:

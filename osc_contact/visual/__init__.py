@@ -1,4 +1,4 @@
-"""Pictures of a run: three-dimensional pages, plots, signal-flow diagrams, contact pictures.
+"""Pictures of a run: three-dimensional pages, plots, contact pictures.
 
 Everything is written to files or returned as a matplotlib figure; only the live view opens a
 socket, on 127.0.0.1, in a process of its own. One palette serves all pictures, so that a contact

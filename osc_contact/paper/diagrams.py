@@ -1,0 +1,219 @@
+"""Figs. 4 and 5: the boxes of `signals.BLOCKS` at fixed places, and the wires between them.
+
+No signal gets lost: what a box reads and no wire brings is named below it, what it puts out and no
+wire takes leaves as a short arrow. Commands come from above.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from osc_contact.control.signals import BLOCKS, Block
+from osc_contact.visual import OKABE_ITO
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["LOOP", "draw_blocks"]
+
+PLANT = Block("arms, object, environment", "plant", "", ("tau",), ("q", "v", "wrenches"))
+#: The control loop of fig. 4.
+LOOP = (*BLOCKS, PLANT)
+
+WIDTH, HEIGHT, PORT = 1.5, 0.95, 0.3  #: of a box; between two wires at one edge (in)
+#: Middle of each box (in).
+PLACES = {
+    "closed chain": (0.0, 2.9),
+    "contact geometry": (2.2, 2.6),
+    "environment": (4.4, 2.9),
+    "motion law": (6.6, 2.6),
+    "motion filter": (8.8, 2.45),
+    "sum of wrist sensors": (0.0, 0.0),
+    "force filter": (2.2, 0.0),
+    "generalised inverse": (4.4, 0.0),
+    "force law": (6.6, 0.0),
+    "to operational space": (8.8, 0.0),
+    "dynamic control structure": (11.0, 1.2),
+    "torque allocation": (13.2, 1.35),
+    PLANT.name: (15.4, 1.35),
+}
+#: Signal and reader of each wire, the upper ones of a box first, and where it turns (in): nowhere,
+#: at one x, or at x, y, x of the way around.
+WIRES: dict[tuple[str, str], tuple[float, ...]] = {
+    ("q", "closed chain"): (17.3, 4.0, -1.1),
+    ("parts", "environment"): (),
+    ("a_u", "motion filter"): (),
+    ("alpha_u", "motion filter"): (7.7,),
+    ("f_meas", "force filter"): (),
+    ("f_c_meas", "generalised inverse"): (),
+    ("alpha_meas", "force law"): (),
+    ("alpha_u", "to operational space"): (),
+    ("eta_c", "dynamic control structure"): (9.95,),
+    ("f_ccomm", "dynamic control structure"): (10.1,),
+    ("eta_c", "torque allocation"): (12.15,),
+    ("f_S", "torque allocation"): (),
+    ("tau", PLANT.name): (),
+    ("wrenches", "sum of wrist sensors"): (17.3, -1.2, -1.1),
+}
+COMMANDS = ("reference", "alpha_d", "squeeze_d")
+LABELS = {
+    "q": r"$q,\ v$",  # v goes where q goes
+    "wrenches": "wrist wrenches",
+    "touched": r"$X_{WE},\ V_E$",
+    "reference": r"$x_d,\ \dot x_d,\ \ddot x_d$",
+    "alpha_d": r"$\alpha_{\mathrm{d}}$",
+    "squeeze_d": "squeeze",
+    "state": "state",
+    "parts": r"$N_i$",
+    "contact": r"$N,\ T$",
+    "drag": r"$N_\mu - N$",
+    "environment": r"$\Phi_e,\ b_e$",
+    "f_meas": r"$f_{\mathrm{meas}}$",
+    "f_c_meas": r"$f_{\mathrm{c\,meas}}$",
+    "alpha_meas": r"$\alpha_{\mathrm{meas}}$",
+    "alpha_u": r"$\alpha_{\mathrm{u}}$",
+    "f_ccomm": r"$f_{\mathrm{ccomm}}$",
+    "a_u": r"$a_{\mathrm{u}}$",
+    "eta_c": r"$\dot\eta_c$",
+    "f_S": r"$f_{\mathrm{S}}$",
+    "tau": r"$\tau$",
+}
+GROUPS = {
+    "force": (OKABE_ITO["vermillion"], "force control"),
+    "motion": (OKABE_ITO["blue"], "motion control"),
+    "filter": (OKABE_ITO["purple"], "projection and dynamics"),
+    "model": (OKABE_ITO["green"], "model"),
+    "plant": ("#555B63", "plant"),
+}
+INK, LINE, LABEL = "#2B2F36", 1.1, 9.0  #: of wires and the names on them
+Point = tuple[float, float]
+
+
+def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
+    """Draw boxes of the loop with every signal that they read and put out.
+
+    Args:
+        blocks: some of `LOOP`. title: heading.
+    """
+    from osc_contact.visual.style import style
+
+    names = [block.name for block in blocks]
+    wires = {key: turns for key, turns in WIRES.items() if key[1] in names}
+    starts: dict[str, Point] = {}
+    ends: dict[tuple[str, str], Point] = {}
+    for block in blocks:
+        x, y = PLACES[block.name]
+        wired = [signal for signal, reader in wires if reader == block.name]
+        ends |= {(s, block.name): (x - 0.5 * WIDTH, y + dy) for s, dy in _ports(wired)}
+        starts |= {s: (x + 0.5 * WIDTH, y + dy) for s, dy in _ports(_shown(block.outputs))}
+    with style():
+        figure, ax = _canvas([PLACES[name] for name in names], title)
+        for block in blocks:
+            _box(ax, block)
+            bare = [s for s in _shown(block.inputs) if (s, block.name) not in wires]
+            _name_inputs(ax, PLACES[block.name], bare)
+        for signal, (x, y) in starts.items():
+            _write(ax, x + 0.05, y, LABELS[signal], "left")
+            if signal not in [taken for taken, _ in wires]:
+                _arrow(ax, [(x, y), (x + 0.4, y)])
+        for (signal, reader), turns in wires.items():
+            end = ends[signal, reader]
+            if signal in starts:
+                others = [t[0] if t else end[0] for (s, _), t in wires.items() if s == signal]
+                _wire(ax, signal, starts[signal], turns, end, max(others))
+            else:
+                _arrow(ax, [(end[0] - 0.4, end[1]), end])
+                _write(ax, end[0] - 0.45, end[1] - 0.08, LABELS[signal], "right")
+        _legend(ax, [block.group for block in blocks])
+    return figure
+
+
+def _shown(signals: Sequence[str]) -> list[str]:
+    """v is drawn with q."""
+    return [signal for signal in signals if signal != "v"]
+
+
+def _ports(signals: Sequence[str]) -> Iterator[tuple[str, float]]:
+    """Each signal with its height above the middle of the edge."""
+    for k, signal in enumerate(signals):
+        yield signal, PORT * (0.5 * (len(signals) - 1) - k)
+
+
+def _canvas(places: Sequence[Point], title: str) -> tuple[Figure, Axes]:
+    """A page measured in inches around the boxes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    xs, ys = zip(*places, strict=True)
+    left, right = min(xs) - 0.5 * WIDTH - 1.5, max(xs) + 0.5 * WIDTH + 1.4
+    low, high = min(ys) - 0.5 * HEIGHT - 1.3, max(ys) + 0.5 * HEIGHT + 1.2
+    figure = Figure(figsize=(right - left, high - low))
+    figure.set_layout_engine("none")
+    FigureCanvasAgg(figure)
+    ax = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(left, right), ylim=(low, high))
+    ax.set_axis_off()
+    ax.text(left + 0.2, high - 0.2, title, size=13, weight="bold", va="top")
+    return figure, ax
+
+
+def _box(ax: Axes, block: Block) -> None:
+    from matplotlib.patches import FancyBboxPatch
+
+    (x, y), (colour, _) = PLACES[block.name], GROUPS[block.group]
+    corner = (x - 0.5 * WIDTH, y - 0.5 * HEIGHT)
+    look: Any = {"boxstyle": "round,pad=0,rounding_size=0.07", "lw": 1.4, "zorder": 3}
+    ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, fc="white", ec=colour, **look))
+    ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, fc=colour, ec="none", alpha=0.14, **look))
+    name, middle = textwrap.fill(block.name, 16), 0.22 if block.equation else 0.0
+    centred: Any = {"ha": "center", "va": "center", "zorder": 5}
+    ax.text(x, y + middle, name, size=10, weight="bold", **centred)
+    ax.text(x, y - 0.22, block.equation, size=9.0, **centred)
+
+
+def _name_inputs(ax: Axes, place: Point, signals: Sequence[str]) -> None:
+    """Commands on an arrow from above, all else on an arrow from below."""
+    x, y = place
+    above = [LABELS[signal] for signal in signals if signal in COMMANDS]
+    below = [LABELS[signal] for signal in signals if signal not in COMMANDS]
+    for names, side, va in ((above, 1.0, "bottom"), (below, -1.0, "top")):
+        if names:
+            edge = y + side * 0.5 * HEIGHT
+            _arrow(ax, [(x, edge + 0.22 * side), (x, edge)])
+            rows = [" · ".join(names[k : k + 3]) for k in range(0, len(names), 3)]
+            ax.text(x, edge + 0.26 * side, "\n".join(rows), size=LABEL, ha="center", va=va)
+
+
+def _wire(
+    ax: Axes, signal: str, start: Point, turns: tuple[float, ...], end: Point, furthest: float
+) -> None:
+    """Wire by right angles; a dot where it leaves one that goes further (to x = furthest)."""
+    points = [start]
+    for k, at in enumerate(turns):
+        points.append((at, points[-1][1]) if k % 2 == 0 else (points[-1][0], at))
+    points += [(points[-1][0], end[1]), end]
+    _arrow(ax, points)
+    if turns and turns[0] < furthest:
+        ax.plot(*points[1], "o", ms=3.5, color=INK, zorder=4)
+    if len(turns) > 1:
+        _write(ax, 0.5 * (turns[0] + turns[2]), turns[1], LABELS[signal], "center")
+
+
+def _arrow(ax: Axes, points: Sequence[Point]) -> None:
+    look: Any = {"arrowstyle": "-|>", "color": INK, "lw": LINE, "shrinkA": 0, "shrinkB": 0}
+    ax.plot(*zip(*points[:-1], strict=True), color=INK, lw=LINE, solid_capstyle="round", zorder=2)
+    ax.annotate("", points[-1], points[-2], zorder=3, arrowprops=look)
+
+
+def _write(ax: Axes, x: float, y: float, text: str, side: Any) -> None:
+    ax.text(x, y + 0.03, text, size=LABEL, ha=side, va="bottom")
+
+
+def _legend(ax: Axes, groups: Sequence[str]) -> None:
+    from matplotlib.patches import Patch
+
+    shown = [GROUPS[group] for group in dict.fromkeys(groups)]
+    handles = [Patch(fc=colour, alpha=0.6, label=meaning) for colour, meaning in shown]
+    ax.legend(handles=handles, loc="lower right", ncols=len(shown), borderaxespad=0.8)
