@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import uuid
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -15,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import RecordingError
+from .files import whole_file
 
 __all__ = ["Recording"]
 
@@ -90,19 +90,13 @@ class Recording:
         target = Path(path)
         text = json.dumps({"format": _FORMAT, "meta": self.meta}, allow_nan=False)
         arrays: dict[str, Any] = {**self.channels, _META: np.array(text)}
-        unfinished = target.with_name(f".{target.name}.{uuid.uuid4().hex}.tmp")
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            with open(unfinished, "xb") as file:
+            with whole_file(target) as unfinished, open(unfinished, "xb") as file:
                 np.savez(file, allow_pickle=False, **arrays)
                 file.flush()
                 os.fsync(file.fileno())
-            os.replace(unfinished, target)
         except OSError as error:
             raise RecordingError(f"cannot write the recording {target}: {error}") from error
-        finally:
-            if unfinished.parent.is_dir():
-                unfinished.unlink(missing_ok=True)
         return target
 
     @classmethod

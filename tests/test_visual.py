@@ -14,7 +14,8 @@ from osc_contact.control.signals import SIGNALS
 from osc_contact.errors import InvalidInputError
 from osc_contact.paper.diagrams import GROUPS, LABELS, LOOP, WIRES, draw_blocks
 from osc_contact.visual import plots
-from osc_contact.visual.contact_picture import common_perpendicular, draw_contact_state
+from osc_contact.visual.contact_picture import draw_contact_state
+from osc_contact.visual.screws import common_perpendicular
 
 
 def test_contact_force_figure() -> None:
@@ -158,7 +159,7 @@ def test_common_perpendicular_of_known_lines() -> None:
 
 def test_contact_picture_projects_no_uninitialised_numbers() -> None:
     rod = np.array([[-0.3, 0, 0], [0.3, 0, 0]])
-    figure = draw_contact_state(rod, np.array([[0, 0, -1.0], [0, 1, 0]]), [rod], [], "arrows")
+    figure = draw_contact_state(rod, np.array([[0, 0, -1.0], [0, 1, 0]]), rod, [], "arrows")
     solids = [c for c in figure.axes[0].collections if hasattr(c, "_faces")]
     assert len(solids) == 2
     for cone in solids:
@@ -170,7 +171,7 @@ def test_contact_picture_tells_how_the_lines_lie() -> None:
     rod = np.array([[-0.3, 0, 0], [0.3, 0, 0]])
     face = np.array([[-0.4, -0.1, 0], [-0.2, -0.1, 0], [-0.2, 0.1, 0], [-0.4, 0.1, 0]])
     directions = np.array([[0, 0, -1], [0, 1, 0]])
-    figure = draw_contact_state(rod, directions, [rod], [face], "skew")
+    figure = draw_contact_state(rod, directions, rod, [face], "skew")
     (ax,) = figure.axes
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
     assert any("skew, 600.0 mm apart, angle 90.0°" in label for label in labels)
@@ -180,9 +181,3 @@ def test_contact_picture_tells_how_the_lines_lie() -> None:
     assert z.min() < -0.25 and z.max() > 0.25, "extended both ways"
     spans = [np.ptp(limits) for limits in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())]
     assert np.allclose(spans, spans[0])
-    axes = [([0, 0, 0], [0, 1, 1], "$t_1$: rotation"), ([0, 0, 0], [0, 1, 0], "$t_2$")]
-    (ax,) = draw_contact_state(np.zeros((0, 3)), np.zeros((0, 3)), [], [face], "axes", axes).axes
-    labels = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert labels[-1] == "angle between $t_1$ and $t_2$: 45.0°"
-    with pytest.raises(InvalidInputError, match="2 points but 1 directions"):
-        draw_contact_state(rod, directions[:1], [], [], "bad")

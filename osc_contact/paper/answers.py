@@ -18,7 +18,7 @@ from osc_contact.runs.metrics import SETTLE_S, STEP_BLANK_S, metrics
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.viewing import object_size
 from osc_contact.spatial import Array, cross
-from osc_contact.visual.contact_picture import common_perpendicular
+from osc_contact.visual.screws import common_perpendicular
 
 __all__ = ["ANSWERS", "Evidence"]
 

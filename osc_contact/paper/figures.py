@@ -71,11 +71,13 @@ def _fig1(rig: Rig) -> Figure:
 
     X = rig.state().X_WO
     pairs = [pair for pair in rig.pairs if isinstance(pair, VertexOnFace)]
+    if not pairs:
+        raise InvalidInputError("fig1 shows vertices on faces; the scenario has none")
     ends = np.array([X.act(pair.vertex) for pair in pairs])
     return draw_contact_state(
         points=np.array([pair.point_on_face(X) for pair in pairs]),
         directions=np.array([pair.direction() for pair in pairs]),
-        object_segments=[ends],
+        rod=ends,
         faces=[_corners(pair) for pair in pairs],
         title="Fig. 1: two contacts whose normals are skew",
     )

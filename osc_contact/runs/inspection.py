@@ -17,8 +17,7 @@ from osc_contact.runs.contacts import feet
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.touching import magnitude_names
 from osc_contact.spatial import Array
-from osc_contact.visual.contact_picture import common_perpendicular
-from osc_contact.visual.screws import echelon
+from osc_contact.visual.screws import common_perpendicular, echelon
 
 __all__ = ["Inspection", "inspect_rig"]
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.files import whole_file
 from osc_contact.recorder import Recording
 from osc_contact.runs.metrics import SETTLE_S, metrics
 from osc_contact.runs.rig import build_rig
@@ -49,8 +49,6 @@ def write_report(recording: Recording, scenario: Scenario, folder: Path) -> dict
 
 
 def write_json(data: Any, path: Path) -> None:
-    """Write JSON through a temporary file, so that no half file stands under the final name."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    """Write JSON, a file that appears complete or not at all."""
+    with whole_file(path) as unfinished:
+        unfinished.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")

@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 from osc_contact.errors import ViewerError
+from osc_contact.files import whole_file
 from osc_contact.visual.page import unfolded
 
 __all__ = ["FLAGS", "find_browser", "write_png"]
@@ -81,7 +82,6 @@ def write_png(
     target = Path(path).resolve()
     browser = find_browser()
     text = unfolded(Path(page).read_text(encoding="utf-8"))
-    target.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="osc_contact_", ignore_cleanup_errors=True) as folder:
         picture, plain = Path(folder) / "picture.png", Path(folder) / "page.html"
         plain.write_text(text, encoding="utf-8")
@@ -102,9 +102,8 @@ def write_png(
             raise ViewerError(
                 f"{browser} gave no picture of {page} (exit code {done.returncode}): {last}"
             )
-        unfinished = target.with_name(f".{target.name}.part")
-        shutil.copyfile(picture, unfinished)
-        os.replace(unfinished, target)
+        with whole_file(target) as unfinished:
+            shutil.copyfile(picture, unfinished)
     return target
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from osc_contact.visual import OKABE_ITO, contact_colour
-from osc_contact.visual.contact_picture import HALO, arrow
+from osc_contact.visual.contact_picture import FACE, HALO, arrow, fill, orthographic
 from osc_contact.visual.style import style
 
 if TYPE_CHECKING:
@@ -49,16 +49,20 @@ def draw_cone_in_groove(
     """
     h, up = height, np.array([0.0, 0.0, 1.0])
     with style():
-        figure, ax = _stage(apex + 0.85 * h * axis, 1.25 * h, groove)
+        room = (-0.02, -0.06, 0.68, 1.0)
+        figure, ax = orthographic((10.5, 6.2), room, apex + 0.85 * h * axis, 1.25 * h, zoom=1.5)
+        ax.set_axis_off()
+        ax.view_init(33.0, np.rad2deg(np.arctan2(groove[1], groove[0])) + 180.0 + 29.0)
         for normal in normals:
             down = np.cross(normal, groove)
             out = down if down @ up > 0.0 else -down
             corners = [(-0.5, 0.0), (1.5, 0.0), (1.5, 0.95), (-0.5, 0.95)]
             wall = np.array([apex + h * (u * groove + v * out) for u, v in corners])
-            _fill(ax, wall[None], "#9CC5C1", 0.45, 2, edge="#3C6E6A")
+            fill(ax, wall[None], **FACE)
         side, base = _cone(apex, axis, h, half_angle)
-        _fill(ax, side, "#B9BEC6", 0.22, 3)
-        _fill(ax, base[None], "#9AA1AB", 0.25, 3)
+        seamless: dict[str, Any] = {"edgecolor": "none", "antialiaseds": False, "zorder": 3}
+        fill(ax, side, facecolor="#B9BEC6", alpha=0.22, **seamless)
+        fill(ax, base[None], facecolor="#9AA1AB", alpha=0.25, **seamless)
         ax.plot(*base.T, color="#4A4F57", lw=1.3, zorder=4)
         for silhouette in _silhouette(ax, apex, axis, h, half_angle):
             ax.plot(*np.array([apex, silhouette]).T, color="#4A4F57", lw=1.3, zorder=4)
@@ -77,24 +81,6 @@ def draw_cone_in_groove(
         figure.legend(loc="upper left", bbox_to_anchor=(0.65, 0.88))
         figure.text(0.66, 0.55, "\n".join(words), size=9, va="top", linespacing=1.5)
     return figure
-
-
-def _stage(middle: Array, reach: float, groove: Array) -> tuple[Figure, Any]:
-    """Orthographic, no box, seen into the groove from its apex side."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.5, 6.2))
-    figure.set_layout_engine("none")
-    FigureCanvasAgg(figure)
-    ax: Any = figure.add_axes((-0.02, -0.06, 0.68, 1.0), projection="3d", proj_type="ortho")
-    ax.computed_zorder = False
-    for name, centre in zip("xyz", middle, strict=True):
-        getattr(ax, f"set_{name}lim")(centre - reach, centre + reach)
-    ax.set_box_aspect((1.0, 1.0, 1.0), zoom=1.5)
-    ax.set_axis_off()
-    ax.view_init(elev=33.0, azim=np.rad2deg(np.arctan2(groove[1], groove[0])) + 180.0 + 29.0)
-    return figure, ax
 
 
 def _axes(ax: Any, apex: Array, axis: Array, groove: Array, h: float) -> None:
@@ -148,12 +134,3 @@ def _silhouette(ax: Any, apex: Array, axis: Array, h: float, half_angle: float) 
     sine = np.sqrt(1.0 - cosine**2)
     rim = apex + h * axis
     return [rim + h * np.tan(half_angle) * (cosine * x + s * sine * y) for s in (-1.0, 1.0)]
-
-
-def _fill(ax: Any, faces: Array, colour: str, alpha: float, layer: int, edge: str = "none") -> None:
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-
-    ax.add_collection3d(
-        Poly3DCollection(faces, facecolor=colour, edgecolor=edge, alpha=alpha, zorder=layer,
-                         antialiaseds=edge != "none")
-    )  # fmt: skip

@@ -11,9 +11,7 @@ from __future__ import annotations
 import base64
 import html
 import json
-import os
 import re
-import tempfile
 import warnings
 import zlib
 from collections.abc import Mapping, Sequence
@@ -24,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.files import whole_file
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -140,18 +139,9 @@ def write_page(
 
 def write_whole(page: str, path: str | Path) -> Path:
     """Write a text file, which appears complete or not at all; returns its path."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(page)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
-    return path
+    with whole_file(path) as unfinished:
+        unfinished.write_text(page, encoding="utf-8")
+    return Path(path)
 
 
 def _folded(commands: Sequence[dict[str, Any]]) -> str:

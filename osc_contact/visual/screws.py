@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from osc_contact.errors import InvalidInputError
 
 __all__ = [
-    "Normals", "Screw", "contact_normals", "echelon", "helix", "tangents", "twist_screw",
-    "wrench_screw",
+    "CommonPerpendicular", "Normals", "Screw", "common_perpendicular", "contact_normals", "echelon",
+    "helix", "tangents", "twist_screw", "wrench_screw",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -76,6 +76,29 @@ def _screw(line: Array, moment: Array, origin: Array) -> Screw:
     return Screw(
         origin + np.cross(direction, moment / size), direction, float(direction @ moment / size)
     )
+
+
+class CommonPerpendicular(NamedTuple):
+    """Shortest connection of two lines: foot points (3,), distance (m), angle (rad, 0..π/2)."""
+
+    first: Array
+    second: Array
+    distance: float
+    angle: float
+
+
+def common_perpendicular(
+    p: ArrayLike, d: ArrayLike, q: ArrayLike, e: ArrayLike
+) -> CommonPerpendicular:
+    """Shortest connection of the lines p + s d and q + t e (parallel lines: the one through q)."""
+    p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
+    d, e = (np.asarray(line / np.linalg.norm(line)) for line in map(np.asarray, (d, e)))
+    cosine, sine = float(d @ e), float(np.linalg.norm(np.cross(d, e)))
+    t = 0.0 if sine < 1e-9 else float(((d @ (q - p)) * cosine - e @ (q - p)) / sine**2)
+    second = q + t * e
+    first = p + (d @ (second - p)) * d
+    distance = float(np.linalg.norm(second - first))
+    return CommonPerpendicular(first, second, distance, float(np.arctan2(sine, abs(cosine))))
 
 
 class Normals(NamedTuple):

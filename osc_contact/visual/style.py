@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from osc_contact.files import whole_file
 from osc_contact.visual import OKABE_ITO
 
 if TYPE_CHECKING:
@@ -82,19 +81,10 @@ def save(
         The paths, one for each suffix.
     """
     base = Path(path_without_suffix)
-    base.parent.mkdir(parents=True, exist_ok=True)
     written = []
     undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     for suffix in suffixes:
-        target = base.with_name(base.name + suffix)
-        descriptor, temporary = tempfile.mkstemp(dir=base.parent, prefix=f".{target.name}.")
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                figure.savefig(file, dpi=150, format=suffix[1:], metadata=undated.get(suffix))
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, target)
-        except BaseException:
-            os.unlink(temporary)
-            raise
-        written.append(target)
+        written.append(base.with_name(base.name + suffix))
+        with whole_file(written[-1]) as unfinished:
+            figure.savefig(unfinished, dpi=150, format=suffix[1:], metadata=undated.get(suffix))
     return tuple(written)
