@@ -18,7 +18,6 @@ from test_scene import find
 from osc_contact.errors import ViewerError
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
-from osc_contact.visual.content import described
 from osc_contact.visual.live import Viewer
 from osc_contact.visual.scene import write_scene
 from osc_contact.visual.subspaces import T_COLOUR
@@ -200,7 +199,7 @@ def test_play_goes_on_and_a_click_in_a_plot_stops_there(browser: Browser) -> Non
 
 
 def test_the_live_view_updates(tmp_path: Path) -> None:
-    with Viewer(MODULE, {"content": described(CONTENT), "size": 0.6}, rate=60.0) as viewer:
+    with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as viewer:
         tick, stop = [10], threading.Event()
 
         def run() -> None:

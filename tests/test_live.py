@@ -8,12 +8,14 @@ import gc
 import json
 import logging
 import os
+import pickle
 import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
@@ -27,7 +29,7 @@ from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 import osc_contact as osc
 from osc_contact.errors import InvalidInputError, ViewerError
-from osc_contact.visual.content import Content, content_from, described
+from osc_contact.visual.bodies import Content
 from osc_contact.visual.live import Viewer
 
 MODULE = "osc_contact.runs.live_page"
@@ -40,7 +42,7 @@ TICK_S = 1e-3
 @pytest.fixture(scope="module")
 def lasting() -> Iterator[Viewer]:
     """For tests that leave it as it was."""
-    with Viewer(MODULE, {"content": described(CONTENT), "size": 0.6}, rate=60.0) as opened:
+    with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as opened:
         assert "has not begun" in get(opened)[1], "the page before the first tick"
         opened.show(TICKS[0])
         yield opened
@@ -48,7 +50,7 @@ def lasting() -> Iterator[Viewer]:
 
 @pytest.fixture
 def viewer() -> Iterator[Viewer]:
-    with Viewer(MODULE, {"content": described(CONTENT), "size": 0.6}, rate=60.0) as opened:
+    with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as opened:
         yield opened
 
 
@@ -219,7 +221,7 @@ def sockets(pid: int) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
 def test_the_runs_own_process_opens_no_network_socket() -> None:
     script = (
         "import os, sys; sys.path.insert(0, 'tests'); import test_live as t\n"
-        "with t.Viewer(t.MODULE, {'content': t.described(t.CONTENT), 'size': 0.6}) as viewer:\n"
+        "with t.Viewer(t.MODULE, (t.CONTENT, 0.6)) as viewer:\n"
         "    t.feed(viewer, 0.3)\n"
         "    print(t.sockets(os.getpid()), len(t.sockets(viewer._process.pid)[1]))"
     )
@@ -331,7 +333,7 @@ def test_nothing_that_is_shown_can_raise(viewer: Viewer, caplog: pytest.LogCaptu
 
 
 def test_at_most_so_many_ticks_per_second_are_sent() -> None:
-    with Viewer(MODULE, {"content": described(CONTENT), "size": 0.6}, rate=20.0) as viewer:
+    with Viewer(MODULE, (CONTENT, 0.6), rate=20.0) as viewer:
         sent = 0
         end = time.monotonic() + 1.0
         while time.monotonic() < end:
@@ -342,13 +344,13 @@ def test_at_most_so_many_ticks_per_second_are_sent() -> None:
         assert 2 <= sent <= 21
     for rate in (0.0, 61.0, float("nan")):
         with pytest.raises(InvalidInputError, match="1 to 60"):
-            Viewer(MODULE, {}, rate=rate)
+            Viewer(MODULE, (), rate=rate)
 
 
 def test_the_server_ends_with_the_program_however_that_ends() -> None:
     script = (
         "import os, sys; sys.path.insert(0, 'tests'); import test_live as t\n"
-        "viewer = t.Viewer(t.MODULE, {'content': t.described(t.CONTENT), 'size': 0.6})\n"
+        "viewer = t.Viewer(t.MODULE, (t.CONTENT, 0.6))\n"
         "print(viewer._process.pid, flush=True); os._exit(7)"
     )
     root = Path(__file__).parents[1]
@@ -365,14 +367,13 @@ def test_the_server_ends_with_the_program_however_that_ends() -> None:
 
 def test_a_viewer_that_cannot_start_says_why() -> None:
     with pytest.raises(ViewerError, match=r"does not start: .*no_such_module"):
-        Viewer("osc_contact.no_such_module", {})
-    with pytest.raises(ViewerError, match="does not start: KeyError: 'size'"):
-        Viewer(MODULE, {"content": described(CONTENT)})
+        Viewer("osc_contact.no_such_module", ())
+    with pytest.raises(ViewerError, match="does not start: ValueError: not enough values"):
+        Viewer(MODULE, (CONTENT,))
 
 
 def test_content_survives_the_way_to_another_process() -> None:
-    again = content_from(json.loads(json.dumps(described(CONTENT))))
-    assert described(again) == described(CONTENT)
+    again = pickle.loads(pickle.dumps(CONTENT))
     assert again.arms[0].q_slice == ARMS[0].q_slice and again.arms[0].base.isApprox(BASE)
     assert again.bodies[0].placement is None and again.bodies[1].face == 0
 
@@ -389,9 +390,9 @@ def test_no_part_of_meshcat_that_opens_sockets_is_imported() -> None:
 
 
 def test_a_viewer_that_cannot_draw_ends_and_is_reported(caplog: pytest.LogCaptureFixture) -> None:
-    broken = described(CONTENT)
-    broken["bodies"][0]["urdf"] = "/no/such/file.urdf"
-    with Viewer(MODULE, {"content": broken, "size": 0.6}, rate=60.0) as viewer:
+    missing = BODIES[0]._replace(urdf="/no/such/file.urdf")
+    broken = replace(CONTENT, bodies=(missing, *BODIES[1:]))
+    with Viewer(MODULE, (broken, 0.6), rate=60.0) as viewer:
         assert_no_tick_lost(feed(viewer, 1.5))
         said = str(viewer.error)
         assert "has ended (exit code" in said and len(caplog.records) == 1

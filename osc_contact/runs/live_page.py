@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
+import pickle
 import socket
 import sys
 
 from osc_contact.runs.viewing import best_frame
-from osc_contact.visual.content import content_from
 from osc_contact.visual.server import serve
 
 __all__ = ["main"]
@@ -16,9 +15,8 @@ __all__ = ["main"]
 def main() -> None:
     """Serve the scene that comes over the inherited socket, until its other end closes."""
     link = socket.socket(fileno=int(sys.argv[1]))
-    about = json.loads(link.recv(1 << 20))
-    size = float(about["size"])
-    serve(link, content_from(about["content"]), lambda N: best_frame(N, size))
+    content, size = pickle.loads(link.recv(1 << 20))
+    serve(link, content, lambda N: best_frame(N, size))
 
 
 if __name__ == "__main__":

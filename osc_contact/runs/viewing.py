@@ -16,8 +16,7 @@ from osc_contact.runs.references import force_owners
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
-from osc_contact.visual.bodies import ArmVisual, BodyVisual
-from osc_contact.visual.content import Content, described
+from osc_contact.visual.bodies import ArmVisual, BodyVisual, Content
 from osc_contact.visual.live import Viewer
 from osc_contact.visual.scene import write_scene
 from osc_contact.visual.subspaces import BestFrame
@@ -75,8 +74,7 @@ def open_viewer(scenario: Scenario, rate: float = 30.0) -> Viewer:
         ViewerError: the page's server does not start.
     """
     rig = build_rig(scenario)
-    about = {"content": described(content_of(rig)), "size": object_size(rig)}
-    return Viewer("osc_contact.runs.live_page", about, rate)
+    return Viewer("osc_contact.runs.live_page", (content_of(rig), object_size(rig)), rate)
 
 
 def title(scenario: Scenario) -> str:

@@ -1,11 +1,11 @@
-"""Arms, the held object and the faces of a scene, drawn from their URDFs."""
+"""What a scene shows, and its arms, held object and faces, drawn from their URDFs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from osc_contact.visual.primitives import urdf_geometry
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-__all__ = ["Arm", "ArmVisual", "Body", "BodyVisual"]
+__all__ = ["Arm", "ArmVisual", "Body", "BodyVisual", "Content"]
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class ArmVisual(NamedTuple):
     package_dirs: Sequence[str | Path]
     base: pin.SE3
     q_slice: slice
-    locked: Mapping[str, float] = MappingProxyType({})
+    locked: Mapping[str, float] = {}
 
 
 class BodyVisual(NamedTuple):
@@ -51,6 +51,27 @@ class BodyVisual(NamedTuple):
     package_dirs: Sequence[str | Path]
     placement: pin.SE3 | None
     face: int | None = None
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a scene shows.
+
+    Attributes:
+        title: heading.
+        arms: moved by the channel ``q``.
+        bodies: faces, and the object, moved by ``pose``.
+        contacts: names of the contacts.
+        columns: which contact each column of N belongs to; empty: one column per contact.
+        frame_words: what the legend says about the best single frame.
+    """
+
+    title: str
+    arms: Sequence[ArmVisual]
+    bodies: Sequence[BodyVisual]
+    contacts: Sequence[str] = ()
+    columns: Sequence[int] = ()
+    frame_words: str = "best single frame (Raibert–Craig)"
 
 
 class Arm:

@@ -12,6 +12,7 @@ import contextlib
 import json
 import logging
 import os
+import pickle
 import select
 import socket
 import subprocess
@@ -24,10 +25,11 @@ from types import TracebackType
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError, ViewerError
 
-__all__ = ["Shows", "Viewer"]
+__all__ = ["Shows", "Ticks", "Viewer"]
 
 LOG = logging.getLogger("osc_contact.viewer")
 CHANNELS = (
@@ -51,7 +53,7 @@ class Viewer:
 
     Args:
         module: whose ``main`` the process runs; `osc_contact.open_viewer` knows which.
-        about: JSON-able description of the scene, handed to it.
+        about: what it is handed, as pickle understands it: the scene.
         rate: pictures per second at most, 1 … 60.
 
     Attributes:
@@ -62,7 +64,7 @@ class Viewer:
         ViewerError: the process does not start.
     """
 
-    def __init__(self, module: str, about: Mapping[str, Any], rate: float = 30.0) -> None:
+    def __init__(self, module: str, about: object, rate: float = 30.0) -> None:
         if not 1.0 <= rate <= 60.0:
             raise InvalidInputError(f"rate = {rate}; give 1 to 60 pictures per second")
         self.error: ViewerError | None = None
@@ -75,7 +77,7 @@ class Viewer:
             with other:  # closed here, so that the end of the process closes the link
                 self._process = _started(module, other, complaints)
             try:
-                self._link.sendall(json.dumps(about).encode())
+                self._link.sendall(pickle.dumps(about))
                 self.url = self._answer()
             except (OSError, ValueError, KeyError) as error:
                 self.close()
@@ -169,6 +171,45 @@ class Viewer:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+class Ticks:
+    """A mailbox that holds one tick.
+
+    Attributes:
+        newest: the channels of the last tick that came, until somebody takes it.
+    """
+
+    def __init__(self, link: socket.socket) -> None:
+        self.link = link
+        self.link.setblocking(False)
+        self.shapes: dict[str, tuple[int, ...]] = {}
+        self.newest: dict[str, Any] | None = None
+
+    def drain(self) -> bool:
+        """Take everything in; False once the other end is closed."""
+        numbers = None
+        try:
+            while message := self.link.recv(1 << 20):
+                if not self.shapes:
+                    self.shapes = {k: tuple(v) for k, v in json.loads(message).items()}
+                else:
+                    numbers = message
+        except BlockingIOError:
+            if numbers is not None:
+                self.newest = self._sample(np.frombuffer(numbers))
+            return True
+        except OSError:
+            return False
+        return False
+
+    def _sample(self, numbers: NDArray[np.float64]) -> dict[str, Any]:
+        sample, start = {}, 0
+        for name, shape in self.shapes.items():
+            size = int(np.prod(shape))
+            sample[name] = numbers[start : start + size].reshape(shape)
+            start += size
+        return sample
 
 
 def _started(module: str, link: socket.socket, complaints: Any) -> subprocess.Popen[bytes]:

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.visual import contact_colour, curves
-from osc_contact.visual.bodies import Arm, ArmVisual, Body, BodyVisual
+from osc_contact.visual.bodies import Arm, ArmVisual, Body, BodyVisual, Content
 from osc_contact.visual.contact_marks import ContactForce, toggles
-from osc_contact.visual.content import Content
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
 from osc_contact.visual.parts import Frame, LegendEntry, Part, Sample, animate
 from osc_contact.visual.stage import set_stage

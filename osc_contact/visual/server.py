@@ -20,8 +20,8 @@ from tornado.web import Application, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from osc_contact.visual import curves
-from osc_contact.visual.content import Content
-from osc_contact.visual.mailbox import Ticks
+from osc_contact.visual.bodies import Content
+from osc_contact.visual.live import Ticks
 from osc_contact.visual.page import CommandSink, packed, page_text
 from osc_contact.visual.parts import Frame, changes
 from osc_contact.visual.scene import Scene
