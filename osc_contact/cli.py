@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from enum import StrEnum
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from osc_contact import __version__, robots
 from osc_contact.bench.program import run_benchmark
+from osc_contact.console import err, exit_codes, out, require, run_with_progress, say
 from osc_contact.control import compiling
-from osc_contact.errors import InvalidInputError, OscContactError, PlantError
+from osc_contact.errors import InvalidInputError
 from osc_contact.paper import figures as paper_figures
 from osc_contact.paper import reproduction
 from osc_contact.paper.report import write_paper_report
@@ -26,10 +21,8 @@ from osc_contact.recorder import Recording
 from osc_contact.runs import replay, tables
 from osc_contact.runs.calibration import calibrate as calibrate_wrists
 from osc_contact.runs.inspection import inspect_rig
-from osc_contact.runs.replay import RealTime
 from osc_contact.runs.report import require_judgeable, write_json, write_report
 from osc_contact.runs.rig import build_rig
-from osc_contact.runs.run import run as run_scenario
 from osc_contact.runs.viewing import open_viewer, write_scene_of
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
 from osc_contact.visual.browser import find_browser
@@ -42,12 +35,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-out = Console(width=None if sys.stdout.isatty() else 120)
-err = Console(stderr=True)
-PARTIAL = "recording_until_failure.npz"
 REPRODUCIBLE = tuple(sorted((*paper_figures.FIGURES, *STUDIES), key=lambda n: (n[:3] != "fig", n)))
 LONG = ", ".join(name for name in REPRODUCIBLE if name not in reproduction.names_of("all"))
-EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim", "ruckig": "sim"}
 
 
 class InertiaLevel(StrEnum):
@@ -105,14 +94,14 @@ def run(
     json_file: JsonOption = None,
 ) -> None:
     """Run a scenario; write metrics.json, the recording, figures and an HTML scene."""
-    with _exit_codes():
+    with exit_codes():
         chosen = _load(scenario, set_, plant, duration)
         folder = out_dir or Path("out") / chosen.file_stem
         _require_report(chosen)
-        recording = _run(chosen, seed, folder)
+        recording = run_with_progress(chosen, seed, folder)
         verdict = write_report(recording, chosen, folder)
         out.print(tables.verdict_table(verdict))
-        _say(f"written to {folder}: metrics.json, recording.npz, figures, scene.html")
+        say(f"written to {folder}: metrics.json, recording.npz, figures, scene.html")
         if json_file:
             write_json(verdict, json_file)
 
@@ -136,9 +125,9 @@ def reproduce(
     json_file: JsonOption = None,
 ) -> None:
     """Make the paper's figures from our own data, studies beside them, and a report on them all."""
-    with _exit_codes():
+    with exit_codes():
         names = reproduction.names_of(figure)
-        _require("matplotlib")
+        require("matplotlib")
         drawn = [name for name in names if name not in STUDIES]
         if not drawn and plant is not None:
             raise InvalidInputError(f"{figure} chooses its own plants; leave --plant out")
@@ -150,17 +139,17 @@ def reproduce(
             out_dir,
             scenario,
             Ask(seed, duration, () if drawn else tuple(set_ or ())),
-            record=lambda: _run(scenario, seed, out_dir),
+            record=lambda: run_with_progress(scenario, seed, out_dir),
             show=out.print,
             waiting=err.status,
             options=reproduction.typed(plant and plant.value, duration, seed, set_ or ()),
         )
         for one in found.made.values():
             for path in one.files:
-                _say(f"written: {path}")
+                say(f"written: {path}")
         if figure == "all":
             out.print(tables.paper_table(found.verdicts()))
-            _say(f"written: {write_paper_report(found, out_dir / 'report.html')}")
+            say(f"written: {write_paper_report(found, out_dir / 'report.html')}")
         if json_file:
             write_json(found.as_dict(), json_file)
 
@@ -190,7 +179,7 @@ def view(
     set_: SetOption = None,
 ) -> None:
     """Look at a scenario or a recording: HTML with a time slider (default), PNG, or live."""
-    with _exit_codes():
+    with exit_codes():
         if live + (html is not None) + (png is not None) > 1:
             raise InvalidInputError("give one of --live, --html FILE and --png FILE")
         recording = None
@@ -207,13 +196,13 @@ def view(
             return
         if png is not None:
             find_browser()
-        recording = _run(scenario, seed, None) if recording is None else recording
+        recording = run_with_progress(scenario, seed, None) if recording is None else recording
         if png is not None:
-            _say(f"written: {replay.picture(recording, rig, png, time)}")
+            say(f"written: {replay.picture(recording, rig, png, time)}")
             return
         name = Path(what).stem if what.endswith(".npz") else scenario.file_stem
         page = html or Path("out") / f"{name}.html"
-        _say(f"written: {write_scene_of(recording, rig, page, time)}")
+        say(f"written: {write_scene_of(recording, rig, page, time)}")
 
 
 @app.command()
@@ -221,10 +210,10 @@ def inspect(
     scenario: ScenarioArgument, set_: SetOption = None, json_file: JsonOption = None
 ) -> None:
     """Say in plain words what the contact state is: d, r, free motions, forces, N and T."""
-    with _exit_codes():
+    with exit_codes():
         found = inspect_rig(build_rig(_load(scenario, set_)))
         for line in found.lines:
-            _say(line)
+            say(line)
         for table in tables.basis_tables(found):
             out.print(table)
         if json_file:
@@ -240,7 +229,7 @@ def calibrate(
     json_file: JsonOption = None,
 ) -> None:
     """Find mass, centre of mass and bias at each wrist sensor from static postures."""
-    with _exit_codes():
+    with exit_codes():
         found = calibrate_wrists(_load(scenario, set_), postures, seed=seed)
         out.print(tables.calibration_table(found))
         if json_file:
@@ -264,7 +253,7 @@ def check(
     json_file: JsonOption = None,
 ) -> None:
     """Check a robot's URDF and say what the robot is; exit code 1 if something is wrong."""
-    with _exit_codes():
+    with exit_codes():
         path, folders = robots.locate(robot)
         report = robots.check_robot(
             path,
@@ -274,7 +263,7 @@ def check(
             tip=tip,
         )
         for line in report.lines():
-            _say(line)
+            say(line)
         for table in tables.robot_tables(report.summary) if report.summary else ():
             out.print(table)
         if json_file:
@@ -286,10 +275,10 @@ def check(
 @app.command("list")
 def list_(json_file: JsonOption = None) -> None:
     """List the packaged scenarios and the figures that can be reproduced."""
-    with _exit_codes():
+    with exit_codes():
         scenarios = list_scenarios()
         out.print(tables.scenario_table(scenarios))
-        _say(f"osc-contact reproduce {' | '.join(REPRODUCIBLE)} | all")
+        say(f"osc-contact reproduce {' | '.join(REPRODUCIBLE)} | all")
         if json_file:
             write_json({"scenarios": scenarios, "figures": list(REPRODUCIBLE)}, json_file)
 
@@ -302,9 +291,9 @@ def bench(
     json_file: JsonOption = None,
 ) -> None:
     """Time the control tick beside its floor; `python -m benchmarks` in a checkout has more."""
-    with _exit_codes():
+    with exit_codes():
         report = run_benchmark(what, ticks, json_file, figure)
-        _say("\n".join(report.lines))
+        say("\n".join(report.lines))
         for table in report.tables:
             out.print(table)
 
@@ -313,12 +302,12 @@ def _live(scenario: Scenario, recording: Recording | None, seed: int, hold: floa
     """Show a run, or a recording, while it goes on."""
     at_terminal = out.is_terminal
     with open_viewer(scenario) as viewer:
-        _say(f"open {viewer.url}" + ("   (Ctrl-C ends it)" if at_terminal else ""))
+        say(f"open {viewer.url}" + ("   (Ctrl-C ends it)" if at_terminal else ""))
         patience = hold if hold is not None else 15.0 * at_terminal
         replay.wait_for(lambda: viewer.count_browsers() > 0, patience)
         try:
             if recording is None:
-                _run(scenario, seed, None, replay.RealTime(viewer))
+                run_with_progress(scenario, seed, None, replay.RealTime(viewer))
             else:
                 replay.replay(recording, viewer)
             stay = hold if hold is not None else (float("inf") if at_terminal else 0.0)
@@ -345,53 +334,5 @@ def _load(
 
 def _require_report(scenario: Scenario) -> None:
     """Refuse what would fail after the run."""
-    _require("matplotlib")
+    require("matplotlib")
     require_judgeable(scenario)
-
-
-def _run(
-    scenario: Scenario, seed: int, folder: Path | None, viewer: RealTime | None = None
-) -> Recording:
-    """Run, with a progress bar on a terminal; a failed run leaves its recording in the folder."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} s"),
-               TimeRemainingColumn())  # fmt: skip
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-    with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
-        task = bar.add_task(f"{scenario.name} on {scenario.plant.type}", total=scenario.duration)
-        try:
-            return run_scenario(
-                scenario, seed=seed, progress=lambda t: bar.update(task, completed=t), viewer=viewer
-            )
-        except PlantError as error:
-            if error.recording is not None and folder is not None:
-                error.recording.save(folder / PARTIAL)
-                error.add_note(f"recorded until then: {folder / PARTIAL}")
-            raise
-
-
-def _require(package: str) -> None:
-    if find_spec(package) is None:
-        raise ModuleNotFoundError(f"No module named '{package}'", name=package)
-
-
-@contextmanager
-def _exit_codes() -> Iterator[None]:
-    """0 done, 1 the run failed, 2 bad input or a missing extra; messages without a traceback."""
-    try:
-        yield
-    except (OscContactError, ImportError, OSError) as error:
-        cause = error if isinstance(error, ImportError) else error.__cause__
-        package = ((cause.name or "") if isinstance(cause, ImportError) else "").partition(".")[0]
-        if isinstance(error, ImportError) and package not in EXTRAS:
-            raise
-        words = "\n".join((str(error), *getattr(error, "__notes__", ())))
-        if package in EXTRAS:
-            words = f"{package} is not installed: pip install 'osc-contact[{EXTRAS[package]}]'"
-        err.print(f"error: {words}", style="red", highlight=False, markup=False, soft_wrap=True)
-        failed = isinstance(error, PlantError) and package not in EXTRAS
-        raise typer.Exit(1 if failed else 2) from error
-
-
-def _say(text: str) -> None:
-    out.print(text, highlight=False, markup=False, soft_wrap=True)

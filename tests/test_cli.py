@@ -13,7 +13,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import osc_contact
-from osc_contact.cli import PARTIAL, app
+from osc_contact.cli import app
+from osc_contact.console import PARTIAL
 from osc_contact.errors import PlantError
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.recorder import Recording
