@@ -15,6 +15,7 @@ from osc_contact.bench.measuring import bars, machine, new_axes, require_count
 from osc_contact.control.controller import Controller
 from osc_contact.errors import PlantError
 from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.runs import recorder
 from osc_contact.runs import run as runs
 from osc_contact.runs.log import Log
 from osc_contact.runs.references import Plan, References
@@ -93,14 +94,14 @@ def measure(ticks: int = 10000) -> dict[str, Any]:
     wall, cpu = min(_spent(scenario, duration) for _ in range(RUNS))
     calls = [
         ("MuJoCo: mj_step", mujoco, "mj_step"),
-        ("plant around MuJoCo", MujocoPlant, "step"),
+        ("plant around MuJoCo", MujocoPlant, "command"),
         ("sensors", MujocoPlant, "measure"),
         ("tick", Controller, "tick"),
         ("references", References, "over"),
         ("references", Plan, "part"),
         ("recorder: rows of numbers", Log, "note"),
-        ("recorder: channels, at the end", runs, "channels"),
-        ("recorder: channels, at the end", runs, "monitored"),
+        ("recorder: channels, at the end", recorder, "channels"),
+        ("recorder: channels, at the end", recorder, "monitored"),
     ]
     watched = []
     for _ in range(RUNS):

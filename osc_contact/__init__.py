@@ -46,11 +46,14 @@ from osc_contact.errors import (
     SolverError,
     ViewerError,
 )
-from osc_contact.interface import Measurement, Reference, pose_reference
+from osc_contact.interface import Measurement, Reference, Robot, pose_reference
 from osc_contact.jerk_limits import JerkLimits
+from osc_contact.plants.judge import Judge
 from osc_contact.recorder import Recording
 from osc_contact.response import ContactResponse, contact_response
+from osc_contact.runs.loop import run_loop
 from osc_contact.runs.metrics import metrics
+from osc_contact.runs.recorder import Recorder
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.runs.run import run
 from osc_contact.runs.viewing import open_viewer
@@ -101,6 +104,10 @@ __all__ = [
     "SetPointState",
     "PoseSetPoint",
     "JerkLimits",
+    "Robot",
+    "Judge",
+    "run_loop",
+    "Recorder",
     "load_scenario",
     "list_scenarios",
     "Rig",

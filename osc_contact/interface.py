@@ -1,8 +1,9 @@
-"""What crosses the border between controller and plant: measurements and references."""
+"""What passes between a robot and its controller: measurements, references, torques."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -10,7 +11,16 @@ from numpy.typing import ArrayLike
 
 from osc_contact.spatial import Array, as_array, as_pose
 
-__all__ = ["Measurement", "Reference", "Seen", "Stamps", "Touched", "as_squeeze", "pose_reference"]
+__all__ = [
+    "Measurement",
+    "Reference",
+    "Robot",
+    "Seen",
+    "Stamps",
+    "Touched",
+    "as_squeeze",
+    "pose_reference",
+]
 
 
 @dataclass(frozen=True)
@@ -74,6 +84,27 @@ class Measurement:
     joint_torques: Array | None = None
     stamps: Stamps | None = None
     seen: Seen | None = None
+
+
+class Robot(Protocol):
+    """What the control loop asks of a robot: hardware, or a plant that simulates one."""
+
+    def measure(self) -> Measurement:
+        """What the robot's sensors read now."""
+
+    def command(self, tau: Array, duration: float) -> None:
+        """Hold motor torques for one control period; return when it is over.
+
+        A plant simulates the period. Hardware sends the torques and waits for the next deadline,
+        or for the next reading of its sensors.
+
+        Args:
+            tau: (n_a,) motor torques, within the limits (N m, N).
+            duration: s, the control period.
+        """
+
+    def stop(self) -> None:
+        """Come to a safe stop: called once, however the loop ends. Plants do nothing."""
 
 
 def _six() -> Array:

@@ -237,14 +237,14 @@ def test_folder_that_cannot_be_written_is_refused_before_the_run(tmp_path: Path)
 def test_failed_run_exits_with_1_and_keeps_what_was_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    step = RigidPlant.step
+    command = RigidPlant.command
 
     def fragile(plant: RigidPlant, tau: np.ndarray, duration: float) -> None:
         if plant.time > 0.0195:
             raise PlantError("rigid plant diverged at t = 0.02 s")
-        step(plant, tau, duration)
+        command(plant, tau, duration)
 
-    monkeypatch.setattr(RigidPlant, "step", fragile)
+    monkeypatch.setattr(RigidPlant, "command", fragile)
     result = call("run", "two_contact_rod", *SHORT, "--out", tmp_path)
     assert result.exit_code == 1 and "diverged at t = 0.02 s" in result.stderr
     assert str(tmp_path / PARTIAL) in result.stderr and "Traceback" not in result.output

@@ -152,7 +152,7 @@ def test_the_rigid_plant_answers_as_the_full_kkt_system():
     plant = RigidPlant(chain, [pair], 1e-3)
     plant.reset(rig().q_start)
     for _ in range(40):
-        plant.step(rng.uniform(-8, 8, 7), 5e-3)
+        plant.command(rng.uniform(-8, 8, 7), 5e-3)
         state = chain.state(plant.q, plant.v)
         np.testing.assert_allclose(pair.gaps(state.X_WO), 0.0, atol=1e-12)
         contact = pair.contact(state.X_WO, state.V_O)

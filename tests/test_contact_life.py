@@ -189,7 +189,7 @@ def test_a_knocked_rod_as_in_numpy_tick_by_tick():
         now = fast._records.contacts.phase.copy()
         np.testing.assert_array_equal(now, phases(slow))
         seen.add(tuple(now))
-        plant.step(got, DT)
+        plant.command(got, DT)
     assert len(seen) > 1, seen
 
 

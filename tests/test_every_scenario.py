@@ -120,7 +120,7 @@ def test_rigid_plant_decouples_exactly(rigs, name, allocated):
     rig = osc.build_rig(scenario)
     plant, controller = rig.plant(), rig.controller()
     for k in range(40):
-        plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+        plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
     controller.tick(plant.measure(), rig.references.at(0.04))
     s = controller.last_signals()
     N_S = s.state.S.T @ s.contact.N
@@ -164,7 +164,7 @@ def test_true_forces_are_the_wrench_mujoco_applies_to_the_object(rigs, runs):
     rig = rigs["ur5_wipe"]
     plant, controller = rig.plant(), rig.controller()
     for k in range(150):
-        plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+        plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
     mj, model, data = plant._mj, plant.model, plant.data
     mj.mj_rnePostConstraint(model, data)
     truth = plant.truth()
@@ -244,7 +244,7 @@ def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_p
     assert rig.contact().r == 4 and "of either sign" in "\n".join(inspect_rig(rig).lines)
     plant, controller = rig.plant(), rig.controller()
     for k in range(300):
-        plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+        plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
     np.testing.assert_allclose(plant.truth().alpha, list(wanted.values()), atol=5e-3)
     recording = osc.run(rig.scenario, duration=0.3)
     assert recording["contact_seen"][-1, :3].all()  # hole.2 pulls and counts by its size

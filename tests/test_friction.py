@@ -220,5 +220,5 @@ def test_the_numpy_law_gives_up_the_same_on_a_cart_that_friction_drags_along():
         drags = np.append(drags, np.abs(slow.last_signals().drag).max())
         np.testing.assert_allclose(got, want, rtol=0, atol=1e-9 * np.abs(want).max())
         np.testing.assert_allclose(fast.given_up.force, slow.given_up.force, rtol=0, atol=1e-9)
-        plant.step(got, 1e-3)
+        plant.command(got, 1e-3)
     assert drags[0] == 0.0 and drags[-1] > 0.1  # at rest, and sliding

@@ -414,7 +414,7 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
     started = plant.truth().X_WO
     np.testing.assert_allclose(started.homogeneous, rig.state().X_WO.homogeneous, atol=1e-12)
     for k in range(200):
-        plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+        plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
     q, truth = plant.measure().q, plant.truth()
     X = object_pose(rig.chain, q)
     assert np.linalg.norm(X.translation - started.translation) > 1e-4  # it moves
@@ -484,7 +484,7 @@ def test_exact_plant_steps_an_object_that_no_arm_leads():
         tau = rng.normal(size=case.chain.n_a) * 20.0
         oracle = case.system(v, V).solve(forces(case, tau), NOTHING.N, np.zeros(0))
         classical = oracle.a_object + np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
-        plant.step(tau, dt)
+        plant.command(tau, dt)
         assert miss((plant._V - V) / dt, classical) < 1e-3
         want = moved(case.X_WO, 0.5 * dt * (V + plant._V))
         np.testing.assert_allclose(plant._X.homogeneous, want.homogeneous, atol=1e-10)
@@ -506,7 +506,7 @@ def test_what_an_arm_does_without_the_object_is_held():
     wanted = osc.Reference(X_WO, np.zeros(6), np.zeros(6), np.zeros(0))
     before = np.linalg.norm(plant.v)
     for _ in range(100):
-        plant.step(controller.tick(plant.measure(), wanted), 2e-3)
+        plant.command(controller.tick(plant.measure(), wanted), 2e-3)
         assert controller.status is not osc.Status.HELD, controller.reason
     assert np.linalg.norm(plant.v) < 0.3 * before  # damping 10 1/s, 0.2 s
     assert np.abs(plant.truth().X_WO.translation - X_WO.translation).max() < 1e-5

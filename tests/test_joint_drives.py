@@ -36,7 +36,7 @@ def test_the_motor_obeys_spongs_equation():
     J = plant.drives.flexible.motor_inertia
     for _ in range(20):
         tau = 0.2 * rig.chain.tau_max * rng.uniform(-1, 1, 8) * np.tile([1, 1, 0.1, 0.1], 2)
-        plant.step(tau, 2e-3)
+        plant.command(tau, 2e-3)
         plant._mj.mj_forward(plant.model, plant.data)
         theta_dd = plant.data.qacc[plant._v[rig.chain.actuated]]
         np.testing.assert_allclose(
@@ -74,7 +74,7 @@ def test_with_held_motors_mujoco_swings_at_the_frequencies_of_the_closed_chain()
     plant.data.qvel[plant._v[passive]] = velocity[passive]
     wound = []
     for _ in range(2000):
-        plant.step(plant.data.ctrl.copy(), 1e-3)
+        plant.command(plant.data.ctrl.copy(), 1e-3)
         wound.append(plant.data.qpos[plant._springs[0]])
     wound = np.array(wound) - np.mean(wound)
     up = np.flatnonzero((wound[:-1] < 0) & (wound[1:] >= 0))
@@ -106,7 +106,7 @@ def test_joint_friction_holds_a_motor_until_it_is_overcome():
         plant.reset(rig.q_start)
         plant.hold(start)
         theta = plant.data.qpos[plant._q[0]]
-        plant.step(start + np.eye(8)[0] * push * limit[0], 0.02)
+        plant.command(start + np.eye(8)[0] * push * limit[0], 0.02)
         moved.append(plant.data.qpos[plant._q[0]] - theta)
     free = 0.5 * 0.6 * limit[0] / plant.drives.flexible.motor_inertia[0] * 0.02**2
     assert moved[0] < 0.1 * free  # MuJoCo's friction creeps a little

@@ -139,7 +139,7 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
         assert controller.status is osc.Status.OK, controller.reason
         jump = max(jump, 0.0 if before is None else np.abs(tau - before).max())
         before = tau
-        plant.step(tau, 2e-3)
+        plant.command(tau, 2e-3)
         farthest = max(farthest, plant.q[0])
     assert (farthest < 0.2) == (stiffness > 0.0)
     assert jump < 2.0  # N m, in 2 ms

@@ -160,14 +160,14 @@ def test_a_wrong_number_of_posture_joints_is_refused():
 def test_what_was_recorded_before_a_divergence_is_kept(monkeypatch):
     from osc_contact.plants.mujoco import MujocoPlant
 
-    step = MujocoPlant.step
+    command = MujocoPlant.command
 
     def fails_at_50_ms(self, tau, duration):
         if self.time > 0.0495:
             self.data.qvel[:] = np.inf
-        step(self, tau, duration)
+        command(self, tau, duration)
 
-    monkeypatch.setattr(MujocoPlant, "step", fails_at_50_ms)
+    monkeypatch.setattr(MujocoPlant, "command", fails_at_50_ms)
     with pytest.raises(osc.PlantError) as caught:
         osc.run(osc.load_scenario("two_contact_rod"), duration=0.2)
     assert len(caught.value.recording["t"]) == 51

@@ -26,7 +26,7 @@ def on_the_move(rig, ticks=60):
     plant, controller = rig.plant(), rig.controller()
     for k in range(ticks):
         tau = controller.tick(plant.measure(), rig.references.at(1.0 + 1e-3 * k))
-        plant.step(tau, 1e-3)
+        plant.command(tau, 1e-3)
     return plant, controller
 
 
@@ -44,7 +44,7 @@ def test_contact_forces_are_the_commanded_ones_at_every_instant(changes):
         controller.force_law.integral = np.zeros(2)
         controller.tick(plant.measure(), rig.references.at(1.06 + 1e-3 * k))
         np.testing.assert_allclose(controller.signals.alpha_meas, alpha, rtol=1e-9)
-        plant.step(tau, 1e-3)
+        plant.command(tau, 1e-3)
         moved = max(moved, np.abs(plant.measure().touched.V_E).max())
     assert moved > 1e-3
     turns = np.abs(plant.measure().touched.V_E[:, 3:]).max()
@@ -72,7 +72,7 @@ def test_a_cart_obeys_newton():
         truth = plant.truth()
         path.append(rail.direction @ truth.X_WE[0].translation)
         force.append(truth.alpha[0] * (rail.direction @ rig.pairs[0].direction()))
-        plant.step(tau, 1e-3)
+        plant.command(tau, 1e-3)
     path, force = np.array(path), np.array(force)
     acceleration = (path[2:] - 2 * path[1:-1] + path[:-2]) / 1e-6
     speed = (path[2:] - path[:-2]) / 2e-3
@@ -90,7 +90,7 @@ def test_a_conveyor_is_where_its_signals_say():
         signals = rig.scenario.contacts[0].face.motion.signals
         direction = np.array(rig.scenario.contacts[0].face.motion.direction)
         for k in range(300):
-            plant.step(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+            plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
         s, ds, dds = signals[0].at(0.3)
         touched = plant.measure().touched
         np.testing.assert_allclose(touched.X_WE[0, :3, 3], direction * s, atol=1e-7)

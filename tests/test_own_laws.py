@@ -114,7 +114,7 @@ def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig: osc.Rig
             assert other.status is osc.Status.OK, other.reason
             np.testing.assert_allclose(got, tau, rtol=0, atol=1e-8)
         plant.hold(tau)
-        plant.step(tau, 2e-3)
+        plant.command(tau, 2e-3)
     assert np.abs(plain.force_law.integral).max() > 1e-6
 
 

@@ -36,7 +36,7 @@ def test_rigid_plant_keeps_energy_and_constraints_while_it_slides_freely(rig):
         plant.reset(rig.q_contact)
         start = energy(plant)
         for _ in range(round(0.2 / step)):
-            plant.step(np.zeros(8), step)
+            plant.command(np.zeros(8), step)
         truth = plant.truth()
         drift.append(abs(energy(plant) - start))
         N = np.hstack([p.contact(truth.X_WO, truth.V_O).N for p in rig.pairs])
@@ -78,7 +78,7 @@ def test_mujoco_wrist_sensors_agree_with_newton_euler(rig):
     plant, controller = rig.plant(), rig.controller()
     for k in range(60):
         tau = controller.tick(plant.measure(), rig.references.at(k * 1e-3))
-        plant.step(tau, 1e-3)
+        plant.command(tau, 1e-3)
     # what measure() reports was computed at the beginning of the last step: go there
     q, v = plant.data.qpos[plant._q].copy(), plant.data.qvel[plant._v].copy()
     plant._mj.mj_forward(plant.model, plant.data)
@@ -94,7 +94,7 @@ def test_mujoco_wrist_sensors_agree_with_newton_euler(rig):
 def test_mujoco_contacts_push_and_never_pull(rig):
     plant = rig.plant()
     for _ in range(100):
-        plant.step(np.array([0, 0, -120.0, 0, 0, 0, -120.0, 0]), 1e-3)  # lift off
+        plant.command(np.array([0, 0, -120.0, 0, 0, 0, -120.0, 0]), 1e-3)  # lift off
         truth = plant.truth()
         assert truth.alpha.min() >= 0.0
     assert not truth.closed.any()
@@ -107,8 +107,8 @@ def test_both_plants_accelerate_alike_where_contacts_stay_closed(rig):
     soft, hard = rig.plant(), RigidPlant(rig.chain, rig.pairs, 2.5e-4)
     hard.reset(rig.q_start)
     for _ in range(50):
-        soft.step(tau, 1e-3)
-        hard.step(tau, 1e-3)
+        soft.command(tau, 1e-3)
+        hard.command(tau, 1e-3)
     moved = hard.truth().X_WO.translation - rig.state().X_WO.translation
     apart = hard.truth().X_WO.translation - soft.truth().X_WO.translation
     assert np.linalg.norm(moved) > 1e-3
@@ -120,7 +120,7 @@ def test_divergence_is_an_error_and_leaves_no_log_file(rig, tmp_path, monkeypatc
     plant = rig.plant()
     plant.data.qvel[:] = np.inf
     with caplog.at_level(logging.DEBUG), pytest.raises(osc.PlantError, match="diverged"):
-        plant.step(np.zeros(8), 1e-3)
+        plant.command(np.zeros(8), 1e-3)
     assert list(Path(tmp_path).iterdir()) == []
 
 
@@ -129,7 +129,7 @@ def test_rigid_plant_refuses_to_run_away(rig):
     plant.reset(rig.q_contact)
     plant.v, _ = plant._on_constraints(np.full(10, 2e3), np.zeros(6))
     with pytest.raises(osc.PlantError, match="diverged"):
-        plant.step(np.zeros(8), 1e-3)
+        plant.command(np.zeros(8), 1e-3)
 
 
 def test_a_tare_on_the_rigid_plant_is_refused():

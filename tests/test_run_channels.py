@@ -30,7 +30,7 @@ def run_plainly(rig):
     """Channels of a run, each from its definition, tick by tick."""
     plant, controller, first = rig.plant(3), rig.controller(), rig.controller()
     plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
-    drive, period = rig.drive(plant), 1.0 / rig.scenario.control.rate
+    robot, period = rig.robot(plant, controller), 1.0 / rig.scenario.control.rate
     monitor, ticks, samples = ContactMonitor(len(rig.pushing), period), [], []
     plan = rig.references.over(np.arange(round(rig.scenario.duration / period)) * period)
     for k, wanted in enumerate(plan):
@@ -62,7 +62,7 @@ def run_plainly(rig):
             "alpha_given_up": np.zeros(len(rig.pushing)) if controller.given_up is None
             else controller.given_up.force,
         })  # fmt: skip
-        drive.step(tau)
+        robot.command(tau, period)
     return {name: np.array([tick[name] for tick in ticks]) for name in ticks[0] if name != "E"}
 
 
@@ -236,14 +236,14 @@ def test_a_viewer_sees_the_ticks_that_are_recorded():
 
 def test_a_run_that_fails_leaves_all_channels_of_what_came_before(monkeypatch):
     scenario = osc.load_scenario("two_contact_rod", ["duration=0.02"])
-    whole, step = osc.run(scenario), MujocoPlant.step
+    whole, command = osc.run(scenario), MujocoPlant.command
 
     def failing(plant, tau, duration):
-        step(plant, tau, duration)
+        command(plant, tau, duration)
         if plant.time > 0.0115:
             raise osc.PlantError("enough")
 
-    monkeypatch.setattr(MujocoPlant, "step", failing)
+    monkeypatch.setattr(MujocoPlant, "command", failing)
     with pytest.raises(osc.PlantError, match="enough") as failure:
         osc.run(scenario)
     part = failure.value.recording
@@ -256,9 +256,9 @@ def test_a_step_that_goes_wrong_is_told_at_once():
     plant = osc.build_rig(osc.load_scenario("two_contact_rod")).plant()
     plant.data.qvel[2] = np.nan
     with pytest.raises(osc.PlantError, match="diverged"):
-        plant.step(np.zeros(8), 1e-3)
+        plant.command(np.zeros(8), 1e-3)
     with pytest.raises(osc.InvalidInputError, match="tau: element"):
-        plant.step(np.full(8, np.inf), 1e-3)
+        plant.command(np.full(8, np.inf), 1e-3)
     with pytest.raises(osc.InvalidInputError, match="shape"):
         plant.hold(np.zeros(7))
 

@@ -28,7 +28,7 @@ class Toy:
     def hold(self, tau):
         pass
 
-    def step(self, tau, duration):
+    def command(self, tau, duration):
         self.time += duration
 
     def truth(self):
@@ -57,7 +57,7 @@ def readings(sensors, steps, seed=0, step=STEP):
     plant.reset(np.zeros(3))
     out = [plant.measure()]
     for _ in range(steps):
-        plant.step(np.zeros(2), step)
+        plant.command(np.zeros(2), step)
         out.append(plant.measure())
     return out
 
@@ -152,7 +152,7 @@ def test_one_seed_one_run_and_a_reset_begins_it_again():
         np.testing.assert_array_equal(a.q, b.q)
     assert np.abs(first[-1].q - other[-1].q).max() > 1e-3
     plant = SensedPlant(Toy(), sensors, 1)
-    plant.step(np.zeros(2), STEP)
+    plant.command(np.zeros(2), STEP)
     plant.reset(np.zeros(3))
     np.testing.assert_array_equal(plant.measure().q, first[0].q)
 
@@ -197,7 +197,7 @@ def observed(overrides, steps=1500, seed=0):
     out = []
     for _ in range(steps):
         out.append(observer.complete(plant.measure(), np.zeros(rig.chain.nq)))
-        plant.step(np.zeros(2), STEP)
+        plant.command(np.zeros(2), STEP)
     return out
 
 

@@ -113,7 +113,7 @@ def test_a_hinged_face_takes_the_power_of_its_contact():
         power.append(truth.alpha[0] * (contact.N.T @ V_e)[0] - rail.damping * turn**2)
         stored = rail.stiffness * angle**2 / 2 - rail.preload * angle
         energy.append(rail.inertia * turn**2 / 2 + stored)
-        plant.step(tau, 1e-3)
+        plant.command(tau, 1e-3)
     power, energy = np.array(power), np.array(energy)
     np.testing.assert_allclose(
         np.diff(energy), 1e-3 * (power[1:] + power[:-1]) / 2, atol=2e-3 * np.abs(power).max() * 1e-3

@@ -182,7 +182,7 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
                         abs(rig.pairs[0].gaps(truth.X_WO, pin.SE3(touched.X_WE[0]))[0]),
                     ]
                 )
-        sensed.step(controller.tick(done, rig.references.at(1e-3 * k)), 1e-3)
+        sensed.command(controller.tick(done, rig.references.at(1e-3 * k)), 1e-3)
     ours, raw = np.array(ours), np.array(raw)
     rms = np.sqrt(np.mean(ours**2, axis=0))
     assert rms[0] < 4e-3 and rms[1] < 1.2e-3, rms  # rad; m from where it touches

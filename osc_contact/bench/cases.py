@@ -21,6 +21,7 @@ from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.rigid import RigidPlant
+from osc_contact.runs.loop import run_loop
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.scenarios import load_scenario
 from osc_contact.spatial import Array
@@ -124,10 +125,7 @@ def in_motion(
     plant = RigidPlant(chain, pairs, DT)
     plant.reset(q)
     still = Case(name, chain, pairs, gains, q, plant.measure(), reference(0.0))
-    controller = still.controller()
-    for k in range(MOVING_TICKS):
-        tau = controller.tick(plant.measure(), reference(k * DT))
-        plant.step(tau, DT)
+    run_loop(plant, still.controller(), (reference(k * DT) for k in range(MOVING_TICKS)))
     end = reference(MOVING_TICKS * DT)
     return Case(name, chain, pairs, gains, q, plant.measure(), end, status)
 

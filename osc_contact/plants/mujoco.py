@@ -22,6 +22,7 @@ from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.faces import Rail, touched
 from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives
+from osc_contact.plants.judge import Truth
 from osc_contact.plants.mujoco_scene import (
     DRIVE_MASS,
     GRASP_JOINT,
@@ -30,7 +31,6 @@ from osc_contact.plants.mujoco_scene import (
     scene,
 )
 from osc_contact.plants.mujoco_truth import MujocoTruth
-from osc_contact.plants.plant import Truth
 from osc_contact.plants.pushes import Push
 from osc_contact.spatial import Array, as_array, cross
 
@@ -173,7 +173,7 @@ class MujocoPlant:
 
     def hold(self, tau: Array) -> None:
         """Apply torques from now on; time stands still."""
-        self._command(tau)
+        self._send(tau)
         if self.drives.flexible is not None:  # springs wound up, motors where that puts them
             q = self._joints(self.data.qpos, self._q, self._springs)[self.chain.actuated]
             wound = -self.data.ctrl / self.drives.flexible.stiffness
@@ -181,7 +181,7 @@ class MujocoPlant:
             self.data.qpos[self._q[self.chain.actuated]] = q - wound
         self._mj.mj_forward(self.model, self.data)
 
-    def _command(self, tau: Array) -> None:
+    def _send(self, tau: Array) -> None:
         known = type(tau) is np.ndarray and tau.shape == self._size
         if not known or not isfinite(tau.dot(tau)):
             tau = as_array("tau", tau, self._size)
@@ -240,23 +240,23 @@ class MujocoPlant:
         return log.truths(np.concatenate(log.parts)[None], 0, 1)[0]
 
     def poses(self) -> Array:
-        """See `Plant.poses`; as of the last step's beginning."""
+        """See `Judge.poses`; as of the last step's beginning."""
         X = np.tile(np.eye(4), (len(self._seen), 1, 1))
         X[:, :3, :3] = self.data.xmat[self._seen].reshape(-1, 3, 3)
         X[:, :3, 3] = self.data.xpos[self._seen]
         return X
 
     def log(self, capacity: int) -> MujocoTruth:
-        """A log of the truth of up to `capacity` instants."""
+        """A log of the truth with room for `capacity` instants."""
         inertia = self.chain.reference_inertia(pin.SE3.Identity())
         return MujocoTruth(
             (self.model, self.data), self._object, self._body_of, self.rails,
             (self._face_q, self._guided), self.contacts, self.on, inertia, capacity,
         )  # fmt: skip
 
-    def step(self, tau: Array, duration: float) -> None:
+    def command(self, tau: Array, duration: float) -> None:
         """Hold the torques over the steps that fit into `duration`."""
-        self._command(tau)
+        self._send(tau)
         if self.pushes:
             self.data.xfrc_applied[:] = 0.0
             for push in self.pushes:
@@ -280,6 +280,9 @@ class MujocoPlant:
                 f"MuJoCo diverged at t = {self.time:.4f} s ({', '.join(kinds)}); largest speed "
                 f"{np.abs(self.data.qvel).max():.3g}. Lower the gains or the plant step."
             )
+
+    def stop(self) -> None:
+        """Nothing to do."""
 
     def _push(self, push: Push, force: Array) -> None:
         sensor = self.model.body(f"{push.arm}/{self._wrists[push.arm]}")

@@ -11,7 +11,7 @@ from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.over_time import normals_over
 from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.plants.faces import Rail
-from osc_contact.plants.plant import Truths
+from osc_contact.plants.judge import Truths
 from osc_contact.spatial import Array, Poses, cross
 
 __all__ = ["MujocoTruth"]
@@ -51,7 +51,7 @@ class MujocoTruth:
                 each joint and whether it is the travel (0) or the angle (1).
             contacts: the pairs. on: the body of each.
             inertia: (6, 6) of the object at its origin, in its own axes.
-            capacity: instants at most.
+            capacity: instants there is room for; more is made for more.
         """
         model, self._data = plant
         self._rails, self._on, self._contacts = rails, on, tuple(contacts)
@@ -76,6 +76,8 @@ class MujocoTruth:
     def note(self) -> None:
         """Keep what moves about in memory: contacts, and where bodies on rails are."""
         k, data = self._count, self._data
+        if k == len(self._points):
+            self._make_room()
         if len(self._travel):
             self._travelled[k] = data.qpos[self._travel]
         self._points[k] = n = data.ncon
@@ -89,6 +91,13 @@ class MujocoTruth:
                 rows[k, :n] = view
             self._force[k, : len(force)] = force
         self._count = k + 1
+
+    def _make_room(self) -> None:
+        """For twice as many instants."""
+        for name in ("_travelled", "_points", "_geom", "_address", "_force", "_place", "_frame"):
+            rows = getattr(self, name)
+            setattr(self, name, np.concatenate((rows, np.zeros_like(rows))))
+        self._seen = 0  # look for the contacts again, to write into the new rows
 
     def _look(self, n: int) -> None:
         """Find n contacts in memory; they lie at the start of MuJoCo's arena at every step."""

@@ -32,7 +32,7 @@ from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
 from osc_contact.plants.faces import Rail, poses, touched
-from osc_contact.plants.plant import Truth, Watched
+from osc_contact.plants.judge import Truth, Watched
 from osc_contact.plants.wrist_cut import wrist_cut
 from osc_contact.spatial import (
     Array,
@@ -122,7 +122,7 @@ class RigidPlant:
         return Truth(solution.alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
 
     def log(self, capacity: int) -> Watched:
-        """A log of the truth of up to `capacity` instants."""
+        """A log of the truth with room for `capacity` instants."""
         return Watched(self, self.contacts)
 
     def _now(self) -> tuple[_Solution, tuple[pin.SE3, Array]]:
@@ -138,12 +138,12 @@ class RigidPlant:
         return self._solved[1]
 
     def poses(self) -> Array:
-        """See `Plant.poses`."""
+        """See `Judge.poses`."""
         pin.computeAllTerms(self.model, self.data, self.q, self.v)
         tips = [self._tip(i) for i in range(len(self._tips))]
         return np.array([X.homogeneous for X in (self._object()[0], *tips)])
 
-    def step(self, tau: Array, duration: float) -> None:
+    def command(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
         self.hold(tau)
         for _ in range(max(1, round(duration / self.dt))):
@@ -162,6 +162,9 @@ class RigidPlant:
             X = moved(self._X, 0.5 * (self._V + V) * self.dt)
             self.q, self._X = closed(self.chain, q, X, self._gaps)
             self.v, self._V = self._on_constraints(v, V)
+
+    def stop(self) -> None:
+        """Nothing to do."""
 
     def accelerations(self, tau: Array) -> tuple[Array, Array, Array]:
         """(q̈ (n,), spatial object acceleration (6,) at O, α (r,)) under torques now."""

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Seen, Stamps, Touched
-from osc_contact.plants.plant import Plant, Truth, TruthLog
+from osc_contact.plants.judge import Plant, Truth, TruthLog
 from osc_contact.spatial import Array
 
 __all__ = ["Clock", "Errors", "Eyes", "SensedPlant", "Sensor", "Sensors"]
@@ -167,13 +167,16 @@ class SensedPlant:
         self.plant.hold(tau)
         self._begin()
 
-    def step(self, tau: Array, duration: float) -> None:
+    def command(self, tau: Array, duration: float) -> None:
         """Hold the torques; the sensors look at the end."""
-        self.plant.step(tau, duration)
+        self.plant.command(tau, duration)
         self.time = self.plant.time
         ideal = self.plant.measure()
         for name, sensor in self._sensor.items():
             sensor.observe(self.time, partial(self._value, name, ideal))
+
+    def stop(self) -> None:
+        """Nothing to do."""
 
     def truth(self) -> Truth:
         """Of the plant inside: sensors do not touch it."""

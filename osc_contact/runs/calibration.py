@@ -111,7 +111,7 @@ def _averages(
     tau = gravity[plant.chain.actuated]
     encoders, wrenches = [], []
     for k in range(round((SETTLE + average) / STEP)):
-        sensed.step(tau, STEP)
+        sensed.command(tau, STEP)
         if k * STEP >= SETTLE:
             read = sensed.measure()
             encoders.append(read.q)

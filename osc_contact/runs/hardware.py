@@ -4,11 +4,12 @@ controller needs in front of it because of them."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.control.controller import Controller
 from osc_contact.control.joint_torque import JointTorqueLoop
 from osc_contact.control.velocity_estimate import VelocityEstimate
 from osc_contact.control.vision_fusion import Registration, VisionFusion
@@ -16,16 +17,24 @@ from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.joint_modes import joint_inertias, stiffness_for
 from osc_contact.errors import ScenarioError
-from osc_contact.interface import Measurement, Stamps
+from osc_contact.interface import Measurement, Robot, Stamps
 from osc_contact.plants.joint_drives import FlexibleJoints, JointDrives, Motors
-from osc_contact.plants.plant import Plant
+from osc_contact.plants.judge import Plant
 from osc_contact.plants.sensors import Clock, Errors, Eyes, Sensors
 from osc_contact.runs.contacts import EnvironmentBody
 from osc_contact.scenarios.hardware import EncoderSpec, SensorsSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 
-__all__ = ["Drive", "Observer", "drives", "flexible_joints", "sensors", "torque_loop"]
+__all__ = [
+    "ObservedRobot",
+    "Observer",
+    "TorqueLoopRobot",
+    "drives",
+    "flexible_joints",
+    "sensors",
+    "torque_loop",
+]
 
 
 def flexible_joints(
@@ -152,27 +161,23 @@ def torque_loop(
     )
 
 
-@dataclass
-class Drive:
-    """Carries the controller's torques to the plant: through the joint torque loop, if any."""
+class TorqueLoopRobot:
+    """A plant behind its joint torque loop, which makes the joints carry what is commanded."""
 
-    plant: Plant
-    loop: JointTorqueLoop | None
-    period: float  #: of the controller (s)
-    _sampled: float = -1.0
+    def __init__(self, plant: Plant, loop: JointTorqueLoop) -> None:
+        self.plant, self.loop = plant, loop
+        self.measure, self.stop = plant.measure, plant.stop
+        self._sampled = -1.0
 
-    def step(self, tau: Array) -> None:
-        """One control period."""
-        if self.loop is None:
-            self.plant.step(tau, self.period)
-            return
-        for _ in range(round(self.period / self.loop.dt)):
+    def command(self, tau: Array, duration: float) -> None:
+        """The loop's periods within one of the controller."""
+        for _ in range(round(duration / self.loop.dt)):
             read = self.plant.measure()
             assert read.joint_torques is not None  # the MuJoCo plant has them
             sampled = self.plant.time if read.stamps is None else read.stamps.joint_torques
             u = self.loop.command(tau, read.joint_torques, fresh=sampled > self._sampled)
             self._sampled = sampled
-            self.plant.step(u, self.loop.dt)
+            self.plant.command(u, self.loop.dt)
 
 
 class Observer:
@@ -246,6 +251,25 @@ class Observer:
         self._ticks += 1
         self._seen = stamps
         return measurement
+
+
+class ObservedRobot:
+    """A robot whose measurements an observer completes for its controller."""
+
+    def __init__(self, robot: Robot, observer: Observer, controller: Controller) -> None:
+        self.robot, self.observer, self.controller = robot, observer, controller
+        self.stop = robot.stop
+        self._acceleration: Array | None = None
+
+    def measure(self) -> Measurement:
+        """With everything a controller needs."""
+        return self.observer.complete(self.robot.measure(), self._acceleration)
+
+    def command(self, tau: Array, duration: float) -> None:
+        """See `Robot.command`."""
+        if self.observer.estimates:
+            self._acceleration = self.controller.joint_acceleration()
+        self.robot.command(tau, duration)
 
 
 def _robots(chain: ClosedChain) -> Callable[[Array], list[pin.SE3]]:

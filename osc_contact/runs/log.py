@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
+from functools import cached_property
 
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.control.controller import Controller
 from osc_contact.control.life import Phase
 from osc_contact.control.result import TickResult, internal_forces
-from osc_contact.interface import Measurement
-from osc_contact.plants.plant import Plant
-from osc_contact.runs.rig import Rig
+from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Measurement, Reference
+from osc_contact.plants.judge import Judge
 from osc_contact.spatial import Array
 
-__all__ = ["Log"]
+__all__ = ["Log", "Subject"]
 
 #: What of `TickResult` is kept, and how many numbers that is.
 FOUND = {
@@ -21,31 +28,67 @@ FOUND = {
 }  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Subject:
+    """What is recorded.
+
+    Attributes:
+        controller: whose ticks are noted.
+        pairs: the true contacts. placements: X_WB of the body of each at the start.
+        owners: (r,) the contact of each force magnitude.
+        free: whether the arms can move the object in all six directions.
+    """
+
+    controller: Controller
+    pairs: tuple[ContactPair, ...]
+    placements: tuple[pin.SE3, ...]
+    owners: Array
+    free: bool
+
+    @cached_property
+    def pushing(self) -> NDArray[np.bool_]:
+        """(r,) whether each force magnitude must not become negative."""
+        return np.array([pushes_only(self.pairs[i]) for i in self.owners], dtype=bool)
+
+
 class Log:
     """Rows of a run; `channels.channels` makes a recording of them.
 
     Attributes:
-        count: ticks noted. truth: the plant's own log of the same ticks.
+        of: what is recorded. count: ticks noted.
+        truth: the judge's own log of the same ticks; None: there is no judge.
         phase: (ticks, contacts) of contact life, where there is one. seen: (2, ticks, r) its
             monitor's contacts and collisions.
         given_up: (ticks, r) contact forces that the motor limits cost.
     """
 
-    def __init__(self, rig: Rig, plant: Plant, ticks: int) -> None:
-        """Make room for the ticks of a run."""
-        n, n_a, r = rig.chain.nq, rig.chain.n_a, len(rig.pushing)
+    def __init__(self, of: Subject, judge: Judge | None, ticks: int) -> None:
+        """Make room for ticks.
+
+        Args:
+            of: what is recorded. judge: what knows the truth; None: nothing does.
+            ticks: how many there is room for; more is made for more.
+        """
+        controller, r = of.controller, len(of.owners)
+        chain, contacts = controller.chain, len(of.pairs)
+        self.of = of
         self.count = 0
-        self.truth = plant.log(ticks)
-        self._ends: list[tuple[float, int, bool]] = []
+        self.truth = None if judge is None else judge.log(ticks)
+        self._ends: list[tuple[float, int, bool, float | Array]] = []
         self.given_up = np.zeros((ticks, r))
-        lived = 0 if rig.scenario.control.life is None else ticks
-        self.phase = np.zeros((lived, len(rig.pairs)), dtype=np.int64)
+        lived = 0 if controller.life is None else ticks
+        self.phase = np.zeros((lived, contacts), dtype=np.int64)
         self.seen = np.zeros((2, lived, r), dtype=bool)
-        sizes = {"q": n, "v": n, "tau": n_a, "alpha": r, "speed": r, **FOUND}
-        sizes["squeeze"] = internal_forces(len(rig.chain.arms))
-        if rig.d < 6:  # what the arms can make of an error is to be told
-            sizes["J"] = 6 * n
-        sizes["truth"] = sum(part.size for part in self.truth.parts)
+        sizes = {"q": chain.nq, "v": chain.nq, "tau": chain.n_a, "alpha_d": r,
+                 "alpha": r, "speed": r, **FOUND}  # fmt: skip
+        sizes["squeeze"] = internal_forces(len(chain.arms))
+        if not of.free:  # what the arms can make of an error is to be told
+            sizes["J"] = 6 * chain.nq
+        self._still = np.tile(np.eye(4), (contacts, 1, 1)).ravel()
+        if self.truth is None:
+            sizes["X_WE"] = len(self._still)
+        else:
+            sizes["truth"] = sum(part.size for part in self.truth.parts)
         ends = np.cumsum([0, *sizes.values()])
         self._places = dict(zip(sizes, map(slice, ends[:-1], ends[1:]), strict=True))
         self._rows = np.zeros((ticks, ends[-1]))
@@ -57,44 +100,76 @@ class Log:
         return name in self._places
 
     def rows(self, name: str, start: int, stop: int) -> Array:
-        """(stop − start, numbers) of q, v, tau; of alpha and speed, measured magnitudes and NᵀV_rel
-        of all contact forces, 0 where none are measured; of a field of `TickResult`; or truth."""
+        """(stop − start, numbers) of q, v, tau, alpha_d; of alpha and speed, measured magnitudes
+        and NᵀV_rel of all contact forces, 0 where none are measured; of a field of `TickResult`;
+        of truth, or where no judge knows it of X_WE, measured poses of the touched bodies."""
         return self._rows[start:stop, self._places[name]]
 
     def ends(self, start: int, stop: int) -> tuple[Array, Array, Array]:
         """How ticks ended: what each took (s), its status, the phase of each contact."""
-        spent, status, engaged = zip(*self._ends[start:stop], strict=True)
+        spent, status, engaged, _ = zip(*self._ends[start:stop], strict=True)
         phase = self.phase[start:stop]
         if not len(self.phase):
             all_of_them = np.where(np.array(engaged), Phase.CLOSED, Phase.OPEN)
             phase = np.repeat(all_of_them[:, None], self.phase.shape[1], axis=1).astype(np.int64)
         return np.array(spent), np.array(status, dtype=np.int64), phase
 
+    def squeeze_d(self, start: int, stop: int) -> Array:
+        """(stop − start,) desired internal force, or one for each two grasps."""
+        return np.array([end[3] for end in self._ends[start:stop]], dtype=float)
+
     def note(
-        self, controller: Controller, measurement: Measurement, tau: Array, spent: float
+        self, measurement: Measurement, reference: Reference, tau: Array, spent: float
     ) -> None:
-        """Keep a tick: what the controller was told, what it found, what it took (s)."""
-        k, found = self.count, controller.found()
+        """Keep a tick: what went in, what was found, what it took (s)."""
+        controller, k = self.of.controller, self.count
+        if k == len(self._rows):
+            self._make_room()
+        try:
+            ends = measurement.q, measurement.v, tau, reference.alpha_d
+            np.concatenate((*ends, *self._found(measurement)), out=self._rows[k])
+        except (InvalidInputError, TypeError, ValueError):  # held: nothing to note, or misshapen
+            self._rows[k] = np.nan
+            self._rows[k, self._places["tau"]] = tau
+            if self.truth is not None:
+                truth = np.concatenate((np.zeros(0), *self.truth.parts))
+                self._rows[k, self._places["truth"]] = truth
+        if self.truth is not None:
+            self.truth.note()
+        self._ends.append((spent, controller.status, controller.engaged, reference.squeeze_d))
+        if len(self.phase) and self._last is not None:
+            seen = self._last.records.column_memory
+            self.phase[k], self.seen[:, k] = controller.phases(), (seen.closed, seen.collision)
+        cost = controller.given_up
+        if cost is not None and len(cost.force) == self._r:
+            self.given_up[k] = cost.force
+        self.count = k + 1
+
+    def _found(self, measurement: Measurement) -> list[Array]:
+        """What the last tick found, and the judge's parts."""
+        found = self.of.controller.found()
         if found is not self._last:  # compiled ticks overwrite theirs
             self._last = found
             self._parts = self._flat(found, found.magnitudes[: self._r], found.speeds[: self._r])
         parts = self._parts
         if found.rank != self._r:
             parts = self._flat(found, *found.records.spread())
-        np.concatenate((measurement.q, measurement.v, tau, *parts), out=self._rows[k])
-        self._ends.append((spent, controller.status, controller.engaged))
-        if len(self.phase):
-            seen = found.records.column_memory
-            self.phase[k], self.seen[:, k] = controller.phases(), (seen.closed, seen.collision)
-        cost = controller.given_up
-        if cost is not None and len(cost.force) == self._r:
-            self.given_up[k] = cost.force
-        self.truth.note()
-        self.count = k + 1
+        if self.truth is None:
+            touched = measurement.touched
+            return [*parts, self._still if touched is None else np.ravel(touched.X_WE)]
+        return parts
+
+    def _make_room(self) -> None:
+        """Twice as many rows."""
+        for name in ("_rows", "given_up", "phase"):
+            rows = getattr(self, name)
+            setattr(self, name, np.concatenate((rows, np.zeros_like(rows))))
+        self.seen = np.concatenate((self.seen, np.zeros_like(self.seen)), axis=1)
 
     def _flat(self, found: TickResult, alpha: Array, speed: Array) -> list[Array]:
         fields = (np.ravel(getattr(found, name)) for name in self._of_found)
-        return [*_joined([alpha, speed, *fields]), *self.truth.parts]
+        truth = () if self.truth is None else self.truth.parts
+        return [*_joined([alpha, speed, *fields]), *truth]
 
 
 def _joined(parts: list[Array]) -> list[Array]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.errors import InvalidInputError
+from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.recorder import Recording
 from osc_contact.spatial import Array
 
@@ -32,7 +32,13 @@ def metrics(recording: Recording) -> dict[str, Any]:
 
     Raises:
         InvalidInputError: the recording is not longer than the settling time.
+        RecordingError: no judge took part in the run.
     """
+    if "alpha_true" not in recording:
+        raise RecordingError(
+            "the recording does not hold the true contact forces: no judge took part in the run, "
+            "as on hardware; compare alpha_meas with alpha_cmd instead"
+        )
     t = recording["t"]
     judged = t >= SETTLE_S - 1e-9
     if not judged.any():

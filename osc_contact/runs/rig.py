@@ -25,9 +25,9 @@ from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.grasp import Grasp
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import ScenarioError
-from osc_contact.interface import Measurement
+from osc_contact.interface import Measurement, Robot
+from osc_contact.plants.judge import Plant
 from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
-from osc_contact.plants.plant import Plant
 from osc_contact.plants.pushes import Push
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
@@ -39,6 +39,7 @@ from osc_contact.runs.contacts import (
     environment_bodies,
     pose_of,
 )
+from osc_contact.runs.log import Subject
 from osc_contact.runs.references import References, force_owners
 from osc_contact.scenarios.schema import GraspSpec, Scenario
 from osc_contact.spatial import Array
@@ -114,15 +115,25 @@ class Rig:
             read = replace(read, touched=replace(read.touched, V_E=still))
         return replace(read, q=self.q_start, v=np.zeros(self.chain.nq))
 
-    def drive(self, plant: Plant) -> hardware.Drive:
-        """What carries the controller's torques to a plant: the joint torque loop, if any."""
+    def robot(self, plant: Plant, controller: Controller) -> Robot:
+        """The plant as the control loop meets it: behind the joint torque loop, if any, and what
+        estimates the velocities that its sensors do not give."""
+        robot: Robot = plant
         joints = hardware.flexible_joints(self.scenario, self.chain, self.state())
-        loop = hardware.torque_loop(self.scenario, self.chain, joints)
-        return hardware.Drive(plant, loop, 1.0 / self.scenario.control.rate)
+        if (loop := hardware.torque_loop(self.scenario, self.chain, joints)) is not None:
+            robot = hardware.TorqueLoopRobot(plant, loop)
+        if not self.scenario.sensors.ideal:
+            robot = hardware.ObservedRobot(robot, self.observer(), controller)
+        return robot
 
     def observer(self) -> hardware.Observer:
         """What estimates the velocities that the sensors do not give."""
         return hardware.Observer(self.scenario, self.model, self.bodies)
+
+    def subject(self, controller: Controller) -> Subject:
+        """What a recording of this rig is of."""
+        on = tuple(self.bodies[body].placement for body in self.on)
+        return Subject(controller, self.pairs, on, self.owners, self.d == 6)
 
     def controller(self) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
-from time import perf_counter, process_time
+from typing import Any
 
 import numpy as np
 
 from osc_contact.control.controller import Controller
 from osc_contact.errors import PlantError
+from osc_contact.interface import Measurement, Reference
+from osc_contact.plants.judge import Plant
 from osc_contact.recorder import Recording
-from osc_contact.runs.channels import Tick, channels, monitored
-from osc_contact.runs.log import Log
-from osc_contact.runs.references import Plan, force_owners, force_steps
+from osc_contact.runs.loop import run_loop
+from osc_contact.runs.recorder import Recorder
+from osc_contact.runs.references import force_steps
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
 
-__all__ = ["run"]
+__all__ = ["run", "start"]
 
 Progress = Callable[[float], None]
 Install = Callable[[Controller], Controller]
@@ -52,102 +53,70 @@ def run(
     Raises:
         PlantError: the simulation diverged; `error.recording` holds what came before.
     """
-    changes = scenario.as_dict()
+    changes: dict[str, Any] = {} if duration is None else {"duration": duration}
     if plant is not None:
-        changes["plant"]["type"] = plant
-    if duration is not None:
-        changes["duration"] = duration
-    scenario = Scenario.model_validate(changes).with_source(scenario.source)
-    return _loop(build_rig(scenario), seed, progress, install, viewer)
-
-
-def _loop(
-    rig: Rig,
-    seed: int,
-    progress: Progress | None,
-    install: Install | None,
-    viewer: Shows | None,
-) -> Recording:
+        changes["plant"] = scenario.plant.model_dump() | {"type": plant}
+    rig = build_rig(scenario.replaced(**changes) if changes else scenario)
     scenario = rig.scenario
-    period = 1.0 / scenario.control.rate
+    simulated, controller = start(rig, seed, install)
     ticks = round(scenario.duration * scenario.control.rate)
-    plant, controller, first = rig.plant(seed), rig.controller(), rig.controller()
-    if install is not None:
-        controller, first = install(controller), install(first)
-    # the rig starts under the torques that hold it, not limp
-    plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
-    drive, observer, tare = rig.drive(plant), rig.observer(), _Tare(rig, controller)
-    acceleration = None
-    began = perf_counter(), process_time()
-    plan = rig.references.over(np.arange(ticks) * period)
-    log = Log(rig, plant, ticks)
-    try:
-        for k, reference in enumerate(plan):
-            measurement = observer.complete(plant.measure(), acceleration)
-            start = perf_counter()
-            tau = controller.tick(measurement, reference)
-            spent = perf_counter() - start
-            if observer.estimates:
-                acceleration = controller.joint_acceleration()
-            if not controller.engaged:
-                tare.watch(k * period)
-            log.note(controller, measurement, tau, spent)
-            if viewer is not None:
-                viewer.show(Tick(partial(channels, rig, log, plan, k, k + 1)))
-            drive.step(tau)
-            if progress is not None and k % 100 == 99:
-                progress((k + 1) * period)
-    except PlantError as error:
-        error.recording = _recording(rig, log, plan, seed, began)
-        raise
-    return _recording(rig, log, plan, seed, began)
-
-
-def _recording(rig: Rig, log: Log, plan: Plan, seed: int, began: tuple[float, float]) -> Recording:
-    """What the run is remembered by; working it out counts as part of the run."""
-    values = channels(rig, log, plan, 0, log.count) | monitored(rig, log)
-    recording = Recording(_meta(rig, seed), values)
-    recording.meta["wall_s"] = perf_counter() - began[0]
-    recording.meta["cpu_s"] = process_time() - began[1]
-    return recording
-
-
-class _Tare:
-    """Averages the wrist sensors at rest off the contacts, then lets the controller engage."""
-
-    def __init__(self, rig: Rig, controller: Controller) -> None:
-        self.spec = rig.scenario.tare
-        self.controller = controller
-        self.engage_at = rig.references.engage_at
-        self.samples: list[Array] = []
-
-    def watch(self, t: float) -> None:
-        if self.spec is None:
-            return
-        if 2 * self.spec.duration / 3 <= t < self.spec.duration:  # once the start has settled
-            self.samples.append(self.controller.residual_wrench())
-        elif self.samples and t >= self.spec.duration:
-            self.controller.f_tare = np.mean(self.samples, axis=0)
-            self.samples = []
-        if t >= self.engage_at:
-            self.controller.engage()
-
-
-def _meta(rig: Rig, seed: int) -> dict[str, object]:
-    scenario = rig.scenario
-    return {
+    recorder = Recorder(controller, simulated, ticks=ticks, subject=rig.subject(controller))
+    plan = rig.references.over(np.arange(ticks) * controller.dt)
+    about = {
         "scenario": scenario.as_dict(),
         "source": None if scenario.source is None else scenario.source.name,
         "plant": scenario.plant.type,
         "seed": seed,
-        "arm_names": [arm.name for arm in rig.chain.arms],
-        "joint_names": rig.chain.joint_names,
-        "effort_limits": {
-            rig.chain.joint_names[j]: float(limit) if np.isfinite(limit) else None
-            for j, limit in zip(rig.chain.actuated, rig.chain.tau_max, strict=True)
-        },
-        "contact_names": [pair.name for pair in rig.pairs],
-        "columns": list(force_owners(scenario)),
-        "control_rate_hz": scenario.control.rate,
         "force_steps_s": force_steps(scenario),
     }
+    robot = rig.robot(simulated, controller)
+    taring = controller if scenario.tare is None else _Taring(rig, controller)
+    try:
+        run_loop(robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress)
+    except PlantError as error:
+        error.recording = recorder.recording(about)
+        raise
+    return recorder.recording(about)
+
+
+def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plant, Controller]:
+    """Plant and controller of a rig at its start, under the torques that hold it, not limp.
+
+    Args:
+        rig: see `build_rig`. seed: of everything random.
+        install: puts another control law into each controller.
+    """
+    plant, controller, first = rig.plant(seed), rig.controller(), rig.controller()
+    if install is not None:
+        controller, first = install(controller), install(first)
+    plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
+    return plant, controller
+
+
+class _Taring:
+    """A controller that averages its wrist sensors at rest off the contacts, then engages."""
+
+    def __init__(self, rig: Rig, controller: Controller) -> None:
+        assert rig.scenario.tare is not None
+        self.duration = float(rig.scenario.tare.duration)
+        self.engage_at = rig.references.engage_at
+        self.controller, self.dt = controller, controller.dt
+        self.samples: list[Array] = []
+        self.ticks = 0
+
+    def tick(self, measurement: Measurement, reference: Reference) -> Array:
+        """See `Controller.tick`."""
+        tau = self.controller.tick(measurement, reference)
+        if not self.controller.engaged:
+            self._watch(self.ticks * self.dt)
+        self.ticks += 1
+        return tau
+
+    def _watch(self, t: float) -> None:
+        if 2 * self.duration / 3 <= t < self.duration:  # once the start has settled
+            self.samples.append(self.controller.residual_wrench())
+        elif self.samples and t >= self.duration:
+            self.controller.f_tare = np.mean(self.samples, axis=0)
+            self.samples = []
+        if t >= self.engage_at:
+            self.controller.engage()

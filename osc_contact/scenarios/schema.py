@@ -158,6 +158,15 @@ class Scenario(Spec):
         copy._source = source
         return copy
 
+    def replaced(self, **parts: Any) -> Scenario:
+        """The same scenario with some of its keys replaced, checked anew.
+
+        Args:
+            parts: values of keys, as plain data or as parts of another scenario.
+        """
+        kept = {key: getattr(self, key) for key in type(self).model_fields}
+        return type(self).model_validate({**kept, **parts}).with_source(self.source)
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain JSON-able data (SI) that loads back to an equal scenario."""
         return self.model_dump(mode="json")

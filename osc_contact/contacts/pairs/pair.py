@@ -15,6 +15,7 @@ from osc_contact.spatial import Array, as_array, carry_twist, cross, skew
 __all__ = [
     "Bodies",
     "ContactPair",
+    "count_forces",
     "lines_of_force",
     "lines_of_force_rate",
     "read_geometry",
@@ -60,6 +61,11 @@ class ContactPair(Protocol):
 
     def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
         """(r,) signed errors (m, or rad where the column of N is a couple), 0 in contact."""
+
+
+def count_forces(pair: ContactPair) -> int:
+    """r, how many force magnitudes a pair has: one for each of its gaps."""
+    return len(pair.gaps(pin.SE3.Identity()))
 
 
 @dataclass(frozen=True, slots=True)

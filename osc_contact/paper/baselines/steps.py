@@ -15,7 +15,9 @@ from osc_contact.paper.baselines.laws import Law
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.projections import Omega_m_bar
 from osc_contact.runs.contacts import feet
+from osc_contact.runs.loop import Witness, run_loop
 from osc_contact.runs.rig import Rig
+from osc_contact.runs.run import start
 from osc_contact.spatial import Array, pose_error
 
 __all__ = ["FORCE_STEP_N", "MOTION_STEP_M", "StepRun", "measured_coupling", "run_steps"]
@@ -94,28 +96,22 @@ def run_steps(
     r, n = instant.contact.r, instant.free.shape[1]
     starts = tuple(_SETTLE_S + _WINDOW_S * k for k in range(r + n))
     period = 1.0 / rig.scenario.control.rate
-    plant, controller = rig.plant(), law.install(rig.controller())
-    plant.hold(law.install(rig.controller()).tick(plant.measure(), rig.references.at(0.0)))
     at_rest = replace(rig.references.at(0.0), V_D=np.zeros(6), A_D=np.zeros(6))
-    free_part = np.eye(6) - Omega_m_bar(instant.contact.N, instant.state.Phi)
-    rows: list[tuple[Array, Array, Array, bool, bool]] = []
     t = period * np.arange(round((starts[-1] + _WINDOW_S) / period))
-    for k, now in enumerate(t):
-        done = sum(now >= start - 1e-9 for start in starts)
-        reference = _stepped(at_rest, instant, done)
-        tau = controller.tick(plant.measure(), reference)
-        plant.hold(tau)
-        truth = plant.truth()
-        moved = free_part @ pose_error(truth.X_WO, instant.state.X_WO)
-        rows.append((truth.alpha, reference.alpha_d, moved, bool(truth.closed.all()),
-                     bool(controller.status)))  # fmt: skip
-        plant.step(tau, period)
-        if progress is not None and k % 100 == 99:
-            progress(float(now) + period)
-    alpha, alpha_d, motion, closed, status = (np.array(x) for x in zip(*rows, strict=True))
+    done = [sum(now >= start - 1e-9 for start in starts) for now in t]
+    stepped = [_stepped(at_rest, instant, count) for count in range(len(starts) + 1)]
+    plant, controller = start(rig, install=law.install)
+    witness = Witness(plant, controller)
+    run_loop(plant, controller, (stepped[k] for k in done), recorder=witness, progress=progress)
     X = instant.state.X_WO
+    free_part = np.eye(6) - Omega_m_bar(instant.contact.N, instant.state.Phi)
+    motion = np.array([free_part @ pose_error(truth.X_WO, X) for truth in witness.truths])
+    alpha = np.array([truth.alpha for truth in witness.truths])
+    alpha_d = np.array([stepped[k].alpha_d for k in done])
+    closed = float(np.mean([truth.closed.all() for truth in witness.truths]))
     ends = np.vstack([np.zeros(3), *(feet(pair, X)[0] - X.translation for pair in rig.pairs)])
-    return StepRun(t, starts, alpha, alpha_d, motion, ends, float(closed.mean()), int(status.sum()))
+    saturated = int(np.count_nonzero(witness.status))
+    return StepRun(t, starts, alpha, alpha_d, motion, ends, closed, saturated)
 
 
 def measured_coupling(rig: Rig, law: Law, instant: Instant) -> Coupling:

@@ -128,7 +128,7 @@ def run(duration: float = 5.0, task: ConeTask | None = None, probe_s: float = 0.
             (t, task.wall_forces(t), to_walls @ truth.alpha, task.motions(t)[:, 0],
              _motion(rig, truth.X_WO), power, N, int(controller.status))
         )  # fmt: skip
-        plant.step(tau, PERIOD)
+        plant.command(tau, PERIOD)
     names = ("t", "wall_d", "wall", "motion_d", "motion", "power", "N", "status")
     columns = {name: np.array(c) for name, c in zip(names, zip(*rows, strict=True), strict=True)}
     to_motion, to_force = (np.array(part) for part in zip(*probes, strict=True))

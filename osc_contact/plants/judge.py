@@ -1,4 +1,4 @@
-"""What every plant offers: sensors for the controller, the truth for the judge, a step in time."""
+"""What judges a run, the truth about object and contacts, and what every plant offers."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.over_time import normals_over
-from osc_contact.interface import Measurement
+from osc_contact.interface import Robot
 from osc_contact.spatial import Array, Poses
 
-__all__ = ["Plant", "Truth", "TruthLog", "Truths", "Watched"]
+__all__ = ["Judge", "Plant", "Truth", "TruthLog", "Truths", "Watched"]
 
 
 @dataclass(frozen=True)
@@ -72,17 +72,17 @@ class TruthLog(Protocol):
 
 
 class Watched:
-    """The log of a plant whose `truth` costs little beside its steps."""
+    """The log of a judge whose `truth` costs little beside a tick."""
 
-    def __init__(self, plant: Plant, contacts: Sequence[ContactPair]) -> None:
-        """Watch a plant with these contacts."""
-        self._plant, self._contacts = plant, contacts
+    def __init__(self, judge: Judge, contacts: Sequence[ContactPair]) -> None:
+        """Watch a judge of these contacts."""
+        self._judge, self._contacts = judge, contacts
         self.parts: Sequence[Array] = ()
         self._noted: list[Truth] = []
 
     def note(self) -> None:
         """Keep the truth of this instant."""
-        self._noted.append(self._plant.truth())
+        self._noted.append(self._judge.truth())
 
     def truths(self, rows: Array, start: int, stop: int) -> Truths:
         """The instants numbered start to stop − 1."""
@@ -111,8 +111,21 @@ def _poses(poses: Sequence[pin.SE3]) -> Poses:
     )
 
 
-class Plant(Protocol):
-    """A rig under torque control."""
+class Judge(Protocol):
+    """What knows the truth about object and contacts; the controller never sees it."""
+
+    def truth(self) -> Truth:
+        """The truth now."""
+
+    def poses(self) -> Array:
+        """(1 + arms, 4, 4) of the object and of the arms' tips, as they really are."""
+
+    def log(self, capacity: int) -> TruthLog:
+        """A log of the truth with room for `capacity` instants; more is made for more."""
+
+
+class Plant(Robot, Judge, Protocol):
+    """A simulated robot that is its own judge, and starts where it is asked to."""
 
     time: float  #: s since the last reset
 
@@ -120,23 +133,7 @@ class Plant(Protocol):
         """Start again at rest at joint positions q (n,)."""
 
     def hold(self, tau: Array) -> None:
-        """Apply torques (n_a,) from now on without letting time pass: sensors read under them."""
+        """Apply torques (n_a,) from now on without letting time pass: sensors read under them.
 
-    def measure(self) -> Measurement:
-        """What the rig's sensors read now."""
-
-    def truth(self) -> Truth:
-        """What they cannot read."""
-
-    def poses(self) -> Array:
-        """(1 + arms, 4, 4) of the object and of the arms' tips, as they really are."""
-
-    def log(self, capacity: int) -> TruthLog:
-        """A log of the truth of up to `capacity` instants."""
-
-    def step(self, tau: Array, duration: float) -> None:
-        """Hold motor torques (n_a,) for `duration` seconds.
-
-        Raises:
-            PlantError: the simulation diverged.
+        `command` lets time pass, and raises a `PlantError` where the simulation diverges.
         """
