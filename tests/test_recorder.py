@@ -60,7 +60,7 @@ def test_an_empty_recording_survives(tmp_path):
     assert len(Recording.load(empty.save(tmp_path / "empty.npz"))) == 0
 
 
-@pytest.mark.parametrize("broken", ["os.replace", "os.fsync", "numpy.savez"])
+@pytest.mark.parametrize("broken", ["os.replace", "os.fsync", "zipfile.ZipFile.open"])
 @pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt()])
 def test_a_failed_save_leaves_nothing_behind(tmp_path, monkeypatch, broken, error):
     def fail(*args, **kwargs):
@@ -161,4 +161,114 @@ def test_a_flipped_number_is_found_by_its_checksum(tmp_path):
     at = content.index(np.arange(4.0).tobytes(), info.header_offset)
     path.write_bytes(content[:at] + b"\x01" + content[at + 1 :])
     with pytest.raises(RecordingError, match=r"checksum of q\.npy is wrong"):
+        Recording.load(path)
+
+
+def test_the_same_content_makes_the_same_bytes_with_times_apart(tmp_path):
+    made = []
+    for run in ("first", "second"):
+        spent = 1.0 + len(run)
+        recording = Recording(
+            {**META, "wall_s": spent, "cpu_s": spent},
+            {**record().channels, "tick_s": np.full(5, spent), "last": np.arange(5)},
+        )
+        path = recording.save(tmp_path / run / "run.npz")
+        loaded = Recording.load(path)
+        assert loaded.meta == recording.meta
+        assert list(loaded.channels) == [*record().channels, "tick_s", "last"]
+        assert loaded["tick_s"][0] == spent
+        assert sorted(os.listdir(path.parent)) == ["run.npz", "run.times.npz"]
+        made.append(path)
+    first, second = made
+    assert first.read_bytes() == second.read_bytes()
+    os.replace(first.with_name("run.times.npz"), second.with_name("run.times.npz"))
+    assert Recording.load(second)["tick_s"][0] == 1.0 + len("first")  # the same run, so they fit
+    record(5).save(second)
+    assert os.listdir(second.parent) == ["run.npz"]
+    os.replace(Recording({}, {"tick_s": np.ones(3)}).save(tmp_path / "x.npz")
+               .with_name("x.times.npz"), second.with_name("run.times.npz"))  # fmt: skip
+    assert "tick_s" not in Recording.load(second), "times of another run"
+
+
+def test_a_recording_without_its_times_is_whole_but_for_them(tmp_path):
+    path = Recording({"wall_s": 2.0}, {"t": np.zeros(2), "tick_s": np.ones(2)}).save(
+        tmp_path / "r.npz"
+    )
+    path.with_name("r.times.npz").unlink()
+    assert list(Recording.load(path).channels) == ["t"] and Recording.load(path).meta == {}
+
+
+def test_numpy_reads_the_file(tmp_path):
+    with np.load(record().save(tmp_path / "run.npz")) as stored:
+        np.testing.assert_array_equal(stored["q"], record()["q"])
+        assert json.loads(str(stored["meta"]))["meta"]["seed"] == 3
+
+
+def test_what_numpy_packed_is_read(tmp_path):
+    about = np.array(json.dumps({"format": 1, "meta": META}))
+    q = np.asfortranarray(record()["q"])
+    for save in (np.savez, np.savez_compressed):
+        save(tmp_path / "run.npz", meta=about, q=q, **{"closed": record()["closed"]})
+        loaded = Recording.load(tmp_path / "run.npz")
+        np.testing.assert_array_equal(loaded["q"], q)
+
+
+def test_large_recordings_stay_in_their_file(tmp_path, monkeypatch):
+    path = record(10000).save(tmp_path / "run.npz")
+    monkeypatch.setattr("osc_contact.recorder.archive.IN_MEMORY", 1000)
+    loaded = Recording.load(path)
+    assert len(loaded) == 10000 and loaded.meta == json.loads(json.dumps(META))
+    path.unlink()  # whoever has it open goes on reading
+    for name, values in record(10000).channels.items():
+        assert loaded.channels.columns[name].nbytes == values.nbytes
+        np.testing.assert_array_equal(loaded[name], values)
+        np.testing.assert_array_equal(loaded.rows(7, 9, name)[name], values[7:9])
+        np.testing.assert_array_equal(loaded.at(-1)[name], values[-1])
+    monkeypatch.setattr("osc_contact.recorder.recording._PIECE", 3000)
+    pieces = list(loaded.pieces("q", "t"))
+    assert [len(piece["t"]) for piece in pieces] == [3000, 3000, 3000, 1000]
+    np.testing.assert_array_equal(np.concatenate([piece["q"] for piece in pieces]), loaded["q"])
+    thin = loaded.thinned(4000)
+    assert len(thin) == 3334 and loaded.thinned(10000) is loaded
+    np.testing.assert_array_equal(thin["q"], loaded["q"][::3])
+    again = loaded.save(tmp_path / "again.npz").read_bytes()
+    assert again == record(10000).save(tmp_path / "third.npz").read_bytes()
+
+
+def test_a_large_file_with_a_flipped_bit_is_refused(tmp_path, monkeypatch):
+    path = record(10000).save(tmp_path / "run.npz")
+    monkeypatch.setattr("osc_contact.recorder.archive.IN_MEMORY", 1000)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(bytes(content))
+    with pytest.raises(RecordingError, match="checksum of"):
+        Recording.load(path)
+
+
+def test_an_archive_that_unpacks_to_gigabytes_is_refused_at_once(tmp_path):
+    path = tmp_path / "bomb.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("q.npy", "w", force_zip64=True) as entry,
+    ):
+        for _ in range(300):
+            entry.write(bytes(1 << 20))
+    assert path.stat().st_size < 400_000
+    with pytest.raises(RecordingError, match=r"unpack from 0\.3\d* MB to 314\.6 MB"):
+        Recording.load(path)
+
+
+def test_headers_that_promise_more_than_there_is_are_refused(tmp_path):
+    content = bytearray(npz(meta=np.array('{"format": 1, "meta": {}}'), q=np.zeros(300)))
+    path = tmp_path / "run.npz"
+    path.write_bytes(bytes(content).replace(b"(300,)", b"(1e9,)").replace(b"(300,), ", b"(9**9,)"))
+    with pytest.raises(RecordingError):
+        Recording.load(path)
+    with zipfile.ZipFile(path, "w") as archive:
+        stream = io.BytesIO()
+        np.lib.format.write_array_header_1_0(
+            stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 40,)}
+        )
+        archive.writestr("q.npy", stream.getvalue() + bytes(80))
+    with pytest.raises(RecordingError, match=r"80 bytes for shape \(1099511627776,\)"):
         Recording.load(path)

@@ -41,7 +41,7 @@ def replay(recording: Recording, viewer: Viewer) -> None:
     for tick in range(len(recording)):
         if viewer.error is not None:
             return
-        pace.show({name: values[tick] for name, values in recording.channels.items()})
+        pace.show(recording.at(tick))
 
 
 def wait_for(condition: Callable[[], bool], seconds: float) -> bool:

@@ -11,7 +11,7 @@ from osc_contact.files import whole_file
 from osc_contact.recorder import Recording
 from osc_contact.runs.metrics import SETTLE_S, metrics
 from osc_contact.runs.rig import build_rig
-from osc_contact.runs.viewing import write_scene_of
+from osc_contact.runs.viewing import DRAWN, write_scene_of
 from osc_contact.scenarios.schema import Scenario
 
 __all__ = ["require_judgeable", "write_json", "write_report"]
@@ -38,7 +38,7 @@ def write_report(recording: Recording, scenario: Scenario, folder: Path) -> dict
     recording.save(folder / "recording.npz")
     verdict = metrics(recording)
     write_json(verdict, folder / "metrics.json")
-    steps = recording.meta["force_steps_s"]
+    steps, recording = recording.meta["force_steps_s"], recording.thinned(DRAWN)
     if recording.meta["contact_names"]:
         plots.save(plots.contact_forces(recording, steps, SETTLE_S), folder / "contact_forces")
     plots.save(plots.power(recording, steps, SETTLE_S), folder / "power")

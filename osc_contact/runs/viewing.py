@@ -21,7 +21,9 @@ from osc_contact.visual.live import Viewer
 from osc_contact.visual.scene import write_scene
 from osc_contact.visual.subspaces import BestFrame
 
-__all__ = ["best_frame", "content_of", "open_viewer", "write_scene_of"]
+__all__ = ["DRAWN", "best_frame", "content_of", "open_viewer", "write_scene_of"]
+
+DRAWN = 50_000  #: ticks; of longer recordings every second, third, … one is drawn
 
 
 def write_scene_of(recording: Recording, rig: Rig, path: Path, still: float | None = None) -> Path:
@@ -35,7 +37,7 @@ def write_scene_of(recording: Recording, rig: Rig, path: Path, still: float | No
     """
     content, size = content_of(rig), object_size(rig)
     return write_scene(
-        recording,
+        recording.thinned(DRAWN),
         content.arms,
         content.bodies,
         path,

@@ -1,0 +1,5 @@
+"""Recordings: what a run leaves behind, in memory and in files."""
+
+from osc_contact.recorder.recording import Recording
+
+__all__ = ["Recording"]

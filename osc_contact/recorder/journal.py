@@ -1,0 +1,243 @@
+"""Rows of numbers, appended to a file while they come: what is written survives a kill.
+
+The file is MCAP, an open container for logs of robots (mcap.dev): a header, then chunks, each with
+its own checksum. Every chunk holds one message, some rows and what they are made of, so that it can
+be read by itself. A chunk goes to the operating system whole, before the next begins.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import tempfile
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any, cast
+
+import numpy as np
+import numpy.typing as npt
+from mcap.data_stream import RecordBuilder
+from mcap.exceptions import McapError
+from mcap.records import Channel, Chunk, DataEnd, Footer, Header, McapRecord, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import MCAP0_MAGIC
+
+from osc_contact.errors import RecordingError
+
+__all__ = ["Journal", "JournalFile"]
+
+Array = npt.NDArray[Any]
+_ABOUT, _ROWS = 1, 2  #: MCAP channels
+_CHANNELS = {
+    _ABOUT: Channel(_ABOUT, "about", "json", {}, 0),
+    _ROWS: Channel(_ROWS, "rows", "numpy", {}, 0),
+}
+_MOST = 1 << 28  #: bytes of a record; more is damage
+#: What damaged records end in.
+_DAMAGED = (McapError, ValueError, KeyError, TypeError, OverflowError, MemoryError, struct.error)
+
+
+class JournalFile:
+    """Writes a journal.
+
+    Attributes:
+        path: of the file; None: an unnamed temporary one.
+        error: why nothing more is written, once the disk is full or fails; what was written before
+            stays readable.
+    """
+
+    def __init__(self, path: Path | None, about: Mapping[str, Any]) -> None:
+        """Begin a file.
+
+        Args:
+            path: where; an older file there is replaced.
+            about: what the rows belong to, JSON-able.
+
+        Raises:
+            RecordingError: it cannot be created.
+        """
+        self.path = path
+        self.error: RecordingError | None = None
+        self._whole = self._count = 0
+        try:
+            if path is None:
+                with tempfile.TemporaryFile(buffering=0) as made:
+                    self._number = os.dup(made.fileno())
+            else:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.unlink(missing_ok=True)  # whoever reads the older file goes on reading it
+                self._number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+        except OSError as error:
+            raise RecordingError(f"cannot begin the recording {path}: {error}") from error
+        text = json.dumps(dict(about), allow_nan=False).encode()
+        head = MCAP0_MAGIC + _bytes(Header("osc_contact", "osc_contact"))
+        self._write(head + 2 * _chunk(_ABOUT, 0, text))  # twice: nothing is read without it
+
+    def append(self, first: int, rows: Array) -> None:
+        """Write rows, a structured array, as a chunk; never raises, see `error`.
+
+        Args:
+            first: number of the first row.
+            rows: (k,) with named fields.
+        """
+        if self.error is None:
+            layout = {"first": first, "rows": len(rows), "dtype": rows.dtype.descr}
+            self._write(_chunk(_ROWS, first, json.dumps(layout).encode() + b"\n" + rows.tobytes()))
+            self._count = first + len(rows)
+
+    def read(self) -> Journal:
+        """What was written so far, to be read; more may be appended meanwhile."""
+        return Journal(self._number)
+
+    def close(self) -> None:
+        """Write the end of the file: it is whole."""
+        if self.error is None:
+            end = _bytes(DataEnd(0)) + _bytes(Footer(0, 0, 0)) + MCAP0_MAGIC
+            self._write(end)
+
+    def _write(self, data: bytes) -> None:
+        left, at = memoryview(data), self._whole
+        try:
+            while left:
+                count = os.pwrite(self._number, left, at)
+                left, at = left[count:], at + count
+            self._whole = at
+        except OSError as error:
+            self.error = RecordingError(
+                f"recording stops after {self._count} ticks: {self.path or 'temporary file'}: "
+                f"{error.strerror or error}"
+            )
+            os.ftruncate(self._number, self._whole)  # the part of a chunk that had room
+
+    def __del__(self) -> None:
+        if hasattr(self, "_number"):
+            os.close(self._number)
+
+
+class Journal:
+    """Reads a journal, whole or not: every chunk that is, and what is missing.
+
+    Attributes:
+        about: as given when it was begun.
+        missing: sentences on what damage was found; complete once all rows were read.
+    """
+
+    def __init__(self, source: Path | int) -> None:
+        """Open a journal.
+
+        Args:
+            source: a file, or the descriptor of an open one.
+
+        Raises:
+            RecordingError: no such file, or nothing in it that can be read.
+        """
+        self.missing: list[str] = []
+        self._name = "the recording" if isinstance(source, int) else str(source)
+        try:
+            if isinstance(source, int):
+                self._number = os.dup(source)
+            else:
+                self._number = os.open(source, os.O_RDONLY)
+        except OSError as error:
+            raise RecordingError(f"no recording {source}: {error.strerror}") from error
+        found = next((data for channel, data in self._messages() if channel == _ABOUT), None)
+        if found is None:
+            raise RecordingError(f"{self._name} is no recording, or is damaged where it begins")
+        self.about: dict[str, Any] = json.loads(found)
+
+    def rows(self) -> Iterator[tuple[int, Array]]:
+        """(number of the first row, rows) of every whole chunk, in order.
+
+        Raises:
+            RecordingError: the file cannot be read, or another version wrote it.
+        """
+        self.missing = []
+        after = 0
+        for channel, data in self._messages():
+            if channel != _ROWS:
+                continue
+            text, _, numbers = data.partition(b"\n")
+            try:
+                layout = json.loads(text)
+                fields = [(name, code, *map(tuple, size)) for name, code, *size in layout["dtype"]]
+                first, rows = int(layout["first"]), np.frombuffer(numbers, np.dtype(fields))
+            except _DAMAGED as error:
+                raise RecordingError(
+                    f"{self._name} has rows of an unknown kind: {error}"
+                ) from error
+            if first > after:
+                self.missing.append(f"ticks {after} to {first - 1} are missing")
+            after = first + len(rows)
+            yield first, rows
+
+    def _messages(self) -> Iterator[tuple[int, bytes]]:
+        """(MCAP channel, data) of the messages in all whole chunks; after damage, from the next."""
+        at = lost = 0
+        size = os.fstat(self._number).st_size
+        while at < size:
+            source = _From(self._number, at, size)
+            records = StreamReader(
+                cast(IO[bytes], source), at > 0, True, record_size_limit=_MOST
+            ).records
+            try:
+                for record in records:
+                    if isinstance(record, Chunk):
+                        if record.compression or zlib.crc32(record.data) != record.uncompressed_crc:
+                            break
+                        for one in breakup_chunk(record):
+                            if isinstance(one, Message):
+                                yield one.channel_id, one.data
+                    at = source.at
+                else:
+                    return  # a footer was read
+            except _DAMAGED:
+                pass
+            except OSError as error:
+                raise RecordingError(f"{self._name} cannot be read: {error}") from error
+            lost, at = at, self._next_chunk(at + 1, size)
+        words = f"; its last {size - lost} bytes are no whole chunk" if size > lost else ""
+        self.missing.append(f"the run was cut short, the file has no end{words}")
+
+    def _next_chunk(self, at: int, size: int) -> int:
+        """Where the first chunk that begins at or after a byte does; the file's size: nowhere."""
+        while at < size:
+            place = os.pread(self._number, _SEARCHED, at + _INSIDE).find(_SIGN)
+            if place >= 0:
+                return at + place
+            at += _SEARCHED - len(_SIGN) + 1
+        return size
+
+    def __del__(self) -> None:
+        if hasattr(self, "_number"):
+            os.close(self._number)
+
+
+class _From:
+    """Reads an open file from a byte on, with a place of its own."""
+
+    def __init__(self, number: int, at: int, size: int) -> None:
+        self.number, self.at, self.size = number, at, size
+
+    def read(self, count: int) -> bytes:
+        data = os.pread(self.number, min(count, max(0, self.size - self.at)), self.at)
+        self.at += len(data)
+        return data
+
+
+def _bytes(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
+def _chunk(channel: int, number: int, data: bytes) -> bytes:
+    """A chunk that can be read by itself: the MCAP channel it needs, and one message."""
+    inside = _bytes(_CHANNELS[channel]) + _bytes(Message(channel, number, data, number, number))
+    return _bytes(Chunk("", inside, number, number, zlib.crc32(inside), len(inside)))
+
+
+_SIGN = _bytes(_CHANNELS[_ROWS])  #: what every chunk of rows holds
+_INSIDE = _chunk(_ROWS, 0, b"").index(_SIGN)  #: bytes of a chunk before it
+_SEARCHED = 1 << 20

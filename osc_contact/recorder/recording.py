@@ -1,0 +1,224 @@
+"""Time series of a run: recording → one file, its times beside it → back."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from osc_contact.errors import RecordingError
+from osc_contact.recorder.archive import TEXT, checksum, read_archive, write_archive
+from osc_contact.recorder.columns import Column
+
+__all__ = ["Recording"]
+
+_FORMAT = 1
+_RESERVED = frozenset({TEXT, "file", "allow_pickle"})
+#: What a clock measured: the only things that differ from one run to the next of the same seed.
+_TIMES, _META_TIMES = ("tick_s",), ("wall_s", "cpu_s")
+_PIECE = 1 << 16  #: ticks that are judged or drawn at once
+
+Array = npt.NDArray[Any]
+
+
+class Channels(Mapping[str, Array]):
+    """Channels that may stay on disk; such a one is read whole each time it is asked for."""
+
+    def __init__(self, columns: dict[str, Array | Column]) -> None:
+        self.columns = columns
+
+    def __getitem__(self, name: str) -> Array:
+        found = self.columns[name]
+        return found.read() if isinstance(found, Column) else found
+
+    def __setitem__(self, name: str, values: Array) -> None:
+        self.columns[name] = values
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+
+class Recording:
+    """Time series of one run: `meta` (JSON-able) and `channels` (first axis = control tick).
+
+    Channels of long runs stay on disk: `recording[name]` reads one of them, `rows` and `pieces`
+    read some ticks of several.
+
+    Args:
+        meta: what the series belong to; kept as JSON data (tuples become lists).
+        channels: arrays of bool, int or float with equally long first axes.
+
+    Raises:
+        RecordingError: meta is not JSON-able, or the channels do not fit together."""
+
+    def __init__(
+        self, meta: Mapping[str, Any], channels: Mapping[str, npt.ArrayLike | Column]
+    ) -> None:
+        self.meta: dict[str, Any] = _plain(meta)
+        columns: dict[str, Array | Column] = {}
+        for name, values in channels.items():
+            array = values if isinstance(values, Column) else np.asarray(values)
+            _check_name(name)
+            if array.dtype.kind not in "biuf" or len(array.shape) < 1:
+                raise RecordingError(
+                    f"channel {name!r} has dtype {array.dtype} and shape {array.shape}; expected "
+                    "bool, int or float with the tick as first axis"
+                )
+            columns[name] = array
+        self.channels = Channels(columns)
+        lengths = {name: len(array) for name, array in columns.items()}
+        if len(set(lengths.values())) > 1:
+            raise RecordingError(f"channels differ in their number of ticks: {lengths}")
+
+    def __getitem__(self, name: str) -> Array:
+        """Return the channel `name`."""
+        self._require(name)
+        return self.channels[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.channels
+
+    def _require(self, name: str) -> None:
+        if name not in self.channels:
+            known = ", ".join(self.channels) or "none"
+            raise RecordingError(f"no channel {name!r} in this recording; there are: {known}")
+
+    @property
+    def magnitude_names(self) -> list[str]:
+        """Names of the columns of alpha: the contact's, or contact.1, contact.2, … if several."""
+        names = [str(name) for name in self.meta.get("contact_names", [])]
+        owners = list(self.meta.get("columns", range(len(names))))
+        return [
+            names[i] if owners.count(i) == 1 else f"{names[i]}.{owners[:k].count(i) + 1}"
+            for k, i in enumerate(owners)
+        ]
+
+    def __len__(self) -> int:
+        """Return the number of control ticks."""
+        return len(next(iter(self.channels.columns.values()), ()))
+
+    def rows(self, start: int, stop: int, *names: str) -> dict[str, Array]:
+        """The ticks start to stop − 1 of some channels, by default of all."""
+        found = {}
+        for name in names or self.channels:
+            self._require(name)
+            column = self.channels.columns[name]
+            if isinstance(column, Column):
+                found[name] = column.read(start, stop)
+            else:
+                found[name] = column[start:stop]
+        return found
+
+    def pieces(self, *names: str) -> Iterator[dict[str, Array]]:
+        """All ticks of some channels, some ten thousand at a time."""
+        for start in range(0, len(self), _PIECE):
+            yield self.rows(start, start + _PIECE, *names)
+
+    def at(self, tick: int) -> dict[str, Any]:
+        """All channels at one tick."""
+        tick = range(len(self))[tick]
+        return {name: values[0] for name, values in self.rows(tick, tick + 1).items()}
+
+    def thinned(self, most: int) -> Recording:
+        """Every k-th tick, the least k that leaves no more than so many; in memory."""
+        step = max(1, -(-len(self) // most))
+        if step == 1:
+            return self
+        found: dict[str, list[Array]] = {name: [] for name in self.channels}
+        start = 0
+        for piece in self.pieces():
+            for name, values in piece.items():
+                found[name].append(values[-start % step :: step].copy())
+            start += len(piece[name])
+        return Recording(self.meta, {name: np.concatenate(some) for name, some in found.items()})
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write one .npz file: complete under its final name, or not there at all.
+
+        Two runs of the same seed make the same bytes. What a clock measured (`tick_s`; `wall_s`
+        and `cpu_s` of the meta) goes to a file of its own beside it, run.times.npz for run.npz.
+
+        Raises:
+            RecordingError: the file cannot be written; an older file of the name is kept."""
+        target, columns = Path(path), self.channels.columns
+        times = {name: columns[name] for name in _TIMES if name in columns}
+        spent = {key: self.meta[key] for key in _META_TIMES if key in self.meta}
+        kept = {key: value for key, value in self.meta.items() if key not in spent}
+        others = {name: values for name, values in columns.items() if name not in times}
+        write_archive(target, _text(meta=kept, order=list(columns)), others)
+        beside = _beside(target)
+        if times or spent:
+            write_archive(beside, _text(meta=spent, of=checksum(target)), times)
+        else:
+            beside.unlink(missing_ok=True)
+        return target
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Recording:
+        """Read a file written by `save`, and its times where they stand beside it.
+
+        Checksums are verified, nothing is unpickled; what is large stays in the file.
+
+        Raises:
+            RecordingError: no such file, damaged, or not a recording."""
+        source = Path(path)
+        content, columns = _read(source)
+        meta, order = content["meta"], content.get("order", list(columns))
+        if _beside(source).is_file():
+            spent, times = _read(_beside(source))
+            if spent.get("of") == checksum(source):
+                columns |= times
+                if isinstance(meta, dict):
+                    meta |= spent["meta"]
+        ranks = {name: rank for rank, name in enumerate(order)}
+        last = len(ranks)
+        names = sorted(columns, key=lambda name: ranks.get(name, last))
+        return cls(meta, {name: columns[name] for name in names})
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f"{path.stem}.times.npz")
+
+
+def _text(**content: Any) -> str:
+    return json.dumps({"format": _FORMAT, **content}, allow_nan=False)
+
+
+def _read(source: Path) -> tuple[dict[str, Any], dict[str, Array | Column]]:
+    text, columns = read_archive(source)
+    try:
+        content = json.loads(text)
+        version, _ = content["format"], content["meta"]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise RecordingError(
+            f"{source} is not a recording: {type(error).__name__}: {error}"
+        ) from error
+    if version != _FORMAT:
+        raise RecordingError(
+            f"{source} has recording format {version!r}; this version reads format {_FORMAT}"
+        )
+    return content, columns
+
+
+def _check_name(name: str) -> None:
+    if not name.isidentifier() or name in _RESERVED:
+        raise RecordingError(f"{name!r} cannot name a channel; use an identifier, not {_RESERVED}")
+
+
+def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:
+    try:
+        plain = json.loads(json.dumps(dict(meta), allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"meta must be JSON-able (finite numbers, text): {error}") from error
+    return dict(plain)
