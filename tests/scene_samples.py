@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import base64
+import re
+import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+import umsgpack
 
 from osc_contact.recorder import Recording
 from osc_contact.visual.bodies import ArmVisual, BodyVisual
-from osc_contact.visual.page import read_commands
 
 URDF = Path(__file__).parents[1] / "urdf"
 BASE = pin.SE3(np.eye(3), np.array([-0.35, -0.4, 0.0]))
@@ -50,6 +53,18 @@ def make_recording(contacts: int = 2, without: tuple[str, ...] = ()) -> Recordin
         "scenario": scenario, "contact_names": names, "arm_names": ["left"], "joint_names": joints
     }  # fmt: skip
     return Recording(meta, {k: v for k, v in channels.items() if k not in without})
+
+
+def read_commands(page: Path) -> list[dict[str, Any]]:
+    """The drawing commands of a written page, in the order in which they are drawn."""
+    text = page.read_text(encoding="utf-8")
+    (folded,) = re.findall(r'^unfold\("([A-Za-z0-9+/=]*)"\)', text, re.MULTILINE)
+    whole, commands = zlib.decompress(base64.b64decode(folded)), []
+    while whole:
+        end = 4 + int.from_bytes(whole[:4], "little")
+        commands.append(umsgpack.unpackb(whole[4:end]))
+        whole = whole[end:]
+    return commands
 
 
 def tracks(page: Path) -> dict[str, dict[str, dict[int, Any]]]:

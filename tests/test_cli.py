@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scene_samples import read_commands
 from typer.testing import CliRunner, Result
 
 import osc_contact
@@ -19,7 +20,6 @@ from osc_contact.errors import PlantError
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.recorder import Recording
 from osc_contact.scenarios import load_scenario
-from osc_contact.visual.page import read_commands
 from osc_contact.visual.style import PRINT
 
 SHORT = ("--plant", "rigid", "--duration", "1.05", "--set", "plant.step=1 ms")

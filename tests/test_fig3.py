@@ -8,12 +8,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from matplotlib.image import imread
+from scene_samples import read_commands
 
 from osc_contact import robots
 from osc_contact.paper import fig3
 from osc_contact.paper.studies import Ask, write_study
 from osc_contact.visual.browser import VARIABLE
-from osc_contact.visual.page import read_commands
 
 SOON = [
     f"contacts.{side}_end.face.motion.{kind}{key}=0.{what} s"

@@ -11,12 +11,22 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from scene_samples import ARMS, BASE, BODIES, FACE, URDF, Shown, make_recording, tracks
+from scene_samples import (
+    ARMS,
+    BASE,
+    BODIES,
+    FACE,
+    URDF,
+    Shown,
+    make_recording,
+    read_commands,
+    tracks,
+)
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording
 from osc_contact.visual import contact_colour, curves
-from osc_contact.visual.page import EMPTY, CommandSink, read_commands, write_page
+from osc_contact.visual.page import EMPTY, CommandSink, unfolded, write_page
 from osc_contact.visual.parts import State, changes, track
 from osc_contact.visual.primitives import along, arrow_lengths, tube, urdf_geometry
 from osc_contact.visual.scene import MOST_FRAMES, write_scene
@@ -400,9 +410,8 @@ def test_page_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(OSError):
         write_page(CommandSink(), tmp_path / "taken", "title")
     assert [p.name for p in tmp_path.iterdir()] == ["taken"]
-    (tmp_path / "other.html").write_text("<html></html>")
     with pytest.raises(InvalidInputError, match="no drawing commands"):
-        read_commands(tmp_path / "other.html")
+        unfolded("<html></html>")
 
 
 def test_urdf_shapes_lie_as_in_the_urdf(tmp_path: Path) -> None:

@@ -112,7 +112,7 @@ def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
                      (60 * distances[2] / j) ** (1 / 3))  # fmt: skip
         assert least[2] <= smooth * (1 + 1e-9)  # not slower than minimum jerk at the same limits
         t = 0.3 + np.linspace(-0.05, 1.05, 4001) * signal.duration
-        x, x_dot, x_ddot = signal.over(t)
+        x, x_dot, x_ddot = signal.at(t)
         assert np.abs(x_dot).max() <= v * (1 + 1e-9) and np.abs(x_ddot).max() <= a * (1 + 1e-9)
         assert np.abs(np.diff(x_ddot) / np.diff(t)).max() <= j * (1 + 1e-6)
         steps = np.diff(x) - 0.5 * (x_dot[1:] + x_dot[:-1]) * np.diff(t)  # trapezoids, h³ x⃛/12
@@ -136,11 +136,11 @@ def test_points_are_met_by_the_curve_of_least_jerk():
         times = np.cumsum(rng.uniform(0.2, 1.0, rng.integers(2, 8)))
         values = rng.normal(size=len(times))
         signal = Points(points=list(zip(times.tolist(), values.tolist(), strict=True)))
-        np.testing.assert_allclose(signal.over(times)[0], values, atol=1e-10)
+        np.testing.assert_allclose(signal.at(times)[0], values, atol=1e-10)
         assert signal.at(-1.0) == (values[0], 0.0, 0.0)
         assert signal.at(math.inf) == (values[-1], 0.0, 0.0)
         t = np.linspace(times[0], times[-1], 40_001)
-        a = signal.over(t)[2]
+        a = signal.at(t)[2]
         ends = (t - t[0]) ** 3 * (t - t[-1]) ** 3 / (t[-1] - t[0]) ** 6
         eta = ends * np.prod([t - x for x in times[1:-1]], axis=0) * np.cos(3.0 * t)
         eta_ddot = np.gradient(np.gradient(eta, t), t)
@@ -154,8 +154,8 @@ def test_points_are_met_by_the_curve_of_least_jerk():
 def test_a_value_given_twice_is_held_and_parts_the_curve():
     t = np.linspace(-0.2, 8.0, 2000)
     first, last = ((0.0, 3.0), (0.4, 5.0), (0.9, 4.0)), ((6.0, 4.0), (6.3, 1.0), (7.0, 2.0))
-    both = np.array(Points(points=(*first, *last)).over(t))
-    before, after = np.array(Points(points=first).over(t)), np.array(Points(points=last).over(t))
+    both = np.array(Points(points=(*first, *last)).at(t))
+    before, after = np.array(Points(points=first).at(t)), np.array(Points(points=last).at(t))
     np.testing.assert_allclose(both, np.where(t < 3.0, before, after), atol=1e-9)
     held = (t >= 0.9) & (t <= 6.0)
     np.testing.assert_allclose(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), atol=1e-12)
@@ -163,8 +163,8 @@ def test_a_value_given_twice_is_held_and_parts_the_curve():
 
 def test_two_points_are_minimum_jerk():
     t = np.linspace(0.0, 1.0, 101)
-    ours = Points(points=((0.3, 0.0), (0.7, 2.0))).over(t)
-    theirs = MinimumJerk(value=2.0, start=0.3, duration=0.4).over(t)
+    ours = Points(points=((0.3, 0.0), (0.7, 2.0))).at(t)
+    theirs = MinimumJerk(value=2.0, start=0.3, duration=0.4).at(t)
     np.testing.assert_allclose(ours, theirs, atol=1e-10)
 
 

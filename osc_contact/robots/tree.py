@@ -5,7 +5,7 @@ from __future__ import annotations
 from osc_contact.robots.document import Document, Joint
 from osc_contact.robots.findings import suggest
 
-__all__ = ["check_tree", "check_mimics", "root_link"]
+__all__ = ["check_tree", "check_mimics"]
 
 
 def check_tree(document: Document) -> None:
@@ -33,12 +33,6 @@ def check_tree(document: Document) -> None:
                      f"{', '.join(map(repr, roots[:5]))}; a robot has one root",
                      "join them or delete the loose ones")  # fmt: skip
     _check_loops(document, above)
-
-
-def root_link(document: Document) -> str:
-    """The link that hangs on nothing."""
-    children = {joint.child for joint in document.joints.values()}
-    return next(name for name in document.links if name not in children)
 
 
 def check_mimics(document: Document) -> None:

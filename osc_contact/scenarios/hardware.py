@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Generic, TypeVar
 
 from pydantic import Field, model_validator
 
-from .quantities import Angle, Force, Frequency, Length, Number, Spec, Time, Torque, refuse
+from .quantities import (
+    Angle,
+    Force,
+    Frequency,
+    Length,
+    NotNegative,
+    Number,
+    OfQuantity,
+    Positive,
+    Spec,
+    Time,
+    Torque,
+    refuse,
+)
 
 __all__ = [
     "EncoderSpec",
@@ -21,8 +34,7 @@ __all__ = [
     "WristSpec",
 ]
 
-Positive = Annotated[Number, Field(gt=0)]
-NotNegative = Annotated[Number, Field(ge=0)]
+Q = TypeVar("Q", bound=float)
 Probability = Annotated[Number, Field(ge=0, lt=1)]
 PerMotor = Annotated[tuple[Positive, ...], Field(min_length=1)]
 
@@ -90,43 +102,19 @@ class _Clock(Spec):
     dropout: Probability = 0.0
 
 
-class AngleErrors(Spec):
-    """Errors of an angle."""
+class Errors(OfQuantity[Q], Generic[Q]):
+    """Errors of a measured quantity."""
 
-    noise: Annotated[Angle, Field(ge=0)] = 0.0
-    bias: Annotated[Angle, Field(ge=0)] = 0.0
-    resolution: Annotated[Angle, Field(ge=0)] = 0.0
-
-
-class LengthErrors(Spec):
-    """Errors of a length."""
-
-    noise: Annotated[Length, Field(ge=0)] = 0.0
-    bias: Annotated[Length, Field(ge=0)] = 0.0
-    resolution: Annotated[Length, Field(ge=0)] = 0.0
-
-
-class ForceErrors(Spec):
-    """Errors of a force."""
-
-    noise: Annotated[Force, Field(ge=0)] = 0.0
-    bias: Annotated[Force, Field(ge=0)] = 0.0
-    resolution: Annotated[Force, Field(ge=0)] = 0.0
-
-
-class TorqueErrors(Spec):
-    """Errors of a torque."""
-
-    noise: Annotated[Torque, Field(ge=0)] = 0.0
-    bias: Annotated[Torque, Field(ge=0)] = 0.0
-    resolution: Annotated[Torque, Field(ge=0)] = 0.0
+    noise: Annotated[Q, Field(ge=0)] = 0.0  # type: ignore[assignment]
+    bias: Annotated[Q, Field(ge=0)] = 0.0  # type: ignore[assignment]
+    resolution: Annotated[Q, Field(ge=0)] = 0.0  # type: ignore[assignment]
 
 
 class EncoderSpec(_Clock):
     """Joint positions; an encoder gives no velocity."""
 
-    angle: AngleErrors = AngleErrors()
-    length: LengthErrors = LengthErrors()
+    angle: Errors[Angle] = Errors[Angle]()
+    length: Errors[Length] = Errors[Length]()
 
 
 class TorqueSensorSpec(_Clock):
@@ -140,15 +128,15 @@ class TorqueSensorSpec(_Clock):
 class WristSpec(_Clock):
     """Wrist forces and torques."""
 
-    force: ForceErrors = ForceErrors()
-    torque: TorqueErrors = TorqueErrors()
+    force: Errors[Force] = Errors[Force]()
+    torque: Errors[Torque] = Errors[Torque]()
 
 
 class VisionSpec(_Clock):
     """Overhead vision: poses of faces, object and arms, in the camera's frame."""
 
-    position: LengthErrors = LengthErrors()
-    orientation: AngleErrors = AngleErrors()
+    position: Errors[Length] = Errors[Length]()
+    orientation: Errors[Angle] = Errors[Angle]()
     frame_position: Annotated[Length, Field(ge=0)] = 0.0
     frame_orientation: Annotated[Angle, Field(ge=0)] = 0.0
 

@@ -14,10 +14,10 @@ from pydantic import Field, field_validator
 from ..jerk_limits import solve
 from .quantities import OfQuantity, Time, refuse
 
-__all__ = ["JerkLimited", "Pieces", "Points", "Triple", "jerk_limited", "least_jerk"]
+__all__ = ["JerkLimited", "Pieces", "Points", "Values", "jerk_limited", "least_jerk"]
 
 Array = npt.NDArray[np.float64]
-Triple = tuple[float, float, float]
+Values = tuple[Any, Any, Any]  #: value, first and second derivative, each a number or (k,)
 Q = TypeVar("Q", bound=float)
 V = TypeVar("V", bound=float)
 A = TypeVar("A", bound=float)
@@ -37,13 +37,10 @@ class Pieces:
     coefficients: Array
     last: float
 
-    def at(self, t: float) -> Triple:
-        """Return value, first and second derivative at time t (s)."""
-        x, x_dot, x_ddot = self.over(np.array([t]))
-        return float(x[0]), float(x_dot[0]), float(x_ddot[0])
-
-    def over(self, t: Array) -> tuple[Array, Array, Array]:
-        """Return value, first and second derivative at the times t (k,)."""
+    def at(self, t: Any) -> Values:
+        """Return value, first and second derivative at the time or times t (s)."""
+        if np.ndim(t) == 0:
+            return tuple(float(x[0]) for x in self.at(np.array([t])))  # type: ignore[return-value]
         first, end = self.knots[0], self.knots[-1]
         i = np.clip(np.searchsorted(self.knots, t, side="right") - 1, 0, len(self.knots) - 2)
         s = np.clip(t, first, end) - self.knots[i]
@@ -78,13 +75,9 @@ class JerkLimited(OfQuantity[Q], Generic[Q, V, A, J]):
         knots = self._pieces().knots
         return float(knots[-1] - knots[0])
 
-    def at(self, t: float) -> Triple:
+    def at(self, t: Any) -> Values:
         """Return value and its exact derivatives."""
         return self._pieces().at(t)
-
-    def over(self, t: Array) -> tuple[Any, Any, Any]:
-        """Return the same at many times (k,)."""
-        return self._pieces().over(t)
 
     def _pieces(self) -> Pieces:
         points = (0.0, *map(float, self.via), float(self.value))
@@ -120,13 +113,9 @@ class Points(OfQuantity[Q], Generic[Q]):
                 )
         return points
 
-    def at(self, t: float) -> Triple:
+    def at(self, t: Any) -> Values:
         """Return value and its exact derivatives."""
         return least_jerk(self.points).at(t)
-
-    def over(self, t: Array) -> tuple[Any, Any, Any]:
-        """Return the same at many times (k,)."""
-        return least_jerk(self.points).over(t)
 
 
 @lru_cache(maxsize=64)

@@ -10,7 +10,7 @@ from decimal import Decimal
 from numbers import Real
 from typing import Annotated, Any, Generic, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, GetCoreSchemaHandler
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 __all__ = [
@@ -30,8 +30,10 @@ __all__ = [
     "JointValue",
     "Length",
     "Mass",
+    "NotNegative",
     "Number",
     "OfQuantity",
+    "Positive",
     "Spec",
     "Time",
     "Torque",
@@ -186,6 +188,8 @@ ForceRate2 = Annotated[float, _FORCE_RATES[1]]
 ForceRate3 = Annotated[float, _FORCE_RATES[2]]
 Number = Annotated[float, _NUMBER]
 JointValue = Annotated[float, _JOINT_VALUE]
+Positive = Annotated[Number, Field(gt=0)]
+NotNegative = Annotated[Number, Field(ge=0)]
 
 
 def _three(what: str) -> Callable[[Any], Any]:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from .pieces import JerkLimited, Points, Triple
+from .pieces import JerkLimited, Points, Values
 from .quantities import (
     Acceleration,
     Angle,
@@ -40,7 +40,7 @@ __all__ = [
     "Signal",
     "Sine",
     "Step",
-    "Triple",
+    "Values",
     "total",
     "total_over",
 ]
@@ -52,16 +52,12 @@ Q = TypeVar("Q", bound=float)
 class Signal(Protocol):
     """Anything that can be evaluated at a time."""
 
-    def at(self, t: float) -> Triple:
-        """Return value, first and second derivative at time `t` (s)."""
-        ...
-
-    def over(self, t: Array) -> tuple[Any, Any, Any]:
-        """Return the same at many times (k,), each an array (k,) or the one number it is."""
+    def at(self, t: Any) -> Values:
+        """Return value, first and second derivative at time `t` (s), or at many times (k,)."""
         ...
 
 
-def _rise(t: Any, start: float, duration: float) -> tuple[Any, Any, Any]:
+def _rise(t: Any, start: float, duration: float) -> Values:
     """Return the minimum-jerk rise 10s³ − 15s⁴ + 6s⁵, s = (t − start)/duration, with ds/dt.
 
     A rise of zero duration is a step whose derivatives are zero. `t` may be an array."""
@@ -88,13 +84,9 @@ class Constant(OfQuantity[Q], Generic[Q]):
     value: Q
     """the value, with its unit"""
 
-    def at(self, t: float) -> Triple:
+    def at(self, t: Any) -> Values:
         """Return (value, 0, 0)."""
         return float(self.value), 0.0, 0.0
-
-    def over(self, t: Array) -> tuple[Any, Any, Any]:
-        """Return (value, 0, 0)."""
-        return self.at(0.0)
 
 
 class Step(OfQuantity[Q], Generic[Q]):
@@ -106,13 +98,9 @@ class Step(OfQuantity[Q], Generic[Q]):
     start: Time
     """the time of the step, such as 5 s"""
 
-    def at(self, t: float) -> Triple:
+    def at(self, t: Any) -> Values:
         """Return (0 or value, 0, 0)."""
-        return (float(self.value) if t >= self.start else 0.0), 0.0, 0.0
-
-    def over(self, t: Array) -> tuple[Any, Any, Any]:
-        """Return (0 or value, 0, 0)."""
-        return np.where(t >= self.start, float(self.value), 0.0), 0.0, 0.0
+        return (t >= self.start) * float(self.value), 0.0, 0.0
 
 
 class Sine(OfQuantity[Q], Generic[Q]):
@@ -127,25 +115,13 @@ class Sine(OfQuantity[Q], Generic[Q]):
     start: Time = 0.0
     ramp: Annotated[Time, Field(ge=0)] = 0.0
 
-    def at(self, t: float) -> Triple:
+    def at(self, t: Any) -> Values:
         """Return the enveloped sine and its exact derivatives (product rule); 0 before start."""
-        angle = self._angle(t)
-        return self._enveloped(t, math.sin(angle), math.cos(angle))
-
-    def over(self, t: Array) -> tuple[Any, Any, Any]:
-        """Return the same at many times (k,)."""
-        angle = self._angle(t)
-        return self._enveloped(t, np.sin(angle), np.cos(angle))
-
-    def _angle(self, t: Any) -> Any:
-        return 2.0 * math.pi * self.frequency * (t - self.start) + self.phase
-
-    def _enveloped(self, t: Any, s: Any, cosine: Any) -> tuple[Any, Any, Any]:
         e, e_dot, e_ddot = _rise(t, self.start, self.ramp)
-        omega = 2.0 * math.pi * self.frequency
-        s_dot = omega * cosine
+        omega, a = 2.0 * math.pi * self.frequency, float(self.amplitude)
+        angle = omega * (t - self.start) + self.phase
+        s, s_dot = np.sin(angle), omega * np.cos(angle)
         s_ddot = -omega * omega * s
-        a = float(self.amplitude)
         return (
             a * s * e,
             a * (s_dot * e + s * e_dot),
@@ -163,16 +139,9 @@ class MinimumJerk(OfQuantity[Q], Generic[Q]):
     duration: Annotated[Time, Field(gt=0)]
     """the time the rise takes, such as 0.3 s"""
 
-    def at(self, t: float) -> Triple:
+    def at(self, t: Any) -> Values:
         """Return value times the rise and its exact derivatives."""
-        return self._scaled(*_rise(t, self.start, self.duration))
-
-    def over(self, t: Array) -> tuple[Any, Any, Any]:
-        """Return the same at many times (k,)."""
-        return self._scaled(*_rise(t, self.start, self.duration))
-
-    def _scaled(self, e: Any, e_dot: Any, e_ddot: Any) -> tuple[Any, Any, Any]:
-        value = float(self.value)
+        value, (e, e_dot, e_ddot) = float(self.value), _rise(t, self.start, self.duration)
         return value * e, value * e_dot, value * e_ddot
 
 
@@ -193,7 +162,7 @@ ForceSignal = Annotated[
 ]  # fmt: skip
 
 
-def total(signals: Iterable[Signal], t: float) -> Triple:
+def total(signals: Iterable[Signal], t: float) -> Values:
     """Return the sum of the signals' values and derivatives at time `t` (s); none: zeros."""
     value = rate = acceleration = 0.0
     for signal in signals:
@@ -206,6 +175,6 @@ def total_over(signals: Iterable[Signal], t: Array) -> Array:
     """Return (3, k) the same sums at many times `t` (k,)."""
     found = np.zeros((3, len(t)))
     for signal in signals:
-        for row, x in zip(found, signal.over(t), strict=True):
+        for row, x in zip(found, signal.at(t), strict=True):
             row += x
     return found

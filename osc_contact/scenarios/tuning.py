@@ -13,7 +13,17 @@ from .hardware import (
     JointTorqueSpec,
     MotorsSpec,
 )
-from .quantities import Force, ForceVec3, Frequency, Length, Number, Spec, Time
+from .quantities import (
+    Force,
+    ForceVec3,
+    Frequency,
+    Length,
+    NotNegative,
+    Number,
+    Positive,
+    Spec,
+    Time,
+)
 
 __all__ = [
     "ControlSpec",
@@ -27,8 +37,6 @@ __all__ = [
     "TareSpec",
 ]
 
-Positive = Annotated[Number, Field(gt=0)]
-NotNegative = Annotated[Number, Field(ge=0)]
 Fraction = Annotated[Number, Field(gt=0, lt=1)]
 
 

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from meshcat import Visualizer
 
 __all__ = [
-    "EMPTY", "POLICY", "CommandSink", "asset", "filled", "packed", "page_text", "read_commands",
-    "set_background", "set_camera", "unfolded", "write_page", "write_whole",
+    "EMPTY", "POLICY", "CommandSink", "asset", "filled", "packed", "page_text", "set_background",
+    "set_camera", "unfolded", "write_page", "write_whole",
 ]  # fmt: skip
 
 POLICY = (
@@ -162,35 +162,15 @@ def unfolded(page: str) -> str:
     """The same page with its commands uncompressed, drawn before it counts as loaded.
 
     For renderers with a clock of their own, which a stream may stall (`write_png`).
-    """
-    commands = base64.b64encode(_unfold(page)).decode("ascii")
-    return _DRAW.sub(lambda _: f'drawAll(bytesOf("{commands}")); start();', page)
-
-
-def read_commands(path: str | Path) -> list[dict[str, Any]]:
-    """Decode the drawing commands of a written page, in the order in which they are drawn.
 
     Raises:
-        InvalidInputError: the file holds no drawing commands.
+        InvalidInputError: the page holds no drawing commands.
     """
-    import umsgpack
-
-    try:
-        whole, commands, start = _unfold(Path(path).read_text(encoding="utf-8")), [], 0
-    except InvalidInputError as error:
-        raise InvalidInputError(f"{path}: {error}") from error
-    while start < len(whole):
-        end = start + 4 + int.from_bytes(whole[start : start + 4], "little")
-        commands.append(umsgpack.unpackb(whole[start + 4 : end]))
-        start = end
-    return commands
-
-
-def _unfold(page: str) -> bytes:
     found = _DRAW.search(page)
     if not found:
         raise InvalidInputError("holds no drawing commands: it was not made by write_page")
-    return zlib.decompress(base64.b64decode(found[1]))
+    commands = base64.b64encode(zlib.decompress(base64.b64decode(found[1]))).decode("ascii")
+    return _DRAW.sub(lambda _: f'drawAll(bytesOf("{commands}")); start();', page)
 
 
 def filled(template: str, parts: Mapping[str, str]) -> str:
