@@ -12,9 +12,10 @@ from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.unilateral import pushes_only
 from osc_contact.errors import ScenarioError
 from osc_contact.interface import Reference
-from osc_contact.scenarios.schema import Scenario, TareSpec
+from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.signals import MinimumJerk, Step, total_over
 from osc_contact.scenarios.touching import MAGNITUDES, magnitude_names
+from osc_contact.scenarios.tuning import TareSpec
 from osc_contact.spatial import Array, Poses, cross, rotations, turned
 
 __all__ = ["Plan", "References", "common_tangent", "force_names", "force_owners", "force_steps"]

@@ -41,7 +41,8 @@ from osc_contact.runs.contacts import (
 )
 from osc_contact.runs.log import Subject
 from osc_contact.runs.references import References, force_owners
-from osc_contact.scenarios.schema import GraspSpec, Scenario
+from osc_contact.scenarios.geometry import GraspSpec
+from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 
 __all__ = ["Rig", "build_chain", "build_rig"]

@@ -17,46 +17,15 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
-from .checks import Problem, body_problems, did_you_mean, name_problems, timing_problems
-from .geometry import ArmSpec, GraspSpec, Name, ObjectSpec, PoseSpec
+from .checks import body_problems, name_problems, timing_problems
+from .geometry import ArmSpec, GraspSpec, Name, ObjectSpec
 from .hardware import SensorsSpec
 from .quantities import Force, Spec, Time, UnitVec3, refuse
 from .signals import AngleSignal, ForceSignal, LengthSignal
-from .touching import MAGNITUDES, BodySpec, ContactSpec, FaceSpec
-from .tuning import (
-    ControlSpec,
-    ForceGains,
-    GainsSpec,
-    ModelErrorSpec,
-    MotionGains,
-    PlantSpec,
-    TareSpec,
-)
+from .touching import MAGNITUDES, BodySpec, ContactSpec
+from .tuning import ControlSpec, GainsSpec, ModelErrorSpec, PlantSpec, TareSpec
 
-__all__ = [
-    "AngularMove",
-    "ArmSpec",
-    "BodySpec",
-    "ContactSpec",
-    "ControlSpec",
-    "FaceSpec",
-    "ForceGains",
-    "GainsSpec",
-    "GraspSpec",
-    "LinearMove",
-    "ModelErrorSpec",
-    "MotionGains",
-    "MotionSpec",
-    "ObjectSpec",
-    "PlantSpec",
-    "PoseSpec",
-    "Problem",
-    "Scenario",
-    "TareSpec",
-    "did_you_mean",
-    "name_problems",
-    "timing_problems",
-]
+__all__ = ["AngularMove", "LinearMove", "MotionSpec", "Scenario"]
 
 _UNIT_VECTOR: TypeAdapter[tuple[float, float, float]] = TypeAdapter(UnitVec3)
 
