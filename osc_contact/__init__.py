@@ -6,6 +6,7 @@ Names in reading order; `osc_contact.spatial` is the page of conventions.
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.detection import detect
 from osc_contact.contacts.pairs import (
+    PAIRS,
     ConeInGroove,
     ContactPair,
     CylinderInHole,
@@ -22,6 +23,7 @@ from osc_contact.contacts.pairs import (
     Screw,
     SphereOnPlane,
     VertexOnFace,
+    register_pair,
 )
 from osc_contact.contacts.raibert_craig import RaibertCraig
 from osc_contact.control.batch import BatchController
@@ -86,6 +88,7 @@ __all__ = [
     "Fixed",
     "Free",
     "GapFunctions",
+    "register_pair",
     "detect",
     "Environment",
     "ContactResponse",
@@ -127,3 +130,6 @@ __all__ = [
     "RecordingError",
     "ViewerError",
 ]
+
+globals().update(PAIRS)  # what type checkers know by name stands above
+__all__ += sorted(set(PAIRS) - set(__all__))

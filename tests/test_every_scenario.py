@@ -10,7 +10,7 @@ import pytest
 from test_decoupling import both_allocations
 
 import osc_contact as osc
-from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.contacts.pairs.pair import pushes_only
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.inspection import inspect_rig

@@ -20,7 +20,7 @@ from readable.life import ContactLife
 from rigs import one_panda, panda_pair, placed, random_faces, random_state, scara_pair
 
 import osc_contact as osc
-from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.contacts.pairs.pair import pushes_only
 from osc_contact.control import front_end
 from osc_contact.control.controller import Controller
 from osc_contact.control.force import ForceGains

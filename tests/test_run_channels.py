@@ -11,7 +11,7 @@ from pair_kinds import KINDS, PLAIN, pose_of
 
 import osc_contact as osc
 from osc_contact.contacts import pairs
-from osc_contact.contacts.pairs.over_time import normals_over
+from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.control.monitor import ContactMonitor
 from osc_contact.paper.moving_face import FACES
 from osc_contact.plants.mujoco import MujocoPlant

@@ -198,7 +198,7 @@ class ModelRow:
             row.link[:] = _flat_inertia(_z_frame(model, j + 1).actInv(model.inertias[j + 1]))
 
     def _pack_contacts(self, settings: Settings) -> None:
-        from osc_contact.contacts.unilateral import pushes_only
+        from osc_contact.contacts.pairs.pair import pushes_only
 
         c, pairs = len(settings.contacts), self.pairs
         rows = self.table("pairs", c, at.PAIR)

@@ -2,6 +2,8 @@
 
 A PAIR names its kind, its first column of N, their number, and the first SHAPE of its geometry;
 what the numbers of a shape are is given with each function. Positions are from O, motions at O.
+Matrices are read element by element, so the functions run as they are on numbers and on arrays of
+numbers over time (`contacts.pairs.law_pair`).
 """
 
 from __future__ import annotations
@@ -10,9 +12,20 @@ from math import copysign, sqrt
 
 from osc_contact.law.algebra import cross, dot6
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.tables import EDGES, FACE_ON_VERTEX, GIVEN, POINTS
+from osc_contact.law.tables import (
+    COUPLE,
+    EDGES,
+    FACE_ON_VERTEX,
+    GIVEN,
+    POINTS,
+    SCREW,
+    SLIDE,
+    THREAD,
+)
 
-__all__ = ["place_contacts"]
+__all__ = ["PARALLEL", "permitted_motion", "place_contacts", "place_pair"]
+
+PARALLEL = 1e-6  #: sine of the angle below which two edges have no common normal
 
 
 @leaf
@@ -73,24 +86,45 @@ def place_contacts(chain, pairs, shapes, columns, X_WO, V_O, bodies, moving, wor
             V_E[3], V_E[4], V_E[5] = E[19], E[20], E[21]
             for i in range(6):
                 V_rel[i] = V_O[i] - V_E[i]
-        first, shape = pair.first, pair.shape_at
-        if pair.kind == POINTS:
-            for j in range(pair.count):
-                _point_on_plane(
-                    shapes[shape + j].row, X_WO, V_O, R_E, V_E, V_rel, moving, columns[first + j]
-                )  # fmt: skip
-            if chain.mu > 0.0 and pair.drags != 0:
-                _friction_wrench(
-                    shapes[shape].row, X_WO, R_E, V_rel, chain.mu, chain.slip, columns[first]
-                )  # fmt: skip
-        elif pair.kind == FACE_ON_VERTEX:
-            _face_on_vertex(shapes[shape].row, X_WO, V_O, R_E, V_E, V_rel, columns[first], work.y)
-        elif pair.kind == EDGES:
-            if not _edges(shapes[shape].row, X_WO, V_O, R_E, V_E, V_rel, columns[first], work.y):
-                return False
-        else:
-            _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, work.y)
+        sine = place_pair(
+            pair, shapes, columns, X_WO, V_O, R_E, V_E, V_rel, moving, work.y
+        )  # fmt: skip
+        if not sine >= PARALLEL:
+            return False
+        if chain.mu > 0.0 and pair.drags != 0:
+            _friction_wrench(
+                shapes[pair.shape_at].row, X_WO, R_E, V_rel, chain.mu, chain.slip,
+                columns[pair.first],
+            )  # fmt: skip
     return True
+
+
+@inner
+def place_pair(pair, shapes, columns, X_WO, V_O, R_E, V_E, V_rel, moving, scratch):
+    """Fill N and n_γ of one pair's columns.
+
+    Args:
+        pair: PAIR record. shapes: SHAPE rows. columns: COLUMN_WORK rows.
+        X_WO: (4, 4) pose of the object. R_E: the same of the touched body.
+        V_O, V_E, V_rel: (6,) twists at O of the object, of the body, of one against the other.
+        moving: False: R_E is the identity, V_E zero. scratch: (6,).
+
+    Returns:
+        The sine of the angle between two edges, where that decides whether N exists; else 1.
+    """
+    first, shape = pair.first, pair.shape_at
+    if pair.kind == POINTS:
+        for j in range(pair.count):
+            _point_on_plane(
+                shapes[shape + j].row, X_WO, V_O, R_E, V_E, V_rel, moving, columns[first + j]
+            )  # fmt: skip
+    elif pair.kind == FACE_ON_VERTEX:
+        _face_on_vertex(shapes[shape].row, X_WO, V_O, R_E, V_E, V_rel, columns[first], scratch)
+    elif pair.kind == EDGES:
+        return _edges(shapes[shape].row, X_WO, V_O, R_E, V_E, V_rel, columns[first], scratch)
+    else:
+        _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, scratch)
+    return 1.0
 
 
 @inner
@@ -159,15 +193,14 @@ def _along_first(a, e, m, mm):
 def _edges(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
     """Row: point, direction of A's edge (0:3, 3:6), of E's (6:9, 9:12), side (12), normal (13:16).
 
-    The side is ±1, or 0 where the environment's outward normal tells it.
+    The side is ±1, or 0 where the environment's outward normal tells it. Returns the sine of the
+    edges' angle; near zero the column is not a number.
     """
     e = rotated(X_WO, row[3], row[4], row[5])
     f = rotated(R_E, row[9], row[10], row[11])
     m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
     mm = m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
     sine = sqrt(mm)
-    if not sine >= 1e-6:
-        return False
     side = row[12]
     if side == 0.0:
         o = rotated(R_E, row[13], row[14], row[15])
@@ -207,63 +240,73 @@ def _edges(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
     _line(column.N, p[0], p[1], p[2], n[0], n[1], n[2])
     _rate(p, n, (u[0] - s * e[0], u[1] - s * e[1], u[2] - s * e[2]), n_dot, rate)
     column.n_gamma_all = -dot6(rate, V_rel)
-    return True
+    return sine
+
+
+@inner
+def permitted_motion(row, X_WO, R_E):
+    """A motion t (6 numbers) that a pair given by T permits.
+
+    Row: point of A (0:3), axis (3:6), kind (6): TURN about A's axis, carried by A; SLIDE along E's
+    axis, carried by E; SCREW, the turn and a slide of pitch (10) along E's direction (7:10).
+    """
+    p = rotated(X_WO, row[0], row[1], row[2])
+    if row[6] == SLIDE:
+        d = rotated(R_E, row[3], row[4], row[5])
+        return d[0], d[1], d[2], 0.0, 0.0, 0.0
+    w = rotated(X_WO, row[3], row[4], row[5])
+    t = cross(p[0], p[1], p[2], w[0], w[1], w[2])
+    if row[6] == SCREW:
+        d = rotated(R_E, row[7], row[8], row[9])
+        t = (t[0] + row[10] * d[0], t[1] + row[10] * d[1], t[2] + row[10] * d[2])
+    return t[0], t[1], t[2], w[0], w[1], w[2]
+
+
+@inner
+def _add_carried(V, t, rate, out):
+    """out (6,) ← out + V × t · rate: what a motion gains that a body of twist V carries."""
+    a = cross(V[3], V[4], V[5], t[0], t[1], t[2])
+    b = cross(V[0], V[1], V[2], t[3], t[4], t[5])
+    c = cross(V[3], V[4], V[5], t[3], t[4], t[5])
+    for i in range(3):
+        out[i] += rate * (a[i] + b[i])
+        out[3 + i] += rate * c[i]
 
 
 @inner
 def _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, Tdot_beta):
     """The pairs given by T: n_γ = NᵀṪβ.
 
-    Shapes of the columns of N first, then those of its freedoms.
-        column: point of A (0:3), direction of E (3:6), kind (6): 0 a force along the direction
-        through the point, 1 a couple about (arm of A × mark of E), 2 a screw's thread: a force
-        along the direction and a couple −pitch / cos about it; axis of A (7:10), pitch (10).
-        freedom: point of A (0:3), axis (3:6), kind (6): 0 a turn about A's axis carried by A, 1 a
-        slide along E's axis carried by E, 2 a screw: the turn and a slide of pitch (10) along E's
-        direction (7:10).
+    Shapes of the columns of N first, then those of its freedoms (`permitted_motion`). Row of a
+    column: point of A (0:3), direction of E (3:6), kind (6): FORCE along the direction through the
+    point; COUPLE about (arm of A × mark of E); THREAD of a screw, a force along the direction and a
+    couple −pitch / cos about it; axis of A (7:10), pitch (10).
     """
     r, freedoms = pair.count, pair.freedoms
     for i in range(6):
         Tdot_beta[i] = 0.0
     for k in range(r, r + freedoms):
         row = shapes[pair.shape_at + k].row
-        p = rotated(X_WO, row[0], row[1], row[2])
-        if row[6] == 1.0:
-            d = rotated(R_E, row[3], row[4], row[5])
+        t = permitted_motion(row, X_WO, R_E)
+        if row[6] == SLIDE:
+            p = rotated(X_WO, row[0], row[1], row[2])
             v = _velocity(V_rel, p[0], p[1], p[2])
-            beta = d[0] * v[0] + d[1] * v[1] + d[2] * v[2]
-            a = cross(V_E[3], V_E[4], V_E[5], d[0], d[1], d[2])
-            for i in range(3):
-                Tdot_beta[i] += beta * a[i]
+            _add_carried(V_E, t, t[0] * v[0] + t[1] * v[1] + t[2] * v[2], Tdot_beta)
         else:
-            w = rotated(X_WO, row[3], row[4], row[5])
-            beta = w[0] * V_rel[3] + w[1] * V_rel[4] + w[2] * V_rel[5]
-            t = cross(p[0], p[1], p[2], w[0], w[1], w[2])
-            if row[6] == 2.0:
-                d = rotated(R_E, row[7], row[8], row[9])
-                t = (
-                    t[0] + row[10] * d[0],
-                    t[1] + row[10] * d[1],
-                    t[2] + row[10] * d[2],
-                )
-            a = cross(V_O[3], V_O[4], V_O[5], t[0], t[1], t[2])
-            b = cross(V_O[0], V_O[1], V_O[2], w[0], w[1], w[2])
-            c = cross(V_O[3], V_O[4], V_O[5], w[0], w[1], w[2])
-            for i in range(3):
-                Tdot_beta[i] += beta * (a[i] + b[i])
-                Tdot_beta[3 + i] += beta * c[i]
+            rate = t[3] * V_rel[3] + t[4] * V_rel[4] + t[5] * V_rel[5]
+            _add_carried(V_O, t, rate, Tdot_beta)
     for j in range(r):
         row, N = shapes[pair.shape_at + j].row, columns[pair.first + j].N
         p = rotated(X_WO, row[0], row[1], row[2])
         d = rotated(R_E, row[3], row[4], row[5])
-        if row[6] == 1.0:
+        if row[6] == COUPLE:
             m = cross(p[0], p[1], p[2], d[0], d[1], d[2])
             for i in range(3):
                 N[i] = 0.0
                 N[3 + i] = m[i]
         else:
             _line(N, p[0], p[1], p[2], d[0], d[1], d[2])
-            if row[6] == 2.0:
+            if row[6] == THREAD:
                 w = rotated(X_WO, row[7], row[8], row[9])
                 f = row[10] / (d[0] * w[0] + d[1] * w[1] + d[2] * w[2])
                 for i in range(3):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import os
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from numba.extending import intrinsic
 
 __all__ = [
     "PLAIN_PYTHON",
+    "as_python",
     "entry",
     "inner",
     "integers",
@@ -67,6 +69,22 @@ def entry(function: Any) -> Any:
     if PLAIN_PYTHON:
         return np.errstate(all="ignore")(function)  # compiled code does not warn either
     return _njit(cache=True, nogil=True, **_ENTRY)(function)
+
+
+def as_python(part: Any, **instead: Any) -> Any:
+    """A part of the law as a Python function, and so are all parts that it calls.
+
+    Args:
+        part: made by `inner` or `leaf`.
+        instead: other values of global names, such as sqrt=np.sqrt, which takes arrays.
+    """
+    source = getattr(part, "py_func", part)
+    names = dict(source.__globals__)
+    for name in source.__code__.co_names:
+        called = getattr(names.get(name), "py_func", names.get(name))
+        if isinstance(called, FunctionType) and called.__module__.startswith(f"{__package__}."):
+            names[name] = as_python(called, **instead)
+    return FunctionType(source.__code__, {**names, **instead}, source.__name__)
 
 
 if PLAIN_PYTHON:

@@ -36,6 +36,9 @@ def _record(
 BY_OBJECT, BY_CHAIN, BY_MATRIX = range(3)
 RIGID, HINGE, BALL, OTHER = range(4)
 POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, GIVEN = range(5)
+#: columns and freedoms of pairs given by T
+FORCE, COUPLE, THREAD = range(3)
+TURN, SLIDE, SCREW = range(3)
 UNYIELDING, CONVEYOR, CART, ELSEWHERE = range(4)
 
 CHAIN = _record(

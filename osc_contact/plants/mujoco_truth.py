@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.pairs.over_time import normals_over
-from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.plants.faces import Rail
 from osc_contact.plants.judge import Truths
 from osc_contact.spatial import Array, Poses, cross

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs import ContactPair, VertexOnFace
-from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
+from osc_contact.contacts.pairs.vertex_on_face import VertexOnFace
 from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.rig import Rig
-from osc_contact.scenarios.touching import magnitude_names
+from osc_contact.scenarios.contact_types import magnitude_names
 from osc_contact.spatial import Array
 from osc_contact.visual.screws import common_perpendicular, echelon
 

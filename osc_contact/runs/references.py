@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.errors import ScenarioError
 from osc_contact.interface import Reference
+from osc_contact.scenarios.contact_types import forces_of, magnitude_names
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.signals import MinimumJerk, Step, total_over
-from osc_contact.scenarios.touching import MAGNITUDES, magnitude_names
 from osc_contact.scenarios.tuning import TareSpec
 from osc_contact.spatial import Array, Poses, cross, rotations, turned
 
@@ -41,12 +40,12 @@ def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
 
 def force_names(scenario: Scenario) -> list[str]:
     """Names of all force magnitudes, in the order of alpha: ``tip``, ``pad.1``, ``pad.2``, …"""
-    return magnitude_names({c.name: MAGNITUDES[c.type] for c in scenario.contacts})
+    return magnitude_names(forces_of(scenario.contacts))
 
 
 def force_owners(scenario: Scenario) -> tuple[int, ...]:
     """The contact of each force magnitude."""
-    owners = [i for i, c in enumerate(scenario.contacts) for _ in range(MAGNITUDES[c.type])]
+    owners = [i for i, c in enumerate(scenario.contacts) for _ in range(c.forces)]
     return tuple(owners)
 
 
@@ -102,7 +101,7 @@ class References:
         t = np.linspace(0.0, scenario.duration, 2000)
         wanted = references.over(t).alpha_d
         pushes = [pushes_only(p) for p, c in zip(pairs, scenario.contacts, strict=True)
-                  for _ in range(MAGNITUDES[c.type])]  # fmt: skip
+                  for _ in range(c.forces)]  # fmt: skip
         for name, pushing, force in zip(force_names(scenario), pushes, wanted.T, strict=True):
             if pushing and (force < 0.0).any():
                 first = int(np.argmax(force < 0.0))

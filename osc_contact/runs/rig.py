@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.control.controller import Controller, Gains
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
@@ -241,7 +240,7 @@ def build_rig(scenario: Scenario) -> Rig:
     references = References.of(scenario, state.X_WO, pairs, standoff)
     if scenario.tare is not None:
         q_start = close(chain, reach(chain, q_contact, references.at(0.0).X_WD))
-    bodies = environment_bodies(scenario, pairs)
+    bodies = environment_bodies(scenario)
     return Rig(scenario, chain, model, pairs, bodies, q_contact, q_start, references)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from .touching import magnitude_names, raw_magnitudes
+from .contact_types import magnitude_names, raw_magnitudes
 from .tuning import ControlSpec, PlantSpec
 
 __all__ = [

@@ -18,11 +18,12 @@ from pydantic import (
 from pydantic_core import InitErrorDetails
 
 from .checks import body_problems, name_problems, timing_problems
+from .contact_types import AnyContact, forces_of
 from .geometry import ArmSpec, GraspSpec, Name, ObjectSpec
 from .hardware import SensorsSpec
 from .quantities import Force, Spec, Time, UnitVec3, refuse
 from .signals import AngleSignal, ForceSignal, LengthSignal
-from .touching import MAGNITUDES, BodySpec, ContactSpec
+from .touching import BodySpec
 from .tuning import ControlSpec, GainsSpec, ModelErrorSpec, PlantSpec, TareSpec
 
 __all__ = ["AngularMove", "LinearMove", "MotionSpec", "Scenario"]
@@ -91,7 +92,7 @@ class Scenario(Spec):
     grasps: dict[str, GraspSpec]
     """by arm name, the pose of the object in the tip frame"""
     environment: tuple[BodySpec, ...] = ()
-    contacts: tuple[ContactSpec, ...] = ()
+    contacts: tuple[AnyContact, ...] = ()
     force: dict[str, Annotated[tuple[ForceSignal, ...], Field(min_length=1)]] = Field(
         default_factory=dict
     )
@@ -151,7 +152,7 @@ class Scenario(Spec):
             [contact.name for contact in self.contacts],
             self.grasps,
             self.force,
-            {contact.name: MAGNITUDES[contact.type] for contact in self.contacts},
+            forces_of(self.contacts),
         )
         found += body_problems(
             [body.name for body in self.environment],

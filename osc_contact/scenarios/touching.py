@@ -1,33 +1,23 @@
-"""What touches what: bodies of the environment, faces, and the contacts of every kind.
-
-The keys of a contact that begin with ``face_``, ``edge_``, ``hole_`` or ``body_`` belong to the
-body it is on and are given in that body's frame; all other lengths and directions belong to the
-held object and are given in its frame.
-"""
+"""What contacts are on: bodies of the environment and faces, and how these move."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from .geometry import Name, PoseSpec, Text
-from .quantities import Force, Length, Mass, Number, Spec, Torque, UnitVec3, Vec3
+from .quantities import Force, Mass, Number, Spec, Torque, UnitVec3, Vec3
 from .signals import AngleSignal, LengthSignal
 
 __all__ = [
     "BodySpec",
     "CartSpec",
-    "ContactSpec",
     "ConveyorSpec",
     "FaceMotion",
     "FaceSpec",
     "HingeSpec",
-    "MAGNITUDES",
     "TurnSpec",
-    "VertexOnFaceSpec",
-    "magnitude_names",
 ]
 
 
@@ -107,166 +97,3 @@ class FaceSpec(Spec):
     normal: UnitVec3
     """the outward normal [x, y, z] in world"""
     motion: FaceMotion | None = None
-
-
-class VertexOnFaceSpec(Spec):
-    """A rounded vertex of the object on a face of the environment."""
-
-    name: Name
-    """a name of letters, digits, _ and -, such as left_end"""
-    type: Literal["vertex_on_face"] = "vertex_on_face"
-    vertex: Vec3
-    """the centre of the rounded vertex [x, y, z] in the object frame"""
-    radius: Annotated[Length, Field(ge=0)] = 0.0
-    face: FaceSpec
-    """the face with its urdf, point and normal"""
-
-
-class _OnBody(Spec):
-    """What contacts on a body of `environment` have in common."""
-
-    name: Name
-    """a name of letters, digits, _ and -, such as tip"""
-    body: Name
-    """the name of a body of environment"""
-
-
-class _OnPlane(_OnBody):
-    face_point: Vec3
-    """a point of the body's face [x, y, z] in the body frame"""
-    face_normal: UnitVec3
-    """the outward normal of that face [x, y, z] in the body frame"""
-
-
-class SphereOnPlaneSpec(_OnPlane):
-    """A sphere (or rounded vertex) of the object on a face of a body, r = 1."""
-
-    type: Literal["sphere_on_plane"] = "sphere_on_plane"
-    centre: Vec3
-    """the centre of the sphere [x, y, z] in the object frame"""
-    radius: Annotated[Length, Field(ge=0)] = 0.0
-
-
-class FaceOnVertexSpec(_OnBody):
-    """A face of the object on a (rounded) vertex of a body, r = 1."""
-
-    type: Literal["face_on_vertex"] = "face_on_vertex"
-    point: Vec3
-    """a point of the object's face [x, y, z] in the object frame"""
-    normal: UnitVec3
-    """the outward normal of the object's face [x, y, z] in the object frame"""
-    body_vertex: Vec3
-    """the centre of the rounded vertex [x, y, z] in the body frame"""
-    radius: Annotated[Length, Field(ge=0)] = 0.0
-
-
-class EdgeOnEdgeSpec(_OnBody):
-    """An edge of the object across an edge of a body, r = 1."""
-
-    type: Literal["edge_on_edge"] = "edge_on_edge"
-    point: Vec3
-    """a point of the object's edge [x, y, z] in the object frame"""
-    direction: UnitVec3
-    """along the object's edge [x, y, z] in the object frame"""
-    edge_point: Vec3
-    """a point of the body's edge [x, y, z] in the body frame"""
-    edge_direction: UnitVec3
-    """along the body's edge [x, y, z] in the body frame"""
-    edge_outward: UnitVec3
-    """roughly out of the body at its edge [x, y, z] in the body frame"""
-
-
-class EdgeOnFaceSpec(_OnPlane):
-    """A straight edge of the object on a face of a body: forces at two of its points, r = 2."""
-
-    type: Literal["edge_on_face"] = "edge_on_face"
-    point: Vec3
-    """the middle of the edge [x, y, z] in the object frame"""
-    direction: UnitVec3
-    """along the edge [x, y, z] in the object frame"""
-    length: Annotated[Length, Field(gt=0)] = 0.1
-
-
-class CylinderOnPlaneSpec(_OnPlane):
-    """A cylinder of the object lying on a face of a body: forces at two of its points, r = 2."""
-
-    type: Literal["cylinder_on_plane"] = "cylinder_on_plane"
-    point: Vec3
-    """the middle of the axis [x, y, z] in the object frame"""
-    direction: UnitVec3
-    """along the axis [x, y, z] in the object frame"""
-    radius: Annotated[Length, Field(ge=0)] = 0.0
-    length: Annotated[Length, Field(gt=0)] = 0.1
-
-
-class FaceOnFaceSpec(_OnPlane):
-    """A face of the object on a face of a body: forces at three corners of a triangle, r = 3."""
-
-    type: Literal["face_on_face"] = "face_on_face"
-    point: Vec3
-    """the middle of the triangle [x, y, z] in the object frame"""
-    normal: UnitVec3
-    """the outward normal of the object's face [x, y, z] in the object frame"""
-    size: Annotated[Length, Field(gt=0)] = 0.1
-
-
-class CylinderInHoleSpec(_OnBody):
-    """A cylinder of the object in a hole without play: two cross forces at two points, r = 4."""
-
-    type: Literal["cylinder_in_hole"] = "cylinder_in_hole"
-    point: Vec3
-    """the middle of the cylinder's axis [x, y, z] in the object frame"""
-    direction: UnitVec3
-    """along the cylinder's axis [x, y, z] in the object frame"""
-    hole_point: Vec3
-    """a point of the hole's axis [x, y, z] in the body frame"""
-    hole_direction: UnitVec3
-    """along the hole's axis [x, y, z] in the body frame"""
-    length: Annotated[Length, Field(gt=0)] = 0.1
-
-
-ContactSpec = Annotated[
-    VertexOnFaceSpec
-    | SphereOnPlaneSpec
-    | FaceOnVertexSpec
-    | EdgeOnEdgeSpec
-    | EdgeOnFaceSpec
-    | CylinderOnPlaneSpec
-    | FaceOnFaceSpec
-    | CylinderInHoleSpec,
-    Field(discriminator="type"),
-]
-
-#: Independent forces r of each kind of contact.
-MAGNITUDES = {
-    "vertex_on_face": 1,
-    "sphere_on_plane": 1,
-    "face_on_vertex": 1,
-    "edge_on_edge": 1,
-    "edge_on_face": 2,
-    "cylinder_on_plane": 2,
-    "face_on_face": 3,
-    "cylinder_in_hole": 4,
-}
-
-
-def magnitude_names(contacts: Mapping[str, int]) -> list[str]:
-    """Names of all force magnitudes: ``tip`` for one, ``pad.1``, ``pad.2``, … for several.
-
-    Args:
-        contacts: name → r.
-    """
-    return [name if r == 1 else f"{name}.{k + 1}" for name, r in contacts.items() for k in range(r)]
-
-
-def raw_magnitudes(contacts: Any) -> dict[str, int] | None:
-    """Name → r of contacts as a file has them; None where names or types are not sound."""
-    if not isinstance(contacts, list):
-        return None
-    found = {}
-    for item in contacts:
-        name, kind = (item.get("name"), item.get("type")) if isinstance(item, dict) else (0, 0)
-        if not isinstance(name, str) or not name or kind not in MAGNITUDES:
-            return None
-        found[name] = MAGNITUDES[str(kind)]
-    return found

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 
 from .checks import Problem, did_you_mean, sound_problems
+from .contact_types import CONTACT_TYPES, ContactSpec
 from .document import Key
 from .schema import Scenario
-from .touching import MAGNITUDES
 
 __all__ = ["complaints"]
 
@@ -26,7 +26,7 @@ _SIGNS = {
 }  # fmt: skip
 _TAGS = (
     "constant, step, sine, minimum_jerk, jerk_limited or points for a signal; linear or angular "
-    f"for a move; for a contact {', '.join(MAGNITUDES)}"
+    "for a move; for a contact "
 )
 
 
@@ -47,7 +47,11 @@ def complaints(error: ValidationError, data: Any) -> Iterator[Problem]:
             known = owner.model_fields if owner else {}
             yield place, f"unknown key; {did_you_mean(str(place[-1]), known)}"
         elif item["type"] == "union_tag_not_found":
-            yield place, f"the key {context['discriminator']} is missing: {_TAGS}"
+            yield (
+                place,
+                f"the key {context['discriminator']} is missing: {_TAGS}"
+                + ", ".join(CONTACT_TYPES),
+            )
         elif item["type"] == "union_tag_invalid":
             tag = context["discriminator"].strip("'")
             wanted = context["expected_tags"]
@@ -119,4 +123,4 @@ def _options(kind: Any) -> list[Any]:
         return _options(inner[0])
     if origin in (Union, types.UnionType):
         return [member for one in inner if one is not type(None) for member in _options(one)]
-    return [kind]
+    return list(CONTACT_TYPES.values()) if kind is ContactSpec else [kind]

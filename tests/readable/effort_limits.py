@@ -18,8 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.control.reports import GivenUp
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.motors import effort_scale

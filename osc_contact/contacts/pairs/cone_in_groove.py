@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from osc_contact.contacts.pairs.pair import Bodies, read_geometry, triad
-from osc_contact.contacts.pairs.tangent_pair import Freedom, TangentPair, held_axis, slide, turn
+from osc_contact.contacts.pairs.pair import read_geometry, triad
+from osc_contact.contacts.pairs.registry import register_pair
+from osc_contact.contacts.pairs.tangent_pair import TangentPair, held_axis, slide, turn
 from osc_contact.spatial import Array
 
 __all__ = ["ConeInGroove"]
 
 
+@register_pair()
 @dataclass(frozen=True, eq=False)
 class ConeInGroove(TangentPair):
     """Fig. 2 of the paper: a cone turns about its axis and slides along a groove (r = 4).
@@ -42,8 +44,6 @@ class ConeInGroove(TangentPair):
             groove_direction="direction of the groove", seat="direction of the seated cone's axis",
         )  # fmt: skip
         across = triad(self.groove_direction)[:, :2]
-        self._hold(self.apex, across, self.groove_point, *held_axis(self.axis, self.seat))
-
-    def _freedoms(self, b: Bodies) -> list[Freedom]:
-        p, axis = b.point_A(self.apex), b.R_A @ self.axis
-        return [turn(p, axis, b.V_A), slide(p, b.turn_E(self.groove_direction), b.V_E)]
+        freedoms = turn(self.apex, self.axis), slide(self.apex, self.groove_direction)
+        tilts = held_axis(self.axis, self.seat)
+        self._hold_tangents(self.apex, across, self.groove_point, tilts, freedoms)

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import Bodies, require_length
+from osc_contact.contacts.pairs.registry import register_pair
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array, as_array, cross_twist
 
@@ -22,6 +23,7 @@ _FIRST = np.array([672.0, -168.0, 32.0, -3.0]) / 840.0
 _SECOND = np.array([8064.0, -1008.0, 128.0, -9.0]) / 5040.0
 
 
+@register_pair()
 @dataclass(frozen=True, eq=False)
 class GapFunctions:
     """r smooth functions of the relative pose that the contact keeps at zero, 0 ≤ r ≤ 6.

@@ -18,6 +18,7 @@ __all__ = [
     "count_forces",
     "lines_of_force",
     "lines_of_force_rate",
+    "pushes_only",
     "read_geometry",
     "require_length",
     "store",
@@ -36,6 +37,15 @@ class ContactPair(Protocol):
 
     `gaps` are the r signed errors that the contact keeps at zero; each shrinks as the object moves
     along its column of N: d gaps/dt = −NᵀV_rel. n_γ is the Nᵀa_rel that keeps them at zero.
+
+    A pair may have more, else the value in brackets counts:
+
+    * pushes: whether every magnitude is a force that must not become negative (False);
+    * surface_point: (3,) a point of the environment's feature, in its frame (m), and
+      surface_radius: of that feature if it is round (m). Contact points are drawn where the lines
+      of force come nearest to it (to O; 0);
+    * row(): what it is to the compiled law, see `law_pair.PairRow` (None: Python evaluates the pair
+      between the parts of each tick).
     """
 
     @property
@@ -66,6 +76,14 @@ class ContactPair(Protocol):
 def count_forces(pair: ContactPair) -> int:
     """r, how many force magnitudes a pair has: one for each of its gaps."""
     return len(pair.gaps(pin.SE3.Identity()))
+
+
+def pushes_only(pair: ContactPair) -> bool:
+    """Whether every magnitude of the pair is a force that must not become negative.
+
+    Those of pairs given by T (hinges, holes, grooves) and of gap functions have either sign.
+    """
+    return bool(getattr(pair, "pushes", False))
 
 
 @dataclass(frozen=True, slots=True)

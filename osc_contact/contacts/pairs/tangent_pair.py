@@ -1,35 +1,24 @@
-"""The computation behind the pairs given by T: N annihilates T by construction, n_γ = NᵀṪβ."""
+"""Pairs given by T: N annihilates T by construction, n_γ = NᵀṪβ."""
 
 from __future__ import annotations
-
-from abc import ABC, abstractmethod
 
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, store, triad
-from osc_contact.spatial import Array, cross, cross_twist
+from osc_contact.contacts.pairs.law_pair import PairRow, shape
+from osc_contact.contacts.pairs.pair import Bodies, read_geometry, store, triad
+from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
+from osc_contact.law.tables import COUPLE, FORCE, SCREW, SLIDE, TANGENTS, THREAD, TURN
+from osc_contact.spatial import Array
 
-__all__ = ["Freedom", "TangentPair", "turn", "slide", "held_axis", "held_axes"]
+__all__ = [
+    "TangentPair", "held_axes", "held_axis", "read_joint", "screw", "slide", "thread", "turn"
+]  # fmt: skip
 
-#: (t, reader, carrier): a permitted motion, the wrench that reads its rate β from V_rel, and the
-#: twist of the body that carries its axis.
-Freedom = tuple[Array, Array, Array]
-
-
-def turn(p: Array, axis: Array, carrier: Array) -> Freedom:
-    """Rotation about a unit axis through p (from O)."""
-    couple = np.concatenate((np.zeros(3), axis))
-    return np.concatenate((cross(p, axis), axis)), couple, carrier
+_NONE = np.zeros((3, 0))
 
 
-def slide(p: Array, direction: Array, carrier: Array) -> Freedom:
-    """Translation along a unit direction, its rate read at the point p (from O) of the object."""
-    return np.concatenate((direction, np.zeros(3))), lines_of_force(p, direction), carrier
-
-
-class TangentPair(ABC):
+class TangentPair(PointsOnPlanes):
     """A pair whose T = [t₁ …] is known: n_γ = NᵀṪβ, V_rel = Tβ, ṫⱼ = V_b(j) × tⱼ (paper, sec. 3).
 
     b(j) is the body that carries the axis of tⱼ. N has explicit columns, smooth in the pose, that
@@ -41,58 +30,57 @@ class TangentPair(ABC):
     Unlike a magnitude of a face, these have either sign.
     """
 
-    name: str
-    _points: Array
-    _into: Array
-    _reach: Array
     _arms: Array
     _marks: Array
 
-    def _hold(self, point: Array, into: Array, on_plane: Array, arms: Array, marks: Array) -> None:
-        """One point (3,) of A, unit directions (3, k) and a plane point (3,) of E; arms (3, m) in
-        A at right angles to marks (3, m) in E."""
-        store(
-            self,
-            _points=np.tile(point[:, None], into.shape[1]),
-            _into=into,
-            _reach=on_plane @ into,
-            _arms=arms,
-            _marks=marks,
-        )
-
-    @abstractmethod
-    def _freedoms(self, b: Bodies) -> list[Freedom]:
-        """The 6 − r permitted motions."""
-
-    def _normals(self, b: Bodies) -> Array:
-        """N (6, r)."""
-        forces = lines_of_force(b.point_A(self._points), b.turn_E(self._into))
-        couples = cross(b.R_A @ self._arms, b.turn_E(self._marks))
-        return np.hstack((forces, np.vstack((np.zeros_like(couples), couples))))
-
-    def contact(
+    def _hold_tangents(
         self,
-        X_WO: pin.SE3,
-        V_O: Array,
-        X_WE: pin.SE3 | None = None,
-        V_E: Array | None = None,
-    ) -> Contact:
-        """N (6, r), T (6, 6−r) and n_γ (r,) at O, world axes (see `ContactPair.contact`)."""
-        b = Bodies.at_O(X_WO, V_O, X_WE, V_E)
-        N, V_rel = self._normals(b), b.V_rel
-        T, T_dot_beta = np.zeros((6, 6 - N.shape[1])), np.zeros(6)
-        for j, (t, reader, carrier) in enumerate(self._freedoms(b)):
-            T[:, j] = t
-            T_dot_beta += cross_twist(carrier, t) * (reader @ V_rel)
-        return Contact(N, T_dot_beta @ N, T=T, name=self.name)
+        point: Array,
+        into: Array,
+        on_plane: Array,
+        right_angles: tuple[Array, Array] = (_NONE, _NONE),
+        freedoms: tuple[Array, ...] = (),
+        threads: tuple[Array, ...] = (),
+    ) -> None:
+        """Take the columns of N and the permitted motions.
+
+        Args:
+            point: (3,) of A. into: (3, k) unit directions of E. on_plane: (3,) a point of E.
+            right_angles: arms (3, m) of A and marks (3, m) of E.
+            freedoms: made by `turn`, `slide`, `screw`. threads: columns made by `thread`.
+        """
+        points, (arms, marks) = np.tile(point[:, None], into.shape[1]), right_angles
+        store(self, _points=points, _into=into, _reach=on_plane @ into, _arms=arms, _marks=marks)
+        forces = (shape(p, n, FORCE) for p, n in zip(points.T, into.T, strict=True))
+        couples = (shape(a, u, COUPLE) for a, u in zip(arms.T, marks.T, strict=True))
+        shapes = (*forces, *couples, *threads, *freedoms)
+        self._hold(PairRow(TANGENTS, shapes, len(freedoms)), on_plane)
 
     def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
         """(r,) signed errors: m for the points, rad (to first order) for the directions."""
         b = Bodies.at_O(X_WO, X_WE=X_WE)
-        p, n = b.point_A(self._points), b.turn_E(self._into)
-        distances = self._reach + b.origin_E @ n - np.einsum("ij,ij->j", p, n)
         angles = -np.einsum("ij,ij->j", b.R_A @ self._arms, b.turn_E(self._marks))
-        return np.concatenate((distances, angles))
+        return np.concatenate((super().gaps(X_WO, X_WE), angles))
+
+
+def turn(point: Array, axis: Array) -> Array:
+    """Rotation about an axis of A through a point of A."""
+    return shape(point, axis, TURN)
+
+
+def slide(point: Array, axis: Array) -> Array:
+    """Translation along an axis of E; its rate is read at a point of A."""
+    return shape(point, axis, SLIDE)
+
+
+def screw(point: Array, axis: Array, seat: Array, pitch: float) -> Array:
+    """Rotation about an axis of A, and pitch (m/rad) times its rate along the seat's axis of E."""
+    return shape(point, axis, SCREW, seat, pitch)
+
+
+def thread(point: Array, axis: Array, seat: Array, pitch: float) -> Array:
+    """The column of N that holds a screw to its pitch."""
+    return shape(point, seat, THREAD, axis, pitch)
 
 
 def held_axis(axis: Array, seat: Array) -> tuple[Array, Array]:
@@ -104,3 +92,9 @@ def held_axis(axis: Array, seat: Array) -> tuple[Array, Array]:
 def held_axes(R_EA: Array) -> tuple[Array, Array]:
     """Arms and marks (3, 3) that keep A's orientation in E at R_EA; couples along E's axes."""
     return R_EA.T[:, [1, 2, 0]], np.eye(3)[:, [2, 0, 1]]
+
+
+def read_joint(pair: TangentPair) -> None:
+    """Check point, axis and assembled pose of a joint that is being made."""
+    read_geometry(pair, "point", axis="axis of the joint")
+    store(pair, assembled=pin.SE3(pair.assembled))  # type: ignore[attr-defined]

@@ -1,21 +1,38 @@
-"""Pairs with a surface: a face on a face (r = 3), a cylinder in a hole (r = 4)."""
+"""A flat face of the object on a flat face of the environment."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
 
-from osc_contact.contacts.pairs.lines import ends
 from osc_contact.contacts.pairs.pair import read_geometry, require_length, triad
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
+from osc_contact.contacts.pairs.registry import register_pair
+from osc_contact.scenarios.contact_types import OnPlaneSpec
+from osc_contact.scenarios.quantities import Length, UnitVec3, Vec3
 from osc_contact.spatial import Array
 
-__all__ = ["FaceOnFace", "CylinderInHole"]
+__all__ = ["FaceOnFace"]
 
 _CORNERS = np.deg2rad([90.0, 210.0, 330.0])
 
 
+class FaceOnFaceSpec(OnPlaneSpec):
+    """A face of the object on a face of a body: forces at three corners of a triangle, r = 3."""
+
+    forces: ClassVar[int] = 3
+    type: Literal["face_on_face"] = "face_on_face"
+    point: Vec3
+    """the middle of the triangle [x, y, z] in the object frame"""
+    normal: UnitVec3
+    """the outward normal of the object's face [x, y, z] in the object frame"""
+    size: Annotated[Length, Field(gt=0)] = 0.1
+
+
+@register_pair(FaceOnFaceSpec)
 @dataclass(frozen=True, eq=False)
 class FaceOnFace(PointsOnPlanes):
     """A flat face of the held object on a flat face of the environment (r = 3).
@@ -40,6 +57,7 @@ class FaceOnFace(PointsOnPlanes):
     face_normal: Array
     size: float = 0.1
     name: str = "face_on_face"
+    pushes: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         read_geometry(
@@ -49,40 +67,4 @@ class FaceOnFace(PointsOnPlanes):
         drawn = np.array((np.cos(_CORNERS), np.sin(_CORNERS)))
         corners = self.point[:, None] + self.size * triad(self.normal)[:, :2] @ drawn
         into = np.tile(-self.face_normal[:, None], 3)
-        self._hold(corners, into, self.face_point[:, None])
-
-
-@dataclass(frozen=True, eq=False)
-class CylinderInHole(PointsOnPlanes):
-    """A cylinder of the held object in a hole of the environment without play (r = 4).
-
-    Two points of the cylinder's axis, `length` apart, are each held on the axis of the hole by two
-    perpendicular forces (N): a touch on any side of the wall, so the magnitudes have either sign.
-    The cylinder may turn and slide. Any other length spans the same
-    spaces N and T.
-
-    Attributes:
-        point: (3,) the middle of the cylinder's axis in the object frame (m).
-        direction: (3,) along that axis in the object frame; normalised on entry.
-        hole_point: (3,) a point of the hole's axis in the environment frame (m).
-        hole_direction: (3,) along that axis in the environment frame; normalised on entry.
-        length: between the two points (m).
-        name: used in messages and recordings.
-    """
-
-    point: Array
-    direction: Array
-    hole_point: Array
-    hole_direction: Array
-    length: float = 0.1
-    name: str = "cylinder_in_hole"
-
-    def __post_init__(self) -> None:
-        read_geometry(
-            self, "point", "hole_point", direction="cylinder's axis", hole_direction="hole's axis"
-        )
-        require_length(f"{self.name}.length", self.length, ">")
-        low, high = ends(self.point, self.direction, self.length).T
-        across = triad(self.hole_direction)[:, :2]
-        points = np.column_stack((low, low, high, high))
-        self._hold(points, np.hstack((across, across)), self.hole_point[:, None])
+        self._hold_points(corners, into, self.face_point[:, None])

@@ -1,0 +1,177 @@
+"""Pairs whose geometry is a few rows of numbers: N and n_γ come from `law.contact`.
+
+The tick runs these functions compiled, `LawPair` runs the same source as Python: on floats at one
+instant, on arrays at many.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs.pair import Bodies, ContactPair, store
+from osc_contact.errors import ContactError
+from osc_contact.law import contact as law
+from osc_contact.law.jit import as_python
+from osc_contact.law.tables import TANGENTS
+from osc_contact.spatial import Array, Poses
+
+__all__ = ["LawPair", "PairRow", "law_row", "normals_over", "shape"]
+
+_place = as_python(law.place_pair, sqrt=np.sqrt, copysign=np.copysign)
+_motion = as_python(law.permitted_motion)
+
+#: Elements of a matrix as the law reads them, M[i, j]: a dictionary is faster than an array.
+_Elements = dict[tuple[int, int], Any]
+_IDENTITY: _Elements = {(i, j): float(i == j) for i in range(3) for j in range(4)}
+_AT_REST = [0.0] * 6
+#: Methods that decide what a row says; a class that replaces one of them is not what its row says.
+_TOLD_BY_ROW = ("contact", "direction", "point_on_face")
+
+
+class PairRow(NamedTuple):
+    """A pair as the compiled law reads it.
+
+    Attributes:
+        kind: POINTS, FACE_ON_VERTEX, EDGES or TANGENTS of `law.tables`.
+        shapes: (16,) each, see the functions of `law.contact`: the columns of N, then the permitted
+            motions.
+        freedoms: number of the latter.
+        rubs: whether the law knows the friction of the pair.
+    """
+
+    kind: int
+    shapes: tuple[Array, ...]
+    freedoms: int = 0
+    rubs: bool = False
+
+
+def shape(*parts: Array | float) -> Array:
+    """(16,) numbers of one column or one permitted motion, zeros behind them."""
+    row = np.zeros(16)
+    flat = np.concatenate([np.atleast_1d(part) for part in parts])
+    row[: len(flat)] = flat
+    return row
+
+
+def law_row(pair: ContactPair) -> PairRow | None:
+    """What a pair is to the compiled law; None: nothing, or a subclass changes what it does."""
+    row = getattr(pair, "row", None)
+    if row is None:
+        return None
+    kinds = type(pair).__mro__
+    said_by = next(kind for kind in kinds if "row" in vars(kind))
+    newer = kinds[: kinds.index(said_by)]
+    changed = any(name in vars(kind) for kind in newer for name in _TOLD_BY_ROW)
+    return None if changed else row()
+
+
+class LawPair:
+    """A pair that the law evaluates.
+
+    Attributes:
+        pushes, surface_point, surface_radius: see `ContactPair`.
+    """
+
+    pushes: ClassVar[bool] = False
+    name: str
+    surface_point: Array
+    surface_radius: float = 0.0
+    _row: PairRow
+    _numbers: tuple[Any, list[Any]]
+
+    def _hold(self, row: PairRow, surface_point: Array) -> None:
+        """Take the geometry of a pair that is being made."""
+        count = len(row.shapes) - row.freedoms
+        head = SimpleNamespace(
+            kind=row.kind, count=count, freedoms=row.freedoms, first=0, shape_at=0
+        )  # fmt: skip
+        shapes = [SimpleNamespace(row=one.tolist()) for one in row.shapes]
+        store(self, _row=row, _numbers=(head, shapes), surface_point=surface_point)
+
+    def row(self) -> PairRow:
+        """The pair as the compiled law reads it."""
+        return self._row
+
+    def contact(
+        self,
+        X_WO: pin.SE3,
+        V_O: Array,
+        X_WE: pin.SE3 | None = None,
+        V_E: Array | None = None,
+    ) -> Contact:
+        """N (6, r), n_γ (r,) and, if the pair is given by it, T (6, 6−r) at O, world axes.
+
+        Raises:
+            ContactError: two edges are parallel.
+        """
+        b = Bodies.at_O(X_WO, V_O, X_WE, V_E)
+        A, E = _elements(X_WO), _IDENTITY if X_WE is None else _elements(X_WE)
+        moving = X_WE is not None or V_E is not None
+        columns = self._columns(A, b.V_A.tolist(), E, b.V_E.tolist(), b.V_rel.tolist(), moving)
+        N = np.array([column.N for column in columns]).reshape(-1, 6).T
+        n_gamma = np.array([column.n_gamma_all for column in columns])
+        T = None
+        if self._row.kind == TANGENTS and len(self._row.shapes) == 6:
+            freedoms = self._numbers[1][N.shape[1] :]
+            T = np.array([_motion(one.row, A, E) for one in freedoms]).reshape(-1, 6).T
+        return Contact(N, n_gamma, T=T, name=self.name)
+
+    def normals(self, X_WO: Poses, X_WE: Poses | None = None) -> Array:
+        """(6, r, k) N at k instants; see `normals_over`."""
+        A = _elements_over(X_WO)
+        E = _IDENTITY if X_WE is None else _elements_over(X_WE)
+        columns = self._columns(A, _AT_REST, E, _AT_REST, _AT_REST, X_WE is not None)
+        N = np.empty((6, len(columns), X_WO.p.shape[-1]))
+        for j, column in enumerate(columns):
+            for i in range(6):
+                N[i, j] = column.N[i]
+        return N
+
+    def _columns(
+        self, A: _Elements, V_O: Any, E: _Elements, V_E: Any, V_rel: Any, moving: bool
+    ) -> list[Any]:
+        head, shapes = self._numbers
+        columns = [SimpleNamespace(N=[0.0] * 6, n_gamma_all=0.0) for _ in range(head.count)]
+        try:
+            with np.errstate(all="ignore"):
+                sine = _place(head, shapes, columns, A, V_O, E, V_E, V_rel, moving, [0.0] * 6)
+        except ZeroDivisionError:
+            sine = 0.0
+        least = np.min(sine)
+        if not least >= law.PARALLEL:
+            raise ContactError(
+                f"{self.name}: the edges are parallel (sine of their angle {least:.2g}), so their "
+                "common normal is undefined; model this contact as an edge on a face"
+            )
+        return columns
+
+
+def normals_over(pair: ContactPair, X_WO: Poses, X_WE: Poses | None = None) -> Array:
+    """(6, r, k) what `pair.contact` gives as N at each of k instants, at O in world axes.
+
+    Args:
+        pair: of any kind; one that the law does not know is asked instant by instant.
+        X_WO: k poses of the object. X_WE: k poses (or 1) of the environment body; None: the world.
+    """
+    if isinstance(pair, LawPair) and law_row(pair) is not None:
+        return pair.normals(X_WO, X_WE)
+    k = X_WO.p.shape[-1]
+    X_E = [None] * k if X_WE is None else [X_WE[i] for i in range(k)]
+    parts = [pair.contact(X_WO[i], np.zeros(6), X_E[i]).N for i in range(k)]
+    return np.stack(parts, axis=-1)
+
+
+def _elements(X: pin.SE3) -> _Elements:
+    rows = X.homogeneous.tolist()
+    return {(i, j): rows[i][j] for i in range(3) for j in range(4)}
+
+
+def _elements_over(X: Poses) -> _Elements:
+    return {
+        (i, j): X.p[i] if j == 3 else X.R[i, j] for i in range(3) for j in range(4)
+    }  # fmt: skip
