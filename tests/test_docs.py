@@ -17,7 +17,9 @@ from test_paper_map import complaint
 
 import osc_contact as osc
 from osc_contact.cli import app
+from osc_contact.contacts.pairs import PAIRS
 from osc_contact.scenarios import Scenario
+from osc_contact.scenarios.contact_types import CONTACT_TYPES, ContactSpec
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [
@@ -156,6 +158,8 @@ def test_every_section_of_the_theory_says_where_it_is_computed() -> None:
 
 def models_in(kind: Any) -> list[type[BaseModel]]:
     """The pydantic models that a field's type can hold."""
+    if kind is ContactSpec:
+        return list(CONTACT_TYPES.values())
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return [kind]
     inner = get_args(kind)
@@ -208,8 +212,29 @@ SCENARIO_TABLES = (
 def test_every_key_of_a_scenario_is_documented() -> None:
     keys, signals = schema_keys(Scenario)
     told = set().union(*(first_cells("scenario.md", heading) for heading in SCENARIO_TABLES))
+    for _, row in pair_rows():
+        told |= {f"contacts.{key}" for key in TICKED.findall(row[-1])}
     assert told == set(keys) - GROUPS
     assert first_cells("scenario.md", "Signals") == set(signals)
+
+
+def pair_rows() -> list[tuple[str, list[str]]]:
+    """Name and cells of every contact pair."""
+    return [(TICKED.findall(row[0])[0], row) for row in table_rows("contacts.md", "Pairs")]
+
+
+def test_every_pair_is_told_with_its_r_and_its_keys() -> None:
+    rows = dict(pair_rows())
+    assert set(rows) == set(PAIRS)
+    told = {}
+    for name, row in rows.items():
+        if TICKED.search(row[-1]):
+            kind = re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+            told[kind] = (int(row[1]), set(TICKED.findall(row[-1])))
+    assert told == {
+        kind: (spec.forces, set(spec.model_fields) - {"name", "type", "body"})
+        for kind, spec in CONTACT_TYPES.items()
+    }
 
 
 def test_required_keys_and_plain_defaults_are_told_rightly() -> None:
