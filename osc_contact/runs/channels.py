@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.contacts.pairs.over_time import normals_over
+from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.control.life import Phase
 from osc_contact.control.monitor import ContactMonitor
 from osc_contact.plants.judge import Truths

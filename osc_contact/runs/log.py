@@ -9,8 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.unilateral import pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.control.controller import Controller
 from osc_contact.control.life import Phase
 from osc_contact.control.result import TickResult, internal_forces

@@ -163,7 +163,7 @@ class ContactLife:
 
         Args:
             settings: of all contacts. owners: (r_all,) the contact of each column of N.
-            pushing: (contacts,) whether it can only push (`contacts.unilateral`).
+            pushing: (contacts,) whether it can only push (`pair.pushes_only`).
             dt: control period (s). closed: at the start.
         """
         pushing = np.asarray(pushing, dtype=bool)
