@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 LWA = pin.LOCAL_WORLD_ALIGNED
+PITCH = 0.1  # of screws (m/rad)
 
 
 @dataclass
@@ -77,19 +78,26 @@ class System:
         if kind in ("rigid", "hinge", "ball"):
             for k in range(3):
                 self.rows.append(Row(r_rows[k], -r_bias[k]))
-        else:  # slide, cylinder: r stays on an axis of the tip
-            for s in across(X.rotation @ axis):
+        else:  # slide, cylinder, screw: r stays on an axis of the tip; plane: across it
+            a = X.rotation @ axis
+            for s in {"plane": (a,), "screw": (*across(a), a)}.get(kind, across(a)):
                 sdot = np.cross(wt, s)
                 bias = (np.cross(at, s) + np.cross(wt, sdot)) @ r + 2 * sdot @ rdot + s @ r_bias
                 # ω̇_tip appears in s̈·r: (ω̇×s)·r = ω̇·(s×r)
                 c = s @ r_rows
                 c[: J.shape[1]] += np.cross(s, r) @ J[3:]
+                if s is a and kind == "screw":  # … = pitch d/dt[(ω − ω_tip)·a]
+                    c[: J.shape[1]] += PITCH * a @ J[3:]
+                    c[-3:] -= PITCH * a
+                    bias -= PITCH * ((w - wt) @ np.cross(wt, a) - at @ a)
                 self.rows.append(Row(c, -bias))
         pairs = {
             "rigid": [(E[i], E[j]) for i, j in ((0, 1), (1, 2), (2, 0))],
             "slide": [(E[i], E[j]) for i, j in ((0, 1), (1, 2), (2, 0))],
             "hinge": [] if axis is None else [(s, axis) for s in across(axis)],
             "cylinder": [] if axis is None else [(s, axis) for s in across(axis)],
+            "screw": [] if axis is None else [(s, axis) for s in across(axis)],
+            "plane": [] if axis is None else [(s, axis) for s in across(axis)],
             "ball": [],
         }[kind]
         for of_tip, of_object in pairs:  # stay perpendicular

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
-from grasp_oracle import System
+from grasp_oracle import PITCH, System, across
 
 import osc_contact as osc
 from osc_contact import robots
@@ -59,6 +59,10 @@ def grasp_of(kind, X_TO, axis):
         "ball": lambda: osc.Grasp.ball(X_TO),
         "slide": lambda: osc.Grasp(X_TO, slide[:, None]),
         "cylinder": lambda: osc.Grasp(X_TO, np.column_stack((turn, slide))),
+        "screw": lambda: osc.Grasp(X_TO, (turn + PITCH * slide)[:, None]),
+        "plane": lambda: osc.Grasp(
+            X_TO, np.column_stack((turn, *np.pad(across(a), ((0, 0), (0, 3)))))
+        ),
     }[kind]()
 
 
@@ -68,6 +72,9 @@ def slip_of(kind, axis, rng):
     turn, slide = rng.uniform(-2, 2) * a, rng.uniform(-0.05, 0.05) * a
     R = {"hinge": pin.exp3(turn), "cylinder": pin.exp3(turn), "ball": pin.exp3(rng.normal(size=3))}
     p = slide if kind in ("slide", "cylinder") else np.zeros(3)
+    if kind in ("screw", "plane"):
+        p = PITCH * turn if kind == "screw" else np.cross(a, np.array([0.05, -0.1, 0.02]))
+        return pin.SE3(R["hinge"], p)
     return pin.SE3(R.get(kind, np.eye(3)), p)
 
 
