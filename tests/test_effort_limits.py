@@ -196,7 +196,7 @@ def test_a_contact_that_cannot_keep_its_range_says_so(law):
 
 
 @both
-def test_an_unsolved_program_holds_the_last_torques(monkeypatch, law):
+def test_an_unsolved_program_ends_held_within_the_limits(monkeypatch, law):
     chain, rng = scara_pair(), np.random.default_rng(44)
     pairs, measurement, reference = demanding(chain, rng, 1)
     strong, weak = chain.tau_max, 0.02 * chain.tau_max
@@ -207,7 +207,7 @@ def test_an_unsolved_program_holds_the_last_torques(monkeypatch, law):
     monkeypatch.setattr(daqp, "solve", lambda *a, **k: (np.full(8, np.nan), 0.0, -3, {}))
     tau = controller.tick(measurement, replace(reference, alpha_d=reference.alpha_d + 1))
     assert controller.status is osc.Status.HELD and "limits" in controller.reason
-    assert (tau == before).all() and controller.given_up is None
+    assert (np.abs(tau) <= weak).all() and controller.given_up is None
     if law is Controller:
         assert pickle.loads(pickle.dumps(controller)).reason == controller.reason
     np.testing.assert_array_equal(controller.force_law.integral, sums)

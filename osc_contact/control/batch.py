@@ -157,7 +157,7 @@ class BatchController:
             )
             lo = done >> 1
             if self._codes[lo - 1] == Status.SATURATED:
-                self._relieve(lo - 1, floats, args[-1])
+                self._relieve(lo - 1, floats, args)
 
     def _row(self, i: int, floats: Array) -> TickRecords:
         size = len(self._model) // self.rows
@@ -166,17 +166,20 @@ class BatchController:
         row.head = records(row.raw, 0, 1, at.CHAIN)[0]
         return TickRecords(row, self._memory.reshape(self.rows, -1)[i], floats)
 
-    def _relieve(self, i: int, floats: Array, tau: Array) -> None:
+    def _relieve(self, i: int, floats: Array, args: tuple[Any, ...]) -> None:
         """Torques within the limits for a row that has just ended SATURATED."""
         rows = self._row(i, floats)
-        out = tau[i * self._n_a : (i + 1) * self._n_a]
+        out = args[-1][i * self._n_a : (i + 1) * self._n_a]
         if i not in self._limits:
             self._limits[i] = MotorLimits(self._settings[i], rows.row)
         try:
             self._limits[i].relieve(rows, out)
         except SolverError:
-            self._codes[i], rows.memory.fresh, rows.memory.reason = Status.HELD, 0, at.OUTSIDE
-            out[:] = rows.torques
+            *inputs, flags, tau = args
+            self._call(
+                self._model, self._memory, floats.view(np.uint8), *inputs, flags | law.MISFIT, tau,
+                self._codes, law.LOOK, law.END, i, i + 1,
+            )  # fmt: skip
 
     def _locate(self, q: Array) -> None:
         """Where no arm holds the object rigidly: find it once, from the joints alone."""
@@ -210,6 +213,11 @@ class BatchController:
     def status(self) -> Array:
         """(B,) how each row's last tick ended, see `Status`."""
         return self._codes.copy()
+
+    @property
+    def state(self) -> Array:
+        """(B,) whether each row runs, holds a posture or has stopped; see `SafetyState`."""
+        return np.array(self._memories["state"])
 
     @property
     def alpha_meas(self) -> Array:

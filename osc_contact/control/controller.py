@@ -16,8 +16,9 @@ from osc_contact.control.laws import Laws
 from osc_contact.control.life import LifeSettings, Phase
 from osc_contact.control.loops import ForceLoop, MotionLoop, refuse
 from osc_contact.control.outside import Outside
-from osc_contact.control.reasons import convert_arrays, require_sizes
+from osc_contact.control.reasons import convert_arrays, read_joints, require_sizes
 from osc_contact.control.reports import Status
+from osc_contact.control.safety import SafetySettings
 from osc_contact.control.settings import PostureTask, Settings
 from osc_contact.control.signals import BLOCKS, Block, Signals
 from osc_contact.control.tick_records import TickRecords, rows
@@ -27,7 +28,7 @@ from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError, SolverError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
-from osc_contact.law.tables import BODY, HELD, OBJECT_UNKNOWN, OUTSIDE
+from osc_contact.law.tables import BODY, OBJECT_UNKNOWN
 from osc_contact.spatial import Array
 
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
@@ -69,6 +70,7 @@ class Controller(ControllerCopies):
         life: LifeSettings | None = None,
         laws: Laws | None = None,
         posture_task: PostureTask | None = None,
+        safety: SafetySettings | None = None,
     ) -> None:
         """Assemble the loops.
 
@@ -88,6 +90,7 @@ class Controller(ControllerCopies):
                 closed as long as they are engaged.
             laws: of the user's own, in place of force law, motion law or control structure.
             posture_task: what redundant arms do with joints they do not need.
+            safety: when ticks that cannot be computed end in a hold, and in a stop.
 
         Raises:
             InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
@@ -106,6 +109,7 @@ class Controller(ControllerCopies):
                 PostureTask() if posture_task is None else posture_task,
                 friction,
                 life,
+                SafetySettings() if safety is None else safety,
             ),
             Laws() if laws is None else laws,
         )
@@ -165,9 +169,9 @@ class Controller(ControllerCopies):
         with announced():
             r = self._records
             self._rows(
-                r.row.raw, r.memory_bytes, r.work_bytes, none, none, np.zeros((self._arms, 6)),
-                np.eye(4), np.zeros(6), np.zeros(6), np.zeros(0), self._squeeze, self._still, 0,
-                np.zeros(self._n_a), self._codes, 0, law.END, 0, 1,
+                r.row.raw, r.memory_bytes.copy(), r.work_bytes, none, none,
+                np.zeros((self._arms, 6)), np.eye(4), np.zeros(6), np.zeros(6), np.zeros(0),
+                self._squeeze, self._still, 0, np.zeros(self._n_a), self._codes, 0, law.END, 0, 1,
             )  # fmt: skip
         self._codes[0] = 0
         if hasattr(self._rows, "disable_compile"):
@@ -217,8 +221,9 @@ class Controller(ControllerCopies):
             measurement.q, measurement.v, measurement.wrenches, reference.X_WD.homogeneous,
             reference.V_D, reference.A_D, reference.alpha_d, self._squeeze, table,
         )  # fmt: skip
+        error = None
         if self._in_parts:
-            self._outside.tick(self, measurement, reference, args, flags, tau)
+            error = self._outside.tick(self, measurement, reference, args, flags, tau)
         else:
             records = self._records
             done = self._rows(
@@ -227,7 +232,7 @@ class Controller(ControllerCopies):
             )  # fmt: skip
             if done == 2:
                 return tau
-        return self._end(tau, measurement, reference)
+        return self._end(tau, measurement, reference, error)
 
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
         """A tick whose arrays are of other types: made what the law takes, or held."""
@@ -238,27 +243,35 @@ class Controller(ControllerCopies):
             self._converting = True
             return self.tick(*convert_arrays(measurement, reference))
         except _REFUSED as why:
-            self._hold(why)
-            self._inputs = (measurement, reference)
-            return self._records.torques.copy()
+            self._inputs, self._failure = (measurement, reference), why
+            return self._hold(measurement)
         finally:
             self._converting = False
 
-    def _hold(self, error: Exception) -> None:
-        work = self._records.work
-        self._codes[0], self._failure = HELD, error
-        work.status, work.reason, self._records.memory.fresh = HELD, OUTSIDE, 0
+    def _hold(self, measurement: Measurement) -> Array:
+        """Torques (n_a,) of a tick that failed outside of the law: one that is not computed."""
+        n, six, tau, r = self.chain.nq, np.zeros(6), np.empty(self._n_a), self._records
+        self._rows(
+            r.row.raw, r.memory_bytes, r.work_bytes, read_joints(measurement.q, n),
+            read_joints(measurement.v, n), np.full((self._arms, 6), np.nan), np.eye(4), six, six,
+            np.zeros(0), self._squeeze, self._still, 0, tau, self._codes, law.LOOK, law.END, 0, 1,
+        )  # fmt: skip
+        return tau
 
-    def _end(self, tau: Array, measurement: Measurement, reference: Reference) -> Array:
-        """What is left to do after a tick that did not end OK."""
+    def _end(
+        self,
+        tau: Array,
+        measurement: Measurement,
+        reference: Reference,
+        error: Exception | None = None,
+    ) -> Array:
+        """What is left to do after a tick that did not end OK; `error`: raised outside the law."""
         code, self._given_up = int(self._codes[0]), None
+        self._inputs, self._failure = (measurement, reference), error
         if code == Status.HELD:
-            self._inputs = (measurement, reference)
             work = self._records.work
             if work.reason == OBJECT_UNKNOWN and self._locate(measurement.q):
                 return self.tick(measurement, reference)
-            if work.reason != OUTSIDE:
-                self._failure = None
         elif code == Status.SATURATED:
             try:
                 if self.laws.structure is not None:
@@ -267,9 +280,8 @@ class Controller(ControllerCopies):
                 if self._limits is None:
                     self._limits = MotorLimits(self.settings, self._records.row)
                 self._limits.relieve(self._records, tau)
-            except SolverError as error:
-                self._hold(error)
-                tau[:] = self._records.torques
+            except SolverError as why:
+                tau[:], self._failure = self._hold(measurement), why
         return tau
 
     def _motions(self, touched: Touched) -> Array:

@@ -12,6 +12,7 @@ from osc_contact.control.loops import ForceLoop, MotionLoop
 from osc_contact.control.reasons import explain
 from osc_contact.control.reports import GivenUp, LostDirection, Status
 from osc_contact.control.result import TickResult
+from osc_contact.control.safety import SafetyState
 from osc_contact.control.settings import Settings
 from osc_contact.control.signals import Signals
 from osc_contact.control.tick_records import TickRecords
@@ -59,11 +60,30 @@ class ControllerState:
     @property
     def reason(self) -> str:
         """Why `status` is not OK; empty if it is."""
-        if self.status is Status.HELD and self._failure is not None:
-            return str(self._failure)
         if self.status is Status.HELD:
             return explain(self._records, self.settings, *self._inputs, self._failure)
         return str(self.given_up or "; ".join(map(str, self.lost_directions)))
+
+    @property
+    def state(self) -> SafetyState:
+        """Whether the controller runs, holds a posture or has stopped; see `SafetyState`."""
+        return SafetyState(int(self._records.memory.state))
+
+    @property
+    def state_age(self) -> int:
+        """Ticks since `state` last changed."""
+        return int(self._records.memory.age)
+
+    @property
+    def faults(self) -> int:
+        """Ticks in a row, up to the last one, that could not be computed."""
+        return int(self._records.memory.faults)
+
+    def reset(self) -> None:
+        """Run again after a stop: both integrals at zero, tare, bias and phases as they are."""
+        memory = self._records.memory
+        memory.state, memory.age, memory.faults, memory.too_fast = SafetyState.RUN, 0, 0, 0
+        memory.repeats, memory.fresh, memory.motion_sum[:], memory.force_sum[:] = 0, 0, 0.0, 0.0
 
     @property
     def given_up(self) -> GivenUp | None:

@@ -56,6 +56,7 @@ class ModelRow:
         memory, memory_size = at.allocate({
             "head": at.MEMORY_BYTES, "contact_memory": c * at.CONTACT_MEMORY_BYTES,
             "column_memory": r * at.COLUMN_MEMORY_BYTES, "torque_memory": 8 * chain.n_a,
+            "kept": 8 * 3 * n,
         })  # fmt: skip
         work, work_size = at.allocate({
             "head": at.WORK_BYTES, "arm_work": k * at.ARM_WORK_BYTES,
@@ -98,6 +99,10 @@ class ModelRow:
         head.stiffness, head.damping = gains.motion.stiffness, gains.motion.damping
         head.integral, head.period = gains.motion.integral, settings.dt
         head.force_gain, head.force_damping = gains.force.integral, gains.force.damping
+        safety = settings.safety
+        head.repeats, head.hold_rate = safety.repeats, safety.hold_rate
+        head.fault_ticks = safety.stop_after
+        head.fast_ticks = round(safety.too_fast_for / settings.dt)
         posture = settings.posture_task
         head.posture_stiffness, head.posture_damping = posture.stiffness, posture.damping
         head.retreat_damping = posture.retreat_damping
@@ -181,6 +186,9 @@ class ModelRow:
         rows.motor[chain.actuated] = np.arange(chain.n_a)
         rows.effort[chain.actuated], rows.tau_max[chain.actuated] = effort**2, chain.tau_max
         rows.ease[chain.actuated] = 1.0 / effort**2
+        speed = model.velocityLimit
+        rows.speed_max[:] = np.where(np.isfinite(speed) & (speed > 0.0), speed, np.inf)
+        rows.speed_max[rows.motor < 0] = np.inf
         rows.posture[:] = settings.posture
         for name in ("low", "high", "width", "most"):
             rows[name][:] = getattr(limits, name)

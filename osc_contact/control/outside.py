@@ -57,8 +57,12 @@ class Outside:
         args: tuple[Any, ...],
         flags: int,
         tau: Array,
-    ) -> None:
-        """One tick; the torques go to tau (n_a,), its status to the controller."""
+    ) -> Exception | None:
+        """One tick; the torques go to tau (n_a,), its status to the controller.
+
+        Returns:
+            What code of the user's own raised: then the posture is held.
+        """
         codes, laws = controller._codes, self.laws
 
         def run(begin: int, stop: int, more: int = 0) -> bool:
@@ -70,7 +74,7 @@ class Outside:
             return bool(codes[0] != HELD)
 
         if not run(law.LOOK, law.MEASURE, law.PARTIAL if self._given else 0):
-            return
+            return None
         rows = controller._records
         try:
             if self._given and rows.contacts.active.any():
@@ -80,15 +84,15 @@ class Outside:
                     self._repack(controller, columns)
                     rows = controller._records
                     if not run(law.LOOK, law.MEASURE):
-                        return
+                        return None
                 self._put(rows, found)
             if self._bodies and measurement.touched is not None:
                 self._answer(rows, measurement)
             misfit = np.size(reference.alpha_d) != len(rows.columns) and rows.memory.engaged
             if misfit and not run(law.LOOK, law.MEASURE):
-                return
+                return None
             if not run(law.MEASURE, law.COMMAND):
-                return
+                return None
             w, given = rows.work, 0
             r = int(w.rank)
             if laws.force is not None:
@@ -98,14 +102,14 @@ class Outside:
                 X, V = pin.SE3(w.X_WO.copy()), w.V_O.copy()
                 w.a_u[:], given = laws.command_motion(reference, X, V), given | law.OWN_MOTION
             if not run(law.COMMAND, law.ALLOCATE, given):
-                return
+                return None
             if laws.structure is not None:
                 self._structure(controller)
         except Exception as error:  # whatever the user's code raises ends as a status
-            controller._hold(error)
-            tau[:] = rows.torques
-            return
+            tau[:] = controller._hold(measurement)
+            return error
         run(law.ALLOCATE, law.END)
+        return None
 
     def _evaluate(self, rows: TickRecords, measurement: Measurement) -> dict[int, Any]:
         """N (6, r), n_γ (r,) and N_μ − N (6, r) of the pairs that only Python knows, where on."""
@@ -169,6 +173,7 @@ class Outside:
         new = TickRecords(self.pack(columns))
         new.memory_bytes[: old.memory.itemsize] = old.memory_bytes[: old.memory.itemsize]
         new.contacts[:], new.torques[:] = old.contacts, old.torques
+        new.joint_memory[:] = old.joint_memory
         owners = np.asarray(new.row.pairs.owners, dtype=int)
         new.column_memory.closed[:] = new.contacts.phase[owners] == 2
         controller._take_records(new)

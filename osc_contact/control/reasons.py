@@ -14,7 +14,7 @@ from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
 from osc_contact.law import tables as at
 from osc_contact.spatial import Array, as_array
 
-__all__ = ["convert_arrays", "explain", "require_sizes"]
+__all__ = ["convert_arrays", "explain", "read_joints", "require_sizes"]
 
 
 def require_sizes(measurement: Measurement, reference: Reference, settings: Settings) -> None:
@@ -68,6 +68,15 @@ def convert_arrays(measurement: Measurement, reference: Reference) -> tuple[Meas
     )
 
 
+def read_joints(x: Any, n: int) -> Array:
+    """(n,) numbers, as far as x has them; else all of them NaN."""
+    try:
+        array = np.array(x, dtype=float)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    return array if array.shape == (n,) else np.full(n, np.nan)
+
+
 def explain(
     rows: TickRecords,
     settings: Settings,
@@ -76,9 +85,13 @@ def explain(
     failure: Exception | None,
 ) -> str:
     """The sentence for a tick that ended HELD; `failure`: of Python code called in it."""
+    code, work = int(rows.work.reason), rows.work
+    if code == at.STOPPED:
+        cause = int(rows.memory.cause)
+        why = "a tick could not be computed" if cause == at.BAD_INPUT else _SENTENCES.get(cause, "")
+        return f"stopped, until reset() is called. Cause: {why or 'code called in the tick failed'}"
     if failure is not None:
         return str(failure)
-    code, work = int(rows.work.reason), rows.work
     names = [settings.contacts[c].name for c in rows.row.pairs.owners]
     if code == at.BAD_INPUT:
         try:
@@ -145,5 +158,8 @@ _SENTENCES = {
         "the inertia beyond the wrist sensors is singular: they cannot tell the contact force. "
         "Check mass and inertia of gripper and object"
     ),
-    at.OUTSIDE: "code called in the tick failed",
+    at.TOO_FAST: (
+        "a joint stayed above its speed limit. The arms are braked; see why they ran away, then "
+        "call reset()"
+    ),
 }

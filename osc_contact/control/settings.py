@@ -13,6 +13,7 @@ from osc_contact.control.friction import Friction
 from osc_contact.control.gains import Gains
 from osc_contact.control.joint_limits import JointLimits
 from osc_contact.control.life import LifeSettings
+from osc_contact.control.safety import SafetySettings
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, ModelError
@@ -70,6 +71,7 @@ class Settings:
     posture_task: PostureTask = field(default_factory=PostureTask)
     friction: Friction | None = None
     phases: LifeSettings | None = None
+    safety: SafetySettings = field(default_factory=SafetySettings)
 
     def __post_init__(self) -> None:
         chain = self.chain

@@ -50,8 +50,8 @@ class TickRecords:
     """MODEL, MEMORY and WORK of one controller.
 
     Attributes:
-        row: MODEL. memory_bytes, work_bytes: the others. memory, contacts, column_memory, torques:
-            views of MEMORY. work, arms, joints, columns, bodies: views of WORK.
+        row: MODEL. memory_bytes, work_bytes: the others. memory, contacts, column_memory, torques,
+            joint_memory: views of MEMORY. work, arms, joints, columns, bodies: views of WORK.
         floats: WORK as numbers; what recordings keep are slices of it.
         rank, engaged, ticked: (1,) of WORK and MEMORY.
     """
@@ -72,7 +72,10 @@ class TickRecords:
         self.column_memory = records(raw, int(head.column_memory_at), r, at.COLUMN_MEMORY)
         start = int(head.torque_memory_at)
         self.torques: Array = raw[start : start + 8 * int(head.n_motors)].view(np.float64)
-        raw, n = self.work_bytes, int(head.n_joints)
+        n = int(head.n_joints)
+        start = int(head.kept_at)
+        self.joint_memory: Array = raw[start : start + 24 * n].view(np.float64)
+        raw = self.work_bytes
         self.work = records(raw, 0, 1, at.WORK)[0]
         self.rank = _cell(raw, at.WORK, "rank")
         self.engaged, self.ticked = (

@@ -43,6 +43,7 @@ class MotorLimits:
         if len(rows.bars) > 1:
             s = int(self._sizes[3])
             rows.bars[:] -= rows.bar_basis()[:, :s] @ program.lost_squeeze[:s]
+        rows.memory.faults = 0
 
     def given_up(self, rows: TickRecords) -> GivenUp:
         """What the last call of `relieve` cost."""
@@ -71,7 +72,7 @@ def scale_torques(rows: TickRecords, chain: ClosedChain, tau: Array) -> GivenUp:
     share = np.abs(wanted) / chain.tau_max
     motor = int(np.argmax(share))
     tau[:] = wanted / share[motor]
-    rows.torques[:] = tau
+    rows.torques[:], rows.memory.faults = tau, 0
     return GivenUp(
         (chain.joint_names[chain.actuated[motor]],), wanted[[motor]], chain.tau_max[[motor]],
         np.zeros(0), np.zeros(6), np.zeros(0), False,

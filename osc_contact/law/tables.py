@@ -49,14 +49,16 @@ CHAIN = _record(
         "held", "metric", "slipping",  # whether some grasp permits motions
         "leader",  # arm that holds rigidly, or −1
         "phased",  # whether contacts are opened and closed one by one
+        "repeats", "fault_ticks", "fast_ticks",  # see `safety`
         "row_bytes", "arms_at", "joints_at", "pairs_at", "shapes_at", "columns_at", "bodies_at",
-        "memory_bytes", "contact_memory_at", "column_memory_at", "torque_memory_at",
+        "memory_bytes", "contact_memory_at", "column_memory_at", "torque_memory_at", "kept_at",
         "work_bytes", "arm_work_at", "joint_work_at", "column_work_at", "body_work_at",
         "locked_at", "extra_at", "link_at", "flat_at", "jacobian_at", "bars_at",
     ),
     number=(
         "tolerance", "stiffness", "damping", "integral", "period", "posture_stiffness",
         "posture_damping", "retreat_damping", "mu", "slip",
+        "hold_rate",  # 1/s, of `safety`
         # contact phases, see `phases`
         "force_gain", "force_damping", "approach_speed", "approach_damping", "travel", "rise",
         "least_force", "torque_rate", "lost_share", "lag", "force_on", "force_off", "power",
@@ -86,7 +88,8 @@ ARM = _record(
 JOINT = _record(
     whole=("slides", "motor"),  # motor: number or −1
     number=(
-        "tau_max", "effort", "ease",  # τ_max², 1/τ_max²; 0 without motor
+        "tau_max", "speed_max",
+        "effort", "ease",  # τ_max², 1/τ_max²; 0 without motor
         "armature", "posture", "low", "high", "width", "most",  # see `control.joint_limits`
     ),
     placement=12,  # in the joint before it, or in the world: rotation by rows, then point
@@ -100,7 +103,11 @@ BODY = _record(whole=("kind", "same", "pushes"), parameters=8)
 # What is remembered -----------------------------------------------------------------------------
 
 MEMORY = _record(
-    whole=("force_rank", "located", "ticked", "fresh", "engaged", "hand_over", "reason"),
+    whole=(
+        "force_rank", "located", "ticked", "fresh", "engaged", "hand_over", "reason",
+        # see `safety`: ticks in this state, faults in a row, ticks too fast, ticks that may repeat
+        "state", "age", "faults", "too_fast", "repeats", "cause", "read", "settled",
+    ),
     motion_sum=6, f_tare=6, f_bias=6,
     force_sum=6,  # of the columns kept in the last tick
     X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
@@ -175,8 +182,11 @@ OK, SATURATED, HELD, DEGRADED = range(4)
 #: Why it is held.
 (
     NO_REASON, BAD_INPUT, OBJECT_UNKNOWN, BAD_INERTIA, UNACTUATED, DEGENERATE_PAIR, CONTRADICTION,
-    DIFFERENT_BODIES, UNREACHABLE, INSEPARABLE, BAD_METRIC, NOT_FINITE, BLIND, OUTSIDE,
-) = range(14)  # fmt: skip
+    DIFFERENT_BODIES, UNREACHABLE, INSEPARABLE, BAD_METRIC, NOT_FINITE, BLIND, STOPPED,
+    TOO_FAST,
+) = range(15)  # fmt: skip
+#: What the controller does, see `safety`.
+RUN, DEGRADED_STATE, HOLD, SAFE_STOP = range(4)
 
 CHAIN_BYTES, ARM_BYTES, JOINT_BYTES = CHAIN.itemsize, ARM.itemsize, JOINT.itemsize
 PAIR_BYTES, SHAPE_BYTES, COLUMN_BYTES = PAIR.itemsize, SHAPE.itemsize, COLUMN.itemsize

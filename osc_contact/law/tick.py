@@ -22,6 +22,7 @@ from osc_contact.law.columns import choose_columns
 from osc_contact.law.energy import carry_motion
 from osc_contact.law.internal import internal_forces
 from osc_contact.law.jit import entry, inner, matrix, numbers, prefetch
+from osc_contact.law.safety import guard
 from osc_contact.law.stages import (
     OWN_FORCE,
     OWN_MOTION,
@@ -41,7 +42,9 @@ from osc_contact.law.tables import (
     NO_REASON,
     OBJECT_UNKNOWN,
     OK,
+    SAFE_STOP,
     SATURATED,
+    STOPPED,
     read_arm_work,
     read_arms,
     read_bodies,
@@ -67,6 +70,7 @@ __all__ = [
     "HAND_OVER",
     "LOOK",
     "MEASURE",
+    "MISFIT",
     "MOVING",
     "OWN_FORCE",
     "OWN_MOTION",
@@ -99,6 +103,7 @@ def _row(
     contacts = read_contact_memory(memory_bytes, memory_at + chain.contact_memory_at, c)
     column_memory = read_column_memory(memory_bytes, memory_at + chain.column_memory_at, r_all)
     last = numbers(memory_bytes, memory_at + chain.torque_memory_at, chain.n_motors)
+    kept = numbers(memory_bytes, memory_at + chain.kept_at, 3 * n)
     work = read_work(work_bytes, 0, 1)[0]
     arm_work = read_arm_work(work_bytes, chain.arm_work_at, k)
     joints = read_joint_work(work_bytes, chain.joint_work_at, n)
@@ -122,6 +127,8 @@ def _row(
             chain, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, touched, engaged, moving
         ):  # fmt: skip
             reason = BAD_INPUT
+        elif memory.state == SAFE_STOP:
+            reason = STOPPED
         elif chain.leader < 0 and memory.located == 0:
             reason = OBJECT_UNKNOWN
         else:
@@ -171,11 +178,13 @@ def _row(
                 internal_forces(
                     chain, work, joints, link, numbers(work_bytes, chain.bars_at, chain.n_bars)
                 )
+    if reason != NO_REASON or stop == END:
+        reason = guard(
+            chain, arms, table, work, memory, joints, kept, q, v, last, tau, first, reason
+        )
     work.reason = memory.reason = reason
     if reason != NO_REASON:
         work.status, memory.fresh = HELD, 0
-        for i in range(chain.n_motors):
-            tau[first + i] = last[i]
     return work.status
 
 

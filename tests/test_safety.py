@@ -1,0 +1,207 @@
+"""Ticks that cannot be computed: repeated, held, stopped; and joints that run away."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import osc_contact as osc
+from osc_contact.bench.cases import CASES, Case
+from osc_contact.control.safety import SafetySettings, SafetyState
+from osc_contact.errors import InvalidInputError
+from osc_contact.plants.rigid import RigidPlant
+
+RUN, DEGRADED, HOLD, SAFE_STOP = SafetyState
+NAN = float("nan")
+
+
+@pytest.fixture(params=["one_panda", "two_contact_rod"])
+def case(request: pytest.FixtureRequest) -> Case:
+    return CASES[request.param]()
+
+
+def blind(case: Case) -> osc.Measurement:
+    return replace(case.measurement, wrenches=np.full_like(case.measurement.wrenches, NAN))
+
+
+@pytest.mark.parametrize("lost", [1, 2, 3, 19, 20, 25])
+def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case: Case, lost: int) -> None:
+    controller = case.controller()
+    good = controller.tick(case.measurement, case.reference)
+    sums = controller.motion_law.integral.copy(), controller.force_law.integral.copy()
+    states = []
+    for _ in range(lost):
+        tau = controller.tick(blind(case), case.reference)
+        states.append(controller.state)
+        assert controller.status is osc.Status.HELD
+        assert np.isfinite(tau).all() and (np.abs(tau) <= case.chain.tau_max).all()
+        if len(states) <= 2:
+            np.testing.assert_array_equal(tau, good)
+    assert states == ([DEGRADED] * 2 + [HOLD] * 17 + [SAFE_STOP] * 6)[:lost]
+    assert controller.faults == min(lost, 20)
+    np.testing.assert_array_equal(controller.motion_law.integral, sums[0])
+    np.testing.assert_array_equal(controller.force_law.integral, sums[1])
+    controller.tick(case.measurement, case.reference)
+    if lost < 20:
+        assert controller.state is RUN and controller.status is osc.Status.OK
+        assert controller.faults == 0
+    else:
+        assert controller.state is SAFE_STOP and "reset()" in controller.reason
+        controller.reset()
+        assert controller.state is RUN
+        np.testing.assert_allclose(
+            controller.tick(case.measurement, case.reference), good, rtol=0, atol=1e-9
+        )
+        assert controller.status is osc.Status.OK
+
+
+def test_a_first_tick_that_fails_holds_the_arm_against_gravity() -> None:
+    case = CASES["one_panda"]()
+    still = replace(blind(case), v=np.zeros(7))
+    tau = case.controller().tick(still, case.reference)
+    model, data = case.chain.model, case.chain.model.createData()
+    gravity = pin.computeGeneralizedGravity(model, data, still.q).copy()
+    inertia, state = case.chain.payload, case.chain.state(still.q, still.v)
+    weight = -inertia.inertia.mass * model.gravity.linear  # at the centre of mass of the object
+    lever = state.X_WO.rotation @ inertia.inertia.lever
+    wrench = np.concatenate((weight, np.cross(lever, weight)))  # at O
+    J = pin.computeFrameJacobian(model, data, still.q, case.chain.tips[0], pin.LOCAL_WORLD_ALIGNED)
+    shift = state.X_WO.translation - data.oMf[case.chain.tips[0]].translation
+    at_tip = wrench + np.concatenate((np.zeros(3), np.cross(shift, weight)))
+    np.testing.assert_allclose(tau, gravity + J.T @ at_tip, rtol=0, atol=1e-9)
+
+
+def test_unreadable_joints_leave_the_last_posture() -> None:
+    case = CASES["one_panda"]()
+    controller, plain = case.controller(), case.controller()
+    for each in (controller, plain):
+        each.tick(case.measurement, case.reference)
+    still = replace(blind(case), v=np.zeros(7))
+    gone = replace(still, q=np.full(7, NAN), v=np.full(7, NAN))
+    for _ in range(12):
+        a, b = controller.tick(gone, case.reference), plain.tick(still, case.reference)
+    assert controller.state is HOLD
+    np.testing.assert_allclose(a, b, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "pace"), [("one_panda", 0.15), ("two_contact_rod", 1.0)])
+def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name: str, pace: float) -> None:
+    case = CASES[name]()
+    plant = RigidPlant(case.chain, (), 1e-3)
+    plant.reset(case.measurement.q)
+    controller = case.controller().__class__(
+        case.chain, (), case.gains, posture=case.posture, engaged=False
+    )
+    reference = replace(
+        case.reference, alpha_d=np.zeros(0), V_D=pace * np.array([0.3, 0.2, 0.0, 0.0, 0.0, 0.5])
+    )
+    for _ in range(40):
+        plant.step(controller.tick(plant.measure(), reference), 1e-3)
+    assert controller.status is osc.Status.OK and np.abs(plant.measure().v).max() > 0.15
+    speeds, before = [], controller.last_torques()
+    for _ in range(1500):
+        seen = plant.measure()
+        speeds.append(np.abs(seen.v).max())
+        seen = replace(seen, wrenches=np.full_like(seen.wrenches, NAN))
+        tau = controller.tick(seen, reference)
+        assert (np.abs(tau - before) <= 40.0 * 1e-3 * case.chain.tau_max * (1 + 1e-9)).all()
+        before = tau
+        plant.step(tau, 1e-3)
+    assert controller.state is SAFE_STOP
+    rest = plant.measure().q
+    assert max(speeds[300:]) < 0.05
+    for _ in range(300):
+        plant.step(controller.tick(plant.measure(), reference), 1e-3)
+    assert controller.state is SAFE_STOP  # though the wrenches are back
+    np.testing.assert_allclose(plant.measure().q, rest, rtol=0, atol=2e-3)
+
+
+def test_joints_that_stay_too_fast_end_in_a_stop(case: Case) -> None:
+    controller = case.controller()
+    limit = case.chain.model.velocityLimit[case.chain.actuated]
+    joint = case.chain.actuated[int(np.argmin(limit))]
+    v = case.measurement.v.copy()
+    v[joint] = 1.05 * limit.min()
+    fast = replace(case.measurement, v=v)
+    for _ in range(20):
+        controller.tick(fast, case.reference)
+        assert controller.state < HOLD
+    controller.tick(case.measurement, case.reference)  # the count begins again
+    for _ in range(20):
+        controller.tick(fast, case.reference)
+    assert controller.state < HOLD
+    controller.tick(fast, case.reference)
+    assert controller.state is SAFE_STOP and "speed limit" in controller.reason
+
+
+def test_what_raises_in_python_counts_too() -> None:
+    case = CASES["one_panda"]()
+
+    class Broken(osc.VertexOnFace):
+        broken = False
+
+        def contact(self, *args, **keys):
+            if self.broken:
+                raise ValueError("no normal here")
+            return super().contact(*args, **keys)
+
+    (pair,) = case.pairs
+    mine = Broken(pair.vertex, pair.point, pair.normal, pair.radius, name=pair.name)
+    controller = osc.Controller(case.chain, [mine], case.gains, posture=case.posture)
+    controller.tick(case.measurement, case.reference)
+    assert controller.status is osc.Status.OK
+    object.__setattr__(mine, "broken", True)
+    for _ in range(20):
+        controller.tick(case.measurement, case.reference)
+        assert controller.status is osc.Status.HELD
+    assert controller.state is SAFE_STOP
+    other = case.controller()
+    for _ in range(20):
+        other.tick(replace(case.measurement, q="nowhere"), case.reference)
+    assert other.state is SAFE_STOP
+
+
+def test_rows_of_a_batch_stop_one_by_one(case: Case) -> None:
+    batch = osc.BatchController([case.controller() for _ in range(3)])
+    single = case.controller()
+    m, r = case.measurement, case.reference
+
+    def three(x):
+        return np.tile(np.asarray(x, dtype=float), (3,) + (1,) * np.ndim(x))
+
+    wrenches = three(m.wrenches)
+    wrenches[1] = NAN
+    for _ in range(21):
+        tau = batch.tick(
+            three(m.q), three(m.v), wrenches, three(r.X_WD.homogeneous), three(r.V_D),
+            three(r.A_D), three(r.alpha_d), np.full(3, float(r.squeeze_d)),
+        )  # fmt: skip
+        np.testing.assert_array_equal(tau[1], single.tick(blind(case), r))
+    assert batch.state.tolist() == [RUN, SAFE_STOP, RUN]
+    batch.reset(np.array([False, True, False]))
+    assert batch.state.tolist() == [RUN, RUN, RUN]
+
+
+def test_copies_stay_stopped(case: Case) -> None:
+    controller = case.controller()
+    for _ in range(20):
+        controller.tick(blind(case), case.reference)
+    for other in (copy.copy(controller), pickle.loads(pickle.dumps(controller))):
+        assert other.state is SAFE_STOP and other.state_age == 1
+        assert other.with_gains(osc.Gains()).state is SAFE_STOP
+        other.reset()
+        other.tick(case.measurement, case.reference)
+        assert other.state is RUN
+    assert controller.state is SAFE_STOP
+
+
+def test_settings_are_checked() -> None:
+    with pytest.raises(InvalidInputError, match="repeats = 20, stop_after = 20"):
+        SafetySettings(repeats=20)
+    with pytest.raises(InvalidInputError, match="hold_rate = nan"):
+        SafetySettings(hold_rate=NAN)
