@@ -31,6 +31,7 @@ from osc_contact.control.controller import Controller, Gains, Status
 from osc_contact.control.force import ForceGains
 from osc_contact.control.laws import Laws
 from osc_contact.control.motion import MotionGains
+from osc_contact.control.safety import SafetySettings, SafetyState
 from osc_contact.control.set_point import PoseSetPoint, SetPoint, SetPointState
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
@@ -100,6 +101,8 @@ __all__ = [
     "ForceGains",
     "Laws",
     "Status",
+    "SafetySettings",
+    "SafetyState",
     "Measurement",
     "Reference",
     "pose_reference",

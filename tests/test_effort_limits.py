@@ -203,7 +203,7 @@ def test_an_unsolved_program_ends_held_within_the_limits(monkeypatch, law):
     controller = law(weakened(chain, weak), pairs, GAINS)
     controller.tick(measurement, reference)
     assert controller.status is osc.Status.SATURATED and (strong > weak).all()
-    before, sums = controller.last_torques(), controller.force_law.integral
+    sums = controller.force_law.integral
     monkeypatch.setattr(daqp, "solve", lambda *a, **k: (np.full(8, np.nan), 0.0, -3, {}))
     tau = controller.tick(measurement, replace(reference, alpha_d=reference.alpha_d + 1))
     assert controller.status is osc.Status.HELD and "limits" in controller.reason

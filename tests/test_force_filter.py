@@ -169,7 +169,10 @@ def test_so_does_the_law():
     state = chain.state(q, v)
     pairs = random_faces(state.X_WO, 2, rng)
     N, desired = contact_of(pairs, state).N, np.array([10.0, 8.0])
-    controller = osc.Controller(chain, pairs, osc.Gains(force=osc.ForceGains(30.0, 50.0)))
+    controller = osc.Controller(
+        chain, pairs, osc.Gains(force=osc.ForceGains(30.0, 50.0)),
+        safety=osc.SafetySettings(too_fast_for=10.0),
+    )  # fmt: skip
     measured = osc.Measurement(q, v, np.zeros((2, 6)))
     wanted = osc.Reference(state.X_WO, alpha_d=desired)
     controller.tick(measured, wanted)

@@ -17,6 +17,7 @@ from osc_contact.control.controller import Controller, Gains
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
 from osc_contact.control.life import LifeSettings
+from osc_contact.control.safety import SafetySettings
 from osc_contact.control.motion import MotionGains
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, reach
@@ -151,6 +152,7 @@ class Rig:
             engaged=self.scenario.tare is None,
             friction=self._friction(),
             life=self._life(),
+            safety=SafetySettings(**self.scenario.control.safety.model_dump()),
         )
 
     def _life(self) -> LifeSettings | None:

@@ -34,6 +34,7 @@ __all__ = [
     "MotionGains",
     "PlantSpec",
     "PushSpec",
+    "SafetySpec",
     "TareSpec",
 ]
 
@@ -81,6 +82,15 @@ class LifeSpec(Spec):
     power: Positive = 0.004
 
 
+class SafetySpec(Spec):
+    """What happens to ticks that cannot be computed, and to joints too fast (`control.safety`)."""
+
+    repeats: Annotated[int, Field(ge=0)] = 2
+    stop_after: Annotated[int, Field(gt=0)] = 20
+    too_fast_for: Annotated[Time, Field(gt=0)] = 0.02
+    hold_rate: Positive = 20.0
+
+
 class ControlSpec(Spec):
     """Tick rate (Hz), the metric B of eq. 24, where N comes from, how contacts live."""
 
@@ -91,6 +101,7 @@ class ControlSpec(Spec):
     joint_torque: JointTorqueSpec | None = None
     friction: FrictionSpec | None = None
     life: LifeSpec | None = None
+    safety: SafetySpec = SafetySpec()
     estimate: EstimateSpec = EstimateSpec()
 
 
