@@ -17,8 +17,8 @@ from osc_contact.control.controller import Controller, Gains
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
 from osc_contact.control.life import LifeSettings
-from osc_contact.control.safety import SafetySettings
 from osc_contact.control.motion import MotionGains
+from osc_contact.control.safety import SafetySettings
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, reach
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
