@@ -10,8 +10,7 @@ import numpy as np
 
 from osc_contact.contacts.pairs import VertexOnFace
 from osc_contact.contacts.raibert_craig import as_raibert_craig
-from osc_contact.control.signals import Block
-from osc_contact.paper.diagrams import LOOP
+from osc_contact.control.signals import BLOCKS, Block
 from osc_contact.paper.statements import Answer
 from osc_contact.recorder import Recording
 from osc_contact.runs.metrics import SETTLE_S, STEP_BLANK_S, metrics
@@ -74,9 +73,9 @@ def _fig1(seen: Evidence) -> dict[str, Answer]:
 
 
 def _fig4(seen: Evidence) -> dict[str, Answer]:
-    structure = _one(LOOP, lambda b: "f_S" in b.outputs)
-    raw = [b.name for b in LOOP if "a_u" in b.inputs]
-    model = _one(LOOP, lambda b: "contact" in b.outputs)
+    structure = _one(BLOCKS, lambda b: "f_S" in b.outputs)
+    raw = [b.name for b in BLOCKS if "a_u" in b.inputs]
+    model = _one(BLOCKS, lambda b: "contact" in b.outputs)
     path = np.ptp(seen["contact_point"], axis=0)
     change = 1e3 * np.abs(np.ptp(seen["N"], axis=0)[3:]).max()
     return {
@@ -96,7 +95,7 @@ def _fig4(seen: Evidence) -> dict[str, Answer]:
 
 
 def _fig5(seen: Evidence) -> dict[str, Answer]:
-    force = [b for b in LOOP if b.group == "force"]
+    force = [b for b in BLOCKS if b.group == "force"]
     wire, path = "f_meas", []
     while reader := next((b for b in force if wire in b.inputs), None):
         path.append(reader.name)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from osc_contact.paper.contact_life import Landing, collisions, effort_limits, normal_speeds
 from osc_contact.recorder import Recording
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from osc_contact.visual import OKABE_ITO, contact_colour
+from osc_contact.visual.style import legend, panels, style
 
 __all__ = ["draw_collisions", "draw_landing"]
 
@@ -22,9 +21,6 @@ def draw_collisions(recording: Recording) -> Figure:
     Triangles: collisions as the plant knows them; the monitor flagged the filled ones in 20 ms.
     Shaded: a contact is open, and N assumes what is not there.
     """
-    from osc_contact.visual import OKABE_ITO, contact_colour
-    from osc_contact.visual.style import legend, panels, style
-
     t, hits = recording["t"], collisions(recording)
     rows = (
         ("power_total", r"total $\vartheta^T f'_{meas}$", "blue"),
@@ -58,9 +54,6 @@ def draw_collisions(recording: Recording) -> Figure:
 
 def draw_landing(runs: Sequence[Landing]) -> Figure:
     """Forces of all runs above; normal speed and torques of the first one below."""
-    from osc_contact.visual import contact_colour
-    from osc_contact.visual.style import legend, panels, style
-
     recording = runs[0].recording
     t, names = recording["t"], recording.magnitude_names
     with style():

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch, Patch
 
 from osc_contact.control.signals import BLOCKS, Block
 from osc_contact.visual import OKABE_ITO
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from osc_contact.visual.style import style
 
 __all__ = ["LOOP", "draw_blocks"]
 
@@ -98,8 +99,6 @@ def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
     Args:
         blocks: some of `LOOP`. title: heading.
     """
-    from osc_contact.visual.style import style
-
     names = [block.name for block in blocks]
     wires = {key: turns for key, turns in WIRES.items() if key[1] in names}
     starts: dict[str, Point] = {}
@@ -144,15 +143,11 @@ def _ports(signals: Sequence[str]) -> Iterator[tuple[str, float]]:
 
 def _canvas(places: Sequence[Point], title: str) -> tuple[Figure, Axes]:
     """A page measured in inches around the boxes."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     xs, ys = zip(*places, strict=True)
     left, right = min(xs) - 0.5 * WIDTH - 1.5, max(xs) + 0.5 * WIDTH + 1.4
     low, high = min(ys) - 0.5 * HEIGHT - 1.3, max(ys) + 0.5 * HEIGHT + 1.2
     figure = Figure(figsize=(right - left, high - low))
     figure.set_layout_engine("none")
-    FigureCanvasAgg(figure)
     ax = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(left, right), ylim=(low, high))
     ax.set_axis_off()
     ax.text(left + 0.2, high - 0.2, title, size=13, weight="bold", va="top")
@@ -160,7 +155,6 @@ def _canvas(places: Sequence[Point], title: str) -> tuple[Figure, Axes]:
 
 
 def _box(ax: Axes, block: Block) -> None:
-    from matplotlib.patches import FancyBboxPatch
 
     (x, y), (colour, _) = PLACES[block.name], GROUPS[block.group]
     corner = (x - 0.5 * WIDTH, y - 0.5 * HEIGHT)
@@ -212,7 +206,6 @@ def _write(ax: Axes, x: float, y: float, text: str, side: Any) -> None:
 
 
 def _legend(ax: Axes, groups: Sequence[str]) -> None:
-    from matplotlib.patches import Patch
 
     shown = [GROUPS[group] for group in dict.fromkeys(groups)]
     handles = [Patch(fc=colour, alpha=0.6, label=meaning) for colour, meaning in shown]

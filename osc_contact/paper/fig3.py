@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from matplotlib.figure import Figure
+from matplotlib.image import imread
 
 from osc_contact.paper.statements import Answer
 from osc_contact.runs.rig import Rig, build_rig
@@ -25,6 +27,7 @@ from osc_contact.visual.page import EMPTY, CommandSink, write_page
 from osc_contact.visual.parts import LegendEntry
 from osc_contact.visual.scene import Scene, sample_at
 from osc_contact.visual.stage import set_view
+from osc_contact.visual.style import style
 from osc_contact.visual.subspaces import TwistAxes
 from osc_contact.visual.workcell_marks import (
     JOINT_TORQUE,
@@ -35,9 +38,6 @@ from osc_contact.visual.workcell_marks import (
     ring,
     stand,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["Shot", "Workcell", "draw", "run"]
 
@@ -213,12 +213,6 @@ def draw(cell: Workcell) -> Figure:
     Raises:
         ViewerError: no browser to render with.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.image import imread
-
-    from osc_contact.visual.style import style
-
     pictures = []
     with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
         for k, shot in enumerate(cell.shots()):
@@ -227,7 +221,6 @@ def draw(cell: Workcell) -> Figure:
             pictures.append(imread(write_png(page, png, size=shot.size, bare=True, density=2.0)))
     with style():
         figure = Figure(figsize=(12.0, 6.6))
-        FigureCanvasAgg(figure)
         grid = figure.add_gridspec(2, 2, width_ratios=[1.22, 1.0], left=0.005, right=0.995,
                                    top=0.95, bottom=0.005, wspace=0.02, hspace=0.1)  # fmt: skip
         places = [grid[:, 0], grid[0, 1], grid[1, 1]]

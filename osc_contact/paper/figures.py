@@ -10,7 +10,6 @@ import numpy as np
 
 from osc_contact.contacts.pairs import VertexOnFace
 from osc_contact.errors import InvalidInputError
-from osc_contact.paper.diagrams import LOOP, draw_blocks
 from osc_contact.paper.studies import STUDIES
 from osc_contact.recorder import Recording
 from osc_contact.runs.metrics import SETTLE_S
@@ -90,10 +89,14 @@ def _corners(pair: VertexOnFace, half: float = 0.09) -> Array:
 
 
 def _fig4(rig: Rig) -> Figure:
+    from osc_contact.paper.diagrams import LOOP, draw_blocks
+
     return draw_blocks(LOOP, "Fig. 4: decoupled force/motion control")
 
 
 def _fig5(rig: Rig) -> Figure:
+    from osc_contact.paper.diagrams import LOOP, draw_blocks
+
     blocks = [block for block in LOOP if block.group == "force"]
     return draw_blocks(blocks, "Fig. 5: force control in the N space")
 

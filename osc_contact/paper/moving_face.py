@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from osc_contact.recorder import Recording
 from osc_contact.runs.metrics import SETTLE_S, metrics
 from osc_contact.runs.run import run as run_scenario
 from osc_contact.scenarios import load_scenario
 from osc_contact.spatial import Array
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from osc_contact.visual import OKABE_ITO
+from osc_contact.visual.style import style
 
 __all__ = ["FACES", "LAWS", "Case", "draw", "run"]
 
@@ -109,17 +109,10 @@ def _travel(recording: Recording) -> Array:
 
 def draw(cases: Sequence[Case]) -> Figure:
     """Travel of the face above, error of the force on it below; one column for each face."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from osc_contact.visual import OKABE_ITO
-    from osc_contact.visual.style import style
-
     faces = list(dict.fromkeys(case.face for case in cases))
     colours = dict(zip(LAWS, ("blue", "vermillion"), strict=True))
     with style():
         figure = Figure(figsize=(4.0 * len(faces), 5.4))
-        FigureCanvasAgg(figure)
         axes = figure.subplots(2, len(faces), sharex=True, sharey="row", squeeze=False)
         largest = 0.0
         for column, face in zip(axes.T, faces, strict=True):

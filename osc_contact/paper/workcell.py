@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from matplotlib.figure import Figure
 
 from osc_contact.errors import InvalidInputError, PlantError
 from osc_contact.runs.metrics import metrics
 from osc_contact.runs.run import run
 from osc_contact.scenarios import load_scenario
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from osc_contact.visual import OKABE_ITO
+from osc_contact.visual.style import style
 
 __all__ = ["STAGES", "Rung", "draw", "ladder"]
 
@@ -105,16 +106,9 @@ def ladder(
 
 def draw(rungs: Sequence[Rung]) -> Figure:
     """Force error of each run, logarithmic; runs that diverged have no bar."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from osc_contact.visual import OKABE_ITO
-    from osc_contact.visual.style import style
-
     errors = [100 * (rung.worst("rms_error_rel") or 0.0) for rung in rungs]
     with style():
         figure = Figure(figsize=(6.4, 0.6 + 0.42 * len(rungs)), layout="constrained")
-        FigureCanvasAgg(figure)
         ax = figure.subplots()
         bars = ax.barh([rung.real for rung in rungs], errors, color=OKABE_ITO["blue"])
         words = [

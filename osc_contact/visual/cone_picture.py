@@ -7,17 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from osc_contact.visual import OKABE_ITO, contact_colour
 from osc_contact.visual.contact_picture import FACE, HALO, arrow, fill, orthographic
 from osc_contact.visual.style import style
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["draw_cone_in_groove"]
 

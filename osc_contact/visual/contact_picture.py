@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations, pairwise, product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 
 from osc_contact.visual import contact_colour
 from osc_contact.visual.screws import CommonPerpendicular, common_perpendicular
 from osc_contact.visual.style import style
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["FACE", "HALO", "arrow", "draw_contact_state", "fill", "orthographic"]
 
@@ -80,12 +80,8 @@ def orthographic(
     zoom: float,
 ) -> tuple[Figure, Any]:
     """A figure (inches) with a cube of equal scales, `reach` (m) around its `middle` (3,)."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=size)
     figure.set_layout_engine("none")
-    FigureCanvasAgg(figure)
     ax: Any = figure.add_axes(room, projection="3d", proj_type="ortho")
     ax.computed_zorder = False
     low, high = (middle - reach).tolist(), (middle + reach).tolist()
@@ -99,8 +95,6 @@ def fill(ax: Any, polygons: Array, **look: Any) -> None:
 
     They have equally many corners: matplotlib pads others with uninitialised memory.
     """
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-
     ax.add_collection3d(Poly3DCollection(polygons, **look))
 
 
@@ -128,7 +122,6 @@ def _relation(i: int, j: int, pair: CommonPerpendicular) -> str:
 
 
 def _scales(ax: Any, middle: Array, reach: float) -> None:
-    from matplotlib.ticker import MaxNLocator
 
     for axis, name, centre in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", middle, strict=True):
         axis.set_label_text(f"{name} (m)")

@@ -6,21 +6,18 @@ Each function returns a matplotlib figure and shows nothing; `save` writes it as
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.recorder import Recording
 from osc_contact.visual import OKABE_ITO, contact_colour
 from osc_contact.visual.style import legend, panels, save, style
-
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from osc_contact.recorder import Recording
 
 __all__ = ["style", "contact_forces", "power", "tracking", "torques", "save"]
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import matplotlib
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from osc_contact.files import whole_file
 from osc_contact.visual import OKABE_ITO
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["PRINT", "legend", "panels", "save", "style"]
 
@@ -22,9 +23,6 @@ PRINT = (".png", ".svg", ".pdf")  #: of a figure of the paper or of a study
 @contextmanager
 def style() -> Iterator[None]:
     """The one look of all figures: Okabe-Ito colours, light grid, no box, constrained layout."""
-    import matplotlib
-    from cycler import cycler
-
     cycle = [OKABE_ITO[n] for n in ("blue", "vermillion", "green", "purple", "orange", "sky")]
     look: Any = {
         "axes.prop_cycle": cycler(color=[*cycle, OKABE_ITO["black"], "#999999"]),
@@ -55,11 +53,7 @@ def style() -> Iterator[None]:
 
 def panels(count: int, height: float) -> tuple[Figure, Sequence[Axes]]:
     """Panels below one another with one time axis; Agg canvas, no global state."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(8.0, height * count + 0.4))
-    FigureCanvasAgg(figure)
     axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
     for ax in axes:
         ax.margins(x=0.0)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.legend_handler import HandlerTuple
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from osc_contact.paper.baselines.compare import OURS, Comparison
 from osc_contact.paper.baselines.steps import FORCE_STEP_N, MOTION_STEP_M
 from osc_contact.spatial import Array
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.style import style
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["draw"]
 
@@ -30,13 +31,8 @@ def draw(found: Comparison) -> Figure:
     Left: at one instant on the rigid plant, dimensionless. Middle: peak on MuJoCo. Right: over
     time on MuJoCo, every step after the other.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.legend_handler import HandlerTuple
-
     with style():
         figure = Figure(figsize=(10.0, 5.4))
-        FigureCanvasAgg(figure)
         grid = figure.subplots(2, 3, gridspec_kw={"width_ratios": [1.0, 1.0, 2.7]})
         instant = np.array([found.measured[key].norms for key in found.laws])
         peaks = np.array([found.peaks("mujoco", key) for key in found.laws]) * [1e6, 1.0]
@@ -123,8 +119,6 @@ def _history(ax: Axes, found: Comparison, of_forces: bool, steps: list[str]) -> 
 
 
 def _entries(found: Comparison) -> tuple[list[Any], list[str]]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
     handles: list[Any] = []
     labels: list[str] = []

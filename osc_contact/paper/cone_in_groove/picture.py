@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from osc_contact.paper.cone_in_groove.rig import ConeRig
 from osc_contact.paper.cone_in_groove.run import ConeResult
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from osc_contact.visual import contact_colour
+from osc_contact.visual.cone_picture import draw_cone_in_groove
+from osc_contact.visual.style import legend, panels, style
 
 __all__ = ["draw_run", "draw_state"]
 
 
 def draw_state(rig: ConeRig) -> Figure:
     """Cone, groove, t₁, t₂ and the four lines of force that span N."""
-    from osc_contact.visual.cone_picture import draw_cone_in_groove
-
     X, cone, groove = rig.state.X_WO, rig.cone, rig.groove
     points, directions = rig.wall_forces(X)
     frame = rig.contact().as_raibert_craig(cone.height)
@@ -50,9 +49,6 @@ def draw_state(rig: ConeRig) -> Figure:
 
 def draw_run(result: ConeResult) -> Figure:
     """Four forces and two motions controlled at once: desired, true and errors."""
-    from osc_contact.visual import contact_colour
-    from osc_contact.visual.style import legend, panels, style
-
     t = result.t
     black: dict[str, Any] = {"color": "black", "lw": 1.0, "ls": (0, (4, 3)), "zorder": 3}
     with style():

@@ -6,15 +6,16 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from osc_contact.paper.kinematic_stability.search import Found, PostureMap
 from osc_contact.paper.kinematic_stability.simulate import Histories
 from osc_contact.spatial import Array
+from osc_contact.visual import contact_colour
+from osc_contact.visual.style import style
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from osc_contact.paper.kinematic_stability import Result
 
 __all__ = ["draw"]
@@ -24,14 +25,8 @@ _LIMIT = 25.0  #: 1/s, where the colours of the maps end
 
 def draw(results: Sequence[Result]) -> Figure:
     """A row per arm: both maps of least real parts (unstable hatched), and the joint errors."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from osc_contact.visual.style import style
-
     with style():
         figure = Figure(figsize=(12.0, 4.2 * len(results) + 0.3))
-        FigureCanvasAgg(figure)
         rows = figure.subfigures(len(results), 1, squeeze=False)[:, 0]
         for row, result in zip(rows, results, strict=True):
             found = result.found
@@ -79,8 +74,6 @@ def _map(ax: Axes, m: PostureMap, values: Array, found: Found, title: str) -> An
 
 def _errors(ax: Axes, h: Histories, errors: Array, title: str) -> None:
     """All joint errors, on the scale of what they reach."""
-    from osc_contact.visual import contact_colour
-
     for i, error in enumerate(1e3 * errors.T):
         ax.plot(h.t, error, color=contact_colour(i), lw=1.6, label=f"$q_{i + 1}$")
     left = h.left_after()
