@@ -24,7 +24,7 @@ from osc_contact.spatial import Array
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
-from osc_contact.visual.parts import LegendEntry
+from osc_contact.visual.parts import LegendEntry, State, changes
 from osc_contact.visual.scene import Scene, sample_at
 from osc_contact.visual.stage import set_view
 from osc_contact.visual.style import style
@@ -118,14 +118,11 @@ class Workcell:
         sink = CommandSink()
         scene = sink.visualizer()
         picture.draw(scene)
-        for node, state in picture.states(self.sample).items():
-            matrix = np.eye(4) if state.pose is None else state.pose.homogeneous
-            if state.scale is not None:
-                matrix = matrix * np.array([*state.scale, 1.0])
-            scene[node].set_transform(matrix)
-            if state.visible is not None:
-                hidden = node.endswith(("/commanded", "/measured"))
-                scene[node].set_property("visible", bool(state.visible) and not hidden)
+        frame = picture.states(self.sample)
+        for node in frame:
+            if node.endswith(("/commanded", "/measured")):
+                frame[node] = State(visible=False)
+        changes(scene, {}, frame)
         if shot.whole:
             self.camera.draw(scene, "vision")
         for k, X in enumerate(self.faces()):
