@@ -9,18 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from osc_contact.paper.statements import Answer
 from osc_contact.recorder import Recording
 from osc_contact.runs.run import run
-from osc_contact.scenarios import load_scenario
+from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.spatial import Array
-
-if TYPE_CHECKING:
-    from osc_contact.scenarios import Scenario
 
 __all__ = [
     "Collision", "Landing", "answers", "collisions", "effort_limits", "false_alarms",
@@ -212,8 +209,6 @@ def land(seed: int, changes: Sequence[str] = ()) -> Landing:
 
 
 def _scenario(data: dict[str, Any]) -> Scenario:
-    from osc_contact.scenarios.schema import Scenario
-
     return Scenario.model_validate(data).with_source(load_scenario("approach_and_slide").source)
 
 

@@ -1,5 +1,5 @@
 """Recordings: what a run leaves behind, in memory and in files."""
 
-from osc_contact.recorder.recording import Recording
+from osc_contact.recorder.recording import Recording, column_names
 
-__all__ = ["Recording"]
+__all__ = ["Recording", "column_names"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,11 +98,7 @@ class Recording:
     def magnitude_names(self) -> list[str]:
         """Names of the columns of alpha: the contact's, or contact.1, contact.2, … if several."""
         names = [str(name) for name in self.meta.get("contact_names", [])]
-        owners = list(self.meta.get("columns", range(len(names))))
-        return [
-            names[i] if owners.count(i) == 1 else f"{names[i]}.{owners[:k].count(i) + 1}"
-            for k, i in enumerate(owners)
-        ]
+        return column_names(names, self.meta.get("columns", range(len(names))))
 
     def __len__(self) -> int:
         """Return the number of control ticks."""
@@ -222,3 +218,16 @@ def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:
     except (TypeError, ValueError) as error:
         raise RecordingError(f"meta must be JSON-able (finite numbers, text): {error}") from error
     return dict(plain)
+
+
+def column_names(contacts: Sequence[str], owners: Sequence[int]) -> list[str]:
+    """Names of the columns of N: the contact's, or contact.1, contact.2, … if it has several.
+
+    Args:
+        contacts: names. owners: the contact of each column.
+    """
+    own = list(owners)
+    return [
+        contacts[i] if own.count(i) == 1 else f"{contacts[i]}.{own[:k].count(i) + 1}"
+        for k, i in enumerate(own)
+    ]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from osc_contact.recorder import column_names
 from osc_contact.visual import OKABE_ITO, contact_colour
 
 __all__ = ["layout", "thinned", "values"]
@@ -29,10 +30,7 @@ def layout(
     `columns`: the contact of each force, default one force per contact.
     """
     owners = list(columns) or list(range(len(contacts)))
-    names = [
-        contacts[i] if owners.count(i) == 1 else f"{contacts[i]}.{owners[: k + 1].count(i)}"
-        for k, i in enumerate(owners if contacts else [])
-    ]
+    names = column_names(contacts, owners if contacts else ())
     forces = [
         {"key": key, "index": i, "look": look,
          "colour": contact_colour(owners[i]) if look != "dashed" else "#15181C",

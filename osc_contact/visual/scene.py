@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.recorder import column_names
 from osc_contact.visual import contact_colour, curves
 from osc_contact.visual.bodies import Arm, ArmVisual, Body, BodyVisual, Content
 from osc_contact.visual.contact_marks import ContactForce, toggles
@@ -50,11 +51,8 @@ class Scene:
         contacts = list(content.contacts) if located else []
         if contacts:
             owners = list(content.columns) or list(range(len(contacts)))
-            for column, owner in enumerate(owners):
-                alone = owners.count(owner) == 1
-                number = owners[: column + 1].count(owner)
-                name = contacts[owner] if alone else f"{contacts[owner]}.{number}"
-                self.forces.append(ContactForce(name, column, owner, owners, first))
+            for column, name in enumerate(column_names(contacts, owners)):
+                self.forces.append(ContactForce(name, column, owners[column], owners, first))
             axes = TwistAxes(first, owners)
             self.parts += [*self.forces, axes]
             if find is not None:
