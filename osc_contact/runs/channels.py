@@ -10,12 +10,11 @@ import numpy as np
 
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.control.life import Phase
-from osc_contact.control.monitor import ContactMonitor
+from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.plants.judge import Truths
 from osc_contact.runs.contacts import feet_over
 from osc_contact.runs.free_motion import free_parts
 from osc_contact.runs.log import FOUND, Log, Subject
-from osc_contact.runs.watching import watch_series
 from osc_contact.spatial import Array, Poses, cross
 
 __all__ = ["Tick", "channels", "monitored"]

@@ -10,7 +10,14 @@ from decimal import Decimal
 from numbers import Real
 from typing import Annotated, Any, Generic, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+)
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 __all__ = [
@@ -214,15 +221,6 @@ def unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]
     return (value[0] / norm, value[1] / norm, value[2] / norm)
 
 
-class _Normalise:
-    """Marker that runs `unit_vector` after the three numbers were checked."""
-
-    def __get_pydantic_core_schema__(
-        self, source: Any, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        return core_schema.no_info_after_validator_function(unit_vector, handler(source))
-
-
 Vec3 = Annotated[tuple[Length, Length, Length], BeforeValidator(_three("three lengths [x, y, z]"))]
 ForceVec3 = Annotated[tuple[Force, Force, Force], BeforeValidator(_three("three forces [x, y, z]"))]
 AngleVec3 = Annotated[
@@ -231,5 +229,5 @@ AngleVec3 = Annotated[
 UnitVec3 = Annotated[
     tuple[Number, Number, Number],
     BeforeValidator(_three("a direction of three numbers [x, y, z]")),
-    _Normalise(),
+    AfterValidator(unit_vector),
 ]
