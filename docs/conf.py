@@ -21,6 +21,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "docstrings",
     "notebooks",
+    "pairs",
 ]
 nitpicky = True
 nitpick_ignore_regex = [

@@ -134,5 +134,7 @@ __all__ = [
     "ViewerError",
 ]
 
-globals().update(PAIRS)  # what type checkers know by name stands above
-__all__ += sorted(set(PAIRS) - set(__all__))
+# Contact pairs that registered themselves, beyond those that type checkers know by name.
+globals().update(PAIRS)
+_end = __all__.index("GapFunctions") + 1
+__all__[_end:_end] = [name for name in PAIRS if name not in __all__]
