@@ -1,19 +1,24 @@
 """Every contact pair in motion, for the tests: geometry, free coordinates, and both bodies moving.
 
 A kind is registered with its free coordinates, written down without N or T: they give poses in
-contact. Twists and accelerations come from differentiated poses.
+contact. Twists and accelerations come from differentiated poses. A pair that is not here brings its
+kind in its own test, tests/test_NAME.py, and takes part in the tests of all pairs from there.
 """
 
 from __future__ import annotations
 
+import re
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib import import_module
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import (
+    PAIRS,
     ConeInGroove,
     ContactPair,
     CylinderInHole,
@@ -302,12 +307,6 @@ def bead_on_a_wire(rng, c):
     return GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 2
 
 
-ALL = sorted(KINDS)
-#: n_γ from T and β: it presumes that V_rel is a permitted motion.
-BY_T = {"cone_in_groove", "revolute", "prismatic", "screw", "fixed", "free"}
-TURNS = range(6)
-
-
 def steps(order: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes −4 … 4 and weights of the eighth-order central difference."""
     k = np.arange(-4.0, 5.0)
@@ -392,3 +391,21 @@ def free_motions(name: str, turn: int) -> tuple[Contact, np.ndarray]:
     X_WO = X_WE * pose(q)
     twists = [kinematics(lambda t, e=e: X_WE * pose(q + t * e))[0] for e in np.eye(6 - r)]
     return pair.contact(X_WO, STILL, X_WE), np.reshape(twists, (6 - r, 6)).T
+
+
+def touching(name: str, X_WO: pin.SE3, seed: int, per_metre: float = 1.0) -> ContactPair:
+    """A pair of a kind that touches the world at a pose of the object."""
+    _, pose, r = KINDS[name](np.random.default_rng(seed), PLAIN)
+    X = pin.SE3(X_WO.rotation, X_WO.translation / per_metre)
+    X_E = pose(0.3 * np.random.default_rng(seed).normal(size=6 - r)) * X.inverse()
+    return KINDS[name](np.random.default_rng(seed), Coordinates(X_E=X_E, per_metre=per_metre))[0]
+
+
+def snake(name: str) -> str:
+    """FaceOnFace → face_on_face."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+
+
+for _module in (f"test_{snake(name)}" for name in PAIRS if snake(name) not in KINDS):
+    if _module not in sys.modules and _module != "test_gap_functions":
+        import_module(_module)

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import re
+from typing import get_args
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from osc_contact.contacts import pairs as kinds
+from osc_contact.contacts.pairs.registry import make_pair
 from osc_contact.errors import ScenarioError
 from osc_contact.runs.contacts import build_pairs, environment_bodies, feet
 from osc_contact.runs.references import force_names
 from osc_contact.scenarios import parse_scenario
-from osc_contact.scenarios.contact_types import CONTACT_TYPES, magnitude_names
+from osc_contact.scenarios.contact_types import (
+    CONTACT_TYPES,
+    OnBodySpec,
+    OnPlaneSpec,
+    magnitude_names,
+)
+from osc_contact.scenarios.quantities import Dimension
 
 HEAD = """\
 name: kinds
@@ -31,24 +38,29 @@ environment:
     pose: {xyz: [100 mm, -0.2, 0.3], rpy: [20 deg, -0.3, 50 deg]}
 contacts:
 """
-KEYS = {
-    "sphere_on_plane": "centre: [1 cm, 2 cm, 3 cm], radius: 12 mm, {plane}",
-    "face_on_vertex": "point: [1 cm, 0, 0], normal: [1, 1, 0], body_vertex: [0, 1 cm, 0], "
-    "radius: 3 mm",
-    "edge_on_edge": "point: [1 cm, 0, 0], direction: [2, 0, 1], edge_point: [0, 1 cm, 0], "
-    "edge_direction: [0, 1, 0.2], edge_outward: [-1, 0, 1]",
-    "edge_on_face": "point: [1 cm, 0, 0], direction: [0, 2, 0], length: 6 cm, {plane}",
-    "cylinder_on_plane": "point: [1 cm, 0, 0], direction: [0, 2, 0], radius: 1 cm, {plane}",
-    "face_on_face": "point: [1 cm, 0, 0], normal: [0, 0, -1], size: 40 mm, {plane}",
-    "cylinder_in_hole": "point: [1 cm, 0, 0], direction: [0, 0, 1], hole_point: [0, 0, 1 cm], "
-    "hole_direction: [0, 0, 3], length: 5 cm",
+#: Kinds on a body of `environment`.
+KINDS = [kind for kind, spec in CONTACT_TYPES.items() if issubclass(spec, OnBodySpec)]
+VALUES = {
+    "a length": "[{0} cm, -{1} mm, {0} mm]", "a plain number": "[{0}, -{1}, 0.{0}]",
 }  # fmt: skip
-PLANE = "face_point: [0, 1 cm, 0], face_normal: [0, 0.1, 2]"
+
+
+def keys_of(kind):
+    """Every key of a kind with a value of its own."""
+    told = []
+    for i, (key, field) in enumerate(CONTACT_TYPES[kind].model_fields.items(), start=1):
+        if field.annotation is float:
+            (dimension,) = (mark for mark in field.metadata if isinstance(mark, Dimension))
+            told.append(f"{key}: {40 + i} {'deg' if dimension.kind == 'an angle' else 'mm'}")
+        elif key not in ("name", "type", "body"):
+            dimension = get_args(get_args(field.annotation)[0])[1]
+            told.append(f"{key}: {VALUES[dimension.kind].format(i, 10 - i)}")
+    return ", ".join(told)
 
 
 def text(kind, keys=None, forces=None):
     """A scenario with one contact `pad` of a kind."""
-    keys = KEYS[kind].format(plane=PLANE) if keys is None else keys
+    keys = keys_of(kind) if keys is None else keys
     names = magnitude_names({"pad": CONTACT_TYPES[kind].forces}) if forces is None else forces
     entries = "".join(f"  {name}: [{{type: constant, value: 3 N}}]\n" for name in names)
     contact = f"  - {{name: pad, type: {kind}, body: table, {keys}}}\n"
@@ -61,14 +73,14 @@ def complaints(source):
     return str(caught.value)
 
 
-@pytest.mark.parametrize("kind", KEYS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_each_kind_is_the_pair_of_its_name_seen_in_the_world(kind):
     """N at a random pose: the pair of the Python class, given in the body's frame at its pose."""
     scenario = parse_scenario(text(kind))
     (pair,) = build_pairs(scenario)
     assert re.sub(r"(?<!^)(?=[A-Z])", "_", type(pair).__name__).lower() == kind
     assert pair.name == "pad"
-    own = in_body_frame(kind)
+    own = make_pair(scenario.contacts[0], pin.SE3.Identity())
     X_WB = pin.SE3(
         pin.rpy.rpyToMatrix(np.deg2rad(20), -0.3, np.deg2rad(50)), np.array([0.1, -0.2, 0.3])
     )
@@ -88,26 +100,7 @@ def test_each_kind_is_the_pair_of_its_name_seen_in_the_world(kind):
         np.testing.assert_allclose(pair.gaps(X), own.gaps(X, X_WB), atol=1e-12)
 
 
-def in_body_frame(kind):
-    plane = {"face_point": np.array([0, 0.01, 0]), "face_normal": np.array([0, 0.1, 2.0])}
-    e = np.eye(3)
-    point = 0.01 * e[0]
-    return {
-        "sphere_on_plane": lambda: kinds.SphereOnPlane(
-            [0.01, 0.02, 0.03], 0.012, plane["face_point"], plane["face_normal"]
-        ),
-        "face_on_vertex": lambda: kinds.FaceOnVertex(point, [1, 1, 0], 0.01 * e[1], 0.003),
-        "edge_on_edge": lambda: kinds.EdgeOnEdge(
-            point, [2, 0, 1], 0.01 * e[1], [0, 1, 0.2], np.array([-1.0, 0, 1])
-        ),
-        "edge_on_face": lambda: kinds.EdgeOnFace(point, e[1], *plane.values(), 0.06),
-        "cylinder_on_plane": lambda: kinds.CylinderOnPlane(point, e[1], 0.01, *plane.values()),
-        "face_on_face": lambda: kinds.FaceOnFace(point, -e[2], *plane.values(), 0.04),
-        "cylinder_in_hole": lambda: kinds.CylinderInHole(point, e[2], 0.01 * e[2], e[2], 0.05),
-    }[kind]()
-
-
-@pytest.mark.parametrize("kind", KEYS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_feet_lie_on_the_lines_of_force_and_on_the_touched_surface(kind):
     scenario = parse_scenario(text(kind))
     (pair,) = build_pairs(scenario)
@@ -122,35 +115,44 @@ def test_feet_lie_on_the_lines_of_force_and_on_the_touched_surface(kind):
     bodies = environment_bodies(scenario)
     on_body = E * bodies[0].placement
     local = np.array([on_body.actInv(p) for p in points])
-    if "face_point" in KEYS[kind].format(plane="face_point"):
-        n = np.array([0, 0.1, 2.0]) / np.linalg.norm([0, 0.1, 2.0])
-        np.testing.assert_allclose((local - [0, 0.01, 0]) @ n, 0.0, atol=1e-12)
+    spec = scenario.contacts[0]
+    if isinstance(spec, OnPlaneSpec):
+        np.testing.assert_allclose((local - spec.face_point) @ spec.face_normal, 0.0, atol=1e-12)
     if kind == "face_on_vertex":
-        assert np.linalg.norm(local[0] - [0, 0.01, 0]) == pytest.approx(0.003, abs=1e-12)
+        away = np.linalg.norm(local[0] - spec.body_vertex)
+        assert away == pytest.approx(spec.radius, abs=1e-12)
     if kind == "edge_on_edge":
-        along = np.array([0, 1, 0.2]) / np.linalg.norm([0, 1, 0.2])
         n = on_body.rotation.T @ directions[0]
-        across = np.cross(along, n)  # the line of force crosses the body's edge
-        assert abs((local[0] - [0, 0.01, 0]) @ across) < 1e-12
-        assert abs((local[0] - [0, 0.01, 0]) @ n) < 1e-12
+        across = np.cross(spec.edge_direction, n)  # the line of force crosses the body's edge
+        assert abs((local[0] - spec.edge_point) @ across) < 1e-12
+        assert abs((local[0] - spec.edge_point) @ n) < 1e-12
+
+
+def changed(kind, pattern, new):
+    """The scenario with part of it replaced."""
+    found, count = re.subn(pattern, new, text(kind))
+    assert count == 1
+    return found
 
 
 REFUSED = {
     "unknown kind": (text("face_on_face").replace("face_on_face", "face_onface"), "'face_on_face'"),
     "no kind": (text("face_on_face").replace("type: face_on_face, ", ""), "for a contact cyl"),
     "missing key": (
-        text("edge_on_edge").replace(", edge_outward: [-1, 0, 1]", ""),
+        changed("edge_on_edge", r", edge_outward: \[.*?\]", ""),
         "contacts.pad: the key 'edge_outward' is missing: roughly out of the body",
     ),
     "key of another kind": (
-        text("edge_on_face").replace("length: 6 cm", "size: 6 cm"),
+        changed("edge_on_face", "length: ", "size: "),
         "contacts.pad.size: unknown key; known: name, body, face_point",
     ),
     "wrong unit": (
-        text("face_on_face").replace("40 mm", "40 N"), "contacts.pad.size: expected a length"
+        changed("face_on_face", r"size: \d+ mm", "size: 4 N"),
+        "contacts.pad.size: expected a length",
     ),
     "length of nothing": (
-        text("edge_on_face").replace("6 cm", "0 cm"), "contacts.pad.length: must be > 0"
+        changed("edge_on_face", r"length: \d+ mm", "length: 0 mm"),
+        "contacts.pad.length: must be > 0",
     ),
     "no such body": (
         text("edge_on_face").replace("body: table", "body: tabel"),
