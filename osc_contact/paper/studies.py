@@ -42,10 +42,6 @@ class Study:
     pages: Mapping[str, Callable[[Path], Path]] = field(default_factory=dict)
 
 
-def _silent(_: str) -> None:
-    pass
-
-
 @dataclass(frozen=True)
 class Ask:
     """What a study may be asked for.
@@ -60,7 +56,7 @@ class Ask:
     seed: int = 0
     duration: float | None = None
     changes: Sequence[str] = ()
-    tell: Callable[[str], None] = _silent
+    tell: Callable[[str], None] = lambda _: None
 
 
 def write_study(name: str, folder: Path, ask: Ask) -> tuple[Study, list[Path]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.recorder import column_names
+from osc_contact.recorder import Recording, column_names
 from osc_contact.visual import contact_colour, curves
 from osc_contact.visual.bodies import Arm, ArmVisual, Body, BodyVisual, Content
 from osc_contact.visual.contact_marks import ContactForce, toggles
@@ -22,8 +22,6 @@ from osc_contact.visual.trails import Trails
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
-
-    from osc_contact.recorder import Recording
 
 __all__ = ["Scene", "write_scene"]
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from osc_contact.paper.kinematic_stability import Result
 from osc_contact.paper.kinematic_stability.search import Found, PostureMap
 from osc_contact.paper.kinematic_stability.simulate import Histories
 from osc_contact.spatial import Array
 from osc_contact.visual import contact_colour
 from osc_contact.visual.style import style
-
-if TYPE_CHECKING:
-    from osc_contact.paper.kinematic_stability import Result
 
 __all__ = ["draw"]
 
