@@ -40,6 +40,7 @@ from osc_contact.dynamics.grasp import Grasp
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import (
     ContactError,
+    Interrupted,
     InvalidInputError,
     ModelError,
     OscContactError,
@@ -57,6 +58,7 @@ from osc_contact.response import ContactResponse, contact_response
 from osc_contact.runs.loop import run_loop
 from osc_contact.runs.metrics import metrics
 from osc_contact.runs.recorder import Recorder
+from osc_contact.runs.recovery import recover
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.runs.run import run
 from osc_contact.runs.viewing import open_viewer
@@ -122,6 +124,7 @@ __all__ = [
     "open_viewer",
     "Viewer",
     "Recording",
+    "recover",
     "metrics",
     "OscContactError",
     "InvalidInputError",
@@ -132,6 +135,7 @@ __all__ = [
     "PlantError",
     "RecordingError",
     "ViewerError",
+    "Interrupted",
 ]
 
 # Contact pairs that registered themselves, beyond those that type checkers know by name.

@@ -10,9 +10,17 @@ import typer
 
 from osc_contact import __version__, robots
 from osc_contact.bench.program import run_benchmark
-from osc_contact.console import err, exit_codes, out, require, run_with_progress, say
+from osc_contact.console import (
+    err,
+    exit_codes,
+    forget_rows,
+    out,
+    require,
+    run_with_progress,
+    say,
+)  # fmt: skip
 from osc_contact.control import compiling
-from osc_contact.errors import InvalidInputError
+from osc_contact.errors import Interrupted, InvalidInputError
 from osc_contact.paper import figures as paper_figures
 from osc_contact.paper import reproduction
 from osc_contact.paper.report import write_paper_report
@@ -21,6 +29,8 @@ from osc_contact.recorder import Recording
 from osc_contact.runs import replay, tables
 from osc_contact.runs.calibration import calibrate as calibrate_wrists
 from osc_contact.runs.inspection import inspect_rig
+from osc_contact.runs.metrics import SETTLE_S
+from osc_contact.runs.recovery import recover, scenario_of
 from osc_contact.runs.report import require_judgeable, write_json, write_report
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.viewing import open_viewer, write_scene_of
@@ -35,6 +45,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+RECORDINGS = (".npz", ".mcap")
 REPRODUCIBLE = tuple(sorted((*paper_figures.FIGURES, *STUDIES), key=lambda n: (n[:3] != "fig", n)))
 LONG = ", ".join(name for name in REPRODUCIBLE if name not in reproduction.names_of("all"))
 
@@ -98,12 +109,46 @@ def run(
         chosen = _load(scenario, set_, plant, duration)
         folder = out_dir or Path("out") / chosen.file_stem
         _require_report(chosen)
-        recording = run_with_progress(chosen, seed, folder)
-        verdict = write_report(recording, chosen, folder)
-        out.print(tables.verdict_table(verdict))
-        say(f"written to {folder}: metrics.json, recording.npz, figures, scene.html")
-        if json_file:
-            write_json(verdict, json_file)
+        interrupted = None
+        try:
+            recording = run_with_progress(chosen, seed, folder)
+        except Interrupted as error:
+            recording, interrupted = error.recording, error
+            say(str(error))
+        written = _report(recording, chosen, folder, json_file)
+        forget_rows(folder)
+        for sentence in recording.meta.get("missing", ()):
+            say(sentence)
+        say(f"written to {folder}: {written}")
+        if interrupted is not None:
+            raise typer.Exit(130)
+        if recording.meta.get("missing"):
+            raise typer.Exit(1)
+
+
+def _report(recording: Recording, scenario: Scenario, folder: Path, json_file: Path | None) -> str:
+    """Write what a run leaves, as far as it can be judged; what was written, in words."""
+    if len(recording) <= SETTLE_S * scenario.control.rate:  # it ended before it was to
+        recording.save(folder / "recording.npz")
+        return "recording.npz; the run was too short to be judged"
+    verdict = write_report(recording, scenario, folder)
+    out.print(tables.verdict_table(verdict))
+    if json_file:
+        write_json(verdict, json_file)
+    return "metrics.json, recording.npz, figures, scene.html"
+
+
+@app.command()
+def export(
+    recording: Annotated[Path, typer.Argument(help="recording.npz, or unfinished.mcap of a run")],
+    file: Annotated[Path, typer.Argument(help="to write: .npz, .csv or .mcap")],
+) -> None:
+    """Write a recording for other programs; recover that of a run that was killed."""
+    with exit_codes():
+        found = _open(str(recording))
+        for sentence in found.meta.get("missing", ()):
+            say(sentence)
+        say(f"written: {found.export(file)}")
 
 
 @app.command()
@@ -139,7 +184,7 @@ def reproduce(
             out_dir,
             scenario,
             Ask(seed, duration, () if drawn else tuple(set_ or ())),
-            record=lambda: run_with_progress(scenario, seed, out_dir),
+            record=lambda: _record(scenario, seed, out_dir),
             show=out.print,
             waiting=err.status,
             options=reproduction.typed(plant and plant.value, duration, seed, set_ or ()),
@@ -183,11 +228,11 @@ def view(
         if live + (html is not None) + (png is not None) > 1:
             raise InvalidInputError("give one of --live, --html FILE and --png FILE")
         recording = None
-        if what.endswith(".npz"):
+        if what.endswith(RECORDINGS):
             if set_ or plant or duration is not None:
                 raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
-            recording = Recording.load(what)
-            scenario = replay.scenario_of(recording, Path(what))
+            recording = _open(what)
+            scenario = scenario_of(recording.meta, Path(what))
         else:
             scenario = _load(what, set_, plant, duration)
         rig = build_rig(scenario)
@@ -200,7 +245,7 @@ def view(
         if png is not None:
             say(f"written: {replay.picture(recording, rig, png, time)}")
             return
-        name = Path(what).stem if what.endswith(".npz") else scenario.file_stem
+        name = Path(what).stem if what.endswith(RECORDINGS) else scenario.file_stem
         page = html or Path("out") / f"{name}.html"
         say(f"written: {write_scene_of(recording, rig, page, time)}")
 
@@ -296,6 +341,17 @@ def bench(
         say("\n".join(report.lines))
         for table in report.tables:
             out.print(table)
+
+
+def _open(name: str) -> Recording:
+    """A recording, or what is left of one."""
+    return recover(name) if name.endswith(".mcap") else Recording.load(name)
+
+
+def _record(scenario: Scenario, seed: int, folder: Path) -> Recording:
+    recording = run_with_progress(scenario, seed, folder)
+    forget_rows(folder)
+    return recording
 
 
 def _live(scenario: Scenario, recording: Recording | None, seed: int, hold: float | None) -> None:

@@ -18,11 +18,15 @@ from osc_contact.runs.run import run
 from osc_contact.scenarios import Scenario
 from osc_contact.visual.live import Shows
 
-__all__ = ["PARTIAL", "err", "exit_codes", "out", "require", "run_with_progress", "say"]
+__all__ = [
+    "PARTIAL", "UNFINISHED", "err", "exit_codes", "forget_rows", "out", "require",
+    "run_with_progress", "say",
+]  # fmt: skip
 
 out = Console(width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True)
 PARTIAL = "recording_until_failure.npz"
+UNFINISHED = "unfinished.mcap"
 EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim", "ruckig": "sim"}
 
 
@@ -58,19 +62,32 @@ def exit_codes() -> Iterator[None]:
 def run_with_progress(
     scenario: Scenario, seed: int, folder: Path | None, viewer: Shows | None = None
 ) -> Recording:
-    """Run, with a progress bar on a terminal; a failed run leaves its recording in the folder."""
+    """Run, with a progress bar on a terminal.
+
+    Args:
+        scenario, seed, viewer: see `run`.
+        folder: where a failed run leaves its recording, and any run its rows while it lasts.
+    """
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} s"),
                TimeRemainingColumn())  # fmt: skip
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
+    journal = None if folder is None else folder / UNFINISHED
     with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
         task = bar.add_task(f"{scenario.name} on {scenario.plant.type}", total=scenario.duration)
         try:
             return run(
-                scenario, seed=seed, progress=lambda t: bar.update(task, completed=t), viewer=viewer
-            )
+                scenario, seed=seed, progress=lambda t: bar.update(task, completed=t),
+                viewer=viewer, journal=journal,
+            )  # fmt: skip
         except PlantError as error:
             if error.recording is not None and folder is not None:
                 error.recording.save(folder / PARTIAL)
+                forget_rows(folder)
                 error.add_note(f"recorded until then: {folder / PARTIAL}")
             raise
+
+
+def forget_rows(folder: Path) -> None:
+    """Remove the rows of a run, once what they make is written."""
+    (folder / UNFINISHED).unlink(missing_ok=True)

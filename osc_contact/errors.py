@@ -14,6 +14,7 @@ __all__ = [
     "PlantError",
     "RecordingError",
     "ViewerError",
+    "Interrupted",
 ]
 
 
@@ -64,3 +65,13 @@ class RecordingError(OscContactError):
 
 class ViewerError(OscContactError):
     """A picture cannot be shown: no browser, no server, or the live view has ended."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """A run was ended in order by Ctrl-C or SIGTERM.
+
+    Attributes:
+        recording: the `Recording` of what came before.
+    """
+
+    recording: Any = None

@@ -47,7 +47,7 @@ class Hardware:
 def test_a_plant_in_the_loop_leaves_what_run_leaves(name):
     rig = rig_of(name)
     plant, controller = start(rig)
-    recorder = osc.Recorder(controller, plant, ticks=7, subject=rig.subject(controller))  # grows
+    recorder = osc.Recorder(controller, plant, subject=rig.subject(controller))
     osc.run_loop(plant, controller, plan(rig), recorder=recorder)
     ours, run = recorder.recording(), osc.run(rig.scenario, duration=TICKS * 1e-3)
     assert ours.channels.keys() == run.channels.keys()
@@ -65,7 +65,7 @@ def test_hardware_without_a_truth_leaves_a_recording():
             super().append(*tick)
             truths.append(plant.truth())
 
-    recorder = Both(controller, ticks=TICKS)
+    recorder = Both(controller)
     osc.run_loop(robot, controller, plan(rig), recorder=recorder)
     found = recorder.recording({"where": "cell 3"})
     assert robot.stopped == 1 and len(robot.sent) == TICKS

@@ -67,8 +67,17 @@ class TruthLog(Protocol):
     def note(self) -> None:
         """Keep everything else about this instant."""
 
-    def truths(self, rows: Array, start: int, stop: int) -> Truths:
-        """The instants numbered start to stop − 1, `rows` (k, …) being the parts there."""
+    def noted(self, start: int, stop: int) -> Array:
+        """(stop − start, m) numbers that say what was kept of instants since `clear`.
+
+        m may grow; zeros behind fewer numbers say nothing more.
+        """
+
+    def clear(self) -> None:
+        """Forget the instants noted so far."""
+
+    def truths(self, parts: Array, noted: Array) -> Truths:
+        """k instants, of which `parts` (k, …) and what was `noted` (k, m) are given."""
 
 
 class Watched:
@@ -78,37 +87,48 @@ class Watched:
         """Watch a judge of these contacts."""
         self._judge, self._contacts = judge, contacts
         self.parts: Sequence[Array] = ()
-        self._noted: list[Truth] = []
+        self._noted: list[Array] = []
 
     def note(self) -> None:
         """Keep the truth of this instant."""
-        self._noted.append(self._judge.truth())
+        self._noted.append(_numbers(self._judge.truth(), len(self._contacts)))
 
-    def truths(self, rows: Array, start: int, stop: int) -> Truths:
-        """The instants numbered start to stop − 1."""
-        noted = self._noted[start:stop]
-        X_WO = _poses([one.X_WO for one in noted])
-        X_WE: list[Poses | None] = [None] * len(self._contacts)
-        if noted[0].X_WE is not None:
-            X_WE = [
-                _poses([one.X_WE[i] for one in noted if one.X_WE is not None])
-                for i in range(len(self._contacts))
-            ]
-        return Truths(
-            np.array([one.alpha for one in noted]),
-            np.array([one.closed for one in noted]),
-            X_WO,
-            np.array([one.V_O for one in noted]),
-            tuple(X_WE),
-            tuple(normals_over(p, X_WO, X) for p, X in zip(self._contacts, X_WE, strict=True)),
+    def noted(self, start: int, stop: int) -> Array:
+        """(stop − start, m): X_WO, V_O, 1 if faces move, closed, X_WE, alpha."""
+        return np.array(self._noted[start:stop])
+
+    def clear(self) -> None:
+        """Forget the instants noted so far."""
+        self._noted.clear()
+
+    def truths(self, parts: Array, noted: Array) -> Truths:
+        """See `TruthLog.truths`."""
+        c = len(self._contacts)
+        X, V_O, moving, closed, faces, alpha = np.split(
+            noted, np.cumsum([12, 6, 1, c, 12 * c]), axis=1
         )
+        X_WO = _poses(X)
+        X_WE: list[Poses | None] = [None] * c
+        if moving.any():
+            X_WE = [_poses(faces[:, 12 * i : 12 * i + 12]) for i in range(c)]
+        N = (normals_over(p, X_WO, X) for p, X in zip(self._contacts, X_WE, strict=True))
+        return Truths(alpha, closed > 0.0, X_WO, V_O, tuple(X_WE), tuple(N))
 
 
-def _poses(poses: Sequence[pin.SE3]) -> Poses:
-    return Poses(
-        np.stack([X.rotation for X in poses], axis=-1),
-        np.stack([X.translation for X in poses], axis=-1),
+def _numbers(truth: Truth, contacts: int) -> Array:
+    moving = truth.X_WE is not None
+    faces = truth.X_WE if truth.X_WE is not None else (pin.SE3.Identity(),) * contacts
+    placed = [x for X in faces for x in (X.rotation.ravel(), X.translation)]
+    X = truth.X_WO
+    return np.concatenate(
+        (X.rotation.ravel(), X.translation, truth.V_O, [moving], truth.closed, *placed, truth.alpha)
     )
+
+
+def _poses(numbers: Array) -> Poses:
+    """Of (k, 12) rotations, row by row, and positions."""
+    R = numbers[:, :9].reshape(-1, 3, 3).transpose(1, 2, 0)
+    return Poses(np.ascontiguousarray(R), np.ascontiguousarray(numbers[:, 9:].T))
 
 
 class Judge(Protocol):

@@ -237,7 +237,7 @@ class MujocoPlant:
         """As of the last step's beginning, like the wrenches; see `MujocoTruth`."""
         log = self.log(1)
         log.note()
-        return log.truths(np.concatenate(log.parts)[None], 0, 1)[0]
+        return log.truths(np.concatenate(log.parts)[None], log.noted(0, 1))[0]
 
     def poses(self) -> Array:
         """See `Judge.poses`; as of the last step's beginning."""

@@ -109,25 +109,50 @@ class MujocoTruth:
             (self._place, contact.pos), (self._frame, contact.frame),
         ]  # fmt: skip
 
-    def truths(self, rows: Array, start: int, stop: int) -> Truths:
-        """The instants numbered start to stop − 1, `rows` (k, 21) being the parts there."""
-        k = stop - start
-        p, R, velocity, centre = np.split(rows.T.copy(), [3, 12, 18])
+    def noted(self, start: int, stop: int) -> Array:
+        """(stop − start, m): where bodies on rails are; of each point where the object touches
+
+        the number of its body, from 1, 0 for no point; 1 if it presses; its place; its force.
+        """
+        rows = slice(start, stop)
+        count = self._points[rows]
+        points = np.zeros((stop - start, int(count.max(initial=0)), 8))
+        for i in range(points.shape[1]):
+            first, second = self._body_of[self._geom[rows, i]].T
+            address = self._address[rows, i]
+            presses = address >= 0
+            normal = self._frame[rows, i, :3]  # from the first geom to the second
+            force = np.where(presses, self._force[np.arange(start, stop), address], 0.0)
+            out = points[:, i]
+            out[:, 0] = 1 + np.where(first < 0, second, first)
+            out[:, 1], out[:, 2:5] = presses, self._place[rows, i]
+            out[:, 5:] = force[:, None] * np.where(first < 0, normal.T, -normal.T).T
+            out[i >= count] = 0.0
+        return np.concatenate((self._travelled[rows], points.reshape(stop - start, -1)), axis=1)
+
+    def clear(self) -> None:
+        """Forget the instants noted so far."""
+        self._count = 0
+
+    def truths(self, parts: Array, noted: Array) -> Truths:
+        """k instants: `parts` (k, 21), and what was `noted` (k, m)."""
+        k, rails = len(parts), len(self._travel)
+        p, R, velocity, centre = np.split(parts.T.copy(), [3, 12, 18])
         X_WO = Poses(R.reshape(3, 3, k), p)
         v, omega = velocity[3:] + cross(velocity[:3], p - centre), velocity[:3]
-        X_WE = self._faces(start, stop)
+        X_WE = self._faces(noted[:, :rails])
         N = tuple(normals_over(q, X_WO, X) for q, X in zip(self._contacts, X_WE, strict=True))
-        pushed, touched = self._wrenches(p, start, stop)
+        pushed, touched = self._wrenches(p, noted[:, rails:].reshape(k, -1, 8))
         alpha, closed = self._shares(X_WO, N, pushed, touched)
         return Truths(alpha, closed, X_WO, np.concatenate((v, omega)).T.copy(), X_WE, N)
 
-    def _faces(self, start: int, stop: int) -> tuple[Poses | None, ...]:
+    def _faces(self, travelled: Array) -> tuple[Poses | None, ...]:
         """Of each contact the poses of its body; None for all where no body can move."""
         if not len(self._travel):
             return (None,) * len(self._on)
-        k = stop - start
+        k = len(travelled)
         s = np.zeros((len(self._rails), 2, k))
-        s[self._guided] = self._travelled[start:stop].T
+        s[self._guided] = travelled.T
         still = Poses(np.eye(3)[:, :, None], np.zeros((3, k)))
         poses = [
             still if rail is None else rail.over(*path)
@@ -135,24 +160,18 @@ class MujocoTruth:
         ]
         return tuple(poses[body] for body in self._on)
 
-    def _wrenches(self, O: Array, start: int, stop: int) -> tuple[Array, Array]:  # noqa: E741
+    def _wrenches(self, O: Array, points: Array) -> tuple[Array, Array]:  # noqa: E741
         """Into each body: (bodies, 6, k) at O, and whether it is touched (bodies, k)."""
-        k, count = stop - start, self._points[start:stop]
+        k = len(points)
         pushed = np.zeros((len(self._rails), 6, k))
         touched = np.zeros((len(self._rails), k), dtype=bool)
-        for point in range(count.max(initial=0)):
-            first, second = self._body_of[self._geom[start:stop, point]].T
-            at = np.where(first < 0, second, first)
-            address = self._address[start:stop, point]
-            presses = address >= 0
-            normal = self._frame[start:stop, point, :3].T  # from the first geom to the second
-            force = np.where(presses, self._force[np.arange(start, stop), address], 0.0)
-            f = force * np.where(first < 0, normal, -normal)
-            moment = cross(self._place[start:stop, point].T - O, f)
+        for body_from_1, presses, *place, fx, fy, fz in points.transpose(1, 2, 0):
+            f = np.array((fx, fy, fz))
+            wrench = np.concatenate((f, cross(np.array(place) - O, f)))
             for body in range(len(pushed)):
-                here = (at == body) & (point < count)
-                pushed[body] += np.where(here, np.concatenate((f, moment)), 0.0)
-                touched[body] |= here & presses
+                here = body_from_1 == body + 1
+                pushed[body] += np.where(here, wrench, 0.0)
+                touched[body] |= here & (presses > 0.0)
         return pushed, touched
 
     def _shares(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from osc_contact.errors import RecordingError
 
-__all__ = ["IN_MEMORY", "Column", "ColumnFile", "OpenFile", "pieces"]
+__all__ = ["IN_MEMORY", "Column", "ColumnFile", "OpenFile", "gather", "pieces"]
 
 Array = npt.NDArray[Any]
 IN_MEMORY = 32 << 20  #: bytes; recordings up to this size are kept in memory
@@ -88,9 +88,15 @@ class ColumnFile:
             ticks: length of every column.
             like: rows of each, for names, types and shapes.
             folder: where the file is; None: among the system's temporary files.
+
+        Raises:
+            RecordingError: there can be no file.
         """
-        with tempfile.TemporaryFile(dir=folder, buffering=0) as made:
-            file = OpenFile(made.fileno())
+        try:
+            with tempfile.TemporaryFile(dir=folder, buffering=0) as made:
+                file = OpenFile(made.fileno())
+        except OSError as error:
+            raise RecordingError(f"no room for a recording's channels: {error}") from error
         self.columns: dict[str, Column] = {}
         at = 0
         for name, rows in like.items():
@@ -120,3 +126,36 @@ def pieces(values: Array | Column) -> Iterator[Array]:
     for start in range(0, len(values), _PIECE):
         stop = start + _PIECE
         yield values.read(start, stop) if isinstance(values, Column) else values[start:stop]
+
+
+def gather(
+    ticks: int, parts: Iterable[Mapping[str, Array]], folder: Path | None = None
+) -> dict[str, Array | Column]:
+    """Columns of rows that come part after part: in memory, or in a file if they are large.
+
+    Args:
+        ticks: of all parts together. parts: the same names in each.
+        folder: where the file would be; None: among the system's temporary files.
+
+    Raises:
+        RecordingError: the disk is full, or fails.
+    """
+    arrays: dict[str, Array] = {}
+    file, start = None, 0
+    for part in parts:
+        stop = start + len(next(iter(part.values())))
+        if not arrays and file is None:
+            width = sum(values.nbytes // max(1, len(values)) for values in part.values())
+            if ticks * width > IN_MEMORY:
+                file = ColumnFile(ticks, part, folder)
+            else:
+                arrays = {
+                    name: np.empty((ticks, *values.shape[1:]), values.dtype)
+                    for name, values in part.items()
+                }
+        if file is not None:
+            file.put(start, part)
+        for name, values in arrays.items():
+            values[start:stop] = part[name]
+        start = stop
+    return {**arrays} if file is None else {**file.columns}

@@ -60,7 +60,8 @@ class JournalFile:
         """
         self.path = path
         self.error: RecordingError | None = None
-        self._whole = self._count = 0
+        self._whole = self._before_end = self._count = 0
+        self._ended = False
         try:
             if path is None:
                 with tempfile.TemporaryFile(buffering=0) as made:
@@ -78,10 +79,14 @@ class JournalFile:
     def append(self, first: int, rows: Array) -> None:
         """Write rows, a structured array, as a chunk; never raises, see `error`.
 
+        After `close` the file is open again.
+
         Args:
             first: number of the first row.
             rows: (k,) with named fields.
         """
+        if self._ended:
+            self._ended, self._whole = False, self._before_end
         if self.error is None:
             layout = {"first": first, "rows": len(rows), "dtype": rows.dtype.descr}
             self._write(_chunk(_ROWS, first, json.dumps(layout).encode() + b"\n" + rows.tobytes()))
@@ -93,7 +98,8 @@ class JournalFile:
 
     def close(self) -> None:
         """Write the end of the file: it is whole."""
-        if self.error is None:
+        if self.error is None and not self._ended:
+            self._ended, self._before_end = True, self._whole
             end = _bytes(DataEnd(0)) + _bytes(Footer(0, 0, 0)) + MCAP0_MAGIC
             self._write(end)
 

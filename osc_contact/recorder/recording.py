@@ -14,6 +14,7 @@ import numpy.typing as npt
 from osc_contact.errors import RecordingError
 from osc_contact.recorder.archive import TEXT, checksum, read_archive, write_archive
 from osc_contact.recorder.columns import Column
+from osc_contact.recorder.exports import write_csv, write_mcap
 
 __all__ = ["Recording"]
 
@@ -160,6 +161,22 @@ class Recording:
             beside.unlink(missing_ok=True)
         return target
 
+    def export(self, path: str | os.PathLike[str]) -> Path:
+        """Write a file for other programs, by the end of its name.
+
+        Args:
+            path: .npz (as `save`), .csv (a line per tick) or .mcap (a JSON message per tick).
+
+        Raises:
+            RecordingError: another ending, or the file cannot be written.
+        """
+        writers = {".npz": Recording.save, ".csv": write_csv, ".mcap": write_mcap}
+        if Path(path).suffix not in writers:
+            raise RecordingError(
+                f"cannot export to {path}: give a name that ends in .npz, .csv or .mcap"
+            )
+        return writers[Path(path).suffix](self, path)
+
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Recording:
         """Read a file written by `save`, and its times where they stand beside it.
@@ -169,6 +186,11 @@ class Recording:
         Raises:
             RecordingError: no such file, damaged, or not a recording."""
         source = Path(path)
+        if source.suffix == ".mcap":
+            raise RecordingError(
+                f"{source} holds the rows of a run that did not end. Read it with "
+                f"osc_contact.recover, or `osc-contact export {source} recording.npz`"
+            )
         content, columns = _read(source)
         meta, order = content["meta"], content.get("order", list(columns))
         if _beside(source).is_file():

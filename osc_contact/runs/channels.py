@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -11,78 +11,94 @@ import numpy as np
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.control.life import Phase
 from osc_contact.control.monitor import ContactMonitor, watch_series
-from osc_contact.plants.judge import Truths
+from osc_contact.plants.judge import TruthLog, Truths
 from osc_contact.runs.contacts import feet_over
 from osc_contact.runs.free_motion import free_parts
-from osc_contact.runs.log import FOUND, Log, Subject
+from osc_contact.runs.log import Subject, blocks
 from osc_contact.spatial import Array, Poses, cross
 
-__all__ = ["Tick", "channels", "monitored"]
+__all__ = ["Monitor", "Tick", "channels", "work_out"]
 
 
-def channels(log: Log, start: int, stop: int) -> dict[str, Array]:
-    """The channels of ticks start to stop − 1, but for what the contact monitor remembers.
+def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict[str, Array]:
+    """The channels of some ticks, but for what the contact monitor remembers.
 
     Args:
-        log: what the run noted. start, stop: numbers of ticks.
+        of: what was recorded. log: of the judge, which knows what its notes mean; None: no judge.
+        first: number of the first tick. rows: (k,) as the run's log noted them.
     """
-    rows, k, controller = slice(start, stop), stop - start, log.of.controller
-    names = ("q", "v", "tau", "alpha_d", "alpha", "speed", *FOUND)
-    found = {name: log.rows(name, start, stop) for name in names}
-    alpha, speed = found["alpha"], found["speed"]
-    tick_s, status, phase = log.ends(start, stop)
-    if log.truth is None:
-        truth = _believed(log, found, phase, start, stop)
-    else:
-        truth = log.truth.truths(log.rows("truth", start, stop), start, stop)
-    N, points, directions = _lines(log.of, truth, k)
-    wrench = found["f_meas"] - found["bias_out"]
+    k, controller = len(rows), of.controller
+    alpha, speed = rows["alpha"], rows["speed"]
+    phase = _phases(of, rows)
+    truth = _believed(of, rows, phase) if log is None else _judged(log, rows)
+    N, points, directions = _lines(of, truth, k)
+    wrench = rows["f_meas"] - rows["bias_out"]
     projected = (speed * alpha).sum(axis=1)  # V_relᵀNα, whatever the faces do
-    total = (found["V_O"] * (wrench - found["f_c"])).sum(axis=1) + projected
+    total = (rows["V_O"] * (wrench - rows["f_c"])).sum(axis=1) + projected
     made = {
-        "t": np.arange(start, stop) * controller.dt,
-        "q": found["q"],
-        "v": found["v"],
-        "tau": found["tau"],
-        "tick_s": tick_s,
+        "t": np.arange(first, first + k) * controller.dt,
+        "q": rows["q"],
+        "v": rows["v"],
+        "tau": rows["tau"],
+        "tick_s": rows["tick_s"][:, 0],
         "pose": truth.X_WO.coordinates(k),
         "twist": truth.V_O,
-        "alpha_cmd": found["alpha_d"],
+        "alpha_cmd": rows["alpha_d"],
         "alpha_meas": alpha,
         "alpha_true": truth.alpha,
         "closed": truth.closed,
         "N": N.transpose(2, 0, 1),
         "contact_point": points,
         "contact_direction": directions,
-        "face_pose": _face_poses(log.of, truth, k),
+        "face_pose": _face_poses(of, truth, k),
         "wrench_meas": wrench,
         "power_total": total,
         "power_projected": projected,
-        "motion_error": _motion_error(log, start, found, N, phase),
-        "squeeze_cmd": log.squeeze_d(start, stop),
-        "squeeze": found["squeeze"][:, 0] if len(controller.chain.arms) < 3 else found["squeeze"],
-        "alpha_given_up": log.given_up[rows],
-        "status": status,
+        "motion_error": _motion_error(of, rows, N, phase),
+        "squeeze_cmd": _squeeze_cmd(rows["squeeze_d"]),
+        "squeeze": rows["squeeze"][:, 0] if len(controller.chain.arms) < 3 else rows["squeeze"],
+        "alpha_given_up": rows["given_up"],
+        "status": rows["status"][:, 0].astype(np.int64),
         "contact_phase": phase,
     }
-    if log.truth is None:
+    if log is None:
         del made["alpha_true"]
     return {name: np.ascontiguousarray(values) for name, values in made.items()}
 
 
-def monitored(log: Log) -> dict[str, Array]:
+class Monitor:
     """What the contact monitor tells of each magnitude, from projected force and power.
 
     Where a magnitude may have either sign its size counts.
     """
-    if log.of.controller.life is not None:  # the controller had one listening
-        closed, collision = log.seen[:, : log.count]
+
+    def __init__(self, of: Subject) -> None:
+        """Begin at the first tick."""
+        self._of = of
+        self._monitor = ContactMonitor(len(of.owners), of.controller.dt)
+
+    def channels(self, rows: Array) -> dict[str, Array]:
+        """Of the ticks that follow those it was told of before."""
+        if self._of.controller.life is not None:  # the controller had one listening
+            return {f"{word}_seen": rows[name] > 0.0 for word, name in _SEEN}
+        alpha = np.where(self._of.pushing, rows["alpha"], np.abs(rows["alpha"]))
+        closed, collision = watch_series(self._monitor, alpha, rows["speed"])
         return {"contact_seen": closed, "collision_seen": collision}
-    alpha, speed = (log.rows(name, 0, log.count) for name in ("alpha", "speed"))
-    monitor = ContactMonitor(alpha.shape[1], log.of.controller.dt)
-    alpha = np.where(log.of.pushing, alpha, np.abs(alpha))
-    closed, collision = watch_series(monitor, alpha, speed)
-    return {"contact_seen": closed, "collision_seen": collision}
+
+
+_SEEN = (("contact", "closed"), ("collision", "collision"))
+
+
+def work_out(
+    of: Subject, log: TruthLog | None, parts: Iterable[tuple[int, Array]]
+) -> Iterator[dict[str, Array]]:
+    """All channels of a journal's rows, block after block.
+
+    The blocks are the same however the rows came, and so is every bit of the channels.
+    """
+    monitor = Monitor(of)
+    for first, rows in blocks(parts):
+        yield channels(of, log, first, rows) | monitor.channels(rows)
 
 
 class Tick(Mapping[str, Any]):
@@ -108,14 +124,30 @@ class Tick(Mapping[str, Any]):
         return len(self._read())
 
 
-def _believed(log: Log, found: Mapping[str, Array], phase: Array, start: int, stop: int) -> Truths:
+def _phases(of: Subject, rows: Array) -> Array:
+    """(k, contacts)"""
+    if "phase" in (rows.dtype.names or ()):
+        return rows["phase"].astype(np.int64)
+    all_of_them = np.where(rows["engaged"] > 0.0, Phase.CLOSED, Phase.OPEN)
+    return np.repeat(all_of_them, len(of.pairs), axis=1).astype(np.int64)
+
+
+def _squeeze_cmd(wanted: Array) -> Array:
+    return wanted[:, 0] if np.isnan(wanted[:, 1:]).all() else wanted
+
+
+def _judged(log: TruthLog, rows: Array) -> Truths:
+    return log.truths(rows["truth"], rows["noted"])
+
+
+def _believed(of: Subject, rows: Array, phase: Array) -> Truths:
     """What the controller takes for the truth, where no judge knows better."""
-    pairs, k = log.of.pairs, stop - start
-    X_WO = _poses(found["X_WO"].reshape(k, 4, 4))
-    X_WE = log.rows("X_WE", start, stop).reshape(k, len(pairs), 4, 4)
+    pairs, k = of.pairs, len(rows)
+    X_WO = _poses(rows["X_WO"].reshape(k, 4, 4))
+    X_WE = rows["X_WE"].reshape(k, len(pairs), 4, 4)
     faces = tuple(_poses(X_WE[:, i]) for i in range(len(pairs)))
     N = tuple(normals_over(pair, X_WO, X) for pair, X in zip(pairs, faces, strict=True))
-    return Truths(found["alpha"], phase == Phase.CLOSED, X_WO, found["V_O"], faces, N)
+    return Truths(rows["alpha"], phase == Phase.CLOSED, X_WO, rows["V_O"], faces, N)
 
 
 def _poses(X: Array) -> Poses:
@@ -149,16 +181,14 @@ def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
     return out
 
 
-def _motion_error(
-    log: Log, start: int, found: Mapping[str, Array], N: Array, phase: Array
-) -> Array:
+def _motion_error(of: Subject, rows: Array, N: Array, phase: Array) -> Array:
     """What the arms can make of the pose error and the contact forces in the model permit."""
-    if "J" not in log:
-        return found["free_error"]
-    q, error, k = found["q"], found["error"], len(found["q"])
-    J = np.ascontiguousarray(log.rows("J", start, start + k).T).reshape(-1, 6, k).swapaxes(0, 1)
-    X = _poses(found["X_WO"].reshape(k, 4, 4))
-    held = phase[:, log.of.owners] != Phase.OPEN
+    if "J" not in (rows.dtype.names or ()):
+        return rows["free_error"]
+    q, error, k = rows["q"], rows["error"], len(rows)
+    J = np.ascontiguousarray(rows["J"].T).reshape(-1, 6, k).swapaxes(0, 1)
+    X = _poses(rows["X_WO"].reshape(k, 4, 4))
+    held = phase[:, of.owners] != Phase.OPEN
     changes = np.flatnonzero((held[1:] != held[:-1]).any(axis=1)) + 1
     known = np.isfinite(np.concatenate((q, error), axis=1)).all(axis=1)  # others were held
     out = np.full((k, 6), np.nan)
@@ -167,6 +197,6 @@ def _motion_error(
         if not len(i):
             continue
         poses, lines = Poses(X.R[..., i], X.p[:, i]), N[:, held[a]][..., i]
-        chain = log.of.controller.chain
+        chain = of.controller.chain
         out[i] = free_parts(chain, q[i], J[:, :, i], poses, lines, error[i].T).T
     return out

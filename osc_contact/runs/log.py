@@ -1,9 +1,11 @@
-"""What a run keeps of every tick: raw numbers, copied into rows that are allocated once."""
+"""What a run keeps of every tick: raw numbers, copied into rows, appended to a journal."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from time import perf_counter
 
 import numpy as np
 import pinocchio as pin
@@ -11,14 +13,17 @@ from numpy.typing import NDArray
 
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.control.controller import Controller
-from osc_contact.control.life import Phase
 from osc_contact.control.result import TickResult, internal_forces
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Judge
+from osc_contact.recorder.journal import JournalFile
 from osc_contact.spatial import Array
 
-__all__ = ["Log", "Subject"]
+__all__ = ["BLOCK", "Log", "Subject", "blocks"]
+
+BLOCK = 500  #: rows whose channels are worked out together
+_EVERY = 0.08  #: s; the journal is not left behind any longer
 
 #: What of `TickResult` is kept, and how many numbers that is.
 FOUND = {
@@ -51,36 +56,31 @@ class Subject:
 
 
 class Log:
-    """Rows of a run; `channels.channels` makes a recording of them.
+    """Rows of a run, in a journal; `channels.channels` makes a recording of them.
+
+    Rows are kept for a moment, then appended to the journal, at least ten times per second.
 
     Attributes:
         of: what is recorded. count: ticks noted.
         truth: the judge's own log of the same ticks; None: there is no judge.
-        phase: (ticks, contacts) of contact life, where there is one. seen: (2, ticks, r) its
-            monitor's contacts and collisions.
-        given_up: (ticks, r) contact forces that the motor limits cost.
+        journal: where the rows go.
     """
 
-    def __init__(self, of: Subject, judge: Judge | None, ticks: int) -> None:
-        """Make room for ticks.
+    def __init__(self, of: Subject, judge: Judge | None, journal: JournalFile) -> None:
+        """Lay out the rows.
 
         Args:
             of: what is recorded. judge: what knows the truth; None: nothing does.
-            ticks: how many there is room for; more is made for more.
+            journal: where the rows go.
         """
         controller, r = of.controller, len(of.owners)
         chain, contacts = controller.chain, len(of.pairs)
-        self.of = of
-        self.count = 0
-        self.truth = None if judge is None else judge.log(ticks)
-        self._ends: list[tuple[float, int, bool, float | Array]] = []
-        self.given_up = np.zeros((ticks, r))
-        lived = 0 if controller.life is None else ticks
-        self.phase = np.zeros((lived, contacts), dtype=np.int64)
-        self.seen = np.zeros((2, lived, r), dtype=bool)
+        self.of, self.journal = of, journal
+        self.count = self._k = 0
+        self.truth = None if judge is None else judge.log(BLOCK)
+        squeezes = internal_forces(len(chain.arms))
         sizes = {"q": chain.nq, "v": chain.nq, "tau": chain.n_a, "alpha_d": r,
-                 "alpha": r, "speed": r, **FOUND}  # fmt: skip
-        sizes["squeeze"] = internal_forces(len(chain.arms))
+                 "alpha": r, "speed": r, **FOUND, "squeeze": squeezes}  # fmt: skip
         if not of.free:  # what the arms can make of an error is to be told
             sizes["J"] = 6 * chain.nq
         self._still = np.tile(np.eye(4), (contacts, 1, 1)).ravel()
@@ -88,61 +88,71 @@ class Log:
             sizes["X_WE"] = len(self._still)
         else:
             sizes["truth"] = sum(part.size for part in self.truth.parts)
+        self._copied = sum(sizes.values())
+        self._of_found = tuple(name for name in sizes if name in FOUND or name == "J")
+        sizes |= {"tick_s": 1, "status": 1, "engaged": 1, "squeeze_d": squeezes, "given_up": r}
+        if controller.life is not None:
+            sizes |= {"phase": contacts, "closed": r, "collision": r}
         ends = np.cumsum([0, *sizes.values()])
         self._places = dict(zip(sizes, map(slice, ends[:-1], ends[1:]), strict=True))
-        self._rows = np.zeros((ticks, ends[-1]))
-        self._of_found = tuple(name for name in sizes if name in FOUND or name == "J")
+        self._fields = [(name, "<f8", (size,)) for name, size in sizes.items()]
+        self._rows = np.zeros((BLOCK, ends[-1]))
         self._r = r
         self._last: TickResult | None = None
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._places
-
-    def rows(self, name: str, start: int, stop: int) -> Array:
-        """(stop − start, numbers) of q, v, tau, alpha_d; of alpha and speed, measured magnitudes
-        and NᵀV_rel of all contact forces, 0 where none are measured; of a field of `TickResult`;
-        of truth, or where no judge knows it of X_WE, measured poses of the touched bodies."""
-        return self._rows[start:stop, self._places[name]]
-
-    def ends(self, start: int, stop: int) -> tuple[Array, Array, Array]:
-        """How ticks ended: what each took (s), its status, the phase of each contact."""
-        spent, status, engaged, _ = zip(*self._ends[start:stop], strict=True)
-        phase = self.phase[start:stop]
-        if not len(self.phase):
-            all_of_them = np.where(np.array(engaged), Phase.CLOSED, Phase.OPEN)
-            phase = np.repeat(all_of_them[:, None], self.phase.shape[1], axis=1).astype(np.int64)
-        return np.array(spent), np.array(status, dtype=np.int64), phase
-
-    def squeeze_d(self, start: int, stop: int) -> Array:
-        """(stop − start,) desired internal force, or one for each two grasps."""
-        return np.array([end[3] for end in self._ends[start:stop]], dtype=float)
+        self._flushed = perf_counter()
 
     def note(
         self, measurement: Measurement, reference: Reference, tau: Array, spent: float
     ) -> None:
         """Keep a tick: what went in, what was found, what it took (s)."""
-        controller, k = self.of.controller, self.count
-        if k == len(self._rows):
-            self._make_room()
+        if self._k == BLOCK or perf_counter() - self._flushed > _EVERY:
+            self.flush()
+        controller, row, places = self.of.controller, self._rows[self._k], self._places
         try:
             ends = measurement.q, measurement.v, tau, reference.alpha_d
-            np.concatenate((*ends, *self._found(measurement)), out=self._rows[k])
+            parts = (*ends, *self._found(measurement))
+            np.concatenate(parts, out=row[: self._copied])
         except (InvalidInputError, TypeError, ValueError):  # held: nothing to note, or misshapen
-            self._rows[k] = np.nan
-            self._rows[k, self._places["tau"]] = tau
+            row[: self._copied] = np.nan
+            row[places["tau"]] = tau
             if self.truth is not None:
-                truth = np.concatenate((np.zeros(0), *self.truth.parts))
-                self._rows[k, self._places["truth"]] = truth
+                row[places["truth"]] = np.concatenate((np.zeros(0), *self.truth.parts))
         if self.truth is not None:
             self.truth.note()
-        self._ends.append((spent, controller.status, controller.engaged, reference.squeeze_d))
-        if len(self.phase) and self._last is not None:
-            seen = self._last.records.column_memory
-            self.phase[k], self.seen[:, k] = controller.phases(), (seen.closed, seen.collision)
+        row[self._copied :] = 0.0
+        row[self._copied : self._copied + 3] = spent, controller.status, controller.engaged
+        _put_squeeze(row[places["squeeze_d"]], reference.squeeze_d)
         cost = controller.given_up
         if cost is not None and len(cost.force) == self._r:
-            self.given_up[k] = cost.force
-        self.count = k + 1
+            row[places["given_up"]] = cost.force
+        if controller.life is not None and self._last is not None:
+            seen = self._last.records.column_memory
+            row[places["phase"]] = controller.phases()
+            row[places["closed"]], row[places["collision"]] = seen.closed, seen.collision
+        self._k += 1
+        self.count += 1
+
+    def last(self) -> Array:
+        """The row of the last tick, by itself."""
+        return self._joined(self._k - 1, self._k)
+
+    def flush(self) -> None:
+        """Append to the journal what was noted since the last time."""
+        if self._k:
+            self.journal.append(self.count - self._k, self._joined(0, self._k))
+            self._k = 0
+            if self.truth is not None:
+                self.truth.clear()
+        self._flushed = perf_counter()
+
+    def _joined(self, start: int, stop: int) -> Array:
+        """Rows with names, and with what the judge noted beside them."""
+        rows, fields = self._rows[start:stop], self._fields
+        if self.truth is not None:
+            noted = self.truth.noted(start, stop)
+            rows = np.concatenate((rows, noted), axis=1)
+            fields = [*fields, ("noted", "<f8", (noted.shape[1],))]
+        return np.ndarray(stop - start, np.dtype(fields), np.ascontiguousarray(rows))
 
     def _found(self, measurement: Measurement) -> list[Array]:
         """What the last tick found, and the judge's parts."""
@@ -158,20 +168,57 @@ class Log:
             return [*parts, self._still if touched is None else np.ravel(touched.X_WE)]
         return parts
 
-    def _make_room(self) -> None:
-        """Twice as many rows."""
-        for name in ("_rows", "given_up", "phase"):
-            rows = getattr(self, name)
-            setattr(self, name, np.concatenate((rows, np.zeros_like(rows))))
-        self.seen = np.concatenate((self.seen, np.zeros_like(self.seen)), axis=1)
-
     def _flat(self, found: TickResult, alpha: Array, speed: Array) -> list[Array]:
         fields = (np.ravel(getattr(found, name)) for name in self._of_found)
         truth = () if self.truth is None else self.truth.parts
-        return [*_joined([alpha, speed, *fields]), *truth]
+        return [*_flattened([alpha, speed, *fields]), *truth]
 
 
-def _joined(parts: list[Array]) -> list[Array]:
+def blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
+    """Rows of a journal cut at every `BLOCK` ticks, wherever its chunks end.
+
+    Args:
+        parts: number of the first row, rows; in order.
+    """
+    begin, waiting = 0, np.zeros(0)
+    for first, rows in parts:
+        if len(waiting) and first != begin + len(waiting):
+            yield begin, waiting
+            waiting = np.zeros(0)
+        if not len(waiting):
+            begin, waiting = first, rows
+        else:
+            waiting = np.concatenate(_alike(waiting, rows))
+        while (cut := BLOCK - begin % BLOCK) <= len(waiting):
+            yield begin, waiting[:cut]
+            begin, waiting = begin + cut, waiting[cut:]
+    if len(waiting):
+        yield begin, waiting
+
+
+def _alike(*parts: Array) -> list[Array]:
+    """Rows of one layout: where less was noted, zeros stand behind it."""
+    wide = max((part.dtype for part in parts), key=lambda dtype: dtype.itemsize)
+    out = []
+    for part in parts:
+        rows = np.zeros((len(part), wide.itemsize // 8))
+        rows[:, : part.dtype.itemsize // 8] = np.ndarray(
+            (len(part), part.dtype.itemsize // 8), float, np.ascontiguousarray(part)
+        )
+        out.append(np.ndarray(len(part), wide, rows))
+    return out
+
+
+def _put_squeeze(place: Array, wanted: float | Array) -> None:
+    """A number alone is told from numbers by the NaNs behind it."""
+    try:
+        place[:] = np.nan
+        place[: np.size(wanted)] = wanted
+    except (TypeError, ValueError):  # the tick was held
+        place[:] = np.nan
+
+
+def _flattened(parts: list[Array]) -> list[Array]:
     """The same numbers in the same order, neighbours in memory as one array: fewer to copy."""
     out = parts[:1]
     for part in parts[1:]:

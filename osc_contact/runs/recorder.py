@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
 
@@ -12,18 +14,27 @@ import pinocchio as pin
 
 from osc_contact.contacts.pairs.pair import count_forces
 from osc_contact.control.controller import Controller
+from osc_contact.errors import RecordingError
 from osc_contact.interface import Measurement, Reference
-from osc_contact.plants.judge import Judge
+from osc_contact.plants.judge import Judge, TruthLog
 from osc_contact.recorder import Recording
-from osc_contact.runs.channels import Tick, channels, monitored
+from osc_contact.recorder.columns import gather
+from osc_contact.recorder.journal import Journal, JournalFile
+from osc_contact.runs.channels import Tick, channels, work_out
 from osc_contact.runs.log import Log, Subject
 from osc_contact.spatial import Array
 
-__all__ = ["Recorder"]
+__all__ = ["Recorder", "recording_of"]
+
+_logger = logging.getLogger("osc_contact.recorder")
 
 
 class Recorder:
     """Notes the ticks of `run_loop`; `recording` works their channels out, all at once.
+
+    Rows of numbers go to a file while the loop runs, at least ten times per second: memory does not
+    grow, and whatever ends the process leaves them there, see `recover`. Where they cannot be
+    written the loop goes on; that is logged at once and said in the recording.
 
     With a judge, such as a plant, the recording holds the truth. Without one, as on hardware, pose,
     twist, N and whether contacts are closed are what the controller takes them for, and
@@ -31,6 +42,7 @@ class Recorder:
 
     Attributes:
         log: rows of numbers.
+        error: why no more ticks are recorded, or None.
     """
 
     def __init__(
@@ -38,19 +50,32 @@ class Recorder:
         controller: Controller,
         judge: Judge | None = None,
         *,
-        ticks: int = 10_000,
         subject: Subject | None = None,
+        journal: Path | None = None,
+        meta: Mapping[str, Any] | None = None,
     ) -> None:
-        """Make room.
+        """Begin.
 
         Args:
             controller: that the loop ticks.
             judge: what knows the truth, if anything does.
-            ticks: how many there is room for; a run of more makes room on its way.
             subject: the true contacts, where they are not the controller's.
+            journal: the file of the rows, such as unfinished.mcap; None: a temporary one, which
+                goes with the process.
+            meta: what the recording is to say of itself beside names, rate and times.
+
+        Raises:
+            RecordingError: there can be no such file.
         """
         self._began = perf_counter(), process_time()
-        self.log = Log(_subject(controller) if subject is None else subject, judge, ticks)
+        of = _subject(controller) if subject is None else subject
+        self._meta, self._told = {**_about(of), **(meta or {})}, False
+        self.log = Log(of, judge, JournalFile(journal, self._meta))
+
+    @property
+    def error(self) -> RecordingError | None:
+        """Why no more ticks are recorded, or None."""
+        return self.log.journal.error
 
     def append(
         self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
@@ -62,23 +87,48 @@ class Recorder:
             tau: (n_a,) that came out. seconds: that it took.
         """
         self.log.note(measurement, reference, tau, seconds)
+        if self.error is not None and not self._told:
+            self._told = True
+            _logger.error("%s; the loop goes on", self.error)
 
     def latest(self) -> Mapping[str, Any]:
         """The channels of the last tick, worked out when somebody reads them."""
-        k = self.log.count
-        return Tick(partial(channels, self.log, k - 1, k))
+        log, row = self.log, self.log.last()
+        return Tick(partial(channels, log.of, log.truth, log.count - 1, row))
 
     def recording(self, meta: Mapping[str, Any] | None = None) -> Recording:
-        """All ticks so far.
+        """All ticks so far; a long recording stays on disk.
 
         Args:
-            meta: what the recording is to say of itself beside names, rate and times.
+            meta: more that the recording is to say of itself.
+
+        Raises:
+            RecordingError: there is no room for its channels.
         """
-        values = channels(self.log, 0, self.log.count) | monitored(self.log)
-        recording = Recording({**_about(self.log.of), **(meta or {})}, values)
+        log = self.log
+        log.flush()
+        log.journal.close()
+        recording = recording_of(
+            log.of, log.truth, log.journal.read(), {**self._meta, **(meta or {})}
+        )
+        if self.error is not None:
+            recording.meta["missing"] = [str(self.error)]
         recording.meta["wall_s"] = perf_counter() - self._began[0]
         recording.meta["cpu_s"] = process_time() - self._began[1]
         return recording
+
+
+def recording_of(
+    of: Subject, log: TruthLog | None, journal: Journal, meta: Mapping[str, Any]
+) -> Recording:
+    """The recording of a journal's rows.
+
+    Args:
+        of, log: what was recorded and the judge's log, see `channels`.
+        journal: read from its beginning. meta: of the recording.
+    """
+    ticks = sum(len(rows) for _, rows in journal.rows())
+    return Recording(meta, gather(ticks, work_out(of, log, journal.rows())))
 
 
 def _subject(controller: Controller) -> Subject:

@@ -125,6 +125,11 @@ class References:
         """The reference at time t (s); accelerations are classical."""
         return self.over(np.array([t]))[0]
 
+    def each(self, ticks: int, period: float) -> Iterator[Reference]:
+        """The references of so many ticks, one after the other."""
+        for start in range(0, ticks, _AT_ONCE):
+            yield from self.over(np.arange(start, min(start + _AT_ONCE, ticks)) * period)
+
     def over(self, t: Array) -> Plan:
         """The references at many times t (k,), worked out together."""
         x = np.zeros((3, 3, len(t)))  # displacement, velocity, acceleration

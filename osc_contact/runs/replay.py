@@ -8,15 +8,14 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
 
-from osc_contact.errors import InvalidInputError, RecordingError, ScenarioError
+from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.viewing import write_scene_of
-from osc_contact.scenarios.schema import Scenario
 from osc_contact.visual.browser import find_browser, write_png
 from osc_contact.visual.live import Viewer
 
-__all__ = ["RealTime", "picture", "replay", "scenario_of", "wait_for"]
+__all__ = ["RealTime", "picture", "replay", "wait_for"]
 
 
 class RealTime:
@@ -52,19 +51,6 @@ def wait_for(condition: Callable[[], bool], seconds: float) -> bool:
             return False
         sleep(0.1)
     return True
-
-
-def scenario_of(recording: Recording, path: Path) -> Scenario:
-    """The scenario that a recording was made of; its own URDFs are looked for beside the file.
-
-    Raises:
-        RecordingError: the recording does not hold a scenario that this version understands.
-    """
-    try:
-        scenario = Scenario.model_validate(recording.meta["scenario"])
-    except (KeyError, ScenarioError, ValueError) as error:
-        raise RecordingError(f"{path} does not say which scenario was run: {error}") from error
-    return scenario.with_source(path.resolve().parent / str(recording.meta.get("source")))
 
 
 def picture(recording: Recording, rig: Rig, path: Path, time: float | None) -> Path:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from osc_contact.control.controller import Controller
-from osc_contact.errors import PlantError
+from osc_contact.errors import Interrupted, PlantError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Plant
 from osc_contact.recorder import Recording
+from osc_contact.runs.ending import asked_to_end, until
 from osc_contact.runs.loop import run_loop
 from osc_contact.runs.recorder import Recorder
 from osc_contact.runs.references import force_steps
@@ -35,8 +37,12 @@ def run(
     progress: Progress | None = None,
     viewer: Shows | None = None,
     install: Install | None = None,
+    journal: Path | None = None,
 ) -> Recording:
     """Run a scenario and record it.
+
+    Memory does not grow with the duration: rows go to a file on the way, and the channels of a long
+    recording stay on disk.
 
     Args:
         scenario: from `load_scenario`.
@@ -46,12 +52,15 @@ def run(
         progress: called with the simulated time now and then.
         viewer: shows the run while it goes on (see `open_viewer`); it cannot hold the loop up.
         install: puts another control law into each controller of the run.
+        journal: the file that the run's rows go to while it lasts, such as unfinished.mcap, for
+            `recover` if the process is killed; None: a temporary one.
 
     Returns:
         The recording; `metrics(recording)` judges it.
 
     Raises:
         PlantError: the simulation diverged; `error.recording` holds what came before.
+        Interrupted: Ctrl-C or SIGTERM ended it; likewise.
     """
     changes: dict[str, Any] = {} if duration is None else {"duration": duration}
     if plant is not None:
@@ -60,8 +69,6 @@ def run(
     scenario = rig.scenario
     simulated, controller = start(rig, seed, install)
     ticks = round(scenario.duration * scenario.control.rate)
-    recorder = Recorder(controller, simulated, ticks=ticks, subject=rig.subject(controller))
-    plan = rig.references.over(np.arange(ticks) * controller.dt)
     about = {
         "scenario": scenario.as_dict(),
         "source": None if scenario.source is None else scenario.source.name,
@@ -69,14 +76,24 @@ def run(
         "seed": seed,
         "force_steps_s": force_steps(scenario),
     }
+    recorder = Recorder(
+        controller, simulated, subject=rig.subject(controller), journal=journal, meta=about
+    )
     robot = rig.robot(simulated, controller)
     taring = controller if scenario.tare is None else _Taring(rig, controller)
-    try:
-        run_loop(robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress)
-    except PlantError as error:
-        error.recording = recorder.recording(about)
-        raise
-    return recorder.recording(about)
+    with asked_to_end() as asked:
+        plan = until(asked, rig.references.each(ticks, controller.dt))
+        try:
+            run_loop(robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress)
+        except PlantError as error:
+            error.recording = recorder.recording()
+            raise
+    if asked() and recorder.log.count < ticks:
+        ended = recorder.log.count * controller.dt
+        interrupted = Interrupted(f"ended on request at t = {ended:g} s")
+        interrupted.recording = recorder.recording({"ended_s": ended})
+        raise interrupted
+    return recorder.recording()
 
 
 def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plant, Controller]:

@@ -1,0 +1,178 @@
+"""What a run leaves when it is killed, interrupted or has no disk; two runs, the same file."""
+
+import csv
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from time import sleep
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+import osc_contact as osc
+from osc_contact.runs import log as rows_of_runs
+
+RUN = [sys.executable, str(Path(__file__).with_name("recorded_run.py"))]
+COMMAND = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
+TIMES = {"tick_s"}
+
+
+def started(command, **more):
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more
+    )
+
+
+def same(found, whole):
+    for name in set(whole.channels) - TIMES:
+        np.testing.assert_array_equal(found[name], whole[name][: len(found)], err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return osc.run(osc.load_scenario("two_contact_rod"), duration=1.2, seed=3)
+
+
+def test_a_killed_run_is_recovered_but_for_its_last_moments(tmp_path, whole):
+    rng = random.Random(4)
+    for kill in range(3):
+        folder = tmp_path / str(kill)
+        with started([*RUN, folder, "1000"]) as process:
+            process.stdout.readline()
+            sleep(rng.uniform(0.1, 0.4))
+            process.kill()
+            told = [0.1, *map(float, process.stdout.read().split())][-1]
+        found = osc.recover(folder / "unfinished.mcap")
+        cut = min(len(found), len(whole))
+        assert cut > 100
+        for name in set(whole.channels) - TIMES:
+            np.testing.assert_array_equal(found[name][:cut], whole[name][:cut], err_msg=name)
+        # 80 ms on the clock, and what this machine simulates in that time
+        assert len(found) > 1000 * told - 3000
+        short, count = found.meta["missing"]
+        assert short.startswith("the run was cut short") and "of 1000000 ticks are here" in count
+        with pytest.raises(osc.RecordingError, match=r"osc_contact\.recover"):
+            osc.Recording.load(folder / "unfinished.mcap")
+
+
+def test_ctrl_c_ends_a_run_in_order(tmp_path, whole):
+    words = ["run", "two_contact_rod", "--duration", "1000", "--seed", "3", "--out", tmp_path]
+    with started([*COMMAND, *words]) as process:
+        while not (tmp_path / "unfinished.mcap").exists():
+            sleep(0.05)
+        sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        said, complaints = process.communicate(timeout=300)
+    assert process.returncode == 130 and not complaints
+    assert "ended on request at t = " in said and f"written to {tmp_path}: " in said
+    assert not (tmp_path / "unfinished.mcap").exists()
+    found = osc.Recording.load(tmp_path / "recording.npz")
+    assert found.meta["ended_s"] == pytest.approx(len(found) * 1e-3)
+    cut = min(len(found), len(whole))
+    np.testing.assert_array_equal(found["tau"][:cut], whole["tau"][:cut])
+    judged = len(found) > 1000
+    assert (tmp_path / "metrics.json").exists() == (tmp_path / "scene.html").exists() == judged
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_asked_to_end_gives_what_it_has(number):
+    before = signal.getsignal(number)
+
+    def ask(t):
+        os.kill(os.getpid(), number)
+
+    scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
+    with pytest.raises(osc.Interrupted, match=r"ended on request at t = 0\.1 s") as ended:
+        osc.run(scenario, duration=0.5, progress=ask)
+    assert isinstance(ended.value, KeyboardInterrupt) and len(ended.value.recording) == 100
+    assert signal.getsignal(number) == before
+
+
+def test_a_run_goes_on_when_the_disk_is_full(tmp_path, whole):
+    def small():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
+
+    with started([*RUN, tmp_path, "1.2"], preexec_fn=small) as process:
+        said, complaints = process.communicate(timeout=300)
+    *loop, last = said.splitlines()
+    assert loop[-1] == "1.2", "the loop went on"
+    assert complaints.startswith("recording stops after") and "File too large" in complaints
+    assert complaints.endswith("; the loop goes on\n") and complaints.count("\n") == 1
+    found = osc.recover(tmp_path / "unfinished.mcap")
+    assert 200 < len(found) < 1000
+    same(found, whole)
+    assert last.startswith(f"{len(found)} recording stops after {len(found)} ticks")
+    assert len(osc.Recording.load(tmp_path / "recording.npz")) == len(found)
+
+
+def test_two_runs_of_a_seed_are_the_same_file(tmp_path):
+    files = []
+    for kind, seed, threads in (("a", "1", "1"), ("b", "77", "2")):
+        (tmp_path / kind).mkdir()
+        setting = {"PYTHONHASHSEED": seed, "OPENBLAS_NUM_THREADS": threads}
+        setting |= {"NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
+        done = subprocess.run(
+            [*RUN, tmp_path / kind, "0.7"], env={**os.environ, **setting}, check=True,
+            stdout=subprocess.PIPE,
+        )  # fmt: skip
+        assert done.stdout.split()[-1] == b"700"
+        files.append((tmp_path / kind / "recording.npz").read_bytes())
+    assert files[0] == files[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "plant"), [("two_contact_rod", "rigid"), ("moving_face", "mujoco"),
+                        ("two_contact_rod_mismatch", "mujoco"), ("three_arm_plate", "mujoco")]
+)  # fmt: skip
+def test_chunks_of_any_size_make_the_same_recording(name, plant, monkeypatch, tmp_path):
+    scenario = osc.load_scenario(name, [f"plant.type={plant}"])
+    once = osc.run(scenario, duration=0.06)
+    monkeypatch.setattr(rows_of_runs, "_EVERY", 0.0)
+    monkeypatch.setattr("osc_contact.recorder.columns.IN_MEMORY", 0)
+    found = osc.run(scenario, duration=0.06, journal=tmp_path / "unfinished.mcap")
+    same(found, once)
+    recovered = osc.recover(tmp_path / "unfinished.mcap")
+    assert recovered.meta["missing"] == []
+    same(recovered, once)
+
+
+def test_memory_does_not_grow_with_the_run():
+    code = (
+        "import resource, osc_contact as osc\n"
+        "peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024\n"
+        "scenario = osc.load_scenario('two_contact_rod')\n"
+        "osc.run(scenario, duration=40.0)\n"
+        "before = peak()\n"
+        "osc.metrics(osc.run(scenario, duration=120.0))\n"
+        "print(before, peak() - before)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.PIPE)
+    whole, more = map(float, done.stdout.split())
+    assert more < 40.0, f"{more:.0f} MB beside {whole:.0f} MB"  # 100 MB of rows and channels
+
+
+def test_exports_say_the_same(tmp_path, whole):
+    path = whole.export(tmp_path / "run.csv")
+    with open(path, encoding="ascii") as file:
+        head, *lines = csv.reader(file)
+    assert len(lines) == len(whole) and head[:3] == ["t", "q.0", "q.1"]
+    column = head.index("N.1.0")
+    assert [float(line[column]) for line in lines] == whole["N"][:, 1, 0].tolist()
+    path = whole.export(tmp_path / "run.mcap")
+    with open(path, "rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        messages = [(m.log_time, json.loads(m.data)) for _, _, m in reader.iter_messages()]
+        (about,) = reader.iter_metadata()
+    assert json.loads(about.metadata["meta"]) == whole.meta
+    assert [at for at, _ in messages] == [round(t * 1e9) for t in whole["t"]]
+    for name in ("tau", "closed", "status", "N"):
+        assert messages[700][1][name] == whole[name][700].tolist()
+    with pytest.raises(osc.RecordingError, match=r"run\.hdf5: give a name that ends in"):
+        whole.export(tmp_path / "run.hdf5")
+    assert osc.Recording.load(whole.export(tmp_path / "run.npz")).meta == whole.meta
