@@ -100,8 +100,7 @@ def measure(ticks: int = 10000) -> dict[str, Any]:
         ("references", References, "over"),
         ("references", Plan, "part"),
         ("recorder: rows of numbers", Log, "note"),
-        ("recorder: channels, at the end", recorder, "channels"),
-        ("recorder: channels, at the end", recorder, "monitored"),
+        ("recorder: channels, at the end", recorder, "recording_of"),
     ]
     watched = []
     for _ in range(RUNS):
