@@ -16,8 +16,10 @@ from test_decoupling import commanded
 import osc_contact as osc
 from osc_contact.control.command_filter import filtered_motion, generalised_force
 from osc_contact.dynamics.assembly import close, object_pose, reach
+from osc_contact.dynamics.grasp import GRASPS, register_grasp
 from osc_contact.dynamics.held_object import moved
 from osc_contact.plants.rigid import RigidPlant
+from osc_contact.scenarios.geometry import GRASP_TYPES
 
 ARMS = ("scara", "ur5", "panda", "2R", "3R")
 NOTHING = osc.Contact(np.zeros((6, 0)))
@@ -437,6 +439,25 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
 def test_scenarios_refuse_half_a_grasp(how, words):
     with pytest.raises(osc.ScenarioError, match=words):
         osc.load_scenario("dual_panda_rod", [f"grasps.left={how}"])
+
+
+def test_a_grasp_that_registers_itself_has_a_name_in_scenarios(monkeypatch):
+    monkeypatch.setitem(GRASPS, "slide", None)  # both are taken out again after the test
+    monkeypatch.setitem(GRASP_TYPES, "slide", None)
+
+    def slide(X_TO, axis):
+        return osc.Grasp(X_TO, np.concatenate((axis, np.zeros(3)))[:, None])
+
+    register_grasp("slide", slide, axis=True)
+    hand = HANDS[0] % ", type: slide, axis: [0, 2, 0]"
+    scenario = osc.load_scenario("dual_panda_rod", [f"grasps.left={hand}", "plant.type=rigid"])
+    rig = osc.build_rig(scenario)
+    np.testing.assert_array_equal(rig.chain.grasps[0].T[:, 0], [0, 1, 0, 0, 0, 0])
+    controller, plant = rig.controller(), rig.plant()
+    for k in range(200):
+        plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+    assert controller.status is osc.Status.OK, controller.reason
+    np.testing.assert_allclose(plant.truth().alpha, rig.references.at(0.199).alpha_d, rtol=0.01)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

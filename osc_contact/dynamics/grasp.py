@@ -7,6 +7,7 @@ carried by the tip, and by the object too, for the motions that a grasp permits 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -15,9 +16,10 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.scenarios.geometry import GRASP_TYPES
 from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist
 
-__all__ = ["Grasp"]
+__all__ = ["GRASPS", "Grasp", "register_grasp"]
 
 _SAME = 1e-9  #: columns of unit size nearer to dependence than this are dependent
 
@@ -145,3 +147,22 @@ def _wrenches(T: Array) -> Array:
     N[:3, :3] = np.eye(3)
     N[3:, 3:] = U[:, T.shape[1] :]
     return N
+
+
+#: What a scenario's `type` makes of X_TO and, if it has one, an axis (3,) in the tip frame.
+GRASPS: dict[str, Callable[..., Grasp]] = {}
+
+
+def register_grasp(name: str, make: Callable[..., Grasp], *, axis: bool) -> None:
+    """Let scenarios name a grasp.
+
+    Args:
+        name: its `type`. make: X_TO, and an axis (3,) if it has one → Grasp.
+        axis: whether it has one.
+    """
+    GRASPS[name], GRASP_TYPES[name] = make, axis
+
+
+register_grasp("rigid", Grasp.rigid, axis=False)
+register_grasp("hinge", Grasp.hinge, axis=True)
+register_grasp("ball", Grasp.ball, axis=False)

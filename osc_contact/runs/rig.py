@@ -22,7 +22,7 @@ from osc_contact.control.safety import SafetySettings
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, reach
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
-from osc_contact.dynamics.grasp import Grasp
+from osc_contact.dynamics.grasp import GRASPS, Grasp
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import ScenarioError
 from osc_contact.interface import Measurement, Robot
@@ -269,11 +269,8 @@ def build_chain(scenario: Scenario, arm_mass: float = 1.0, object_mass: float = 
 
 
 def _grasp(spec: GraspSpec) -> Grasp:
-    X_TO = pose_of(spec)
-    if spec.type == "hinge":
-        assert spec.axis is not None  # the schema refused otherwise
-        return Grasp.hinge(X_TO, spec.axis)
-    return Grasp.ball(X_TO) if spec.type == "ball" else Grasp.rigid(X_TO)
+    axis = () if spec.axis is None else (spec.axis,)
+    return GRASPS[spec.type](pose_of(spec), *axis)
 
 
 def _standoff(state: ChainState, contact: Contact, distance: float) -> Array:

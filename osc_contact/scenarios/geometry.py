@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from .quantities import AngleVec3, JointValue, Number, Spec, UnitVec3, Vec3, refuse
 
 __all__ = [
+    "GRASP_TYPES",
     "ArmSpec",
     "GraspSpec",
     "Name",
@@ -28,18 +29,31 @@ class PoseSpec(Spec):
     rpy: AngleVec3 = (0.0, 0.0, 0.0)
 
 
+#: Grasps that a scenario may name, and whether they have an axis; `dynamics.grasp` fills it.
+GRASP_TYPES: dict[str, bool] = {}
+
+
 class GraspSpec(PoseSpec):
     """X_TO: pose of the object in the tip frame of the arm that holds it, and how it does so."""
 
-    type: Literal["rigid", "hinge", "ball"] = "rigid"
+    type: str = "rigid"
     axis: UnitVec3 | None = None
     """the axis of a hinge [x, y, z], in the tip frame, through its origin"""
 
+    @field_validator("type")
+    @classmethod
+    def _is_registered(cls, value: str) -> str:
+        if value not in GRASP_TYPES:
+            *names, last = map(repr, GRASP_TYPES)
+            raise refuse(f"expected {', '.join(names)} or {last}; got {value!r}")
+        return value
+
     @model_validator(mode="after")
-    def _hinges_have_an_axis(self) -> GraspSpec:
-        if self.type == "hinge" and self.axis is None:
-            raise refuse("a hinge needs an axis [x, y, z] in the tip frame; add axis: [0, 1, 0]")
-        if self.type != "hinge" and self.axis is not None:
+    def _has_its_axis(self) -> GraspSpec:
+        if GRASP_TYPES[self.type] and self.axis is None:
+            kind = self.type
+            raise refuse(f"a {kind} needs an axis [x, y, z] in the tip frame; add axis: [0, 1, 0]")
+        if not GRASP_TYPES[self.type] and self.axis is not None:
             raise refuse(f"a {self.type} grasp has no axis; leave it out, or set type: hinge")
         return self
 
