@@ -49,6 +49,7 @@ from osc_contact.contacts.pairs import (
     SphereOnPlane,
     VertexOnFace,
 )
+from osc_contact.contacts.pairs.pair import count_forces
 from osc_contact.contacts.pairs.tangent_pair import TangentPair
 from osc_contact.errors import ContactError, InvalidInputError
 
@@ -347,6 +348,13 @@ Z, O3 = [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
 def test_impossible_geometry_is_refused(make: Callable[[], object], message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         make()
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_forces_are_counted_in_any_pose(name: str) -> None:
+    pair, _, r = KINDS[name](np.random.default_rng(4), PLAIN)
+    assert count_forces(pair) == r
+    assert count_forces(EdgeOnEdge(O3, Z, [0.1, 0, 0], Z)) == 1  # parallel where frames coincide
 
 
 def test_contacts_that_do_not_exist_are_refused() -> None:
