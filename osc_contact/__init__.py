@@ -52,9 +52,11 @@ from osc_contact.errors import (
 )
 from osc_contact.interface import Measurement, Reference, Robot, pose_reference
 from osc_contact.jerk_limits import JerkLimits
+from osc_contact.plants.faces import Rail
 from osc_contact.plants.judge import Judge
 from osc_contact.recorder import Recording
 from osc_contact.response import ContactResponse, contact_response
+from osc_contact.runs.faces import OwnMotion
 from osc_contact.runs.loop import run_loop
 from osc_contact.runs.metrics import metrics
 from osc_contact.runs.recorder import Recorder
@@ -62,7 +64,7 @@ from osc_contact.runs.recovery import recover
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.runs.run import run
 from osc_contact.runs.viewing import open_viewer
-from osc_contact.scenarios import list_scenarios, load_scenario
+from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
 from osc_contact.visual.live import Viewer
 
 __version__ = "0.1.0"
@@ -114,6 +116,9 @@ __all__ = [
     "JerkLimits",
     "load_scenario",
     "list_scenarios",
+    "Scenario",
+    "OwnMotion",
+    "Rail",
     "Rig",
     "build_rig",
     "run",

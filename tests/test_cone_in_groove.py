@@ -22,32 +22,37 @@ STEPS = (0.51, 0.53, 0.55, 0.57)
 
 
 @cache
+def seat():
+    return cg.seated_cone()
+
+
+@cache
 def rig():
-    return cg.build_cone_rig()
+    return osc.build_rig(cg.cone_scenario(seat()))
 
 
 @cache
 def short_run(steps=STEPS, moving=True):
-    return cg.run(0.62, cg.ConeTask(rig(), steps, moving), 0.1)
+    return cg.run(0.62, steps, moving, 0.1)
 
 
 def cone_points(count=200, rows=9):
     """Points of the cone's side in the world, (count·rows, 3), from its apex, axis and angle."""
-    cone, groove, X = rig().cone, rig().groove, rig().state.X_WO
+    cone, X = seat().cone, rig().state().X_WO
     apex, axis = X.act(cone.apex), X.rotation @ cone.axis
     x = np.cross(axis, [0.3, 0.5, -0.8])
     x /= np.linalg.norm(x)
     phi = np.linspace(0, 2 * np.pi, count, endpoint=False)[:, None]
-    rim = np.tan(cone.half_angle(groove)) * (np.cos(phi) * x + np.sin(phi) * np.cross(axis, x))
+    rim = np.tan(seat().half_angle) * (np.cos(phi) * x + np.sin(phi) * np.cross(axis, x))
     return np.vstack([apex + s * cone.height * (axis + rim) for s in np.linspace(0.1, 1, rows)])
 
 
 def pose_at(turn, slide):
     """The cone turned about its axis and moved along the groove, by products of poses."""
-    cone, X = rig().cone, rig().state.X_WO
+    cone, X = seat().cone, rig().state().X_WO
     about = pin.SE3(pin.exp3(turn * cone.axis), np.zeros(3))
     shift = pin.SE3(np.eye(3), cone.apex)
-    along = pin.SE3(np.eye(3), slide * rig().groove.direction)
+    along = pin.SE3(np.eye(3), slide * seat().groove.direction)
     return along * X * shift * about * shift.inverse()
 
 
@@ -56,46 +61,43 @@ def pose_at(turn, slide):
 
 def test_the_cone_lies_on_both_walls_and_in_neither():
     heights = []
-    for wall, generator in zip(
-        rig().groove.normals(), rig().cone.generators(rig().groove), strict=True
-    ):
-        above = (cone_points(2000) - rig().groove.point) @ wall
+    for wall, generator in zip(seat().groove.normals(), seat().generators(), strict=True):
+        above = (cone_points(2000) - seat().groove.point) @ wall
         assert above.min() > -1e-12
         assert above.min() < 1e-6, "it touches"
         assert abs(generator @ wall) < 1e-12, "along a line of the wall"
         assert abs(np.linalg.norm(generator) - 1) < 1e-12
-        cosine = generator @ rig().cone.seat(rig().groove)
-        assert np.arccos(cosine) == pytest.approx(rig().cone.half_angle(rig().groove))
-        assert wall[2] > 0.0 and abs(wall @ rig().groove.direction) < 1e-12
+        cosine = generator @ seat().axis
+        assert np.arccos(cosine) == pytest.approx(seat().half_angle)
+        assert wall[2] > 0.0 and abs(wall @ seat().groove.direction) < 1e-12
         heights.append(wall)
     assert heights[0] @ heights[1] == pytest.approx(np.cos(np.deg2rad(60.0)))
 
 
 def test_inertia_is_that_of_a_stack_of_discs():
-    cone, groove = rig().cone, rig().groove
+    cone, inertia = seat().cone, rig().chain.payload.inertia
     n, h = 4000, cone.height
     z = (np.arange(n) + 0.5) / n * h
-    radius = z * np.tan(cone.half_angle(groove))
-    m = radius**2 / (radius**2).sum() * cone.mass
+    radius = z * np.tan(seat().half_angle)
+    m = radius**2 / (radius**2).sum() * inertia.mass
     centres = cone.apex + z[:, None] * cone.axis
-    com = m @ centres / cone.mass
+    com = m @ centres / inertia.mass
     total = np.zeros((3, 3))
     for mass, r, c in zip(m, radius, centres - com, strict=True):
         disc = 0.25 * mass * r**2 * (np.eye(3) + np.outer(cone.axis, cone.axis))
         total += disc + mass * (c @ c * np.eye(3) - np.outer(c, c))
-    inertia = cone.inertia(groove)
     np.testing.assert_allclose(inertia.lever, com, atol=1e-8)
     np.testing.assert_allclose(inertia.inertia, total, rtol=1e-5, atol=1e-9)
 
 
 def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
     """t₁ = [axis × (O − apex)…], t₂ = [e; 0]; pushes normal to the walls do no work on either."""
-    rng, cone, e = np.random.default_rng(0), rig().cone, rig().groove.direction
+    rng, cone, e = np.random.default_rng(0), seat().cone, seat().groove.direction
     for _ in range(20):
         X = pose_at(rng.uniform(-3, 3), rng.uniform(-0.1, 0.1))
-        contact = rig().pair.contact(X, np.zeros(6))
-        np.testing.assert_allclose(rig().pair.gaps(X), 0.0, atol=1e-14)
-        points, directions = rig().wall_forces(X)
+        contact = seat().pair.contact(X, np.zeros(6))
+        np.testing.assert_allclose(seat().pair.gaps(X), 0.0, atol=1e-14)
+        points, directions = seat().wall_forces(X)
         levers = points - X.translation[:, None]
         lines = np.vstack((directions, np.cross(levers, directions, axis=0)))
         axis, apex = X.rotation @ cone.axis, X.act(cone.apex)
@@ -103,24 +105,24 @@ def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
         assert np.abs(lines.T @ T).max() < 1e-14
         assert np.abs(contact.N.T @ T).max() < 1e-14
         assert np.linalg.matrix_rank(lines) == 4
-        np.testing.assert_allclose(contact.N @ rig().from_wall_forces, lines, atol=1e-13)
+        np.testing.assert_allclose(contact.N @ seat().from_wall_forces, lines, atol=1e-13)
 
 
 def test_no_constraint_frame_describes_it():
-    found = rig().contact().as_raibert_craig(rig().cone.height)
+    found = seat().contact().as_raibert_craig(seat().cone.height)
     assert not found and "(i)" in found.reason and "(ii)" not in found.reason
     assert "32° apart, neither parallel nor perpendicular" in found.reason
     assert found.residual > 0.1
-    axis = rig().state.X_WO.rotation @ rig().cone.axis
-    assert np.rad2deg(np.arccos(axis @ rig().groove.direction)) == pytest.approx(32.0)
+    axis = rig().state().X_WO.rotation @ seat().cone.axis
+    assert np.rad2deg(np.arccos(axis @ seat().groove.direction)) == pytest.approx(32.0)
 
 
 def test_N_is_continuous_over_whole_turns():
     """No column jumps or changes sign, and after a full turn N is what it was."""
     V, turns = np.zeros(6), np.linspace(0.0, 4 * np.pi, 4001)
-    N = np.array([rig().pair.contact(pose_at(turn, 0.0), V).N for turn in turns])
+    N = np.array([seat().pair.contact(pose_at(turn, 0.0), V).N for turn in turns])
     step = turns[1]
-    reach = np.linalg.norm(rig().cone.apex)  # from O
+    reach = np.linalg.norm(seat().cone.apex)  # from O
     assert np.abs(np.diff(N, axis=0)).max() < 1.01 * reach * step
     assert np.abs(np.diff(N, 2, axis=0)).max() < 1.01 * reach * step**2
     np.testing.assert_allclose(N[2000], N[0], atol=1e-12)
@@ -128,19 +130,21 @@ def test_N_is_continuous_over_whole_turns():
 
 
 def test_references_move_as_their_derivatives_say_and_stay_in_contact():
-    task, h = cg.ConeTask(rig()), 1e-4
+    task, h = rig().references, 1e-4
+    to_walls = np.linalg.inv(seat().from_wall_forces)
     for t in np.linspace(0.2, 4.5, 12):
         before, now, after = task.at(t - h), task.at(t), task.at(t + h)
         V = pose_error(after.X_WD, before.X_WD) / (2 * h)
         np.testing.assert_allclose(now.V_D, V, atol=1e-5)
         np.testing.assert_allclose(now.A_D, (after.V_D - before.V_D) / (2 * h), atol=1e-4)
-        np.testing.assert_allclose(rig().pair.gaps(now.X_WD), 0.0, atol=1e-14)
-        turn, slide = task.motions(t)[:, 0]
+        np.testing.assert_allclose(seat().pair.gaps(now.X_WD), 0.0, atol=1e-9)
+        turn, slide = seat().motion(now.X_WD)
         np.testing.assert_allclose(
-            now.X_WD.homogeneous, pose_at(turn, slide).homogeneous, atol=1e-12
+            now.X_WD.homogeneous, pose_at(turn, slide).homogeneous, atol=1e-9
         )
-    assert np.ptp([task.motions(t)[0, 0] for t in np.linspace(0, 5, 200)]) > 1.0
-    assert min(task.wall_forces(t).min() for t in np.linspace(0.3, 5, 500)) > 0.0
+    whole = task.over(np.linspace(0, 5, 500))
+    assert np.ptp([seat().motion(one.X_WD)[0] for one in whole]) > 1.0
+    assert (whole.alpha_d @ to_walls.T)[30:].min() > 0.0
 
 
 # Plant and controller -----------------------------------------------------------------------------
@@ -148,7 +152,7 @@ def test_references_move_as_their_derivatives_say_and_stay_in_contact():
 
 def test_the_rigid_plant_answers_as_the_full_kkt_system():
     """Any pair on the plant: seven joints, the object, four contact rows, by least squares."""
-    chain, pair, rng = rig().chain, rig().pair, np.random.default_rng(2)
+    chain, pair, rng = rig().chain, seat().pair, np.random.default_rng(2)
     plant = RigidPlant(chain, [pair], 1e-3)
     plant.reset(rig().q_start)
     for _ in range(40):
@@ -192,22 +196,22 @@ def test_the_forces_are_the_same_at_rest_and_in_motion():
 
 def test_a_controller_with_a_wrong_seat_couples():
     """The coupling measured is not zero by construction."""
-    c, axis = rig().chain, rig().pair.axis
-    wrong = replace(rig().pair, axis=pin.exp3(np.array([0.0, 0.1, 0.0])) @ axis)
-    plant = RigidPlant(c, [rig().pair], 1e-3)
+    c, axis = rig().chain, seat().pair.axis
+    wrong = replace(seat().pair, axis=pin.exp3(np.array([0.0, 0.1, 0.0])) @ axis)
+    plant = RigidPlant(c, [seat().pair], 1e-3)
     plant.reset(rig().q_start)
     controller = osc.Controller(c, [wrong], posture=rig().q_start)
-    reference = cg.ConeTask(rig()).at(1.5)
-    R = rig().from_wall_forces
+    reference = rig().references.at(1.5)
+    R = seat().from_wall_forces
     to_motion, to_force = cg.couplings(controller, plant, plant.measure(), reference, R)
     assert max(to_motion) > 1e-4 and max(to_force) > 1e-4
 
 
 def test_one_force_per_column_is_asked_for():
-    plant = RigidPlant(rig().chain, [rig().pair], 1e-3)
+    plant = RigidPlant(rig().chain, [seat().pair], 1e-3)
     plant.reset(rig().q_start)
-    controller = osc.Controller(rig().chain, [rig().pair], posture=rig().q_start)
-    reference = cg.ConeTask(rig()).at(1.0)
+    controller = osc.Controller(rig().chain, [seat().pair], posture=rig().q_start)
+    reference = rig().references.at(1.0)
     controller.tick(plant.measure(), replace(reference, alpha_d=np.ones(1)))
     assert controller.status is osc.Status.HELD and "1 forces for 4 columns" in controller.reason
     controller.tick(plant.measure(), reference)

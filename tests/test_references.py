@@ -15,26 +15,32 @@ def references(*overrides):
     return rig.references
 
 
-def two_turns():
+CENTRES = [0.3, -0.2, 0.1], [-0.1, 0.4, 0.5]  # of two turns
+
+
+def two_turns(centres=(None, None)):
     """Two angular moves about different directions, and a standoff that turns the rod."""
     from osc_contact.scenarios.schema import Scenario
 
     data = osc.load_scenario("two_contact_rod_mismatch").as_dict()
     sine = {"type": "sine", "amplitude": 0.3, "frequency": 0.7, "phase": 0.4}
     data["motion"] = [
-        {"kind": "angular", "direction": [0, 0, 1], "signals": [sine]},
-        {"kind": "angular", "direction": [0, 1, 0], "signals": [{**sine, "frequency": 1.1}]},
+        {"kind": "angular", "direction": [0, 0, 1], "signals": [sine],
+         "through": centres[0]},
+        {"kind": "angular", "direction": [0, 1, 0], "signals": [{**sine, "frequency": 1.1}],
+         "through": centres[1]},
         {"kind": "linear", "direction": [1, 0, 0], "signals": [{**sine, "amplitude": 0.1}]},
-    ]
+    ]  # fmt: skip
     scenario = Scenario.model_validate(data)
     X = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([0.1, 0.2, 0.3]))
     pairs = osc.build_rig(osc.load_scenario("two_contact_rod")).pairs
     return References.of(scenario, X, pairs, np.array([0.01, 0.0, 0.02, 0.1, -0.2, 0.05]))
 
 
+@pytest.mark.parametrize("centres", [(None, None), CENTRES])
 @pytest.mark.parametrize("t", [0.2, 0.45, 0.55, 1.3, 2.7])
-def test_twist_and_classical_acceleration_are_derivatives_of_the_pose(t):
-    wanted, h = two_turns(), 1e-5
+def test_twist_and_classical_acceleration_are_derivatives_of_the_pose(t, centres):
+    wanted, h = two_turns(centres), 1e-5
     here = wanted.at(t)
     left, right = wanted.at(t - h).X_WD, wanted.at(t + h).X_WD
     v = (right.translation - left.translation) / (2 * h)
@@ -50,6 +56,18 @@ def test_turns_are_about_directions_fixed_in_the_world():
     angle = [move.signals[0].at(1.3)[0] for move in wanted.scenario.motion[:2]]
     want = pin.rpy.rpyToMatrix(0, angle[1], 0) @ pin.rpy.rpyToMatrix(0, 0, angle[0]) @ R0
     np.testing.assert_allclose(wanted.at(1.3).X_WD.rotation, want, atol=1e-12)
+
+
+def test_turns_about_points_are_products_of_poses():
+    wanted, t = two_turns(CENTRES), 2.7  # after the standoff
+    angles = [move.signals[0].at(t)[0] for move in wanted.scenario.motion[:2]]
+    X = wanted.X_start
+    for centre, axis, angle in zip(CENTRES, np.eye(3)[[2, 1]], angles, strict=True):
+        to = pin.SE3(np.eye(3), np.array(centre))
+        X = to * pin.SE3(pin.exp3(angle * axis), np.zeros(3)) * to.inverse() * X
+    X.translation += [wanted.scenario.motion[2].signals[0].at(t)[0], 0, 0]
+    np.testing.assert_allclose(wanted.at(t).X_WD.homogeneous, X.homogeneous, atol=1e-12)
+    assert np.linalg.norm(X.translation - wanted.X_start.translation) > 0.02
 
 
 def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages():

@@ -45,8 +45,13 @@ def no_type(app: Any, what: str, _name: str, _object: Any, _options: Any, lines:
 def short_aliases(
     _app: Any, _what: str, _name: str, _object: Any, _options: Any, given: str, returned: str
 ) -> tuple[str | None, str | None] | None:
-    """Array, not TypeAliasForwardRef('Array'); a default made when needed is ...."""
+    """Array, not TypeAliasForwardRef('Array'); a default made when needed is ....
+
+    The keys of a scenario have a page of their own.
+    """
     if given is None:  # no function
         return None
+    if hasattr(_object, "model_fields"):
+        return "(keys)", None
     given = given.replace("<factory>", "...")
     return ALIAS.sub(r"\1", given), returned and ALIAS.sub(r"\1", returned)

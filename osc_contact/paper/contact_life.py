@@ -16,7 +16,7 @@ import numpy as np
 from osc_contact.paper.statements import Answer
 from osc_contact.recorder import Recording
 from osc_contact.runs.run import run
-from osc_contact.scenarios import Scenario, load_scenario
+from osc_contact.scenarios import load_scenario
 from osc_contact.spatial import Array
 
 __all__ = [
@@ -200,16 +200,13 @@ def land(seed: int, changes: Sequence[str] = ()) -> Landing:
     rng = np.random.default_rng([seed, 7])
     standoff, tilt = float(rng.uniform(0.003, 0.008)), float(rng.uniform(-0.01, 0.01))
     shift = float(rng.uniform(-0.02, 0.02))
-    data = load_scenario("approach_and_slide", [f"tare.standoff={standoff!r}", *changes]).as_dict()
-    begin = {"type": "constant", "value": shift}
-    data["motion"][0]["signals"].append(begin)
-    lean = [{"type": "constant", "value": tilt}]
-    data["motion"].append({"kind": "angular", "direction": [0.0, 1.0, 0.0], "signals": lean})
-    return Landing(seed, standoff, tilt, run(_scenario(data), seed=seed))
-
-
-def _scenario(data: dict[str, Any]) -> Scenario:
-    return Scenario.model_validate(data).with_source(load_scenario("approach_and_slide").source)
+    scenario = load_scenario("approach_and_slide", [f"tare.standoff={standoff!r}", *changes])
+    slide, *rest = (move.model_dump() for move in scenario.motion)
+    begin, lean = ({"type": "constant", "value": value} for value in (shift, tilt))
+    slide["signals"] = [*slide["signals"], begin]
+    tilted = {"kind": "angular", "direction": [0.0, 1.0, 0.0], "signals": [lean]}
+    scenario = scenario.replaced(motion=[slide, *rest, tilted])
+    return Landing(seed, standoff, tilt, run(scenario, seed=seed))
 
 
 def landings(

@@ -145,7 +145,7 @@ def _fig2(ask: Ask) -> Study:
         "axes": Answer(f"They are {found['axes_deg']:.1f}° apart.", 1.0 < found["axes_deg"] < 89.0),
         "frame": Answer(f"No frame: {frame['reason']}.", not frame["describes_it"]),
     }
-    figures = {"fig2": draw_state(result.rig), "fig2_run": draw_run(result)}
+    figures = {"fig2": draw_state(result.seat), "fig2_run": draw_run(result)}
     return Study(figures, table, found, answers)
 
 

@@ -16,7 +16,7 @@ from osc_contact import robots
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.contacts.pairs.pair import ContactPair, triad
 from osc_contact.contacts.pairs.registry import make_pair
-from osc_contact.scenarios.contact_types import OnFaceSpec
+from osc_contact.scenarios.contact_types import OnFaceSpec, OwnContactSpec
 from osc_contact.scenarios.geometry import PoseSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.touching import FaceMotion
@@ -54,7 +54,10 @@ def build_pairs(scenario: Scenario) -> tuple[ContactPair, ...]:
     poses = {body.name: pose_of(body.pose) for body in scenario.environment}
     world = pin.SE3.Identity()
     return tuple(
-        make_pair(spec, poses.get(getattr(spec, "body", ""), world)) for spec in scenario.contacts
+        spec.pair
+        if isinstance(spec, OwnContactSpec)
+        else make_pair(spec, poses.get(getattr(spec, "body", ""), world))
+        for spec in scenario.contacts
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,20 @@ from osc_contact.scenarios.signals import total
 from osc_contact.scenarios.touching import CartSpec, ConveyorSpec, FaceMotion, HingeSpec
 from osc_contact.spatial import Array
 
-__all__ = ["known_bodies", "rails", "tracked"]
+__all__ = ["OwnMotion", "known_bodies", "rails", "tracked"]
+
+
+@dataclass(frozen=True)
+class OwnMotion:
+    """How a body of the environment moves, told by objects: `motion` in a scenario made in Python.
+
+    Attributes:
+        rail: how the plants move it; driven by any function of time, or free.
+        body: how it answers forces, as far as the controller knows; None: like a face at rest.
+    """
+
+    rail: Rail
+    body: Body | None = None
 
 
 def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail | None]:
@@ -31,20 +45,26 @@ def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail | None]:
     return [None if body.motion is None else _rail(body.name, body.motion) for body in bodies]
 
 
-def _rail(name: str, motion: FaceMotion) -> Rail:
+def _rail(name: str, motion: FaceMotion | OwnMotion) -> Rail:
+    rail = motion.rail if isinstance(motion, OwnMotion) else _described(motion)
+    if rail.motion is not None:
+        (travel, angle), (speed, rate), _ = rail.motion(0.0)
+        if max(map(abs, (travel, angle, speed, rate))) > 1e-9:
+            raise ScenarioError(
+                f"the motion of '{name}' starts at {travel:g} m with {speed:g} m/s and "
+                f"{angle:g} rad with {rate:g} rad/s, away from where the contacts touch; give "
+                "sines a ramp, or use minimum_jerk"
+            )
+    return rail
+
+
+def _described(motion: FaceMotion) -> Rail:
     if isinstance(motion, CartSpec):
         return Rail(np.array(motion.direction), inertia=motion.mass, **_freely(motion))
     if isinstance(motion, HingeSpec):
         axis, through = np.array(motion.axis), np.array(motion.through)
         return Rail(axis=axis, through=through, inertia=motion.inertia, **_freely(motion))
     turn = motion.turn
-    (travel, angle), (speed, rate), _ = _commanded(motion, 0.0)
-    if max(map(abs, (travel, angle, speed, rate))) > 1e-9:
-        raise ScenarioError(
-            f"the motion of '{name}' starts at {travel:g} m with {speed:g} m/s and {angle:g} rad "
-            f"with {rate:g} rad/s, away from where the contacts touch; give sines a ramp, or use "
-            "minimum_jerk"
-        )
     still = np.zeros(3)
     axis, through = (still, still) if turn is None else map(np.array, (turn.axis, turn.through))
     return Rail(np.array(motion.direction), axis, through, partial(_commanded, motion))
@@ -69,7 +89,9 @@ def known_bodies(
     for body in () if ignored else bodies:
         motion = body.motion
         answer: Body | None = None
-        if isinstance(motion, CartSpec):
+        if isinstance(motion, OwnMotion):
+            answer = motion.body
+        elif isinstance(motion, CartSpec):
             answer = Cart(np.array(motion.direction), motion.mass, **_freely(motion))
         elif isinstance(motion, HingeSpec):
             axis, through = np.array(motion.axis), np.array(motion.through)

@@ -133,6 +133,8 @@ class References:
     def over(self, t: Array) -> Plan:
         """The references at many times t (k,), worked out together."""
         x = np.zeros((3, 3, len(t)))  # displacement, velocity, acceleration
+        place = np.zeros((3, 3, len(t)))  # of the origin without linear moves
+        place[0] = self.X_start.translation[:, None]
         turn = None
         for move, direction in zip(self.scenario.motion, self.directions, strict=True):
             s = total_over(move.signals, t)
@@ -141,6 +143,9 @@ class References:
             else:
                 turn = _Turn.start(len(t)) if turn is None else turn
                 turn = turn.then(direction, s)
+                if move.through is not None:
+                    place = _swung(place, direction, np.array(move.through), s)
+        x[1:] += place[1:]
         if self.scenario.tare is not None:
             away = _away(self.scenario.tare, t)
             x += self.standoff[:3, None] * away[:, None]
@@ -153,7 +158,7 @@ class References:
         names = force_names(self.scenario)
         alpha = np.array([total_over(forces[name], t)[0] for name in names])
         return Plan(
-            X_WD=Poses(R, self.X_start.translation[:, None] + x[0]).coordinates(len(t)),
+            X_WD=Poses(R, place[0] + x[0]).coordinates(len(t)),
             V_D=np.concatenate((x[1], spin[0])).T.copy(),
             A_D=np.concatenate((x[2], spin[1])).T.copy(),
             alpha_d=alpha.reshape(len(names), len(t)).T.copy(),
@@ -220,6 +225,17 @@ class _Turn:
             along * s[1] + omega,
             along * s[2] + turned(E, self.omega_dot) + cross(along * s[1], omega),
         )
+
+
+def _swung(place: Array, axis: Array, through: Array, s: Array) -> Array:
+    """A point's (3, 3, k) position, velocity, acceleration once turned by s (3, k) about an axis
+    (3,) through a point (3,) of the world."""
+    along, c = axis[:, None], through[:, None]
+    E, w, w_dot = rotations(along * s[0]), along * s[1], along * s[2]
+    arm, rate, bend = turned(E, place[0] - c), turned(E, place[1]), turned(E, place[2])
+    velocity = cross(w, arm)
+    second = cross(w_dot, arm) + cross(w, velocity) + 2.0 * cross(w, rate) + bend
+    return np.array([c + arm, velocity + rate, second])
 
 
 def _away(tare: TareSpec, t: Array) -> Array:

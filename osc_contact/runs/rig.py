@@ -153,6 +153,7 @@ class Rig:
             friction=self._friction(),
             life=self._life(),
             safety=SafetySettings(**self.scenario.control.safety.model_dump()),
+            laws=self.scenario.laws() if callable(self.scenario.laws) else self.scenario.laws,
         )
 
     def _life(self) -> LifeSettings | None:

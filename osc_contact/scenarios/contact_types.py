@@ -15,7 +15,15 @@ from functools import lru_cache, reduce
 from operator import or_
 from typing import Annotated, Any, ClassVar
 
-from pydantic import Field, PlainValidator, SerializeAsAny, TypeAdapter
+import pinocchio as pin
+from pydantic import (
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    SerializeAsAny,
+    TypeAdapter,
+    model_validator,
+)
 
 from .geometry import Name
 from .quantities import Spec, UnitVec3, Vec3
@@ -31,6 +39,7 @@ __all__ = [
     "OnBodySpec",
     "OnFaceSpec",
     "OnPlaneSpec",
+    "OwnContactSpec",
     "forces_of",
     "magnitude_names",
     "raw_magnitudes",
@@ -80,6 +89,23 @@ class OnPlaneSpec(OnBodySpec):
     """the outward normal of that face [x, y, z] in the body frame"""
 
 
+class OwnContactSpec(OnBodySpec):
+    """A contact whose pair is an object, in scenarios made in Python; its frame E is where the
+    world's is while the body stands where it began."""
+
+    pair: Annotated[Any, PlainSerializer(lambda pair: type(pair).__name__)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named_as_the_pair(cls, data: Any) -> Any:
+        return {"name": data["pair"].name, **data} if isinstance(data, dict) else data
+
+    @property
+    def forces(self) -> int:  # type: ignore[override]
+        """r: one for each gap of the pair."""
+        return len(self.pair.gaps(pin.SE3.Identity()))
+
+
 #: The registered kinds by what `type` calls them.
 CONTACT_TYPES: dict[str, type[ContactSpec]] = {}
 
@@ -90,6 +116,10 @@ def register_contact(kind: type[ContactSpec]) -> None:
 
 
 def _validate(value: Any) -> Any:
+    if isinstance(value, OwnContactSpec):
+        return value
+    if isinstance(value, dict) and hasattr(value.get("pair"), "contact"):
+        return OwnContactSpec.model_validate(value)
     return _reader(tuple(CONTACT_TYPES.values())).validate_python(value)
 
 

@@ -72,7 +72,7 @@ def parse_scenario(
     try:
         scenario = Scenario.model_validate(document.data)
     except ValidationError as error:
-        for place, complaint in complaints(error, document.data):
+        for place, complaint in complaints(error, document.data, Scenario):
             document.report(place, complaint)
         problems.raise_any()
         raise

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import (
     BeforeValidator,
     Field,
@@ -17,14 +19,16 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
+from ..errors import ScenarioError
 from .checks import body_problems, name_problems, timing_problems
 from .contact_types import AnyContact, forces_of
 from .geometry import ArmSpec, GraspSpec, Name, ObjectSpec
 from .hardware import SensorsSpec
-from .quantities import Force, Spec, Time, UnitVec3, refuse
+from .quantities import Force, Spec, Time, UnitVec3, Vec3, refuse
 from .signals import AngleSignal, ForceSignal, LengthSignal
 from .touching import BodySpec
 from .tuning import ControlSpec, GainsSpec, ModelErrorSpec, PlantSpec, TareSpec
+from .wording import complaints
 
 __all__ = ["AngularMove", "LinearMove", "MotionSpec", "Scenario"]
 
@@ -52,6 +56,21 @@ def _no_common_tangent(value: Any) -> Any:
     return value
 
 
+def _take_laws(value: Any) -> Any:
+    if value is None or callable(value) or hasattr(value, "structure"):
+        return value
+    raise refuse(f"expected osc.Laws, or a function that makes them; got {value!r}; no file can")
+
+
+def _plain(value: Any) -> Any:
+    """Lists for arrays and tuples, all the way down."""
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
 class LinearMove(Spec):
     """A translation along a fixed world direction; signals in metres, summed."""
 
@@ -67,11 +86,14 @@ class LinearMove(Spec):
 
 
 class AngularMove(Spec):
-    """A rotation about a fixed world direction; signals in radians, summed."""
+    """A rotation about a fixed world direction; signals in radians, summed.
+
+    About the object's origin, or about a point that linear moves carry along."""
 
     kind: Literal["angular"] = "angular"
     direction: Annotated[UnitVec3, BeforeValidator(_no_common_tangent)]
     """a world axis [x, y, z]"""
+    through: Vec3 | None = None
     signals: Annotated[tuple[AngleSignal, ...], Field(min_length=1)]
     """a list of signals in angles"""
 
@@ -109,6 +131,7 @@ class Scenario(Spec):
     """the plant: type and step"""
     duration: Annotated[Time, Field(gt=0)]
     """the simulated time, such as 10 s"""
+    laws: Annotated[Any, PlainValidator(_take_laws), Field(exclude=True)] = None
 
     _source: Path | None = PrivateAttr(default=None)
 
@@ -128,14 +151,38 @@ class Scenario(Spec):
         copy._source = source
         return copy
 
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], source: Path | None = None) -> Scenario:
+        """Make a scenario in Python.
+
+        Args:
+            data: keys as in a file, SI or text with units; arrays may stand for lists. What no file
+                can hold: `{"pair": object, "body": name}` among contacts, a motion with a `rail`,
+                and `laws`.
+            source: a file beside which URDFs are looked for.
+
+        Raises:
+            ScenarioError: all complaints at once.
+        """
+        plain = _plain(data)
+        try:
+            return cls.model_validate(plain).with_source(source)
+        except ValidationError as error:
+            found = complaints(error, plain, cls)
+            lines = dict.fromkeys(f"{'.'.join(map(str, key))}: {text}" for key, text in found)
+            raise ScenarioError("\n".join(f"scenario: {line}" for line in lines)) from error
+
     def replaced(self, **parts: Any) -> Scenario:
         """The same scenario with some of its keys replaced, checked anew.
 
         Args:
-            parts: values of keys, as plain data or as parts of another scenario.
+            parts: values of keys, as for `from_dict` or parts of another scenario.
+
+        Raises:
+            ScenarioError: the parts do not fit together.
         """
         kept = {key: getattr(self, key) for key in type(self).model_fields}
-        return type(self).model_validate({**kept, **parts}).with_source(self.source)
+        return self.from_dict({**kept, **parts}, self.source)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain JSON-able data (SI) that loads back to an equal scenario."""

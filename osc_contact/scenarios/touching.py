@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, WrapSerializer, WrapValidator
 
 from .geometry import Name, PoseSpec, Text
 from .quantities import Force, Mass, Number, Spec, Torque, UnitVec3, Vec3
@@ -73,7 +74,21 @@ class HingeSpec(Spec):
     preload: Torque = 0.0
 
 
-FaceMotion = Annotated[ConveyorSpec | CartSpec | HingeSpec, Field(discriminator="type")]
+def _take_own(value: Any, read: Callable[[Any], Any]) -> Any:
+    return value if hasattr(value, "rail") else read(value)
+
+
+def _tell_own(value: Any, write: Callable[[Any], Any]) -> Any:
+    return type(value).__name__ if hasattr(value, "rail") else write(value)
+
+
+FaceMotion = Annotated[
+    ConveyorSpec | CartSpec | HingeSpec,
+    Field(discriminator="type"),
+    WrapValidator(_take_own),
+    WrapSerializer(_tell_own),
+]
+"""Or, in a scenario made in Python, an object with a `rail`."""
 
 
 class BodySpec(Spec):

@@ -12,7 +12,6 @@ from pydantic import BaseModel, ValidationError
 from .checks import Problem, did_you_mean, sound_problems
 from .contact_types import CONTACT_TYPES, ContactSpec
 from .document import Key
-from .schema import Scenario
 
 __all__ = ["complaints"]
 
@@ -30,10 +29,10 @@ _TAGS = (
 )
 
 
-def complaints(error: ValidationError, data: Any) -> Iterator[Problem]:
+def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iterator[Problem]:
     """Yield key and text of every complaint; checks across keys run on what is sound."""
     for item in error.errors(include_url=False):
-        place, owner = _locate(item["loc"], data)
+        place, owner = _locate(item["loc"], root)
         context = item.get("ctx", {})
         if item["type"] == "too_short" and len(item["input"]) >= context["min_length"]:
             continue  # long enough but for items that are refused themselves
@@ -80,11 +79,11 @@ def _wording(kind: str, message: str, value: Any, context: Mapping[str, Any]) ->
     return message
 
 
-def _locate(loc: Iterable[str | int], data: Any) -> tuple[Key, type[BaseModel] | None]:
+def _locate(loc: Iterable[str | int], root: type[BaseModel]) -> tuple[Key, type[BaseModel] | None]:
     """Return a pydantic location without its union tags, and the model that owns its last key."""
     place: Key = ()
     owner: type[BaseModel] | None = None
-    options: list[Any] = [Scenario]
+    options: list[Any] = [root]
     for part in loc:
         tagged = [kind for kind in options if len(options) > 1 and part == _tag(kind)]
         if tagged:

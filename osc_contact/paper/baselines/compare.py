@@ -166,11 +166,10 @@ def _whole_task(rig: Rig, law: Law, seed: int, tell: Callable[[float], None]) ->
 
 
 def _on(plant: str, scenario: Scenario) -> Scenario:
-    changes = scenario.as_dict()
-    changes["plant"]["type"] = plant
+    changes: dict[str, Any] = {"type": plant}
     if plant == "rigid":
-        changes["plant"]["step"] = 1.0 / scenario.control.rate
-    return Scenario.model_validate(changes).with_source(scenario.source)
+        changes["step"] = 1.0 / scenario.control.rate
+    return scenario.replaced(plant=scenario.plant.model_dump() | changes)
 
 
 def _pairs(laws: dict[str, Law]) -> Iterator[tuple[str, str]]:

@@ -7,17 +7,17 @@ rigid plant.
 
 from __future__ import annotations
 
-from osc_contact.paper.cone_in_groove.rig import Cone, ConeRig, Groove, build_cone_rig
+from osc_contact.paper.cone_in_groove.geometry import Cone, Groove, Seat, seated_cone
 from osc_contact.paper.cone_in_groove.run import ConeResult, couplings, run
-from osc_contact.paper.cone_in_groove.task import ConeTask
+from osc_contact.paper.cone_in_groove.scenario import cone_scenario
 
 __all__ = [
     "Cone",
     "ConeResult",
-    "ConeRig",
-    "ConeTask",
     "Groove",
-    "build_cone_rig",
+    "Seat",
+    "cone_scenario",
     "couplings",
     "run",
+    "seated_cone",
 ]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from osc_contact.paper.cone_in_groove.rig import ConeRig
+from osc_contact.paper.cone_in_groove.geometry import Seat
 from osc_contact.paper.cone_in_groove.run import ConeResult
 from osc_contact.visual import contact_colour
 from osc_contact.visual.cone_picture import draw_cone_in_groove
@@ -17,11 +17,11 @@ from osc_contact.visual.style import legend, panels, style
 __all__ = ["draw_run", "draw_state"]
 
 
-def draw_state(rig: ConeRig) -> Figure:
+def draw_state(seat: Seat) -> Figure:
     """Cone, groove, t₁, t₂ and the four lines of force that span N."""
-    X, cone, groove = rig.state.X_WO, rig.cone, rig.groove
-    points, directions = rig.wall_forces(X)
-    frame = rig.contact().as_raibert_craig(cone.height)
+    X, cone, groove = seat.X_start, seat.cone, seat.groove
+    points, directions = seat.wall_forces(X)
+    frame = seat.contact().as_raibert_craig(cone.height)
     words = (
         "$t_1$: rotation about the cone's axis",
         "$t_2$: translation along the groove's axis",
@@ -34,9 +34,9 @@ def draw_state(rig: ConeRig) -> Figure:
     )
     return draw_cone_in_groove(
         apex=X.act(cone.apex),
-        axis=cone.seat(groove),
+        axis=seat.axis,
         height=cone.height,
-        half_angle=cone.half_angle(groove),
+        half_angle=seat.half_angle,
         groove=groove.direction,
         normals=groove.normals(),
         points=points,
@@ -75,7 +75,7 @@ def draw_run(result: ConeResult) -> Figure:
         turn.set_title("… while it turns and slides", fontsize=10)
         motion_errors.set(ylabel="true − desired", xlabel="time (s)")
         for ax in axes:
-            for step in result.task.step_times:
+            for step in result.step_times:
                 ax.axvline(step, color="#999999", lw=0.8, ls=":", zorder=1)
         for ax in (forces, turn, slide, motion_errors):
             legend(ax)

@@ -1,27 +1,27 @@
-"""The run: controller and rigid plant, and how far steps of force and motion disturb each other."""
+"""The run of fig. 2, and how far steps of force and motion disturb each other."""
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from osc_contact.contacts.raibert_craig import RaibertCraig
-from osc_contact.control.controller import Controller, Gains
-from osc_contact.control.force import ForceGains
-from osc_contact.control.motion import MotionGains
+from osc_contact.control.controller import Controller
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
-from osc_contact.paper.cone_in_groove.rig import ConeRig, build_cone_rig
-from osc_contact.paper.cone_in_groove.task import ConeTask
+from osc_contact.paper.cone_in_groove.geometry import Seat, seated_cone
+from osc_contact.paper.cone_in_groove.scenario import PERIOD, STEP_TIMES, cone_scenario
 from osc_contact.plants.rigid import RigidPlant
+from osc_contact.runs.loop import Witness, run_loop
+from osc_contact.runs.rig import build_rig
+from osc_contact.runs.run import start
 from osc_contact.spatial import Array
 
 __all__ = ["ConeResult", "couplings", "run"]
 
-PERIOD = 1e-3  #: s
 SETTLE_S = 0.5  #: judged from here on
 
 
@@ -30,7 +30,7 @@ class ConeResult:
     """What one run gave.
 
     Attributes:
-        rig, task: of the run.
+        seat: where the cone lies. step_times: of the wall forces (s).
         t: (k,) s.
         wall_d, wall: (k, 4) desired and true pushes at the ends of the lines of contact (N), just
             after the torques have changed: the difference is what the arm's motion makes of them
@@ -42,8 +42,8 @@ class ConeResult:
         status: (k,) of the controller.
     """
 
-    rig: ConeRig
-    task: ConeTask
+    seat: Seat
+    step_times: tuple[float, ...]
     t: Array
     wall_d: Array
     wall: Array
@@ -58,7 +58,7 @@ class ConeResult:
     @property
     def raibert_craig(self) -> RaibertCraig:
         """The nearest constraint frame at the start, moments over the cone's height about O."""
-        return self.rig.contact().as_raibert_craig(self.rig.cone.height)
+        return self.seat.contact().as_raibert_craig(self.seat.cone.height)
 
     def as_dict(self) -> dict[str, Any]:
         """The verdict, for JSON."""
@@ -68,8 +68,8 @@ class ConeResult:
         frame = self.raibert_craig
         bend = self.N[2:] - 2 * self.N[1:-1] + self.N[:-2]
         return {
-            "r": self.rig.contact().r,
-            "axes_deg": float(np.rad2deg(self.rig.cone.inclination)),
+            "r": self.seat.contact().r,
+            "axes_deg": float(np.rad2deg(self.seat.inclination)),
             "raibert_craig": {
                 "describes_it": bool(frame),
                 "reason": frame.reason,
@@ -92,8 +92,36 @@ class ConeResult:
         }
 
 
-def run(duration: float = 5.0, task: ConeTask | None = None, probe_s: float = 0.05) -> ConeResult:
+class _ConeWitness(Witness):
+    """Keeps N as the controller had it, too, and probes the coupling now and then."""
+
+    def __init__(self, plant: RigidPlant, controller: Controller, R: Array, every: int) -> None:
+        super().__init__(plant, controller)
+        self.rigid, self.R, self.every = plant, R, every
+        self.N: list[Array] = []
+        self.probes: list[tuple[list[float], list[float]]] = []
+
+    def append(
+        self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
+    ) -> None:
+        self.N.append(self.controller.last_signals().contact.N)
+        if len(self.N) % self.every == 0:
+            probed = copy(self.controller)
+            self.probes.append(couplings(probed, self.rigid, measurement, reference, self.R))
+        super().append(measurement, reference, tau, seconds)
+
+
+def run(
+    duration: float = 5.0,
+    step_times: tuple[float, ...] = STEP_TIMES,
+    moving: bool = True,
+    probe_s: float = 0.05,
+) -> ConeResult:
     """Run the task on the rigid plant at 1 kHz, probing the coupling every `probe_s` seconds.
+
+    Args:
+        duration, step_times, moving: as in `cone_scenario`.
+        probe_s: s.
 
     Raises:
         InvalidInputError: too short to be judged, or probe_s not positive.
@@ -103,37 +131,31 @@ def run(duration: float = 5.0, task: ConeTask | None = None, probe_s: float = 0.
             f"duration {duration} s, probe_s {probe_s} s: a run is judged from t = {SETTLE_S:g} s; "
             f"run it longer, and probe not more often than every {PERIOD:g} s"
         )
-    task = ConeTask(build_cone_rig()) if task is None else task
-    rig = task.rig
-    plant = RigidPlant(rig.chain, [rig.pair], PERIOD)
-    plant.reset(rig.q_start)
-    plant.hold(_controller(rig).tick(plant.measure(), task.at(0.0)))
-    controller = _controller(rig)
-    to_pair = rig.from_wall_forces
-    to_walls = np.linalg.inv(to_pair)
-    rows: list[tuple[Any, ...]] = []
-    probes: list[tuple[list[float], list[float]]] = []
-    every = round(probe_s / PERIOD)
-    for k in range(round(duration / PERIOD)):
-        t = k * PERIOD
-        reference, measurement = task.at(t), plant.measure()
-        if k % every == every - 1:
-            probes.append(couplings(controller, plant, measurement, reference, to_pair))
-        tau = controller.tick(measurement, reference)
-        N = controller.last_signals().contact.N
-        plant.hold(tau)  # rigid contacts answer at once
-        truth = plant.truth()
-        power = float((N @ truth.alpha) @ truth.V_O)
-        rows.append(
-            (t, task.wall_forces(t), to_walls @ truth.alpha, task.motions(t)[:, 0],
-             _motion(rig, truth.X_WO), power, N, int(controller.status))
-        )  # fmt: skip
-        plant.command(tau, PERIOD)
-    names = ("t", "wall_d", "wall", "motion_d", "motion", "power", "N", "status")
-    columns = {name: np.array(c) for name, c in zip(names, zip(*rows, strict=True), strict=True)}
-    to_motion, to_force = (np.array(part) for part in zip(*probes, strict=True))
+    seat = seated_cone()
+    rig = build_rig(cone_scenario(seat, duration, step_times, moving))
+    plant, controller = start(rig)
+    assert isinstance(plant, RigidPlant)
+    t = np.arange(round(duration / PERIOD)) * PERIOD
+    plan = rig.references.over(t)
+    witness = _ConeWitness(plant, controller, seat.from_wall_forces, round(probe_s / PERIOD))
+    run_loop(plant, controller, plan, recorder=witness)
+    to_walls = np.linalg.inv(seat.from_wall_forces).T
+    alpha, N = np.array([truth.alpha for truth in witness.truths]), np.array(witness.N)
+    V_O = np.array([truth.V_O for truth in witness.truths])
+    to_motion, to_force = (np.array(part) for part in zip(*witness.probes, strict=True))
     return ConeResult(
-        rig=rig, task=task, force_to_motion=to_motion, motion_to_force=to_force, **columns
+        seat,
+        step_times,
+        t,
+        wall_d=plan.alpha_d @ to_walls,
+        wall=alpha @ to_walls,
+        motion_d=np.array([seat.motion(reference.X_WD) for reference in plan]),
+        motion=np.array([seat.motion(truth.X_WO) for truth in witness.truths]),
+        power=np.einsum("kir,kr,ki->k", N, alpha, V_O),
+        N=N,
+        force_to_motion=to_motion,
+        motion_to_force=to_force,
+        status=np.array(witness.status),
     )
 
 
@@ -178,16 +200,3 @@ def couplings(
         a, f = answer(replace(reference, A_D=reference.A_D + step))
         to_force.append(size(step, f - f_0)[1] / size(step, f)[0])
     return to_motion, to_force
-
-
-def _controller(rig: ConeRig) -> Controller:
-    gains = Gains(MotionGains(stiffness=400.0, damping=40.0), ForceGains(integral=20.0))
-    return Controller(rig.chain, [rig.pair], gains, dt=PERIOD, posture=rig.q_start)
-
-
-def _motion(rig: ConeRig, X: pin.SE3) -> Array:
-    """(2,) how far the cone has turned about its axis (rad) and slid along the groove (m)."""
-    start, cone, groove = rig.state.X_WO, rig.cone, rig.groove
-    turned = pin.log3(X.rotation @ start.rotation.T) @ cone.seat(groove)
-    slid = (X.act(cone.apex) - start.act(cone.apex)) @ groove.direction
-    return np.array([turned, slid])

@@ -1,0 +1,178 @@
+"""Scenarios made in Python: pairs, moving bodies and laws of one's own, on both plants."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import osc_contact as osc
+from osc_contact.dynamics.rail import Conveyor
+
+PLANTS = ("rigid", "mujoco")
+SAME = ("q", "tau", "pose", "alpha_true", "alpha_meas", "N", "closed", "contact_point", "face_pose")
+
+
+@dataclass(frozen=True)
+class Tip:
+    """A round tip on a plane, written from first principles: gap = n·(x − p) − ρ."""
+
+    name: str
+    tip: np.ndarray
+    point: np.ndarray
+    normal: np.ndarray
+    radius: float
+    pushes = True
+
+    @property
+    def surface_point(self):
+        return self.point
+
+    def _at(self, X_WE):
+        if X_WE is None:
+            return self.point, self.normal
+        return X_WE.act(self.point), X_WE.rotation @ self.normal
+
+    def contact(self, X_WO, V_O, X_WE=None, V_E=None):
+        _, n = self._at(X_WE)
+        r, w = X_WO.rotation @ self.tip, V_O[3:]
+        turning = np.cross(w, V_O[:3] + np.cross(w, r))  # of a spatial acceleration
+        N = -np.concatenate((n, np.cross(r, n)))
+        assert V_E is None or not np.any(V_E)
+        return osc.Contact(N[:, None], [n @ turning], name=self.name)
+
+    def gaps(self, X_WO, X_WE=None):
+        p, n = self._at(X_WE)
+        return np.array([n @ (X_WO.act(self.tip) - p) - self.radius])
+
+
+def rod(plant, **changes):
+    changes = {"control.rate": "500 Hz", "plant.type": plant, "duration": "0.04 s", **changes}
+    changes.setdefault("plant.step", "2 ms" if plant == "rigid" else "0.25 ms")
+    return osc.load_scenario("two_contact_rod", changes)
+
+
+def on_bodies(scenario, pairs):
+    """The same contacts on bodies of the environment instead of faces of their own."""
+    bodies = [
+        {"name": body.name, "urdf": "face.urdf",
+         "pose": {"xyz": body.placement.translation, "rpy": osc_rpy(body.placement)}}
+        for body in osc.build_rig(scenario).bodies
+    ]  # fmt: skip
+    contacts = [
+        {"pair": pair, "body": body["name"]} for pair, body in zip(pairs, bodies, strict=True)
+    ]
+    return scenario.replaced(environment=bodies, contacts=contacts)
+
+
+def osc_rpy(X):
+    import pinocchio as pin
+
+    return pin.rpy.matrixToRpy(X.rotation)
+
+
+def assert_same(ours, theirs, atol=1e-7):
+    assert ours.channels.keys() == theirs.channels.keys()
+    for name in SAME:
+        np.testing.assert_allclose(ours[name], theirs[name], rtol=0, atol=atol, err_msg=name)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_pairs_of_ones_own(plant):
+    plain = rod(plant)
+    pairs = [Tip(p.name, p.vertex, p.point, p.normal, p.radius) for p in osc.build_rig(plain).pairs]
+    own = on_bodies(plain, pairs)
+    ours, theirs = osc.run(own), osc.run(plain)
+    assert_same(ours, theirs, 1e-6)
+    assert ours.magnitude_names == ["left_end", "right_end"] and not ours["status"].any()
+    contact = json.loads(json.dumps(ours.meta["scenario"]))["contacts"][0]
+    assert contact == {"name": "left_end", "body": "face_left_end", "pair": "Tip"}
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_bodies_of_ones_own(plant):
+    """A face driven by a function, and what the controller makes of it, as of a conveyor."""
+    direction = np.array([-0.904196, -0.361677, 0.227199])
+    direction /= np.linalg.norm(direction)
+    signal = {"type": "minimum_jerk", "value": 0.005, "start": 0.0, "duration": 0.05}
+    changes = {"control.rate": "500 Hz", "duration": "0.04 s", "plant.type": plant}
+    changes["plant.step"] = "2 ms" if plant == "rigid" else "0.25 ms"
+    scenario = osc.load_scenario("moving_face", changes)
+
+    def with_motion(motion):
+        left, right = (contact.model_dump() for contact in scenario.contacts)
+        left["face"]["motion"] = motion
+        return scenario.replaced(contacts=[left, right])
+
+    def drive(t):
+        u = min(t / 0.05, 1.0)
+        s = 0.005 * u**3 * (10 - 15 * u + 6 * u * u)
+        v = 0.005 * 30 * u**2 * (1 - u) ** 2 / 0.05
+        a = 0.005 * 60 * u * (1 - u) * (1 - 2 * u) / 0.05**2
+        return np.array([[s, 0.0], [v, 0.0], [a, 0.0]])
+
+    answered = []
+
+    class Belt:
+        def environment(self, X_WE, V_E, A_E, O):  # noqa: E741
+            answered.append(V_E)
+            return Conveyor().environment(X_WE, V_E, A_E, O)
+
+    own = osc.OwnMotion(osc.Rail(direction, motion=drive), Belt())
+    packaged = {"type": "conveyor", "direction": direction, "signals": [signal]}
+    ours, theirs = osc.run(with_motion(own)), osc.run(with_motion(packaged))
+    assert_same(ours, theirs, 1e-6)
+    assert answered and np.ptp(ours["face_pose"][:, 0, :3], axis=0).max() > 1e-3
+    late = osc.OwnMotion(osc.Rail(direction, motion=lambda t: drive(t + 0.02)))
+    with pytest.raises(osc.ScenarioError, match="away from where the contacts touch"):
+        osc.build_rig(with_motion(late)).plant()
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_laws_of_ones_own(plant):
+    plain, made = rod(plant), []
+
+    class Proportional:
+        def __init__(self):
+            made.append(self)
+            self.calls = 0
+
+        def __call__(self, desired, measured):
+            self.calls += 1
+            return desired + 0.2 * (desired - measured)
+
+    own = plain.replaced(laws=lambda: osc.Laws(force=Proportional()))
+    ours = osc.run(own)
+    theirs = osc.run(plain, install=lambda c: c.with_laws(force=Proportional()))
+    assert_same(ours, theirs, 0.0)
+    assert [law.calls for law in made] == [20, 1, 20, 1], "every controller has its own"
+    with pytest.raises(AssertionError):
+        assert_same(ours, osc.run(plain), 1e-6)
+
+
+def test_a_scenario_from_a_dict_is_that_of_the_file():
+    loaded = osc.load_scenario("two_contact_rod")
+    data = loaded.as_dict() | {"duration": "10 s"}
+    data["object"]["pose"]["xyz"] = np.array(data["object"]["pose"]["xyz"])
+    assert osc.Scenario.from_dict(data) == loaded
+    assert loaded.replaced() == loaded and loaded.replaced().source == loaded.source
+    assert loaded.replaced(duration=2.0).duration == 2.0
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        ({"duration": -1.0}, "duration: must be > 0"),
+        ({"gains": {"motion": {}, "force": {"integral": 1}}}, "gains.motion: the key 'stiffness'"),
+        ({"durations": 1.0}, "did you mean 'duration'"),
+        ({"force": {"middle": [{"type": "constant", "value": 1}]}}, "middle"),
+        ({"laws": "proportional"}, "expected osc.Laws"),
+        ({"contacts": [{"pair": "cone", "body": "groove"}]}, "the key 'type' is missing"),
+        ({"contacts": [{"pair": osc.Free(), "body": "table"}], "force": {}}, "environment"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_told_as_for_a_file(parts, words):
+    with pytest.raises(osc.ScenarioError, match=words):
+        osc.load_scenario("two_contact_rod").replaced(**parts)
