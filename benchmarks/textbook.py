@@ -53,6 +53,7 @@ class TextbookLaw:
             J = shift @ pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)[:, s]
             drift = pin.getFrameAcceleration(model, data, tip, pin.LOCAL_WORLD_ALIGNED)
             M, h, gamma = data.M[s, s], data.nle[s], shift @ drift.vector
+            h = h + model.damping[s] * v[s]  # viscous friction; dry friction is left out
             Minv = inv(M)
             Lambda = pinv(J @ Minv @ J.T, rcond=1e-9)
             arms.append((s, J, M, h, gamma, Lambda, Minv @ J.T @ Lambda))

@@ -71,6 +71,7 @@ class Controller(ControllerCopies):
         laws: Laws | None = None,
         posture_task: PostureTask | None = None,
         safety: SafetySettings | None = None,
+        joint_friction: bool = True,
     ) -> None:
         """Assemble the loops.
 
@@ -91,6 +92,8 @@ class Controller(ControllerCopies):
             laws: of the user's own, in place of force law, motion law or control structure.
             posture_task: what redundant arms do with joints they do not need.
             safety: when ticks that cannot be computed end in a hold, and in a stop.
+            joint_friction: whether to make up for the friction and damping of the joints that the
+                model names.
 
         Raises:
             InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
@@ -110,6 +113,7 @@ class Controller(ControllerCopies):
                 friction,
                 life,
                 SafetySettings() if safety is None else safety,
+                joint_friction,
             ),
             Laws() if laws is None else laws,
         )

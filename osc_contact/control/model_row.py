@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 __all__ = ["Bytes", "ModelRow", "records"]
 
 Bytes = NDArray[np.uint8]
+#: Speed of a joint from which on its dry friction counts as fully developed (rad/s, m/s).
+TURNING_SLIP, SLIDING_SLIP = 1e-3, 3e-4
 
 
 def records(raw: Bytes, start: int, count: int, dtype: np.dtype[Any]) -> Any:
@@ -193,6 +195,8 @@ class ModelRow:
         for name in ("low", "high", "width", "most"):
             rows[name][:] = getattr(limits, name)
         rows.armature[:] = model.armature
+        rows.viscous[:], rows.dry[:] = model.damping, model.upperDryFrictionLimit
+        self.head.rubs = settings.joint_friction and bool(rows.viscous.any() or rows.dry.any())
         firsts = {part.start for part in chain.slices}
         for j, row in enumerate(rows):
             joint = model.joints[j + 1]
@@ -200,6 +204,7 @@ class ModelRow:
             if joint.idx_v != j or parent != (0 if j in firsts else j):
                 raise ModelError(f"joint '{model.names[j + 1]}' does not follow the one before it")
             row.slides = joint.shortname().startswith("JointModelP")
+            row.slip = SLIDING_SLIP if row.slides else TURNING_SLIP
             before = pin.SE3.Identity() if parent == 0 else _z_frame(model, parent)
             X = before.actInv(model.jointPlacements[j + 1]) * _z_frame(model, j + 1)
             row.placement[:] = _flat_pose(X)

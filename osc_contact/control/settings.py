@@ -72,6 +72,7 @@ class Settings:
     friction: Friction | None = None
     phases: LifeSettings | None = None
     safety: SafetySettings = field(default_factory=SafetySettings)
+    joint_friction: bool = True
 
     def __post_init__(self) -> None:
         chain = self.chain

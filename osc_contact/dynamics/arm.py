@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
+from osc_contact.dynamics.motors import PerJoint, with_joints
 from osc_contact.errors import ModelError
 from osc_contact.spatial import Array
 
@@ -52,6 +53,10 @@ class Arm:
         locked: Mapping[str, float] | None = None,
         mass_factor: float = 1.0,
         effort_factor: float = 1.0,
+        armature: PerJoint | None = None,
+        damping: PerJoint | None = None,
+        friction: PerJoint | None = None,
+        friction_factor: float = 1.0,
     ) -> Arm:
         """Load an arm; joints that do not move the tip (fingers) are locked where they stand.
 
@@ -66,6 +71,11 @@ class Arm:
             locked: positions of joints to hold fixed (m, rad); others off the path use neutral.
             mass_factor: multiplies every link mass and inertia (to study model error).
             effort_factor: multiplies every effort limit (to study weak motors).
+            armature: rotor inertia as felt at the joints (kg m²; kg of a sliding one), instead of
+                the model's. A number for all joints on the way to the tip, or one for each of them.
+            damping: the same for viscous friction (N m s/rad; N s/m).
+            friction: the same for dry friction (N m; N).
+            friction_factor: multiplies both (to study model error).
 
         Raises:
             ModelError: unreadable or impossible URDF, unknown frame or joint, no moving joint.
@@ -86,6 +96,9 @@ class Arm:
             model = model.copy()
             model.upperEffortLimit = model.upperEffortLimit * effort_factor
             model.lowerEffortLimit = model.lowerEffortLimit * effort_factor
+        given = {"armature": armature, "damping": damping, "friction": friction}
+        given = {key: x for key, x in given.items() if x is not None}
+        model = with_joints(model, given, friction_factor)
         X_WB = pin.SE3.Identity() if base is None else base
         still = {j: held.get(j, 0.0) for j in every_joint if j not in list(model.names)}
         return cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor, still)

@@ -22,7 +22,7 @@ from osc_contact import robots
 from osc_contact.dynamics.arm import Arm, ArmTerms, arm_terms
 from osc_contact.dynamics.grasp import Grasp
 from osc_contact.dynamics.held_object import locate, object_twist
-from osc_contact.dynamics.motors import effort_limits
+from osc_contact.dynamics.motors import effort_limits, heaviest_rotor, rotor_inertia
 from osc_contact.dynamics.outboard import (
     OutboardLink,
     columns_at,
@@ -32,7 +32,13 @@ from osc_contact.dynamics.outboard import (
     outboard_terms,
 )
 from osc_contact.dynamics.payload import ObjectTerms, RigidObject
-from osc_contact.dynamics.singular import Fading, fading_of, full_rank, reference_inertia
+from osc_contact.dynamics.singular import (
+    GYRATION,
+    Fading,
+    fading_of,
+    full_rank,
+    reference_inertia,
+)
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array, as_array, cross_twist
 
@@ -104,7 +110,7 @@ class ClosedChain:
         actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits, inf
             where a model names none.
         tips, sensors: frame of each arm's tip and wrist sensor (None: it has none).
-        outboard: links beyond each sensor. arm_mass: of the heaviest arm.
+        outboard: links beyond each sensor. arm_mass: of the heaviest arm, rotors included.
         reference: the object, or its stand-in for rank decisions. full_ranks: as in `ChainState`.
     """
 
@@ -172,7 +178,10 @@ class ClosedChain:
         )
         self.tau_max = effort_limits(self.model, self.actuated)
         self.full_ranks = tuple(full_rank(arm.model, arm.tip) for arm in arms)
-        self.arm_mass = max(sum(i.mass for i in arm.model.inertias) for arm in self.arms)
+        self.arm_mass = max(
+            sum(i.mass for i in arm.model.inertias) + heaviest_rotor(arm.model, GYRATION)
+            for arm in self.arms
+        )
         self.tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
         self.sensors = [
             None
@@ -387,7 +396,7 @@ class ClosedChain:
 
 
 def _merge(arms: Sequence[Arm]) -> pin.Model:
-    merged = pin.Model()
+    merged, carried = pin.Model(), []
     for arm in arms:
         model = arm.model.copy()
         for j in range(1, model.njoints):
@@ -395,6 +404,8 @@ def _merge(arms: Sequence[Arm]) -> pin.Model:
         for frame in list(model.frames)[1:]:
             frame.name = f"{arm.name}/{frame.name}"
         merged = pin.appendModel(merged, model, 0, arm.base)
+        carried.append(rotor_inertia(model))
+    merged.armature = np.concatenate(carried)  # Pinocchio 4.1 does not carry it over
     if merged.nq != merged.nv:
         raise InvalidInputError(
             "joints with nq ≠ nv are not supported; robots.load_model makes continuous joints "

@@ -111,6 +111,8 @@ def _add_arm(chain, arm, table, work, own, joints, locked, row):
         locked[k, 6] = dot6(locked[k], own.gamma)
         for i in range(6):
             own.resisted[k - row, i] = locked[k, i]
+    if chain.rubs != 0:
+        _add_friction(arm, table, joints, work)
     for j in range(lo, arm.end):
         joints[j].offset = -dot6(joints[j].J_bar, own.gamma)
     for i in range(6):
@@ -127,6 +129,24 @@ def _add_arm(chain, arm, table, work, own, joints, locked, row):
         else:
             _add_outboard(arm, own, joints, work)
     return NO_REASON, count
+
+
+@inner
+def _add_friction(arm, table, joints, work):
+    """h += D v + F s/√(s² + s_0²), with the wanted speeds s = v + J̄ (V_D − V).
+
+    They turn round when the joints do, without the noise of v; of v only what does not move the
+    object is in them.
+    """
+    lag = work.y
+    for i in range(6):
+        lag[i] = work.V_D[i] - work.V_O[i]
+    carry_motion(lag, work.O, work.C, lag)
+    energy_motion(work.axes, lag, lag)
+    for j in range(arm.first, arm.end):
+        row, v = table[j], joints[j].v
+        s = v + dot6(joints[j].J_bar, lag)
+        joints[j].h += row.viscous * v + row.dry * s / sqrt(s * s + row.slip * row.slip)
 
 
 @leaf

@@ -48,6 +48,7 @@ CHAIN = _record(
         "n_extra",  # rows that the torque allocation may need beside f_S
         "held", "metric", "slipping",  # whether some grasp permits motions
         "leader",  # arm that holds rigidly, or −1
+        "rubs",  # whether friction of joints is made up for
         "phased",  # whether contacts are opened and closed one by one
         "repeats", "fault_ticks", "fast_ticks",  # see `safety`
         "row_bytes", "arms_at", "joints_at", "pairs_at", "shapes_at", "columns_at", "bodies_at",
@@ -91,6 +92,7 @@ JOINT = _record(
         "tau_max", "speed_max",
         "effort", "ease",  # τ_max², 1/τ_max²; 0 without motor
         "armature", "posture", "low", "high", "width", "most",  # see `control.joint_limits`
+        "viscous", "dry", "slip",  # friction, and the speed from which on the dry one is whole
     ),
     placement=12,  # in the joint before it, or in the world: rotation by rows, then point
     link=10,  # mass, centre, inertia about it (xx, xy, xz, yy, yz, zz)

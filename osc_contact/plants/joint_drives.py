@@ -111,7 +111,7 @@ def add_drives(mujoco: Any, spec: Any, names: Sequence[str], drives: JointDrives
     for i, name in enumerate(names):
         joint = spec.joint(name)
         if drives.friction is not None:
-            joint.frictionloss = float(drives.friction[i])
+            joint.frictionloss += float(drives.friction[i])
         if drives.flexible is None:
             continue
         joint.armature = float(drives.flexible.motor_inertia[i])

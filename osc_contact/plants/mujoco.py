@@ -70,7 +70,8 @@ class MujocoPlant:
         """Compile the scene.
 
         Args:
-            chain: the true arms and grasps; only names, frames and poses are taken from it.
+            chain: the true arms and grasps; names, frames, poses and what rotors and friction
+                add to the joints are taken from it.
             arm_urdfs: one file for each arm. object_urdf: the held object.
             contacts: what true forces are expressed in; what touches is the geometry's business.
             bodies: URDF and pose in the world of each body of the environment.

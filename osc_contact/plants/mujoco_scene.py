@@ -3,7 +3,7 @@
 The object hangs on the first arm's gripper, welded or by a joint of the grasp's kind; equality
 constraints tie it to the others: a weld, one point (ball) or two points of an axis (hinge). Only
 the object and the bodies of the environment touch, with the collision geometry of their URDFs and
-soft enough not to chatter; joints have neither damping nor friction.
+soft enough not to chatter. Rotor inertia, damping and friction of the joints are the chain's.
 """
 
 from __future__ import annotations
@@ -77,6 +77,7 @@ def scene(
         spec.attach(part, prefix=f"{arm.name}/", frame=_frame(spec.worldbody, arm.base))
         if arm.wrist_sensor is not None:
             _wrist_sensor(mujoco, spec, arm.name, arm.wrist_sensor)
+    _joint_numbers(spec, chain)
     for index in chain.actuated:
         name = chain.joint_names[index]
         limit = float(chain.model.upperEffortLimit[index])
@@ -113,6 +114,17 @@ def _lock(mujoco: Any, part: Any, joint: Any, position: float) -> None:
         mujoco.mju_mulQuat(held, body.quat, turn)
         body.quat = held
     part.delete(joint)
+
+
+def _joint_numbers(spec: Any, chain: ClosedChain) -> None:
+    """Rotor inertia, damping and dry friction of every joint, as the chain has them."""
+    model = chain.model
+    for i, name in enumerate(chain.joint_names):
+        joint = spec.joint(name)
+        joint.armature, joint.damping = float(model.armature[i]), [model.damping[i], 0.0, 0.0]
+        joint.frictionloss = dry = float(model.upperDryFrictionLimit[i])
+        if dry > 0.0:  # MuJoCo's own 20 ms would turn it round 10 ms before the joint
+            joint.solref_friction = [2 * spec.option.timestep, 1.0]
 
 
 def _frame(body: Any, X: pin.SE3) -> Any:

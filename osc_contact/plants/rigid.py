@@ -32,6 +32,7 @@ from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
 from osc_contact.plants.faces import Rail, poses, touched
+from osc_contact.plants.joint_losses import JointLosses
 from osc_contact.plants.judge import Truth, Watched
 from osc_contact.plants.wrist_cut import wrist_cut
 from osc_contact.spatial import (
@@ -87,6 +88,7 @@ class RigidPlant:
             else wrist_cut(chain.model, f"{arm.name}/{arm.wrist_sensor}")
             for arm in chain.arms
         ]  # fmt: skip
+        self._losses = JointLosses.of(self.model)
         self.data = self.model.createData()
         self.q = np.zeros(chain.nq)
         self.v = np.zeros(chain.nq)
@@ -147,7 +149,7 @@ class RigidPlant:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
         self.hold(tau)
         for _ in range(max(1, round(duration / self.dt))):
-            solution = self._solve(self._tau)
+            solution = self._solve(self._tau, ahead=self.dt)
             v = self.v + solution.qdd * self.dt
             q = self.q + 0.5 * (self.v + v) * self.dt
             if not (np.isfinite(q).all() and np.abs(v).max() < 1e3):
@@ -227,8 +229,11 @@ class RigidPlant:
 
     # --- dynamics --------------------------------------------------------------------------------
 
-    def _solve(self, tau: Array, with_wrenches: bool = False) -> _Solution:
-        """All joints and free bodies at once, one multiplier for each row of loops and contacts."""
+    def _solve(self, tau: Array, with_wrenches: bool = False, ahead: float = 0.0) -> _Solution:
+        """All joints and free bodies at once, one multiplier for each row of loops and contacts.
+
+        Joint friction is that of the velocities `ahead` (s) of now, to first order.
+        """
         chain, n = self.chain, self.chain.nq
         pin.computeAllTerms(self.model, self.data, self.q, self.v)
         X, V = self._object()
@@ -256,9 +261,9 @@ class RigidPlant:
         k = sum(map(len, right))
         rows.append(N.T @ first)
         right.append(n_gamma - N.T @ gamma_O + on_faces)
-        force = -self.data.nle
+        force = -self.data.nle - self._losses.torque(self.v)
         force[chain.actuated] += tau
-        M = np.array(self.data.M)
+        M = np.array(self.data.M) + ahead * np.diag(self._losses.slope(self.v))
         if chain.leader is None:
             body = self._body(X, V)
             force = np.concatenate((force, -body.mu - body.p))

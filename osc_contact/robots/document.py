@@ -53,13 +53,17 @@ class Joint:
 
 @dataclass(slots=True, eq=False)
 class Document:
-    """A URDF whose words and numbers are sound; `findings` holds what is not."""
+    """A URDF whose words and numbers are sound; `findings` holds what is not.
+
+    `rotors`: by joint, inertia of its motor's rotor (kg m²) and gear ratio, as transmissions say.
+    """
 
     file: Path
     name: str
     root: Element
     links: dict[str, Link] = field(default_factory=dict)
     joints: dict[str, Joint] = field(default_factory=dict)
+    rotors: dict[str, tuple[float, float]] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
 
     def add(self, check: str, element: Element, reason: str, cure: str = "", key: str = "") -> None:

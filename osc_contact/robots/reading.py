@@ -1,7 +1,8 @@
 """From XML to links and joints with numbers; every word and number is checked.
 
 Words that look like a misspelt word of URDF are refused, because every reader would skip them in
-silence. Extensions of simulators (gazebo, transmission, …) are passed over.
+silence. Extensions of simulators (gazebo, …) are passed over; of transmissions only rotor inertia
+and gear ratio are read.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import TypeVar
 
 from osc_contact.robots.document import Document, Inertial, Joint, Link, Vector
 from osc_contact.robots.findings import suggest
-from osc_contact.robots.words import check_words, number, vector
+from osc_contact.robots.words import check_words, content, number, vector
 from osc_contact.robots.xml_tree import Element, parse
 
 __all__ = ["MAX_NAME", "read_document"]
@@ -42,7 +43,27 @@ def read_document(file: Path, data: bytes) -> Document:
         _keep(document, document.links, _link(document, element))
     for element in joints:
         _keep(document, document.joints, _joint(document, element))
+    for element in root.findall("transmission"):
+        _read_rotor(document, element)
     return document
+
+
+def _read_rotor(document: Document, element: Element) -> None:
+    """Rotor inertia and gear ratio of the joint of a transmission with one joint and one motor."""
+    joints, motors = element.findall("joint"), element.findall("actuator")
+    if len(joints) != 1 or len(motors) != 1:
+        return
+    inertia, ratio = 0.0, 1.0
+    for part in (*joints, *motors):
+        for child in part.children:
+            if child.tag == "mechanicalReduction":
+                ratio = content(document, child)
+            elif child.tag == "rotorInertia":
+                inertia = content(document, child)
+                if inertia < 0.0:
+                    document.add("joint", child, f"rotor inertia {inertia:g} is negative",
+                                 "write a value ≥ 0")  # fmt: skip
+    document.rotors[joints[0].get("name") or ""] = (inertia, ratio)
 
 
 def _keep(document: Document, kept: dict[str, Part], one: Part) -> None:

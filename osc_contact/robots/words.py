@@ -9,7 +9,7 @@ import re
 from osc_contact.robots.document import Document
 from osc_contact.robots.xml_tree import Element
 
-__all__ = ["check_words", "number", "vector"]
+__all__ = ["check_words", "content", "number", "vector"]
 
 _HUGE = 1e9
 """No length, mass, moment or angle of a robot is larger, in any unit anybody uses."""
@@ -78,6 +78,11 @@ def number(document: Document, element: Element, key: str, default: float | None
         document.add("number", element, f"{key} is missing", f'write {key}="…"')
         return 0.0
     return _value(document, element, key, text.strip())
+
+
+def content(document: Document, element: Element) -> float:
+    """The finite number that an element holds between its tags."""
+    return _value(document, element, element.tag, element.text.strip())
 
 
 def vector(

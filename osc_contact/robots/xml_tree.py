@@ -35,6 +35,7 @@ class Element:
     column: int
     parent: Element | None = None
     children: list[Element] = field(default_factory=list)
+    text: str = ""
 
     def get(self, key: str, default: str | None = None) -> str | None:
         """An attribute."""
@@ -122,13 +123,18 @@ def parse(file: Path, data: bytes) -> Element:
     def end(tag: str) -> None:
         stack.pop()
 
+    def text(data: str) -> None:
+        if stack:
+            stack[-1].text += data
+
     def doctype(name: str, system: str | None, public: str | None, internal: int) -> None:
         _stop(file, "xml", parser.CurrentLineNumber, parser.CurrentColumnNumber + 1,
               "<!DOCTYPE> is refused: a robot needs no document type and no entities",
               "delete it and write entities out")  # fmt: skip
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.StartDoctypeDeclHandler = doctype
+    parser.StartDoctypeDeclHandler, parser.CharacterDataHandler = doctype, text
+    parser.buffer_text = True
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:

@@ -48,6 +48,11 @@ def flexible_joints(
     spec = scenario.plant.flexible_joints
     if spec is None:
         return None
+    if np.array(chain.model.armature)[chain.actuated].any():
+        raise ScenarioError(
+            "the rotors of joints with springs are plant.flexible_joints.motor_inertia; set "
+            "arms.armature to 0, or leave plant.flexible_joints out"
+        )
     own = joint_inertias(state, chain.actuated)
     if spec.frequency is not None:
         K = stiffness_for(state, chain.actuated, float(spec.frequency))

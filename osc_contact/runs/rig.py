@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -154,6 +155,7 @@ class Rig:
             life=self._life(),
             safety=SafetySettings(**self.scenario.control.safety.model_dump()),
             laws=self.scenario.laws() if callable(self.scenario.laws) else self.scenario.laws,
+            joint_friction=self.scenario.control.joint_friction,
         )
 
     def _life(self) -> LifeSettings | None:
@@ -214,8 +216,8 @@ def build_rig(scenario: Scenario) -> Rig:
     """
     error = scenario.model_error
     chain = build_chain(scenario)
-    exact = error.arm_mass == error.object_mass == 1.0
-    model = chain if exact else build_chain(scenario, error.arm_mass, error.object_mass)
+    factors = error.arm_mass, error.object_mass, error.joint_friction
+    model = chain if set(factors) == {1.0} else build_chain(scenario, *factors)
     pairs = build_pairs(scenario)
     q_guess = np.concatenate([arm.posture for arm in scenario.arms])
     if q_guess.shape != (chain.nq,):
@@ -247,8 +249,13 @@ def build_rig(scenario: Scenario) -> Rig:
     return Rig(scenario, chain, model, pairs, bodies, q_contact, q_start, references)
 
 
-def build_chain(scenario: Scenario, arm_mass: float = 1.0, object_mass: float = 1.0) -> ClosedChain:
-    """Arms and object of a scenario, with masses times the given factors."""
+def build_chain(
+    scenario: Scenario,
+    arm_mass: float = 1.0,
+    object_mass: float = 1.0,
+    joint_friction: float = 1.0,
+) -> ClosedChain:
+    """Arms and object of a scenario, with masses and friction times the given factors."""
     source = _folder(scenario)
     arms = [
         Arm.from_urdf(
@@ -261,12 +268,21 @@ def build_chain(scenario: Scenario, arm_mass: float = 1.0, object_mass: float = 
             wrist_sensor=spec.wrist_sensor,
             mass_factor=arm_mass,
             effort_factor=float(spec.effort_factor),
+            armature=_per_joint(spec.armature),
+            damping=_per_joint(spec.damping),
+            friction=_per_joint(spec.friction),
+            friction_factor=joint_friction,
         )
         for spec in scenario.arms
     ]
     body = RigidObject(robots.load_body(robots.resolve_urdf(scenario.object.urdf, source)[0]))
     grasps = [_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
     return ClosedChain(arms, grasps, body.scaled(object_mass))
+
+
+def _per_joint(given: Sequence[float] | None) -> float | Sequence[float] | None:
+    """A list of one stands for all joints."""
+    return given[0] if given is not None and len(given) == 1 else given
 
 
 def _grasp(spec: GraspSpec) -> Grasp:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from .quantities import AngleVec3, JointValue, Number, Spec, UnitVec3, Vec3, refuse
+from .quantities import AngleVec3, JointForce, JointValue, Number, Spec, UnitVec3, Vec3, refuse
 
 __all__ = [
     "GRASP_TYPES",
@@ -20,6 +20,19 @@ __all__ = [
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_-]*$")]
 Text = Annotated[str, Field(min_length=1)]
+
+
+def _listed(value: Any) -> Any:
+    """A single value for all joints as a list of one."""
+    return value if isinstance(value, list | tuple) else (value,)
+
+
+PerJoint = Annotated[
+    tuple[Annotated[Number, Field(ge=0)], ...], BeforeValidator(_listed), Field(min_length=1)
+]
+ForcePerJoint = Annotated[
+    tuple[Annotated[JointForce, Field(ge=0)], ...], BeforeValidator(_listed), Field(min_length=1)
+]
 
 
 class PoseSpec(Spec):
@@ -72,6 +85,12 @@ class ArmSpec(Spec):
     passive_joints: tuple[Text, ...] = ()
     locked_joints: dict[str, JointValue] = Field(default_factory=dict)
     effort_factor: Annotated[Number, Field(gt=0)] = 1.0
+    armature: PerJoint | None = None
+    """rotor inertia as felt at the joints (kg m², kg), one for all or one for each"""
+    damping: PerJoint | None = None
+    """viscous friction (N m s/rad, N s/m), one for all joints or one for each"""
+    friction: ForcePerJoint | None = None
+    """dry friction such as 0.4 Nm, one for all joints or one for each"""
     posture: Annotated[tuple[JointValue, ...], Field(min_length=1)]
     """the start guess of all joints in model order, such as [30 deg, 0.1 m]"""
 

@@ -34,6 +34,7 @@ __all__ = [
     "ForceRate3",
     "Frequency",
     "Jerk",
+    "JointForce",
     "JointValue",
     "Length",
     "Mass",
@@ -159,6 +160,7 @@ _FORCE = Dimension("a force", _units("N=1 mN=1e-3 kN=1e3"))
 _TORQUE = Dimension("a torque", _units("Nm=1 mNm=1e-3"))
 _MASS = Dimension("a mass", _units("kg=1 g=1e-3"))
 _NUMBER = Dimension("a plain number", {})
+_JOINT_FORCE = Dimension("a joint force (torque or force)", _TORQUE.units | _FORCE.units)
 _JOINT_VALUE = Dimension("a joint value (length or angle)", _LENGTH.units | _ANGLE.units)
 
 
@@ -194,6 +196,7 @@ ForceRate = Annotated[float, _FORCE_RATES[0]]
 ForceRate2 = Annotated[float, _FORCE_RATES[1]]
 ForceRate3 = Annotated[float, _FORCE_RATES[2]]
 Number = Annotated[float, _NUMBER]
+JointForce = Annotated[float, _JOINT_FORCE]
 JointValue = Annotated[float, _JOINT_VALUE]
 Positive = Annotated[Number, Field(gt=0)]
 NotNegative = Annotated[Number, Field(ge=0)]

@@ -100,6 +100,7 @@ class ControlSpec(Spec):
     contacts: Literal["declared", "detected"] = "declared"
     joint_torque: JointTorqueSpec | None = None
     friction: FrictionSpec | None = None
+    joint_friction: bool = True
     life: LifeSpec | None = None
     safety: SafetySpec = SafetySpec()
     estimate: EstimateSpec = EstimateSpec()
@@ -110,6 +111,7 @@ class ModelErrorSpec(Spec):
 
     object_mass: Positive = 1.0
     arm_mass: Positive = 1.0
+    joint_friction: NotNegative = 1.0
     environment: Literal["known", "ignored"] = "known"
 
 

@@ -35,6 +35,7 @@ from readable.force import (
 )
 from readable.life import ContactLife
 from readable.motion import MotionLaw
+from readable.rubbing import with_friction
 from readable.wires import Signals, Stage, block
 
 __all__ = ["Boxes"]
@@ -59,7 +60,8 @@ class Boxes:
 
     @block("closed chain", "model", r"$\Lambda_S,\ \mu,\ p,\ S,\ \sigma,\ G$  (13)")
     def _model(self, s: Signals) -> None:
-        s.state = self.chain.state(s.q, s.v)
+        state = self.chain.state(s.q, s.v)
+        s.state = with_friction(self.chain, state, s.v, s.reference.V_D)
 
     @block("contact geometry", "model", r"$N,\ T,\ n_\gamma$")
     def _contact(self, s: Signals) -> None:

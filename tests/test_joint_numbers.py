@@ -1,0 +1,242 @@
+"""Rotor inertia and friction of the joints: in the model, in the law, in both plants."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from readable.controller import ReadableController
+from rigs import ROD, one_panda, placed, random_faces, random_state, scara_pair
+
+import osc_contact as osc
+from osc_contact import robots
+from osc_contact.interface import Measurement, Reference
+from osc_contact.plants.rigid import RigidPlant
+
+ROTORS = np.array([0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05])
+DRY = np.array([2.0, 1.5, 1.0, 1.0, 0.5, 0.4, 0.3])
+VISCOUS = np.array([3.0, 2.0, 1.0, 1.0, 0.5, 0.4, 0.3])
+GAINS = osc.Gains(osc.MotionGains(400.0, 40.0, 0.0), osc.ForceGains(30.0))
+
+
+def panda(**joints):
+    urdf, _ = robots.find_robot("panda")
+    how = {"name": "arm", "tip": "panda_hand_tcp", "wrist_sensor": "panda_hand"}
+    arm = osc.Arm.from_urdf(urdf, **how, **joints)
+    return osc.ClosedChain([arm], [placed(0.02, 0.01, 0.08)], osc.RigidObject(ROD))
+
+
+def bare_mass_matrix(chain, q):
+    """M without rotors, from the links alone."""
+    model = chain.model.copy()
+    model.armature = np.zeros(model.nv)
+    M = np.array(pin.crba(model, model.createData(), q))
+    return np.triu(M) + np.triu(M, 1).T
+
+
+def test_rotor_inertia_is_on_the_diagonal_of_m():
+    chain, rng = panda(armature=ROTORS), np.random.default_rng(0)
+    q, v = random_state(one_panda(), rng)
+    state = chain.state(q, v)
+    np.testing.assert_allclose(state.M - bare_mass_matrix(chain, q), np.diag(ROTORS), atol=1e-12)
+    J = state.arms[0].J
+    Phi = J @ np.linalg.inv(bare_mass_matrix(chain, q) + np.diag(ROTORS)) @ J.T
+    np.testing.assert_allclose(state.arms[0].Phi, Phi, rtol=1e-9, atol=1e-12)
+
+
+def test_rotors_behind_gears_count_with_the_square_of_the_ratio():
+    urdf, _ = robots.find_robot("panda")
+    model = robots.load_model(urdf)
+    model.rotorInertia = np.full(model.nv, 2e-5)
+    model.rotorGearRatio = np.arange(model.nv) * 10.0
+    arm = osc.Arm.from_urdf(model, name="arm", tip="panda_hand_tcp")
+    chain = osc.ClosedChain([arm])
+    np.testing.assert_allclose(chain.model.armature, 2e-5 * (np.arange(7) * 10.0) ** 2)
+    model.armature = np.full(model.nv, 0.3)  # it says what is felt at the joint
+    chain = osc.ClosedChain([osc.Arm.from_urdf(model, name="arm", tip="panda_hand_tcp")])
+    np.testing.assert_array_equal(chain.model.armature, 0.3)
+
+
+def test_a_transmission_tells_rotor_and_gear(tmp_path):
+    text = robots.urdf_path("scara_left").read_text()
+    gear = (
+        '<transmission name="t"><type>x</type><joint name="joint1"/><actuator name="m">'
+        "<rotorInertia>0.0001</rotorInertia><mechanicalReduction>-100</mechanicalReduction>"
+        "</actuator></transmission></robot>"
+    )
+    file = tmp_path / "geared.urdf"
+    file.write_text(text.replace("</robot>", gear))
+    arm = osc.Arm.from_urdf(file, name="a", tip="tool", passive_joints=["hinge"])
+    np.testing.assert_allclose(osc.ClosedChain([arm]).model.armature, [1.0, 0, 0, 0, 0])
+
+
+def test_what_a_urdf_says_of_friction_arrives():
+    urdf, _ = robots.find_robot("talos_left_arm")
+    arm = osc.Arm.from_urdf(urdf, name="a", tip="gripper_left_base_link")
+    model = osc.ClosedChain([arm]).model
+    np.testing.assert_array_equal(model.damping, 1.0)
+    np.testing.assert_array_equal(model.upperDryFrictionLimit, 1.0)
+
+
+@pytest.mark.parametrize("key", ["armature", "damping", "friction"])
+@pytest.mark.parametrize("value", [[1.0, 2.0], -0.1, np.nan])
+def test_wrong_numbers_of_joints_are_refused_with_their_name(key, value):
+    with pytest.raises(osc.ModelError, match=key):
+        panda(**{key: value})
+
+
+@pytest.mark.parametrize("joints", [{}, {"armature": ROTORS}])
+def test_torques_are_those_of_the_numpy_law(joints):
+    """h and M with rotors and friction, against the law in NumPy, redundant arm."""
+    chain = panda(**joints, damping=VISCOUS, friction=DRY)
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        q, v = random_state(one_panda(), rng)
+        state = chain.state(q, v)
+        pairs = random_faces(state.X_WO, 2, rng)
+        read = Measurement(q, v, 10 * rng.normal(size=(1, 6)))
+        X_WD = state.X_WO * pin.exp6(pin.Motion(0.02 * rng.normal(size=6)))
+        wanted = Reference(X_WD, 0.1 * rng.normal(size=6), rng.normal(size=6), np.full(2, 9.0))
+        ours = osc.Controller(chain, pairs, GAINS).tick(read, wanted)
+        theirs = ReadableController(chain, pairs, GAINS).tick(read, wanted)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+
+
+def test_known_friction_and_rotors_leave_the_wanted_acceleration():
+    """KKT of the exact plant: with friction the torques give what they give without."""
+    for chain in (panda(armature=ROTORS, damping=VISCOUS, friction=DRY), panda()):
+        rng = np.random.default_rng(2)
+        q, v = random_state(one_panda(), rng)
+        state = chain.state(q, v)
+        plant = RigidPlant(chain, [], 1e-4)
+        plant.q, plant.v = q, v
+        A_D = rng.normal(size=6)
+        wanted = Reference(state.X_WO, state.V_O, A_D)
+        controller = osc.Controller(chain, [], GAINS)
+        _, a_O, _ = plant.accelerations(
+            controller.tick(Measurement(q, v, np.zeros((1, 6))), wanted)
+        )
+        turning = np.concatenate((np.cross(state.V_O[3:], state.V_O[:3]), np.zeros(3)))
+        np.testing.assert_allclose(a_O, A_D - turning, atol=2e-3)
+
+
+def test_the_switch_leaves_friction_out():
+    chain, rng = panda(damping=VISCOUS, friction=DRY), np.random.default_rng(3)
+    q, v = random_state(one_panda(), rng)
+    read = Measurement(q, v, np.zeros((1, 6)))
+    state = chain.state(q, v)
+    wanted = Reference(state.X_WO, state.V_O)
+    off = osc.Controller(chain, [], GAINS, joint_friction=False).tick(read, wanted)
+    bare = osc.Controller(panda(damping=0.0), [], GAINS).tick(read, wanted)
+    on = osc.Controller(chain, [], GAINS).tick(read, wanted)
+    np.testing.assert_allclose(off, bare, atol=1e-9)
+    assert np.abs(on - off).max() > 0.3
+
+
+# --- plants ---------------------------------------------------------------------------------------
+
+
+def rig_of(*overrides, name="ur5_wipe"):
+    return osc.build_rig(osc.load_scenario(name, list(overrides)))
+
+
+def test_mujocos_mass_matrix_is_that_of_chain_and_object():
+    rig = rig_of("arms.ur5.armature=[1, 2, 3, 4, 5, 6]")
+    plant, state = rig.plant(), rig.state()
+    M = np.zeros((plant.model.nv, plant.model.nv))
+    mujoco.mj_fullM(plant.model, plant.data, M)
+    J = state.arms[0].J
+    ours = state.M + J.T @ state.payload.Lambda @ J
+    np.testing.assert_allclose(M[np.ix_(plant._v, plant._v)], ours, atol=1e-6)
+
+
+@pytest.mark.parametrize("plant", ["mujoco", "rigid"])
+def test_a_joint_that_nothing_drives_is_slowed_by_its_friction(plant):
+    """Speed lost in 5 ms: (F + D v)/(M⁻¹)⁻¹ of the joint, others free, no gravity to speak of."""
+    keys = [f"plant.type={plant}", "contacts=[]", "environment=[]", "force={}", "motion=[]",
+            "control.rate=1 kHz"]  # fmt: skip
+    lost = []
+    for extra in (
+        [],
+        ["arms.ur5.friction=[0, 0, 0, 0, 0, 0.3]", "arms.ur5.damping=[0, 0, 0, 0, 0, 0.2]"],
+    ):
+        rig = rig_of(*keys, *extra)
+        world, v = rig.plant(), np.zeros(6)
+        v[5] = 0.5
+        if plant == "rigid":
+            world.v = v
+        else:
+            world.data.qvel[world._v] = v
+        world.step(np.zeros(6), 5e-3)
+        lost.append(world.measure().v[5])
+    state = rig.state()
+    M = np.array(state.M)
+    M += state.arms[0].J.T @ state.payload.Lambda @ state.arms[0].J
+    rate = np.linalg.inv(M)[5, 5]
+    assert lost[0] - lost[1] == pytest.approx(rate * (0.3 + 0.2 * 0.5) * 5e-3, rel=0.05)
+
+
+@pytest.mark.parametrize("plant", ["mujoco", "rigid"])
+def test_a_fast_slide_with_heavy_rotors_is_as_exact_as_without(plant):
+    """One vertex slides 0.2 m in half a second; rotors of 0.5 kg m² are known."""
+    errors = []
+    for armature in (0.0, 0.5):
+        verdict = osc.metrics(
+            osc.run(
+                osc.load_scenario(
+                    "two_contact_rod",
+                    [
+                        f"plant.type={plant}",
+                        *(f"arms.{s}.armature={armature}" for s in ("left", "right")),
+                    ],
+                ),
+                duration=1.6,
+            )
+        )
+        errors.append(max(f["rms_error_rel"] for f in verdict["force"].values()))
+        assert verdict["motion"]["rms_error_m"] < 2e-5
+    assert errors[1] < max(2.0 * errors[0], 1e-3)
+
+
+def test_known_friction_is_made_up_for():
+    """0.5 % of the effort limits: known at least five times as good as unknown."""
+    friction = "arms.ur5.friction=[0.75, 0.75, 0.75, 0.14, 0.14, 0.14]"
+    worst = []
+    for extra in ([], ["control.joint_friction=false"]):
+        verdict = osc.metrics(
+            osc.run(osc.load_scenario("ur5_wipe", [friction, *extra]), duration=3.0)
+        )
+        worst.append(max(f["rms_error_rel"] for f in verdict["force"].values()))
+    assert worst[0] < 0.03 and worst[1] > 0.1
+
+
+def test_joints_with_springs_have_their_rotors_in_the_springs():
+    with pytest.raises(osc.ScenarioError, match="motor_inertia"):
+        rig_of(
+            *(f"arms.{side}.armature=0.1" for side in ("left", "right")),
+            "plant.flexible_joints={frequency: 5 Hz}", name="two_contact_rod",
+        ).plant()  # fmt: skip
+
+
+def test_the_constructor_judges_rotors_too():
+    """A law that forgot them would be refused."""
+    chain = panda(armature=ROTORS)
+    controller = osc.Controller(chain, [])
+    from osc_contact.control import front_end
+    from osc_contact.law.tables import JOINT
+
+    controller._records.row.table("joints", 7, JOINT).armature[3] = 0.0
+    front_end._judged.discard(chain)
+    with pytest.raises(osc.ModelError, match="law's M differs"):
+        front_end.require_pinocchio_agrees(chain, controller._records)
+
+
+def test_arms_of_a_chain_keep_their_rotors_apart():
+    left, right = scara_pair().arms
+    heavy = osc.Arm.from_urdf(
+        robots.urdf_path("scara_right"), name="right", tip="tool", base=right.base,
+        passive_joints=["hinge"], wrist_sensor="wrist_sensor", armature=[1, 2, 3, 4, 5],
+    )  # fmt: skip
+    chain = osc.ClosedChain([left, heavy], scara_pair().grasps, osc.RigidObject(ROD))
+    np.testing.assert_array_equal(chain.model.armature, [0] * 5 + [1, 2, 3, 4, 5])
