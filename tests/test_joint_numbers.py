@@ -168,7 +168,7 @@ def test_a_joint_that_nothing_drives_is_slowed_by_its_friction(plant):
             world.v = v
         else:
             world.data.qvel[world._v] = v
-        world.step(np.zeros(6), 5e-3)
+        world.command(np.zeros(6), 5e-3)
         lost.append(world.measure().v[5])
     state = rig.state()
     M = np.array(state.M)

@@ -43,7 +43,7 @@ def build_model(document: Document) -> pin.Model:
         high[joint.idx_q] = limits.get("upper", math.inf) if not unbounded else math.inf
     model.lowerPositionLimit, model.upperPositionLimit = low, high
     for name, (inertia, ratio) in document.rotors.items():
-        if name in document.joints and model.existJointName(name):
+        if inertia > 0.0 and model.existJointName(name):
             v = model.joints[model.getJointId(name)].idx_v
             model.rotorInertia[v], model.rotorGearRatio[v] = inertia, ratio
     return model
