@@ -211,7 +211,8 @@ class State:
             end += one.body.model.nv
         M, force, rows, right = np.zeros((end, end)), np.zeros(end), [], []
         M[: self.n, : self.n], M[self.n : n, self.n : n] = s.M, s.I
-        force[: self.n], force[self.n : n] = -s.h, s.pull
+        friction = self.case.chain.model.damping * self.v
+        force[: self.n], force[self.n : n] = -s.h - friction, s.pull
         force[self.case.chain.actuated] += tau
         for row in s.rows:
             rows.append(np.concatenate((row.coefficients, np.zeros(end - n))))
