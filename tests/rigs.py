@@ -36,7 +36,8 @@ def scara_pair(payload=True):
 
 def panda_arm(name, base, sensor="panda_hand"):
     urdf, _ = robots.find_robot("panda")
-    return osc.Arm.from_urdf(urdf, name=name, tip="panda_hand_tcp", base=base, wrist_sensor=sensor)
+    how = {"name": name, "tip": "panda_hand_tcp", "base": base, "wrist_sensor": sensor}
+    return osc.Arm.from_urdf(urdf, damping=0.0, **how)  # oracles know none
 
 
 @cache

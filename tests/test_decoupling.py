@@ -89,6 +89,7 @@ def commanded(chain, pairs, q, v, a_u, alpha_u, B, squeeze=5.0, **how):
         return a_u + np.concatenate((np.cross(V_O[3:], V_O[:3]), np.zeros(3)))  # classical
 
     laws = Laws(force=lambda desired, measured: alpha_u, motion=motion)
+    how["joint_friction"] = False  # what the oracles answer is without
     return tick_with(laws, chain, pairs, q, v, squeeze, B=B, **how)
 
 
