@@ -10,17 +10,20 @@ import numpy as np
 import pytest
 from oracles import kkt
 from readable.controller import ReadableController
+from readable.effort_limits import idle_motions
 from rigs import one_panda, panda_pair, scara_pair
 from test_decoupling import in_contact
 
 import osc_contact as osc
+from osc_contact.bench.cases import CASES
 from osc_contact.control.controller import Controller
 from osc_contact.control.force import ForceGains
 from osc_contact.control.motion import MotionGains
 from osc_contact.interface import Measurement, Reference
+from osc_contact.plants.rigid import RigidPlant
 
 GAINS = osc.Gains(MotionGains(400, 40, 2000), ForceGains(30, 5))
-FORCE, SQUEEZE, TORQUE, FLOOR = 1e-3, 1e-5, 1e-7, 1.0
+FORCE, SQUEEZE, TORQUE, POSTURE, FLOOR = 1e-3, 1e-5, 1e-7, 0.1, 1.0
 MAX = np.finfo(float).max
 both = pytest.mark.parametrize("law", [Controller, ReadableController])
 
@@ -93,6 +96,7 @@ class Answers:
                 np.linalg.cholesky(inertia).T @ self.slope[:6],
                 np.sqrt(FORCE) * np.linalg.cholesky(normal).T @ self.slope[6 : 6 + r],
                 np.sqrt(SQUEEZE / self.chain.payload.inertia.mass) * self.slope[6 + r :],
+                np.sqrt(POSTURE) * idle_motions(self.s.state, self.chain) * self.scale,
             )
         )
         size = np.sqrt((rows**2).sum() / rows.shape[1])
@@ -310,3 +314,18 @@ def test_the_other_contact_and_the_motion_are_left_alone(run):
     assert run["alpha_given_up"][asked, 0].min() > 10.0
     assert np.abs(run["alpha_true"] - run["alpha_cmd"])[asked, 1].max() < 0.2
     assert np.abs(run["motion_error"][asked, :3]).max() < 1e-3
+
+
+def test_a_saturated_redundant_arm_does_not_whirl():
+    """A jump of the wanted speed saturates a wrist: the elbow must not spin to make up for it."""
+    case = CASES["one_panda"]()
+    plant = RigidPlant(case.chain, (), 1e-3)
+    plant.reset(case.measurement.q)
+    controller = Controller(case.chain, (), case.gains, posture=case.posture, engaged=False)
+    V_D = np.array([0.3, 0.2, 0.0, 0.0, 0.0, 0.5])
+    wanted, saturated, fastest = replace(case.reference, alpha_d=np.zeros(0), V_D=V_D), 0, 0.0
+    for _ in range(40):
+        plant.command(controller.tick(plant.measure(), wanted), 1e-3)
+        saturated += controller.status is osc.Status.SATURATED
+        fastest = max(fastest, np.abs(plant.measure().v).max())
+    assert saturated > 5 and fastest < 1.0  # rad/s; 5.1 where idle motions cost nothing

@@ -176,6 +176,22 @@ def test_commands_come_out_on_the_true_rig(torques):
     assert pressed > 15
 
 
+@pytest.mark.parametrize("kinds", [("slide", "plane"), ("cylinder", "plane")])
+def test_two_grasps_that_pass_on_no_squeeze(kinds):
+    """The force along the line between the tips is decided by f_S: there is nothing to command."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        case = random_case(["ur5", "ur5"], kinds, rng)
+        v, V, _, contact = moving(case, (), np.zeros((6, 0)), rng)
+        asked = case.chain, (), case.q, v, rng.normal(size=6), np.zeros(0), "object"
+        controller, tau = commanded(*asked, 5.0)
+        assert controller.status is not osc.Status.HELD, controller.reason
+        s = controller.signals
+        oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
+        assert miss(oracle.a_object, s.state.S @ s.eta_c + s.state.sigma) < 1e-8
+        np.testing.assert_array_equal(tau, commanded(*asked, 0.0)[1])
+
+
 def test_exact_plant_agrees_and_wrists_tell_the_contact_force():
     """Fig. 5 where a grasp passes on part of the wrench: the gripper's own motion is taken out."""
     rng, exact, raw, by_law = np.random.default_rng(4), 0, [], 0

@@ -21,7 +21,9 @@ class MotorLimits:
     def __init__(self, settings: Settings, row: ModelRow) -> None:
         head, chain = row.head, settings.chain
         self.chain, self.settings = chain, settings
-        self._program = TorqueLimits(chain.n_a, max(1, int(head.n_columns)), int(head.n_extra))
+        self._program = TorqueLimits(
+            chain.n_a, max(1, int(head.n_columns)), int(head.n_extra), _count_idle(chain)
+        )
         self._program.mass = chain.reference.inertia.mass
         self._sizes = np.zeros(4, dtype=np.int64)
         self._fill, self._settle = saturated()
@@ -77,3 +79,11 @@ def scale_torques(rows: TickRecords, chain: ClosedChain, tau: Array) -> GivenUp:
         (chain.joint_names[chain.actuated[motor]],), wanted[[motor]], chain.tau_max[[motor]],
         np.zeros(0), np.zeros(6), np.zeros(0), False,
     )  # fmt: skip
+
+
+def _count_idle(chain: ClosedChain) -> int:
+    """How many joint motions of redundant arms leave the object alone."""
+    return sum(
+        max(0, part.stop - part.start - grasp.N.shape[1])
+        for part, grasp in zip(chain.slices, chain.grasps, strict=True)
+    )

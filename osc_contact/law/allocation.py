@@ -121,10 +121,38 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
     work.n_internal = count
     if work.n_lost > 0:
         count = _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, count, q, v)
+    if not _factor_rows(chain, arms, table, work, arm_work, joints, E, weighed, Z, count):
+        if chain.n_arms != 2 or work.n_internal == 0:
+            return UNACTUATED
+        count -= 1  # the grasps pass on no squeeze of its own: f_S decides it
+        work.n_internal, work.internal[0] = 0, 0.0
+        for e in range(count):
+            b[d + e] = b[d + e + 1]
+            for j in range(n):
+                E[e, j] = E[e + 1, j]
+        if not _factor_rows(chain, arms, table, work, arm_work, joints, E, weighed, Z, count):
+            return UNACTUATED
+    cholesky_solve(Z, d + count, b, 0)
+    y = work.y
+    for i in range(6):
+        y[i] = b[i - m] if i >= m else 0.0
+    reflect_back(work.turn, work.beta, m, y)
+    for k in range(chain.n_arms):
+        _add_torques(arms[k], table, arm_work[k], joints, work, y)
+    for e in range(count):
+        for j in range(n):
+            joints[j].tau += b[d + e] * weighed[e, j]
+    return NO_REASON
+
+
+@inner
+def _factor_rows(chain, arms, table, work, arm_work, joints, E, weighed, Z, count):
+    """Z = A R⁻¹Aᵀ of G and `count` rows E, factored; False: they depend on one another."""
+    n, m = chain.n_joints, work.locked
+    d = 6 - m
     for i in range(d):
         for j in range(i + 1):
             Z[i, j] = work.effort[m + i, m + j]
-    size = d + count
     for e in range(count):
         for k in range(chain.n_arms):
             _weigh_row(arms[k], table, arm_work[k], joints, work, E[e], weighed[e])
@@ -139,19 +167,7 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
             for j in range(n):
                 s += weighed[e, j] * E[c, j]
             Z[d + e, d + c] = s
-    if not cholesky(Z, 0, size, Z) > _DRIVEN:
-        return UNACTUATED
-    cholesky_solve(Z, size, b, 0)
-    y = work.y
-    for i in range(6):
-        y[i] = b[i - m] if i >= m else 0.0
-    reflect_back(work.turn, work.beta, m, y)
-    for k in range(chain.n_arms):
-        _add_torques(arms[k], table, arm_work[k], joints, work, y)
-    for e in range(count):
-        for j in range(n):
-            joints[j].tau += b[d + e] * weighed[e, j]
-    return NO_REASON
+    return cholesky(Z, 0, d + count, Z) > _DRIVEN
 
 
 @leaf

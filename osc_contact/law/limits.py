@@ -6,7 +6,8 @@ Torques τ + δτ instead of τ make the chain in contact answer with α + δα 
 
 so every δτ keeps the contacts' constraints, and force and motion lost are known before they are.
 What is given up is measured as acceleration energy (Gauss), N²/kg: |δη̇|² of motion, |N δα|² of
-contact force (in energy coordinates the object's inertia is the identity), δs²/m_o of squeeze.
+contact force (in energy coordinates the object's inertia is the identity), δs²/m_o of squeeze,
+(νᵀδτ)² of joint motions ν, νᵀMν = 1, that redundant arms make without the object.
 Metres and radians never meet, and an arm near a singular posture cannot make its lost motion dear.
 
 Columns of N may be nearly dependent. A rotation U makes the rows of UNᵀ orthogonal in the free
@@ -36,6 +37,7 @@ __all__ = ["TorqueLimits"]
 #: Weights beside the 1 of motion: what has memory goes last. Torques that do nothing to the object
 #: count relative to the mean energy of the others.
 _FORCE, _SQUEEZE, _TORQUE = 1e-3, 1e-5, 1e-7
+_POSTURE = 0.1  # joint motions that leave the object alone: they cost too, or a joint whirls
 _BEYOND = 1e2  # of a force outside its range, where no torques within the limits keep it
 _INFINITE = 1e30  # the solver's
 _SLACK = 1e-9  # of the limits, for rounding errors
@@ -93,7 +95,7 @@ def _mobility(d, r, Lambda, N, pushed, Phi_e, work):
 @inner
 def _respond(d, r, given, maps, work, rows):
     """What each motor does: `motion`, `force`, and their energies in its row of `rows`."""
-    _, _, G, Lambda, N, pushed, Phi_e, _, _, _, _, _ = given
+    _, _, G, Lambda, N, pushed, Phi_e, _, _, _, _, _, _ = given
     scale, motion, force, _ = maps
     K, D, P, X, size, psi = work
     if not _mobility(d, r, Lambda, N, pushed, Phi_e, work):
@@ -133,9 +135,10 @@ def prepare(d, r, k, s, slack, mass, given, maps, work, H, A, bounds, rows):
     Returns:
         Whether the response of the chain could be worked out.
     """
-    wanted, tau_max, _, _, _, _, _, alpha, share, floor, E, carried = given
+    wanted, tau_max, _, _, _, _, _, alpha, share, floor, E, carried, idle = given
     scale, motion, force, squeeze = maps
-    n, v, w, largest, energy = len(scale), len(H), 6 + d + s, 0.0, 0.0
+    n, v, p, largest, energy = len(scale), len(H), len(idle), 0.0, 0.0
+    w = 6 + d + s + p
     for j in range(n):
         if not isinf(tau_max[j]):
             largest = max(largest, tau_max[j])
@@ -149,6 +152,8 @@ def prepare(d, r, k, s, slack, mass, given, maps, work, H, A, bounds, rows):
         for c in range(s):
             squeeze[c, j] = E[c, j] * scale[j] - _dot(carried[c, 6 - d :], motion[j], d)
             rows[j, 6 + d + c] = sqrt(_SQUEEZE / mass) * squeeze[c, j]
+        for c in range(p):
+            rows[j, 6 + d + s + c] = sqrt(_POSTURE) * idle[c, j] * scale[j]
         energy += _dot(rows[j], rows[j], w)
     size = sqrt(energy / n) if energy > 0.0 else 1.0
     for j in range(v):
@@ -243,10 +248,10 @@ def finish(z, lam, d, r, s, given, maps, A, bounds, rows, scratch, answer):
         d, r, s, given, maps, A, bounds, rows: of `prepare`. scratch: see `_refine`.
         answer: tau, at_limit and what is lost, filled, see `TorqueLimits`.
     """
-    wanted, tau_max, _, _, _, _, _, _, _, _, _, _ = given
+    wanted, tau_max, _, _, _, _, _, _, _, _, _, _, idle = given
     scale, motion, force, squeeze = maps
     tau, at_limit, lost_force, lost_motion, lost_squeeze = answer
-    if _refine(lam, 6 + d + s + len(z), A, bounds, rows, scratch):
+    if _refine(lam, 6 + d + s + len(idle) + len(z), A, bounds, rows, scratch):
         for j in range(len(z)):
             z[j] = scratch[0][j]
     for i in range(6):
@@ -276,23 +281,25 @@ class TorqueLimits:
         alpha: (6,) force command. share: (k_max, 6) forces that must not pull, out of α.
         floor: (k_max,) their least values, at most what is commanded.
         E: (s_max, n_a) rows of the squeeze. carried: (s_max, 6) what of it motions use up.
+        idle: (p, n_a) joint motions ν of redundant arms, 1 kg m² or 1 kg in M, of their motors.
         mass: of the held object (kg).
         tau: (n_a,) found. at_limit: (n_a,) which motors stand at their limit.
         lost_force: (6,), lost_motion: (6,), lost_squeeze: (s_max,) wanted less what will come; zero
             beyond r, and in locked axes.
     """
 
-    def __init__(self, n_a: int, k_max: int, s_max: int) -> None:
+    def __init__(self, n_a: int, k_max: int, s_max: int, p: int = 0) -> None:
         zeros, v = np.zeros, n_a + k_max
-        w = 12 + s_max + v + k_max
-        self._sizes, self.mass = (n_a, k_max, s_max), 1.0
+        w = 12 + s_max + p + v + k_max
+        self._sizes, self.mass = (n_a, k_max, s_max, p), 1.0
         self._given: tuple[Any, ...] = (
             zeros(n_a), np.full(n_a, np.inf), zeros((n_a, 6)), *zeros((4, 6, 6)), zeros(6),
             zeros((k_max, 6)), zeros(k_max), zeros((s_max, n_a)), zeros((s_max, 6)),
+            zeros((p, n_a)),
         )  # fmt: skip
         self.wanted, self.tau_max, self.G, self.Lambda, self.N = self._given[:5]
         self.pushed, self.Phi_e, self.alpha, self.share, self.floor = self._given[5:10]
-        self.E, self.carried = self._given[10:]
+        self.E, self.carried, self.idle = self._given[10:]
         self._answer = zeros(n_a), zeros(n_a, dtype=bool), zeros(6), zeros(6), zeros(s_max)
         self.tau, self.at_limit, self.lost_force, self.lost_motion, self.lost_squeeze = self._answer
         self._maps = zeros(n_a), zeros((n_a, 6)), zeros((n_a, 6)), zeros((s_max, n_a))

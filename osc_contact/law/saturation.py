@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Any
 
-from osc_contact.law.algebra import cholesky, cholesky_solve, reflect
+from osc_contact.law.algebra import cholesky, cholesky_solve, dot6, reflect
+from osc_contact.law.arm_terms import factor_inertia
 from osc_contact.law.jit import entry, inner, matrix, numbers
 from osc_contact.law.phases import slew
 from osc_contact.law.tables import (
@@ -51,6 +53,43 @@ def _shares(work, owners, bodies, columns, alpha, share, floor, k_max):
     return k
 
 
+@inner
+def _idle_motions(arm, table, joints, work, idle, count):
+    """Rows ν of a redundant arm, νᵀMν = 1, out of M⁻¹(1 − JᵀJ̄ᵀ); the number of rows so far."""
+    lo, n, K, X, Z = arm.first, arm.end - arm.first, work.K, work.X, work.Z
+    if n <= arm.m or not factor_inertia(lo, n, joints, K):
+        return count
+    for c in range(n):  # rows of X: torques that do nothing to the object; of Z: what they move
+        for i in range(n):
+            X[c, i] = (1.0 if i == c else 0.0) - dot6(joints[lo + i].J, joints[lo + c].J_bar)
+            Z[c, i] = X[c, i]
+        cholesky_solve(K, n, Z[c], 0)
+    for _ in range(n - arm.m):
+        best, most = 0, 0.0
+        for c in range(n):
+            size = 0.0
+            for i in range(n):
+                size += X[c, i] * Z[c, i]
+            if size > most:
+                best, most = c, size
+        if count == len(idle) or most <= 0.0:
+            return count
+        for i in range(n):
+            work.s[i] = X[best, i] / sqrt(most)
+            work.t[i] = Z[best, i] / sqrt(most)
+            if table[lo + i].motor >= 0:
+                idle[count, table[lo + i].motor] = work.t[i]
+        count += 1
+        for c in range(n):
+            along = 0.0
+            for i in range(n):
+                along += X[c, i] * work.t[i]
+            for i in range(n):
+                X[c, i] -= along * work.s[i]
+                Z[c, i] -= along * work.t[i]
+    return count
+
+
 def build_fill(stamp: int) -> Any:
     """The function that fills the program; `stamp` tells the cache of changed sources."""
 
@@ -60,7 +99,7 @@ def build_fill(stamp: int) -> Any:
 
         Args:
             model, raw: bytes of one row of MODEL, and of WORK after a tick that ended SATURATED.
-            given: wanted, tau_max, G, Λ, N, N_μ, Φ_e, α, share, floor, E, carried.
+            given: wanted, tau_max, G, Λ, N, N_μ, Φ_e, α, share, floor, E, carried, idle.
         """
         if stamp < 0:
             return
@@ -76,7 +115,7 @@ def build_fill(stamp: int) -> Any:
         rows = matrix(
             numbers(raw, chain.extra_at, chain.n_extra * n), 0, chain.n_extra, n
         )  # fmt: skip
-        wanted, tau_max, G, Lambda, N, pushed, Phi_e, alpha, share, floor, E, carried = given
+        wanted, tau_max, G, Lambda, N, pushed, Phi_e, alpha, share, floor, E, carried, idle = given
         for j in range(n):
             i = table[j].motor
             if i < 0:
@@ -110,6 +149,10 @@ def build_fill(stamp: int) -> Any:
             for j in range(n):
                 if table[j].motor >= 0:
                     E[e, table[j].motor] = rows[e, j]
+        count = 0
+        for k in range(chain.n_arms):
+            if len(idle) > 0:
+                count = _idle_motions(arms[k], table, joints, work, idle, count)
         sizes[0], sizes[1], sizes[3] = 6 - m, r, work.n_internal
         sizes[2] = _shares(work, owners, bodies, columns, alpha, share, floor, len(floor))
 

@@ -7,8 +7,9 @@ Torques τ + δτ instead of τ make the chain in contact answer with α + δα 
 (with friction the second N of each product is N_μ), so every δτ keeps the contacts' constraints,
 and force and motion lost are known before they are.
 What is given up is measured as acceleration energy (Gauss), N²/kg, in the object's inertia Λ_o:
-δη̇ᵀSᵀΛ_oS δη̇ of motion, δαᵀNᵀΛ_o⁻¹N δα of contact force, δs²/m_o of squeeze. Metres and radians
-never meet, and an arm near a singular posture cannot make its lost motion dear.
+δη̇ᵀSᵀΛ_oS δη̇ of motion, δαᵀNᵀΛ_o⁻¹N δα of contact force, δs²/m_o of squeeze, |νᵀδτ|² of joint
+motions ν of redundant arms that leave the object alone, νᵀMν = 1. Metres and radians never meet,
+and an arm near a singular posture cannot make its lost motion dear.
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ import numpy as np
 
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.control.reports import GivenUp
-from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.motors import effort_scale
 from osc_contact.errors import InvalidInputError, SolverError
 from osc_contact.spatial import Array
 from readable.allocation import squeeze_response
 from readable.wires import Signals
 
-__all__ = ["EffortLimits", "Relief", "Response", "relieve"]
+__all__ = ["EffortLimits", "Relief", "Response", "idle_motions", "relieve"]
 
 #: Weights beside the 1 of motion: what has memory goes last. Torques that do nothing to the object
 #: count relative to the mean energy of the others.
-_FORCE, _SQUEEZE, _TORQUE = 1e-3, 1e-5, 1e-7
+_FORCE, _SQUEEZE, _TORQUE, _POSTURE = 1e-3, 1e-5, 1e-7, 0.1
 _BEYOND = 1e2  # of a force outside its range, where no torques within the limits keep it
 _INFINITE = 1e30  # the solver's
 _SLACK = 1e-9  # of the limits, for rounding errors
@@ -50,6 +51,7 @@ class Response:
         floor: (k,) their least values (N), at most what is commanded.
         E: (s, n_a) rows of the squeeze. carried: (s, d) what of it accelerations η̇ use up.
         mass: of the held object (kg).
+        idle: (p, n_a) rows νᵀ.
     """
 
     tau: Array
@@ -67,6 +69,7 @@ class Response:
     E: Array
     carried: Array
     mass: float
+    idle: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -106,6 +109,7 @@ def relieve(wanted: Response) -> Relief:
             np.linalg.cholesky(x.metric).T @ motion,
             np.sqrt(_FORCE) * np.linalg.cholesky(x.normal).T @ force,
             np.sqrt(_SQUEEZE / x.mass) * squeeze,
+            np.sqrt(_POSTURE) * (np.zeros((0, n)) if x.idle is None else x.idle * scale),
         )
     )
     size = np.sqrt((energy**2).sum() / n) or 1.0
@@ -210,6 +214,7 @@ class EffortLimits:
             E=E,
             carried=carried,
             mass=self.chain.reference.inertia.mass,
+            idle=idle_motions(state, self.chain),
             **self.floors(owners, contact.R, s.alpha_u),
         )
 
@@ -238,3 +243,18 @@ class EffortLimits:
             relief.squeeze,
             relief.short,
         )
+
+
+def idle_motions(state: ChainState, chain: ClosedChain) -> Array:
+    """(p, n_a) null spaces of NᵀJ of the redundant arms, orthonormal by M."""
+    rows = [np.zeros((0, chain.nq))]
+    for arm, part, grasp in zip(state.arms, chain.slices, chain.grasps, strict=True):
+        n, m = part.stop - part.start, grasp.N.shape[1]
+        if n <= m:
+            continue
+        null = np.linalg.svd(arm.N.T @ arm.J)[2][m:].T
+        factor = np.linalg.cholesky(null.T @ arm.M @ null)
+        row = np.zeros((n - m, chain.nq))
+        row[:, part] = np.linalg.solve(factor, null.T)
+        rows.append(row)
+    return np.vstack(rows)[:, chain.actuated]
