@@ -309,7 +309,7 @@ def test_units_do_not_matter():
 
 
 def test_a_rod_between_two_balls_spins_about_their_line():
-    """Nobody drives it, no joint tells it: both are said, and a controller holds its torques."""
+    """Nobody drives it, no joint tells it: both are said, and a controller holds the posture."""
     case = random_case(["ur5", "ur5"], ["ball", "ball"], np.random.default_rng(7))
     chain = case.chain
     with pytest.raises(osc.ModelError, match="do not tell where the object is"):
@@ -327,7 +327,7 @@ def test_a_rod_between_two_balls_spins_about_their_line():
     controller = osc.Controller(strict, [])
     measured = osc.Measurement(case.q, np.zeros(12), np.zeros((2, 6)))
     wanted = osc.Reference(case.X_WO, np.zeros(6), np.zeros(6), np.zeros(0))
-    np.testing.assert_array_equal(controller.tick(measured, wanted), np.zeros(12))
+    assert np.isfinite(controller.tick(measured, wanted)).all()
     assert controller.status is osc.Status.HELD and "do not tell" in controller.reason
 
 

@@ -14,6 +14,8 @@ from osc_contact.spatial import Array
 
 __all__ = ["MotorLimits", "scale_torques"]
 
+NEAR_SINGULAR = 2  #: motions that a singular posture may add to those of a redundant arm
+
 
 class MotorLimits:
     """The quadratic program of one controller, its arrays made once."""
@@ -82,8 +84,9 @@ def scale_torques(rows: TickRecords, chain: ClosedChain, tau: Array) -> GivenUp:
 
 
 def _count_idle(chain: ClosedChain) -> int:
-    """How many joint motions of redundant arms leave the object alone."""
-    return sum(
-        max(0, part.stop - part.start - grasp.N.shape[1])
+    """How many joint motions of redundant arms leave the object alone, singular postures too."""
+    counts = [
+        part.stop - part.start - grasp.N.shape[1]
         for part, grasp in zip(chain.slices, chain.grasps, strict=True)
-    )
+    ]
+    return sum(count + NEAR_SINGULAR for count in counts if count > 0)

@@ -10,6 +10,7 @@ from osc_contact.law.arm_terms import factor_inertia
 from osc_contact.law.jit import entry, inner, matrix, numbers
 from osc_contact.law.phases import slew
 from osc_contact.law.tables import (
+    read_arm_work,
     read_arms,
     read_bodies,
     read_chain,
@@ -54,7 +55,7 @@ def _shares(work, owners, bodies, columns, alpha, share, floor, k_max):
 
 
 @inner
-def _idle_motions(arm, table, joints, work, idle, count):
+def _idle_motions(arm, own, table, joints, work, idle, count):
     """Rows ν of a redundant arm, νᵀMν = 1, out of M⁻¹(1 − JᵀJ̄ᵀ); the number of rows so far."""
     lo, n, K, X, Z = arm.first, arm.end - arm.first, work.K, work.X, work.Z
     if n <= arm.m or not factor_inertia(lo, n, joints, K):
@@ -64,7 +65,7 @@ def _idle_motions(arm, table, joints, work, idle, count):
             X[c, i] = (1.0 if i == c else 0.0) - dot6(joints[lo + i].J, joints[lo + c].J_bar)
             Z[c, i] = X[c, i]
         cholesky_solve(K, n, Z[c], 0)
-    for _ in range(n - arm.m):
+    for _ in range(n - own.n_kept):
         best, most = 0, 0.0
         for c in range(n):
             size = 0.0
@@ -109,6 +110,7 @@ def build_fill(stamp: int) -> Any:
             raw, chain.joint_work_at, n
         )  # fmt: skip
         arms = read_arms(model, chain.arms_at, chain.n_arms)
+        arm_work = read_arm_work(raw, chain.arm_work_at, chain.n_arms)
         bodies = read_bodies(model, chain.bodies_at, chain.n_contacts)
         owners = read_columns(model, chain.columns_at, chain.n_columns)
         columns = read_column_work(raw, chain.column_work_at, chain.n_columns)
@@ -150,9 +152,12 @@ def build_fill(stamp: int) -> Any:
                 if table[j].motor >= 0:
                     E[e, table[j].motor] = rows[e, j]
         count = 0
+        for c in range(len(idle)):
+            for i in range(chain.n_motors):
+                idle[c, i] = 0.0
         for k in range(chain.n_arms):
             if len(idle) > 0:
-                count = _idle_motions(arms[k], table, joints, work, idle, count)
+                count = _idle_motions(arms[k], arm_work[k], table, joints, work, idle, count)
         sizes[0], sizes[1], sizes[3] = 6 - m, r, work.n_internal
         sizes[2] = _shares(work, owners, bodies, columns, alpha, share, floor, len(floor))
 

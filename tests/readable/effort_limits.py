@@ -252,9 +252,9 @@ def idle_motions(state: ChainState, chain: ClosedChain) -> Array:
         n, m = part.stop - part.start, grasp.N.shape[1]
         if n <= m:
             continue
-        null = np.linalg.svd(arm.N.T @ arm.J)[2][m:].T
+        null = np.linalg.svd(arm.N.T @ arm.J)[2][arm.rank :].T
         factor = np.linalg.cholesky(null.T @ arm.M @ null)
-        row = np.zeros((n - m, chain.nq))
+        row = np.zeros((n - arm.rank, chain.nq))
         row[:, part] = np.linalg.solve(factor, null.T)
         rows.append(row)
     return np.vstack(rows)[:, chain.actuated]
