@@ -115,27 +115,31 @@ def run(
         except Interrupted as error:
             recording, interrupted = error.recording, error
             say(str(error))
-        written = _report(recording, chosen, folder, json_file)
+        written, failed = _report(recording, chosen, folder, json_file)
         forget_rows(folder)
         for sentence in recording.meta.get("missing", ()):
             say(sentence)
         say(f"written to {folder}: {written}")
         if interrupted is not None:
             raise typer.Exit(130)
-        if recording.meta.get("missing"):
+        if failed or recording.meta.get("missing"):
             raise typer.Exit(1)
 
 
-def _report(recording: Recording, scenario: Scenario, folder: Path, json_file: Path | None) -> str:
-    """Write what a run leaves, as far as it can be judged; what was written, in words."""
+def _report(
+    recording: Recording, scenario: Scenario, folder: Path, json_file: Path | None
+) -> tuple[str, bool]:
+    """Write and tell what a run leaves: what was written, in words; whether its task failed."""
     if len(recording) <= SETTLE_S * scenario.control.rate:  # it ended before it was to
         recording.save(folder / "recording.npz")
-        return "recording.npz; the run was too short to be judged"
+        return "recording.npz; the run was too short to be judged", False
     verdict = write_report(recording, scenario, folder)
     out.print(tables.verdict_table(verdict))
+    for line in tables.task_lines(verdict):
+        say(line)
     if json_file:
         write_json(verdict, json_file)
-    return "metrics.json, recording.npz, figures, scene.html"
+    return "metrics.json, recording.npz, figures, scene.html", bool(verdict["task"]["failed"])
 
 
 @app.command()

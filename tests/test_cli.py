@@ -107,7 +107,8 @@ def test_metrics_have_the_documented_keys(done: tuple[Path, Result]) -> None:
     verdict: dict[str, Any] = json.loads((folder / "metrics.json").read_text())
     assert set(verdict) == {
         "scenario", "plant", "seed", "duration_s", "ticks", "real_time_factor", "force", "motion",
-        "contact_fraction", "power", "tick_us", "status", "at_limit",
+        "contact_fraction", "power", "tick_us", "status", "at_limit", "first_contact_s", "steps",
+        "judged_ticks", "task",
     }  # fmt: skip
     assert (verdict["scenario"], verdict["plant"], verdict["seed"]) == (
         "two_contact_rod",

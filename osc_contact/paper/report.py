@@ -34,7 +34,10 @@ _MARKS = {
 }
 _RULES = (
     (Verdict.reproduced, "every statement was put to the test and holds"),
-    (Verdict.partly, "drawn; statements that nothing answers yet are marked open"),
+    (
+        Verdict.partly,
+        "statements that nothing answers yet are marked open, or no picture was drawn",
+    ),
     (Verdict.contradicted, "a statement does not hold in ours"),
     (Verdict.missing, "nothing here makes this figure yet"),
 )

@@ -50,6 +50,11 @@ class Made:
     data: Mapping[str, Any] | None = None
     options: str = ""
 
+    @property
+    def drawn(self) -> bool:
+        """Whether there is a picture among the files; fig. 3 needs a browser for its own."""
+        return any(path.suffix in (".png", ".svg") for path in self.files)
+
 
 @dataclass(frozen=True)
 class Reproduction:
@@ -70,8 +75,9 @@ class Reproduction:
         """By the names of the paper's eight figures."""
         nothing = Made(())
         return {
-            f.name: judge(f, f.name in self.made, self.made.get(f.name, nothing).answers)
+            f.name: judge(f, f.name in self.made, one.answers, one.drawn)
             for f in PAPER
+            for one in (self.made.get(f.name, nothing),)
         }
 
     def as_dict(self) -> dict[str, Any]:

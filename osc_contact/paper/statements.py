@@ -58,19 +58,23 @@ class Verdict(StrEnum):
     missing = "not reproduced"
 
 
-def judge(figure: PaperFigure, made: bool, answers: Mapping[str, Answer]) -> Verdict:
+def judge(
+    figure: PaperFigure, made: bool, answers: Mapping[str, Answer], drawn: bool = True
+) -> Verdict:
     """The verdict on one figure.
 
     Args:
-        figure: of the paper. made: whether ours was drawn.
+        figure: of the paper. made: whether anything here answered it.
         answers: by the keys of its statements; those that fail outweigh those that lack.
+        drawn: whether there is a picture of ours; without one nothing counts as reproduced.
     """
     if not made:
         return Verdict.missing
     given = [answers[key] for key in figure.states if key in answers]
     if not all(answer.holds for answer in given):
         return Verdict.contradicted
-    return Verdict.reproduced if len(given) == len(figure.states) else Verdict.partly
+    whole = drawn and len(given) == len(figure.states)
+    return Verdict.reproduced if whole else Verdict.partly
 
 
 PAPER: tuple[PaperFigure, ...] = (

@@ -20,8 +20,9 @@ __all__ = ["Recording"]
 
 _FORMAT = 1
 _RESERVED = frozenset({TEXT, "file", "allow_pickle"})
-#: What a clock measured: the only things that differ from one run to the next of the same seed.
-_TIMES, _META_TIMES = ("tick_s",), ("wall_s", "cpu_s")
+#: What a clock measured, and where the scenario lay: the only things that differ from one run to
+#: the next of the same seed.
+_TIMES, _META_TIMES = ("tick_s",), ("wall_s", "cpu_s", "source_folder")
 _PIECE = 1 << 16  #: ticks that are judged or drawn at once
 
 Array = npt.NDArray[Any]
@@ -144,7 +145,8 @@ class Recording:
         """Write one .npz file: complete under its final name, or not there at all.
 
         Two runs of the same seed make the same bytes. What a clock measured (`tick_s`; `wall_s`
-        and `cpu_s` of the meta) goes to a file of its own beside it, run.times.npz for run.npz.
+        and `cpu_s` of the meta), and its `source_folder`, goes to a file of its own beside it,
+        run.times.npz for run.npz.
 
         Raises:
             RecordingError: the file cannot be written; an older file of the name is kept."""

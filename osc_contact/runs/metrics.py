@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.recorder import Recording
+from osc_contact.runs.outcome import Landings, Openings, judge_task, step_answers
 from osc_contact.spatial import Array
 
 __all__ = ["SETTLE_S", "STEP_BLANK_S", "metrics"]
@@ -17,7 +18,7 @@ SETTLE_S = 1.0  #: judged from here on
 STEP_BLANK_S = 0.05  #: forces and power are not judged this long after a step of a desired force
 _READ = (
     "t", "alpha_cmd", "alpha_true", "alpha_meas", "power_total", "power_projected", "motion_error",
-    "closed", "status", "tau",
+    "closed", "contact_phase", "status", "tau",
 )  # fmt: skip
 _STATUS = ("ok", "saturated", "held", "degraded")
 
@@ -28,7 +29,9 @@ def metrics(recording: Recording) -> dict[str, Any]:
     Keys: scenario, plant, seed, duration_s, ticks, real_time_factor;
     force {contact: rms_error_N, rms_error_rel, peak_error_N, peak_error_rel, mean_command_N,
     sensing_rms_rel}; motion {rms_error_m, rms_error_rad} along the free directions;
-    contact_fraction {contact}; power {total_rms_W, projected_rms_W, ratio};
+    contact_fraction {contact}; first_contact_s {contact} (null: never); steps, see
+    `step_answers`; judged_ticks; task {word, failed, why}, see `judge_task`;
+    power {total_rms_W, projected_rms_W, ratio};
     tick_us {p50, p99, p99_9, max}; status {name: ticks}; at_limit [[joint, ticks], …] of motors
     that ever stood at their limit, the one that did longest first.
 
@@ -49,7 +52,8 @@ def metrics(recording: Recording) -> dict[str, Any]:
     force = {key: _Series() for key in ("command", "error", "sensing")}
     power = {key: _Series() for key in ("power_total", "power_projected")}
     error, closed, status, at_limit = _Series(), _Series(), np.zeros(4, int), np.zeros(0, int)
-    limits = _limits(recording)
+    limits, contacts = _limits(recording), len(recording.meta["contact_names"])
+    landings, openings = Landings(contacts), Openings(contacts)
     for piece in recording.pieces(*_READ):
         judged = piece["t"] >= SETTLE_S - 1e-9
         quiet = judged.copy()
@@ -64,6 +68,8 @@ def metrics(recording: Recording) -> dict[str, Any]:
         parts = piece["motion_error"][judged].reshape(-1, 2, 3)
         error.add(np.sqrt(np.sum(parts**2, axis=2)))
         closed.add(piece["closed"][judged])
+        landings.add(piece["closed"])
+        openings.add(piece["closed"][judged], piece["contact_phase"][judged])
         status += np.bincount(piece["status"], minlength=4)[:4]
         here = np.abs(piece["tau"][:, : len(limits)]) >= limits * (1.0 - 1e-9)
         at_limit = at_limit + here.sum(axis=0) if at_limit.size else here.sum(axis=0)
@@ -74,7 +80,8 @@ def metrics(recording: Recording) -> dict[str, Any]:
         )
     duration = len(recording) / float(recording.meta["control_rate_hz"])
     position, orientation = error.rms()
-    return {
+    first = [None if k is None else k * duration / len(recording) for k in landings.ticks]
+    verdict = {
         "scenario": recording.meta["scenario"]["name"],
         "plant": recording.meta["plant"],
         "seed": recording.meta["seed"],
@@ -84,40 +91,54 @@ def metrics(recording: Recording) -> dict[str, Any]:
         "force": _forces(recording.magnitude_names, **force),
         "motion": {"rms_error_m": position, "rms_error_rad": orientation},
         "contact_fraction": dict(zip(recording.meta["contact_names"], closed.mean(), strict=False)),
+        "first_contact_s": dict(zip(recording.meta["contact_names"], first, strict=True)),
+        "steps": step_answers(recording, landings.ticks),
+        "judged_ticks": closed.count,
         "power": _power(*power.values()),
         "tick_us": _tick(recording),
         "status": dict(zip(_STATUS, map(int, status), strict=True)),
         "at_limit": _standing(recording, at_limit),
     }
+    away_m, away_rad = error.peak()
+    verdict["task"] = judge_task(recording, verdict, openings, (away_m, away_rad))
+    return verdict
 
 
 class _Series:
-    """Sums over the ticks of one or several numbers, piece after piece."""
+    """Sums over the ticks of one or several numbers, piece after piece.
+
+    Ticks that could not be computed hold no numbers and are left out; None where all are.
+    """
 
     def __init__(self) -> None:
         self.count = 0
-        self._sums: Any = 0.0
-        self._squares: Any = 0.0
-        self._peaks: Any = 0.0
+        self._sums = self._squares = self._peaks = np.zeros(0)
 
     def add(self, values: Array) -> None:
         """Ticks (k,) or (k, m)."""
+        values = values.reshape(len(values), -1)
+        if not self.count:
+            self._sums = self._squares = self._peaks = np.zeros(values.shape[1])
+        values = values[np.isfinite(values).all(axis=1)]
         if not len(values):
             return
-        rows = np.ascontiguousarray(values.reshape(len(values), -1).T, dtype=float)
+        rows = np.ascontiguousarray(values.T, dtype=float)
         self.count += len(values)
         self._sums = self._sums + rows.sum(axis=1)
         self._squares = self._squares + (rows**2).sum(axis=1)
         self._peaks = np.maximum(self._peaks, np.abs(rows).max(axis=1))
 
-    def mean(self) -> list[float]:
-        return [float(x) for x in self._sums / self.count]
+    def mean(self) -> list[float | None]:
+        return self._told(lambda: self._sums / self.count)
 
-    def rms(self) -> list[float]:
-        return [float(x) for x in np.sqrt(self._squares / self.count)]
+    def rms(self) -> list[float | None]:
+        return self._told(lambda: np.sqrt(self._squares / self.count))
 
-    def peak(self) -> list[float]:
-        return [float(x) for x in self._peaks]
+    def peak(self) -> list[float | None]:
+        return self._told(lambda: self._peaks)
+
+    def _told(self, values: Callable[[], Array]) -> list[float | None]:
+        return [float(x) for x in values()] if self.count else [None] * len(self._sums)
 
 
 def _forces(
@@ -167,6 +188,6 @@ def _standing(recording: Recording, ticks: Array) -> list[list[str | int]]:
     return [[joint, n] for joint, n in sorted(found, key=lambda item: -item[1]) if n]
 
 
-def _ratio(part: float, whole: float | None) -> float | None:
+def _ratio(part: float | None, whole: float | None) -> float | None:
     """None where there is nothing to compare with: JSON has no NaN."""
-    return part / whole if whole else None
+    return part / whole if whole and part is not None else None

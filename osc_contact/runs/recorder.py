@@ -113,6 +113,9 @@ class Recorder:
         )
         if self.error is not None:
             recording.meta["missing"] = [str(self.error)]
+        controller = log.of.controller
+        recording.meta["end_state"] = controller.state.name
+        recording.meta["end_reason"] = controller.reason
         recording.meta["wall_s"] = perf_counter() - self._began[0]
         recording.meta["cpu_s"] = process_time() - self._began[1]
         return recording

@@ -6,9 +6,11 @@ import os
 from pathlib import Path
 from typing import Any
 
-from osc_contact.errors import RecordingError, ScenarioError
+from osc_contact.errors import ModelError, RecordingError, ScenarioError
 from osc_contact.recorder import Recording
 from osc_contact.recorder.journal import Journal
+from osc_contact.robots import resolve_urdf
+from osc_contact.runs.contacts import environment_bodies
 from osc_contact.runs.recorder import recording_of
 from osc_contact.runs.rig import build_rig
 from osc_contact.scenarios.schema import Scenario
@@ -42,16 +44,40 @@ def recover(path: str | os.PathLike[str]) -> Recording:
 
 
 def scenario_of(meta: dict[str, Any], path: Path) -> Scenario:
-    """The scenario that a recording was made of; its own URDFs are looked for beside the file.
+    """The scenario that a recording was made of.
+
+    URDFs given by path are looked for where the scenario lay when it was run, then beside the
+    recording, then in the working folder.
 
     Args:
         meta: of the recording. path: of its file.
 
     Raises:
-        RecordingError: it does not hold a scenario that this version understands.
+        RecordingError: it does not hold a scenario that this version understands, or its URDFs are
+            in none of these places.
     """
     try:
         scenario = Scenario.model_validate(meta["scenario"])
     except (KeyError, ScenarioError, ValueError) as error:
         raise RecordingError(f"{path} does not say which scenario was run: {error}") from error
-    return scenario.with_source(path.resolve().parent / str(meta.get("source")))
+    places = [meta.get("source_folder"), path.resolve().parent, Path.cwd()]
+    folders = list(dict.fromkeys(Path(place) for place in places if place is not None))
+    missing = ModelError()
+    for folder in folders:
+        placed = scenario.with_source(folder / str(meta.get("source")))
+        try:
+            _require_urdfs(placed, folder)
+        except ModelError as error:
+            missing = error
+        else:
+            return placed
+    raise RecordingError(
+        f"{path} needs files of its scenario that are no longer there: looked in "
+        f"{', '.join(map(str, folders))}. Copy them beside the recording. ({missing})"
+    )
+
+
+def _require_urdfs(scenario: Scenario, folder: Path) -> None:
+    for urdf in (*(arm.urdf for arm in scenario.arms), scenario.object.urdf):
+        resolve_urdf(urdf, folder)
+    environment_bodies(scenario)

@@ -72,6 +72,7 @@ def run(
     about = {
         "scenario": scenario.as_dict(),
         "source": None if scenario.source is None else scenario.source.name,
+        "source_folder": None if scenario.source is None else str(scenario.source.resolve().parent),
         "plant": scenario.plant.type,
         "seed": seed,
         "force_steps_s": force_steps(scenario),

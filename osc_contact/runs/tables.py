@@ -19,6 +19,7 @@ __all__ = [
     "paper_table",
     "robot_tables",
     "scenario_table",
+    "task_lines",
     "tick_table",
     "verdict_table",
 ]
@@ -35,24 +36,73 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
         table.add_row(
             f"force {name}",
             f"rms {_percent(force['rms_error_rel'])}, peak {_percent(force['peak_error_rel'])} "
-            f"of {force['mean_command_N']:.2f} N; sensed within "
+            f"of {force['mean_command_N'] or 0.0:.2f} N; sensed within "
             f"{_percent(force['sensing_rms_rel'])}; closed "
-            f"{100 * verdict['contact_fraction'][name.partition('.')[0]]:.2f} %",
+            f"{100 * verdict['contact_fraction'][_owner(name)]:.2f} %",
         )
+    for contact, first in verdict["first_contact_s"].items():
+        words = "never" if first is None else _first(first, contact, verdict["steps"])
+        table.add_row(f"first contact {contact}", words)
+    for name, words in _steps(verdict["steps"]):
+        table.add_row(name, words)
     motion, power, tick = verdict["motion"], verdict["power"], verdict["tick_us"]
-    linear, angular = 1e3 * motion["rms_error_m"], 1e3 * motion["rms_error_rad"]
-    table.add_row("free motion", f"rms {linear:.4f} mm, {angular:.4f} mrad")
-    table.add_row(
-        "power",
-        f"total {power['total_rms_W']:.4g} W, projected {power['projected_rms_W']:.3g} W, "
-        f"ratio {_percent(power['ratio'])}",
-    )
+    if motion["rms_error_m"] is not None:
+        linear, angular = 1e3 * motion["rms_error_m"], 1e3 * motion["rms_error_rad"]
+        table.add_row("free motion", f"rms {linear:.4f} mm, {angular:.4f} mrad")
+    if power["total_rms_W"] is not None:
+        table.add_row(
+            "power",
+            f"total {power['total_rms_W']:.4g} W, projected {power['projected_rms_W']:.3g} W, "
+            f"ratio {_percent(power['ratio'])}",
+        )
     table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
     table.add_row("ticks", ", ".join(f"{n} {name}" for name, n in verdict["status"].items() if n))
     if verdict["at_limit"]:
         motors = ", ".join(f"{joint} {n}" for joint, n in verdict["at_limit"])
         table.add_row("ticks at a motor limit", motors)
     return table
+
+
+def task_lines(verdict: Mapping[str, Any]) -> Iterator[str]:
+    """How the task went, in a word, and why."""
+    task = verdict["task"]
+    yield f"verdict: {task['word']}" + (", the task failed" if task["failed"] else "")
+    yield from (f"  {why}" for why in task["why"])
+
+
+def _first(t: float, contact: str, steps: Sequence[Mapping[str, Any]]) -> str:
+    """When a contact closed and how far its forces overshot."""
+    own = [s for s in steps if s["what"] == "first contact" and _owner(s["force"]) == contact]
+    return f"at {t:.3f} s" + "".join(f"; {_over(s)}" for s in own)
+
+
+def _steps(steps: Sequence[Mapping[str, Any]], most: int = 3) -> Iterator[tuple[str, str]]:
+    """Rows of the steps of a force: all of them, or of many the worst."""
+    by_force: dict[str, list[Mapping[str, Any]]] = {}
+    for step in steps:
+        if step["what"] == "step":
+            by_force.setdefault(step["force"], []).append(step)
+    for name, some in by_force.items():
+        shown = some if len(some) <= most else [max(some, key=lambda s: s["overshoot_rel"])]
+        for s in shown:
+            label = f"step {name}" if len(some) <= most else f"worst of {len(some)} steps {name}"
+            yield (
+                label,
+                (f"at {s['t_s']:.3f} s from {s['from_N']:.3g} N to {s['to_N']:.3g} N; {_over(s)}"),
+            )
+
+
+def _over(step: Mapping[str, Any]) -> str:
+    if not step["overshoot_N"]:
+        return "no overshoot"
+    return (
+        f"reaches {step['peak_N']:.3g} N of {step['asked_N']:.3g} N, "
+        f"overshoot {_percent(step['overshoot_rel'])}"
+    )
+
+
+def _owner(force: str) -> str:
+    return force.partition(".")[0]
 
 
 def paper_table(verdicts: Mapping[str, str]) -> Table:
@@ -144,5 +194,5 @@ def _basis(
     return table
 
 
-def _percent(ratio: float) -> str:
-    return f"{100 * ratio:.3g} %"
+def _percent(ratio: float | None) -> str:
+    return "–" if ratio is None else f"{100 * ratio:.3g} %"

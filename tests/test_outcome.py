@@ -1,0 +1,166 @@
+"""The verdict in a word: overshoot, lost contacts, motions that run away, exit codes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+import osc_contact as osc
+from osc_contact.cli import app
+from osc_contact.paper.statements import PAPER, Answer, Verdict, judge
+from osc_contact.recorder import Recording
+from osc_contact.robots import urdf_path
+from osc_contact.runs.tables import task_lines, verdict_table
+
+RATE, TICKS = 1000, 3000
+
+
+def made(meta: dict[str, Any] | None = None, **channels: np.ndarray) -> Recording:
+    """A recording of one contact that follows its command, but for what is given."""
+    ones = np.ones((TICKS, 1))
+    plain: dict[str, Any] = {
+        "t": np.arange(TICKS) / RATE,
+        "alpha_cmd": 10 * ones, "alpha_true": 10 * ones, "alpha_meas": 10 * ones,
+        "power_total": np.ones(TICKS), "power_projected": np.zeros(TICKS),
+        "motion_error": np.zeros((TICKS, 6)), "closed": ones.astype(bool),
+        "contact_phase": np.full((TICKS, 1), 2), "status": np.zeros(TICKS, int),
+        "tau": np.zeros((TICKS, 1)), "tick_s": np.full(TICKS, 1e-5),
+    }  # fmt: skip
+    about = {
+        "scenario": {"name": "made"}, "plant": "mujoco", "seed": 0, "wall_s": 1.0,
+        "force_steps_s": [], "control_rate_hz": RATE, "contact_names": ["tip"], "columns": [0],
+        "effort_limits": {"j": 5.0}, "end_state": "RUN", "end_reason": "",
+    }  # fmt: skip
+    return Recording({**about, **(meta or {})}, {**plain, **channels})
+
+
+def changed(name: str, start: int, stop: int, value: float) -> dict[str, np.ndarray]:
+    """One channel of `made` with another value for some ticks."""
+    values = made()[name].copy()
+    values[start:stop] = value
+    return {name: values}
+
+
+def call(*words: str | Path) -> Result:
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def test_a_step_is_told_with_its_overshoot_and_the_first_contact_too():
+    command, truth = (np.full((TICKS, 1), 10.0) for _ in range(2))
+    command[2000:] = truth[2000:] = 4.0
+    truth[:40], truth[40:90] = 0.0, 13.0
+    truth[2100] = 3.4
+    truth[2600] = 0.0  # later than the step's window
+    closed = np.arange(TICKS)[:, None] >= 40
+    verdict = osc.metrics(made({"force_steps_s": [2.0]}, alpha_cmd=command, alpha_true=truth,
+                               closed=closed))  # fmt: skip
+    assert verdict["first_contact_s"] == {"tip": pytest.approx(0.04)}
+    first, step = verdict["steps"]
+    assert (first["what"], first["from_N"], first["to_N"], first["peak_N"]) == (
+        "first contact", 0.0, 10.0, 13.0,
+    )  # fmt: skip
+    assert first["overshoot_rel"] == pytest.approx(0.3)
+    assert (step["what"], step["t_s"], step["from_N"], step["to_N"]) == ("step", 2.0, 10.0, 4.0)
+    assert step["peak_N"] == pytest.approx(3.4) and step["overshoot_rel"] == pytest.approx(0.1)
+    assert verdict["task"] == {"word": "OK", "failed": False, "why": []}
+    rows = [str(cell) for column in verdict_table(verdict).columns for cell in column.cells]
+    assert any("reaches 13 N of 10 N, overshoot 30 %" in row for row in rows)
+    assert any("from 10 N to 4 N; reaches 3.4 N of 4 N, overshoot 10 %" in row for row in rows)
+
+
+held = {"status": changed("status", 1500, 1600, 2)["status"],
+        "motion_error": changed("motion_error", 1500, 1600, np.nan)["motion_error"]}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("word", "failed", "sentence", "meta", "channels"),
+    [
+        ("LOST", True, "open for up to 0.06 s", {}, changed("closed", 2000, 2060, 0)),
+        ("OK", False, None, {}, changed("closed", 2000, 2040, 0)),
+        ("OK", False, None, {}, changed("closed", 500, 900, 0)),  # before it is judged
+        ("LOST", True, "never made", {}, changed("closed", 0, TICKS, 0)),
+        ("OK", False, None, {}, {**changed("closed", 2000, 2500, 0),
+                                 **changed("contact_phase", 2000, 2500, 1)}),
+        ("RUN AWAY", True, "150 mm", {}, changed("motion_error", 2000, 2001, 0.15 / 3**0.5)),
+        ("RUN AWAY", True, "12 N rms", {}, changed("alpha_true", 1000, TICKS, 22.0)),
+        ("HELD", True, "100 of 3000 ticks", {"end_reason": "a cable broke"}, held),
+        ("HELD", False, "1 of 3000 ticks", {}, changed("status", 1500, 1501, 2)),
+        ("SATURATED", False, "at a motor limit (j)", {}, {**changed("status", 1500, 1600, 1),
+                                                          **changed("tau", 1500, 1600, 5.0)}),
+        ("STOPPED", True, "joint 1 too fast", {"end_state": "SAFE_STOP",
+                                               "end_reason": "joint 1 too fast"}, {}),
+    ],
+)  # fmt: skip
+def test_each_word_has_its_threshold(word, failed, sentence, meta, channels):
+    verdict = osc.metrics(made(meta, **channels))
+    task = verdict["task"]
+    assert (task["word"], task["failed"]) == (word, failed), task
+    assert json.loads(json.dumps(verdict, allow_nan=False)) == verdict
+    lines = list(task_lines(verdict))
+    assert lines[0] == f"verdict: {word}" + ", the task failed" * failed
+    assert sentence is None or sentence in "\n".join(lines)
+
+
+def test_the_gravest_word_is_said_and_every_reason():
+    both = {**changed("closed", 2000, 2100, 0), **changed("status", 1500, 1501, 2)}
+    task = osc.metrics(made(**both))["task"]
+    assert task["word"] == "LOST" and len(task["why"]) == 2
+
+
+def test_a_run_that_loses_its_contact_ends_with_exit_code_1(tmp_path):
+    """The left face is driven away faster than the arms follow: nobody closes the contact again."""
+    away = ("contacts.left_end.face.motion={type: conveyor, direction: [-0.5, -0.2, -0.84], "
+            "signals: [{type: minimum_jerk, value: 1, start: 1 s, duration: 0.2 s}]}")  # fmt: skip
+    words = ("run", "two_contact_rod", "--duration", "1.6", "--set", away, "--out", tmp_path)
+    result = call(*words)
+    assert result.exit_code == 1, result.output
+    assert "the task failed" in result.stdout and "contact 'left_end' was lost" in result.stdout
+    assert json.loads((tmp_path / "metrics.json").read_text())["task"]["failed"] is True
+
+
+def test_an_ordinary_run_tells_its_first_contact_and_ends_well(tmp_path):
+    """Two forces asked for at once at t = 0: the landing overshoots, which is told."""
+    result = call("run", "two_contact_rod", "--duration", "1.2", "--out", tmp_path)
+    assert result.exit_code == 0 and "verdict: OK" in result.stdout
+    steps = json.loads((tmp_path / "metrics.json").read_text())["steps"]
+    truth = Recording.load(tmp_path / "recording.npz")["alpha_true"][:500, 0]
+    left = next(s for s in steps if s["force"] == "left_end")
+    assert left["peak_N"] == truth.max() == pytest.approx(10 * (1 + left["overshoot_rel"]))
+
+
+def test_a_recording_of_a_scenario_with_files_of_its_own_can_be_viewed(tmp_path, monkeypatch):
+    mine, out, page = tmp_path / "mine", tmp_path / "out", tmp_path / "page.html"
+    mine.mkdir()
+    packaged = osc.load_scenario("two_contact_rod")
+    assert packaged.source is not None
+    text = packaged.source.read_text().replace("scara_left.urdf", "my_arm.urdf")
+    (mine / "task.yaml").write_text(text.replace("rod.urdf", "my_rod.urdf"))
+    shutil.copy(urdf_path("scara_left"), mine / "my_arm.urdf")
+    shutil.copy(urdf_path("rod"), mine / "my_rod.urdf")
+    monkeypatch.chdir(tmp_path)
+    short = ("--plant", "rigid", "--duration", "1.05", "--set", "plant.step=1 ms")
+    assert call("run", "mine/task.yaml", *short, "--out", out).exit_code == 0
+    result = call("view", out / "recording.npz", "--html", page)
+    assert result.exit_code == 0 and page.is_file(), result.output
+    (out / "recording.times.npz").unlink()  # what says where the files were
+    lost = call("view", out / "recording.npz", "--html", page)
+    assert lost.exit_code == 2 and "Copy them beside the recording" in lost.stderr
+    for name in ("my_arm.urdf", "my_rod.urdf"):
+        shutil.copy(mine / name, out / name)
+    assert call("view", out / "recording.npz", "--html", page).exit_code == 0
+
+
+def test_no_figure_is_reproduced_without_its_picture():
+    fig3 = next(figure for figure in PAPER if figure.name == "fig3")
+    answers = {key: Answer("so it is", True) for key in fig3.states}
+    assert judge(fig3, True, answers) is Verdict.reproduced
+    assert judge(fig3, True, answers, drawn=False) is Verdict.partly
