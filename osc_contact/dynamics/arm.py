@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -103,6 +104,32 @@ class Arm:
         still = {j: held.get(j, 0.0) for j in every_joint if j not in list(model.names)}
         return cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor, still)
 
+    @classmethod
+    def from_mjcf(
+        cls,
+        mjcf: str | Path | Any,
+        *,
+        name: str,
+        tip: str,
+        limits: Mapping[str, robots.JointLimits] | None = None,
+        **how: Any,
+    ) -> Arm:
+        """Load an arm from MJCF, with armature, damping and friction of its joints.
+
+        Only the kinematic tree of the tip is read; base None: it stands where the file puts it.
+
+        Args:
+            mjcf: path of an MJCF file, `mujoco.MjSpec` or `mujoco.MjModel`.
+            name: prefix that keeps equal robots apart. tip: body or site that holds the object.
+            limits: see `robots.load_mjcf`. how: the other arguments of `from_urdf`. The wrist
+                sensor is a site with force and torque sensors, or a body: it weighs that body and
+                all beyond it.
+
+        Raises:
+            ModelError: see `robots.load_mjcf`, `from_urdf`.
+        """
+        return cls.from_urdf(robots.load_mjcf(mjcf, tip, limits=limits), name=name, tip=tip, **how)
+
 
 def _require_joints(model: pin.Model, names: Sequence[str]) -> None:
     missing = [name for name in names if name not in list(model.names)[1:]]
@@ -140,11 +167,18 @@ def _path_to(model: pin.Model, tip: int, held: Mapping[str, float]) -> pin.Model
         return model
     if len(lock) == model.njoints - 1:
         raise ModelError(f"no joint moves the tip frame '{model.frames[tip].name}'")
+    joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    names = {f.name if f.type in joints else f"{f.name}#{i}": f.name
+             for i, f in enumerate(model.frames)}  # fmt: skip
+    model = model.copy()
+    for frame, name in zip(model.frames, names, strict=True):
+        frame.name = name  # a link may be called as a joint: Pinocchio looks for names alone
     reduced = pin.buildReducedModel(model, lock, q)
     for frame in reduced.frames:  # Pinocchio 4.1 leaves some frames their own parents
         original = model.frames[model.getFrameId(frame.name)]
-        parent = model.frames[original.parentFrame]
-        frame.parentFrame = reduced.getFrameId(parent.name)
+        frame.parentFrame = reduced.getFrameId(model.frames[original.parentFrame].name)
+    for frame in reduced.frames:
+        frame.name = names[frame.name]
     return reduced
 
 

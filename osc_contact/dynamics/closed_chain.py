@@ -396,15 +396,21 @@ class ClosedChain:
 
 
 def _merge(arms: Sequence[Arm]) -> pin.Model:
-    merged, carried = pin.Model(), []
+    merged, carried, names = pin.Model(), [], {"universe": "universe"}
+    merged.gravity = arms[0].model.gravity
     for arm in arms:
         model = arm.model.copy()
         for j in range(1, model.njoints):
             model.names[j] = f"{arm.name}/{model.names[j]}"
-        for frame in list(model.frames)[1:]:
-            frame.name = f"{arm.name}/{frame.name}"
+        joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+        for i, frame in enumerate(list(model.frames)[1:]):
+            mark = "" if frame.type in joints else f"#{i}"  # a link may be called as a joint
+            name = f"{arm.name}/{frame.name}"
+            frame.name, names[name + mark] = name + mark, name
         merged = pin.appendModel(merged, model, 0, arm.base)
         carried.append(rotor_inertia(model))
+    for frame in merged.frames:
+        frame.name = names[frame.name]
     merged.armature = np.concatenate(carried)  # Pinocchio 4.1 does not carry it over
     if merged.nq != merged.nv:
         raise InvalidInputError(

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from osc_contact import robots
 from osc_contact.dynamics.arm import ArmTerms
 from osc_contact.spatial import Array
 
@@ -69,7 +70,7 @@ def share_left(chi: float) -> float:
 def full_rank(model: pin.Model, tip: str) -> int:
     """Motions the tip can make in ordinary postures: the largest rank of J in a few random ones."""
     rng, data = np.random.default_rng(0), model.createData()
-    frame = model.getFrameId(tip)
+    frame = robots.frame_id(model, tip)
     ranks = []
     for _ in range(4):
         q = rng.uniform(-1.0, 1.0, model.nq)

@@ -399,7 +399,7 @@ def _stacked(parts: list[Contact]) -> tuple[Array, Array]:
 def _with_object(chain: ClosedChain) -> tuple[pin.Model, list[int]]:
     """The merged model with the object's inertia riding on the last joint of the leading arm."""
     model = chain.model.copy()
-    tips = [model.getFrameId(f"{arm.name}/{arm.tip}") for arm in chain.arms]
+    tips = list(chain.tips)
     if chain.leader is not None:
         assert chain.payload is not None
         tip = model.frames[tips[chain.leader]]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.robots import frame_id
 from osc_contact.spatial import Array, cross_wrench
 
 __all__ = ["WristCut", "wrist_cut"]
@@ -30,7 +31,7 @@ class WristCut:
 
 def wrist_cut(model: pin.Model, name: str) -> WristCut:
     """The cut at the frame `name`."""
-    cut = model.getFrameId(name)
+    cut = frame_id(model, name)
     frame = model.frames[cut]
     above = frame.parentFrame
     beyond = {above if model.frames[above].type == pin.FrameType.FIXED_JOINT else cut}

@@ -18,6 +18,7 @@ from osc_contact.robots.loading import (
     load_geometry,
     load_model,
 )
+from osc_contact.robots.mjcf import is_mjcf, load_mjcf
 from osc_contact.robots.model import check_mass_matrix, frame_id
 from osc_contact.robots.report import RobotReport, check_robot
 from osc_contact.robots.summary import RobotSummary, summarise
@@ -28,6 +29,8 @@ __all__ = [
     "resolve_urdf",
     "locate",
     "load_model",
+    "load_mjcf",
+    "is_mjcf",
     "load_body",
     "load_geometry",
     "load",
