@@ -149,7 +149,7 @@ def test_rigid_plant_decouples_exactly(rigs, name, allocated):
 
 @pytest.mark.parametrize("name", ["ur5_wipe", "scara_peg"])
 def test_limits_on_the_rigid_plant(name):
-    scenario = osc.load_scenario(name, ["plant.step=1 ms"])
+    scenario = osc.load_scenario(name, ["plant.step=1 ms", "control.force.reading=filter"])
     recording = osc.run(scenario, plant="rigid", duration=1.1)
     verdict = osc.metrics(recording)
     for force in verdict["force"].values():

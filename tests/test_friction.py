@@ -191,10 +191,10 @@ def test_without_compensation_friction_costs_twice_as_much():
     assert worst(0.3, None, "control.friction=null") > 2 * worst(0.3, 0.3)
 
 
-def test_friction_on_contacts_without_a_known_point_is_refused():
+def test_friction_on_contacts_without_known_points_is_refused():
     chain = scara_pair()
-    pair = osc.SphereOnPlane(np.zeros(3), 0.01, np.zeros(3), np.array([0.0, 0.0, 1.0]), name="ball")
-    with pytest.raises(osc.InvalidInputError, match=r"ball.*vertex slides"):
+    pair = osc.Revolute(np.zeros(3), np.array([0.0, 0.0, 1.0]), name="hinge")
+    with pytest.raises(osc.InvalidInputError, match=r"hinge.*where it touches"):
         osc.Controller(chain, [pair], friction=Friction(0.1))
 
 

@@ -51,7 +51,7 @@ def readable_of(controller):
         life = ContactLife(c.life, owners, pushing, c.dt, c.engaged)
     return ReadableController(
         c.chain, c.contacts, c.gains, dt=c.dt, B=c.B, bodies=c.bodies, posture=c.posture,
-        engaged=c.engaged, friction=c.friction, life=life,
+        engaged=c.engaged, friction=c.friction, life=life, reading=c.reading,
     )  # fmt: skip
 
 

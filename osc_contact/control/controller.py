@@ -16,6 +16,7 @@ from osc_contact.control.laws import Laws
 from osc_contact.control.life import LifeSettings, Phase
 from osc_contact.control.loops import ForceLoop, MotionLoop, refuse
 from osc_contact.control.outside import Outside
+from osc_contact.control.reading import Reading
 from osc_contact.control.reasons import convert_arrays, read_joints, require_sizes
 from osc_contact.control.reports import Status
 from osc_contact.control.safety import SafetySettings
@@ -47,6 +48,7 @@ class Controller(ControllerCopies):
 
     Attributes:
         chain, contacts, gains, dt, B, bodies, posture, friction, life: as given.
+        reading: as given, or as chosen.
         f_tare: (6,) constant error of the wrist readings at O, removed from each.
         f_bias: (6,) constant wrench added to the command, learnt before contact.
         engaged: whether the contacts are part of the model; False treats the object as free.
@@ -67,6 +69,7 @@ class Controller(ControllerCopies):
         posture: Array | None = None,
         engaged: bool = True,
         friction: Friction | None = None,
+        reading: Reading | None = None,
         life: LifeSettings | None = None,
         laws: Laws | None = None,
         posture_task: PostureTask | None = None,
@@ -87,6 +90,9 @@ class Controller(ControllerCopies):
             posture: (n,) where redundant arms return to (default: neutral).
             engaged: start in contact.
             friction: what is believed of the contacts' friction; None: nothing.
+            reading: how contact forces are read off the wrists, 'filter' (fig. 5) or
+                'least_squares', which friction and tilted faces do not fool; None: the latter
+                where its answer is unique (see `control.reading`).
             life: opens, approaches and closes the contacts one by one; None: all of them are
                 closed as long as they are engaged.
             laws: of the user's own, in place of force law, motion law or control structure.
@@ -114,6 +120,7 @@ class Controller(ControllerCopies):
                 life,
                 SafetySettings() if safety is None else safety,
                 joint_friction,
+                reading,
             ),
             Laws() if laws is None else laws,
         )

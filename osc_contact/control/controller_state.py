@@ -46,7 +46,7 @@ class ControllerState:
     def __getattr__(self, name: str) -> Any:
         settings = self.__dict__.get("settings")
         if settings is not None and name in ("chain", "contacts", "gains", "dt", "B", "bodies",
-                                             "posture", "friction"):  # fmt: skip
+                                             "posture", "friction", "reading"):  # fmt: skip
             return getattr(settings, name)
         if settings is not None and name == "life":
             return settings.phases

@@ -13,12 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.pairs import ContactPair, VertexOnFace
-from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, velocity
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.pairs.pair import (
+    Bodies,
+    knows_where_it_slides,
+    lines_of_force,
+    velocity,
+)
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Touched
 from osc_contact.spatial import Array
@@ -34,28 +40,34 @@ class Friction:
         mu: Coulomb coefficient, the same at all contacts.
         slip: v_0, the slip speed (m/s) from which on friction counts as fully developed. Below it
             the direction is not known well enough to push against.
+        learning: 1/s, how fast the coefficient follows what least squares read of tangential
+            forces while the contacts slide; 0: it stays. The filter learns nothing.
     """
 
     mu: float
     slip: float = 0.002
+    learning: float = 5.0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mu) and self.mu >= 0.0 and self.slip > 0.0):
             raise InvalidInputError(
                 f"friction: mu = {self.mu}, slip = {self.slip} m/s; give mu ≥ 0 and slip > 0"
             )
+        if not 0.0 <= self.learning < np.inf:
+            raise InvalidInputError(f"friction: learning = {self.learning} 1/s; give a number ≥ 0")
 
     def require_known_points(self, pairs: Sequence[ContactPair]) -> None:
-        """Refuse contacts that touch anywhere but in one known point.
+        """Refuse contacts that do not know where they touch.
 
         Raises:
             InvalidInputError: with the contact's name.
         """
         for pair in pairs:
-            if not isinstance(pair, VertexOnFace):
+            if not knows_where_it_slides(pair):
                 raise InvalidInputError(
-                    f"contact '{pair.name}' is a {type(pair).__name__}; friction is compensated "
-                    "where a vertex slides on a face. Leave control.friction out"
+                    f"contact '{pair.name}' is a {type(pair).__name__}, which does not tell where "
+                    "it touches, so its friction is not known. Leave control.friction out, or give "
+                    "the pair a method points_of_contact(X_WO, X_WE)"
                 )
 
     def drag(self, normal: Array, point: Array, V_rel: Array) -> Array:
@@ -72,13 +84,14 @@ class Friction:
     def drags(
         self, pairs: Sequence[ContactPair], X_WO: pin.SE3, V_O: Array, touched: Touched | None
     ) -> Array:
-        """N_μ − N (6, r): the drag of each contact, at the pose and twist of object and bodies."""
+        """N_μ − N (6, r): the drag of each magnitude at poses and twists of object and bodies."""
         columns = [np.zeros((6, 0))]
         for i, pair in enumerate(pairs):
-            assert isinstance(pair, VertexOnFace)  # require_known_points
             X_WE = None if touched is None else pin.SE3(touched.X_WE[i])
             V_E = None if touched is None else touched.V_E[i]
-            point = pair.point_on_face(X_WO, X_WE) - X_WO.translation
+            points = cast(Any, pair).points_of_contact(X_WO, X_WE) - X_WO.translation[:, None]
+            normals = pair.contact(X_WO, V_O, X_WE, V_E).N[:3]
             V_rel = Bodies.at_O(X_WO, V_O, X_WE, V_E).V_rel
-            columns.append(self.drag(pair.direction(X_WE), point, V_rel)[:, None])
+            for normal, point in zip(normals.T, points.T, strict=True):
+                columns.append(self.drag(normal, point, V_rel)[:, None])
         return np.hstack(columns)

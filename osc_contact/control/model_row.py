@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from osc_contact.control.friction import Friction
 from osc_contact.control.pair_rows import PairRows
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.motors import effort_scale
@@ -108,8 +109,9 @@ class ModelRow:
         posture = settings.posture_task
         head.posture_stiffness, head.posture_damping = posture.stiffness, posture.damping
         head.retreat_damping = posture.retreat_damping
-        if settings.friction is not None:
-            head.mu, head.slip = settings.friction.mu, settings.friction.slip
+        friction = Friction(0.0) if settings.friction is None else settings.friction
+        head.mu, head.slip, head.learning = friction.mu, friction.slip, friction.learning
+        head.reading = at.LEAST_SQUARES if settings.reading == "least_squares" else at.FILTER
         B = settings.B
         kinds = {"object": at.BY_OBJECT, "chain": at.BY_CHAIN}
         head.metric = kinds[B] if isinstance(B, str) else at.BY_MATRIX

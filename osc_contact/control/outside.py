@@ -143,12 +143,16 @@ class Outside:
         """N_μ − N (6, r) of a pair that only Python knows."""
         if self.settings.friction is None:
             return np.zeros((6, r))
-        if r != 1:
-            raise ContactError(f"{pair.name}: friction is known of one force, not of {r}")
         if touched is not None:
             here = slice(number, number + 1)
             touched = Touched(touched.X_WE[here], touched.V_E[here], touched.A_E[here])
-        return self.settings.friction.drags([pair], X_WO, V_O, touched)
+        drag = self.settings.friction.drags([pair], X_WO, V_O, touched)
+        if drag.shape[1] != r:
+            raise ContactError(
+                f"{pair.name}: {drag.shape[1]} points of contact, {r} independent forces; "
+                "friction needs one for each"
+            )
+        return drag
 
     def _put(self, rows: TickRecords, found: dict[int, Any]) -> None:
         for number, _, first in rows.row.pairs.elsewhere:

@@ -18,9 +18,9 @@ class PairRows:
     """The pairs of a controller as arrays.
 
     Attributes:
-        table: kind, first column, columns, first shape, freedoms, whether its friction is known, of
-            each pair. shapes: (16,) each. owners: (r_all,) pair of each column of N. r_all: their
-            number. given: columns of the pairs that only Python can evaluate, by number.
+        table: kind, first column, columns, first shape, freedoms, whether it knows where it slides,
+            of each pair. shapes: (16,) each. owners: (r_all,) pair of each column of N. r_all:
+            their number. given: columns of the pairs that only Python can evaluate, by number.
         elsewhere: (pair, its first column) where only Python code can evaluate the pair.
     """
 

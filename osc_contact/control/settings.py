@@ -13,6 +13,7 @@ from osc_contact.control.friction import Friction
 from osc_contact.control.gains import Gains
 from osc_contact.control.joint_limits import JointLimits
 from osc_contact.control.life import LifeSettings
+from osc_contact.control.reading import Reading, choose_reading
 from osc_contact.control.safety import SafetySettings
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
@@ -53,7 +54,7 @@ class PostureTask:
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """Everything a controller is given; see `Controller`.
+    """Everything a controller is given; see `Controller`. `reading` None becomes what it chooses.
 
     Raises:
         InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
@@ -73,6 +74,7 @@ class Settings:
     phases: LifeSettings | None = None
     safety: SafetySettings = field(default_factory=SafetySettings)
     joint_friction: bool = True
+    reading: Reading | None = None
 
     def __post_init__(self) -> None:
         chain = self.chain
@@ -102,6 +104,8 @@ class Settings:
         object.__setattr__(self, "posture", as_array("posture", posture, (chain.nq,)))
         if self.friction is not None:
             self.friction.require_known_points(self.contacts)
+        reading = choose_reading(self.reading, self.contacts, bodies, self.phases is not None)
+        object.__setattr__(self, "reading", reading)
         if self.gains.force.integral * self.dt >= 1.0:
             raise InvalidInputError(
                 f"force gain integral = {self.gains.force.integral:g} 1/s at a period of "

@@ -17,13 +17,14 @@ from osc_contact.law.tables import (
     EDGES,
     FACE_ON_VERTEX,
     GIVEN,
+    LEAST_SQUARES,
     POINTS,
     SCREW,
     SLIDE,
     THREAD,
 )
 
-__all__ = ["PARALLEL", "permitted_motion", "place_contacts", "place_pair"]
+__all__ = ["PARALLEL", "permitted_motion", "place_contacts", "place_pair", "point_of_contact"]
 
 PARALLEL = 1e-6  #: sine of the angle below which two edges have no common normal
 
@@ -61,7 +62,7 @@ def place_contacts(chain, pairs, shapes, columns, X_WO, V_O, bodies, moving, wor
         X_WO: (4, 4) pose of the object. V_O: (6,) its twist at O.
         bodies: (contacts, 28) of each touched body: X_WE (16, by rows), V_E (6), A_E (6).
         moving: whether `bodies` counts; False: they rest in the world.
-        work: WORK record, for scratch.
+        work: WORK record: the coefficient of friction `mu`; scratch.
     """
     R_E, V_E, V_rel = work.A, work.u, work.w
     for i in range(3):
@@ -91,11 +92,11 @@ def place_contacts(chain, pairs, shapes, columns, X_WO, V_O, bodies, moving, wor
         )  # fmt: skip
         if not sine >= PARALLEL:
             return False
-        if chain.mu > 0.0 and pair.drags != 0:
-            _friction_wrench(
-                shapes[pair.shape_at].row, X_WO, R_E, V_rel, chain.mu, chain.slip,
-                columns[pair.first],
-            )  # fmt: skip
+        if pair.drags != 0 and (work.mu > 0.0 or chain.reading == LEAST_SQUARES):
+            for j in range(pair.count):
+                row, column = shapes[pair.shape_at + j].row, columns[pair.first + j]
+                point = point_of_contact(pair.kind, row, X_WO, R_E, column.N)
+                _slide(point, V_rel, work.mu, chain.slip, column)
     return True
 
 
@@ -146,19 +147,37 @@ def _point_on_plane(row, X_WO, V_O, R_E, V_E, V_rel, moving, column):
 
 
 @inner
-def _friction_wrench(row, X_WO, R_E, V_rel, mu, slip, column):
-    """μ [s; p × s], s = v_t / √(v_t² + v_0²), of a vertex over p on its face."""
+def point_of_contact(kind, row, X_WO, R_E, N):
+    """Where a magnitude of a pair that pushes acts, from O, given its line of force N.
+
+    On the plane; on the rounded vertex; on the object's edge.
+    """
+    if kind == POINTS:
+        x, y, z = rotated(X_WO, row[0], row[1], row[2])
+        ahead = row[6] + N[0] * (R_E[0, 3] - X_WO[0, 3] - x)
+        ahead += N[1] * (R_E[1, 3] - X_WO[1, 3] - y) + N[2] * (R_E[2, 3] - X_WO[2, 3] - z)
+        return x + ahead * N[0], y + ahead * N[1], z + ahead * N[2]
+    if kind == FACE_ON_VERTEX:
+        x, y, z = rotated(R_E, row[3], row[4], row[5])
+        x, y, z = x + R_E[0, 3] - X_WO[0, 3], y + R_E[1, 3] - X_WO[1, 3], z + R_E[2, 3] - X_WO[2, 3]
+        return x - row[6] * N[0], y - row[6] * N[1], z - row[6] * N[2]
+    return _crossing(row, X_WO, R_E)[0]
+
+
+@inner
+def _slide(point, V_rel, mu, slip, column):
+    """s = v_t / √(v_t² + v_0²) at the point of contact p, and friction μ [s; p × s] there."""
     N = column.N
     a, b, c = N[0], N[1], N[2]
-    x, y, z = rotated(X_WO, row[0], row[1], row[2])
-    gap = row[6] + a * (R_E[0, 3] - X_WO[0, 3] - x)
-    gap += b * (R_E[1, 3] - X_WO[1, 3] - y) + c * (R_E[2, 3] - X_WO[2, 3] - z)
-    x, y, z = x + gap * a, y + gap * b, z + gap * c
+    x, y, z = point
     u, v, w = _velocity(V_rel, x, y, z)
     s = a * u + b * v + c * w
     u, v, w = u - s * a, v - s * b, w - s * c
-    s = mu / sqrt(u * u + v * v + w * w + slip * slip)
-    _line(column.drag, x, y, z, s * u, s * v, s * w)
+    s = 1.0 / sqrt(u * u + v * v + w * w + slip * slip)
+    u, v, w = s * u, s * v, s * w
+    column.point[0], column.point[1], column.point[2] = x, y, z
+    column.slip[0], column.slip[1], column.slip[2] = u, v, w
+    _line(column.drag, x, y, z, mu * u, mu * v, mu * w)
 
 
 @inner
@@ -172,7 +191,7 @@ def _rate(p, n, p_dot, n_dot, out):
 
 @inner
 def _face_on_vertex(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
-    """Row: normal of A's face (0:3), vertex of E (3:6)."""
+    """Row: normal of A's face (0:3), vertex of E (3:6), its radius (6)."""
     n = rotated(X_WO, row[0], row[1], row[2])
     x, y, z = rotated(R_E, row[3], row[4], row[5])
     p = (x + R_E[0, 3] - X_WO[0, 3], y + R_E[1, 3] - X_WO[1, 3], z + R_E[2, 3] - X_WO[2, 3])
@@ -187,6 +206,23 @@ def _along_first(a, e, m, mm):
     """s with s e_A − t e_E = a in the plane ⟂ m = e_A × e_E."""
     x, y, z = cross(a[0], a[1], a[2], e[0], e[1], e[2])
     return (x * m[0] + y * m[1] + z * m[2]) / mm
+
+
+@inner
+def _crossing(row, X_WO, R_E):
+    """Where A's edge comes nearest to E's, from O, and from a point of A's edge to one of E's."""
+    e = rotated(X_WO, row[3], row[4], row[5])
+    f = rotated(R_E, row[9], row[10], row[11])
+    m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
+    q = rotated(X_WO, row[0], row[1], row[2])
+    x, y, z = rotated(R_E, row[6], row[7], row[8])
+    apart = (
+        x + R_E[0, 3] - X_WO[0, 3] - q[0],
+        y + R_E[1, 3] - X_WO[1, 3] - q[1],
+        z + R_E[2, 3] - X_WO[2, 3] - q[2],
+    )
+    s = _along_first(apart, f, m, m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+    return (q[0] + s * e[0], q[1] + s * e[1], q[2] + s * e[2]), apart
 
 
 @inner
@@ -207,15 +243,7 @@ def _edges(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
         side = -(o[0] * m[0] + o[1] * m[1] + o[2] * m[2])
     scale = copysign(1.0 / sine, side)
     n = (scale * m[0], scale * m[1], scale * m[2])
-    q = rotated(X_WO, row[0], row[1], row[2])
-    x, y, z = rotated(R_E, row[6], row[7], row[8])
-    apart = (
-        x + R_E[0, 3] - X_WO[0, 3] - q[0],
-        y + R_E[1, 3] - X_WO[1, 3] - q[1],
-        z + R_E[2, 3] - X_WO[2, 3] - q[2],
-    )
-    s = _along_first(apart, f, m, mm)
-    p = (q[0] + s * e[0], q[1] + s * e[1], q[2] + s * e[2])
+    p, apart = _crossing(row, X_WO, R_E)
     gap = n[0] * apart[0] + n[1] * apart[1] + n[2] * apart[2]
     a = cross(V_O[3], V_O[4], V_O[5], e[0], e[1], e[2])
     a = cross(a[0], a[1], a[2], f[0], f[1], f[2])

@@ -85,7 +85,7 @@ def project_bodies(columns, table, bodies, body_work, work):
             s = 0.0
             for i in range(6):
                 s += N[i] * answer[6 * i + j]
-            given[j] = s
+            given[j] = work.yields[a, j] = s
         for b in range(work.rank):
             work.Phi_mu[a, b] = 0.0
             other = columns[int(work.keep[b])].chosen

@@ -23,7 +23,7 @@ _NOTHING = 1e-9  #: Λ_out beside the object's inertia, below which sensors read
 
 
 @inner
-def add_friction(chain, columns, work):
+def add_friction(columns, work):
     """N_μ = N + D share of the kept columns, _e (`pushed`), and D share at O (`drag`)."""
     r, count = work.rank, work.count
     for a in range(r):
@@ -31,7 +31,7 @@ def add_friction(chain, columns, work):
         for i in range(6):
             drag[i] = 0.0
             pushed[i] = work.N[a, i]
-        if chain.mu == 0.0:
+        if work.mu == 0.0:
             continue
         for j in range(count):
             s = columns[j].share[a] if r < count else (1.0 if j == a else 0.0)

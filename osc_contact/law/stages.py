@@ -26,6 +26,7 @@ from osc_contact.law.force import (
     sum_readings,
 )
 from osc_contact.law.jit import inner, integers, leaf
+from osc_contact.law.least_squares import learn_friction, weigh_magnitudes
 from osc_contact.law.motion import command_motion, pose_error
 from osc_contact.law.singular import fade_motion
 from osc_contact.law.tables import (
@@ -34,6 +35,7 @@ from osc_contact.law.tables import (
     BY_OBJECT,
     DEGENERATE_PAIR,
     DEGRADED,
+    LEAST_SQUARES,
     NO_REASON,
     NOT_FINITE,
     OK,
@@ -121,8 +123,10 @@ def advance_contacts(chain, bodies, table, memory, contacts, column_memory, flat
 
 @inner
 def measure(chain, arms, pairs, shapes, table, bodies, contacts, work, arm_work, joints,
-             columns, body_work, memory, wrenches, touched, moving):  # fmt: skip
+             columns, body_work, memory, wrenches, touched, moving, goal):  # fmt: skip
     """N, n_γ, the bodies along N, the force filter; returns a reason."""
+    work.mu = max(chain.mu + memory.more_friction, 0.0)
+    work.more_friction = memory.more_friction
     if work.count > 0:
         if not place_contacts(
             chain, pairs, shapes, columns, work.X_WO, work.V_O, touched, moving, work
@@ -133,7 +137,7 @@ def measure(chain, arms, pairs, shapes, table, bodies, contacts, work, arm_work,
     reason = keep_columns(table, bodies, columns, work, body_work)
     if reason != NO_REASON:
         return reason
-    add_friction(chain, columns, work)
+    add_friction(columns, work)
     if moving:
         project_bodies(columns, table, bodies, body_work, work)
     else:
@@ -145,7 +149,11 @@ def measure(chain, arms, pairs, shapes, table, bodies, contacts, work, arm_work,
         f_c[i] = 0.0
     if r == 0:
         return NO_REASON
-    if not measure_magnitudes(chain, work):
+    if chain.reading == LEAST_SQUARES:
+        if not weigh_magnitudes(chain, table, bodies, columns, work, goal):
+            return BLIND
+        learn_friction(chain, table, bodies, columns, work, goal)
+    elif not measure_magnitudes(chain, work):
         return BLIND
     contact_laws(table, contacts, columns, work)
     for a in range(r):
@@ -255,6 +263,7 @@ def remember(chain, work, memory, columns, column_memory, table, contacts, flat)
     """The integrals move on; phases keep what was measured."""
     r = work.rank
     memory.ticked, memory.fresh, memory.located = memory.ticked + 1, 1, 1
+    memory.more_friction = work.more_friction
     for i in range(4):
         for j in range(4):
             memory.X_WO[i, j] = work.X_WO[i, j]

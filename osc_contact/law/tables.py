@@ -36,6 +36,7 @@ def _record(
 BY_OBJECT, BY_CHAIN, BY_MATRIX = range(3)
 RIGID, HINGE, BALL, OTHER = range(4)
 POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, GIVEN = range(5)
+FILTER, LEAST_SQUARES = range(2)  #: how contact forces are read off the wrists
 #: columns and freedoms of pairs given by T
 FORCE, COUPLE, THREAD = range(3)
 TURN, SLIDE, SCREW = range(3)
@@ -47,6 +48,7 @@ CHAIN = _record(
         "n_bars",  # internal forces that can be commanded: pairs of grasps
         "n_extra",  # rows that the torque allocation may need beside f_S
         "held", "metric", "slipping",  # whether some grasp permits motions
+        "reading",  # how contact forces are read off the wrists
         "leader",  # arm that holds rigidly, or −1
         "rubs",  # whether friction of joints is made up for
         "phased",  # whether contacts are opened and closed one by one
@@ -58,7 +60,7 @@ CHAIN = _record(
     ),
     number=(
         "tolerance", "stiffness", "damping", "integral", "period", "posture_stiffness",
-        "posture_damping", "retreat_damping", "mu", "slip",
+        "posture_damping", "retreat_damping", "mu", "slip", "learning",
         "hold_rate",  # 1/s, of `safety`
         # contact phases, see `phases`
         "force_gain", "force_damping", "approach_speed", "approach_damping", "travel", "rise",
@@ -110,6 +112,7 @@ MEMORY = _record(
         # see `safety`: ticks in this state, faults in a row, ticks too fast, ticks that may repeat
         "state", "age", "faults", "too_fast", "repeats", "cause", "read", "settled",
     ),
+    number=("more_friction",),  # learnt, beyond what is believed
     motion_sum=6, f_tare=6, f_bias=6,
     force_sum=6,  # of the columns kept in the last tick
     X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
@@ -132,7 +135,7 @@ WORK = _record(
     whole=("rank", "locked", "count", "status", "reason", "where", "n_lost", "n_internal",
            "commanded", "moving",
            "weightless"),
-    number=("amount",),
+    number=("amount", "mu", "more_friction"),
     # what recordings keep, side by side
     f_meas=6, bias_out=6, V_O=6, X_WO=(4, 4), f_c=6, error=6, free_error=6, internal=1,
     C=3, O=3, R=(3, 3), axes=(4, 3, 3),
@@ -146,6 +149,7 @@ WORK = _record(
     N=(6, 6), N_t=(6, 6), pushed=(6, 6), pushed_t=(6, 6), drag=(6, 6),
     Q=(6, 6), L=(6, 6), Q_t=(6, 6), L_t=(6, 6), solved=(6, 6),
     Phi_mu=(6, 6), mobility=(6, 6), B_inv_t=(6, 6),
+    yields=(6, 6),  # NᵀΦ_e, at O
     b_N=6, V_N=6, n_gamma=6, keep=6,
     alpha_d=6, alpha_meas=6, alpha_u=6, speed=6, gain=6, damping=6, least=6,
     reading_e=6, motion_next=6, force_next=6, a_u=6,
@@ -176,6 +180,7 @@ JOINT_WORK = _record(
 COLUMN_WORK = _record(
     whole=("chosen",), number=("n_gamma", "n_gamma_all", "extent", "alpha_d"),
     N=6, drag=6, energy=6, rest=6, share=6,
+    point=3, slip=3,  # of contact, from O; v_t / √(v_t² + v_0²) there
 )  # fmt: skip
 BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E
 

@@ -38,12 +38,16 @@ _NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo wants mass in what moves
 
 @dataclass(frozen=True)
 class MujocoOptions:
-    """Integration step (s), contact softness and Coulomb friction of the environment."""
+    """Integration step (s), contact softness and Coulomb friction of the environment.
+
+    `friction_solref`: of friction alone, see `_let_slide`; None: the same as `solref`.
+    """
 
     step: float = 2.5e-4
     solref: tuple[float, float] = (0.01, 1.0)
     solimp: tuple[float, float, float] = (0.2, 0.9, 0.0005)
     friction: float = 0.0
+    friction_solref: tuple[float, float] | None = None
 
 
 def scene(
@@ -88,6 +92,8 @@ def scene(
     _hold_object(mujoco, spec, chain, object_urdf)
     for i, (body, rail) in enumerate(zip(bodies, rails, strict=True)):
         _body(mujoco, spec, i, *body, options, rail)
+    if options.friction > 0.0 and options.friction_solref is not None:
+        _let_slide(spec, options, options.friction_solref)
     return spec
 
 
@@ -230,6 +236,27 @@ def _body(
     if rail is not None:
         _put_on_rail(mujoco, part, root, placement, rail)
     spec.attach(part, prefix=f"face{i}/", frame=_frame(spec.worldbody, placement))
+
+
+def _let_slide(spec: Any, options: MujocoOptions, own: tuple[float, float]) -> None:
+    """Friction with a solref of its own, between the object's geometries and those of all bodies.
+
+    MuJoCo's cone lifts what slides: the depth that carries a force shrinks by 2 μ v τ d, v the
+    speed, τ the time constant of friction and d the impedance. A point settles there, a face on a
+    face hops. With a longer τ it is lifted less; friction then has the impedance times the same
+    ratio, so that the slip from which on it is developed stays.
+    """
+    spec.option.impratio = own[0] / options.solref[0]
+    for i, geom in enumerate(spec.geoms):
+        geom.name = geom.name or f"geom{i}"
+    held = [geom.name for geom in spec.geoms if geom.conaffinity and not geom.contype]
+    touched = [geom.name for geom in spec.geoms if geom.contype and not geom.conaffinity]
+    for first in held:
+        for second in touched:
+            pair = spec.add_pair(geomname1=first, geomname2=second)
+            pair.condim, pair.friction = 3, [options.friction, options.friction, 0.0, 0.0, 0.0]
+            pair.solref, pair.solimp = list(options.solref), [*options.solimp, 0.5, 2.0]
+            pair.solreffriction = list(own)
 
 
 def _put_on_rail(mujoco: Any, part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -> None:

@@ -97,7 +97,9 @@ class Rig:
                 robots.resolve_urdf(self.scenario.object.urdf, source)[0],
                 self.pairs,
                 [(body.urdf[0], body.placement) for body in self.bodies],
-                MujocoOptions(spec.step, spec.solref, spec.solimp, spec.friction),
+                MujocoOptions(
+                    spec.step, spec.solref, spec.solimp, spec.friction, spec.friction_solref
+                ),
                 faces.rails(self.bodies),
                 self.on,
                 drives=hardware.drives(self.scenario, self.chain, self.state(), seed),
@@ -152,6 +154,7 @@ class Rig:
             posture=self.q_contact,
             engaged=self.scenario.tare is None,
             friction=self._friction(),
+            reading=self.scenario.control.force.reading,
             life=self._life(),
             safety=SafetySettings(**self.scenario.control.safety.model_dump()),
             laws=self.scenario.laws() if callable(self.scenario.laws) else self.scenario.laws,
@@ -168,7 +171,7 @@ class Rig:
 
     def _friction(self) -> Friction | None:
         spec = self.scenario.control.friction
-        return None if spec is None else Friction(float(spec.mu), float(spec.slip))
+        return None if spec is None else Friction(**spec.model_dump())
 
     def controlled_pairs(self) -> tuple[ContactPair, ...]:
         """The controller's contacts: as declared, or read off the geometry while it moves."""

@@ -82,6 +82,7 @@ class FrictionSpec(Spec):
     mu: NotNegative
     """the Coulomb coefficient, such as 0.1"""
     slip: Positive = 0.002
+    learning: NotNegative = 5.0
 
 
 class EstimateSpec(Spec):

@@ -28,6 +28,7 @@ from .quantities import (
 __all__ = [
     "ControlSpec",
     "ForceGains",
+    "ForceReadingSpec",
     "GainsSpec",
     "LifeSpec",
     "ModelErrorSpec",
@@ -91,6 +92,12 @@ class SafetySpec(Spec):
     hold_rate: Positive = 20.0
 
 
+class ForceReadingSpec(Spec):
+    """How contact forces are read off the wrists; null: as `Controller` chooses."""
+
+    reading: Literal["filter", "least_squares"] | None = None
+
+
 class ControlSpec(Spec):
     """Tick rate (Hz), the metric B of eq. 24, where N comes from, how contacts live."""
 
@@ -99,6 +106,7 @@ class ControlSpec(Spec):
     metric: Literal["object", "chain"] = "object"
     contacts: Literal["declared", "detected"] = "declared"
     joint_torque: JointTorqueSpec | None = None
+    force: ForceReadingSpec = ForceReadingSpec()
     friction: FrictionSpec | None = None
     joint_friction: bool = True
     life: LifeSpec | None = None
@@ -145,6 +153,7 @@ class PlantSpec(Spec):
     solref: tuple[Positive, Positive] = (0.01, 1.0)
     solimp: tuple[Fraction, Fraction, Positive] = (0.2, 0.9, 0.0005)
     friction: NotNegative = 0.0
+    friction_solref: tuple[Positive, Positive] | None = None
     flexible_joints: FlexibleJointsSpec | None = None
     motors: MotorsSpec | None = None
     joint_friction: NotNegative = 0.0

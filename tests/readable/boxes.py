@@ -7,6 +7,7 @@ nothing else, so that the diagrams of figs. 4 and 5 can be drawn from a real tic
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from readable.force import (
     magnitudes,
     sum_of_wrenches,
 )
+from readable.least_squares import explained, slides
 from readable.life import ContactLife
 from readable.motion import MotionLaw
 from readable.rubbing import with_friction
@@ -48,6 +50,8 @@ class Boxes:
     contacts: Sequence[ContactPair]
     bodies: Sequence[Body | None]
     friction: Friction | None
+    reading: str
+    more_friction: float
     B: Array | str
     motion_law: MotionLaw
     force_law: ForceLaw
@@ -70,9 +74,13 @@ class Boxes:
         touched = chosen(s.touched, active)
         s.parts = parts = parts_in_force(pairs, s.state, touched)
         s.contact = contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
-        s.drag = np.zeros_like(contact.N)
-        if self.friction is not None:
-            s.drag = self.friction.drags(pairs, s.state.X_WO, s.state.V_O, touched) @ contact.R.T
+        s.drag, X, V = np.zeros_like(contact.N), s.state.X_WO, s.state.V_O
+        believed = self.friction or Friction(0.0)
+        mu = max(believed.mu + self.more_friction, 0.0)
+        if mu > 0.0:
+            s.drag = replace(believed, mu=mu).drags(pairs, X, V, touched) @ contact.R.T
+        if self.reading == "least_squares":
+            self._where = slides(pairs, X, V, touched, believed.slip)
         self._owners = np.repeat(np.flatnonzero(active), [part.R.shape[1] for part in parts])
 
     @block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)")
@@ -87,7 +95,17 @@ class Boxes:
 
     @block("force filter", "force", r"$\Omega_f(\Lambda_{out})$")
     def _force_filter(self, s: Signals) -> None:
-        s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, s.environment, s.drag)
+        if self.reading == "filter" or s.contact.r == 0:
+            s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, s.environment, s.drag)
+            return
+        alpha, rate = explained(
+            s.f_meas, s.state, s.contact, s.environment, s.drag, s.reference.A_D, s.alpha_d,
+            self._where,
+        )  # fmt: skip
+        s.f_c_meas = s.contact.N @ alpha
+        believed = self.friction or Friction(0.0)
+        more = self.more_friction + believed.learning * self.force_law.dt * rate
+        self._more_friction = min(max(more, -believed.mu), 2.0 - believed.mu)
 
     @block("generalised inverse", "force", r"$N^{\#}$")
     def _magnitudes(self, s: Signals) -> None:

@@ -63,6 +63,7 @@ class ReadableController(Boxes):
         posture: Array | None = None,
         engaged: bool = True,
         friction: Friction | None = None,
+        reading: str = "filter",
         life: ContactLife | None = None,
     ) -> None:
         """Assemble the loops.
@@ -79,6 +80,7 @@ class ReadableController(Boxes):
             posture: (n,) where redundant arms return to (default: neutral).
             engaged: start in contact.
             friction: what is believed of the contacts' friction; None: nothing.
+            reading: 'filter' or 'least_squares'.
             life: opens, approaches and closes the contacts one by one.
 
         Raises:
@@ -99,7 +101,8 @@ class ReadableController(Boxes):
         self.given_up: GivenUp | None = None
         self.lost_directions: tuple[LostDirection, ...] = ()
         self._tare, self._bias = np.zeros(6), np.zeros(6)
-        self.friction, self.life = friction, life
+        self.friction, self.life, self.reading = friction, life, reading
+        self.more_friction = self._more_friction = 0.0
         self.terms = ContactTerms(np.zeros((len(self.contacts), 4)), gains.force)
         self.signals = Signals()
         self.status, self._reason = Status.OK, ""
@@ -168,6 +171,7 @@ class ReadableController(Boxes):
                 stage(self, s)
             self._last_tau[:] = within_limits(self, s, *before)
             note_lost(self, s.state, before[0])
+            self.more_friction = self._more_friction
             self.signals.__dict__.clear()
             self.signals.__dict__.update(s.__dict__)
         except (OscContactError, np.linalg.LinAlgError) as error:

@@ -60,7 +60,9 @@ class FaceOnVertex(LawPair):
     def __post_init__(self) -> None:
         read_geometry(self, "vertex", "point", normal="outward normal")
         require_length(f"{self.name}.radius", self.radius)
-        self._hold(PairRow(FACE_ON_VERTEX, (shape(self.normal, self.vertex),)), self.vertex)
+        self._hold(
+            PairRow(FACE_ON_VERTEX, (shape(self.normal, self.vertex, self.radius),)), self.vertex
+        )
         store(self, surface_radius=self.radius)
 
     def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:

@@ -24,13 +24,14 @@ __all__ = ["LawPair", "PairRow", "law_row", "normals_over", "shape"]
 
 _place = as_python(law.place_pair, sqrt=np.sqrt, copysign=np.copysign)
 _motion = as_python(law.permitted_motion)
+_point = as_python(law.point_of_contact)
 
 #: Elements of a matrix as the law reads them, M[i, j]: a dictionary is faster than an array.
 _Elements = dict[tuple[int, int], Any]
 _IDENTITY: _Elements = {(i, j): float(i == j) for i in range(3) for j in range(4)}
 _AT_REST = [0.0] * 6
 #: Methods that decide what a row says; a class that replaces one of them is not what its row says.
-_TOLD_BY_ROW = ("contact", "direction", "point_on_face")
+_TOLD_BY_ROW = ("contact", "direction", "point_on_face", "points_of_contact")
 
 
 class PairRow(NamedTuple):
@@ -41,7 +42,7 @@ class PairRow(NamedTuple):
         shapes: (16,) each, see the functions of `law.contact`: the columns of N, then the permitted
             motions.
         freedoms: number of the latter.
-        rubs: whether the law knows the friction of the pair.
+        rubs: whether the law knows where the pair touches, and so its friction.
     """
 
     kind: int
@@ -86,6 +87,7 @@ class LawPair:
 
     def _hold(self, row: PairRow, surface_point: Array) -> None:
         """Take the geometry of a pair that is being made."""
+        row = row._replace(rubs=self.pushes)
         count = len(row.shapes) - row.freedoms
         head = SimpleNamespace(
             kind=row.kind, count=count, freedoms=row.freedoms, first=0, shape_at=0
@@ -120,6 +122,17 @@ class LawPair:
             freedoms = self._numbers[1][N.shape[1] :]
             T = np.array([_motion(one.row, A, E) for one in freedoms]).reshape(-1, 6).T
         return Contact(N, n_gamma, T=T, name=self.name)
+
+    def points_of_contact(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+        """(3, r) where each magnitude of a pair that pushes acts, world (m)."""
+        A, E = _elements(X_WO), _IDENTITY if X_WE is None else _elements(X_WE)
+        columns = self._columns(A, _AT_REST, E, _AT_REST, _AT_REST, X_WE is not None)
+        kind, shapes = self._row.kind, self._numbers[1]
+        points = [
+            _point(kind, one.row, A, E, column.N)
+            for one, column in zip(shapes, columns, strict=True)
+        ]
+        return X_WO.translation[:, None] + np.array(points).T
 
     def normals(self, X_WO: Poses, X_WE: Poses | None = None) -> Array:
         """(6, r, k) N at k instants; see `normals_over`."""

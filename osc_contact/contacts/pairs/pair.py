@@ -16,6 +16,7 @@ __all__ = [
     "Bodies",
     "ContactPair",
     "count_forces",
+    "knows_where_it_slides",
     "lines_of_force",
     "lines_of_force_rate",
     "pushes_only",
@@ -41,6 +42,8 @@ class ContactPair(Protocol):
     A pair may have more, else the value in brackets counts:
 
     * pushes: whether every magnitude is a force that must not become negative (False);
+    * points_of_contact(X_WO, X_WE): (3, r) where each magnitude of a pair that pushes acts, world
+      (m); there it slides, with friction (None: its friction is not known);
     * surface_point: (3,) a point of the environment's feature, in its frame (m), and
       surface_radius: of that feature if it is round (m). Contact points are drawn where the lines
       of force come nearest to it (to O; 0);
@@ -87,6 +90,14 @@ def pushes_only(pair: ContactPair) -> bool:
     Those of pairs given by T (hinges, holes, grooves) and of gap functions have either sign.
     """
     return bool(getattr(pair, "pushes", False))
+
+
+def knows_where_it_slides(pair: ContactPair) -> bool:
+    """Whether friction at the pair is known: it pushes, and tells where.
+
+    Forces of either sign (hinges, holes, grooves) act somewhere in a gap.
+    """
+    return pushes_only(pair) and hasattr(pair, "points_of_contact")
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,13 +28,14 @@ class PointsOnPlanes(LawPair):
     _points: Array
     _into: Array
     _reach: Array
+    _heights: Array
 
     def _hold_points(
         self, points: Array, into: Array, on_plane: Array, radius: float = 0.0
     ) -> None:
         """Take points (3, r) of A, unit directions (3, r) and points of the planes (3, 1 or r)."""
         heights = (into * on_plane).sum(axis=0)
-        store(self, _points=points, _into=into, _reach=heights - radius)
+        store(self, _points=points, _into=into, _reach=heights - radius, _heights=heights)
         shapes = (shape(*one) for one in zip(points.T, into.T, heights, strict=True))
         self._hold(PairRow(POINTS, tuple(shapes)), on_plane[:, 0])
 

@@ -61,8 +61,8 @@ class VertexOnFace(PointsOnPlanes):
         )
 
     def row(self) -> PairRow:
-        """The pair as the compiled law reads it, which knows its friction too."""
-        return self._row._replace(rubs=True)
+        """The pair as the compiled law reads it."""
+        return self._row
 
     def gap(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> float:
         """Distance between vertex surface and face (m), negative when they overlap."""
@@ -74,6 +74,10 @@ class VertexOnFace(PointsOnPlanes):
         p: Array = X_WO.act(self.vertex)
         on_face: Array = p - (normal @ (p - point)) * normal
         return on_face
+
+    def points_of_contact(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+        """(3, 1) the same as a column."""
+        return self.point_on_face(X_WO, X_WE)[:, None]
 
     def direction(self, X_WE: pin.SE3 | None = None) -> Array:
         """(3,) unit vector into the face, world: the direction of a positive contact force."""

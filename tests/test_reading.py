@@ -1,0 +1,279 @@
+"""Contact forces read by least squares: what friction and tilted faces do not fool."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from pair_kinds import pose_of as pose
+from readable import least_squares as readable
+from rigs import one_panda, random_faces, random_state
+
+import osc_contact as osc
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, pushes_only, velocity
+from osc_contact.control.friction import Friction
+from osc_contact.control.life import LifeSettings
+from osc_contact.dynamics.environment import Environment
+from osc_contact.scenarios import list_scenarios
+from osc_contact.scenarios.schema import Scenario
+from osc_contact.spatial import Array
+
+POINT = {
+    "name": "point", "arms": [{
+        "name": "panda", "urdf": "example-robot-data:panda", "tip": "panda_hand_tcp",
+        "wrist_sensor": "panda_hand",
+        "locked_joints": {"panda_finger_joint1": "11 mm", "panda_finger_joint2": "11 mm"},
+        "posture": [0.0, 0.35, 0.0, -2.0, 0.0, 2.4, 0.8],
+    }],
+    "object": {"urdf": "peg.urdf", "pose": {"xyz": [0.5, 0, 0.4], "rpy": [0, 0, 0]}},
+    "grasps": {"panda": {"xyz": [0, 0, 0], "rpy": ["180 deg", 0, 0]}},
+    "contacts": [{
+        "name": "nose", "type": "vertex_on_face", "vertex": [0, 0, -0.15], "radius": "12 mm",
+        "face": {"urdf": "face.urdf", "point": [0.49, 0, 0.24],
+                 "normal": [-0.34202, 0, 0.93969]},
+    }],
+    "force": {"nose": [{"type": "constant", "value": "10 N"}]},
+    "motion": [
+        {"kind": "linear", "direction": [0, 1, 0], "signals": [
+            {"type": "sine", "amplitude": "40 mm", "frequency": "0.5 Hz", "ramp": "1 s"}]},
+        {"kind": "linear", "direction": [0.93969, 0, 0.34202], "signals": [
+            {"type": "sine", "amplitude": "40 mm", "frequency": "0.5 Hz", "phase": "90 deg",
+             "ramp": "1 s"}]},
+    ],
+    "gains": {"motion": {"stiffness": 900, "damping": 60}, "force": {"integral": 30}},
+    "control": {"rate": "1 kHz"},
+    "plant": {"type": "mujoco", "step": "0.25 ms"},
+    "duration": 3,
+}  # fmt: skip
+
+
+def point(changes=None, **control):
+    """A Panda that slides a ball-nosed peg in a circle on a tilted face."""
+    data = POINT | {"control": POINT["control"] | control}
+    data["plant"] = POINT["plant"] | (changes or {})
+    return Scenario.model_validate(data)
+
+
+def judged(scenario, key="rms_error_rel", duration=3.0, install=None):
+    """The worst of all forces, relative to its mean command; contact all the time."""
+    verdict = osc.metrics(osc.run(scenario, duration=duration, install=install))
+    assert set(verdict["contact_fraction"].values()) == {1.0}
+    return max(force[key] for force in verdict["force"].values())
+
+
+# --- against MuJoCo -------------------------------------------------------------------------------
+
+
+def test_unknown_friction_fools_the_filter_and_not_least_squares():
+    friction = {"friction": 0.2}
+    assert judged(point(friction, force={"reading": "filter"})) > 0.1
+    assert judged(point(friction)) < 0.005
+    assert judged(point(friction), "sensing_rms_rel") < 0.001
+    unlearnt = point(friction, friction={"mu": 0.0, "learning": 0.0})
+    assert judged(unlearnt, "sensing_rms_rel") < 0.002
+    assert judged(unlearnt) < 0.03
+
+
+@pytest.mark.parametrize("mu", [0.14, 0.26])
+def test_friction_known_within_thirty_per_cent(mu):
+    assert judged(point({"friction": 0.2}, friction={"mu": mu})) < 0.005
+
+
+def tilted(axis: Array, reading: str):
+    """The controller believes in a face that is turned by 5° about an axis."""
+
+    def install(c: osc.Controller) -> osc.Controller:
+        face = c.contacts[0]
+        wrong = replace(face, normal=pin.exp3(np.deg2rad(5) * axis) @ face.normal)
+        return osc.Controller(
+            c.chain, [wrong], c.gains, dt=c.dt, posture=c.posture, reading=reading
+        )
+
+    return install
+
+
+@pytest.mark.parametrize("axis", [[0.0, 1.0, 0.0], [0.93969, 0.0, 0.34202]])
+def test_a_normal_wrong_by_five_degrees(axis):
+    wrong = {r: tilted(np.array(axis), r) for r in ("filter", "least_squares")}
+    assert judged(point(), install=wrong["least_squares"]) < 0.01
+    assert judged(point(), install=wrong["filter"]) > 0.02
+
+
+@pytest.mark.parametrize("mu", [0.14, 0.26])
+@pytest.mark.parametrize(
+    ("name", "limit"), [("ur5_wipe", 0.05), ("three_arm_plate", 0.03), ("scara_peg", 0.03)]
+)
+def test_faces_posts_and_corners_with_friction(name, limit, mu):
+    changes = ["plant.friction=0.2", f"control.friction={{mu: {mu}}}"]
+    scenario = osc.load_scenario(name, changes)
+    assert judged(scenario) < limit
+    assert judged(scenario, "peak_error_rel") < 2.0
+
+
+def test_the_coefficient_is_learnt_while_the_contact_slides():
+    rig = osc.build_rig(point({"friction": 0.2}, friction={"mu": 0.1}))
+    for learning, low, high in ((5.0, 0.08, 0.12), (0.0, 0.0, 0.0)):
+        controller = rig.controller()
+        controller = osc.Controller(
+            controller.chain, controller.contacts, controller.gains, posture=controller.posture,
+            friction=Friction(0.1, learning=learning),
+        )  # fmt: skip
+        plant = rig.plant(0)
+        plant.hold(rig.controller().tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
+        for k in range(2000):
+            plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
+        assert low <= controller._records.memory.more_friction <= high
+
+
+# --- what the answer does not depend on -----------------------------------------------------------
+
+
+def example(rng):
+    """State, contact, friction, wanted, and where: two points of one face and one of another."""
+    A = rng.normal(size=(6, 6))
+    lever, mass = 0.1 * rng.normal(size=3), 1.7
+    body = pin.Inertia(mass, lever, np.diag([0.02, 0.03, 0.025])).matrix()
+    state = SimpleNamespace(
+        metric=body, Lambda_out=body + 0.01 * A @ A.T, bias_out=rng.normal(size=6),
+        V_O=rng.normal(size=6),
+    )  # fmt: skip
+    points, n = 0.2 * rng.normal(size=(3, 3)), rng.normal(size=(3, 2))
+    normals = (n / np.linalg.norm(n, axis=0))[:, [0, 0, 1]]
+    where = []
+    for p, m in zip(points.T, normals.T, strict=True):
+        v = velocity(state.V_O, p)
+        v = v - (v @ m) * m
+        where.append((p, m, v / np.sqrt(v @ v + 1e-4)))
+    N = lines_of_force(points, normals)
+    drag = 0.1 * np.column_stack([lines_of_force(p, s) for p, _, s in where])
+    return state, N, drag, rng.normal(size=3), rng.uniform(5, 15, 3), where, rng.normal(size=6)
+
+
+def found(state, N, n_gamma, f, drag, A_D, wanted, where):
+    contact = Contact(N, n_gamma)
+    args = f, state, contact, Environment.fixed(), drag, A_D, wanted, where
+    return readable.explained(*args)[0]
+
+
+def test_units_do_not_matter(monkeypatch):
+    """Metres or millimetres: what is measured in them, and the scales of what is likely."""
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        state, N, drag, n_gamma, wanted, where, A_D = example(rng)
+        f = 10 * rng.normal(size=6)
+        want = found(state, N, n_gamma, f, drag, A_D, wanted, where)
+        k = 1000.0
+        force, motion = np.diag([k, k, k, k * k, k * k, k * k]), np.diag([k, k, k, 1, 1, 1])
+        column = np.diag([1, 1, 1, k, k, k])
+        back = np.linalg.inv(motion)
+        inertia = SimpleNamespace(
+            metric=force @ state.metric @ back, Lambda_out=force @ state.Lambda_out @ back,
+            bias_out=force @ state.bias_out, V_O=motion @ state.V_O,
+        )  # fmt: skip
+        with monkeypatch.context() as patch:
+            for name in ("DEPARTURE", "LEAST_FORCE", "NOISE"):
+                patch.setattr(readable, name, k * getattr(readable, name))
+            got = found(
+                inertia, column @ N, k * n_gamma, force @ f, column @ drag, motion @ A_D,
+                k * wanted, [(k * p, n, s) for p, n, s in where],
+            )  # fmt: skip
+        np.testing.assert_allclose(got / k, want, rtol=1e-6, atol=1e-6)
+
+
+def test_frame_and_reference_point_do_not_matter():
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        state, N, drag, n_gamma, wanted, where, A_D = example(rng)
+        f, X = 10 * rng.normal(size=6), pin.SE3.Random()
+        want = found(state, N, n_gamma, f, drag, A_D, wanted, where)
+        motion = X.action
+        force = np.linalg.inv(motion).T
+        V = motion @ state.V_O
+        moved = SimpleNamespace(
+            metric=force @ state.metric @ np.linalg.inv(motion),
+            Lambda_out=force @ state.Lambda_out @ np.linalg.inv(motion),
+            bias_out=force @ state.bias_out, V_O=V,
+        )  # fmt: skip
+        old = np.concatenate((np.cross(state.V_O[3:], state.V_O[:3]), np.zeros(3)))
+        new = np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
+        got = found(
+            moved, force @ N, n_gamma, force @ f, force @ drag, motion @ (A_D - old) + new, wanted,
+            [(X.act(p), X.rotation @ n, X.rotation @ s) for p, n, s in where],
+        )  # fmt: skip
+        np.testing.assert_allclose(got, want, rtol=1e-6, atol=1e-6)
+
+
+# --- which contacts ------------------------------------------------------------------------------
+
+
+def kinds(X, rng):
+    """Every packaged pair that pushes, touching at pose X."""
+    p, n, d = 0.1 * rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)
+    at = X.act(p)
+    return [
+        osc.VertexOnFace(p, at, n, 0.01), osc.SphereOnPlane(p, 0.02, at, n),
+        osc.FaceOnVertex(p, n, at, 0.01), osc.EdgeOnEdge(p, d, at, n),
+        osc.EdgeOnFace(p, d, at, n), osc.CylinderOnPlane(p, d, 0.03, at, n),
+        osc.FaceOnFace(p, d, at, n),
+    ]  # fmt: skip
+
+
+def test_every_pair_that_pushes_rubs_where_it_touches():
+    rng, friction = np.random.default_rng(3), Friction(0.3, slip=1e-9)
+    for _ in range(10):
+        X, X_WE = pose(rng), pose(rng)
+        V, V_E = rng.normal(size=6), rng.normal(size=6)
+        touched = osc.interface.Touched(X_WE.homogeneous[None], V_E[None], np.zeros((1, 6)))
+        for pair in kinds(X, rng):
+            assert pushes_only(pair)
+            N = pair.contact(X, V, X_WE, V_E).N
+            points = pair.points_of_contact(X, X_WE) - X.translation[:, None]
+            np.testing.assert_allclose(np.cross(points.T, N[:3].T).T, N[3:], atol=1e-12)
+            V_rel = Bodies.at_O(X, V, X_WE, V_E).V_rel
+            drags = friction.drags([pair], X, V, touched)
+            for p, column, drag in zip(points.T, N.T, drags.T, strict=True):
+                v = velocity(V_rel, p)
+                v = v - (v @ column[:3]) * column[:3]
+                np.testing.assert_allclose(drag[:3], 0.3 * v / np.linalg.norm(v), atol=1e-8)
+                np.testing.assert_allclose(drag[3:], np.cross(p, drag[:3]), atol=1e-9)
+                assert drag @ V_rel > 0.0  # into the environment
+
+
+def test_least_squares_is_chosen_where_its_answer_is_unique():
+    chain, rng = one_panda(), np.random.default_rng(4)
+    X = chain.state(*random_state(chain, rng)).X_WO
+    one, other = random_faces(X, 2, rng)
+    shifted = replace(one, vertex=one.vertex + one.normal @ X.rotation * 0.0 + 0.01)
+
+    def chosen(pairs, **how):
+        return osc.Controller(chain, pairs, **how).reading
+
+    assert all(chosen([pair]) == "least_squares" for pair in kinds(X, rng))
+    assert chosen([one, shifted]) == "least_squares"
+    assert chosen([one, other]) == chosen([]) == chosen([osc.Revolute([0, 0, 0], one.normal, X)])
+    assert chosen([one, other]) == "filter"
+    assert chosen([one], reading="filter") == "filter"
+    assert chosen([one, other], reading="least_squares") == "least_squares"
+    assert chosen([one], life=LifeSettings()) == "filter"
+
+
+def test_impossible_readings_are_refused():
+    chain, rng = one_panda(), np.random.default_rng(5)
+    X = chain.state(*random_state(chain, rng)).X_WO
+    hinge = osc.Revolute([0, 0, 0], [0, 0, 1], X, name="hinge")
+    with pytest.raises(osc.InvalidInputError, match="hinge"):
+        osc.Controller(chain, [hinge], reading="least_squares")
+    faces = random_faces(X, 1, rng)
+    with pytest.raises(osc.InvalidInputError, match="filter judges"):
+        osc.Controller(chain, faces, reading="least_squares", life=LifeSettings())
+    with pytest.raises(osc.InvalidInputError, match="gyro"):
+        osc.Controller(chain, faces, reading="gyro")
+
+
+@pytest.mark.parametrize("name", [n for n in list_scenarios() if n.startswith("two_contact")])
+def test_the_papers_scenarios_keep_the_papers_filter(name):
+    assert osc.load_scenario(name).control.force.reading == "filter"
