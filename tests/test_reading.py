@@ -254,6 +254,9 @@ def test_least_squares_is_chosen_where_its_answer_is_unique():
 
     assert all(chosen([pair]) == "least_squares" for pair in kinds(X, rng))
     assert chosen([one, shifted]) == "least_squares"
+    cylinder = np.zeros(3), np.array([1.0, 0, 0]), 0.02
+    groove = osc.CylinderInVGroove(*cylinder, np.zeros(3), [1.0, 0, 0], [0, 0, 1.0])
+    assert chosen([groove]) == "filter"  # on two planes
     assert chosen([one, other]) == chosen([]) == chosen([osc.Revolute([0, 0, 0], one.normal, X)])
     assert chosen([one, other]) == "filter"
     assert chosen([one], reading="filter") == "filter"

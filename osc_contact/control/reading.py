@@ -72,16 +72,17 @@ def _known(pair: ContactPair) -> bool:
 
 def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -> bool:
     """Whether all points of contact stay in one plane, of the environment or of the object."""
-    if len(pairs) == 1:
-        return True
     if any(body is not bodies[0] for body in bodies):
         return False
-    planes = []
+    planes: list[tuple[float, ...]] = []
     for pair in pairs:
         if isinstance(pair, PointsOnPlanes):
-            planes.append((*pair._into[:, 0], pair._heights[0], 0.0))
+            columns = zip(pair._into.T, pair._heights, strict=True)
+            planes.extend((*into, height, 0.0) for into, height in columns)
         elif isinstance(pair, FaceOnVertex):
-            planes.append((*pair.normal, pair.normal @ pair.point, 1.0))
-        else:
+            planes.append((*pair.normal, float(pair.normal @ pair.point), 1.0))
+        elif len(pairs) > 1:
             return False
+        else:
+            planes.append((0.0,) * 5)  # one point
     return bool(np.ptp(np.array(planes), axis=0).max() < _SAME)
