@@ -17,7 +17,12 @@ from osc_contact.control.life import LifeSettings, Phase
 from osc_contact.control.loops import ForceLoop, MotionLoop, refuse
 from osc_contact.control.outside import Outside
 from osc_contact.control.reading import Reading
-from osc_contact.control.reasons import convert_arrays, read_joints, require_sizes
+from osc_contact.control.reasons import (
+    convert_arrays,
+    read_joints,
+    require_shapes,
+    require_sizes,
+)
 from osc_contact.control.reports import Status
 from osc_contact.control.safety import SafetySettings
 from osc_contact.control.settings import PostureTask, Settings
@@ -34,8 +39,6 @@ from osc_contact.spatial import Array
 
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
 
-#: What the door refuses: wrong sizes or types of what comes in; converted or explained then.
-_REFUSED = (TypeError, ValueError, AttributeError, OscContactError, np.linalg.LinAlgError)
 _SETTABLE = ("f_tare", "f_bias", "engaged", "motion_law.integral", "force_law.integral")
 
 
@@ -200,7 +203,8 @@ class Controller(ControllerCopies):
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
         """Motor torques (n_a,) for one control period.
 
-        Never raises on bad data, never returns a torque that is not finite or exceeds a limit: a
+        Never raises on bad data, but for the first tick, which refuses arrays of wrong shapes: that
+        is no fault of a sensor. Never returns a torque that is not finite or exceeds a limit: a
         tick that cannot be computed repeats the last good torques, see `status`.
         """
         model, memory, work, squeeze, still, codes, call, n_a, plain = self._tables
@@ -215,7 +219,7 @@ class Controller(ControllerCopies):
                 )  # fmt: skip
                 return tau if done == 2 else self._end(tau, measurement, reference)
             return self._tick(measurement, reference)
-        except _REFUSED as error:
+        except Exception as error:  # nothing that comes in may end the control loop
             return self._convert(measurement, reference, error)
 
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
@@ -253,7 +257,9 @@ class Controller(ControllerCopies):
             require_sizes(measurement, reference, self.settings)
             self._converting = True
             return self.tick(*convert_arrays(measurement, reference))
-        except _REFUSED as why:
+        except Exception as why:
+            if not self._records.memory.ticked:
+                require_shapes(measurement, reference, self.settings)
             self._inputs, self._failure = (measurement, reference), why
             return self._hold(measurement)
         finally:
@@ -262,10 +268,11 @@ class Controller(ControllerCopies):
     def _hold(self, measurement: Measurement) -> Array:
         """Torques (n_a,) of a tick that failed outside of the law: one that is not computed."""
         n, six, tau, r = self.chain.nq, np.zeros(6), np.empty(self._n_a), self._records
+        q, v = (read_joints(getattr(measurement, name, None), n) for name in "qv")
         self._rows(
-            r.row.raw, r.memory_bytes, r.work_bytes, read_joints(measurement.q, n),
-            read_joints(measurement.v, n), np.full((self._arms, 6), np.nan), np.eye(4), six, six,
-            np.zeros(0), self._squeeze, self._still, 0, tau, self._codes, law.LOOK, law.END, 0, 1,
+            r.row.raw, r.memory_bytes, r.work_bytes, q, v,
+            np.full((self._arms, 6), np.nan), np.eye(4), six, six, np.zeros(0), self._squeeze,
+            self._still, 0, tau, self._codes, law.LOOK, law.END, 0, 1,
         )  # fmt: skip
         return tau
 
@@ -280,6 +287,8 @@ class Controller(ControllerCopies):
         code, self._given_up = int(self._codes[0]), None
         self._inputs, self._failure = (measurement, reference), error
         if code == Status.HELD:
+            if not self._records.memory.ticked:
+                require_shapes(measurement, reference, self.settings)
             work = self._records.work
             if work.reason == OBJECT_UNKNOWN and self._locate(measurement.q):
                 return self.tick(measurement, reference)

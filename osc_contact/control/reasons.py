@@ -14,7 +14,7 @@ from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
 from osc_contact.law import tables as at
 from osc_contact.spatial import Array, as_array
 
-__all__ = ["convert_arrays", "explain", "read_joints", "require_sizes"]
+__all__ = ["convert_arrays", "explain", "read_joints", "require_shapes", "require_sizes"]
 
 
 def require_sizes(measurement: Measurement, reference: Reference, settings: Settings) -> None:
@@ -40,6 +40,25 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
     as_array("reference V_D", reference.V_D, (6,))
     as_array("reference A_D", reference.A_D, (6,))
     as_array("reference X_WD", reference.X_WD.homogeneous, (4, 4))
+
+
+def require_shapes(measurement: Any, reference: Any, settings: Settings) -> None:
+    """Refuse arrays of numbers that no tick of this controller will ever take.
+
+    Raises:
+        InvalidInputError: with both shapes.
+    """
+    chain = settings.chain
+    for whole, name, shape in (
+        (measurement, "q", (chain.nq,)),
+        (measurement, "v", (chain.nq,)),
+        (measurement, "wrenches", (len(chain.arms), 6)),
+        (reference, "V_D", (6,)),
+        (reference, "A_D", (6,)),
+    ):
+        given = getattr(whole, name, None)
+        if isinstance(given, np.ndarray) and given.dtype.kind in "fiu" and given.shape != shape:
+            raise InvalidInputError(f"{name}: expected shape {shape}, got {given.shape}")
 
 
 def convert_arrays(measurement: Measurement, reference: Reference) -> tuple[Measurement, Reference]:
@@ -72,7 +91,7 @@ def read_joints(x: Any, n: int) -> Array:
     """(n,) numbers, as far as x has them; else all of them NaN."""
     try:
         array = np.array(x, dtype=float)
-    except (TypeError, ValueError):
+    except Exception:  # numbers too large, or warnings made errors, among others
         array = np.zeros(0)
     return array if array.shape == (n,) else np.full(n, np.nan)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Protocol
 
 import numpy as np
@@ -11,10 +12,11 @@ import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Robot
 from osc_contact.spatial import Array, Poses
 
-__all__ = ["Judge", "Plant", "Truth", "TruthLog", "Truths", "Watched"]
+__all__ = ["Judge", "Plant", "Truth", "TruthLog", "Truths", "Watched", "require_duration"]
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,16 @@ class Judge(Protocol):
 
     def log(self, capacity: int) -> TruthLog:
         """A log of the truth with room for `capacity` instants; more is made for more."""
+
+
+def require_duration(duration: float) -> None:
+    """Refuse a step that takes no time, or no number.
+
+    Raises:
+        InvalidInputError: with what was given.
+    """
+    if not 0.0 < duration < inf:
+        raise InvalidInputError(f"duration = {duration} s; a step takes a positive, finite time")
 
 
 class Plant(Robot, Judge, Protocol):

@@ -22,7 +22,7 @@ from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.faces import Rail, touched
 from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives
-from osc_contact.plants.judge import Truth
+from osc_contact.plants.judge import Truth, require_duration
 from osc_contact.plants.mujoco_scene import (
     DRIVE_MASS,
     GRASP_JOINT,
@@ -257,6 +257,7 @@ class MujocoPlant:
 
     def command(self, tau: Array, duration: float) -> None:
         """Hold the torques over the steps that fit into `duration`."""
+        require_duration(duration)
         self._send(tau)
         if self.pushes:
             self.data.xfrc_applied[:] = 0.0

@@ -33,7 +33,7 @@ from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
 from osc_contact.plants.faces import Rail, poses, touched
 from osc_contact.plants.joint_losses import JointLosses
-from osc_contact.plants.judge import Truth, Watched
+from osc_contact.plants.judge import Truth, Watched, require_duration
 from osc_contact.plants.wrist_cut import wrist_cut
 from osc_contact.spatial import (
     Array,
@@ -147,6 +147,7 @@ class RigidPlant:
 
     def command(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
+        require_duration(duration)
         self.hold(tau)
         for _ in range(max(1, round(duration / self.dt))):
             solution = self._solve(self._tau, ahead=self.dt)

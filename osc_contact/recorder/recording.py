@@ -23,7 +23,7 @@ _RESERVED = frozenset({TEXT, "file", "allow_pickle"})
 #: What a clock measured, and where the scenario lay: the only things that differ from one run to
 #: the next of the same seed.
 _TIMES, _META_TIMES = ("tick_s",), ("wall_s", "cpu_s", "source_folder")
-_PIECE = 1 << 16  #: ticks that are judged or drawn at once
+_PIECE = 1 << 14  #: ticks that are judged or drawn at once
 
 Array = npt.NDArray[Any]
 

@@ -19,6 +19,7 @@ from .wording import complaints
 
 __all__ = ["list_scenarios", "load_scenario", "parse_scenario"]
 
+LARGEST = 1_000_000  #: bytes of a scenario file; the packaged ones have a few thousand
 FILES = Path(__file__).parent / "files"
 Overrides = Mapping[str, str] | Sequence[str]
 
@@ -43,6 +44,11 @@ def load_scenario(name_or_path: str | Path, overrides: Overrides = ()) -> Scenar
             )
         path = FILES / f"{path.name}.yaml"
     try:
+        size = path.stat().st_size
+        if size > LARGEST:
+            raise ScenarioError(
+                f"{path} has {size / 1e6:.1f} MB; scenarios are read up to {LARGEST / 1e6:g} MB"
+            )
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"cannot read the scenario file {path}: {error}") from error
@@ -63,6 +69,8 @@ def parse_scenario(
         ScenarioError: one line per complaint, `file:line: key.path: what is wrong`."""
     path = None if source is None else Path(source)
     problems = Problems("scenario" if path is None else str(path))
+    if len(text) > LARGEST:
+        raise ScenarioError(f"{len(text)} characters; scenarios are read up to {LARGEST}")
     document = Document(text, problems)
     if not isinstance(document.data, dict):
         problems.at_line(1, "expected keys such as name, arms, object; got no group of keys")

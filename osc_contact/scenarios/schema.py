@@ -129,7 +129,7 @@ class Scenario(Spec):
     sensors: SensorsSpec = SensorsSpec()
     plant: PlantSpec
     """the plant: type and step"""
-    duration: Annotated[Time, Field(gt=0)]
+    duration: Annotated[Time, Field(gt=0, le=1e6)]
     """the simulated time, such as 10 s"""
     laws: Annotated[Any, PlainValidator(_take_laws), Field(exclude=True)] = None
 

@@ -1,0 +1,167 @@
+"""Which file survives a kill: containers for recordings, killed at random moments.
+
+    python benchmarks/containers.py [KILLS]
+
+A process appends chunks of 100 rows of 120 numbers, hands each to the operating system and says so;
+then it is killed. Counted are the files that can still be read and the chunks lost of those said to
+be written. Containers whose packages (h5py, pyarrow, zarr) are not installed are left out.
+"""
+
+from __future__ import annotations
+
+import random
+import subprocess
+import sys
+import tempfile
+from importlib.util import find_spec
+from itertools import count
+from pathlib import Path
+from time import sleep
+from typing import Any
+
+import numpy as np
+
+ROWS, NUMBERS = 100, 120
+
+
+def write(kind: str, path: Path) -> None:
+    """Append chunks for ever."""
+    put = {"mcap": _mcap, "arrow": _arrow, "hdf5": _hdf5, "zarr": _zarr, "npz": _npz}[kind](path)
+    for k in count():
+        put(k, np.full((ROWS, NUMBERS), float(k)))
+        print(k + 1, flush=True)
+
+
+def _mcap(path: Path) -> Any:
+    from osc_contact.recorder.journal import JournalFile
+
+    journal, row = JournalFile(path, {}), np.dtype([("x", "<f8", (NUMBERS,))])
+    return lambda k, rows: journal.append(k * ROWS, np.ndarray(ROWS, row, rows))
+
+
+def _arrow(path: Path) -> Any:
+    import pyarrow as pa
+
+    kind = pa.schema([("x", pa.list_(pa.float64(), NUMBERS))])
+    file = open(path, "wb", buffering=0)  # noqa: SIM115 (it is killed)
+    stream = pa.ipc.new_stream(file, kind)
+
+    def put(k: int, rows: Any) -> None:
+        flat = pa.FixedSizeListArray.from_arrays(pa.array(rows.ravel()), NUMBERS)
+        stream.write_batch(pa.record_batch([flat], schema=kind))
+
+    return put
+
+
+def _hdf5(path: Path) -> Any:
+    import h5py
+
+    file = h5py.File(path, "w")
+    data = file.create_dataset(
+        "x",
+        (0, NUMBERS),
+        maxshape=(None, NUMBERS),
+        chunks=(ROWS, NUMBERS),
+        dtype="f8",
+        fletcher32=True,
+    )
+
+    def put(k: int, rows: Any) -> None:
+        data.resize((k + 1) * ROWS, axis=0)
+        data[k * ROWS :] = rows
+        file.flush()
+
+    return put
+
+
+def _zarr(path: Path) -> Any:
+    import zarr
+
+    data = zarr.create_array(str(path), shape=(0, NUMBERS), chunks=(ROWS, NUMBERS), dtype="f8")
+
+    def put(k: int, rows: Any) -> None:
+        data.resize(((k + 1) * ROWS, NUMBERS))
+        data[k * ROWS :] = rows
+
+    return put
+
+
+def _npz(path: Path) -> Any:
+    kept: list[Any] = []
+
+    def put(k: int, rows: Any) -> None:
+        kept.append(rows)
+        if k % 20 == 19:  # all of it, again and again
+            np.savez(path, x=np.concatenate(kept))
+
+    return put
+
+
+def chunks_in(kind: str, path: Path) -> int:
+    """Chunks that hold what was written; an error: the file cannot be read."""
+    if kind == "mcap":
+        from osc_contact.recorder.journal import Journal
+
+        parts = [rows["x"] for _, rows in Journal(path).rows()]
+    elif kind == "arrow":
+        import pyarrow as pa
+
+        parts = []
+        try:
+            for batch in pa.ipc.open_stream(str(path)):
+                parts.append(batch["x"].flatten().to_numpy().reshape(ROWS, NUMBERS))
+        except (pa.ArrowInvalid, OSError):  # where it was cut off
+            if not parts:
+                raise
+    else:
+        if kind == "hdf5":
+            import h5py
+
+            with h5py.File(path, "r") as file:
+                x = file["x"][:]
+        elif kind == "zarr":
+            import zarr
+
+            x = zarr.open_array(str(path), mode="r")[:]
+        else:
+            x = np.load(path)["x"]
+        parts = [x[i : i + ROWS] for i in range(0, len(x), ROWS)]
+    wrong = (k for k, rows in enumerate(parts) if not (len(rows) == ROWS and (rows == k).all()))
+    return next(wrong, len(parts))
+
+
+def main(kills: int) -> None:
+    """Print a line for each container."""
+    needs = {"mcap": "mcap", "arrow": "pyarrow", "hdf5": "h5py", "zarr": "zarr", "npz": "numpy"}
+    rng = random.Random(1)
+    for kind, package in needs.items():
+        if find_spec(package) is None:
+            print(f"{kind}: {package} is not installed")
+            continue
+        unreadable, lost = 0, []
+        for _ in range(kills):
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / f"run.{kind}"
+                command = [sys.executable, __file__, "--write", kind, str(path)]
+                with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+                    assert process.stdout is not None
+                    process.stdout.readline()
+                    sleep(rng.uniform(0.0, 0.2))
+                    process.kill()
+                    said = [1, *map(int, process.stdout.read().split())][-1]
+                try:
+                    lost.append(max(0, said - chunks_in(kind, path)))
+                except Exception:
+                    unreadable += 1
+        most = max(lost, default=0)
+        print(
+            f"{kind}: {kills} kills, {unreadable} unreadable, {most} chunks lost at most",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--write"]:
+        write(sys.argv[2], Path(sys.argv[3]))
+    else:
+        main(int(sys.argv[1]) if len(sys.argv) > 1 else 200)
