@@ -59,6 +59,7 @@ from osc_contact.response import ContactResponse, contact_response
 from osc_contact.runs.faces import OwnMotion
 from osc_contact.runs.loop import run_loop
 from osc_contact.runs.metrics import metrics
+from osc_contact.runs.preflight import Finding, preflight
 from osc_contact.runs.recorder import Recorder
 from osc_contact.runs.recovery import recover
 from osc_contact.runs.rig import Rig, build_rig
@@ -121,6 +122,8 @@ __all__ = [
     "Rail",
     "Rig",
     "build_rig",
+    "preflight",
+    "Finding",
     "run",
     "Robot",
     "Judge",

@@ -30,6 +30,7 @@ from osc_contact.runs import replay, tables
 from osc_contact.runs.calibration import calibrate as calibrate_wrists
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.metrics import SETTLE_S
+from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.recovery import recover, scenario_of
 from osc_contact.runs.report import require_judgeable, write_json, write_report
 from osc_contact.runs.rig import build_rig
@@ -122,7 +123,7 @@ def run(
         say(f"written to {folder}: {written}")
         if interrupted is not None:
             raise typer.Exit(130)
-        if failed or recording.meta.get("missing"):
+        if failed or recording.meta.get("missing") or recording.meta.get("doubts"):
             raise typer.Exit(1)
 
 
@@ -260,13 +261,17 @@ def inspect(
 ) -> None:
     """Say in plain words what the contact state is: d, r, free motions, forces, N and T."""
     with exit_codes():
-        found = inspect_rig(build_rig(_load(scenario, set_)))
+        rig = build_rig(_load(scenario, set_))
+        doubts = require_ready(rig)
+        found = inspect_rig(rig)
         for line in found.lines:
             say(line)
         for table in tables.basis_tables(found):
             out.print(table)
         if json_file:
             write_json(found.as_dict(), json_file)
+    if doubts:
+        raise typer.Exit(1)
 
 
 @app.command()

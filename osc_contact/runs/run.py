@@ -15,6 +15,7 @@ from osc_contact.plants.judge import Plant
 from osc_contact.recorder import Recording
 from osc_contact.runs.ending import asked_to_end, until
 from osc_contact.runs.loop import run_loop
+from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.recorder import Recorder
 from osc_contact.runs.references import force_steps
 from osc_contact.runs.rig import Rig, build_rig
@@ -59,6 +60,8 @@ def run(
         The recording; `metrics(recording)` judges it.
 
     Raises:
+        ScenarioError: it cannot run, see `preflight`. What is doubtful is logged, and kept in
+            `meta["doubts"]`.
         PlantError: the simulation diverged; `error.recording` holds what came before.
         Interrupted: Ctrl-C or SIGTERM ended it; likewise.
     """
@@ -67,6 +70,7 @@ def run(
         changes["plant"] = scenario.plant.model_dump() | {"type": plant}
     rig = build_rig(scenario.replaced(**changes) if changes else scenario)
     scenario = rig.scenario
+    doubts = require_ready(rig)
     simulated, controller = start(rig, seed, install)
     ticks = round(scenario.duration * scenario.control.rate)
     about = {
@@ -76,6 +80,7 @@ def run(
         "plant": scenario.plant.type,
         "seed": seed,
         "force_steps_s": force_steps(scenario),
+        "doubts": doubts,
     }
     recorder = Recorder(
         controller, simulated, subject=rig.subject(controller), journal=journal, meta=about
