@@ -19,8 +19,8 @@ from osc_contact.console import (
     run_with_progress,
     say,
 )  # fmt: skip
-from osc_contact.control import compiling
 from osc_contact.errors import Interrupted, InvalidInputError
+from osc_contact.law import compiled
 from osc_contact.paper import figures as paper_figures
 from osc_contact.paper import reproduction
 from osc_contact.paper.report import write_paper_report
@@ -90,7 +90,7 @@ def main(
     ] = False,
 ) -> None:
     """Decoupled force and motion control of arms in contact."""
-    compiling.tell(lambda text: err.print(text, style="dim", highlight=False))
+    compiled.tell(lambda text: err.print(text, style="dim", highlight=False))
 
 
 @app.command()

@@ -2,7 +2,8 @@
 
 Arms: eq. 13 says Λ a + μ + p = f whenever M q̈ + h = Jᵀf and a = J q̈ + γ; with fewer joints than
 six this holds on range(J) only, and that is all that is asked of it. Drift: Pinocchio's
-acceleration pass and finite differences. Wrist and object: recursive Newton–Euler.
+acceleration pass and finite differences. Wrist and object: recursive Newton–Euler. The law's own
+function is asked, on random numbers and within `ClosedChain.state`.
 """
 
 from __future__ import annotations
@@ -13,11 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from arm_door import terms_of
 
 from osc_contact import robots
-from osc_contact.dynamics.arm import Arm, ArmTerms, arm_terms
+from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.chain_state import ArmTerms, ChainState
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Environment
-from osc_contact.dynamics.outboard import columns_at, drift, outboard_links, outboard_terms
+from osc_contact.dynamics.outboard import columns_at, outboard_links
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import InvalidInputError, ModelError
 
@@ -31,7 +35,7 @@ GRAVITY = np.array([0.3, -0.2, -9.81])
 
 @dataclass(frozen=True)
 class Numbers:
-    """What arm_terms takes."""
+    """What the law needs to know of an arm."""
 
     J: np.ndarray
     gamma: np.ndarray
@@ -55,8 +59,9 @@ class Numbers:
 
     @property
     def terms(self) -> ArmTerms:
-        L = np.linalg.cholesky(self.Lambda_o)
-        return arm_terms(self.J, self.gamma, self.M, self.h, self.g, L, self.tolerance)
+        return terms_of(
+            self.J, self.gamma, self.M, self.h, self.g, self.Lambda_o, self.tolerance
+        )  # fmt: skip
 
     def moved(self, X: np.ndarray, X_f: np.ndarray) -> Numbers:
         """The same arm and object in other coordinates: motions by X, forces by X_f."""
@@ -102,7 +107,7 @@ def test_six_joints_and_more_give_the_textbook_terms(seed: int, n: int) -> None:
     close(t.J_bar, J_bar)
     close(t.mu, J_bar.T @ (arm.h - arm.g) - Lambda @ arm.gamma)
     close(t.p, J_bar.T @ arm.g)
-    assert t.C.shape == (6, 0) and t.mobility.shape == (6,)
+    assert t.C.shape == (6, 0) and t.rank == 6
     close(arm.J @ t.J_bar, np.eye(6))
     for kept in ("J", "gamma", "M"):
         np.testing.assert_array_equal(getattr(t, kept), getattr(arm, kept))
@@ -136,7 +141,7 @@ def test_terms_on_the_range_of_J(seed: int, n: int) -> None:
         close(S.T @ t.Lambda @ S, W.T @ arm.M @ W)
         close(S.T @ t.p, W.T @ arm.g)
     close(t.Phi @ t.Lambda @ t.Phi, t.Phi)
-    assert (np.diff(t.mobility) <= 0).all() and t.mobility.shape == (rank,)
+    assert t.rank == rank
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -210,7 +215,7 @@ def test_terms_transform_as_their_kind(seed: int, n: int, rank: int | None, chan
     X, X_f = change(seed)
     X_inv, X_f_inv = np.linalg.inv(X), np.linalg.inv(X_f)
     old, new = arm.terms, arm.moved(X, X_f).terms
-    close(new.mobility, old.mobility)
+    assert new.rank == old.rank
     close(X_inv @ new.Phi @ X_f, old.Phi)
     close(X_f_inv @ new.Lambda @ X, old.Lambda)
     close(new.J_bar @ X, old.J_bar)
@@ -228,7 +233,6 @@ def test_tolerance_is_a_ratio_of_inertias(locked_mass_ratio: float) -> None:
         np.eye(6)[:, :3], np.zeros(6), M, np.zeros(3), np.zeros(3), 2.0 * np.eye(6), tolerance=1e-3
     )
     t = arm.terms
-    assert t.mobility[-1] == pytest.approx(locked_mass_ratio**-0.5)
     assert t.C.shape[1] == (3 if locked_mass_ratio < 1e6 else 4)
 
 
@@ -258,6 +262,11 @@ def motion(model: pin.Model, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return rng.uniform(-1, 1, size=model.nq), rng.normal(size=model.nv)
 
 
+def at_tip(model: pin.Model, q: np.ndarray, v: np.ndarray) -> ChainState:
+    """The arm by itself: its tip is the object."""
+    return ClosedChain([Arm.from_urdf(model, name="arm", tip="tip")]).state(q, v)
+
+
 def tip_columns(model: pin.Model, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Jacobian columns of the tip at its own origin, world axes, and that origin."""
     data = model.createData()
@@ -280,19 +289,14 @@ def test_columns_at_are_pinocchios_frame_jacobian(seed: int) -> None:
 def test_drift_is_pinocchios_spatial_acceleration_without_joint_acceleration(seed: int) -> None:
     model = random_arm(seed)
     q, v = motion(model, seed)
-    J, _ = tip_columns(model, q)
     data = model.createData()
     pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
     pin.updateFramePlacements(model, data)
     at = (model, data, model.getFrameId("tip"), pin.LOCAL_WORLD_ALIGNED)
-    gamma = drift(J, v)
+    gamma = at_tip(model, q, v).arms[0].gamma
     close(gamma, pin.getFrameAcceleration(*at).vector, 1e-12)
     classical = pin.getFrameClassicalAcceleration(*at).vector
     assert np.abs(gamma - classical).max() > 1e-2  # the two kinds differ by ω × v
-    # at the world's origin the same sum gives Pinocchio's WORLD acceleration
-    world = np.array(pin.computeJointJacobians(model, model.createData(), q))
-    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-    close(drift(world, v), pin.getFrameAcceleration(*at[:3], pin.WORLD).vector, 1e-12)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -314,16 +318,15 @@ def test_drift_against_finite_differences_of_J(seed: int) -> None:
             ends.append(columns_at(J_s, O - O_s) if at_fixed_point else J_s)
         return (ends[0] - ends[1]) / (2 * h) @ v
 
-    gamma, V = drift(J, v), J @ v
+    gamma, V = at_tip(model, q, v).arms[0].gamma, J @ v
     close(gamma, rate(at_fixed_point=True), 1e-7)
     travel = np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
     close(gamma + travel, rate(at_fixed_point=False), 1e-7)
 
 
-def test_drift_of_short_chains() -> None:
-    rng = np.random.default_rng(0)
-    np.testing.assert_array_equal(drift(np.zeros((6, 0)), np.zeros(0)), np.zeros(6))
-    np.testing.assert_array_equal(drift(rng.normal(size=(6, 1)), np.ones(1)), np.zeros(6))
+def test_one_joint_does_not_drift() -> None:
+    state = at_tip(random_arm(0, 1), np.array([0.3]), np.array([2.0]))
+    np.testing.assert_array_equal(state.arms[0].gamma, np.zeros(6))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -334,9 +337,8 @@ def test_terms_of_a_real_arm_obey_its_forward_dynamics(seed: int) -> None:
     J, O = tip_columns(model, q)  # noqa: E741
     f = np.random.default_rng([seed, 7]).normal(size=6)
     data = model.createData()
-    M, h = pin.crba(model, data, q), pin.nonLinearEffects(model, data, q, v)
-    g = pin.computeGeneralizedGravity(model, data, q)
-    t = arm_terms(J, drift(J, v), M, h, g, np.linalg.cholesky(body(seed).matrix()), FINE)
+    t = at_tip(model, q, v).arms[0]
+    close(t.J, J, 1e-12)
     pin.forwardKinematics(model, data, q)
     X = data.oMi[model.njoints - 1]
     local = pin.SE3(X.rotation, X.translation - O).actInv(pin.Force(f))
@@ -477,7 +479,9 @@ def test_outboard_terms_are_what_newton_and_euler_weigh(
 ) -> None:
     """Strip the arm of all mass inboard of the sensor; its joint then carries the answer."""
     assert callable(make)
-    arm: Arm = make()
+    arm: Arm = make(wrist_sensor=sensor)
+    chain = ClosedChain([arm], rank_tolerance=FINE, allow_undriven=True)
+    chain.model.gravity.linear = GRAVITY
     model = arm.model.copy()
     model.gravity.linear = GRAVITY
     tip = model.getFrameId(arm.tip)
@@ -492,23 +496,17 @@ def test_outboard_terms_are_what_newton_and_euler_weigh(
     data = model.createData()
     pin.computeAllTerms(model, data, q, v)
     pin.updateFramePlacements(model, data)
-    O = data.oMf[tip].translation + 0.1 * rng.normal(size=3)  # noqa: E741
-    J = columns_at(np.array(data.J), O)
-    L = np.linalg.cholesky(body(seed).matrix())
-    gamma = drift(J, v)
-    t = arm_terms(J, gamma, data.M, data.nle, data.g, L, FINE)
+    O = data.oMf[tip].translation  # noqa: E741
+    state = chain.state(q, v)
+    t = state.arms[0]
     if model.nv > 6:  # only the least-energy joint motion is a function of the object's motion
-        qdd = t.J_bar @ (J @ qdd)
-    columns = {j: j for j in range(1, model.njoints)}
-    Lambda, bias, _ = outboard_terms(
-        links, list(data.oMi), J, v, columns, t.J_bar, gamma, O, model.gravity.linear
-    )
+        qdd = t.J_bar @ (t.J @ qdd)
     weighed = light.createData()
     pin.rnea(light, weighed, q, v, qdd)
     joint = links[0].joint
     X = data.oMi[joint]
     carried = pin.SE3(X.rotation, X.translation - O).act(weighed.f[joint]).vector
-    close(Lambda @ (J @ qdd + gamma) + bias, carried, 1e-9)
+    close(state.Lambda_out @ (t.J @ qdd + t.gamma) + state.bias_out, carried, 1e-9)
 
 
 # The object ---------------------------------------------------------------------------------------

@@ -14,8 +14,8 @@ import pytest
 from numba import config  # type: ignore[attr-defined]
 
 import osc_contact as osc
-from osc_contact.control.compiling import announced, tell
 from osc_contact.law import jit, tables
+from osc_contact.law.compiled import announced, tell
 
 PLAIN = jit.PLAIN_PYTHON
 

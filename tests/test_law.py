@@ -22,15 +22,16 @@ from rigs import one_panda, panda_pair, placed, random_faces, random_state, scar
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import pushes_only
-from osc_contact.control import front_end
 from osc_contact.control.controller import Controller
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
 from osc_contact.control.motion import MotionGains
 from osc_contact.dynamics.environment import Environment
+from osc_contact.dynamics.front_end import require_pinocchio_agrees
 from osc_contact.dynamics.rail import Cart, Conveyor
 from osc_contact.interface import Measurement, Reference, Touched
-from osc_contact.law.tables import JOINT
+from osc_contact.law.layout import records
+from osc_contact.law.tables import CHAIN, JOINT
 from osc_contact.scenarios import list_scenarios
 
 GAINS = osc.Gains(MotionGains(400, 40, 2000), ForceGains(30, 5))
@@ -487,16 +488,16 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
     model.addFrame(pin.Frame("tip", joint, 0, placed(0.2), pin.FrameType.OP_FRAME))
     body = osc.RigidObject(pin.Inertia(1.0, np.array([0.02, 0.01, 0.0]), 0.01 * np.eye(3)))
     chain = osc.ClosedChain([osc.Arm.from_urdf(model, name="arm", tip="tip")], payload=body)
-    controller = Controller(chain, [])
-    assert chain in front_end._judged
     fast, slow = twins(chain, [])
     for _ in range(5):
         q, v = rng.uniform(-1, 1, 7), rng.normal(size=7)
         agree(fast, slow, *inputs(chain, q, v, rng, 0), 1e-10)
-    front_end._judged.discard(chain)
-    controller._records.row.table("joints", 7, JOINT).link[3][0] *= 1.0 + 1e-6
+    row = chain.law_row(led=False).copy()
+    require_pinocchio_agrees(chain, row)
+    head = records(row, 0, 1, CHAIN)[0]
+    records(row, int(head.joints_at), 7, JOINT).link[3][0] *= 1.0 + 1e-6
     with pytest.raises(osc.ModelError, match="differs from Pinocchio"):
-        front_end.require_pinocchio_agrees(chain, controller._records)
+        require_pinocchio_agrees(chain, row)
 
 
 @pytest.mark.parametrize("seed", [1, 12, 14])

@@ -14,6 +14,7 @@ from grasp_rigs import KINDS, random_case
 from numba import njit
 from numba.core.runtime import rtsys
 from readable.allocation import effort_scale
+from readable.chain import mobility
 from readable.linkage import Linkage
 from test_grasps import forces, in_millimetres
 from test_linkage import bars_of, cut
@@ -218,7 +219,7 @@ def test_torques_in_the_null_space_set_the_bars_and_accelerate_nothing(arms, kin
         case = random_case(arms, held, rng, upright=arms[0] == "3R")
         case = without_motors(case, rng, share=1.0) if kinds[0] == "limp" else case
         state, effort = at_rest(case), effort_scale(case.chain.tau_max)
-        singular = max(min(arm.mobility[: arm.rank]) < 0.02 for arm in state.arms)
+        singular = max(min(mobility(arm, state.metric)[: arm.rank]) < 0.02 for arm in state.arms)
         if state.undriven.shape[1] or not state.d or singular:
             continue
         tried += 1

@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from grasp_rigs import random_case
 from readable.allocation import squeeze_response, squeeze_rows
+from readable.chain import mobility
 from readable.linkage import Linkage, bar_forces
 from rigs import contact_of, panda_pair, random_faces, random_state, scara_pair
 from test_decoupling import both_allocations
@@ -154,7 +155,7 @@ def test_what_cannot_be_set_is_left_alone(arms, kinds, bends, settable, allocate
         if state.undriven.shape[1] or not state.d:
             continue
         linkage = Linkage.of(state, case.chain)
-        if bends and min(arm.mobility[-1] for arm in state.arms[1:]) < 0.05:
+        if bends and min(mobility(arm, state.metric)[-1] for arm in state.arms[1:]) < 0.05:
             continue  # a wrist is nearly straight, too
         assert linkage.basis.shape == (3, settable)
         eta = rng.normal(size=state.d)
@@ -198,7 +199,7 @@ def test_an_arm_without_motors_leaves_two_of_three_combinations(allocated):
             assert np.abs(tau).max() < 1e4
             system = case.system(still, np.zeros(6))
             got = system.solve(forces(case, tau), np.zeros((6, 0)), np.zeros(0))
-            np.testing.assert_allclose(got.a_object, 0.0, atol=1e-9)
+            np.testing.assert_allclose(got.a_object, 0.0, atol=1e-7)  # torques: up to 1e4
             f, points = cut(case, still, tau, got.qdd)
             seen.append(linkage.basis.T @ np.linalg.pinv(bars_of(points)) @ f.ravel())
         np.testing.assert_allclose(seen[1], linkage.basis.T @ np.full(3, 30.0), atol=1e-7)

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from oracles import kkt
+from readable.chain import FADED, FULL, share_left
 from readable.controller import ReadableController
 from rigs import SCARA_Q, one_panda, scara_pair
 
@@ -13,7 +14,6 @@ import osc_contact as osc
 from osc_contact.control.controller import Controller
 from osc_contact.control.motion import MotionGains
 from osc_contact.control.settings import PostureTask
-from osc_contact.dynamics.singular import FADED, FULL, share_left
 from osc_contact.interface import Measurement, Reference
 from osc_contact.scenarios import Scenario
 

@@ -10,13 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from osc_contact.control.controller import Controller
-from osc_contact.control.model_row import Bytes, ModelRow, records
+from osc_contact.control.model_row import ModelRow
 from osc_contact.control.reports import Status
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.control.torque_limits import MotorLimits
 from osc_contact.errors import InvalidInputError, ModelError, SolverError
 from osc_contact.law import tables as at
 from osc_contact.law import tick as law
+from osc_contact.law.compiled import rows
+from osc_contact.law.layout import Bytes, records
 from osc_contact.spatial import Array
 
 __all__ = ["BatchController"]
@@ -233,8 +235,6 @@ class BatchController:
         return {**self.__dict__, "_pool": None, "_call": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        from osc_contact.control.tick_records import rows
-
         self.__dict__.update(state, _call=rows())
         head = records(self._model, 0, 1, at.CHAIN)[0]
         self._memories = self._strided(at.MEMORY, 0, 1)[:, 0]

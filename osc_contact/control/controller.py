@@ -10,7 +10,6 @@ import numpy as np
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.controller_copies import ControllerCopies
 from osc_contact.control.friction import Friction
-from osc_contact.control.front_end import require_pinocchio_agrees
 from osc_contact.control.gains import Gains
 from osc_contact.control.laws import Laws
 from osc_contact.control.life import LifeSettings, Phase
@@ -27,13 +26,14 @@ from osc_contact.control.reports import Status
 from osc_contact.control.safety import SafetySettings
 from osc_contact.control.settings import PostureTask, Settings
 from osc_contact.control.signals import BLOCKS, Block, Signals
-from osc_contact.control.tick_records import TickRecords, rows
+from osc_contact.control.tick_records import TickRecords
 from osc_contact.control.torque_limits import MotorLimits, scale_torques
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, OscContactError, SolverError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
+from osc_contact.law.compiled import rows
 from osc_contact.law.tables import BODY, OBJECT_UNKNOWN
 from osc_contact.spatial import Array
 
@@ -127,7 +127,7 @@ class Controller(ControllerCopies):
             ),
             Laws() if laws is None else laws,
         )
-        require_pinocchio_agrees(chain, self._records)
+        chain.law_row(led=False)  # judges the arms
         memory, contacts_memory = self._records.memory, self._records.contacts
         self._reset_contacts()
         memory.X_WO[:] = np.eye(4)
@@ -163,7 +163,6 @@ class Controller(ControllerCopies):
             force_law=ForceLoop(settings.gains.force, settings.dt, records.memory),
         )  # fmt: skip
         self._take_records(records)
-        self._load()
 
     def _take_records(self, records: TickRecords) -> None:
         self._records = records
@@ -172,24 +171,6 @@ class Controller(ControllerCopies):
             records.row.raw, records.memory_bytes, records.work_bytes, self._squeeze, self._still,
             self._codes, self._rows, self._n_a, self._arms < 3 and not self._in_parts,
         )  # fmt: skip
-
-    def _load(self) -> None:
-        """Call the law once with data it refuses: now is the time to compile."""
-        if getattr(self._rows, "signatures", None):
-            return
-        from osc_contact.control.compiling import announced
-
-        none = np.full(self.chain.nq, np.nan)
-        with announced():
-            r = self._records
-            self._rows(
-                r.row.raw, r.memory_bytes.copy(), r.work_bytes, none, none,
-                np.zeros((self._arms, 6)), np.eye(4), np.zeros(6), np.zeros(6), np.zeros(0),
-                self._squeeze, self._still, 0, np.zeros(self._n_a), self._codes, 0, law.END, 0, 1,
-            )  # fmt: skip
-        self._codes[0] = 0
-        if hasattr(self._rows, "disable_compile"):
-            self._rows.disable_compile()  # other types are converted or refused
 
     # --- what it is made of ----------------------------------------------------------------------
 

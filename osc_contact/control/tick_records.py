@@ -2,42 +2,18 @@
 
 from __future__ import annotations
 
-import zlib
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from osc_contact.control.model_row import Bytes, ModelRow, records
+from osc_contact.control.model_row import ModelRow
 from osc_contact.control.reports import LostDirection
-from osc_contact.law import saturation
+from osc_contact.law import frames
 from osc_contact.law import tables as at
-from osc_contact.law import tick as law
+from osc_contact.law.layout import Bytes, records
 from osc_contact.spatial import Array
 
-__all__ = ["TickRecords", "rows", "saturated"]
-
-
-@cache
-def _stamp() -> int:
-    """Of the sources of the law: numba's cache looks at one file's date only."""
-    stamp = 0
-    for source in sorted(Path(law.__file__).parent.glob("*.py")):
-        stamp = zlib.crc32(source.read_bytes(), stamp)
-    return stamp
-
-
-@cache
-def rows() -> Any:
-    """The tick over rows, see `law.tick.build`."""
-    return law.build(_stamp())
-
-
-@cache
-def saturated() -> tuple[Any, Any]:
-    """What fills the program of the motor limits and takes in its answer, see `law.saturation`."""
-    return saturation.build_fill(_stamp()), saturation.build_settle(_stamp())
+__all__ = ["TickRecords"]
 
 
 def _cell(raw: Bytes, dtype: np.dtype[Any], name: str) -> Array:
@@ -107,21 +83,11 @@ class TickRecords:
 
     def reflection(self) -> Array:
         """(6, 6) that turns energy coordinates so that the first axes are the locked ones."""
-        turn, w = np.eye(6), self.work
-        for k in range(int(w.locked)):
-            v = w.turn[k].copy()
-            v[:k] = 0.0
-            turn -= np.outer(w.beta[k] * v, v @ turn)
-        return turn
+        return frames.reflection(self.work)
 
     def motions(self) -> Array:
         """(6, 6) from energy coordinates to motions at O in world axes."""
-        w = self.work
-        x, y, z = w.C - w.O
-        out = np.zeros((6, 6))
-        out[:3, :3], out[3:, 3:] = w.axes[2].T, w.axes[3].T
-        out[:3, 3:] = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ w.axes[3].T
-        return out
+        return frames.motions(self.work)
 
     def acceleration(self) -> Array:
         """(6,) of the object at O as commanded, spatial."""

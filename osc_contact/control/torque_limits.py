@@ -7,8 +7,9 @@ import numpy as np
 from osc_contact.control.model_row import ModelRow
 from osc_contact.control.reports import GivenUp
 from osc_contact.control.settings import Settings
-from osc_contact.control.tick_records import TickRecords, saturated
+from osc_contact.control.tick_records import TickRecords
 from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.law.compiled import saturated
 from osc_contact.law.limits import TorqueLimits
 from osc_contact.spatial import Array
 

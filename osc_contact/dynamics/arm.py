@@ -1,4 +1,4 @@
-"""One arm: where it comes from, and its operational-space terms Φ, Λ, J̄, μ, p of eq. 13."""
+"""One arm: where it comes from."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.dynamics.motors import PerJoint, with_joints
 from osc_contact.errors import ModelError
-from osc_contact.spatial import Array
 
-__all__ = ["Arm", "ArmTerms", "arm_terms"]
+__all__ = ["Arm"]
 
 
 @dataclass(frozen=True)
@@ -192,83 +190,3 @@ def _with_masses_scaled(model: pin.Model, factor: float) -> pin.Model:
     for frame in scaled.frames:
         frame.inertia = scale(frame.inertia)
     return scaled
-
-
-@dataclass(frozen=True)
-class ArmTerms:
-    """Operational-space terms of one arm at the operational point, world axes.
-
-    For arms with fewer than six joints (or in a singular posture) Λ, J̄, μ and p are defined only
-    on range(J): the arm is a *structural constraint* with wrenches C in the other directions.
-    Which generalised inverse extends them is irrelevant: they are only used as Λ(a − γ) with
-    a − γ in range(J), and through Sᵀ with S in range(J).
-
-    A grasp that permits motions, with wrenches N, puts NᵀJ in place of J: Λ = NΨNᵀ with
-    Ψ = (NᵀΦN)⁺, J̄ = M⁻¹JᵀΛ, and C, γ such that Cᵀ(a − γ) = 0 still holds for the *object*.
-    """
-
-    J: Array  #: (6, n) Jacobian
-    gamma: Array  #: (6,) spatial drift: acceleration of the object at q̈ = 0, as far as N sees it
-    M: Array  #: (n, n) joint-space inertia
-    Phi: Array  #: (6, 6) inverse inertia J M⁻¹ Jᵀ, rank ≤ n
-    Lambda: Array  #: (6, 6) inertia Φ⁺ on range(J)
-    J_bar: Array  #: (n, 6) dynamically consistent inverse M⁻¹JᵀΛ
-    mu: Array  #: (6,) velocity-product wrench J̄ᵀ C v − Λ γ
-    p: Array  #: (6,) gravity wrench J̄ᵀ g
-    C: Array  #: (6, m−rank) wrenches the arm's structure resists: CᵀJ = 0, C in range(N)
-    mobility: Array  #: singular values of √(object inertia / arm inertia), descending
-    N: Array  #: (6, 6) identity for a rigid grasp, else (6, rank) the wrenches it can exert
-    rank: int  #: motions of the object, as far as N sees them, that the joints can make
-
-
-def arm_terms(
-    J: Array,
-    gamma: Array,
-    M: Array,
-    h: Array,
-    g: Array,
-    L: Array,
-    tolerance: float,
-    N: Array | None = None,
-) -> ArmTerms:
-    """Φ, Λ, J̄, μ, p and C of one arm from what Pinocchio supplies (eq. 13).
-
-    J is made dimensionless in the kinetic-energy metrics of joints (M) and object (LLᵀ), so that
-    its singular values do not depend on units, frame or operational point.
-
-    Args:
-        J: (6, n) tip Jacobian carried to the operational point.
-        gamma: (6,) spatial drift there, that of the object's slip in the grasp included.
-        M, h, g: (n, n), (n,), (n,) joint inertia, nonlinear effects C v + g, gravity.
-        L: (6, 6) lower Cholesky factor of the object's inertia.
-        tolerance: a direction counts as locked when the arm's apparent inertia in it exceeds the
-            object's by 1/tolerance².
-        N: (6, m) wrenches that the grasp passes on; None: all.
-    """
-    K = np.linalg.cholesky(M)
-    A = L.T @ np.linalg.solve(K, J.T).T
-    if N is None:
-        U, s, Vh = np.linalg.svd(A, full_matrices=True)
-    else:
-        passed, _ = np.linalg.qr(np.linalg.solve(L, N))
-        U, s, Vh = np.linalg.svd(passed.T @ A, full_matrices=True)
-        U = passed @ U
-    rank = int(np.count_nonzero(s > tolerance))
-    # J̄ = M⁻¹JᵀΛ = K⁻ᵀ A⁺ Lᵀ
-    J_bar = np.linalg.solve(K.T, (Vh[:rank].T / s[:rank]) @ (L @ U[:, :rank]).T)
-    Lambda = J_bar.T @ M @ J_bar
-    LA = np.linalg.solve(L.T, A)
-    return ArmTerms(
-        J=J,
-        gamma=gamma,
-        M=M,
-        Phi=LA @ LA.T,
-        Lambda=Lambda,
-        J_bar=J_bar,
-        mu=J_bar.T @ (h - g) - Lambda @ gamma,
-        p=J_bar.T @ g,
-        C=L @ U[:, rank:],
-        mobility=s,
-        N=np.eye(6) if N is None else L @ U[:, :rank],
-        rank=rank,
-    )

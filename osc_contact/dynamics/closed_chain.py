@@ -11,92 +11,32 @@ Grasps may permit motions of their own (`Grasp`); these have no mass and nobody 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact import robots
-from osc_contact.dynamics.arm import Arm, ArmTerms, arm_terms
+from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.chain_look import Look, read_state
+from osc_contact.dynamics.chain_rows import GYRATION, chain_row
+from osc_contact.dynamics.chain_state import ChainState
+from osc_contact.dynamics.front_end import require_pinocchio_agrees
 from osc_contact.dynamics.grasp import Grasp
-from osc_contact.dynamics.held_object import locate, object_twist
+from osc_contact.dynamics.held_object import locate
 from osc_contact.dynamics.motors import effort_limits, heaviest_rotor, rotor_inertia
-from osc_contact.dynamics.outboard import (
-    OutboardLink,
-    columns_at,
-    drift,
-    grasp_filter,
-    outboard_links,
-    outboard_terms,
-)
-from osc_contact.dynamics.payload import ObjectTerms, RigidObject
-from osc_contact.dynamics.singular import (
-    GYRATION,
-    Fading,
-    fading_of,
-    full_rank,
-    reference_inertia,
-)
+from osc_contact.dynamics.outboard import OutboardLink, outboard_links
+from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.spatial import Array, as_array, cross_twist
+from osc_contact.law.layout import Bytes
+from osc_contact.law.tables import CHAIN, CHAIN_BYTES
+from osc_contact.spatial import Array, as_array, carry_twist
 
 __all__ = ["ClosedChain", "ChainState"]
 
 #: Stands in for the object's inertia in rank decisions when the arms hold nothing:
 #: 1 kg with a radius of gyration of 0.1 m.
 _REFERENCE = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
-_NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
-
-
-@dataclass(frozen=True)
-class ChainState:
-    """The closed chain at one (q, v), at the operational point O in world axes.
-
-    d motions of the object, n joints (passive ones included), n_a motors.
-    """
-
-    X_WO: pin.SE3  #: pose of the object
-    V_O: Array  #: (6,) its twist
-    S: Array  #: (6, d) basis of the motions every arm permits
-    C: Array  #: (6, 6−d) the wrenches they resist, CᵀS = 0
-    Lambda: Array  #: (d, d) Λ_S = Sᵀ(ΣΛ_i + Λ_o)S
-    Phi: Array  #: (6, 6) Φ₀ = S Λ_S⁻¹ Sᵀ, eq. 13's Λ₀⁻¹
-    mu: Array  #: (d,) velocity-product terms, σ included
-    p: Array  #: (d,) gravity terms
-    sigma: Array  #: (6,) structural velocity product: a = S η̇ + σ
-    G: Array  #: (d, n_a) what the motors do to the object
-    W: Array  #: (n, d) joint accelerations q̈ = W η̇ + w
-    w: Array  #: (n,)
-    h: Array  #: (n,) joint nonlinear effects C v + g
-    M: Array  #: (n, n) joint-space inertia of all arms
-    arms: tuple[ArmTerms, ...]  #: per arm: J, Φ, Λ, J̄, μ, p, …
-    payload: ObjectTerms  #: Λ_o, μ_o, p_o
-    metric: Array  #: (6, 6) Λ_o, or the reference inertia when nothing is held
-    grasp_points: Array  #: (arms, 3) world
-    sensors: tuple[pin.SE3 | None, ...]  #: placement of each wrist sensor in the world
-    filters: tuple[Array | None, ...]  #: (6, 6) F_i at O for each wrist reading; None: as it is
-    Lambda_out: Array  #: (6, 6) inertia seen by the wrist sensors together (not symmetric)
-    bias_out: Array  #: (6,) gravity and velocity wrench they see at a = 0
-    undriven: Array  #: (6, u) motions of the object that no motor drives
-    reference: Array  #: (6, 6) object and heaviest arm, which singular postures are judged by
-    full_ranks: tuple[int, ...]  #: motions each arm's tip can make in ordinary postures
-
-    @property
-    def d(self) -> int:
-        """Number of motions the object can make."""
-        return int(self.S.shape[1])
-
-    @property
-    def bias(self) -> Array:
-        """(d,) b_S = μ_S + p_S."""
-        return self.mu + self.p
-
-    @cached_property
-    def fading(self) -> tuple[Fading, ...]:
-        """Directions that arms near a singular posture are losing."""
-        return tuple(fading_of(self.arms, self.full_ranks, self.reference))
 
 
 class ClosedChain:
@@ -177,7 +117,7 @@ class ClosedChain:
             dtype=int,
         )
         self.tau_max = effort_limits(self.model, self.actuated)
-        self.full_ranks = tuple(full_rank(arm.model, arm.tip) for arm in arms)
+        self.full_ranks = tuple(_full_rank(arm.model, arm.tip) for arm in arms)
         self.arm_mass = max(
             sum(i.mass for i in arm.model.inertias) + heaviest_rotor(arm.model, GYRATION)
             for arm in self.arms
@@ -193,12 +133,7 @@ class ClosedChain:
             [] if sensor is None else outboard_links(self.model, sensor, tip)
             for sensor, tip in zip(self.sensors, self.tips, strict=True)
         ]
-        self._columns = {
-            j: self.model.joints[j].idx_v - self.slices[i].start + 1
-            for i, tip in enumerate(self.tips)
-            for j in self.model.supports[self.model.frames[tip].parentJoint]
-            if j > 0
-        }
+        self._rows: dict[bool, Bytes] = {}
 
     @property
     def nq(self) -> int:
@@ -239,69 +174,19 @@ class ClosedChain:
         """
         q = as_array("q", q, (self.nq,))
         v = as_array("v", v, (self.nq,))
-        model, data = self.model, self.data if data is None else data
-        pin.computeAllTerms(model, data, q, v)
-        gravity = model.gravity.linear
-        tips = self.tip_poses(data)
-        if X_WO is None:
-            X_WO = self.object_pose(data)
-        O = X_WO.translation  # noqa: E741 - the operational point
-        J = columns_at(data.J, O)
-        twists = [J[:, s] @ v[s] for s in self.slices]
-        V_O = self._twist(twists, X_WO, tips) if V_O is None else as_array("V_O", V_O, (6,))
-        reference = self.reference.terms(X_WO, V_O, gravity)
-        payload = reference if self.payload is not None else _NOTHING
-        L = np.linalg.cholesky(reference.Lambda)
-        terms, passed = [], []
-        for s, grasp, tip, V in zip(self.slices, self.grasps, tips, twists, strict=True):
-            gamma, N = drift(J[:, s], v[s]), None
-            if not grasp.is_rigid:  # the object slips by V_O − V while the tip carries N along
-                gamma, N = gamma + cross_twist(V, V_O), grasp.wrenches_at(tip, O)
-            passed.append(N)
-            terms.append(
-                arm_terms(
-                    J[:, s], gamma, data.M[s, s], data.nle[s], data.g[s], L, self.rank_tolerance, N
-                )
-            )
-        S, C, sigma = self._intersect(terms, L)
-        W = np.vstack([t.J_bar @ S for t in terms])
-        w = np.concatenate([t.J_bar @ (sigma - t.gamma) for t in terms])
-        M, h, g = np.array(data.M), np.array(data.nle), np.array(data.g)
-        Lambda = W.T @ M @ W + S.T @ payload.Lambda @ S
-        G = W.T[:, self.actuated]
-        undriven = self._undriven(G, S)
-        filters, Lambda_out, bias_out = self._wrist_terms(
-            terms, passed, J, v, payload, O, gravity, L, data
-        )
-        return ChainState(
-            X_WO=X_WO,
-            V_O=V_O,
-            S=S,
-            C=C,
-            Lambda=Lambda,
-            Phi=S @ np.linalg.solve(Lambda, S.T),
-            mu=W.T @ (h - g + M @ w) + S.T @ (payload.mu + payload.Lambda @ sigma),
-            p=W.T @ g + S.T @ payload.p,
-            sigma=sigma,
-            G=G,
-            W=W,
-            w=w,
-            h=h,
-            M=M,
-            arms=tuple(terms),
-            payload=payload,
-            metric=reference.Lambda,
-            grasp_points=np.array([t.translation for t in tips]),
-            sensors=tuple(None if f is None else self._placement(f, data) for f in self.sensors),
-            filters=filters,
-            Lambda_out=Lambda_out,
-            bias_out=bias_out,
-            undriven=undriven,
-            reference=reference_inertia(
-                reference.Lambda, self.arm_mass, X_WO.rotation @ self.reference.inertia.lever
-            ),
-            full_ranks=self.full_ranks,
-        )
+        data = self.data if data is None else data
+        pin.forwardKinematics(self.model, data, q, v)
+        if X_WO is None and V_O is None and self.leader is not None:
+            row = self.law_row(led=True)
+            now, rest = Look(row, q, v), Look(row, q, np.zeros(self.nq))
+        else:
+            row = self.law_row(led=False)
+            X_WO = self.object_pose(data) if X_WO is None else X_WO
+            V_O = self._twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
+            now = Look(row, q, v, X_WO.homogeneous, V_O)
+            rest = Look(row, q, np.zeros(self.nq), X_WO.homogeneous, np.zeros(6))
+        now.require_done()
+        return read_state(self, now, rest, data)
 
     def tip_poses(self, data: pin.Data | None = None) -> list[pin.SE3]:
         """Pose of each arm's tip in the world, at the positions last given to `data`."""
@@ -322,12 +207,30 @@ class ClosedChain:
         tips = self.tip_poses(data)
         return locate(self.grasps, tips, self.reference_inertia, self.rank_tolerance)
 
-    def _twist(self, twists: Sequence[Array], X_WO: pin.SE3, tips: Sequence[pin.SE3]) -> Array:
-        if self.leader is not None:
-            return twists[self.leader]
-        inertia = self.reference_inertia(X_WO)
-        O = X_WO.translation  # noqa: E741
-        return object_twist(self.grasps, tips, twists, O, inertia, self.rank_tolerance)
+    def sensor_poses(self, data: pin.Data | None = None) -> tuple[pin.SE3 | None, ...]:
+        """Placement of each wrist sensor in the world, likewise; None: the arm has none."""
+        return tuple(None if f is None else self._placement(f, data) for f in self.sensors)
+
+    def _twist(self, X_WO: pin.SE3, data: pin.Data) -> Array | None:
+        """(6,) of the object as the leader's tip tells it; None: the law finds it."""
+        if self.leader is None:
+            return None
+        joint = self.model.frames[self.tips[self.leader]].parentJoint
+        V = data.oMi[joint].act(data.v[joint]).vector
+        return carry_twist(V, np.zeros(3), X_WO.translation)
+
+    def law_row(self, led: bool) -> Bytes:
+        """The chain as the law's MODEL, see `chain_row`.
+
+        Raises:
+            ModelError: arms that the law does not know.
+        """
+        if not self._rows:
+            self._rows = {led: chain_row(self, led) for led in (False, True)}
+            require_pinocchio_agrees(self, self._rows[False])
+        row = self._rows[led]
+        row[:CHAIN_BYTES].view(CHAIN)[0]["gravity"] = self.model.gravity.linear  # may have changed
+        return row
 
     def reference_inertia(self, X_WO: pin.SE3) -> Array:
         """(6, 6) inertia of the object at its own origin, or of its stand-in if nothing is held."""
@@ -337,21 +240,7 @@ class ClosedChain:
         at = self.model.frames[frame]
         return (self.data if data is None else data).oMi[at.parentJoint] * at.placement
 
-    def _intersect(self, terms: Sequence[ArmTerms], L: Array) -> tuple[Array, Array, Array]:
-        """S = ∩ range(J_i), C with CᵀS = 0, and σ with C_iᵀσ = C_iᵀγ_i.
-
-        Done in coordinates where the object's inertia is the identity (x̃ = Lᵀx, f = L f̃), so
-        that the rank decision and the choice of σ do not depend on units or frame.
-        """
-        C_white = np.linalg.solve(L, np.hstack([t.C for t in terms]))
-        c = np.concatenate([t.C.T @ t.gamma for t in terms])
-        U, s, Vh = np.linalg.svd(C_white, full_matrices=True)
-        rank = int(np.count_nonzero(s > self.rank_tolerance))
-        sigma_white = U[:, :rank] @ ((Vh[:rank] @ c) / s[:rank])
-        S = np.linalg.solve(L.T, U[:, rank:])
-        return S, L @ U[:, :rank], np.linalg.solve(L.T, sigma_white)
-
-    def _undriven(self, G: Array, S: Array) -> Array:
+    def undriven_motions(self, G: Array, S: Array) -> Array:
         """(6, u) motions of the object in which GᵀU = 0; an error unless they are allowed."""
         if G.shape[0] == 0:
             return np.zeros((6, 0))
@@ -368,31 +257,17 @@ class ClosedChain:
             )
         return motions
 
-    def _wrist_terms(
-        self,
-        terms: Sequence[ArmTerms],
-        passed: Sequence[Array | None],
-        J: Array,
-        v: Array,
-        payload: ObjectTerms,
-        O: Array,  # noqa: E741
-        gravity: Array,
-        L: Array,
-        data: pin.Data,
-    ) -> tuple[tuple[Array | None, ...], Array, Array]:
-        Lambda, bias = payload.Lambda.copy(), payload.mu + payload.p
-        placements, filters = list(data.oMi), list[Array | None]()
-        for i, (links, s, t) in enumerate(zip(self.outboard, self.slices, terms, strict=True)):
-            inertia, wrench, P = outboard_terms(
-                links, placements, J[:, s], v[s], self._columns, t.J_bar, t.gamma, O, gravity
-            )
-            N = passed[i]
-            filters.append(None if N is None else grasp_filter(J[:, s], N, P, L))
-            if (F := filters[i]) is not None:
-                inertia, wrench = F @ inertia, F @ wrench
-            Lambda += inertia
-            bias += wrench
-        return tuple(filters), Lambda, bias
+
+def _full_rank(model: pin.Model, tip: str) -> int:
+    """Motions the tip can make in ordinary postures: the largest rank of J in a few random ones."""
+    rng, data = np.random.default_rng(0), model.createData()
+    frame = robots.frame_id(model, tip)
+    ranks = []
+    for _ in range(4):
+        q = rng.uniform(-1.0, 1.0, model.nq)
+        J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
+        ranks.append(int(np.linalg.matrix_rank(J, tol=1e-6)))
+    return max(ranks)
 
 
 def _merge(arms: Sequence[Arm]) -> pin.Model:

@@ -1,4 +1,4 @@
-"""Pose and twist of the object, told by arms of which none holds it rigidly."""
+"""Pose of the object, told by arms of which none holds it rigidly."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from osc_contact.dynamics.grasp import Grasp
 from osc_contact.errors import ModelError
 from osc_contact.spatial import Array
 
-__all__ = ["locate", "moved", "object_twist"]
+__all__ = ["locate", "moved"]
 
 
 def locate(
@@ -28,7 +28,8 @@ def locate(
     Args:
         grasps, tips: of each arm, and where its tip is in the world.
         inertia: (6, 6) of the object at its origin, in world axes, at a pose.
-        tolerance: see `object_twist`.
+        tolerance: the object counts as free to move while the tips stand still when the grasps'
+            wrenches come this near to leaving one of its motions (rad, in its energy metric).
 
     Raises:
         ModelError: the tips do not tell it: the object can move while they stand still.
@@ -42,31 +43,6 @@ def locate(
         if np.abs(step).max() < 1e-15:
             break
     return X
-
-
-def object_twist(
-    grasps: Sequence[Grasp],
-    tips: Sequence[pin.SE3],
-    twists: Sequence[Array],
-    O: Array,  # noqa: E741 - the operational point
-    inertia: Array,
-    tolerance: float,
-) -> Array:
-    """V_O (6,) with N_iᵀ(V_O − V_i) = 0 for every grasp; if they differ, nearest in energy.
-
-    Args:
-        grasps, tips: of each arm, and where its tip is in the world.
-        twists: (6,) of each tip, at O. inertia: (6, 6) of the object at O, world axes.
-        tolerance: the object counts as free to move while the tips stand still when the grasps'
-            wrenches come this near to leaving one of its motions (rad, in its energy metric).
-
-    Raises:
-        ModelError: as `locate`.
-    """
-    seen = [
-        grasp.wrenches_at(tip, O).T @ V for grasp, tip, V in zip(grasps, tips, twists, strict=True)
-    ]
-    return _solved(grasps, tips, O, np.linalg.cholesky(inertia), seen, tolerance)
 
 
 def moved(X: pin.SE3, displacement: Array) -> pin.SE3:

@@ -16,10 +16,17 @@ from osc_contact.law.energy import (
     world_wrench,
 )
 from osc_contact.law.grasps import add_slip, filter_outboard, find_twist
-from osc_contact.law.held_object import find_object
+from osc_contact.law.held_object import centre_object, find_object
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.singular import find_lost, may_be_singular
-from osc_contact.law.tables import BAD_INERTIA, NO_REASON, OBJECT_UNKNOWN, UNACTUATED
+from osc_contact.law.tables import (
+    BAD_INERTIA,
+    GIVEN_POSE,
+    GIVEN_TWIST,
+    NO_REASON,
+    OBJECT_UNKNOWN,
+    UNACTUATED,
+)
 
 __all__ = ["solve_chain"]
 
@@ -48,7 +55,9 @@ def solve_chain(chain, arms, table, memory, work, arm_work, joints, locked, q, v
         for i in range(4):
             for j in range(4):
                 work.X_WO[i, j] = memory.X_WO[i, j]
-        if not find_object(chain, arms, work, arm_work, joints, work.X_WO):
+        if memory.given >= GIVEN_POSE:
+            centre_object(work.X_WO, chain, work)
+        elif not find_object(chain, arms, work, arm_work, joints, work.X_WO):
             return OBJECT_UNKNOWN
     for k in range(chain.n_arms):
         arm, own = arms[k], arm_work[k]
@@ -58,12 +67,15 @@ def solve_chain(chain, arms, table, memory, work, arm_work, joints, locked, q, v
             arm, table, joints, v, work.C, chain.gravity, work.s, work.t, own.V, own.drift,
             own.bias,
         )  # fmt: skip
+    given = memory.given >= GIVEN_TWIST
     if chain.slipping != 0:
-        if not find_twist(chain, arms, work, arm_work, joints):
+        if not find_twist(chain, arms, work, arm_work, joints, given):
             return OBJECT_UNKNOWN
     else:
         for i in range(6):
             work.V_C[i] = arm_work[0].V[i]
+    if given:
+        carry_motion(memory.V_O, work.O, work.C, work.V_C)
     carry_motion(work.V_C, work.C, work.O, work.V_O)
     for i in range(6):
         work.bias_links[i] = work.bias_e[i] = work.chain_bias[i] = 0.0
@@ -105,7 +117,11 @@ def _add_arm(chain, arm, table, work, own, joints, locked, row):
     if may_be_singular(chain, arm, own):
         find_lost(chain, arm, own, joints, work)
     shared = chain.n_arms > 1 or own.wide == 0 or own.n_lost > 0  # else there is nothing to share
-    if shared and not effort_metric(lo, n, m, joints, table, own, work, own.effort):
+    if (
+        chain.n_motors > 0
+        and shared
+        and not effort_metric(lo, n, m, joints, table, own, work, own.effort)
+    ):
         return UNACTUATED, 0
     for k in range(row, row + count):
         locked[k, 6] = dot6(locked[k], own.gamma)

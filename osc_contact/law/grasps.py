@@ -62,10 +62,11 @@ def orthonormalise_with(rows, first, last, r):
 
 
 @inner
-def find_twist(chain, arms, work, arm_work, joints):
+def find_twist(chain, arms, work, arm_work, joints, given):
     """N and T of every grasp, orthonormal, and the object's twist at C (V_C); False: not fixed.
 
-    With a leader the object moves with its tip; with none it is what all the grasps leave.
+    With a leader the object moves with its tip; with none it is what all the grasps leave. Where it
+    is given V_C stays as it is.
     """
     A, L, x, r, twist = work.A, work.B, work.x, work.y, work.w
     for i in range(6):
@@ -82,7 +83,7 @@ def find_twist(chain, arms, work, arm_work, joints):
             return False
         if not orthonormalise_with(own.passed, arm.m, 6, r):
             return False
-        if chain.leader < 0:
+        if chain.leader < 0 and not given:
             energy_motion(work.axes, own.V, twist)
             for a in range(arm.m):
                 along = dot6(own.passed[a], twist)
@@ -90,6 +91,8 @@ def find_twist(chain, arms, work, arm_work, joints):
                     x[i] += own.passed[a, i] * along
                     for j in range(i + 1):
                         A[i, j] += own.passed[a, i] * own.passed[a, j]
+    if given:
+        return True
     if chain.leader >= 0:
         for i in range(6):
             work.V_C[i] = arm_work[chain.leader].V[i]

@@ -12,7 +12,7 @@ from osc_contact.law.jit import inner
 from osc_contact.law.motion import rotation_vector
 from osc_contact.law.tables import BALL, HINGE
 
-__all__ = ["find_object", "rotate"]
+__all__ = ["centre_object", "find_object", "rotate"]
 
 
 @inner

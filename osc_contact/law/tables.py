@@ -106,16 +106,20 @@ BODY = _record(whole=("kind", "same", "pushes"), parameters=8)
 
 # What is remembered -----------------------------------------------------------------------------
 
+GIVEN_POSE, GIVEN_TWIST = 1, 2
+
 MEMORY = _record(
     whole=(
         "force_rank", "located", "ticked", "fresh", "engaged", "hand_over", "reason",
         # see `safety`: ticks in this state, faults in a row, ticks too fast, ticks that may repeat
         "state", "age", "faults", "too_fast", "repeats", "cause", "read", "settled",
+        "given",  # GIVEN_POSE, GIVEN_TWIST: the object's pose, its twist too, need not be found
     ),
     number=("more_friction",),  # learnt, beyond what is believed
     motion_sum=6, f_tare=6, f_bias=6,
     force_sum=6,  # of the columns kept in the last tick
     X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
+    V_O=6,  # where it is given
 )  # fmt: skip
 CONTACT_MEMORY = _record(whole=("active", "phase"), number=("gain", "damping", "least", "since"))
 COLUMN_MEMORY = _record(

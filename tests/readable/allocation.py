@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from osc_contact.control.joint_limits import JointLimits
-from osc_contact.dynamics.arm import ArmTerms
+from osc_contact.dynamics.chain_state import ArmTerms
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.motors import effort_scale
 from osc_contact.errors import InvalidInputError, ModelError

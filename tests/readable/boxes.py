@@ -26,6 +26,7 @@ from osc_contact.dynamics.rail import Body
 from osc_contact.spatial import Array
 from readable.allocation import Allocation
 from readable.border import independent
+from readable.chain import state as chain_state
 from readable.fade import faded_motion
 from readable.force import (
     ContactTerms,
@@ -64,7 +65,7 @@ class Boxes:
 
     @block("closed chain", "model", r"$\Lambda_S,\ \mu,\ p,\ S,\ \sigma,\ G$  (13)")
     def _model(self, s: Signals) -> None:
-        state = self.chain.state(s.q, s.v)
+        state = chain_state(self.chain, s.q, s.v)
         s.state = with_friction(self.chain, state, s.v, s.reference.V_D)
 
     @block("contact geometry", "model", r"$N,\ T,\ n_\gamma$")

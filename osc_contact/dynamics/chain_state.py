@@ -1,0 +1,114 @@
+"""The closed chain at one (q, v), as values: what `ClosedChain.state` gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pinocchio as pin
+
+from osc_contact.dynamics.payload import ObjectTerms
+from osc_contact.spatial import Array
+
+__all__ = ["ArmTerms", "ChainState", "Fading"]
+
+
+@dataclass(frozen=True)
+class ArmTerms:
+    """Operational-space terms of one arm at the operational point, world axes (eq. 13).
+
+    For arms with fewer than six joints (or in a singular posture) Λ, J̄, μ and p are defined only
+    on range(J): the arm is a *structural constraint* with wrenches C in the other directions.
+    Which generalised inverse extends them is irrelevant: they are only used as Λ(a − γ) with
+    a − γ in range(J), and through Sᵀ with S in range(J).
+
+    A grasp that permits motions, with wrenches N, puts NᵀJ in place of J: Λ = NΨNᵀ with
+    Ψ = (NᵀΦN)⁺, J̄ = M⁻¹JᵀΛ, and C, γ such that Cᵀ(a − γ) = 0 still holds for the *object*.
+    """
+
+    J: Array  #: (6, n) Jacobian
+    gamma: Array  #: (6,) spatial drift: acceleration of the object at q̈ = 0, as far as N sees it
+    M: Array  #: (n, n) joint-space inertia
+    Phi: Array  #: (6, 6) inverse inertia J M⁻¹ Jᵀ, rank ≤ n
+    Lambda: Array  #: (6, 6) inertia Φ⁺ on range(J)
+    J_bar: Array  #: (n, 6) dynamically consistent inverse M⁻¹JᵀΛ
+    mu: Array  #: (6,) velocity-product wrench J̄ᵀ C v − Λ γ
+    p: Array  #: (6,) gravity wrench J̄ᵀ g
+    C: Array  #: (6, m−rank) wrenches the arm's structure resists: CᵀJ = 0, C in range(N)
+    N: Array  #: (6, 6) identity for a rigid grasp, else (6, rank) the wrenches it can exert
+    rank: int  #: motions of the object, as far as N sees them, that the joints can make
+
+
+@dataclass(frozen=True)
+class Fading:
+    """One direction an arm is losing: q̈ = mode moves the object by χ L⁻ᵀu.
+
+    The arm is measured against Λ_ref = LLᵀ, the object and, at its centre of mass, a ball as heavy
+    as the heaviest arm (radius of gyration 0.1 m). With M = KKᵀ,
+
+        LᵀJK⁻ᵀ = U diag(χ) Vᵀ
+
+    is free of units, and 1/χ² is the arm's apparent inertia in the direction u beside that of
+    Λ_ref. At the start of every packaged scenario χ is at least 0.5; it goes to zero in a singular
+    posture, and commands fade where it is below 0.3.
+
+    Attributes:
+        arm: its number. chi: χ. share: of the command that is left, 1 … 0.
+        wrench: (6,) L u at O, world axes: wrenchᵀ(a − γ) is the acceleration it sees.
+        twist: (6,) L⁻ᵀu: the motion that is lost, its scale that of 1 J of Λ_ref.
+        mode: (n,) K⁻ᵀv of the arm's joints, of unit kinetic energy (times two).
+        locked: the chain counts the direction as lost (`ClosedChain.rank_tolerance`).
+    """
+
+    arm: int
+    chi: float
+    share: float
+    wrench: Array
+    twist: Array
+    mode: Array
+    locked: bool
+
+
+@dataclass(frozen=True)
+class ChainState:
+    """The closed chain at one (q, v), at the operational point O in world axes.
+
+    d motions of the object, n joints (passive ones included), n_a motors. Which basis S of its
+    motions is taken is arbitrary; every quantity that does not name it is the same for all.
+    """
+
+    X_WO: pin.SE3  #: pose of the object
+    V_O: Array  #: (6,) its twist
+    S: Array  #: (6, d) basis of the motions every arm permits
+    C: Array  #: (6, 6−d) the wrenches they resist, CᵀS = 0
+    Lambda: Array  #: (d, d) Λ_S = Sᵀ(ΣΛ_i + Λ_o)S
+    Phi: Array  #: (6, 6) Φ₀ = S Λ_S⁻¹ Sᵀ, eq. 13's Λ₀⁻¹
+    mu: Array  #: (d,) velocity-product terms, σ included
+    p: Array  #: (d,) gravity terms
+    sigma: Array  #: (6,) structural velocity product: a = S η̇ + σ
+    G: Array  #: (d, n_a) what the motors do to the object
+    W: Array  #: (n, d) joint accelerations q̈ = W η̇ + w
+    w: Array  #: (n,)
+    h: Array  #: (n,) joint nonlinear effects C v + g
+    M: Array  #: (n, n) joint-space inertia of all arms
+    arms: tuple[ArmTerms, ...]  #: per arm: J, Φ, Λ, J̄, μ, p, …
+    payload: ObjectTerms  #: Λ_o, μ_o, p_o
+    metric: Array  #: (6, 6) Λ_o, or the reference inertia when nothing is held
+    grasp_points: Array  #: (arms, 3) world
+    sensors: tuple[pin.SE3 | None, ...]  #: placement of each wrist sensor in the world
+    filters: tuple[Array | None, ...]  #: (6, 6) F_i at O for each wrist reading; None: as it is
+    Lambda_out: Array  #: (6, 6) inertia seen by the wrist sensors together (not symmetric)
+    bias_out: Array  #: (6,) gravity and velocity wrench they see at a = 0
+    undriven: Array  #: (6, u) motions of the object that no motor drives
+    reference: Array  #: (6, 6) object and heaviest arm, which singular postures are judged by
+    full_ranks: tuple[int, ...]  #: motions each arm's tip can make in ordinary postures
+    fading: tuple[Fading, ...]  #: directions that arms near a singular posture are losing
+
+    @property
+    def d(self) -> int:
+        """Number of motions the object can make."""
+        return int(self.S.shape[1])
+
+    @property
+    def bias(self) -> Array:
+        """(d,) b_S = μ_S + p_S."""
+        return self.mu + self.p

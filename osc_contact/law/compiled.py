@@ -1,0 +1,94 @@
+"""The compiled functions of the law, made or loaded from the cache when first asked for.
+
+Compiling takes about a minute, once on a machine; whoever listens is told so.
+"""
+
+from __future__ import annotations
+
+import logging
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from osc_contact.law import saturation
+from osc_contact.law import tables as at
+from osc_contact.law import tick as law
+from osc_contact.law.jit import PLAIN_PYTHON
+
+__all__ = ["announced", "rows", "saturated", "tell"]
+
+_log = logging.getLogger(__name__)
+
+
+@cache
+def _stamp() -> int:
+    """Of the sources of the law: numba's cache looks at one file's date only."""
+    stamp = 0
+    for source in sorted(Path(law.__file__).parent.glob("*.py")):
+        stamp = zlib.crc32(source.read_bytes(), stamp)
+    return stamp
+
+
+@cache
+def rows() -> Any:
+    """The tick over rows, see `law.tick.build`; other types than its own are a TypeError."""
+    call = law.build(_stamp())
+    if PLAIN_PYTHON:
+        return call
+    none, raw = np.zeros(0), np.zeros(at.CHAIN_BYTES, np.uint8)
+    with announced():
+        call(
+            raw, raw, raw, none, none, np.zeros((0, 6)), np.zeros((0, 4)), none, none, none, none,
+            np.zeros((0, 28)), 0, none, np.zeros(0, np.int64), law.LOOK, law.END, 0, 0,
+        )  # fmt: skip
+    call.disable_compile()
+    return call
+
+
+@cache
+def saturated() -> tuple[Any, Any]:
+    """What fills the program of the motor limits and takes in its answer, see `law.saturation`."""
+    return saturation.build_fill(_stamp()), saturation.build_settle(_stamp())
+
+
+@contextmanager
+def announced() -> Iterator[None]:
+    """Log (INFO) when numba begins to compile inside the block, and how long it took."""
+    from numba.core import event
+
+    began: list[float] = []
+
+    class Begun(event.Listener):
+        def on_start(self, event: Any) -> None:
+            if not began:
+                began.append(perf_counter())
+                _log.info("compiling the control tick: about a minute, then it is cached …")
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Begun()):
+        yield
+    if began:
+        _log.info("compiled in %.0f s", perf_counter() - began[0])
+
+
+class _Teller(logging.Handler):
+    def __init__(self, say: Callable[[str], None]) -> None:
+        super().__init__()
+        self.say = say
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.say(record.getMessage())
+
+
+def tell(say: Callable[[str], None]) -> None:
+    """Hand these messages to `say`, in place of whoever was told before."""
+    _log.handlers = [_Teller(say)]
+    _log.setLevel(logging.INFO)
