@@ -25,7 +25,7 @@ def _urdf(kind):
 
 
 def planar(joints, rng):
-    """Two or three parallel axes."""
+    """Two to four parallel axes."""
     model, last = pin.Model(), 0
     for i in range(joints):
         at = np.array([0.35 if i else 0.0, 0.0, 0.02 * i])
@@ -41,11 +41,11 @@ def planar(joints, rng):
 
 def posture(kind, rng, bend):
     """Joint positions; `bend`: of the elbow, 0 is singular."""
-    n = {"2R": 2, "3R": 3, "scara": 5, "ur5": 6, "panda": 7}[kind]
+    n = {"2R": 2, "3R": 3, "4R": 4, "scara": 5, "ur5": 6, "panda": 7}[kind]
     q = rng.uniform(-1.5, 1.5, n)
     if kind == "scara":
         q[2:] *= [0.05, 1.0, 0.3]
-    elbow = {"2R": 1, "3R": 1, "scara": 1, "ur5": 2, "panda": 3}[kind]
+    elbow = {"2R": 1, "3R": 1, "4R": 1, "scara": 1, "ur5": 2, "panda": 3}[kind]
     q[elbow] = -abs(bend) if kind == "panda" else bend
     return q
 
@@ -105,7 +105,7 @@ def random_case(arms, kinds, rng, bends=None, tolerance=1e-3, upright=False, bod
     X_WO = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-0.5, 0.5, 3)), rng.uniform(-0.5, 0.5, 3))
     parts, held, told, positions = [], [], [], []
     for i, (arm, kind) in enumerate(zip(arms, kinds, strict=True)):
-        model, tip, passive = planar(int(arm[0]), rng) if arm[0] in "23" else _urdf(arm)
+        model, tip, passive = planar(int(arm[0]), rng) if arm[0] in "234" else _urdf(arm)
         bend = rng.uniform(0.5, 1.5) if bends is None else bends[i]
         q = posture(arm, rng, bend)
         axis = rng.normal(size=3)
@@ -118,6 +118,7 @@ def random_case(arms, kinds, rng, bends=None, tolerance=1e-3, upright=False, bod
         sensor = {
             "2R": "wrist",
             "3R": "wrist",
+            "4R": "wrist",
             "scara": "wrist_sensor",
             "panda": "panda_hand",
             "ur5": "wrist_3_link",

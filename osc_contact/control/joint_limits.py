@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.law.allocation import push_from_limits
+from osc_contact.law.jit import as_python
 from osc_contact.spatial import Array
 
 __all__ = ["JointLimits"]
 
+_push = as_python(push_from_limits)  # in Python, joint by joint
 _WHOLE = np.pi  #: rad or m; a larger range, or one that is open, counts as this much
 
 
@@ -45,7 +49,6 @@ class JointLimits:
 
     def push(self, q: Array) -> Array:
         """(n,) acceleration at joint positions q (n,)."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            depth = np.where(q < self.low, self.low - q, np.maximum(q - self.high, 0.0))
-            s = np.where(depth > 0.0, np.minimum(depth / self.width, 1.0), 0.0)
-        return np.asarray(np.where(q < self.low, 1.0, -1.0) * self.most * s * s * (3.0 - 2.0 * s))
+        rows = zip(self.low, self.high, self.width, self.most, strict=True)
+        joints = [SimpleNamespace(low=a, high=b, width=w, most=k) for a, b, w, k in rows]
+        return np.array([_push(joint, x) for joint, x in zip(joints, q, strict=True)])

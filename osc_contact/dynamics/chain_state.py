@@ -100,7 +100,7 @@ class ChainState:
     bias_out: Array  #: (6,) gravity and velocity wrench they see at a = 0
     undriven: Array  #: (6, u) motions of the object that no motor drives
     reference: Array  #: (6, 6) object and heaviest arm, which singular postures are judged by
-    full_ranks: tuple[int, ...]  #: motions each arm's tip can make in ordinary postures
+    full_ranks: tuple[int, ...]  #: motions each arm makes, as N sees them, in ordinary postures
     fading: tuple[Fading, ...]  #: directions that arms near a singular posture are losing
 
     @property

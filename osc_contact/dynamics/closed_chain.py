@@ -117,7 +117,10 @@ class ClosedChain:
             dtype=int,
         )
         self.tau_max = effort_limits(self.model, self.actuated)
-        self.full_ranks = tuple(_full_rank(arm.model, arm.tip) for arm in arms)
+        self.full_ranks = tuple(
+            _full_rank(arm.model, arm.tip, grasp)
+            for arm, grasp in zip(arms, self.grasps, strict=True)
+        )
         self.arm_mass = max(
             sum(i.mass for i in arm.model.inertias) + heaviest_rotor(arm.model, GYRATION)
             for arm in self.arms
@@ -258,15 +261,18 @@ class ClosedChain:
         return motions
 
 
-def _full_rank(model: pin.Model, tip: str) -> int:
-    """Motions the tip can make in ordinary postures: the largest rank of J in a few random ones."""
+def _full_rank(model: pin.Model, tip: str, grasp: Grasp) -> int:
+    """Motions of the object that an arm makes in ordinary postures, as far as its grasp tells.
+
+    The largest rank of NᵀJ in a few random postures.
+    """
     rng, data = np.random.default_rng(0), model.createData()
     frame = robots.frame_id(model, tip)
     ranks = []
     for _ in range(4):
         q = rng.uniform(-1.0, 1.0, model.nq)
         J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
-        ranks.append(int(np.linalg.matrix_rank(J, tol=1e-6)))
+        ranks.append(int(np.linalg.matrix_rank(grasp.N.T @ J, tol=1e-6)))
     return max(ranks)
 
 

@@ -5,14 +5,15 @@ The least torque in the weight 1/τ_max² (R below) with G τ = f_S and E τ = e
     τ = τ_0 + R⁻¹AᵀZ⁻¹(b − A τ_0),   A = [G; E],   Z = A R⁻¹Aᵀ
 
 E holds the squeeze of two arms, the settable bar forces of three and more (`linkage`), and the
-motions that arms without joints to spare have of their own in a singular posture. Arms with more
-joints than they need hold their posture in the dynamically consistent null space,
+motions that other arms have of their own, because their grasp or their posture leaves them idle, as
+far as the motors drive them. Arms with more joints than they need hold their posture in the
+dynamically consistent null space,
 τ_0 = (1 − JᵀJ̄ᵀ)(h + M(−k_d q̇ + k_p(q₀ − q)) + diag(M) a_l(q)); passive joints have no torque.
 """
 
 from __future__ import annotations
 
-from math import isfinite
+from math import isfinite, sqrt
 
 from osc_contact.law.algebra import (
     cholesky,
@@ -25,7 +26,7 @@ from osc_contact.law.algebra import (
 )
 from osc_contact.law.internal import internal_rows
 from osc_contact.law.jit import inner, leaf, matrix
-from osc_contact.law.singular import expected_rank, retreat
+from osc_contact.law.singular import retreat
 from osc_contact.law.tables import NO_REASON, UNACTUATED
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "command_object",
     "limit_torques",
     "predict_joints",
+    "push_from_limits",
 ]
 
 _DRIVEN = 1e-12  #: least share of a pivot of Z
@@ -119,20 +121,25 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
     if chain.n_bars > 0:
         count = internal_rows(chain, arms, table, work, arm_work, joints, E, b, d, link, squeeze)
     work.n_internal = count
-    if work.n_lost > 0:
-        count = _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, count, q, v)
     if not _factor_rows(chain, arms, table, work, arm_work, joints, E, weighed, Z, count):
-        if chain.n_arms != 2 or work.n_internal == 0:
+        if chain.n_arms != 2 or count == 0:
             return UNACTUATED
-        count -= 1  # the grasps pass on no squeeze of its own: f_S decides it
+        count = 0  # the grasps pass on no squeeze of its own: f_S decides it
         work.n_internal, work.internal[0] = 0, 0.0
-        for e in range(count):
-            b[d + e] = b[d + e + 1]
-            for j in range(n):
-                E[e, j] = E[e + 1, j]
         if not _factor_rows(chain, arms, table, work, arm_work, joints, E, weighed, Z, count):
             return UNACTUATED
-    cholesky_solve(Z, d + count, b, 0)
+    size = d + count
+    own = _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, count, q, v)
+    for e in range(count, count + own):
+        if e > size - d:  # one before it was left out
+            b[size] = b[d + e]
+            for j in range(n):
+                E[size - d, j] = E[e, j]
+        _fill_row(chain, arms, table, arm_work, joints, work, E, weighed, Z, d, size - d)
+        if _extend_factor(Z, size):
+            size += 1
+    count = size - d
+    cholesky_solve(Z, size, b, 0)
     y = work.y
     for i in range(6):
         y[i] = b[i - m] if i >= m else 0.0
@@ -148,26 +155,48 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
 @inner
 def _factor_rows(chain, arms, table, work, arm_work, joints, E, weighed, Z, count):
     """Z = A R⁻¹Aᵀ of G and `count` rows E, factored; False: they depend on one another."""
-    n, m = chain.n_joints, work.locked
+    m = work.locked
     d = 6 - m
     for i in range(d):
         for j in range(i + 1):
             Z[i, j] = work.effort[m + i, m + j]
     for e in range(count):
-        for k in range(chain.n_arms):
-            _weigh_row(arms[k], table, arm_work[k], joints, work, E[e], weighed[e])
-        for j in range(n):  # rows of G R⁻¹Eᵀ, turned
-            for i in range(6):
-                work.u[i] = joints[j].J_bar[i] * weighed[e, j] + (work.u[i] if j > 0 else 0.0)
-        reflect(work.turn, work.beta, m, work.u)
-        for i in range(d):
-            Z[d + e, i] = work.u[m + i]
-        for c in range(e + 1):
-            s = 0.0
-            for j in range(n):
-                s += weighed[e, j] * E[c, j]
-            Z[d + e, d + c] = s
+        _fill_row(chain, arms, table, arm_work, joints, work, E, weighed, Z, d, e)
     return cholesky(Z, 0, d + count, Z) > _DRIVEN
+
+
+@inner
+def _fill_row(chain, arms, table, arm_work, joints, work, E, weighed, Z, d, e):
+    """weighed[e] = R⁻¹ E[e], and the row of Z that belongs to it."""
+    for k in range(chain.n_arms):
+        _weigh_row(arms[k], table, arm_work[k], joints, work, E[e], weighed[e])
+    for j in range(chain.n_joints):  # rows of G R⁻¹Eᵀ, turned
+        for i in range(6):
+            work.u[i] = joints[j].J_bar[i] * weighed[e, j] + (work.u[i] if j > 0 else 0.0)
+    reflect(work.turn, work.beta, work.locked, work.u)
+    for i in range(d):
+        Z[d + e, i] = work.u[work.locked + i]
+    for c in range(e + 1):
+        s = 0.0
+        for j in range(chain.n_joints):
+            s += weighed[e, j] * E[c, j]
+        Z[d + e, d + c] = s
+
+
+@inner
+def _extend_factor(Z, size):
+    """One row more of a factor from `cholesky`; False: no motor tells it from the others."""
+    whole = left = Z[size, size]
+    for i in range(size):
+        s = Z[size, i]
+        for k in range(i):
+            s -= Z[size, k] * Z[i, k]
+        Z[size, i] = s * Z[i, i]
+        left -= Z[size, i] * Z[size, i]
+    if not left > _DRIVEN * whole:
+        return False
+    Z[size, size] = 1.0 / sqrt(left)
+    return True
 
 
 @leaf
@@ -182,7 +211,7 @@ def _exert(arm, joints, work):
 
 
 @leaf
-def _push(joint, q):
+def push_from_limits(joint, q):
     """Acceleration away from joint limits, see `control.joint_limits`."""
     depth, sign = (joint.low - q, 1.0) if q < joint.low else (q - joint.high, -1.0)
     if not depth > 0.0:
@@ -200,7 +229,7 @@ def _hold_posture(chain, arm, table, own, joints, q, v, scratch):
         scratch[i] = 0.0
     for j in range(lo, hi):
         M = joints[j].M
-        s = joints[j].h + M[j - lo] * _push(table[j], q[j])
+        s = joints[j].h + M[j - lo] * push_from_limits(table[j], q[j])
         for k in range(lo, hi):
             s += M[k - lo] * (stiffness * (table[k].posture - q[k]) - damping * v[k])
         joints[j].rest = s
@@ -233,23 +262,18 @@ def _retreat_from_lost(chain, arm, table, own, joints, q, v):
 
 
 @inner
-def _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, count, q, v):
-    """Rows that keep the posture in motions which arms without joints to spare have of their own.
+def _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, first, q, v):
+    """Rows E[first:] that keep the posture in motions of narrow arms alone; how many.
 
-    In a singular posture such an arm can move without the object: νᵀτ = νᵀ(h + M q̈_posture) for
-    every joint motion ν with U J ν = 0. Takes from b what τ_0 of the others does to the object.
+    Such an arm can move without the object where its grasp leaves it idle motions (a SCARA on a
+    slide, four joints in a plane) or in a singular posture: νᵀτ = νᵀ(h + M q̈_posture) for every
+    joint motion ν with U J ν = 0. Takes from b what τ_0 of the others does to the object.
     """
-    X, Q = work.X, work.Z
-    for j in range(chain.n_joints):
-        for i in range(6):
-            work.u[i] = joints[j].J_bar[i] * joints[j].rest + (work.u[i] if j > 0 else 0.0)
-    reflect(work.turn, work.beta, work.locked, work.u)
-    for i in range(d):
-        b[i] -= work.u[work.locked + i]
+    X, Q, count = work.X, work.Z, first
     for k in range(chain.n_arms):
         arm, own = arms[k], arm_work[k]
         lo, n = arm.first, arm.end - arm.first
-        if own.wide != 0 or own.n_kept >= expected_rank(arm, own):
+        if own.wide != 0 or own.n_kept >= n:
             continue
         for a in range(own.n_kept):
             for j in range(n):
@@ -268,7 +292,14 @@ def _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, count, q, 
                 E[count, lo + i] = Q[a, i]
             b[d + count] = side
             count += 1
-    return count
+    if count > first or work.n_lost > 0:
+        for j in range(chain.n_joints):
+            for i in range(6):
+                work.u[i] = joints[j].J_bar[i] * joints[j].rest + (work.u[i] if j > 0 else 0.0)
+        reflect(work.turn, work.beta, work.locked, work.u)
+        for i in range(d):
+            b[i] -= work.u[work.locked + i]
+    return count - first
 
 
 @inner

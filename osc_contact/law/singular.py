@@ -24,7 +24,7 @@ from osc_contact.law.algebra import (
 from osc_contact.law.arm_terms import factor_inertia
 from osc_contact.law.jit import inner, leaf
 
-__all__ = ["FADED", "FULL", "expected_rank", "fade_motion", "find_lost", "may_be_singular"]
+__all__ = ["FADED", "FULL", "fade_motion", "find_lost", "may_be_singular"]
 
 #: Commands begin to fade where χ falls below FULL and are gone at FADED.
 FADED, FULL = 0.05, 0.3
@@ -33,23 +33,13 @@ _GONE = 1e-6  # of the mobility that Λ_ref has along any direction, 1
 _SMALL = 1e-9  # χ below it tells no motion of the joints
 
 
-@inner
-def expected_rank(arm, own):
-    """Motions of the object that the arm makes in ordinary postures, as far as its grasp tells.
-
-    Through a grasp that permits motions an arm may make fewer than it has by itself; those count
-    as lost by the posture only where its grasp is rigid.
-    """
-    return min(arm.full_rank, 6) if arm.m == 6 else own.n_kept
-
-
 @leaf
 def may_be_singular(chain, arm, own):
     """Whether some χ may be below FULL: a bound that never misses one.
 
     ΣΣ Λ_ij²/(Λ_ii Λ_jj)_ref ≥ 1/χ⁴, in energy coordinates.
     """
-    if own.n_kept < expected_rank(arm, own):
+    if own.n_kept < arm.full_rank:
         return True
     s = 0.0
     for i in range(6):
@@ -92,7 +82,7 @@ def find_lost(chain, arm, own, joints, work):
             X[a, n + i] = work.B[a, i]
     one_sided_jacobi(X, m, n, 6)
     _sort_rows(X, m, n)
-    for k in range(expected_rank(arm, own)):
+    for k in range(arm.full_rank):
         square = 0.0
         for j in range(n):
             square += X[k, j] * X[k, j]

@@ -86,6 +86,14 @@ def _modes(arm: ArmTerms) -> Array:
     return np.linalg.solve(K.T, Vh.T)
 
 
+def _push(limits: JointLimits, q: Array) -> Array:
+    """(n,) acceleration away from joint limits at q (n,)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(q < limits.low, limits.low - q, np.maximum(q - limits.high, 0.0))
+        s = np.where(depth > 0.0, np.minimum(depth / limits.width, 1.0), 0.0)
+    return np.asarray(np.where(q < limits.low, 1.0, -1.0) * limits.most * s * s * (3.0 - 2.0 * s))
+
+
 @dataclass(frozen=True)
 class Allocation:
     """Least torque, weighted by 1/τ_max², that gives G τ = f_S and the commanded squeeze.
@@ -177,15 +185,21 @@ class Allocation:
         full = np.zeros((chain.nq, chain.nq))
         limits = np.ones(chain.nq)
         limits[chain.actuated] = effort_scale(chain.tau_max)
-        for s, arm in zip(chain.slices, state.arms, strict=True):
+        for s, arm, spare in zip(chain.slices, state.arms, self._spare, strict=True):
             square = np.diag(limits[s] ** 2)
-            if arm.J.shape[1] > arm.N.shape[1]:
+            if spare:
                 J = arm.N.T @ arm.J
                 if arm.rank < arm.N.shape[1]:  # the rest of J would be rounding errors
                     J = (arm.M @ _moving(arm)).T
                 square = J.T @ np.linalg.solve((J / limits[s] ** 2) @ J.T, J)
             full[s, s] = square
         return full[np.ix_(chain.actuated, chain.actuated)]
+
+    @property
+    def _spare(self) -> list[bool]:
+        """Which arms have more joints than their grasps pass on wrenches."""
+        held = zip(self.chain.arms, self.chain.grasps, strict=True)
+        return [arm.model.nv > grasp.N.shape[1] for arm, grasp in held]
 
     @cached_property
     def limits(self) -> JointLimits:
@@ -198,12 +212,12 @@ class Allocation:
 
     def _own_motions(self, state: ChainState, q: Array, v: Array) -> tuple[Array, Array]:
         """Rows (k, n_a) and right sides (k,) that keep the posture in motions which arms without
-        joints to spare have of their own in a singular posture."""
+        joints to spare have of their own: idle ones, and those of a singular posture."""
         chain, rows, sides = self.chain, [], []
         want = state.h + state.M @ self.retreat(q, v)
-        for s, arm, full in zip(chain.slices, state.arms, state.full_ranks, strict=True):
+        for s, arm, spare in zip(chain.slices, state.arms, self._spare, strict=True):
             n = arm.J.shape[1]
-            if arm.rank < min(full, arm.N.shape[1]) and n <= arm.N.shape[1]:
+            if arm.rank < n and not spare:
                 row = np.zeros((n - arm.rank, chain.nq))
                 row[:, s] = own_motions(arm)
                 rows.append(row[:, chain.actuated])
@@ -214,9 +228,9 @@ class Allocation:
 
     def _posture_torques(self, state: ChainState, q: Array, v: Array) -> Array:
         chain = self.chain
-        full, push = np.zeros(chain.nq), self.limits.push(q)
+        full, push = np.zeros(chain.nq), _push(self.limits, q)
         for i, (s, arm) in enumerate(zip(chain.slices, state.arms, strict=True)):
-            if arm.J.shape[1] > arm.N.shape[1]:
+            if self._spare[i]:
                 pull = self.stiffness * (self.posture[s] - q[s]) - self.damping * v[s]
                 tau_0 = state.h[s] + arm.M @ pull + np.diag(arm.M) * push[s]
                 full[s] = tau_0 - arm.J.T @ (arm.J_bar.T @ tau_0)
