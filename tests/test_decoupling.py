@@ -9,6 +9,11 @@ import pinocchio as pin
 import pytest
 from oracles import kkt
 from readable.allocation import Allocation
+from readable.command_filter import (
+    filtered_motion,
+    generalised_force,
+    object_coordinates,
+)
 from rigs import (
     consistent,
     contact_of,
@@ -22,11 +27,6 @@ from rigs import (
 
 import osc_contact as osc
 from osc_contact import projections
-from osc_contact.control.command_filter import (
-    filtered_motion,
-    generalised_force,
-    object_coordinates,
-)
 from osc_contact.control.laws import Laws
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.response import require_reachable

@@ -20,10 +20,10 @@ from environment_scenes import (
     scene,
     twist_at,
 )
+from readable.command_filter import object_coordinates
 from rigs import panda_pair, random_state, scara_pair
 
 import osc_contact as osc
-from osc_contact.control.command_filter import object_coordinates
 from osc_contact.dynamics.environment import Environment
 from osc_contact.response import contact_response
 

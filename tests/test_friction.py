@@ -9,6 +9,12 @@ import numpy as np
 import pytest
 from environment_oracle import kkt, wrist_readings
 from environment_scenes import RTOL, close_to, scene
+from readable.command_filter import (
+    filtered_motion,
+    generalised_force,
+    object_acceleration,
+    object_coordinates,
+)
 from readable.effort_limits import EffortLimits, relieve
 from readable.force import contact_force, magnitudes, sum_of_wrenches
 from rigs import panda_pair, scara_pair
@@ -18,12 +24,6 @@ from test_law import readable_of
 from test_moving_environment import hardware, seen, squeeze_of, torques
 
 import osc_contact as osc
-from osc_contact.control.command_filter import (
-    filtered_motion,
-    generalised_force,
-    object_acceleration,
-    object_coordinates,
-)
 from osc_contact.control.friction import Friction
 from osc_contact.dynamics.environment import Environment
 from osc_contact.runs.rig import build_rig

@@ -9,12 +9,12 @@ import pinocchio as pin
 import pytest
 from grasp_rigs import BODY, KINDS, grasp_of, random_case, slip_of
 from readable.allocation import Allocation
+from readable.command_filter import filtered_motion, generalised_force
 from readable.force import contact_force, magnitudes, sum_of_wrenches
 from rigs import contact_of, random_faces
 from test_decoupling import commanded
 
 import osc_contact as osc
-from osc_contact.control.command_filter import filtered_motion, generalised_force
 from osc_contact.dynamics.assembly import close, object_pose, reach
 from osc_contact.dynamics.grasp import GRASPS, register_grasp
 from osc_contact.dynamics.held_object import moved

@@ -17,10 +17,11 @@ from readable.force import ContactTerms, ForceLaw
 from readable.life import ContactLife, slewed
 from readable.living import live
 from readable.low_pass import Heard, heard
+from readable.monitor import MonitorState, watched
 
 from osc_contact.control.force import ForceGains
 from osc_contact.control.life import LifeSettings
-from osc_contact.control.monitor import MonitorLimits, MonitorState, watched
+from osc_contact.control.monitor import MonitorLimits
 from osc_contact.control.reports import Status
 from osc_contact.law import tables
 from osc_contact.law.phases import (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import osc_contact as osc
-from osc_contact.control.monitor import ContactMonitor, MonitorLimits, MonitorState, watched
+from osc_contact.control.monitor import ContactMonitor, MonitorLimits
 
 DT = 1e-3
 
@@ -40,10 +40,11 @@ def test_forces_and_powers_between_the_thresholds_change_nothing():
     limits = MonitorLimits()
     between = 0.5 * (limits.force_on + limits.force_off)
     for start in (False, True):
-        state = MonitorState.of(np.array([start]))
+        monitor = ContactMonitor(1, DT, limits)
+        monitor.rows[0].closed = int(start)
         for _ in range(100):
-            state = watched(state, np.array([between]), np.zeros(1), DT, limits)
-            assert state.closed[0] == start and not state.collision[0]
+            seen = monitor.update(np.array([between]), np.zeros(1))
+            assert seen.closed[0] == start and not seen.collision[0]
 
 
 def test_a_short_gap_is_not_a_lost_contact_and_a_long_one_is():

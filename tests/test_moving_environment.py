@@ -9,6 +9,12 @@ import pytest
 from environment_oracle import wrist_readings
 from environment_scenes import RIGS, RTOL, cases, close_to, contacts_at, scene, twist_at
 from readable.allocation import Allocation
+from readable.command_filter import (
+    filtered_motion,
+    generalised_force,
+    object_acceleration,
+    object_coordinates,
+)
 from readable.force import contact_force, magnitudes, sum_of_wrenches
 from rigs import one_panda, panda_pair, random_state, scara_pair
 from test_decoupling import commanded as law_commanded
@@ -16,12 +22,6 @@ from test_decoupling import structured
 
 import osc_contact as osc
 from osc_contact import projections, robots
-from osc_contact.control.command_filter import (
-    filtered_motion,
-    generalised_force,
-    object_acceleration,
-    object_coordinates,
-)
 from osc_contact.dynamics.environment import Environment
 from osc_contact.response import Lambda_rel, contact_response
 

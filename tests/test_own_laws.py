@@ -8,13 +8,13 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 import pytest
-
-import osc_contact as osc
-from osc_contact.control.command_filter import (
+from readable.command_filter import (
     filtered_motion,
     generalised_force,
     object_coordinates,
 )
+
+import osc_contact as osc
 from osc_contact.control.friction import Friction
 from osc_contact.control.laws import Laws
 from osc_contact.control.own_laws import force_law, motion_law

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from readable.command_filter import filtered_motion, object_coordinates
 from test_projections import SIZE, close, frame_change, millimetres, vanishes, well_mixing
 
 import osc_contact as osc
 from osc_contact import projections as P
 from osc_contact import spans
 from osc_contact.contacts.contact import Contact
-from osc_contact.control.command_filter import filtered_motion, object_coordinates
 from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import ContactError
 from osc_contact.response import contact_response

@@ -8,14 +8,19 @@ followed by vision) raise no alarm while it lasts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.law import phases
+from osc_contact.law.jit import as_python
 from osc_contact.spatial import Array
 
-__all__ = ["ContactMonitor", "MonitorLimits", "MonitorState", "watch_series", "watched"]
+__all__ = ["ContactMonitor", "MonitorLimits", "Seen", "watch_series"]
+
+_monitor = as_python(phases.monitor)  # one number at a time, in Python
 
 
 @dataclass(frozen=True)
@@ -53,79 +58,48 @@ class MonitorLimits:
 
 
 @dataclass(frozen=True)
-class MonitorState:
-    """What is remembered of each contact, (r,) each.
-
-    Attributes:
-        closed: whether contact is held to be made.
-        low_for, high_for: s since the force went low; since it went high.
-        burst: W; the largest power since then, or since contact was made.
-        armed_for: s in which a collision may still be told.
-        collision: whether one began at this tick.
-    """
+class Seen:
+    """What the monitor says of each contact at one tick, (r,) each: is it made, was it a blow."""
 
     closed: Array
-    low_for: Array
-    high_for: Array
-    burst: Array
-    armed_for: Array
     collision: Array
 
-    @classmethod
-    def of(cls, closed: Array) -> MonitorState:
-        """At the start: contacts (r,) made or not."""
-        closed = np.asarray(closed, dtype=bool)
-        zero = np.zeros(len(closed))
-        return cls(closed, zero, zero, zero, zero, np.zeros(len(closed), dtype=bool))
 
-
-def watched(
-    state: MonitorState,
-    alpha: Array,
-    speed: Array,
-    dt: float,
-    limits: MonitorLimits,
-    more: Array | float = 0.0,
-) -> MonitorState:
-    """The state one tick later.
-
-    Args:
-        state: before. alpha: (r,) measured magnitudes (N), from the wrist filter.
-        speed: (r,) NᵀV_rel (m/s). dt: the tick (s). limits: thresholds.
-        more: (r,) N above force_off below which contact is lost already.
-    """
-    away = speed < -limits.leaving
-    low_for = np.where(away | (alpha < limits.force_off + more), state.low_for + dt, 0.0)
-    high_for = np.where(~away & (alpha > limits.force_on), state.high_for + dt, 0.0)
-    lost = state.closed & (low_for > limits.patience)
-    closed = (state.closed | (high_for > limits.dwell)) & ~lost
-    armed_for = np.where(state.closed, np.maximum(state.armed_for - dt, 0.0), limits.window)
-    burst = np.where(closed | (high_for > 0.0), np.maximum(state.burst, np.abs(alpha * speed)), 0.0)
-    collision = closed & (armed_for > 0.0) & (burst > limits.power)
-    armed_for = np.where(collision, 0.0, armed_for)
-    return MonitorState(closed, low_for, high_for, burst, armed_for, collision)
-
-
-@dataclass
 class ContactMonitor:
-    """`watched`, remembered from tick to tick."""
+    """`law.phases.monitor` of several magnitudes, tick by tick.
 
-    contacts: int
-    dt: float
-    limits: MonitorLimits = field(default_factory=MonitorLimits)
+    Attributes:
+        dt: the tick (s). limits: thresholds.
+        rows: what is remembered of each magnitude: closed, collision; s since the force went low,
+            or high (low_for, high_for); burst: W, the largest power since then; armed_for: s in
+            which a collision may still be told.
+    """
 
-    def __post_init__(self) -> None:
-        self.state = MonitorState.of(np.zeros(self.contacts, dtype=bool))
+    def __init__(self, contacts: int, dt: float, limits: MonitorLimits | None = None) -> None:
+        self.dt, self.limits = dt, MonitorLimits() if limits is None else limits
+        times = dict.fromkeys(("low_for", "high_for", "burst", "armed_for"), 0.0)
+        self.rows = [SimpleNamespace(closed=0, collision=0, **times) for _ in range(contacts)]
 
     @property
-    def looks(self) -> bool:
-        """Whether speeds matter at the next tick: some contact is open or has just been made."""
-        return bool((~self.state.closed | (self.state.armed_for > 0.0)).any())
+    def calm(self) -> bool:
+        """Whether all contacts hold, nothing is armed and no force is low."""
+        return all(row.closed and not (row.armed_for or row.low_for) for row in self.rows)
 
-    def update(self, alpha: Array, speed: Array) -> MonitorState:
-        """Judge one tick; see `watched`."""
-        self.state = watched(self.state, alpha, speed, self.dt, self.limits)
-        return self.state
+    def update(self, alpha: Array, speed: Array) -> Seen:
+        """Judge one tick.
+
+        Args:
+            alpha: (r,) measured magnitudes (N), from the wrist filter. speed: (r,) NᵀV_rel (m/s).
+        """
+        x = self.limits
+        for row, force, pace in zip(self.rows, alpha.tolist(), speed.tolist(), strict=True):
+            _monitor(
+                row, force, pace, self.dt, x.force_on, x.force_off, x.power, x.patience, x.window,
+                x.dwell, x.leaving, 0.0,
+            )  # fmt: skip
+        said = np.array([(row.closed, row.collision) for row in self.rows], dtype=bool)
+        closed, collision = said.reshape(-1, 2).T
+        return Seen(closed, collision)
 
 
 def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[Array, Array]:
@@ -141,10 +115,10 @@ def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[A
     low = np.flatnonzero((alpha < monitor.limits.force_off).any(axis=1))
     k = 0
     while k < len(alpha):
-        state = monitor.update(alpha[k], speed[k])
-        closed[k], collision[k] = state.closed, state.collision
+        seen = monitor.update(alpha[k], speed[k])
+        closed[k], collision[k] = seen.closed, seen.collision
         k += 1
-        if state.closed.all() and not (state.armed_for.any() or state.low_for.any()):
+        if monitor.calm:
             coming = np.searchsorted(low, k)
             k = int(low[coming]) if coming < len(low) else len(alpha)
     return closed, collision

@@ -9,12 +9,12 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.control.contact_state import surroundings
 from osc_contact.control.settings import Settings
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.interface import Reference, Touched
+from osc_contact.law.tables import BODY
 from osc_contact.spatial import Array
 
 __all__ = ["BLOCKS", "Block", "SIGNALS", "Signals"]
@@ -129,13 +129,18 @@ class Signals:
 
     @cached_property
     def environment(self) -> Environment:
-        rows, touched = self._rows, self.touched
+        rows = self._rows
+        if not rows.work.moving:
+            return Environment.fixed()
         owners = rows.row.pairs.owners
-        active = list(dict.fromkeys(owners[j] for j in rows.columns.chosen[: int(rows.work.count)]))
-        if touched is not None:
-            touched = Touched(touched.X_WE[active], touched.V_E[active], touched.A_E[active])
-        bodies = [self._settings.bodies[c] for c in active]
-        return surroundings(bodies, self.parts, touched, self.state, self.drag)
+        active = dict.fromkeys(owners[j] for j in rows.columns.chosen[: int(rows.work.count)])
+        bodies = rows.row.table("bodies", len(rows.bodies), BODY).same
+        answers: dict[int, Environment] = {}
+        for body in (int(bodies[c]) for c in active):
+            Phi_e, b_e, V_e = np.split(rows.bodies.answer[body], (36, 42))
+            answers.setdefault(body, Environment(Phi_e.reshape(6, 6).copy(), b_e, V_e))
+        each = [answers[int(bodies[c])] for c in active]
+        return Environment.combine(self.parts, each, self.state.metric, self.drag)
 
     @cached_property
     def f_ccomm(self) -> Array:

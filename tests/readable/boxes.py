@@ -13,13 +13,6 @@ import numpy as np
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.control.command_filter import (
-    filtered_motion,
-    generalised_force,
-    metric_of,
-    object_coordinates,
-)
-from osc_contact.control.contact_state import chosen, parts_in_force, surroundings
 from osc_contact.control.friction import Friction
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
@@ -27,6 +20,13 @@ from osc_contact.spatial import Array
 from readable.allocation import Allocation
 from readable.border import independent
 from readable.chain import state as chain_state
+from readable.command_filter import (
+    filtered_motion,
+    generalised_force,
+    metric_of,
+    object_coordinates,
+)
+from readable.contact_state import chosen, parts_in_force, surroundings
 from readable.fade import faded_motion
 from readable.force import (
     ContactTerms,

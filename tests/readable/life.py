@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from osc_contact.control.force import ForceGains
 from osc_contact.control.life import LifeSettings, Phase
-from osc_contact.control.monitor import MonitorState, watched
 from osc_contact.spatial import Array
 from readable.low_pass import Heard, heard
+from readable.monitor import MonitorState, watched
 
 __all__ = ["ContactLife", "LifeSettings", "LifeState", "Phase", "commanded", "lived", "slewed"]
 

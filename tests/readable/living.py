@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from osc_contact.control.command_filter import object_coordinates
 from osc_contact.control.reports import Status
 from osc_contact.interface import Reference
 from osc_contact.spatial import Array
+from readable.command_filter import object_coordinates
 from readable.life import ContactLife, Phase, commanded
 
 if TYPE_CHECKING:

@@ -27,15 +27,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.control.command_filter import (
-    filtered_motion,
-    generalised_force,
-    object_coordinates,
-)
+from osc_contact.control.command_filter import command
 from osc_contact.control.controller import Controller
 from osc_contact.control.signals import Signals
 from osc_contact.dynamics.closed_chain import ChainState
-from osc_contact.dynamics.environment import Environment
 from osc_contact.paper.baselines.selection import Selection
 from osc_contact.spatial import Array
 
@@ -65,6 +60,11 @@ def selected_before_and_after(state: ChainState, selection: Selection) -> tuple[
     X, Y = selected_before(state, selection)
     again = state.S.T @ selection.motion.T @ coordinates(state, np.zeros((6, 0))).T
     return np.linalg.solve(state.Lambda, again @ state.Lambda @ X), Y
+
+
+def structure(state: ChainState, eta_dot: Array, f: Array) -> Array:
+    """(d,) Λ_S η̇ + b_S + Sᵀf, the equation of motion that all of them cancel."""
+    return np.asarray(state.Lambda @ eta_dot + state.bias + state.S.T @ f)
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class SelectionLaw:
     def f_S(self, state: ChainState, contact: Contact, a: Array, alpha: Array) -> Array:
         """Object force (d,) for a motion command a (6,) and a force command α (r,)."""
         f = self.selection.force @ (contact.N @ alpha)
-        return generalised_force(state, self.eta(state, a), f)
+        return structure(state, self.eta(state, a), f)
 
     def install(self, controller: Controller) -> Controller:
         """Put this law in the place of our filter and control structure; the rest stays."""
@@ -132,7 +132,7 @@ class SelectionLaw:
 
         def select(s: Signals) -> tuple[Array, Array]:
             eta = self.eta(s.state, s.a_u)
-            return eta, generalised_force(s.state, eta, self.selection.force @ s.f_ccomm + bias)
+            return eta, structure(s.state, eta, self.selection.force @ s.f_ccomm + bias)
 
         return controller.with_laws(structure=select)
 
@@ -143,10 +143,7 @@ class Ours:
 
     def f_S(self, state: ChainState, contact: Contact, a: Array, alpha: Array) -> Array:
         """Object force (d,) for a motion command a (6,) and a force command α (r,)."""
-        eta_u = object_coordinates(state, contact, a)
-        B = np.linalg.inv(state.metric)
-        eta = filtered_motion(state, contact, eta_u, alpha, B, Environment.fixed())
-        return generalised_force(state, eta, contact.N @ alpha)
+        return command(state, contact, a, alpha)[1]
 
     def install(self, controller: Controller) -> Controller:
         """Nothing to do: a controller is born with this law."""

@@ -6,12 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from osc_contact.control.command_filter import (
-    filtered_motion,
-    generalised_force,
-    object_coordinates,
-)
-from osc_contact.dynamics.environment import Environment
+from osc_contact.control.command_filter import command
 from osc_contact.errors import InvalidInputError
 from osc_contact.paper.kinematic_stability.arms import HybridArm
 from osc_contact.spans import left_inverse
@@ -110,12 +105,10 @@ def our_torque(arm: HybridArm, q: Array, v: Array, goal: pin.SE3) -> Array:
     """The control law of this package (eqs. 21, 24), a_u = −B K′(x + DAMPING_S ẋ), force 0."""
     state = arm.chain.state(q, v)
     contact = arm.pair.contact(state.X_WO, state.V_O)
-    B, fixed = np.linalg.inv(state.metric), Environment.fixed()
+    B = np.linalg.inv(state.metric)
     x = -pose_error(goal, state.X_WO)
     a_u = classical_to_spatial(-B @ arm.K_prime @ (x + DAMPING_S * state.V_O), state.V_O)
-    eta_u = object_coordinates(state, contact, a_u)
-    eta_c = filtered_motion(state, contact, eta_u, np.zeros(1), B, fixed)
-    f_S = generalised_force(state, eta_c, np.zeros(6))
+    _, f_S = command(state, contact, a_u, np.zeros(1))
     return np.asarray(np.linalg.solve(state.G, f_S))  # as many motors as motions
 
 
