@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact.cli import app
-from osc_contact.control.calibration import calibrate_wrist
 from osc_contact.runs.calibration import calibrate
+from osc_contact.sensing.calibration import calibrate_wrist
 
 G = np.array([0.0, 0.0, -9.81])
 

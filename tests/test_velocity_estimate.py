@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import osc_contact as osc
-from osc_contact.control.velocity_estimate import VelocityEstimate
+from osc_contact.sensing.velocity_estimate import VelocityEstimate
 
 DT = 1e-3
 

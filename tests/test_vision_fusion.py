@@ -8,8 +8,8 @@ import pytest
 from test_moving_face import TURNING
 
 import osc_contact as osc
-from osc_contact.control.vision_fusion import History, Registration, VisionFusion
 from osc_contact.interface import Seen, Touched
+from osc_contact.sensing.vision_fusion import History, Registration, VisionFusion
 
 NOISE = (1e-3, 5e-3)
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from osc_contact.control.velocity_estimate import VelocityEstimate
 from osc_contact.errors import InvalidInputError
+from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.spatial import Array, as_array
 
 __all__ = ["JointTorqueLoop"]

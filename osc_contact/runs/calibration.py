@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
-from osc_contact.control.calibration import WristLoad, calibrate_wrist
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.outboard import outboard_links
 from osc_contact.errors import InvalidInputError
@@ -18,6 +17,7 @@ from osc_contact.plants.sensors import SensedPlant
 from osc_contact.runs import hardware
 from osc_contact.runs.rig import build_chain
 from osc_contact.scenarios.schema import Scenario
+from osc_contact.sensing.calibration import WristLoad, calibrate_wrist
 from osc_contact.spatial import Array
 
 __all__ = ["WristCalibration", "calibrate"]

@@ -11,8 +11,6 @@ import pinocchio as pin
 
 from osc_contact.control.controller import Controller
 from osc_contact.control.joint_torque import JointTorqueLoop
-from osc_contact.control.velocity_estimate import VelocityEstimate
-from osc_contact.control.vision_fusion import Registration, VisionFusion
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.joint_modes import joint_inertias, stiffness_for
@@ -24,6 +22,8 @@ from osc_contact.plants.sensors import Clock, Errors, Eyes, Sensors
 from osc_contact.runs.contacts import EnvironmentBody
 from osc_contact.scenarios.hardware import EncoderSpec, SensorsSpec
 from osc_contact.scenarios.schema import Scenario
+from osc_contact.sensing.velocity_estimate import VelocityEstimate
+from osc_contact.sensing.vision_fusion import Registration, VisionFusion
 from osc_contact.spatial import Array
 
 __all__ = [

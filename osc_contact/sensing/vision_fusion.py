@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.control.velocity_estimate import VelocityEstimate
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Seen, Touched
+from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.spatial import Array, carry_twist, skew
 
 __all__ = ["BodyEstimate", "History", "Registration", "VisionFusion"]

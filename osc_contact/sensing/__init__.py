@@ -1,0 +1,1 @@
+"""From what sensors and cameras say to what the controller is told."""
