@@ -38,7 +38,7 @@ def kkt(chain, q, v, tau, N=None, n_gamma=None) -> KKTSolution:
     r = N.shape[1]
     M = pin.crba(model, data, q)
     M = np.triu(M) + np.triu(M, 1).T
-    h = pin.nonLinearEffects(model, data, q, v)
+    h = pin.nonLinearEffects(model, data, q, v) + model.damping * v
     pin.computeJointJacobians(model, data, q)
     pin.forwardKinematics(model, data, q, v, np.zeros(n))
     pin.updateFramePlacements(model, data)
