@@ -54,6 +54,7 @@ from osc_contact.interface import Measurement, Reference, Robot, pose_reference
 from osc_contact.jerk_limits import JerkLimits
 from osc_contact.plants.faces import Rail
 from osc_contact.plants.judge import Judge
+from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
 from osc_contact.response import ContactResponse, contact_response
 from osc_contact.runs.faces import OwnMotion
@@ -131,6 +132,7 @@ __all__ = [
     "Recorder",
     "open_viewer",
     "Viewer",
+    "MujocoRobot",
     "Recording",
     "recover",
     "metrics",

@@ -51,6 +51,13 @@ def _no_clock() -> Any:
     return cfunc("float64()", cache=True)(_stopped)
 
 
+def quieten(mujoco: Any) -> None:
+    """Let MuJoCo write no MUJOCO_LOG.TXT and read no clock: the plant counts warnings itself."""
+    mujoco.set_mju_user_warning(_log.debug)
+    if mujoco.get_mjcb_time() is None:  # its profiler reads the clock thirty times a step
+        mujoco.set_mjcb_time(_no_clock().ctypes)
+
+
 class MujocoPlant:
     """Arms, object and environment in MuJoCo (needs the extra `sim`)."""
 
@@ -91,9 +98,7 @@ class MujocoPlant:
                 "the MuJoCo plant needs the package 'mujoco': pip install osc_contact[sim]"
             ) from error
         self._mj: Any = mujoco
-        mujoco.set_mju_user_warning(_log.debug)  # counted below; no MUJOCO_LOG.TXT is written
-        if mujoco.get_mjcb_time() is None:  # its profiler reads the clock thirty times a step
-            mujoco.set_mjcb_time(_no_clock().ctypes)
+        quieten(mujoco)
         self.chain = chain
         self.contacts = tuple(contacts)
         options = MujocoOptions() if options is None else options
@@ -113,7 +118,6 @@ class MujocoPlant:
         joints = [self.model.joint(name) for name in chain.joint_names]
         self._q = np.array([int(j.qposadr[0]) for j in joints])
         self._v = np.array([int(j.dofadr[0]) for j in joints])
-        self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._springs = self._spring_v = np.array([], dtype=int)
         if self.drives.flexible is not None:
             springs = [self.model.joint(f"{name}/{SPRING}") for name in driven]
@@ -137,12 +141,17 @@ class MujocoPlant:
         self._sensed = [i for i, arm in enumerate(chain.arms) if arm.wrist_sensor is not None]
         readings = [self.model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed]
         self._readings = np.add.outer(np.array(readings, dtype=int), np.arange(6))
+        self._look_in()
+
+    def _look_in(self) -> None:
+        """Views of what every step reads and writes."""
+        self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._sensordata, self._ctrl = self.data.sensordata, self.data.ctrl
         self._warnings, self._size = self.data.warning.number, self._ctrl.shape
         self._calm = bytes(self._warnings.nbytes)
         self._option = self.model.opt
         self._step, self._flags = float(self._option.timestep), int(self._option.disableflags)
-        self._blind = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        self._blind = int(self._mj.mjtDisableBit.mjDSBL_SENSOR)
         self.time = 0.0
 
     def reset(self, q: Array) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
@@ -45,7 +46,8 @@ class MujocoTruth:
         Args:
             plant: `MjModel` and `MjData`. Cones are elliptic: the first number of a contact's
                 constraint force is its normal force.
-            body: the object's. body_of: body of the environment by its geom.
+            body: the object's. body_of: body of the environment by its geom; geoms that are not
+                named, and −1, are the object's, others neither.
             rails: how each of these moves. guided: places in qpos of their joints; the body of
                 each joint and whether it is the travel (0) or the angle (1).
             contacts: the pairs. on: the body of each.
@@ -56,6 +58,7 @@ class MujocoTruth:
         self._rails, self._on, self._contacts = rails, on, tuple(contacts)
         self._travel, self._guided = guided
         d, root = self._data, int(model.body_rootid[body])
+        self.place: pin.SE3 | None = None  #: of the object in that body
         self.parts: Sequence[Array] = (
             d.xpos[body], d.xmat[body], d.cvel[body], d.subtree_com[root],
         )  # fmt: skip
@@ -124,7 +127,8 @@ class MujocoTruth:
             normal = self._frame[rows, i, :3]  # from the first geom to the second
             force = np.where(presses, self._force[np.arange(start, stop), address], 0.0)
             out = points[:, i]
-            out[:, 0] = 1 + np.where(first < 0, second, first)
+            touches = np.minimum(first, second) == -1  # the object is one of the two
+            out[:, 0] = np.where(touches, 1 + np.maximum(first, second), 0)
             out[:, 1], out[:, 2:5] = presses, self._place[rows, i]
             out[:, 5:] = force[:, None] * np.where(first < 0, normal.T, -normal.T).T
             out[i >= count] = 0.0
@@ -138,7 +142,11 @@ class MujocoTruth:
         """k instants: `parts` (k, 21), and what was `noted` (k, m)."""
         k, rails = len(parts), len(self._travel)
         p, R, velocity, centre = np.split(parts.T.copy(), [3, 12, 18])
-        X_WO = Poses(R.reshape(3, 3, k), p)
+        R = R.reshape(3, 3, k)
+        if self.place is not None:
+            p = p + np.einsum("ijk,j->ik", R, self.place.translation)
+            R = np.einsum("ijk,jl->ilk", R, self.place.rotation)
+        X_WO = Poses(R, p)
         v, omega = velocity[3:] + cross(velocity[:3], p - centre), velocity[:3]
         X_WE = self._faces(noted[:, :rails])
         N = tuple(normals_over(q, X_WO, X) for q, X in zip(self._contacts, X_WE, strict=True))

@@ -26,7 +26,8 @@ _STATUS = ("ok", "saturated", "held", "degraded")
 def metrics(recording: Recording) -> dict[str, Any]:
     """Judge a run against the plant's truth.
 
-    Keys: scenario, plant, seed, duration_s, ticks, real_time_factor;
+    Keys: scenario, plant, seed (None for a loop of the user's own), duration_s, ticks,
+    real_time_factor;
     force {contact: rms_error_N, rms_error_rel, peak_error_N, peak_error_rel, mean_command_N,
     sensing_rms_rel}; motion {rms_error_m, rms_error_rad} along the free directions;
     contact_fraction {contact}; first_contact_s {contact} (null: never); steps, see
@@ -82,9 +83,9 @@ def metrics(recording: Recording) -> dict[str, Any]:
     position, orientation = error.rms()
     first = [None if k is None else k * duration / len(recording) for k in landings.ticks]
     verdict = {
-        "scenario": recording.meta["scenario"]["name"],
-        "plant": recording.meta["plant"],
-        "seed": recording.meta["seed"],
+        "scenario": recording.meta.get("scenario", {}).get("name"),
+        "plant": recording.meta.get("plant"),
+        "seed": recording.meta.get("seed"),
         "duration_s": duration,
         "ticks": len(recording),
         "real_time_factor": _ratio(duration, recording.meta.get("wall_s")),

@@ -1,0 +1,236 @@
+"""The user's own MuJoCo scene as robot and judge: arm, tool and sensor are found by name."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.assembly import close
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.errors import PlantError
+from osc_contact.plants.joint_drives import JointDrives
+from osc_contact.plants.mujoco import MujocoPlant, quieten
+from osc_contact.plants.mujoco_truth import MujocoTruth
+from osc_contact.robots import suggest
+from osc_contact.robots.mjcf import compile_mjcf, motors_of
+from osc_contact.spatial import Array, as_array
+
+__all__ = ["MujocoRobot"]
+
+_LINK = -2  # geoms that belong neither to the tool nor to what it touches
+
+
+class MujocoRobot(MujocoPlant):
+    """One arm of a MuJoCo scene, torque-controlled; what it touches is whatever stands in its way.
+
+    Attributes:
+        chain: model of the arm, nothing held: its tip is the operational point. contacts: pairs.
+        model, data: MuJoCo's, the robot's own copies.
+    """
+
+    _keyframe: int | None
+
+    @classmethod
+    def from_model(
+        cls,
+        mjmodel: Any,
+        *,
+        tip: str,
+        wrist_sensor: str | None = None,
+        contacts: Sequence[ContactPair] = (),
+        name: str = "arm",
+        locked: Mapping[str, float] | None = None,
+        passive_joints: Sequence[str] = (),
+        keyframe: str | None = None,
+    ) -> Self:
+        """Take an arm out of a scene.
+
+        Torques go to the joints' motors; where a joint has a position servo, several motors or
+        none, they act on the joint itself and its actuators are off. Contacts get elliptic cones:
+        these tell normal forces.
+
+        Args:
+            mjmodel: `mujoco.MjModel`, `MjSpec` or the path of an MJCF file; it is not changed.
+            tip: body or site at the operational point. The sensor's body and all beyond it are
+                the tool; without a sensor the tip's body.
+            wrist_sensor: site with a <force> and a <torque> sensor; contact forces need one.
+            contacts: in world axes, where the tool touches what is not the arm. name: of the arm.
+            locked, passive_joints: see `Arm.from_urdf`.
+            keyframe: where the rest of the scene starts; default: where the file puts it.
+
+        Raises:
+            ModelError: no such tip or joint, or what `robots.load_mjcf` refuses.
+            PlantError: no such keyframe or site, or no sensors on that site.
+        """
+        mj = copy.copy(compile_mjcf(mjmodel))
+        import mujoco  # it is there: the model has been compiled
+
+        if wrist_sensor is not None:
+            _require("site", wrist_sensor, [mj.site(i).name for i in range(mj.nsite)])
+        if keyframe is not None:
+            _require("keyframe", keyframe, [mj.key(i).name for i in range(mj.nkey)])
+        quieten(mujoco)
+        mj.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        arm = Arm.from_mjcf(mj, name=name, tip=tip, wrist_sensor=wrist_sensor,
+                            locked=locked, passive_joints=passive_joints)  # fmt: skip
+        robot = cls.__new__(cls)
+        robot._take(mujoco, mj, ClosedChain([arm]), contacts)
+        robot._keyframe = None if keyframe is None else int(mj.key(keyframe).id)
+        robot.reset(np.array(robot.data.qpos[robot._q]))
+        return robot
+
+    def _take(self, mujoco: Any, mj: Any, chain: ClosedChain, contacts: Sequence[Any]) -> None:
+        arm = chain.arms[0]
+        self._mj, self.model, self.data = mujoco, mj, mujoco.MjData(mj)
+        self.chain, self.contacts, self.on = chain, tuple(contacts), (0,) * len(contacts)
+        self.rails, self.pushes, self.drives = [None], (), JointDrives()
+        number = {mj.joint(j).name or f"joint{j}": j for j in range(mj.njnt)}
+        joints = np.array([number[name] for name in list(arm.model.names)[1:]])
+        self._q, self._v = mj.jnt_qposadr[joints], mj.jnt_dofadr[joints]
+        self._held = {int(mj.jnt_qposadr[number[j]]): at for j, at in arm.locked.items()}
+        self._springs = self._spring_v = np.array([], dtype=int)
+        self._take_motors(joints[chain.actuated])
+        self._place_tip(arm.tip)
+        self._sensed, self._readings = [], np.zeros((0, 6), dtype=int)
+        tool = self._object
+        if arm.wrist_sensor is not None:
+            tool = self._take_sensor(arm.wrist_sensor)
+        self._sort_geoms(tool)
+        self._moved, self._driven = {}, False
+        self._guided = (np.array([], dtype=int),) * 2
+        self._face_q = self._face_v = np.array([], dtype=int)
+        self._look_in()
+
+    def _take_motors(self, joints: Array) -> None:
+        """Where torques go: through a plain motor, or to the joint itself."""
+        mj, motors = self.model, []
+        for joint in joints:
+            found = motors_of(mj, int(joint))
+            if len(found) == 1 and _is_plain(mj, found[0]):
+                motors.append(found[0])
+                continue
+            motors.append(-1)
+            mj.actuator_gainprm[found] = mj.actuator_biasprm[found] = 0.0
+        self._motors = np.array(motors, dtype=int)
+        self._direct = mj.jnt_dofadr[joints][self._motors < 0]
+        driven = self._motors[self._motors >= 0]
+        self._per_torque = mj.actuator_gear[driven, 0] * mj.actuator_gainprm[driven, 0]
+        self._tau = np.zeros(len(joints))
+
+    def _place_tip(self, tip: str) -> None:
+        mj = self.model
+        self._tip = pin.SE3.Identity()
+        if tip in [mj.body(b).name for b in range(mj.nbody)]:
+            self._object = int(mj.body(tip).id)
+        else:
+            site = mj.site(tip)
+            self._object = int(mj.site_bodyid[site.id])
+            w, x, y, z = site.quat
+            self._tip = pin.SE3(pin.Quaternion(w, x, y, z).toRotationMatrix(), np.array(site.pos))
+        self._seen = [self._object] * 2
+
+    def _take_sensor(self, name: str) -> int:
+        """Places of its readings; returns the body that it weighs, with all beyond."""
+        mj, kinds = self.model, self._mj.mjtSensor
+        site, rows = int(mj.site(name).id), []
+        for kind, tag in ((kinds.mjSENS_FORCE, "force"), (kinds.mjSENS_TORQUE, "torque")):
+            found = [i for i in range(mj.nsensor)
+                     if mj.sensor_type[i] == kind and mj.sensor_objid[i] == site]  # fmt: skip
+            if not found:
+                raise PlantError(
+                    f'site {name!r} has no {tag} sensor; add to <sensor>: <{tag} site="{name}"/>'
+                )
+            rows.append(int(mj.sensor_adr[found[0]]) + np.arange(3))
+        self._sensed, self._readings = [0], np.concatenate(rows)[None]
+        return int(mj.site_bodyid[site])
+
+    def _sort_geoms(self, tool: int) -> None:
+        """Tool, other links of the arm that move, and everything else, which is one body."""
+        mj, on_tool = self.model, self._geoms_of(tool)
+        others = [g for g in range(mj.ngeom) if g not in on_tool]
+        bodies = mj.geom_bodyid[others]
+        links = (mj.body_rootid[bodies] == mj.body_rootid[tool]) & (mj.body_weldid[bodies] != 0)
+        self._body_of = dict(zip(others, np.where(links, _LINK, 0), strict=True))
+
+    def reset(self, q: Array) -> None:
+        """Start at rest at joint positions q (n,), the rest of the scene where it starts."""
+        q = as_array("q", q, (self.chain.nq,))
+        if self._keyframe is None:
+            self._mj.mj_resetData(self.model, self.data)
+        else:
+            self._mj.mj_resetDataKeyframe(self.model, self.data, self._keyframe)
+            self.data.qvel[:] = 0.0
+        for at, held in self._held.items():
+            self.data.qpos[at] = held
+        self.data.qpos[self._q] = q
+        self.time = 0.0
+        self._mj.mj_forward(self.model, self.data)
+
+    def touching(self, q: Array) -> Array:
+        """(n,) joint positions next to q at which every contact touches.
+
+        Raises:
+            ModelError: there are none near.
+        """
+
+        def gaps(X_WO: pin.SE3) -> tuple[Array, Array]:
+            N = [pair.contact(X_WO, np.zeros(6)).N for pair in self.contacts]
+            gap = np.concatenate([np.zeros(0), *(pair.gaps(X_WO) for pair in self.contacts)])
+            return gap, np.hstack([np.zeros((6, 0)), *N])
+
+        return close(self.chain, as_array("q", q, (self.chain.nq,)), gaps)
+
+    def command(self, tau: Array, duration: float) -> None:
+        """Hold the torques for `duration` (s), a whole number of MuJoCo's steps.
+
+        Raises:
+            PlantError: it is none, or MuJoCo diverged.
+        """
+        steps = duration / self._step
+        if abs(steps - max(1, round(steps))) > 1e-6 * steps:
+            raise PlantError(
+                f"the control period {1e3 * duration:g} ms is no whole number of MuJoCo's steps of "
+                f"{1e3 * self._step:g} ms; set opt.timestep to a part of it, such as "
+                f"{duration / 4:g} s, before from_model, or the controller's dt to a multiple"
+            )
+        super().command(tau, duration)
+
+    def _send(self, tau: Array) -> None:
+        self._tau = as_array("tau", tau, (self.chain.n_a,))
+        driven = self._motors >= 0
+        self.data.ctrl[self._motors[driven]] = self._tau[driven] / self._per_torque
+        self.data.qfrc_applied[self._direct] = self._tau[~driven]
+
+    def _joint_torques(self) -> Array:
+        return self._tau.copy()
+
+    def poses(self) -> Array:
+        """See `Judge.poses`."""
+        tip: Array = self._tip.homogeneous
+        return super().poses() @ tip
+
+    def log(self, capacity: int) -> MujocoTruth:
+        """A log of the truth of up to `capacity` instants."""
+        log = super().log(capacity)
+        log.place = self._tip
+        return log
+
+
+def _is_plain(mj: Any, actuator: int) -> bool:
+    """Whether its force is gain × control, at once."""
+    kinds = (mj.actuator_biastype, mj.actuator_gaintype, mj.actuator_dyntype)
+    return not any(int(kind[actuator]) for kind in kinds) and bool(
+        mj.actuator_gainprm[actuator, 0] * mj.actuator_gear[actuator, 0]
+    )
+
+
+def _require(called: str, name: str, known: Sequence[str]) -> None:
+    if name not in known:
+        there = suggest(name, [one for one in known if one])
+        raise PlantError(f"the MuJoCo model has no {called} {name!r}. {there}")
