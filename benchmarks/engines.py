@@ -57,6 +57,7 @@ def constraint_dynamics(case: Case) -> Callable[[], object]:
     settings = pin.ProximalSettings(1e-12, 1e-10, 10)
     tau = np.zeros(chain.nq)
     tau[chain.actuated] = case.controller().tick(case.measurement, case.reference)
+    tau -= model.damping * v  # which `pin.constraintDynamics` does not know
     return lambda: pin.constraintDynamics(
         model, data, q, v, tau, constraints, states, settings
     )  # fmt: skip

@@ -125,7 +125,7 @@ def random_case(arms, kinds, rng, bends=None, tolerance=1e-3, upright=False, bod
         }
         made = osc.Arm.from_urdf(
             model, name=f"arm{i}", tip=tip, passive_joints=passive,
-            wrist_sensor=sensor[arm],
+            wrist_sensor=sensor[arm], damping=0.0,  # the oracles know none
         )  # fmt: skip
         X_WT = X_WO * (slip * X_TO).inverse()
         data = made.model.createData()

@@ -11,7 +11,10 @@ from rigs import ROD, one_panda, placed, random_faces, random_state, scara_pair
 
 import osc_contact as osc
 from osc_contact import robots
+from osc_contact.dynamics.front_end import require_pinocchio_agrees
 from osc_contact.interface import Measurement, Reference
+from osc_contact.law.layout import records
+from osc_contact.law.tables import CHAIN, JOINT
 from osc_contact.plants.rigid import RigidPlant
 
 ROTORS = np.array([0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05])
@@ -222,14 +225,12 @@ def test_joints_with_springs_have_their_rotors_in_the_springs():
 def test_the_constructor_judges_rotors_too():
     """A law that forgot them would be refused."""
     chain = panda(armature=ROTORS)
-    controller = osc.Controller(chain, [])
-    from osc_contact.control import front_end
-    from osc_contact.law.tables import JOINT
-
-    controller._records.row.table("joints", 7, JOINT).armature[3] = 0.0
-    front_end._judged.discard(chain)
+    row = chain.law_row(led=False).copy()
+    require_pinocchio_agrees(chain, row)
+    head = records(row, 0, 1, CHAIN)[0]
+    records(row, int(head.joints_at), 7, JOINT).armature[3] = 0.0
     with pytest.raises(osc.ModelError, match="law's M differs"):
-        front_end.require_pinocchio_agrees(chain, controller._records)
+        require_pinocchio_agrees(chain, row)
 
 
 def test_arms_of_a_chain_keep_their_rotors_apart():

@@ -321,7 +321,7 @@ def test_there_are_two_thousand_states_on_every_pair():
     assert set.union(*(rig.d for rig in RIGS.values())) == {3, 4, 5, 6}
     made = {type(make(np.random.default_rng(0), PLAIN)[0]).__name__ for make in PAIRS.values()}
     others = {"ContactPair", "PAIRS", "register_pair"}
-    assert made == set(osc.contacts.pairs.__all__) - others
+    assert made >= set(osc.contacts.pairs.__all__) - others  # and what other tests register
 
 
 # Without compilation ------------------------------------------------------------------------------

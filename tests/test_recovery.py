@@ -29,6 +29,14 @@ def started(command, **more):
     )
 
 
+@pytest.fixture(autouse=True)
+def interruptible():
+    """Ctrl-C counts, though a shell that runs the tests in the background ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def same(found, whole):
     for name in set(whole.channels) - TIMES:
         np.testing.assert_array_equal(found[name], whole[name][: len(found)], err_msg=name)

@@ -171,7 +171,9 @@ def test_a_reference_leaves_out_what_is_zero():
 
 def test_a_classical_acceleration_is_what_the_arm_then_has():
     """Fast and turning: the origin's p̈ under the controller's torques, by Pinocchio."""
-    panda = osc.Arm.from_urdf(robots.find_robot("panda")[0], name="panda", tip="panda_hand_tcp")
+    panda = osc.Arm.from_urdf(
+        robots.find_robot("panda")[0], name="panda", tip="panda_hand_tcp", damping=0.0
+    )
     chain, model = osc.ClosedChain([panda]), panda.model
     data, tip = model.createData(), panda.model.getFrameId(panda.tip)
     rng, q = np.random.default_rng(5), np.array([0.0, -0.4, 0.3, -2.2, 0.0, 1.8, 0.8])

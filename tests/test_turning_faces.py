@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from pair_kinds import ALL, BY_T, KINDS, PLAIN, Motion, Path, rate
+from pair_kinds import KINDS, PLAIN, Motion, Path, rate
 from test_moving_face import HINGE, TURNING, on_the_move, rig_of
+from test_pairs import BY_T
 
 import osc_contact as osc
 from osc_contact.dynamics.rail import Hinge
@@ -51,7 +52,7 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose():
         np.testing.assert_allclose(rail.pose(np.zeros(2)).homogeneous, np.eye(4), atol=1e-15)
 
 
-@pytest.mark.parametrize("name", sorted(set(ALL) - BY_T))
+@pytest.mark.parametrize("name", sorted(set(KINDS) - BY_T))
 def test_N_follows_a_face_on_its_rail(name):
     """Gaps and N along the path, by finite differences, with the twist that the rail tells."""
     rng = np.random.default_rng(1)

@@ -82,7 +82,8 @@ class Case:
     def controller(self) -> Controller:
         """A controller of this rig."""
         return Controller(
-            self.chain, self.pairs, self.gains, dt=DT, posture=self.posture, life=self.life
+            self.chain, self.pairs, self.gains, dt=DT, posture=self.posture, life=self.life,
+            reading="filter",  # the paper's
         )  # fmt: skip
 
     def tick(self) -> tuple[Callable[[], Array], Callable[[], None]]:
