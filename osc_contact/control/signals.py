@@ -69,7 +69,7 @@ class Signals:
 
     q, v (n,) encoders · wrenches (arms, 6) · touched: motion of the touched bodies · reference ·
     alpha_d (r_all,) desired contact forces · squeeze_d · state: Λ_S, μ, p, S, σ, G of the closed
-    chain · parts: N, n_γ of each contact in force · contact: of all together · drag (6, r): N_μ − N
+    chain · parts: N, n_γ of each contact in force · contact: of all contacts · drag (6, r): N_μ − N
     · environment: Φ_e, b_e, V_e · f_meas (6,): sum of the wrist readings, tare removed · f_c_meas
     (6,): contact force in it · alpha_meas (r,): its magnitudes · alpha_u (r,), f_ccomm (6,): force
     command · a_u (6,): motion command · eta_c (d,): after its filter · f_S (d,) · tau (n_a,).

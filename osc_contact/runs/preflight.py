@@ -134,6 +134,9 @@ def _start(rig: Rig) -> Iterator[Finding]:
 
 
 def _beside(rig: Rig) -> Iterator[Finding]:
+    """Contacts beside their bodies; those of the exact plant have no ends."""
+    if rig.scenario.plant.type == "rigid":
+        return
     X = rig.state().X_WO
     for i, pair in enumerate(rig.pairs):
         if getattr(pair, "surface_point", None) is None:
@@ -230,7 +233,8 @@ def _motors(rig: Rig) -> Iterator[Finding]:
     limits = np.minimum(rig.chain.tau_max, 1e12)
     N_S = state.S.T @ rig.contact().N
     inverse = np.linalg.pinv(state.G * limits)
-    wanted = inverse @ (state.bias[:, None] + N_S @ alpha.T)  # of each motor's limit
+    independent = rig.contact().R @ alpha.T  # (r,) out of all
+    wanted = inverse @ (state.bias[:, None] + N_S @ independent)  # of each motor's limit
     spare = len(limits) - int(np.linalg.matrix_rank(state.G * limits))
     needed = np.abs(wanted).max(axis=0)
     if spare:  # another choice of internal forces may do with less, but not with less than this
