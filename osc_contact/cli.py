@@ -14,10 +14,16 @@ from osc_contact.console import (
     err,
     exit_codes,
     forget_rows,
+    load_task,
+    open_recording,
     out,
+    record,
+    report_run,
     require,
+    require_report,
     run_with_progress,
     say,
+    show_live,
 )  # fmt: skip
 from osc_contact.errors import Interrupted, InvalidInputError
 from osc_contact.law import compiled
@@ -25,17 +31,15 @@ from osc_contact.paper import figures as paper_figures
 from osc_contact.paper import reproduction
 from osc_contact.paper.report import write_paper_report
 from osc_contact.paper.studies import STUDIES, Ask
-from osc_contact.recorder import Recording
 from osc_contact.runs import replay, tables
 from osc_contact.runs.calibration import calibrate as calibrate_wrists
 from osc_contact.runs.inspection import inspect_rig
-from osc_contact.runs.metrics import SETTLE_S
 from osc_contact.runs.preflight import require_ready
-from osc_contact.runs.recovery import recover, scenario_of
-from osc_contact.runs.report import require_judgeable, write_json, write_report
+from osc_contact.runs.recovery import scenario_of
+from osc_contact.runs.report import write_json
 from osc_contact.runs.rig import build_rig
-from osc_contact.runs.viewing import open_viewer, write_scene_of
-from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
+from osc_contact.runs.viewing import write_scene_of
+from osc_contact.scenarios import list_scenarios
 from osc_contact.visual.browser import find_browser
 
 __all__ = ["app"]
@@ -107,16 +111,16 @@ def run(
 ) -> None:
     """Run a scenario; write metrics.json, the recording, figures and an HTML scene."""
     with exit_codes():
-        chosen = _load(scenario, set_, plant, duration)
+        chosen = load_task(scenario, set_, plant, duration)
         folder = out_dir or Path("out") / chosen.file_stem
-        _require_report(chosen)
+        require_report(chosen)
         interrupted = None
         try:
             recording = run_with_progress(chosen, seed, folder)
         except Interrupted as error:
             recording, interrupted = error.recording, error
             say(str(error))
-        written, failed = _report(recording, chosen, folder, json_file)
+        written, failed = report_run(recording, chosen, folder, json_file)
         forget_rows(folder)
         for sentence in recording.meta.get("missing", ()):
             say(sentence)
@@ -127,22 +131,6 @@ def run(
             raise typer.Exit(1)
 
 
-def _report(
-    recording: Recording, scenario: Scenario, folder: Path, json_file: Path | None
-) -> tuple[str, bool]:
-    """Write and tell what a run leaves: what was written, in words; whether its task failed."""
-    if len(recording) <= SETTLE_S * scenario.control.rate:  # it ended before it was to
-        recording.save(folder / "recording.npz")
-        return "recording.npz; the run was too short to be judged", False
-    verdict = write_report(recording, scenario, folder)
-    out.print(tables.verdict_table(verdict))
-    for line in tables.task_lines(verdict):
-        say(line)
-    if json_file:
-        write_json(verdict, json_file)
-    return "metrics.json, recording.npz, figures, scene.html", bool(verdict["task"]["failed"])
-
-
 @app.command()
 def export(
     recording: Annotated[Path, typer.Argument(help="recording.npz, or unfinished.mcap of a run")],
@@ -150,7 +138,7 @@ def export(
 ) -> None:
     """Write a recording for other programs; recover that of a run that was killed."""
     with exit_codes():
-        found = _open(str(recording))
+        found = open_recording(str(recording))
         for sentence in found.meta.get("missing", ()):
             say(sentence)
         say(f"written: {found.export(file)}")
@@ -181,15 +169,15 @@ def reproduce(
         drawn = [name for name in names if name not in STUDIES]
         if not drawn and plant is not None:
             raise InvalidInputError(f"{figure} chooses its own plants; leave --plant out")
-        scenario = _load(paper_figures.SCENARIO, set_ if drawn else None, plant, duration)
+        scenario = load_task(paper_figures.SCENARIO, set_ if drawn else None, plant, duration)
         if any(name in paper_figures.needs_run for name in drawn):
-            _require_report(scenario)
+            require_report(scenario)
         found = reproduction.make(
             names,
             out_dir,
             scenario,
             Ask(seed, duration, () if drawn else tuple(set_ or ())),
-            record=lambda: _record(scenario, seed, out_dir),
+            record=lambda: record(scenario, seed, out_dir),
             show=out.print,
             waiting=err.status,
             options=reproduction.typed(plant and plant.value, duration, seed, set_ or ()),
@@ -236,13 +224,13 @@ def view(
         if what.endswith(RECORDINGS):
             if set_ or plant or duration is not None:
                 raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
-            recording = _open(what)
+            recording = open_recording(what)
             scenario = scenario_of(recording.meta, Path(what))
         else:
-            scenario = _load(what, set_, plant, duration)
+            scenario = load_task(what, set_, plant, duration)
         rig = build_rig(scenario)
         if live:
-            _live(scenario, recording, seed, hold)
+            show_live(scenario, recording, seed, hold)
             return
         if png is not None:
             find_browser()
@@ -261,7 +249,7 @@ def inspect(
 ) -> None:
     """Say in plain words what the contact state is: d, r, free motions, forces, N and T."""
     with exit_codes():
-        rig = build_rig(_load(scenario, set_))
+        rig = build_rig(load_task(scenario, set_))
         doubts = require_ready(rig)
         found = inspect_rig(rig)
         for line in found.lines:
@@ -284,7 +272,7 @@ def calibrate(
 ) -> None:
     """Find mass, centre of mass and bias at each wrist sensor from static postures."""
     with exit_codes():
-        found = calibrate_wrists(_load(scenario, set_), postures, seed=seed)
+        found = calibrate_wrists(load_task(scenario, set_), postures, seed=seed)
         out.print(tables.calibration_table(found))
         if json_file:
             write_json({one.arm: one.as_dict() for one in found}, json_file)
@@ -350,54 +338,3 @@ def bench(
         say("\n".join(report.lines))
         for table in report.tables:
             out.print(table)
-
-
-def _open(name: str) -> Recording:
-    """A recording, or what is left of one."""
-    return recover(name) if name.endswith(".mcap") else Recording.load(name)
-
-
-def _record(scenario: Scenario, seed: int, folder: Path) -> Recording:
-    recording = run_with_progress(scenario, seed, folder)
-    forget_rows(folder)
-    return recording
-
-
-def _live(scenario: Scenario, recording: Recording | None, seed: int, hold: float | None) -> None:
-    """Show a run, or a recording, while it goes on."""
-    at_terminal = out.is_terminal
-    with open_viewer(scenario) as viewer:
-        say(f"open {viewer.url}" + ("   (Ctrl-C ends it)" if at_terminal else ""))
-        patience = hold if hold is not None else 15.0 * at_terminal
-        replay.wait_for(lambda: viewer.count_browsers() > 0, patience)
-        try:
-            if recording is None:
-                run_with_progress(scenario, seed, None, replay.RealTime(viewer))
-            else:
-                replay.replay(recording, viewer)
-            stay = hold if hold is not None else (float("inf") if at_terminal else 0.0)
-            replay.wait_for(lambda: viewer.error is not None, stay)
-        except KeyboardInterrupt:
-            return
-        if viewer.error is not None:
-            raise viewer.error
-
-
-def _load(
-    name: str,
-    overrides: list[str] | None,
-    plant: PlantName | None = None,
-    duration: float | None = None,
-) -> Scenario:
-    changes = list(overrides or [])
-    if plant is not None:
-        changes.append(f"plant.type={plant.value}")
-    if duration is not None:
-        changes.append(f"duration={duration!r}")
-    return load_scenario(name, changes)
-
-
-def _require_report(scenario: Scenario) -> None:
-    """Refuse what would fail after the run."""
-    require("matplotlib")
-    require_judgeable(scenario)

@@ -1,4 +1,4 @@
-"""How commands talk: output and complaints, exit codes, a run with a progress bar."""
+"""What commands share: output and complaints, exit codes, tasks, runs that can be watched."""
 
 from __future__ import annotations
 
@@ -14,13 +14,19 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from osc_contact.errors import OscContactError, PlantError
 from osc_contact.recorder import Recording
+from osc_contact.runs import replay, tables
+from osc_contact.runs.metrics import SETTLE_S
+from osc_contact.runs.recovery import recover
+from osc_contact.runs.report import require_judgeable, write_json, write_report
 from osc_contact.runs.run import run
-from osc_contact.scenarios import Scenario
+from osc_contact.runs.viewing import open_viewer
+from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.visual.live import Shows
 
 __all__ = [
-    "PARTIAL", "UNFINISHED", "err", "exit_codes", "forget_rows", "out", "require",
-    "run_with_progress", "say",
+    "PARTIAL", "UNFINISHED", "err", "exit_codes", "forget_rows", "load_task", "open_recording",
+    "out", "record", "report_run", "require", "require_report", "run_with_progress", "say",
+    "show_live",
 ]  # fmt: skip
 
 out = Console(width=None if sys.stdout.isatty() else 120)
@@ -91,3 +97,74 @@ def run_with_progress(
 def forget_rows(folder: Path) -> None:
     """Remove the rows of a run, once what they make is written."""
     (folder / UNFINISHED).unlink(missing_ok=True)
+
+
+def open_recording(name: str) -> Recording:
+    """A recording, or what is left of one."""
+    return recover(name) if name.endswith(".mcap") else Recording.load(name)
+
+
+def record(scenario: Scenario, seed: int, folder: Path) -> Recording:
+    """Run, and keep nothing but the recording."""
+    recording = run_with_progress(scenario, seed, folder)
+    forget_rows(folder)
+    return recording
+
+
+def report_run(
+    recording: Recording, scenario: Scenario, folder: Path, json_file: Path | None
+) -> tuple[str, bool]:
+    """Write and tell what a run leaves: what was written, in words; whether its task failed."""
+    if len(recording) <= SETTLE_S * scenario.control.rate:  # it ended before it was to
+        recording.save(folder / "recording.npz")
+        return "recording.npz; the run was too short to be judged", False
+    verdict = write_report(recording, scenario, folder)
+    out.print(tables.verdict_table(verdict))
+    for line in tables.task_lines(verdict):
+        say(line)
+    if json_file:
+        write_json(verdict, json_file)
+    return "metrics.json, recording.npz, figures, scene.html", bool(verdict["task"]["failed"])
+
+
+def show_live(
+    scenario: Scenario, recording: Recording | None, seed: int, hold: float | None
+) -> None:
+    """Show a run, or a recording, while it goes on."""
+    at_terminal = out.is_terminal
+    with open_viewer(scenario) as viewer:
+        say(f"open {viewer.url}" + ("   (Ctrl-C ends it)" if at_terminal else ""))
+        patience = hold if hold is not None else 15.0 * at_terminal
+        replay.wait_for(lambda: viewer.count_browsers() > 0, patience)
+        try:
+            if recording is None:
+                run_with_progress(scenario, seed, None, replay.RealTime(viewer))
+            else:
+                replay.replay(recording, viewer)
+            stay = hold if hold is not None else (float("inf") if at_terminal else 0.0)
+            replay.wait_for(lambda: viewer.error is not None, stay)
+        except KeyboardInterrupt:
+            return
+        if viewer.error is not None:
+            raise viewer.error
+
+
+def load_task(
+    name: str,
+    overrides: list[str] | None,
+    plant: str | None = None,
+    duration: float | None = None,
+) -> Scenario:
+    """A scenario with what the command line changes of it."""
+    changes = list(overrides or [])
+    if plant is not None:
+        changes.append(f"plant.type={plant}")
+    if duration is not None:
+        changes.append(f"duration={duration!r}")
+    return load_scenario(name, changes)
+
+
+def require_report(scenario: Scenario) -> None:
+    """Refuse what would fail after the run."""
+    require("matplotlib")
+    require_judgeable(scenario)

@@ -27,7 +27,7 @@ class InvalidInputError(OscContactError, ValueError):
 
 
 class ModelError(OscContactError):
-    """A robot, an object or a closed chain is impossible: bad URDF, lost or undriven motions.
+    """A robot, an object or a closed chain is impossible: bad URDF, lost or unactuated motions.
 
     Attributes:
         findings: of a refused URDF, every `osc_contact.robots.Finding`; else empty.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -315,17 +315,6 @@ class Controller(ControllerCopies):
             return False
         memory.X_WO[:], memory.located = X_WO.homogeneous, 2
         return True
-
-    def kernel_call(self, measurement: Measurement, reference: Reference) -> Callable[[], Any]:
-        """The law's call of a tick by itself, to be timed; the state of the loops moves on."""
-        self.tick(measurement, reference)
-        r, tau = self._records, np.empty(self._n_a)
-        args = (
-            r.row.raw, r.memory_bytes, r.work_bytes, measurement.q, measurement.v,
-            measurement.wrenches, reference.X_WD.homogeneous, reference.V_D, reference.A_D,
-            reference.alpha_d, self._squeeze, self._still, 0, tau, self._codes, 0, law.END, 0, 1,
-        )  # fmt: skip
-        return lambda: self._rows(*args)
 
     def wiring(self, measurement: Measurement, reference: Reference) -> list[Block]:
         """The boxes of fig. 4 with the signals that each reads and writes."""

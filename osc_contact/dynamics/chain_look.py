@@ -144,7 +144,7 @@ def read_state(chain: ClosedChain, now: Look, rest: Look, data: pin.Data) -> Cha
         filters=tuple(_filters(chain, now, motion, wrench)),
         Lambda_out=wrench @ work["out_T"].T @ wrench.T,
         bias_out=work["bias_out"].copy(),
-        undriven=chain.undriven_motions(G, S),
+        undriven=chain.unactuated_motions(G, S),
         reference=(wrench * now.head["reference"]) @ wrench.T,
         full_ranks=chain.full_ranks,
         fading=tuple(_fading(chain, now, motion, wrench)) if work["n_lost"] else (),

@@ -243,7 +243,7 @@ class ClosedChain:
         at = self.model.frames[frame]
         return (self.data if data is None else data).oMi[at.parentJoint] * at.placement
 
-    def undriven_motions(self, G: Array, S: Array) -> Array:
+    def unactuated_motions(self, G: Array, S: Array) -> Array:
         """(6, u) motions of the object in which GᵀU = 0; an error unless they are allowed."""
         if G.shape[0] == 0:
             return np.zeros((6, 0))

@@ -22,6 +22,7 @@ from osc_contact.dynamics.definite import (
     require_inverse_inertia,
     symmetric,
 )
+from osc_contact.dynamics.guided_body import guided_body
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import InvalidInputError
 from osc_contact.spans import left_inverse
@@ -30,7 +31,6 @@ from osc_contact.spatial import (
     as_array,
     carry_twist,
     classical_to_spatial,
-    cross_wrench,
 )
 
 __all__ = ["Environment"]
@@ -138,7 +138,8 @@ class Environment:
         """
         RigidObject(inertia)
         force = np.zeros(6) if wrench is None else as_array("wrench", wrench, (6,))
-        return cls._guided(inertia, X_WE, np.eye(6), as_array("V_E", V_E, (6,)), O, gravity, force)
+        rates = as_array("V_E", V_E, (6,))
+        return cls(*guided_body(inertia, X_WE, np.eye(6), rates, O, gravity, force))
 
     @classmethod
     def rail(
@@ -178,7 +179,8 @@ class Environment:
         A = as_array("axes", columns[:, None] if columns.ndim == 1 else columns, (6, None))
         k = A.shape[1]
         Q = np.zeros(k) if force is None else as_array("force", force, (k,))
-        return cls._guided(inertia, X_WE, A, as_array("rates", rates, (k,)), O, gravity, Q)
+        speeds = as_array("rates", rates, (k,))
+        return cls(*guided_body(inertia, X_WE, A, speeds, O, gravity, Q))
 
     @classmethod
     def articulated(
@@ -327,33 +329,6 @@ class Environment:
             return together
         ends = np.cumsum([n.shape[1] for n in N])[:-1]
         return replace(together, Phi_drag=between(np.split(drag, ends, axis=1)))
-
-    @classmethod
-    def _guided(
-        cls,
-        inertia: pin.Inertia,
-        X_WE: pin.SE3,
-        A: Array,
-        rates: Array,
-        O: npt.ArrayLike,  # noqa: E741
-        gravity: npt.ArrayLike,
-        Q: Array,
-    ) -> Environment:
-        """AᵀIA s̈ = Q + Aᵀ(weight − V ×* IV) at the body's origin, then carried to O.
-
-        No drift: a space of motions fixed in the world has none, and one fixed in the body V × V.
-        """
-        p, point = X_WE.translation, as_array("O", O, (3,))
-        I: Array = pin.SE3(X_WE.rotation, _ZERO).act(inertia).matrix()  # noqa: E741
-        V = A @ rates
-        acting = I[:, :3] @ as_array("gravity", gravity, (3,)) - cross_wrench(V, I @ V)
-        M_inv = inverse(A.T @ I @ A, "the body's inertia along its axes")
-        at_O = carry_twist(A, p, point)
-        return cls(
-            symmetric(at_O @ M_inv @ at_O.T),
-            at_O @ (M_inv @ (Q + A.T @ acting)),
-            carry_twist(V, p, point),
-        )
 
 
 def _move_as_one(a: Environment, b: Environment) -> bool:

@@ -8,10 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.contacts.contact import Contact
 from osc_contact.interface import Touched
-from osc_contact.spatial import Array, Poses, cross, rotations, turned
+from osc_contact.spatial import Array, Poses, classical_to_spatial, cross, rotations, turned
 
-__all__ = ["Motion", "Rail", "poses", "touched"]
+__all__ = [
+    "Motion", "Rail", "along_rails", "drift_of_faces", "driven_accelerations", "force_on_rail",
+    "free_rails",
+    "poses", "touched",
+]  # fmt: skip
 
 Motion = Callable[[float], tuple[Array, Array, Array]]
 
@@ -104,3 +109,67 @@ def touched(
         if rail.motion is not None:
             A[i] = rail.acceleration(s[body], rates[body], second[body], p)
     return Touched(X, V, A)
+
+
+def driven_accelerations(rails: Sequence[Rail | None], time: float) -> Array:
+    """(bodies, 2) accelerations of the driven ones; 0 for others."""
+    return np.array(
+        [np.zeros(2) if r is None or r.motion is None else r.motion(time)[2] for r in rails]
+    ).reshape(-1, 2)
+
+
+def along_rails(
+    rails: Sequence[Rail | None], on: Sequence[int], s: Array, parts: list[Contact], point: Array
+) -> Array:
+    """(r, bodies, 2) Nᵀ × the twists per unit rate: how fast each gap closes with them.
+
+    Args:
+        rails: of the bodies. on: the body of each contact. s: (bodies, 2) travel and angle.
+        parts: the contacts. point: (3,) where their columns are given.
+    """
+    out = np.zeros((sum(c.r for c in parts), len(rails), 2))
+    row = 0
+    for part, body in zip(parts, on, strict=True):
+        rail = rails[body]
+        if rail is not None:
+            for k, rate in enumerate(np.eye(2)):
+                twist = rail.twist(s[body], rate, point)
+                out[row : row + part.r, body, k] = part.N.T @ twist
+        row += part.r
+    return out
+
+
+def drift_of_faces(
+    rails: Sequence[Rail | None],
+    on: Sequence[int],
+    s: Array,
+    rates: Array,
+    parts: list[Contact],
+    point: Array,
+) -> Array:
+    """(r,) Nᵀ × the spatial acceleration at the point of bodies at s̈ = 0; as `along_rails`.
+
+    Args:
+        rails, on, s, parts, point: as there. rates: (bodies, 2) of s.
+    """
+    out = [np.zeros(0)]
+    for part, body in zip(parts, on, strict=True):
+        rail, drift = rails[body], np.zeros(6)
+        if rail is not None:
+            drift = rail.acceleration(s[body], rates[body], np.zeros(2), point)
+            drift = classical_to_spatial(drift, rail.twist(s[body], rates[body], point))
+        out.append(part.N.T @ drift)
+    return np.concatenate(out)
+
+
+def free_rails(rails: Sequence[Rail | None]) -> dict[int, Rail]:
+    """The bodies that follow the contact force."""
+    return {i: r for i, r in enumerate(rails) if r is not None and r.motion is None}
+
+
+def force_on_rail(rail: Rail, s: Array, rates: Array, gravity: Array) -> float:
+    """Force along a free body's joint besides the contact's (N, N m); hinges are balanced."""
+    k = rail.joints[0]
+    weight = rail.inertia * float(rail.direction @ gravity)
+    spring = rail.stiffness * s[k] + rail.damping * rates[k]
+    return float(weight + rail.preload - spring)

@@ -9,7 +9,6 @@ constraints after each step, so NᵀV_rel = 0 to rounding.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,16 +30,25 @@ from osc_contact.dynamics.held_object import moved
 from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement
-from osc_contact.plants.faces import Rail, poses, touched
+from osc_contact.plants.faces import (
+    Rail,
+    along_rails,
+    drift_of_faces,
+    driven_accelerations,
+    force_on_rail,
+    free_rails,
+    poses,
+    touched,
+)
 from osc_contact.plants.joint_losses import JointLosses
 from osc_contact.plants.judge import Truth, Watched, require_duration
+from osc_contact.plants.rigid_parts import Solution, beside, stacked, with_object
 from osc_contact.plants.wrist_cut import wrist_cut
 from osc_contact.spatial import (
     Array,
     as_array,
     carry_twist,
     carry_wrench,
-    classical_to_spatial,
     cross,
     cross_twist,
 )
@@ -82,7 +90,7 @@ class RigidPlant:
         #: travel and angle of every body (bodies, 2), and their rates
         self._s: Array = np.zeros((len(self.rails), 2))
         self._rates: Array = np.zeros((len(self.rails), 2))
-        self.model, self._tips = _with_object(chain)
+        self.model, self._tips = with_object(chain)
         self._sensors = [
             None if arm.wrist_sensor is None
             else wrist_cut(chain.model, f"{arm.name}/{arm.wrist_sensor}")
@@ -113,7 +121,8 @@ class RigidPlant:
     def measure(self) -> Measurement:
         """Encoders, and the wrist wrenches under the torques applied last."""
         wrenches = self._now()[0].wrenches.copy()
-        seen = touched(self.rails, self.on, self._s, self._rates, self._driven_acceleration())
+        driven = driven_accelerations(self.rails, self.time)
+        seen = touched(self.rails, self.on, self._s, self._rates, driven)
         return Measurement(self.q.copy(), self.v.copy(), wrenches, seen)
 
     def truth(self) -> Truth:
@@ -127,7 +136,7 @@ class RigidPlant:
         """A log of the truth with room for `capacity` instants."""
         return Watched(self, self.contacts)
 
-    def _now(self) -> tuple[_Solution, tuple[pin.SE3, Array]]:
+    def _now(self) -> tuple[Solution, tuple[pin.SE3, Array]]:
         """The solution under the torques applied last, pose and twist of the object."""
         state = (
             self.q, self.v, self._tau, self._s.ravel(), self._rates.ravel(), self._V,
@@ -182,14 +191,6 @@ class RigidPlant:
             if rail is not None and rail.motion is not None:
                 self._s[i], self._rates[i], _ = rail.motion(self.time)
 
-    def _driven_acceleration(self) -> Array:
-        return np.array(
-            [
-                np.zeros(2) if r is None or r.motion is None else r.motion(self.time)[2]
-                for r in self.rails
-            ]
-        ).reshape(-1, 2)
-
     def _face(self, i: int) -> tuple[pin.SE3, Array]:
         """Pose and twist of the body at contact i."""
         body = self.on[i]
@@ -199,38 +200,9 @@ class RigidPlant:
         X = rail.pose(self._s[body])
         return X, rail.twist(self._s[body], self._rates[body], X.translation)
 
-    def _free(self) -> dict[int, Rail]:
-        """The bodies that follow the contact force."""
-        return {i: r for i, r in enumerate(self.rails) if r is not None and r.motion is None}
-
-    def _along_rails(self, parts: list[Contact], point: Array) -> Array:
-        """(r, bodies, 2) Nᵀ × the twists per unit rate: how fast each gap closes with them."""
-        out = np.zeros((sum(c.r for c in parts), len(self.rails), 2))
-        row = 0
-        for part, body in zip(parts, self.on, strict=True):
-            rail = self.rails[body]
-            if rail is not None:
-                for k, rate in enumerate(np.eye(2)):
-                    twist = rail.twist(self._s[body], rate, point)
-                    out[row : row + part.r, body, k] = part.N.T @ twist
-            row += part.r
-        return out
-
-    def _drift_of_faces(self, parts: list[Contact], point: Array) -> Array:
-        """(r,) Nᵀ × the spatial acceleration at O of bodies at s̈ = 0."""
-        out = [np.zeros(0)]
-        for part, body in zip(parts, self.on, strict=True):
-            rail, drift = self.rails[body], np.zeros(6)
-            if rail is not None:
-                s, rates = self._s[body], self._rates[body]
-                drift = rail.acceleration(s, rates, np.zeros(2), point)
-                drift = classical_to_spatial(drift, rail.twist(s, rates, point))
-            out.append(part.N.T @ drift)
-        return np.concatenate(out)
-
     # --- dynamics --------------------------------------------------------------------------------
 
-    def _solve(self, tau: Array, with_wrenches: bool = False, ahead: float = 0.0) -> _Solution:
+    def _solve(self, tau: Array, with_wrenches: bool = False, ahead: float = 0.0) -> Solution:
         """All joints and free bodies at once, one multiplier for each row of loops and contacts.
 
         Joint friction is that of the velocities `ahead` (s) of now, to first order.
@@ -239,7 +211,7 @@ class RigidPlant:
         pin.computeAllTerms(self.model, self.data, self.q, self.v)
         X, V = self._object()
         parts = self._parts(X, V)
-        N, n_gamma = _stacked(parts)
+        N, n_gamma = stacked(parts)
         pin.forwardKinematics(self.model, self.data, self.q, self.v, np.zeros(n))
         J = self._jacobian(X)
         first = object_columns(chain, J)
@@ -257,8 +229,11 @@ class RigidPlant:
             rows.append(loop)
             right.append(drift)
             normals.append(passed)
-        along, driven = self._along_rails(parts, X.translation), self._driven_acceleration()
-        on_faces = self._drift_of_faces(parts, X.translation) + np.tensordot(along, driven)
+        along = along_rails(self.rails, self.on, self._s, parts, X.translation)
+        driven = driven_accelerations(self.rails, self.time)
+        on_faces = drift_of_faces(
+            self.rails, self.on, self._s, self._rates, parts, X.translation
+        ) + np.tensordot(along, driven)
         k = sum(map(len, right))
         rows.append(N.T @ first)
         right.append(n_gamma - N.T @ gamma_O + on_faces)
@@ -268,14 +243,22 @@ class RigidPlant:
         if chain.leader is None:
             body = self._body(X, V)
             force = np.concatenate((force, -body.mu - body.p))
-            M = _beside(M, body.Lambda)
-        free = self._free()
+            M = beside(M, body.Lambda)
+        free = free_rails(self.rails)
         at = np.array(list(free), dtype=int), np.array([r.joints[0] for r in free.values()], int)
         A, size = np.vstack(rows), len(M)
         if free:
             A = np.hstack((A, np.vstack((np.zeros((k, len(free))), -along[:, *at]))))
-            M = _beside(M, np.diag([rail.inertia for rail in free.values()]))
-            force = np.concatenate((force, [self._on_rail(i, r) for i, r in free.items()]))
+            M = beside(M, np.diag([rail.inertia for rail in free.values()]))
+            force = np.concatenate(
+                (
+                    force,
+                    [
+                        force_on_rail(r, self._s[i], self._rates[i], self.model.gravity.linear)
+                        for i, r in free.items()
+                    ],
+                )
+            )
         b = np.concatenate(right)
         unheld = np.linalg.solve(M, force)
         inverse, multipliers = inverse_rows(A, M, row_groups(chain))
@@ -289,18 +272,11 @@ class RigidPlant:
             shares = np.split(lam[:k], np.cumsum([N_i.shape[1] for N_i in normals]))  # on object
             loops = [passed @ share for passed, share in zip(normals, shares, strict=False)]
             wrenches = self._wrist(qdd, loops, N @ alpha, a_O, X, V)
-        return _Solution(qdd, sdd, a_O, alpha, wrenches)
+        return Solution(qdd, sdd, a_O, alpha, wrenches)
 
     def _body(self, X: pin.SE3, V: Array) -> ObjectTerms:
         assert self.chain.payload is not None  # the constructor refused otherwise
         return self.chain.payload.terms(X, V, self.model.gravity.linear)
-
-    def _on_rail(self, i: int, rail: Rail) -> float:
-        """Force along a free body's joint besides the contact's (N, N m); hinges are balanced."""
-        k = rail.joints[0]
-        weight = rail.inertia * float(rail.direction @ self.model.gravity.linear)
-        spring = rail.stiffness * self._s[i, k] + rail.damping * self._rates[i, k]
-        return float(weight + rail.preload - spring)
 
     def _wrist(
         self, qdd: Array, loops: list[Array], f_c: Array, a_O: Array, X: pin.SE3, V: Array
@@ -358,52 +334,18 @@ class RigidPlant:
 
     def _gaps(self, X: pin.SE3) -> tuple[Array, Array]:
         gaps = [pair.gaps(X, self._face(i)[0]) for i, pair in enumerate(self.contacts)]
-        return np.concatenate([np.zeros(0), *gaps]), _stacked(self._parts(X, np.zeros(6)))[0]
+        return np.concatenate([np.zeros(0), *gaps]), stacked(self._parts(X, np.zeros(6)))[0]
 
     def _on_constraints(self, v: Array, V: Array) -> tuple[Array, Array]:
         chain, n = self.chain, self.chain.nq
         pin.computeAllTerms(chain.model, chain.data, self.q, v)
         X = self._X if chain.leader is None else chain.object_pose()
         parts = self._parts(X, np.zeros(6))
-        A = constraint_rows(chain, X.translation, _stacked(parts)[0])
-        along = self._along_rails(parts, X.translation)
+        A = constraint_rows(chain, X.translation, stacked(parts)[0])
+        along = along_rails(self.rails, self.on, self._s, parts, X.translation)
         b = np.zeros(len(A))
         b[len(A) - len(along) :] = -np.tensordot(along, self._rates)
         x = np.concatenate((v, V))[: A.shape[1]]
         for _ in range(2):
             x = x - inverse_rows(A, inertia_of(chain, X), row_groups(chain))[0] @ (A @ x - b)
         return x[:n], x[n:] if chain.leader is None else V
-
-
-@dataclass(frozen=True)
-class _Solution:
-    """What one instant's equations say."""
-
-    qdd: Array  # (n,)
-    sdd: Array  # (bodies, 2) accelerations along the rails
-    a_O: Array  # (6,) of the object, spatial
-    alpha: Array  # (r,)
-    wrenches: Array  # (arms, 6) in the wrists
-
-
-def _beside(A: Array, B: Array) -> Array:
-    """The block-diagonal matrix of two."""
-    none = np.zeros((len(A), len(B)))
-    return np.block([[A, none], [none.T, B]])
-
-
-def _stacked(parts: list[Contact]) -> tuple[Array, Array]:
-    N = np.hstack([np.zeros((6, 0)), *(c.N for c in parts)])
-    return N, np.concatenate([np.zeros(0), *(c.n_gamma for c in parts)])
-
-
-def _with_object(chain: ClosedChain) -> tuple[pin.Model, list[int]]:
-    """The merged model with the object's inertia riding on the last joint of the leading arm."""
-    model = chain.model.copy()
-    tips = list(chain.tips)
-    if chain.leader is not None:
-        assert chain.payload is not None
-        tip = model.frames[tips[chain.leader]]
-        X = tip.placement * chain.grasps[chain.leader].X_TO
-        model.appendBodyToJoint(tip.parentJoint, chain.payload.inertia, X)
-    return model, tips

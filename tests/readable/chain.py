@@ -92,7 +92,7 @@ def state(
         filters=filters,
         Lambda_out=Lambda_out,
         bias_out=bias_out,
-        undriven=chain.undriven_motions(G, S),
+        undriven=chain.unactuated_motions(G, S),
         reference=weighed,
         full_ranks=chain.full_ranks,
         fading=tuple(fading_of(terms, chain.full_ranks, weighed)),
