@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -239,3 +240,29 @@ def test_moving_bodies_are_followed_by_sixty_old_pictures_a_second():
         assert np.abs(miss).max() < 0.012
     V = np.array([m.touched.V_E[0] for m in out[2000:]])
     np.testing.assert_allclose(V.mean(axis=0), [0.02, 0, 0, 0, 0, 0.1], atol=3e-3)
+
+
+# --- a better sensor is never worse ---------------------------------------------------------------
+
+CLEAN = "sensors.encoder={rate: %g Hz}"
+BITS = "sensors.encoder={rate: %g Hz, angle: {resolution: %.9e rad}, length: {resolution: %.9e m}}"
+
+
+def worst_force(name, rate, encoder):
+    """Largest rms error of a contact force relative to its command, 2 s judged, MuJoCo."""
+    changes = [f"control.rate={rate} Hz", *([] if encoder is None else [encoder])]
+    verdict = osc.metrics(osc.run(osc.load_scenario(name, changes), duration=3.0))
+    assert set(verdict["contact_fraction"].values()) == {1.0}
+    return max(force["rms_error_rel"] for force in verdict["force"].values())
+
+
+@pytest.mark.parametrize("rate", [250, 500, 1000])
+@pytest.mark.parametrize("name", ["two_contact_rod", "ur5_wipe"])
+def test_a_better_encoder_is_never_worse(name, rate):
+    errors = [
+        worst_force(name, rate, BITS % (rate, 2 * np.pi / 2**bits, 1.0 / 2**bits))
+        for bits in (20, 23, 26)
+    ]
+    errors.append(worst_force(name, rate, CLEAN % rate))
+    assert all(better <= 1.02 * worse for worse, better in pairwise(errors)), errors
+    assert errors[-1] <= 1e-3

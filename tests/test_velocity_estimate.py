@@ -11,31 +11,62 @@ from osc_contact.sensing.velocity_estimate import VelocityEstimate
 DT = 1e-3
 
 
+def white(acceleration, dt):
+    """(2, 2) what white acceleration of power acceleration² dt does to [x, v] in one period."""
+    power = acceleration**2 * dt
+    return power * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+
+
 def riccati(noise, acceleration, dt):
     """Stationary gain (2,) and covariance after the update, by iterating the filter equations."""
-    F, G = np.array([[1.0, dt], [0.0, 1.0]]), np.array([0.5 * dt**2, dt])
+    F = np.array([[1.0, dt], [0.0, 1.0]])
     P = np.eye(2)
     for _ in range(20_000):
-        P = F @ P @ F.T + acceleration**2 * np.outer(G, G)
+        P = F @ P @ F.T + white(acceleration, dt)
         K = P[:, 0] / (P[0, 0] + noise**2)
         P = P - np.outer(K, P[0])
     return K, P
 
 
-@pytest.mark.parametrize(("noise", "acceleration"), [(2e-5, 2.0), (1e-4, 0.5), (1e-6, 50.0)])
+@pytest.mark.parametrize(
+    ("noise", "acceleration"), [(2e-5, 2.0), (1e-4, 0.5), (1e-6, 50.0), (1e-9, 2.0)]
+)
 def test_gains_are_those_of_the_riccati_equation(noise, acceleration):
     estimate = VelocityEstimate.optimal(noise, acceleration, DT)
     K, _ = riccati(noise, acceleration, DT)
     np.testing.assert_allclose([estimate.alpha[0], estimate.beta[0] / DT], K, rtol=1e-6)
 
 
+@pytest.mark.parametrize("noise", np.geomspace(1e-15, 1e-2, 14))
+@pytest.mark.parametrize("dt", [1e-3, 2e-3, 4e-3, 1 / 60])
+def test_errors_of_velocity_never_alternate_for_long_however_good_the_sensor(noise, dt):
+    """Eigenvalues of the error from sample to sample: at worst 0.27 from one to the next."""
+    estimate = VelocityEstimate.optimal(noise, 2.0, dt)
+    K = np.array([estimate.alpha[0], estimate.beta[0] / dt])
+    F = np.array([[1.0, dt], [0.0, 1.0]])
+    poles = np.linalg.eigvals((np.eye(2) - np.outer(K, [1.0, 0.0])) @ F)
+    assert np.abs(poles).max() < 1.0 and poles.real.min() > -0.27
+
+
+def test_exact_positions_give_the_velocity_at_once():
+    """From a wrong velocity on; an unknown acceleration errs by less than half a period of it."""
+    estimate, a = VelocityEstimate.optimal(1e-9, 2.0, DT), 3.0
+    estimate.update(np.zeros(1))
+    estimate.v = np.array([0.5])
+    for k in range(1, 13):
+        t = DT * k
+        _, v = estimate.update(np.array([0.5 * a * t**2]))
+    assert abs(v[0] - a * t) < 0.5 * a * DT
+
+
 def test_errors_are_as_large_as_the_riccati_equation_says():
     rng, noise, unknown = np.random.default_rng(0), 2e-5, 2.0
     estimate = VelocityEstimate.optimal(np.full(20, noise), np.full(20, unknown), DT)
     x, v, errors = np.zeros(20), np.zeros(20), []
+    root = np.linalg.cholesky(white(unknown, DT))
     for k in range(4000):
-        a = unknown * rng.standard_normal(20)
-        x, v = x + DT * v + 0.5 * DT**2 * a, v + DT * a
+        moved, faster = root @ rng.standard_normal((2, 20))
+        x, v = x + DT * v + moved, v + faster
         found = estimate.update(x + noise * rng.standard_normal(20))
         if k > 500:
             errors.append((found[0] - x, found[1] - v))

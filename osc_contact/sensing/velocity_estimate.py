@@ -1,9 +1,20 @@
 """Velocities from positions: a steady-state Kalman filter for each channel (α-β filter).
 
-Each channel is a double integrator driven by the acceleration one knows and a white one that one
-does not, seen through white noise. Its stationary Kalman gains have a closed form in the tracking
-index λ = σ_a dt²/σ_n (P. R. Kalata, The tracking index, 1984). A filtered difference would lag by
-its time constant; told the commanded acceleration, this one does not lag along the command.
+Each channel is a double integrator driven by the acceleration one knows and one that one does not,
+white in continuous time, seen through white noise. Its stationary Kalman gains have a closed form
+in the tracking index λ = σ_a dt²/σ_n (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
+Applications to Tracking and Navigation, 2001):
+
+    u = 1/3 + √(1/12 + 4/λ²),    β = 12/(6(u + √u) + 1),    α = β √u
+
+The better the sensor, the larger λ, and the gains end at α = 1, β = 3 − √3, poles at 0 and √3 − 2:
+stable, and no worse than the difference of two readings. An acceleration that is constant over the
+sample (P. R. Kalata, The tracking index, 1984) has nearly the same gains while λ ≪ 1, but ends at
+β = 2 with a pole at −1: it believes that two exact positions and the last velocity give the next
+one, so that errors of velocity alternate for ever.
+
+A filtered difference would lag by its time constant; told the commanded acceleration, this one
+does not lag along the command.
 """
 
 from __future__ import annotations
@@ -51,7 +62,8 @@ class VelocityEstimate:
     ) -> VelocityEstimate:
         """Least mean square error under noise (k,) and unknown acceleration (k,), both rms.
 
-        The acceleration is white from sample to sample (Kalata's random-velocity model).
+        The unknown acceleration changes the velocity by its rms times the period from sample to
+        sample.
 
         Raises:
             InvalidInputError: one of them is not > 0.
@@ -63,9 +75,9 @@ class VelocityEstimate:
                 "both be > 0; without noise take the resolution of the sensor"
             )
         index = acceleration * (sample or dt) ** 2 / noise
-        r = (4.0 + index - np.sqrt(8.0 * index + index**2)) / 4.0
-        alpha = 1.0 - r**2
-        return cls(alpha, 2.0 * (2.0 - alpha) - 4.0 * r, dt, sample)
+        u = 1.0 / 3.0 + np.sqrt(1.0 / 12.0 + 4.0 / index**2)
+        beta = 12.0 / (6.0 * (u + np.sqrt(u)) + 1.0)
+        return cls(beta * np.sqrt(u), beta, dt, sample)
 
     @classmethod
     def with_bandwidth(cls, bandwidth: Array, dt: float) -> VelocityEstimate:
