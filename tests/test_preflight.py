@@ -30,6 +30,11 @@ DOUBTFUL = {
         f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]", "which does not permit it"),
     "start pose moved": ("object.pose.xyz=[0, 0, 0.23]", "starts 25 mm away from object.pose"),
     "free cart": (f"{LEFT}.motion={CART}", "nothing balances the cart of 'face_left_end'"),
+    "springs without a loop": (
+        "plant.flexible_joints.frequency=60 Hz", "set control.joint_torque={rate: 4 kHz}"),
+    "masses wrong, no tare": ("model_error.arm_mass=1.2", "arm_mass is 1.2, and nothing zeroes"),
+    "biased wrists, no tare": (
+        "sensors.wrist={rate: 1 kHz, torque: {bias: 0.1 Nm}}", "set tare={} to zero them"),
 }  # fmt: skip
 
 
@@ -65,6 +70,28 @@ def test_what_is_doubtful_is_told_at_every_door(name, caplog):
         caplog.clear()
         recording = osc.run(osc.load_scenario("two_contact_rod", [change]), duration=0.5)
         assert words in caplog.text and words in recording.meta["doubts"][0]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ["plant.flexible_joints.frequency=60 Hz", "control.joint_torque={rate: 20 kHz}",
+         "plant.step=0.05 ms"],
+        ["plant.flexible_joints.frequency=200 Hz"],
+        ["model_error.arm_mass=1.2", "tare={}"],
+        ["model_error.arm_mass=1.2", "plant.type=rigid", "plant.step=1 ms"],
+        ["sensors.wrist={rate: 1 kHz, force: {noise: 1 N}}"],
+    ],
+)  # fmt: skip
+def test_what_is_cured_is_not_told(changes):
+    assert osc.preflight(osc.build_rig(osc.load_scenario("two_contact_rod", changes))) == ()
+
+
+def test_a_torque_loop_that_diverges_is_refused_before_it_runs():
+    changes = ["plant.flexible_joints.frequency=60 Hz", "control.joint_torque={rate: 4 kHz}"]
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod", changes))
+    (finding,) = osc.preflight(rig)
+    assert finding.refused and "lower control.joint_torque.gain" in finding.text
 
 
 def test_a_doubtful_run_ends_with_exit_code_1(tmp_path, caplog):

@@ -12,7 +12,9 @@ import pinocchio as pin
 
 from osc_contact.contacts.detection import CollisionShape, collision_shapes
 from osc_contact.dynamics.arm import Arm
-from osc_contact.errors import InvalidInputError, ModelError, ScenarioError
+from osc_contact.dynamics.joint_modes import modes
+from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
+from osc_contact.runs import hardware
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.references import force_names
 from osc_contact.runs.rig import Rig
@@ -26,6 +28,7 @@ BESIDE_M = 0.005  #: a contact further than this beside its body is refused
 LIFTED_M = 0.005  #: a motion that opens or closes a gap by more is doubtful
 CART_M = 0.2  #: a free cart that runs further is doubtful
 SLOW, TOO_SLOW = 0.7, 2.0  #: gain × control period: doubtful, refused (a sampled loop diverges)
+SOFT_HZ = 100.0  #: joints whose springs swing slower want a joint torque loop
 OVERLOAD = 2.0  #: forces that need more than so many times the motors' limits are refused
 _SAMPLES = 400  #: instants at which references are looked at
 _logger = logging.getLogger("osc_contact.preflight")
@@ -49,13 +52,15 @@ def preflight(rig: Rig) -> tuple[Finding, ...]:
 
     Compared are the start pose with the scenario's, faces with object and arms, contacts with the
     bodies they are on, motions with the contacts and the arms' reach, forces with motors and carts,
-    the control rate with the gains.
+    the control rate with the gains, springs in the joints with their loop, masses and sensors with
+    the tare.
 
     Args:
         rig: see `build_rig`.
     """
     checks: tuple[Callable[[Rig], Iterator[Finding]], ...] = (
-        _sensors, _rate, _normals, _start, _beside, _reach, _lifted, _motors, _carts,
+        _sensors, _tare, _rate, _springs, _normals, _start, _beside, _reach, _lifted, _motors,
+        _carts,
     )  # fmt: skip
     return tuple(finding for check in checks for finding in check(rig))
 
@@ -83,6 +88,51 @@ def _sensors(rig: Rig) -> Iterator[Finding]:
                 f"arm '{arm.name}' has no wrist sensor, and contact forces are controlled by what "
                 "wrist sensors read; name a frame of its URDF as wrist_sensor",
             )
+
+
+def _tare(rig: Rig) -> Iterator[Finding]:
+    """Weights that the wrists read and the model does not know; the exact plant has no tare."""
+    scenario = rig.scenario
+    if not rig.pairs or scenario.tare is not None or scenario.plant.type == "rigid":
+        return
+    error, wrist = scenario.model_error, scenario.sensors.wrist
+    wrong = [
+        f"model_error.{key} is {value:g}"
+        for key, value in (("object_mass", error.object_mass), ("arm_mass", error.arm_mass))
+        if value != 1.0
+    ]
+    if wrist is not None:
+        wrong += [
+            f"sensors.wrist.{key} has a bias of {of.bias:g} {unit}"
+            for key, of, unit in (("force", wrist.force, "N"), ("torque", wrist.torque, "N m"))
+            if of.bias > 0.0
+        ]
+    if wrong:
+        yield Finding(
+            False,
+            f"{' and '.join(wrong)}, and nothing zeroes the wrist sensors: what they read wrongly "
+            "is taken for contact force; set tare={} to zero them in free space before contact",
+        )
+
+
+def _springs(rig: Rig) -> Iterator[Finding]:
+    try:
+        joints = hardware.flexible_joints(rig.scenario, rig.chain, rig.state())
+        hardware.torque_loop(rig.scenario, rig.chain, joints)
+    except OscContactError as error:
+        yield Finding(True, str(error))
+        return
+    if joints is None or rig.scenario.control.joint_torque is not None:
+        return
+    swing = modes(rig.state(), rig.chain.actuated, joints.stiffness)
+    first = float(swing[swing > 0.0].min(initial=np.inf))
+    if first < SOFT_HZ:
+        yield Finding(
+            False,
+            f"the springs in the joints swing at {first:.3g} Hz (first mode, motors held), and no "
+            f"joint torque loop makes them carry what is commanded: below {SOFT_HZ:g} Hz contact "
+            f"is lost; set control.joint_torque={{rate: {1e-3 / rig.scenario.plant.step:g} kHz}}",
+        )
 
 
 def _rate(rig: Rig) -> Iterator[Finding]:
