@@ -5,6 +5,7 @@ Nothing of the toolkit's dynamics is used here: the URDFs are read by MuJoCo's o
 
 from __future__ import annotations
 
+import copy
 import logging
 from collections.abc import Sequence
 from functools import cache
@@ -283,17 +284,50 @@ class MujocoPlant:
             self._drive(self.time + k * self._step)
             self._mj.mj_step(self.model, self.data)
         self.time += steps * self._step
-        if (
-            self._warnings.tobytes() != self._calm
-        ):  # accelerations that are not finite are among them
-            kinds = [self._mj.mjtWarning(i).name for i in np.flatnonzero(self._warnings)]
-            raise PlantError(
-                f"MuJoCo diverged at t = {self.time:.4f} s ({', '.join(kinds)}); largest speed "
-                f"{np.abs(self.data.qvel).max():.3g}. Lower the gains or the plant step."
-            )
+        if self._warnings.tobytes() != self._calm:  # of accelerations that are not finite, too
+            self.require_calm()
+
+    def require_calm(self) -> None:
+        """Whether MuJoCo has warned of anything since the start.
+
+        Raises:
+            PlantError: it has: the simulation diverged.
+        """
+        if not self._warnings.any():
+            return
+        kinds = [self._mj.mjtWarning(i).name for i in np.flatnonzero(self._warnings)]
+        raise PlantError(
+            f"MuJoCo diverged at t = {self.time:.4f} s ({', '.join(kinds)}); largest speed "
+            f"{np.abs(self.data.qvel).max():.3g}. Lower the gains or the plant step."
+        )
 
     def stop(self) -> None:
         """Nothing to do."""
+
+    def memory(self, period: float) -> tuple[Any, ...] | None:
+        """What compiled code needs to measure and step in this plant's place.
+
+        qpos, qvel, sensordata, ctrl; places of q and v, motor joints with springs and places of
+        these; (arms, 6) places of the wrist readings, −1: none; addresses of `mjData`, `mjModel`
+        and a model without sensors; steps in a period; the counts of warnings.
+
+        Returns:
+            None where Python has a part in every step: faces that move, motors with errors, pushes.
+        """
+        if self._moved or self.pushes or self.drives.motors is not None:
+            return None
+        blind = copy.copy(self.model)
+        blind.opt.disableflags = self._flags | self._blind
+        self._kept = blind  # compiled code knows its address only
+        readings = np.full((len(self.chain.arms), 6), -1)
+        readings[self._sensed] = self._readings
+        driven = np.array(self.chain.actuated if len(self._springs) else [], dtype=int)
+        return (
+            self._qpos, self._qvel, self._sensordata, self._ctrl, self._q, self._v, driven,
+            self._springs, self._spring_v, readings, int(self.data._address),
+            int(self.model._address), int(blind._address), round(period / self._step) or 1,
+            self._warnings,
+        )  # fmt: skip
 
     def _push(self, push: Push, force: Array) -> None:
         sensor = self.model.body(f"{push.arm}/{self._wrists[push.arm]}")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 
 import pinocchio as pin
@@ -88,6 +90,8 @@ def load_model(
             `ModelError.findings`.
         InvalidInputError: limits for joints that do not exist.
     """
+    if not limits and not package_dirs:
+        return _judged(Path(path), inertias).model.copy()
     return load(path, limits=limits, inertias=inertias, package_dirs=package_dirs).model
 
 
@@ -97,8 +101,9 @@ def load_body(path: Path | str) -> pin.Inertia:
     Raises:
         ModelError: as :func:`load_model`; or a joint moves; or not exactly one link has mass.
     """
-    loaded = load(path)
-    model, file = loaded.model, Path(path)
+    file = Path(path)
+    loaded = _judged(file, "possible")
+    model = loaded.model
     heavy = [k.name for k in loaded.document.links.values() if k.inertial and k.inertial.mass > 0]
     if model.nv > 0:
         moving = ", ".join(list(model.names)[1:])
@@ -146,6 +151,25 @@ def cross_check(path: Path | str) -> float:
     """
     file = Path(path)
     return compare(build_model(_sound(file, ())), file)
+
+
+_KEPT = 32  #: files whose models are kept
+_kept: OrderedDict[tuple[Path, bytes, Inertias], Loaded] = OrderedDict()
+
+
+def _judged(file: Path, inertias: Inertias) -> Loaded:
+    """As `load`; a file with the bytes of one that passed is not judged again.
+
+    Studies build thousands of rigs from the same files. Nobody may change what is returned.
+    """
+    require_level(inertias)
+    key = file.absolute(), sha256(read_bytes(file)).digest(), inertias
+    if key not in _kept:
+        loaded = load(file, inertias=inertias)
+        while len(_kept) >= _KEPT:
+            _kept.popitem(last=False)
+        _kept[key] = loaded
+    return _kept[key]
 
 
 def _sound(file: Path, package_dirs: Sequence[Path]) -> Document:

@@ -24,7 +24,7 @@ from osc_contact.runs.channels import Tick, channels, work_out
 from osc_contact.runs.log import Log, Subject
 from osc_contact.spatial import Array
 
-__all__ = ["Recorder", "recording_of"]
+__all__ = ["Recorder", "describe_subject", "recording_of"]
 
 _logger = logging.getLogger("osc_contact.recorder")
 
@@ -69,7 +69,7 @@ class Recorder:
         """
         self._began = perf_counter(), process_time()
         of = _subject(controller) if subject is None else subject
-        self._meta, self._told = {**_about(of), **(meta or {})}, False
+        self._meta, self._told = {**describe_subject(of), **(meta or {})}, False
         self.log = Log(of, judge, JournalFile(journal, self._meta))
 
     @property
@@ -144,7 +144,8 @@ def _subject(controller: Controller) -> Subject:
     return Subject(controller, pairs, world, np.array(owners, dtype=int), free)
 
 
-def _about(of: Subject) -> dict[str, Any]:
+def describe_subject(of: Subject) -> dict[str, Any]:
+    """What a recording says of who and what is in it."""
     chain = of.controller.chain
     return {
         "arm_names": [arm.name for arm in chain.arms],

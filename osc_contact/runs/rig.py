@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -46,7 +47,20 @@ from osc_contact.scenarios.geometry import GraspSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 
-__all__ = ["Rig", "build_chain", "build_rig"]
+__all__ = ["MakesChains", "Rig", "build_chain", "build_rig"]
+
+
+class MakesChains(Protocol):
+    """What `build_chain` does."""
+
+    def __call__(
+        self,
+        scenario: Scenario,
+        arm_mass: float = 1.0,
+        object_mass: float = 1.0,
+        joint_friction: float = 1.0,
+    ) -> ClosedChain:
+        """Arms and object of a scenario, with masses and friction times the given factors."""
 
 
 @dataclass(frozen=True)
@@ -211,16 +225,21 @@ class Rig:
         return Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in self.pairs])
 
 
-def build_rig(scenario: Scenario) -> Rig:
+def build_rig(scenario: Scenario, chains: MakesChains | None = None) -> Rig:
     """Load the parts, close the loops, put the object onto the faces.
+
+    Args:
+        scenario: from `load_scenario`.
+        chains: makes the chains in place of `build_chain`, such as one that keeps them.
 
     Raises:
         ScenarioError, ModelError, ContactError: with what does not fit together.
     """
     error = scenario.model_error
-    chain = build_chain(scenario)
+    make = build_chain if chains is None else chains
+    chain = make(scenario)
     factors = error.arm_mass, error.object_mass, error.joint_friction
-    model = chain if set(factors) == {1.0} else build_chain(scenario, *factors)
+    model = chain if set(factors) == {1.0} else make(scenario, *factors)
     pairs = build_pairs(scenario)
     q_guess = np.concatenate([arm.posture for arm in scenario.arms])
     if q_guess.shape != (chain.nq,):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
 
-__all__ = ["run", "start"]
+__all__ = ["describe_run", "run", "run_rig", "start"]
 
 Progress = Callable[[float], None]
 Install = Callable[[Controller], Controller]
@@ -69,23 +70,38 @@ def run(
     if plant is not None:
         changes["plant"] = scenario.plant.model_dump() | {"type": plant}
     rig = build_rig(scenario.replaced(**changes) if changes else scenario)
-    scenario = rig.scenario
     doubts = require_ready(rig)
-    simulated, controller = start(rig, seed, install)
+    parts = start(rig, seed, install)
+    return run_rig(rig, seed, doubts, *parts, progress=progress, viewer=viewer, journal=journal)
+
+
+def run_rig(
+    rig: Rig,
+    seed: int,
+    doubts: Sequence[str],
+    plant: Plant,
+    controller: Controller,
+    *,
+    progress: Progress | None = None,
+    viewer: Shows | None = None,
+    journal: Path | None = None,
+) -> Recording:
+    """Run a rig whose plant and controller stand at their start, see `run`.
+
+    Args:
+        rig: see `build_rig`. seed: of everything random. doubts: see `require_ready`.
+        plant, controller: see `start`. progress, viewer, journal: see `run`.
+    """
+    scenario = rig.scenario
     ticks = round(scenario.duration * scenario.control.rate)
-    about = {
-        "scenario": scenario.as_dict(),
-        "source": None if scenario.source is None else scenario.source.name,
-        "source_folder": None if scenario.source is None else str(scenario.source.resolve().parent),
-        "plant": scenario.plant.type,
-        "seed": seed,
-        "force_steps_s": force_steps(scenario),
-        "doubts": doubts,
-    }
     recorder = Recorder(
-        controller, simulated, subject=rig.subject(controller), journal=journal, meta=about
+        controller,
+        plant,
+        subject=rig.subject(controller),
+        journal=journal,
+        meta=describe_run(rig, seed, doubts),
     )
-    robot = rig.robot(simulated, controller)
+    robot = rig.robot(plant, controller)
     taring = controller if scenario.tare is None else _Taring(rig, controller)
     with asked_to_end() as asked:
         plan = until(asked, rig.references.each(ticks, controller.dt))
@@ -102,6 +118,20 @@ def run(
     return recorder.recording()
 
 
+def describe_run(rig: Rig, seed: int, doubts: Sequence[str]) -> dict[str, Any]:
+    """What the recording of a rig's run says of itself."""
+    scenario = rig.scenario
+    return {
+        "scenario": scenario.as_dict(),
+        "source": None if scenario.source is None else scenario.source.name,
+        "source_folder": None if scenario.source is None else str(scenario.source.resolve().parent),
+        "plant": scenario.plant.type,
+        "seed": seed,
+        "force_steps_s": force_steps(scenario),
+        "doubts": list(doubts),
+    }
+
+
 def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plant, Controller]:
     """Plant and controller of a rig at its start, under the torques that hold it, not limp.
 
@@ -109,7 +139,8 @@ def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plan
         rig: see `build_rig`. seed: of everything random.
         install: puts another control law into each controller.
     """
-    plant, controller, first = rig.plant(seed), rig.controller(), rig.controller()
+    plant, controller = rig.plant(seed), rig.controller()
+    first = copy(controller)
     if install is not None:
         controller, first = install(controller), install(first)
     plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))

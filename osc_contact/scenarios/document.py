@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from copy import deepcopy
 from typing import Any
 
 import yaml
@@ -28,6 +29,13 @@ class Document:
         if node is not None:
             self.data = self._read(node, ())
         self.origins[()] = node.start_mark.line + 1 if node is not None else 1
+
+    def copy(self, problems: Problems) -> Document:
+        """The same data, to be changed; complaints go to `problems`."""
+        other = Document.__new__(Document)
+        other.problems, other.origins = problems, dict(self.origins)
+        other.data = deepcopy(self.data)
+        return other
 
     def _read(self, node: yaml.Node, key: Key) -> Any:
         self.origins.setdefault(key, node.start_mark.line + 1)

@@ -17,7 +17,7 @@ from .nodes import Problems
 from .schema import Scenario
 from .wording import complaints
 
-__all__ = ["list_scenarios", "load_scenario", "parse_scenario"]
+__all__ = ["Template", "list_scenarios", "load_scenario", "parse_scenario"]
 
 LARGEST = 1_000_000  #: bytes of a scenario file; the packaged ones have a few thousand
 FILES = Path(__file__).parent / "files"
@@ -34,6 +34,78 @@ def load_scenario(name_or_path: str | Path, overrides: Overrides = ()) -> Scenar
 
     Raises:
         ScenarioError: no such scenario, or the file or an override is wrong (all complaints)."""
+    return Template.open(name_or_path).make(overrides)
+
+
+def list_scenarios() -> dict[str, str]:
+    """Return name → description of the packaged scenarios, sorted by name."""
+    return {path.stem: load_scenario(path).description for path in sorted(FILES.glob("*.yaml"))}
+
+
+def parse_scenario(
+    text: str, source: str | Path | None = None, overrides: Overrides = ()
+) -> Scenario:
+    """Parse YAML text; `source` names it in complaints and anchors relative URDF paths.
+
+    Raises:
+        ScenarioError: one line per complaint, `file:line: key.path: what is wrong`."""
+    return Template(text, source).make(overrides)
+
+
+class Template:
+    """A scenario's text, read once: scenarios with other values are made of it.
+
+    Attributes:
+        source: its file, or None.
+    """
+
+    def __init__(self, text: str, source: str | Path | None = None) -> None:
+        """Read YAML text; `source` names it in complaints and anchors relative URDF paths.
+
+        Raises:
+            ScenarioError: one line per complaint."""
+        self.source = None if source is None else Path(source)
+        self._name = "scenario" if self.source is None else str(self.source)
+        problems = Problems(self._name)
+        if len(text) > LARGEST:
+            raise ScenarioError(f"{len(text)} characters; scenarios are read up to {LARGEST}")
+        self._document = Document(text, problems)
+        self._problems = list(problems.found)
+        if not isinstance(self._document.data, dict):
+            problems.at_line(1, "expected keys such as name, arms, object; got no group of keys")
+            problems.raise_any()
+
+    @classmethod
+    def open(cls, name_or_path: str | Path) -> Template:
+        """Read a packaged scenario by name or a YAML file by path.
+
+        Raises:
+            ScenarioError: no such scenario, or its text cannot be read."""
+        return cls(*_read(name_or_path))
+
+    def make(self, overrides: Overrides = ()) -> Scenario:
+        """A scenario, changed by overrides, see `load_scenario`.
+
+        Raises:
+            ScenarioError: what is wrong with the file or with an override (all complaints)."""
+        problems = Problems(self._name)
+        problems.found = list(self._problems)
+        document = self._document.copy(problems)
+        for key, value in _pairs(overrides, problems):
+            document.override(key, value)
+        try:
+            scenario = Scenario.model_validate(document.data)
+        except ValidationError as error:
+            for place, complaint in complaints(error, document.data, Scenario):
+                document.report(place, complaint)
+            problems.raise_any()
+            raise
+        problems.raise_any()
+        return scenario.with_source(self.source)
+
+
+def _read(name_or_path: str | Path) -> tuple[str, Path]:
+    """The text of a scenario, and its file."""
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml") and len(path.parts) == 1 and not path.is_file():
         known = sorted(file.stem for file in FILES.glob("*.yaml"))
@@ -52,40 +124,7 @@ def load_scenario(name_or_path: str | Path, overrides: Overrides = ()) -> Scenar
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"cannot read the scenario file {path}: {error}") from error
-    return parse_scenario(text, path, overrides)
-
-
-def list_scenarios() -> dict[str, str]:
-    """Return name → description of the packaged scenarios, sorted by name."""
-    return {path.stem: load_scenario(path).description for path in sorted(FILES.glob("*.yaml"))}
-
-
-def parse_scenario(
-    text: str, source: str | Path | None = None, overrides: Overrides = ()
-) -> Scenario:
-    """Parse YAML text; `source` names it in complaints and anchors relative URDF paths.
-
-    Raises:
-        ScenarioError: one line per complaint, `file:line: key.path: what is wrong`."""
-    path = None if source is None else Path(source)
-    problems = Problems("scenario" if path is None else str(path))
-    if len(text) > LARGEST:
-        raise ScenarioError(f"{len(text)} characters; scenarios are read up to {LARGEST}")
-    document = Document(text, problems)
-    if not isinstance(document.data, dict):
-        problems.at_line(1, "expected keys such as name, arms, object; got no group of keys")
-        problems.raise_any()
-    for key, value in _pairs(overrides, problems):
-        document.override(key, value)
-    try:
-        scenario = Scenario.model_validate(document.data)
-    except ValidationError as error:
-        for place, complaint in complaints(error, document.data, Scenario):
-            document.report(place, complaint)
-        problems.raise_any()
-        raise
-    problems.raise_any()
-    return scenario.with_source(path)
+    return text, path
 
 
 def _pairs(overrides: Overrides, problems: Problems) -> Iterator[tuple[str, str]]:

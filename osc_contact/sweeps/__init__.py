@@ -1,0 +1,1 @@
+"""Many runs of one scenario with other numbers: studies, tables of results, environments."""

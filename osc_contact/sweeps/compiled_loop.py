@@ -1,0 +1,122 @@
+"""The control loop on MuJoCo as one compiled function: ticks, steps and notes without Python.
+
+It does what `run_loop` does with a plain `MujocoPlant` and a `Recorder`, in the same order and with
+the same numbers. Where a tick is out of the ordinary it stops, and Python does that one.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import carray, njit, types  # type: ignore[attr-defined]
+from numba.extending import intrinsic
+
+from osc_contact.control.native_tick import call_tick, tick_stamp
+from osc_contact.plants.mujoco_memory import find_places
+
+__all__ = ["DIVERGED", "FULL", "ODD", "ROOM", "compiled_loop"]
+
+#: Why the loop ended: rows are full or all ticks done; the tick that was just computed is out of
+#: the ordinary; there is no room for the contacts' notes; MuJoCo warns.
+FULL, ODD, ROOM, DIVERGED = range(4)
+
+_mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
+
+
+@intrinsic
+def _at(typing: Any, address: Any) -> Any:
+    """An address as a pointer."""
+
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        return builder.inttoptr(given[0], ir.IntType(8).as_pointer())
+
+    return types.voidptr(types.intp), generate
+
+
+@njit
+def _word(address):
+    return carray(_at(address), (1,), types.int64)[0]
+
+
+@njit
+def _whole(address):
+    return carray(_at(address), (1,), types.int32)[0]
+
+
+@cache
+def compiled_loop() -> Any:
+    """The loop, see `_build`; None where it cannot be compiled."""
+    stamp = tick_stamp()
+    return None if stamp is None or find_places() is None else _build(stamp)
+
+
+def _build(stamp: int) -> Any:
+    """`stamp` tells numba's cache of a law with other arguments."""
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def loop(tables, plan, plant, places, notes, rows, sources, tail, k, last, j):
+        """Ticks k … last − 1 into rows j …; returns (next tick, next row, why)."""
+        if stamp < 0:
+            return k, j, FULL
+        model, memory, work, codes, rank, squeeze, still, flags, r, tau = tables
+        X_WD, V_D, A_D, alpha_d = plan
+        qpos, qvel, sensed, ctrl, q_at, v_at, driven, spring_q, spring_v, readings = plant[:10]
+        data, whole_model, blind_model, substeps, warnings = plant[10:]
+        points, geoms, addresses, forces, place, frame = notes
+        n = q_at.size
+        q, v, wrenches = np.zeros(n), np.zeros(n), np.zeros(readings.shape)
+        while k < last and j < len(rows):
+            count = _whole(data + places[0])
+            if count > place.shape[1]:
+                return k, j, ROOM
+            first, force = _word(data + places[1]), _word(data + places[2])
+            for c in range(count):
+                if _whole(first + c * places[3] + places[5]) >= forces.shape[1]:
+                    return k, j, ROOM
+            for i in range(n):
+                q[i], v[i] = qpos[q_at[i]], qvel[v_at[i]]
+            for i in range(spring_q.size):
+                q[driven[i]] += qpos[spring_q[i]]
+                v[driven[i]] += qvel[spring_v[i]]
+            for i in range(readings.shape[0]):
+                for c in range(6):
+                    if readings[i, c] >= 0:
+                        wrenches[i, c] = sensed[readings[i, c]]
+            done = call_tick((
+                model, memory, work, q, v, wrenches, X_WD[k], V_D[k], A_D[k], alpha_d[k], squeeze,
+                still, flags, tau, codes, 0, 4, 0, 1,
+            ))  # fmt: skip
+            if done != 2 or rank[0] != r:
+                return k, j, ODD
+            row, end = rows[j], 0
+            for part in (q, v, tau, alpha_d[k]):
+                row[end : end + part.size] = part
+                end += part.size
+            for i in range(len(sources)):
+                size = sources[i, 1]
+                row[end : end + size] = carray(_at(sources[i, 0]), (size,), types.float64)
+                end += size
+            row[end:] = tail
+            points[j] = count
+            for c in range(count):
+                here = first + c * places[3]
+                geoms[j, c] = carray(_at(here + places[4]), (2,), types.int32)
+                addresses[j, c] = address = _whole(here + places[5])
+                place[j, c] = carray(_at(here + places[6]), (3,), types.float64)
+                frame[j, c] = carray(_at(here + places[7]), (9,), types.float64)
+                if address >= 0:
+                    forces[j, address] = carray(_at(force + 8 * address), (1,), types.float64)[0]
+            ctrl[:] = tau
+            for _ in range(substeps - 1):
+                _mj_step(blind_model, data)
+            _mj_step(whole_model, data)
+            k, j = k + 1, j + 1
+            for i in range(warnings.size):
+                if warnings[i] != 0:
+                    return k, j, DIVERGED
+        return k, j, FULL
+
+    return loop

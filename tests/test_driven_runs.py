@@ -1,0 +1,127 @@
+"""Compiled runs: every number of the recording is that of the same run, tick by tick in Python."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import osc_contact as osc
+from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.runs.preflight import require_ready
+from osc_contact.runs.run import start
+from osc_contact.sweeps import driven_run
+from osc_contact.sweeps.compiled_loop import compiled_loop
+from osc_contact.sweeps.driven_run import record_run
+from osc_contact.sweeps.workshop import Workshop
+
+pytestmark = pytest.mark.skipif(compiled_loop() is None, reason="the law runs as plain Python")
+
+PLAIN = ["two_contact_rod", "panda_edge", "hinge_ball_rod", "three_arm_plate", "limited_rod"]
+OTHERS = ["workcell", "moving_face", "approach_and_slide"]  # sensors, faces that move, phases
+
+
+def compare(one: osc.Recording, other: osc.Recording) -> None:
+    assert set(one.channels) == set(other.channels)
+    for name in set(one.channels) - {"tick_s"}:
+        np.testing.assert_allclose(
+            np.asarray(other[name], float), np.asarray(one[name], float), rtol=0, atol=1e-9,
+            err_msg=name, equal_nan=True,
+        )  # fmt: skip
+    clocks = {"wall_s", "cpu_s"}
+    assert {k: v for k, v in one.meta.items() if k not in clocks} == {
+        k: v for k, v in other.meta.items() if k not in clocks
+    }
+
+
+def spy(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Ticks that Python had a part in."""
+    seen: list[int] = []
+    inner = driven_run.DrivenLog.note
+
+    def note(self, *args):
+        seen.append(self.count)
+        inner(self, *args)
+
+    monkeypatch.setattr(driven_run.DrivenLog, "note", note)
+    return seen
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_recording_is_that_of_the_same_run(name, monkeypatch) -> None:
+    by_hand = spy(monkeypatch)
+    scenario = osc.load_scenario(name, ["duration=0.7 s"])
+    compare(osc.run(scenario, seed=3), record_run(osc.build_rig(scenario), 3))
+    ticks = round(0.7 * scenario.control.rate)
+    assert 1 <= len(by_hand) < 0.5 * ticks  # the others were compiled
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_python_has_a_part_in_runs_as_ever(name, monkeypatch) -> None:
+    by_hand = spy(monkeypatch)
+    scenario = osc.load_scenario(name, ["duration=0.1 s"])
+    compare(osc.run(scenario, seed=3), record_run(osc.build_rig(scenario), 3))
+    assert not by_hand
+
+
+def test_ticks_at_a_motor_limit_are_those_of_the_quadratic_program(monkeypatch) -> None:
+    """Weak motors: a good part of the ticks saturates, in Python, and the rest goes on from it."""
+    by_hand = spy(monkeypatch)
+    weak = ["arms.left.effort_factor=0.09", "arms.right.effort_factor=0.09", "duration=0.3 s"]
+    scenario = osc.load_scenario("two_contact_rod", weak)
+    one, other = osc.run(scenario), record_run(osc.build_rig(scenario))
+    saturated = int(np.count_nonzero(np.asarray(one["status"]) == 1))
+    assert 5 <= saturated <= len(by_hand) < 300
+    compare(one, other)
+
+
+def test_a_run_that_diverges_leaves_what_came_before(monkeypatch) -> None:
+    """Something hits the arm after the first tick, which Python does; the next is compiled."""
+    command = MujocoPlant.command
+
+    def hit(plant, tau, duration):
+        command(plant, tau, duration)
+        plant.data.xfrc_applied[:] = 1e14
+
+    monkeypatch.setattr(MujocoPlant, "command", hit)
+    scenario = osc.load_scenario("two_contact_rod", ["duration=0.1 s"])
+    with pytest.raises(osc.PlantError, match="diverged") as single:
+        osc.run(scenario)
+    with pytest.raises(osc.PlantError) as compiled:
+        record_run(osc.build_rig(scenario))
+    assert str(single.value) == str(compiled.value)
+    assert len(compiled.value.recording) == 2
+    compare(single.value.recording, compiled.value.recording)
+
+
+def test_rigs_of_a_workshop_are_those_built_alone() -> None:
+    """In an order in which every chain that is kept has been used by another run."""
+    workshop = Workshop()
+    changes = [(m, n) for m in (1.0, 1.2) for n in ("0.50", "0.53")]
+    scenarios = [
+        osc.load_scenario(
+            "two_contact_rod",
+            [f"model_error.object_mass={m}", f"contacts.left_end.face.normal.0={n}",
+             "duration=0.05 s"],
+        )
+        for m, n in changes
+    ]  # fmt: skip
+    for scenario in scenarios:
+        compare(osc.run(scenario), record_run(workshop.rig(scenario)))
+    rigs = [workshop.rig(scenario) for scenario in scenarios]
+    assert len({id(rig.chain) for rig in rigs}) == 1 and len({id(rig.model) for rig in rigs}) == 2
+    assert len({rig.q_contact.tobytes() for rig in rigs}) == 2  # the normals do vary
+
+
+def test_doubts_and_refusals_are_those_of_a_run() -> None:
+    scenario = osc.load_scenario("two_contact_rod", ["duration=0.05 s", "control.rate=80 Hz"])
+    rig = osc.build_rig(scenario)
+    assert require_ready(rig) == record_run(rig).meta["doubts"] != []
+    with pytest.raises(osc.ScenarioError):
+        record_run(osc.build_rig(scenario.replaced(control={"rate": 20.0})))
+
+
+def test_start_leaves_the_controller_that_only_gave_first_torques_behind() -> None:
+    """Both controllers of a start know nothing of one another."""
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    _, controller = start(rig)
+    assert not controller._records.memory.ticked
