@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: venv browser demo test docs bench clean
+.PHONY: venv browser demo test docs gallery bench clean
 
 venv: .venv/.installed
 
@@ -39,6 +39,10 @@ test: venv browser
 docs: venv
 	$(BIN)/sphinx-build -W --keep-going -q -c docs -d out/doctrees . out/site
 	@echo "out/site/index.html"
+
+# Runs every packaged scenario and films it: some minutes. Without arguments it writes docs/gallery.md.
+gallery: venv browser
+	$(BIN)/python docs/_ext/gallery.py
 
 bench: venv
 	$(BIN)/python benchmarks/control_loop.py

@@ -203,6 +203,7 @@ def view(
         typer.Option("--html", help="one file that needs no server", show_default=False),
     ] = None,
     png: Annotated[Path | None, typer.Option("--png", help="a picture of the page")] = None,
+    gif: Annotated[Path | None, typer.Option("--gif", help="a moving picture of it")] = None,
     time: Annotated[
         float | None,
         typer.Option(help="s: stand still there (PNG: default the middle)", show_default=False),
@@ -216,10 +217,12 @@ def view(
     seed: SeedOption = 0,
     set_: SetOption = None,
 ) -> None:
-    """Look at a scenario or a recording: HTML with a time slider (default), PNG, or live."""
+    """Look at a scenario or a recording: HTML with a time slider (default), PNG, GIF, or live."""
     with exit_codes():
-        if live + (html is not None) + (png is not None) > 1:
-            raise InvalidInputError("give one of --live, --html FILE and --png FILE")
+        if live + sum(file is not None for file in (html, png, gif)) > 1:
+            raise InvalidInputError("give one of --live, --html FILE, --png FILE and --gif FILE")
+        if gif is not None and time is not None:
+            raise InvalidInputError("a GIF shows the whole recording: leave --time out")
         recording = None
         if what.endswith(RECORDINGS):
             if set_ or plant or duration is not None:
@@ -232,11 +235,16 @@ def view(
         if live:
             show_live(scenario, recording, seed, hold)
             return
-        if png is not None:
+        if png is not None or gif is not None:
             find_browser()
+        if gif is not None:
+            require("PIL")
         recording = run_with_progress(scenario, seed, None) if recording is None else recording
         if png is not None:
             say(f"written: {replay.picture(recording, rig, png, time)}")
+            return
+        if gif is not None:
+            say(f"written: {replay.moving_picture(recording, rig, gif)}")
             return
         name = Path(what).stem if what.endswith(RECORDINGS) else scenario.file_stem
         page = html or Path("out") / f"{name}.html"

@@ -33,7 +33,13 @@ out = Console(width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True)
 PARTIAL = "recording_until_failure.npz"
 UNFINISHED = "unfinished.mcap"
-EXTRAS = {"matplotlib": "plot", "mpl_toolkits": "plot", "mujoco": "sim", "ruckig": "sim"}
+EXTRAS = {
+    "matplotlib": "plot",
+    "mpl_toolkits": "plot",
+    "PIL": "plot",
+    "mujoco": "sim",
+    "ruckig": "sim",
+}
 
 
 def say(text: str) -> None:

@@ -311,6 +311,9 @@ def test_view_runs_a_scenario_and_writes_to_out(
     result = call("view", "two_contact_rod", *short, "--png", "still.png", "--time", "0.02")
     assert result.exit_code == 0, result.output
     assert (tmp_path / "still.png").read_bytes().startswith(b"\x89PNG")
+    result = call("view", "two_contact_rod", *short, "--gif", "moving.gif")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "moving.gif").read_bytes().startswith(b"GIF89a")
 
 
 @pytest.mark.parametrize("what", ["scenario", "recording"])
@@ -333,6 +336,8 @@ def test_view_refuses_what_it_cannot_show(
     assert "give one of" in refused("view", recording, "--live", "--html", tmp_path / "x.html")
     assert "change runs, not recordings" in refused("view", recording, "--duration", "1")
     assert "no recording" in refused("view", tmp_path / "none.npz")
+    words = refused("view", recording, "--gif", tmp_path / "x.gif", "--time", "0.5")
+    assert "a GIF shows the whole recording" in words
     words = refused("view", recording, "--png", tmp_path / "x.png", "--time", "7")
     assert "time 7 s is not in the recording, which spans 0 to 1.04" in words
     Recording({"contact_names": []}, {"t": np.zeros(1)}).save(tmp_path / "bare.npz")

@@ -14,8 +14,9 @@ from osc_contact.runs.rig import Rig
 from osc_contact.runs.viewing import write_scene_of
 from osc_contact.visual.browser import find_browser, write_png
 from osc_contact.visual.live import Viewer
+from osc_contact.visual.movie import write_gif
 
-__all__ = ["RealTime", "picture", "replay", "wait_for"]
+__all__ = ["RealTime", "moving_picture", "picture", "replay", "wait_for"]
 
 
 class RealTime:
@@ -70,3 +71,16 @@ def picture(recording: Recording, rig: Rig, path: Path, time: float | None) -> P
     with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
         page = write_scene_of(recording, rig, Path(folder) / "scene.html")
         return write_png(page, path, moment)
+
+
+def moving_picture(recording: Recording, rig: Rig, path: Path) -> Path:
+    """An animated GIF of the whole recording.
+
+    Raises:
+        ViewerError: there is no browser to render it.
+    """
+    find_browser()
+    t = recording["t"]
+    with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
+        page = write_scene_of(recording, rig, Path(folder) / "scene.html")
+        return write_gif(page, path, float(t[0]), float(t[-1]))

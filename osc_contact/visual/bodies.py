@@ -121,7 +121,7 @@ class Arm:
         return ()
 
     def corners(self, sample: Sample) -> Array:
-        """(k, 3) corners of the bounding boxes at one tick, and the base."""
+        """(k, 3) corners of the bounding boxes, or points of meshes, at one tick, and the base."""
         states = self.states(sample)
         points: list[Any] = [self.arm.base.translation]
         for shape in self.shapes:
@@ -176,7 +176,12 @@ def _channel(sample: Sample, key: str, needed_by: str) -> Array:
 
 
 def _corners(shape: Any) -> list[Array]:
-    """Corners of the shape's bounding box, in its parent joint."""
+    """Corners of the shape's bounding box, or points of its mesh, in its parent joint."""
+    import coal
+
+    if isinstance(shape.geometry, coal.BVHModelBase):
+        vertices = np.asarray(shape.geometry.vertices(), dtype=float).reshape(-1, 3)
+        return [shape.placement * vertex for vertex in vertices[:: len(vertices) // 50 + 1]]
     shape.geometry.computeLocalAABB()
     box = shape.geometry.aabb_local
     low, high = (np.array(end) for end in (box.min_, box.max_))

@@ -45,6 +45,7 @@ _COLOUR = re.compile(r"^#[0-9A-Fa-f]{6}$")
 EMPTY: dict[str, Any] = {
     "live": False, "legend": [], "labels": [], "panels": [], "curves": {"t": [], "y": []},
     "begin": 0.0, "length": 0.0, "window": 0.0, "still": None, "aspect": 1.5,
+    "cameras": [],
 }  # fmt: skip
 """Configuration of a page without legend, labels and plots; aspect: width over height that the
 camera was placed for, a narrower window shows everything smaller."""

@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.visual.mesh_colours import vertex_colours
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -172,8 +173,15 @@ def urdf_geometry(node: Visualizer, shape: pin.GeometryObject) -> None:
     elif isinstance(form, coal.BVHModelBase):
         corners = np.asarray(form.vertices(), dtype=np.float32).reshape(-1, 3)
         faces = (form.tri_indices(i) for i in range(form.num_tris))
-        triangles = [[face[0], face[1], face[2]] for face in faces]
-        body.set_object(mc.TriangularMeshGeometry(corners, triangles), paint)
+        triangles = np.array([[face[0], face[1], face[2]] for face in faces])
+        told = (
+            None
+            if shape.overrideMaterial
+            else vertex_colours(shape.meshPath, triangles, len(corners))
+        )
+        if told is not None:
+            paint = mc.MeshLambertMaterial(color=0xFFFFFF, vertexColors=True)
+        body.set_object(mc.TriangularMeshGeometry(corners, triangles, told), paint)
     else:
         raise InvalidInputError(
             f"geometry {shape.name!r} is a {type(form).__name__}, which cannot be drawn: "

@@ -67,14 +67,17 @@ class Scene:
         """Where everything is at one tick."""
         return {path: state for part in self.parts for path, state in part.states(sample).items()}
 
-    def look(self, scene: Visualizer, samples: Sequence[Sample]) -> None:
-        """Floor, background, and a camera that sees what the samples show."""
-        points = [arm.corners(samples[0]) for arm in self.arms]
-        points += [body.corners(sample) for body in self.bodies for sample in samples]
-        points += [force.ends(sample) for force in self.forces for sample in samples]
+    def look(self, scene: Visualizer, samples: Sequence[Sample]) -> list[dict[str, Any]]:
+        """Floor, background, and cameras that see what the samples show (see `set_stage`)."""
+        near = [body.corners(sample) for body in self.bodies for sample in samples]
+        near += [force.ends(sample) for force in self.forces for sample in samples]
+        points = [arm.corners(samples[0]) for arm in self.arms] + near
         bases = np.array([arm.base.translation for arm in self.content.arms]).reshape(-1, 3)
         pushes = samples[0].get("contact_direction")
-        set_stage(scene, np.vstack([np.zeros((0, 3)), *points]), bases, pushes)
+        empty = np.zeros((0, 3))
+        return set_stage(
+            scene, np.vstack([empty, *points]), bases, pushes, np.vstack([empty, *near])
+        )
 
     def config(self, **more: Any) -> dict[str, Any]:
         """What the page's scripts want to know: legend, labels and plots."""
@@ -158,13 +161,14 @@ def write_scene(
         picture.trails.extend(sample)
     picture.trails.draw(scene)
     animate(scene, animation, frames)
-    picture.look(scene, samples[:: max(len(samples) // 20, 1)])
+    cameras = picture.look(scene, samples[:: max(len(samples) // 20, 1)])
     scene.set_animation(animation, play=True, repetitions=float("inf"))
     config = picture.config(
         curves=curves.thinned(picture.panels, recording.channels),
         begin=float(t[0]),
         length=float(times[-1]),
         still=still,
+        cameras=cameras,
     )
     return write_page(sink, path, content.title, config)
 

@@ -28,8 +28,12 @@ Array = NDArray[np.float64]
 
 
 def set_stage(
-    scene: Visualizer, points: Array, bases: Array, directions: NDArray[Any] | None
-) -> None:
+    scene: Visualizer,
+    points: Array,
+    bases: Array,
+    directions: NDArray[Any] | None,
+    middle_points: Array | None = None,
+) -> list[dict[str, Any]]:
     """Floor below everything; a camera on the object's side that sees the forces from the side.
 
     Args:
@@ -37,6 +41,11 @@ def set_stage(
         points: (k, 3) what the camera shall see, m.
         bases: (arms, 3) where the arms stand, m.
         directions: (contacts, 3) of the contact forces, or None.
+        middle_points: (k, 3) what the nearer cameras shall see, m; default the same.
+
+    Returns:
+        The cameras that the page offers, the first of which is set: name, where it looks and from
+        where, seen from there (m, world).
     """
     low, high = points.min(axis=0), points.max(axis=0)
     middle = 0.5 * (low + high)
@@ -52,9 +61,22 @@ def set_stage(
         np.deg2rad([0, 15, -15, 30, -30, 45, -45, 60, -60]),
         key=lambda turn: -round(np.abs(pushes @ _view(front + turn)).max(), 1),
     )
-    target, distance = _fitted(points, _view(front + best))
-    set_camera(scene, target, distance * _view(front + best), FIELD_OF_VIEW_DEG)
+    near = points if middle_points is None or not len(middle_points) else middle_points
+    sides = {
+        "whole": (points, _view(front + best)),
+        "contacts": (near, _view(front + best)),
+        "from above": (near, _view(front, np.deg2rad(85.0))),
+        "other side": (points, _view(front + best + np.pi)),
+    }
+    cameras = []
+    for name, (seen, view) in sides.items():
+        target, distance = _fitted(seen, view)
+        cameras.append(
+            {"name": name, "target": target.tolist(), "offset": (distance * view).tolist()}
+        )
+    set_camera(scene, cameras[0]["target"], cameras[0]["offset"], FIELD_OF_VIEW_DEG)
     set_background(scene, *BACKGROUND)
+    return cameras
 
 
 def set_view(

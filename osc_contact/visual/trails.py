@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 TRAIL_COLOUR = "#5A6270"
 LONGEST = 240
 STEP = 5e-4
-RADIUS = 0.0022
+RADIUS = 0.004
 
 
 class Trails:
@@ -59,7 +59,7 @@ class Trails:
         for name, colour in self.names.items():
             path = self.points[name]
             if len(path) > 1 and self.drawn.get(name) != len(path):
-                paint = plain(colour, 0.55)
+                paint = plain(colour, 0.9)
                 scene[f"trails/{name}"].set_object(tube(path, RADIUS, sides=5), paint)
                 self.drawn[name] = len(path)
 

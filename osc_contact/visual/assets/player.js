@@ -38,7 +38,7 @@ function complain(error) {
 // Only what changes is written: a page at rest then needs no new layout and no new picture.
 const setText = (box, text) => { if (box.textContent !== text) box.textContent = text; };
 const setStyle = (box, key, value) => { if (box.style[key] !== value) box.style[key] = value; };
-const nodeAt = (path) => viewer.scene_tree.find(["meshcat", ...path.split("/")]);
+const nodeAt = (path) => viewer.scene_tree.find(["meshcat", ...path.split("/").filter(Boolean)]);
 
 const KEYS = {
   solid: (c) => `<rect y="3.2" width="17" height="3.6" fill="${c}"/><path d="M15 0l9 5-9 5z" fill="${c}"/>`,
@@ -113,6 +113,25 @@ function placeLabels(labels, time) {
   }
 }
 
+function lookThrough(camera) { // the controls turn about the origin: what is looked at goes there
+  const [x, y, z] = camera.offset;
+  nodeAt("").object.position.set(...camera.target.map((value) => -value));
+  viewer.camera.position.set(x, z, -y); // y is up in three.js
+  viewer.controls.update();
+  viewer.set_dirty();
+}
+
+function showCameras(cameras) {
+  const list = element("camera");
+  if (!cameras.length) list.remove();
+  for (const camera of cameras) list.appendChild(new Option(camera.name));
+  list.addEventListener("change", () => lookThrough(cameras[list.selectedIndex]));
+  const asked = /[#&]camera=([a-z%0-9+ ]+)/.exec(location.hash);
+  const name = asked && decodeURIComponent(asked[1]);
+  const place = cameras.findIndex((camera) => camera.name === name);
+  if (place >= 0) { list.selectedIndex = place; lookThrough(cameras[place]); }
+}
+
 let plots, labels, origin = 0, length = 0;
 const player = { ready: false, time: 0, get playing() { return viewer.animator.playing; }, seek, toggle };
 
@@ -142,12 +161,18 @@ function refresh() {
 }
 
 function start() {
+  const movie = /[#&]movie/.test(location.hash); // what write_gif photographs
+  const bare = /[#&]bare/.test(location.hash);
+  if (movie || bare) document.body.className = movie ? "movie" : "bare";
+  else if (!CONFIG.live && !CONFIG.length) document.body.className = "still";
   viewer.set_3d_pane_size();
   showLegend(CONFIG.legend);
-  plots = new Plots(element("plots"), CONFIG.panels, CONFIG.curves,
+  const panels = movie ? CONFIG.panels.slice(0, 1) : CONFIG.panels;
+  plots = new Plots(element("plots"), panels, CONFIG.curves,
     CONFIG.live ? null : (time) => seek(time - origin));
   plots.window = CONFIG.window;
   labels = showLabels(CONFIG.labels);
+  showCameras(CONFIG.cameras);
   origin = CONFIG.begin;
   length = CONFIG.length;
   element("time").max = length;
@@ -156,6 +181,7 @@ function start() {
   element("speed").addEventListener("change", (event) => {
     viewer.animator.mixer.timeScale = Number(event.target.value);
   });
+  if (movie) nodeAt("twists").set_property("visible", false);
   const caption = element("caption");
   caption.classList.toggle("folded", window.innerWidth < 700);
   caption.querySelector("h1").addEventListener("click", () => caption.classList.toggle("folded"));
@@ -166,8 +192,6 @@ function start() {
     }
     if (event.key === " " && !CONFIG.live) { event.preventDefault(); toggle(); }
   });
-  if (/[#&]bare/.test(location.hash)) document.body.className = "bare";
-  else if (!CONFIG.live && !length) document.body.className = "still";
   viewer.set_3d_pane_size();
   plots.redraw();
   const asked = /t=([0-9.]+)/.exec(location.hash); // page.html#t=2.5 shows the still at 2.5 s

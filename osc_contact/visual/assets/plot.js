@@ -181,6 +181,10 @@ class Plots {
         const number = value === null ? "–" : value.toFixed(Math.abs(value) < 0.995 ? 3 : 2);
         return { text: `${line.name} ${signed(number)} ${panel.unit}`, colour: line.colour };
       });
+      const room = LEFT + frame.w - left;
+      const needed = () => readings.reduce((sum, r) => sum + pen.measureText(r.text).width * 1.08 + 28, 0);
+      if (needed() > room) named.forEach(({ line }, k) => { readings[k].text = line.name; });
+      if (needed() > room) readings.length = 0;
       const width = readings.reduce((sum, r) => sum + pen.measureText(r.text).width * 1.08 + 30, 0);
       if (left + pen.measureText(panel.note).width + width < LEFT + frame.w) {
         pen.fillText(panel.note, left, 8);

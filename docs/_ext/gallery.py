@@ -1,0 +1,104 @@
+"""`make gallery`: a card for every packaged scenario, and the README's moving picture.
+
+Runs each scenario, films it, and writes docs/gallery.md with the verdicts of these runs.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import osc_contact as osc
+from osc_contact.runs.rig import build_rig
+from osc_contact.runs.viewing import write_scene_of
+from osc_contact.visual.movie import write_gif
+
+DOCS = Path(__file__).resolve().parents[1]
+PICTURES = DOCS / "images" / "gallery"
+README_MOST, CARD_MOST = 3_000_000, 1_500_000  # bytes
+HEAD = """# Gallery
+
+Every packaged scenario: what it shows, its command, and the verdict of the run that is shown.
+Arrows are contact forces (10 mm per newton; wide and pale: commanded, black: measured), long lines
+are lines of force, thin curves are trails. `make gallery` makes this page and its pictures anew;
+`osc-contact view SCENARIO --gif FILE` makes one of your own.
+"""
+
+
+class Shot(NamedTuple):
+    """How a scenario is filmed: how long it runs (s, None: its own time), from where."""
+
+    duration: float | None = None
+    camera: str = "whole"
+
+
+SHOTS = {
+    "approach_and_slide": Shot(camera="contacts"),
+    "collisions": Shot(4.0, "contacts"),
+    "workcell": Shot(10.0),
+}
+
+
+def verdict_words(recording: osc.Recording) -> str:
+    """The verdict of a run in one line."""
+    verdict: Mapping[str, Any] = osc.metrics(recording)
+    words = [f"**{verdict['task']['word']}**"]
+    for name, force in verdict["force"].items():
+        closed = verdict["contact_fraction"][name.partition(".")[0]]
+        if closed > 0.99:
+            told = f"error {force['rms_error_rel']:.2%} rms"
+        else:
+            told = f"closed {closed:.0%} of the time"
+        words.append(f"`{name}` {force['mean_command_N']:.1f} N, {told}")
+    motion = verdict["motion"]
+    words.append(f"free motion {1e3 * motion['rms_error_m']:.2g} mm rms")
+    return "; ".join(words)
+
+
+def film(name: str) -> str:
+    """Run a scenario, write its moving picture; returns its card."""
+    scenario, shot = osc.load_scenario(name), SHOTS.get(name, Shot())
+    print(name, flush=True)
+    recording = osc.run(scenario, duration=shot.duration)
+    t = recording["t"]
+    begin, end = float(t[0]), float(t[-1])
+    begin += 0.3 * (name != "approach_and_slide")
+    page = write_scene_of(recording, build_rig(scenario), Path("out/gallery") / f"{name}.html")
+    card = write_gif(page, PICTURES / f"{name}.gif", begin, end, (420, 370), shot.camera, 32)
+    require_small(card, CARD_MOST)
+    if name == "two_contact_rod":
+        picture = DOCS / "images" / "two_contact_rod.gif"
+        require_small(write_gif(page, picture, begin, end, camera="contacts"), README_MOST)
+    seconds = f" --duration {shot.duration:g}" if shot.duration else ""
+    first, _, rest = scenario.description.partition(" ")
+    sentence = f"`{first}` {rest}" if "_" in first else f"{first.capitalize()} {rest}"
+    return (
+        f"## {name}\n\n![{name.replace('_', ' ')}, moving](images/gallery/{name}.gif)\n\n"
+        f"{sentence}.\n\n    osc-contact run {name}{seconds}\n\n{verdict_words(recording)}\n"
+    )
+
+
+def require_small(picture: Path, most: int) -> None:
+    """Refuse a picture that is too large for a page."""
+    size = picture.stat().st_size
+    if size > most:
+        sys.exit(f"{picture} has {size} bytes, more than {most}: fewer frames or a smaller size")
+
+
+def main() -> None:
+    """Make all cards, or those named."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    Path("out/gallery").mkdir(parents=True, exist_ok=True)
+    names = sys.argv[1:] or list(osc.list_scenarios())
+    cards = [film(name) for name in names]
+    if not sys.argv[1:]:
+        text = "\n".join([HEAD, *cards])
+        (DOCS / "gallery.md").write_text(text, encoding="utf-8")
+    else:
+        print("\n".join(cards))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""Moving pictures: frames of a page at the times that are asked for, and the page's cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from headless import Browser, near
+from PIL import Image, ImageSequence
+from scene_samples import ARMS, BODIES, make_recording
+
+from osc_contact.errors import ViewerError
+from osc_contact.visual import contact_colour
+from osc_contact.visual.devtools import FRAMES
+from osc_contact.visual.movie import moments, one_palette, write_gif
+from osc_contact.visual.scene import write_scene
+from osc_contact.visual.subspaces import T_COLOUR
+
+SIZE = (320, 300)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scene(make_recording(), ARMS, BODIES, tmp_path_factory.mktemp("m") / "s.html")
+
+
+@pytest.fixture(scope="module")
+def gif(page: Path) -> list[np.ndarray]:
+    path = write_gif(page, page.with_suffix(".gif"), 0.0, 1.0, SIZE, most=6)
+    with Image.open(path) as picture:
+        assert picture.format == "GIF" and picture.info["loop"] == 0
+        assert picture.info["duration"] == 170  # ms: six frames of one second
+        return [np.asarray(f.convert("RGB")).astype(int) for f in ImageSequence.Iterator(picture)]
+
+
+def test_frames_are_of_equal_steps_and_play_in_real_time() -> None:
+    times, shown = moments(2.0, 4.0)
+    assert len(times) == 24 and shown == 80
+    np.testing.assert_allclose(times, 2.0 + np.arange(24) / 12.0)
+    times, shown = moments(0.0, 60.0)
+    assert len(times) * shown == pytest.approx(10_000, rel=0.1), "faster, in 10 s"
+
+
+def test_a_gif_shows_arm_arrows_curves_and_the_marker_at_its_times(gif: list[np.ndarray]) -> None:
+    assert len(gif) == 6 and gif[0].shape == (300, 320, 3)
+    for number, frame in enumerate(gif):
+        dock = frame[210:260]
+        marker = np.flatnonzero((dock.max(axis=2) < 110).sum(axis=0) > 35)
+        assert abs(marker.mean() - (58 + number / 6 * (320 - 58 - 18))) < 3
+    blue = [near(frame[:180], contact_colour(0), 40) for frame in gif]
+    assert blue[1] > 20 and near(gif[0][:180], T_COLOUR) < 20, "arrows, and no twist axes"
+    moved = np.abs(gif[0][:180] - gif[-1][:180]).max(axis=2) > 40
+    assert moved.sum() > 500, "the arm has moved"
+
+
+def test_pixels_that_hardly_change_keep_their_colour() -> None:
+    rng = np.random.default_rng(3)
+    still = rng.integers(0, 255, (40, 40, 3))
+    other = np.clip(still + rng.integers(-4, 5, still.shape), 0, 255)
+    other[:5] = 255 - still[:5]
+    frames = [Image.fromarray(np.uint8(f)) for f in (still, other)]
+    first, second = (np.asarray(f.convert("RGB")).astype(int) for f in one_palette(frames))
+    assert np.array_equal(first[5:], second[5:])
+    assert np.abs(second[:5] - other[:5]).mean() < 20
+
+
+def test_cameras_look_from_where_they_say(page: Path) -> None:
+    with Browser(f"{page.as_uri()}#t=0.5&camera=from%20above") as browser:
+        names = browser.run("[...element('camera').options].map(o => o.textContent)")
+        assert names == ["whole", "contacts", "from above", "other side"]
+        assert browser.run("element('camera').value") == "from above"
+        eyes = {}
+        for place, name in enumerate(names):
+            browser.run(
+                f"element('camera').selectedIndex = {place};"
+                "element('camera').dispatchEvent(new Event('change'))"
+            )
+            browser.run(FRAMES)
+            eyes[name] = np.array(browser.run("viewer.camera.position.toArray()"))
+            ends = [
+                browser.run(
+                    f"nodeAt('contacts/{end}').object.getWorldPosition(new MeshCat.THREE.Vector3())"
+                    ".project(viewer.camera).toArray()"
+                )
+                for end in ("left_end", "right_end")
+            ]
+            assert np.abs(np.array(ends)[:, :2]).max() < 1, f"{name} sees both contacts"
+        assert browser.errors == []
+    high = {name: eye[1] / np.linalg.norm(eye) for name, eye in eyes.items()}
+    assert high["from above"] > 0.99 and high["whole"] == pytest.approx(np.sin(np.deg2rad(28)))
+    assert np.linalg.norm(eyes["contacts"]) < np.linalg.norm(eyes["whole"])
+    flat = [eyes[name][[0, 2]] / np.linalg.norm(eyes[name][[0, 2]]) for name in names]
+    np.testing.assert_allclose(flat[3], -flat[0], atol=1e-6)
+
+
+def test_a_page_whose_script_fails_gives_no_gif(page: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.html"
+    text = page.read_text(encoding="utf-8")
+    broken.write_text(
+        text.replace("function seek(time) {", "function seek(time) { if (player.ready) throw 1;")
+    )
+    with pytest.raises(ViewerError, match="a script of the page failed"):
+        write_gif(broken, tmp_path / "x.gif", 0.0, 1.0, SIZE, most=2)
+    assert [p.name for p in tmp_path.iterdir()] == ["broken.html"]
