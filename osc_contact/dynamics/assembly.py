@@ -131,7 +131,7 @@ def closed(
         return q, X
     raise ModelError(
         f"the loops and contacts do not close: the largest error left is {np.abs(error).max():.3g} "
-        "(m or rad). Start the object nearer to the contacts, or check grasps and faces."
+        "(m or rad). Start the object nearer to the contacts, or check grasps and faces"
     )
 
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
-import coal
+import daqp
 import numpy as np
-import pinocchio as pin
 
-from osc_contact.contacts.detection import CollisionShape, collision_shapes
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.joint_modes import modes
-from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
+from osc_contact.errors import OscContactError, ScenarioError
 from osc_contact.runs import hardware
+from osc_contact.runs import preflight_contacts as at
 from osc_contact.runs.contacts import feet
+from osc_contact.runs.finding import Finding
 from osc_contact.runs.references import force_names
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.touching import CartSpec
@@ -23,28 +22,12 @@ from osc_contact.spatial import Array
 
 __all__ = ["Finding", "preflight", "require_ready"]
 
-MOVED_M, MISPLACED_M = 0.02, 0.1  #: start pose that moved: doubtful, refused
-BESIDE_M = 0.005  #: a contact further than this beside its body is refused
-LIFTED_M = 0.005  #: a motion that opens or closes a gap by more is doubtful
 CART_M = 0.2  #: a free cart that runs further is doubtful
 SLOW, TOO_SLOW = 0.7, 2.0  #: gain × control period: doubtful, refused (a sampled loop diverges)
 SOFT_HZ = 100.0  #: joints whose springs swing slower want a joint torque loop
-OVERLOAD = 2.0  #: forces that need more than so many times the motors' limits are refused
+OVERLOAD = 3.0  #: forces that ever need more than so many times the motors' limits are refused
 _SAMPLES = 400  #: instants at which references are looked at
 _logger = logging.getLogger("osc_contact.preflight")
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that is wrong, or doubtful.
-
-    Attributes:
-        refused: whether it cannot run; else it is doubtful.
-        text: a sentence with the numbers and the cure.
-    """
-
-    refused: bool
-    text: str
 
 
 def preflight(rig: Rig) -> tuple[Finding, ...]:
@@ -59,8 +42,8 @@ def preflight(rig: Rig) -> tuple[Finding, ...]:
         rig: see `build_rig`.
     """
     checks: tuple[Callable[[Rig], Iterator[Finding]], ...] = (
-        _sensors, _tare, _rate, _springs, _normals, _start, _beside, _reach, _lifted, _motors,
-        _carts,
+        _sensors, _tare, _rate, _springs, at.normals, at.inverted, at.inside, at.start, at.beside,
+        _reach, at.lifted, _motors, _carts,
     )  # fmt: skip
     return tuple(finding for check in checks for finding in check(rig))
 
@@ -151,78 +134,6 @@ def _rate(rig: Rig) -> Iterator[Finding]:
             )
 
 
-def _normals(rig: Rig) -> Iterator[Finding]:
-    X = rig.state().X_WO
-    pin.forwardKinematics(rig.chain.model, rig.chain.data, rig.q_contact)
-    tips = [tip.translation for tip in rig.chain.tip_poses()]
-    for i, (pair, spec) in enumerate(zip(rig.pairs, rig.scenario.contacts, strict=True)):
-        face = getattr(spec, "face", None)
-        if face is None:
-            continue
-        point, normal = np.array(face.point), np.array(face.normal)
-        heights = [float(normal @ (p - point)) for p in (X.translation, *tips)]
-        if max(heights) < 0.0:
-            yield Finding(
-                True,
-                f"the normal of the face of contact '{pair.name}' looks away from the robot: the "
-                f"object and all arm tips lie {-1e3 * max(heights):.0f} mm or more behind it; the "
-                f"normal points out of the face, towards the object: reverse "
-                f"contacts.{rig.scenario.contacts[i].name}.face.normal",
-            )
-
-
-def _start(rig: Rig) -> Iterator[Finding]:
-    asked, found = np.array(rig.scenario.object.pose.xyz), rig.state().X_WO.translation
-    moved = float(np.linalg.norm(found - asked))
-    if moved > MOVED_M:
-        yield Finding(
-            moved > MISPLACED_M,
-            f"to touch its contacts the object starts {1e3 * moved:.0f} mm away from object.pose, "
-            f"at {np.round(found, 4).tolist()} m instead of {np.round(asked, 4).tolist()} m; move "
-            "the faces to the object, or object.pose and posture to the faces",
-        )
-
-
-def _beside(rig: Rig) -> Iterator[Finding]:
-    """Contacts beside their bodies; those of the exact plant have no ends."""
-    if rig.scenario.plant.type == "rigid":
-        return
-    X = rig.state().X_WO
-    for i, pair in enumerate(rig.pairs):
-        if getattr(pair, "surface_point", None) is None:
-            continue
-        body = rig.bodies[rig.on[i]]
-        try:
-            shapes = collision_shapes(body.urdf[0])
-        except (InvalidInputError, ModelError):  # meshes that are not convex, …
-            continue
-        for point in feet(pair, X)[0] if shapes else ():
-            away = min(_distance(shape, body.placement, point) for shape in shapes)
-            if away > BESIDE_M:
-                yield Finding(
-                    True,
-                    f"contact '{pair.name}' would touch at {np.round(point, 3).tolist()} m, "
-                    f"{1e3 * away:.0f} mm beside '{body.name}', whose collision geometry ends "
-                    "before; move the face, or the contact's place on the object",
-                )
-                break
-
-
-def _distance(shape: CollisionShape, X_WB: pin.SE3, point: Array) -> float:
-    """From a point to a shape of a body, not positive inside."""
-    X = X_WB * shape.placement
-    return float(
-        coal.distance(
-            shape.shape,
-            coal.Transform3s(X.rotation, X.translation),
-            coal.Sphere(1e-6),
-            coal.Transform3s(np.eye(3), np.asarray(point)),
-            coal.DistanceRequest(),
-            coal.DistanceResult(),
-        )
-    )
-
-
 def _reach(rig: Rig) -> Iterator[Finding]:
     poses = rig.references.over(_times(rig)).X_WD[:, :3]
     for arm, grasp in zip(rig.chain.arms, rig.chain.grasps, strict=True):
@@ -251,55 +162,51 @@ def _length(arm: Arm) -> float:
     return links + float(np.linalg.norm(frame.placement.translation)) + slides
 
 
-def _lifted(rig: Rig) -> Iterator[Finding]:
-    if rig.scenario.control.life is not None:  # it opens contacts on purpose
-        return
-    t = _times(rig)
-    t = t[t >= rig.references.engage_at]
-    plan = rig.references.over(t[:: max(1, len(t) // 100)]).X_WD
-    poses = [pin.XYZQUATToSE3(x) for x in plan]
-    for i, pair in enumerate(rig.pairs):
-        if rig.bodies[rig.on[i]].motion is not None:
-            continue
-        gaps = np.array([pair.gaps(X) for X in poses])
-        worst = float(np.abs(gaps).max(initial=0.0))
-        if worst > LIFTED_M:
-            way = "into" if np.abs(gaps.min()) >= gaps.max() else "off"
-            yield Finding(
-                False,
-                f"the motion asks the object to go {1e3 * worst:.0f} mm {way} the surface of "
-                f"contact '{pair.name}', which does not permit it: that part is not followed; give "
-                "a direction along the surface, such as common_tangent, and press with force",
-            )
-
-
 def _motors(rig: Rig) -> Iterator[Finding]:
-    """What is asked needs at least max|x|/limit, |x|₂ least: exact where nothing is redundant."""
+    """Forces that no torques within the limits make, whatever the internal forces are."""
     state, r = rig.state(), rig.contact().r
     if not r or not state.d:
         return
     t = _times(rig)
     alpha = np.asarray(rig.references.over(t).alpha_d)
     limits = np.minimum(rig.chain.tau_max, 1e12)
-    N_S = state.S.T @ rig.contact().N
-    inverse = np.linalg.pinv(state.G * limits)
-    independent = rig.contact().R @ alpha.T  # (r,) out of all
-    wanted = inverse @ (state.bias[:, None] + N_S @ independent)  # of each motor's limit
-    spare = len(limits) - int(np.linalg.matrix_rank(state.G * limits))
-    needed = np.abs(wanted).max(axis=0)
-    if spare:  # another choice of internal forces may do with less, but not with less than this
-        needed = np.linalg.norm(wanted, axis=0) / np.sqrt(len(limits))
-    k = int(np.argmax(needed))
-    if needed[k] > OVERLOAD:  # a little more only saturates, which a run tells
-        joint = rig.chain.joint_names[rig.chain.actuated[int(np.abs(wanted[:, k]).argmax())]]
+    wanted = state.bias[:, None] + state.S.T @ rig.contact().N @ rig.contact().R @ alpha.T
+    shares = np.linalg.pinv(state.G * limits) @ wanted  # of each motor's limit, least squares
+    order = np.argsort(np.abs(shares).max(axis=0))
+    most, usual = (
+        least_peak(state.G * limits, wanted[:, k]) for k in (order[-1], order[len(t) // 2])
+    )
+    if most > OVERLOAD or usual > 1.0:  # a peak that is a little too high saturates for a while
+        k = int(order[-1])
+        motor = int(np.abs(shares[:, k]).argmax())
         name = force_names(rig.scenario)[int(alpha[k].argmax())]
         yield Finding(
-            True,
+            most > OVERLOAD,
             f"force.{name} asks for {alpha[k].max():.4g} N at t = {t[k]:.3g} s, for which motors "
-            f"would need {needed[k]:.2g} times their limits at least (most of all {joint}, "
-            f"{limits[int(np.abs(wanted[:, k]).argmax())]:.3g} N m or N); ask for less force, or "
-            "choose another posture",
+            f"would need {most:.2g} times their limits at least (most of all "
+            f"{rig.chain.joint_names[rig.chain.actuated[motor]]}, {limits[motor]:.3g} N m or N); "
+            "ask for less force, or choose another posture",
         )
+
+
+def least_peak(A: Array, b: Array) -> float:
+    """The smallest max |x| of all x with A x = b, to 1 %, by bisection on the bound.
+
+    Args:
+        A: (m, n). b: (m,).
+    """
+    x = np.linalg.pinv(A) @ b
+    low, high = float(np.linalg.norm(x) / np.sqrt(len(x))), float(np.abs(x).max())
+    scale = np.linalg.norm(A, axis=1)
+    rows, right = A / scale[:, None], b / scale
+    while high - low > 0.01 * high:
+        bound = 0.5 * (low + high)
+        box = np.full(len(x), bound)
+        upper, lower = np.concatenate((box, right)), np.concatenate((-box, right))
+        sense = np.concatenate((np.zeros(len(x)), np.full(len(b), 5))).astype(np.int32)
+        flag = daqp.solve(np.eye(len(x)), np.zeros(len(x)), rows, upper, lower, sense)[2]
+        low, high = (low, bound) if flag > 0 else (bound, high)
+    return high
 
 
 def _carts(rig: Rig) -> Iterator[Finding]:

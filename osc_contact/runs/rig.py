@@ -26,7 +26,7 @@ from osc_contact.dynamics.assembly import close, reach
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
 from osc_contact.dynamics.payload import RigidObject
-from osc_contact.errors import ScenarioError
+from osc_contact.errors import ModelError, ScenarioError
 from osc_contact.interface import Measurement, Robot
 from osc_contact.plants.judge import Plant
 from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
@@ -256,8 +256,11 @@ def build_rig(scenario: Scenario, chains: MakesChains | None = None) -> Rig:
         gap = np.concatenate([np.zeros(0), *(pair.gaps(X_WO) for pair in pairs)])
         return gap, np.hstack([np.zeros((6, 0)), *N])
 
-    q_contact = close(chain, q_near, gaps)
-    _require_within_limits(chain, q_contact)
+    try:
+        q_contact = close(chain, q_near, gaps)
+        _require_within_limits(chain, q_contact)
+    except (ModelError, ScenarioError) as error:
+        raise type(error)(f"{error}{_away(pairs, pose_of(scenario.object.pose))}") from error
     state = chain.state(q_contact, np.zeros(chain.nq))
     contact = Contact.stack([pair.contact(state.X_WO, np.zeros(6)) for pair in pairs])
     require_reachable(state, contact)
@@ -319,6 +322,18 @@ def _standoff(state: ChainState, contact: Contact, distance: float) -> Array:
     H_inv_N = np.linalg.solve(H, N_S)
     away = -distance * np.ones(contact.r)  # a gap opens against N
     return np.asarray(state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away)))
+
+
+def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
+    """Which contact is furthest from its face at the pose that is asked for, in words."""
+    gaps = [float(np.abs(pair.gaps(X_WO)).max(initial=0.0)) for pair in pairs]
+    if max(gaps, default=0.0) < 0.02:
+        return ""
+    name = pairs[int(np.argmax(gaps))].name
+    return (
+        f". At object.pose contact '{name}' is {1e3 * max(gaps):.0f} mm away from what it touches: "
+        "move that to the object, or object.pose and posture to it"
+    )
 
 
 def _require_within_limits(chain: ClosedChain, q: Array) -> None:
