@@ -3,6 +3,8 @@
 Names in reading order; `osc_contact.spatial` is the page of conventions.
 """
 
+from typing import TYPE_CHECKING, Any
+
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.detection import detect
 from osc_contact.contacts.pairs import (
@@ -68,6 +70,9 @@ from osc_contact.runs.run import run
 from osc_contact.runs.viewing import open_viewer
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
 from osc_contact.visual.live import Viewer
+
+if TYPE_CHECKING:
+    from osc_contact.sweeps.sweep import sweep
 
 __version__ = "0.1.0"
 
@@ -136,6 +141,7 @@ __all__ = [
     "Recording",
     "recover",
     "metrics",
+    "sweep",
     "OscContactError",
     "InvalidInputError",
     "ModelError",
@@ -152,3 +158,13 @@ __all__ = [
 globals().update(PAIRS)
 _end = __all__.index("GapFunctions") + 1
 __all__[_end:_end] = [name for name in PAIRS if name not in __all__]
+
+_LATER = {"sweep": "osc_contact.sweeps.sweep"}  #: names whose modules few programs need
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(_LATER[name]), name)

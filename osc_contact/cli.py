@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from osc_contact import __version__, robots
+from osc_contact import __version__, cli_sweeps, robots
 from osc_contact.bench.program import run_benchmark
 from osc_contact.console import (
     err,
@@ -50,6 +50,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+app.command()(cli_sweeps.sweep)
 RECORDINGS = (".npz", ".mcap")
 REPRODUCIBLE = tuple(sorted((*paper_figures.FIGURES, *STUDIES), key=lambda n: (n[:3] != "fig", n)))
 LONG = ", ".join(name for name in REPRODUCIBLE if name not in reproduction.names_of("all"))

@@ -39,6 +39,9 @@ EXTRAS = {
     "PIL": "plot",
     "mujoco": "sim",
     "ruckig": "sim",
+    "pyarrow": "sweep",
+    "scipy": "sweep",
+    "gymnasium": "learn",
 }
 
 

@@ -80,6 +80,17 @@ class Document:
             holder = holder[part]
         holder[key[-1]] = inner.data
 
+    def value(self, path: str) -> Any:
+        """What stands at `path`; None: nothing.
+
+        Raises:
+            ScenarioError: no such path."""
+        *way, last = self._make_way(path, path)
+        holder = self.data
+        for part in way:
+            holder = holder[part]
+        return holder.get(last) if isinstance(holder, dict) else holder[last]
+
     def _make_way(self, path: str, override: str) -> Key:
         """Return the key of `path`; groups that the file leaves out are begun."""
         key: Key = ()

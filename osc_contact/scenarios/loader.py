@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -17,7 +18,7 @@ from .nodes import Problems
 from .schema import Scenario
 from .wording import complaints
 
-__all__ = ["Template", "list_scenarios", "load_scenario", "parse_scenario"]
+__all__ = ["Template", "list_scenarios", "load_scenario", "parse_scenario", "read_text"]
 
 LARGEST = 1_000_000  #: bytes of a scenario file; the packaged ones have a few thousand
 FILES = Path(__file__).parent / "files"
@@ -81,7 +82,19 @@ class Template:
 
         Raises:
             ScenarioError: no such scenario, or its text cannot be read."""
-        return cls(*_read(name_or_path))
+        return cls(*read_text(name_or_path))
+
+    def value(self, path: str, overrides: Overrides = ()) -> Any:
+        """What the text says of a key, as it is written there, after overrides; None: nothing.
+
+        Raises:
+            ScenarioError: no such path, or an override is wrong."""
+        problems = Problems(self._name)
+        document = self._document.copy(problems)
+        for key, value in _pairs(overrides, problems):
+            document.override(key, value)
+        problems.raise_any()
+        return document.value(path)
 
     def make(self, overrides: Overrides = ()) -> Scenario:
         """A scenario, changed by overrides, see `load_scenario`.
@@ -104,8 +117,11 @@ class Template:
         return scenario.with_source(self.source)
 
 
-def _read(name_or_path: str | Path) -> tuple[str, Path]:
-    """The text of a scenario, and its file."""
+def read_text(name_or_path: str | Path) -> tuple[str, Path]:
+    """The text of a packaged scenario or of a YAML file, and its file.
+
+    Raises:
+        ScenarioError: no such scenario, or it cannot be read."""
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml") and len(path.parts) == 1 and not path.is_file():
         known = sorted(file.stem for file in FILES.glob("*.yaml"))

@@ -1,0 +1,109 @@
+"""Commands of studies: many runs of one scenario with other numbers."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from osc_contact.console import err, exit_codes, out, require, say
+from osc_contact.runs.report import write_json
+from osc_contact.sweeps.study import Study
+from osc_contact.sweeps.summary import summarise
+from osc_contact.sweeps.sweep import TABLE, run_study
+
+__all__ = ["sweep"]
+
+
+class DesignName(StrEnum):
+    """Where the points of a study lie."""
+
+    halton = "halton"
+    sobol = "sobol"
+    latin = "latin"
+    random = "random"
+    grid = "grid"
+
+
+def sweep(
+    scenario: Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")],
+    vary: Annotated[
+        list[str],
+        typer.Option(help="path.to.key=uniform(A, B), any number; see docs/sweeps.md for others"),
+    ],
+    samples: Annotated[
+        int, typer.Option(min=1, help="points; on a grid: values of each key that can have any")
+    ] = 100,
+    design: Annotated[DesignName, typer.Option(help="where they lie")] = DesignName.halton,
+    seed: Annotated[int, typer.Option(min=0, help="of the points, and of the runs")] = 0,
+    duration: Annotated[
+        float | None, typer.Option(help="seconds, instead of the scenario's", show_default=False)
+    ] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="path.to.key=value, of all runs")
+    ] = None,
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="folder (default: out/SCENARIO_sweep)")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="processes (default: one for each core)")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="also write the summary as JSON")
+    ] = None,
+) -> None:
+    """Run a scenario many times with other numbers; the same command goes on after a kill."""
+    with exit_codes():
+        for package in ("pyarrow", "scipy"):
+            require(package)
+        changes = [*(set_ or []), *([] if duration is None else [f"duration={duration!r}"])]
+        study = Study.of(scenario, vary, samples, design.value, seed, changes)
+        folder = out_dir or Path("out") / f"{Path(scenario).stem}_sweep"
+        table = with_progress(study, folder, workers)
+        summary = summarise(table, study)
+        show_summary(study, summary)
+        say(f"written to {folder}: {TABLE}, {table.num_rows} rows of {table.num_columns} columns")
+        if json_file:
+            write_json(summary, json_file)
+
+
+def with_progress(study: Study, folder: Path, workers: int | None) -> Any:
+    """Run a study, with a progress bar on a terminal."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+               TimeRemainingColumn())  # fmt: skip
+    with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
+        task = bar.add_task("runs", total=study.rows)
+        try:
+            return run_study(
+                study, out=folder, workers=workers,
+                progress=lambda done, _: bar.update(task, completed=done),
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            say(f"interrupted; the same command goes on with what is in {folder}")
+            raise typer.Exit(130) from None
+
+
+def show_summary(study: Study, summary: dict[str, Any]) -> None:
+    """What became of the runs, errors and what they depend on, the worst."""
+    words = ", ".join(f"{count} {word}" for word, count in summary["words"].items())
+    say(f"{summary['rows']} runs, {summary['success_rate']:.1%} without a failed task: {words}")
+    table = Table(
+        "error", "median", "90 %", "99 %", "largest", "depends most on (rank correlation)"
+    )
+    for name, values in summary["quantiles"].items():
+        told = {k: v for k, v in summary["sensitivities"][name].items() if v is not None}
+        most = sorted(told, key=lambda key: -abs(told[key]))[:2]
+        causes = ", ".join(f"{key} {told[key]:+.2f}" for key in most)
+        table.add_row(name, *(f"{value:.3g}" for value in values.values()), causes)
+    if summary["quantiles"]:
+        out.print(table)
+    for one in summary["worst"][:3]:
+        value = "" if one["value"] is None else f", {one['column']} {one['value']:.3g}"
+        say(
+            f"row {one['row']}: {one['word']}{value}"
+            + (f"\n  {one['command']}" * bool(one["command"]))
+        )

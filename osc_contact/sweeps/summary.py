@@ -1,0 +1,95 @@
+"""What a study's table says: how many runs succeed, how large errors get, what they depend on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from osc_contact.spatial import Array
+from osc_contact.sweeps.study import Study
+
+__all__ = ["QUANTILES", "judged_columns", "sensitivities", "summarise", "worst_rows"]
+
+QUANTILES = (0.5, 0.9, 0.99, 1.0)
+#: Ends of the columns in which errors stand, most telling first.
+_ERRORS = (".rms_error_rel", "overshoot_rel", "motion.rms_error_m", "motion.rms_error_rad",
+           "power.ratio")  # fmt: skip
+
+
+def summarise(table: Any, study: Study, worst: int = 5) -> dict[str, Any]:
+    """Success rate, quantiles, sensitivities and the worst runs.
+
+    Args:
+        table: of `sweep`. study: of it. worst: how many of them are named.
+
+    Returns:
+        rows, success_rate, words {word: runs}, quantiles {column: {"50 %": …}}, sensitivities
+        {column: {what varied: ρ}}, worst [{row, word, why, column, value, command}].
+    """
+    words = Counter(table.column("word").to_pylist())
+    failed = table.column("failed").to_pylist()
+    columns = judged_columns(table)
+    return {
+        "rows": table.num_rows,
+        "success_rate": 1.0 - sum(failed) / max(1, len(failed)),
+        "words": dict(words.most_common()),
+        "quantiles": {
+            name: {f"{100 * q:g} %": float(np.nanquantile(x, q)) for q in QUANTILES}
+            for name in columns
+            if np.isfinite(x := numbers(table, name)).any()
+        },
+        "sensitivities": {name: sensitivities(table, study, name) for name in columns},
+        "worst": worst_rows(table, study, worst),
+    }
+
+
+def numbers(table: Any, name: str) -> Array:
+    """(rows,) a column as numbers, NaN where there is none."""
+    return np.array([np.nan if x is None else x for x in table.column(name).to_pylist()], float)
+
+
+def judged_columns(table: Any) -> list[str]:
+    """Names of the columns in which errors stand."""
+    names = list(table.column_names)
+    return [name for end in _ERRORS for name in names if name.endswith(end)]
+
+
+def sensitivities(table: Any, study: Study, name: str) -> dict[str, float | None]:
+    """Spearman's rank correlation of an error with everything that varied; None: not a number."""
+    from scipy.stats import spearmanr
+
+    found: dict[str, float | None] = {}
+    error = numbers(table, name)
+    for column in study.sample(0).shown:
+        if not all(isinstance(x, int | float) for x in table.column(column).to_pylist()):
+            found[column] = None
+            continue
+        x = numbers(table, column)
+        known = np.isfinite(x) & np.isfinite(error)
+        varied = known.sum() > 2 and np.ptp(x[known]) > 0.0 and np.ptp(error[known]) > 0.0
+        found[column] = float(spearmanr(x[known], error[known]).statistic) if varied else None
+    return found
+
+
+def worst_rows(table: Any, study: Study, count: int) -> list[dict[str, Any]]:
+    """Runs that failed first, then those of the largest force errors, each with its command."""
+    rows = table.to_pylist()
+    judged = [name for name in judged_columns(table) if name.endswith(".rms_error_rel")]
+
+    def badness(row: dict[str, Any]) -> tuple[bool, float]:
+        return bool(row["failed"]), max((row.get(name) or 0.0 for name in judged), default=0.0)
+
+    found = []
+    for row in sorted(rows, key=badness, reverse=True)[:count]:
+        name = max(judged, key=lambda n: row.get(n) or 0.0, default=None)
+        found.append({
+            "row": row["row"],
+            "word": row["word"],
+            "why": row["why"],
+            "column": name,
+            "value": None if name is None else row.get(name),
+            "command": study.command(row["row"]),
+        })  # fmt: skip
+    return found

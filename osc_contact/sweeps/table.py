@@ -1,0 +1,101 @@
+"""The table of a study: rows appended one by one, so that a kill loses nothing; then Parquet."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from osc_contact.errors import InvalidInputError
+from osc_contact.files import whole_file
+from osc_contact.sweeps.study import Study
+
+__all__ = ["RowFile", "make_table", "write_table"]
+
+Row = dict[str, Any]
+
+
+class RowFile:
+    """Rows that are done, one a line; what is written survives a kill, also amid a line.
+
+    Attributes:
+        path: of the file. done: rows by number.
+    """
+
+    def __init__(self, path: Path, study: Study) -> None:
+        """Go on with a file, or begin one.
+
+        Args:
+            path: of the file. study: that the rows belong to; its first line names it.
+
+        Raises:
+            InvalidInputError: it holds another study.
+        """
+        self.path = path
+        self.done: dict[int, Row] = {}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        text = path.read_bytes() if path.exists() else b""
+        whole = text[: text.rfind(b"\n") + 1]
+        lines = whole.splitlines()
+        if lines and json.loads(lines[0]).get("study") != study.fingerprint:
+            raise InvalidInputError(
+                f"{path} holds the rows of another study: another scenario, other distributions, "
+                "another design or seed; give another folder, or remove this one"
+            )
+        for line in lines[1:]:
+            row = json.loads(line)
+            self.done[row["row"]] = row
+        self._file = path.open("ab")
+        self._file.truncate(len(whole))
+        if not lines:
+            self._write({"study": study.fingerprint, "vary": study.vary, "design": study.design})
+
+    def append(self, rows: Iterable[Row]) -> None:
+        """Keep rows, now."""
+        for row in rows:
+            self.done[row["row"]] = row
+            self._write(row)
+
+    def _write(self, row: Row) -> None:
+        self._file.write(json.dumps(row).encode() + b"\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        """Nothing more comes."""
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+
+def make_table(rows: Sequence[Row], study: Study) -> Any:
+    """A `pyarrow.Table`, sorted by row, columns in the order in which they first appear.
+
+    Args:
+        rows: of the study, in any order. study: kept in the table's metadata.
+    """
+    import pyarrow as pa
+
+    ordered = sorted(rows, key=lambda row: int(row["row"]))
+    names = list(dict.fromkeys(name for row in ordered for name in row))
+    columns = {name: pa.array([_plain(row.get(name)) for row in ordered]) for name in names}
+    about = {
+        "study": study.fingerprint,
+        "scenario": study.text,
+        "vary": json.dumps(study.vary),
+        "overrides": json.dumps(study.overrides),
+        "design": json.dumps([study.design, study.samples, study.seed]),
+    }
+    return pa.table(columns).replace_schema_metadata(about)
+
+
+def write_table(table: Any, path: Path) -> None:
+    """Write it as Parquet."""
+    from pyarrow import parquet
+
+    with whole_file(path) as unfinished:
+        parquet.write_table(table, unfinished)
+
+
+def _plain(value: Any) -> Any:
+    return json.dumps(value) if isinstance(value, list | dict) else value

@@ -1,0 +1,278 @@
+"""Sweeps: points, rows equal to single runs, one table however it came about."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+from scipy import stats
+from scipy.stats import qmc
+from typer.testing import CliRunner
+
+import osc_contact as osc
+from osc_contact.cli import app
+from osc_contact.sweeps.distributions import parse_distribution
+from osc_contact.sweeps.rows import make_rows
+from osc_contact.sweeps.study import Study
+from osc_contact.sweeps.sweep import ROWS, TABLE, run_study
+
+U = np.linspace(0.01, 0.99, 7)
+SHORT = ("duration=1.02 s",)
+MASSES = "model_error.object_mass=uniform(0.8, 1.2)"
+NORMALS = "contacts.left_end.face.normal=tilt(5 deg)"
+
+
+def rod(samples: int, *vary: str, **how) -> Study:
+    return Study.of("two_contact_rod", vary, samples, overrides=SHORT, **how)
+
+
+# --- what a key may be ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "oracle"),
+    [
+        ("uniform(-2, 3)", stats.uniform(-2, 5)),
+        ("normal(4, 0.5)", stats.norm(4, 0.5)),
+        ("loguniform(1e-3, 10)", stats.loguniform(1e-3, 10)),
+    ],
+)
+def test_numbers_are_those_of_scipys_distributions(words, oracle) -> None:
+    found = [float(parse_distribution(words).draw(np.array([u]), None)[0]) for u in U]
+    np.testing.assert_allclose(found, oracle.ppf(U), rtol=1e-9)
+
+
+def test_units_stay_with_their_numbers() -> None:
+    text, shown = parse_distribution("uniform(5 mm, 10 mm)").draw(np.array([0.5]), None)
+    assert text == "7.5 mm" and shown == {" [mm]": 7.5}
+
+
+def test_choices_and_integers_are_all_as_likely() -> None:
+    u = (np.arange(3000) + 0.5) / 3000
+    for words, values in (
+        ("choice(filter, least_squares, [1, 2])", {"filter", "least_squares", "[1, 2]"}),
+        ("integers(-1, 1)", {"-1", "0", "1"}),
+    ):
+        drawn = [parse_distribution(words).draw(np.array([x]), None)[0] for x in u]
+        assert {v: drawn.count(v) for v in values} == dict.fromkeys(values, 1000)
+
+
+def test_factors_multiply_what_the_scenario_says() -> None:
+    factor = parse_distribution("factor(0.5, 1.5)")
+    assert [factor.draw(np.array([0.75]), said)[0] for said in (4, "10 mm", [1, "2 N"])] == [
+        "5.0", "12.5 mm", "[1.25, 2.5 N]",
+    ]  # fmt: skip
+    with pytest.raises(osc.InvalidInputError, match="multiplies a number"):
+        factor.draw(np.array([0.5]), "filter")
+
+
+def test_tilted_directions_fill_their_cap_evenly() -> None:
+    """On a sphere the height above the rim of a cap is uniform (Archimedes)."""
+    normal = np.array([0.5, 0.2, 0.84]) / np.linalg.norm([0.5, 0.2, 0.84])
+    u = np.random.default_rng(0).random((4000, 2))
+    tilt = parse_distribution("tilt(20 deg)")
+    drawn = np.array([json.loads(tilt.draw(x, normal.tolist())[0]) for x in u])
+    np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-12)
+    height = (drawn @ normal - np.cos(np.deg2rad(20))) / (1 - np.cos(np.deg2rad(20)))
+    assert height.min() > -1e-12
+    assert stats.kstest(height, "uniform").pvalue > 0.01
+    sideways = drawn - np.outer(drawn @ normal, normal)
+    assert np.linalg.norm(sideways.mean(axis=0)) < 0.01
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["0.8", "gauss(0, 1)", "uniform(1, 0)", "uniform(1 mm, 2 m)", "uniform(1)", "uniform(a, b)",
+     "normal(1, 0)", "loguniform(0, 1)", "integers(1.5, 2)", "choice(a, )", "tilt(200 deg)",
+     "tilt(5 N)", "factor(1 m, 2 m)"],
+)  # fmt: skip
+def test_what_is_not_understood_is_refused_with_how_it_is_written(words) -> None:
+    with pytest.raises(osc.InvalidInputError, match=r"written|write one of"):
+        parse_distribution(words)
+
+
+# --- points ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("design", "points"), [("halton", qmc.Halton), ("sobol", qmc.Sobol)])
+def test_points_are_scipys_and_those_behind_a_block_go_on(design, points) -> None:
+    study = rod(3000, "squeeze=uniform(0, 1)", "seed=integers(0, 9)", design=design, seed=4)
+    oracle = points(2, scramble=True, rng=4).random(2048)
+    for i in (0, 5, 1023, 1024, 2047):
+        assert study.sample(i).shown["squeeze"] == pytest.approx(oracle[i, 0], abs=1e-12)
+        assert study.sample(i).seed == int(oracle[i, 1] * 10)
+
+
+def test_a_sample_does_not_depend_on_how_many_there_are() -> None:
+    for design in ("halton", "sobol", "random"):
+        few, many = (rod(n, MASSES, NORMALS, design=design) for n in (10, 5000))
+        assert few.fingerprint == many.fingerprint
+        assert [few.sample(i) for i in range(10)] == [many.sample(i) for i in range(10)]
+    assert rod(4, MASSES).fingerprint != rod(4, MASSES, seed=1).fingerprint
+
+
+def test_a_grid_has_every_combination_and_both_ends() -> None:
+    study = rod(
+        3, "squeeze=uniform(5 N, 15 N)", "control.force.reading=choice(filter, least_squares)",
+        design="grid",
+    )  # fmt: skip
+    assert study.rows == 6
+    found = [study.sample(i).overrides for i in range(6)]
+    assert {one["squeeze"] for one in found} == {"5.0 N", "10.0 N", "15.0 N"}
+    assert len({json.dumps(one) for one in found}) == 6
+
+
+@pytest.mark.parametrize(
+    ("vary", "complaint"),
+    [
+        (["squeeze"], "path.to.key=distribution"),
+        ([], "at least one"),
+        (["squeeze=uniform(0, 1)", "squeeze=uniform(0, 2)"], "varies twice"),
+        (["squeese=uniform(0, 1)"], "squeese"),
+        (["duration=factor(1, 2)", "control.nothing.at.all=factor(1, 2)"], "multiplies a number"),
+    ],
+)
+def test_a_study_that_cannot_be_made_is_refused_before_its_runs(vary, complaint) -> None:
+    with pytest.raises((osc.InvalidInputError, osc.ScenarioError), match=complaint):
+        Study.of("two_contact_rod", vary, 3)
+
+
+# --- rows -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "vary"),
+    [
+        ("two_contact_rod", [MASSES, NORMALS, "seed=integers(0, 99)"]),
+        ("panda_edge", ["gains.force.integral=factor(0.5, 1.5)", "plant.friction=uniform(0, 0.1)"]),
+        ("workcell", ["seed=integers(0, 99)", "sensors.wrist.delay=uniform(1 ms, 3 ms)"]),
+    ],
+)  # fmt: skip
+def test_every_row_equals_its_single_run(name, vary) -> None:
+    study = Study.of(name, vary, 2, overrides=SHORT)
+    for row in make_rows(study, [0, 1]):
+        sample = study.sample(row["row"])
+        changes = [*SHORT, *(f"{k}={v}" for k, v in sample.overrides.items())]
+        verdict = osc.metrics(osc.run(osc.load_scenario(name, changes), seed=sample.seed))
+        assert row["word"] == verdict["task"]["word"] and row["seed"] == sample.seed
+        wanted = {
+            f"{group}.{key}": value
+            for group in ("motion", "power", "status", "contact_fraction")
+            for key, value in verdict[group].items()
+        } | {
+            f"force.{one}.{key}": value
+            for one, force in verdict["force"].items()
+            for key, value in force.items()
+        }
+        for key, value in wanted.items():
+            assert row[key] == pytest.approx(value, rel=1e-9, abs=1e-12), key
+
+
+def test_runs_that_fail_keep_their_reason() -> None:
+    study = rod(2, "object.pose.xyz=choice([0, 0, 0.2], [0, 5, 0.2])", design="grid")
+    fine, lost = make_rows(study, [0, 1])
+    assert fine["word"] == "OK" and not fine["failed"]
+    assert lost["word"] == "REFUSED" and lost["failed"] and "m" in lost["why"]
+    table = run_study(study, workers=1)
+    assert table.column("word").to_pylist() == ["OK", "REFUSED"]
+    assert table.column("motion.rms_error_m").to_pylist()[1] is None
+
+
+def test_doubts_stand_in_the_rows_and_are_not_logged(caplog) -> None:
+    (row,) = make_rows(rod(1, "model_error.object_mass=uniform(1.1, 1.2)"), [0])
+    assert "model_error" in row["doubts"] and not caplog.records
+
+
+def test_runs_too_short_to_be_judged_are_refused() -> None:
+    with pytest.raises(osc.InvalidInputError, match="judged"):
+        osc.sweep("two_contact_rod", [MASSES], 3, overrides=["duration=1 s"])
+
+
+# --- one table ------------------------------------------------------------------------------------
+
+
+def test_table_is_the_same_in_one_process_in_two_and_where_a_worker_is_killed(tmp_path) -> None:
+    vary = {"model_error.object_mass": "uniform(0.8, 1.2)",
+            "contacts.left_end.face.normal": "tilt(5 deg)"}  # fmt: skip
+    alone = osc.sweep("two_contact_rod", vary, 10, overrides=SHORT, workers=1)
+    killed = []
+
+    def kill_one(done: int, total: int) -> None:
+        if not killed:
+            killed.append(multiprocessing.active_children()[0])
+            os.kill(killed[0].pid, signal.SIGKILL)
+
+    both = osc.sweep(
+        "two_contact_rod", vary, 10, overrides=SHORT, workers=2, out=tmp_path, progress=kill_one
+    )
+    assert killed and alone.equals(both)
+    assert parquet.read_table(tmp_path / TABLE).equals(alone)
+    more = osc.sweep("two_contact_rod", vary, 12, overrides=SHORT, workers=1, out=tmp_path)
+    assert more.num_rows == 12 and more.slice(0, 10).equals(alone)
+    with pytest.raises(osc.InvalidInputError, match="another study"):
+        osc.sweep("two_contact_rod", vary, 12, overrides=SHORT, out=tmp_path, seed=1)
+
+
+def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path) -> None:
+    command = [
+        sys.executable, "-c", "from osc_contact.cli import app; app()", "sweep",
+        "two_contact_rod", "--vary", MASSES, "--samples", "16", "--duration", "1.02",
+        "--workers", "1", "--out", str(tmp_path),
+    ]  # fmt: skip
+    rows = tmp_path / ROWS
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+        while not (rows.exists() and rows.read_bytes().count(b"\n") > 3):
+            assert process.poll() is None
+            time.sleep(0.02)
+        process.kill()
+    kept = rows.read_bytes()
+    count = kept.count(b"\n") - 1
+    assert 3 <= count < 16 and not (tmp_path / TABLE).exists()
+    rows.write_bytes(kept + b'{"row": 15, "seed"')  # killed while it wrote
+    study = Study.of("two_contact_rod", [MASSES], 16, overrides=["duration=1.02"])
+    begun: list[int] = []
+    resumed = run_study(study, out=tmp_path, workers=1, progress=lambda n, _: begun.append(n))
+    assert len(begun) == 16 - count
+    assert resumed.equals(run_study(study, workers=1))
+
+
+def test_command_tells_what_became_of_the_runs(tmp_path) -> None:
+    json_file = tmp_path / "summary.json"
+    done = CliRunner().invoke(
+        app,
+        ["sweep", "two_contact_rod", "--vary", MASSES, "--samples", "6", "--duration", "1.02",
+         "--workers", "1", "--out", str(tmp_path / "out"), "--json", str(json_file)],
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert "6 runs, 100.0% without a failed task: 6 OK" in done.output
+    summary = json.loads(json_file.read_text())
+    table = parquet.read_table(tmp_path / "out" / TABLE).to_pydict()
+    name = "force.left_end.rms_error_rel"
+    assert summary["quantiles"][name]["50 %"] == pytest.approx(np.median(table[name]))
+    rho = stats.spearmanr(table["model_error.object_mass"], table[name]).statistic
+    assert summary["sensitivities"][name]["model_error.object_mass"] == pytest.approx(rho)
+    worst = summary["worst"][0]
+    assert worst["command"].startswith("osc-contact run two_contact_rod --set duration=1.02 --set")
+    assert worst["value"] == max(
+        max(table[f"force.{end}.rms_error_rel"]) for end in ("left_end", "right_end")
+    )
+
+
+def test_scenarios_made_in_python_are_swept_and_their_laws_refused() -> None:
+    scenario = osc.load_scenario("two_contact_rod", SHORT)
+    study = Study.of(scenario, [MASSES], 1)
+    assert study.command(0) is None
+    named = Study.of("two_contact_rod", [MASSES], 1, overrides=SHORT)
+    (one,), (other,) = make_rows(study, [0]), make_rows(named, [0])
+    assert one == other
+    own = scenario.replaced(laws=osc.Laws())
+    with pytest.raises(osc.InvalidInputError, match="laws"):
+        Study.of(own, [MASSES], 1)
