@@ -43,24 +43,28 @@ def object_pose(chain: ClosedChain, q: Array) -> pin.SE3:
 def reach(chain: ClosedChain, q: Array, X_WO: pin.SE3, tolerance: float = 1e-6) -> Array:
     """Bring every grasp as near to an object pose as the arms can (inverse kinematics).
 
-    Levenberg–Marquardt on the energy-weighted pose errors, (object's inertia)½ × displacement.
+    Levenberg–Marquardt on the energy-weighted pose errors, (object's inertia)½ × displacement,
+    within the joints' limits: a joint at its end stop that would go on rests there.
 
     Args:
-        chain: the arms. q: (n,) start. X_WO: wanted pose.
+        chain: the arms. q: (n,) start; joints outside their limits start at these.
+        X_WO: wanted pose.
         tolerance: stop when a step moves no joint by more than this (m, rad).
 
     Raises:
         ModelError: no convergence; the pose is probably out of reach.
     """
     L = np.linalg.cholesky(chain.reference_inertia(X_WO))
-    q = np.array(q, dtype=float)
+    limits = np.array(chain.model.lowerPositionLimit), np.array(chain.model.upperPositionLimit)
+    q = np.clip(np.array(q, dtype=float), *limits)
     damping = 1e-3
     cost, step = _reach_step(chain, q, X_WO, L, damping)
     for _ in range(300):
-        next_cost, next_step = _reach_step(chain, q + step, X_WO, L, 0.3 * damping)
+        there = np.clip(q + step, *limits)
+        next_cost, next_step = _reach_step(chain, there, X_WO, L, 0.3 * damping)
         if next_cost <= cost:
-            q = q + step
-            if np.abs(step).max() < tolerance:
+            moved_by, q = np.abs(there - q).max(), there
+            if moved_by < tolerance:
                 return q
             damping = max(0.3 * damping, 1e-12)
             cost, step = next_cost, next_step
@@ -240,6 +244,10 @@ def _reach_step(
             miss = np.linalg.solve(R.T, grasp.miss(tip, X_WO))
             J = Q.T @ L.T @ columns_at(chain.data.J[:, s], O)
         cost += 0.5 * float(miss @ miss)
-        M = chain.data.M[s, s]
-        step[s] = np.linalg.solve(J.T @ J + damping * M, J.T @ miss)
+        slope = J.T @ miss
+        low, high = chain.model.lowerPositionLimit[s], chain.model.upperPositionLimit[s]
+        stopped = ((q[s] <= low) & (slope < 0.0)) | ((q[s] >= high) & (slope > 0.0))
+        H = J.T @ J + damping * chain.data.M[s, s]
+        free = np.flatnonzero(~stopped)
+        step[s][free] = np.linalg.solve(H[np.ix_(free, free)], slope[free])
     return cost, step

@@ -16,7 +16,7 @@ from osc_contact import robots
 from osc_contact.contacts.detection import CollisionShape, collision_shapes
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.runs.contacts import feet, pose_of
+from osc_contact.runs.contacts import feet
 from osc_contact.runs.finding import Finding
 from osc_contact.runs.rig import Rig
 from osc_contact.spatial import Array
@@ -55,7 +55,7 @@ def normals(rig: Rig) -> Iterator[Finding]:
 
 def start(rig: Rig) -> Iterator[Finding]:
     """A start pose that moved, at the object's origin or at a contact."""
-    asked, now = pose_of(rig.scenario.object.pose), rig.state().X_WO
+    asked, now = rig.X_asked, rig.state().X_WO
     points = [now.translation]
     for pair in rig.pairs:
         if getattr(pair, "surface_point", None) is not None:

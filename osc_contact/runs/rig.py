@@ -26,7 +26,7 @@ from osc_contact.dynamics.assembly import close, reach
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
 from osc_contact.dynamics.payload import RigidObject
-from osc_contact.errors import ModelError, ScenarioError
+from osc_contact.errors import ScenarioError
 from osc_contact.interface import Measurement, Robot
 from osc_contact.plants.judge import Plant
 from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
@@ -43,6 +43,7 @@ from osc_contact.runs.contacts import (
 )
 from osc_contact.runs.log import Subject
 from osc_contact.runs.references import References, force_owners
+from osc_contact.runs.start import asked_pose, posture_of, standoff_of, touching
 from osc_contact.scenarios.geometry import GraspSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
@@ -74,6 +75,7 @@ class Rig:
         q_contact: (n,) joint positions with loops closed and contacts touching.
         q_start: (n,) where the run starts: the same, or off the contacts if it begins with a tare.
         references: of the run.
+        X_asked: the pose of the object that the scenario asks for.
     """
 
     scenario: Scenario
@@ -84,6 +86,7 @@ class Rig:
     q_contact: Array
     q_start: Array
     references: References
+    X_asked: pin.SE3
 
     def plant(self, seed: int = 0) -> Plant:
         """The plant the scenario names, at its start, seen through its sensors.
@@ -241,37 +244,20 @@ def build_rig(scenario: Scenario, chains: MakesChains | None = None) -> Rig:
     factors = error.arm_mass, error.object_mass, error.joint_friction
     model = chain if set(factors) == {1.0} else make(scenario, *factors)
     pairs = build_pairs(scenario)
-    q_guess = np.concatenate([arm.posture for arm in scenario.arms])
-    if q_guess.shape != (chain.nq,):
-        counts = ", ".join(f"{arm.name} {arm.model.nv}" for arm in chain.arms)
-        raise ScenarioError(
-            f"posture: {len(q_guess)} joint positions given; on the way to their tips the arms "
-            f"have: {counts}"
-        )
-    q_near = reach(chain, q_guess, pose_of(scenario.object.pose))
-
-    def gaps(X_WO: pin.SE3) -> tuple[Array, Array]:
-        rest = np.zeros(6)
-        N = [pair.contact(X_WO, rest).N for pair in pairs]
-        gap = np.concatenate([np.zeros(0), *(pair.gaps(X_WO) for pair in pairs)])
-        return gap, np.hstack([np.zeros((6, 0)), *N])
-
-    try:
-        q_contact = close(chain, q_near, gaps)
-        _require_within_limits(chain, q_contact)
-    except (ModelError, ScenarioError) as error:
-        raise type(error)(f"{error}{_away(pairs, pose_of(scenario.object.pose))}") from error
+    posture = posture_of(scenario, chain)
+    X_asked = asked_pose(scenario, chain, posture)
+    q_contact = touching(chain, pairs, posture, X_asked)
     state = chain.state(q_contact, np.zeros(chain.nq))
     contact = Contact.stack([pair.contact(state.X_WO, np.zeros(6)) for pair in pairs])
     require_reachable(state, contact)
     standoff, q_start = np.zeros(6), q_contact
     if scenario.tare is not None:
-        standoff = _standoff(state, contact, float(scenario.tare.standoff))
+        standoff = standoff_of(state, contact, float(scenario.tare.standoff))
     references = References.of(scenario, state.X_WO, pairs, standoff)
     if scenario.tare is not None:
         q_start = close(chain, reach(chain, q_contact, references.at(0.0).X_WD))
     bodies = environment_bodies(scenario)
-    return Rig(scenario, chain, model, pairs, bodies, q_contact, q_start, references)
+    return Rig(scenario, chain, model, pairs, bodies, q_contact, q_start, references, X_asked)
 
 
 def build_chain(
@@ -313,37 +299,6 @@ def _per_joint(given: Sequence[float] | None) -> float | Sequence[float] | None:
 def _grasp(spec: GraspSpec) -> Grasp:
     axis = () if spec.axis is None else (spec.axis,)
     return GRASPS[spec.type](pose_of(spec), *axis)
-
-
-def _standoff(state: ChainState, contact: Contact, distance: float) -> Array:
-    """The displacement (6,) of least kinetic energy that opens every gap by `distance`."""
-    H = state.S.T @ state.metric @ state.S
-    N_S = state.S.T @ contact.N
-    H_inv_N = np.linalg.solve(H, N_S)
-    away = -distance * np.ones(contact.r)  # a gap opens against N
-    return np.asarray(state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away)))
-
-
-def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
-    """Which contact is furthest from its face at the pose that is asked for, in words."""
-    gaps = [float(np.abs(pair.gaps(X_WO)).max(initial=0.0)) for pair in pairs]
-    if max(gaps, default=0.0) < 0.02:
-        return ""
-    name = pairs[int(np.argmax(gaps))].name
-    return (
-        f". At object.pose contact '{name}' is {1e3 * max(gaps):.0f} mm away from what it touches: "
-        "move that to the object, or object.pose and posture to it"
-    )
-
-
-def _require_within_limits(chain: ClosedChain, q: Array) -> None:
-    low, high = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
-    for j, name in enumerate(chain.joint_names):
-        if not low[j] <= q[j] <= high[j]:
-            raise ScenarioError(
-                f"to touch the contacts joint {name} would stand at {q[j]:.4g}, outside its limits "
-                f"[{low[j]:.4g}, {high[j]:.4g}]; move object, faces or base, or change the posture"
-            )
 
 
 def _folder(scenario: Scenario) -> Path | None:

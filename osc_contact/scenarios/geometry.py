@@ -100,4 +100,5 @@ class ObjectSpec(Spec):
 
     urdf: Text
     """the URDF of one link"""
-    pose: PoseSpec = PoseSpec()
+    pose: PoseSpec | None = None
+    """the start guess in the world; null: where posture puts what the first arm holds"""

@@ -1,0 +1,52 @@
+"""Where runs start: inverse kinematics within limits, and the pose that the posture gives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import osc_contact as osc
+from osc_contact.dynamics.assembly import reach
+
+
+def test_inverse_kinematics_keeps_joint_limits_and_finds_postures_all_the_same():
+    """A Panda is sent from one random posture to the pose of another, 60 times."""
+    chain = osc.build_rig(osc.load_scenario("panda_edge")).chain
+    low, high = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    rng, missed = np.random.default_rng(3), []
+    for _ in range(60):
+        start, goal = rng.uniform(low, high, (2, chain.nq))
+        pin.framesForwardKinematics(chain.model, chain.data, goal)
+        X = chain.object_pose()
+        q = reach(chain, start, X)
+        assert np.all(q >= low) and np.all(q <= high)
+        pin.framesForwardKinematics(chain.model, chain.data, q)
+        missed.append(np.linalg.norm(chain.object_pose().translation - X.translation))
+    assert np.mean(np.array(missed) < 1e-4) > 0.3  # the rest would have to go round end stops
+
+
+@pytest.mark.parametrize("name", ["two_contact_rod", "ur5_wipe", "three_arm_plate"])
+def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
+    scenario = osc.load_scenario(name, ["object.pose=null"])
+    rig, arm = osc.build_rig(scenario), scenario.arms[0]
+    one = rig.chain.arms[0]
+    data = one.model.createData()
+    pin.framesForwardKinematics(one.model, data, np.array(arm.posture))
+    tip = data.oMf[one.model.getFrameId(arm.tip)]
+    grasp = scenario.grasps[arm.name]
+    held = pin.SE3(pin.rpy.rpyToMatrix(*grasp.rpy), np.array(grasp.xyz))
+    np.testing.assert_allclose((one.base * tip * held).homogeneous, rig.X_asked, atol=1e-12)
+
+
+def test_a_scenario_whose_posture_says_where_it_starts_runs_without_a_word():
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["object.pose=null"]))
+    assert osc.preflight(rig) == ()
+    given = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    assert np.linalg.norm(given.state().X_WO.translation - rig.state().X_WO.translation) < 1e-3
+
+
+def test_where_no_arm_tells_the_pose_it_must_be_given():
+    changes = ["object.pose=null", "grasps.left.type=ball", "grasps.left.axis=null"]
+    with pytest.raises(osc.ModelError, match="pose"):
+        osc.build_rig(osc.load_scenario("hinge_ball_rod", changes))
