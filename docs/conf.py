@@ -20,8 +20,10 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "docstrings",
+    "mathml",
     "notebooks",
     "pairs",
+    "typesetting",
 ]
 nitpicky = True
 nitpick_ignore_regex = [
@@ -33,9 +35,11 @@ nitpick_ignore_regex = [
     ("py:obj", r".*"),  # arguments and formulas stand between single backticks too
 ]
 
-# Pages: Markdown. Equations are written in Unicode, as in the code: no script typesets them.
-myst_enable_extensions = ["colon_fence"]
-myst_heading_anchors = 3
+# Pages: Markdown. Equations are set when the site is built, as MathML: no script, no network.
+# What stands in a line is Unicode, as in the code.
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+html_math_renderer = "mathml"
+myst_heading_anchors = 4
 
 # API: Google docstrings, names as users write them.
 autodoc_member_order = "bysource"

@@ -83,6 +83,13 @@ def test_the_readme_has_a_program_of_ten_to_fifteen_lines_that_shows_its_output(
     assert 10 <= len([line for line in programs[0][1].splitlines() if line.strip()]) <= 15
 
 
+def test_the_readme_is_short_and_shows_a_program_before_any_table() -> None:
+    text = text_of(ROOT / "README.md")
+    assert len(text.split()) <= 900
+    assert "|---" not in text[: text.index("```python")]
+    assert text.index(".gif") < text.index("```python"), "a moving picture comes first"
+
+
 def command_lines() -> list[str]:
     """Every osc-contact command in code blocks and between backticks."""
     found = []
@@ -99,7 +106,7 @@ def command_lines() -> list[str]:
 @pytest.mark.parametrize("line", command_lines())
 def test_command_exists_and_parses(line: str) -> None:
     group = typer.main.get_command(app)
-    _, name, *arguments = shlex.split(line)
+    _, name, *arguments = shlex.split(line, comments=True)
     assert name in group.commands, f"{name} is no command of osc-contact"
     group.commands[name].make_context(name, list(arguments))  # raises on unknown options
     made_there = "my_rod.yaml"  # tests/test_first_hour.py runs these

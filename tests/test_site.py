@@ -120,3 +120,17 @@ def test_a_link_that_leads_nowhere_stops_the_build(tmp_path: Path) -> None:
     (tmp_path / "index.md").write_text("# A page\n\n[no](nowhere.md)\n", encoding="utf-8")
     done = build(tmp_path, tmp_path, "-C", "-D", "extensions=myst_parser")
     assert done.returncode != 0 and "nowhere.md" in done.stderr
+
+
+def test_equations_are_drawn_without_a_script(site: Path) -> None:
+    text = (site / "docs/theory.html").read_text(encoding="utf-8")
+    assert text.count("<math ") >= 20 and "<mtable" in text
+    assert "$$" not in text and "&=" not in text and "\\tag" not in text and "<mi>&<" not in text
+    assert '<span class="number">(24)</span>' in text
+    assert "n<sub>γ</sub>" in text and "V<sub>rel</sub>" in text
+
+
+def test_names_in_tables_break_after_their_parts_only(site: Path) -> None:
+    text = (site / "docs/scenario.html").read_text(encoding="utf-8")
+    name = re.sub(r"</?span[^>]*>", "", text)
+    assert "contacts.<wbr>face.<wbr>urdf<" in name
