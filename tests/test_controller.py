@@ -85,6 +85,7 @@ def test_wrong_sizes_are_held_not_raised(ready):
 
 def test_torques_never_exceed_a_motor_limit(ready):
     controller, _, measurement, reference = ready
+    controller = controller.with_safety(osc.SafetySettings.motors_only())
     tau = controller.tick(measurement, replace(reference, alpha_d=np.array([3000.0, 10.0])))
     assert controller.status is osc.Status.SATURATED
     limits = controller.chain.tau_max

@@ -72,6 +72,7 @@ def tick_with(
     laws, chain, pairs, q, v, squeeze, touched=None, wrenches=None, weak=False, **how
 ):  # fmt: skip
     """A controller after one tick under these laws; and its torques. Strong motors unless weak."""
+    how.setdefault("safety", osc.SafetySettings.motors_only())  # states out of any motion
     controller = osc.Controller(chain if weak else strong(chain), pairs, laws=laws, **how)
     wrenches = np.zeros((len(chain.arms), 6)) if wrenches is None else wrenches
     columns = sum(len(pair.gaps(pin.SE3.Identity())) for pair in pairs)

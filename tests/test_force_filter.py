@@ -171,7 +171,7 @@ def test_so_does_the_law():
     N, desired = contact_of(pairs, state).N, np.array([10.0, 8.0])
     controller = osc.Controller(
         chain, pairs, osc.Gains(force=osc.ForceGains(30.0, 50.0)),
-        safety=osc.SafetySettings(too_fast_for=10.0),
+        safety=osc.SafetySettings.motors_only(),
     )  # fmt: skip
     measured = osc.Measurement(q, v, np.zeros((2, 6)))
     wanted = osc.Reference(state.X_WO, alpha_d=desired)

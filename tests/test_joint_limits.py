@@ -131,7 +131,10 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     plant.reset(PANDA_Q)
     X = chain.state(PANDA_Q, np.zeros(7)).X_WO
     task = PostureTask(limit_stiffness=stiffness)
-    controller = osc.Controller(chain, [], dt=2e-3, posture=posture, posture_task=task)
+    unwatched = osc.SafetySettings(brake_time=0.0)
+    controller = osc.Controller(
+        chain, [], dt=2e-3, posture=posture, posture_task=task, safety=unwatched
+    )
     wanted = osc.Reference(X, np.zeros(6), np.zeros(6), np.zeros(0))
     farthest, before, jump = -np.inf, None, 0.0
     for _ in range(400):

@@ -36,10 +36,11 @@ from osc_contact.scenarios import list_scenarios
 
 GAINS = osc.Gains(MotionGains(400, 40, 2000), ForceGains(30, 5))
 TOLERANCE = 1e-12
+UNLIMITED = osc.SafetySettings.motors_only()  # states that follow one another are no motion
 
 
 def twins(chain, pairs, **how):
-    fast = Controller(chain, pairs, GAINS, **how)
+    fast = Controller(chain, pairs, GAINS, safety=UNLIMITED, **how)
     return fast, readable_of(fast)
 
 
@@ -205,7 +206,7 @@ def test_every_packaged_scenario(name):
     """Random displacements and velocities around the start."""
     rig = osc.build_rig(osc.load_scenario(name))
     rng = np.random.default_rng(31)
-    fast = rig.controller()
+    fast = rig.controller().with_safety(UNLIMITED)
     slow = readable_of(fast)
     measurement, reference = rig.at_start(rig.plant().measure()), rig.references.at(0.3)
     n = rig.model.nq
@@ -307,7 +308,7 @@ def test_friction(rig, body):
             measurement, reference = inputs(chain, q, v, rng, 3, touched)
             agree(fast, slow, measurement, reference, 1e-11)
             accelerated_alike(fast, slow, 1e-11)
-        blind = Controller(chain, pairs, GAINS, **how)
+        blind = Controller(chain, pairs, GAINS, safety=UNLIMITED, **how)
         blind.motion_law.integral = slow.motion_law.integral
         assert np.abs(blind.tick(measurement, reference) - slow.last_torques()).max() > 1e-2
         D = slow.last_signals(), fast.found().mobility
@@ -373,7 +374,7 @@ def test_an_arm_that_locks_more_than_its_joints_say():
 
 def test_signals_are_those_of_the_numpy_law_and_stay():
     rig, rng = osc.build_rig(osc.load_scenario("two_contact_rod")), np.random.default_rng(37)
-    fast = rig.controller()
+    fast = rig.controller().with_safety(UNLIMITED)
     slow = readable_of(fast)
     disturb(rng, fast, slow)
     measurement, reference = rig.plant().measure(), rig.references.at(0.0)

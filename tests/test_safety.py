@@ -54,9 +54,10 @@ def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case: Case, lost: int) -
         assert controller.state is SAFE_STOP and "reset()" in controller.reason
         controller.reset()
         assert controller.state is RUN
-        np.testing.assert_allclose(
-            controller.tick(case.measurement, case.reference), good, rtol=0, atol=1e-9
-        )
+        for _ in range(5):  # as fast as motors may change
+            tau = controller.tick(case.measurement, case.reference)
+            controller.motion_law.integral = controller.force_law.integral = np.zeros(6)
+        np.testing.assert_allclose(tau, good, rtol=0, atol=1e-9)
         assert controller.status is osc.Status.OK
 
 
@@ -131,12 +132,15 @@ def test_joints_that_stay_too_fast_end_in_a_stop(case: Case) -> None:
     for _ in range(20):
         controller.tick(fast, case.reference)
         assert controller.state < HOLD
-    controller.tick(case.measurement, case.reference)  # the count begins again
-    for _ in range(20):
+    for _ in range(5):  # what speaks against it is taken off
+        controller.tick(case.measurement, case.reference)
+    for _ in range(5):
         controller.tick(fast, case.reference)
     assert controller.state < HOLD
     controller.tick(fast, case.reference)
-    assert controller.state is SAFE_STOP and "speed limit" in controller.reason
+    assert controller.state is SAFE_STOP
+    name = case.chain.joint_names[joint]
+    assert f"joint {name} stayed above its speed limit of {limit.min():.4g}" in controller.reason
 
 
 def test_what_raises_in_python_counts_too() -> None:

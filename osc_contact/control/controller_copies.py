@@ -12,6 +12,7 @@ from osc_contact.control.controller_state import ControllerState
 from osc_contact.control.gains import Gains
 from osc_contact.control.laws import Laws
 from osc_contact.control.outside import Outside
+from osc_contact.control.safety import SafetySettings
 from osc_contact.control.settings import Settings
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.errors import OscContactError
@@ -50,6 +51,13 @@ class ControllerCopies(ControllerState):
         contacts = other._records.contacts
         if self.settings.phases is None:
             contacts.gain[:], contacts.damping[:] = gains.force.integral, gains.force.damping
+        return other
+
+    def with_safety(self, safety: SafetySettings) -> Self:
+        """Another controller with these limits of the robot that goes on from here."""
+        settings = replace(self.settings, safety=safety)
+        other = self._another(settings, self.laws)
+        other._records.row.set_safety(settings)
         return other
 
     def with_laws(self, **laws: Callable[..., Any] | None) -> Self:

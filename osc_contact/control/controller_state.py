@@ -83,6 +83,9 @@ class ControllerState:
         """Run again after a stop: both integrals at zero, tare, bias and phases as they are."""
         memory = self._records.memory
         memory.state, memory.age, memory.faults, memory.too_fast = SafetyState.RUN, 0, 0, 0
+        memory.powered = memory.ending = 0.0
+        for name in ("unfelt", "pressed"):
+            self._records.column_memory[name][:] = 0.0
         memory.repeats, memory.fresh, memory.motion_sum[:], memory.force_sum[:] = 0, 0, 0.0, 0.0
 
     @property

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SLIDING_SLIP", "TURNING_SLIP", "ModelRow"]
 
+_NEVER = 1e12  #: ticks
 #: Speed of a joint from which on its dry friction counts as fully developed (rad/s, m/s).
 TURNING_SLIP, SLIDING_SLIP = 1e-3, 3e-4
 
@@ -44,6 +45,7 @@ class ModelRow:
         self._pack_joints(settings)
         self._pack_contacts(settings)
         self.set_gains(settings)
+        self.set_safety(settings)
 
     def copy(self) -> ModelRow:
         """The same with bytes of its own."""
@@ -62,10 +64,6 @@ class ModelRow:
         head.stiffness, head.damping = gains.motion.stiffness, gains.motion.damping
         head.integral, head.period = gains.motion.integral, settings.dt
         head.force_gain, head.force_damping = gains.force.integral, gains.force.damping
-        safety = settings.safety
-        head.repeats, head.hold_rate = safety.repeats, safety.hold_rate
-        head.fault_ticks = safety.stop_after
-        head.fast_ticks = round(safety.too_fast_for / settings.dt)
         posture = settings.posture_task
         head.posture_stiffness, head.posture_damping = posture.stiffness, posture.damping
         head.retreat_damping = posture.retreat_damping
@@ -82,12 +80,27 @@ class ModelRow:
             limits = phases.limits
             head.approach_speed, head.approach_damping = phases.speed, phases.damping
             head.travel, head.rise, head.least_force = phases.travel, phases.rise, phases.least
-            head.torque_rate, head.lost_share, head.lag = (
-                phases.torque_rate, phases.share, phases.lag
-            )  # fmt: skip
+            head.lost_share, head.lag = phases.share, phases.lag
             for name in ("force_on", "force_off", "power", "patience", "window", "dwell"):
                 setattr(head, name, getattr(limits, name))
             head.leaving = limits.leaving
+
+    def set_safety(self, settings: Settings) -> None:
+        """Limits of the robot, and what becomes of ticks that cannot be computed."""
+        head, safety, phases = self.head, settings.safety, settings.phases
+        for name in ("repeats", "hold_rate", "reaction", "contact_power", "contact_force",
+                     "unfelt_for", "pressed_for", "integral_force", "integral_motion"):  # fmt: skip
+            setattr(head, name, getattr(safety, name))
+        head.fault_ticks = safety.stop_after
+        head.fast_ticks = round(min(safety.too_fast_for / settings.dt, _NEVER))
+        rate = safety.torque_rate
+        head.torque_rate = rate if phases is None else min(rate, phases.torque_rate)
+        model = settings.chain.model
+        rows = self.table("joints", settings.chain.nq, at.JOINT)
+        watched = (rows.motor >= 0) & (safety.brake_time > 0.0)
+        rows.lower[:] = np.where(watched, model.lowerPositionLimit, -np.inf)
+        rows.upper[:] = np.where(watched, model.upperPositionLimit, np.inf)
+        rows.brake[:] = 0.5 * safety.brake_time / rows.speed_max
 
     def _pack_joints(self, settings: Settings) -> None:
         chain, posture = settings.chain, settings.posture_task

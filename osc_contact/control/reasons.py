@@ -107,10 +107,14 @@ def explain(
     code, work = int(rows.work.reason), rows.work
     if code == at.STOPPED:
         cause = int(rows.memory.cause)
-        why = "a tick could not be computed" if cause == at.BAD_INPUT else _SENTENCES.get(cause, "")
+        why = "a tick could not be computed"
+        if cause != at.BAD_INPUT:
+            why = _limit_passed(rows, settings, cause) or _SENTENCES.get(cause, "")
         return f"stopped, until reset() is called. Cause: {why or 'code called in the tick failed'}"
     if failure is not None:
         return str(failure)
+    if code >= at.TOO_FAST:
+        return f"{_limit_passed(rows, settings, code)}. See why, then call reset()"
     names = [settings.contacts[c].name for c in rows.row.pairs.owners]
     if code == at.BAD_INPUT:
         try:
@@ -177,8 +181,38 @@ _SENTENCES = {
         "the inertia beyond the wrist sensors is singular: they cannot tell the contact force. "
         "Check mass and inertia of gripper and object"
     ),
-    at.TOO_FAST: (
-        "a joint stayed above its speed limit. The arms are braked; see why they ran away, then "
-        "call reset()"
-    ),
 }
+
+
+def _limit_passed(rows: TickRecords, settings: Settings, code: int) -> str:
+    """Which limit of the robot stopped it; empty: none."""
+    safety, chain, culprit = settings.safety, settings.chain, int(rows.memory.culprit)
+    if code in (at.TOO_FAST, at.NEAR_END):
+        model, name = chain.model, chain.joint_names[culprit]
+        if code == at.TOO_FAST:
+            return (
+                f"joint {name} stayed above its speed limit of {model.velocityLimit[culprit]:.4g} "
+                f"rad/s or m/s for {safety.too_fast_for:g} s; the arms are braked"
+            )
+        low, high = model.lowerPositionLimit[culprit], model.upperPositionLimit[culprit]
+        return (
+            f"joint {name} came so near to the end of its range [{low:.4g}, {high:.4g}] that it "
+            f"could just be stopped before, braked from its speed limit in brake_time = "
+            f"{safety.brake_time:g} s"
+        )
+    if code == at.POWERED:
+        return f"more than contact_power = {safety.contact_power:g} W went into the contacts"
+    if code not in (at.UNFELT, at.PRESSED):
+        return ""
+    column = rows.row.pairs.owners[culprit]
+    name, forces = settings.contacts[column].name, rows.column_memory
+    read = f"{float(forces.alpha[culprit]):.3g} N when last computed"
+    if code == at.UNFELT:
+        return (
+            f"{name}: less than a fifth of its command was felt for {safety.unfelt_for:g} s "
+            f"({read}). Contact is lost, or a wrist sensor is dead or wired with the wrong sign"
+        )
+    return (
+        f"{name}: more than {safety.contact_force:g} N and three times its command was read for "
+        f"{safety.pressed_for:g} s ({read})"
+    )

@@ -1,15 +1,27 @@
-"""When ticks that cannot be computed end in a hold, and in a stop; `law.safety` does it."""
+"""When a controller holds the posture or stops, and the limits of the robot that it keeps.
+
+`law.safety` and `law.watch` do it.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.law.safety import BRAKE_RATE
+from osc_contact.law.watch import SURE
 
 __all__ = ["SafetySettings", "SafetyState"]
+
+#: what may be infinite: no limit
+_OPEN = (
+    "too_fast_for", "torque_rate", "contact_power", "contact_force", "pressed_for", "unfelt_for",
+    "integral_force", "integral_motion",
+)  # fmt: skip
 
 
 class SafetyState(IntEnum):
@@ -23,20 +35,51 @@ class SafetyState(IntEnum):
 
 @dataclass(frozen=True)
 class SafetySettings:
-    """What happens to ticks that cannot be computed.
+    """What happens to ticks that cannot be computed, and limits of the robot beside its motors'.
 
     Attributes:
         repeats: ticks in a row that repeat the last torques; later ones hold the posture. None
             repeats those of a tick whose motors were at their limits.
         stop_after: ticks in a row after which the controller stops.
-        too_fast_for: s; a motor joint above its speed limit for longer stops the controller.
+        too_fast_for: s; a motor joint above its speed limit for longer stops the controller (time
+            below it is taken off).
         hold_rate: ω, 1/s, of q̈ = −2ω q̇ − ω²(q − q_hold) in a hold and a stop.
+        torque_rate: 1/s; no motor torque changes faster than its limit times this.
+        brake_time: s in which a joint can be braked from its speed limit to rest. The controller
+            stops as long as that still ends before the joint's position limit; 0: position limits
+            are not watched.
+        contact_power: W; more power into the contacts stops the controller.
+        contact_force, pressed_for: N and s; a contact that reads more than that, and more than
+            three times its command, for longer stops the controller.
+        unfelt_for: s; a contact that is wanted and reads less than a fifth of its command for
+            longer stops the controller, unless contact phases see to it.
+        integral_force: N; the force integral stays within that, or within 1.5 times the command
+            where that is more. integral_motion: m/s², rad/s²; the same of the motion integral.
     """
 
     repeats: int = 2
     stop_after: int = 20
     too_fast_for: float = 0.02
     hold_rate: float = 20.0
+    torque_rate: float = 200.0
+    brake_time: float = 0.1
+    contact_power: float = 20.0
+    contact_force: float = 30.0
+    pressed_for: float = 0.15
+    unfelt_for: float = 0.2
+    integral_force: float = 15.0
+    integral_motion: float = 50.0
+
+    @classmethod
+    def motors_only(cls) -> SafetySettings:
+        """No limits but those of the motors: for ticks that are not those of one motion."""
+        most: dict[str, Any] = dict.fromkeys(_OPEN, np.inf)
+        return cls(brake_time=0.0, **most)
+
+    @property
+    def reaction(self) -> float:
+        """s from the decision to stop until the brakes are on, as far as stopping ways go."""
+        return 0.5 / self.hold_rate + 0.5 / BRAKE_RATE + SURE
 
     def __post_init__(self) -> None:
         if not 0 <= self.repeats < self.stop_after:
@@ -44,7 +87,16 @@ class SafetySettings:
                 f"safety: repeats = {self.repeats}, stop_after = {self.stop_after}; give "
                 "0 ≤ repeats < stop_after"
             )
-        for key in ("too_fast_for", "hold_rate"):
-            value = getattr(self, key)
-            if not (np.isfinite(value) and value > 0.0):
-                raise InvalidInputError(f"safety: {key} = {value}; give a finite number > 0")
+        if not (np.isfinite(self.hold_rate) and self.hold_rate > 0.0):
+            raise InvalidInputError(
+                f"safety: hold_rate = {self.hold_rate}; give a finite number > 0"
+            )
+        if not (np.isfinite(self.brake_time) and self.brake_time >= 0.0):
+            raise InvalidInputError(
+                f"safety: brake_time = {self.brake_time} s; give a finite number ≥ 0"
+            )
+        for key in _OPEN:
+            if not getattr(self, key) > 0.0:
+                raise InvalidInputError(
+                    f"safety: {key} = {getattr(self, key)}; give a number > 0, or inf for no limit"
+                )

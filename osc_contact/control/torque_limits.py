@@ -77,6 +77,11 @@ def scale_torques(rows: TickRecords, chain: ClosedChain, tau: Array) -> GivenUp:
     share = np.abs(wanted) / chain.tau_max
     motor = int(np.argmax(share))
     tau[:] = wanted / share[motor]
+    if rows.memory.ticked > 1:
+        step = rows.row.head.torque_rate * rows.row.head.period * chain.tau_max
+        tau[:] = rows.torques + (tau - rows.torques) / max(
+            1.0, np.max(np.abs(tau - rows.torques) / step)
+        )
     rows.torques[:], rows.memory.faults = tau, 0
     return GivenUp(
         (chain.joint_names[chain.actuated[motor]],), wanted[[motor]], chain.tau_max[[motor]],

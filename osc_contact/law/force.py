@@ -19,6 +19,7 @@ from osc_contact.law.jit import inner
 
 __all__ = ["add_friction", "command_force", "contact_laws", "measure_magnitudes", "sum_readings"]
 
+_WINDUP = 1.5  #: times the command, of the force integral
 _NOTHING = 1e-9  #: Λ_out beside the object's inertia, below which sensors read f_c itself
 
 
@@ -207,10 +208,17 @@ def _measure_at_tip(work):
 
 
 @inner
-def command_force(r, alpha_d, alpha_meas, speed, integral, gain, damping, least, dt, after, out):
-    """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ α_min; the new integral: `after`."""
+def command_force(
+    r, alpha_d, alpha_meas, speed, integral, gain, damping, least, most, dt, after, out
+):
+    """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ α_min; the new integral: `after`.
+
+    The integral stays within `most` (N), or `_WINDUP` times the command where that is more.
+    """
     for a in range(r):
-        after[a] = integral[a] + gain[a] * dt * (alpha_d[a] - alpha_meas[a])
+        room = max(_WINDUP * abs(alpha_d[a]), most)
+        s = integral[a] + gain[a] * dt * (alpha_d[a] - alpha_meas[a])
+        after[a] = min(max(s, -room), room)
         out[a] = alpha_d[a] + after[a] - damping[a] * speed[a]
         if out[a] < least[a]:
             out[a] = least[a]

@@ -4,17 +4,19 @@ RUN       computed, nothing lost
 DEGRADED  motors at their limits or a singular posture near; or not computed, for a tick or two:
           the last torques go on
 HOLD      not computed: gravity compensation and damping at the last posture that was read
-SAFE_STOP not computed for too long, or joints too fast for too long: braked to rest, then held;
-          ends by a reset only
+SAFE_STOP not computed for too long, or a limit of the robot is passed, see `watch`: braked to rest,
+          then held; ends by a reset only
 """
 
 from __future__ import annotations
 
 from math import isfinite
 
+from osc_contact.law.algebra import cross
 from osc_contact.law.arm_motion import move_arm, place_arm, place_point
 from osc_contact.law.energy import carry_wrench
 from osc_contact.law.jit import inner
+from osc_contact.law.phases import slew
 from osc_contact.law.tables import (
     DEGRADED_STATE,
     HOLD,
@@ -26,41 +28,37 @@ from osc_contact.law.tables import (
     TOO_FAST,
 )
 
-__all__ = ["guard"]
+__all__ = ["BRAKE_RATE", "guard"]
 
 _AT_REST = 0.02  #: rad/s, m/s: below it a braked joint is held where it is
-_SLEW = 40.0  #: 1/s: torques of a hold move from the last ones by their limit times this
+_LEAST = 0.1  #: share of the brakes that is left where motors can hardly carry the arm
+BRAKE_RATE = 40.0  #: 1/s: torques of a hold move from the last ones by their limit times this
 
 
 @inner
-def guard(chain, arms, table, work, memory, joints, kept, q, v, last, tau, first, reason):
+def guard(chain, arms, table, work, memory, joints, kept, step, q, v, last, tau, first, reason):
     """The state after this tick, and the torques of one that was not computed; its reason.
 
     Args:
         chain, arms, table: CHAIN record, ARM and JOINT rows. work, memory: records.
         joints: JOINT_WORK rows; those of a tick that is held lose placements, h and M.
         kept: (3 n,) of MEMORY: joint positions last read, those held, and speeds.
-        q, v: (n,) as they came in. last: (motors,) torques of the last tick, tau[first:] of this.
+        step: (motors,) scratch. q, v: (n,) as they came in.
+        last: (motors,) torques of the last tick, tau[first:] of this.
     """
     n = chain.n_joints
     if reason == NO_REASON:
-        fast = False
         for j in range(n):
             kept[j] = q[j]
-            fast = fast or abs(v[j]) > table[j].speed_max
         if work.status != SATURATED:  # then the motor limits still have to be met
             memory.faults = 0
-        memory.too_fast = memory.too_fast + 1 if fast else 0
-        if memory.too_fast <= chain.fast_ticks:
-            memory.read, memory.repeats = 1, chain.repeats if work.status != SATURATED else 0
-            _enter(memory, RUN if work.status == OK else DEGRADED_STATE)
-            return NO_REASON
-        reason = memory.cause = TOO_FAST
-        _enter(memory, SAFE_STOP)
-    elif memory.state != SAFE_STOP:
+        memory.read, memory.repeats = 1, chain.repeats if work.status != SATURATED else 0
+        _enter(memory, RUN if work.status == OK else DEGRADED_STATE)
+        return NO_REASON
+    if memory.state != SAFE_STOP:
         memory.faults += 1
         memory.cause = reason
-        if memory.faults >= chain.fault_ticks:
+        if memory.faults >= chain.fault_ticks or reason >= TOO_FAST:
             _enter(memory, SAFE_STOP)
         elif memory.faults > memory.repeats:
             _enter(memory, HOLD)
@@ -73,7 +71,7 @@ def guard(chain, arms, table, work, memory, joints, kept, q, v, last, tau, first
         for i in range(chain.n_motors):
             tau[first + i] = last[i]
     else:
-        _hold_posture(chain, arms, table, work, memory, joints, kept, last, tau, first)
+        _hold_posture(chain, arms, table, work, memory, joints, kept, step, last, tau, first)
     return reason
 
 
@@ -108,11 +106,12 @@ def _read_joints(chain, memory, kept, q, v):
 
 
 @inner
-def _hold_posture(chain, arms, table, work, memory, joints, kept, last, tau, first):
-    """τ = h + M(−2ω q̇ − ω²(q − q_hold)) − the arms' shares of the object's weight.
+def _hold_posture(chain, arms, table, work, memory, joints, kept, step, last, tau, first):
+    """τ = h + M(−2ω q̇ − ω²(q − q_hold)) + Jᵀw, h and M with the arms' shares of the object in w.
 
-    While joints move, q_hold moves with them. Torques within their limits, and not further from
-    the last ones than `_SLEW` allows.
+    While joints move, q_hold moves with them. Where motors cannot exert it the second part is
+    scaled down as a whole: so it goes on taking energy from the joints. Torques move in a straight
+    line from the last ones, no motor faster than `BRAKE_RATE` allows.
     """
     n = chain.n_joints
     q, goal, speed = kept[:n], kept[n : 2 * n], kept[2 * n :]
@@ -133,50 +132,104 @@ def _hold_posture(chain, arms, table, work, memory, joints, kept, last, tau, fir
             origin[i] = bias[i] = 0.0
         place_arm(table, joints, arm.first, arm.end, q)
         move_arm(arm, table, joints, speed, origin, chain.gravity, work.s, work.t, V, gamma, bias)
-    _carry_weight(chain, arms, memory, joints, work)
+    mass = _carry_weight(chain, arms, memory, joints, work)
     rate = chain.hold_rate
+    for j in range(n):
+        joints[j].acceleration = -rate * (2.0 * speed[j] + rate * (q[j] - goal[j]))
     for k in range(chain.n_arms):
-        lo, hi = arms[k].first, arms[k].end
-        for j in range(lo, hi):
-            motor = table[j].motor
-            if motor < 0:
-                continue
-            s = joints[j].h
-            for i in range(lo, hi):
-                a = -rate * (2.0 * speed[i] + rate * (q[i] - goal[i]))
-                s += joints[j].M[i - lo] * a
-            for i in range(6):
-                s += joints[j].column[i] * work.y[i]
-            most = table[j].tau_max
-            step = _SLEW * chain.period * most
-            before = last[motor]
-            if memory.ticked != 0:
-                s = min(max(s, before - step), before + step)
-            s = min(max(s, -most), most)
-            tau[first + motor] = s if isfinite(s) else before
+        share = _split_torques(chain, arms[k], table, joints, work, mass)
+        for j in range(arms[k].first, arms[k].end):
+            motor, most = table[j].motor, table[j].tau_max
+            if motor >= 0:
+                s = min(max(joints[j].tau + share * joints[j].rest, -most), most)
+                tau[first + motor] = s if isfinite(s) else last[motor]
+                step[motor] = BRAKE_RATE * chain.period * most
+    out = tau[first : first + chain.n_motors]
+    if memory.ticked != 0:
+        slew(out, last, step, chain.n_motors)
     for i in range(chain.n_motors):
-        last[i] = tau[first + i]
+        last[i] = out[i]
+
+
+@inner
+def _split_torques(chain, arm, table, joints, work, mass):
+    """`tau`: what carries a resting arm and its share of the object; `rest`: what accelerates both
+    by q̈; how much of this the motors bear.
+
+    Args:
+        mass: kg, the arm's share of the object's. work.y: (6,) wrench that carries it, work.A: its
+            principal axes as columns, work.u: (3,) its centre.
+    """
+    lo, share, pull = arm.first, 1.0, work.z
+    _accelerate_object(chain, arm, joints, work, mass, pull)
+    for j in range(lo, arm.end):
+        s, brake = joints[j].h, 0.0
+        for i in range(lo, arm.end):
+            brake += joints[j].M[i - lo] * joints[i].acceleration
+        for i in range(6):
+            s += joints[j].column[i] * work.y[i]
+            brake += joints[j].column[i] * pull[i]
+        joints[j].tau, joints[j].rest = s, brake
+        if table[j].motor >= 0 and abs(brake) > 0.0:
+            most = table[j].tau_max
+            room = most - s if brake > 0.0 else most + s
+            share = min(share, max(room, 0.0) / abs(brake))
+    return max(share, _LEAST)
+
+
+@inner
+def _accelerate_object(chain, arm, joints, work, mass, out):
+    """out (6,): wrench at the world's origin that lets an arm's share of the object follow q̈."""
+    a, c, R = work.w, work.u, work.A
+    for i in range(6):
+        a[i] = out[i] = 0.0
+        for j in range(arm.first, arm.end):
+            a[i] += joints[j].column[i] * joints[j].acceleration
+    if mass == 0.0:
+        return
+    x, y, z = cross(a[3], a[4], a[5], c[0], c[1], c[2])
+    out[0], out[1], out[2] = mass * (a[0] + x), mass * (a[1] + y), mass * (a[2] + z)
+    for b in range(3):
+        along = R[0, b] * a[3] + R[1, b] * a[4] + R[2, b] * a[5]
+        for i in range(3):
+            out[3 + i] += R[i, b] * chain.principal[1 + b] * along / chain.n_arms
+    x, y, z = cross(c[0], c[1], c[2], out[0], out[1], out[2])
+    out[3], out[4], out[5] = out[3] + x, out[4] + y, out[5] + z
 
 
 @inner
 def _carry_weight(chain, arms, memory, joints, work):
-    """y (6,) = wrench at the world's origin with which each arm carries its share of the object."""
-    out, centre = work.y, work.u
+    """y (6,) = wrench at the world's origin with which each arm carries its share of the object.
+
+    Its principal axes go to the columns of `work.A`, its centre to `work.u`; returns the share's
+    mass (kg).
+    """
+    out, centre, R, own = work.y, work.u, work.A, chain.X_LP
     for i in range(6):
         out[i] = centre[i] = 0.0
-    if chain.held == 0:
-        return
+    known = chain.leader >= 0 or memory.located != 0
+    if chain.held == 0 or not known:
+        return 0.0
     if chain.leader >= 0:
-        place_point(joints[arms[chain.leader].tip_joint], chain.X_LP, 9, centre)
-    elif memory.located != 0:
+        joint = joints[arms[chain.leader].tip_joint]
+        place_point(joint, own, 9, centre)
+        for i in range(3):
+            for b in range(3):
+                R[i, b] = 0.0
+                for j in range(3):
+                    R[i, b] += joint.R[i, j] * own[3 * j + b]
+    else:
         for i in range(3):
             centre[i] = memory.X_WO[i, 3]
             for j in range(3):
-                centre[i] += memory.X_WO[i, j] * chain.X_LP[9 + j]
-    else:
-        return
+                centre[i] += memory.X_WO[i, j] * own[9 + j]
+            for b in range(3):
+                R[i, b] = 0.0
+                for j in range(3):
+                    R[i, b] += memory.X_WO[i, j] * own[3 * j + b]
+    mass = chain.principal[0] / chain.n_arms
     for i in range(3):
-        out[i] = -chain.principal[0] * chain.gravity[i] / chain.n_arms
-    for i in range(3):
+        out[i] = -mass * chain.gravity[i]
         work.w[i] = 0.0
     carry_wrench(out, centre, work.w, out)
+    return mass

@@ -183,7 +183,7 @@ def build_settle(stamp: int) -> Any:
         last = numbers(memory_bytes, chain.torque_memory_at, chain.n_motors)
         for i in range(chain.n_motors):
             tau[i] = found[i]
-        if chain.phased != 0 and memory.ticked > 1:
+        if memory.ticked > 1:
             step = numbers(raw, chain.flat_at + 40 * chain.n_columns, chain.n_motors)
             table = read_joints(model, chain.joints_at, chain.n_joints)
             for j in range(chain.n_joints):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import inf, isfinite
 
 from osc_contact.law import phases
 from osc_contact.law.algebra import dot6, lu_solve, meet, reflect, reflect_back, solve_lower
@@ -234,7 +234,7 @@ def command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, 
             work.w[a] = memory.force_sum[a] if memory.force_rank == r else 0.0
         command_force(
             r, work.alpha_d, work.alpha_meas, work.speed, work.w, work.gain, work.damping,
-            work.least, dt, work.force_next, work.alpha_u,
+            work.least, chain.integral_force, dt, work.force_next, work.alpha_u,
         )  # fmt: skip
     else:
         for a in range(r):
@@ -242,8 +242,10 @@ def command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, 
     if memory.hand_over != 0:
         memory.hand_over = 0
         hand_over(chain, work, memory)
+    most = chain.integral_motion / chain.integral if chain.integral > 0.0 else inf
     for i in range(6):
-        work.motion_next[i] = memory.motion_sum[i] + work.motion_next[i] * dt
+        s = memory.motion_sum[i] + work.motion_next[i] * dt
+        work.motion_next[i] = min(max(s, -most), most)
     if flags & OWN_MOTION == 0:
         command_motion(
             work.error, work.motion_next, V_D, A_D, work.V_O, chain.stiffness, chain.damping,
@@ -345,7 +347,7 @@ def finish(chain, table, work, memory, joints, columns, column_memory, owners, c
     elif work.n_lost > 0:
         work.status = DEGRADED
     if not excess:
-        if chain.phased != 0 and memory.ticked != 0:
+        if memory.ticked != 0:
             step = flat[5 * chain.n_columns :]
             for j in range(chain.n_joints):
                 if table[j].motor >= 0:

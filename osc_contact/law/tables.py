@@ -61,10 +61,13 @@ CHAIN = _record(
     number=(
         "tolerance", "stiffness", "damping", "integral", "period", "posture_stiffness",
         "posture_damping", "retreat_damping", "mu", "slip", "learning",
-        "hold_rate",  # 1/s, of `safety`
+        "hold_rate", "torque_rate",  # 1/s, of `safety`
+        # see `watch`: s to begin braking, W, N of the least limit, s of low and of high forces
+        "reaction", "contact_power", "contact_force", "unfelt_for", "pressed_for",
+        "integral_force", "integral_motion",  # the most that integrals add: N, m/s² or rad/s²
         # contact phases, see `phases`
         "force_gain", "force_damping", "approach_speed", "approach_damping", "travel", "rise",
-        "least_force", "torque_rate", "lost_share", "lag", "force_on", "force_off", "power",
+        "least_force", "lost_share", "lag", "force_on", "force_off", "power",
         "patience", "window", "dwell", "leaving",
     ),
     gravity=3,
@@ -91,7 +94,8 @@ ARM = _record(
 JOINT = _record(
     whole=("slides", "motor"),  # motor: number or −1
     number=(
-        "tau_max", "speed_max",
+        "tau_max", "speed_max", "lower", "upper",
+        "brake",  # s²/rad: 1/(2a), a the deceleration of a stop
         "effort", "ease",  # τ_max², 1/τ_max²; 0 without motor
         "armature", "posture", "low", "high", "width", "most",  # see `control.joint_limits`
         "viscous", "dry", "slip",  # friction, and the speed from which on the dry one is whole
@@ -113,9 +117,13 @@ MEMORY = _record(
         "force_rank", "located", "ticked", "fresh", "engaged", "hand_over", "reason",
         # see `safety`: ticks in this state, faults in a row, ticks too fast, ticks that may repeat
         "state", "age", "faults", "too_fast", "repeats", "cause", "read", "settled",
+        "culprit",  # joint or column of N that the cause is about
         "given",  # GIVEN_POSE, GIVEN_TWIST: the object's pose, its twist too, need not be found
     ),
-    number=("more_friction",),  # learnt, beyond what is believed
+    number=(
+        "more_friction",  # learnt, beyond what is believed
+        "powered", "ending",  # see `watch`: s of too much power, s near the end of a joint
+    ),
     motion_sum=6, f_tare=6, f_bias=6,
     force_sum=6,  # of the columns kept in the last tick
     X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
@@ -128,6 +136,7 @@ COLUMN_MEMORY = _record(
         "low_for", "high_for", "burst", "armed_for",  # see `phases.monitor`
         "force", "pace",  # low-passed magnitude and speed
         "alpha", "speed", "net",  # of the last tick; net: without the inertia of what flies
+        "unfelt", "pressed",  # see `watch`: s of too little force, and of too much
     ),
 )  # fmt: skip
 
@@ -194,8 +203,8 @@ OK, SATURATED, HELD, DEGRADED = range(4)
 (
     NO_REASON, BAD_INPUT, OBJECT_UNKNOWN, BAD_INERTIA, UNACTUATED, DEGENERATE_PAIR, CONTRADICTION,
     DIFFERENT_BODIES, UNREACHABLE, INSEPARABLE, BAD_METRIC, NOT_FINITE, BLIND, STOPPED,
-    TOO_FAST,
-) = range(15)  # fmt: skip
+    TOO_FAST, NEAR_END, POWERED, UNFELT, PRESSED,
+) = range(19)  # fmt: skip
 #: What the controller does, see `safety`.
 RUN, DEGRADED_STATE, HOLD, SAFE_STOP = range(4)
 

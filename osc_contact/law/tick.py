@@ -6,7 +6,7 @@ the last row worked out. A tick has four parts, so that Python may step in betwe
 
     LOOK      what came in, phases of the contacts, the closed chain
     MEASURE   N and n_γ, what the bodies do along N, the force filter of fig. 5, the pose error
-    COMMAND   force law, motion law, motion filter (24), control structure (21)
+    COMMAND   force law, motion law, motion filter (24), control structure (21), the robot's limits
     ALLOCATE  motor torques, verdict, memory
 
 HAND_OVER by itself turns what the motion integral has learnt into a constant wrench.
@@ -61,6 +61,7 @@ from osc_contact.law.tables import (
     read_shapes,
     read_work,
 )
+from osc_contact.law.watch import watch_contacts, watch_joints
 
 __all__ = [
     "ALLOCATE",
@@ -164,6 +165,10 @@ def _row(
             reason = compare_poses(chain, work, X_WD)
     if begin <= COMMAND < stop and reason == NO_REASON:
         reason = command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, flags)
+        if reason == NO_REASON:
+            reason = watch_joints(chain, table, memory, q, v)
+        if reason == NO_REASON and work.rank > 0:
+            reason = watch_contacts(chain, work, memory, columns, column_memory)
     if begin <= ALLOCATE < stop and reason == NO_REASON:
         predict_joints(chain, arms, work, joints)
         reason = allocate_torques(
@@ -180,8 +185,9 @@ def _row(
                 )
     if reason != NO_REASON or stop == END:
         reason = guard(
-            chain, arms, table, work, memory, joints, kept, q, v, last, tau, first, reason
-        )
+            chain, arms, table, work, memory, joints, kept, flat[5 * r_all :], q, v, last, tau,
+            first, reason,
+        )  # fmt: skip
     work.reason = memory.reason = reason
     if reason != NO_REASON:
         work.status, memory.fresh = HELD, 0

@@ -90,6 +90,14 @@ class SafetySpec(Spec):
     stop_after: Annotated[int, Field(gt=0)] = 20
     too_fast_for: Annotated[Time, Field(gt=0)] = 0.02
     hold_rate: Positive = 20.0
+    torque_rate: Positive = 200.0
+    brake_time: Annotated[Time, Field(ge=0)] = 0.1
+    contact_power: Positive = 20.0
+    contact_force: Annotated[Force, Field(gt=0)] = 30.0
+    pressed_for: Annotated[Time, Field(gt=0)] = 0.15
+    unfelt_for: Annotated[Time, Field(gt=0)] = 0.2
+    integral_force: Annotated[Force, Field(gt=0)] = 15.0
+    integral_motion: Positive = 50.0
 
 
 class ForceReadingSpec(Spec):

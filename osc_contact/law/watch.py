@@ -1,0 +1,92 @@
+"""What a robot must not go on with: joints too fast or near their ends, forces out of hand.
+
+Each rule looks at a tick that could be computed, before its torques are worked out. A reason that
+it finds stops the arms, see `safety`. Rules about forces and speeds collect seconds of evidence:
+what speaks against them takes it away at the same pace, so that neither a knock nor one wrong
+sample stops a robot, and bouncing does.
+"""
+
+from __future__ import annotations
+
+from osc_contact.law.jit import inner, leaf
+from osc_contact.law.tables import (
+    NEAR_END,
+    NO_REASON,
+    POWERED,
+    PRESSED,
+    RUN,
+    TOO_FAST,
+    UNFELT,
+)
+
+__all__ = ["SURE", "watch_contacts", "watch_joints"]
+
+_FELT = 0.2  #: share of a command; a contact that reads less is not felt
+_LIGHT = 1.0  #: N; what is commanded less cannot be told from nothing
+SURE = 0.0025  #: s of evidence, at the least, that one wrong sample does not bring about
+_PRESSED = 3.0  #: times the command; a contact that reads more is pressed
+
+
+@leaf
+def watch_joints(chain, table, memory, q, v):
+    """Joints above their speed limits for too long, or about to run into an end stop; a reason.
+
+    A joint can stop within |q̇|(t_r + |q̇|/(2a)), t_r the time until the brakes are on. One that is
+    beyond its end already is left alone: no braking helps there.
+    """
+    fast, near = -1, -1
+    for j in range(chain.n_joints):
+        x, speed, row = q[j], v[j], table[j]
+        if abs(speed) > row.speed_max:
+            fast = j
+        rest = x + speed * (chain.reaction + row.brake * abs(speed))
+        if (rest > row.upper and x <= row.upper) or (rest < row.lower and x >= row.lower):
+            near = j
+    memory.too_fast = memory.too_fast + 1 if fast >= 0 else max(memory.too_fast - 1, 0)
+    memory.ending = collect(memory.ending, chain.period, near >= 0)
+    if memory.ending > max(SURE, 1.5 * chain.period):
+        memory.culprit = near
+        return NEAR_END
+    if memory.too_fast > chain.fast_ticks:
+        memory.culprit = fast
+        return TOO_FAST
+    return NO_REASON
+
+
+@inner
+def watch_contacts(chain, work, memory, columns, column_memory):
+    """Contacts that take too much power, that are not felt, or that are pressed; a reason.
+
+    P = Σ α_k (NᵀV_rel)_k over what moves into its face. A force is not felt below a fifth of its
+    command: contact is lost, or the sensor lies; contact phases see to that where they are on. It
+    is pressed above three times its command, or above `contact_force`, whichever is more.
+    """
+    power, reason, dt = 0.0, NO_REASON, chain.period
+    for a in range(work.rank):
+        alpha, wanted, speed = work.alpha_meas[a], work.alpha_d[a], work.speed[a]
+        if alpha > 0.0 and speed > 0.0:
+            power += alpha * speed
+        row = column_memory[columns[int(work.keep[a])].chosen]
+        felt = alpha if wanted > 0.0 else -alpha
+        size = abs(wanted)
+        missing = size > _LIGHT and felt < _FELT * size
+        row.unfelt = collect(row.unfelt, dt, missing and chain.phased == 0 and memory.state == RUN)
+        most = max(_PRESSED * size, chain.contact_force)
+        row.pressed = collect(row.pressed, dt, abs(alpha) > most)
+        if row.unfelt > chain.unfelt_for:
+            reason = UNFELT
+        elif row.pressed > chain.pressed_for:
+            reason = PRESSED
+        if reason != NO_REASON:
+            memory.culprit = columns[int(work.keep[a])].chosen
+            return reason
+    memory.powered = collect(memory.powered, dt, power > chain.contact_power)
+    if memory.powered > max(SURE, 1.5 * chain.period):
+        return POWERED
+    return NO_REASON
+
+
+@leaf
+def collect(seconds, dt, amiss):
+    """Seconds of evidence after one tick more."""
+    return seconds + dt if amiss else max(seconds - dt, 0.0)

@@ -1,0 +1,209 @@
+"""Limits of the robot: torque rate, joint speed and position, power and force in the contacts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import osc_contact as osc
+from osc_contact.bench.cases import CASES, Case
+from osc_contact.errors import InvalidInputError
+from osc_contact.plants.rigid import RigidPlant
+
+RUN, SAFE_STOP = osc.SafetyState.RUN, osc.SafetyState.SAFE_STOP
+DT = 1e-3
+
+
+@pytest.fixture(params=["one_panda", "two_contact_rod"])
+def case(request: pytest.FixtureRequest) -> Case:
+    return CASES[request.param]()
+
+
+def guarded(case: Case, **safety: float) -> osc.Controller:
+    return case.controller().with_safety(osc.SafetySettings(**safety))
+
+
+@pytest.mark.parametrize("force", [60.0, 3000.0])  # within the motor limits, and beyond
+def test_torques_go_straight_to_what_is_wanted_at_their_rate(case: Case, force: float) -> None:
+    controller = guarded(case, torque_rate=30.0)
+    free = case.controller().with_safety(osc.SafetySettings.motors_only())
+    before = controller.tick(case.measurement, case.reference)
+    free.tick(case.measurement, case.reference)
+    step = 30.0 * DT * case.chain.tau_max
+    wish = replace(case.reference, alpha_d=np.full(len(case.pairs), force))
+    wanted = free.tick(case.measurement, wish)
+    assert (free.status is osc.Status.SATURATED) == (force > 1000.0)
+    tau = controller.tick(case.measurement, wish)
+    share = (np.abs(wanted - before) / step).max()
+    assert share > 1.5
+    np.testing.assert_allclose(tau, before + (wanted - before) / share, rtol=0, atol=1e-6)
+
+
+def test_a_joint_is_stopped_before_its_end() -> None:
+    case = CASES["one_panda"]()
+    plant = RigidPlant(case.chain, (), DT)
+    plant.reset(case.measurement.q)
+    controller = osc.Controller(case.chain, (), case.gains, posture=case.posture)
+    X, model, ends = plant.poses()[0], case.chain.model, []
+    for k in range(4000):
+        angle = 1.5 * k * DT  # a turn that the wrist has no room for
+        goal = pin.SE3(X[:3, :3] @ pin.exp3(np.array([0.0, 0.0, angle])), X[:3, 3])
+        spin = np.concatenate((np.zeros(3), 1.5 * X[:3, 2]))
+        seen = plant.measure()
+        ends.append(
+            np.minimum(seen.q - model.lowerPositionLimit, model.upperPositionLimit - seen.q)
+        )
+        plant.command(controller.tick(seen, osc.Reference(goal, spin)), DT)
+        if controller.state is SAFE_STOP and np.abs(seen.v).max() < 1e-3:
+            break
+    assert controller.state is SAFE_STOP and "end of its range" in controller.reason
+    nearest = np.min(ends, axis=0)
+    joint = case.chain.joint_names[int(np.argmin(nearest))]
+    assert f"joint {joint} " in controller.reason
+    assert 0.0 < nearest.min() < 0.25
+
+
+def test_ends_are_not_watched_where_that_is_not_wanted(case: Case) -> None:
+    q, v = case.measurement.q.copy(), np.zeros(case.chain.nq)
+    joint = case.chain.actuated[1]
+    q[joint] = case.chain.model.upperPositionLimit[joint] - 1e-3
+    v[joint] = 0.2
+    near = replace(case.measurement, q=q, v=v)
+    unwatched, watched, back = guarded(case, brake_time=0.0), guarded(case), guarded(case)
+    for k in range(3):
+        unwatched.tick(near, case.reference)
+        back.tick(replace(near, v=-v), case.reference)
+        watched.tick(near, case.reference)
+        assert (watched.state is SAFE_STOP) == (k == 2)  # not for one wrong sample
+    assert "end of its range" in watched.reason and watched.state is SAFE_STOP
+    assert "end of its range" not in unwatched.reason + back.reason
+
+
+def into_faces(case: Case, speed: float) -> np.ndarray:
+    """Joint velocities at which every contact moves into its face."""
+    state = case.chain.state
+    q, unit = case.measurement.q, np.eye(case.chain.nq)
+    X = state(q, np.zeros(case.chain.nq)).X_WO
+    N = np.hstack([pair.contact(X, np.zeros(6)).N for pair in case.pairs])
+    S = np.array([state(q, e).V_O for e in unit]).T
+    wanted = speed * np.ones(N.shape[1])
+    return np.linalg.pinv(N.T @ S) @ wanted
+
+
+def test_power_into_the_contacts_stops_it() -> None:
+    case = CASES["one_panda"]()
+    fast = replace(case.measurement, v=into_faces(case, 0.3))
+    states = {}
+    for limit in (0.5, 100.0):
+        controller = guarded(case, contact_power=limit, pressed_for=np.inf, unfelt_for=np.inf)
+        for _ in range(8):
+            controller.tick(fast, case.reference)
+            states.setdefault(limit, []).append(controller.state)
+    assert states[0.5].index(SAFE_STOP) == 2  # not for one wrong sample
+    assert SAFE_STOP not in states[100.0]
+
+
+def pressed(case: Case, times: float) -> osc.Measurement:
+    """Readings in which the contact forces are so many times what they were."""
+    model, out = case.controller(), case.measurement
+    model.tick(out, case.reference)
+    bias = osc.Controller(case.chain, (), case.gains, posture=case.posture)
+    bias.tick(out, osc.Reference(case.reference.X_WD))
+    state = case.chain.state(out.q, out.v)
+    N = np.hstack([pair.contact(state.X_WO, state.V_O).N for pair in case.pairs])
+    extra = N @ (np.array([10.0] * N.shape[1]) * (times - 1.0))
+    wrenches = out.wrenches.copy()
+    placed = case.chain.model.createData()
+    pin.forwardKinematics(case.chain.model, placed, out.q)
+    pin.updateFramePlacements(case.chain.model, placed)
+    frame = placed.oMf[case.chain.sensors[0]]
+    world = pin.Force(extra[:3], extra[3:] + np.cross(state.X_WO.translation, extra[:3]))
+    wrenches[0] += frame.actInv(world).vector
+    return replace(out, wrenches=wrenches)
+
+
+def test_a_force_that_is_far_too_large_stops_it_and_so_does_one_that_is_not_felt() -> None:
+    case = CASES["one_panda"]()
+    wish = float(case.reference.alpha_d[0])
+    for times, word, ticks in ((8.0, "three times its command", 51), (-1.0, "fifth of its", 101)):
+        controller = guarded(case, pressed_for=0.0505, unfelt_for=0.1005)
+        states = []
+        for _ in range(120):
+            controller.tick(pressed(case, times), case.reference)
+            controller.motion_law.integral = np.zeros(6)
+            states.append(controller.state)
+        assert states.index(SAFE_STOP) in (ticks - 1, ticks), states.index(SAFE_STOP)
+        assert word in controller.reason and case.pairs[0].name in controller.reason
+    assert wish > 1.0
+
+
+def test_the_force_integral_is_bounded() -> None:
+    case = CASES["one_panda"]()
+    dead = replace(case.measurement, wrenches=np.zeros_like(case.measurement.wrenches))
+    for alpha_d, room in ((2.0, 15.0), (40.0, 60.0)):
+        controller = guarded(case, unfelt_for=np.inf)
+        wish = replace(case.reference, alpha_d=np.array([alpha_d]))
+        seen = []
+        for _ in range(4000):
+            controller.tick(dead, wish)
+            controller.motion_law.integral = np.zeros(6)
+            seen.append(abs(controller.force_law.integral[0]))
+        assert max(seen) <= room * (1 + 1e-12)
+        assert max(seen) > 0.5 * room
+
+
+def test_the_motion_integral_is_bounded() -> None:
+    case = CASES["one_panda"]()
+    gains = osc.Gains(replace(case.gains.motion, integral=2000.0), case.gains.force)
+    controller = guarded(case, unfelt_for=np.inf, integral_motion=0.5).with_gains(gains)
+    off = case.reference.X_WD.copy()
+    off.translation = off.translation + np.array([0.01, -0.01, 0.0])
+    for _ in range(60):
+        controller.tick(case.measurement, replace(case.reference, X_WD=off))
+    largest = 2000.0 * np.abs(controller.motion_law.integral).max()
+    assert largest == pytest.approx(0.5)
+
+
+def test_brakes_take_energy_though_motors_are_too_weak_for_all_of_them() -> None:
+    case = CASES["one_panda"]()
+    model, data = case.chain.model, case.chain.model.createData()
+    rng, weak = np.random.default_rng(5), 0
+    for _ in range(50):
+        q = case.measurement.q + 0.2 * rng.normal(size=7)
+        v = 0.7 * model.velocityLimit * rng.uniform(-1.0, 1.0, 7)
+        blind = osc.Measurement(q, v, np.full((1, 6), np.nan))
+        tau = case.controller().tick(blind, case.reference)
+        assert (np.abs(tau) <= case.chain.tau_max * (1 + 1e-12)).all()
+        state, body = case.chain.state(q, np.zeros(7)), case.chain.payload
+        weight = -body.inertia.mass * model.gravity.linear
+        lever = state.X_WO.rotation @ body.inertia.lever
+        at_O = np.concatenate((weight, np.cross(lever, weight)))
+        tip = case.chain.tips[0]
+        J = pin.computeFrameJacobian(model, data, q, tip, pin.LOCAL_WORLD_ALIGNED)
+        shift = state.X_WO.translation - data.oMf[tip].translation
+        at_tip = at_O + np.concatenate((np.zeros(3), np.cross(shift, weight)))
+        carried = pin.nonLinearEffects(model, data, q, v) + J.T @ at_tip
+        if (np.abs(carried) > case.chain.tau_max).any():
+            continue  # not even the weight
+        wanted = pin.crba(model, data, q) @ (-40.0 * v)
+        weak += (np.abs(carried + wanted) > case.chain.tau_max).any()
+        assert v @ (tau - carried) < 0.0
+    assert weak > 20
+
+
+def test_limits_are_checked_and_can_be_changed(case: Case) -> None:
+    with pytest.raises(InvalidInputError, match="torque_rate = 0"):
+        osc.SafetySettings(torque_rate=0.0)
+    with pytest.raises(InvalidInputError, match=r"brake_time = -1.0 s"):
+        osc.SafetySettings(brake_time=-1.0)
+    controller = case.controller()
+    controller.tick(case.measurement, case.reference)
+    other = controller.with_safety(osc.SafetySettings(torque_rate=5.0))
+    assert other.settings.safety.torque_rate == 5.0
+    np.testing.assert_array_equal(other.last_torques(), controller.last_torques())
+    wish = replace(case.reference, alpha_d=np.full(len(case.pairs), 300.0))
+    step = np.abs(other.tick(case.measurement, wish) - controller.last_torques())
+    assert (step / case.chain.tau_max).max() == pytest.approx(5.0 * DT)
