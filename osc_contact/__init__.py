@@ -73,6 +73,7 @@ from osc_contact.visual.live import Viewer
 
 if TYPE_CHECKING:
     from osc_contact.sweeps.sweep import sweep
+    from osc_contact.sweeps.vector_env import make_vector_env
 
 __version__ = "0.1.0"
 
@@ -142,6 +143,7 @@ __all__ = [
     "recover",
     "metrics",
     "sweep",
+    "make_vector_env",
     "OscContactError",
     "InvalidInputError",
     "ModelError",
@@ -159,7 +161,11 @@ globals().update(PAIRS)
 _end = __all__.index("GapFunctions") + 1
 __all__[_end:_end] = [name for name in PAIRS if name not in __all__]
 
-_LATER = {"sweep": "osc_contact.sweeps.sweep"}  #: names whose modules few programs need
+#: Names whose modules few programs need.
+_LATER = {
+    "sweep": "osc_contact.sweeps.sweep",
+    "make_vector_env": "osc_contact.sweeps.vector_env",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -12,7 +12,7 @@ from scene_samples import make_recording
 
 from osc_contact.control.signals import SIGNALS
 from osc_contact.errors import InvalidInputError
-from osc_contact.paper.diagrams import GROUPS, LABELS, LOOP, WIRES, draw_blocks
+from osc_contact.paper.diagrams import BY_NAME, GROUPS, LABELS, LOOP, WIRES, draw_blocks
 from osc_contact.visual import plots
 from osc_contact.visual.contact_picture import draw_contact_state
 from osc_contact.visual.screws import common_perpendicular
@@ -69,6 +69,12 @@ def test_tracking_and_torque_figures() -> None:
     (arm,) = plots.torques(make_recording()).axes
     labels = [line.get_label() for line in arm.lines]
     assert labels == ["joint1", "joint2", "joint3", "joint4"], "the passive hinge has no actuator"
+    assert "sliding joints: N" in arm.get_ylabel()
+    limited = make_recording()
+    limited.meta["effort_limits"] = {f"left/joint{i}": 5.0 for i in (1, 2, 3, 4)}
+    (arm,) = plots.torques(limited).axes
+    assert "% of its limit" in arm.get_ylabel() and len(arm.lines) == 6, "both limits are drawn"
+    assert np.allclose(arm.lines[3].get_ydata()[-1], 80.0) and "80 %" in arm.lines[3].get_label()
     with pytest.raises(InvalidInputError, match="no channel 'tau'"):
         plots.torques(make_recording(without=("tau",)))
 
@@ -141,7 +147,7 @@ def test_diagrams_are_legible(diagram) -> None:
                 inside_y = min(y0, y1) < room.y1 - 2 and max(y0, y1) > room.y0 + 2
                 assert not (inside_x and inside_y)
     groups = {GROUPS[block.group][1] for block, _ in boxes}
-    assert {text.get_text() for text in ax.get_legend().get_texts()} == groups
+    assert {text.get_text() for text in ax.get_legend().get_texts()} == groups | {BY_NAME}
 
 
 def test_common_perpendicular_of_known_lines() -> None:

@@ -47,22 +47,10 @@ class BatchController:
         """
         if not controllers or threads < 1:
             raise InvalidInputError(f"{len(controllers)} controllers, {threads} threads: give ≥ 1")
-        heads = [c._records.row.head for c in controllers]
-        shape = ("n_arms", "n_joints", "n_motors", "n_columns", "n_contacts", "row_bytes",
-                 "memory_bytes", "work_bytes", "slipping", "leader")  # fmt: skip
-        for i, (one, head) in enumerate(zip(controllers, heads, strict=True)):
-            differing = [name for name in shape if head[name] != heads[0][name]]
-            if differing:
-                raise InvalidInputError(
-                    f"row {i} differs from row 0 in {', '.join(differing)}; a batch has one "
-                    "structure: make one batch for each"
-                )
-            if one._outside.needed:
-                raise InvalidInputError(
-                    f"row {i} has pairs, bodies or laws that only Python can evaluate; a batch "
-                    "runs the packaged ones"
-                )
         first = controllers[0]
+        self._structure = _structure_of(first)
+        for i, one in enumerate(controllers):
+            self._require_fitting(i, one)
         self.rows, self.threads = len(controllers), threads
         self._settings = [c.settings for c in controllers]
         self._names = ModelRow.__new__(ModelRow)
@@ -71,7 +59,7 @@ class BatchController:
         self._memory: Bytes = np.concatenate([c._records.memory_bytes for c in controllers])
         self._start = self._memory.copy()
         self._call = first._rows
-        head, B = heads[0], self.rows
+        head, B = first._records.row.head, self.rows
         self._n, self._k, self._n_a = int(head.n_joints), int(head.n_arms), int(head.n_motors)
         self._r, self._c = int(head.n_columns), int(head.n_contacts)
         self._s, self._work_size = max(1, int(head.n_bars)), int(head.work_bytes) // 8
@@ -82,6 +70,20 @@ class BatchController:
         self._columns = self._strided(at.COLUMN_MEMORY, int(head.column_memory_at), self._r)
         self._limits: dict[int, MotorLimits] = {}
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+
+    def _require_fitting(self, i: int, one: Controller) -> None:
+        found = _structure_of(one)
+        differing = [name for name, size in self._structure.items() if found[name] != size]
+        if differing:
+            raise InvalidInputError(
+                f"row {i} differs from row 0 in {', '.join(differing)}; a batch has one "
+                "structure: make one batch for each"
+            )
+        if one._outside.needed:
+            raise InvalidInputError(
+                f"row {i} has pairs, bodies or laws that only Python can evaluate; a batch "
+                "runs the packaged ones"
+            )
 
     def _strided(self, dtype: np.dtype[Any], start: int, count: int) -> Any:
         """(B, count) records of all memories."""
@@ -211,6 +213,26 @@ class BatchController:
         self._memory.reshape(self.rows, -1)[mine] = self._start.reshape(self.rows, -1)[mine]
         self._codes[mine] = Status.OK
 
+    def replace(self, row: int, controller: Controller) -> None:
+        """Let a row go on as another controller, from where that one is.
+
+        Args:
+            row: its number. controller: of the batch's structure; it is not touched afterwards.
+
+        Raises:
+            InvalidInputError: another structure, or no such row.
+        """
+        if not 0 <= row < self.rows:
+            raise InvalidInputError(f"row {row}; the batch has rows 0 … {self.rows - 1}")
+        self._require_fitting(row, controller)
+        records = controller._records
+        self._model.reshape(self.rows, -1)[row] = records.row.raw
+        for memory in (self._memory, self._start):
+            memory.reshape(self.rows, -1)[row] = records.memory_bytes
+        self._settings[row] = controller.settings
+        self._limits.pop(row, None)
+        self._codes[row] = Status.OK
+
     @property
     def status(self) -> Array:
         """(B,) how each row's last tick ended, see `Status`."""
@@ -240,6 +262,13 @@ class BatchController:
         self._memories = self._strided(at.MEMORY, 0, 1)[:, 0]
         self._columns = self._strided(at.COLUMN_MEMORY, int(head.column_memory_at), self._r)
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+
+
+def _structure_of(controller: Controller) -> dict[str, int]:
+    head = controller._records.row.head
+    shape = ("n_arms", "n_joints", "n_motors", "n_columns", "n_contacts", "row_bytes",
+             "memory_bytes", "work_bytes", "slipping", "leader")  # fmt: skip
+    return {name: int(head[name]) for name in shape}
 
 
 def _table(name: str, x: npt.ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -1,7 +1,7 @@
 """Figs. 4 and 5: the boxes of `signals.BLOCKS` at fixed places, and the wires between them.
 
 No signal gets lost: what a box reads and no wire brings is named below it, what it puts out and no
-wire takes leaves as a short arrow. Commands come from above.
+wire takes is named beside it. Commands come from above.
 """
 
 from __future__ import annotations
@@ -24,40 +24,40 @@ PLANT = Block("arms, object, environment", "plant", "", ("tau",), ("q", "v", "wr
 #: The control loop of fig. 4.
 LOOP = (*BLOCKS, PLANT)
 
-WIDTH, HEIGHT, PORT = 1.5, 0.95, 0.3  #: of a box; between two wires at one edge (in)
-#: Middle of each box (in).
+WIDTH, HEIGHT, PORT = 1.9, 1.15, 0.3  #: of a box; between two wires at one edge (in)
+#: Middle of each box (in): model and plant, motion, force.
 PLACES = {
-    "closed chain": (0.0, 2.9),
-    "contact geometry": (2.2, 2.6),
-    "environment": (4.4, 2.9),
-    "motion law": (6.6, 2.6),
-    "motion filter": (8.8, 2.45),
+    "closed chain": (0.0, 6.4),
+    "contact geometry": (2.7, 6.1),
+    "environment": (5.4, 6.4),
+    PLANT.name: (8.9, 6.4),
+    "motion law": (2.7, 3.55),
+    "motion filter": (5.4, 3.4),
+    "dynamic control structure": (8.1, 3.25),
+    "torque allocation": (10.8, 3.4),
     "sum of wrist sensors": (0.0, 0.0),
-    "force filter": (2.2, 0.0),
-    "generalised inverse": (4.4, 0.0),
-    "force law": (6.6, 0.0),
-    "to operational space": (8.8, 0.0),
-    "dynamic control structure": (11.0, 1.2),
-    "torque allocation": (13.2, 1.35),
-    PLANT.name: (15.4, 1.35),
+    "force filter": (2.7, 0.0),
+    "generalised inverse": (5.4, 0.0),
+    "force law": (8.1, 0.0),
+    "to operational space": (10.8, 0.0),
 }
 #: Signal and reader of each wire, the upper ones of a box first, and where it turns (in): nowhere,
 #: at one x, or at x, y, x of the way around.
 WIRES: dict[tuple[str, str], tuple[float, ...]] = {
-    ("q", "closed chain"): (17.3, 4.0, -1.1),
+    ("q", "closed chain"): (11.4, 7.45, -1.3),
     ("parts", "environment"): (),
     ("a_u", "motion filter"): (),
-    ("alpha_u", "motion filter"): (7.7,),
+    ("alpha_u", "motion filter"): (9.4, 1.4, 4.1),
     ("f_meas", "force filter"): (),
     ("f_c_meas", "generalised inverse"): (),
     ("alpha_meas", "force law"): (),
     ("alpha_u", "to operational space"): (),
-    ("eta_c", "dynamic control structure"): (9.95,),
-    ("f_ccomm", "dynamic control structure"): (10.1,),
-    ("eta_c", "torque allocation"): (12.15,),
+    ("eta_c", "dynamic control structure"): (),
+    ("f_ccomm", "dynamic control structure"): (12.45, 1.75, 6.8),
+    ("eta_c", "torque allocation"): (6.8, 4.3, 9.45),
     ("f_S", "torque allocation"): (),
-    ("tau", PLANT.name): (),
-    ("wrenches", "sum of wrist sensors"): (17.3, -1.2, -1.1),
+    ("tau", PLANT.name): (12.2, 5.1, 7.6),
+    ("wrenches", "sum of wrist sensors"): (12.9, -1.55, -1.3),
 }
 COMMANDS = ("reference", "alpha_d", "squeeze_d")
 LABELS = {
@@ -89,7 +89,10 @@ GROUPS = {
     "model": (OKABE_ITO["green"], "model"),
     "plant": ("#555B63", "plant"),
 }
-INK, LINE, LABEL = "#2B2F36", 1.1, 9.0  #: of wires and the names on them
+INK, LINE, LABEL = "#2B2F36", 1.1, 11.0  #: of wires and the names on them
+#: Look of signals without a wire.
+NAMED: Any = {"boxstyle": "round,pad=0.18", "fc": "#E9ECF0", "ec": "none"}
+BY_NAME = "taken up by name"
 Point = tuple[float, float]
 
 
@@ -115,13 +118,14 @@ def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
             bare = [s for s in _shown(block.inputs) if (s, block.name) not in wires]
             _name_inputs(ax, PLACES[block.name], bare)
         for signal, (x, y) in starts.items():
-            _write(ax, x + 0.05, y, LABELS[signal], "left")
-            if signal not in [taken for taken, _ in wires]:
-                _arrow(ax, [(x, y), (x + 0.4, y)])
+            if signal in [taken for taken, _ in wires]:
+                _write(ax, x + 0.05, y, LABELS[signal], "left")
+            else:
+                ax.text(x + 0.09, y, LABELS[signal], size=LABEL, va="center", bbox=NAMED)
         for (signal, reader), turns in wires.items():
             end = ends[signal, reader]
             if signal in starts:
-                others = [t[0] if t else end[0] for (s, _), t in wires.items() if s == signal]
+                others = [t[0] if t else ends[k][0] for k, t in wires.items() if k[0] == signal]
                 _wire(ax, signal, starts[signal], turns, end, max(others))
             else:
                 _arrow(ax, [(end[0] - 0.4, end[1]), end])
@@ -145,12 +149,12 @@ def _canvas(places: Sequence[Point], title: str) -> tuple[Figure, Axes]:
     """A page measured in inches around the boxes."""
     xs, ys = zip(*places, strict=True)
     left, right = min(xs) - 0.5 * WIDTH - 1.5, max(xs) + 0.5 * WIDTH + 1.4
-    low, high = min(ys) - 0.5 * HEIGHT - 1.3, max(ys) + 0.5 * HEIGHT + 1.2
+    low, high = min(ys) - 0.5 * HEIGHT - 1.6, max(ys) + 0.5 * HEIGHT + 1.2
     figure = Figure(figsize=(right - left, high - low))
     figure.set_layout_engine("none")
     ax = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(left, right), ylim=(low, high))
     ax.set_axis_off()
-    ax.text(left + 0.2, high - 0.2, title, size=13, weight="bold", va="top")
+    ax.text(left + 0.2, high - 0.2, title, size=15, weight="bold", va="top")
     return figure, ax
 
 
@@ -161,10 +165,10 @@ def _box(ax: Axes, block: Block) -> None:
     look: Any = {"boxstyle": "round,pad=0,rounding_size=0.07", "lw": 1.4, "zorder": 3}
     ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, fc="white", ec=colour, **look))
     ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, fc=colour, ec="none", alpha=0.14, **look))
-    name, middle = textwrap.fill(block.name, 16), 0.22 if block.equation else 0.0
+    name, middle = textwrap.fill(block.name, 16), 0.26 if block.equation else 0.0
     centred: Any = {"ha": "center", "va": "center", "zorder": 5}
-    ax.text(x, y + middle, name, size=10, weight="bold", **centred)
-    ax.text(x, y - 0.22, block.equation, size=9.0, **centred)
+    ax.text(x, y + middle, name, size=12, weight="bold", **centred)
+    ax.text(x, y - 0.27, block.equation, size=10.5, **centred)
 
 
 def _name_inputs(ax: Axes, place: Point, signals: Sequence[str]) -> None:
@@ -177,7 +181,8 @@ def _name_inputs(ax: Axes, place: Point, signals: Sequence[str]) -> None:
             edge = y + side * 0.5 * HEIGHT
             _arrow(ax, [(x, edge + 0.22 * side), (x, edge)])
             rows = [" · ".join(names[k : k + 3]) for k in range(0, len(names), 3)]
-            ax.text(x, edge + 0.26 * side, "\n".join(rows), size=LABEL, ha="center", va=va)
+            ax.text(x, edge + 0.3 * side, "\n".join(rows), size=LABEL, ha="center", va=va,
+                    bbox=NAMED if side < 0 else None)  # fmt: skip
 
 
 def _wire(
@@ -209,4 +214,6 @@ def _legend(ax: Axes, groups: Sequence[str]) -> None:
 
     shown = [GROUPS[group] for group in dict.fromkeys(groups)]
     handles = [Patch(fc=colour, alpha=0.6, label=meaning) for colour, meaning in shown]
-    ax.legend(handles=handles, loc="lower right", ncols=len(shown), borderaxespad=0.8)
+    handles.append(Patch(fc=NAMED["fc"], label=BY_NAME))
+    look: Any = {"loc": "lower right", "borderaxespad": 0.8, "fontsize": 10}
+    ax.legend(handles=handles, ncols=len(handles), **look)

@@ -108,28 +108,28 @@ def _travel(recording: Recording) -> Array:
 
 
 def draw(cases: Sequence[Case]) -> Figure:
-    """Travel of the face above, error of the force on it below; one column for each face."""
+    """Travel of the face on the left, error of the force on it on the right; a row each."""
     faces = list(dict.fromkeys(case.face for case in cases))
     colours = dict(zip(LAWS, ("blue", "vermillion"), strict=True))
     with style():
-        figure = Figure(figsize=(4.0 * len(faces), 5.4))
-        axes = figure.subplots(2, len(faces), sharex=True, sharey="row", squeeze=False)
+        figure = Figure(figsize=(9.6, 1.9 * len(faces) + 0.9))
+        axes = figure.subplots(len(faces), 2, sharex=True, sharey="col", squeeze=False)
         largest = 0.0
-        for column, face in zip(axes.T, faces, strict=True):
+        for (travel, force), face in zip(axes, faces, strict=True):
             for case in reversed([c for c in cases if c.face == face]):
                 t, colour = case.recording["t"], OKABE_ITO[colours[case.law]]
                 error = case.recording["alpha_true"][:, 0] - case.recording["alpha_cmd"][:, 0]
                 rms = 100 * case.row["left_end_rms_error_rel"]
-                column[0].plot(t, 1e3 * _travel(case.recording), color=colour, lw=1.4)
-                column[1].plot(t, error, color=colour, lw=1.1, label=f"{case.law}: {rms:.2g} % rms")
+                travel.plot(t, 1e3 * _travel(case.recording), color=colour, lw=1.4)
+                force.plot(t, error, color=colour, lw=1.1, label=f"{case.law}: {rms:.2g} % rms")
                 largest = max(largest, np.abs(error[t >= SETTLE_S]).max())
-            column[0].set(title=face)
-            column[1].set(xlabel="time (s)")
-            column[1].legend(loc="upper right")
-            for ax in column:
-                ax.margins(x=0.0)
-        axes[1, 0].set_ylim(-1.2 * largest, 1.6 * largest)
-        axes[0, 0].set_ylabel("travel of the face (mm)")
-        axes[1, 0].set_ylabel("force on it, true − desired (N)")
+            travel.set(title=face, ylabel="travel (mm)")
+            force.set(title="force on it, true − desired", ylabel="(N)")
+            force.legend(loc="upper right", ncols=2)
+            for ax in (travel, force):
+                ax.margins(x=0.01)
+        axes[0, 1].set_ylim(-1.2 * largest, 2.2 * largest)
+        for ax in axes[-1]:
+            ax.set_xlabel("time (s)")
         figure.suptitle("Pressing on a moving face", x=0.01, ha="left", size=12, weight="bold")
     return figure

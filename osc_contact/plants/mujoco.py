@@ -304,6 +304,11 @@ class MujocoPlant:
     def stop(self) -> None:
         """Nothing to do."""
 
+    @property
+    def object_body(self) -> int:
+        """The number of the object's body in `model`."""
+        return self._object
+
     def memory(self, period: float) -> tuple[Any, ...] | None:
         """What compiled code needs to measure and step in this plant's place.
 

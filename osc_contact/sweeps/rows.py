@@ -17,8 +17,17 @@ from osc_contact.sweeps.driven_run import record_run
 from osc_contact.sweeps.study import Sample, Study
 from osc_contact.sweeps.workshop import Workshop
 
-__all__ = ["CRASHED", "DIVERGED", "REFUSED", "crashed_row", "make_rows", "record_sample",
-           "require_long_enough"]  # fmt: skip
+__all__ = [
+    "CRASHED",
+    "DIVERGED",
+    "REFUSED",
+    "crashed_row",
+    "make_rows",
+    "record_sample",
+    "require_long_enough",
+    "scenario_of",
+    "without_doubts_told",
+]
 
 #: Words beside those of `runs.outcome`: it could not be built or is not possible; the simulation
 #: diverged; the process that ran it died.
@@ -38,14 +47,14 @@ def make_rows(study: Study, numbers: Sequence[int]) -> list[Row]:
     """
     if getattr(_mine, "fingerprint", None) != study.fingerprint:
         _mine.study, _mine.workshop, _mine.fingerprint = study, Workshop(), study.fingerprint
-    with _quiet():
+    with without_doubts_told():
         rows = [_row(_mine.study, _mine.workshop, number) for number in numbers]
     return json.loads(json.dumps(rows))  # as they come out of a file
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Doubts stand in the rows; they are not told a thousand times."""
+def without_doubts_told() -> Iterator[None]:
+    """Doubts that stand in rows are not told a thousand times."""
     logger = logging.getLogger("osc_contact.preflight")
     before, logger.level = logger.level, logging.ERROR
     try:

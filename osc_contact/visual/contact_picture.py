@@ -49,8 +49,8 @@ def draw_contact_state(
     middle = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
     reach = 0.62 * float(np.ptp(cloud, axis=0).max())
     with style():
-        room = (-0.03, 0.0, 0.72, 0.96)
-        figure, ax = orthographic((9.0, 6.0), room, middle, reach, zoom=0.93)
+        room = (0.0, 0.02, 0.94, 0.86)
+        figure, ax = orthographic((7.2, 5.8), room, middle, reach, zoom=1.0)
         ax.view_init(*_widest_view(directions))
         _scales(ax, middle, reach)
         for face in faces:
@@ -68,7 +68,9 @@ def draw_contact_state(
             ax.plot(*np.array([pair.first, pair.second]).T, color="black", lw=1.6, ls=(0, (2, 1)),
                     marker="o", ms=4.0, zorder=6, label=_relation(i, j, pair))  # fmt: skip
         figure.suptitle(title, x=0.03, y=0.97, ha="left", size=12, weight="bold")
-        ax.legend(loc="upper left", bbox_to_anchor=(0.98, 0.92))
+        ax.legend(
+            loc="upper right", bbox_to_anchor=(0.995, 0.94), bbox_transform=figure.transFigure
+        )
     return figure
 
 

@@ -26,6 +26,7 @@ BLANK = 0.05
 _AXES = ("x", "y", "z")
 _TRIPLE = tuple(OKABE_ITO[name] for name in ("blue", "vermillion", "green"))
 Array = NDArray[np.float64]
+NEAR_LIMIT = 60.0  # %: from there on the limits are drawn
 
 
 def contact_forces(
@@ -154,7 +155,9 @@ def tracking(recording: Recording, judged_from: float = 0.0) -> Figure:
 
 
 def torques(recording: Recording) -> Figure:
-    """Actuator efforts over time, one panel per arm.
+    """Actuator efforts over time, one panel per arm: in percent of each motor's limit.
+
+    Without limits in the recording: in N m, of sliding joints in N.
 
     Raises:
         InvalidInputError: a channel is missing.
@@ -165,12 +168,22 @@ def torques(recording: Recording) -> Figure:
     groups = {arm: [i for i, n in enumerate(names) if n.startswith(arm)] for arm in arms}
     if sorted(i for group in groups.values() for i in group) != list(range(len(names))):
         groups = {"all actuators": list(range(len(names)))}
+    told = recording.meta.get("effort_limits") or {}
+    limits = [told.get(name) for name in names]
+    known = all(limits)
+    shown = 100.0 * tau / np.array(limits, dtype=float) if known else tau
+    unit = "effort (% of its limit)" if known else "effort (N m; sliding joints: N)"
     with style():
         figure, axes = panels(len(groups), 2.6)
         for ax, (title, columns) in zip(axes, groups.items(), strict=True):
             for i in columns:
-                ax.plot(t, tau[:, i], lw=0.9, label=names[i].removeprefix(title).lstrip("/_. "))
-            ax.set(title=title.replace("_", " "), ylabel="effort (N·m; prismatic: N)")
+                name = names[i].removeprefix(title).lstrip("/_. ")
+                peak = f", peak {np.nanmax(np.abs(shown[:, i])):.0f} %" if known else ""
+                ax.plot(t, shown[:, i], lw=0.9, label=name + peak)
+            ax.set(title=title.replace("_", " "), ylabel=unit)
+            if known and np.nanmax(np.abs(shown[:, columns])) > NEAR_LIMIT:
+                for limit in (-100.0, 100.0):
+                    ax.axhline(limit, color="black", lw=0.9, ls="--")
             legend(ax)
         axes[-1].set_xlabel("time (s)")
     return figure

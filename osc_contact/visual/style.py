@@ -56,7 +56,7 @@ def panels(count: int, height: float) -> tuple[Figure, Sequence[Axes]]:
     figure = Figure(figsize=(8.0, height * count + 0.4))
     axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
     for ax in axes:
-        ax.margins(x=0.0)
+        ax.margins(x=0.01)  # the first moments do not hide in the axis
     figure.align_ylabels(axes)
     return figure, list(axes)
 

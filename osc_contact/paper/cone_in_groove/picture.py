@@ -73,7 +73,7 @@ def draw_run(result: ConeResult) -> Figure:
                 t, 1e3 * error, color=colour, lw=1.1, label=("turn (µrad)", "slide (µm)")[k]
             )
         turn.set_title("… while it turns and slides", fontsize=10)
-        motion_errors.set(ylabel="true − desired", xlabel="time (s)")
+        motion_errors.set(ylabel="true − desired\n(µrad, µm)", xlabel="time (s)")
         for ax in axes:
             for step in result.step_times:
                 ax.axvline(step, color="#999999", lw=0.8, ls=":", zorder=1)

@@ -1,0 +1,301 @@
+"""A gymnasium vector environment: actions are pose increments and contact forces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pinocchio as pin
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from osc_contact.control.safety import SafetyState
+from osc_contact.errors import InvalidInputError
+from osc_contact.runs.outcome import AWAY_M, AWAY_RAD
+from osc_contact.scenarios.schema import Scenario
+from osc_contact.spatial import Array, rotations
+from osc_contact.sweeps.episodes import Episode, Episodes
+from osc_contact.sweeps.fleet import Fleet
+from osc_contact.sweeps.sweep import available_cores
+
+__all__ = ["ContactVectorEnv", "Seen", "make_vector_env", "tracking_reward"]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What rewards are made of, of all rows after a step.
+
+    Attributes:
+        force, force_wanted: (B, r) contact forces as the robot senses them, and as the scenario
+            asks for them (N).
+        error: (B, 6) from the object to where the scenario wants it (m, rad), world axes.
+        tau: (B, n_a) motor torques of the last tick (N m, N). action: (B, 6 + r).
+        diverged: (B,) whether simulation or controller gave up.
+    """
+
+    force: Array
+    force_wanted: Array
+    error: Array
+    tau: Array
+    action: Array
+    diverged: Array
+
+
+def tracking_reward(seen: Seen) -> Array:
+    """(B,) 1 where force and motion are as the scenario asks, less for each error.
+
+    1 − mean |Δα| / mean |α| − |Δp| / 10 mm − |Δθ| / 0.1 rad, at least −1.
+    """
+    scale = np.maximum(np.abs(seen.force_wanted).mean(axis=1), 1.0)
+    force = np.abs(seen.force - seen.force_wanted).mean(axis=1) / scale
+    away = np.linalg.norm(seen.error[:, :3], axis=1) / 0.01
+    turned = np.linalg.norm(seen.error[:, 3:], axis=1) / 0.1
+    return np.nan_to_num(np.maximum(1.0 - force - away - turned, -1.0), nan=-1.0)
+
+
+def make_vector_env(
+    scenario: str | Path | Scenario,
+    num_envs: int,
+    *,
+    vary: Mapping[str, str] | Sequence[str] = (),
+    overrides: Sequence[str] = (),
+    rate: float = 50.0,
+    move: tuple[float, float] | None = None,
+    most_force: float | None = None,
+    reward: Callable[[Seen], Array] = tracking_reward,
+    episodes: int = 256,
+    threads: int | None = None,
+    autoreset: str = "next_step",
+) -> ContactVectorEnv:
+    """Many contact tasks at once, for learning (needs the extras `learn` and `sim`).
+
+    The controller runs at its own rate. An action lasts 1/rate: it moves the object's set point, at
+    constant velocity, and sets the contact forces, which change evenly over the step.
+
+    Args:
+        scenario: packaged name, file, or a scenario made in Python; plain ones, see `Fleet`.
+        num_envs: how many at once.
+        vary: what differs from one episode to the next, as in `sweep`; nothing: they are all alike.
+        overrides: path=value, of all episodes.
+        rate: of actions (Hz); the control rate is a multiple of it.
+        move: the largest pose increment of an action along and about each axis (m, rad); default:
+            twice the largest that the scenario's motion needs, at least 1 mm and 5 mrad.
+        most_force: of an action, in each contact (N); default: twice the largest of the scenario's.
+        reward: of all rows after a step.
+        episodes: how many different ones `vary` makes.
+        threads: default: one for each core.
+        autoreset: "next_step", "same_step" or "disabled", see gymnasium.
+    """
+    return ContactVectorEnv(
+        Episodes(scenario, vary, overrides, 1.0 / rate, episodes), num_envs, rate, move,
+        most_force, reward, available_cores() if threads is None else threads,
+        AutoresetMode[autoreset.upper()],
+    )  # fmt: skip
+
+
+class ContactVectorEnv(VectorEnv[Any, Any, Any]):
+    """See `make_vector_env`.
+
+    Actions (6 + r,) from −1 to 1: increments of the set point's position and orientation in units
+    of `move`, world axes at the object; then each contact force, from 0 (−1) to the most (1).
+
+    Observations, numbers in the order of `names`: q, v of the joints; wrench of each wrist; sensed
+    contact forces and normal speeds; displacements from the start (m, rad): the set point's, and
+    that which the scenario asks for after the next action; forces likewise.
+
+    An episode ends (terminated) where the controller has stopped, the simulation diverged or the
+    object is further from where the scenario wants it than a run may be (`runs.outcome`); it is
+    truncated after the scenario's duration. `infos["sample"]` tells which numbers it had.
+
+    Attributes:
+        names: of the numbers of an observation. fleet: plants and controllers.
+        move: (6,) the largest increments (m, rad). most_force: the largest force (N).
+    """
+
+    def __init__(
+        self,
+        episodes: Episodes,
+        num_envs: int,
+        rate: float,
+        move: tuple[float, float] | None,
+        most_force: float | None,
+        reward: Callable[[Seen], Array],
+        threads: int,
+        autoreset: AutoresetMode,
+    ) -> None:
+        first = episodes[0]
+        control_rate = 1.0 / first.start.controller.dt
+        self._ticks = round(control_rate / rate)
+        if num_envs < 1 or self._ticks < 1 or abs(self._ticks * rate - control_rate) > 1e-6 * rate:
+            raise InvalidInputError(
+                f"{num_envs} environments, actions at {rate:g} Hz, control at {control_rate:g} Hz: "
+                "give one environment at least, and a rate that divides that of control"
+            )
+        self.num_envs, self.metadata = num_envs, {"autoreset_mode": autoreset, "render_modes": []}
+        self._episodes, self._reward = episodes, reward
+        self._mode, self._r = autoreset, first.forces.shape[1]
+        self.move = np.repeat(_needed(first.places) if move is None else move, 3)
+        largest = 2.0 * float(np.abs(first.forces).max(initial=0.0))
+        self.most_force = largest if most_force is None else most_force
+        self._now: list[Episode] = [first] * num_envs
+        self.fleet = Fleet([first.start] * num_envs, min(threads, num_envs))
+        self._step = np.zeros(num_envs, dtype=int)
+        self._target = np.tile(first.places[0], (num_envs, 1, 1))
+        self._asked = np.zeros((num_envs, self._r))
+        self._over = np.zeros(num_envs, dtype=bool)
+        self.names = self._name_numbers(first)
+        numbers = gymnasium.spaces.Box(-np.inf, np.inf, (len(self.names),), np.float64)
+        actions = gymnasium.spaces.Box(-1.0, 1.0, (6 + self._r,), np.float64)
+        self.single_observation_space, self.single_action_space = numbers, actions
+        self.observation_space = batch_space(numbers, num_envs)
+        self.action_space = batch_space(actions, num_envs)
+
+    def _name_numbers(self, first: Episode) -> list[str]:
+        chain = first.start.rig.chain
+        forces = [f"{i}" for i in range(self._r)]
+        axes = ("x", "y", "z", "rx", "ry", "rz")
+        return [
+            *(f"{kind} {joint}" for kind in "qv" for joint in chain.joint_names),
+            *(f"wrench {arm.name} {kind}{x}" for arm in chain.arms for kind in "fm" for x in "xyz"),
+            *(f"{kind} {i}" for kind in ("force", "normal speed") for i in forces),
+            *(f"{whose} {axis}" for whose in ("set point", "scenario") for axis in axes),
+            *(f"{whose} force {i}" for whose in ("asked", "scenario") for i in forces),
+        ]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """All rows begin anew, or those of `options["reset_mask"]`; see gymnasium."""
+        super().reset(seed=seed)
+        mask = np.ones(self.num_envs, dtype=bool)
+        if options is not None and "reset_mask" in options:
+            mask = np.asarray(options["reset_mask"])
+            if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+                raise InvalidInputError(
+                    f"reset_mask: expected ({self.num_envs},) bool, one of them True; got {mask}"
+                )
+        self._begin(mask)
+        return self._observe(), self._infos()
+
+    def _begin(self, mask: Array) -> None:
+        rows = np.flatnonzero(mask)
+        for row, number in zip(
+            rows, self.np_random.integers(self._episodes.count, size=len(rows)), strict=True
+        ):
+            self._now[row] = episode = self._episodes[int(number)]
+            self._target[row], self._asked[row] = episode.places[0], episode.forces[0]
+        self.fleet.begin({int(row): self._now[row].start for row in rows})
+        self._step[rows], self._over[rows] = 0, False
+
+    def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        """Every row one action further; see gymnasium."""
+        actions = np.clip(np.asarray(actions, dtype=float), -1.0, 1.0)
+        if actions.shape != (self.num_envs, 6 + self._r):
+            raise InvalidInputError(
+                f"actions: expected {(self.num_envs, 6 + self._r)}, got {actions.shape}"
+            )
+        again = self._over.copy()
+        if self._mode is AutoresetMode.DISABLED and again.any():
+            raise InvalidInputError(
+                f"rows {np.flatnonzero(again).tolist()} are over: reset them first, with "
+                'options={"reset_mask": …}'
+            )
+        going = ~again
+        tau = self._advance(actions, going)
+        if again.any():
+            self._begin(again)
+        self._step[going] += 1
+        seen = self._see(actions, tau)
+        rewards = np.where(going, self._reward(seen), 0.0)
+        away = np.linalg.norm(seen.error.reshape(-1, 2, 3), axis=2) > (AWAY_M, AWAY_RAD)
+        terminated = going & (seen.diverged | away.any(axis=1))
+        last = np.array([len(episode.places) - 1 for episode in self._now])
+        truncated = going & ~terminated & (self._step >= last)
+        self._over = terminated | truncated
+        observation, infos = self._observe(), self._infos()
+        if self._mode is AutoresetMode.SAME_STEP and self._over.any():
+            ended = self._over.copy()
+            infos["final_obs"] = np.array([None] * self.num_envs, dtype=object)
+            for row in np.flatnonzero(ended):
+                infos["final_obs"][row] = observation[row]
+            infos["final_info"] = {"sample": infos["sample"].copy(), "_sample": ended}
+            infos["_final_obs"] = infos["_final_info"] = ended
+            self._begin(ended)
+            observation = self._observe()
+            infos |= self._infos()
+        return observation, rewards, terminated, truncated, infos
+
+    def _advance(self, actions: Array, going: Array) -> Array:
+        """The ticks of one action; rows that are over stand still. Returns the last torques."""
+        B, T, dt = self.num_envs, self._ticks, self.fleet.dt
+        increment = np.where(going[:, None], actions[:, :6] * self.move, 0.0)
+        wanted = 0.5 * (actions[:, 6:] + 1.0) * self.most_force
+        wanted = np.where(going[:, None], wanted, self._asked)
+        share = np.arange(1, T + 1) / T
+        turns = np.repeat(increment[:, 3:].T[:, None], T, axis=1) * share[:, None]  # (3, T, B)
+        E = rotations(turns.reshape(3, T * B)).reshape(3, 3, T, B).transpose(2, 3, 0, 1)
+        X = np.tile(self._target, (T, 1, 1, 1))
+        X[:, :, :3, :3] = E @ self._target[:, :3, :3]
+        X[:, :, :3, 3] += share[:, None, None] * increment[:, :3]
+        V, still = increment / (T * dt), np.zeros((B, 6))
+        squeeze = np.array([episode.squeeze for episode in self._now])
+        for k in range(T):
+            alpha = self._asked + share[k] * (wanted - self._asked)
+            tau = self.fleet.tick(X[k], V, still, alpha, squeeze)
+        self._target, self._asked = X[-1].copy(), wanted
+        return tau
+
+    def _see(self, actions: Array, tau: Array) -> Seen:
+        places, forces = self._wanted()
+        p, R = self.fleet.objects()
+        error = np.concatenate(
+            (places[:, :3, 3] - p, _turns(places[:, :3, :3] @ R.transpose(0, 2, 1))), axis=1
+        )
+        stopped = self.fleet.control.state == SafetyState.SAFE_STOP
+        diverged = self.fleet.diverged() | stopped | ~np.isfinite(error).all(axis=1)
+        force = self.fleet.control.alpha_meas
+        return Seen(force, forces, error, tau, actions, diverged)
+
+    def _wanted(self, ahead: int = 0) -> tuple[Array, Array]:
+        """(B, 4, 4), (B, r): what the scenario asks for so many actions from now."""
+        at = [(episode, int(k) + ahead) for episode, k in zip(self._now, self._step, strict=True)]
+        places = np.array([episode.places[min(k, len(episode.places) - 1)] for episode, k in at])
+        forces = np.array([episode.forces[min(k, len(episode.forces) - 1)] for episode, k in at])
+        return places, forces.reshape(self.num_envs, self._r)
+
+    def _observe(self) -> Array:
+        q, v, wrenches = self.fleet.measure()
+        control = self.fleet.control
+        places, forces = self._wanted(1)
+        first = np.array([episode.places[0] for episode in self._now])
+        parts = (
+            q, v, wrenches.reshape(self.num_envs, -1), control.alpha_meas, control.normal_speed,
+            _displacement(first, self._target), _displacement(first, places), self._asked, forces,
+        )  # fmt: skip
+        return np.nan_to_num(np.concatenate(parts, axis=1))
+
+    def _infos(self) -> dict[str, Any]:
+        every = np.ones(self.num_envs, dtype=bool)
+        samples = np.array([episode.number for episode in self._now])
+        return {"sample": samples, "_sample": every}
+
+
+def _needed(places: Array) -> tuple[float, float]:
+    """Twice the largest increments between poses, one after the other (m, rad)."""
+    largest = np.abs(_displacement(places[:-1], places[1:])).reshape(-1, 2, 3).max(axis=(0, 2))
+    return max(1e-3, 2.0 * float(largest[0])), max(5e-3, 2.0 * float(largest[1]))
+
+
+def _displacement(start: Array, end: Array) -> Array:
+    """(B, 6) from poses (B, 4, 4) to others: m, rad, world axes."""
+    turn = _turns(end[:, :3, :3] @ start[:, :3, :3].transpose(0, 2, 1))
+    return np.concatenate((end[:, :3, 3] - start[:, :3, 3], turn), axis=1)
+
+
+def _turns(R: Array) -> Array:
+    """(B, 3) rotation vectors of rotations (B, 3, 3); NaN where they are none."""
+    return np.array([pin.log3(one) if np.isfinite(one).all() else [np.nan] * 3 for one in R])

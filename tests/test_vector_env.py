@@ -1,0 +1,198 @@
+"""Vector environments: gymnasium's own checks, its autoreset, and rows that are single runs."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pinocchio as pin
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import osc_contact as osc
+from osc_contact.control.batch import BatchController
+from osc_contact.sweeps.fleet import Fleet, Start
+from osc_contact.sweeps.vector_env import make_vector_env
+
+SHORT = ("duration=0.1 s",)  # five actions
+MASS = {"model_error.object_mass": "uniform(0.8, 1.2)"}
+
+
+class One(gymnasium.Env):
+    """A row as an environment of its own, which nobody resets but its caller."""
+
+    def __init__(self, **how) -> None:
+        self.rows = make_vector_env("panda_edge", 1, threads=1, autoreset="disabled", **how)
+        self.observation_space = self.rows.single_observation_space
+        self.action_space = self.rows.single_action_space
+        self.metadata = {"render_modes": []}
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        observation, infos = self.rows.reset(seed=seed)
+        return observation[0], {"sample": int(infos["sample"][0])}
+
+    def step(self, action):
+        observation, reward, terminated, truncated, infos = self.rows.step(action[None])
+        info = {"sample": int(infos["sample"][0])}
+        return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
+
+
+def part(env, observation, name):
+    return observation[..., [i for i, n in enumerate(env.names) if n.startswith(name)]]
+
+
+@pytest.mark.parametrize("vary", [{}, MASS])
+def test_gymnasium_finds_nothing_wrong(vary) -> None:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        check_env(One(vary=vary, overrides=SHORT, episodes=3), skip_render_check=True)
+    told = [str(one.message) for one in told]
+    assert [one for one in told if "infinity" not in one and "spec" not in one] == []
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_rows_are_reset_as_gymnasium_resets_environments(mode) -> None:
+    """Two of three rows: random actions; the third runs away, which ends it earlier."""
+    how = {"overrides": ("duration=0.3 s",), "move": (0.02, 0.01)}
+    ours = make_vector_env("panda_edge", 3, autoreset=mode.name, threads=1, **how)
+    theirs = SyncVectorEnv([lambda: One(**how)] * 3, autoreset_mode=mode)
+    assert ours.metadata["autoreset_mode"] is mode
+    for env in (ours, theirs):
+        env.action_space.seed(5)
+    np.testing.assert_array_equal(ours.reset(seed=1)[0], theirs.reset(seed=1)[0])
+    ends = np.zeros((2, 3), dtype=int)
+    for _ in range(35):
+        actions = 0.05 * ours.action_space.sample()
+        actions[2, :2] = -1.0
+        one, other = ours.step(actions), theirs.step(actions)
+        for x, y in zip(one[:4], other[:4], strict=True):
+            np.testing.assert_array_equal(x, y)
+        over = one[2] | one[3]
+        ends += np.array([one[2], one[3]])
+        assert ("final_obs" in one[4]) == ("final_obs" in other[4])
+        for i in np.flatnonzero(over) if "final_obs" in one[4] else ():
+            np.testing.assert_array_equal(one[4]["final_obs"][i], other[4]["final_obs"][i])
+        if mode is AutoresetMode.DISABLED and over.any():
+            with pytest.raises(osc.InvalidInputError, match="reset them"):
+                ours.step(actions)
+            x, y = (env.reset(options={"reset_mask": over.copy()})[0] for env in (ours, theirs))
+            np.testing.assert_array_equal(x, y)
+    assert ends[0, 2] > 2 and ends[1, 0] >= 2 and ends[0, 0] == 0  # ran away; ran out of time
+
+
+@pytest.mark.parametrize("name", ["panda_edge", "two_contact_rod", "hinge_ball_rod"])
+def test_rows_of_a_fleet_are_single_runs(name) -> None:
+    """Each row with its own masses, two of them alike, on two threads."""
+    scenarios = [
+        osc.load_scenario(name, [f"model_error.object_mass={m}", "duration=0.2 s"])
+        for m in (1.0, 1.1, 1.2)
+    ]
+    recordings = [osc.run(one) for one in scenarios]
+    starts = [Start.of(osc.build_rig(one)) for one in scenarios]
+    rows = [0, 1, 2, 1]
+    fleet = Fleet([starts[i] for i in rows], threads=2)
+    plans = [start.rig.references.over(np.arange(200) * fleet.dt) for start in starts]
+    for k in range(200):
+        q, v, _ = fleet.measure()
+        X = np.array([pin.XYZQUATToSE3(plans[i].X_WD[k]).homogeneous for i in rows])
+        fields = (np.array([getattr(plans[i], f)[k] for i in rows])
+                  for f in ("V_D", "A_D", "alpha_d"))  # fmt: skip
+        tau = fleet.tick(X, *fields, np.array([plans[i].squeeze_d for i in rows]))
+        for row, i in enumerate(rows):
+            for one, channel in ((q, "q"), (v, "v"), (tau, "tau")):
+                np.testing.assert_allclose(one[row], recordings[i][channel][k], atol=1e-9)
+    assert not fleet.diverged().any()
+
+
+def test_a_row_does_what_its_neighbours_would_do_alone() -> None:
+    how = {"vary": MASS, "overrides": SHORT, "episodes": 4}
+    many, few = (make_vector_env("panda_edge", n, threads=2, **how) for n in (5, 2))
+    first, infos = many.reset(seed=3)
+    assert len(set(infos["sample"])) > 1
+    few.reset(seed=0)
+    few._now = [many._now[i] for i in (4, 1)]
+    few.fleet.begin({row: episode.start for row, episode in enumerate(few._now)})
+    actions = np.random.default_rng(0).uniform(-1, 1, (5, 5, 7))
+    np.testing.assert_array_equal(few._observe(), first[[4, 1]])
+    for action in actions[:4]:
+        np.testing.assert_array_equal(few.step(action[[4, 1]])[0], many.step(action)[0][[4, 1]])
+
+
+def test_actions_move_the_set_point_and_set_the_force() -> None:
+    """Along the table's edge, which the contact permits: the object follows, the force too."""
+    still = ("motion=[]", "force.edge=[{type: constant, value: 10 N}]", "duration=3 s")
+    how = {"move": (2e-3, 1e-2), "most_force": 20.0}
+    env = make_vector_env("panda_edge", 2, overrides=still, threads=1, **how)
+    env.reset(seed=0)
+    start = env.fleet.objects()[0].copy()
+    action = np.zeros((2, 7))
+    action[:, 1] = [1.0, -0.5]  # 2 mm and −1 mm along y, each of 20 times
+    action[:, 6] = [0.2, -0.4]  # 12 N, 6 N
+    for _ in range(20):
+        env.step(action)
+    action[:, 1] = 0.0
+    for _ in range(60):
+        observation = env.step(action)[0]
+    moved = env.fleet.objects()[0] - start
+    np.testing.assert_allclose(moved[:, 1], [0.04, -0.02], atol=2e-4)
+    np.testing.assert_allclose(part(env, observation, "force 0")[:, 0], [12.0, 6.0], atol=0.05)
+    np.testing.assert_allclose(part(env, observation, "asked force")[:, 0], [12.0, 6.0], atol=1e-9)
+    np.testing.assert_allclose(part(env, observation, "set point y")[:, 0], [0.04, -0.02])
+
+
+def test_following_the_scenario_is_rewarded_and_leaving_it_is_not() -> None:
+    env = make_vector_env("panda_edge", 2, overrides=("duration=1.5 s",), threads=1)
+    observation, _ = env.reset(seed=0)
+    for _ in range(60):
+        away = part(env, observation, "scenario")[:, :6] - part(env, observation, "set point")
+        action = np.zeros((2, 7))
+        action[0, :6] = np.clip(away[0] / env.move, -1, 1)
+        wanted = part(env, observation, "scenario force")[:, 0]
+        action[:, 6] = 2.0 * wanted / env.most_force - 1.0
+        action[1, 6] = -1.0  # hardly presses
+        observation, rewards, *_ = env.step(action)
+    assert rewards[0] > 0.9 and rewards[1] < 0.0
+
+
+def test_seeds_draw_the_same_episodes_again_and_others_draw_others() -> None:
+    env = make_vector_env("panda_edge", 6, vary=MASS, overrides=SHORT, episodes=5, threads=1)
+    one, two, other = (env.reset(seed=s)[1]["sample"] for s in (7, 7, 8))
+    np.testing.assert_array_equal(one, two)
+    assert (one != other).any() and set(one) <= set(range(5))
+
+
+def test_what_cannot_be_batched_is_refused_with_the_reason() -> None:
+    with pytest.raises(osc.InvalidInputError, match="sensors have errors"):
+        make_vector_env("workcell", 2)
+    with pytest.raises(osc.InvalidInputError, match="divides that of control"):
+        make_vector_env("panda_edge", 2, rate=70.0)
+    env = make_vector_env("panda_edge", 2, overrides=SHORT, threads=1)
+    env.reset()
+    with pytest.raises(osc.InvalidInputError, match="actions: expected"):
+        env.step(np.zeros((2, 6)))
+
+
+def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given() -> None:
+    rigs = [osc.build_rig(osc.load_scenario("panda_edge", [f"model_error.arm_mass={m}"]))
+            for m in (1.0, 1.3)]  # fmt: skip
+    starts = [Start.of(rig) for rig in rigs]
+    batch = BatchController([starts[0].controller] * 2)
+    batch.replace(1, starts[1].controller)
+    single = [start.rig.controller() for start in starts]
+    measurement, reference = starts[0].plant.measure(), rigs[0].references.at(0.0)
+    wanted = [one.tick(measurement, reference) for one in single]
+    tau = batch.tick(
+        *([x, x] for x in (measurement.q, measurement.v, measurement.wrenches)),
+        [reference.X_WD.homogeneous] * 2, [reference.V_D] * 2, [reference.A_D] * 2,
+        [reference.alpha_d] * 2,
+    )  # fmt: skip
+    np.testing.assert_array_equal(tau, wanted)
+    assert np.abs(tau[0] - tau[1]).max() > 0.1
+    rod = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()
+    with pytest.raises(osc.InvalidInputError, match="one structure"):
+        batch.replace(0, rod)
+    with pytest.raises(osc.InvalidInputError, match="rows 0"):
+        batch.replace(2, starts[0].controller)
