@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from osc_contact import __version__, cli_sweeps, robots
+from osc_contact import __version__, cli_robots, cli_sweeps
 from osc_contact.bench.program import run_benchmark
 from osc_contact.console import (
     err,
@@ -51,16 +51,11 @@ app = typer.Typer(
     add_completion=False,
 )
 app.command()(cli_sweeps.sweep)
+for command in (cli_robots.check, cli_robots.pose, cli_robots.new):
+    app.command()(command)
 RECORDINGS = (".npz", ".mcap")
 REPRODUCIBLE = tuple(sorted((*paper_figures.FIGURES, *STUDIES), key=lambda n: (n[:3] != "fig", n)))
 LONG = ", ".join(name for name in REPRODUCIBLE if name not in reproduction.names_of("all"))
-
-
-class InertiaLevel(StrEnum):
-    """What is asked of the inertias of a URDF."""
-
-    possible = "possible"
-    positive = "positive"
 
 
 class PlantName(StrEnum):
@@ -285,42 +280,6 @@ def calibrate(
         out.print(tables.calibration_table(found))
         if json_file:
             write_json({one.arm: one.as_dict() for one in found}, json_file)
-
-
-@app.command()
-def check(
-    robot: Annotated[str, typer.Argument(help="a URDF, or the name of a robot such as panda")],
-    tip: Annotated[str | None, typer.Option(help="frame to describe (default: all ends)")] = None,
-    limit: Annotated[
-        list[str] | None,
-        typer.Option("--limit", help="JOINT:effort=…,velocity=…,lower=…,upper=…, any number"),
-    ] = None,
-    inertias: Annotated[
-        InertiaLevel, typer.Option(help="positive: for parameters that no body has exactly")
-    ] = InertiaLevel.possible,
-    package_dir: Annotated[
-        list[Path] | None, typer.Option("--package-dir", help="folder that meshes may lie in")
-    ] = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Check a robot's URDF and say what the robot is; exit code 1 if something is wrong."""
-    with exit_codes():
-        path, folders = robots.locate(robot)
-        report = robots.check_robot(
-            path,
-            limits=dict(robots.JointLimits.parse(text) for text in limit or []),
-            inertias=inertias.value,
-            package_dirs=[*folders, *(package_dir or [])],
-            tip=tip,
-        )
-        for line in report.lines():
-            say(line)
-        for table in tables.robot_tables(report.summary) if report.summary else ():
-            out.print(table)
-        if json_file:
-            write_json(report.as_dict(), json_file)
-    if not report.sound:
-        raise typer.Exit(1)
 
 
 @app.command("list")

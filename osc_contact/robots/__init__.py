@@ -8,7 +8,7 @@ inertias (`inertias`), Pinocchio and its mass matrix (`model`); on demand a seco
 
 from osc_contact.robots.findings import Finding, suggest
 from osc_contact.robots.inertias import Inertias
-from osc_contact.robots.library import find_robot, locate, resolve_urdf, urdf_path
+from osc_contact.robots.library import ROBOT_DATA, find_robot, locate, resolve_urdf, urdf_path
 from osc_contact.robots.limits import JointLimits
 from osc_contact.robots.loading import (
     Loaded,
@@ -17,18 +17,21 @@ from osc_contact.robots.loading import (
     load_body,
     load_geometry,
     load_model,
+    load_robot,
 )
 from osc_contact.robots.mjcf import is_mjcf, load_mjcf
-from osc_contact.robots.model import check_mass_matrix, frame_id
+from osc_contact.robots.model import check_mass_matrix, ends_of, frame_id, random_configurations
 from osc_contact.robots.report import RobotReport, check_robot
 from osc_contact.robots.summary import RobotSummary, summarise
 
 __all__ = [
+    "ROBOT_DATA",
     "urdf_path",
     "find_robot",
     "resolve_urdf",
     "locate",
     "load_model",
+    "load_robot",
     "load_mjcf",
     "is_mjcf",
     "load_body",
@@ -39,6 +42,8 @@ __all__ = [
     "Inertias",
     "Finding",
     "frame_id",
+    "ends_of",
+    "random_configurations",
     "check_mass_matrix",
     "cross_check",
     "check_robot",

@@ -21,13 +21,22 @@ from osc_contact.robots.inertias import (
     require_level,
 )
 from osc_contact.robots.limits import JointLimits, check_limits, give_limits
+from osc_contact.robots.mjcf import is_mjcf, load_mjcf
 from osc_contact.robots.model import build_model, check_mass_matrix
 from osc_contact.robots.reading import read_document
 from osc_contact.robots.second_reader import compare
 from osc_contact.robots.tree import check_mimics, check_tree
 from osc_contact.robots.xml_tree import read_bytes
 
-__all__ = ["Loaded", "load", "load_model", "load_body", "load_geometry", "cross_check"]
+__all__ = [
+    "Loaded",
+    "cross_check",
+    "load",
+    "load_body",
+    "load_geometry",
+    "load_model",
+    "load_robot",
+]
 
 
 @dataclass(frozen=True)
@@ -93,6 +102,28 @@ def load_model(
     if not limits and not package_dirs:
         return _judged(Path(path), inertias).model.copy()
     return load(path, limits=limits, inertias=inertias, package_dirs=package_dirs).model
+
+
+def load_robot(
+    path: Path | str,
+    tip: str | None = None,
+    *,
+    limits: Mapping[str, JointLimits] | None = None,
+    inertias: Inertias = "possible",
+    package_dirs: Sequence[Path | str] = (),
+) -> pin.Model:
+    """The model of a URDF or of an MJCF file, whichever it is.
+
+    Args:
+        path: the file. tip: of MJCF, see `load_mjcf`. limits: see there and `load_model`.
+        inertias, package_dirs: of a URDF, see `load_model`.
+
+    Raises:
+        ModelError, InvalidInputError: see there.
+    """
+    if is_mjcf(path):
+        return load_mjcf(path, tip, limits=limits)
+    return load_model(path, limits=limits, inertias=inertias, package_dirs=package_dirs)
 
 
 def load_body(path: Path | str) -> pin.Inertia:

@@ -14,7 +14,14 @@ from osc_contact.robots.document import Document, Inertial, Joint
 from osc_contact.robots.findings import Finding, refuse, suggest
 from osc_contact.spatial import Array
 
-__all__ = ["SAMPLES", "build_model", "check_mass_matrix", "frame_id", "random_configurations"]
+__all__ = [
+    "SAMPLES",
+    "build_model",
+    "check_mass_matrix",
+    "ends_of",
+    "frame_id",
+    "random_configurations",
+]
 
 SAMPLES = 20
 _ENDLESS = 1e9
@@ -81,9 +88,9 @@ def check_mass_matrix(model: pin.Model, document: Document | None = None) -> Non
         _refuse_mass_matrix(model, document, q[k], weak)
 
 
-def random_configurations(model: pin.Model, count: int) -> Iterator[Array]:
+def random_configurations(model: pin.Model, count: int, seed: int = 0) -> Iterator[Array]:
     """Seeded uniform configurations between the position limits, ±π where there are none."""
-    random = np.random.default_rng(0)
+    random = np.random.default_rng(seed)
     low = np.array(model.lowerPositionLimit)
     high = np.array(model.upperPositionLimit)
     open_below, open_above = ~(low > -_ENDLESS), ~(high < _ENDLESS)
@@ -104,6 +111,18 @@ def frame_id(model: pin.Model, name: str) -> int:
         known = [frame.name for frame in model.frames]
         raise ModelError(f"model {model.name!r} has no frame {name!r}. {suggest(name, known)}")
     return next((i for i in hits if model.frames[i].type == pin.FrameType.BODY), hits[0])
+
+
+def ends_of(model: pin.Model) -> list[str]:
+    """Names of the bodies at the ends of the tree, one for each joint that has one."""
+    joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    carrying = {frame.parentFrame for frame in model.frames if frame.type in joints}
+    ends: dict[int, str] = {}
+    for i, frame in enumerate(model.frames):
+        is_end = frame.type == pin.FrameType.BODY and not {i, frame.parentFrame} & carrying
+        if is_end and frame.parentJoint > 0:
+            ends.setdefault(frame.parentJoint, frame.name)
+    return list(ends.values())
 
 
 def _is_positive(unit: Array) -> bool:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import daqp
 import numpy as np
 
+from osc_contact import robots
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.joint_modes import modes
 from osc_contact.errors import OscContactError, ScenarioError
@@ -153,7 +154,7 @@ def _length(arm: Arm) -> float:
     """No point of the tip is further from the base: all links stretched out (m)."""
     model = arm.model
     links = sum(float(np.linalg.norm(X.translation)) for X in model.jointPlacements)
-    frame = model.frames[model.getFrameId(arm.tip)]
+    frame = model.frames[robots.frame_id(model, arm.tip)]
     slides = 0.0
     for joint in list(model.joints)[1:]:
         if joint.shortname().startswith("JointModelP"):

@@ -1,0 +1,157 @@
+"""Commands about robots: what is wrong with one, where it stands, a first task for it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pinocchio as pin
+import typer
+
+from osc_contact import robots
+from osc_contact.console import exit_codes, load_task, out, say
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.errors import InvalidInputError
+from osc_contact.runs import poses, tables
+from osc_contact.runs.drafts import Press, draft
+from osc_contact.runs.report import write_json
+from osc_contact.scenarios import list_scenarios
+
+__all__ = ["check", "new", "pose"]
+
+JsonOption = Annotated[Path | None, typer.Option("--json", help="also write the result as JSON")]
+
+
+class InertiaLevel(StrEnum):
+    """What is asked of the inertias of a URDF."""
+
+    possible = "possible"
+    positive = "positive"
+
+
+def check(
+    robot: Annotated[str, typer.Argument(help="a URDF, or the name of a robot such as panda")],
+    tip: Annotated[str | None, typer.Option(help="frame to describe (default: all ends)")] = None,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option("--limit", help="JOINT:effort=…,velocity=…,lower=…,upper=…, any number"),
+    ] = None,
+    inertias: Annotated[
+        InertiaLevel, typer.Option(help="positive: for parameters that no body has exactly")
+    ] = InertiaLevel.possible,
+    package_dir: Annotated[
+        list[Path] | None, typer.Option("--package-dir", help="folder that meshes may lie in")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Check a robot's URDF and say what the robot is; exit code 1 if something is wrong."""
+    with exit_codes():
+        path, folders = robots.locate(robot)
+        report = robots.check_robot(
+            path,
+            limits=dict(robots.JointLimits.parse(text) for text in limit or []),
+            inertias=inertias.value,
+            package_dirs=[*folders, *(package_dir or [])],
+            tip=tip,
+        )
+        for line in report.lines():
+            say(line)
+        for table in tables.robot_tables(report.summary) if report.summary else ():
+            out.print(table)
+        if json_file:
+            write_json(report.as_dict(), json_file)
+    if not report.sound:
+        raise typer.Exit(1)
+
+
+def pose(
+    what: Annotated[
+        str, typer.Argument(metavar="ROBOT|SCENARIO", help="a name, a URDF, an MJCF, a YAML file")
+    ],
+    tip: Annotated[str | None, typer.Option(help="frame of a robot (default: its end)")] = None,
+    posture: Annotated[
+        str | None, typer.Option(help='where the joints are: "0, -45 deg, …" (m, rad)')
+    ] = None,
+    xyz: Annotated[
+        str | None, typer.Option(help='put tip or object there: "0.4, 0, 30 cm" (m)')
+    ] = None,
+    rpy: Annotated[
+        str | None, typer.Option(help='and turn it so: "180 deg, 0, 0" (rad); default: as it is')
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="of postures to begin the search from")] = 0,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="path.to.key=value, of a scenario")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Where a posture puts tip and object; with --xyz, --rpy the posture that puts them there."""
+    with exit_codes():
+        chain, q, X = _standing(what, tip, set_)
+        if posture is not None:
+            q = poses.numbers("posture", posture)
+            if q.shape != (chain.nq,):
+                names = ", ".join(chain.joint_names)
+                raise InvalidInputError(f"posture: {len(q)} numbers for {chain.nq} joints: {names}")
+        now = X if posture is None and X is not None else poses.stands(chain, q)
+        reached = True
+        if xyz is not None or rpy is not None:
+            p = now.translation if xyz is None else poses.numbers("xyz", xyz)
+            R = now.rotation if rpy is None else pin.rpy.rpyToMatrix(*poses.numbers("rpy", rpy))
+            found = poses.solve(chain, pin.SE3(R, p), q, seed)
+            q, reached = found.q, found.reached
+            if not reached:
+                say(
+                    f"not reached within the joints' limits: {1e3 * found.miss[0]:.3g} mm and "
+                    f"{np.rad2deg(found.miss[1]):.3g} deg are left at the nearest posture found; "
+                    "give another pose, or another --seed"
+                )
+        outside = poses.outside(chain, q)
+        for line in (*poses.pose_lines(chain, q), *outside):
+            say(line)
+        if json_file:
+            write_json(poses.as_dict(chain, q), json_file)
+    if outside or not reached:
+        raise typer.Exit(1)
+
+
+def _standing(
+    what: str, tip: str | None, changes: list[str] | None
+) -> tuple[ClosedChain, np.ndarray, pin.SE3 | None]:
+    """Chain, posture and, of a scenario, pose of the object."""
+    if Path(what).suffix in (".yaml", ".yml") or what in list_scenarios():
+        if tip is not None:
+            raise InvalidInputError("--tip chooses a frame of a robot; a scenario names its own")
+        return poses.chain_of(load_task(what, changes))
+    if changes:
+        raise InvalidInputError("--set changes scenarios; give --posture for a robot")
+    chain = ClosedChain([poses.arm_of(what, tip)])
+    return chain, poses.rest(chain), None
+
+
+def new(
+    robot: Annotated[str, typer.Option(help="a name such as ur10, a URDF or an MJCF file")],
+    press: Annotated[
+        str, typer.Option(help="axis of the tip and force: Z=15 presses along its z with 15 N")
+    ] = "Z=10",
+    tip: Annotated[
+        str | None, typer.Option(help="frame that carries the stylus (default: the robot's end)")
+    ] = None,
+    posture: Annotated[
+        str | None, typer.Option(help='where it starts (default: one is sought): "0, -45 deg, …"')
+    ] = None,
+    file: Annotated[
+        Path | None, typer.Option("--out", help="to write (default: ROBOT_press.yaml)")
+    ] = None,
+) -> None:
+    """Write a scenario that runs: a robot presses a stylus on a plate and slides along it."""
+    with exit_codes():
+        q = None if posture is None else poses.numbers("posture", posture)
+        target = file or Path(f"{Path(robot).stem}_press.yaml")
+        if target.exists():
+            raise InvalidInputError(f"{target} exists; give another file with --out")
+        text = draft(robot, poses.arm_of(robot, tip), Press.parse(press), q, target)
+        target.write_text(text, encoding="utf-8")
+        say(f"written: {target}")
+        say(f"next: osc-contact inspect {target}; osc-contact run {target}")

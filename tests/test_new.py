@@ -1,0 +1,84 @@
+"""`osc-contact new`: a scenario for any arm, which runs and is OK."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import osc_contact as osc
+from osc_contact.cli import app
+from osc_contact.runs.drafts import Press
+
+ARMS = {
+    "ur10": ("tool0", "Z=15"),
+    "panda": ("panda_hand_tcp", "Z=15"),
+    "xarm": ("link_eef", "-X=10"),
+    "so100": ("jaw", "Z=3"),
+    "kinova": ("j2s6s200_end_effector", "Z=10"),
+    "z1": ("gripperStator", "X=10"),
+    "baxter": ("left_gripper", "Z=10"),
+    "tiago_pro": ("arm_left_tool_link", "Z=10"),
+    "talos_left_arm": ("wrist_left_ft_tool_link", "Z=10"),
+}  # fmt: skip
+
+
+def new(*words):
+    result = CliRunner().invoke(app, ["new", *map(str, words)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+@pytest.mark.parametrize("robot", ARMS)
+def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
+    tip, press = ARMS[robot]
+    file = tmp_path / "my.yaml"
+    result = new("--robot", robot, "--tip", tip, f"--press={press}", "--out", file)
+    assert result.exit_code == 0, result.stderr
+    scenario = osc.load_scenario(file)
+    rig = osc.build_rig(scenario)
+    assert osc.preflight(rig) == ()
+    verdict = osc.metrics(osc.run(scenario, seed=1))
+    assert verdict["task"]["word"] == "OK" and verdict["contact_fraction"] == {"ball": 1.0}
+    wanted = Press.parse(press)
+    assert verdict["force"]["ball"]["mean_command_N"] == pytest.approx(wanted.force)
+    assert verdict["force"]["ball"]["rms_error_rel"] < 0.05
+    chain = rig.chain
+    chain.state(rig.q_contact, np.zeros(chain.nq))
+    pressed = chain.tip_poses()[0].rotation @ np.array(wanted.axis)
+    np.testing.assert_allclose(pressed, -np.array(scenario.contacts[0].face.normal), atol=1e-4)
+
+
+def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path):
+    file = tmp_path / "arm.yaml"
+    posture = "0, -90 deg, 90 deg, -90 deg, -90 deg, 0"
+    words = ("--robot", "ur10", "--tip", "tool0", "--posture", posture, "--out", file)
+    assert new(*words).exit_code == 0
+    again = new(*words)
+    assert again.exit_code == 2 and "exists; give another file" in again.stderr
+    done = CliRunner().invoke(app, ["run", str(file), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0 and "verdict: OK" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--robot", "ur10", "--press", "W=3"), "an axis of the tip and newtons, such as Z=15"),
+        (("--robot", "ur10", "--press", "Z=-3"), "an axis of the tip and newtons"),
+        (("--robot", "ur10", "--press", "Z=5000"), "times their limits"),
+        (("--robot", "ur10", "--posture", "1, 2"), "2 numbers for 6 joints"),
+        (
+            (
+                "--robot",
+                "ur11",
+            ),
+            "no robot 'ur11'",
+        ),
+        (("--robot", "panda"), "has 3 ends"),
+    ],
+)
+def test_what_cannot_be_is_told_and_nothing_is_written(words, said, tmp_path):
+    result = new(*words, "--out", tmp_path / "x.yaml")
+    assert result.exit_code == 2 and said in result.stderr
+    assert not list(tmp_path.iterdir())
