@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
-from osc_contact.bench.cases import Case
+from osc_contact.bench.cases import TickCase
 from osc_contact.plants.mujoco import MujocoPlant
 
 __all__ = ["constraint_dynamics", "mujoco_inverse", "mujoco_state"]
@@ -21,7 +21,7 @@ __all__ = ["constraint_dynamics", "mujoco_inverse", "mujoco_state"]
 DEPTH = 2e-5  # m
 
 
-def constraint_dynamics(case: Case) -> Callable[[], object]:
+def constraint_dynamics(case: TickCase) -> Callable[[], object]:
     """`pin.constraintDynamics`: forward dynamics of arms, object, loop and contacts.
 
     The object is part of the first arm's last link, six-row constraints weld the other arms to it;
@@ -63,7 +63,7 @@ def constraint_dynamics(case: Case) -> Callable[[], object]:
     )  # fmt: skip
 
 
-def mujoco_inverse(case: Case) -> Callable[[], object]:
+def mujoco_inverse(case: TickCase) -> Callable[[], object]:
     """`mj_inverse`: torques that explain q, v and q̈, with welds and soft contacts.
 
     Raises:
@@ -75,7 +75,7 @@ def mujoco_inverse(case: Case) -> Callable[[], object]:
     return lambda: mujoco.mj_inverse(model, data)
 
 
-def mujoco_state(case: Case) -> tuple[Any, Any]:
+def mujoco_state(case: TickCase) -> tuple[Any, Any]:
     """MuJoCo's model and data of a case, under the torques of its tick; object: packaged rod.
 
     The faces stand a little into the object, so that MuJoCo finds every contact.

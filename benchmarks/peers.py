@@ -16,7 +16,7 @@ from rich.table import Table
 from benchmarks.engines import constraint_dynamics, mujoco_inverse
 from benchmarks.textbook import TextbookLaw
 from osc_contact import robots
-from osc_contact.bench.cases import CASES, Case
+from osc_contact.bench.cases import CASES, TickCase
 from osc_contact.bench.measuring import (
     bars,
     joined,
@@ -56,7 +56,7 @@ class Peers:
     unwind: Callable[[], None]
 
 
-def peers_of(case: Case) -> Peers:
+def peers_of(case: TickCase) -> Peers:
     """The tick and what could be run in its place, at the case's instant."""
     tick, unwind = case.tick()
     compiled = {
@@ -78,7 +78,7 @@ def peers_of(case: Case) -> Peers:
     return Peers(compiled, python, unwind)
 
 
-def _ticking(controller: Controller, case: Case) -> Callable[[], object]:
+def _ticking(controller: Controller, case: TickCase) -> Callable[[], object]:
     return lambda: controller.tick(case.measurement, case.reference)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import inv, lstsq, norm, pinv, svd
 
-from osc_contact.bench.cases import DT, Case
+from osc_contact.bench.cases import DT, TickCase
 from osc_contact.spatial import Array
 
 __all__ = ["TextbookLaw"]
@@ -22,7 +22,7 @@ STIFFNESS, DAMPING = 25.0, 10.0  # of the posture of redundant arms
 class TextbookLaw:
     """Vertices on fixed faces, arms with full rank in the motions they share."""
 
-    def __init__(self, case: Case) -> None:
+    def __init__(self, case: TickCase) -> None:
         """Copy what the law needs to know; each tick is computed at the case's instant."""
         chain = case.chain
         assert chain.payload is not None

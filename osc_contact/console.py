@@ -1,4 +1,4 @@
-"""What commands share: output and complaints, exit codes, tasks, runs that can be watched."""
+"""What commands share: output and complaints, exit codes, tasks, runs with a progress display."""
 
 from __future__ import annotations
 
@@ -114,7 +114,11 @@ def open_recording(name: str) -> Recording:
 
 
 def record(scenario: Scenario, seed: int, folder: Path) -> Recording:
-    """Run, and keep nothing but the recording."""
+    """Run, and keep nothing but the recording.
+
+    Args:
+        seed: of the noise. folder: for what the run writes.
+    """
     recording = run_with_progress(scenario, seed, folder)
     forget_rows(folder)
     return recording
@@ -123,7 +127,11 @@ def record(scenario: Scenario, seed: int, folder: Path) -> Recording:
 def report_run(
     recording: Recording, scenario: Scenario, folder: Path, json_file: Path | None
 ) -> tuple[str, bool]:
-    """Write and tell what a run leaves: what was written, in words; whether its task failed."""
+    """Write and tell what a run leaves: what was written, in words; whether its task failed.
+
+    Args:
+        recording, scenario: of the run. folder: for its files. json_file: for the verdict.
+    """
     if len(recording) <= SETTLE_S * scenario.control.rate:  # it ended before it was to
         recording.save(folder / "recording.npz")
         return "recording.npz; the run was too short to be judged", False
@@ -139,7 +147,12 @@ def report_run(
 def show_live(
     scenario: Scenario, recording: Recording | None, seed: int, hold: float | None
 ) -> None:
-    """Show a run, or a recording, while it goes on."""
+    """Show a run, or a recording, while it goes on.
+
+    Args:
+        recording: to show; None: run the scenario. seed: of its noise.
+        hold: s for which the page stays; None: until it is closed.
+    """
     at_terminal = out.is_terminal
     with open_viewer(scenario) as viewer:
         say(f"open {viewer.url}" + ("   (Ctrl-C ends it)" if at_terminal else ""))
@@ -164,7 +177,12 @@ def load_task(
     plant: str | None = None,
     duration: float | None = None,
 ) -> Scenario:
-    """A scenario with what the command line changes of it."""
+    """A scenario with what the command line changes of it.
+
+    Args:
+        name: of the scenario, or its file. overrides: KEY=VALUE.
+        plant, duration: instead of the scenario's (duration in s).
+    """
     changes = list(overrides or [])
     if plant is not None:
         changes.append(f"plant.type={plant}")

@@ -178,6 +178,9 @@ def pose_reference(
 def as_squeeze(name: str, squeeze_d: ArrayLike, pairs: int | None = None) -> float | Array:
     """A finite number, or an array of one for each of the pairs (None: any number of them).
 
+    Args:
+        name: of the argument. squeeze_d: N. pairs: of arms.
+
     Raises:
         InvalidInputError: it is neither.
     """

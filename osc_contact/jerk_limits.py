@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import InvalidInputError, OscContactError, SolverError
 
-__all__ = ["Bounds", "JerkLimits", "Way", "solve"]
+__all__ = ["Bounds", "JerkLimits", "Trajectory", "solve"]
 
 Array = NDArray[np.float64]
 Bounds = tuple[list[float], list[float], list[float]]
@@ -77,6 +77,10 @@ def solve(
     On a straight line where the state permits it; all coordinates arrive at once in any case. A
     state beyond a limit is brought back within it first.
 
+    Args:
+        x, v, a: state of each coordinate. goal: where to rest.
+        limits: velocity, acceleration and jerk of each coordinate, in its units.
+
     Raises:
         SolverError: ruckig finds none.
         OscContactError: ruckig is not installed.
@@ -102,7 +106,7 @@ def solve(
     return trajectory
 
 
-class Way:
+class Trajectory:
     """From a state of n coordinates to rest at a goal; time is counted from its beginning.
 
     Solved from 0 in units in which each coordinate's greatest velocity is 1/s.
@@ -121,7 +125,7 @@ class Way:
         self._t = 0.0
 
     @classmethod
-    def rest(cls, x: Array, bounds: Bounds) -> Way:
+    def rest(cls, x: Array, bounds: Bounds) -> Trajectory:
         """No way at all: at rest at x."""
         return cls(x, 0.0 * x, 0.0 * x, x, bounds)
 

@@ -85,7 +85,11 @@ def orthonormal(columns: Array, metric: Array, what: str) -> tuple[Array, Array,
 
 
 def left_inverse(columns: Array, metric: Array, what: str) -> Array:
-    """(NᵀΦN)⁻¹NᵀΦ (k, n), the left inverse of N (n, k) that Φ (n, n) makes; see `orthonormal`."""
+    """(NᵀΦN)⁻¹NᵀΦ (k, n), the left inverse of N (n, k) that Φ (n, n) makes; see `orthonormal`.
+
+    Args:
+        columns: (n, k), independent. metric: (n, n). what: they are, for the message.
+    """
     _, W, G = orthonormal(columns, metric, what)
     return G @ W.T
 

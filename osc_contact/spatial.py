@@ -44,12 +44,15 @@ __all__ = [
     "pose_error",
     "Poses",
     "rotations",
-    "turned",
+    "rotated",
 ]
 
 
 def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     """Return `value` as a finite float64 array of `shape` (None: any size along that axis).
+
+    Args:
+        name: of the argument, for the message. value: anything NumPy reads. shape: wanted.
 
     Raises:
         InvalidInputError: wrong number of axes, wrong size or a NaN/inf, with what was found.
@@ -72,6 +75,9 @@ def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
 
 def as_pose(name: str, position: Any, rotation: Any) -> pin.SE3:
     """Return the pose of `position` (3,) and rotation matrix `rotation` (3, 3).
+
+    Args:
+        name: of the argument, for the message. position: m. rotation: R, axes as columns.
 
     Raises:
         InvalidInputError: wrong shapes, a NaN/inf, or no rotation: RᵀR ≠ 1 (by 1e-6) or det R < 0.
@@ -102,14 +108,22 @@ def skew(x: Array) -> Array:
 
 
 def carry_twist(V: Array, start: Array, end: Array) -> Array:
-    """Twists (6,) or (6, k) carried from point to point: v_end = v_start + ω × (end − start)."""
+    """Twists (6,) or (6, k) carried from point to point: v_end = v_start + ω × (end − start).
+
+    Args:
+        V: (6,) or (6, k), linear first. start, end: (3,) points (m).
+    """
     out = np.array(V, dtype=np.float64)
     out[:3] -= skew(end - start) @ V[3:]
     return out
 
 
 def carry_wrench(F: Array, start: Array, end: Array) -> Array:
-    """Wrenches (6,) or (6, k) carried from point to point: m_end = m_start + (start − end) × f."""
+    """Wrenches (6,) or (6, k) carried from point to point: m_end = m_start + (start − end) × f.
+
+    Args:
+        F: (6,) or (6, k), force first. start, end: (3,) points (m).
+    """
     out = np.array(F, dtype=np.float64)
     out[3:] += skew(start - end) @ F[:3]
     return out
@@ -152,13 +166,13 @@ class Poses:
         R, p = (x[..., min(i, x.shape[-1] - 1)] for x in (self.R, self.p))
         return pin.SE3(R, p)
 
-    def turn(self, x: Array) -> Array:
-        """Vectors x, see `turned`, of the body in world axes."""
-        return turned(self.R, x)
+    def rotate(self, x: Array) -> Array:
+        """Vectors x, see `rotated`, of the body in world axes."""
+        return rotated(self.R, x)
 
-    def turn_back(self, x: Array) -> Array:
+    def rotate_back(self, x: Array) -> Array:
         """Vectors x of the world in body axes."""
-        return turned(self.R.transpose(1, 0, 2), x)
+        return rotated(self.R.transpose(1, 0, 2), x)
 
     def coordinates(self, k: int) -> Array:
         """(k, 7) position and quaternion x, y, z, w, as `pin.SE3ToXYZQUAT` gives them."""
@@ -167,7 +181,7 @@ class Poses:
         return out
 
 
-def turned(R: Array, x: Array) -> Array:
+def rotated(R: Array, x: Array) -> Array:
     """R x at k times: R (3, 3, k) and x (3, k), or the columns of x (3, m, k); k or 1 of each."""
     R = R[:, :, None] if x.ndim == 3 else R
     out: Array = R[:, 0] * x[0]

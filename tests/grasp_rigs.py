@@ -138,5 +138,5 @@ def random_case(arms, kinds, rng, bends=None, tolerance=1e-3, upright=False, bod
         told.append((kind, X_TO, axis / np.linalg.norm(axis)))
         positions.append(q)
     payload = None if body is None else osc.RigidObject(body)
-    chain = osc.ClosedChain(parts, held, payload, rank_tolerance=tolerance, allow_undriven=True)
+    chain = osc.ClosedChain(parts, held, payload, rank_tolerance=tolerance, allow_unactuated=True)
     return Case(chain, np.concatenate(positions), X_WO, told)

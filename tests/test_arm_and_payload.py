@@ -480,7 +480,7 @@ def test_outboard_terms_are_what_newton_and_euler_weigh(
     """Strip the arm of all mass inboard of the sensor; its joint then carries the answer."""
     assert callable(make)
     arm: Arm = make(wrist_sensor=sensor)
-    chain = ClosedChain([arm], rank_tolerance=FINE, allow_undriven=True)
+    chain = ClosedChain([arm], rank_tolerance=FINE, allow_unactuated=True)
     chain.model.gravity.linear = GRAVITY
     model = arm.model.copy()
     model.gravity.linear = GRAVITY

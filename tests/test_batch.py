@@ -14,7 +14,7 @@ from grasp_rigs import random_case
 from rigs import one_panda, random_faces, random_state, scara_pair
 
 import osc_contact as osc
-from osc_contact.control.life import LifeSettings
+from osc_contact.control.phases import PhaseSettings
 
 GAINS = osc.Gains(osc.MotionGains(400, 40, 2000), osc.ForceGains(30, 5))
 
@@ -63,7 +63,7 @@ def single(controller, x, i):
 
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("rig, life", [(one_panda, None), (scara_pair, None),
-                                       (scara_pair, LifeSettings())])  # fmt: skip
+                                       (scara_pair, PhaseSettings())])  # fmt: skip
 def test_rows_are_single_ticks_bit_for_bit(rig, life, threads):
     chain, rng, count = rig(), np.random.default_rng(3), 12
     ones, q = controllers(chain, count, rng, life=life)

@@ -30,7 +30,7 @@ from osc_contact.bench.random_arms import (
 )
 from osc_contact.bench.special_cases import SPECIAL_CASES, BatchCase, OwnFace
 from osc_contact.bench.timing import time_parts, time_tick
-from osc_contact.control.life import Phase
+from osc_contact.control.phases import Phase
 from osc_contact.errors import InvalidInputError
 
 ROOT = Path(__file__).parents[1]
@@ -208,7 +208,7 @@ def test_special_cases_are_what_they_are_called() -> None:
     assert 0.0 < left.left < 1.0 and 0.0 < right.left < 1.0
     assert last["saturated"].given_up is not None
     bars = found["three_arms"].reference.squeeze_d
-    np.testing.assert_allclose(last["three_arms"].found().squeeze, bars, atol=1e-6)
+    np.testing.assert_allclose(last["three_arms"].result().squeeze, bars, atol=1e-6)
     assert last["contact_phases"].life is not None
     assert (last["contact_phases"].phases() == Phase.CLOSED).all()
     assert [type(pair) for pair in last["own_pair"].contacts] == [OwnFace, osc.VertexOnFace]

@@ -35,7 +35,7 @@ def assert_same(got, want, tolerance=1e-9):
     np.testing.assert_allclose(got.X_WO.homogeneous, want.X_WO.homogeneous, atol=1e-12)
     for name in TERMS:
         assert_close(name, getattr(got, name), getattr(want, name), tolerance)
-    assert got.d == want.d and got.undriven.shape == want.undriven.shape
+    assert got.d == want.d and got.unactuated.shape == want.unactuated.shape
     if got.d:
         B = np.linalg.lstsq(want.S, got.S, rcond=None)[0]
         for name, mine, theirs in (
@@ -106,8 +106,8 @@ def test_what_singular_postures_lose():
         v = 0.1 * np.ones(chain.nq)
         got, want = chain.state(q, v), numpy_state(chain, q, v)
         assert_same(got, want, 1e-8)
-        assert len(got.fading) == len(want.fading)
-        for mine, theirs in zip(got.fading, want.fading, strict=True):
+        assert len(got.singular_directions) == len(want.singular_directions)
+        for mine, theirs in zip(got.singular_directions, want.singular_directions, strict=True):
             assert (mine.arm, mine.locked) == (theirs.arm, theirs.locked)
             sign = np.sign(mine.mode @ got.arms[mine.arm].M @ theirs.mode)
             for name in ("chi", "share"):

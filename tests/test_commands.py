@@ -19,10 +19,10 @@ import osc_contact as osc
 from osc_contact.control.command_filter import command
 
 
-def numpy_command(state, contact, a_u, alpha_u, B, environment, drag):
+def numpy_command(state, contact, a_u, alpha_u, B, environment, friction_wrenches):
     eta_u, metric = object_coordinates(state, contact, a_u), metric_of(B, state)
-    eta = filtered_motion(state, contact, eta_u, alpha_u, metric, environment, drag)
-    return eta, generalised_force(state, eta, (contact.N + drag) @ alpha_u)
+    eta = filtered_motion(state, contact, eta_u, alpha_u, metric, environment, friction_wrenches)
+    return eta, generalised_force(state, eta, (contact.N + friction_wrenches) @ alpha_u)
 
 
 def assert_close(got, want):
@@ -42,8 +42,11 @@ def test_commands_are_those_of_the_numpy_law(rig, kind):
         B = A @ A.T + np.eye(6) if kind == "matrix" else kind
         a_u, alpha_u = rng.normal(size=6), rng.uniform(1, 20, contact.r)
         moving = osc.Environment(half @ half.T, rng.normal(size=6), rng.normal(size=6))
-        drag = 0.1 * rng.normal(size=contact.N.shape)
-        for how in ((osc.Environment.fixed(), np.zeros_like(drag)), (moving, drag)):
+        friction_wrenches = 0.1 * rng.normal(size=contact.N.shape)
+        for how in (
+            (osc.Environment.fixed(), np.zeros_like(friction_wrenches)),
+            (moving, friction_wrenches),
+        ):
             given = state, contact, a_u, alpha_u, B, *how
             assert_close(command(*given), numpy_command(*given))
 

@@ -271,7 +271,7 @@ def test_other_gains_go_on_without_a_jump(rig):
     away = replace(reference, X_WD=reference.X_WD * pin.exp6(pin.Motion(shift)))
     for _ in range(50):
         controller.tick(measurement, away)
-    X_WO = pin.SE3(controller.found().X_WO.copy())
+    X_WO = pin.SE3(controller.result().X_WO.copy())
     still = replace(reference, X_WD=X_WO, V_D=np.zeros(6), A_D=np.zeros(6))
     assert np.abs(controller.motion_law.integral).max() > 1e-5
     alike = copy.copy(controller)
@@ -343,7 +343,7 @@ def test_laws_of_ones_own(rig, ready):
 
     def force(alpha_d, alpha):
         sums["force"] = sums["force"] + plain.gains.force.integral * plain.dt * (alpha_d - alpha)
-        speed = plain.found().normal_speed
+        speed = plain.result().normal_speed
         return alpha_d + sums["force"] - plain.gains.force.damping * speed
 
     def motion(reference, X_WO, V_O):

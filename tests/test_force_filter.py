@@ -42,7 +42,7 @@ def found_by_law(chain, pairs, q, v, wrenches, f_tare=0.0):
     wanted = osc.Reference(pin.SE3.Identity(), alpha_d=np.zeros(len(pairs)))
     controller.tick(osc.Measurement(q, v, wrenches), wanted)
     assert controller.status is not osc.Status.HELD, controller.reason
-    return controller.found()
+    return controller.result()
 
 
 def law_sense(chain, pairs, state, contact, q, v, wrenches):
@@ -176,16 +176,18 @@ def test_so_does_the_law():
     measured = osc.Measurement(q, v, np.zeros((2, 6)))
     wanted = osc.Reference(state.X_WO, alpha_d=desired)
     controller.tick(measured, wanted)
-    off = controller.found().alpha_meas - [9.0, 8.5]
+    off = controller.result().alpha_meas - [9.0, 8.5]
     controller.f_tare, controller.force_law.integral = N @ off, np.zeros(2)
-    drag = 50.0 * N.T @ state.V_O
-    assert np.abs(drag).min() > 0.1
+    friction_wrenches = 50.0 * N.T @ state.V_O
+    assert np.abs(friction_wrenches).min() > 0.1
     for k in range(1, 1001):
         controller.tick(measured, wanted)
         assert controller.status is osc.Status.OK
         if k in (1, 1000):
             sums = 0.03 * k * np.array([1.0, -0.5])
-            np.testing.assert_allclose(controller.signals.alpha_u, desired + sums - drag, rtol=1e-8)
+            np.testing.assert_allclose(
+                controller.signals.alpha_u, desired + sums - friction_wrenches, rtol=1e-8
+            )
     np.testing.assert_allclose(controller.force_law.integral, [30.0, -15.0], rtol=1e-8)
 
 

@@ -44,7 +44,7 @@ def test_the_drag_is_coulombs_law():
     friction = Friction(0.3, slip=1e-9)
     for _ in range(50):
         state, _, pairs, *_ = in_contact(scara_pair(), rng)
-        got = friction.drags(pairs, state.X_WO, state.V_O, None)
+        got = friction.wrenches(pairs, state.X_WO, state.V_O, None)
         for column, pair in zip(got.T, pairs, strict=True):
             np.testing.assert_allclose(column, by_hand(pair, state.X_WO, state.V_O, 0.3), atol=1e-9)
             assert column[:3] @ pair.normal == pytest.approx(0.0, abs=1e-12)
@@ -55,8 +55,10 @@ def test_friction_takes_power_from_the_object_and_fades_at_rest():
     state, _, pairs, *_ = in_contact(scara_pair(), rng)
     V = state.V_O
     friction = Friction(0.2, slip=1e-3)
-    assert (V @ friction.drags(pairs, state.X_WO, V, None)).min() > 0.0  # given to the environment
-    slow = friction.drags(pairs, state.X_WO, 1e-6 * V / np.abs(V).max(), None)
+    assert (
+        V @ friction.wrenches(pairs, state.X_WO, V, None)
+    ).min() > 0.0  # given to the environment
+    slow = friction.wrenches(pairs, state.X_WO, 1e-6 * V / np.abs(V).max(), None)
     assert np.abs(slow).max() < 1e-3
 
 
@@ -69,7 +71,7 @@ def test_only_motion_relative_to_a_moving_face_counts():
     V_E[:, :3] += np.cross(state.V_O[3:], -state.X_WO.translation)
     touched = osc.interface.Touched(X_WE, V_E, np.zeros_like(V_E))
     np.testing.assert_allclose(
-        Friction(0.3).drags(pairs, state.X_WO, state.V_O, touched), 0.0, atol=1e-9
+        Friction(0.3).wrenches(pairs, state.X_WO, state.V_O, touched), 0.0, atol=1e-9
     )
 
 
@@ -81,11 +83,11 @@ def test_the_filter_is_exact_for_sliding_contacts_and_errs_without():
     for _ in range(50):
         state, contact, pairs, q, v = in_contact(scara_pair(), rng)
         alpha = rng.uniform(5, 15, contact.N.shape[1])
-        drag = friction.drags(pairs, state.X_WO, state.V_O, None)
+        friction_wrenches = friction.wrenches(pairs, state.X_WO, state.V_O, None)
         a = np.linalg.lstsq(contact.N.T, contact.n_gamma, rcond=None)[0]
         a = a + contact.T @ rng.normal(size=contact.T.shape[1])
-        f_meas = state.Lambda_out @ a + state.bias_out + (contact.N + drag) @ alpha
-        got = magnitudes(contact_force(f_meas, state, contact, fixed, drag), contact)
+        f_meas = state.Lambda_out @ a + state.bias_out + (contact.N + friction_wrenches) @ alpha
+        got = magnitudes(contact_force(f_meas, state, contact, fixed, friction_wrenches), contact)
         np.testing.assert_allclose(got, alpha, rtol=1e-8)
         blind = magnitudes(contact_force(f_meas, state, contact, fixed), contact)
         without.append(np.abs(blind / alpha - 1).max())
@@ -94,14 +96,14 @@ def test_the_filter_is_exact_for_sliding_contacts_and_errs_without():
             controller.f_tare = -f_meas  # the wrists themselves say nothing
             silent = osc.Measurement(q, v, np.zeros((2, 6)))
             controller.tick(silent, osc.Reference(state.X_WO, alpha_d=alpha))
-            np.testing.assert_allclose(controller.found().alpha_meas, want, rtol=1e-8)
+            np.testing.assert_allclose(controller.result().alpha_meas, want, rtol=1e-8)
     assert np.median(without) > 0.03
 
 
 def sliding(s, mu):
-    """What a controller of the scene is given, friction, and (6, r) drags: they slide all along."""
+    """What a controller of the scene is given, friction, and (6, r) wrenches: all slide."""
     (pairs, how), friction = seen(s), Friction(mu, slip=1e-9)
-    return pairs, how, friction, friction.drags(pairs, s.state.X_WO, s.state.V_O, how["touched"])
+    return pairs, how, friction, friction.wrenches(pairs, s.state.X_WO, s.state.V_O, how["touched"])
 
 
 YIELDING = ("prescribed", "rail", "hinge", "free body", "rail and free body", "hinged face",
@@ -118,31 +120,42 @@ def test_law_and_filter_are_exact_on_bodies_that_friction_drags_along(rig, kind)
     for _ in range(3):
         s = scene(rig, kind, rng)
         state, contact, N = s.state, s.contact, s.contact.N
-        pairs, how, friction, drag = sliding(s, mu)
-        environment = Environment.combine(s.parts, s.each, state.metric, drag)
+        pairs, how, friction, friction_wrenches = sliding(s, mu)
+        environment = Environment.combine(s.parts, s.each, state.metric, friction_wrenches)
         alpha_u, relative = rng.uniform(5, 20, contact.r), rng.normal(size=6) * 3
         a_u = object_acceleration(state, contact, environment, relative, alpha_u)
         eta_u, B = object_coordinates(state, contact, a_u), np.linalg.inv(state.metric)
 
-        def answered(env, believed, s=s, drag=drag, alpha_u=alpha_u, eta_u=eta_u, B=B):
+        def answered(
+            env,
+            believed,
+            s=s,
+            friction_wrenches=friction_wrenches,
+            alpha_u=alpha_u,
+            eta_u=eta_u,
+            B=B,
+        ):
             eta_c = filtered_motion(s.state, s.contact, eta_u, alpha_u, B, env, believed)
-            f_S = generalised_force(s.state, eta_c, (s.contact.N + drag) @ alpha_u)
+            f_S = generalised_force(s.state, eta_c, (s.contact.N + friction_wrenches) @ alpha_u)
             tau = torques(s, f_S, eta_c)
             return kkt(s.chain, s.q, s.v, tau, s.bodies, s.touches, mu=mu), eta_c, tau
 
-        truth, eta_c, tau = answered(environment, drag)
+        truth, eta_c, tau = answered(environment, friction_wrenches)
         assert close_to(truth.alpha, alpha_u) < RTOL
         assert close_to(truth.a_object, state.S @ eta_c + state.sigma) < RTOL
         without.append(close_to(answered(s.environment, 0.0)[0].alpha, alpha_u))
         O = state.X_WO.translation  # noqa: E741
         sensed = wrist_readings(s.chain, files, cuts, s.q, s.v, truth, O)
         f_meas = sum_of_wrenches(sensed, state)
-        got = magnitudes(contact_force(f_meas, state, contact, environment, drag), contact)
+        got = magnitudes(
+            contact_force(f_meas, state, contact, environment, friction_wrenches), contact
+        )
         assert close_to(got, truth.alpha) < RTOL
         # what weaker motors will cost is foreseen: the forces that come are those foretold
-        wires = SimpleNamespace(state=state, contact=contact, drag=drag, environment=environment,
+        signals = SimpleNamespace(state=state, contact=contact,
+                                friction_wrenches=friction_wrenches, environment=environment,
                                 tau=tau, alpha_u=alpha_u, squeeze_d=0.0)  # fmt: skip
-        wanted = EffortLimits(s.chain, pairs).response(wires, np.arange(len(pairs)))
+        wanted = EffortLimits(s.chain, pairs).response(signals, np.arange(len(pairs)))
         relief = relieve(replace(wanted, tau_max=0.9 * np.abs(tau) + 1e-3))
         came = kkt(s.chain, s.q, s.v, relief.tau, s.bodies, s.touches, mu=mu)
         np.testing.assert_allclose(alpha_u - came.alpha, relief.force, rtol=0, atol=1e-6)
@@ -150,7 +163,7 @@ def test_law_and_filter_are_exact_on_bodies_that_friction_drags_along(rig, kind)
         asked = s.q, s.v, a_u, alpha_u, B, squeeze_of(s)
         how |= {"friction": friction, "wrenches": sensed}
         controller, tau = commanded(s.chain, pairs, *asked, **how)
-        found, reached = controller.found(), controller.signals
+        found, reached = controller.result(), controller.signals
         assert close_to(found.alpha_meas, truth.alpha) < RTOL
         got = kkt(s.chain, s.q, s.v, tau, s.bodies, s.touches, mu=mu)
         assert close_to(got.alpha, alpha_u) < RTOL
@@ -212,13 +225,13 @@ def test_the_numpy_law_gives_up_the_same_on_a_cart_that_friction_drags_along():
     fast = rig.controller().with_safety(osc.SafetySettings.motors_only())
     slow, plant = readable_of(fast), rig.plant(0)
     plant.hold(rig.controller().tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
-    drags = np.zeros(0)
+    wrenches = np.zeros(0)
     for k in range(60):
         measurement, reference = plant.measure(), rig.references.at(1e-3 * k)
         got, want = fast.tick(measurement, reference), slow.tick(measurement, reference)
         assert fast.status is slow.status is osc.Status.SATURATED
-        drags = np.append(drags, np.abs(slow.last_signals().drag).max())
+        wrenches = np.append(wrenches, np.abs(slow.last_signals().friction_wrenches).max())
         np.testing.assert_allclose(got, want, rtol=0, atol=1e-9 * np.abs(want).max())
         np.testing.assert_allclose(fast.given_up.force, slow.given_up.force, rtol=0, atol=1e-9)
         plant.command(got, 1e-3)
-    assert drags[0] == 0.0 and drags[-1] > 0.1  # at rest, and sliding
+    assert wrenches[0] == 0.0 and wrenches[-1] > 0.1  # at rest, and sliding

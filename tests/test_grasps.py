@@ -65,7 +65,7 @@ def forces(case, tau):
 
 def test_motion_and_contact_forces_agree_with_the_full_system():
     """Eqs. 13–20: 60 random chains of 1–4 arms, with grasps that turn, slide and hold."""
-    rng, seen = np.random.default_rng(1), {"undriven": 0, "untold": 0, "contacts": 0, "d": set()}
+    rng, seen = np.random.default_rng(1), {"unactuated": 0, "untold": 0, "contacts": 0, "d": set()}
     for _ in range(60):
         case = draw(rng)
         for _ in range(3):
@@ -77,7 +77,7 @@ def test_motion_and_contact_forces_agree_with_the_full_system():
             got = osc.contact_response(state, contact, tau=tau)
             assert miss(got.acceleration, oracle.a_object) < RTOL
             assert miss(got.alpha, oracle.alpha) < RTOL
-            seen["undriven"] += state.undriven.shape[1] > 0
+            seen["unactuated"] += state.unactuated.shape[1] > 0
             seen["contacts"] += contact.r > 0
             seen["d"].add(state.d)
             try:
@@ -88,7 +88,7 @@ def test_motion_and_contact_forces_agree_with_the_full_system():
             else:
                 assert np.abs(told.X_WO.homogeneous - case.X_WO.homogeneous).max() < 1e-10
                 assert np.abs(told.V_O - V).max() < 1e-9
-    assert min(seen["undriven"], seen["untold"], seen["contacts"]) > 20, seen
+    assert min(seen["unactuated"], seen["untold"], seen["contacts"]) > 20, seen
     assert seen["d"] == set(range(7))
 
 
@@ -120,7 +120,7 @@ def driven(rng, count, **options):
             arm.passive_joints and arm.model.nv > grasp.N.shape[1]
             for arm, grasp in zip(case.chain.arms, case.chain.grasps, strict=True)
         )
-        if state.undriven.shape[1] == 0 and state.d > 0 and not redundant:
+        if state.unactuated.shape[1] == 0 and state.d > 0 and not redundant:
             found += 1
             yield case
 
@@ -213,7 +213,7 @@ def test_exact_plant_agrees_and_wrists_tell_the_contact_force():
         np.testing.assert_allclose(got, alpha, atol=1e-8 * size)
         if law_knows(case):
             asked = case.chain, pairs, case.q, v, np.zeros(6), alpha, "object", 0.0
-            found = commanded(*asked, wrenches=wrenches)[0].found()
+            found = commanded(*asked, wrenches=wrenches)[0].result()
             np.testing.assert_allclose(found.alpha_meas, alpha, atol=1e-8 * size)
             by_law += contact.r > 0
         exact += contact.r > 0
@@ -280,13 +280,13 @@ def in_millimetres(case):
         grasps.append(osc.Grasp(stretched(grasp.X_TO), np.vstack((grasp.T[:3], grasp.T[3:]))))
         q.append(np.where(sliding, 1e3, 1.0) * case.q[s])
     payload = osc.RigidObject(body(case.chain.payload.inertia))
-    chain = osc.ClosedChain(arms, grasps, payload, allow_undriven=True)
+    chain = osc.ClosedChain(arms, grasps, payload, allow_unactuated=True)
     chain.model.gravity = pin.Motion(1e3 * chain.model.gravity.linear, np.zeros(3))
     return chain, np.concatenate(q), stretched(case.X_WO)
 
 
 def test_units_do_not_matter():
-    """Metres or millimetres: the same Φ₀, motion, contact force and undriven motions."""
+    """Metres or millimetres: the same Φ₀, motion, contact force and unactuated motions."""
     rng, k = np.random.default_rng(6), np.array([1e3] * 3 + [1.0] * 3)
     for _ in range(20):
         case = draw(rng)
@@ -295,7 +295,7 @@ def test_units_do_not_matter():
         chain, q, X_WO = in_millimetres(case)
         scale = q / np.where(case.q == 0.0, 1.0, case.q)
         mm = chain.state(q, scale * v, X_WO, k * V)
-        assert (mm.d, mm.undriven.shape) == (state.d, state.undriven.shape)
+        assert (mm.d, mm.unactuated.shape) == (state.d, state.unactuated.shape)
         per_wrench = np.array([1e-3] * 3 + [1e-6] * 3)
         assert miss(mm.Phi / np.outer(k, per_wrench), state.Phi, least=1e-9) < RTOL
         N_mm = np.vstack((contact.N[:3], 1e3 * contact.N[3:]))
@@ -315,9 +315,9 @@ def test_a_rod_between_two_balls_spins_about_their_line():
     with pytest.raises(osc.ModelError, match="do not tell where the object is"):
         chain.state(case.q, np.zeros(12))
     state = chain.state(case.q, np.zeros(12), case.X_WO, np.zeros(6))
-    assert (state.d, state.undriven.shape) == (6, (6, 1))
+    assert (state.d, state.unactuated.shape) == (6, (6, 1))
     line = state.grasp_points[1] - state.grasp_points[0]
-    spin = state.undriven[:, 0]
+    spin = state.unactuated[:, 0]
     assert np.abs(np.cross(spin[3:], line)).max() < 1e-9 * np.abs(spin[3:]).max()
     still = spin[:3] + np.cross(spin[3:], state.grasp_points[0] - state.X_WO.translation)
     assert np.abs(still).max() < 1e-9 * np.abs(spin).max()
@@ -338,7 +338,7 @@ def test_one_arm_whose_tip_is_the_object(arm):
     for _ in range(10):
         case = random_case([arm], ["rigid"], rng, body=None)
         if arm == "scara":  # its hinge swings freely unless something else holds the rod
-            assert case.chain.state(case.q, np.zeros(5)).undriven.shape[1] == 1
+            assert case.chain.state(case.q, np.zeros(5)).unactuated.shape[1] == 1
         pairs, N = touching(case, rng)
         v, V, state, contact = moving(case, pairs, N, rng)
         tau = rng.normal(size=case.chain.n_a) * 20.0

@@ -14,7 +14,7 @@ from test_law import agree, disturb, inputs, twins
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.control.joint_limits import JointLimits
+from osc_contact.control.joint_limits import JointLimitAvoidance
 from osc_contact.control.settings import PostureTask
 from osc_contact.plants.rigid import RigidPlant
 
@@ -38,7 +38,7 @@ def test_the_push_is_a_bounded_slope_of_a_potential():
     """Against the potential k w² (s³ − s⁴/2) + k w (depth beyond the limit), differentiated."""
     model = panda(joint1=(-1.0, 2.0), joint2=(-np.inf, np.inf), joint3=(-np.inf, 1.0)).model
     k, share = 400.0, 0.05
-    limits = JointLimits.of(model, k, share)
+    limits = JointLimitAvoidance.of(model, k, share)
     w = np.array([0.05 * 3.0, 0.0, 0.05 * np.pi, *(0.05 * np.minimum(
         model.upperPositionLimit - model.lowerPositionLimit, np.pi))[3:]])  # fmt: skip
 

@@ -17,7 +17,7 @@ from grasp_rigs import random_case
 from pair_kinds import KINDS, touching
 from readable.controller import ReadableController
 from readable.force import outboard_mobility
-from readable.life import ContactLife
+from readable.phases import ContactPhases
 from rigs import one_panda, panda_pair, placed, random_faces, random_state, scara_pair
 
 import osc_contact as osc
@@ -50,7 +50,7 @@ def readable_of(controller):
     if c.life is not None:
         pushing = np.array([pushes_only(pair) for pair in c.contacts])
         owners = np.array(c._records.row.pairs.owners)
-        life = ContactLife(c.life, owners, pushing, c.dt, c.engaged)
+        life = ContactPhases(c.life, owners, pushing, c.dt, c.engaged)
     return ReadableController(
         c.chain, c.contacts, c.gains, dt=c.dt, B=c.B, bodies=c.bodies, posture=c.posture,
         engaged=c.engaged, friction=c.friction, life=life, reading=c.reading,
@@ -187,7 +187,7 @@ def test_other_grasps_and_internal_forces(arms, kinds, squeeze):
             state = chain.state(case.q, np.zeros(chain.nq))
         except osc.ModelError:  # the grasps do not fix the object
             continue
-        if any(lost.chi < 0.1 for lost in state.fading):
+        if any(lost.chi < 0.1 for lost in state.singular_directions):
             continue  # both lose digits as 1/χ²
         fast, slow = twins(chain, random_faces(state.X_WO, 2, rng), posture=case.q)
         for _ in range(2):
@@ -196,8 +196,8 @@ def test_other_grasps_and_internal_forces(arms, kinds, squeeze):
             agree(fast, slow, measurement, replace(reference, squeeze_d=squeeze), 1e-9)
             accelerated_alike(fast, slow, 1e-9)
             if fast.status is not osc.Status.HELD:
-                found = fast.found().squeeze
-                np.testing.assert_allclose(found, slow.found().squeeze, atol=1e-6)
+                found = fast.result().squeeze
+                np.testing.assert_allclose(found, slow.result().squeeze, atol=1e-6)
         done += 1
 
 
@@ -311,8 +311,10 @@ def test_friction(rig, body):
         blind = Controller(chain, pairs, GAINS, safety=UNLIMITED, **how)
         blind.motion_law.integral = slow.motion_law.integral
         assert np.abs(blind.tick(measurement, reference) - slow.last_torques()).max() > 1e-2
-        D = slow.last_signals(), fast.found().mobility
-        want = outboard_mobility(D[0].state, D[0].contact, D[0].environment, D[0].drag)[0]
+        D = slow.last_signals(), fast.result().mobility
+        want = outboard_mobility(
+            D[0].state, D[0].contact, D[0].environment, D[0].friction_wrenches
+        )[0]
         np.testing.assert_allclose(D[1], want, rtol=0, atol=1e-10 * np.abs(want).max())
         done += 1
 
@@ -385,7 +387,7 @@ def test_signals_are_those_of_the_numpy_law_and_stay():
     for name in ("f_meas", "f_c_meas", "alpha_meas", "alpha_u", "a_u", "tau", "q", "wrenches"):
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-9, atol=1e-9)
     assert not fast.engaged and (fast.f_tare == 1.0).all()
-    found, state = fast.found(), b.state
+    found, state = fast.result(), b.state
     np.testing.assert_allclose(found.f_meas, b.f_meas, atol=1e-9)
     np.testing.assert_allclose(found.bias_out, state.bias_out, atol=1e-9)
     np.testing.assert_allclose(found.f_c, b.f_c_meas, atol=1e-8)

@@ -70,10 +70,20 @@ def random_case(
     r = int(rng.integers(0, d + 1)) if r is None else r
     s = int(rng.choice([0, 1, 3])) if s is None else s
     root = rng.normal(size=(6, 6))
-    N, drag = rng.normal(size=(r, 6)), 0.3 * rng.normal(size=(r, 6)) * rng.integers(0, 2)
+    N, friction_wrenches = (
+        rng.normal(size=(r, 6)),
+        0.3 * rng.normal(size=(r, 6)) * rng.integers(0, 2),
+    )
     if apart and r > 1:
-        N[-1], drag[-1] = N[0] + apart * N[-1], drag[0] + apart * drag[-1]
-    shape = np.diag(rng.uniform(0.1, 1.0, r)) if bodies else 0.3 * N @ root @ root.T @ (N + drag).T
+        N[-1], friction_wrenches[-1] = (
+            N[0] + apart * N[-1],
+            friction_wrenches[0] + apart * friction_wrenches[-1],
+        )
+    shape = (
+        np.diag(rng.uniform(0.1, 1.0, r))
+        if bodies
+        else 0.3 * N @ root @ root.T @ (N + friction_wrenches).T
+    )
     alpha, share = rng.uniform(5.0, 20.0, r), np.eye(r)
     if passive and r:
         R = rng.uniform(0.2, 1.0, (r, r + passive))
@@ -85,9 +95,9 @@ def random_case(
     tau_max *= weak
     tau_max[rng.permutation(n)[:endless]] = np.inf
     return Case(
-        d, wanted, tau_max, rng.normal(size=(n, 6)), np.eye(6) + root @ root.T / 6, N, N + drag,
-        shape, alpha, share, np.minimum(1.0, share @ alpha), rng.normal(size=(s, n)),
-        rng.normal(size=(s, 6)),
+        d, wanted, tau_max, rng.normal(size=(n, 6)), np.eye(6) + root @ root.T / 6, N,
+        N + friction_wrenches, shape, alpha, share, np.minimum(1.0, share @ alpha),
+        rng.normal(size=(s, n)), rng.normal(size=(s, 6)),
     )  # fmt: skip
 
 

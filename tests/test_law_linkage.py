@@ -92,7 +92,7 @@ def without_motors(case, rng, share):
     limp = tuple(name for name in names if name in arms[i].passive_joints or rng.random() < share)
     arms[i] = replace(arms[i], passive_joints=limp)
     parts = (arms, case.chain.grasps, case.chain.payload)
-    return replace(case, chain=osc.ClosedChain(*parts, allow_undriven=True))
+    return replace(case, chain=osc.ClosedChain(*parts, allow_unactuated=True))
 
 
 def moved_points(points, how, rng):
@@ -220,7 +220,7 @@ def test_torques_in_the_null_space_set_the_bars_and_accelerate_nothing(arms, kin
         case = without_motors(case, rng, share=1.0) if kinds[0] == "limp" else case
         state, effort = at_rest(case), effort_scale(case.chain.tau_max)
         singular = max(min(mobility(arm, state.metric)[: arm.rank]) < 0.02 for arm in state.arms)
-        if state.undriven.shape[1] or not state.d or singular:
+        if state.unactuated.shape[1] or not state.d or singular:
             continue
         tried += 1
         levers, basis = answer(given(state, case.chain))
@@ -238,7 +238,7 @@ def test_torques_in_the_null_space_set_the_bars_and_accelerate_nothing(arms, kin
 def elsewhere(case, X):
     """The same chain at another place in the world."""
     arms = [replace(arm, base=X * arm.base) for arm in case.chain.arms]
-    chain = osc.ClosedChain(arms, case.chain.grasps, case.chain.payload, allow_undriven=True)
+    chain = osc.ClosedChain(arms, case.chain.grasps, case.chain.payload, allow_unactuated=True)
     return replace(case, chain=chain, X_WO=X * case.X_WO)
 
 

@@ -13,15 +13,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
+from readable.contact_phases import live
 from readable.force import ContactTerms, ForceLaw
-from readable.life import ContactLife, slewed
-from readable.living import live
-from readable.low_pass import Heard, heard
+from readable.low_pass import FilteredForce, filter_force
 from readable.monitor import MonitorState, watched
+from readable.phases import ContactPhases, slewed
 
 from osc_contact.control.force import ForceGains
-from osc_contact.control.life import LifeSettings
 from osc_contact.control.monitor import MonitorLimits
+from osc_contact.control.phases import PhaseSettings
 from osc_contact.control.reports import Status
 from osc_contact.law import tables
 from osc_contact.law.phases import (
@@ -89,7 +89,7 @@ class Phases:
     """Tables for these contacts, and the stages of a tick that concern them."""
 
     def __init__(self, owners, pushing, k=None, dt=DT, phase=None):
-        k = LifeSettings() if k is None else k
+        k = PhaseSettings() if k is None else k
         owners, pushing = np.asarray(owners), np.asarray(pushing, dtype=bool)
         self.owners, self.n, count = owners, len(owners), len(pushing)
         chains, memories = rows_of(tables.CHAIN), rows_of(tables.MEMORY)
@@ -165,7 +165,7 @@ ticks = st.lists(
 @given(ticks)
 def test_whatever_happens_the_phases_keep_their_rules(story):
     """Any forces, speeds and wishes, each held for some ticks."""
-    k = LifeSettings()
+    k = PhaseSettings()
     phases, push = Phases(OWNERS, PUSHING, k), k.damping * k.speed
     loud = np.zeros(4)  # ticks in a row in which the force was above force_on, counted here
     felt = np.zeros(4, dtype=bool)  # whether these ever lasted, since the contact was opened
@@ -232,7 +232,7 @@ def test_a_story_approach_contact_loss_and_contact_again():
 
 
 def test_an_approach_that_finds_nothing_stands_still():
-    k = LifeSettings(speed=0.01, travel=0.02)
+    k = PhaseSettings(speed=0.01, travel=0.02)
     phases = Phases(OWNERS, PUSHING, k, phase=(APPROACHING, OPEN, CLOSED))
     for t, push in ((1.9, k.damping * k.speed), (2.1, 0.0)):
         phases.contacts[0].since = t
@@ -332,10 +332,10 @@ class Wish:
 
 
 class Machine:
-    """What `living.live` sees of a controller."""
+    """What `contact_phases.live` sees of a controller."""
 
     def __init__(self, owners, pushing, k, dt, closed):
-        self.life = ContactLife(k, owners, pushing, dt, closed)
+        self.life = ContactPhases(k, owners, pushing, dt, closed)
         self.terms = ContactTerms(np.zeros((len(pushing), 4)), GAINS)
         self.terms.rows[:, 0] = self.life.state.active
         self.force_law = ForceLaw(GAINS, dt)
@@ -346,7 +346,7 @@ class Machine:
     def begin(self, wanted):
         return live(self, self.life, Wish(wanted)).alpha_d
 
-    def found(self):
+    def result(self):
         return self.measured
 
     def last_signals(self):
@@ -364,7 +364,7 @@ def random_contacts(rng):
         off + rng.uniform(0.1, 0.6), off, 10 ** rng.uniform(-3, -1), rng.choice([0.0, 5e-3, 1e-2]),
         rng.choice([0.0, 0.02]), rng.choice([0.0, 2e-3]), rng.choice([0.03, np.inf]),
     )  # fmt: skip
-    k = LifeSettings(
+    k = PhaseSettings(
         speed=rng.uniform(0.01, 0.02), travel=rng.uniform(2e-4, 2e-3), rise=rng.uniform(0.01, 0.1),
         share=rng.uniform(0.05, 0.4), lag=rng.uniform(1e-4, 1e-2), limits=limits,
     )  # fmt: skip
@@ -488,8 +488,8 @@ def test_one_magnitude_is_judged_as_by_the_numpy_monitor(seed):
 def test_measurements_are_low_passed_as_by_the_numpy_monitor(seed):
     rng = np.random.default_rng(seed)
     n, lag = rng.integers(1, 7), rng.choice([0.0, 1e-3, 1e-2])
-    phases = Phases(np.arange(n), [True] * n, replace(LifeSettings(), lag=max(lag, 1e-9)))
-    before = Heard.nothing(n)
+    phases = Phases(np.arange(n), [True] * n, replace(PhaseSettings(), lag=max(lag, 1e-9)))
+    before = FilteredForce.nothing(n)
     for _ in range(60):
         phases.contacts.active = rng.random(n) < 0.8
         here = phases.here
@@ -499,7 +499,7 @@ def test_measurements_are_low_passed_as_by_the_numpy_monitor(seed):
         independent = rng.random() < 0.8
         if independent:
             inertia[np.ix_(here, here)] = np.linalg.inv(D)
-        before, force = heard(before, alpha, speed, inertia, here, DT, phases.chain.lag)
+        before, force = filter_force(before, alpha, speed, inertia, here, DT, phases.chain.lag)
         phases.end(alpha, speed, D, independent)
         for name in ("force", "pace", "known"):
             np.testing.assert_allclose(phases.columns[name], getattr(before, name), 1e-12, 1e-12)

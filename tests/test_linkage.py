@@ -63,7 +63,7 @@ def cases(rng, count, arms, kinds):
             require_reachable(state, contact_of(pairs, state))
         except osc.OscContactError:
             continue
-        if state.undriven.shape[1] or state.d < 6:  # an arm in a singular posture
+        if state.unactuated.shape[1] or state.d < 6:  # an arm in a singular posture
             continue
         v, V, state, contact = moving(case, pairs, contact_of(pairs, state).N, rng)
         count -= 1
@@ -152,7 +152,7 @@ def test_what_cannot_be_set_is_left_alone(arms, kinds, bends, settable, allocate
         case = random_case(arms, kinds, rng, bends, upright=planar)
         still = np.zeros(case.chain.nq)
         state = case.chain.state(case.q, still, case.X_WO, np.zeros(6))
-        if state.undriven.shape[1] or not state.d:
+        if state.unactuated.shape[1] or not state.d:
             continue
         linkage = Linkage.of(state, case.chain)
         if bends and min(mobility(arm, state.metric)[-1] for arm in state.arms[1:]) < 0.05:
@@ -243,7 +243,7 @@ def test_commands_by_number_and_by_bar(plate):
         assert np.linalg.norm(got / plate.chain.tau_max) >= least
         for controller in (fast, slow):
             np.testing.assert_allclose(
-                controller.found().squeeze, squeeze * np.ones(3), atol=1e-8, rtol=0
+                controller.result().squeeze, squeeze * np.ones(3), atol=1e-8, rtol=0
             )
     by_bar = osc.pose_reference([0, 0, 0], squeeze_d=np.array([5.0, -3.0, 8.0])).squeeze_d
     np.testing.assert_array_equal(by_bar, [5.0, -3.0, 8.0])
@@ -270,7 +270,7 @@ def test_motor_limits_take_it_first(plate):
     lost = controller.given_up
     assert lost.squeeze.shape == (3,) and lost.squeeze[0] > 1000.0
     assert np.abs(lost.acceleration).max() < 0.1 and np.abs(lost.force).max() < 1.0
-    np.testing.assert_allclose(controller.found().squeeze, squeeze - lost.squeeze, rtol=1e-9)
+    np.testing.assert_allclose(controller.result().squeeze, squeeze - lost.squeeze, rtol=1e-9)
 
 
 def test_a_squeezed_plate_stays_within_its_limits():

@@ -383,8 +383,8 @@ def test_contact_force_from_wrist_sensors_is_exact_on_moving_and_yielding_bodies
         pairs, how = seen(s)
         asked = s.chain, pairs, s.q, s.v, np.zeros(6), truth.alpha, "object", squeeze_of(s)
         given = {"touched": how["touched"], "wrenches": sensed}
-        found = law_commanded(*asked, bodies=how["bodies"], **given)[0].found()
+        found = law_commanded(*asked, bodies=how["bodies"], **given)[0].result()
         assert close_to(found.alpha_meas, truth.alpha) < RTOL
         assert close_to(found.f_c, s.contact.N @ truth.alpha) < RTOL
-        without = law_commanded(*asked, **given)[0].found()
+        without = law_commanded(*asked, **given)[0].result()
         assert close_to(without.alpha_meas, truth.alpha) > 1e-4

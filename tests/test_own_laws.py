@@ -78,7 +78,9 @@ def paper(s: Signals) -> tuple[np.ndarray, np.ndarray]:
     """Motion filter and control structure, eqs. 24 and 21, in NumPy."""
     eta_u = object_coordinates(s.state, s.contact, s.a_u)
     B = np.linalg.inv(s.state.metric)
-    eta = filtered_motion(s.state, s.contact, eta_u, s.alpha_u, B, s.environment, s.drag)
+    eta = filtered_motion(
+        s.state, s.contact, eta_u, s.alpha_u, B, s.environment, s.friction_wrenches
+    )
     return eta, generalised_force(s.state, eta, s.f_ccomm)
 
 
@@ -236,10 +238,10 @@ def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(
         signals = controller.signals
         X = signals.state.X_WO
         if friction is None:
-            assert not signals.drag.any()
+            assert not signals.friction_wrenches.any()
         else:
-            want = friction.drags(controller.contacts, X, signals.state.V_O, measurement.touched)
-            np.testing.assert_allclose(signals.drag, want, rtol=0, atol=1e-12)
+            want = friction.wrenches(controller.contacts, X, signals.state.V_O, measurement.touched)
+            np.testing.assert_allclose(signals.friction_wrenches, want, rtol=0, atol=1e-12)
         if kind is not Lifted or friction is None:
             for other in torques[1:]:
                 np.testing.assert_allclose(other, torques[0], rtol=0, atol=1e-10)

@@ -16,7 +16,7 @@ import osc_contact as osc
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, pushes_only, velocity
 from osc_contact.control.friction import Friction
-from osc_contact.control.life import LifeSettings
+from osc_contact.control.phases import PhaseSettings
 from osc_contact.dynamics.environment import Environment
 from osc_contact.scenarios import list_scenarios
 from osc_contact.scenarios.schema import Scenario
@@ -149,13 +149,21 @@ def example(rng):
         v = v - (v @ m) * m
         where.append((p, m, v / np.sqrt(v @ v + 1e-4)))
     N = lines_of_force(points, normals)
-    drag = 0.1 * np.column_stack([lines_of_force(p, s) for p, _, s in where])
-    return state, N, drag, rng.normal(size=3), rng.uniform(5, 15, 3), where, rng.normal(size=6)
+    friction_wrenches = 0.1 * np.column_stack([lines_of_force(p, s) for p, _, s in where])
+    return (
+        state,
+        N,
+        friction_wrenches,
+        rng.normal(size=3),
+        rng.uniform(5, 15, 3),
+        where,
+        rng.normal(size=6),
+    )
 
 
-def found(state, N, n_gamma, f, drag, A_D, wanted, where):
+def found(state, N, n_gamma, f, friction_wrenches, A_D, wanted, where):
     contact = Contact(N, n_gamma)
-    args = f, state, contact, Environment.fixed(), drag, A_D, wanted, where
+    args = f, state, contact, Environment.fixed(), friction_wrenches, A_D, wanted, where
     return readable.explained(*args)[0]
 
 
@@ -163,9 +171,9 @@ def test_units_do_not_matter(monkeypatch):
     """Metres or millimetres: what is measured in them, and the scales of what is likely."""
     rng = np.random.default_rng(1)
     for _ in range(20):
-        state, N, drag, n_gamma, wanted, where, A_D = example(rng)
+        state, N, friction_wrenches, n_gamma, wanted, where, A_D = example(rng)
         f = 10 * rng.normal(size=6)
-        want = found(state, N, n_gamma, f, drag, A_D, wanted, where)
+        want = found(state, N, n_gamma, f, friction_wrenches, A_D, wanted, where)
         k = 1000.0
         force, motion = np.diag([k, k, k, k * k, k * k, k * k]), np.diag([k, k, k, 1, 1, 1])
         column = np.diag([1, 1, 1, k, k, k])
@@ -178,8 +186,8 @@ def test_units_do_not_matter(monkeypatch):
             for name in ("DEPARTURE", "LEAST_FORCE", "NOISE"):
                 patch.setattr(readable, name, k * getattr(readable, name))
             got = found(
-                inertia, column @ N, k * n_gamma, force @ f, column @ drag, motion @ A_D,
-                k * wanted, [(k * p, n, s) for p, n, s in where],
+                inertia, column @ N, k * n_gamma, force @ f, column @ friction_wrenches,
+                motion @ A_D, k * wanted, [(k * p, n, s) for p, n, s in where],
             )  # fmt: skip
         np.testing.assert_allclose(got / k, want, rtol=1e-6, atol=1e-6)
 
@@ -187,9 +195,9 @@ def test_units_do_not_matter(monkeypatch):
 def test_frame_and_reference_point_do_not_matter():
     rng = np.random.default_rng(2)
     for _ in range(20):
-        state, N, drag, n_gamma, wanted, where, A_D = example(rng)
+        state, N, friction_wrenches, n_gamma, wanted, where, A_D = example(rng)
         f, X = 10 * rng.normal(size=6), pin.SE3.Random()
-        want = found(state, N, n_gamma, f, drag, A_D, wanted, where)
+        want = found(state, N, n_gamma, f, friction_wrenches, A_D, wanted, where)
         motion = X.action
         force = np.linalg.inv(motion).T
         V = motion @ state.V_O
@@ -201,7 +209,8 @@ def test_frame_and_reference_point_do_not_matter():
         old = np.concatenate((np.cross(state.V_O[3:], state.V_O[:3]), np.zeros(3)))
         new = np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
         got = found(
-            moved, force @ N, n_gamma, force @ f, force @ drag, motion @ (A_D - old) + new, wanted,
+            moved, force @ N, n_gamma, force @ f, force @ friction_wrenches,
+            motion @ (A_D - old) + new, wanted,
             [(X.act(p), X.rotation @ n, X.rotation @ s) for p, n, s in where],
         )  # fmt: skip
         np.testing.assert_allclose(got, want, rtol=1e-6, atol=1e-6)
@@ -234,13 +243,17 @@ def test_every_pair_that_pushes_rubs_where_it_touches():
             points = pair.points_of_contact(X, X_WE) - X.translation[:, None]
             np.testing.assert_allclose(np.cross(points.T, N[:3].T).T, N[3:], atol=1e-12)
             V_rel = Bodies.at_O(X, V, X_WE, V_E).V_rel
-            drags = friction.drags([pair], X, V, touched)
-            for p, column, drag in zip(points.T, N.T, drags.T, strict=True):
+            wrenches = friction.wrenches([pair], X, V, touched)
+            for p, column, friction_wrenches in zip(points.T, N.T, wrenches.T, strict=True):
                 v = velocity(V_rel, p)
                 v = v - (v @ column[:3]) * column[:3]
-                np.testing.assert_allclose(drag[:3], 0.3 * v / np.linalg.norm(v), atol=1e-8)
-                np.testing.assert_allclose(drag[3:], np.cross(p, drag[:3]), atol=1e-9)
-                assert drag @ V_rel > 0.0  # into the environment
+                np.testing.assert_allclose(
+                    friction_wrenches[:3], 0.3 * v / np.linalg.norm(v), atol=1e-8
+                )
+                np.testing.assert_allclose(
+                    friction_wrenches[3:], np.cross(p, friction_wrenches[:3]), atol=1e-9
+                )
+                assert friction_wrenches @ V_rel > 0.0  # into the environment
 
 
 def test_least_squares_is_chosen_where_its_answer_is_unique():
@@ -261,7 +274,7 @@ def test_least_squares_is_chosen_where_its_answer_is_unique():
     assert chosen([one, other]) == "filter"
     assert chosen([one], reading="filter") == "filter"
     assert chosen([one, other], reading="least_squares") == "least_squares"
-    assert chosen([one], life=LifeSettings()) == "filter"
+    assert chosen([one], life=PhaseSettings()) == "filter"
 
 
 def test_impossible_readings_are_refused():
@@ -272,7 +285,7 @@ def test_impossible_readings_are_refused():
         osc.Controller(chain, [hinge], reading="least_squares")
     faces = random_faces(X, 1, rng)
     with pytest.raises(osc.InvalidInputError, match="filter judges"):
-        osc.Controller(chain, faces, reading="least_squares", life=LifeSettings())
+        osc.Controller(chain, faces, reading="least_squares", life=PhaseSettings())
     with pytest.raises(osc.InvalidInputError, match="gyro"):
         osc.Controller(chain, faces, reading="gyro")
 

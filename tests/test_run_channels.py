@@ -16,7 +16,7 @@ from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.paper.moving_face import FACES
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.free_motion import free_part, free_parts
-from osc_contact.spatial import Poses, rotations, turned
+from osc_contact.spatial import Poses, rotated, rotations
 
 ON_SURFACE = {
     pairs.VertexOnFace: "point", pairs.SphereOnPlane: "point", pairs.FaceOnVertex: "vertex",
@@ -43,7 +43,7 @@ def run_plainly(rig):
                 controller.f_tare, samples = np.mean(samples, axis=0), []
             if k * period >= tare.duration + tare.approach:
                 controller.engage()
-        found = controller.found()
+        found = controller.result()
         alpha = speed = np.zeros(len(rig.pushing))
         if len(found.alpha_meas):
             contact = controller.last_signals().contact
@@ -151,7 +151,7 @@ def lines(rig, truth):
 
 
 def error(rig, controller, read, truth):
-    found = controller.found()
+    found = controller.result()
     if rig.d == 6:
         return found.free_error.copy()
     N = lines(rig, truth)["N"]
@@ -168,7 +168,7 @@ RUNS = {
     "two_contact_rod_mismatch": ("mujoco", 0.06, SOON),
     "two_contact_rod_friction": ("mujoco", 0.006, []),
     "moving_face": ("mujoco", 0.04, []),
-    "moving_face, turned": ("mujoco", 0.02, FACES["turning conveyor"]),
+    "moving_face, rotated": ("mujoco", 0.02, FACES["turning conveyor"]),
     "moving_face, rigid": ("rigid", 0.006, []),
     "panda_edge": ("mujoco", 0.02, []),
     "ur5_wipe": ("mujoco", 0.02, []),
@@ -278,9 +278,9 @@ def test_poses_are_those_of_pinocchio():
         np.testing.assert_allclose(R[:, :, i], pin.exp3(w[:, i]), atol=1e-14)
         want = pin.SE3ToXYZQUAT(pin.SE3(R[:, :, i], p[:, i]))
         np.testing.assert_allclose(poses.coordinates(60)[i], want, atol=1e-14)
-        np.testing.assert_allclose(turned(R, x)[:, :, i], R[:, :, i] @ x[:, :, i], atol=1e-14)
+        np.testing.assert_allclose(rotated(R, x)[:, :, i], R[:, :, i] @ x[:, :, i], atol=1e-14)
         np.testing.assert_allclose(
-            poses.turn_back(x[:, 0])[:, i], R[:, :, i].T @ x[:, 0, i], atol=1e-14
+            poses.rotate_back(x[:, 0])[:, i], R[:, :, i].T @ x[:, 0, i], atol=1e-14
         )
         np.testing.assert_array_equal(poses[i].homogeneous[:3, 3], p[:, i])
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.bench.cases import CASES, Case
+from osc_contact.bench.cases import CASES, TickCase
 from osc_contact.control.safety import SafetySettings, SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant
@@ -21,16 +21,16 @@ NAN = float("nan")
 
 
 @pytest.fixture(params=["one_panda", "two_contact_rod"])
-def case(request: pytest.FixtureRequest) -> Case:
+def case(request: pytest.FixtureRequest) -> TickCase:
     return CASES[request.param]()
 
 
-def blind(case: Case) -> osc.Measurement:
+def blind(case: TickCase) -> osc.Measurement:
     return replace(case.measurement, wrenches=np.full_like(case.measurement.wrenches, NAN))
 
 
 @pytest.mark.parametrize("lost", [1, 2, 3, 19, 20, 25])
-def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case: Case, lost: int) -> None:
+def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case: TickCase, lost: int) -> None:
     controller = case.controller()
     good = controller.tick(case.measurement, case.reference)
     sums = controller.motion_law.integral.copy(), controller.force_law.integral.copy()
@@ -122,7 +122,7 @@ def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name: str, pace: 
     np.testing.assert_allclose(plant.measure().q, rest, rtol=0, atol=2e-3)
 
 
-def test_joints_that_stay_too_fast_end_in_a_stop(case: Case) -> None:
+def test_joints_that_stay_too_fast_end_in_a_stop(case: TickCase) -> None:
     controller = case.controller()
     limit = case.chain.model.velocityLimit[case.chain.actuated]
     joint = case.chain.actuated[int(np.argmin(limit))]
@@ -170,7 +170,7 @@ def test_what_raises_in_python_counts_too() -> None:
     assert other.state is SAFE_STOP
 
 
-def test_rows_of_a_batch_stop_one_by_one(case: Case) -> None:
+def test_rows_of_a_batch_stop_one_by_one(case: TickCase) -> None:
     batch = osc.BatchController([case.controller() for _ in range(3)])
     single = case.controller()
     m, r = case.measurement, case.reference
@@ -191,7 +191,7 @@ def test_rows_of_a_batch_stop_one_by_one(case: Case) -> None:
     assert batch.state.tolist() == [RUN, RUN, RUN]
 
 
-def test_copies_stay_stopped(case: Case) -> None:
+def test_copies_stay_stopped(case: TickCase) -> None:
     controller = case.controller()
     for _ in range(20):
         controller.tick(blind(case), case.reference)

@@ -11,7 +11,7 @@ import pytest
 
 import osc_contact as osc
 from osc_contact.interface import Measurement, Touched
-from osc_contact.plants.sensors import Clock, Errors, Eyes, SensedPlant, Sensors
+from osc_contact.plants.sensors import Clock, Eyes, SensedPlant, SensorErrors, Sensors
 from osc_contact.runs.hardware import Observer
 
 STEP = 1e-3
@@ -76,7 +76,7 @@ def test_noise_and_bias_have_the_size_given():
     clock = Clock(1e3)
     noise = np.array([0.1, 0.1, 0.1, 0.01, 0.01, 0.01])
     bias = 10 * noise
-    out = readings(Sensors(wrists=(clock, Errors(noise, bias))), 4000)
+    out = readings(Sensors(wrists=(clock, SensorErrors(noise, bias))), 4000)
     read = np.array([m.wrenches for m in out])
     offset = read.mean(axis=0) - 5.0
     assert np.all(np.abs(offset) < bias + 0.1 * noise) and np.abs(offset / bias).max() > 0.2
@@ -88,7 +88,7 @@ def test_noise_and_bias_have_the_size_given():
 
 
 def test_resolution_rounds_to_whole_steps():
-    out = readings(Sensors(encoders=(Clock(1e3), Errors(resolution=0.01))), 100)
+    out = readings(Sensors(encoders=(Clock(1e3), SensorErrors(resolution=0.01))), 100)
     q = np.array([m.q for m in out])
     np.testing.assert_allclose(q / 0.01, np.round(q / 0.01), atol=1e-9)
     true = np.arange(101)[:, None] * STEP * np.arange(1, 4)
@@ -98,7 +98,7 @@ def test_resolution_rounds_to_whole_steps():
 @pytest.mark.parametrize(("rate", "delay"), [(1000, 0.0), (1000, 0.004), (60, 0.03), (333, 0.002)])
 def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
     """Reading at t: the value at the last multiple of the period that is `delay` or more old."""
-    out = readings(Sensors(encoders=(Clock(rate, delay), Errors())), 500)
+    out = readings(Sensors(encoders=(Clock(rate, delay), SensorErrors())), 500)
     for k, m in enumerate(out):
         t = k * STEP
         samples = np.ceil(np.arange(0, int(t * rate) + 2) / rate / STEP - 1e-6) * STEP
@@ -109,15 +109,15 @@ def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
 
 
 def test_lost_samples_keep_the_old_reading():
-    out = readings(Sensors(encoders=(Clock(1e3, 0.0, dropout=0.2), Errors())), 5000)
+    out = readings(Sensors(encoders=(Clock(1e3, 0.0, dropout=0.2), SensorErrors())), 5000)
     stamps = np.array([m.stamps.encoders for m in out])
     assert np.mean(np.diff(stamps) == 0.0) == pytest.approx(0.2, abs=0.02)
     np.testing.assert_allclose([m.q[0] for m in out], stamps, atol=1e-9)
 
 
 def test_encoders_give_no_velocity_and_vision_no_twist():
-    eyes = Eyes(Clock(60, 0.03), Errors(1e-3), Errors(5e-3))
-    got = readings(Sensors(encoders=(Clock(1e3), Errors()), vision=eyes), 100)[-1]
+    eyes = Eyes(Clock(60, 0.03), SensorErrors(1e-3), SensorErrors(5e-3))
+    got = readings(Sensors(encoders=(Clock(1e3), SensorErrors()), vision=eyes), 100)[-1]
     assert np.isnan(got.v).all() and np.isnan(got.touched.V_E).all()
     assert not np.isnan(got.q).any() and got.joint_torques[0] == 7.0
 
@@ -131,7 +131,7 @@ def test_a_controller_holds_its_torques_rather_than_take_velocities_that_are_not
 
 
 def test_vision_errs_in_millimetres_and_milliradians():
-    eyes = Eyes(Clock(1e3), Errors(1e-3), Errors(5e-3))
+    eyes = Eyes(Clock(1e3), SensorErrors(1e-3), SensorErrors(5e-3))
     out = readings(Sensors(vision=eyes), 3000)
     X = np.array([m.touched.X_WE[0] for m in out])
     t = np.arange(len(X)) * STEP
@@ -147,7 +147,7 @@ def test_vision_errs_in_millimetres_and_milliradians():
 
 
 def test_one_seed_one_run_and_a_reset_begins_it_again():
-    sensors = Sensors(encoders=(Clock(1e3, 0, 0.1), Errors(1e-3, 1e-2)))
+    sensors = Sensors(encoders=(Clock(1e3, 0, 0.1), SensorErrors(1e-3, 1e-2)))
     first, again, other = (readings(sensors, 50, seed) for seed in (1, 1, 2))
     for a, b in zip(first, again, strict=True):
         np.testing.assert_array_equal(a.q, b.q)

@@ -11,7 +11,7 @@ import pytest
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.control.turn import turn_of
+from osc_contact.control.rotation_vector import rotation_of
 
 DT = 1e-3
 LINEAR, ANGULAR = osc.JerkLimits(0.3, 2.0, 40.0), osc.JerkLimits(1.0, 8.0, 150.0)
@@ -61,7 +61,7 @@ def test_angular_motion_is_the_derivative_of_the_rotation(size):
         w *= size / np.linalg.norm(w)
 
         def moved(t, w=w, w_dot=w_dot, w_ddot=w_ddot):
-            return turn_of(w + w_dot * t + w_ddot * t * t / 2, w_dot + w_ddot * t, w_ddot)
+            return rotation_of(w + w_dot * t + w_ddot * t * t / 2, w_dot + w_ddot * t, w_ddot)
 
         R, omega, omega_dot = moved(0.0)
         np.testing.assert_allclose(R, pin.exp3(w), atol=1e-12)

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from oracles import kkt
-from readable.chain import FADED, FULL, share_left
+from readable.chain import FULL, NONE_LEFT, share_left
 from readable.controller import ReadableController
 from rigs import SCARA_Q, one_panda, scara_pair
 
@@ -47,7 +47,7 @@ def assert_as_in_numpy(chain, q, v, posture, controller, tau):
     for name in ("left", "inertia_ratio"):
         pairs = [[getattr(one, name) for one in told] for told in (got, lost)]
         np.testing.assert_allclose(*pairs, rtol=1e-6, atol=1e-12)
-    shares = [one.share for one in slow.last_signals().state.fading if not one.locked]
+    shares = [one.share for one in slow.last_signals().state.singular_directions if not one.locked]
     digits = 1e-12 / max(min(shares, default=1.0), 1e-4)
     np.testing.assert_allclose(tau, want, rtol=0, atol=digits * np.abs(want).max())
 
@@ -91,7 +91,7 @@ def chain_poses(chain, q):
 
 
 def test_shares_rise_smoothly():
-    assert share_left(FADED) == 0.0 and share_left(FULL) == 1.0 and share_left(0.0) == 0.0
+    assert share_left(NONE_LEFT) == 0.0 and share_left(FULL) == 1.0 and share_left(0.0) == 0.0
     x = np.linspace(0.0, 0.4, 2001)
     shares = np.array([share_left(one) for one in x])
     assert (np.diff(shares) >= 0).all() and np.diff(shares).max() < 0.002
@@ -102,7 +102,7 @@ def test_chi_is_the_inertia_that_the_arm_shows():
     chain = one_panda()
     q = straight_panda(0.05)
     state = chain.state(q, np.zeros(7))
-    (lost,) = state.fading
+    (lost,) = state.singular_directions
     arm = state.arms[0]
     np.testing.assert_allclose(arm.J @ lost.mode, lost.chi * lost.twist, atol=1e-9)
     assert lost.mode @ arm.M @ lost.mode == pytest.approx(1.0)
@@ -160,7 +160,7 @@ def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed(law):
     controller, tau = tick(chain, q, v, posture, law)
     assert controller.status is osc.Status.DEGRADED
     s = controller.last_signals()
-    (lost,) = s.state.fading
+    (lost,) = s.state.singular_directions
     assert lost.share == 0.0 and lost.chi > 1e-3
     got = kkt(chain, q, v, tau)
     task = PostureTask()

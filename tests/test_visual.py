@@ -12,7 +12,7 @@ from scene_samples import make_recording
 
 from osc_contact.control.signals import SIGNALS
 from osc_contact.errors import InvalidInputError
-from osc_contact.paper.diagrams import BY_NAME, GROUPS, LABELS, LOOP, WIRES, draw_blocks
+from osc_contact.paper.diagrams import BY_NAME, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
 from osc_contact.visual import plots
 from osc_contact.visual.contact_picture import draw_contact_state
 from osc_contact.visual.screws import common_perpendicular
@@ -100,7 +100,7 @@ def diagram(request):
 
 
 def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram) -> None:
-    """A wire's tip at the left edge, a name above, below or beside the right edge for each."""
+    """A line's tip at the left edge, a name above, below or beside the right edge for each."""
     boxes, ax = diagram
     assert {*LABELS, "v"} == set(SIGNALS)
     shown = [t for t in ax.texts if t.get_text()]
@@ -118,13 +118,13 @@ def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram) -> Non
             if abs(room.x0 + room.x1 - box.x0 - box.x1) < 4 and 0 < _apart(room, box) < 40
             for name in text.split(" · ")
         ]
-        wired = sum(abs(x - box.x0) < 2 and box.y0 < y < box.y1 for x, y in tips)
+        connected = sum(abs(x - box.x0) < 2 and box.y0 < y < box.y1 for x, y in tips)
         assert set(named) <= set(wanted), block.name
-        assert len(named) + wired == len(wanted), block.name
+        assert len(named) + connected == len(wanted), block.name
         beside = {text for text, room in texts
                   if 0 < room.x0 - box.x1 < 12 and box.y0 < room.y0 < box.y1}  # fmt: skip
         assert beside == {LABELS[s] for s in block.outputs if s != "v"}, block.name
-    for signal, reader in WIRES:
+    for signal, reader in CONNECTIONS:
         assert signal in next(block.inputs for block in LOOP if block.name == reader)
 
 
@@ -133,7 +133,7 @@ def _apart(a, b) -> float:
 
 
 def test_diagrams_are_legible(diagram) -> None:
-    """No name covers another, no wire crosses a box or a name, the colours are explained."""
+    """No name covers another, no connection crosses a box or a name, the colours are explained."""
     boxes, ax = diagram
     shown = [(t.get_text(), t.get_window_extent()) for t in ax.texts if t.get_text()]
     assert {block.name for block, _ in boxes} <= {text.replace("\n", " ") for text, _ in shown}

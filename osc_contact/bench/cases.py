@@ -12,8 +12,8 @@ from osc_contact import robots
 from osc_contact.contacts.pairs import VertexOnFace
 from osc_contact.control.controller import Controller, Gains, Status
 from osc_contact.control.force import ForceGains
-from osc_contact.control.life import LifeSettings
 from osc_contact.control.motion import MotionGains
+from osc_contact.control.phases import PhaseSettings
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -29,7 +29,7 @@ from osc_contact.spatial import Array
 __all__ = [
     "CASES",
     "DT",
-    "Case",
+    "TickCase",
     "in_motion",
     "one_panda",
     "require_status",
@@ -49,6 +49,9 @@ GAINS = Gains(MotionGains(900.0, 60.0), ForceGains(30.0, 100.0))
 def require_status(controller: Controller, name: str, expected: Status = Status.OK) -> None:
     """Refuse to time a tick that did not end as expected.
 
+    Args:
+        name: of the case. expected: how its ticks end.
+
     Raises:
         InvalidInputError: with the status and its reason.
     """
@@ -60,7 +63,7 @@ def require_status(controller: Controller, name: str, expected: Status = Status.
 
 
 @dataclass(frozen=True)
-class Case:
+class TickCase:
     """A rig at one instant.
 
     Attributes:
@@ -77,7 +80,7 @@ class Case:
     measurement: Measurement
     reference: Reference
     status: Status = Status.OK
-    life: LifeSettings | None = None
+    life: PhaseSettings | None = None
 
     def controller(self) -> Controller:
         """A controller of this rig."""
@@ -121,14 +124,19 @@ def in_motion(
     gains: Gains,
     reference: Callable[[float], Reference],
     status: Status = Status.OK,
-) -> Case:
-    """Let the rigid plant follow a reference for a moment; there the case stands."""
+) -> TickCase:
+    """Let the rigid plant follow a reference for a moment; there the case stands.
+
+    Args:
+        name: of the case. chain, pairs, gains: of its controller. q: (n,) start.
+        reference: by time (s). status: how its ticks end.
+    """
     plant = RigidPlant(chain, pairs, DT)
     plant.reset(q)
-    still = Case(name, chain, pairs, gains, q, plant.measure(), reference(0.0))
+    still = TickCase(name, chain, pairs, gains, q, plant.measure(), reference(0.0))
     run_loop(plant, still.controller(), (reference(k * DT) for k in range(MOVING_TICKS)))
     end = reference(MOVING_TICKS * DT)
-    return Case(name, chain, pairs, gains, q, plant.measure(), end, status)
+    return TickCase(name, chain, pairs, gains, q, plant.measure(), end, status)
 
 
 def rod_rig() -> tuple[Rig, Gains, tuple[VertexOnFace, ...]]:
@@ -139,14 +147,14 @@ def rod_rig() -> tuple[Rig, Gains, tuple[VertexOnFace, ...]]:
     return rig, gains, tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace))
 
 
-def two_contact_rod() -> Case:
+def two_contact_rod() -> TickCase:
     """Two SCARA arms with gripper hinges, a rod, two skew contacts: d = 5, r = 2."""
     rig, gains, pairs = rod_rig()
     at = rig.references.at
     return in_motion("two_contact_rod", rig.chain, pairs, rig.q_contact, gains, at)
 
 
-def one_panda() -> Case:
+def one_panda() -> TickCase:
     """One Panda, its rod pressed on a face by one end: d = 6, r = 1, one redundant joint."""
     arm = panda("arm", pin.SE3.Identity())
     grasp = pin.SE3(np.eye(3), np.array([0.02, 0.01, 0.08]))
@@ -154,7 +162,7 @@ def one_panda() -> Case:
     return _sliding("one_panda", chain, PANDA_Q, [END])
 
 
-def two_pandas() -> Case:
+def two_pandas() -> TickCase:
     """Two Pandas hold a rod, each end on a face: d = 6, r = 2."""
     down = pin.rpy.rpyToMatrix(np.pi, 0.0, 0.0)
     turned = pin.rpy.rpyToMatrix(np.pi, 0.0, np.pi)
@@ -171,7 +179,7 @@ def two_pandas() -> Case:
     return _sliding("two_pandas", chain, q, [-END, END])
 
 
-CASES: dict[str, Callable[[], Case]] = {
+CASES: dict[str, Callable[[], TickCase]] = {
     "two_contact_rod": two_contact_rod,
     "one_panda": one_panda,
     "two_pandas": two_pandas,
@@ -186,7 +194,7 @@ def panda(name: str, base: pin.SE3) -> Arm:
     )
 
 
-def _sliding(name: str, chain: ClosedChain, q: Array, vertices: list[Array]) -> Case:
+def _sliding(name: str, chain: ClosedChain, q: Array, vertices: list[Array]) -> TickCase:
     """Faces that lean towards the rod, so that only its ends touch; the rod slides across."""
     X = object_pose(chain, q)
     up = np.array([0.0, 0.0, 1.0])

@@ -101,7 +101,11 @@ def spread(times: Array) -> dict[str, float]:
 
 
 def new_axes(rows: int, columns: int = 1, height: float = 3.4) -> tuple[Any, Any]:
-    """(figure, flat array of axes) in the style of the other figures; draw inside `style()`."""
+    """(figure, flat array of axes) in the style of the other figures; draw inside `style()`.
+
+    Args:
+        rows, columns: of axes. height: of each row (in).
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -111,7 +115,11 @@ def new_axes(rows: int, columns: int = 1, height: float = 3.4) -> tuple[Any, Any
 
 
 def bars(ax: Any, values: Mapping[str, float], unit: str, marked: Sequence[str] = ()) -> None:
-    """Horizontal bars with their values, those in `marked` in the colour that stands out."""
+    """Horizontal bars with their values, those in `marked` in the colour that stands out.
+
+    Args:
+        ax: to draw in. values: by name, in `unit`. marked: names.
+    """
     from osc_contact.visual import OKABE_ITO
 
     colours = [OKABE_ITO["vermillion" if name in marked else "blue"] for name in values]

@@ -79,6 +79,9 @@ def faces_of(
 
     Faces beyond the first `rank` are copies of these, moved along their lines of force.
 
+    Args:
+        rig: holds the object. contacts: how many. rank: of their forces. rng: random numbers.
+
     Raises:
         InvalidInputError: more dimensions than contacts, or than the object has motions.
     """

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.bench.cases import (
-    Case,
+    TickCase,
     in_motion,
     one_panda,
     rod_rig,
@@ -19,7 +19,7 @@ from osc_contact.bench.random_arms import faces_of, random_rig
 from osc_contact.contacts.pairs import VertexOnFace
 from osc_contact.control.batch import BatchController
 from osc_contact.control.controller import Status
-from osc_contact.control.life import LifeSettings
+from osc_contact.control.phases import PhaseSettings
 from osc_contact.dynamics.assembly import close, object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
@@ -41,8 +41,8 @@ class OwnFace(VertexOnFace):
         return super().contact(*args, **kwargs)
 
 
-def near_singular() -> Case:
-    """The rod rig with both elbows 0.13 rad from straight: motion commands fade."""
+def near_singular() -> TickCase:
+    """The rod rig with both elbows 0.13 rad from straight: motion commands are reduced."""
     rig, gains, pairs = rod_rig()
     shift = np.array([0.0, NEAR_STRAIGHT, 0.0])
     X = object_pose(rig.chain, rig.q_contact)
@@ -60,7 +60,7 @@ def _shifted(X: pin.SE3, shift: Array) -> pin.SE3:
     return pin.SE3(X.rotation, X.translation + shift)
 
 
-def saturated() -> Case:
+def saturated() -> TickCase:
     """The rod rig with motors too weak for what is commanded: a quadratic program in each tick."""
     case = two_contact_rod()
     tau = case.controller().tick(case.measurement, case.reference)
@@ -70,22 +70,22 @@ def saturated() -> Case:
     return replace(case, name="saturated", chain=chain, status=Status.SATURATED)
 
 
-def three_arms() -> Case:
+def three_arms() -> TickCase:
     """Three arms like a UR5, a force commanded between each two grasps, two contacts."""
     rng = np.random.default_rng(0)
     rig = random_rig(["ur5"] * 3, rng)
     pairs = tuple(pair for pair in faces_of(rig, 2, 2, rng) if isinstance(pair, VertexOnFace))
     controller, measurement, reference = rig.controller(list(pairs))
     wanted = replace(reference, squeeze_d=np.array([10.0, 5.0, 8.0]))
-    return Case("three_arms", rig.chain, pairs, controller.gains, rig.q, measurement, wanted)
+    return TickCase("three_arms", rig.chain, pairs, controller.gains, rig.q, measurement, wanted)
 
 
-def contact_phases() -> Case:
+def contact_phases() -> TickCase:
     """The rod rig, its two contacts opened and closed one by one; here both are closed."""
-    return replace(two_contact_rod(), name="contact_phases", life=LifeSettings())
+    return replace(two_contact_rod(), name="contact_phases", life=PhaseSettings())
 
 
-def own_pair() -> Case:
+def own_pair() -> TickCase:
     """The rod rig, one of its two contacts a pair written in Python."""
     case = two_contact_rod()
     first, second = case.pairs
@@ -93,7 +93,7 @@ def own_pair() -> Case:
     return replace(case, name="own_pair", pairs=(own, second))
 
 
-SPECIAL_CASES: dict[str, Callable[[], Case]] = {
+SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
     "near_singular": near_singular,
     "saturated": saturated,
     "three_arms": three_arms,
@@ -112,7 +112,7 @@ class BatchCase:
         alpha_d: (rows, r). squeeze_d: (rows,).
     """
 
-    case: Case
+    case: TickCase
     rows: int
     threads: int
     q: Array
@@ -125,8 +125,12 @@ class BatchCase:
     squeeze_d: Array
 
     @classmethod
-    def around(cls, case: Case, rows: int, threads: int) -> BatchCase:
-        """Rows at random states close to the case's."""
+    def around(cls, case: TickCase, rows: int, threads: int) -> BatchCase:
+        """Rows at random states close to the case's.
+
+        Args:
+            case: of the single tick. rows: how many. threads: of the batch.
+        """
         rng = np.random.default_rng(0)
         m, r = case.measurement, case.reference
 
@@ -145,7 +149,7 @@ class BatchCase:
         return BatchController([self.case.controller()] * self.rows, self.threads)
 
     def tick(self) -> tuple[Callable[[], Array], Callable[[], None]]:
-        """A tick of all rows, and what is to be called after each, as in `Case.tick`."""
+        """A tick of all rows, and what is to be called after each, as in `TickCase.tick`."""
         batch, expected = self.batch(), self.case.status
 
         def tick() -> Array:

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from osc_contact.bench.cases import CASES, Case
+from osc_contact.bench.cases import CASES, TickCase
 from osc_contact.bench.measuring import bars, new_axes, require_count, take_turns
 from osc_contact.bench.special_cases import BATCHES, SPECIAL_CASES, BatchCase
 from osc_contact.runs.tables import tick_table
 
 __all__ = ["ALL_CASES", "draw", "measure", "tables"]
 
-ALL_CASES: dict[str, Callable[[], Case | BatchCase]] = {**CASES, **SPECIAL_CASES, **BATCHES}
+ALL_CASES: dict[str, Callable[[], TickCase | BatchCase]] = {**CASES, **SPECIAL_CASES, **BATCHES}
 FEWER = 20  #: a batch has so many times fewer rounds: each ticks thousands of rows
 
 

@@ -111,7 +111,11 @@ def _time_tick(
 def kernel_call(
     controller: Controller, measurement: Measurement, reference: Reference
 ) -> Callable[[], Any]:
-    """The law's call of a tick by itself, to be timed; the state of the loops moves on."""
+    """The law's call of a tick by itself, to be timed; the state of the loops moves on.
+
+    Args:
+        measurement, reference: of the tick.
+    """
     controller.tick(measurement, reference)
     r, tau = controller._records, np.empty(controller._n_a)
     args = (

@@ -92,7 +92,12 @@ def _space(E: Array, p: Array, chosen: Array) -> Array:
 
 
 def sines(E: Array, p: Array, chosen: Array, rest: Array) -> Array:
-    """(B,) sines of the largest principal angles between N and the spaces of the frames."""
+    """(B,) sines of the largest principal angles between N and the spaces of the frames.
+
+    Args:
+        E: (B, 3, 3) triads. p: (B, 3) their origins (m). chosen: (B, 6) selected axes.
+        rest: (6, 6−r) orthonormal complement of N.
+    """
     across = rest.T @ _space(E, p, chosen)
     return np.asarray(np.linalg.svd(across, compute_uv=False).max(axis=1, initial=0.0))
 
@@ -102,6 +107,9 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
 
     A twist carries S by dS = G S; only the part across S turns the space, so the sines change by
     restᵀ(1 − SSᵀ)GS.
+
+    Args:
+        E, p, chosen, rest: as in `sines`.
     """
     damping = np.full(len(E), 1e-3)
     S = _space(E, p, chosen)

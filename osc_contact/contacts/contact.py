@@ -86,6 +86,11 @@ class Contact:
         n_γ = Nᵀ Ṫβ for the N chosen here. For an axis tⱼ carried by a body of twist V:
         ṫⱼ = V × tⱼ (`spatial.cross_twist`).
 
+        Args:
+            T: (6, 6−r) motions permitted, at O in world axes.
+            n_gamma: (r,) acceleration terms, for the N chosen here.
+            T_dot_beta: (6,) spatial acceleration Ṫβ, instead of n_gamma.
+
         Raises:
             InvalidInputError: wrong shapes, or both n_gamma and T_dot_beta given.
             ContactError: dependent or zero columns.
@@ -110,7 +115,13 @@ class Contact:
         n_gamma: npt.ArrayLike | None = None,
     ) -> Contact:
         """A Raibert–Craig task: which forces along and couples about the axes of `frame` (given at
-        O, world axes) are transmitted. Columns: the forces selected, then the couples."""
+        O, world axes) are transmitted. Columns: the forces selected, then the couples.
+
+        Args:
+            frame: X_WF of the selection's axes, its origin included (m).
+            forces, couples: (3,) True where the contact transmits along or about an axis.
+            n_gamma: (r,) acceleration terms; None: zero.
+        """
         from osc_contact.contacts.raibert_craig import selection_columns
 
         return cls(selection_columns(frame, forces, couples), n_gamma)
@@ -196,6 +207,10 @@ class Contact:
 
         `size` (m) and `centre` (3,) of the held object serve the residual only; see
         `contacts.raibert_craig.as_raibert_craig`.
+
+        Args:
+            size: of the held object (m). tolerance: largest residual that counts as none.
+            centre: (3,) point of the object about which moments are taken, from O (m); None: O.
         """
         from osc_contact.contacts.raibert_craig import as_raibert_craig
 

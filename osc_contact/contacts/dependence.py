@@ -37,6 +37,10 @@ _STILL = 1e-9
 def scaled_columns(columns: Array, Phi_ref: Array | None, name: str = "N") -> tuple[Array, Array]:
     """Columns (6, k) scaled to unit size, and their sizes (k,).
 
+    Args:
+        columns: (6, k). Phi_ref: (6, 6) metric of their size; None: the Euclidean one.
+        name: of the matrix, for messages.
+
     Raises:
         ContactError: a column is zero.
         InvalidInputError: Phi_ref is not symmetric positive definite.
@@ -125,6 +129,11 @@ def require_consistent(
     n_gamma: Array, keep: list[int], R: Array, size: Array, owners: Sequence[str]
 ) -> None:
     """Refuse n_γ (k,) that does not follow from its kept part as the columns do, n_γ ≠ Rᵀn_γ,keep.
+
+    Args:
+        n_gamma: (k,) of all columns. keep: indices of the kept ones.
+        R: (k_kept, k) all columns in terms of the kept ones. size: (k,) of the columns.
+        owners: contact of each column.
 
     Raises:
         ContactError: naming the contacts (`owners`, one per column) that disagree.

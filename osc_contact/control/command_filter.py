@@ -38,7 +38,7 @@ def command(
     alpha_u: Array,
     B: Array | str = "object",
     environment: Environment | None = None,
-    drag: Array | float = 0.0,
+    friction_wrenches: Array | float = 0.0,
 ) -> tuple[Array, Array]:
     """η̇_c and f_S (d,) for a motion and a force command, eqs. 24 and 21.
 
@@ -47,7 +47,7 @@ def command(
         f_S = Λ_S η̇_c + b_S + SᵀN_μα_u
 
     The chain answers a force f_S with exactly η̇_c and α_u (eq. 25). Friction acts on the
-    environment too: N_μ = N + drag is what pushes it; N is what is tested.
+    environment too: N_μ = N + friction_wrenches is what pushes it; N is what is tested.
 
     Args:
         state, contact: at this instant.
@@ -55,7 +55,7 @@ def command(
         B: metric of the filter, "object" (Λ_o⁻¹), "chain" ((ΣΛ_i + Λ_o)⁻¹) or positive definite
             (6, 6): it decides how a forbidden command is bent into T.
         environment: Φ_e and b_e; default: fixed.
-        drag: (6, r) what friction adds to each column of force.
+        friction_wrenches: (6, r) what friction adds to each column of force.
 
     Raises:
         ContactError: the arms cannot push on some contact (rank SᵀN < r), or B is not definite.
@@ -71,9 +71,9 @@ def command(
     w, m = SimpleNamespace(**{name: np.zeros(shape) for name, shape in _FIELDS.items()}), 6 - d
     w.rank, w.locked, w.axes = r, m, _AXES
     w.sigma, w.a_u, w.alpha_u = motion @ state.sigma, motion @ a_u, np.asarray(alpha_u)
-    w.N_t[:r], w.pushed_t[:r] = (wrench @ N).T, (wrench @ (N + drag)).T
+    w.N_t[:r], w.pushed_t[:r] = (wrench @ N).T, (wrench @ (N + friction_wrenches)).T
     w.n_gamma[:r] = contact.n_gamma - w.N_t[:r, m:] @ w.sigma[m:]
-    w.b_N[:r], w.Phi_mu[:r, :r] = N.T @ env.b_e, env.yielding(N, drag)
+    w.b_N[:r], w.Phi_mu[:r, :r] = N.T @ env.b_e, env.yielding(N, friction_wrenches)
     inverse = np.linalg.inv(R)
     w.Lambda[m:, m:] = inverse.T @ state.Lambda @ inverse
     w.chain_bias[m:] = inverse.T @ state.bias

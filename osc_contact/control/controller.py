@@ -12,9 +12,9 @@ from osc_contact.control.controller_copies import ControllerCopies
 from osc_contact.control.friction import Friction
 from osc_contact.control.gains import Gains
 from osc_contact.control.laws import Laws
-from osc_contact.control.life import LifeSettings, Phase
 from osc_contact.control.loops import ForceLoop, MotionLoop, refuse
 from osc_contact.control.outside import Outside
+from osc_contact.control.phases import Phase, PhaseSettings
 from osc_contact.control.reading import Reading
 from osc_contact.control.reasons import (
     convert_arrays,
@@ -73,7 +73,7 @@ class Controller(ControllerCopies):
         engaged: bool = True,
         friction: Friction | None = None,
         reading: Reading | None = None,
-        life: LifeSettings | None = None,
+        life: PhaseSettings | None = None,
         laws: Laws | None = None,
         posture_task: PostureTask | None = None,
         safety: SafetySettings | None = None,

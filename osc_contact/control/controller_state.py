@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from osc_contact.control.laws import Laws
-from osc_contact.control.life import Phase
 from osc_contact.control.loops import ForceLoop, MotionLoop
+from osc_contact.control.phases import Phase
 from osc_contact.control.reasons import explain
-from osc_contact.control.reports import GivenUp, LostDirection, Status
+from osc_contact.control.reports import LimitLoss, LostDirection, Status
 from osc_contact.control.result import TickResult
 from osc_contact.control.safety import SafetyState
 from osc_contact.control.settings import Settings
@@ -39,7 +39,7 @@ class ControllerState:
     _codes: Array
     _squeeze: Array
     _limits: MotorLimits | None
-    _given_up: GivenUp | None
+    _given_up: LimitLoss | None
     _failure: Exception | None
     _inputs: tuple[Measurement, Reference]
 
@@ -89,7 +89,7 @@ class ControllerState:
         memory.repeats, memory.fresh, memory.motion_sum[:], memory.force_sum[:] = 0, 0, 0.0, 0.0
 
     @property
-    def given_up(self) -> GivenUp | None:
+    def given_up(self) -> LimitLoss | None:
         """What motor limits cost in the last tick; None: nothing."""
         if self._codes[0] != SATURATED:
             return None
@@ -99,7 +99,7 @@ class ControllerState:
 
     @property
     def lost_directions(self) -> tuple[LostDirection, ...]:
-        """In which motion commands were faded near a singular posture."""
+        """In which motion commands were reduced near a singular posture."""
         if self.status is Status.HELD:
             return ()
         return self._records.lost_directions([arm.name for arm in self.chain.arms])
@@ -119,7 +119,7 @@ class ControllerState:
         """The same."""
         return self.signals
 
-    def found(self) -> TickResult:
+    def result(self) -> TickResult:
         """The numbers of the last tick that recordings keep; the next tick overwrites them.
 
         Raises:
@@ -150,9 +150,9 @@ class ControllerState:
         """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
 
         Its mean at rest without contact is the tare, to be stored in `f_tare`: weight errors
-        cannot be told from contact forces once contact is made.
+        cannot be distinguished from contact forces once contact is made.
         """
-        found = self.found()
+        found = self.result()
         return np.asarray(found.f_meas + self.f_tare - found.bias_out)
 
     def phases(self) -> Array:

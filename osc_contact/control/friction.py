@@ -1,6 +1,6 @@
 """Coulomb friction at the contacts, known to some extent: N_μ, what a sliding contact pushes.
 
-A contact that slides drags the environment along: with the force α it applies N_μ α instead of N α,
+A contact that slides pulls the environment along: with the force α it applies N_μ α instead of N α,
 
     N_μ = N + μ [s; p × s],    s = v_t / √(v_t² + v_0²),
 
@@ -70,7 +70,7 @@ class Friction:
                     "the pair a method points_of_contact(X_WO, X_WE)"
                 )
 
-    def drag(self, normal: Array, point: Array, V_rel: Array) -> Array:
+    def wrench(self, normal: Array, point: Array, V_rel: Array) -> Array:
         """(6,) friction wrench at O for one newton of normal force, world axes.
 
         Args:
@@ -81,10 +81,15 @@ class Friction:
         v = v - (normal @ v) * normal
         return self.mu * lines_of_force(point, v / np.sqrt(v @ v + self.slip**2))
 
-    def drags(
+    def wrenches(
         self, pairs: Sequence[ContactPair], X_WO: pin.SE3, V_O: Array, touched: Touched | None
     ) -> Array:
-        """N_μ − N (6, r): the drag of each magnitude at poses and twists of object and bodies."""
+        """N_μ − N (6, r): friction wrench of each column of N at poses and twists.
+
+        Args:
+            pairs: the contacts. X_WO, V_O: pose and twist (6,) of the object.
+            touched: motion of the bodies touched; None: at rest.
+        """
         columns = [np.zeros((6, 0))]
         for i, pair in enumerate(pairs):
             X_WE = None if touched is None else pin.SE3(touched.X_WE[i])
@@ -93,5 +98,5 @@ class Friction:
             normals = pair.contact(X_WO, V_O, X_WE, V_E).N[:3]
             V_rel = Bodies.at_O(X_WO, V_O, X_WE, V_E).V_rel
             for normal, point in zip(normals.T, points.T, strict=True):
-                columns.append(self.drag(normal, point, V_rel)[:, None])
+                columns.append(self.wrench(normal, point, V_rel)[:, None])
         return np.hstack(columns)

@@ -12,14 +12,14 @@ from osc_contact.law.allocation import push_from_limits
 from osc_contact.law.jit import as_python
 from osc_contact.spatial import Array
 
-__all__ = ["JointLimits"]
+__all__ = ["JointLimitAvoidance"]
 
 _push = as_python(push_from_limits)  # in Python, joint by joint
 _WHOLE = np.pi  #: rad or m; a larger range, or one that is open, counts as this much
 
 
 @dataclass(frozen=True)
-class JointLimits:
+class JointLimitAvoidance:
     """Accelerations that keep joints off their limits: 0 outside a margin, bounded inside it.
 
     At depth s of the margin w (0 where it begins, 1 at the limit and beyond it) a joint is pushed
@@ -37,10 +37,13 @@ class JointLimits:
     most: Array
 
     @classmethod
-    def of(cls, model: pin.Model, stiffness: float, margin: float) -> JointLimits:
+    def of(cls, model: pin.Model, stiffness: float, margin: float) -> JointLimitAvoidance:
         """From the model's position limits; margin: share of a joint's range, at each end of it.
 
         A range counts as π (rad or m) at most.
+
+        Args:
+            model: of all arms. stiffness: N m/rad, N/m. margin: share of a joint's range.
         """
         lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
         with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none

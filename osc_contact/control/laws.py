@@ -65,6 +65,9 @@ class Laws:
     def command_motion(self, reference: Any, X_WO: Any, V_O: Array) -> Array:
         """Spatial acceleration (6,) that the own motion law commands.
 
+        Args:
+            reference: of the tick. X_WO, V_O: pose and twist (6,) of the object.
+
         Raises:
             InvalidInputError: it returned anything but six finite numbers.
         """

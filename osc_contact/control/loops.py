@@ -15,7 +15,11 @@ __all__ = ["ForceLoop", "MotionLoop", "refuse"]
 
 
 def refuse(owner: str, name: str, settable: tuple[str, ...]) -> InvalidInputError:
-    """The error for assigning to what a controller has taken at construction."""
+    """The error for assigning to what a controller has taken at construction.
+
+    Args:
+        owner: class of the object. name: of the attribute. settable: attributes that may be set.
+    """
     return InvalidInputError(
         f"{owner}.{name} is taken when a controller is made, and would be ignored afterwards. "
         "controller.with_gains(...) and controller.with_laws(...) make another one that goes on "

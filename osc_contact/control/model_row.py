@@ -55,7 +55,11 @@ class ModelRow:
         return other
 
     def table(self, name: str, count: int, dtype: np.dtype[Any]) -> Any:
-        """Rows of one of its tables."""
+        """Rows of one of its tables.
+
+        Args:
+            name: field of the head that says where it begins. count: of rows. dtype: of a row.
+        """
         return records(self.raw, int(getattr(self.head, f"{name}_at")), count, dtype)
 
     def set_gains(self, settings: Settings) -> None:
@@ -128,7 +132,7 @@ class ModelRow:
         c, pairs = len(settings.contacts), self.pairs
         rows = self.table("pairs", c, at.PAIR)
         for row, values in zip(rows, pairs.table, strict=True):
-            row.kind, row.first, row.count, row.shape_at, row.freedoms, row.drags = values
+            row.kind, row.first, row.count, row.shape_at, row.freedoms, row.has_friction = values
         shapes = self.table("shapes", len(pairs.shapes), at.SHAPE)
         for shape, numbers in zip(shapes, pairs.shapes, strict=True):
             shape.row[:] = numbers

@@ -18,7 +18,7 @@ from osc_contact.law import phases
 from osc_contact.law.jit import as_python
 from osc_contact.spatial import Array
 
-__all__ = ["ContactMonitor", "MonitorLimits", "Seen", "watch_series"]
+__all__ = ["ContactMonitor", "MonitorLimits", "MonitorState", "watch_series"]
 
 _monitor = as_python(phases.monitor)  # one number at a time, in Python
 
@@ -58,7 +58,7 @@ class MonitorLimits:
 
 
 @dataclass(frozen=True)
-class Seen:
+class MonitorState:
     """What the monitor says of each contact at one tick, (r,) each: is it made, was it a blow."""
 
     closed: Array
@@ -72,7 +72,7 @@ class ContactMonitor:
         dt: the tick (s). limits: thresholds.
         rows: what is remembered of each magnitude: closed, collision; s since the force went low,
             or high (low_for, high_for); burst: W, the largest power since then; armed_for: s in
-            which a collision may still be told.
+            which a collision may still be reported.
     """
 
     def __init__(self, contacts: int, dt: float, limits: MonitorLimits | None = None) -> None:
@@ -85,7 +85,7 @@ class ContactMonitor:
         """Whether all contacts hold, nothing is armed and no force is low."""
         return all(row.closed and not (row.armed_for or row.low_for) for row in self.rows)
 
-    def update(self, alpha: Array, speed: Array) -> Seen:
+    def update(self, alpha: Array, speed: Array) -> MonitorState:
         """Judge one tick.
 
         Args:
@@ -99,11 +99,11 @@ class ContactMonitor:
             )  # fmt: skip
         said = np.array([(row.closed, row.collision) for row in self.rows], dtype=bool)
         closed, collision = said.reshape(-1, 2).T
-        return Seen(closed, collision)
+        return MonitorState(closed, collision)
 
 
 def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[Array, Array]:
-    """What the monitor would have told tick by tick: closed and collision (k, r).
+    """What the monitor would have reported tick by tick: closed and collision (k, r).
 
     As long as all contacts hold, nothing is armed and no force goes low, it has nothing new to
     tell: such ticks are passed over.

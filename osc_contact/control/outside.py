@@ -60,6 +60,10 @@ class Outside:
     ) -> Exception | None:
         """One tick; the torques go to tau (n_a,), its status to the controller.
 
+        Args:
+            controller: whose tick. measurement, reference: of the tick.
+            args, flags: of the compiled law. tau: (n_a,) filled (N m, N).
+
         Returns:
             What code of the user's own raised: then the posture is held.
         """
@@ -128,10 +132,14 @@ class Outside:
                 raise ContactError(f"{pair.name}: N or n_γ is not finite")
             if not contact.split_is_unique:
                 N, n_gamma = N @ contact.R, n_gamma @ contact.R
-            found[number] = (N, n_gamma, self._drag(number, pair, N.shape[1], X, V, touched))
+            found[number] = (
+                N,
+                n_gamma,
+                self._friction_wrenches(number, pair, N.shape[1], X, V, touched),
+            )
         return found
 
-    def _drag(
+    def _friction_wrenches(
         self,
         number: int,
         pair: ContactPair,
@@ -146,21 +154,21 @@ class Outside:
         if touched is not None:
             here = slice(number, number + 1)
             touched = Touched(touched.X_WE[here], touched.V_E[here], touched.A_E[here])
-        drag = self.settings.friction.drags([pair], X_WO, V_O, touched)
-        if drag.shape[1] != r:
+        friction_wrenches = self.settings.friction.wrenches([pair], X_WO, V_O, touched)
+        if friction_wrenches.shape[1] != r:
             raise ContactError(
-                f"{pair.name}: {drag.shape[1]} points of contact, {r} independent forces; "
-                "friction needs one for each"
+                f"{pair.name}: {friction_wrenches.shape[1]} points of contact, {r} independent "
+                "forces; friction needs one for each"
             )
-        return drag
+        return friction_wrenches
 
     def _put(self, rows: TickRecords, found: dict[int, Any]) -> None:
         for number, _, first in rows.row.pairs.elsewhere:
             if number in found:
-                N, n_gamma, drag = found[number]
+                N, n_gamma, friction_wrenches = found[number]
                 part = slice(first, first + N.shape[1])
                 rows.columns.N[part], rows.columns.n_gamma_all[part] = N.T, n_gamma
-                rows.columns.drag[part] = drag.T
+                rows.columns.friction_wrench[part] = friction_wrenches.T
 
     def _answer(self, rows: TickRecords, measurement: Measurement) -> None:
         touched, O = measurement.touched, rows.work.O.copy()  # noqa: E741

@@ -20,6 +20,9 @@ __all__ = ["convert_arrays", "explain", "read_joints", "require_shapes", "requir
 def require_sizes(measurement: Measurement, reference: Reference, settings: Settings) -> None:
     """Refuse what no tick can take in.
 
+    Args:
+        measurement, reference: of the tick. settings: of the controller.
+
     Raises:
         InvalidInputError: with what is wrong.
     """
@@ -44,6 +47,9 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
 
 def require_shapes(measurement: Any, reference: Any, settings: Settings) -> None:
     """Refuse arrays of numbers that no tick of this controller will ever take.
+
+    Args:
+        measurement, reference: of the tick. settings: of the controller.
 
     Raises:
         InvalidInputError: with both shapes.
@@ -103,7 +109,12 @@ def explain(
     reference: Reference,
     failure: Exception | None,
 ) -> str:
-    """The sentence for a tick that ended HELD; `failure`: of Python code called in it."""
+    """The sentence for a tick that ended HELD; `failure`: of Python code called in it.
+
+    Args:
+        rows: records of the tick. settings: of the controller.
+        measurement, reference: what came in. failure: error of Python code called in it.
+    """
     code, work = int(rows.work.reason), rows.work
     if code == at.STOPPED:
         cause = int(rows.memory.cause)

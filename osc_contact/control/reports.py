@@ -9,7 +9,7 @@ import numpy as np
 
 from osc_contact.spatial import Array
 
-__all__ = ["GivenUp", "LostDirection", "Status"]
+__all__ = ["LimitLoss", "LostDirection", "Status"]
 
 
 class Status(IntEnum):
@@ -22,7 +22,7 @@ class Status(IntEnum):
 
 
 @dataclass(frozen=True)
-class GivenUp:
+class LimitLoss:
     """What the motor limits cost in one tick.
 
     Attributes:

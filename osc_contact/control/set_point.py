@@ -8,10 +8,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from osc_contact.control.turn import turn_of
+from osc_contact.control.rotation_vector import rotation_of
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Reference, as_squeeze
-from osc_contact.jerk_limits import JerkLimits, Way
+from osc_contact.jerk_limits import JerkLimits, Trajectory
 from osc_contact.spatial import Array, as_array, as_pose
 
 __all__ = ["PoseSetPoint", "SetPoint", "SetPointState"]
@@ -52,7 +52,7 @@ class SetPoint:
 
     def reset(self, value: ArrayLike) -> None:
         """Rest at `value` from now on, wherever it was."""
-        self._way = Way.rest(self._numbers("start", value), self._bounds)
+        self._trajectory = Trajectory.rest(self._numbers("start", value), self._bounds)
 
     def step(self, goal: ArrayLike | None = None) -> SetPointState:
         """The state one period later, on the way to `goal`; None: to the former goal.
@@ -63,15 +63,15 @@ class SetPoint:
         """
         if goal is not None:
             wanted = self._numbers("goal", goal)
-            if not np.array_equal(wanted, self._way.goal):
-                self._way = Way(*self._way.state, wanted, self._bounds)
-        self._way.advance(self._dt)
-        return SetPointState(*(x.reshape(self._shape) for x in self._way.state))
+            if not np.array_equal(wanted, self._trajectory.goal):
+                self._trajectory = Trajectory(*self._trajectory.state, wanted, self._bounds)
+        self._trajectory.advance(self._dt)
+        return SetPointState(*(x.reshape(self._shape) for x in self._trajectory.state))
 
     @property
     def remaining(self) -> float:
         """Time until it rests at its goal (s); 0: it does."""
-        return self._way.remaining
+        return self._trajectory.remaining
 
     def _numbers(self, name: str, value: ArrayLike) -> Array:
         return as_array(name, value, self._shape).reshape(-1)
@@ -106,7 +106,9 @@ class PoseSetPoint:
         """Rest at X from now on, wherever it was: at the start, or after the arm was held."""
         self._goal = _pose("start", X)
         self._base: Array = self._goal.rotation
-        self._way = Way.rest(np.append(self._goal.translation, np.zeros(3)), self._bounds)
+        self._trajectory = Trajectory.rest(
+            np.append(self._goal.translation, np.zeros(3)), self._bounds
+        )
 
     def step(
         self,
@@ -127,9 +129,9 @@ class PoseSetPoint:
         squeeze = as_squeeze("squeeze_d", squeeze_d)
         if goal is not None and not (isinstance(goal, pin.SE3) and goal == self._goal):
             self._aim(_pose("goal", goal))
-        self._way.advance(self._dt)
-        x, v, a = self._way.state
-        R, omega, omega_dot = turn_of(x[3:], v[3:], a[3:])
+        self._trajectory.advance(self._dt)
+        x, v, a = self._trajectory.state
+        R, omega, omega_dot = rotation_of(x[3:], v[3:], a[3:])
         return Reference(
             pin.SE3(R @ self._base, x[:3]),
             np.concatenate((v[:3], omega)),
@@ -140,18 +142,18 @@ class PoseSetPoint:
 
     def _aim(self, goal: pin.SE3) -> None:
         """Begin a new way at the present state; at w = 0, ẇ = ω and ẅ = ω̇."""
-        x, v, a = self._way.state
-        R, v[3:], a[3:] = turn_of(x[3:], v[3:], a[3:])
+        x, v, a = self._trajectory.state
+        R, v[3:], a[3:] = rotation_of(x[3:], v[3:], a[3:])
         base = pin.Quaternion(R @ self._base).normalized().toRotationMatrix()  # no drift
         x[3:] = 0.0
         w = pin.log3(goal.rotation @ base.T)
-        way = Way(x, v, a, np.append(goal.translation, w), self._bounds)
-        self._goal, self._base, self._way = goal, base, way
+        trajectory = Trajectory(x, v, a, np.append(goal.translation, w), self._bounds)
+        self._goal, self._base, self._trajectory = goal, base, trajectory
 
     @property
     def remaining(self) -> float:
         """Time until it rests at its goal (s); 0: it does."""
-        return self._way.remaining
+        return self._trajectory.remaining
 
 
 def _period(dt: float) -> float:

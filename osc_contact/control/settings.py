@@ -11,8 +11,8 @@ import pinocchio as pin
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.friction import Friction
 from osc_contact.control.gains import Gains
-from osc_contact.control.joint_limits import JointLimits
-from osc_contact.control.life import LifeSettings
+from osc_contact.control.joint_limits import JointLimitAvoidance
+from osc_contact.control.phases import PhaseSettings
 from osc_contact.control.reading import Reading, choose_reading
 from osc_contact.control.safety import SafetySettings
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -31,7 +31,7 @@ class PostureTask:
         stiffness: 1/s². damping: 1/s. retreat_damping: 1/s, instead of damping, of joint motions
             that a singular posture takes from the task.
         limit_stiffness: 1/s², of the push away from joint limits; 0: none. limit_margin: where it
-            begins, as a share of the joint's range (see `JointLimits`).
+            begins, as a share of the joint's range (see `JointLimitAvoidance`).
     """
 
     stiffness: float = 25.0
@@ -47,9 +47,9 @@ class PostureTask:
                 "expected a share of the joint's range below 0.5, and a finite number ≥ 0"
             )
 
-    def limits(self, model: pin.Model) -> JointLimits:
+    def limits(self, model: pin.Model) -> JointLimitAvoidance:
         """What pushes redundant arms away from joint limits."""
-        return JointLimits.of(model, self.limit_stiffness, self.limit_margin)
+        return JointLimitAvoidance.of(model, self.limit_stiffness, self.limit_margin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class Settings:
     posture: Array = field(default_factory=lambda: np.zeros(0))
     posture_task: PostureTask = field(default_factory=PostureTask)
     friction: Friction | None = None
-    phases: LifeSettings | None = None
+    phases: PhaseSettings | None = None
     safety: SafetySettings = field(default_factory=SafetySettings)
     joint_friction: bool = True
     reading: Reading | None = None

@@ -36,21 +36,22 @@ BLOCKS = (
     Block("closed chain", "model", "$\\Lambda_S,\\ \\mu,\\ p,\\ S,\\ \\sigma,\\ G$\n(13)",
           ("q", "v"), ("state",)),
     Block("contact geometry", "model", r"$N,\ T,\ n_\gamma$",
-          ("touched", "state"), ("parts", "contact", "drag")),
+          ("touched", "state"), ("parts", "contact", "friction_wrenches")),
     Block("environment", "model", r"$\Phi_e,\ b_e,\ V_e$  (14)",
-          ("touched", "parts", "state", "drag"), ("environment",)),
+          ("touched", "parts", "state", "friction_wrenches"), ("environment",)),
     Block("sum of wrist sensors", "force", r"$\Sigma$ at $O$", ("wrenches", "state"), ("f_meas",)),
     Block("force filter", "force", r"$\Omega_f(\Lambda_{out})$",
-          ("f_meas", "state", "contact", "environment", "drag"), ("f_c_meas",)),
+          ("f_meas", "state", "contact", "environment", "friction_wrenches"), ("f_c_meas",)),
     Block("generalised inverse", "force", r"$N^{\#}$", ("f_c_meas", "contact"), ("alpha_meas",)),
     Block("force law", "force", r"$\alpha_d + K_i\int(\alpha_d-\alpha_{meas})$",
           ("alpha_d", "contact", "state", "environment", "alpha_meas"), ("alpha_u",)),
     Block("to operational space", "force", r"$N\alpha_u$  (16)",
-          ("contact", "drag", "alpha_u"), ("f_ccomm",)),
+          ("contact", "friction_wrenches", "alpha_u"), ("f_ccomm",)),
     Block("motion law", "motion", r"$\ddot x_d + K_d\dot e + K_p e + K_i\int e$",
           ("contact", "state", "reference"), ("a_u",)),
     Block("motion filter", "filter", r"$\Omega_m(B)$  (24)",
-          ("state", "contact", "a_u", "alpha_u", "environment", "drag", "q", "v"), ("eta_c",)),
+          ("state", "contact", "a_u", "alpha_u", "environment", "friction_wrenches", "q", "v"),
+          ("eta_c",)),
     Block("dynamic control structure", "filter", "$\\Lambda_S\\dot\\eta_c+b_S+S^Tf_{ccomm}$\n(21)",
           ("state", "eta_c", "f_ccomm"), ("f_S",)),
     Block("torque allocation", "filter", "$G\\tau = f_S$,\nsqueeze in null$(G)$",
@@ -59,8 +60,8 @@ BLOCKS = (
 
 SIGNALS = (
     "q", "v", "wrenches", "touched", "reference", "alpha_d", "squeeze_d", "state", "parts",
-    "contact", "drag", "environment", "f_meas", "f_c_meas", "alpha_meas", "alpha_u", "f_ccomm",
-    "a_u", "eta_c", "f_S", "tau",
+    "contact", "friction_wrenches", "environment", "f_meas", "f_c_meas", "alpha_meas", "alpha_u",
+    "f_ccomm", "a_u", "eta_c", "f_S", "tau",
 )  # fmt: skip
 
 
@@ -69,10 +70,11 @@ class Signals:
 
     q, v (n,) encoders · wrenches (arms, 6) · touched: motion of the touched bodies · reference ·
     alpha_d (r_all,) desired contact forces · squeeze_d · state: Λ_S, μ, p, S, σ, G of the closed
-    chain · parts: N, n_γ of each contact in force · contact: of all contacts · drag (6, r): N_μ − N
-    · environment: Φ_e, b_e, V_e · f_meas (6,): sum of the wrist readings, tare removed · f_c_meas
-    (6,): contact force in it · alpha_meas (r,): its magnitudes · alpha_u (r,), f_ccomm (6,): force
-    command · a_u (6,): motion command · eta_c (d,): after its filter · f_S (d,) · tau (n_a,).
+    chain · parts: N, n_γ of each contact in force · contact: of all contacts ·
+    friction_wrenches (6, r): N_μ − N · environment: Φ_e, b_e, V_e · f_meas (6,): sum of
+    the wrist readings, tare removed · f_c_meas (6,): contact force in it · alpha_meas (r,):
+    its magnitudes · alpha_u (r,), f_ccomm (6,): force command · a_u (6,): motion
+    command · eta_c (d,): after its filter · f_S (d,) · tau (n_a,).
     """
 
     def __init__(
@@ -95,7 +97,7 @@ class Signals:
         r = int(w.rank)
         self.f_meas, self.f_c_meas, self.a_u = w.f_meas.copy(), w.f_c.copy(), w.a_u.copy()
         self.alpha_meas, self.alpha_u = w.alpha_meas[:r].copy(), w.alpha_u[:r].copy()
-        self.drag = w.drag[:r].T.copy()
+        self.friction_wrenches = w.friction_wrenches[:r].T.copy()
 
     @cached_property
     def state(self) -> ChainState:
@@ -140,11 +142,11 @@ class Signals:
             Phi_e, b_e, V_e = np.split(rows.bodies.answer[body], (36, 42))
             answers.setdefault(body, Environment(Phi_e.reshape(6, 6).copy(), b_e, V_e))
         each = [answers[int(bodies[c])] for c in active]
-        return Environment.combine(self.parts, each, self.state.metric, self.drag)
+        return Environment.combine(self.parts, each, self.state.metric, self.friction_wrenches)
 
     @cached_property
     def f_ccomm(self) -> Array:
-        return np.asarray((self.contact.N + self.drag) @ self.alpha_u)
+        return np.asarray((self.contact.N + self.friction_wrenches) @ self.alpha_u)
 
     @cached_property
     def eta_c(self) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from osc_contact.control.model_row import ModelRow
-from osc_contact.control.reports import GivenUp
+from osc_contact.control.reports import LimitLoss
 from osc_contact.control.settings import Settings
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -50,7 +50,7 @@ class MotorLimits:
             rows.bars[:] -= rows.bar_basis()[:, :s] @ program.lost_squeeze[:s]
         rows.memory.faults = 0
 
-    def given_up(self, rows: TickRecords) -> GivenUp:
+    def given_up(self, rows: TickRecords) -> LimitLoss:
         """What the last call of `relieve` cost."""
         program, chain = self._program, self.chain
         _, r, _, s = self._sizes.tolist()
@@ -61,17 +61,20 @@ class MotorLimits:
         if r != int(rows.work.count):
             R = rows.shares()
             lost = R.T @ np.linalg.solve(R @ R.T, lost)
-        return GivenUp(
+        return LimitLoss(
             tuple(chain.joint_names[chain.actuated[i]] for i in motors), program.wanted[motors],
             chain.tau_max[motors], lost,
             rows.motions() @ (rows.reflection().T @ program.lost_motion), squeeze, self._short,
         )  # fmt: skip
 
 
-def scale_torques(rows: TickRecords, chain: ClosedChain, tau: Array) -> GivenUp:
+def scale_torques(rows: TickRecords, chain: ClosedChain, tau: Array) -> LimitLoss:
     """All torques by one factor until none exceeds its limit, in tau (n_a,).
 
     For control structures of the user's own, of which nothing is known.
+
+    Args:
+        rows: records of the tick. chain: its motors. tau: (n_a,) scaled in place (N m, N).
     """
     wanted = rows.joints.tau[chain.actuated]
     share = np.abs(wanted) / chain.tau_max
@@ -83,7 +86,7 @@ def scale_torques(rows: TickRecords, chain: ClosedChain, tau: Array) -> GivenUp:
             1.0, np.max(np.abs(tau - rows.torques) / step)
         )
     rows.torques[:], rows.memory.faults = tau, 0
-    return GivenUp(
+    return LimitLoss(
         (chain.joint_names[chain.actuated[motor]],), wanted[[motor]], chain.tau_max[[motor]],
         np.zeros(0), np.zeros(6), np.zeros(0), False,
     )  # fmt: skip

@@ -178,6 +178,9 @@ def constraint_rows(chain: ClosedChain, O: Array, N: Array) -> Array:  # noqa: E
     The rows match the errors of `close`: loop error i is the displacement from arm i's idea of the
     object to the object, as far as its grasp holds it; a gap shrinks as the object moves along N.
     Where no arm holds the object rigidly there are six columns more, for V_O.
+
+    Args:
+        O: (3,) operational point (m). N: (6, r) contact forces at O, world axes.
     """
     J = columns_at(chain.data.J, O)
     first = object_columns(chain, J)
@@ -214,14 +217,14 @@ def inverse_rows(A: Array, M: Array, groups: Sequence[int]) -> tuple[Array, Arra
         (n, m) right inverse that solves A x = b with least xᵀM x, and the (m, m) map from b to
         multipliers λ with M x = Aᵀλ; of redundant rows the split is not unique, M x is.
     """
-    white = np.linalg.solve(np.linalg.cholesky(M), A.T).T
-    size = np.linalg.norm(white, axis=1)
+    whitened = np.linalg.solve(np.linalg.cholesky(M), A.T).T
+    size = np.linalg.norm(whitened, axis=1)
     # the three rows of a vector share one scale: a locked direction has a zero row of its own
     start = 0
     for count in groups:
         size[start : start + count] = size[start : start + count].max()
         start += count
-    U, s, Vh = np.linalg.svd(white / size[:, None], full_matrices=False)
+    U, s, Vh = np.linalg.svd(whitened / size[:, None], full_matrices=False)
     keep = s > 1e-8 * s.max(initial=0.0)
     U, s, Vh = U[:, keep] / size[:, None], s[keep], Vh[keep]
     right = np.linalg.solve(np.linalg.cholesky(M).T, (Vh.T / s) @ U.T)

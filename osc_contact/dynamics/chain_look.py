@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.dynamics.chain_state import ArmTerms, ChainState, Fading
+from osc_contact.dynamics.chain_state import ArmTerms, ChainState, SingularDirection
 from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError
 from osc_contact.law import tables as at
@@ -144,10 +144,12 @@ def read_state(chain: ClosedChain, now: Look, rest: Look, data: pin.Data) -> Cha
         filters=tuple(_filters(chain, now, motion, wrench)),
         Lambda_out=wrench @ work["out_T"].T @ wrench.T,
         bias_out=work["bias_out"].copy(),
-        undriven=chain.unactuated_motions(G, S),
+        unactuated=chain.unactuated_motions(G, S),
         reference=(wrench * now.head["reference"]) @ wrench.T,
         full_ranks=chain.full_ranks,
-        fading=tuple(_fading(chain, now, motion, wrench)) if work["n_lost"] else (),
+        singular_directions=tuple(_singular_directions(chain, now, motion, wrench))
+        if work["n_lost"]
+        else (),
     )
 
 
@@ -180,13 +182,13 @@ def _filters(chain: ClosedChain, now: Look, motion: Array, wrench: Array) -> Any
         yield wrench @ own["filter"] @ motion.T if filtered else None
 
 
-def _fading(chain: ClosedChain, now: Look, motion: Array, wrench: Array) -> Any:
+def _singular_directions(chain: ClosedChain, now: Look, motion: Array, wrench: Array) -> Any:
     """Every direction that the law found an arm to be losing."""
     reference = now.head["reference"]
     for i, (own, s) in enumerate(zip(now.arms, chain.slices, strict=True)):
         for e in range(int(own["n_lost"])):
             lost, mode = own["lost"][e], own["mode"][e, : s.stop - s.start].copy()
-            yield Fading(
+            yield SingularDirection(
                 i, float(own["chi"][e]), float(own["share"][e]), wrench @ lost,
                 motion @ (lost / reference), mode, bool(own["gone"][e]),
             )  # fmt: skip

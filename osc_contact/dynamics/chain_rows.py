@@ -33,7 +33,11 @@ def chain_row(chain: ClosedChain, led: bool) -> Bytes:
 
 
 def pack_chain(chain: ClosedChain, raw: Bytes, leader: int | None) -> None:
-    """Fill in what of a row of MODEL comes from the chain: its head, arms and joints."""
+    """Fill in what of a row of MODEL comes from the chain: its head, arms and joints.
+
+    Args:
+        raw: bytes of the row. leader: arm that holds the object rigidly; None: no arm does.
+    """
     head = records(raw, 0, 1, at.CHAIN)[0]
     _pack_object(chain, head, leader)
     _pack_arms(chain, records(raw, int(head.arms_at), len(chain.arms), at.ARM))

@@ -9,7 +9,7 @@ import pinocchio as pin
 from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.spatial import Array
 
-__all__ = ["ArmTerms", "ChainState", "Fading"]
+__all__ = ["ArmTerms", "ChainState", "SingularDirection"]
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class ArmTerms:
 
 
 @dataclass(frozen=True)
-class Fading:
+class SingularDirection:
     """One direction an arm is losing: q̈ = mode moves the object by χ L⁻ᵀu.
 
     The arm is measured against Λ_ref = LLᵀ, the object and, at its centre of mass, a ball as heavy
@@ -49,7 +49,7 @@ class Fading:
 
     is free of units, and 1/χ² is the arm's apparent inertia in the direction u beside that of
     Λ_ref. At the start of every packaged scenario χ is at least 0.5; it goes to zero in a singular
-    posture, and commands fade where it is below 0.3.
+    posture, and commands are reduced where it is below 0.3.
 
     Attributes:
         arm: its number. chi: χ. share: of the command that is left, 1 … 0.
@@ -98,10 +98,12 @@ class ChainState:
     filters: tuple[Array | None, ...]  #: (6, 6) F_i at O for each wrist reading; None: as it is
     Lambda_out: Array  #: (6, 6) inertia seen by the wrist sensors together (not symmetric)
     bias_out: Array  #: (6,) gravity and velocity wrench they see at a = 0
-    undriven: Array  #: (6, u) motions of the object that no motor drives
+    unactuated: Array  #: (6, u) motions of the object that no motor drives
     reference: Array  #: (6, 6) object and heaviest arm, which singular postures are judged by
     full_ranks: tuple[int, ...]  #: motions each arm makes, as N sees them, in ordinary postures
-    fading: tuple[Fading, ...]  #: directions that arms near a singular posture are losing
+    singular_directions: tuple[
+        SingularDirection, ...
+    ]  #: directions that arms near a singular posture are losing
 
     @property
     def d(self) -> int:

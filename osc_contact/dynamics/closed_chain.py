@@ -61,7 +61,7 @@ class ClosedChain:
         payload: RigidObject | None = None,
         *,
         rank_tolerance: float = 1e-3,
-        allow_undriven: bool = False,
+        allow_unactuated: bool = False,
     ) -> None:
         """Merge the arms into one model.
 
@@ -73,7 +73,7 @@ class ClosedChain:
             rank_tolerance: an arm direction counts as locked when the arm's apparent inertia in it
                 is 1/tolerance² of the object's; two arms' locked directions count as the same
                 when they differ by less than this angle (rad, in the object's energy metric).
-            allow_undriven: give the state also where no motor drives some motion of the object,
+            allow_unactuated: give the state also where no motor drives some motion of the object,
                 to study how it moves by itself; a controller needs every motion driven.
 
         Raises:
@@ -90,7 +90,7 @@ class ClosedChain:
         self.grasps = tuple(g if isinstance(g, Grasp) else Grasp.rigid(g) for g in given)
         rigid = [i for i, grasp in enumerate(self.grasps) if grasp.is_rigid]
         self.leader = rigid[0] if rigid else None
-        self.allow_undriven = allow_undriven
+        self.allow_unactuated = allow_unactuated
         if len(self.grasps) != len(arms):
             raise ModelError(f"{len(arms)} arms but {len(self.grasps)} grasps; give X_TO for each")
         if payload is None and len(rigid) < len(self.grasps):
@@ -251,7 +251,7 @@ class ClosedChain:
         U, s, _ = np.linalg.svd(G * limits)
         driven = int(np.count_nonzero(s >= 1e-9 * s.max(initial=0.0))) if s.any() else 0
         motions: Array = S @ U[:, driven:]
-        if motions.shape[1] and not self.allow_undriven:
+        if motions.shape[1] and not self.allow_unactuated:
             raise ModelError(
                 f"the {self.n_a} motors cannot drive every one of the {G.shape[0]} motions of the "
                 f"object: nobody drives the twist {np.array2string(motions[:, -1], precision=3)} "

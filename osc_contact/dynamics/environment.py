@@ -52,8 +52,8 @@ class Environment:
         Phi_e: (6, 6) inverse inertia, positive semidefinite: acceleration per contact force.
         b_e: (6,) spatial acceleration it would have without contact.
         V_e: (6,) its twist.
-        Phi_drag: (r, r) NᵀΦ_eD of different bodies whose contacts drag them along with D (6, r) for
-            each newton, which the Φ_e that stands for them cannot tell; None: one body, or no drag.
+        Phi_friction: (r, r) NᵀΦ_eD of different bodies on which friction acts with D (6, r)
+            for each newton, which their common Φ_e does not hold; None: one body, or no friction.
 
     Raises:
         InvalidInputError: wrong shapes, or Φ_e not symmetric positive semidefinite.
@@ -62,7 +62,7 @@ class Environment:
     Phi_e: Array = field(default_factory=lambda: np.zeros((6, 6)))
     b_e: Array = field(default_factory=lambda: np.zeros(6))
     V_e: Array = field(default_factory=lambda: np.zeros(6))
-    Phi_drag: Array | None = None
+    Phi_friction: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "Phi_e", as_array("Phi_e", self.Phi_e, (6, 6)))
@@ -70,15 +70,15 @@ class Environment:
         object.__setattr__(self, "V_e", as_array("V_e", self.V_e, (6,)))
         require_inverse_inertia("Phi_e", self.Phi_e / element_sizes(self.Phi_e))
 
-    def yielding(self, N: Array, drag: Array | float = 0.0) -> Array:
-        """NᵀΦ_eN_μ (r, r), N_μ = N + drag: how the bodies give way along N per contact magnitude.
+    def yielding(self, N: Array, friction_wrenches: Array | float = 0.0) -> Array:
+        """NᵀΦ_eN_μ (r, r), N_μ = N + friction_wrenches: how the bodies yield along N per newton.
 
         Args:
-            N: (6, r) at O. drag: (6, r) what friction adds to each column of force.
+            N: (6, r) at O. friction_wrenches: (6, r) what friction adds to each column of force.
         """
-        if self.Phi_drag is not None:
-            return np.asarray(N.T @ self.Phi_e @ N + self.Phi_drag)
-        return np.asarray(N.T @ self.Phi_e @ (N + drag))
+        if self.Phi_friction is not None:
+            return np.asarray(N.T @ self.Phi_e @ N + self.Phi_friction)
+        return np.asarray(N.T @ self.Phi_e @ (N + friction_wrenches))
 
     @classmethod
     def fixed(cls) -> Environment:
@@ -275,7 +275,7 @@ class Environment:
         contacts: Sequence[_HasNormals],
         environments: Sequence[Environment],
         metric: npt.ArrayLike,
-        drag: Array | None = None,
+        friction_wrenches: Array | None = None,
     ) -> Environment:
         """The environment of several contacts, given the environment of each.
 
@@ -290,7 +290,7 @@ class Environment:
             contacts: in the order in which they are stacked.
             environments: one for each contact, all at the same O.
             metric: (6, 6) the held object's inertia at O (`ChainState.metric`).
-            drag: (6, r) friction wrench for each column's newton; None: none.
+            friction_wrenches: (6, r) friction wrench for each column's newton; None: none.
 
         Raises:
             InvalidInputError: not one environment for each contact.
@@ -325,10 +325,10 @@ class Environment:
             np.concatenate([n.T @ e.V_e for n, e in pairs]),
             metric,
         )
-        if drag is None:
+        if friction_wrenches is None:
             return together
         ends = np.cumsum([n.shape[1] for n in N])[:-1]
-        return replace(together, Phi_drag=between(np.split(drag, ends, axis=1)))
+        return replace(together, Phi_friction=between(np.split(friction_wrenches, ends, axis=1)))
 
 
 def _move_as_one(a: Environment, b: Environment) -> bool:

@@ -1,4 +1,4 @@
-"""Pose of the object, told by arms of which none holds it rigidly."""
+"""Pose of the object, from arms of which none holds it rigidly."""
 
 from __future__ import annotations
 

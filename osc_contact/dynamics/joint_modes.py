@@ -33,12 +33,15 @@ def modes(state: ChainState, actuated: Array, stiffness: Array) -> Array:
     """
     W = state.W[actuated]
     L = np.linalg.cholesky(state.Lambda)
-    white = np.linalg.solve(L, np.linalg.solve(L, W.T @ (stiffness[:, None] * W)).T)
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(white), 0.0)) / (2 * np.pi)
+    whitened = np.linalg.solve(L, np.linalg.solve(L, W.T @ (stiffness[:, None] * W)).T)
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(whitened), 0.0)) / (2 * np.pi)
 
 
 def stiffness_for(state: ChainState, actuated: Array, frequency: float) -> Array:
     """(n_a,) springs proportional to `joint_inertias` that put the first mode at a frequency (Hz).
+
+    Args:
+        state: of the chain. actuated: (n,) True for motor joints. frequency: Hz.
 
     Raises:
         ModelError: no spring can, because some motion moves no motor.

@@ -52,7 +52,11 @@ class RigidObject:
             )
 
     def terms(self, X_WO: pin.SE3, V_O: Array, gravity: Array) -> ObjectTerms:
-        """Inertia, velocity and gravity wrenches at O; gravity (3,) in m/s²."""
+        """Inertia, velocity and gravity wrenches at O; gravity (3,) in m/s².
+
+        Args:
+            X_WO: pose of the object. V_O: (6,) its twist at O. gravity: (3,) m/s².
+        """
         at_O = pin.SE3(X_WO.rotation, np.zeros(3))
         Lambda: Array = at_O.act(self.inertia).matrix()
         mu = cross_wrench(V_O, Lambda @ V_O)

@@ -20,7 +20,12 @@ class Body(Protocol):
 
     def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
         """Φ_e, b_e and V_e at O (3,), from the body's measured pose, twist and known acceleration
-        (`interface.Touched`)."""
+        (`interface.Touched`).
+
+        Args:
+            X_WE: pose of the body. V_E: (6,) its twist at E. A_E: (6,) its known acceleration.
+            O: (3,) operational point (m).
+        """
 
 
 @dataclass(frozen=True, eq=False)

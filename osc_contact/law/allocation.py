@@ -46,7 +46,7 @@ def command_object(chain, work, f_bias):
     r, m, x, bias = work.rank, work.locked, work.x, work.u
     held = 1.0 if chain.held != 0 else 0.0
     _energy_of(work, f_bias, bias)
-    reflect(work.turn, work.beta, m, bias)
+    reflect(work.reflectors, work.beta, m, bias)
     for i in range(6):
         s = work.chain_bias[i] + bias[i] + held * x[i] + dot6(work.Lambda[i], x)
         for a in range(r):
@@ -75,7 +75,7 @@ def predict_joints(chain, arms, work, joints):
     a = work.w
     for i in range(6):
         a[i] = work.x[i]
-    reflect_back(work.turn, work.beta, work.locked, a)
+    reflect_back(work.reflectors, work.beta, work.locked, a)
     for k in range(chain.n_arms):
         lo, hi = arms[k].first, arms[k].end
         for j in range(lo, hi):
@@ -143,7 +143,7 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
     y = work.y
     for i in range(6):
         y[i] = b[i - m] if i >= m else 0.0
-    reflect_back(work.turn, work.beta, m, y)
+    reflect_back(work.reflectors, work.beta, m, y)
     for k in range(chain.n_arms):
         _add_torques(arms[k], table, arm_work[k], joints, work, y)
     for e in range(count):
@@ -173,7 +173,7 @@ def _fill_row(chain, arms, table, arm_work, joints, work, E, weighed, Z, d, e):
     for j in range(chain.n_joints):  # rows of G R⁻¹Eᵀ, turned
         for i in range(6):
             work.u[i] = joints[j].J_bar[i] * weighed[e, j] + (work.u[i] if j > 0 else 0.0)
-    reflect(work.turn, work.beta, work.locked, work.u)
+    reflect(work.reflectors, work.beta, work.locked, work.u)
     for i in range(d):
         Z[d + e, i] = work.u[work.locked + i]
     for c in range(e + 1):
@@ -205,7 +205,7 @@ def _exert(arm, joints, work):
     f, m = work.y, work.locked
     for i in range(6):
         f[i] = work.f_S[i] if i >= m else 0.0
-    reflect_back(work.turn, work.beta, m, f)
+    reflect_back(work.reflectors, work.beta, m, f)
     for j in range(arm.first, arm.end):
         joints[j].tau = joints[j].rest + dot6(joints[j].J, f)
 
@@ -296,7 +296,7 @@ def _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, first, q, 
         for j in range(chain.n_joints):
             for i in range(6):
                 work.u[i] = joints[j].J_bar[i] * joints[j].rest + (work.u[i] if j > 0 else 0.0)
-        reflect(work.turn, work.beta, work.locked, work.u)
+        reflect(work.reflectors, work.beta, work.locked, work.u)
         for i in range(d):
             b[i] -= work.u[work.locked + i]
     return count - first

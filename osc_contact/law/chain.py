@@ -92,7 +92,7 @@ def solve_chain(chain, arms, table, memory, work, arm_work, joints, locked, q, v
     _add_object(chain, work)
     work.locked = _intersect(locked, count, chain.tolerance, work)
     if work.locked > 0:
-        Z, beta, m = work.turn, work.beta, work.locked
+        Z, beta, m = work.reflectors, work.beta, work.locked
         reflect_sides(Z, beta, m, work.Lambda)
         reflect_sides(Z, beta, m, work.effort)
         reflect(Z, beta, m, work.chain_bias)
@@ -211,15 +211,15 @@ def _add_object(chain, work):
 
 @inner
 def _intersect(locked, count, tolerance, work):
-    """Reflectors `turn` whose first m axes span what the arms lock together, σ along them; m.
+    """`reflectors` whose first m axes span what the arms lock together, σ along them; m.
 
     Args:
         locked: (…, 7) of all arms: a unit wrench and its rate uᵀγ. Destroyed.
         count: number of rows.
         tolerance: two directions this near to one another (rad) count as the same.
-        work: turn, beta, sigma (before any reflection: Σ u c over the singular directions) filled.
+        work: reflectors, beta, sigma (before any reflection: Σ u c over singular ones) filled.
     """
-    sigma, V = work.sigma, work.turn
+    sigma, V = work.sigma, work.reflectors
     for i in range(6):
         sigma[i] = 0.0
     if count == 0:

@@ -33,7 +33,8 @@ def choose_columns(chain, table, contacts, columns, work):
 def keep_columns(table, bodies, columns, work, body_work):
     """N (r, 6) of the independent columns in energy coordinates, N_μ, n_γ; returns a reason.
 
-    Fills rank, keep, N, pushed, drag, n_gamma; `share` of each column in force where r < count.
+    Fills rank, keep, N, pushed, friction_wrenches, n_gamma; `share` of each column in force where
+    r < count.
     """
     count = work.count
     for j in range(count):

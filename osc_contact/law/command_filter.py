@@ -41,7 +41,7 @@ __all__ = [
     "permit_error",
     "require_reachable",
     "set_metric",
-    "turn_columns",
+    "reflect_columns",
 ]
 
 _REACH = 1e-9  #: least mobility along a column, beside that of the free object
@@ -49,14 +49,14 @@ _APART = 1e-10  #: least part of a column outside the others, as seen through th
 
 
 @inner
-def turn_columns(work):
+def reflect_columns(work):
     """Columns of N and N_μ in the turned coordinates."""
     for a in range(work.rank):
         for i in range(6):
             work.N_t[a, i] = work.N[a, i]
             work.pushed_t[a, i] = work.pushed[a, i]
-        reflect(work.turn, work.beta, work.locked, work.N_t[a])
-        reflect(work.turn, work.beta, work.locked, work.pushed_t[a])
+        reflect(work.reflectors, work.beta, work.locked, work.N_t[a])
+        reflect(work.reflectors, work.beta, work.locked, work.pushed_t[a])
 
 
 @inner
@@ -131,10 +131,10 @@ def permit_error(chain, work, error, out, by_object):
     if by_object:
         meet(work.Q, r, 0, e, work.s)
     else:
-        reflect(work.turn, work.beta, work.locked, e)
+        reflect(work.reflectors, work.beta, work.locked, e)
         if not _meet_weighed(work, 0, e):
             return False
-        reflect_back(work.turn, work.beta, work.locked, e)
+        reflect_back(work.reflectors, work.beta, work.locked, e)
     world_motion(work.axes, e, out)
     carry_motion(out, work.C, work.O, out)
     return True
@@ -197,7 +197,7 @@ def _set_given_metric(chain, work):
         for i in range(6):
             for j in range(6):
                 half_done[i, j] = out[j, i]
-    reflect_sides(work.turn, work.beta, work.locked, out)
+    reflect_sides(work.reflectors, work.beta, work.locked, out)
 
 
 @inner
@@ -212,7 +212,7 @@ def filter_motion(chain, work):
     r, m, x, sigma = work.rank, work.locked, work.x, work.sigma
     carry_motion(work.a_u, work.O, work.C, x)
     energy_motion(work.axes, x, x)
-    reflect(work.turn, work.beta, m, x)
+    reflect(work.reflectors, work.beta, m, x)
     for i in range(6):
         x[i] -= sigma[i]
     for a in range(r):

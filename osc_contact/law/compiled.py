@@ -1,6 +1,6 @@
 """The compiled functions of the law, made or loaded from the cache when first asked for.
 
-Compiling takes about a minute, once on a machine; whoever listens is told so.
+Compiling takes about a minute, once on a machine; listeners get a message.
 """
 
 from __future__ import annotations
@@ -89,6 +89,6 @@ class _Teller(logging.Handler):
 
 
 def tell(say: Callable[[str], None]) -> None:
-    """Hand these messages to `say`, in place of whoever was told before."""
+    """Hand these messages to `say`, in place of the former listener."""
     _log.handlers = [_Teller(say)]
     _log.setLevel(logging.INFO)

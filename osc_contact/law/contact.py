@@ -92,7 +92,7 @@ def place_contacts(chain, pairs, shapes, columns, X_WO, V_O, bodies, moving, wor
         )  # fmt: skip
         if not sine >= PARALLEL:
             return False
-        if pair.drags != 0 and (work.mu > 0.0 or chain.reading == LEAST_SQUARES):
+        if pair.has_friction != 0 and (work.mu > 0.0 or chain.reading == LEAST_SQUARES):
             for j in range(pair.count):
                 row, column = shapes[pair.shape_at + j].row, columns[pair.first + j]
                 point = point_of_contact(pair.kind, row, X_WO, R_E, column.N)
@@ -177,7 +177,7 @@ def _slide(point, V_rel, mu, slip, column):
     u, v, w = s * u, s * v, s * w
     column.point[0], column.point[1], column.point[2] = x, y, z
     column.slip[0], column.slip[1], column.slip[2] = u, v, w
-    _line(column.drag, x, y, z, mu * u, mu * v, mu * w)
+    _line(column.friction_wrench, x, y, z, mu * u, mu * v, mu * w)
 
 
 @inner

@@ -72,7 +72,7 @@ def project_bodies(columns, table, bodies, body_work, work):
 
     Args:
         columns: COLUMN_WORK rows. table: COLUMN rows. bodies: BODY rows. body_work: BODY_WORK rows.
-        work: drag (r, 6), N_μ − N at O; y for scratch.
+        work: friction_wrenches (r, 6), N_μ − N at O; y for scratch.
     """
     given = work.y
     for a in range(work.rank):
@@ -91,4 +91,6 @@ def project_bodies(columns, table, bodies, body_work, work):
             other = columns[int(work.keep[b])].chosen
             if bodies[table[other].contact].same == body:
                 for i in range(6):
-                    work.Phi_mu[a, b] += given[i] * (columns[other].N[i] + work.drag[b, i])
+                    work.Phi_mu[a, b] += given[i] * (
+                        columns[other].N[i] + work.friction_wrenches[b, i]
+                    )

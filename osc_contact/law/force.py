@@ -25,20 +25,20 @@ _NOTHING = 1e-9  #: Λ_out beside the object's inertia, below which sensors read
 
 @inner
 def add_friction(columns, work):
-    """N_μ = N + D share of the kept columns, _e (`pushed`), and D share at O (`drag`)."""
+    """N_μ = N + D share of the kept columns, _e (`pushed`), D share at O (`friction_wrenches`)."""
     r, count = work.rank, work.count
     for a in range(r):
-        drag, pushed = work.drag[a], work.pushed[a]
+        friction_wrenches, pushed = work.friction_wrenches[a], work.pushed[a]
         for i in range(6):
-            drag[i] = 0.0
+            friction_wrenches[i] = 0.0
             pushed[i] = work.N[a, i]
         if work.mu == 0.0:
             continue
         for j in range(count):
             s = columns[j].share[a] if r < count else (1.0 if j == a else 0.0)
             for i in range(6):
-                drag[i] += s * columns[columns[j].chosen].drag[i]
-        carry_wrench(drag, work.O, work.C, work.u)
+                friction_wrenches[i] += s * columns[columns[j].chosen].friction_wrench[i]
+        carry_wrench(friction_wrenches, work.O, work.C, work.u)
         energy_wrench(work.axes, work.u, work.u)
         for i in range(6):
             pushed[i] += work.u[i]
@@ -174,22 +174,22 @@ def _measure_at_tip(work):
     if trace < _NOTHING:
         work.weightless = 1
         return _solve_magnitudes(work, 0.0)
-    turn, beta = work.turn, work.beta
+    reflectors, beta = work.reflectors, work.beta
     for j in range(6):  # A = Λ_outᵀ, turned from both sides
         for i in range(6):
             work.u[i] = A[i, j]
-        reflect(turn, beta, m, work.u)
+        reflect(reflectors, beta, m, work.u)
         for i in range(6):
             A[i, j] = work.u[i]
     for i in range(6):
-        reflect(turn, beta, m, A[i])
-    reflect(turn, beta, m, f)
+        reflect(reflectors, beta, m, A[i])
+    reflect(reflectors, beta, m, f)
     for i in range(6):  # f less Λ_out σ
         for j in range(6):
             f[i] -= A[j, i] * work.sigma[j]
     for a in range(r):
-        reflect(turn, beta, m, work.pushed[a])
-        reflect(turn, beta, m, work.solved[a])
+        reflect(reflectors, beta, m, work.pushed[a])
+        reflect(reflectors, beta, m, work.solved[a])
         work.z[a] = dot6(work.solved[a], work.sigma)
         for i in range(6 - m):
             work.E[a, i] = work.solved[a, m + i]
@@ -203,7 +203,7 @@ def _measure_at_tip(work):
             work.solved[a, i] = work.E[a, i - m] if i >= m else 0.0
     done = _solve_magnitudes(work, 1.0)
     for a in range(r):
-        reflect_back(turn, beta, m, work.pushed[a])
+        reflect_back(reflectors, beta, m, work.pushed[a])
     return done
 
 

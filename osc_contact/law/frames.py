@@ -32,12 +32,12 @@ def wrenches(work: Any) -> NDArray[np.float64]:
 
 def reflection(work: Any) -> NDArray[np.float64]:
     """(6, 6) that turns energy coordinates so that the first axes are the locked ones."""
-    turn = np.eye(6)
+    reflection = np.eye(6)
     for k in range(int(work["locked"])):
-        v = work["turn"][k].copy()
+        v = work["reflectors"][k].copy()
         v[:k] = 0.0
-        turn -= np.outer(work["beta"][k] * v, v @ turn)
-    return turn
+        reflection -= np.outer(work["beta"][k] * v, v @ reflection)
+    return reflection
 
 
 def _lever(work: Any) -> NDArray[np.float64]:

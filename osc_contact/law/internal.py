@@ -85,7 +85,7 @@ def _bar_rows(chain, arms, table, work, arm_work, joints, E, b, d, link, squeeze
                 levers_of[j, a] += root[0, i, a] * bar[i]
         for i in range(6):
             work.u[i] = bar[i]
-        reflect(work.turn, work.beta, m, work.u)
+        reflect(work.reflectors, work.beta, m, work.u)
         for i in range(6):
             G[j, i] = work.u[i] if i >= m else 0.0
     count = settable_bars(

@@ -6,7 +6,7 @@
      └──────────────────── no force is wanted ──────────────────────┘
 
 An open contact is out of N: its column is free motion. A closed one is in N under the law of
-fig. 5. An approaching one is in N too, but in place of the force law a damper drags it towards its
+fig. 5. An approaching one is in N too, but in place of the force law a damper moves it towards its
 face at a set speed, α_u = K_a (v_a − NᵀV_rel): a guarded move, which meets the face with no more
 than K_a v_a. So N does not change at the moment of impact, and every magnitude of a contact to be
 made is measured by the filter of fig. 5.
@@ -134,7 +134,7 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
                 row.closed, row.collision = 0, 0
             desired = desired or wanted[j] > 0.0
             some_closed = some_closed or row.closed != 0
-            light = wanted[j] <= chain.force_on  # too little to be told from nothing
+            light = wanted[j] <= chain.force_on  # too little to be distinguished from nothing
             all_closed = all_closed and (light or row.closed != 0)
         if pushes != 0 and not desired:
             phase = OPEN

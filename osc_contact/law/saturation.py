@@ -125,7 +125,7 @@ def build_fill(stamp: int) -> Any:
             wanted[i], tau_max[i] = joints[j].tau, table[j].tau_max
             for a in range(6):
                 G[i, a] = joints[j].J_bar[a]
-            reflect(work.turn, work.beta, m, G[i])
+            reflect(work.reflectors, work.beta, m, G[i])
         held = 1.0 if chain.held != 0 else 0.0
         for a in range(6):
             for b in range(6):
@@ -147,7 +147,7 @@ def build_fill(stamp: int) -> Any:
                         s += rows[e, i] * joints[i].M[j - lo]
                     for a in range(6):
                         carried[e, a] += s * joints[j].J_bar[a]
-            reflect(work.turn, work.beta, m, carried[e])
+            reflect(work.reflectors, work.beta, m, carried[e])
             for j in range(n):
                 if table[j].motor >= 0:
                     E[e, table[j].motor] = rows[e, j]

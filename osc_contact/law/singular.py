@@ -1,4 +1,4 @@
-"""Motions that an arm is about to lose near a singular posture, and commands that fade along them.
+"""Motions that an arm is about to lose near a singular posture; commands along them are reduced.
 
 An arm is measured against Λ_ref, the object and, at its centre of mass, a ball as heavy as the
 heaviest arm. With Λ_ref = LLᵀ and M = KKᵀ
@@ -24,10 +24,10 @@ from osc_contact.law.algebra import (
 from osc_contact.law.arm_terms import factor_inertia
 from osc_contact.law.jit import inner, leaf
 
-__all__ = ["FADED", "FULL", "fade_motion", "find_lost", "may_be_singular"]
+__all__ = ["NONE_LEFT", "FULL", "reduce_motion", "find_lost", "may_be_singular"]
 
-#: Commands begin to fade where χ falls below FULL and are gone at FADED.
-FADED, FULL = 0.05, 0.3
+#: Commands are reduced where χ is below FULL and are zero at NONE_LEFT.
+NONE_LEFT, FULL = 0.05, 0.3
 _HARD = 1e-8  # shares below it are as good as 0
 _GONE = 1e-6  # of the mobility that Λ_ref has along any direction, 1
 _SMALL = 1e-9  # χ below it tells no motion of the joints
@@ -154,8 +154,8 @@ def _unit_row(X, k, n, chi):
 
 @inner
 def _share_left(chi):
-    """1 at χ ≥ FULL, 0 at χ ≤ FADED, 3s² − 2s³ between."""
-    s = min(max((chi - FADED) / (FULL - FADED), 0.0), 1.0)
+    """1 at χ ≥ FULL, 0 at χ ≤ NONE_LEFT, 3s² − 2s³ between."""
+    s = min(max((chi - NONE_LEFT) / (FULL - NONE_LEFT), 0.0), 1.0)
     return s * s * (3.0 - 2.0 * s)
 
 
@@ -166,7 +166,7 @@ def retreat(chain, joint, q, v):
 
 
 @inner
-def fade_motion(chain, arms, table, work, arm_work, joints, r, q, v):
+def reduce_motion(chain, arms, table, work, arm_work, joints, r, q, v):
     """The motion command with the arms' lost directions left to their posture task.
 
     What an arm's joints must do along a lost direction u is (uᵀ(a − γ))/χ: it grows without bound
@@ -185,7 +185,7 @@ def fade_motion(chain, arms, table, work, arm_work, joints, r, q, v):
         step[i] = 0.0
         for j in range(6):
             H[i, j] = 1.0 if i == j else 0.0
-    reflect_back(work.turn, work.beta, m, a)
+    reflect_back(work.reflectors, work.beta, m, a)
     for k in range(chain.n_arms):
         own, lo, hi = arm_work[k], arms[k].first, arms[k].end
         for e in range(own.n_lost):
@@ -199,7 +199,7 @@ def fade_motion(chain, arms, table, work, arm_work, joints, r, q, v):
             for i in range(6):
                 target -= own.lost[e, i] * (a[i] - own.gamma[i])
                 row[i] = own.lost[e, i]
-            reflect(work.turn, work.beta, m, row)
+            reflect(work.reflectors, work.beta, m, row)
             size = 0.0
             for i in range(m, 6):
                 size += row[i] * row[i]

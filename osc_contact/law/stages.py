@@ -11,9 +11,9 @@ from osc_contact.law.columns import keep_columns
 from osc_contact.law.command_filter import (
     filter_motion,
     permit_error,
+    reflect_columns,
     require_reachable,
     set_metric,
-    turn_columns,
 )
 from osc_contact.law.contact import place_contacts
 from osc_contact.law.energy import carry_motion, carry_wrench, energy_motion, world_wrench
@@ -28,7 +28,7 @@ from osc_contact.law.force import (
 from osc_contact.law.jit import inner, integers, leaf
 from osc_contact.law.least_squares import learn_friction, weigh_magnitudes
 from osc_contact.law.motion import command_motion, pose_error
-from osc_contact.law.singular import fade_motion
+from osc_contact.law.singular import reduce_motion
 from osc_contact.law.tables import (
     BAD_METRIC,
     BLIND,
@@ -143,7 +143,7 @@ def measure(chain, arms, pairs, shapes, table, bodies, contacts, work, arm_work,
     else:
         still_bodies(work)
     sum_readings(chain, arms, arm_work, joints, work, wrenches, memory.f_tare)
-    turn_columns(work)
+    reflect_columns(work)
     f_c, r = work.f_c, work.rank
     for i in range(6):
         f_c[i] = 0.0
@@ -206,7 +206,7 @@ def hand_over(chain, work, memory):
         memory.motion_sum[i] = 0.0
     carry_motion(x, work.O, work.C, x)
     energy_motion(work.axes, x, x)
-    reflect(work.turn, work.beta, m, x)
+    reflect(work.reflectors, work.beta, m, x)
     for a in range(work.rank):  # what the contacts see of a locked motion is not rounded away
         work.s[a] = dot6(work.N_t[a], x)
     solve_lower(work.L_t, work.rank, work.s)
@@ -218,7 +218,7 @@ def hand_over(chain, work, memory):
             f[i] = held * x[i]
             for j in range(m, 6):
                 f[i] += work.Lambda[i, j] * x[j]
-    reflect_back(work.turn, work.beta, m, f)
+    reflect_back(work.reflectors, work.beta, m, f)
     world_wrench(work.axes, f, f)
     carry_wrench(f, work.C, work.O, f)
     for i in range(6):
@@ -255,7 +255,7 @@ def command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, 
     if reason != NO_REASON:
         return reason
     if work.n_lost > 0 and work.locked < 6:
-        fade_motion(chain, arms, table, work, arm_work, joints, r, q, v)
+        reduce_motion(chain, arms, table, work, arm_work, joints, r, q, v)
     command_object(chain, work, memory.f_bias)
     return NO_REASON
 

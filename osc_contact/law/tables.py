@@ -103,7 +103,7 @@ JOINT = _record(
     placement=12,  # in the joint before it, or in the world: rotation by rows, then point
     link=10,  # mass, centre, inertia about it (xx, xy, xz, yy, yz, zz)
 )  # fmt: skip
-PAIR = _record(whole=("kind", "first", "count", "shape_at", "freedoms", "drags"))
+PAIR = _record(whole=("kind", "first", "count", "shape_at", "freedoms", "has_friction"))
 SHAPE = _record(row=16)
 COLUMN = _record(whole=("contact",))
 BODY = _record(whole=("kind", "same", "pushes"), parameters=8)
@@ -158,8 +158,8 @@ WORK = _record(
     chain_bias=6, sigma=6,  # _e, then _t
     Lambda=(6, 6), effort=(6, 6),  # ΣΛ_i and least effort, _e, then _t
     out_T=(6, 6),  # Λ_out transposed, _e
-    turn=(6, 6), beta=8, pivots=8,
-    N=(6, 6), N_t=(6, 6), pushed=(6, 6), pushed_t=(6, 6), drag=(6, 6),
+    reflectors=(6, 6), beta=8, pivots=8,
+    N=(6, 6), N_t=(6, 6), pushed=(6, 6), pushed_t=(6, 6), friction_wrenches=(6, 6),
     Q=(6, 6), L=(6, 6), Q_t=(6, 6), L_t=(6, 6), solved=(6, 6),
     Phi_mu=(6, 6), mobility=(6, 6), B_inv_t=(6, 6),
     yields=(6, 6),  # NᵀΦ_e, at O
@@ -192,7 +192,7 @@ JOINT_WORK = _record(
 )  # fmt: skip
 COLUMN_WORK = _record(
     whole=("chosen",), number=("n_gamma", "n_gamma_all", "extent", "alpha_d"),
-    N=6, drag=6, energy=6, rest=6, share=6,
+    N=6, friction_wrench=6, energy=6, rest=6, share=6,
     point=3, slip=3,  # of contact, from O; v_t / √(v_t² + v_0²) there
 )  # fmt: skip
 BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E

@@ -96,10 +96,10 @@ def _fig4(seen: Evidence) -> dict[str, Answer]:
 
 def _fig5(seen: Evidence) -> dict[str, Answer]:
     force = [b for b in BLOCKS if b.group == "force"]
-    wire, path = "f_meas", []
-    while reader := next((b for b in force if wire in b.inputs), None):
+    signal, path = "f_meas", []
+    while reader := next((b for b in force if signal in b.inputs), None):
         path.append(reader.name)
-        wire = reader.outputs[0]
+        signal = reader.outputs[0]
     wanted = ["force filter", "generalised inverse", "force law", "to operational space"]
     sensed = [force["sensing_rms_rel"] for force in seen.verdict["force"].values()]
     rate = float(seen.recording.meta["control_rate_hz"])

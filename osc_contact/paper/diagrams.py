@@ -1,7 +1,7 @@
-"""Figs. 4 and 5: the boxes of `signals.BLOCKS` at fixed places, and the wires between them.
+"""Figs. 4 and 5: the boxes of `signals.BLOCKS` at fixed places, and the connections between them.
 
-No signal gets lost: what a box reads and no wire brings is named below it, what it puts out and no
-wire takes is named beside it. Commands come from above.
+No signal gets lost: what a box reads and no connection brings is named below it, what it puts out
+and no connection takes is named beside it. Commands come from above.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PLANT = Block("arms, object, environment", "plant", "", ("tau",), ("q", "v", "wr
 #: The control loop of fig. 4.
 LOOP = (*BLOCKS, PLANT)
 
-WIDTH, HEIGHT, PORT = 1.9, 1.15, 0.3  #: of a box; between two wires at one edge (in)
+WIDTH, HEIGHT, PORT = 1.9, 1.15, 0.3  #: of a box; between two connections at one edge (in)
 #: Middle of each box (in): model and plant, motion, force.
 PLACES = {
     "closed chain": (0.0, 6.4),
@@ -41,9 +41,9 @@ PLACES = {
     "force law": (8.1, 0.0),
     "to operational space": (10.8, 0.0),
 }
-#: Signal and reader of each wire, the upper ones of a box first, and where it turns (in): nowhere,
-#: at one x, or at x, y, x of the way around.
-WIRES: dict[tuple[str, str], tuple[float, ...]] = {
+#: Signal and reader of each connection, the upper ones of a box first, and where it turns (in):
+#: nowhere, at one x, or at x, y, x of the way around.
+CONNECTIONS: dict[tuple[str, str], tuple[float, ...]] = {
     ("q", "closed chain"): (11.4, 7.45, -1.3),
     ("parts", "environment"): (),
     ("a_u", "motion filter"): (),
@@ -70,7 +70,7 @@ LABELS = {
     "state": "state",
     "parts": r"$N_i$",
     "contact": r"$N,\ T$",
-    "drag": r"$N_\mu - N$",
+    "friction_wrenches": r"$N_\mu - N$",
     "environment": r"$\Phi_e,\ b_e$",
     "f_meas": r"$f_{\mathrm{meas}}$",
     "f_c_meas": r"$f_{\mathrm{c\,meas}}$",
@@ -89,8 +89,8 @@ GROUPS = {
     "model": (OKABE_ITO["green"], "model"),
     "plant": ("#555B63", "plant"),
 }
-INK, LINE, LABEL = "#2B2F36", 1.1, 11.0  #: of wires and the names on them
-#: Look of signals without a wire.
+INK, LINE, LABEL = "#2B2F36", 1.1, 11.0  #: of connections and the names on them
+#: Look of signals without a connection.
 NAMED: Any = {"boxstyle": "round,pad=0.18", "fc": "#E9ECF0", "ec": "none"}
 BY_NAME = "taken up by name"
 Point = tuple[float, float]
@@ -103,29 +103,31 @@ def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
         blocks: some of `LOOP`. title: heading.
     """
     names = [block.name for block in blocks]
-    wires = {key: turns for key, turns in WIRES.items() if key[1] in names}
+    connections = {key: turns for key, turns in CONNECTIONS.items() if key[1] in names}
     starts: dict[str, Point] = {}
     ends: dict[tuple[str, str], Point] = {}
     for block in blocks:
         x, y = PLACES[block.name]
-        wired = [signal for signal, reader in wires if reader == block.name]
-        ends |= {(s, block.name): (x - 0.5 * WIDTH, y + dy) for s, dy in _ports(wired)}
+        connected = [signal for signal, reader in connections if reader == block.name]
+        ends |= {(s, block.name): (x - 0.5 * WIDTH, y + dy) for s, dy in _ports(connected)}
         starts |= {s: (x + 0.5 * WIDTH, y + dy) for s, dy in _ports(_shown(block.outputs))}
     with style():
         figure, ax = _canvas([PLACES[name] for name in names], title)
         for block in blocks:
             _box(ax, block)
-            bare = [s for s in _shown(block.inputs) if (s, block.name) not in wires]
+            bare = [s for s in _shown(block.inputs) if (s, block.name) not in connections]
             _name_inputs(ax, PLACES[block.name], bare)
         for signal, (x, y) in starts.items():
-            if signal in [taken for taken, _ in wires]:
+            if signal in [taken for taken, _ in connections]:
                 _write(ax, x + 0.05, y, LABELS[signal], "left")
             else:
                 ax.text(x + 0.09, y, LABELS[signal], size=LABEL, va="center", bbox=NAMED)
-        for (signal, reader), turns in wires.items():
+        for (signal, reader), turns in connections.items():
             end = ends[signal, reader]
             if signal in starts:
-                others = [t[0] if t else ends[k][0] for k, t in wires.items() if k[0] == signal]
+                others = [
+                    t[0] if t else ends[k][0] for k, t in connections.items() if k[0] == signal
+                ]
                 _wire(ax, signal, starts[signal], turns, end, max(others))
             else:
                 _arrow(ax, [(end[0] - 0.4, end[1]), end])

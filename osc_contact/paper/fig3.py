@@ -19,7 +19,7 @@ from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.runs.run import run as run_scenario
 from osc_contact.runs.viewing import content_of
 from osc_contact.scenarios import load_scenario
-from osc_contact.scenarios.touching import ConveyorSpec
+from osc_contact.scenarios.contact_schema import ConveyorSpec
 from osc_contact.spatial import Array
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png

@@ -142,7 +142,7 @@ def make(
         scenario: behind the figures that are not studies. ask: of the studies.
         record: runs the scenario; called if a figure needs it.
         show: called with each table. waiting: entered around each study.
-        options: of the command, as typed; told in the report.
+        options: of the command, as typed; shown in the report.
     """
     drawn = [name for name in names if name not in STUDIES]
     recording, scene = None, None

@@ -228,8 +228,8 @@ def _workcell(ask: Ask) -> Study:
 
 
 def _fig7(ask: Ask) -> Study:
-    from osc_contact.paper import contact_life as experiment
-    from osc_contact.paper.contact_life_pictures import draw_collisions
+    from osc_contact.paper import contact_phases as experiment
+    from osc_contact.paper.contact_phases_pictures import draw_collisions
 
     knocked, quiet = experiment.fig7(ask.duration, ask.seed, ask.changes, ask.tell)
     hits = experiment.collisions(knocked)
@@ -264,8 +264,8 @@ def _fig7(ask: Ask) -> Study:
 
 
 def _approach_and_slide(ask: Ask) -> Study:
-    from osc_contact.paper import contact_life as experiment
-    from osc_contact.paper.contact_life_pictures import draw_landing
+    from osc_contact.paper import contact_phases as experiment
+    from osc_contact.paper.contact_phases_pictures import draw_landing
 
     changes = list(ask.changes)
     if ask.duration is not None:

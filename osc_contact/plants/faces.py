@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.interface import Touched
-from osc_contact.spatial import Array, Poses, classical_to_spatial, cross, rotations, turned
+from osc_contact.spatial import Array, Poses, classical_to_spatial, cross, rotated, rotations
 
 __all__ = [
     "Motion", "Rail", "along_rails", "drift_of_faces", "driven_accelerations", "force_on_rail",
@@ -60,16 +60,24 @@ class Rail:
         """`pose` at k times; travel and angle (k,)."""
         R = rotations(self.axis[:, None] * angle)
         c = np.repeat(self.through[:, None], len(travel), axis=1)
-        return Poses(R, c + self.direction[:, None] * travel - turned(R, c))
+        return Poses(R, c + self.direction[:, None] * travel - rotated(R, c))
 
     def twist(self, s: Array, rates: Array, point: Array) -> Array:
-        """(6,) of the body at a point (3,) of the world, world axes; linear in the rates (2,)."""
+        """(6,) of the body at a point (3,) of the world, world axes; linear in the rates (2,).
+
+        Args:
+            s, rates: (2,) coordinates and rates. point: (3,) m.
+        """
         arm = point - self.through - self.direction * s[0]
         spin = self.axis * rates[1]
         return np.concatenate((self.direction * rates[0] + cross(spin, arm), spin))
 
     def acceleration(self, s: Array, rates: Array, second: Array, point: Array) -> Array:
-        """(6,) classical, of the body's point that is at `point` now; second: (2,) s̈."""
+        """(6,) classical, of the body's point that is at `point` now; second: (2,) s̈.
+
+        Args:
+            s, rates, second: (2,) coordinates and derivatives. point: (3,) m.
+        """
         out = self.twist(s, second, point)
         spin = self.axis * rates[1]
         arm = point - self.through - self.direction * s[0]
@@ -168,7 +176,11 @@ def free_rails(rails: Sequence[Rail | None]) -> dict[int, Rail]:
 
 
 def force_on_rail(rail: Rail, s: Array, rates: Array, gravity: Array) -> float:
-    """Force along a free body's joint besides the contact's (N, N m); hinges are balanced."""
+    """Force along a free body's joint besides the contact's (N, N m); hinges are balanced.
+
+    Args:
+        rail: of the body. s, rates: (2,) coordinates and rates. gravity: (3,) m/s².
+    """
     k = rail.joints[0]
     weight = rail.inertia * float(rail.direction @ gravity)
     spring = rail.stiffness * s[k] + rail.damping * rates[k]

@@ -59,7 +59,13 @@ def scene(
     options: MujocoOptions,
     rails: Sequence[Rail | None],
 ) -> Any:
-    """The uncompiled specification, see `MujocoPlant`."""
+    """The uncompiled specification, see `MujocoPlant`.
+
+    Args:
+        mujoco: the module. chain: of the arms. arm_urdfs, object_urdf: their files.
+        bodies: URDF and pose of each body touched. options: of the plant.
+        rails: how each body moves; None: at rest.
+    """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.compiler.fusestatic = False

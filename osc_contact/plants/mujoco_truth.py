@@ -230,7 +230,7 @@ def _widened(rows: Array, wanted: int) -> Array:
 
 def _in_axes_of(X: Poses, wrenches: Array) -> Array:
     """Wrenches (6, m, k) at O in the object's axes."""
-    return np.concatenate((X.turn_back(wrenches[:3]), X.turn_back(wrenches[3:])))
+    return np.concatenate((X.rotate_back(wrenches[:3]), X.rotate_back(wrenches[3:])))
 
 
 def _split(N: Array, Phi: Array, f: Array) -> Array:

@@ -19,7 +19,7 @@ from osc_contact.interface import Measurement, Seen, Stamps, Touched
 from osc_contact.plants.judge import Plant, Truth, TruthLog
 from osc_contact.spatial import Array
 
-__all__ = ["Clock", "Errors", "Eyes", "SensedPlant", "Sensor", "Sensors"]
+__all__ = ["Clock", "SensorErrors", "Eyes", "SensedPlant", "Sensor", "Sensors"]
 
 _ON_TIME = 1e-9  # s, rounding of sums of steps
 
@@ -41,7 +41,7 @@ class Clock:
 
 
 @dataclass(frozen=True)
-class Errors:
+class SensorErrors:
     """Errors of a reading, of its shape or broadcast to it, in its units.
 
     Attributes:
@@ -121,8 +121,8 @@ class Eyes:
     """
 
     clock: Clock
-    position: Errors = Errors()
-    orientation: Errors = Errors()
+    position: SensorErrors = SensorErrors()
+    orientation: SensorErrors = SensorErrors()
     frame: tuple[float, float] = (0.0, 0.0)
     markers: Array | None = None
 
@@ -135,9 +135,9 @@ class Sensors:
         encoders: joint positions (n,). joint_torques: (n_a,). wrists: (arms, 6). vision: poses.
     """
 
-    encoders: tuple[Clock, Errors] | None = None
-    joint_torques: tuple[Clock, Errors] | None = None
-    wrists: tuple[Clock, Errors] | None = None
+    encoders: tuple[Clock, SensorErrors] | None = None
+    joint_torques: tuple[Clock, SensorErrors] | None = None
+    wrists: tuple[Clock, SensorErrors] | None = None
     vision: Eyes | None = None
 
 
@@ -253,7 +253,7 @@ class SensedPlant:
 
 
 def _noisy(
-    errors: Errors, shape: tuple[int, ...], rng: np.random.Generator
+    errors: SensorErrors, shape: tuple[int, ...], rng: np.random.Generator
 ) -> Callable[[Array], Array]:
     drawn = errors.drawn(shape, rng)
     return lambda value: drawn.applied(value, rng)

@@ -38,6 +38,9 @@ _UNREADABLE = (
 def write_archive(target: Path, text: str, arrays: Mapping[str, Array | Column]) -> None:
     """Write one .npz file: complete under its final name, or not there at all.
 
+    Args:
+        target: file. text: JSON of the meta data. arrays: by name.
+
     Raises:
         RecordingError: the file cannot be written; an older file of the name is kept.
     """

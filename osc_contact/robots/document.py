@@ -67,7 +67,11 @@ class Document:
     findings: list[Finding] = field(default_factory=list)
 
     def add(self, check: str, element: Element, reason: str, cure: str = "", key: str = "") -> None:
-        """Note what is wrong with an element (or with its attribute `key`)."""
+        """Note what is wrong with an element (or with its attribute `key`).
+
+        Args:
+            check: that failed. element: at fault. reason, cure: sentences. key: attribute.
+        """
         place = (self.file, element.line, element.column, element.label(key))
         self.findings.append(Finding(check, *place, reason, cure))
 

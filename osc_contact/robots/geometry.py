@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import unquote
 
+from osc_contact.robots.attributes import number, vector
 from osc_contact.robots.document import Document
 from osc_contact.robots.findings import Finding
-from osc_contact.robots.words import number, vector
 from osc_contact.robots.xml_tree import Element
 
 __all__ = ["MESH_TYPES", "check_geometry", "check_mesh_files"]

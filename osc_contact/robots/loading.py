@@ -60,7 +60,11 @@ def load(
     inertias: Inertias = "possible",
     package_dirs: Sequence[Path | str] = (),
 ) -> Loaded:
-    """As `load_model`, with the document beside the model."""
+    """As `load_model`, with the document beside the model.
+
+    Args:
+        path: of the URDF. limits, inertias, package_dirs: see `load_model`.
+    """
     require_level(inertias)
     folders = tuple(Path(folder) for folder in package_dirs)
     document = _sound(Path(path), folders)
@@ -153,6 +157,9 @@ def load_geometry(
     """(kinematics, shapes, document) of a URDF for drawing or collision; dynamics is not judged.
 
     Meshes are read from the URDF's folder and `package_dirs` only.
+
+    Args:
+        path: of the URDF. kind: visual or collision. package_dirs: folders of its meshes.
 
     Raises:
         ModelError: as :func:`load_model` but for limits and inertias; or a mesh cannot be read.

@@ -10,9 +10,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TypeVar
 
+from osc_contact.robots.attributes import check_words, content, number, vector
 from osc_contact.robots.document import Document, Inertial, Joint, Link, Vector
 from osc_contact.robots.findings import suggest
-from osc_contact.robots.words import check_words, content, number, vector
 from osc_contact.robots.xml_tree import Element, parse
 
 __all__ = ["MAX_NAME", "read_document"]

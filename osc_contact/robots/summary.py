@@ -76,6 +76,9 @@ class RobotSummary:
 def summarise(model: pin.Model, document: Document, tip: str | None = None) -> RobotSummary:
     """Numbers of a loaded robot; tips are `tip`, or one link at each end of the tree.
 
+    Args:
+        model, document: of the robot. tip: name of a frame.
+
     Raises:
         ModelError: no such frame, or no joint moves it.
     """

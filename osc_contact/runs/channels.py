@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from osc_contact.contacts.pairs.law_pair import normals_over
-from osc_contact.control.life import Phase
 from osc_contact.control.monitor import ContactMonitor, watch_series
+from osc_contact.control.phases import Phase
 from osc_contact.plants.judge import TruthLog, Truths
 from osc_contact.runs.contacts import feet_over
 from osc_contact.runs.free_motion import free_parts
@@ -95,6 +95,10 @@ def work_out(
     """All channels of a journal's rows, block after block.
 
     The blocks are the same however the rows came, and so is every bit of the channels.
+
+    Args:
+        of: what was run. log: the judge's; None: there is none.
+        parts: of the journal: index of the first row, and (rows, columns) numbers.
     """
     monitor = Monitor(of)
     for first, rows in blocks(parts):
@@ -175,8 +179,8 @@ def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
         body = of.placements[i]
         R, p = body.rotation[:, :, None], body.translation[:, None]
         if X_WE is not None:
-            moved = np.stack([X_WE.turn(R[:, j]) for j in range(3)], axis=1)
-            R, p = moved, X_WE.p + X_WE.turn(p)
+            moved = np.stack([X_WE.rotate(R[:, j]) for j in range(3)], axis=1)
+            R, p = moved, X_WE.p + X_WE.rotate(p)
         out[:, i] = Poses(R, p).coordinates(k)
     return out
 

@@ -16,10 +16,10 @@ from osc_contact import robots
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.contacts.pairs.pair import ContactPair, triad
 from osc_contact.contacts.pairs.registry import make_pair
+from osc_contact.scenarios.contact_schema import FaceMotion
 from osc_contact.scenarios.contact_types import OnFaceSpec, OwnContactSpec
 from osc_contact.scenarios.geometry import PoseSpec
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.scenarios.touching import FaceMotion
 from osc_contact.spatial import Array, Poses, cross
 
 __all__ = ["EnvironmentBody", "build_pairs", "environment_bodies", "feet", "feet_over", "pose_of"]
@@ -86,6 +86,9 @@ def feet(pair: ContactPair, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> tuple
     """Where the lines of force meet the touched surface (r, 3), and their directions (r, 3).
 
     World axes, directions into the environment. A couple acts at O, about its direction.
+
+    Args:
+        pair: of the contact. X_WO, X_WE: poses of object and body; None: the world's.
     """
     E = None if X_WE is None else Poses(X_WE.rotation[:, :, None], X_WE.translation[:, None])
     O = Poses(X_WO.rotation[:, :, None], X_WO.translation[:, None])  # noqa: E741
@@ -96,14 +99,18 @@ def feet(pair: ContactPair, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> tuple
 def feet_over(
     pair: ContactPair, N: Array, X_WO: Poses, X_WE: Poses | None = None
 ) -> tuple[Array, Array]:
-    """The same (3, r, k) each at k instants, given the pair's N (6, r, k) there."""
+    """The same (3, r, k) each at k instants, given the pair's N (6, r, k) there.
+
+    Args:
+        pair: of the contact. N: (6, r, k) at O. X_WO, X_WE: k poses of object and body.
+    """
     force = np.sqrt((N[:3] * N[:3]).sum(axis=0))
     size = np.where(force > 0.0, force, np.sqrt((N[3:] * N[3:]).sum(axis=0)))  # else: a couple
     directions, moments = N[:3] / size, N[3:] / size
     points = X_WO.p[:, None] + cross(directions, moments)
     surface = getattr(pair, "surface_point", None)
     if surface is not None:
-        surface = surface[:, None] if X_WE is None else X_WE.p + X_WE.turn(surface[:, None])
+        surface = surface[:, None] if X_WE is None else X_WE.p + X_WE.rotate(surface[:, None])
         height = (directions * (surface - X_WO.p)[:, None]).sum(axis=0)  # along each line, from O
         points = points + (height - getattr(pair, "surface_radius", 0.0)) * directions
     return points, np.where(force > 0.0, directions, moments)

@@ -16,8 +16,8 @@ from osc_contact.dynamics.rail import Body, Cart, Conveyor, Hinge
 from osc_contact.errors import ScenarioError
 from osc_contact.plants.faces import Rail
 from osc_contact.runs.contacts import EnvironmentBody
+from osc_contact.scenarios.contact_schema import CartSpec, ConveyorSpec, FaceMotion, HingeSpec
 from osc_contact.scenarios.signals import total
-from osc_contact.scenarios.touching import CartSpec, ConveyorSpec, FaceMotion, HingeSpec
 from osc_contact.spatial import Array
 
 __all__ = ["OwnMotion", "known_bodies", "rails", "tracked"]
@@ -25,7 +25,7 @@ __all__ = ["OwnMotion", "known_bodies", "rails", "tracked"]
 
 @dataclass(frozen=True)
 class OwnMotion:
-    """How a body of the environment moves, told by objects: `motion` in a scenario made in Python.
+    """How a body of the environment moves, given as objects: `motion` in a scenario made in Python.
 
     Attributes:
         rail: how the plants move it; driven by any function of time, or free.
@@ -84,7 +84,11 @@ def _freely(motion: CartSpec | HingeSpec) -> dict[str, Any]:
 def known_bodies(
     bodies: Sequence[EnvironmentBody], contacts: int, ignored: bool
 ) -> list[Body | None]:
-    """How the body at each contact answers, as far as the controller knows."""
+    """How the body at each contact answers, as far as the controller knows.
+
+    Args:
+        bodies: of the environment. contacts: how many. ignored: the controller knows of none.
+    """
     found: list[Body | None] = [None] * contacts
     for body in () if ignored else bodies:
         motion = body.motion
@@ -108,8 +112,11 @@ def tracked(
 ) -> tuple[TrackedContact, ...]:
     """Contacts read off the collision geometry; of the declared ones only the names are used.
 
+    Args:
+        pairs: declared contacts. object_urdf: file of the object. bodies: of the environment.
+
     Raises:
-        ScenarioError: several contacts are on one body: they could not be told apart.
+        ScenarioError: several contacts are on one body: they could not be distinguished.
     """
     held = collision_shapes(object_urdf)
     found = {}

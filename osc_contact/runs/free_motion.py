@@ -57,14 +57,14 @@ def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x:
     """
     L = np.linalg.cholesky(chain.reference_inertia(pin.SE3.Identity()))  # in the object's axes
 
-    def white(motions: Array) -> Array:
-        own = np.concatenate((X_WO.turn_back(motions[:3]), X_WO.turn_back(motions[3:])))
+    def whiten(motions: Array) -> Array:
+        own = np.concatenate((X_WO.rotate_back(motions[:3]), X_WO.rotate_back(motions[3:])))
         return np.tensordot(L.T, own, 1)
 
-    J = white(np.concatenate((J[:3] + cross(J[3:], X_WO.p[:, None]), J[3:])))
+    J = whiten(np.concatenate((J[:3] + cross(J[3:], X_WO.p[:, None]), J[3:])))
     locked, plain = _locked([J[:, arm] for arm in chain.slices])
     plain &= all(grasp.is_rigid for grasp in chain.grasps)
-    e, lines = white(x), np.concatenate((X_WO.turn_back(N[:3]), X_WO.turn_back(N[3:])))
+    e, lines = whiten(x), np.concatenate((X_WO.rotate_back(N[:3]), X_WO.rotate_back(N[3:])))
     basis = list(locked)
     for line in np.tensordot(np.linalg.inv(L), lines, 1).transpose(1, 0, 2):
         left, whole = line, _length(line)
@@ -76,7 +76,7 @@ def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x:
     for b in basis:
         e = e - b * (b * e).sum(axis=0)
     own = np.tensordot(np.linalg.inv(L.T), e, 1)
-    found = np.concatenate((X_WO.turn(own[:3]), X_WO.turn(own[3:])))
+    found = np.concatenate((X_WO.rotate(own[:3]), X_WO.rotate(own[3:])))
     for i in np.flatnonzero(~plain).tolist():
         found[:, i] = free_part(chain, q[i], X_WO[i], N[:, :, i], x[:, i])
     return found
@@ -86,7 +86,7 @@ def _locked(arms: list[Array]) -> tuple[Array, Array]:
     """(m, 6, k) orthonormal directions that some arm locks, or zeros; (k,) whether that is plain.
 
     Args:
-        arms: (6, n_i, k) the columns of each, white.
+        arms: (6, n_i, k) the columns of each, whitened.
     """
     k = arms[0].shape[2]
     plain = np.ones(k, dtype=bool)

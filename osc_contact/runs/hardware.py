@@ -18,7 +18,7 @@ from osc_contact.errors import ScenarioError
 from osc_contact.interface import Measurement, Robot, Stamps
 from osc_contact.plants.joint_drives import FlexibleJoints, JointDrives, Motors
 from osc_contact.plants.judge import Plant
-from osc_contact.plants.sensors import Clock, Errors, Eyes, Sensors
+from osc_contact.plants.sensors import Clock, Eyes, SensorErrors, Sensors
 from osc_contact.runs.contacts import EnvironmentBody
 from osc_contact.scenarios.hardware import EncoderSpec, SensorsSpec
 from osc_contact.scenarios.schema import Scenario
@@ -41,6 +41,9 @@ def flexible_joints(
     scenario: Scenario, chain: ClosedChain, state: ChainState
 ) -> FlexibleJoints | None:
     """The springs of a scenario, at the state from which its first mode is counted.
+
+    Args:
+        chain: of the arms. state: at the start.
 
     Raises:
         ScenarioError: numbers for an arm that is not there, or not one for each motor.
@@ -68,7 +71,11 @@ def flexible_joints(
 
 
 def drives(scenario: Scenario, chain: ClosedChain, state: ChainState, seed: int) -> JointDrives:
-    """Springs, motor errors and friction of every motor joint."""
+    """Springs, motor errors and friction of every motor joint.
+
+    Args:
+        chain: of the arms. state: at the start. seed: of the motors' errors.
+    """
     spec, motors = scenario.plant, None
     if spec.motors is not None:
         sliding = _sliding(chain)[chain.actuated]
@@ -99,22 +106,26 @@ def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]
 def sensors(
     spec: SensorsSpec, chain: ClosedChain, bodies: Sequence[EnvironmentBody] = ()
 ) -> Sensors:
-    """The plant's sensors with the errors of a scenario."""
+    """The plant's sensors with the errors of a scenario.
+
+    Args:
+        spec: `plant.sensors`. chain: of the arms. bodies: that cameras track.
+    """
     made = Sensors()
     if (encoder := spec.encoder) is not None:
         noise, bias, resolution = (_joint_errors(encoder, chain, key) for key in _ERRORS)
-        made = replace(made, encoders=(_clock(encoder), Errors(noise, bias, resolution)))
+        made = replace(made, encoders=(_clock(encoder), SensorErrors(noise, bias, resolution)))
     if (torque := spec.joint_torque) is not None:
         share = [float(getattr(torque, key)) * chain.tau_max for key in _ERRORS]
-        made = replace(made, joint_torques=(_clock(torque), Errors(*share)))
+        made = replace(made, joint_torques=(_clock(torque), SensorErrors(*share)))
     if (wrist := spec.wrist) is not None:
         both = [
             np.repeat([getattr(wrist.force, key), getattr(wrist.torque, key)], 3) for key in _ERRORS
         ]
-        made = replace(made, wrists=(_clock(wrist), Errors(*both)))
+        made = replace(made, wrists=(_clock(wrist), SensorErrors(*both)))
     if (eyes := spec.vision) is not None:
         position, orientation = (
-            Errors(*[float(getattr(of, key)) for key in _ERRORS])
+            SensorErrors(*[float(getattr(of, key)) for key in _ERRORS])
             for of in (eyes.position, eyes.orientation)
         )
         frame = float(eyes.frame_position), float(eyes.frame_orientation)
@@ -152,7 +163,11 @@ def _sliding(chain: ClosedChain) -> Array:
 def torque_loop(
     scenario: Scenario, chain: ClosedChain, joints: FlexibleJoints | None
 ) -> JointTorqueLoop | None:
-    """The joint torque loop of a scenario, or None."""
+    """The joint torque loop of a scenario, or None.
+
+    Args:
+        chain: of the arms. joints: the springs; None: stiff joints.
+    """
     spec = scenario.control.joint_torque
     if spec is None or joints is None:
         return None

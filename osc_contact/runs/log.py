@@ -81,7 +81,7 @@ class Log:
         squeezes = internal_forces(len(chain.arms))
         sizes = {"q": chain.nq, "v": chain.nq, "tau": chain.n_a, "alpha_d": r,
                  "alpha": r, "speed": r, **FOUND, "squeeze": squeezes}  # fmt: skip
-        if not of.free:  # what the arms can make of an error is to be told
+        if not of.free:  # what the arms can make of an error is recorded
             sizes["J"] = 6 * chain.nq
         self._still = np.tile(np.eye(4), (contacts, 1, 1)).ravel()
         if self.truth is None:
@@ -89,7 +89,7 @@ class Log:
         else:
             sizes["truth"] = sum(part.size for part in self.truth.parts)
         self._copied = sum(sizes.values())
-        self._of_found = tuple(name for name in sizes if name in FOUND or name == "J")
+        self._of_result = tuple(name for name in sizes if name in FOUND or name == "J")
         sizes |= {"tick_s": 1, "status": 1, "engaged": 1, "squeeze_d": squeezes, "given_up": r}
         if controller.life is not None:
             sizes |= {"phase": contacts, "closed": r, "collision": r}
@@ -104,7 +104,11 @@ class Log:
     def note(
         self, measurement: Measurement, reference: Reference, tau: Array, spent: float
     ) -> None:
-        """Keep a tick: what went in, what was found, what it took (s)."""
+        """Keep a tick: what went in, what was found, what it took (s).
+
+        Args:
+            measurement, reference: of the tick. tau: (n_a,) its torques. spent: on it (s).
+        """
         if self._k == BLOCK or perf_counter() - self._flushed > _EVERY:
             self.flush()
         controller, row, places = self.of.controller, self._rows[self._k], self._places
@@ -156,7 +160,7 @@ class Log:
 
     def _found(self, measurement: Measurement) -> list[Array]:
         """What the last tick found, and the judge's parts."""
-        found = self.of.controller.found()
+        found = self.of.controller.result()
         if found is not self._last:  # compiled ticks overwrite theirs
             self._last = found
             self._parts = self._flat(found, found.magnitudes[: self._r], found.speeds[: self._r])
@@ -169,7 +173,7 @@ class Log:
         return parts
 
     def _flat(self, found: TickResult, alpha: Array, speed: Array) -> list[Array]:
-        fields = (np.ravel(getattr(found, name)) for name in self._of_found)
+        fields = (np.ravel(getattr(found, name)) for name in self._of_result)
         truth = () if self.truth is None else self.truth.parts
         return [*_flattened([alpha, speed, *fields]), *truth]
 
@@ -210,7 +214,7 @@ def _alike(*parts: Array) -> list[Array]:
 
 
 def _put_squeeze(place: Array, wanted: float | Array) -> None:
-    """A number alone is told from numbers by the NaNs behind it."""
+    """A single number is followed by NaNs: that distinguishes it from several."""
     try:
         place[:] = np.nan
         place[: np.size(wanted)] = wanted

@@ -35,7 +35,11 @@ class Records(Protocol):
     def append(
         self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
     ) -> None:
-        """Keep a tick before its torques act: what went in, what came out, what it took (s)."""
+        """Keep a tick before its torques act: what went in, what came out, what it took (s).
+
+        Args:
+            measurement, reference: of the tick. tau: (n_a,) its torques. seconds: spent on it.
+        """
 
     def latest(self) -> Mapping[str, Any]:
         """The channels of the last tick, for a viewer; none if not said otherwise."""

@@ -18,7 +18,7 @@ from osc_contact.runs.contacts import feet
 from osc_contact.runs.finding import Finding
 from osc_contact.runs.references import force_names
 from osc_contact.runs.rig import Rig
-from osc_contact.scenarios.touching import CartSpec
+from osc_contact.scenarios.contact_schema import CartSpec
 from osc_contact.spatial import Array
 
 __all__ = ["Finding", "preflight", "require_ready"]

@@ -21,7 +21,7 @@ __all__ = ["recover", "scenario_of"]
 def recover(path: str | os.PathLike[str]) -> Recording:
     """The recording of a journal that a run left: all its chunks but those that are damaged.
 
-    What is missing is told in `meta["missing"]`, sentences; there are none if nothing is.
+    `meta["missing"]` has a sentence for each missing part.
 
     Args:
         path: such as unfinished.mcap. A scenario of your own and its URDFs are looked for where

@@ -12,10 +12,10 @@ from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.errors import ScenarioError
 from osc_contact.interface import Reference
 from osc_contact.scenarios.contact_types import forces_of, magnitude_names
+from osc_contact.scenarios.control_schema import TareSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.signals import MinimumJerk, Step, total_over
-from osc_contact.scenarios.tuning import TareSpec
-from osc_contact.spatial import Array, Poses, cross, rotations, turned
+from osc_contact.spatial import Array, Poses, cross, rotated, rotations
 
 __all__ = ["Plan", "References", "common_tangent", "force_names", "force_owners", "force_steps"]
 
@@ -89,6 +89,10 @@ class References:
     ) -> References:
         """Resolve `common_tangent` and check that no face is asked to pull.
 
+        Args:
+            scenario: what is wanted. X_start: pose of the object at the start.
+            pairs: the contacts. standoff: (contacts,) gaps at the start (m).
+
         Raises:
             ScenarioError: see `common_tangent`; or a desired force is negative at some time.
         """
@@ -153,7 +157,7 @@ class References:
         R = self.X_start.rotation[:, :, None]
         spin = np.zeros((2, 3, len(t)))
         if turn is not None:
-            R, spin = turned(turn.R, R), np.stack((turn.omega, turn.omega_dot))
+            R, spin = rotated(turn.R, R), np.stack((turn.omega, turn.omega_dot))
         forces = self.scenario.force
         names = force_names(self.scenario)
         alpha = np.array([total_over(forces[name], t)[0] for name in names])
@@ -219,11 +223,11 @@ class _Turn:
         """Followed by a turn of s[0]·axis about a direction fixed in the world; s (3, k)."""
         along = axis[:, None]
         E = rotations(along * s[0])
-        omega = turned(E, self.omega)
+        omega = rotated(E, self.omega)
         return _Turn(
-            turned(E, self.R),
+            rotated(E, self.R),
             along * s[1] + omega,
-            along * s[2] + turned(E, self.omega_dot) + cross(along * s[1], omega),
+            along * s[2] + rotated(E, self.omega_dot) + cross(along * s[1], omega),
         )
 
 
@@ -232,7 +236,7 @@ def _swung(place: Array, axis: Array, through: Array, s: Array) -> Array:
     (3,) through a point (3,) of the world."""
     along, c = axis[:, None], through[:, None]
     E, w, w_dot = rotations(along * s[0]), along * s[1], along * s[2]
-    arm, rate, bend = turned(E, place[0] - c), turned(E, place[1]), turned(E, place[2])
+    arm, rate, bend = rotated(E, place[0] - c), rotated(E, place[1]), rotated(E, place[2])
     velocity = cross(w, arm)
     second = cross(w_dot, arm) + cross(w, velocity) + 2.0 * cross(w, rate) + bend
     return np.array([c + arm, velocity + rate, second])

@@ -57,6 +57,9 @@ def wait_for(condition: Callable[[], bool], seconds: float) -> bool:
 def picture(recording: Recording, rig: Rig, path: Path, time: float | None) -> Path:
     """A PNG of the recording's page at a time (s), default the middle.
 
+    Args:
+        recording: to draw. rig: it was made on. path: of the PNG. time: s.
+
     Raises:
         ViewerError: there is no browser to render it.
         InvalidInputError: the time is not in the recording.

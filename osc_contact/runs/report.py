@@ -31,7 +31,11 @@ def require_judgeable(scenario: Scenario) -> None:
 
 
 def write_report(recording: Recording, scenario: Scenario, folder: Path) -> dict[str, Any]:
-    """Write metrics.json, recording.npz, the figures and scene.html; returns the metrics."""
+    """Write metrics.json, recording.npz, the figures and scene.html; returns the metrics.
+
+    Args:
+        recording: of the run. scenario: that was run. folder: for the files.
+    """
     from osc_contact.visual import plots
 
     folder.mkdir(parents=True, exist_ok=True)

@@ -18,8 +18,8 @@ from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.control.controller import Controller, Gains
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
-from osc_contact.control.life import LifeSettings
 from osc_contact.control.motion import MotionGains
+from osc_contact.control.phases import PhaseSettings
 from osc_contact.control.safety import SafetySettings
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, reach
@@ -178,13 +178,13 @@ class Rig:
             joint_friction=self.scenario.control.joint_friction,
         )
 
-    def _life(self) -> LifeSettings | None:
+    def _life(self) -> PhaseSettings | None:
         spec = self.scenario.control.life
         if spec is None:
             return None
         keys = spec.model_dump()
         told = {key: keys.pop(key) for key in ("force_on", "force_off", "power")}
-        return LifeSettings(**keys, limits=replace(LifeSettings().limits, **told))
+        return PhaseSettings(**keys, limits=replace(PhaseSettings().limits, **told))
 
     def _friction(self) -> Friction | None:
         spec = self.scenario.control.friction
@@ -266,7 +266,11 @@ def build_chain(
     object_mass: float = 1.0,
     joint_friction: float = 1.0,
 ) -> ClosedChain:
-    """Arms and object of a scenario, with masses and friction times the given factors."""
+    """Arms and object of a scenario, with masses and friction times the given factors.
+
+    Args:
+        arm_mass, object_mass, joint_friction: factors of model error.
+    """
     source = _folder(scenario)
     arms = [
         Arm.from_urdf(

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from .contact_types import magnitude_names, raw_magnitudes
-from .tuning import ControlSpec, PlantSpec
+from .control_schema import ControlSpec, PlantSpec
 
 __all__ = [
     "Problem",
@@ -44,6 +44,10 @@ def name_problems(
     """Check that names are unique, that each arm has a grasp and each contact its forces.
 
     `magnitudes`: the number of forces by contact name.
+
+    Args:
+        arms, contacts, grasps: names. force: keys of `reference.force`.
+        magnitudes: number of forces by contact name.
     """
     grasps, force, found = list(grasps), list(force), list[Problem]()
     for key, names in (("arms", arms), ("contacts", contacts)):

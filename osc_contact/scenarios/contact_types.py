@@ -25,9 +25,9 @@ from pydantic import (
     model_validator,
 )
 
+from .contact_schema import FaceSpec
 from .geometry import Name
 from .quantities import Spec, UnitVec3, Vec3
-from .touching import FaceSpec
 
 __all__ = [
     "CONTACT_TYPES",

@@ -11,14 +11,14 @@ import yaml
 
 from ..errors import ScenarioError
 from .checks import did_you_mean
-from .nodes import Problems, compose, scalar
+from .yaml_nodes import Problems, compose, scalar
 
-__all__ = ["Document", "Key"]
+__all__ = ["ScenarioDocument", "Key"]
 
 Key = tuple[str | int, ...]
 
 
-class Document:
+class ScenarioDocument:
     """Plain data of one YAML text with the origin (line or override) of each key."""
 
     def __init__(self, text: str, problems: Problems) -> None:
@@ -30,9 +30,9 @@ class Document:
             self.data = self._read(node, ())
         self.origins[()] = node.start_mark.line + 1 if node is not None else 1
 
-    def copy(self, problems: Problems) -> Document:
+    def copy(self, problems: Problems) -> ScenarioDocument:
         """The same data, to be changed; complaints go to `problems`."""
-        other = Document.__new__(Document)
+        other = ScenarioDocument.__new__(ScenarioDocument)
         other.problems, other.origins = problems, dict(self.origins)
         other.data = deepcopy(self.data)
         return other
@@ -64,11 +64,11 @@ class Document:
         override = f"{path}={value}"
         try:
             quiet = Problems("its value")
-            inner = Document(value, quiet)
+            inner = ScenarioDocument(value, quiet)
             quiet.raise_any()
             if not value.strip():
                 raise ScenarioError("no value is given; write null to clear a key")
-            key = self._make_way(path, override)
+            key = self._create_parents(path, override)
         except ScenarioError as error:
             self.problems.at_override(override, str(error))
             return
@@ -85,13 +85,13 @@ class Document:
 
         Raises:
             ScenarioError: no such path."""
-        *way, last = self._make_way(path, path)
+        *way, last = self._create_parents(path, path)
         holder = self.data
         for part in way:
             holder = holder[part]
         return holder.get(last) if isinstance(holder, dict) else holder[last]
 
-    def _make_way(self, path: str, override: str) -> Key:
+    def _create_parents(self, path: str, override: str) -> Key:
         """Return the key of `path`; groups that the file leaves out are begun."""
         key: Key = ()
         holder = self.data

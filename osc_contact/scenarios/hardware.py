@@ -86,7 +86,7 @@ class FrictionSpec(Spec):
 
 
 class EstimateSpec(Spec):
-    """Accelerations that the estimates of velocities are not told of: joints, tracked bodies."""
+    """Accelerations that the estimates of velocities do not know of: joints, tracked bodies."""
 
     joint_angular: Positive = 2.0
     joint_linear: Positive = 0.5

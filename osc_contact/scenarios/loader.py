@@ -13,10 +13,10 @@ from pydantic import ValidationError
 
 from ..errors import ScenarioError
 from .checks import did_you_mean
-from .document import Document
-from .nodes import Problems
+from .document import ScenarioDocument
+from .messages import complaints
 from .schema import Scenario
-from .wording import complaints
+from .yaml_nodes import Problems
 
 __all__ = ["Template", "list_scenarios", "load_scenario", "parse_scenario", "read_text"]
 
@@ -48,6 +48,9 @@ def parse_scenario(
 ) -> Scenario:
     """Parse YAML text; `source` names it in complaints and anchors relative URDF paths.
 
+    Args:
+        text: YAML. source: file it is from. overrides: KEY=VALUE, or a mapping.
+
     Raises:
         ScenarioError: one line per complaint, `file:line: key.path: what is wrong`."""
     return Template(text, source).make(overrides)
@@ -70,7 +73,7 @@ class Template:
         problems = Problems(self._name)
         if len(text) > LARGEST:
             raise ScenarioError(f"{len(text)} characters; scenarios are read up to {LARGEST}")
-        self._document = Document(text, problems)
+        self._document = ScenarioDocument(text, problems)
         self._problems = list(problems.found)
         if not isinstance(self._document.data, dict):
             problems.at_line(1, "expected keys such as name, arms, object; got no group of keys")

@@ -21,14 +21,14 @@ from pydantic_core import InitErrorDetails
 
 from ..errors import ScenarioError
 from .checks import body_problems, name_problems, timing_problems
+from .contact_schema import BodySpec
 from .contact_types import AnyContact, forces_of
+from .control_schema import ControlSpec, GainsSpec, ModelErrorSpec, PlantSpec, TareSpec
 from .geometry import ArmSpec, GraspSpec, Name, ObjectSpec
 from .hardware import SensorsSpec
+from .messages import complaints
 from .quantities import Force, Spec, Time, UnitVec3, Vec3, refuse
 from .signals import AngleSignal, ForceSignal, LengthSignal
-from .touching import BodySpec
-from .tuning import ControlSpec, GainsSpec, ModelErrorSpec, PlantSpec, TareSpec
-from .wording import complaints
 
 __all__ = ["AngularMove", "LinearMove", "MotionSpec", "Scenario"]
 

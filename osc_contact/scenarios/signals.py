@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from .pieces import JerkLimited, Points, Values
+from .polynomials import JerkLimited, Points, Values
 from .quantities import (
     Acceleration,
     Angle,

@@ -1,1 +1,1 @@
-"""From what sensors and cameras say to what the controller is told."""
+"""From readings of sensors and cameras to what the controller receives."""

@@ -65,6 +65,10 @@ class VelocityEstimate:
         The unknown acceleration changes the velocity by its rms times the period from sample to
         sample.
 
+        Args:
+            noise: (k,) rms of the readings (m, rad). acceleration: (k,) rms (m/s², rad/s²).
+            dt: period of the estimate (s). sample: period of the readings (s); 0: dt.
+
         Raises:
             InvalidInputError: one of them is not > 0.
         """

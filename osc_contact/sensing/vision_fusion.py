@@ -133,7 +133,11 @@ class BodyEstimate:
     R_first: Array
 
     def update(self, X: pin.SE3, fresh: bool, delay: float) -> tuple[pin.SE3, Array]:
-        """(pose, twist (6,) at its origin) now, from a pose that is `delay` old."""
+        """(pose, twist (6,) at its origin) now, from a pose that is `delay` old.
+
+        Args:
+            X: measured pose. fresh: whether it is a new one. delay: its age (s).
+        """
         turned = pin.log3(X.rotation @ self.R_first.T)
         x, rate = self.channels.update(np.concatenate((X.translation, turned)), fresh=fresh)
         x = x + delay * rate

@@ -97,7 +97,7 @@ def _drive(plant: MujocoPlant, controller: Controller, log: DrivenLog, plan: Pla
         if sources is None or tail is None:
             _one(plant, controller, log, plan[k])
             k += 1
-            if int(controller.status) == 0 and controller.found().rank == r:
+            if int(controller.status) == 0 and controller.result().rank == r:
                 sources, tail = log.sources(plant.measure()), log.tail()
                 tail[0] = 0.0
             continue

@@ -20,7 +20,7 @@ from osc_contact.visual.primitives import urdf_geometry
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-__all__ = ["Arm", "ArmVisual", "Body", "BodyVisual", "Content"]
+__all__ = ["MovingArm", "ArmVisual", "MovingBody", "BodyVisual", "Content"]
 
 Array = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ class Content:
     frame_words: str = "best single frame (Raibert–Craig)"
 
 
-class Arm:
+class MovingArm:
     """An arm that moves by its joint positions."""
 
     def __init__(self, arm: ArmVisual) -> None:
@@ -130,7 +130,7 @@ class Arm:
         return np.array(points)
 
 
-class Body:
+class MovingBody:
     """The held object, or a face at rest or in motion."""
 
     def __init__(self, body: BodyVisual) -> None:

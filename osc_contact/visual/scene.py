@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording, column_names
 from osc_contact.visual import contact_colour, curves
-from osc_contact.visual.bodies import Arm, ArmVisual, Body, BodyVisual, Content
+from osc_contact.visual.bodies import ArmVisual, BodyVisual, Content, MovingArm, MovingBody
 from osc_contact.visual.contact_marks import ContactForce, toggles
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
 from osc_contact.visual.parts import Frame, LegendEntry, Part, Sample, animate
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 class Scene:
-    """The parts of a picture: drawn once, then told where they are at each tick.
+    """The parts of a picture: drawn once, then moved at each tick.
 
     Args:
         content: what to show.
@@ -41,8 +41,8 @@ class Scene:
 
     def __init__(self, content: Content, first: Sample, find: FindFrame | None = None) -> None:
         self.content = content
-        self.arms = [Arm(arm) for arm in content.arms]
-        self.bodies = [Body(body) for body in content.bodies]
+        self.arms = [MovingArm(arm) for arm in content.arms]
+        self.bodies = [MovingBody(body) for body in content.bodies]
         self.parts: list[Part] = [*self.arms, *self.bodies]
         self.forces: list[ContactForce] = []
         located = {"contact_point", "contact_direction", "pose"} <= first.keys()

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from osc_contact.errors import InvalidInputError
 
 __all__ = [
-    "CommonPerpendicular", "Normals", "Screw", "common_perpendicular", "contact_normals", "echelon",
-    "helix", "tangents", "twist_screw", "wrench_screw",
+    "CommonPerpendicular", "Normals", "ScrewAxis", "common_perpendicular", "contact_normals",
+    "echelon", "helix", "tangents", "twist_screw", "wrench_screw",
 ]  # fmt: skip
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ FAR = 100.0
 """m: an axis or a pitch beyond this is drawn as infinitely far, or infinite."""
 
 
-class Screw(NamedTuple):
+class ScrewAxis(NamedTuple):
     """A line and a pitch.
 
     Attributes:
@@ -41,7 +41,7 @@ class Screw(NamedTuple):
     pitch: float
 
 
-def wrench_screw(wrench: ArrayLike, origin: ArrayLike) -> Screw:
+def wrench_screw(wrench: ArrayLike, origin: ArrayLike) -> ScrewAxis:
     """The screw of a wrench [f; m] (6,) whose moment is taken about `origin` (3,), m.
 
     Raises:
@@ -51,7 +51,7 @@ def wrench_screw(wrench: ArrayLike, origin: ArrayLike) -> Screw:
     return _screw(force, moment, np.asarray(origin, dtype=float))
 
 
-def twist_screw(twist: ArrayLike, origin: ArrayLike) -> Screw:
+def twist_screw(twist: ArrayLike, origin: ArrayLike) -> ScrewAxis:
     """The screw of a twist [v; ω] (6,) whose velocity is that of `origin` (3,), m.
 
     Raises:
@@ -68,12 +68,12 @@ def _halves(vector: ArrayLike) -> tuple[Array, Array]:
     return values[:3], values[3:]
 
 
-def _screw(line: Array, moment: Array, origin: Array) -> Screw:
+def _screw(line: Array, moment: Array, origin: Array) -> ScrewAxis:
     size, arm = float(np.linalg.norm(line)), float(np.linalg.norm(moment))
     if size * FAR <= arm:
-        return Screw(origin, moment / arm, float("inf"))
+        return ScrewAxis(origin, moment / arm, float("inf"))
     direction = line / size
-    return Screw(
+    return ScrewAxis(
         origin + np.cross(direction, moment / size), direction, float(direction @ moment / size)
     )
 

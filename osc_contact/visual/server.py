@@ -66,7 +66,7 @@ class LivePage:
         return page_text(self.drawn, self.content.title, config)
 
     def update(self) -> None:
-        """Draw the newest tick; an error ends the process, and the run's process is told why.
+        """Draw the newest tick; an error ends the process, and is reported to the run's process.
 
         tornado would log whatever a callback raises and go on: `serve` raises it after the loop.
         """

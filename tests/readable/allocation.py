@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from osc_contact.control.joint_limits import JointLimits
+from osc_contact.control.joint_limits import JointLimitAvoidance
 from osc_contact.dynamics.chain_state import ArmTerms
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.motors import effort_scale
@@ -86,7 +86,7 @@ def _modes(arm: ArmTerms) -> Array:
     return np.linalg.solve(K.T, Vh.T)
 
 
-def _push(limits: JointLimits, q: Array) -> Array:
+def _push(limits: JointLimitAvoidance, q: Array) -> Array:
     """(n,) acceleration away from joint limits at q (n,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = np.where(q < limits.low, limits.low - q, np.maximum(q - limits.high, 0.0))
@@ -112,7 +112,7 @@ class Allocation:
         stiffness, damping: 1/s², 1/s of that posture task. retreat_damping: 1/s, instead of
             damping, of joint motions that a singular posture takes from the task.
         limit_stiffness: 1/s², of the push away from joint limits; 0: none. limit_margin: where it
-            begins, as a share of the joint's range (see `JointLimits`).
+            begins, as a share of the joint's range (see `JointLimitAvoidance`).
     """
 
     chain: ClosedChain
@@ -202,9 +202,9 @@ class Allocation:
         return [arm.model.nv > grasp.N.shape[1] for arm, grasp in held]
 
     @cached_property
-    def limits(self) -> JointLimits:
+    def limits(self) -> JointLimitAvoidance:
         """What pushes redundant arms away from joint limits."""
-        return JointLimits.of(self.chain.model, self.limit_stiffness, self.limit_margin)
+        return JointLimitAvoidance.of(self.chain.model, self.limit_stiffness, self.limit_margin)
 
     def retreat(self, q: Array, v: Array) -> Array:
         """q̈ (n,) = −k_r q̇ + k_p (q₀ − q) in motions that a singular posture takes from the task."""
@@ -235,7 +235,7 @@ class Allocation:
                 tau_0 = state.h[s] + arm.M @ pull + np.diag(arm.M) * push[s]
                 full[s] = tau_0 - arm.J.T @ (arm.J_bar.T @ tau_0)
                 back = state.h[s] + arm.M @ self.retreat(q, v)[s]
-                for lost in (one for one in state.fading if one.arm == i):
+                for lost in (one for one in state.singular_directions if one.arm == i):
                     more = back - tau_0 if lost.locked else (1.0 - lost.share) * back
                     full[s] += (lost.mode @ more) * (arm.M @ lost.mode)
         return full[chain.actuated]

@@ -18,7 +18,6 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
 from osc_contact.spatial import Array
 from readable.allocation import Allocation
-from readable.border import independent
 from readable.chain import state as chain_state
 from readable.command_filter import (
     filtered_motion,
@@ -27,7 +26,6 @@ from readable.command_filter import (
     object_coordinates,
 )
 from readable.contact_state import chosen, parts_in_force, surroundings
-from readable.fade import faded_motion
 from readable.force import (
     ContactTerms,
     ForceLaw,
@@ -36,16 +34,18 @@ from readable.force import (
     sum_of_wrenches,
 )
 from readable.least_squares import explained, slides
-from readable.life import ContactLife
 from readable.motion import MotionLaw
+from readable.phases import ContactPhases
 from readable.rubbing import with_friction
-from readable.wires import Signals, Stage, block
+from readable.signals import Signals, Stage, block
+from readable.singular import faded_motion
+from readable.validation import independent
 
 __all__ = ["Boxes"]
 
 
 class Boxes:
-    """What the boxes know besides their wires; `Controller` says what each of these is."""
+    """What the boxes know besides their signals; `Controller` says what each of these is."""
 
     chain: ClosedChain
     contacts: Sequence[ContactPair]
@@ -58,7 +58,7 @@ class Boxes:
     force_law: ForceLaw
     allocation: Allocation
     terms: ContactTerms
-    life: ContactLife | None
+    life: ContactPhases | None
     _tare: Array
     _bias: Array
     _owners: Array
@@ -75,11 +75,13 @@ class Boxes:
         touched = chosen(s.touched, active)
         s.parts = parts = parts_in_force(pairs, s.state, touched)
         s.contact = contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
-        s.drag, X, V = np.zeros_like(contact.N), s.state.X_WO, s.state.V_O
+        s.friction_wrenches, X, V = np.zeros_like(contact.N), s.state.X_WO, s.state.V_O
         believed = self.friction or Friction(0.0)
         mu = max(believed.mu + self.more_friction, 0.0)
         if mu > 0.0:
-            s.drag = replace(believed, mu=mu).drags(pairs, X, V, touched) @ contact.R.T
+            s.friction_wrenches = (
+                replace(believed, mu=mu).wrenches(pairs, X, V, touched) @ contact.R.T
+            )
         if self.reading == "least_squares":
             self._where = slides(pairs, X, V, touched, believed.slip)
         self._owners = np.repeat(np.flatnonzero(active), [part.R.shape[1] for part in parts])
@@ -88,7 +90,9 @@ class Boxes:
     def _environment(self, s: Signals) -> None:
         active = self.terms.active
         bodies = [body for body, on in zip(self.bodies, active, strict=True) if on]
-        s.environment = surroundings(bodies, s.parts, chosen(s.touched, active), s.state, s.drag)
+        s.environment = surroundings(
+            bodies, s.parts, chosen(s.touched, active), s.state, s.friction_wrenches
+        )
 
     @block("sum of wrist sensors", "force", r"$\Sigma$ at $O$")
     def _sense(self, s: Signals) -> None:
@@ -97,10 +101,13 @@ class Boxes:
     @block("force filter", "force", r"$\Omega_f(\Lambda_{out})$")
     def _force_filter(self, s: Signals) -> None:
         if self.reading == "filter" or s.contact.r == 0:
-            s.f_c_meas = contact_force(s.f_meas, s.state, s.contact, s.environment, s.drag)
+            s.f_c_meas = contact_force(
+                s.f_meas, s.state, s.contact, s.environment, s.friction_wrenches
+            )
             return
         alpha, rate = explained(
-            s.f_meas, s.state, s.contact, s.environment, s.drag, s.reference.A_D, s.alpha_d,
+            s.f_meas, s.state, s.contact, s.environment, s.friction_wrenches, s.reference.A_D,
+            s.alpha_d,
             self._where,
         )  # fmt: skip
         s.f_c_meas = s.contact.N @ alpha
@@ -124,7 +131,7 @@ class Boxes:
 
     @block("to operational space", "force", r"$N\alpha_u$  (16)")
     def _operational_force(self, s: Signals) -> None:
-        s.f_ccomm = (s.contact.N + s.drag) @ s.alpha_u
+        s.f_ccomm = (s.contact.N + s.friction_wrenches) @ s.alpha_u
 
     @block("motion law", "motion", r"$\ddot x_d + K_d\dot e + K_p e + K_i\!\int\! e$")
     def _motion_law(self, s: Signals) -> None:
@@ -135,7 +142,9 @@ class Boxes:
     def _motion_filter(self, s: Signals) -> None:
         eta_u = object_coordinates(s.state, s.contact, s.a_u)
         B = metric_of(self.B, s.state)
-        eta = filtered_motion(s.state, s.contact, eta_u, s.alpha_u, B, s.environment, s.drag)
+        eta = filtered_motion(
+            s.state, s.contact, eta_u, s.alpha_u, B, s.environment, s.friction_wrenches
+        )
         posture = self.allocation.retreat(s.q, s.v)
         s.eta_c = faded_motion(s.state, s.contact, self.chain, eta, posture)
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.dynamics.chain_state import ArmTerms, ChainState, Fading
+from osc_contact.dynamics.chain_state import ArmTerms, ChainState, SingularDirection
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.outboard import columns_at
 from osc_contact.dynamics.payload import ObjectTerms
@@ -19,10 +19,10 @@ from osc_contact.spatial import Array, cross_twist
 from readable.drift import drift
 from readable.wrists import grasp_filter, outboard_terms
 
-__all__ = ["FADED", "FULL", "arm_terms", "mobility", "share_left", "state"]
+__all__ = ["NONE_LEFT", "FULL", "arm_terms", "mobility", "share_left", "state"]
 
-#: Commands begin to fade where χ falls below FULL and are gone at FADED.
-FADED, FULL = 0.05, 0.3
+#: Commands begin to fade where χ falls below FULL and are gone at NONE_LEFT.
+NONE_LEFT, FULL = 0.05, 0.3
 GYRATION = 0.1  #: m, of the ball
 _NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
 
@@ -92,10 +92,10 @@ def state(
         filters=filters,
         Lambda_out=Lambda_out,
         bias_out=bias_out,
-        undriven=chain.unactuated_motions(G, S),
+        unactuated=chain.unactuated_motions(G, S),
         reference=weighed,
         full_ranks=chain.full_ranks,
-        fading=tuple(fading_of(terms, chain.full_ranks, weighed)),
+        singular_directions=tuple(fading_of(terms, chain.full_ranks, weighed)),
     )
 
 
@@ -188,8 +188,8 @@ def _twist(
         Q, R = np.linalg.qr(np.linalg.solve(L, N))
         rows.append(Q.T)
         right.append(np.linalg.solve(R.T, N.T @ V))
-    white = np.linalg.lstsq(np.vstack(rows), np.concatenate(right), rcond=None)[0]
-    return np.linalg.solve(L.T, white)
+    whitened = np.linalg.lstsq(np.vstack(rows), np.concatenate(right), rcond=None)[0]
+    return np.linalg.solve(L.T, whitened)
 
 
 def _wrist_terms(
@@ -233,14 +233,14 @@ def reference_inertia(metric: Array, mass: float, centre: Array) -> Array:
 
 
 def share_left(chi: float) -> float:
-    """1 at χ ≥ FULL, 0 at χ ≤ FADED, 3s² − 2s³ between."""
-    s = min(max((chi - FADED) / (FULL - FADED), 0.0), 1.0)
+    """1 at χ ≥ FULL, 0 at χ ≤ NONE_LEFT, 3s² − 2s³ between."""
+    s = min(max((chi - NONE_LEFT) / (FULL - NONE_LEFT), 0.0), 1.0)
     return s * s * (3.0 - 2.0 * s)
 
 
 def fading_of(
     arms: Sequence[ArmTerms], full_ranks: Sequence[int], reference: Array
-) -> Iterator[Fading]:
+) -> Iterator[SingularDirection]:
     """Every direction whose χ is below FULL.
 
     Args:
@@ -259,7 +259,7 @@ def fading_of(
             U, chis, Vh = np.linalg.svd(A, full_matrices=False)
         for k in np.flatnonzero(chis[: full_ranks[i]] < FULL):
             u = U[:, k]
-            yield Fading(
+            yield SingularDirection(
                 i, float(chis[k]), share_left(float(chis[k])), L @ u, np.linalg.solve(L.T, u),
                 np.linalg.solve(K.T, Vh[k]), bool(k >= arm.rank),
             )  # fmt: skip

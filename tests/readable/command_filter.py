@@ -97,26 +97,27 @@ def filtered_motion(
     alpha_u: Array,
     B: Array,
     environment: Environment,
-    drag: Array | float = 0.0,
+    friction_wrenches: Array | float = 0.0,
 ) -> Array:
     """η̇_c (d,): the motion command after Ω_m(B), eq. 24, with the velocity-product terms.
 
         ρ = n_γ + Nᵀ(b_e − σ + Φ_eN_μα_u)
         η̇_c = η̇_u − B_S N_S (N_SᵀB_S N_S)⁻¹ (N_Sᵀη̇_u − ρ),   N_S = SᵀN
 
-    Friction acts on the environment too: N_μ = N + drag is what pushes it; N is what is tested.
+    Friction acts on the environment too: N_μ = N + friction_wrenches is what pushes it; N is what
+    is tested.
 
     Args:
         state, contact, environment: at this instant.
         eta_u: (d,) unfiltered motion command.
         alpha_u: (r,) force command.
         B: (6, 6) positive definite, any: it decides how a forbidden command is bent into T.
-        drag: (6, r) from `Friction.drags`, or none.
+        friction_wrenches: (6, r) from `Friction.wrenches`, or none.
     """
     N = contact.N
     N_S = state.S.T @ N
     bent = left_inverse(N_S, metric_in_coordinates(state, B), "eq. 24").T
-    pushed = environment.yielding(N, drag) @ alpha_u
+    pushed = environment.yielding(N, friction_wrenches) @ alpha_u
     rho = contact.n_gamma + N.T @ (environment.b_e - state.sigma) + pushed
     return np.asarray(eta_u - bent @ (N_S.T @ eta_u - rho))
 

@@ -44,14 +44,14 @@ def surroundings(
     parts: Sequence[Contact],
     touched: Touched | None,
     state: ChainState,
-    drag: Array | None = None,
+    friction_wrenches: Array | None = None,
 ) -> Environment:
     """Φ_e, b_e and V_e of all bodies together; contacts on one body share its environment.
 
     Args:
         bodies: at each contact; None: it does not answer forces, though it may be seen to move.
         parts: N of each contact. touched: how its body moves.
-        state: of the chain. drag: (6, r) from `Friction.drags`, or none.
+        state: of the chain. friction_wrenches: (6, r) from `Friction.wrenches`, or none.
     """
     if touched is None or not parts:
         return _AT_REST
@@ -65,4 +65,4 @@ def surroundings(
             if body not in of_body:
                 of_body[body] = body.environment(pin.SE3(matrix), V, A, O)
             answers.append(of_body[body])
-    return Environment.combine(list(parts), answers, state.metric, drag)
+    return Environment.combine(list(parts), answers, state.metric, friction_wrenches)

@@ -9,7 +9,7 @@ import numpy as np
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.friction import Friction
 from osc_contact.control.gains import Gains
-from osc_contact.control.reports import GivenUp, LostDirection, Status
+from osc_contact.control.reports import LimitLoss, LostDirection, Status
 from osc_contact.control.signals import Block
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
@@ -17,19 +17,19 @@ from osc_contact.errors import InvalidInputError, OscContactError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.spatial import Array, as_array
 from readable.allocation import Allocation
-from readable.border import require_sound, take_in
 from readable.boxes import Boxes
+from readable.contact_phases import hand_over, live
 from readable.effort_limits import EffortLimits
-from readable.fade import note_lost
 from readable.force import (
     ContactTerms,
     ForceLaw,
 )
-from readable.found import Found
-from readable.life import ContactLife, slewed
-from readable.living import hand_over, live
 from readable.motion import MotionLaw
-from readable.wires import Signals, TracedSignals, observed
+from readable.phases import ContactPhases, slewed
+from readable.signals import Signals, TracedSignals, observed
+from readable.singular import note_lost
+from readable.tick_result import Found
+from readable.validation import require_sound, take_in
 from readable.within_limits import within_limits
 
 __all__ = ["ReadableController"]
@@ -39,7 +39,7 @@ class ReadableController(Boxes):
     """Dynamically decoupled force/motion control of one held object (fig. 4).
 
     Attributes:
-        signals: every wire of the last tick. status, reason: how it ended.
+        signals: every signal of the last tick. status, reason: how it ended.
         given_up: what motor limits cost in the last tick; None: nothing.
         lost_directions: in which motion commands were faded near a singular posture.
         engaged: whether the contacts are part of the model; False treats the object as free.
@@ -64,7 +64,7 @@ class ReadableController(Boxes):
         engaged: bool = True,
         friction: Friction | None = None,
         reading: str = "filter",
-        life: ContactLife | None = None,
+        life: ContactPhases | None = None,
     ) -> None:
         """Assemble the loops.
 
@@ -98,7 +98,7 @@ class ReadableController(Boxes):
         rest = np.zeros(chain.nq) if posture is None else np.asarray(posture, dtype=float)
         self.allocation = Allocation(chain, rest)
         self.limits = EffortLimits(chain, self.contacts)
-        self.given_up: GivenUp | None = None
+        self.given_up: LimitLoss | None = None
         self.lost_directions: tuple[LostDirection, ...] = ()
         self._tare, self._bias = np.zeros(6), np.zeros(6)
         self.friction, self.life, self.reading = friction, life, reading
@@ -183,7 +183,7 @@ class ReadableController(Boxes):
         self.status, self._reason, self.given_up = Status.HELD, str(error), None
 
     def last_signals(self) -> Signals:
-        """The wires of the last tick that could be computed.
+        """The signals of the last tick that could be computed.
 
         Raises:
             InvalidInputError: there was none yet.
@@ -199,7 +199,7 @@ class ReadableController(Boxes):
         """(n_a,) what the last tick gave out."""
         return self._last_tau.copy()
 
-    def found(self) -> Found:
+    def result(self) -> Found:
         """The numbers of the last computed tick that recordings keep.
 
         Raises:
@@ -218,7 +218,7 @@ class ReadableController(Boxes):
         Its mean at rest without contact is the tare, to be stored in `f_tare`: weight errors
         cannot be told from contact forces once contact is made.
         """
-        found = self.found()
+        found = self.result()
         return found.f_meas + self.f_tare - found.bias_out
 
     def engage(self) -> None:
@@ -242,9 +242,9 @@ class ReadableController(Boxes):
     def wiring(self, measurement: Measurement, reference: Reference) -> list[Block]:
         """The boxes with the signals each one really read and wrote, observed during one tick."""
         before = (self.motion_law.integral, self.force_law.integral)
-        wires = TracedSignals()
-        self._take_in(measurement, reference, wires)
-        blocks = observed(self, self.STAGES, wires)
+        signals = TracedSignals()
+        self._take_in(measurement, reference, signals)
+        blocks = observed(self, self.STAGES, signals)
         self.motion_law.integral, self.force_law.integral = before
         return blocks
 

@@ -20,13 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
-from osc_contact.control.reports import GivenUp
+from osc_contact.control.reports import LimitLoss
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.motors import effort_scale
 from osc_contact.errors import InvalidInputError, SolverError
 from osc_contact.spatial import Array
 from readable.allocation import squeeze_response
-from readable.wires import Signals
+from readable.signals import Signals
 
 __all__ = ["EffortLimits", "Relief", "Response", "idle_motions", "relieve"]
 
@@ -207,8 +207,8 @@ class EffortLimits:
             Lambda=state.Lambda,
             metric=state.S.T @ state.metric @ state.S,
             N=state.S.T @ contact.N,
-            pushed=state.S.T @ (contact.N + s.drag),
-            Phi_e=s.environment.yielding(contact.N, s.drag),
+            pushed=state.S.T @ (contact.N + s.friction_wrenches),
+            Phi_e=s.environment.yielding(contact.N, s.friction_wrenches),
             normal=contact.N.T @ np.linalg.solve(state.metric, contact.N),
             alpha=s.alpha_u,
             E=E,
@@ -229,12 +229,14 @@ class EffortLimits:
         share = R.T @ np.linalg.inv(R @ R.T) if len(R) else np.zeros((0, 0))
         return {"share": share[pushes], "floor": np.minimum(self.floor, share[pushes] @ alpha)}
 
-    def given_up(self, wanted: Response, relief: Relief, R: Array, acceleration: Array) -> GivenUp:
+    def given_up(
+        self, wanted: Response, relief: Relief, R: Array, acceleration: Array
+    ) -> LimitLoss:
         """For the user: by joint, by contact force, and as an acceleration (6,) at O."""
         motors = np.flatnonzero(relief.at_limit)
         names = self.chain.joint_names
         force = R.T @ np.linalg.solve(R @ R.T, relief.force) if len(R) else np.zeros(0)
-        return GivenUp(
+        return LimitLoss(
             tuple(names[self.chain.actuated[i]] for i in motors),
             wanted.tau[motors],
             self.chain.tau_max[motors],

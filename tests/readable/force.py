@@ -44,7 +44,7 @@ def contact_force(
     state: ChainState,
     contact: Contact,
     environment: Environment,
-    drag: Array | float = 0.0,
+    friction_wrenches: Array | float = 0.0,
 ) -> Array:
     """The contact force f_c (6,) inside a wrist reading: the filter Ω_f(Λ_out) of fig. 5.
 
@@ -54,28 +54,33 @@ def contact_force(
         f_c = N (Nᵀ(Λ_out⁻¹ + Φ_e)N)⁻¹ [NᵀΛ_out⁻¹(f_meas − bias_out) − n_γ − Nᵀb_e]
 
     With Φ_e = 0 this is Ω_f(Λ_out) and an offset. Λ_out is the object's inertia Λ_o of the paper
-    plus the gripper parts outboard of the sensors. Contacts that slide push N_μα, N_μ = N + drag:
-    the right N of the solve becomes N_μ, and what is returned is the normal part Nα.
+    plus the gripper parts outboard of the sensors. Contacts that slide push N_μα,
+    N_μ = N + friction_wrenches: the right N of the solve becomes N_μ, and what is returned is the
+    normal part Nα.
 
     Args:
-        f_meas: (6,) sum of the wrist readings at O. drag: (6, r) from `Friction.drags`, or none.
+        f_meas: (6,) sum of the wrist readings at O.
+        friction_wrenches: (6, r) from `Friction.wrenches`, or none.
         state, contact, environment: at this instant.
     """
     N = contact.N
     if state.d < 6 and not state.payload.Lambda.any():
-        return _of_the_tip(f_meas, state, contact, environment, drag)
-    D, Phi_N = outboard_mobility(state, contact, environment, drag)
+        return _of_the_tip(f_meas, state, contact, environment, friction_wrenches)
+    D, Phi_N = outboard_mobility(state, contact, environment, friction_wrenches)
     seen = Phi_N.T @ (f_meas - state.bias_out) - contact.n_gamma - N.T @ environment.b_e
     return N @ np.linalg.solve(D, seen)
 
 
 def outboard_mobility(
-    state: ChainState, contact: Contact, environment: Environment, drag: Array | float = 0.0
+    state: ChainState,
+    contact: Contact,
+    environment: Environment,
+    friction_wrenches: Array | float = 0.0,
 ) -> tuple[Array, Array]:
     """D = Nᵀ(Λ_out⁻¹ + Φ_e)N_μ (r, r) and Λ_out⁻ᵀN (6, r); arguments as in `contact_force`."""
     N = contact.N
     Phi_N = np.linalg.solve(state.Lambda_out.T, N)
-    return Phi_N.T @ (N + drag) + environment.yielding(N, drag), Phi_N
+    return Phi_N.T @ (N + friction_wrenches) + environment.yielding(N, friction_wrenches), Phi_N
 
 
 def _of_the_tip(
@@ -83,7 +88,7 @@ def _of_the_tip(
     state: ChainState,
     contact: Contact,
     environment: Environment,
-    drag: Array | float,
+    friction_wrenches: Array | float,
 ) -> Array:
     """The same where nothing is held and the tip cannot make every motion: Λ_out is singular.
 
@@ -93,9 +98,9 @@ def _of_the_tip(
     f = f_meas - state.bias_out - state.Lambda_out @ state.sigma
     if not state.Lambda_out.any():  # nothing beyond the sensors: they read f_c itself
         Phi_N = np.linalg.solve(state.metric, N)
-        return N @ np.linalg.solve(Phi_N.T @ (N + drag), Phi_N.T @ f)
+        return N @ np.linalg.solve(Phi_N.T @ (N + friction_wrenches), Phi_N.T @ f)
     Phi_out = S @ np.linalg.solve(S.T @ state.Lambda_out @ S, S.T)
-    D = N.T @ Phi_out @ (N + drag) + environment.yielding(N, drag)
+    D = N.T @ Phi_out @ (N + friction_wrenches) + environment.yielding(N, friction_wrenches)
     seen = N.T @ (Phi_out @ f + state.sigma - environment.b_e) - contact.n_gamma
     return N @ np.linalg.solve(D, seen)
 

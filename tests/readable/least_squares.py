@@ -47,7 +47,7 @@ def explained(
     state: ChainState,
     contact: Contact,
     environment: Environment,
-    drag: Array,
+    friction_wrenches: Array,
     A_D: Array,
     wanted: Array,
     where: Sequence[tuple[Array, Array, Array]],
@@ -65,7 +65,7 @@ def explained(
     pull = pull @ np.linalg.inv(N.T @ pull)  # least motion for given normal accelerations
     a = a + pull @ (contact.n_gamma + N.T @ environment.b_e - N.T @ a)
     f = f_meas - state.bias_out - out @ a
-    H = N + drag + out @ pull @ environment.yielding(N, drag)
+    H = N + friction_wrenches + out @ pull @ environment.yielding(N, friction_wrenches)
     tangents, weights, along = [], [], []
     for (p, n, s), force in zip(where, wanted, strict=True):
         w = max(abs(force), LEAST_FORCE)

@@ -8,11 +8,11 @@ import numpy as np
 
 from osc_contact.spatial import Array
 
-__all__ = ["Heard", "heard"]
+__all__ = ["FilteredForce", "filter_force"]
 
 
 @dataclass(frozen=True)
-class Heard:
+class FilteredForce:
     """Low-passed magnitudes and speeds, (r,) each, of the columns that are `known`."""
 
     force: Array
@@ -20,14 +20,20 @@ class Heard:
     known: Array
 
     @classmethod
-    def nothing(cls, r: int) -> Heard:
+    def nothing(cls, r: int) -> FilteredForce:
         """Before the first tick."""
         return cls(np.zeros(r), np.zeros(r), np.zeros(r, dtype=bool))
 
 
-def heard(
-    before: Heard, alpha: Array, speed: Array, inertia: Array, here: Array, dt: float, lag: float
-) -> tuple[Heard, Array]:
+def filter_force(
+    before: FilteredForce,
+    alpha: Array,
+    speed: Array,
+    inertia: Array,
+    here: Array,
+    dt: float,
+    lag: float,
+) -> tuple[FilteredForce, Array]:
     """Contact forces (r,) that do not take the contact for granted.
 
     The filter of fig. 5 puts Nᵀa_rel = n_γ. An object that leaves its face, or flies towards it,
@@ -44,4 +50,4 @@ def heard(
     force = np.where(before.known, before.force + k * (alpha - before.force), alpha)
     pace = np.where(before.known, before.pace + k * (speed - before.pace), speed)
     rate = np.where(before.known, pace - before.pace, 0.0) / dt
-    return Heard(force, pace, here), force - inertia @ rate
+    return FilteredForce(force, pace, here), force - inertia @ rate

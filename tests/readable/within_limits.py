@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 from osc_contact.control.reports import Status
 from osc_contact.spatial import Array
-from readable.border import limited
 from readable.effort_limits import relieve
+from readable.validation import limited
 
 if TYPE_CHECKING:
     from readable.controller import ReadableController as Controller
-    from readable.wires import Signals
+    from readable.signals import Signals
 
 __all__ = ["within_limits"]
 

@@ -70,9 +70,9 @@ def grasp_filter(J: Array, N: Array, P: Array, L: Array) -> Array:
         P: (6, n) wrench of the outboard links for q̈, at O.
         L: (6, 6) Cholesky factor of the object's inertia: the metric in which rank is decided.
     """
-    white = np.linalg.solve(L, N)
-    Q, _ = np.linalg.qr(white, mode="complete")
-    T = Q[:, N.shape[1] :]  # white: NᵀT = 0
+    whitened = np.linalg.solve(L, N)
+    Q, _ = np.linalg.qr(whitened, mode="complete")
+    T = Q[:, N.shape[1] :]  # whitened: NᵀT = 0
     passed = (L @ Q[:, : N.shape[1]]).T @ J
     scale = np.linalg.norm(passed, axis=0).max(initial=0.0)
     _, s, Vh = np.linalg.svd(passed, full_matrices=True)

@@ -84,6 +84,9 @@ def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
     Corners belong to it that lie back, seen from the foremost one, by no more than `margin` (m)
     and by no more than `angle` (rad) times their distance from it. One such corner is a vertex,
     corners in line are an edge, others a face.
+
+    Args:
+        solid: a convex shape. d: (3,) unit vector. margin: m. angle: rad.
     """
     if solid.axis is not None:
         return _of_cylinder(solid, solid.axis, d, margin, angle)

@@ -31,6 +31,10 @@ def merged(
     line or point, or if it touches with a part of the object's shape that is inside the other's
     shape (the rim of a cylinder inside the ball that rounds its end). Among points the rounded
     stays, then the nearer.
+
+    Args:
+        found: all contacts. object_geometry: shapes of the object. X_WO: its pose.
+        margin: heights that count as equal (m). angle: directions that count as equal (rad).
     """
     shapes = {shape.name: shape for shape in object_geometry}
     kept: list[Detected] = []

@@ -22,12 +22,21 @@ _TIE = 1e-9
 
 
 def separation(a: Solid, e: Solid, n: Array) -> float:
-    """Gap between a and e along the unit vector n out of e: never more than their distance (m)."""
+    """Gap between a and e along the unit vector n out of e: never more than their distance (m).
+
+    Args:
+        a, e: shapes of object and environment in world axes. n: (3,) unit vector out of e.
+    """
     return float(_separations(a, e, n[None, :])[0])
 
 
 def best_direction(a: Solid, e: Solid, guess: Array | None = None) -> Array:
-    """(3,) the outward normal of e, or the guess, along which a and e are farthest apart."""
+    """(3,) the outward normal of e, or the guess, along which a and e are farthest apart.
+
+    Args:
+        a, e: shapes of object and environment in world axes.
+        guess: (3,) tried besides the normals and the directions across two edges.
+    """
     crosses = cross(a.edges.T[:, :, None], e.edges.T[:, None, :]).reshape(3, -1).T
     length = np.linalg.norm(crosses, axis=1)
     crosses = crosses[length > 1e-6] / length[length > 1e-6, None]
@@ -46,7 +55,12 @@ def _separations(a: Solid, e: Solid, directions: Array) -> Array:
 
 
 def exact_normal(a: Feature, e: Feature, n: Array, angle: float) -> Array:
-    """n as the two features fix it: the face's, else across both edges, else between centres."""
+    """n as the two features fix it: the face's, else across both edges, else between centres.
+
+    Args:
+        a, e: features of object and environment. n: (3,) unit vector near the normal.
+        angle: tolerance (rad).
+    """
     if e.normal is not None:
         return e.normal
     if a.normal is not None:

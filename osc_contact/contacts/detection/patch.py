@@ -18,6 +18,10 @@ def shared_patch(
     A patch narrower than `width` counts as a line (k = 2), a line shorter as a point (k = 1).
     Heights along n mean nothing here. `witness` (3,) stands in where, a little apart, the two do
     not overlap at all.
+
+    Args:
+        a, e: features of object and environment. n: (3,) unit vector. witness: (3,) point (m).
+        width: m. angle: tolerance (rad).
     """
     axes = plane_axes(n)
     flat_a, flat_e = a.points @ axes.T, e.points @ axes.T

@@ -25,6 +25,10 @@ def face_on_edge(
     """A plane of the object (its frame) on two points (2, 3) of a line of the environment, r = 2.
 
     gⱼ = n·(eⱼ − p) − radius with n out of the object.
+
+    Args:
+        point, normal: (3,) of the plane, in the object's frame. edge: (2, 3) points (m).
+        radius: of the line (m). name: of the pair.
     """
 
     def gap(X: pin.SE3) -> Array:
@@ -39,6 +43,10 @@ def rim_on_face(rim: Feature, point: Array, normal: Array, sine: float, name: st
 
     g = n·(c − p) − R |n × a|: the disc with centre c and axis a reaches R sin∠(n, a) down.
     `sine` is that sine at the contact, for the step of the differences.
+
+    Args:
+        rim: of the object, in its frame. point, normal: (3,) of the plane. sine: of ∠(n, a).
+        name: of the pair.
     """
     centre, axis, radius = rim.disc
 
@@ -50,7 +58,12 @@ def rim_on_face(rim: Feature, point: Array, normal: Array, sine: float, name: st
 
 
 def face_on_rim(point: Array, normal: Array, rim: Feature, sine: float, name: str) -> GapFunctions:
-    """A plane of the object on the rim of a disc of the environment, r = 1; see rim_on_face."""
+    """A plane of the object on the rim of a disc of the environment, r = 1; see rim_on_face.
+
+    Args:
+        point, normal: (3,) of the plane, in the object's frame. rim: of the environment.
+        sine: of ∠(n, a). name: of the pair.
+    """
     centre, axis, radius = rim.disc
 
     def gap(X: pin.SE3) -> Array:
@@ -62,6 +75,9 @@ def face_on_rim(point: Array, normal: Array, rim: Feature, sine: float, name: st
 
 def between_round(a: Feature, e: Feature, name: str) -> GapFunctions:
     """Points or straight lines, at least one with a radius: g = their distance − both radii, r = 1.
+
+    Args:
+        a, e: features of object and environment, with their radii (m). name: of the pair.
 
     Raises:
         ContactError: a rim is one of the two.

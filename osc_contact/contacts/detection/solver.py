@@ -30,7 +30,11 @@ class Nearest:
 
 
 def nearest(a: Any, X_A: pin.SE3, e: Any, X_E: pin.SE3) -> Nearest:
-    """Of two coal shapes at these poses."""
+    """Of two coal shapes at these poses.
+
+    Args:
+        a, e: coal shapes. X_A, X_E: their poses in the world.
+    """
     result = coal.DistanceResult()
     distance = coal.distance(a, _placed(X_A), e, _placed(X_E), coal.DistanceRequest(), result)
     normal, witness = -np.array(result.normal), np.array(result.getNearestPoint2())

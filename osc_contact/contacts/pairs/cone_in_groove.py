@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from osc_contact.contacts.pairs.pair import read_geometry, triad
 from osc_contact.contacts.pairs.registry import register_pair
-from osc_contact.contacts.pairs.tangent_pair import TangentPair, held_axis, slide, turn
+from osc_contact.contacts.pairs.tangent_pair import TangentPair, held_axis, rotation, slide
 from osc_contact.spatial import Array
 
 __all__ = ["ConeInGroove"]
@@ -44,6 +44,6 @@ class ConeInGroove(TangentPair):
             groove_direction="direction of the groove", seat="direction of the seated cone's axis",
         )  # fmt: skip
         across = triad(self.groove_direction)[:, :2]
-        freedoms = turn(self.apex, self.axis), slide(self.apex, self.groove_direction)
+        freedoms = rotation(self.apex, self.axis), slide(self.apex, self.groove_direction)
         tilts = held_axis(self.axis, self.seat)
         self._hold_tangents(self.apex, across, self.groove_point, tilts, freedoms)

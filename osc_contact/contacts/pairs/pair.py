@@ -118,7 +118,12 @@ class Bodies:
         X_WE: pin.SE3 | None = None,
         V_E: Array | None = None,
     ) -> Bodies:
-        """The arguments of `ContactPair.contact`, E's twist carried to O."""
+        """The arguments of `ContactPair.contact`, E's twist carried to O.
+
+        Args:
+            X_WO, X_WE: poses of object and environment; X_WE None: the world's.
+            V_O: (6,) twist of the object at O. V_E: (6,) of the environment at its origin.
+        """
         O_W = X_WO.translation
         start = _ORIGIN if X_WE is None else X_WE.translation
         V_env = _AT_REST if V_E is None else carry_twist(V_E, start, O_W)
@@ -129,7 +134,7 @@ class Bodies:
         """(6,) twist of A relative to E, at O."""
         return self.V_A - self.V_E
 
-    def turn_E(self, direction: Array) -> Array:
+    def rotate_E(self, direction: Array) -> Array:
         """A direction (3,), or columns (3, k), of E in world axes."""
         return direction if self.R_E is None else self.R_E @ direction
 
@@ -139,7 +144,7 @@ class Bodies:
 
     def point_E(self, point: Array) -> Array:
         """A point (3,) of E, from O."""
-        return self.origin_E + self.turn_E(point)
+        return self.origin_E + self.rotate_E(point)
 
 
 def velocity(V: Array, points: Array) -> Array:
@@ -155,7 +160,11 @@ def lines_of_force(points: Array, directions: Array) -> Array:
 
 
 def lines_of_force_rate(points: Array, directions: Array, p_dot: Array, n_dot: Array) -> Array:
-    """Ẇ(n, p) = [ṅ; ṗ × n + p × ṅ] with absolute ṗ: the reference point stays where O is now."""
+    """Ẇ(n, p) = [ṅ; ṗ × n + p × ṅ] with absolute ṗ: the reference point stays where O is now.
+
+    Args:
+        points: (3, r) from O (m). directions: (3, r) unit vectors. p_dot, n_dot: (3, r) rates.
+    """
     return np.concatenate((n_dot, cross(p_dot, directions) + cross(points, n_dot)))
 
 
@@ -193,6 +202,9 @@ def read_geometry(pair: Any, *points: str, **directions: str) -> None:
 def unit_vector(name: str, value: Any, meaning: str) -> Array:
     """`value` (3,) normalised.
 
+    Args:
+        name: of the argument. value: three numbers. meaning: what it is, for the message.
+
     Raises:
         InvalidInputError: wrong shape, not finite or zero.
     """
@@ -204,7 +216,11 @@ def unit_vector(name: str, value: Any, meaning: str) -> Array:
 
 
 def require_length(name: str, value: float, least: str = "≥") -> None:
-    """Refuse what is not a length ≥ 0 m (or > 0 m)."""
+    """Refuse what is not a length ≥ 0 m (or > 0 m).
+
+    Args:
+        name: of the argument. value: m. least: "≥" or ">" 0.
+    """
     fits = np.isfinite(value) and (value > 0.0 or (least == "≥" and value == 0.0))
     if not fits:
         raise InvalidInputError(f"{name} = {value}; give a length {least} 0 m")

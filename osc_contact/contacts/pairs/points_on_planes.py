@@ -42,11 +42,15 @@ class PointsOnPlanes(LawPair):
     def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
         """(r,) signed distances (m), negative where the two overlap."""
         b = Bodies.at_O(X_WO, X_WE=X_WE)
-        p, n = b.point_A(self._points), b.turn_E(self._into)
+        p, n = b.point_A(self._points), b.rotate_E(self._into)
         return self._reach + b.origin_E @ n - np.einsum("ij,ij->j", p, n)
 
 
 def ends(point: Array, direction: Array, length: float) -> Array:
-    """(3, 2) the two ends of a segment whose middle is `point`."""
+    """(3, 2) the two ends of a segment whose middle is `point`.
+
+    Args:
+        point, direction: (3,) middle (m) and unit vector. length: m.
+    """
     half = 0.5 * length * direction
     return np.column_stack((point - half, point + half))

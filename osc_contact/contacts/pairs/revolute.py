@@ -8,7 +8,7 @@ import pinocchio as pin
 
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.contacts.pairs.registry import register_pair
-from osc_contact.contacts.pairs.tangent_pair import TangentPair, held_axis, read_joint, turn
+from osc_contact.contacts.pairs.tangent_pair import TangentPair, held_axis, read_joint, rotation
 from osc_contact.spatial import Array
 
 __all__ = ["Revolute"]
@@ -36,6 +36,6 @@ class Revolute(TangentPair):
     def __post_init__(self) -> None:
         read_joint(self)
         seat = self.assembled.rotation @ self.axis
-        tilts, freedoms = held_axis(self.axis, seat), (turn(self.point, self.axis),)
+        tilts, freedoms = held_axis(self.axis, seat), (rotation(self.point, self.axis),)
         on_axis = self.assembled.act(self.point)
         self._hold_tangents(self.point, triad(seat), on_axis, tilts, freedoms)

@@ -62,7 +62,7 @@ class Screw(TangentPair):
     def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
         """(5,) signed errors, the last one wrapped to ±π |pitch|."""
         b = Bodies.at_O(X_WO, X_WE=X_WE)
-        x, y, d = b.turn_E(self._seat).T
+        x, y, d = b.rotate_E(self._seat).T
         spoke = b.R_A @ (self.assembled.rotation.T @ self._seat[:, 0])  # along x when assembled
         angle = np.arctan2(y @ spoke, x @ spoke)
         on_axis = b.point_E(self.assembled.act(self.point))

@@ -12,7 +12,7 @@ from osc_contact.law.tables import COUPLE, FORCE, SCREW, SLIDE, TANGENTS, THREAD
 from osc_contact.spatial import Array
 
 __all__ = [
-    "TangentPair", "held_axes", "held_axis", "read_joint", "screw", "slide", "thread", "turn"
+    "TangentPair", "held_axes", "held_axis", "read_joint", "screw", "slide", "thread", "rotation"
 ]  # fmt: skip
 
 _NONE = np.zeros((3, 0))
@@ -47,7 +47,7 @@ class TangentPair(PointsOnPlanes):
         Args:
             point: (3,) of A. into: (3, k) unit directions of E. on_plane: (3,) a point of E.
             right_angles: arms (3, m) of A and marks (3, m) of E.
-            freedoms: made by `turn`, `slide`, `screw`. threads: columns made by `thread`.
+            freedoms: made by `rotation`, `slide`, `screw`. threads: columns made by `thread`.
         """
         points, (arms, marks) = np.tile(point[:, None], into.shape[1]), right_angles
         store(self, _points=points, _into=into, _reach=on_plane @ into, _arms=arms, _marks=marks)
@@ -59,11 +59,11 @@ class TangentPair(PointsOnPlanes):
     def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
         """(r,) signed errors: m for the points, rad (to first order) for the directions."""
         b = Bodies.at_O(X_WO, X_WE=X_WE)
-        angles = -np.einsum("ij,ij->j", b.R_A @ self._arms, b.turn_E(self._marks))
+        angles = -np.einsum("ij,ij->j", b.R_A @ self._arms, b.rotate_E(self._marks))
         return np.concatenate((super().gaps(X_WO, X_WE), angles))
 
 
-def turn(point: Array, axis: Array) -> Array:
+def rotation(point: Array, axis: Array) -> Array:
     """Rotation about an axis of A through a point of A."""
     return shape(point, axis, TURN)
 
@@ -74,12 +74,20 @@ def slide(point: Array, axis: Array) -> Array:
 
 
 def screw(point: Array, axis: Array, seat: Array, pitch: float) -> Array:
-    """Rotation about an axis of A, and pitch (m/rad) times its rate along the seat's axis of E."""
+    """Rotation about an axis of A, and pitch (m/rad) times its rate along the seat's axis of E.
+
+    Args:
+        point, axis: (3,) in A (m, unit vector). seat: (3,) axis in E. pitch: m/rad.
+    """
     return shape(point, axis, SCREW, seat, pitch)
 
 
 def thread(point: Array, axis: Array, seat: Array, pitch: float) -> Array:
-    """The column of N that holds a screw to its pitch."""
+    """The column of N that holds a screw to its pitch.
+
+    Args:
+        point, axis, seat, pitch: as in `screw`.
+    """
     return shape(point, seat, THREAD, axis, pitch)
 
 

@@ -70,7 +70,11 @@ def check_words(document: Document, root: Element) -> None:
 
 
 def number(document: Document, element: Element, key: str, default: float | None = None) -> float:
-    """A finite number; without default it must be there."""
+    """A finite number; without default it must be there.
+
+    Args:
+        document: collects complaints. element: that has it. key: attribute. default: if absent.
+    """
     text = element.get(key)
     if text is None and default is not None:
         return default
@@ -88,7 +92,11 @@ def content(document: Document, element: Element) -> float:
 def vector(
     document: Document, element: Element, key: str, default: tuple[float, ...] | None
 ) -> tuple[float, ...]:
-    """Three finite numbers."""
+    """Three finite numbers.
+
+    Args:
+        document: collects complaints. element: that has it. key: attribute. default: if absent.
+    """
     text = element.get(key)
     if text is None and default is not None:
         return default

@@ -1,4 +1,4 @@
-"""Contact life applied to a controller: terms of the next tick, and what goes on when N changes."""
+"""Contact phases applied to a controller: terms of the next tick, what goes on when N changes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from osc_contact.control.reports import Status
 from osc_contact.interface import Reference
 from osc_contact.spatial import Array
 from readable.command_filter import object_coordinates
-from readable.life import ContactLife, Phase, commanded
+from readable.phases import ContactPhases, Phase, commanded
 
 if TYPE_CHECKING:
     from readable.controller import ReadableController as Controller
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["hand_over", "live", "measured", "phases"]
 
 
-def live(controller: Controller, life: ContactLife, reference: Reference) -> Reference:
+def live(controller: Controller, life: ContactPhases, reference: Reference) -> Reference:
     """Decide which contacts are in N at this tick; returns the reference with their force goals.
 
     Integrals of contacts that are not under force control before and after are reset. Where N
@@ -56,7 +56,7 @@ def measured(controller: Controller, owners: Array) -> tuple[Array, Array]:
     Args:
         controller: after a tick. owners: (r_all,) the contact of each column of N.
     """
-    found = controller.found()
+    found = controller.result()
     alpha, speed = found.alpha_meas, found.normal_speed
     if len(alpha) == len(owners):
         return alpha, speed
@@ -79,7 +79,7 @@ def phases(controller: Controller) -> NDArray[np.int64]:
 
 def _outboard(controller: Controller, owners: Array) -> Array:
     """D⁻¹ (r_all, r_all) of the force filter (kg); 0 out of N and where columns are dependent."""
-    D, here = controller.found().mobility, np.flatnonzero(controller.terms.active[owners])
+    D, here = controller.result().mobility, np.flatnonzero(controller.terms.active[owners])
     out = np.zeros((len(owners), len(owners)))
     if 0 < len(D) == len(here):
         out[np.ix_(here, here)] = np.linalg.inv(D)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from osc_contact.paper.contact_life import Landing, collisions, effort_limits, normal_speeds
+from osc_contact.paper.contact_phases import Landing, collisions, effort_limits, normal_speeds
 from osc_contact.recorder import Recording
 from osc_contact.visual import OKABE_ITO, contact_colour
 from osc_contact.visual.style import legend, panels, style

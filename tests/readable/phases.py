@@ -1,4 +1,4 @@
-"""Contact life: which contacts are open, approached or closed, and what that means for the law.
+"""Contact phases: which contacts are open, approached or closed, and what that means for the law.
 
     OPEN ── a force is wanted ──▶ APPROACHING ── contact made ──▶ CLOSED
      ▲                             │      ▲                         │
@@ -21,18 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from osc_contact.control.force import ForceGains
-from osc_contact.control.life import LifeSettings, Phase
+from osc_contact.control.phases import Phase, PhaseSettings
 from osc_contact.spatial import Array
-from readable.low_pass import Heard, heard
+from readable.low_pass import FilteredForce, filter_force
 from readable.monitor import MonitorState, watched
 
-__all__ = ["ContactLife", "LifeSettings", "LifeState", "Phase", "commanded", "lived", "slewed"]
+__all__ = ["ContactPhases", "PhaseSettings", "PhaseState", "Phase", "commanded", "lived", "slewed"]
 
 Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class LifeState:
+class PhaseState:
     """Where each contact stands.
 
     Attributes:
@@ -43,7 +43,7 @@ class LifeState:
     phase: Array
     since: Array
     seen: MonitorState
-    heard: Heard
+    heard: FilteredForce
 
     @property
     def active(self) -> Flags:
@@ -73,15 +73,15 @@ class Columns:
 
 
 def lived(
-    state: LifeState,
+    state: PhaseState,
     alpha: Array,
     speed: Array,
     inertia: Array,
     wanted: Array,
     columns: Columns,
     dt: float,
-    settings: LifeSettings,
-) -> LifeState:
+    settings: PhaseSettings,
+) -> PhaseState:
     """The state one tick later.
 
     Args:
@@ -92,7 +92,7 @@ def lived(
         columns, dt, settings: as they are.
     """
     here = state.active[columns.owners]
-    audible, force = heard(state.heard, alpha, speed, inertia, here, dt, settings.lag)
+    audible, force = filter_force(state.heard, alpha, speed, inertia, here, dt, settings.lag)
     more = settings.share * _risen(state, columns, settings) * (wanted - settings.push)
     force, more = np.where(here, force, 0.0), np.maximum(more, 0.0)
     seen = watched(state.seen, force, speed, dt, settings.limits, more)
@@ -105,15 +105,15 @@ def lived(
     phase = np.where(columns.any(wanted > 0.0), closed, Phase.OPEN)
     phase = np.where(columns.pushing, phase, Phase.CLOSED)
     since = np.where(phase == state.phase, state.since + dt, 0.0)
-    return LifeState(phase, since, seen, audible)
+    return PhaseState(phase, since, seen, audible)
 
 
 def commanded(
-    state: LifeState,
+    state: PhaseState,
     wanted: Array,
     columns: Columns,
     gains: ForceGains,
-    settings: LifeSettings,
+    settings: PhaseSettings,
     rows: Array,
 ) -> Array:
     """Goals α (r_all,) for the force law, and its terms for each contact.
@@ -135,7 +135,7 @@ def commanded(
     return np.asarray(start + risen * (wanted - start))
 
 
-def _risen(state: LifeState, columns: Columns, settings: LifeSettings) -> Array:
+def _risen(state: PhaseState, columns: Columns, settings: PhaseSettings) -> Array:
     """(r_all,) how much of the way from K_a v_a to its command each force has risen."""
     risen = np.minimum(state.since / settings.rise, 1.0)
     own = columns.pushing & (state.phase == Phase.CLOSED)
@@ -149,7 +149,7 @@ def slewed(tau: Array, last: Array, step: Array) -> Array:
     return tau if share <= 1.0 else last + change / share
 
 
-class ContactLife:
+class ContactPhases:
     """`lived`, remembered from tick to tick.
 
     Attributes:
@@ -157,7 +157,7 @@ class ContactLife:
     """
 
     def __init__(
-        self, settings: LifeSettings, owners: Array, pushing: Array, dt: float, closed: bool
+        self, settings: PhaseSettings, owners: Array, pushing: Array, dt: float, closed: bool
     ) -> None:
         """Start with every pushing contact closed, or open.
 
@@ -172,7 +172,7 @@ class ContactLife:
         phase = np.where(closed | ~pushing, Phase.CLOSED, Phase.OPEN)
         since = np.full(len(pushing), settings.rise)
         seen = MonitorState.of((phase == Phase.CLOSED)[self.columns.owners])
-        self.state = LifeState(phase, since, seen, Heard.nothing(len(self.columns.owners)))
+        self.state = PhaseState(phase, since, seen, FilteredForce.nothing(len(self.columns.owners)))
 
     def advance(self, wanted: Array, alpha: Array, speed: Array, inertia: Array) -> Flags:
         """One tick; arguments as in `lived`.

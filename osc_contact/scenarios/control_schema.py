@@ -30,7 +30,7 @@ __all__ = [
     "ForceGains",
     "ForceReadingSpec",
     "GainsSpec",
-    "LifeSpec",
+    "PhasesSpec",
     "ModelErrorSpec",
     "MotionGains",
     "PlantSpec",
@@ -69,7 +69,7 @@ class GainsSpec(Spec):
     """integral and damping of the force loop"""
 
 
-class LifeSpec(Spec):
+class PhasesSpec(Spec):
     """Contacts opened, approached and closed one by one (`control.life`)."""
 
     speed: Positive = 0.01
@@ -117,7 +117,7 @@ class ControlSpec(Spec):
     force: ForceReadingSpec = ForceReadingSpec()
     friction: FrictionSpec | None = None
     joint_friction: bool = True
-    life: LifeSpec | None = None
+    life: PhasesSpec | None = None
     safety: SafetySpec = SafetySpec()
     estimate: EstimateSpec = EstimateSpec()
 

@@ -1,4 +1,4 @@
-"""The wires and boxes of fig. 4: a tick's signals, and which box reads and writes them."""
+"""The signals and boxes of fig. 4: a tick's signals, and which box reads and writes them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["Signals", "Stage", "TracedSignals", "block", "observed"]
 
 
 class Signals:
-    """The wires of fig. 4, as attributes; their values after a tick are those of that tick."""
+    """The signals of fig. 4, as attributes; their values after a tick are those of that tick."""
 
     q: Array  #: (n,) encoders
     v: Array  #: (n,)
@@ -31,7 +31,7 @@ class Signals:
     state: ChainState  #: Λ_S, μ, p, S, σ, G of the closed chain
     parts: list[Contact]  #: N, n_γ of each contact
     contact: Contact  #: N, T, n_γ of all together
-    drag: Array  #: (6, r) friction for each newton of contact force, N_μ − N
+    friction_wrenches: Array  #: (6, r) friction for each newton of contact force, N_μ − N
     environment: Environment  #: Φ_e, b_e, V_e
     f_meas: Array  #: (6,) sum of the wrist readings at O, tare removed
     f_c_meas: Array  #: (6,) contact force inside it
@@ -44,7 +44,7 @@ class Signals:
     tau: Array  #: (n_a,) motor torques
 
     def __getattr__(self, name: str) -> Any:
-        """After a compiled tick the wires are worked out when somebody first looks at one."""
+        """After a compiled tick the signals are worked out when somebody first looks at one."""
         fill = self.__dict__.pop("_fill", None)
         if fill is None or name.startswith("_"):
             raise AttributeError(f"no tick has set the signal '{name}'")
@@ -88,12 +88,14 @@ class TracedSignals(Signals):
         super().__setattr__(name, value)
 
 
-def observed(controller: Controller, stages: Sequence[Stage], wires: TracedSignals) -> list[Block]:
-    """Run the stages one by one; each box with the wires it really read and wrote."""
+def observed(
+    controller: Controller, stages: Sequence[Stage], signals: TracedSignals
+) -> list[Block]:
+    """Run the stages one by one; each box with the signals it really read and wrote."""
     blocks = []
     for stage in stages:
-        wires.begin()
-        stage(controller, wires)
+        signals.begin()
+        stage(controller, signals)
         own: Block = stage.block  # type: ignore[attr-defined]
-        blocks.append(Block(own.name, own.group, own.equation, *wires.seen()))
+        blocks.append(Block(own.name, own.group, own.equation, *signals.seen()))
     return blocks

@@ -14,7 +14,7 @@ from readable.linkage import Linkage, bar_forces, bars
 
 if TYPE_CHECKING:
     from readable.controller import ReadableController as Controller
-    from readable.wires import Signals
+    from readable.signals import Signals
 
 __all__ = ["Found"]
 
@@ -33,7 +33,7 @@ class Found:
             where none is commanded.
         magnitudes: (≥ r,) contact magnitudes measured; speeds: (≥ r,) NᵀV_rel; the first r of them
             count. rank: (1,) r.
-        mobilities: (≥ r, ≥ r) D of the force filter, see `contact_force`; kept for contact life.
+        mobilities: (≥ r, ≥ r) D of the force filter, see `contact_force`; kept for contact phases.
     """
 
     J: Array
@@ -68,13 +68,13 @@ class Found:
 
     @classmethod
     def of(cls, s: Signals, controller: Controller) -> Found:
-        """From the wires of the readable path."""
+        """From the signals of the readable path."""
         state = s.state
         error = pose_error(s.reference.X_WD, state.X_WO)
         Omega_m = s.contact.motion_projection(np.linalg.inv(state.metric))
         D = np.zeros((0, 0))
         if controller.life is not None and (state.d == 6 or state.payload.Lambda.any()):
-            D = outboard_mobility(state, s.contact, s.environment, s.drag)[0]
+            D = outboard_mobility(state, s.contact, s.environment, s.friction_wrenches)[0]
         return cls(
             J=controller.chain.data.J.T,
             f_meas=s.f_meas,

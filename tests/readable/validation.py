@@ -15,7 +15,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
 from osc_contact.spatial import Array, as_array
 from readable.linkage import bars
-from readable.wires import Signals
+from readable.signals import Signals
 
 __all__ = ["independent", "limited", "require_sound", "take_in"]
 
@@ -54,7 +54,7 @@ def require_sound(
 def take_in(
     measurement: Measurement, reference: Reference, s: Signals, arms: int, contacts: int
 ) -> None:
-    """Put what was measured and what is wanted on the wires, if sizes and numbers are right.
+    """Put what was measured and what is wanted on the signals, if sizes and numbers are right.
 
     Raises:
         InvalidInputError: wrong shapes or non-finite numbers.

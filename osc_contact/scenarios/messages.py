@@ -30,7 +30,11 @@ _TAGS = (
 
 
 def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iterator[Problem]:
-    """Yield key and text of every complaint; checks across keys run on what is sound."""
+    """Yield key and text of every complaint; checks across keys run on what is sound.
+
+    Args:
+        error: pydantic's. data: what was validated. root: model of the whole file.
+    """
     for item in error.errors(include_url=False):
         place, owner = _locate(item["loc"], root)
         context = item.get("ctx", {})

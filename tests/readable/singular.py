@@ -27,7 +27,7 @@ def note_lost(controller: Controller, state: ChainState, motion: Array) -> None:
 
 
 def _told(state: ChainState, chain: ClosedChain) -> tuple[LostDirection, ...]:
-    """`state.fading` in words and units."""
+    """`state.singular_directions` in words and units."""
     return tuple(
         LostDirection(
             chain.arms[lost.arm].name,
@@ -35,7 +35,7 @@ def _told(state: ChainState, chain: ClosedChain) -> tuple[LostDirection, ...]:
             1.0 / max(lost.chi, 1e-12) ** 2,
             lost.twist / (np.linalg.norm(lost.twist[:3]) or np.linalg.norm(lost.twist[3:])),
         )
-        for lost in state.fading
+        for lost in state.singular_directions
     )
 
 
@@ -60,12 +60,12 @@ def faded_motion(
         state, contact: at this instant. chain: its structure.
         eta_c: (d,) filtered command. posture: (n,) acceleration of joints left to themselves.
     """
-    if not state.fading or not state.d:
+    if not state.singular_directions or not state.d:
         return eta_c
     a = state.S @ eta_c + state.sigma
     plain = H = state.S.T @ state.metric @ state.S
     pull = np.zeros(state.d)
-    for lost in state.fading:
+    for lost in state.singular_directions:
         arm = state.arms[lost.arm]
         row = state.S.T @ lost.wrench
         q_dd = posture[chain.slices[lost.arm]]

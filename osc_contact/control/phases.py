@@ -10,7 +10,7 @@ import numpy as np
 from osc_contact.control.monitor import MonitorLimits
 from osc_contact.errors import InvalidInputError
 
-__all__ = ["LifeSettings", "Phase"]
+__all__ = ["PhaseSettings", "Phase"]
 
 
 class Phase(IntEnum):
@@ -22,7 +22,7 @@ class Phase(IntEnum):
 
 
 @dataclass(frozen=True)
-class LifeSettings:
+class PhaseSettings:
     """How contacts are made and kept.
 
     Attributes:
@@ -58,10 +58,10 @@ class LifeSettings:
         for key in ("speed", "damping", "travel", "rise", "least", "torque_rate", "lag", "share"):
             value = getattr(self, key)
             if not (np.isfinite(value) and value > 0.0):
-                raise InvalidInputError(f"contact life: {key} = {value}; give a number > 0")
+                raise InvalidInputError(f"contact phases: {key} = {value}; give a number > 0")
         if not self.push > self.limits.force_on:
             raise InvalidInputError(
-                f"contact life: an approach at {self.speed:g} m/s with {self.damping:g} N s/m "
+                f"contact phases: an approach at {self.speed:g} m/s with {self.damping:g} N s/m "
                 f"pushes with {self.push:g} N, which is not seen as contact below "
                 f"force_on = {self.limits.force_on:g} N; raise speed or damping, or lower force_on"
             )

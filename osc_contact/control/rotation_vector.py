@@ -8,14 +8,17 @@ import numpy as np
 
 from osc_contact.spatial import Array, cross, skew
 
-__all__ = ["turn_of"]
+__all__ = ["rotation_of"]
 
 
-def turn_of(w: Array, w_dot: Array, w_ddot: Array) -> tuple[Array, Array, Array]:
+def rotation_of(w: Array, w_dot: Array, w_ddot: Array) -> tuple[Array, Array, Array]:
     """R (3, 3), ω and ω̇ (3,) in world axes of the rotation exp[w]× with moving w (3,).
 
     ω = A ẇ with A = a + b [w]× + c w wᵀ, a = sin θ/θ, b = (1 − cos θ)/θ², c = (θ − sin θ)/θ³;
     ω̇ = A ẅ + Ȧ ẇ.
+
+    Args:
+        w, w_dot, w_ddot: (3,) rotation vector and derivatives (rad, rad/s, rad/s²).
     """
     square = float(w @ w)
     a, b, c, a1, b1, c1 = _functions_of_angle(square)
@@ -29,7 +32,7 @@ def turn_of(w: Array, w_dot: Array, w_ddot: Array) -> tuple[Array, Array, Array]
 
 
 _EVEN = np.arange(8)
-#: (3, 8) coefficients of (θ²)ᵏ in a, b, c of `turn_of`: (−1)ᵏ/(2k + 1)!, /(2k + 2)!, /(2k + 3)!
+#: (3, 8) coefficients of (θ²)ᵏ in a, b, c of `rotation_of`: (−1)ᵏ/(2k + 1)!, /(2k + 2)!, /(2k + 3)!
 _SERIES = np.array(
     [[(-1) ** k / math.factorial(2 * k + first) for k in range(8)] for first in (1, 2, 3)]
 )
@@ -37,7 +40,7 @@ _SLOPES = _SERIES[:, 1:] * 2 * _EVEN[1:]
 
 
 def _functions_of_angle(square: float) -> tuple[float, float, float, float, float, float]:
-    """a, b, c of `turn_of` at θ² and their derivatives by θ, divided by θ."""
+    """a, b, c of `rotation_of` at θ² and their derivatives by θ, divided by θ."""
     if square < 0.1:
         powers = square**_EVEN
         a, b, c, *slopes = map(float, (*(_SERIES @ powers), *(_SLOPES @ powers[:-1])))

@@ -14,7 +14,7 @@ from pydantic import Field, field_validator
 from ..jerk_limits import solve
 from .quantities import OfQuantity, Time, refuse
 
-__all__ = ["JerkLimited", "Pieces", "Points", "Values", "jerk_limited", "least_jerk"]
+__all__ = ["JerkLimited", "Polynomials", "Points", "Values", "jerk_limited", "least_jerk"]
 
 Array = npt.NDArray[np.float64]
 Values = tuple[Any, Any, Any]  #: value, first and second derivative, each a number or (k,)
@@ -25,7 +25,7 @@ J = TypeVar("J", bound=float)
 
 
 @dataclass(frozen=True)
-class Pieces:
+class Polynomials:
     """Polynomials of the time since the last knot; outside the knots the curve is at rest.
 
     Attributes:
@@ -79,7 +79,7 @@ class JerkLimited(OfQuantity[Q], Generic[Q, V, A, J]):
         """Return value and its exact derivatives."""
         return self._pieces().at(t)
 
-    def _pieces(self) -> Pieces:
+    def _pieces(self) -> Polynomials:
         points = (0.0, *map(float, self.via), float(self.value))
         limits = float(self.velocity), float(self.acceleration), float(self.jerk)
         return jerk_limited(points, float(self.start), *limits)
@@ -121,10 +121,14 @@ class Points(OfQuantity[Q], Generic[Q]):
 @lru_cache(maxsize=64)
 def jerk_limited(
     points: tuple[float, ...], start: float, velocity: float, acceleration: float, jerk: float
-) -> Pieces:
+) -> Polynomials:
     """The fastest way from rest at each of `points` to rest at the next one, from `start` on.
 
     Each is solved in units in which distance and jerk are 1, whatever its size.
+
+    Args:
+        points: to rest at. start: where it begins.
+        velocity, acceleration, jerk: limits, in units of the points per s, s², s³.
     """
     knots, columns, now = [start], [], points[0]
     for here, there in pairwise(points):
@@ -144,11 +148,11 @@ def jerk_limited(
         now = there
     if not columns:  # nowhere to go
         knots, columns = [start, start + 1.0], [(now, 0.0, 0.0, 0.0)]
-    return Pieces(np.array(knots), np.array(columns).T, now)
+    return Polynomials(np.array(knots), np.array(columns).T, now)
 
 
 @lru_cache(maxsize=64)
-def least_jerk(points: tuple[tuple[float, float], ...]) -> Pieces:
+def least_jerk(points: tuple[tuple[float, float], ...]) -> Polynomials:
     """The curve through (time, value) `points` that makes ∫ jerk² dt least, at rest at its stops.
 
     A quintic spline: between points the sixth derivative vanishes, at points the third and fourth
@@ -177,7 +181,7 @@ def least_jerk(points: tuple[tuple[float, float], ...]) -> Pieces:
         A[snap, right] = -14 / r**3, 2 / r**2
         b[snap] = -30 * (dx[i] / r**4 + dx[i - 1] / l**4)
     v, a = np.asarray(np.linalg.solve(A, b), dtype=np.float64).reshape(count, 2).T
-    return Pieces(t, _quintics(x, v, a, h) / unit ** np.arange(6.0)[:, None], float(x[-1]))
+    return Polynomials(t, _quintics(x, v, a, h) / unit ** np.arange(6.0)[:, None], float(x[-1]))
 
 
 def _stops(values: list[float]) -> set[int]:

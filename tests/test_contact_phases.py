@@ -9,17 +9,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from readable.living import phases
-from readable.low_pass import Heard, heard
+from readable.contact_phases import phases
+from readable.low_pass import FilteredForce, filter_force
 from rigs import panda_pair, random_faces, random_state, scara_pair
 from test_law import agree, disturb, inputs, readable_of, twins
 
 import osc_contact as osc
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
-from osc_contact.control.life import LifeSettings, Phase
-from osc_contact.paper.contact_life import answers, collisions, false_alarms, land
-from osc_contact.paper.contact_life_pictures import draw_collisions, draw_landing
+from osc_contact.control.phases import Phase, PhaseSettings
+from osc_contact.paper.contact_phases import answers, collisions, false_alarms, land
+from osc_contact.paper.contact_phases_pictures import draw_collisions, draw_landing
 
 DT = 1e-3
 OPEN, APPROACHING, CLOSED = Phase
@@ -32,10 +32,12 @@ def test_the_inertia_of_a_flying_object_is_not_heard_as_contact():
     rate = np.where(t < 0.2, 3.0, 0.0)
     speed = np.cumsum(rate) * DT
     shown = push + mass * rate
-    state, found = Heard.nothing(1), []
+    state, found = FilteredForce.nothing(1), []
     here = np.array([True])
     for a, v in zip(shown, speed, strict=True):
-        state, force = heard(state, np.array([a]), np.array([v]), np.eye(1) * mass, here, DT, 0.006)
+        state, force = filter_force(
+            state, np.array([a]), np.array([v]), np.eye(1) * mass, here, DT, 0.006
+        )
         found.append(force[0])
     found = np.array(found)
     assert np.abs(found[60:300]).max() < 1e-3 * mass * 3.0 + 0.01
@@ -44,9 +46,9 @@ def test_the_inertia_of_a_flying_object_is_not_heard_as_contact():
 
 def test_settings_that_cannot_work_are_refused():
     with pytest.raises(osc.InvalidInputError, match="raise speed or damping"):
-        LifeSettings(speed=0.001)
+        PhaseSettings(speed=0.001)
     with pytest.raises(osc.InvalidInputError, match="rise"):
-        LifeSettings(rise=0.0)
+        PhaseSettings(rise=0.0)
 
 
 # --- the law on random masks ----------------------------------------------------------------------
@@ -74,7 +76,7 @@ def test_random_masks_as_in_numpy(chain):
         several += [osc.EdgeOnFace(p, rng.normal(size=3), X.act(p), rng.normal(size=3))]
         pairs += several[: 1 + done % 2] if chain.nq > 10 else several[1:]
         owners = np.repeat(np.arange(len(pairs)), [len(pair.gaps(X)) for pair in pairs])
-        fast, slow = twins(chain, pairs, life=LifeSettings())
+        fast, slow = twins(chain, pairs, life=PhaseSettings())
         disturb(rng, fast, slow)
         measurement, reference = inputs(chain, q, v, rng, len(owners))
         phase = rng.integers(0, 3, len(pairs))
@@ -102,7 +104,7 @@ def test_a_table_with_some_legs_up_as_in_numpy(friction):
         n = X.rotation @ np.array([0.0, 0.0, 1.0])
         spots = np.column_stack((rng.uniform(-0.2, 0.2, (5, 2)), np.full(5, -0.05)))
         pairs = [osc.VertexOnFace(p, X.act(p), n, name=f"leg{i}") for i, p in enumerate(spots)]
-        fast, slow = twins(chain, pairs, friction=friction, life=LifeSettings())
+        fast, slow = twins(chain, pairs, friction=friction, life=PhaseSettings())
         disturb(rng, fast, slow)
         given_phases(rng.integers(0, 3, 5), fast, slow)
         agree(fast, slow, *inputs(chain, q, v, rng, 5))
@@ -116,7 +118,7 @@ def test_random_masks_as_in_numpy_when_motors_are_at_their_limits(friction):
     while done < 6:
         q, v = random_state(chain, rng)
         pairs = random_faces(chain.state(q, v).X_WO, 3, rng)
-        fast, slow = twins(chain, pairs, friction=friction, life=LifeSettings())
+        fast, slow = twins(chain, pairs, friction=friction, life=PhaseSettings())
         measurement, reference = inputs(chain, q, v, rng, 3)
         reference = replace(reference, alpha_d=200.0 * reference.alpha_d)
         phase = rng.integers(0, 3, 3)
@@ -142,7 +144,7 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there():
     q, v = random_state(chain, rng)
     pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
     measurement, reference = inputs(chain, q, v, rng, 2)
-    knowing = twins(chain, pairs, life=LifeSettings())
+    knowing = twins(chain, pairs, life=PhaseSettings())
     blind = twins(chain, pairs[:1], reading="filter")
     given_phases(np.array([CLOSED, OPEN]), *knowing, since=1.0)
     for both, one in zip(knowing, blind, strict=True):
@@ -157,7 +159,7 @@ def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away(law):
     q, _ = random_state(chain, rng)
     v = np.zeros(chain.nq)
     pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
-    gains, k = osc.Gains(force=ForceGains(30, 0)), LifeSettings()
+    gains, k = osc.Gains(force=ForceGains(30, 0)), PhaseSettings()
     controller = osc.Controller(chain, pairs, gains, life=k)
     if law == "numpy":
         controller = readable_of(controller)
