@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from xml.sax.saxutils import quoteattr
+from html import escape
 
 import numpy as np
 import pinocchio as pin
@@ -154,11 +154,17 @@ def _refuse_mass_matrix(model: pin.Model, document: Document | None, q: Array, w
 
 def _text(document: Document) -> str:
     """A URDF of links and joints only; numbers round-trip, names are quoted."""
-    parts = [f"<robot name={quoteattr(document.name)}>"]
+    parts = [f"<robot name={_quoted(document.name)}>"]
     for link in document.links.values():
-        parts.append(f"<link name={quoteattr(link.name)}>{_inertial(link.inertial)}</link>")
+        parts.append(f"<link name={_quoted(link.name)}>{_inertial(link.inertial)}</link>")
     parts.extend(_joint(joint) for joint in document.joints.values())
     return "".join((*parts, "</robot>"))
+
+
+def _quoted(name: str) -> str:
+    """A name as the value of an attribute; white space as it is, so that it comes back the same."""
+    kept = {"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
+    return '"' + "".join(kept.get(letter, letter) for letter in escape(name)) + '"'
 
 
 def _inertial(inertial: Inertial | None) -> str:
@@ -176,8 +182,8 @@ def _joint(joint: Joint) -> str:
     kind = "revolute" if joint.kind == "continuous" else joint.kind
     limit = joint.limits
     return (
-        f'<joint name={quoteattr(joint.name)} type="{kind}">'
-        f"<parent link={quoteattr(joint.parent)}/><child link={quoteattr(joint.child)}/>"
+        f'<joint name={_quoted(joint.name)} type="{kind}">'
+        f"<parent link={_quoted(joint.parent)}/><child link={_quoted(joint.child)}/>"
         f'{_origin(joint.xyz, joint.rpy)}<axis xyz="{_numbers(joint.axis)}"/>'
         f'<limit lower="0" upper="0" effort="{limit.get("effort", 0.0)!r}" '
         f'velocity="{limit.get("velocity", 0.0)!r}"/>'

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import reprlib
+import textwrap
 import types
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -43,8 +47,7 @@ def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iter
         if item["type"] == "missing" and isinstance(place[-1], int):
             yield place[:-1], f"the list is too short: its item {place[-1]} is missing"
         elif item["type"] == "missing":
-            fields = owner.model_fields if owner else {}
-            hint = fields[str(place[-1])].description if place[-1] in fields else None
+            hint = told_of(owner, str(place[-1])) if owner else None
             yield place[:-1], f"the key {place[-1]!r} is missing" + (f": {hint}" if hint else "")
         elif item["type"] == "extra_forbidden":
             known = owner.model_fields if owner else {}
@@ -62,6 +65,22 @@ def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iter
         else:
             yield place, _wording(item["type"], item["msg"], item["input"], context)
     yield from sound_problems(data)
+
+
+def told_of(owner: type, key: str) -> str | None:
+    """The docstring of a model's key, read from its source when it is asked for."""
+    for base in owner.__mro__:
+        if key not in inspect.get_annotations(base):
+            continue
+        try:
+            (tree,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
+        except (OSError, TypeError, SyntaxError):
+            continue  # made without a file, or for a quantity: an ancestor has the source
+        for line, after in pairwise(getattr(tree, "body", [])):
+            named = isinstance(line, ast.AnnAssign) and getattr(line.target, "id", None) == key
+            if named and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+                return inspect.cleandoc(str(after.value.value))
+    return None
 
 
 def _wording(kind: str, message: str, value: Any, context: Mapping[str, Any]) -> str:

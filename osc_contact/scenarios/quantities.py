@@ -57,11 +57,9 @@ _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\
 
 
 class Spec(BaseModel):
-    """Base of every scenario model: frozen, finite, no unknown keys."""
+    """Base of every scenario model: frozen, finite, no unknown keys, built when first used."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 Q = TypeVar("Q", bound=float)
@@ -69,12 +67,6 @@ Q = TypeVar("Q", bound=float)
 
 class OfQuantity(Spec, Generic[Q]):
     """Base that names a parametrised model after its quantity: `Step[a force]`."""
-
-    @classmethod
-    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Its docstrings are read: what it becomes for a quantity inherits them, a slow search."""
-        if cls.__pydantic_generic_metadata__["origin"] is None:
-            cls.model_config["use_attribute_docstrings"] = False
 
     @classmethod
     def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
