@@ -50,8 +50,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-app.command()(cli_sweeps.sweep)
-for command in (cli_robots.check, cli_robots.pose, cli_robots.new):
+for command in (
+    cli_sweeps.sweep, cli_sweeps.tune, cli_robots.check, cli_robots.pose, cli_robots.new,
+):  # fmt: skip
     app.command()(command)
 RECORDINGS = (".npz", ".mcap")
 REPRODUCIBLE = tuple(sorted((*paper_figures.FIGURES, *STUDIES), key=lambda n: (n[:3] != "fig", n)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,12 +12,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from osc_contact.console import err, exit_codes, out, require, say
+from osc_contact.errors import InvalidInputError
 from osc_contact.runs.report import write_json
+from osc_contact.sweeps.report import REPORT, write_report
 from osc_contact.sweeps.study import Study
-from osc_contact.sweeps.summary import summarise
 from osc_contact.sweeps.sweep import TABLE, run_study
+from osc_contact.sweeps.tune import Tuned
 
-__all__ = ["sweep"]
+__all__ = ["sweep", "tune"]
 
 
 class DesignName(StrEnum):
@@ -64,9 +67,10 @@ def sweep(
         study = Study.of(scenario, vary, samples, design.value, seed, changes)
         folder = out_dir or Path("out") / f"{Path(scenario).stem}_sweep"
         table = with_progress(study, folder, workers)
-        summary = summarise(table, study)
+        summary = write_report(table, study, folder)
         show_summary(study, summary)
-        say(f"written to {folder}: {TABLE}, {table.num_rows} rows of {table.num_columns} columns")
+        columns = f"{table.num_rows} rows of {table.num_columns} columns"
+        say(f"written to {folder}: {TABLE}, {columns}; {REPORT}")
         if json_file:
             write_json(summary, json_file)
 
@@ -107,3 +111,87 @@ def show_summary(study: Study, summary: dict[str, Any]) -> None:
             f"row {one['row']}: {one['word']}{value}"
             + (f"\n  {one['command']}" * bool(one["command"]))
         )
+
+
+def tune(
+    scenario: Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")],
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(help="path.to.key=DISTRIBUTION to tune (default: the gains, factors of them)"),
+    ] = None,
+    objective: Annotated[
+        str, typer.Option(help="force | motion | both | a column of the sweep's table")
+    ] = "both",
+    limit: Annotated[
+        list[str] | None,
+        typer.Option(help="COLUMN=MOST (default: overshoots and saturated ticks of the shipped)"),
+    ] = None,
+    trials: Annotated[int, typer.Option(min=1, help="in all")] = 60,
+    over: Annotated[
+        list[str] | None, typer.Option(help="path.to.key=DISTRIBUTION of what is not known")
+    ] = None,
+    samples: Annotated[int, typer.Option(min=1, help="of that, for each trial")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="of everything random")] = 0,
+    duration: Annotated[
+        float | None, typer.Option(help="seconds, instead of the scenario's", show_default=False)
+    ] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="path.to.key=value, of all runs")
+    ] = None,
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="folder of the trials; goes on with them")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="processes (default: one for each core)")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="also write the result as JSON")
+    ] = None,
+) -> None:
+    """Tune keys of a scenario with Optuna; print those to paste."""
+    with exit_codes():
+        require("optuna")
+        from osc_contact.sweeps.tune import tune as find
+
+        changes = [*(set_ or []), *([] if duration is None else [f"duration={duration!r}"])]
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+                   TimeRemainingColumn())  # fmt: skip
+        with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
+            task = bar.add_task("trials", total=trials)
+            found = find(
+                scenario, vary or (), objective=objective, limits=_limits(limit or []),
+                trials=trials, over=over or (), samples=samples, seed=seed, overrides=changes,
+                out=out_dir, workers=workers,
+                progress=lambda done, _: bar.update(task, completed=done),
+            )  # fmt: skip
+        show_tuned(found, objective)
+        if json_file:
+            write_json(asdict(found) | {"better": found.better}, json_file)
+    if not found.better:
+        raise typer.Exit(1)
+
+
+def _limits(texts: list[str]) -> dict[str, float]:
+    found = {}
+    for text in texts:
+        name, _, most = text.partition("=")
+        try:
+            found[name.strip()] = float(most)
+        except ValueError as error:
+            raise InvalidInputError(f"--limit {text!r}: write COLUMN=NUMBER") from error
+    return found
+
+
+def show_tuned(found: Tuned, objective: str) -> None:
+    """What was found, beside the shipped values, and the keys to paste."""
+    table = Table("worst over all samples", "shipped", "found")
+    for name, (before, after) in found.numbers.items():
+        table.add_row(name, f"{before:.4g}", f"{after:.4g}")
+    out.print(table)
+    say(f"{objective}: {found.shipped:.4g} shipped, {found.best:.4g} after {found.trials} trials")
+    for words in found.broken:
+        say(f"no trial keeps all limits: {words}")
+    if not found.better:
+        say("nothing better was found; give more --trials, or other keys with --vary")
+    for path, value in found.values.items():
+        say(f"{path}: {value}")

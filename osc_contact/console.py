@@ -42,6 +42,7 @@ EXTRAS = {
     "pyarrow": "sweep",
     "scipy": "sweep",
     "gymnasium": "learn",
+    "optuna": "tune",
 }
 
 

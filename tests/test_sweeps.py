@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import html
 import json
 import multiprocessing
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -20,6 +23,7 @@ from typer.testing import CliRunner
 import osc_contact as osc
 from osc_contact.cli import app
 from osc_contact.sweeps.distributions import parse_distribution
+from osc_contact.sweeps.report import write_report
 from osc_contact.sweeps.rows import make_rows
 from osc_contact.sweeps.study import Study
 from osc_contact.sweeps.sweep import ROWS, TABLE, run_study
@@ -264,6 +268,32 @@ def test_command_tells_what_became_of_the_runs(tmp_path) -> None:
     assert worst["value"] == max(
         max(table[f"force.{end}.rms_error_rel"]) for end in ("left_end", "right_end")
     )
+
+
+def test_report_shows_everything_in_one_page(tmp_path) -> None:
+    study = rod(5, MASSES, "object.pose.xyz=choice([0, 0, 0.2], [0, 5, 0.2])", design="random")
+    table = run_study(study, workers=1)
+    summary = write_report(table, study, tmp_path)
+    failed = table.column("failed").to_pylist()
+    assert summary["success_rate"] == pytest.approx(1 - sum(failed) / 5) and 0 < sum(failed) < 5
+    assert summary == json.loads((tmp_path / "summary.json").read_text())
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 2
+    assert "://" not in page and set(re.findall('src="(.{5})', page)) == {"data:"}
+    assert {path.name for path in tmp_path.glob("*.svg")} == {"errors.svg", "causes.svg"}
+    worst = failed.index(True)
+    assert summary["worst"][0]["row"] in np.flatnonzero(failed)
+    assert html.escape(study.command(worst)) in page and "REFUSED" in page
+
+
+def test_the_command_of_a_row_runs_that_row() -> None:
+    study = rod(3, MASSES, NORMALS, "seed=integers(0, 99)")
+    _, _, name, *options = shlex.split(study.command(2))
+    changes = [options[i + 1] for i, word in enumerate(options) if word == "--set"]
+    seed = int(options[options.index("--seed") + 1])
+    verdict = osc.metrics(osc.run(osc.load_scenario(name, changes), seed=seed))
+    (row,) = make_rows(study, [2])
+    assert row["seed"] == seed and row["motion.rms_error_m"] == verdict["motion"]["rms_error_m"]
 
 
 def test_scenarios_made_in_python_are_swept_and_their_laws_refused() -> None:

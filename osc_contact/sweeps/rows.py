@@ -46,7 +46,8 @@ def make_rows(study: Study, numbers: Sequence[int]) -> list[Row]:
     Rows do not depend on which of them are run together, or where.
     """
     if getattr(_mine, "fingerprint", None) != study.fingerprint:
-        _mine.study, _mine.workshop, _mine.fingerprint = study, Workshop(), study.fingerprint
+        _mine.study, _mine.fingerprint = study, study.fingerprint
+        _mine.workshop = getattr(_mine, "workshop", None) or Workshop()
     with without_doubts_told():
         rows = [_row(_mine.study, _mine.workshop, number) for number in numbers]
     return json.loads(json.dumps(rows))  # as they come out of a file

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from hashlib import sha256
@@ -160,18 +160,24 @@ class Study:
 
     def sample(self, number: int) -> Sample:
         """The numbers of one run."""
-        u, end = self._point(number), 0
-        seed, overrides, shown = self.seed, {}, {}
-        said = self._said
+        overrides: dict[str, str] = {}
+        shown: dict[str, Any] = {}
+        for path, text, values in self._drawn(self._point(number)):
+            shown.update({path + suffix: value for suffix, value in values.items()})
+            overrides[path] = text
+        seed = int(overrides.pop(SEED, self.seed))
+        return Sample(number, seed, overrides, shown)
+
+    def values_at(self, u: Array) -> dict[str, str]:
+        """{path: value} at a point: numbers (dims,) between 0 and 1."""
+        return {path: text for path, text, _ in self._drawn(u)}
+
+    def _drawn(self, u: Array) -> Iterator[tuple[str, str, dict[str, Any]]]:
+        end = 0
         for path, distribution in self.variations:
             begin, end = end, end + distribution.dims
-            text, values = distribution.draw(u[begin:end], said.get(path))
-            shown.update({path + suffix: value for suffix, value in values.items()})
-            if path == SEED:
-                seed = int(text)
-            else:
-                overrides[path] = text
-        return Sample(number, seed, overrides, shown)
+            text, values = distribution.draw(u[begin:end], self._said.get(path))
+            yield path, text, values
 
     def command(self, number: int) -> str | None:
         """The line of a shell that runs one sample by itself; None: it was made in Python."""
@@ -208,7 +214,7 @@ class Study:
 
     def _block(self, block: int) -> Array:
         dims = sum(distribution.dims for _, distribution in self.variations)
-        if self.design == "random":
+        if not dims or self.design == "random":
             return np.random.default_rng([self.seed, block]).random((_BLOCK, dims))
         from scipy.stats import qmc
 

@@ -16,7 +16,7 @@ from osc_contact.sweeps.rows import crashed_row, make_rows, require_long_enough,
 from osc_contact.sweeps.study import Design, Study
 from osc_contact.sweeps.table import RowFile, make_table, write_table
 
-__all__ = ["ROWS", "TABLE", "available_cores", "run_study", "sweep"]
+__all__ = ["ROWS", "TABLE", "available_cores", "leave_signals_to_the_parent", "run_study", "sweep"]
 
 ROWS, TABLE = "rows.jsonl", "table.parquet"  #: files of a sweep's folder
 _CHUNK = 4  #: runs that a worker is handed at once
@@ -125,7 +125,7 @@ def _in_processes(
     """Rows as they come; `lost`: of chunks that were under way when a worker died."""
     waiting = iter(chunks)
     context = get_context("spawn")  # threads of this process would not survive a fork
-    with ProcessPoolExecutor(workers, context, _leave_signals_to_the_parent) as pool:
+    with ProcessPoolExecutor(workers, context, leave_signals_to_the_parent) as pool:
         under_way: dict[Future[list[Row]], list[int]] = {}
         broken = False
         try:
@@ -155,6 +155,6 @@ def _in_processes(
         yield from _in_processes(study, waiting, workers, lost)
 
 
-def _leave_signals_to_the_parent() -> None:
+def leave_signals_to_the_parent() -> None:
     """Ctrl-C goes to all processes of a terminal; workers end when their parent does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

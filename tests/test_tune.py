@@ -1,0 +1,109 @@
+"""Tuning: found values are better where they are run by themselves, limits hold, trials go on."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import osc_contact as osc
+from osc_contact.cli import app
+from osc_contact.sweeps import tune as tuning
+from osc_contact.sweeps.tune import tune
+
+SHORT = ("duration=1.1 s",)
+
+
+def errors(changes) -> tuple[float, float, float]:
+    """Largest relative force error, position error, largest overshoot of one run."""
+    verdict = osc.metrics(osc.run(osc.load_scenario("two_contact_rod", [*SHORT, *changes])))
+    force = max(one["rms_error_rel"] for one in verdict["force"].values())
+    steps = [step["overshoot_rel"] for step in verdict["steps"]]
+    return force, verdict["motion"]["rms_error_m"], max(steps)
+
+
+def test_found_gains_beat_the_shipped_ones_in_a_run_of_their_own() -> None:
+    found = tune("two_contact_rod", overrides=SHORT, trials=14, workers=1, seed=1)
+    assert found.better and found.trials == 14
+    shipped, best = errors([]), errors([f"{k}={v}" for k, v in found.values.items()])
+    assert found.shipped == pytest.approx(1.0)
+    assert found.best == pytest.approx(0.5 * (best[0] / shipped[0] + best[1] / shipped[1]))
+    assert found.best < 0.9
+    assert best[2] <= 1.05 * shipped[2] + 1e-12
+    assert found.numbers["overshoot_rel"] == pytest.approx((shipped[2], best[2]))
+    assert set(found.values) == {one.partition("=")[0] for one in tuning.GAINS}
+
+
+def test_what_is_not_known_counts_by_its_mean_and_limits_by_the_worst(monkeypatch) -> None:
+    seen = []
+    inner = tuning.make_rows
+
+    def make_rows(study, numbers):
+        seen.append(inner(study, numbers))
+        return seen[-1]
+
+    monkeypatch.setattr(tuning, "make_rows", make_rows)
+    found = tune(
+        "two_contact_rod", ["gains.force.integral=uniform(10, 60)"], objective="force",
+        over=["model_error.object_mass=uniform(0.9, 1.1)"], samples=2, overrides=SHORT,
+        trials=3, workers=1,
+    )  # fmt: skip
+    force = [
+        [max(r["force.left_end.rms_error_rel"], r["force.right_end.rms_error_rel"]) for r in rows]
+        for rows in seen
+    ]
+    assert len(force) == 4 and all(len(one) == 2 for one in force)
+    assert found.shipped == pytest.approx(np.mean(force[0]))
+    assert any(found.best == pytest.approx(np.mean(one)) for one in force[1:])
+    assert found.numbers["force"][0] == pytest.approx(max(force[0]))
+
+
+def test_limits_that_no_trial_keeps_are_told() -> None:
+    found = tune("two_contact_rod", limits={"overshoot_rel": 0.001}, overrides=SHORT, trials=3,
+                 workers=1)  # fmt: skip
+    assert not found.better and found.broken == ("overshoot_rel > 0.001",)
+    loose = tune("two_contact_rod", limits={"overshoot_rel": 9.0}, overrides=SHORT, trials=3,
+                 workers=1)  # fmt: skip
+    assert loose.broken == ()
+
+
+def test_trials_in_a_folder_are_gone_on_with(tmp_path) -> None:
+    counts: list[int] = []
+    how = {"overrides": SHORT, "out": tmp_path, "workers": 1,
+           "progress": lambda done, _: counts.append(done)}  # fmt: skip
+    first = tune("two_contact_rod", trials=3, **how)
+    second = tune("two_contact_rod", trials=5, **how)
+    assert counts == [1, 2, 3, 4, 5]
+    assert second.trials == 5 and second.best <= first.best
+
+
+def test_command_prints_the_keys_to_paste(tmp_path) -> None:
+    json_file = tmp_path / "tuned.json"
+    done = CliRunner().invoke(
+        app,
+        ["tune", "two_contact_rod", "--duration", "1.1", "--trials", "12", "--workers", "1",
+         "--vary", "gains.motion.stiffness=factor(1, 4)", "--objective", "motion",
+         "--limit", "overshoot_rel=2", "--json", str(json_file)],
+    )  # fmt: skip
+    found = json.loads(json_file.read_text())
+    assert done.exit_code == 0 and found["better"], done.output
+    assert f"gains.motion.stiffness: {found['values']['gains.motion.stiffness']}" in done.output
+    assert found["best"] == pytest.approx(
+        errors([f"gains.motion.stiffness={found['values']['gains.motion.stiffness']}"])[1]
+    )
+
+
+@pytest.mark.parametrize(
+    ("how", "complaint"),
+    [
+        ({"objective": "speed"}, "give force, motion, both, or a column"),
+        ({"limits": {"speed": 1.0}}, "no such columns"),
+        ({"overrides": ["duration=0.5 s"]}, "judged"),
+        ({"overrides": [*SHORT, "gains.force.integral=3000"]}, "integral"),
+    ],
+)
+def test_what_cannot_be_tuned_is_refused(how, complaint) -> None:
+    with pytest.raises(osc.OscContactError, match=complaint):
+        tune("two_contact_rod", **({"overrides": SHORT, "trials": 1, "workers": 1} | how))
