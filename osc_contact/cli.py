@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from osc_contact import __version__, cli_robots, cli_sweeps
+from osc_contact import __version__, cli_robots, cli_start, cli_sweeps
 from osc_contact.bench.program import run_benchmark
 from osc_contact.console import (
     err,
@@ -46,12 +46,13 @@ __all__ = ["app"]
 
 app = typer.Typer(
     help="Decoupled force and motion control of arms in contact.",
-    no_args_is_help=True,
+    invoke_without_command=True,
     pretty_exceptions_enable=False,
     add_completion=False,
 )
 for command in (
     cli_sweeps.sweep, cli_sweeps.tune, cli_robots.check, cli_robots.pose, cli_robots.new,
+    cli_start.examples,
 ):  # fmt: skip
     app.command()(command)
 RECORDINGS = (".npz", ".mcap")
@@ -86,11 +87,14 @@ def _show_version(wanted: bool) -> None:
 
 @app.callback()
 def main(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="and exit")
     ] = False,
 ) -> None:
     """Decoupled force and motion control of arms in contact."""
+    if context.invoked_subcommand is None:
+        say(cli_start.FIRST_STEPS)
     compiled.tell(lambda text: err.print(text, style="dim", highlight=False))
 
 

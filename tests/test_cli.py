@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from scene_samples import read_commands
 from typer.testing import CliRunner, Result
 
@@ -55,6 +56,28 @@ def test_version_and_help() -> None:
     for command in ("run", "reproduce", "view", "inspect", "list", "bench"):
         assert command in text
     assert call("run", "--help").exit_code == 0
+
+
+def test_alone_it_says_what_to_do_first() -> None:
+    result = call()
+    assert result.exit_code == 0 and "examples" in result.stdout and "--help" in result.stdout
+    told = [line.split()[1] for line in result.stdout.splitlines() if line.startswith("  osc-")]
+    assert len(told) == 5 and set(told) <= set(typer.main.get_command(app).commands)
+    assert "No such command" in call("insepct").output
+
+
+def test_examples_are_the_programs_of_the_docs(tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    result = call("examples", folder)
+    assert result.exit_code == 0, result.output
+    files = sorted(folder.iterdir())
+    assert len(files) >= 10 and files[0].name == "01_osc_contact.py"
+    first = files[0].read_text(encoding="utf-8")
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    assert first.split("\n", 2)[2] in readme and "panda_edge" in first
+    for file in files:
+        compile(file.read_text(encoding="utf-8"), str(file), "exec")
+    assert "is there already" in refused("examples", folder)
 
 
 def test_list_names_scenarios_and_figures(tmp_path: Path) -> None:

@@ -286,7 +286,7 @@ def inertia_column(compiled, data, unit: np.ndarray) -> np.ndarray:  # type: ign
 def test_urdf_path_knows_the_packaged_files() -> None:
     assert robots.urdf_path("rod.urdf") == robots.urdf_path("rod")
     assert robots.urdf_path("rod").is_file()
-    with pytest.raises(ModelError, match=r"Did you mean scara_left\.urdf.*rod\.urdf, scara_left"):
+    with pytest.raises(ModelError, match=r"Did you mean scara_left\.urdf"):
         robots.urdf_path("scara_lft.urdf")
     with pytest.raises(ModelError, match=r"no packaged URDF is called '../urdf/rod.urdf'"):
         robots.urdf_path("../urdf/rod.urdf")

@@ -70,7 +70,7 @@ def test_scenarios_are_frozen():
 
 
 BAD = {
-    "unknown key": ("tip: tool\n", "tpi: tool\n", 5, "arms.left.tpi", "did you mean 'tip'? known"),
+    "unknown key": ("tip: tool\n", "tpi: tool\n", 5, "arms.left.tpi", "did you mean 'tip'?"),
     "unknown top key": ("duration: 2 s", "durration: 2 s", 31, "durration", "'duration'"),
     "unknown signal key": (
         "{type: constant, value: 3 N}", "{type: constant, value: 3 N, stat: 1}",
@@ -255,7 +255,7 @@ def test_overrides(override, read, wanted):
 BAD_OVERRIDES = [
     (
         "plant.frction=0.1",
-        "plant.frction: unknown key; did you mean 'friction' or 'joint_friction'? known: type",
+        "plant.frction: unknown key; did you mean 'friction' or 'joint_friction'?",
     ),
     ("plnt.friction=0.1", "plnt: unknown key; did you mean 'plant'?"),
     ("contacts.edn.radius=1", "contacts has no item 'edn'; did you mean 'end'? known: end"),
@@ -279,6 +279,7 @@ BAD_OVERRIDES = [
 @pytest.mark.parametrize(("override", "message"), BAD_OVERRIDES, ids=[o[0] for o in BAD_OVERRIDES])
 def test_bad_overrides_are_named_instead_of_a_line(override, message):
     found = complaints(GOOD, [override])
+    message = message.removeprefix(override.partition("=")[0] + ": ")  # the key is told once
     assert len(found) == 1 and found[0].startswith(f"override {override}: {message}"), found
 
 
@@ -290,7 +291,7 @@ def test_complaints_about_overrides_follow_those_about_lines():
 def test_a_clash_of_two_keys_is_blamed_on_the_overridden_one():
     for override in ("control.rate=3 kHz", "control={rate: 3 kHz}", "plant.step=0.3 ms"):
         (found,) = complaints(GOOD, [override])
-        assert found.startswith(f"override {override}: plant.step: the control period is")
+        assert found.startswith(f"override {override}: ") and "the control period is" in found
 
 
 def test_a_missing_key_may_come_from_an_override():

@@ -53,9 +53,14 @@ def refuse(findings: Sequence[Finding]) -> NoReturn:
     raise error
 
 
+SHOWN = 12  #: names at most, where none is near
+
+
 def suggest(name: str, known: Iterable[str]) -> str:
-    """Say "Did you mean x? There is: ..." for a name that is not among `known`."""
+    """Say "Did you mean x?" for a name that is not among `known`, or what there is."""
     names = sorted(set(known))
     near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
-    listed = f"There is: {', '.join(names) or 'nothing'}"
-    return f"Did you mean {' or '.join(near)}? {listed}" if near else listed
+    more = f", … ({len(names)} in all)" if len(names) > SHOWN else ""
+    listed = f"There is: {', '.join(names[:SHOWN]) or 'nothing'}{more}"
+    guess = f"Did you mean {' or '.join(near)}?"
+    return (guess if len(names) > SHOWN else f"{guess} {listed}") if near else listed

@@ -25,13 +25,22 @@ Problem = tuple[tuple[str | int, ...], str]
 """Where (keys and list indices) and what is wrong."""
 
 
+MANY, SHOWN = 8, 12  # names beside a guess; without one
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return "did you mean 'x'? known: ..." for a word that is not among `known`."""
+    """Return "did you mean 'x'? known: ..." for a word that is not among `known`.
+
+    Long lists are left out where there is a guess, and cut where there is none.
+    """
     names = list(known)
     near = get_close_matches(word, names, n=2, cutoff=0.6)
-    listed = ", ".join(names) or "none"
-    hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
-    return f"{hint}known: {listed}"
+    hint = f"did you mean {' or '.join(map(repr, near))}?" if near else ""
+    if near and len(names) > MANY:
+        return hint
+    more = f", … ({len(names)} in all)" if len(names) > SHOWN else ""
+    listed = ", ".join(names[:SHOWN]) or "none"
+    return f"{hint} known: {listed}{more}".lstrip()
 
 
 def name_problems(
