@@ -12,10 +12,9 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array, classical_to_spatial
 
 if TYPE_CHECKING:
-    from osc_contact.control.controller import Controller
     from osc_contact.control.signals import Block, Signals
 
-__all__ = ["ForceCommand", "Laws", "MotionCommand", "StructureCommand", "force_law", "motion_law"]
+__all__ = ["ForceCommand", "Laws", "MotionCommand", "StructureCommand"]
 
 ForceCommand = Callable[[Array, Array], Array]
 MotionCommand = Callable[[Any, Any, Array], Array]
@@ -96,23 +95,3 @@ class Laws:
                 "each"
             )
         return eta, f_S
-
-
-def force_law(make: Callable[[], ForceCommand]) -> Callable[[Controller], Controller]:
-    """Put α_u = law(α_d, α_meas) in the place of the force law of fig. 5.
-
-    Args:
-        make: called once for every controller, so that laws with a memory do not share it: a class,
-            or a function without arguments. What it returns is called in every tick, see
-            `Laws.force`. If it returns anything else the controller holds its last torques, and
-            `Controller.reason` says why.
-
-    Returns:
-        What `osc_contact.run` takes as ``install``; or call it with a controller.
-    """
-    return lambda controller: controller.with_laws(force=make())
-
-
-def motion_law(make: Callable[[], MotionCommand]) -> Callable[[Controller], Controller]:
-    """Put p̈_u = law(reference, X_WO, V_O) in the place of the motion law; see `force_law`."""
-    return lambda controller: controller.with_laws(motion=make())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -19,10 +19,19 @@ from osc_contact.law import tick as law
 from osc_contact.law.tables import BODY, ELSEWHERE, HELD
 from osc_contact.spatial import Array
 
-if TYPE_CHECKING:
-    from osc_contact.control.controller import Controller
-
 __all__ = ["Outside"]
+
+
+class TickOwner(Protocol):
+    """The controller whose tick it is: its records and the compiled law."""
+
+    _codes: Array
+    _records: TickRecords
+    _rows: Any
+    _limits: Any
+
+    def _hold(self, measurement: Measurement) -> Array: ...
+    def _take_records(self, records: TickRecords) -> None: ...
 
 
 class Outside:
@@ -51,7 +60,7 @@ class Outside:
 
     def tick(
         self,
-        controller: Controller,
+        controller: TickOwner,
         measurement: Measurement,
         reference: Reference,
         args: tuple[Any, ...],
@@ -178,7 +187,7 @@ class Outside:
             e = body.environment(pin.SE3(touched.X_WE[c]), touched.V_E[c], touched.A_E[c], O)
             rows.bodies.answer[c] = np.concatenate((e.Phi_e.ravel(), e.b_e, e.V_e))
 
-    def _repack(self, controller: Controller, changed: dict[int, int]) -> None:
+    def _repack(self, controller: TickOwner, changed: dict[int, int]) -> None:
         """Make room for other numbers of columns; the rest of the memory goes on."""
         old = controller._records
         columns = {**old.row.pairs.given, **changed}
@@ -191,7 +200,7 @@ class Outside:
         controller._take_records(new)
         controller._limits = None
 
-    def _structure(self, controller: Controller) -> None:
+    def _structure(self, controller: TickOwner) -> None:
         """η̇_c and f_S of the own structure law, into the turned energy coordinates."""
         rows = controller._records
         signals = Signals(self.settings, rows, 0.0, rows.torques)

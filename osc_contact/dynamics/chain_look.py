@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.dynamics.chain_model import ChainModel
 from osc_contact.dynamics.chain_state import ArmTerms, ChainState, SingularDirection
 from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError
@@ -17,9 +18,6 @@ from osc_contact.law.compiled import rows
 from osc_contact.law.frames import motions, reflection, wrenches
 from osc_contact.law.layout import Bytes
 from osc_contact.spatial import Array
-
-if TYPE_CHECKING:
-    from osc_contact.dynamics.closed_chain import ClosedChain
 
 __all__ = ["Look", "read_state"]
 
@@ -93,7 +91,7 @@ class Look:
             raise ModelError(_WHY[reason])
 
 
-def read_state(chain: ClosedChain, now: Look, rest: Look, data: pin.Data) -> ChainState:
+def read_state(chain: ChainModel, now: Look, rest: Look, data: pin.Data) -> ChainState:
     """The state of a chain.
 
     Args:
@@ -175,14 +173,14 @@ def _arm_terms(
     )
 
 
-def _filters(chain: ClosedChain, now: Look, motion: Array, wrench: Array) -> Any:
+def _filters(chain: ChainModel, now: Look, motion: Array, wrench: Array) -> Any:
     """Of each wrist's reading, as matrices at O."""
     for grasp, links, own in zip(chain.grasps, chain.outboard, now.arms, strict=True):
         filtered = links and not grasp.is_rigid
         yield wrench @ own["filter"] @ motion.T if filtered else None
 
 
-def _singular_directions(chain: ClosedChain, now: Look, motion: Array, wrench: Array) -> Any:
+def _singular_directions(chain: ChainModel, now: Look, motion: Array, wrench: Array) -> Any:
     """Every direction that the law found an arm to be losing."""
     reference = now.head["reference"]
     for i, (own, s) in enumerate(zip(now.arms, chain.slices, strict=True)):

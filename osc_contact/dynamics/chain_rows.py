@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.dynamics.chain_model import GYRATION, ChainModel
 from osc_contact.errors import ModelError
 from osc_contact.law import tables as at
 from osc_contact.law.layout import Bytes, new_model, records
 from osc_contact.spatial import Array
 
-if TYPE_CHECKING:
-    from osc_contact.dynamics.closed_chain import ClosedChain
+__all__ = ["chain_row", "pack_chain"]
 
-__all__ = ["GYRATION", "chain_row", "pack_chain"]
-
-GYRATION = 0.1  #: m, of the ball that stands for the heaviest arm, see `law.singular`
 _KINDS = {"rigid": at.RIGID, "hinge": at.HINGE, "ball": at.BALL, "other": at.OTHER}
 
 
-def chain_row(chain: ClosedChain, led: bool) -> Bytes:
+def chain_row(chain: ChainModel, led: bool) -> Bytes:
     """A row of MODEL of the chain alone: no contacts, no motors.
 
     Args:
@@ -32,7 +29,7 @@ def chain_row(chain: ClosedChain, led: bool) -> Bytes:
     return raw
 
 
-def pack_chain(chain: ClosedChain, raw: Bytes, leader: int | None) -> None:
+def pack_chain(chain: ChainModel, raw: Bytes, leader: int | None) -> None:
     """Fill in what of a row of MODEL comes from the chain: its head, arms and joints.
 
     Args:
@@ -44,7 +41,7 @@ def pack_chain(chain: ClosedChain, raw: Bytes, leader: int | None) -> None:
     _pack_joints(chain, records(raw, int(head.joints_at), chain.nq, at.JOINT))
 
 
-def _pack_object(chain: ClosedChain, head: Any, leader: int | None) -> None:
+def _pack_object(chain: ChainModel, head: Any, leader: int | None) -> None:
     head.held, head.tolerance = chain.payload is not None, chain.rank_tolerance
     head.slipping = not all(grasp.is_rigid for grasp in chain.grasps)
     head.leader = -1 if leader is None else leader
@@ -65,7 +62,7 @@ def _pack_object(chain: ClosedChain, head: Any, leader: int | None) -> None:
     head.X_LP[:] = _flat_pose(X_LO * pin.SE3(axes, body.lever))
 
 
-def _pack_arms(chain: ClosedChain, rows: Any) -> None:
+def _pack_arms(chain: ChainModel, rows: Any) -> None:
     model = chain.model
     for i, (row, grasp, part) in enumerate(zip(rows, chain.grasps, chain.slices, strict=True)):
         if part.stop - part.start > at.MAX_JOINTS:
@@ -96,7 +93,7 @@ def _pack_arms(chain: ClosedChain, rows: Any) -> None:
         row.X_TO[:] = _flat_pose(grasp.X_TO)
 
 
-def _pack_joints(chain: ClosedChain, rows: Any) -> None:
+def _pack_joints(chain: ChainModel, rows: Any) -> None:
     model, firsts = chain.model, {part.start for part in chain.slices}
     rows.motor[:] = -1
     rows.armature[:] = model.armature

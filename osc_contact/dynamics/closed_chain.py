@@ -10,148 +10,29 @@ Grasps may permit motions of their own (`Grasp`); these have no mass and nobody 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from osc_contact import robots
-from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.chain_look import Look, read_state
-from osc_contact.dynamics.chain_rows import GYRATION, chain_row
+from osc_contact.dynamics.chain_model import ChainModel
+from osc_contact.dynamics.chain_rows import chain_row
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.dynamics.front_end import require_pinocchio_agrees
-from osc_contact.dynamics.grasp import Grasp
-from osc_contact.dynamics.held_object import locate
-from osc_contact.dynamics.motors import effort_limits, heaviest_rotor, rotor_inertia
-from osc_contact.dynamics.outboard import OutboardLink, outboard_links
-from osc_contact.dynamics.payload import RigidObject
-from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.law.layout import Bytes
 from osc_contact.law.tables import CHAIN, CHAIN_BYTES
 from osc_contact.spatial import Array, as_array, carry_twist
 
 __all__ = ["ClosedChain", "ChainState"]
 
-#: Stands in for the object's inertia in rank decisions when the arms hold nothing:
-#: 1 kg with a radius of gyration of 0.1 m.
-_REFERENCE = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
 
-
-class ClosedChain:
+class ClosedChain(ChainModel):
     """Several arms that hold one object (or one arm whose tip is the object).
 
-    Attributes:
-        model, data: the merged Pinocchio model, joints named "arm/joint", and its data.
-        arms: as given. grasps: one for each arm. slices: each arm's part of q and v.
-        leader: the first arm that holds the object rigidly and so tells its pose; None: the joints
-            of all arms together do, if anything does.
-        actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits, inf
-            where a model names none.
-        tips, sensors: frame of each arm's tip and wrist sensor (None: it has none).
-        outboard: links beyond each sensor. arm_mass: of the heaviest arm, rotors included.
-        reference: the object, or its stand-in for rank decisions. full_ranks: as in `ChainState`.
+    Made, and described by attributes, as its `ChainModel`.
     """
-
-    def __init__(
-        self,
-        arms: Sequence[Arm],
-        grasps: Sequence[pin.SE3 | Grasp] | None = None,
-        payload: RigidObject | None = None,
-        *,
-        rank_tolerance: float = 1e-3,
-        allow_unactuated: bool = False,
-    ) -> None:
-        """Merge the arms into one model.
-
-        Args:
-            arms: one or more, with different names.
-            grasps: for each arm X_TO, pose of the object in its tip frame, held rigidly, or a
-                `Grasp` that permits motions (default: the tip itself, rigidly).
-            payload: the held object; None: nothing but the last link.
-            rank_tolerance: an arm direction counts as locked when the arm's apparent inertia in it
-                is 1/tolerance² of the object's; two arms' locked directions count as the same
-                when they differ by less than this angle (rad, in the object's energy metric).
-            allow_unactuated: give the state also where no motor drives some motion of the object,
-                to study how it moves by itself; a controller needs every motion driven.
-
-        Raises:
-            ModelError: no arms, equal names, a grasp too few, or one that permits motions of an
-                object without mass.
-        """
-        if not arms:
-            raise ModelError("a closed chain needs at least one arm")
-        names = [arm.name for arm in arms]
-        if len(set(names)) != len(names):
-            raise ModelError(f"arm names must differ, got {names}; pass name= to Arm.from_urdf")
-        self.arms = tuple(arms)
-        given = [pin.SE3.Identity() for _ in arms] if grasps is None else grasps
-        self.grasps = tuple(g if isinstance(g, Grasp) else Grasp.rigid(g) for g in given)
-        rigid = [i for i, grasp in enumerate(self.grasps) if grasp.is_rigid]
-        self.leader = rigid[0] if rigid else None
-        self.allow_unactuated = allow_unactuated
-        if len(self.grasps) != len(arms):
-            raise ModelError(f"{len(arms)} arms but {len(self.grasps)} grasps; give X_TO for each")
-        if payload is None and len(rigid) < len(self.grasps):
-            raise ModelError(
-                "an object without mass cannot be held by grasps that permit motions: nothing "
-                "resists these. Give a payload, or put the joint into the URDF, with a link"
-            )
-        self.payload = payload
-        self.reference = payload or RigidObject(_REFERENCE)
-        self.rank_tolerance = rank_tolerance
-        self.model = _merge(self.arms)
-        self.data = self.model.createData()
-        self.slices: tuple[slice, ...] = tuple(
-            slice(end - arm.model.nv, end)
-            for arm, end in zip(arms, np.cumsum([a.model.nv for a in arms]), strict=True)
-        )
-        passive = {f"{arm.name}/{joint}" for arm in arms for joint in arm.passive_joints}
-        self.actuated = np.array(
-            [
-                self.model.joints[j].idx_v
-                for j in range(1, self.model.njoints)
-                if self.model.names[j] not in passive
-            ],
-            dtype=int,
-        )
-        self.tau_max = effort_limits(self.model, self.actuated)
-        self.full_ranks = tuple(
-            _full_rank(arm.model, arm.tip, grasp)
-            for arm, grasp in zip(arms, self.grasps, strict=True)
-        )
-        self.arm_mass = max(
-            sum(i.mass for i in arm.model.inertias) + heaviest_rotor(arm.model, GYRATION)
-            for arm in self.arms
-        )
-        self.tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
-        self.sensors = [
-            None
-            if a.wrist_sensor is None
-            else robots.frame_id(self.model, f"{a.name}/{a.wrist_sensor}")
-            for a in arms
-        ]
-        self.outboard: list[list[OutboardLink]] = [
-            [] if sensor is None else outboard_links(self.model, sensor, tip)
-            for sensor, tip in zip(self.sensors, self.tips, strict=True)
-        ]
-        self._rows: dict[bool, Bytes] = {}
-
-    @property
-    def nq(self) -> int:
-        """Number of joint coordinates of all arms (= number of joint velocities)."""
-        return int(self.model.nq)
-
-    @property
-    def n_a(self) -> int:
-        """Number of motors."""
-        return len(self.actuated)
-
-    @property
-    def joint_names(self) -> list[str]:
-        """All joints in the order of q and v, "arm/joint"."""
-        return list(self.model.names)[1:]
 
     def state(
         self,
@@ -191,29 +72,6 @@ class ClosedChain:
         now.require_done()
         return read_state(self, now, rest, data)
 
-    def tip_poses(self, data: pin.Data | None = None) -> list[pin.SE3]:
-        """Pose of each arm's tip in the world, at the positions last given to `data`."""
-        return [self._placement(f, data) for f in self.tips]
-
-    def object_poses(self) -> list[pin.SE3]:
-        """Pose of the object according to each arm, its grasp at zero, at the same positions."""
-        return [tip * grasp.X_TO for tip, grasp in zip(self.tip_poses(), self.grasps, strict=True)]
-
-    def object_pose(self, data: pin.Data | None = None) -> pin.SE3:
-        """Pose of the object at the same positions.
-
-        Raises:
-            ModelError: the joints do not tell it.
-        """
-        if self.leader is not None:
-            return self._placement(self.tips[self.leader], data) * self.grasps[self.leader].X_TO
-        tips = self.tip_poses(data)
-        return locate(self.grasps, tips, self.reference_inertia, self.rank_tolerance)
-
-    def sensor_poses(self, data: pin.Data | None = None) -> tuple[pin.SE3 | None, ...]:
-        """Placement of each wrist sensor in the world, likewise; None: the arm has none."""
-        return tuple(None if f is None else self._placement(f, data) for f in self.sensors)
-
     def _twist(self, X_WO: pin.SE3, data: pin.Data) -> Array | None:
         """(6,) of the object as the leader's tip tells it; None: the law finds it."""
         if self.leader is None:
@@ -228,74 +86,12 @@ class ClosedChain:
         Raises:
             ModelError: arms that the law does not know.
         """
-        if not self._rows:
-            self._rows = {led: chain_row(self, led) for led in (False, True)}
-            require_pinocchio_agrees(self, self._rows[False])
         row = self._rows[led]
         row[:CHAIN_BYTES].view(CHAIN)[0]["gravity"] = self.model.gravity.linear  # may have changed
         return row
 
-    def reference_inertia(self, X_WO: pin.SE3) -> Array:
-        """(6, 6) inertia of the object at its own origin, or of its stand-in if nothing is held."""
-        return self.reference.terms(X_WO, np.zeros(6), np.zeros(3)).Lambda
-
-    def _placement(self, frame: int, data: pin.Data | None = None) -> pin.SE3:
-        at = self.model.frames[frame]
-        return (self.data if data is None else data).oMi[at.parentJoint] * at.placement
-
-    def unactuated_motions(self, G: Array, S: Array) -> Array:
-        """(6, u) motions of the object in which GᵀU = 0; an error unless they are allowed."""
-        if G.shape[0] == 0:
-            return np.zeros((6, 0))
-        limits = np.where(np.isfinite(self.tau_max), self.tau_max, 1.0)
-        U, s, _ = np.linalg.svd(G * limits)
-        driven = int(np.count_nonzero(s >= 1e-9 * s.max(initial=0.0))) if s.any() else 0
-        motions: Array = S @ U[:, driven:]
-        if motions.shape[1] and not self.allow_unactuated:
-            raise ModelError(
-                f"the {self.n_a} motors cannot drive every one of the {G.shape[0]} motions of the "
-                f"object: nobody drives the twist {np.array2string(motions[:, -1], precision=3)} "
-                "(linear, angular; world axes at the object). Add a motor, or grasp so that the "
-                "motion is blocked."
-            )
-        return motions
-
-
-def _full_rank(model: pin.Model, tip: str, grasp: Grasp) -> int:
-    """Motions of the object that an arm makes in ordinary postures, as far as its grasp tells.
-
-    The largest rank of NᵀJ in a few random postures.
-    """
-    rng, data = np.random.default_rng(0), model.createData()
-    frame = robots.frame_id(model, tip)
-    ranks = []
-    for _ in range(4):
-        q = rng.uniform(-1.0, 1.0, model.nq)
-        J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
-        ranks.append(int(np.linalg.matrix_rank(grasp.N.T @ J, tol=1e-6)))
-    return max(ranks)
-
-
-def _merge(arms: Sequence[Arm]) -> pin.Model:
-    merged, carried, names = pin.Model(), [], {"universe": "universe"}
-    merged.gravity = arms[0].model.gravity
-    for arm in arms:
-        model = arm.model.copy()
-        for j in range(1, model.njoints):
-            model.names[j] = f"{arm.name}/{model.names[j]}"
-        joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
-        for i, frame in enumerate(list(model.frames)[1:]):
-            mark = "" if frame.type in joints else f"#{i}"  # a link may be called as a joint
-            name = f"{arm.name}/{frame.name}"
-            frame.name, names[name + mark] = name + mark, name
-        merged = pin.appendModel(merged, model, 0, arm.base)
-        carried.append(rotor_inertia(model))
-    for frame in merged.frames:
-        frame.name = names[frame.name]
-    merged.armature = np.concatenate(carried)  # Pinocchio 4.1 does not carry it over
-    if merged.nq != merged.nv:
-        raise InvalidInputError(
-            "joints with nq ≠ nv are not supported; robots.load_model makes continuous joints "
-            "revolute ones without end stops"
-        )
-    return merged
+    @cached_property
+    def _rows(self) -> dict[bool, Bytes]:
+        rows = {led: chain_row(self, led) for led in (False, True)}
+        require_pinocchio_agrees(self, rows[False])
+        return rows

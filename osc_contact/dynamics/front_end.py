@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.dynamics.chain_look import Look
+from osc_contact.dynamics.chain_model import ChainModel
 from osc_contact.errors import ModelError
 from osc_contact.law.layout import Bytes
-
-if TYPE_CHECKING:
-    from osc_contact.dynamics.closed_chain import ClosedChain
 
 __all__ = ["require_pinocchio_agrees"]
 
 STATES, TOLERANCE = 3, 1e-9
 
 
-def require_pinocchio_agrees(chain: ClosedChain, row: Bytes) -> None:
+def require_pinocchio_agrees(chain: ChainModel, row: Bytes) -> None:
     """Compare J, M and h = C v + g on a few random states.
 
     Args:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,16 +15,17 @@ from mcap.writer import Writer
 from osc_contact.errors import RecordingError
 from osc_contact.files import whole_file
 
-if TYPE_CHECKING:
-    from osc_contact.recorder.recording import Recording
-
 __all__ = ["write_csv", "write_mcap"]
 
 Array = npt.NDArray[Any]
+Piece = dict[str, Array]
 
 
-def write_csv(recording: Recording, path: str | os.PathLike[str]) -> Path:
+def write_csv(pieces: Iterable[Piece], path: str | os.PathLike[str]) -> Path:
     """One line per tick, one column per number: t, q.0, q.1, …, N.0.0, N.0.1, …
+
+    Args:
+        pieces: of a recording, in order: channels with equally long first axes. path: of the file.
 
     Raises:
         RecordingError: the file cannot be written.
@@ -32,7 +33,7 @@ def write_csv(recording: Recording, path: str | os.PathLike[str]) -> Path:
     target = Path(path)
     try:
         with whole_file(target) as unfinished, open(unfinished, "x", encoding="ascii") as file:
-            for number, piece in enumerate(recording.pieces()):
+            for number, piece in enumerate(pieces):
                 if number == 0:
                     file.write(",".join(c for n, x in piece.items() for c in _columns(n, x)) + "\n")
                 flat = [x.reshape(len(x), -1).astype(float) for x in piece.values()]
@@ -47,25 +48,29 @@ def _columns(name: str, values: Array) -> Iterator[str]:
         yield ".".join((name, *map(str, place)))
 
 
-def write_mcap(recording: Recording, path: str | os.PathLike[str]) -> Path:
+def write_mcap(
+    pieces: Iterable[Piece], path: str | os.PathLike[str], meta: Mapping[str, Any], names: list[str]
+) -> Path:
     """One JSON message per tick on the topic "tick", at its time in the run; the meta beside it.
+
+    Args:
+        pieces, path: as in `write_csv`. meta: of the recording. names: of its channels.
 
     Raises:
         RecordingError: the file cannot be written.
     """
     target = Path(path)
-    names = list(recording.channels)
     shapes = {name: {"type": ["number", "boolean", "array", "null"]} for name in names}
     schema = {"type": "object", "properties": shapes}
     try:
         with whole_file(target) as unfinished, open(unfinished, "xb") as file:
             writer = Writer(file)
             writer.start("", "osc_contact")
-            writer.add_metadata("recording", {"meta": json.dumps(recording.meta)})
+            writer.add_metadata("recording", {"meta": json.dumps(meta)})
             kind = writer.register_schema("tick", "jsonschema", json.dumps(schema).encode())
             channel = writer.register_channel("tick", "json", kind)
             number = 0
-            for piece in recording.pieces():
+            for piece in pieces:
                 times = piece["t"] if "t" in piece else np.arange(number, number + _length(piece))
                 for k, t in enumerate(times):
                     values = {name: _plain(series[k]) for name, series in piece.items()}
@@ -78,7 +83,7 @@ def write_mcap(recording: Recording, path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def _length(piece: dict[str, Array]) -> int:
+def _length(piece: Piece) -> int:
     return len(next(iter(piece.values()), ()))
 
 

@@ -172,12 +172,16 @@ class Recording:
         Raises:
             RecordingError: another ending, or the file cannot be written.
         """
-        writers = {".npz": Recording.save, ".csv": write_csv, ".mcap": write_mcap}
-        if Path(path).suffix not in writers:
-            raise RecordingError(
-                f"cannot export to {path}: give a name that ends in .npz, .csv or .mcap"
-            )
-        return writers[Path(path).suffix](self, path)
+        kind = Path(path).suffix
+        if kind == ".npz":
+            return self.save(path)
+        if kind == ".csv":
+            return write_csv(self.pieces(), path)
+        if kind == ".mcap":
+            return write_mcap(self.pieces(), path, self.meta, list(self.channels))
+        raise RecordingError(
+            f"cannot export to {path}: give a name that ends in .npz, .csv or .mcap"
+        )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Recording:
