@@ -250,15 +250,9 @@ class RigidPlant:
         if free:
             A = np.hstack((A, np.vstack((np.zeros((k, len(free))), -along[:, *at]))))
             M = beside(M, np.diag([rail.inertia for rail in free.values()]))
-            force = np.concatenate(
-                (
-                    force,
-                    [
-                        force_on_rail(r, self._s[i], self._rates[i], self.model.gravity.linear)
-                        for i, r in free.items()
-                    ],
-                )
-            )
+            g = self.model.gravity.linear
+            pulls = [force_on_rail(r, self._s[i], self._rates[i], g) for i, r in free.items()]
+            force = np.concatenate((force, pulls))
         b = np.concatenate(right)
         unheld = np.linalg.solve(M, force)
         inverse, multipliers = inverse_rows(A, M, row_groups(chain))
