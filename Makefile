@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: venv browser demo test docs gallery bench clean
+.PHONY: venv browser demo test docs gallery dist bench clean
 
 venv: .venv/.installed
 
@@ -43,6 +43,14 @@ docs: venv
 # Runs every packaged scenario and films it: some minutes. Without arguments it writes docs/gallery.md.
 gallery: venv browser
 	$(BIN)/python docs/_ext/gallery.py
+
+# Wheel and sdist, each tried in an empty environment outside of this folder: some minutes.
+# More than one Python: make dist PYTHONS="python3.11 python3.12"
+PYTHONS ?= $(PYTHON)
+dist: venv browser
+	rm -rf dist
+	$(BIN)/python -m hatchling build -d dist
+	$(BIN)/python tests/try_dist.py dist $(PYTHONS)
 
 bench: venv
 	$(BIN)/python benchmarks/control_loop.py

@@ -75,7 +75,7 @@ if TYPE_CHECKING:
     from osc_contact.sweeps.sweep import sweep
     from osc_contact.sweeps.vector_env import make_vector_env
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Arm",

@@ -133,7 +133,30 @@ def test_changelog_tells_of_this_version() -> None:
     assert f"## [{PROJECT['version']}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("target", ["venv", "browser", "demo", "test", "bench", "clean"])
+@pytest.mark.parametrize(
+    "target", ["venv", "browser", "demo", "test", "gallery", "dist", "bench", "clean"]
+)
 def test_make_has_the_target(target: str) -> None:
     text = (ROOT / "Makefile").read_text(encoding="utf-8")
     assert re.search(rf"^{target}:", text, re.MULTILINE), f"the Makefile has no target {target}"
+
+
+def test_the_paper_has_the_sections_of_the_journal_and_cites_what_it_lists() -> None:
+    text = (ROOT / "paper" / "paper.md").read_text(encoding="utf-8")
+    front = yaml.safe_load(text.split("---\n")[1])
+    assert {"title", "tags", "authors", "affiliations", "date", "bibliography"} <= set(front)
+    headings = re.findall(r"^# (.*)$", text, re.MULTILINE)
+    wanted = ["Summary", "Statement of need", "State of the field", "Software design", "References"]
+    assert headings == wanted
+    listed = re.findall(r"^@\w+\{([^,]+),", (ROOT / "paper/paper.bib").read_text(), re.MULTILINE)
+    cited = set(re.findall(r"@([A-Z]\w+(?::\d+)?)", text.split("---\n", 2)[2]))
+    assert cited == set(listed)
+    assert 250 <= len(text.split("---\n", 2)[2].split()) <= 1750
+
+
+def test_issue_templates_ask_for_something() -> None:
+    forms = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
+    assert len(forms) == 3
+    for form in forms:
+        told = yaml.safe_load(form.read_text(encoding="utf-8"))
+        assert told.get("blank_issues_enabled") or (told["name"] and told["body"])
