@@ -32,7 +32,9 @@ class InertiaLevel(StrEnum):
 
 
 def check(
-    robot: Annotated[str, typer.Argument(help="a URDF, or the name of a robot such as panda")],
+    robot: Annotated[
+        str, typer.Argument(help="a URDF, an MJCF file, or the name of a robot such as panda")
+    ],
     tip: Annotated[str | None, typer.Option(help="frame to describe (default: all ends)")] = None,
     limit: Annotated[
         list[str] | None,
@@ -46,7 +48,7 @@ def check(
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Check a robot's URDF and say what the robot is; exit code 1 if something is wrong."""
+    """Check a robot's URDF or MJCF and say what the robot is; exit code 1 if something is wrong."""
     with exit_codes():
         path, folders = robots.locate(robot)
         report = robots.check_robot(

@@ -60,8 +60,9 @@ class Arm:
         """Load an arm; joints that do not move the tip (fingers) are locked where they stand.
 
         Args:
-            urdf: path of a URDF (`robots.load_model` with its defaults judges it), or a ready
-                Pinocchio model, such as `robots.load_model` gives with other limits.
+            urdf: path of a URDF (`robots.load_model` with its defaults judges it) or of an MJCF
+                file (see `from_mjcf`), or a ready Pinocchio model, such as `robots.load_model`
+                gives with other limits.
             name: prefix that keeps equal robots apart.
             tip: frame that holds the object.
             base: pose of the URDF's root in the world (default: the origin).
@@ -79,11 +80,16 @@ class Arm:
         Raises:
             ModelError: unreadable or impossible URDF, unknown frame or joint, no moving joint.
         """
-        model = urdf if isinstance(urdf, pin.Model) else robots.load_model(Path(urdf))
+        if isinstance(urdf, pin.Model):
+            pairs = zip(urdf.mimicking_joints, urdf.mimicked_joints, strict=True)
+            model, follows = urdf, {urdf.names[a]: urdf.names[b] for a, b in pairs}
+        else:
+            model, follows = robots.load_coupled(Path(urdf), tip)
         held = dict(locked or {})
         _require_joints(model, (*passive_joints, *held))
         every_joint = list(model.names)[1:]
         model = _path_to(model, robots.frame_id(model, tip), held)
+        _require_uncoupled(model, follows)
         if isinstance(urdf, pin.Model):
             _require_sound(model)
         _require_joints(model, passive_joints)
@@ -126,7 +132,11 @@ class Arm:
         Raises:
             ModelError: see `robots.load_mjcf`, `from_urdf`.
         """
-        return cls.from_urdf(robots.load_mjcf(mjcf, tip, limits=limits), name=name, tip=tip, **how)
+        mj = robots.compile_mjcf(mjcf)
+        model = robots.load_mjcf(mj, tip, limits=limits)
+        arm = cls.from_urdf(model, name=name, tip=tip, **how)
+        _require_uncoupled(arm.model, robots.couplings(mj))
+        return arm
 
 
 def _require_joints(model: pin.Model, names: Sequence[str]) -> None:
@@ -136,6 +146,19 @@ def _require_joints(model: pin.Model, names: Sequence[str]) -> None:
             f"no moving joint called {missing[0]!r} on the way to the tip; "
             f"there are {list(model.names)[1:]}"
         )
+
+
+def _require_uncoupled(model: pin.Model, follows: Mapping[str, str]) -> None:
+    """No joint that moves the tip may follow another one."""
+    for name in list(model.names)[1:]:
+        if name in follows:
+            raise ModelError(
+                f"joint {name!r} on the way to the tip follows "
+                + (f"joint {follows[name]!r}" if follows[name] else "no other and is held")
+                + ": one motor moves both, and the control law takes every joint as free. Lock "
+                "both where they stand (locked=, arms.locked_joints), choose a tip before it, or "
+                "leave the coupling out if it has a motor of its own"
+            )
 
 
 def _require_sound(model: pin.Model) -> None:

@@ -106,7 +106,6 @@ class MujocoPlant:
         self.on = tuple(range(len(self.contacts)) if on is None else on)
         self.rails: list[Rail | None] = list(rails or [None] * len(bodies))
         self.pushes = tuple(pushes)
-        self._wrists = {arm.name: arm.wrist_sensor for arm in chain.arms}
         self.drives = JointDrives() if drives is None else drives
         driven = [chain.joint_names[j] for j in chain.actuated]
         try:
@@ -335,9 +334,9 @@ class MujocoPlant:
         )  # fmt: skip
 
     def _push(self, push: Push, force: Array) -> None:
-        sensor = self.model.body(f"{push.arm}/{self._wrists[push.arm]}")
-        body = int(self.model.body_parentid[sensor.id])
-        arm = self.data.xpos[sensor.id] - self.data.xipos[body]
+        sensor = self.model.site(f"{push.arm}/wrist")
+        body = int(self.model.body_parentid[int(sensor.bodyid[0])])
+        arm = self.data.site_xpos[sensor.id] - self.data.xipos[body]
         self.data.xfrc_applied[body, :3] += force
         self.data.xfrc_applied[body, 3:] += cross(arm, force)
 

@@ -1,4 +1,4 @@
-"""The MuJoCo model of a rig, put together from the same URDFs as the toolkit's own.
+"""The MuJoCo model of a rig, put together from the same files as the toolkit's own.
 
 The object hangs on the first arm's gripper, welded or by a joint of the grasp's kind; equality
 constraints tie it to the others: a weld, one point (ball) or two points of an axis (hinge). Only
@@ -17,10 +17,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import Grasp
 from osc_contact.errors import PlantError
 from osc_contact.plants.faces import Rail
+from osc_contact.robots import is_mjcf
+from osc_contact.robots.mjcf_parts import mjcf_skeleton
 from osc_contact.spatial import Array
 
 __all__ = ["DRIVE_MASS", "GRASP_JOINT", "GUIDES", "MujocoOptions", "scene"]
@@ -79,14 +82,10 @@ def scene(
         disabled |= off.mjDSBL_ISLAND
     spec.option.disableflags = int(disabled)
     for arm, urdf in zip(chain.arms, arm_urdfs, strict=True):
-        part = mujoco.MjSpec.from_string(_skeleton(urdf))
-        part.compiler.fusestatic = False
-        for joint in list(part.joints):
-            if joint.name in arm.locked:
-                _lock(mujoco, part, joint, arm.locked[joint.name])
+        part = _arm(mujoco, arm, urdf)
         spec.attach(part, prefix=f"{arm.name}/", frame=_frame(spec.worldbody, arm.base))
         if arm.wrist_sensor is not None:
-            _wrist_sensor(mujoco, spec, arm.name, arm.wrist_sensor)
+            _wrist_sensor(mujoco, spec, arm.name)
     _joint_numbers(spec, chain)
     for index in chain.actuated:
         name = chain.joint_names[index]
@@ -101,6 +100,20 @@ def scene(
     if options.friction > 0.0 and options.friction_solref is not None:
         _let_slide(spec, options, options.friction_solref)
     return spec
+
+
+def _arm(mujoco: Any, arm: Arm, file: Path) -> Any:
+    """An arm without shapes and losses, locked joints welded, a site where its wrist sensor is."""
+    if is_mjcf(file):
+        return mjcf_skeleton(mujoco, file, arm.tip, arm.wrist_sensor, arm.locked)
+    part = mujoco.MjSpec.from_string(_skeleton(file))
+    part.compiler.fusestatic = False
+    for joint in list(part.joints):
+        if joint.name in arm.locked:
+            _lock(mujoco, part, joint, arm.locked[joint.name])
+    if arm.wrist_sensor is not None:
+        part.body(arm.wrist_sensor).add_site(name="wrist")
+    return part
 
 
 def _skeleton(urdf: Path) -> str:
@@ -144,8 +157,7 @@ def _frame(body: Any, X: pin.SE3) -> Any:
     return body.add_frame(pos=X.translation, quat=[w, x, y, z])
 
 
-def _wrist_sensor(mujoco: Any, spec: Any, arm: str, frame: str) -> None:
-    spec.body(f"{arm}/{frame}").add_site(name=f"{arm}/wrist")
+def _wrist_sensor(mujoco: Any, spec: Any, arm: str) -> None:
     for kind in ("force", "torque"):
         spec.add_sensor(
             name=f"{arm}/{kind}",

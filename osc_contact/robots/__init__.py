@@ -15,11 +15,12 @@ from osc_contact.robots.loading import (
     cross_check,
     load,
     load_body,
+    load_coupled,
     load_geometry,
     load_model,
     load_robot,
 )
-from osc_contact.robots.mjcf import is_mjcf, load_mjcf
+from osc_contact.robots.mjcf import compile_mjcf, couplings, is_mjcf, load_mjcf
 from osc_contact.robots.model import check_mass_matrix, ends_of, frame_id, random_configurations
 from osc_contact.robots.report import RobotReport, check_robot
 from osc_contact.robots.summary import RobotSummary, summarise
@@ -33,8 +34,11 @@ __all__ = [
     "load_model",
     "load_robot",
     "load_mjcf",
+    "compile_mjcf",
+    "couplings",
     "is_mjcf",
     "load_body",
+    "load_coupled",
     "load_geometry",
     "load",
     "Loaded",

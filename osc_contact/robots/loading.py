@@ -21,7 +21,7 @@ from osc_contact.robots.inertias import (
     require_level,
 )
 from osc_contact.robots.limits import JointLimits, check_limits, give_limits
-from osc_contact.robots.mjcf import is_mjcf, load_mjcf
+from osc_contact.robots.mjcf import compile_mjcf, couplings, is_mjcf, load_mjcf
 from osc_contact.robots.model import build_model, check_mass_matrix
 from osc_contact.robots.reading import read_document
 from osc_contact.robots.second_reader import compare
@@ -33,6 +33,7 @@ __all__ = [
     "cross_check",
     "load",
     "load_body",
+    "load_coupled",
     "load_geometry",
     "load_model",
     "load_robot",
@@ -128,6 +129,20 @@ def load_robot(
     if is_mjcf(path):
         return load_mjcf(path, tip, limits=limits)
     return load_model(path, limits=limits, inertias=inertias, package_dirs=package_dirs)
+
+
+def load_coupled(path: Path | str, tip: str) -> tuple[pin.Model, dict[str, str]]:
+    """As `load_robot`, and which joints follow others by <mimic> or <equality>, with their masters.
+
+    Raises:
+        ModelError: see there.
+    """
+    if is_mjcf(path):
+        mj = compile_mjcf(path)
+        return load_mjcf(mj, tip), couplings(mj)
+    loaded = load(path)
+    joints = loaded.document.joints.values()
+    return loaded.model, {joint.name: joint.mimic for joint in joints if joint.mimic is not None}
 
 
 def load_body(path: Path | str) -> pin.Inertia:

@@ -16,7 +16,7 @@ from osc_contact.robots.limits import JointLimits
 from osc_contact.robots.model import check_mass_matrix
 from osc_contact.spatial import Array
 
-__all__ = ["compile_mjcf", "is_mjcf", "load_mjcf", "motors_of"]
+__all__ = ["compile_mjcf", "couplings", "is_mjcf", "load_mjcf", "motors_of", "place", "trees_of"]
 
 _NONE = 1e30  #: a limit that is none (N m, N, rad/s, m/s)
 
@@ -82,7 +82,7 @@ def load_mjcf(
     """
     mj = compile_mjcf(mjcf)
     reader = _Reader(mj)
-    reader.read(_roots(mj, tip))
+    reader.read(trees_of(mj, tip))
     _give_limits(reader.model, limits or {})
     check_mass_matrix(reader.model)
     return reader.model
@@ -97,7 +97,19 @@ def motors_of(mj: Any, joint: int) -> list[int]:
     ]  # fmt: skip
 
 
-def _roots(mj: Any, tip: str | None) -> set[int]:
+def couplings(mj: Any) -> dict[str, str]:
+    """Joint → the joint that it follows by an <equality> of the file, "" where it is held."""
+    found = {}
+    for e in range(mj.neq):
+        if int(mj.eq_type[e]) != 2 or not mj.eq_active0[e]:  # mjEQ_JOINT
+            continue
+        first, second = int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e])
+        name = mj.joint(first).name or f"joint{first}"
+        found[name] = "" if second < 0 else mj.joint(second).name or f"joint{second}"
+    return found
+
+
+def trees_of(mj: Any, tip: str | None) -> set[int]:
     """First bodies of the trees to read."""
     if tip is None:
         tops = {int(mj.body_rootid[b]) for b in range(1, mj.nbody)}
@@ -158,7 +170,7 @@ class _Reader:
         for s in range(mj.nsite):
             b = int(mj.site_bodyid[s])
             if b in self._joint and mj.site(s).name:
-                X = self._inside[b] * _pose(mj.site_pos[s], mj.site_quat[s])
+                X = self._inside[b] * place(mj.site_pos[s], mj.site_quat[s])
                 # beside its body, behind the same joint: a force sensor cuts before its body
                 self._frame(mj.site(s).name, b, X, pin.FrameType.OP_FRAME, pin.Inertia.Zero())
 
@@ -171,7 +183,7 @@ class _Reader:
                 "and so would the control law; set gravcomp to 0"
             )
         joint, above = self._joint[parent], self._above[parent]
-        X = self._inside[parent] * _pose(mj.body_pos[b], mj.body_quat[b])
+        X = self._inside[parent] * place(mj.body_pos[b], mj.body_quat[b])
         first = int(mj.body_jntadr[b])
         inertia = _inertia(mj, b)
         for j in range(first, first + int(mj.body_jntnum[b])):
@@ -254,6 +266,6 @@ def _inertia(mj: Any, b: int) -> pin.Inertia:
     return pin.Inertia(float(mj.body_mass[b]), np.array(mj.body_ipos[b]), about_centre)
 
 
-def _pose(position: Array, quaternion: Array) -> pin.SE3:
+def place(position: Array, quaternion: Array) -> pin.SE3:
     """From MuJoCo's w, x, y, z."""
     return pin.SE3(pin.Quaternion(*quaternion).toRotationMatrix(), np.array(position))

@@ -14,9 +14,11 @@ from osc_contact.robots.geometry import check_mesh_files
 from osc_contact.robots.inertias import Inertias
 from osc_contact.robots.limits import JointLimits
 from osc_contact.robots.loading import load
+from osc_contact.robots.mjcf import compile_mjcf, is_mjcf, load_mjcf
+from osc_contact.robots.mjcf_parts import placement_difference
 from osc_contact.robots.model import SAMPLES
 from osc_contact.robots.second_reader import compare
-from osc_contact.robots.summary import RobotSummary, summarise
+from osc_contact.robots.summary import RobotSummary, summarise, summarise_mjcf
 
 __all__ = ["RobotReport", "check_robot"]
 
@@ -87,8 +89,10 @@ def check_robot(
 ) -> RobotReport:
     """Load a URDF with all checks, mesh files and the second reader included, and describe it.
 
+    An MJCF file is compiled by MuJoCo, whose kinematics are the second reader.
+
     Args:
-        path, limits, inertias, package_dirs: as for `load_model`.
+        path, limits: as for `load_model`, or `load_mjcf`. inertias, package_dirs: of a URDF.
         tip: the frame to describe; default: one at each end of the tree.
 
     Raises:
@@ -96,6 +100,8 @@ def check_robot(
         InvalidInputError: limits for joints that do not exist.
     """
     file = Path(path)
+    if is_mjcf(file):
+        return _check_mjcf(file, limits, tip)
     start = time.perf_counter()
     try:
         loaded = load(file, limits=limits, inertias=inertias, package_dirs=package_dirs)
@@ -109,3 +115,22 @@ def check_robot(
         return RobotReport(file, error.findings)
     summary = summarise(loaded.model, loaded.document, tip)
     return RobotReport(file, (), load_ms, difference, len(missing), summary)
+
+
+def _check_mjcf(
+    file: Path, limits: Mapping[str, JointLimits] | None, tip: str | None
+) -> RobotReport:
+    start = time.perf_counter()
+    try:
+        mj = compile_mjcf(file)
+        model = load_mjcf(mj, tip, limits=limits)
+        load_ms = 1e3 * (time.perf_counter() - start)
+        difference = placement_difference(mj, model)
+    except ModelError as error:
+        if isinstance(error.__cause__, ImportError):
+            raise
+        return RobotReport(file, (Finding("mjcf", file, 0, 0, "", str(error), ""),))
+    mass = float(mj.body_subtreemass[0])
+    return RobotReport(
+        file, (), load_ms, difference, 0, summarise_mjcf(model, file.stem, mass, tip)
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,12 +11,13 @@ import pinocchio as pin
 
 from osc_contact.errors import ModelError
 from osc_contact.robots.document import Document
-from osc_contact.robots.model import frame_id, random_configurations
+from osc_contact.robots.model import ends_of, frame_id, random_configurations
 from osc_contact.spatial import Array
 
-__all__ = ["JointSummary", "RobotSummary", "TipSummary", "summarise"]
+__all__ = ["JointSummary", "RobotSummary", "TipSummary", "summarise", "summarise_mjcf"]
 
 POSTURES = 200
+NO_LIMIT = 1e30  #: N m, N, rad/s, m/s: as large as none
 _SHOWN_TIPS = 12
 
 
@@ -82,6 +84,40 @@ def summarise(model: pin.Model, document: Document, tip: str | None = None) -> R
     Raises:
         ModelError: no such frame, or no joint moves it.
     """
+    kinds = {name: joint.kind for name, joint in document.joints.items()}
+    mass = sum(link.inertial.mass for link in document.links.values() if link.inertial)
+    ends = _ends(model, document)
+    return _summary(model, document.name, kinds, len(document.links), mass, ends, tip)
+
+
+def summarise_mjcf(model: pin.Model, name: str, mass: float, tip: str | None) -> RobotSummary:
+    """The same of a robot from MJCF.
+
+    Args:
+        model: as loaded. name, mass: of all of it (kg). tip: see `summarise`.
+
+    Raises:
+        ModelError: no such frame, or no joint moves it.
+    """
+    joints = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
+    kinds = {
+        joint: "prismatic" if form.shortname().startswith("JointModelP") else "revolute"
+        for joint, form in joints
+    }
+    links = sum(frame.type == pin.FrameType.BODY for frame in model.frames)
+    ends = [frame_id(model, end) for end in ends_of(model)]
+    return _summary(model, name, kinds, links, mass, ends, tip)
+
+
+def _summary(
+    model: pin.Model,
+    robot: str,
+    kinds: Mapping[str, str],
+    links: int,
+    mass: float,
+    ends: list[int],
+    tip: str | None,
+) -> RobotSummary:
     data = model.createData()
     pin.crba(model, data, pin.neutral(model))
     joints = []
@@ -89,19 +125,19 @@ def summarise(model: pin.Model, document: Document, tip: str | None = None) -> R
         joint, name = model.joints[j], model.names[j]
         q, v = joint.idx_q, joint.idx_v
         joints.append(JointSummary(
-            name, document.joints[name].kind,
+            name, kinds[name],
             float(model.lowerPositionLimit[q]), float(model.upperPositionLimit[q]),
-            float(model.upperEffortLimit[v]), float(model.upperVelocityLimit[v]),
+            _limit(model.upperEffortLimit[v]), _limit(model.upperVelocityLimit[v]),
             float(data.Ycrb[j].mass),
         ))  # fmt: skip
-    frames = _ends(model, document) if tip is None else [frame_id(model, tip)]
+    frames = ends if tip is None else [frame_id(model, tip)]
     if tip is not None and model.frames[frames[0]].parentJoint == 0:
-        raise ModelError(f"{document.file}: no joint moves the frame {tip!r}")
+        raise ModelError(f"{robot}: no joint moves the frame {tip!r}")
     return RobotSummary(
-        document.name,
+        robot,
         model.nv,
-        len(document.links),
-        sum(link.inertial.mass for link in document.links.values() if link.inertial),
+        links,
+        mass,
         sum(float(inertia.mass) for inertia in list(model.inertias)[1:]),
         tuple(joints),
         tuple(_tip(model, frame) for frame in frames[:_SHOWN_TIPS]),
@@ -149,6 +185,11 @@ def _inverse(eigenvalues: list[Array]) -> tuple[float, float]:
         return float("inf"), float("inf")
     bottom = values.min()
     return 1.0 / float(top), 1.0 / float(bottom) if bottom > 1e-12 * top else float("inf")
+
+
+def _limit(value: float) -> float:
+    """Infinite where a file that names none got a huge number instead."""
+    return float(value) if value < NO_LIMIT else float("inf")
 
 
 def _finite(value: Any) -> Any:

@@ -117,12 +117,12 @@ def _postures(arm: Arm, press: Press) -> Iterator[Array]:
     for q in candidates:
         pin.forwardKinematics(model, data, q)
         X = pin.updateFramePlacement(model, data, tip)
-        J = pin.computeFrameJacobian(model, data, q, tip, pin.LOCAL_WORLD_ALIGNED)
-        M = np.array(pin.crba(model, data, q))
+        J = _jacobian(model, data, q, tip)
+        M = np.array(pin.crba(model, data, q)).reshape(model.nv, model.nv)
         K = np.linalg.cholesky(M)
         down = X.rotation @ axis
-        sizes = np.linalg.svd(np.linalg.solve(K, J[:3].T), compute_uv=False)
-        load = pin.computeGeneralizedGravity(model, data, q) - J[:3].T @ (press.force * down)
+        sizes = np.linalg.svd(np.linalg.solve(K, J.T), compute_uv=False)
+        load = pin.computeGeneralizedGravity(model, data, q) - J.T @ (press.force * down)
         strain = float(np.abs(load / limits).max())
         with np.errstate(invalid="ignore"):
             room = np.minimum(q - low, high - q) / np.minimum(high - low, 2 * np.pi)
@@ -226,9 +226,16 @@ def _reference(robot: str) -> str:
 
 def _tangent(model: pin.Model, data: pin.Data, q: Array, tip: int, down: Array) -> Array:
     """The direction (3,) along the plate in which the tip moves most easily."""
-    J = pin.computeFrameJacobian(model, data, q, tip, pin.LOCAL_WORLD_ALIGNED)[:3]
-    A = J @ np.linalg.solve(np.array(pin.crba(model, data, q)), J.T)
+    J = _jacobian(model, data, q, tip)
+    M = np.array(pin.crba(model, data, q)).reshape(model.nv, model.nv)
+    A = J @ np.linalg.solve(M, J.T)
     P = np.eye(3) - np.outer(down, down)
     values, vectors = np.linalg.eigh(P @ A @ P)
     along: Array = vectors[:, int(np.argmax(values))]
     return along * np.sign(along[np.abs(along).argmax()])
+
+
+def _jacobian(model: pin.Model, data: pin.Data, q: Array, tip: int) -> Array:
+    """(3, n) of the tip's velocity in the world; Pinocchio drops an axis where n is 1."""
+    J = pin.computeFrameJacobian(model, data, q, tip, pin.LOCAL_WORLD_ALIGNED)
+    return np.asarray(J).reshape(6, model.nv)[:3]

@@ -52,7 +52,9 @@ def content_of(rig: Rig) -> Content:
     scenario = rig.scenario
     source = None if scenario.source is None else scenario.source.parent
     arms = [
-        ArmVisual(arm.name, *robots.resolve_urdf(spec.urdf, source), arm.base, part, arm.locked)
+        ArmVisual(
+            arm.name, *robots.resolve_urdf(spec.urdf, source), arm.base, part, arm.locked, arm.tip
+        )
         for spec, arm, part in zip(scenario.arms, rig.chain.arms, rig.chain.slices, strict=True)
     ]
     bodies = [BodyVisual("object", *robots.resolve_urdf(scenario.object.urdf, source), None)]

@@ -77,7 +77,7 @@ class ArmSpec(Spec):
     name: Name
     """a name of letters, digits, _ and -, such as left"""
     urdf: Text
-    """a packaged URDF, a path beside the scenario file, or example-robot-data:NAME"""
+    """a packaged URDF, a path beside the file (URDF or MJCF), or example-robot-data:NAME"""
     base: PoseSpec = PoseSpec()
     tip: Text
     """the frame of the URDF that holds the object"""

@@ -13,7 +13,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.robots import load_geometry
+from osc_contact.robots import is_mjcf, load_geometry
+from osc_contact.robots.mjcf_parts import mjcf_geometry
 from osc_contact.visual.parts import Frame, LegendEntry, Sample, State
 from osc_contact.visual.primitives import urdf_geometry
 
@@ -26,9 +27,10 @@ Array = NDArray[np.float64]
 
 
 class ArmVisual(NamedTuple):
-    """An arm to draw: its URDF, where its base stands (X_WB), where its joints are in q.
+    """An arm to draw: its URDF or MJCF, where its base stands (X_WB), where its joints are in q.
 
-    Joints that q does not have are in `locked`, with their positions (m, rad).
+    Joints that q does not have are in `locked`, with their positions (m, rad). Of an MJCF file the
+    tree is drawn that `tip` belongs to.
     """
 
     name: str
@@ -37,6 +39,7 @@ class ArmVisual(NamedTuple):
     base: pin.SE3
     q_slice: slice
     locked: Mapping[str, float] = {}
+    tip: str | None = None
 
 
 class BodyVisual(NamedTuple):
@@ -74,13 +77,21 @@ class Content:
     frame_words: str = "best single frame (Raibert–Craig)"
 
 
+def _shapes(arm: ArmVisual) -> tuple[pin.Model, pin.GeometryModel]:
+    """Kinematics and shapes of an arm's file."""
+    if is_mjcf(arm.urdf):
+        return mjcf_geometry(arm.urdf, arm.tip)
+    kind = pin.GeometryType.VISUAL
+    model, geometry, _ = load_geometry(arm.urdf, kind, arm.package_dirs)
+    return model, geometry
+
+
 class MovingArm:
     """An arm that moves by its joint positions."""
 
     def __init__(self, arm: ArmVisual) -> None:
         self.arm = arm
-        kind = pin.GeometryType.VISUAL
-        self.model, geometry, _ = load_geometry(arm.urdf, kind, arm.package_dirs)
+        self.model, geometry = _shapes(arm)
         self.data = self.model.createData()
         self.shapes = list(geometry.geometryObjects)
         names = list(self.model.names)[1:]

@@ -1,0 +1,183 @@
+"""MJCF arms in scenarios: on both plants, drawn, checked, and refused where joints are coupled."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from typer.testing import CliRunner
+
+import osc_contact as osc
+from osc_contact import robots
+from osc_contact.cli import app
+from osc_contact.robots.mjcf_parts import mjcf_geometry
+
+TASK = """
+name: from_mjcf
+arms:
+  - {name: arm, urdf: arm.xml, tip: TIP, wrist_sensor: wrist,
+     posture: [0.3, -0.8, 1.2, 0.4, -0.7, 0.2]}
+object: {urdf: stylus.urdf}
+grasps: {arm: {}}
+contacts:
+  - name: ball
+    type: vertex_on_face
+    vertex: [0, 0, 80 mm]
+    radius: 8 mm
+    face: {urdf: face.urdf, point: POINT, normal: NORMAL}
+force: {ball: [{type: constant, value: 5 N}]}
+gains: {motion: {stiffness: 400, damping: 40}, force: {integral: 30, damping: 50}}
+control: {rate: 1 kHz}
+plant: {type: mujoco, step: 0.25 ms}
+duration: 1.6 s
+"""
+SIX = """
+<mujoco>
+  <compiler angle="radian"/>
+  <default>
+    <joint armature="0.05" damping="0.3" frictionloss="0.1" limited="true" range="-3 3"/>
+  </default>
+  <worldbody>
+    <body name="other" pos="3 0 0"><freejoint/><geom size="0.1" mass="1"/></body>
+    <body name="base" pos="0 0.1 0.2">
+      <geom size="0.1" mass="2"/>
+      <body name="j1" pos="0 0 0.1">
+        <joint name="j1" axis="0 0 1"/><geom type="cylinder" size="0.05 0.1" mass="3"/>
+        <body name="j2" pos="0 0 0.1">
+          <joint name="j2" axis="0 1 0" pos="0 0 0.02" ref="0.2"/>
+          <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.04" mass="3"/>
+          <body name="j3" pos="0.3 0 0">
+            <joint name="j3" axis="0 1 0"/>
+            <geom type="capsule" fromto="0 0 0 0.25 0 0" size="0.03" mass="2"/>
+            <body name="j4" pos="0.25 0 0">
+              <joint name="j4" axis="1 0 0"/><geom size="0.03" mass="0.6"/>
+              <body name="j5">
+                <joint name="j5" axis="0 1 0"/><geom size="0.03" pos="0.05 0 0" mass="0.5"/>
+                <body name="hand" pos="0.08 0 0" euler="0 1.2 0">
+                  <joint name="j6" axis="0 0 1"/>
+                  <geom type="box" size="0.02 0.03 0.02" mass="0.3"/>
+                  <site name="wrist" pos="0 0 0.01" euler="0 0 0.5"/>
+                  <site name="tip" pos="0 0 0.03"/>
+                  <body name="finger" pos="0 0.02 0.03">
+                    <joint name="grip" type="slide" axis="0 1 0"/>
+                    <geom size="0.01" mass="0.05"/>
+                  </body>
+                </body>
+              </body>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="j1" ctrllimited="true" ctrlrange="-80 80"/></actuator>
+  EQUALITY
+</mujoco>"""
+
+
+def task(folder, tip="tip", **changes):
+    """A scenario whose arm is SIX; the face lies where MuJoCo itself puts the stylus."""
+    text = SIX.replace("EQUALITY", "")
+    (folder / "arm.xml").write_text(text)
+    mj = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(mj)
+    for k, x in enumerate((0.3, -0.8, 1.2, 0.4, -0.7, 0.2)):
+        data.qpos[int(mj.joint(f"j{k + 1}").qposadr[0])] = x
+    mujoco.mj_kinematics(mj, data)
+    at = data.site("tip") if tip == "tip" else data.body(tip)
+    out = -np.array(at.xmat).reshape(3, 3)[:, 2]
+    point = np.array(at.xpos) - 0.088 * out
+    file = folder / "task.yaml"
+    file.write_text(
+        TASK.replace("TIP", tip)
+        .replace("POINT", str(point.tolist()))
+        .replace("NORMAL", str(out.tolist()))
+    )
+    return osc.load_scenario(file, changes.get("changes", ()))
+
+
+@pytest.mark.parametrize("tip", ["tip", "hand"])
+def test_a_scenario_takes_an_mjcf_file(tmp_path, tip):
+    scenario = task(tmp_path, tip)
+    rig = osc.build_rig(scenario)
+    assert osc.preflight(rig) == ()
+    assert np.linalg.norm(rig.state().X_WO.translation - rig.X_asked.translation) < 1e-9
+    verdict = osc.metrics(osc.run(scenario))
+    assert verdict["task"]["word"] == "OK" and verdict["contact_fraction"] == {"ball": 1.0}
+    assert verdict["force"]["ball"]["rms_error_rel"] < 0.01
+    exact = osc.run(scenario.replaced(plant={"type": "rigid", "step": 1e-3}))
+    np.testing.assert_allclose(exact["alpha_true"][-1], 5.0, rtol=1e-3)
+
+
+def test_both_plants_accelerate_an_arm_from_mjcf_alike(tmp_path):
+    """Free fall from a posture, damping included, two joints and a finger held where told."""
+    scenario = task(
+        tmp_path,
+        changes=[
+            "contacts=[]",
+            "force={}",
+            "arms.arm.locked_joints={grip: 4 mm, j2: -0.8, j4: 0.4}",
+            "arms.arm.posture=[0.3, 1.2, -0.7, 0.2]",
+            "arms.arm.friction=0 Nm",
+            "plant.step=0.05 ms",
+        ],
+    )
+    rigs = [osc.build_rig(scenario),
+            osc.build_rig(scenario.replaced(plant={"type": "rigid", "step": 5e-5}))]  # fmt: skip
+    moved = []
+    for rig in rigs:
+        plant = rig.plant()
+        plant.command(np.zeros(4), 0.02)
+        moved.append(plant.measure())
+    np.testing.assert_allclose(moved[0].q, moved[1].q, atol=1.5e-5)
+    assert np.abs(moved[0].q - rigs[0].q_start).max() > 1e-3
+    np.testing.assert_allclose(moved[0].wrenches, moved[1].wrenches, atol=0.05)
+
+
+def test_its_shapes_are_drawn_where_mujoco_has_them(tmp_path):
+    scenario = task(tmp_path)
+    model, geometry = mjcf_geometry(tmp_path / "arm.xml", "tip")
+    assert len(geometry.geometryObjects) == 8  # of the arm, not of what lies beside it
+    mj = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    data, mine = mujoco.MjData(mj), model.createData()
+    q = np.array([*scenario.arms[0].posture, 0.01])
+    for name, x in zip(list(model.names)[1:], q, strict=True):
+        data.qpos[int(mj.joint(name).qposadr[0])] = x
+    mujoco.mj_forward(mj, data)
+    pin.forwardKinematics(model, mine, q)
+    for shape in geometry.geometryObjects:
+        g = int(shape.name.removeprefix("geom"))
+        np.testing.assert_allclose(
+            (mine.oMi[shape.parentJoint] * shape.placement).translation,
+            data.geom_xpos[g],
+            atol=1e-9,
+        )
+
+
+def test_check_describes_it_and_refuses_with_exit_code_1(tmp_path):
+    task(tmp_path)
+    report = robots.check_robot(tmp_path / "arm.xml")
+    assert report.sound and report.reader_difference < 1e-12
+    assert report.summary.dof == 7 and report.summary.mass == pytest.approx(12.45)
+    assert [joint.kind for joint in report.summary.joints] == 6 * ["revolute"] + ["prismatic"]
+    assert report.summary.joints[0].effort == 80.0 and np.isinf(report.summary.joints[1].effort)
+    result = CliRunner().invoke(app, ["check", str(tmp_path / "arm.xml"), "--tip", "tip"])
+    assert result.exit_code == 0 and "sound" in result.stdout
+    (tmp_path / "bad.xml").write_text(
+        SIX.replace('name="j3" axis', 'name="j3" stiffness="5" axis').replace("EQUALITY", "")
+    )
+    refused = CliRunner().invoke(app, ["check", str(tmp_path / "bad.xml")])
+    assert refused.exit_code == 1 and "spring of 5" in refused.stdout
+
+
+def test_joints_that_follow_others_on_the_way_to_the_tip_are_refused(tmp_path):
+    text = SIX.replace("EQUALITY", '<equality><joint joint1="j3" joint2="j2"/></equality>')
+    (tmp_path / "arm.xml").write_text(text)
+    with pytest.raises(osc.ModelError, match="'j3' on the way to the tip follows joint 'j2'"):
+        osc.Arm.from_mjcf(tmp_path / "arm.xml", name="a", tip="tip")
+    both = {"j2": 0.1, "j3": 0.1}
+    assert osc.Arm.from_urdf(tmp_path / "arm.xml", name="a", tip="tip", locked=both).model.nv == 4
+    grip = text.replace('joint1="j3"', 'joint1="grip"')
+    (tmp_path / "arm.xml").write_text(grip)
+    assert osc.Arm.from_mjcf(tmp_path / "arm.xml", name="a", tip="tip").model.nv == 6
