@@ -62,6 +62,7 @@ from osc_contact.response import ContactResponse, contact_response
 from osc_contact.runs.faces import OwnMotion
 from osc_contact.runs.loop import run_loop
 from osc_contact.runs.metrics import metrics
+from osc_contact.runs.plants import register_plant
 from osc_contact.runs.preflight import Finding, preflight
 from osc_contact.runs.recorder import Recorder
 from osc_contact.runs.recovery import recover
@@ -124,6 +125,7 @@ __all__ = [
     "JerkLimits",
     "load_scenario",
     "list_scenarios",
+    "register_plant",
     "Scenario",
     "OwnMotion",
     "Rail",

@@ -14,6 +14,7 @@ import osc_contact as osc
 from osc_contact.contacts.contact import Contact
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.rigid import RigidPlant
+from osc_contact.runs import plants
 
 
 @pytest.fixture(scope="module")
@@ -142,3 +143,27 @@ def test_the_scene_needs_an_object(rig):
     chain = osc.ClosedChain(rig.chain.arms, rig.chain.grasps)
     with pytest.raises(osc.ModelError, match="payload"):
         RigidPlant(chain, rig.pairs, 1e-3)
+
+
+def test_a_registered_plant_is_named_in_scenarios(monkeypatch):
+    """A plant of one's own: built from the parts of the rig, judged and refused as it says."""
+    for register in (plants.PLANTS, plants.PLANT_TYPES):  # taken out again after the test
+        monkeypatch.setitem(register, "halved", None)
+    seen = []
+
+    @osc.register_plant("halved", exact=True)
+    def make(parts):
+        seen.append(parts)
+        return RigidPlant(parts.chain, parts.pairs, parts.scenario.plant.step / 2)
+
+    changes = {"plant.type": "halved", "duration": "0.05 s"}
+    own = osc.run(osc.load_scenario("two_contact_rod", changes))
+    (parts,) = seen
+    assert parts.on == (0, 1) and parts.scenario.plant.exact
+    rigid = osc.run(osc.load_scenario("two_contact_rod", {**changes, "plant.type": "rigid"}))
+    difference = np.abs(own["alpha_true"] - rigid["alpha_true"]).max()
+    assert 0.0 < difference < 0.1  # half the step: another plant, nearly the same forces
+    with pytest.raises(osc.ScenarioError, match="the halved plant's are bilateral"):
+        osc.build_rig(osc.load_scenario("approach_and_slide", changes)).plant()
+    with pytest.raises(osc.ScenarioError, match="'mujoco', 'rigid' or 'halved'; got 'bullet'"):
+        osc.load_scenario("two_contact_rod", {"plant.type": "bullet"})

@@ -67,7 +67,7 @@ def environment_bodies(scenario: Scenario) -> tuple[EnvironmentBody, ...]:
     Raises:
         ModelError: a URDF is not found.
     """
-    source = None if scenario.source is None else scenario.source.parent
+    source = scenario.folder
     found = []
     for i, spec in enumerate(scenario.contacts):
         if isinstance(spec, OnFaceSpec):

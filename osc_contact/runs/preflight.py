@@ -77,7 +77,7 @@ def _sensors(rig: Rig) -> Iterator[Finding]:
 def _tare(rig: Rig) -> Iterator[Finding]:
     """Weights that the wrists read and the model does not know; the exact plant has no tare."""
     scenario = rig.scenario
-    if not rig.pairs or scenario.tare is not None or scenario.plant.type == "rigid":
+    if not rig.pairs or scenario.tare is not None or scenario.plant.exact:
         return
     error, wrist = scenario.model_error, scenario.sensors.wrist
     wrong = [

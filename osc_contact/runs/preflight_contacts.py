@@ -99,9 +99,7 @@ class _Solid:
 
 def _solids(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
     """Number and pair of each contact that has a place, with the body and the object it is on."""
-    source = rig.scenario.source
-    folder = None if source is None else source.parent
-    urdf = robots.resolve_urdf(rig.scenario.object.urdf, folder)[0]
+    urdf = robots.resolve_urdf(rig.scenario.object.urdf, rig.scenario.folder)[0]
     held = _Solid("the object", urdf, rig.state().X_WO)
     bodies = [_Solid(f"'{body.name}'", body.urdf[0], body.placement) for body in rig.bodies]
     for i, pair in enumerate(rig.pairs):
@@ -111,7 +109,7 @@ def _solids(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
 
 def beside(rig: Rig) -> Iterator[Finding]:
     """Contacts beside their bodies or the object; those of the exact plant have no ends."""
-    if rig.scenario.plant.type == "rigid":
+    if rig.scenario.plant.exact:
         return
     X = rig.state().X_WO
     for _, pair, solids in _solids(rig):
@@ -159,7 +157,7 @@ def inverted(rig: Rig) -> Iterator[Finding]:
 
 def inside(rig: Rig) -> Iterator[Finding]:
     """An object that begins in a body, for another cause than those above."""
-    if rig.scenario.plant.type == "rigid" or any(True for _ in (*normals(rig), *inverted(rig))):
+    if rig.scenario.plant.exact or any(True for _ in (*normals(rig), *inverted(rig))):
         return
     deepest: dict[str, float] = {}
     for _, _, solids in _solids(rig):

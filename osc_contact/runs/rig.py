@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -26,12 +25,8 @@ from osc_contact.dynamics.assembly import close, reach
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
 from osc_contact.dynamics.payload import RigidObject
-from osc_contact.errors import ScenarioError
 from osc_contact.interface import Measurement, Robot
 from osc_contact.plants.judge import Plant
-from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
-from osc_contact.plants.pushes import Push
-from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
 from osc_contact.response import require_reachable
 from osc_contact.runs import faces, hardware
@@ -42,6 +37,7 @@ from osc_contact.runs.contacts import (
     pose_of,
 )
 from osc_contact.runs.log import Subject
+from osc_contact.runs.plants import Parts, make_plant
 from osc_contact.runs.references import References, force_owners
 from osc_contact.runs.start import asked_pose, posture_of, standoff_of, touching
 from osc_contact.scenarios.geometry import GraspSpec
@@ -95,33 +91,11 @@ class Rig:
             seed: of everything random in sensors and motors.
 
         Raises:
-            ScenarioError: a tare on the rigid plant, whose contacts cannot open.
+            ScenarioError: a tare on an exact plant, whose contacts cannot open.
         """
-        spec = self.scenario.plant
-        plant: Plant
-        if spec.type == "rigid":
-            if self.scenario.tare is not None:
-                raise ScenarioError(
-                    "a tare needs contacts that open; the rigid plant's are bilateral. "
-                    "Use plant.type=mujoco, or set tare: null"
-                )
-            plant = RigidPlant(self.chain, self.pairs, spec.step, faces.rails(self.bodies), self.on)
-        else:
-            source = _folder(self.scenario)
-            plant = MujocoPlant(
-                self.chain,
-                [robots.resolve_urdf(arm.urdf, source)[0] for arm in self.scenario.arms],
-                robots.resolve_urdf(self.scenario.object.urdf, source)[0],
-                self.pairs,
-                [(body.urdf[0], body.placement) for body in self.bodies],
-                MujocoOptions(
-                    spec.step, spec.solref, spec.solimp, spec.friction, spec.friction_solref
-                ),
-                faces.rails(self.bodies),
-                self.on,
-                drives=hardware.drives(self.scenario, self.chain, self.state(), seed),
-                pushes=[Push(**push.model_dump()) for push in spec.pushes],
-            )
+        plant = make_plant(
+            Parts(self.scenario, self.chain, self.pairs, self.bodies, self.on, self.state(), seed)
+        )
         plant.reset(self.q_start)
         if self.scenario.sensors.ideal:
             return plant
@@ -194,7 +168,7 @@ class Rig:
         """The controller's contacts: as declared, or read off the geometry while it moves."""
         if self.scenario.control.contacts == "declared":
             return self.pairs
-        urdf = robots.resolve_urdf(self.scenario.object.urdf, _folder(self.scenario))[0]
+        urdf = robots.resolve_urdf(self.scenario.object.urdf, self.scenario.folder)[0]
         return faces.tracked(self.pairs, urdf, self.bodies)
 
     @cached_property
@@ -271,7 +245,7 @@ def build_chain(
     Args:
         arm_mass, object_mass, joint_friction: factors of model error.
     """
-    source = _folder(scenario)
+    source = scenario.folder
     arms = [
         Arm.from_urdf(
             robots.resolve_urdf(spec.urdf, source)[0],
@@ -303,7 +277,3 @@ def _per_joint(given: Sequence[float] | None) -> float | Sequence[float] | None:
 def _grasp(spec: GraspSpec) -> Grasp:
     axis = () if spec.axis is None else (spec.axis,)
     return GRASPS[spec.type](pose_of(spec), *axis)
-
-
-def _folder(scenario: Scenario) -> Path | None:
-    return None if scenario.source is None else scenario.source.parent

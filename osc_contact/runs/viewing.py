@@ -50,7 +50,7 @@ def write_scene_of(recording: Recording, rig: Rig, path: Path, still: float | No
 def content_of(rig: Rig) -> Content:
     """What a picture of this rig shows."""
     scenario = rig.scenario
-    source = None if scenario.source is None else scenario.source.parent
+    source = scenario.folder
     arms = [
         ArmVisual(
             arm.name, *robots.resolve_urdf(spec.urdf, source), arm.base, part, arm.locked, arm.tip

@@ -117,12 +117,12 @@ def timing_problems(control: ControlSpec, plant: PlantSpec) -> list[Problem]:
 
 
 def _rigid_problems(plant: PlantSpec) -> Iterator[Problem]:
-    """The rigid plant has ideal joints."""
-    if plant.type == "rigid":
+    """Exact plants have ideal joints."""
+    if plant.exact:
         for key in ("flexible_joints", "motors", "joint_friction", "pushes"):
             if getattr(plant, key):
                 text = (
-                    "the rigid plant has ideal joints and contacts that do not open; leave it out, "
+                    "an exact plant has ideal joints and contacts that do not open; leave it out, "
                     "or take plant.type mujoco"
                 )
                 yield ("plant", key), text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from .hardware import (
     EstimateSpec,
@@ -23,9 +23,11 @@ from .quantities import (
     Positive,
     Spec,
     Time,
+    refuse,
 )
 
 __all__ = [
+    "PLANT_TYPES",
     "ControlSpec",
     "ForceGains",
     "ForceReadingSpec",
@@ -38,6 +40,10 @@ __all__ = [
     "SafetySpec",
     "TareSpec",
 ]
+
+#: What `plant.type` may be, and whether that plant is exact: ideal joints, contacts that neither
+#: open nor end. `runs.plants.register_plant` adds to it.
+PLANT_TYPES: dict[str, bool] = {"mujoco": False, "rigid": True}
 
 Fraction = Annotated[Number, Field(gt=0, lt=1)]
 
@@ -155,7 +161,7 @@ class PushSpec(Spec):
 class PlantSpec(Spec):
     """The simulated workcell: step (s) and the contact parameters of the MuJoCo plant."""
 
-    type: Literal["mujoco", "rigid"] = "mujoco"
+    type: str = "mujoco"
     step: Annotated[Time, Field(gt=0)]
     """the simulation step, such as 0.25 ms"""
     solref: tuple[Positive, Positive] = (0.01, 1.0)
@@ -166,3 +172,16 @@ class PlantSpec(Spec):
     motors: MotorsSpec | None = None
     joint_friction: NotNegative = 0.0
     pushes: tuple[PushSpec, ...] = ()
+
+    @field_validator("type")
+    @classmethod
+    def _is_registered(cls, value: str) -> str:
+        if value not in PLANT_TYPES:
+            *names, last = map(repr, PLANT_TYPES)
+            raise refuse(f"expected {', '.join(names)} or {last}; got {value!r}")
+        return value
+
+    @property
+    def exact(self) -> bool:
+        """Whether joints are ideal and contacts bilateral, without ends: see `PLANT_TYPES`."""
+        return PLANT_TYPES[self.type]

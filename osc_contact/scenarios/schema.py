@@ -141,6 +141,11 @@ class Scenario(Spec):
         return self._source
 
     @property
+    def folder(self) -> Path | None:
+        """The folder of that file, beside which URDFs are looked for."""
+        return None if self._source is None else self._source.parent
+
+    @property
     def file_stem(self) -> str:
         """What results are filed under: the name of its file, or its own if it has none."""
         return self.name if self._source is None else self._source.stem
