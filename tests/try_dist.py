@@ -61,7 +61,8 @@ def attempt(file: Path, python: str) -> None:
         missing = [path for path in WRITTEN if not (folder / path).is_file()]
         if missing:
             sys.exit(f"not written: {', '.join(missing)}")
-        shutil.copytree(ROOT / "tests", folder / "tests")
+        for needed in ("tests", "urdf"):
+            shutil.copytree(ROOT / needed, folder / needed)
         tests = [f"tests/{test}" for test in TESTS]
         run(folder, around, "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests)
 
