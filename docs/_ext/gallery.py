@@ -73,7 +73,8 @@ def film(name: str) -> str:
         require_small(write_gif(page, picture, begin, end, camera="contacts"), README_MOST)
     seconds = f" --duration {shot.duration:g}" if shot.duration else ""
     first, _, rest = scenario.description.partition(" ")
-    sentence = f"`{first}` {rest}" if "_" in first else f"{first.capitalize()} {rest}"
+    name_of, comma = first.rstrip(","), "," * first.endswith(",")
+    sentence = f"`{name_of}`{comma} {rest}" if "_" in first else f"{first.capitalize()} {rest}"
     return (
         f"## {name}\n\n![{name.replace('_', ' ')}, moving](images/gallery/{name}.gif)\n\n"
         f"{sentence}.\n\n    osc-contact run {name}{seconds}\n\n{verdict_words(recording)}\n"
