@@ -131,6 +131,13 @@ def test_the_least_peak_is_that_of_the_dual_problem():
         assert least_peak(A, b) == pytest.approx(best, rel=0.011)
 
 
+def test_a_contact_without_forces_is_no_trouble():
+    data = osc.load_scenario("two_contact_rod").as_dict()
+    data["contacts"] = [{"pair": osc.Free(), "body": "table"}]
+    data |= {"environment": [{"name": "table", "urdf": "table.urdf"}], "force": {}, "motion": []}
+    assert osc.preflight(osc.build_rig(osc.Scenario.from_dict(data))) == ()
+
+
 def test_a_contact_that_lives_is_kept_only_while_it_is_pressed():
     motion = f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]"
     for change, told in ((motion, True), ("motion.1.signals.0.start=1.5 s", True)):

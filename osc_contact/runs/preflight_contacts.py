@@ -195,7 +195,8 @@ def lifted(rig: Rig) -> Iterator[Finding]:
     for i, pair in enumerate(rig.pairs):
         if rig.bodies[rig.on[i]].motion is not None:
             continue
-        pressed = plan.alpha_d[:, rig.owners == i].max(axis=1) > 0.0
+        forces = np.flatnonzero(rig.owners == i)
+        pressed = plan.alpha_d[:, forces].max(axis=1, initial=0.0) > 0.0
         gaps = np.array([
             pair.gaps(X) for X, wanted in zip(poses, pressed, strict=True)
             if wanted or rig.scenario.control.life is None  # which opens it when its force ends
