@@ -87,6 +87,7 @@ def test_a_scenario_tells_where_its_postures_put_the_object_and_how_to_put_it_el
         (("two_contact_rod", "--tip", "tool"), "a scenario names its own"),
         (("panda", "--set", "a=1"), "give --posture"),
         (("pandaa",), "no robot 'pandaa'"),
+        (("arm.xml",), "'arm.xml' is neither the file"),
     ],
 )
 def test_what_is_wrong_is_told_with_exit_code_2(words, said):

@@ -92,7 +92,7 @@ def locate(reference: str) -> tuple[Path, tuple[Path, ...]]:
     packaged = _packaged()
     if plain and (file := packaged.get(reference) or packaged.get(f"{reference}.urdf")):
         return file, ()
-    if plain and ":" not in reference and not reference.endswith(".urdf"):
+    if plain and ":" not in reference and not reference.endswith((".urdf", ".xml")):
         path, package_dir = find_robot(reference)
         return path, (package_dir,)
     return resolve_urdf(reference)
