@@ -299,3 +299,30 @@ def test_every_entry_of_the_meta_is_named(recording: osc.Recording) -> None:
     text = text_of(ROOT / "docs" / "metrics.md")
     told = text.split("`Recording.meta` holds")[1].split("```")[0]
     assert set(TICKED.findall(told)) == set(recording.meta)
+
+
+# Gallery and glossary --------------------------------------------------------------------------
+
+
+def test_every_packaged_scenario_has_a_card() -> None:
+    """Made by `make gallery`: a picture, the command and the verdict of its run."""
+    cards = text_of(ROOT / "docs" / "gallery.md").split("\n## ")[1:]
+    assert [card.split("\n")[0] for card in cards] == list(osc.list_scenarios())
+    for card in cards:
+        name = card.split("\n")[0]
+        assert f"](images/gallery/{name}.gif)" in card and f"osc-contact run {name}" in card
+        assert re.search(r"^\*\*[A-Z ]+\*\*; ", card, re.MULTILINE), "a verdict"
+
+
+def test_names_in_the_glossary_exist() -> None:
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod", SHORT))
+    state = rig.state()
+    owners = {"state": state, "arm": state.arms[0], "contact": rig.contact(), "chain": rig.chain}
+    owners["osc"] = osc
+    named = 0
+    for line in text_of(ROOT / "docs" / "glossary.md").splitlines():
+        cells = line.split("|")
+        for owner, name in re.findall(r"`(\w+)\.(\w+)`", cells[2] if len(cells) > 3 else ""):
+            assert hasattr(owners[owner], name), f"{owner}.{name}"
+            named += 1
+    assert named >= 15
