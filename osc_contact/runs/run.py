@@ -140,7 +140,8 @@ def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plan
         install: puts another control law into each controller.
     """
     plant, controller = rig.plant(seed), rig.controller()
-    first = copy(controller)
+    # laws of the user's own may remember their ticks: each controller has its own
+    first = rig.controller() if callable(rig.scenario.laws) else copy(controller)
     if install is not None:
         controller, first = install(controller), install(first)
     plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
