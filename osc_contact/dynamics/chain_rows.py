@@ -11,7 +11,7 @@ from osc_contact.dynamics.chain_model import GYRATION, ChainModel
 from osc_contact.errors import ModelError
 from osc_contact.law import tables as at
 from osc_contact.law.layout import Bytes, new_model, records
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, cross
 
 __all__ = ["chain_row", "pack_chain"]
 
@@ -120,9 +120,9 @@ def _z_frame(model: pin.Model, joint: int) -> pin.SE3:
     if (x, y, z) == (0.0, 0.0, 1.0):
         return pin.SE3.Identity()
     start = np.eye(3)[int(np.abs(axis).argmin())]
-    first = np.cross(start, axis)
+    first = cross(start, axis)
     first /= np.linalg.norm(first)
-    return pin.SE3(np.column_stack((first, np.cross(axis, first), axis)), np.zeros(3))
+    return pin.SE3(np.column_stack((first, cross(axis, first), axis)), np.zeros(3))
 
 
 def _in_joint(model: pin.Model, frame: pin.Frame) -> pin.SE3:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -118,7 +119,12 @@ def _arm(mujoco: Any, arm: Arm, file: Path) -> Any:
 
 def _skeleton(urdf: Path) -> str:
     """A robot's URDF without shapes, which may be meshes, and without losses in its joints."""
-    root = ElementTree.parse(urdf).getroot()
+    return _without_shapes(urdf.read_bytes())
+
+
+@lru_cache(maxsize=32)
+def _without_shapes(text: bytes) -> str:
+    root = ElementTree.fromstring(text)
     for element in root.iter():
         for tag in ("visual", "collision", "dynamics"):
             for child in element.findall(tag):

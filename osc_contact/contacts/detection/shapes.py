@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots import load_geometry
+from osc_contact.robots.xml_tree import read_bytes
 from osc_contact.spatial import Array
 
 __all__ = ["CollisionShape", "Solid", "collision_shapes"]
@@ -96,6 +98,14 @@ def collision_shapes(path: Path | str) -> list[CollisionShape]:
         ModelError: no such file, a joint moves, no collision geometry, a mesh that is not convex.
     """
     file = Path(path)
+    text = read_bytes(file)
+    read = _read.__wrapped__ if b"<mesh" in text else _read  # whose files may change
+    return list(read(file, text))
+
+
+@lru_cache(maxsize=32)
+def _read(file: Path, text: bytes) -> tuple[CollisionShape, ...]:
+    """See `collision_shapes`; `text` is the file's, so that one that was read is not read again."""
     model, geometry, document = load_geometry(file, pin.GeometryType.COLLISION)
     if model.nv > 0:
         moving = ", ".join(list(model.names)[1:])
@@ -116,7 +126,7 @@ def collision_shapes(path: Path | str) -> list[CollisionShape]:
         if isinstance(shape, coal.BVHModelBase):
             shape = _convex(f"{file}: {name}", shape)
         shapes.append(CollisionShape(name, shape, pin.SE3(item.placement)))
-    return shapes
+    return tuple(shapes)
 
 
 def _solid(name: str, shape: Any) -> Solid:
