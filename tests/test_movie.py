@@ -65,11 +65,21 @@ def test_pixels_that_hardly_change_keep_their_colour() -> None:
     assert np.abs(second[:5] - other[:5]).mean() < 20
 
 
+EYE = "[...viewer.camera.position.toArray(), ...nodeAt('').object.position.toArray()]"
+
+
+def test_a_page_opens_with_the_camera_of_its_address(page: Path) -> None:
+    with Browser(f"{page.as_uri()}#t=0.5&camera=from%20above", SIZE) as browser:
+        assert browser.run("element('camera').value") == "from above"
+
+
 def test_cameras_look_from_where_they_say(page: Path) -> None:
-    with Browser(f"{page.as_uri()}#t=0.5&camera=from%20above") as browser:
+    with Browser(f"{page.as_uri()}#t=0.5") as browser:
         names = browser.run("[...element('camera').options].map(o => o.textContent)")
         assert names == ["whole", "contacts", "from above", "other side"]
-        assert browser.run("element('camera').value") == "from above"
+        drawn = browser.run(EYE)  # placed by drawing commands, not by the page's list
+        browser.run("element('camera').dispatchEvent(new Event('change'))")
+        np.testing.assert_allclose(browser.run(EYE), drawn, atol=1e-5)
         eyes = {}
         for place, name in enumerate(names):
             browser.run(
