@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import osc_contact as osc
+from osc_contact import robots
+from osc_contact.contacts.detection import collision_shapes
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.run import start
@@ -110,6 +112,26 @@ def test_rigs_of_a_workshop_are_those_built_alone() -> None:
     rigs = [workshop.rig(scenario) for scenario in scenarios]
     assert len({id(rig.chain) for rig in rigs}) == 1 and len({id(rig.model) for rig in rigs}) == 2
     assert len({rig.q_contact.tobytes() for rig in rigs}) == 2  # the normals do vary
+
+
+def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_path) -> None:
+    """What was read is kept by its bytes: same length, same second, another robot."""
+    file = tmp_path / "body.urdf"
+    text = robots.urdf_path("rod").read_text()
+    heavier = text.replace('<mass value="1.5"/>', '<mass value="2.5"/>')
+    assert len(heavier) == len(text) and heavier != text
+    masses = []
+    for one in (text, heavier, text):
+        file.write_text(one)
+        masses.append(robots.load_body(file).mass)
+        robots.load_body(file).mass = 99.0
+    assert masses[0] == masses[2] == 1.5 and masses[1] == 2.5
+    arm = robots.load_model(robots.urdf_path("scara_left"))
+    arm.armature = arm.armature + 5.0
+    assert not robots.load_model(robots.urdf_path("scara_left")).armature.any()
+    (shape, *_), n = collision_shapes(file), len(collision_shapes(file))
+    file.write_text(text.replace("<sphere radius", "<sphere  radius").replace("0.01", "0.02"))
+    assert len(collision_shapes(file)) == n and collision_shapes(file)[0] is not shape
 
 
 def test_doubts_and_refusals_are_those_of_a_run() -> None:

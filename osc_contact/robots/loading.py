@@ -140,9 +140,11 @@ def load_coupled(path: Path | str, tip: str) -> tuple[pin.Model, dict[str, str]]
     if is_mjcf(path):
         mj = compile_mjcf(path)
         return load_mjcf(mj, tip), couplings(mj)
-    loaded = load(path)
+    loaded = _judged(Path(path), "possible")
     joints = loaded.document.joints.values()
-    return loaded.model, {joint.name: joint.mimic for joint in joints if joint.mimic is not None}
+    return loaded.model.copy(), {
+        joint.name: joint.mimic for joint in joints if joint.mimic is not None
+    }
 
 
 def load_body(path: Path | str) -> pin.Inertia:
