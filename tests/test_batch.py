@@ -24,9 +24,12 @@ def controllers(chain, count, rng, **how):
     out = []
     q, v = random_state(chain, rng)
     X = chain.state(q, v).X_WO
-    for _ in range(count):
+    for i in range(count):
         motion = osc.MotionGains(rng.uniform(200, 600), rng.uniform(20, 60), rng.uniform(0, 2000))
-        gains = osc.Gains(motion, osc.ForceGains(rng.uniform(5, 40), 5))
+        k = rng.uniform(5, 40)
+        gains = osc.Gains(
+            motion, osc.ForceGains(bandwidth=k / 6) if i % 2 else osc.ForceGains(k, 5)
+        )
         posture = q + 0.1 * rng.normal(size=chain.nq)
         out.append(osc.Controller(chain, random_faces(X, 2, rng), gains, posture=posture, **how))
     return out, q

@@ -232,7 +232,7 @@ def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(
     for friction in (Friction(0.4), None):
         torques = []
         for pairs in (rig.pairs, made, [made[0], rig.pairs[1]]):
-            controller = osc.Controller(rig.model, pairs, dt=2e-3, friction=friction)
+            controller = osc.Controller(rig.model, pairs, rig.gains, dt=2e-3, friction=friction)
             torques.append(controller.tick(measurement, reference))
             assert controller.status is osc.Status.OK, controller.reason
         signals = controller.signals

@@ -142,9 +142,7 @@ def in_motion(
 def rod_rig() -> tuple[Rig, Gains, tuple[VertexOnFace, ...]]:
     """The packaged scenario's rig, its gains and its two contacts."""
     rig = build_rig(load_scenario("two_contact_rod"))
-    spec = rig.scenario.gains
-    gains = Gains(MotionGains(**spec.motion.model_dump()), ForceGains(**spec.force.model_dump()))
-    return rig, gains, tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace))
+    return rig, rig.gains, tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace))
 
 
 def two_contact_rod() -> TickCase:

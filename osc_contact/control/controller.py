@@ -339,6 +339,7 @@ class Controller(ControllerCopies):
         contacts, gains, life = self._records.contacts, self.gains.force, self.life
         contacts.active[:], contacts.phase[:] = 1, Phase.CLOSED
         contacts.gain[:], contacts.damping[:] = gains.integral, gains.damping
+        contacts.brake[:] = gains.brake
         contacts.least[:] = -np.inf
         contacts.since[:] = 0.0 if life is None else life.rise
         self._records.column_memory.closed[:] = 1

@@ -51,6 +51,7 @@ class ControllerCopies(ControllerState):
         contacts = other._records.contacts
         if self.settings.phases is None:
             contacts.gain[:], contacts.damping[:] = gains.force.integral, gains.force.damping
+            contacts.brake[:] = gains.force.brake
         return other
 
     def with_safety(self, safety: SafetySettings) -> Self:

@@ -87,6 +87,7 @@ class ControllerState:
         for name in ("unfelt", "pressed"):
             self._records.column_memory[name][:] = 0.0
         memory.repeats, memory.fresh, memory.motion_sum[:], memory.force_sum[:] = 0, 0, 0.0, 0.0
+        memory.step_left, self._records.column_memory.wished[:] = 0.0, 0
 
     @property
     def given_up(self) -> LimitLoss | None:

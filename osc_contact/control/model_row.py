@@ -67,7 +67,10 @@ class ModelRow:
         head, gains = self.head, settings.gains
         head.stiffness, head.damping = gains.motion.stiffness, gains.motion.damping
         head.integral, head.period = gains.motion.integral, settings.dt
-        head.force_gain, head.force_damping = gains.force.integral, gains.force.damping
+        force, dt = gains.force, settings.dt
+        head.force_gain, head.force_damping = force.integral, force.damping
+        head.force_brake, head.step_time = force.brake, force.rise
+        head.drift_share = -np.expm1(-force.drift * dt) if force.brake > 0.0 else 0.0
         posture = settings.posture_task
         head.posture_stiffness, head.posture_damping = posture.stiffness, posture.damping
         head.retreat_damping = posture.retreat_damping

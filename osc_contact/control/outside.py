@@ -104,7 +104,7 @@ class Outside:
             misfit = np.size(reference.alpha_d) != len(rows.columns) and rows.memory.engaged
             if misfit and not run(law.LOOK, law.MEASURE):
                 return None
-            if not run(law.MEASURE, law.COMMAND):
+            if not run(law.MEASURE, law.COMMAND, law.OWN_FORCE if laws.force else 0):
                 return None
             w, given = rows.work, 0
             r = int(w.rank)

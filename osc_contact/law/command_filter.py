@@ -204,7 +204,7 @@ def _set_given_metric(chain, work):
 def filter_motion(chain, work):
     """x (6,) ← the object's acceleration S η̇_c + σ, turned, from the command `a_u` at O: eq. 24.
 
-        ρ = n_γ + Nᵀ(b_e − σ + Φ_eN_μα_u)
+        ρ = n_γ − κ(NᵀV_rel − v̄) + Nᵀ(b_e − σ + Φ_eN_μα_u)
         η̇_c = η̇_u − B_S N_S (N_SᵀB_S N_S)⁻¹ (N_Sᵀη̇_u − ρ),   N_S = SᵀN
 
     Returns a reason.
@@ -216,7 +216,7 @@ def filter_motion(chain, work):
     for i in range(6):
         x[i] -= sigma[i]
     for a in range(r):
-        s = work.n_gamma[a] + work.b_N[a]
+        s = work.n_gamma[a] + work.b_N[a] - work.brake[a]
         for b in range(r):
             s += work.Phi_mu[a, b] * work.alpha_u[b]
         for i in range(m):  # σ has no part along the other axes

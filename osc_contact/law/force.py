@@ -227,7 +227,7 @@ def command_force(
 
 @inner
 def contact_laws(table, contacts, columns, work):
-    """Gain, damping and least command (r,) of the kept columns, from those of their contacts.
+    """Gain, damping, brake κ and least command (r,) of the kept columns, from their contacts.
 
     Where columns depend on one another the most careful of all hold for each of them.
     """
@@ -235,11 +235,14 @@ def contact_laws(table, contacts, columns, work):
     for a in range(r):
         law = contacts[table[columns[int(work.keep[a])].chosen].contact]
         work.gain[a], work.damping[a], work.least[a] = law.gain, law.damping, law.least
+        work.brake[a] = law.brake
     if r == count:
         return
-    gain, damping = inf, -inf
+    gain, damping, brake = inf, -inf, -inf
     for j in range(count):
         law = contacts[table[columns[j].chosen].contact]
         gain, damping = min(gain, law.gain), max(damping, law.damping)
+        brake = max(brake, law.brake)
     for a in range(r):
         work.gain[a], work.damping[a], work.least[a] = gain, damping, -inf
+        work.brake[a] = brake

@@ -179,7 +179,8 @@ def set_goals(chain, bodies, columns, contacts, wanted, goal):
     """How each contact takes part in a tick, and the goals of its forces.
 
     Args:
-        contacts: (contacts,) CONTACT_MEMORY; active, gain, damping and least (−∞: none) are set.
+        contacts: (contacts,) CONTACT_MEMORY; active, gain, damping, brake and least (−∞: none) are
+            set.
         wanted: (n,) desired magnitudes (N). goal: (n,) filled with α_d (N); may be `wanted`.
     """
     for c in range(chain.n_contacts):
@@ -188,6 +189,7 @@ def set_goals(chain, bodies, columns, contacts, wanted, goal):
         contact.active = 1 if contact.phase != OPEN else 0
         contact.gain = 0.0 if approaching else chain.force_gain
         contact.damping = chain.approach_damping if approaching else chain.force_damping
+        contact.brake = 0.0 if approaching else chain.force_brake
         contact.least = chain.least_force if bodies[c].pushes != 0 and not approaching else -inf
     for j in range(chain.n_columns):
         contact, pushes = contacts[columns[j].contact], bodies[columns[j].contact].pushes

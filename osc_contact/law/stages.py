@@ -29,6 +29,7 @@ from osc_contact.law.jit import inner, integers, leaf
 from osc_contact.law.least_squares import learn_friction, weigh_magnitudes
 from osc_contact.law.motion import command_motion, pose_error
 from osc_contact.law.singular import reduce_motion
+from osc_contact.law.steps import brake_contacts, keep_steps, shape_steps
 from osc_contact.law.tables import (
     BAD_METRIC,
     BLIND,
@@ -165,17 +166,36 @@ def measure(chain, arms, pairs, shapes, table, bodies, contacts, work, arm_work,
 
 
 @inner
-def set_wishes(work, columns, goal):
-    """α_d (r,) of the independent columns from the goals of all."""
+def set_wishes(
+    chain, owners, contacts, memory, column_memory, columns, work, flat, flags
+):  # fmt: skip
+    """α_d (r,) of the independent columns from the goals of all; `flags`: OWN_FORCE or not.
+
+    Steps are smoothed and swinging contacts braked, but for a force law of the user's own.
+    """
+    n, own = chain.n_columns, flags & OWN_FORCE != 0
+    alpha, speed = flat[n : 2 * n], flat[2 * n : 3 * n]
+    if own:
+        work.step_left, work.heed = 0.0, 1.0
+        for j in range(n):
+            columns[j].goal, columns[j].scale, columns[j].shaped = flat[j], 0.0, 0
+            columns[j].to_come[0] = columns[j].to_come[1] = columns[j].to_come[2] = 0.0
+    else:
+        if chain.step_time > 0.0:
+            spread_magnitudes(work, columns, alpha, speed)
+        shape_steps(chain, owners, contacts, memory, column_memory, columns, work, flat, alpha)
+    brake_contacts(column_memory, columns, work)
     r, count = work.rank, work.count
     for a in range(r):
         s = 0.0
         if r == count:
-            s = goal[columns[int(work.keep[a])].chosen]
+            s = columns[columns[int(work.keep[a])].chosen].goal
         else:
             for j in range(count):
-                s += columns[j].share[a] * goal[columns[j].chosen]
+                s += columns[j].share[a] * columns[columns[j].chosen].goal
         work.alpha_d[a] = s
+        work.gain[a] *= work.heed
+        work.brake[a] = 0.0 if own else work.brake[a]
 
 
 @inner
@@ -284,11 +304,12 @@ def remember(chain, work, memory, columns, column_memory, table, contacts, flat)
     spread_magnitudes(work, columns, alpha, speed)
     for j in range(n):
         column_memory[j].alpha, column_memory[j].speed = alpha[j], speed[j]
-    if chain.phased == 0:
-        return
     for j in range(work.count):
         here[columns[j].chosen] = 1.0
         chosen[j] = columns[j].chosen
+    keep_steps(chain, memory, column_memory, columns, work, flat, here, speed)
+    if chain.phased == 0:
+        return
     phases.low_pass(
         column_memory, n, here, alpha, speed, work.mobility, chosen, r,
         r == work.count and work.weightless == 0,

@@ -65,6 +65,7 @@ CHAIN = _record(
         # see `watch`: s to begin braking, W, N of the least limit, s of low and of high forces
         "reaction", "contact_power", "contact_force", "unfelt_for", "pressed_for",
         "integral_force", "integral_motion",  # the most that integrals add: N, m/s² or rad/s²
+        "force_brake", "drift_share", "step_time",  # see `steps`
         # contact phases, see `phases`
         "force_gain", "force_damping", "approach_speed", "approach_damping", "travel", "rise",
         "least_force", "lost_share", "lag", "force_on", "force_off", "power",
@@ -123,21 +124,29 @@ MEMORY = _record(
     number=(
         "more_friction",  # learnt, beyond what is believed
         "powered", "ending",  # see `watch`: s of too much power, s near the end of a joint
+        "step_left", "step_time",  # share of a step's time that is left, and that time, see `steps`
     ),
     motion_sum=6, f_tare=6, f_bias=6,
     force_sum=6,  # of the columns kept in the last tick
     X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
     V_O=6,  # where it is given
 )  # fmt: skip
-CONTACT_MEMORY = _record(whole=("active", "phase"), number=("gain", "damping", "least", "since"))
+CONTACT_MEMORY = _record(
+    whole=("active", "phase"), number=("gain", "damping", "brake", "least", "since")
+)
 COLUMN_MEMORY = _record(
-    whole=("closed", "collision", "known"),
+    whole=(
+        "closed", "collision", "known",
+        "wished",  # whether a force was wanted of it in the last tick
+    ),
     number=(
         "low_for", "high_for", "burst", "armed_for",  # see `phases.monitor`
         "force", "pace",  # low-passed magnitude and speed
         "alpha", "speed", "net",  # of the last tick; net: without the inertia of what flies
         "unfelt", "pressed",  # see `watch`: s of too little force, and of too much
+        "wish", "scale", "drift",  # desired force, its size, lasting speed, see `steps`
     ),
+    to_come=3,  # of a step, see `steps`
 )  # fmt: skip
 
 # What a tick works out --------------------------------------------------------------------------
@@ -148,7 +157,7 @@ WORK = _record(
     whole=("rank", "locked", "count", "status", "reason", "where", "n_lost", "n_internal",
            "commanded", "moving",
            "weightless"),
-    number=("amount", "mu", "more_friction"),
+    number=("amount", "mu", "more_friction", "step_left", "step_time", "heed"),
     # what recordings keep, side by side
     f_meas=6, bias_out=6, V_O=6, X_WO=(4, 4), f_c=6, error=6, free_error=6, internal=1,
     C=3, O=3, R=(3, 3), axes=(4, 3, 3),
@@ -164,7 +173,7 @@ WORK = _record(
     Phi_mu=(6, 6), mobility=(6, 6), B_inv_t=(6, 6),
     yields=(6, 6),  # NᵀΦ_e, at O
     b_N=6, V_N=6, n_gamma=6, keep=6,
-    alpha_d=6, alpha_meas=6, alpha_u=6, speed=6, gain=6, damping=6, least=6,
+    alpha_d=6, alpha_meas=6, alpha_u=6, speed=6, gain=6, damping=6, brake=6, least=6,
     reading_e=6, motion_next=6, force_next=6, a_u=6,
     x=6,  # the object's acceleration, _t
     rho=6, f_S=6, multipliers=6,
@@ -191,8 +200,9 @@ JOINT_WORK = _record(
     R=(3, 3), p=3, column=6, J=6, J_bar=6, force=6, body=10, outboard=6, M=MAX_JOINTS,
 )  # fmt: skip
 COLUMN_WORK = _record(
-    whole=("chosen",), number=("n_gamma", "n_gamma_all", "extent", "alpha_d"),
-    N=6, friction_wrench=6, energy=6, rest=6, share=6,
+    whole=("chosen", "shaped"),
+    number=("n_gamma", "n_gamma_all", "extent", "alpha_d", "goal", "scale"),
+    N=6, friction_wrench=6, energy=6, rest=6, share=6, to_come=3,
     point=3, slip=3,  # of contact, from O; v_t / √(v_t² + v_0²) there
 )  # fmt: skip
 BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E

@@ -161,7 +161,7 @@ def _row(
             columns, body_work, memory, wrenches, touched, moving, flat,
         )  # fmt: skip
         if reason == NO_REASON:
-            set_wishes(work, columns, flat)
+            set_wishes(chain, owners, contacts, memory, column_memory, columns, work, flat, flags)
             reason = compare_poses(chain, work, X_WD)
     if begin <= COMMAND < stop and reason == NO_REASON:
         reason = command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, flags)

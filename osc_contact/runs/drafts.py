@@ -16,7 +16,7 @@ from osc_contact.errors import InvalidInputError, ModelError, OscContactError, S
 from osc_contact.runs.metrics import metrics
 from osc_contact.runs.poses import pose_text
 from osc_contact.runs.preflight import preflight
-from osc_contact.runs.rig import Rig, build_rig
+from osc_contact.runs.rig import build_rig
 from osc_contact.runs.run import run
 from osc_contact.scenarios import Scenario, parse_scenario
 from osc_contact.spatial import Array
@@ -25,7 +25,6 @@ __all__ = ["Press", "draft"]
 
 BALL_M, LENGTH_M = 0.008, 0.08  #: radius of the stylus' ball, and how far it is from the tip
 POSTURES, TRIED = 600, 12  #: random postures that are compared, and built until one is sound
-CONTACT_DAMPING = 50.0  #: 1/s, gains.force.damping over the mass behind the contact
 
 
 @dataclass(frozen=True)
@@ -80,12 +79,9 @@ def draft(robot: str, arm: Arm, press: Press, posture: Array | None, target: Pat
     reasons: list[str] = []
     for q in [posture] if posture is not None else _postures(arm, press):
         try:
-            rig = build_rig(parse_scenario(_text(robot, arm, press, q, 100.0), target))
-            told = [one.text for one in preflight(rig)]
-            if not told:
-                damping = CONTACT_DAMPING * _contact_mass(rig)
-                text = _text(robot, arm, press, q, damping)
-                told = _rehearsed(parse_scenario(text, target))
+            text = _text(robot, arm, press, q)
+            scenario = parse_scenario(text, target)
+            told = [one.text for one in preflight(build_rig(scenario))] or _rehearsed(scenario)
             if not told:
                 return text
         except OscContactError as error:
@@ -141,14 +137,7 @@ def _unwound(q: Array, low: Array, high: Array) -> Array:
     return np.where((turned >= low) & (turned <= high), turned, q)
 
 
-def _contact_mass(rig: Rig) -> float:
-    """(N_Sᵀ Λ_S⁻¹ N_S)⁻¹, kg: what is behind the contact."""
-    state = rig.state()
-    N_S = state.S.T @ rig.contact().N
-    return float(1.0 / (N_S.T @ np.linalg.solve(state.Lambda, N_S))[0, 0])
-
-
-def _text(robot: str, arm: Arm, press: Press, q: Array, force_damping: float) -> str:
+def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
     model, data = arm.model, arm.model.createData()
     if len(q) != model.nv:
         names = ", ".join(list(model.names)[1:])
@@ -203,9 +192,9 @@ motion:                               # to and fro along the plate
     direction: [{", ".join(f"{x:.6f}" for x in along)}]
     signals: [{{type: sine, amplitude: {travel:.3g} mm, frequency: 0.25 Hz, ramp: 1 s}}]
 
-gains:
-  motion: {{stiffness: 400, damping: 40}}     # 1/s^2, 1/s
-  force: {{integral: 30, damping: {force_damping:.3g}}}       # 1/s, N s/m
+gains:                                # they serve every mass
+  motion: {{frequency: 3.2 Hz, damping_ratio: 1}}
+  force: {{bandwidth: 5 Hz, damping_ratio: 0.7}}
 
 control: {{rate: 1 kHz}}
 plant: {{type: mujoco, step: 0.25 ms}}

@@ -15,7 +15,7 @@ from osc_contact.spatial import Array
 __all__ = ["SETTLE_S", "STEP_BLANK_S", "metrics"]
 
 SETTLE_S = 1.0  #: judged from here on
-STEP_BLANK_S = 0.05  #: forces and power are not judged this long after a step of a desired force
+STEP_BLANK_S = 0.05  #: forces and power are not judged while a force rises, and this much longer
 _READ = (
     "t", "alpha_cmd", "alpha_true", "alpha_meas", "power_total", "power_projected", "motion_error",
     "closed", "contact_phase", "status", "tau",
@@ -50,6 +50,7 @@ def metrics(recording: Recording) -> dict[str, Any]:
             "as on hardware; compare alpha_meas with alpha_cmd instead"
         )
     steps = recording.meta["force_steps_s"]
+    blank = STEP_BLANK_S + recording.meta.get("force_rise_s", 0.0)
     force = {key: _Series() for key in ("command", "error", "sensing")}
     power = {key: _Series() for key in ("power_total", "power_projected")}
     error, closed, status, at_limit = _Series(), _Series(), np.zeros(4, int), np.zeros(0, int)
@@ -59,7 +60,7 @@ def metrics(recording: Recording) -> dict[str, Any]:
         judged = piece["t"] >= SETTLE_S - 1e-9
         quiet = judged.copy()
         for step in steps:
-            quiet &= ~((piece["t"] >= step - 1e-9) & (piece["t"] < step + STEP_BLANK_S - 1e-9))
+            quiet &= ~((piece["t"] >= step - 1e-9) & (piece["t"] < step + blank - 1e-9))
         command, truth, sensed = (piece[f"alpha_{key}"][quiet] for key in ("cmd", "true", "meas"))
         force["command"].add(command)
         force["error"].add(truth - command)

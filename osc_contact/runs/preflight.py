@@ -120,11 +120,18 @@ def _springs(rig: Rig) -> Iterator[Finding]:
 
 
 def _rate(rig: Rig) -> Iterator[Finding]:
-    rate, gains = rig.scenario.control.rate, rig.scenario.gains
-    for name, gain in (
-        ("motion.damping", gains.motion.damping),
-        ("force.integral", gains.force.integral if rig.pairs else 0.0),
-    ):
+    rate, given, gains = rig.scenario.control.rate, rig.scenario.gains, rig.gains
+    motion, force = gains.motion, gains.force
+    name = "motion.damping"
+    if given.motion.damping is None:
+        name = f"motion.frequency {motion.frequency:g} Hz, damping"
+    limits = [(name, motion.damping)]
+    if rig.pairs:
+        name = "force.integral"
+        if given.force.integral is None:
+            name = f"force.bandwidth {force.bandwidth:g} Hz, integral"
+        limits += [(name, force.integral), (name.replace("integral", "brake"), force.brake)]
+    for name, gain in limits:
         if gain / rate >= SLOW:
             refused = gain / rate >= TOO_SLOW
             yield Finding(

@@ -158,4 +158,5 @@ def describe_subject(of: Subject) -> dict[str, Any]:
         "columns": of.owners.tolist(),
         "control_rate_hz": 1.0 / of.controller.dt,
         "force_steps_s": [],
+        "force_rise_s": of.controller.gains.force.rise,
     }

@@ -130,13 +130,18 @@ class Rig:
         on = tuple(self.bodies[body].placement for body in self.on)
         return Subject(controller, self.pairs, on, self.owners, self.d == 6)
 
+    @property
+    def gains(self) -> Gains:
+        """Those of the scenario, as the controller takes them."""
+        motion, force = self.scenario.gains.motion, self.scenario.gains.force
+        return Gains(MotionGains(**motion.model_dump()), ForceGains(**force.model_dump()))
+
     def controller(self) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
-        gains = self.scenario.gains
         return Controller(
             self.model,
             self.controlled_pairs(),
-            Gains(MotionGains(**gains.motion.model_dump()), ForceGains(**gains.force.model_dump())),
+            self.gains,
             dt=1.0 / self.scenario.control.rate,
             B=self.scenario.control.metric,
             bodies=faces.known_bodies(

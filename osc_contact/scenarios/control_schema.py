@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from .hardware import (
     EstimateSpec,
@@ -49,30 +49,72 @@ Fraction = Annotated[Number, Field(gt=0, lt=1)]
 
 
 class MotionGains(Spec):
-    """Gains of the motion loop: stiffness 1/s², damping 1/s, integral 1/s³."""
+    """The motion loop: natural frequency (Hz) and damping ratio, or the gains themselves."""
 
-    stiffness: NotNegative
+    frequency: Annotated[Frequency, Field(gt=0)] | None = None
+    damping_ratio: NotNegative | None = None
+    integral_time: Annotated[Time, Field(gt=0)] | None = None
+    stiffness: NotNegative | None = None
     """a number in 1/s²"""
-    damping: NotNegative
+    damping: NotNegative | None = None
     """a number in 1/s"""
-    integral: NotNegative = 0.0
+    integral: NotNegative | None = None
+
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> MotionGains:
+        _require_one_kind(
+            self, ("frequency", "damping_ratio", "integral_time"),
+            ("stiffness", "damping", "integral"), "gains.motion={frequency: 5 Hz}",
+        )  # fmt: skip
+        if (self.stiffness is None) != (self.damping is None) or (
+            self.integral is not None and self.stiffness is None
+        ):
+            raise refuse("give stiffness (1/s²) and damping (1/s) together, or frequency (Hz)")
+        return self
 
 
 class ForceGains(Spec):
-    """Gains of the force loop (fig. 5): integral 1/s, damping N s/m."""
+    """The force loop (fig. 5): bandwidth (Hz) and damping ratio, or gains for one mass."""
 
-    integral: NotNegative
+    bandwidth: Annotated[Frequency, Field(gt=0)] | None = None
+    damping_ratio: NotNegative | None = None
+    rise: Annotated[Time, Field(ge=0)] | None = None
+    integral: NotNegative | None = None
     """a number in 1/s"""
-    damping: NotNegative = 0.0
+    damping: NotNegative | None = None
+
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> ForceGains:
+        _require_one_kind(
+            self, ("bandwidth", "damping_ratio"), ("integral", "damping"),
+            "gains.force={bandwidth: 5 Hz}",
+        )  # fmt: skip
+        if self.damping is not None and self.integral is None:
+            raise refuse("damping (N s/m) goes with integral (1/s); give both, or damping_ratio")
+        return self
+
+
+def _require_one_kind(
+    spec: Spec, words: tuple[str, ...], plain: tuple[str, ...], cure: str
+) -> None:
+    """Refuse gains that serve every mass beside gains that they replace."""
+    chosen, beside = (
+        [key for key in keys if getattr(spec, key) is not None] for keys in (words, plain)
+    )
+    if chosen and beside:
+        raise refuse(
+            f"{', '.join(chosen)} beside {', '.join(beside)}: give {', '.join(words)}, or "
+            f"{', '.join(plain)}; to replace them with --set, set the group: --set '{cure}'"
+        )
 
 
 class GainsSpec(Spec):
-    """Gains of both loops."""
+    """Gains of both loops; what is left out serves every mass."""
 
-    motion: MotionGains
-    """stiffness, damping and integral of the motion loop"""
-    force: ForceGains
-    """integral and damping of the force loop"""
+    motion: MotionGains = MotionGains()
+    """frequency and damping_ratio, or stiffness and damping, of the motion loop"""
+    force: ForceGains = ForceGains()
+    """bandwidth, damping_ratio and rise, or integral and damping, of the force loop"""
 
 
 class PhasesSpec(Spec):

@@ -120,7 +120,7 @@ class Scenario(Spec):
     )
     motion: tuple[MotionSpec, ...] = ()
     squeeze: Force = 0.0
-    gains: GainsSpec
+    gains: GainsSpec = GainsSpec()
     """the gains of the motion and the force loop"""
     control: ControlSpec
     """the tick rate and the metric"""

@@ -24,6 +24,8 @@ GAINS = tuple(
     for loop, words in (
         ("motion.stiffness", "factor(0.25, 4)"), ("motion.damping", "factor(0.4, 2.5)"),
         ("force.integral", "factor(0.25, 4)"), ("force.damping", "factor(0.25, 4)"),
+        ("motion.frequency", "factor(0.5, 2)"), ("motion.damping_ratio", "factor(0.4, 2.5)"),
+        ("force.bandwidth", "factor(0.25, 4)"), ("force.damping_ratio", "factor(0.25, 4)"),
     )
 )  # fmt: skip
 _SLACK = 1.05  #: limits that are not given are the shipped values times this

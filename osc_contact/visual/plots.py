@@ -22,7 +22,7 @@ from osc_contact.visual.style import legend, panels, save, style
 __all__ = ["style", "contact_forces", "power", "tracking", "torques", "save"]
 
 BLANK = 0.05
-"""Length in s of the window after a force step that `power` shades and leaves out of the rms."""
+"""s after a force has risen that are shaded and left out of the rms, too."""
 _AXES = ("x", "y", "z")
 _TRIPLE = tuple(OKABE_ITO[name] for name in ("blue", "vermillion", "green"))
 Array = NDArray[np.float64]
@@ -36,14 +36,14 @@ def contact_forces(
 
     Args:
         recording: needs ``t``, ``alpha_cmd``, ``alpha_true``, ``alpha_meas``.
-        blank_after: times (s) of force steps; the 50 ms after each are shaded.
+        blank_after: times (s) of force steps; while one rises, and 50 ms more, it is shaded.
         judged_from: s; before, the run settles. The rms values and the scale of the error panel
             leave out both.
 
     Raises:
         InvalidInputError: a channel is missing.
     """
-    t = _get(recording, "t")
+    t, blank = _get(recording, "t"), _blank(recording)
     names = recording.magnitude_names
     with style():
         figure, axes = panels(len(names) + 1, 2.0)
@@ -54,7 +54,7 @@ def contact_forces(
         desired, measured, true = (
             _get(recording, key) for key in ("alpha_cmd", "alpha_meas", "alpha_true")
         )
-        counted = _counted(t, blank_after, judged_from)
+        counted = _counted(t, blank_after, judged_from, blank)
         for i, (name, ax) in enumerate(zip(names, axes, strict=False)):
             colour = contact_colour(i)
             ax.plot(t, desired[:, i], color="#B4BAC2", lw=5.0, label="desired")
@@ -66,7 +66,7 @@ def contact_forces(
             rms, peak = _rms(error[counted]), float(np.abs(error[counted]).max())
             label = f"{name.replace('_', ' ')}\nrms {_si(rms, 'N')}, peak {_si(peak, 'N')}"
             axes[-1].plot(t, error, color=colour, lw=0.9, label=label)
-        _shade(axes[-1], t, blank_after, judged_from)
+        _shade(axes[-1], t, blank_after, judged_from, blank)
         axes[-1].set_ylim(_limits((true - desired)[counted]))
         note = " (shaded: not in rms, peak and scale)" if not counted.all() else ""
         title = f"error: true − desired{note}"
@@ -82,16 +82,16 @@ def power(
 
     Args:
         recording: needs ``t``, ``power_total``, ``power_projected``.
-        blank_after: times (s) of force steps; the 50 ms after each are shaded and left out of
-            the rms values and of the enlarged scale.
+        blank_after: times (s) of force steps; while one rises, and 50 ms more, it is shaded and
+            left out of the rms values and of the enlarged scale.
         judged_from: s; what lies before is treated likewise.
 
     Raises:
         InvalidInputError: a channel is missing.
     """
-    t = _get(recording, "t")
+    t, blank = _get(recording, "t"), _blank(recording)
     total, projected = _get(recording, "power_total"), _get(recording, "power_projected")
-    counted = _counted(t, blank_after, judged_from)
+    counted = _counted(t, blank_after, judged_from, blank)
     rms = [_rms(series[counted]) for series in (total, projected)]
     with style():
         figure, axes = panels(3, 2.1)
@@ -107,7 +107,7 @@ def power(
         for ax, (series, title, colour) in zip(axes, contents, strict=True):
             ax.plot(t, series, color=OKABE_ITO[colour], lw=0.9)
             ax.set(title=title, ylabel="power (W)")
-            shade = _shade(ax, t, blank_after, judged_from)
+            shade = _shade(ax, t, blank_after, judged_from, blank)
         both = np.concatenate([total, projected])
         for ax in axes[:2]:
             ax.set_ylim(_limits(both))
@@ -214,17 +214,26 @@ def _actuated_names(meta: dict[str, Any], count: int) -> list[str]:
     return [f"actuator {i + 1}" for i in range(count)]
 
 
-def _counted(t: Array, blank_after: Sequence[float], judged_from: float) -> NDArray[np.bool_]:
+def _blank(recording: Recording) -> float:
+    """How long forces are not judged after a step (s)."""
+    return BLANK + float(recording.meta.get("force_rise_s", 0.0))
+
+
+def _counted(
+    t: Array, blank_after: Sequence[float], judged_from: float, blank: float = BLANK
+) -> NDArray[np.bool_]:
     """The ticks that count: settled and not just after a step; all of them if none does."""
     counted: NDArray[np.bool_] = t >= judged_from - 1e-9
     for start in blank_after:
-        counted &= ~((t >= start - 1e-9) & (t < start + BLANK - 1e-9))
+        counted &= ~((t >= start - 1e-9) & (t < start + blank - 1e-9))
     return counted if counted.any() else np.ones(t.shape, dtype=bool)
 
 
-def _shade(ax: Axes, t: Array, blank_after: Sequence[float], judged_from: float) -> Artist | None:
+def _shade(
+    ax: Axes, t: Array, blank_after: Sequence[float], judged_from: float, blank: float = BLANK
+) -> Artist | None:
     """Shade what does not count; returns one of the patches for a legend."""
-    spans = [(start, start + BLANK) for start in blank_after]
+    spans = [(start, start + blank) for start in blank_after]
     if t.size and judged_from > t[0]:
         spans.append((float(t[0]), min(judged_from, float(t[-1]))))
     patch = None

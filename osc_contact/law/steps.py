@@ -1,0 +1,118 @@
+"""Steps of the desired forces, made without a jump; and the brake on a contact that swings.
+
+A force that is asked for at once would set a contact swinging, with its own stiffness and the mass
+behind it, and move the others along. What a step leaves to be done is therefore taken off the
+desired force at first, and let go within the rise time T along the quintic of least jerk:
+
+    α_s = α_d − w,   w(x) = (1 − x)³(a + bx + cx²),   x = t / T
+
+a, b and c go on from value, slope and curvature that w has when the next step comes. Forces that
+change more slowly pass as they are. A contact that is new to the law starts from the force that is
+measured there, in the first tick of all from none: nothing has been measured under control yet.
+While much of a step is still to come the integral rests, which would take it for an error.
+
+The brake asks for the normal acceleration −κ(NᵀV_rel − v̄) in place of none, v̄ the part that lasts:
+an object that slides along a tilted face is not braked. In accelerations the same κ serves every
+mass, and any basis of N; the force that it takes is (NᵀΦN)⁻¹ times as much.
+"""
+
+from __future__ import annotations
+
+from osc_contact.law.jit import inner
+from osc_contact.law.phases import APPROACHING
+
+__all__ = ["brake_contacts", "keep_steps", "shape_steps"]
+
+_SUDDEN = 20.0  #: 1/s; a force that changes faster than its size times this makes a step
+_FADES = 0.5  #: 1/s; how fast the size of a force that has gone is forgotten
+_RESTS = 0.1  #: of the size; where more of a step is to come the integral rests
+
+
+@inner
+def shape_steps(chain, owners, contacts, memory, column_memory, columns, work, goal, measured):
+    """Fill `goal` of the columns in force with α_s (N), and `heed`, how far the integral runs.
+
+    Args:
+        owners: (n,) COLUMN. goal, measured: (n,) desired and measured magnitudes (N).
+    """
+    dt, largest, sudden = chain.period, 0.0, False
+    left, T, time = memory.step_left, memory.step_time, chain.step_time
+    if left > 0.0:
+        left = max(left - dt / T, 0.0)
+    work.heed = 1.0
+    if left == 0.0 and time == 0.0:
+        work.step_left = 0.0
+        for i in range(work.count):
+            row = columns[columns[i].chosen]
+            row.goal, row.scale, row.shaped = goal[columns[i].chosen], 0.0, 1
+            row.to_come[0] = row.to_come[1] = row.to_come[2] = 0.0
+        return
+    x = 1.0 - left
+    for i in range(work.count):
+        j = columns[i].chosen
+        row, last = columns[j], column_memory[j]
+        row.shaped = 0 if contacts[owners[j].contact].phase == APPROACHING else 1
+        row.goal = goal[j]
+        row.scale = max(abs(goal[j]), last.scale * (1.0 - _FADES * dt))
+        before = last.wish if last.wished != 0 else measured[j] if memory.ticked != 0 else 0.0
+        row.to_come[0] = goal[j] - before  # the step, for now
+        sudden = sudden or (row.shaped and abs(row.to_come[0]) > _SUDDEN * dt * row.scale)
+    sudden = sudden and time > 0.0
+    for i in range(work.count):
+        j = columns[i].chosen
+        row, last = columns[j], column_memory[j]
+        step, known = row.to_come[0], last.wished != 0
+        a, b, c = (last.to_come[0], last.to_come[1], last.to_come[2]) if known else (0.0, 0.0, 0.0)
+        if row.shaped == 0:
+            a = b = c = step = 0.0
+        if sudden:
+            a, b, c = _go_on(a, b, c, left, time / T if left > 0.0 else 1.0)
+            a += step
+            b += 3.0 * step
+            c += 6.0 * step
+        row.to_come[0], row.to_come[1], row.to_come[2] = a, b, c
+        w = a if sudden else left**3 * (a + x * (b + x * c))
+        row.goal -= w
+        if row.scale > 0.0:
+            largest = max(largest, abs(w) / row.scale)
+    work.step_left, work.step_time = (1.0, time) if sudden else (left, T)
+    work.heed = max(1.0 - largest / _RESTS, 0.0)
+
+
+@inner
+def _go_on(a, b, c, left, stretch):
+    """a, b, c of the quintic that goes on at x = 1 − left, and takes `stretch` times as long."""
+    x = 1.0 - left
+    P, slope, bend = a + x * (b + x * c), b + 2.0 * x * c, 2.0 * c
+    w = left**3 * P
+    w_1 = stretch * left**2 * (left * slope - 3.0 * P)
+    w_2 = stretch**2 * left * (6.0 * P - 6.0 * left * slope + left**2 * bend)
+    return w, w_1 + 3.0 * w, 0.5 * w_2 + 3.0 * w_1 + 6.0 * w
+
+
+@inner
+def brake_contacts(column_memory, columns, work):
+    """`brake` (r,) ← κ(NᵀV_rel − v̄), in m/s² for columns that are forces."""
+    for a in range(work.rank):
+        drift = column_memory[columns[int(work.keep[a])].chosen].drift
+        work.brake[a] *= work.speed[a] - drift
+
+
+@inner
+def keep_steps(chain, memory, column_memory, columns, work, goal, here, speed):
+    """What the next tick must know of the desired forces, and v̄ of each column.
+
+    Args:
+        goal, here, speed: (n,) desired magnitudes, whether in N, NᵀV_rel (m/s).
+    """
+    memory.step_left, memory.step_time = work.step_left, work.step_time
+    for j in range(chain.n_columns):
+        row = column_memory[j]
+        if here[j] == 0.0:
+            row.wished, row.wish, row.scale, row.drift = 0, 0.0, 0.0, 0.0
+            row.to_come[0] = row.to_come[1] = row.to_come[2] = 0.0
+            continue
+        row.wished, row.wish, row.scale = columns[j].shaped, goal[j], columns[j].scale
+        row.drift += work.heed * chain.drift_share * (speed[j] - row.drift)
+        for i in range(3):
+            row.to_come[i] = columns[j].to_come[i]

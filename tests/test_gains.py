@@ -1,0 +1,376 @@
+"""Gains that serve every mass: what they are, what the law makes of them, and what it brings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from grasp_rigs import Case
+from rigs import PANDA_Q, ROD, one_panda, random_faces, random_state
+from test_grasps import in_millimetres
+
+import osc_contact as osc
+from osc_contact import robots
+from osc_contact.control.safety import SafetySettings
+from osc_contact.dynamics import chain_rows
+
+DT = 1e-3
+K = 10 * np.pi  # 1/s: 5 Hz
+ARMATURE = "arms.{}.armature={}"
+
+
+# What they are ------------------------------------------------------------------------------------
+
+
+def test_gains_in_words_and_the_numbers_they_stand_for():
+    motion = osc.MotionGains(frequency=2.0, damping_ratio=0.5, integral_time=0.25)
+    assert motion.stiffness == pytest.approx((4 * np.pi) ** 2)
+    assert motion.damping == pytest.approx(4 * np.pi)
+    assert motion.integral == pytest.approx(4 * motion.stiffness)
+    assert osc.MotionGains(motion.stiffness, motion.damping).frequency == pytest.approx(2.0)
+    assert osc.MotionGains() == osc.MotionGains(400, 40, 0)
+    force = osc.ForceGains(bandwidth=3.0, damping_ratio=0.6)
+    assert force.integral == pytest.approx(6 * np.pi) and force.damping == 0.0
+    assert force.brake == pytest.approx(2 * 0.6 * 6 * np.pi) and force.rise == 0.25
+    assert osc.ForceGains() == osc.ForceGains(bandwidth=5.0, damping_ratio=0.7, rise=0.25)
+    plain = osc.ForceGains(30, 100)
+    assert (plain.integral, plain.damping, plain.brake, plain.rise) == (30, 100, 0, 0)
+    assert replace(force, rise=0.0).brake == force.brake
+    assert replace(motion, integral=0.0).stiffness == motion.stiffness
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (lambda: osc.ForceGains(integral=30, bandwidth=5), "bandwidth beside integral"),
+        (lambda: osc.ForceGains(damping=3, damping_ratio=1), "damping_ratio beside damping"),
+        (lambda: osc.ForceGains(bandwidth=-1), "bandwidth = -1"),
+        (lambda: osc.ForceGains(rise=np.inf), "rise = inf"),
+        (lambda: osc.MotionGains(stiffness=30, frequency=5), "frequency beside stiffness"),
+        (lambda: osc.MotionGains(frequency=0), "frequency = 0"),
+        (lambda: osc.MotionGains(frequency=5, integral_time=0.01), "raise integral_time"),
+    ],
+)
+def test_gains_of_both_kinds_and_impossible_ones_are_refused(made, words):
+    with pytest.raises(osc.InvalidInputError, match=words):
+        made()
+
+
+def test_scenarios_take_both_kinds_and_name_the_others():
+    scenario = osc.load_scenario("ur5_wipe", ["gains={}"])
+    assert osc.build_rig(scenario).gains == osc.Gains()
+    own = "gains={motion: {frequency: 4 Hz, damping_ratio: 0.8}, force: {bandwidth: 3 Hz}}"
+    gains = osc.build_rig(osc.load_scenario("ur5_wipe", [own])).gains
+    assert gains.motion == osc.MotionGains(frequency=4, damping_ratio=0.8)
+    assert gains.force == osc.ForceGains(bandwidth=3)
+    loaded = osc.Scenario.from_dict(scenario.as_dict())
+    assert loaded == scenario
+    for sets, words in (
+        ("gains.force.bandwidth=3 Hz", "--set 'gains.force={bandwidth: 5 Hz}'"),
+        ("gains.motion.frequency=3 Hz", "--set 'gains.motion={frequency: 5 Hz}'"),
+        ("gains.motion={stiffness: 400}", "stiffness .* and damping .* together"),
+        ("gains.force={damping: 4}", "damping .* goes with integral"),
+    ):
+        with pytest.raises(osc.ScenarioError, match=words.replace("{", r"\{")):
+            osc.load_scenario("two_contact_rod", [sets])
+
+
+# What the law makes of them -----------------------------------------------------------------------
+
+
+def quintic(s):
+    s = np.clip(s, 0.0, 1.0)
+    return 10 * s**3 - 15 * s**4 + 6 * s**5
+
+
+def on_the_exact_plant(force, gains, duration=0.6):
+    scenario = osc.load_scenario(
+        "two_contact_rod",
+        ["plant.type=rigid", "motion=[]", f"duration={duration}", f"gains.force={gains}"],
+    ).replaced(force=force)
+    return osc.run(scenario)
+
+
+def constant(value):
+    return {"type": "constant", "value": value}
+
+
+def step(value, start):
+    return {"type": "step", "value": value, "start": start}
+
+
+def test_a_step_rises_along_the_quintic_of_least_jerk():
+    """On the exact plant the force is what is commanded; a second step while the first is made."""
+    force = {"left_end": [constant(10), step(5, 0.1)], "right_end": [constant(8)]}
+    run = on_the_exact_plant(force, "{rise: 0.2 s}")
+    t = run["t"] - DT  # of the command that made the force
+    # two ends of a quintic: value, slope and curvature at the second step, and rest at its end
+    A = np.array([[float(np.prod(range(k, k - d, -1))) * (x ** max(k - d, 0) if k >= d else 0)
+                   for k in range(6)] for x in (0.0, 1.0) for d in range(3)])  # fmt: skip
+    s, T = 0.5, 0.2
+    here = [quintic(s), 30 * s**2 - 60 * s**3 + 30 * s**4, 60 * s - 180 * s**2 + 120 * s**3]
+    for end, first, more in (("left", 10.0, 5.0), ("right", 8.0, 0.0)):
+        b = np.concatenate((first * np.array(here), [first + more, 0.0, 0.0]))
+        c = np.linalg.solve(A, b)
+        x = np.clip((t - 0.1) / T, 0.0, 1.0)
+        want = np.where(t < 0.1, first * quintic(t / T), np.polyval(c[::-1], x))
+        got = run["alpha_true"][:, 0 if end == "left" else 1]
+        np.testing.assert_allclose(got, want, rtol=0, atol=2e-3 * first)
+
+
+def test_forces_that_change_slowly_pass_as_they_are():
+    """Also a sine that nearly comes to zero, where it changes fast beside what it is."""
+    sine = {"type": "sine", "amplitude": 5.0, "frequency": 2.0, "ramp": 0.5}
+    force = {"left_end": [constant(10)], "right_end": [constant(5.1), sine]}
+    run = on_the_exact_plant(force, "{rise: 0.2 s}", 1.2)
+    error = (run["alpha_true"] - run["alpha_cmd"])[run["t"] > 0.5]
+    assert np.abs(error).max() < 0.05
+
+
+def test_a_contact_engaged_later_starts_from_the_force_that_is_there():
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["gains={}", "plant.type=rigid"]))
+    plant, controller = rig.plant(), rig.controller()
+    reference = replace(rig.references.at(0.0), alpha_d=np.array([20.0, 15.0]))
+    for _ in range(600):
+        plant.command(controller.tick(plant.measure(), reference), DT)
+    late = rig.controller()
+    late.engaged = False
+    late.tick(plant.measure(), reference)
+    late.engaged = True
+    late.tick(plant.measure(), reference)
+    np.testing.assert_allclose(late.signals.alpha_u, [20.0, 15.0], atol=0.5)
+    first = rig.controller()
+    first.tick(plant.measure(), reference)
+    np.testing.assert_allclose(first.signals.alpha_u, [0.0, 0.0], atol=0.5)
+
+
+def test_the_brake_decelerates_the_contact_whatever_the_mass():
+    """Δq̈ = (M + JᵀΛ_oJ)⁻¹Δτ, with Pinocchio's M and J, must be −κ NᵀV along N and nothing else."""
+    chain, rng = one_panda(), np.random.default_rng(5)
+    kappa = 44.0
+    for mass in (0.1, 1.0, 6.0):
+        body = pin.Inertia(mass, np.array([0.01, 0.02, 0.0]), 0.02 * mass * np.eye(3))
+        held = osc.ClosedChain(chain.arms, chain.grasps, osc.RigidObject(body))
+        q, v = random_state(chain, rng)
+        state = held.state(q, v)
+        pairs = random_faces(state.X_WO, 2, rng)
+        measurement = osc.Measurement(q, 0.01 * v, np.zeros((1, 6)))
+        reference = osc.Reference(state.X_WO, np.zeros(6), np.zeros(6), np.zeros(2), 0.0)
+        taus = []
+        for brake in (kappa, 0.0):
+            gains = osc.Gains(osc.MotionGains(), osc.ForceGains(0.0, brake=brake))
+            one = osc.Controller(held, pairs, gains, posture=q, reading="filter")
+            taus.append(one.tick(measurement, reference))
+            assert one.status is osc.Status.OK, one.reason
+        model = held.model
+        data = model.createData()
+        M = pin.crba(model, data, q)
+        M = np.triu(M) + np.triu(M, 1).T
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        tip = model.getFrameId("arm/panda_hand_tcp")
+        J = pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)
+        lever = state.X_WO.translation - data.oMf[tip].translation
+        J[:3] -= pin.skew(lever) @ J[3:]
+        R = state.X_WO.rotation
+        inertia = body.matrix()
+        turn = np.kron(np.eye(2), R)
+        all_of_it = M + J.T @ (turn @ inertia @ turn.T) @ J
+        N = np.column_stack([
+            np.concatenate((-p.normal, np.cross(state.X_WO.rotation @ p.vertex, -p.normal)))
+            for p in pairs
+        ])  # fmt: skip
+        change = J @ np.linalg.solve(all_of_it, taus[0] - taus[1])
+        want = -kappa * N.T @ J @ measurement.v
+        np.testing.assert_allclose(N.T @ change, want, rtol=1e-8, atol=1e-9)
+
+
+class Mixed:
+    """Two vertices as one pair, its N in another basis."""
+
+    name = "mixed"
+
+    def __init__(self, pairs, R):
+        self.pairs, self.R = pairs, R
+
+    def contact(self, X_WO, V_O, X_WE=None, V_E=None):
+        both = osc.Contact.stack([pair.contact(X_WO, V_O) for pair in self.pairs])
+        return osc.Contact(both.N @ self.R, self.R.T @ both.n_gamma)
+
+    def gaps(self, X_WO, X_WE=None):
+        return np.concatenate([pair.gaps(X_WO) for pair in self.pairs])
+
+
+def test_the_basis_of_N_does_not_matter():
+    chain, rng = one_panda(), np.random.default_rng(8)
+    q, _ = random_state(chain, rng)
+    X = chain.state(q, np.zeros(7)).X_WO
+    for R in (np.diag([1e-3, 50.0]), np.array([[1.0, 0.4], [-0.6, 1.2]])):
+        pairs = random_faces(X, 2, np.random.default_rng(8))
+        one, other = (
+            osc.Controller(chain, given, posture=q, reading="filter")
+            for given in (pairs, [Mixed(pairs, R)])
+        )
+        for k in range(60):
+            alpha = np.array([10.0, 7.0]) + (k >= 20) * np.array([5.0, -2.0])
+            measurement = osc.Measurement(
+                q + 1e-4 * rng.normal(size=7), 0.01 * rng.normal(size=7), rng.normal(size=(1, 6))
+            )
+            plain = osc.Reference(X, np.zeros(6), np.zeros(6), alpha, 0.0)
+            mixed = replace(plain, alpha_d=np.linalg.solve(R, alpha))
+            want, got = one.tick(measurement, plain), other.tick(measurement, mixed)
+            assert one.status is osc.Status.OK, one.reason
+            np.testing.assert_allclose(got, want, rtol=0, atol=1e-8 * np.abs(want).max())
+
+
+def test_metres_or_millimetres_do_not_matter(monkeypatch):
+    """What the default gains change in the torques, beside gains without brake and rise."""
+    rng = np.random.default_rng(4)
+    arm = one_panda().arms[0]
+    model = arm.model.copy()
+    model.upperEffortLimit, model.gravity = np.full(7, 1e15), pin.Motion.Zero()
+    chain = osc.ClosedChain(
+        [replace(arm, model=model)], one_panda().grasps, osc.RigidObject(ROD), allow_unactuated=True
+    )
+    X = chain.state(PANDA_Q, np.zeros(7)).X_WO
+    case = Case(chain, PANDA_Q, X, [])
+    small, _, X_mm = in_millimetres(case)
+    moves = [(1e-3 * rng.normal(size=7), 0.02 * rng.normal(size=7)) for _ in range(40)]
+    vertex, normal = np.array([0.1, 0.05, 0.2]), np.array([0.6, 0.0, 0.8])
+    force = np.repeat([1e3, 1e6], 3)
+
+    def torques(chain, X, length, forces):
+        pair = osc.VertexOnFace(length * vertex, X.act(length * vertex), normal, name="tip")
+        out = []
+        for gains in (osc.ForceGains(), osc.ForceGains(K)):
+            one = osc.Controller(
+                chain,
+                [pair],
+                osc.Gains(force=gains),
+                posture=case.q,
+                reading="filter",
+                safety=SafetySettings(contact_power=1e15, contact_force=1e15),
+            )
+            taus = []
+            for k, (dq, v) in enumerate(moves):
+                reading = forces * np.array([1.0, 2.0, -3.0, 0.1, 0.2, 0.3])
+                alpha = np.array([forces[0] * (10.0 + 5.0 * (k >= 20))])
+                reference = osc.Reference(X, np.zeros(6), np.zeros(6), alpha, 0.0)
+                taus.append(one.tick(osc.Measurement(case.q + dq, v, reading[None]), reference))
+                assert one.status is osc.Status.OK, one.reason
+            out.append(taus)
+        return np.subtract(*out)
+
+    want = torques(chain, X, 1.0, np.ones(6))
+    monkeypatch.setattr(chain_rows, "GYRATION", 1e3 * chain_rows.GYRATION)
+    got = torques(small, X_mm, 1e3, force)
+    assert np.abs(want).max() > 0.1
+    np.testing.assert_allclose(got / 1e6, want, rtol=0, atol=1e-6 * np.abs(want).max())
+
+
+def test_other_gains_go_on_while_a_step_is_made():
+    """Half way up, to gains that know no rise: the force commanded does not jump."""
+    rig = osc.build_rig(
+        osc.load_scenario("two_contact_rod", ["gains={}", "plant.type=rigid", "motion=[]"])
+    )
+    plant, controller = rig.plant(), rig.controller()
+    reference = replace(rig.references.at(0.0), alpha_d=np.array([20.0, 15.0]))
+    commanded = []
+    for k in range(400):
+        if k == 125:
+            controller = controller.with_gains(osc.Gains(force=osc.ForceGains(K)))
+        plant.command(controller.tick(plant.measure(), reference), DT)
+        commanded.append(controller.signals.alpha_u)
+    change = np.abs(np.diff(commanded, axis=0)).max(axis=1)
+    assert change.max() < 1.05 * change[:124].max()
+    np.testing.assert_allclose(commanded[-1], [20.0, 15.0], atol=0.05)
+
+
+# What it brings: MuJoCo, default gains ------------------------------------------------------------
+
+
+def pressed(scenario, step_of, value=10.0):
+    """Each contact pressed with 10 N at rest; one is asked for 5 N more at 0.5 s."""
+    forces = {name: [constant(value)] for name in scenario.force}
+    forces[step_of].append(step(5.0, 0.5))
+    return osc.run(scenario.replaced(force=forces, motion=[], gains={}, duration=1.0))
+
+
+def overshoots(run):
+    """Of the first contact and of the step, shares; and what the step does to other forces (N)."""
+    t, true, asked = run["t"], run["alpha_true"], run["alpha_cmd"]
+    k = int(np.searchsorted(t, 0.5 - 1e-9))
+    over = true - asked
+    stepped = asked[k] - asked[k - 1] > 1.0
+    first = (over[:k] / asked[0]).max()
+    return first, over[k:, stepped].max() / 5.0, np.abs(over[k:, ~stepped]).max(initial=0.0)
+
+
+def one_arm(robot, tip, posture, push, armature):
+    """An arm alone, a rod in its hand, the end of which is pressed against a face."""
+    arm = osc.Arm.from_urdf(robots.find_robot(robot)[0], name="arm", tip=tip)
+    data = arm.model.createData()
+    pin.framesForwardKinematics(arm.model, data, np.array(posture))
+    grasp = pin.SE3(pin.rpy.rpyToMatrix(0, -np.pi / 2, 0), np.array([0, 0, 0.29]))
+    X = data.oMf[arm.model.getFrameId(tip)] * grasp
+    push = np.array(push) / np.linalg.norm(push)
+    at = X.act(np.array([0.29, 0.0, 0.0])) + 0.01 * push
+
+    def pose(X):
+        return {"xyz": X.translation.tolist(), "rpy": pin.rpy.matrixToRpy(X.rotation).tolist()}
+
+    return osc.Scenario.from_dict({
+        "name": "one",
+        "arms": [{"name": "arm", "urdf": f"example-robot-data:{robot}", "tip": tip,
+                  "wrist_sensor": tip, "posture": posture, "armature": armature}],
+        "object": {"urdf": "rod.urdf", "pose": pose(X)}, "grasps": {"arm": pose(grasp)},
+        "contacts": [{"name": "end", "type": "vertex_on_face", "vertex": [0.29, 0, 0],
+                      "radius": 0.01, "face": {"urdf": "face.urdf", "point": at.tolist(),
+                                               "normal": (-push).tolist()}}],
+        "force": {"end": [constant(10.0)]},
+        "control": {"rate": "1 kHz"}, "plant": {"type": "mujoco", "step": "0.25 ms"},
+        "duration": "1 s",
+    })  # fmt: skip
+
+
+DOWN = [0.2, 0.1, -1.0]
+ARMS = {
+    "0.5 kg": ("kinova", "j2s6s200_end_effector", [0, 2.9, 1.3, 4.2, 1.4, 0], DOWN, 0.0),
+    "1.5 kg": ("talos_left_arm", "gripper_left_base_link", [0.3, 0.2, -1.5, 0.3, 0.3, 0.1],
+               [-1, 0, -0.3], 0.0),
+    "4.6 kg": ("ur10", "tool0", [0, -1.4, 1.9, -1.9, -1.57, 0.3], DOWN, 0.0),
+    "40 kg": ("ur10", "tool0", [0, -1.4, 1.9, -1.9, -1.57, 0.3], DOWN, 10.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mass", ARMS)
+def test_first_contact_and_steps_overshoot_little_whatever_the_mass(mass):
+    first, later, _ = overshoots(pressed(one_arm(*ARMS[mass]), "end"))
+    assert first < 0.2 and later < 0.2
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "step_of"),
+    [
+        ("two_contact_rod", (), "left_end"),
+        ("two_contact_rod", tuple(ARMATURE.format(s, 2) for s in ("left", "right")), "left_end"),
+        ("three_arm_plate", (), "post_1"),
+        ("scara_peg", (), "wall_x"),
+    ],
+)
+def test_a_step_of_one_force_hardly_moves_the_others(name, changes, step_of):
+    run = pressed(osc.load_scenario(name, list(changes)), step_of)
+    first, later, other = overshoots(run)
+    assert first < 0.2 and later < 0.2 and other < 0.2
+
+
+@pytest.mark.parametrize("armature", [0.0, 0.5])
+def test_a_wiping_arm_does_not_ring_with_heavy_rotors(armature):
+    """Rocking of the cloth meets 470 kg at its corners then."""
+    changes = [ARMATURE.format("ur5", armature), "gains={}", "duration=1.6 s"]
+    run = osc.run(osc.load_scenario("ur5_wipe", changes))
+    t, error = run["t"], run["alpha_true"] - run["alpha_cmd"]
+    assert (error[t < 0.5] / run["alpha_cmd"][0]).max() < 0.2
+    assert np.sqrt(np.mean(error[t > 1.0] ** 2)) < 0.01 * 8.0
