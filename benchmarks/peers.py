@@ -16,7 +16,7 @@ from rich.table import Table
 from benchmarks.engines import constraint_dynamics, mujoco_inverse
 from benchmarks.textbook import TextbookLaw
 from osc_contact import robots
-from osc_contact.bench.cases import CASES, TickCase
+from osc_contact.bench.cases import CASES, TickCase, repeatable
 from osc_contact.bench.measuring import (
     bars,
     joined,
@@ -73,7 +73,7 @@ def peers_of(case: TickCase) -> Peers:
     instant = Instant(state, Contact.stack(parts))
     for baseline in BASELINES.values():
         law = best_selection(instant, baseline, restarts=0)
-        controller = law.install(case.controller())
+        controller = law.install(repeatable(case.controller()))
         python[f"{baseline.label} (in Python)"] = _ticking(controller, case)
     return Peers(compiled, python, unwind)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from rich.table import Table
 
-from osc_contact.bench.cases import require_status
+from osc_contact.bench.cases import repeatable, require_status
 from osc_contact.bench.measuring import (
     joined,
     machine,
@@ -96,6 +96,7 @@ class _Timed:
     ) -> _Timed:
         pairs = faces_of(rig, contacts, r, rng)
         controller, measurement, reference = rig.controller(pairs)
+        controller = repeatable(controller)
         chain, q, v = rig.chain, measurement.q, measurement.v
         data = chain.model.createData()
         controller.tick(measurement, reference)

@@ -75,6 +75,10 @@ class Measurement:
         joint_torques: (n_a,) what the joint torque sensors read (N m, N); None: there are none.
         stamps: when each was sampled; None: all of them now.
         seen: object and arms as a camera sees them; None: there is none.
+        wrench_valid: False: this tick has no new wrenches, whatever stands in them; the controller
+            goes on with the last ones for a while. None: they are as good as they look.
+        sequence: number of the packet; one that is no larger than the last is not read. None:
+            packets have none.
     """
 
     q: Array
@@ -84,6 +88,8 @@ class Measurement:
     joint_torques: Array | None = None
     stamps: Stamps | None = None
     seen: Seen | None = None
+    wrench_valid: bool | None = None
+    sequence: int | None = None
 
 
 class Robot(Protocol):

@@ -95,6 +95,7 @@ def test_torques_never_exceed_a_motor_limit(ready):
 
 def test_stretched_elbows_degrade_and_a_wall_that_the_arms_cannot_push_is_held(rig, ready):
     controller, _, measurement, reference = ready
+    controller = controller.with_safety(osc.SafetySettings.motors_only())  # another posture at once
     straight = measurement.q.copy()
     straight[[1, 6]] = 0.0  # both elbows stretched
     tau = controller.tick(replace(measurement, q=straight), reference)
@@ -265,7 +266,8 @@ def test_what_would_be_ignored_is_refused(ready, name):
 
 def test_other_gains_go_on_without_a_jump(rig):
     gains = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
-    controller, plant = Controller(rig.model, rig.pairs, gains), rig.plant()
+    bare = osc.SafetySettings.motors_only()  # the very same readings again and again
+    controller, plant = Controller(rig.model, rig.pairs, gains, safety=bare), rig.plant()
     measurement, reference = plant.measure(), rig.references.at(0.0)
     shift = np.array([1e-3, -2e-3, 1e-3, 2e-3, 1e-3, -1e-3])
     away = replace(reference, X_WD=reference.X_WD * pin.exp6(pin.Motion(shift)))

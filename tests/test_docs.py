@@ -326,3 +326,13 @@ def test_names_in_the_glossary_exist() -> None:
             assert hasattr(owners[owner], name), f"{owner}.{name}"
             named += 1
     assert named >= 15
+
+
+def test_each_of_the_thirty_bad_inputs_has_a_test() -> None:
+    rows = table_rows("reliability.md", "Thirty bad inputs")
+    assert [row[0] for row in rows] == [str(i) for i in range(1, 31)]
+    for row in rows:
+        (cited,) = TICKED.findall(row[-1])
+        file, name = cited.split("::")
+        source = (ROOT / file).read_text(encoding="utf-8")
+        assert re.search(rf"^def {name}\(", source, re.MULTILINE), cited

@@ -428,7 +428,8 @@ import osc_contact as osc
 from numba.core.runtime import rtsys
 
 rig = osc.build_rig(osc.load_scenario("two_contact_rod_friction"))
-controller, measurement = rig.controller(), rig.plant().measure()
+from osc_contact.bench.cases import repeatable
+controller, measurement = repeatable(rig.controller()), rig.plant().measure()
 reference = rig.references.at(0.0)
 for _ in range(100):
     controller.tick(measurement, reference)

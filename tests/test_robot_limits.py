@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.bench.cases import CASES, Case
+from osc_contact.bench.cases import CASES, TickCase, repeatable
 from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant
 
@@ -18,16 +18,16 @@ DT = 1e-3
 
 
 @pytest.fixture(params=["one_panda", "two_contact_rod"])
-def case(request: pytest.FixtureRequest) -> Case:
+def case(request: pytest.FixtureRequest) -> TickCase:
     return CASES[request.param]()
 
 
-def guarded(case: Case, **safety: float) -> osc.Controller:
-    return case.controller().with_safety(osc.SafetySettings(**safety))
+def guarded(case: TickCase, **safety: float) -> osc.Controller:
+    return repeatable(case.controller().with_safety(osc.SafetySettings(**safety)))
 
 
 @pytest.mark.parametrize("force", [60.0, 3000.0])  # within the motor limits, and beyond
-def test_torques_go_straight_to_what_is_wanted_at_their_rate(case: Case, force: float) -> None:
+def test_torques_go_straight_to_what_is_wanted_at_their_rate(case: TickCase, force: float) -> None:
     controller = guarded(case, torque_rate=30.0)
     free = case.controller().with_safety(osc.SafetySettings.motors_only())
     before = controller.tick(case.measurement, case.reference)
@@ -66,7 +66,7 @@ def test_a_joint_is_stopped_before_its_end() -> None:
     assert 0.0 < nearest.min() < 0.25
 
 
-def test_ends_are_not_watched_where_that_is_not_wanted(case: Case) -> None:
+def test_ends_are_not_watched_where_that_is_not_wanted(case: TickCase) -> None:
     q, v = case.measurement.q.copy(), np.zeros(case.chain.nq)
     joint = case.chain.actuated[1]
     q[joint] = case.chain.model.upperPositionLimit[joint] - 1e-3
@@ -82,7 +82,7 @@ def test_ends_are_not_watched_where_that_is_not_wanted(case: Case) -> None:
     assert "end of its range" not in unwatched.reason + back.reason
 
 
-def into_faces(case: Case, speed: float) -> np.ndarray:
+def into_faces(case: TickCase, speed: float) -> np.ndarray:
     """Joint velocities at which every contact moves into its face."""
     state = case.chain.state
     q, unit = case.measurement.q, np.eye(case.chain.nq)
@@ -106,7 +106,7 @@ def test_power_into_the_contacts_stops_it() -> None:
     assert SAFE_STOP not in states[100.0]
 
 
-def pressed(case: Case, times: float) -> osc.Measurement:
+def pressed(case: TickCase, times: float) -> osc.Measurement:
     """Readings in which the contact forces are so many times what they were."""
     model, out = case.controller(), case.measurement
     model.tick(out, case.reference)
@@ -194,7 +194,7 @@ def test_brakes_take_energy_though_motors_are_too_weak_for_all_of_them() -> None
     assert weak > 20
 
 
-def test_limits_are_checked_and_can_be_changed(case: Case) -> None:
+def test_limits_are_checked_and_can_be_changed(case: TickCase) -> None:
     with pytest.raises(InvalidInputError, match="torque_rate = 0"):
         osc.SafetySettings(torque_rate=0.0)
     with pytest.raises(InvalidInputError, match=r"brake_time = -1.0 s"):

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.bench.cases import CASES, TickCase
+from osc_contact.bench.cases import CASES, TickCase, repeatable
 from osc_contact.control.safety import SafetySettings, SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant
@@ -123,7 +123,7 @@ def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name: str, pace: 
 
 
 def test_joints_that_stay_too_fast_end_in_a_stop(case: TickCase) -> None:
-    controller = case.controller()
+    controller = repeatable(case.controller())
     limit = case.chain.model.velocityLimit[case.chain.actuated]
     joint = case.chain.actuated[int(np.argmin(limit))]
     v = case.measurement.v.copy()

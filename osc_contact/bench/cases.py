@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -32,6 +32,7 @@ __all__ = [
     "TickCase",
     "in_motion",
     "one_panda",
+    "repeatable",
     "require_status",
     "rod_rig",
     "two_contact_rod",
@@ -60,6 +61,14 @@ def require_status(controller: Controller, name: str, expected: Status = Status.
         raise InvalidInputError(
             f"{name}: a timed tick ended {controller.status.name}{reason}, expected {expected.name}"
         )
+
+
+def repeatable(controller: Controller) -> Controller:
+    """The same controller, to be ticked with the very same readings again and again."""
+    endless = replace(
+        controller.settings.safety, stuck_speed=np.inf, frozen_for=np.inf, speed_error=np.inf
+    )
+    return controller.with_safety(endless)
 
 
 @dataclass(frozen=True)
@@ -94,7 +103,7 @@ class TickCase:
 
         That is: how the tick ended is checked, and its integrators are set back to zero.
         """
-        return self.ticking(self.controller())
+        return self.ticking(repeatable(self.controller()))
 
     def ticking(self, controller: Controller) -> tuple[Callable[[], Array], Callable[[], None]]:
         """The same with a given controller."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.bench.cases import require_status
+from osc_contact.bench.cases import repeatable, require_status
 from osc_contact.bench.measuring import require_count, spread
 from osc_contact.control.controller import Controller
 from osc_contact.interface import Measurement, Reference
@@ -89,7 +89,7 @@ def time_parts(rig: Rig, rounds: int) -> TickTimes:
 def _time_tick(
     rig: Rig, measurement: Measurement, reference: Reference, rounds: int
 ) -> tuple[Array, Array, dict[str, Array]]:
-    controller, model = rig.controller(), rig.chain.model
+    controller, model = repeatable(rig.controller()), rig.chain.model
     data = model.createData()
     kernel = kernel_call(controller, measurement, reference)
     times = np.zeros((rounds + _WARM_UP, 3))

@@ -104,6 +104,7 @@ class BatchController:
         alpha_d: npt.ArrayLike | None = None,
         squeeze_d: npt.ArrayLike | None = None,
         touched: npt.ArrayLike | None = None,
+        wrench_valid: npt.ArrayLike | None = None,
     ) -> Array:
         """Motor torques (B, n_a) for one control period; rows as in `Controller.tick`.
 
@@ -114,6 +115,7 @@ class BatchController:
             squeeze_d: (B,) desired internal force, or (B, bars) with three arms and more; default
                 0 (None leaves bar forces at least effort).
             touched: (B, contacts, 28) X_WE by rows, V_E, A_E of the touched bodies; None: at rest.
+            wrench_valid: (B,) whether wrenches are new ones; rows without go on with their last.
 
         Raises:
             InvalidInputError: wrong shapes. Numbers that are not finite end their row HELD.
@@ -139,6 +141,8 @@ class BatchController:
             _table("A_D", zeros if A_D is None else A_D, (B, 6)).ravel(),
             _table("alpha_d", wishes, (B, self._r)).ravel(), squeeze.ravel(), motion, flags, tau,
         )  # fmt: skip
+        if wrench_valid is not None:
+            self._memories["unheard"][:] = np.broadcast_to(wrench_valid, (B,)) == 0
         self._locate(args[0].reshape(B, self._n))
         ends = np.linspace(0, B, self.threads + 1).astype(int)
         if self._pool is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from osc_contact.control.friction import Friction
 from osc_contact.control.gains import Gains
 from osc_contact.control.laws import Laws
 from osc_contact.control.loops import ForceLoop, MotionLoop, refuse
+from osc_contact.control.news import News
 from osc_contact.control.outside import Outside
 from osc_contact.control.phases import Phase, PhaseSettings
 from osc_contact.control.reading import Reading
@@ -30,7 +32,7 @@ from osc_contact.control.tick_records import TickRecords
 from osc_contact.control.torque_limits import MotorLimits, scale_torques
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
-from osc_contact.errors import InvalidInputError, OscContactError, SolverError
+from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout, SolverError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows
@@ -59,6 +61,7 @@ class Controller(ControllerCopies):
     """
 
     _converting: bool
+    _news: News
 
     def __init__(
         self,
@@ -158,7 +161,7 @@ class Controller(ControllerCopies):
             _moving=np.zeros((len(settings.contacts), 28)),
             _arms=len(settings.chain.arms), _n_a=settings.chain.n_a, _in_parts=outside.needed,
             _limits=None, _given_up=None, _failure=None, _inputs=None, _result=None,
-            _converting=False,
+            _converting=False, _news=News(settings.dt, settings.safety.unheard_for),
             motion_law=MotionLoop(settings.gains.motion, settings.dt, records.memory),
             force_law=ForceLoop(settings.gains.force, settings.dt, records.memory),
         )  # fmt: skip
@@ -190,7 +193,10 @@ class Controller(ControllerCopies):
         """
         model, memory, work, squeeze, still, codes, call, n_a, plain = self._tables
         try:
-            if plain and measurement.touched is None:
+            if (
+                plain and measurement.touched is None and measurement.stamps is None
+                and measurement.wrench_valid is None and measurement.sequence is None
+            ):  # fmt: skip
                 squeeze[0] = reference.squeeze_d
                 tau = np.empty(n_a)
                 done = call(
@@ -204,7 +210,11 @@ class Controller(ControllerCopies):
             return self._convert(measurement, reference, error)
 
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """The same with bodies that move, three arms and more, or code of the user's own."""
+        """The same with bodies that move, stamps, three arms and more, or code of the user's."""
+        if not self._converting:
+            self._news.require(measurement)
+        if measurement.wrench_valid is not None and not measurement.wrench_valid:
+            self._records.memory.unheard = 1
         touched, flags, table = measurement.touched, 0, self._still
         if touched is not None:
             table, flags = self._motions(touched), law.MOVING
@@ -233,7 +243,7 @@ class Controller(ControllerCopies):
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
         """A tick whose arrays are of other types: made what the law takes, or held."""
         try:
-            if self._converting:
+            if self._converting or isinstance(error, SensorTimeout):
                 raise error
             require_sizes(measurement, reference, self.settings)
             self._converting = True
@@ -272,7 +282,7 @@ class Controller(ControllerCopies):
                 require_shapes(measurement, reference, self.settings)
             work = self._records.work
             if work.reason == OBJECT_UNKNOWN and self._locate(measurement.q):
-                return self.tick(measurement, reference)
+                return self.tick(replace(measurement, stamps=None, sequence=None), reference)
         elif code == Status.SATURATED:
             try:
                 if self.laws.structure is not None:

@@ -96,10 +96,15 @@ class ModelRow:
         """Limits of the robot, and what becomes of ticks that cannot be computed."""
         head, safety, phases = self.head, settings.safety, settings.phases
         for name in ("repeats", "hold_rate", "reaction", "contact_power", "contact_force",
-                     "unfelt_for", "pressed_for", "integral_force", "integral_motion"):  # fmt: skip
+                     "unfelt_for", "pressed_for", "integral_force", "integral_motion",
+                     "believed_speed", "unheard_for", "stuck_speed", "frozen_for",
+                     "speed_error"):  # fmt: skip
             setattr(head, name, getattr(safety, name))
-        head.fault_ticks = safety.stop_after
+        head.guarded, head.fault_ticks = 1, safety.stop_after
         head.fast_ticks = round(min(safety.too_fast_for / settings.dt, _NEVER))
+        weight = 9.81 * settings.chain.reference.inertia.mass
+        head.force_range = max(safety.force_range, 3.0 * weight)
+        head.torque_range = max(safety.torque_range, 3.0 * weight)  # on a lever of 1 m
         rate = safety.torque_rate
         head.torque_rate = rate if phases is None else min(rate, phases.torque_rate)
         model = settings.chain.model

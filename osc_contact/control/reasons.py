@@ -120,10 +120,16 @@ def explain(
         cause = int(rows.memory.cause)
         why = "a tick could not be computed"
         if cause != at.BAD_INPUT:
-            why = _limit_passed(rows, settings, cause) or _SENTENCES.get(cause, "")
+            why = (
+                _limit_passed(rows, settings, cause)
+                or _not_believed(rows, settings, cause)
+                or _SENTENCES.get(cause, "")
+            )
         return f"stopped, until reset() is called. Cause: {why or 'code called in the tick failed'}"
     if failure is not None:
         return str(failure)
+    if code in (at.OUT_OF_RANGE, at.JUMPED, at.UNHEARD):
+        return _not_believed(rows, settings, code)
     if code >= at.TOO_FAST:
         return f"{_limit_passed(rows, settings, code)}. See why, then call reset()"
     names = [settings.contacts[c].name for c in rows.row.pairs.owners]
@@ -184,6 +190,9 @@ _SENTENCES = {
         "apart. Keep an independent subset"
     ),
     at.BAD_METRIC: "the metric B of eq. 24 is singular in the motions that the arms permit",
+    at.NO_ROTATION: (
+        "reference X_WD: its rotation is none (R Rᵀ = 1 and det R = 1 are missed by more than 1e-4)"
+    ),
     at.NOT_FINITE: (
         "the computed torques are not finite: the measured state or the integrals are out of any "
         "range. Check the sensors; reset the integrals"
@@ -193,6 +202,27 @@ _SENTENCES = {
         "Check mass and inertia of gripper and object"
     ),
 }
+
+
+def _not_believed(rows: TickRecords, settings: Settings, code: int) -> str:
+    """Which reading was not believed; empty: none."""
+    safety, chain, culprit = settings.safety, settings.chain, int(rows.memory.culprit)
+    if code == at.OUT_OF_RANGE:
+        head = rows.row.head
+        return (
+            f"the wrist of arm '{chain.arms[culprit].name}' reads more than it measures "
+            f"(force_range = {float(head.force_range):g} N, torque_range = "
+            f"{float(head.torque_range):g} N m)"
+        )
+    if code == at.JUMPED:
+        return (
+            f"joint {chain.joint_names[culprit]} jumps: it reads faster than believed_speed = "
+            f"{safety.believed_speed:g} times its speed limit of "
+            f"{chain.model.velocityLimit[culprit]:.4g} rad/s or m/s"
+        )
+    if code == at.UNHEARD:
+        return f"no wrench was read for longer than unheard_for = {safety.unheard_for:g} s"
+    return ""
 
 
 def _limit_passed(rows: TickRecords, settings: Settings, code: int) -> str:
@@ -211,6 +241,27 @@ def _limit_passed(rows: TickRecords, settings: Settings, code: int) -> str:
             f"could just be stopped before, braked from its speed limit in brake_time = "
             f"{safety.brake_time:g} s"
         )
+    if code == at.STUCK:
+        return (
+            f"the encoder of joint {chain.joint_names[culprit]} reads the very same though it "
+            f"was told to gain {safety.stuck_speed:g} of its speed limit"
+        )
+    if code == at.DISAGREE:
+        return (
+            f"the speed of joint {chain.joint_names[culprit]} is not that of its positions: they "
+            f"differ by more than {safety.speed_error:g} of its speed limit"
+        )
+    if code == at.DEAF:
+        return (
+            f"the wrist of arm '{chain.arms[culprit].name}' reads the very same for "
+            f"{safety.frozen_for:g} s: it is dead, or its last reading repeats itself. Sensors too "
+            "coarse to show any noise take frozen_for = inf"
+        )
+    if code == at.FROZEN:
+        return (
+            f"all readings are the very same for {safety.frozen_for:g} s: a packet repeats itself. "
+            "Sensors too coarse to show any noise take frozen_for = inf"
+        )
     if code == at.POWERED:
         return f"more than contact_power = {safety.contact_power:g} W went into the contacts"
     if code not in (at.UNFELT, at.PRESSED):
@@ -220,8 +271,9 @@ def _limit_passed(rows: TickRecords, settings: Settings, code: int) -> str:
     read = f"{float(forces.alpha[culprit]):.3g} N when last computed"
     if code == at.UNFELT:
         return (
-            f"{name}: less than a fifth of its command was felt for {safety.unfelt_for:g} s "
-            f"({read}). Contact is lost, or a wrist sensor is dead or wired with the wrong sign"
+            f"{name}: less than a fifth of its command was felt for {safety.unfelt_for:g} s, or "
+            f"its integral stood at its bound ({read}). Contact is lost, or a wrist sensor is dead "
+            "or wired with the wrong sign"
         )
     return (
         f"{name}: more than {safety.contact_force:g} N and three times its command was read for "

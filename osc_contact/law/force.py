@@ -15,9 +15,16 @@ from osc_contact.law.algebra import (
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.energy import carry_wrench, energy_wrench
 from osc_contact.law.grasps import filter_reading
-from osc_contact.law.jit import inner
+from osc_contact.law.jit import inner, leaf
 
-__all__ = ["add_friction", "command_force", "contact_laws", "measure_magnitudes", "sum_readings"]
+__all__ = [
+    "add_friction",
+    "command_force",
+    "contact_laws",
+    "integral_room",
+    "measure_magnitudes",
+    "sum_readings",
+]
 
 _WINDUP = 1.5  #: times the command, of the force integral
 _NOTHING = 1e-9  #: Λ_out beside the object's inertia, below which sensors read f_c itself
@@ -207,6 +214,12 @@ def _measure_at_tip(work):
     return done
 
 
+@leaf
+def integral_room(most, wanted):
+    """N; the force integral stays within ± that."""
+    return max(_WINDUP * abs(wanted), most)
+
+
 @inner
 def command_force(
     r, alpha_d, alpha_meas, speed, integral, gain, damping, least, most, dt, after, out
@@ -216,7 +229,7 @@ def command_force(
     The integral stays within `most` (N), or `_WINDUP` times the command where that is more.
     """
     for a in range(r):
-        room = max(_WINDUP * abs(alpha_d[a]), most)
+        room = integral_room(most, alpha_d[a])
         s = integral[a] + gain[a] * dt * (alpha_d[a] - alpha_meas[a])
         after[a] = min(max(s, -room), room)
         out[a] = alpha_d[a] + after[a] - damping[a] * speed[a]

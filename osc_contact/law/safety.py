@@ -14,8 +14,9 @@ from math import isfinite
 
 from osc_contact.law.algebra import cross
 from osc_contact.law.arm_motion import move_arm, place_arm, place_point
+from osc_contact.law.belief import doubt, jumped
 from osc_contact.law.energy import carry_wrench
-from osc_contact.law.jit import inner
+from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import slew
 from osc_contact.law.tables import (
     DEGRADED_STATE,
@@ -25,6 +26,7 @@ from osc_contact.law.tables import (
     RUN,
     SAFE_STOP,
     SATURATED,
+    STUCK,
     TOO_FAST,
 )
 
@@ -36,24 +38,32 @@ BRAKE_RATE = 40.0  #: 1/s: torques of a hold move from the last ones by their li
 
 
 @inner
-def guard(chain, arms, table, work, memory, joints, kept, step, q, v, last, tau, first, reason):
+def guard(
+    chain, arms, table, work, memory, joints, kept, heard, step, q, v, wrenches, last, tau, first,
+    reason,
+):  # fmt: skip
     """The state after this tick, and the torques of one that was not computed; its reason.
 
     Args:
         chain, arms, table: CHAIN record, ARM and JOINT rows. work, memory: records.
         joints: JOINT_WORK rows; those of a tick that is held lose placements, h and M.
-        kept: (3 n,) of MEMORY: joint positions last read, those held, and speeds.
-        step: (motors,) scratch. q, v: (n,) as they came in.
+        kept: (5 n,) of MEMORY: joint positions last read, those held, speeds, what joints that
+            stood still were to gain, and by what speeds disagree (see `belief`).
+        heard: (7 arms,) of MEMORY: wrenches last read, and for how long (s).
+        step: (motors,) scratch. q, v: (n,) and wrenches: (arms, 6) as they came in.
         last: (motors,) torques of the last tick, tau[first:] of this.
     """
-    n = chain.n_joints
+    memory.silence = memory.silence + 1 if memory.unheard != 0 else 0
     if reason == NO_REASON:
-        for j in range(n):
-            kept[j] = q[j]
+        cause = doubt(chain, arms, table, work, memory, joints, kept, heard, q, v, wrenches)
         if work.status != SATURATED:  # then the motor limits still have to be met
             memory.faults = 0
         memory.read, memory.repeats = 1, chain.repeats if work.status != SATURATED else 0
-        _enter(memory, RUN if work.status == OK else DEGRADED_STATE)
+        fine = work.status == OK and memory.unheard == 0
+        _enter(memory, RUN if fine else DEGRADED_STATE)
+        if cause != NO_REASON:  # these torques still are good: the next tick stops
+            memory.cause = cause
+            _enter(memory, SAFE_STOP)
         return NO_REASON
     if memory.state != SAFE_STOP:
         memory.faults += 1
@@ -66,7 +76,7 @@ def guard(chain, arms, table, work, memory, joints, kept, step, q, v, last, tau,
             _enter(memory, DEGRADED_STATE)
     else:
         _enter(memory, SAFE_STOP)
-    read = _read_joints(chain, memory, kept, q, v)
+    read = _read_joints(chain, table, memory, kept, q, v)
     if memory.state == DEGRADED_STATE or not read:
         for i in range(chain.n_motors):
             tau[first + i] = last[i]
@@ -86,23 +96,35 @@ def _enter(memory, state):
 
 
 @inner
-def _read_joints(chain, memory, kept, q, v):
-    """Positions and speeds, as far as they can be read; whether positions ever could."""
+def _read_joints(chain, table, memory, kept, q, v):
+    """Positions and speeds, as far as they can be believed; whether positions ever could."""
     n, fine = chain.n_joints, True
+    lying = memory.state == SAFE_STOP and memory.cause >= STUCK
     for j in range(n):
         fine = fine and isfinite(q[j])
     for j in range(n):
-        speed = 0.0
+        speed, most = 0.0, chain.believed_speed * table[j].speed_max
         if isfinite(v[j]):
-            speed = v[j]
+            speed = min(max(v[j], -most), most)
+            if lying:
+                speed = _common_part(speed, (q[j] - kept[j]) / chain.period)
         elif fine and memory.read != 0:
             speed = (q[j] - kept[j]) / chain.period
         kept[2 * n + j] = speed
     if fine:
         for j in range(n):
-            kept[j] = q[j]
+            if memory.compared == 0 or not jumped(chain, table[j], memory, kept[j], q[j]):
+                kept[j] = q[j]
         memory.read = 1
     return memory.read != 0
+
+
+@leaf
+def _common_part(a, b):
+    """What two speeds agree on: the smaller one; 0 if their signs differ or one is not finite."""
+    if a > 0.0 and b > 0.0:
+        return min(a, b)
+    return max(a, b) if a < 0.0 and b < 0.0 else 0.0
 
 
 @inner
@@ -115,7 +137,7 @@ def _hold_posture(chain, arms, table, work, memory, joints, kept, step, last, ta
     """
     n = chain.n_joints
     q, goal, speed = kept[:n], kept[n : 2 * n], kept[2 * n :]
-    moving = False
+    moving = memory.state == SAFE_STOP and memory.cause >= STUCK  # no position to go back to
     for j in range(n):
         moving = moving or abs(speed[j]) > _AT_REST
     if moving and memory.settled == 0:

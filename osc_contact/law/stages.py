@@ -249,6 +249,9 @@ def hand_over(chain, work, memory):
 def command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, flags):
     """Force law, motion law, filter and control structure; returns a reason."""
     r, dt = work.rank, chain.period
+    if memory.unheard != 0:
+        for a in range(r):
+            work.gain[a] = 0.0
     if flags & OWN_FORCE == 0:
         for a in range(r):  # another number of columns: start again
             work.w[a] = memory.force_sum[a] if memory.force_rank == r else 0.0

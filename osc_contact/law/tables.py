@@ -52,9 +52,11 @@ CHAIN = _record(
         "leader",  # arm that holds rigidly, or −1
         "rubs",  # whether friction of joints is made up for
         "phased",  # whether contacts are opened and closed one by one
+        "guarded",  # whether readings are judged: those of a controller, not of a lone chain
         "repeats", "fault_ticks", "fast_ticks",  # see `safety`
         "row_bytes", "arms_at", "joints_at", "pairs_at", "shapes_at", "columns_at", "bodies_at",
         "memory_bytes", "contact_memory_at", "column_memory_at", "torque_memory_at", "kept_at",
+        "heard_at",
         "work_bytes", "arm_work_at", "joint_work_at", "column_work_at", "body_work_at",
         "locked_at", "extra_at", "link_at", "flat_at", "jacobian_at", "bars_at",
     ),
@@ -66,6 +68,9 @@ CHAIN = _record(
         "reaction", "contact_power", "contact_force", "unfelt_for", "pressed_for",
         "integral_force", "integral_motion",  # the most that integrals add: N, m/s² or rad/s²
         "force_brake", "drift_share", "step_time",  # see `steps`
+        # see `belief`: N, N m, times a speed limit, s without a wrench, share of a speed limit, s
+        "force_range", "torque_range", "believed_speed", "unheard_for", "stuck_speed", "frozen_for",
+        "speed_error",  # times a speed limit
         # contact phases, see `phases`
         "force_gain", "force_damping", "approach_speed", "approach_damping", "travel", "rise",
         "least_force", "lost_share", "lag", "force_on", "force_off", "power",
@@ -118,7 +123,10 @@ MEMORY = _record(
         "force_rank", "located", "ticked", "fresh", "engaged", "hand_over", "reason",
         # see `safety`: ticks in this state, faults in a row, ticks too fast, ticks that may repeat
         "state", "age", "faults", "too_fast", "repeats", "cause", "read", "settled",
-        "culprit",  # joint or column of N that the cause is about
+        "culprit",  # joint, arm or column of N that the cause is about
+        # see `belief`: whether this tick has no wrench, ticks since the last one, whether one was
+        # ever read, ticks of the same readings, whether readings of the last tick are there
+        "unheard", "silence", "heard", "frozen", "compared",
         "given",  # GIVEN_POSE, GIVEN_TWIST: the object's pose, its twist too, need not be found
     ),
     number=(
@@ -213,8 +221,10 @@ OK, SATURATED, HELD, DEGRADED = range(4)
 (
     NO_REASON, BAD_INPUT, OBJECT_UNKNOWN, BAD_INERTIA, UNACTUATED, DEGENERATE_PAIR, CONTRADICTION,
     DIFFERENT_BODIES, UNREACHABLE, INSEPARABLE, BAD_METRIC, NOT_FINITE, BLIND, STOPPED,
+    NO_ROTATION, OUT_OF_RANGE, JUMPED, UNHEARD,
     TOO_FAST, NEAR_END, POWERED, UNFELT, PRESSED,
-) = range(19)  # fmt: skip
+    STUCK, FROZEN, DEAF, DISAGREE,  # from TOO_FAST on: these stop at once
+) = range(27)  # fmt: skip
 #: What the controller does, see `safety`.
 RUN, DEGRADED_STATE, HOLD, SAFE_STOP = range(4)
 

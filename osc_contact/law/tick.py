@@ -4,7 +4,7 @@
 many, on as many threads as there are chunks [lo, hi). Nothing is kept but MEMORY; WORK holds what
 the last row worked out. A tick has four parts, so that Python may step in between them:
 
-    LOOK      what came in, phases of the contacts, the closed chain
+    LOOK      what came in and whether it is believed, phases of the contacts, the closed chain
     MEASURE   N and n_γ, what the bodies do along N, the force filter of fig. 5, the pose error
     COMMAND   force law, motion law, motion filter (24), control structure (21), the robot's limits
     ALLOCATE  motor torques, verdict, memory
@@ -17,6 +17,7 @@ from __future__ import annotations
 from typing import Any
 
 from osc_contact.law.allocation import allocate_torques, predict_joints
+from osc_contact.law.belief import believe
 from osc_contact.law.chain import solve_chain
 from osc_contact.law.columns import choose_columns
 from osc_contact.law.energy import carry_motion
@@ -104,7 +105,10 @@ def _row(
     contacts = read_contact_memory(memory_bytes, memory_at + chain.contact_memory_at, c)
     column_memory = read_column_memory(memory_bytes, memory_at + chain.column_memory_at, r_all)
     last = numbers(memory_bytes, memory_at + chain.torque_memory_at, chain.n_motors)
-    kept = numbers(memory_bytes, memory_at + chain.kept_at, 3 * n)
+    kept = numbers(memory_bytes, memory_at + chain.kept_at, 5 * n)
+    heard = numbers(memory_bytes, memory_at + chain.heard_at, 7 * k)
+    if memory.unheard != 0:
+        wrenches = matrix(heard, 0, k, 6)
     work = read_work(work_bytes, 0, 1)[0]
     arm_work = read_arm_work(work_bytes, chain.arm_work_at, k)
     joints = read_joint_work(work_bytes, chain.joint_work_at, n)
@@ -130,6 +134,10 @@ def _row(
             reason = BAD_INPUT
         elif memory.state == SAFE_STOP:
             reason = STOPPED
+        elif chain.guarded != 0:
+            reason = believe(chain, arms, table, memory, kept, q, v, wrenches, X_WD)
+        if reason != NO_REASON:
+            pass
         elif chain.leader < 0 and memory.located == 0:
             reason = OBJECT_UNKNOWN
         else:
@@ -185,9 +193,10 @@ def _row(
                 )
     if reason != NO_REASON or stop == END:
         reason = guard(
-            chain, arms, table, work, memory, joints, kept, flat[5 * r_all :], q, v, last, tau,
-            first, reason,
+            chain, arms, table, work, memory, joints, kept, heard, flat[5 * r_all :], q, v,
+            wrenches, last, tau, first, reason,
         )  # fmt: skip
+        memory.unheard = 0
     work.reason = memory.reason = reason
     if reason != NO_REASON:
         work.status, memory.fresh = HELD, 0

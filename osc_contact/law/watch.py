@@ -8,6 +8,7 @@ sample stops a robot, and bouncing does.
 
 from __future__ import annotations
 
+from osc_contact.law.force import integral_room
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.tables import (
     NEAR_END,
@@ -21,6 +22,7 @@ from osc_contact.law.tables import (
 
 __all__ = ["SURE", "watch_contacts", "watch_joints"]
 
+_FULL = 0.99  #: share of its bound at which a force integral has reached it
 _FELT = 0.2  #: share of a command; a contact that reads less is not felt
 _LIGHT = 1.0  #: N; what is commanded less cannot be told from nothing
 SURE = 0.0025  #: s of evidence, at the least, that one wrong sample does not bring about
@@ -58,8 +60,9 @@ def watch_contacts(chain, work, memory, columns, column_memory):
     """Contacts that take too much power, that are not felt, or that are pressed; a reason.
 
     P = Σ α_k (NᵀV_rel)_k over what moves into its face. A force is not felt below a fifth of its
-    command: contact is lost, or the sensor lies; contact phases see to that where they are on. It
-    is pressed above three times its command, or above `contact_force`, whichever is more.
+    command, or where the force integral stands at its bound: contact is lost, or the sensor lies;
+    contact phases see to that where they are on. It is pressed above three times its command, or
+    above `contact_force`, whichever is more.
     """
     power, reason, dt = 0.0, NO_REASON, chain.period
     for a in range(work.rank):
@@ -70,6 +73,9 @@ def watch_contacts(chain, work, memory, columns, column_memory):
         felt = alpha if wanted > 0.0 else -alpha
         size = abs(wanted)
         missing = size > _LIGHT and felt < _FELT * size
+        if memory.force_rank == work.rank:
+            room = _FULL * integral_room(chain.integral_force, wanted)
+            missing = missing or abs(memory.force_sum[a]) > room
         row.unfelt = collect(row.unfelt, dt, missing and chain.phased == 0 and memory.state == RUN)
         most = max(_PRESSED * size, chain.contact_force)
         row.pressed = collect(row.pressed, dt, abs(alpha) > most)

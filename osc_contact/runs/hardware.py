@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from osc_contact.control.controller import Controller
 from osc_contact.control.joint_torque import JointTorqueLoop
@@ -35,6 +36,9 @@ __all__ = [
     "sensors",
     "torque_loop",
 ]
+
+
+_NOISE = 0.02  #: rad, m; encoders may jump by as much
 
 
 def flexible_joints(
@@ -226,6 +230,11 @@ class Observer:
             unknown = np.where(
                 _sliding(chain), float(believed.joint_linear), float(believed.joint_angular)
             )
+            limit = np.array(chain.model.velocityLimit)
+            limit = np.where(limit > 0.0, limit, np.inf)
+            period = max(self.dt, 1.0 / float(spec.encoder.rate))
+            self._reach = float(scenario.control.safety.believed_speed) * limit * period
+            self._believed, self._missed = np.full(chain.nq, np.nan), np.zeros(chain.nq)
             self._joints = VelocityEstimate.optimal(
                 np.maximum(noise, 1e-9), unknown, self.dt, 1.0 / float(spec.encoder.rate)
             )
@@ -247,6 +256,14 @@ class Observer:
         """Whether joint velocities are estimated here, and accelerations of use."""
         return self._joints is not None
 
+    def _not_believed(self, q: Array) -> NDArray[np.bool_]:
+        """(n,) which joints are not finite, or moved faster than they can since they were read."""
+        far = np.abs(q - self._believed) > _NOISE + self._reach * (1.0 + self._missed)
+        bad = ~np.isfinite(q) | far
+        self._missed = np.where(bad, self._missed + 1.0, 0.0)
+        self._believed = np.where(bad, self._believed, q)
+        return np.asarray(bad)
+
     def complete(self, measurement: Measurement, acceleration: Array | None) -> Measurement:
         """The measurement with everything a controller needs.
 
@@ -260,8 +277,12 @@ class Observer:
         if self._joints is not None and self._spec.encoder is not None:
             known = np.zeros(len(measurement.q)) if acceleration is None else acceleration
             fresh = stamps.encoders > self._seen.encoders
-            q, v = self._joints.update(measurement.q, known, fresh)
-            measurement = replace(measurement, q=q + float(self._spec.encoder.delay) * v, v=v)
+            bad = self._not_believed(measurement.q)
+            if bad.any() and self._joints.x is None:
+                return measurement
+            q, v = self._joints.update(np.where(bad, np.nan, measurement.q), known, fresh)
+            q = np.where(bad, np.nan, q + float(self._spec.encoder.delay) * v)
+            measurement = replace(measurement, q=q, v=v)
         if self.vision is not None and measurement.touched is not None:
             now = self._ticks * self.dt
             touched = self.vision.update(

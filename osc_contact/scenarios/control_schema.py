@@ -146,6 +146,13 @@ class SafetySpec(Spec):
     unfelt_for: Annotated[Time, Field(gt=0)] = 0.2
     integral_force: Annotated[Force, Field(gt=0)] = 15.0
     integral_motion: Positive = 50.0
+    force_range: Annotated[Force, Field(gt=0)] = 1000.0
+    torque_range: Positive = 200.0
+    believed_speed: Positive = 3.0
+    unheard_for: Annotated[Time, Field(gt=0)] = 0.02
+    stuck_speed: Positive = 0.1
+    frozen_for: Annotated[Time, Field(gt=0)] = 0.25
+    speed_error: Positive = 0.1
 
 
 class ForceReadingSpec(Spec):

@@ -99,7 +99,7 @@ class VelocityEstimate:
         """(x̂, v̂), each (k,), after one period and one reading.
 
         Args:
-            x: (k,) positions read.
+            x: (k,) positions read; channels that are not finite are predicted only.
             acceleration: (k,) known over the period that ends now.
             fresh: False when the reading is an old one (slower sensor, lost sample): the state is
                 only predicted.
@@ -110,7 +110,7 @@ class VelocityEstimate:
         self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * acceleration
         self.v = self.v + self.dt * acceleration
         if fresh:
-            innovation = x - self.x
+            innovation = np.where(np.isfinite(x), x - self.x, 0.0)
             self.x = self.x + self.alpha * innovation
             self.v = self.v + self.beta / self.sample * innovation
         return self.x, self.v

@@ -1,0 +1,113 @@
+"""Which readings are believed, before a tick and after it.
+
+Before: a rotation that is none, wrenches beyond what the sensors measure, joints that jump,
+wrenches too old. Such a tick is not computed, see `safety`; the next one may be.
+After: encoders that stand still though their joints are pushed, speeds that are not those of the
+positions, wrists and packets that repeat themselves. The arms are stopped.
+"""
+
+from __future__ import annotations
+
+from osc_contact.law.jit import inner, leaf
+from osc_contact.law.tables import (
+    DEAF,
+    DISAGREE,
+    FROZEN,
+    JUMPED,
+    NO_REASON,
+    NO_ROTATION,
+    OUT_OF_RANGE,
+    STUCK,
+    UNHEARD,
+)
+
+__all__ = ["believe", "doubt", "jumped"]
+
+_ROUND = 1e-4  #: by how much the rows of a rotation may differ from orthonormal ones
+_GAIN = 0.21  #: share of `stuck_speed` that one tick can tell: slow encoders repeat readings
+_LAG = 0.02  #: s, of the low-pass of speeds that disagree
+_NOISE = 0.02  #: rad, m: joints may jump by as much, whatever their speed limits
+
+
+@inner
+def believe(chain, arms, table, memory, kept, q, v, wrenches, X_WD):
+    """Whether readings and reference are credible; a reason."""
+    if not _is_rotation(X_WD):
+        return NO_ROTATION
+    if memory.unheard != 0:
+        if memory.heard == 0 or (memory.silence + 1) * chain.period > chain.unheard_for:
+            return UNHEARD
+    else:
+        for k in range(chain.n_arms):
+            for i in range(6):
+                most = chain.force_range if i < 3 else chain.torque_range
+                if abs(wrenches[k, i]) > most and arms[k].sensor_joint >= 0:
+                    memory.culprit = k
+                    return OUT_OF_RANGE
+    for j in range(chain.n_joints):
+        fast = abs(v[j]) > chain.believed_speed * table[j].speed_max
+        if fast or (memory.compared != 0 and jumped(chain, table[j], memory, kept[j], q[j])):
+            memory.culprit = j
+            return JUMPED
+    return NO_REASON
+
+
+@leaf
+def jumped(chain, row, memory, before, now):
+    """Whether a joint has moved faster than it can since it was read last."""
+    room = chain.believed_speed * row.speed_max * chain.period
+    return abs(now - before) > _NOISE + room * (1 + memory.faults)
+
+
+@leaf
+def _is_rotation(X):
+    """R Rᵀ = 1 and det R = 1, but for `_ROUND`."""
+    worst = 0.0
+    for i in range(3):
+        for j in range(i + 1):
+            s = X[i, 0] * X[j, 0] + X[i, 1] * X[j, 1] + X[i, 2] * X[j, 2]
+            worst = max(worst, abs(s - (1.0 if i == j else 0.0)))
+    x = X[0, 1] * X[1, 2] - X[0, 2] * X[1, 1]
+    y = X[0, 2] * X[1, 0] - X[0, 0] * X[1, 2]
+    z = X[0, 0] * X[1, 1] - X[0, 1] * X[1, 0]
+    return worst < _ROUND and x * X[2, 0] + y * X[2, 1] + z * X[2, 2] > 0.0
+
+
+@leaf
+def doubt(chain, arms, table, work, memory, joints, kept, heard, q, v, wrenches):
+    """What a computed tick shows of its sensors; a reason to stop. `kept`, `heard` take readings.
+
+    A joint whose encoder reads the very same while it is told to gain more than a share of its
+    speed limit is stuck. Speeds disagree with positions where q̇ − Δq/Δt, low-passed, is more than
+    a share of the limit. Wrists in contact that read the very same for too long are deaf; where all
+    readings do, a packet repeats itself.
+    """
+    n, reason, dt = chain.n_joints, NO_REASON, chain.period
+    known = memory.compared != 0 and memory.faults == 0  # readings of the last tick are there
+    same, late = known, memory.frozen * dt > chain.frozen_for
+    for k in range(chain.n_arms):
+        still = known
+        for i in range(6):
+            still = still and heard[6 * k + i] == wrenches[k, i]
+            heard[6 * k + i] = wrenches[k, i]
+        same = same and still
+        count = 6 * chain.n_arms + k
+        heard[count] = heard[count] + dt if still else 0.0
+        if heard[count] > chain.frozen_for and work.rank > 0 and arms[k].sensor_joint >= 0:
+            reason, memory.culprit = DEAF, k
+    for j in range(n):
+        step, row = q[j] - kept[j], table[j]
+        same = same and step == 0.0 and v[j] == kept[2 * n + j]
+        gained = min(abs(joints[j].acceleration) * dt, _GAIN * chain.stuck_speed * row.speed_max)
+        kept[3 * n + j] = kept[3 * n + j] + gained if step == 0.0 and known else 0.0
+        most = 2.0 * row.speed_max
+        error = min(max(v[j] - step / dt, -most), most) if known else 0.0
+        kept[4 * n + j] += (error - kept[4 * n + j]) * dt / (_LAG + dt)
+        if kept[3 * n + j] > chain.stuck_speed * row.speed_max:
+            reason, memory.culprit = STUCK, j
+        elif abs(kept[4 * n + j]) > chain.speed_error * row.speed_max:
+            reason, memory.culprit = DISAGREE, j
+        kept[j], kept[2 * n + j] = q[j], v[j]
+    memory.compared = memory.heard = 1
+    memory.frozen = memory.frozen + 1 if same else 0
+    return FROZEN if same and late else reason

@@ -1,0 +1,49 @@
+"""Faults in closed loop on the MuJoCo plant; see benchmarks/fault_injection.py."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.fault_injection import FAULTS, PHASES, table, try_fault
+
+#: those of other phases than contact that once went wrong
+ELSEWHERE = (
+    ("encoder stuck", "approach"),
+    ("encoders stuck, speeds too", "near singular"),
+    ("wrists read zero", "after a hold"),
+    ("speeds mirrored", "saturated"),
+    ("packet repeats for ever", "start"),
+)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_every_kind_of_fault_in_contact(name: str) -> None:
+    verdict = try_fault(name, "contact")
+    assert not verdict.wrong, table([verdict])
+
+
+@pytest.mark.parametrize(("name", "phase"), ELSEWHERE)
+def test_faults_in_other_phases(name: str, phase: str) -> None:
+    assert phase in PHASES
+    verdict = try_fault(name, phase)
+    assert not verdict.wrong, table([verdict])
+
+
+def test_a_fault_is_found_wrong_where_the_limits_are_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The judge sees what it is there to see."""
+    import osc_contact as osc
+    from benchmarks import fault_injection
+
+    real = fault_injection.start
+
+    def bare(rig, seed):
+        plant, controller = real(rig, seed)
+        return plant, controller.with_safety(osc.SafetySettings.motors_only())
+
+    monkeypatch.setattr(fault_injection, "start", bare)
+    assert try_fault("speeds mirrored", "contact").wrong

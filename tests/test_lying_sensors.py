@@ -1,0 +1,233 @@
+"""Sensors that lie: what is not believed, what is run on without, what stops the arms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import osc_contact as osc
+from osc_contact.bench.cases import CASES, TickCase
+from osc_contact.interface import Measurement, Stamps
+from osc_contact.plants.rigid import RigidPlant
+from osc_contact.sensing.velocity_estimate import VelocityEstimate
+
+RUN, DEGRADED, HOLD, SAFE_STOP = osc.SafetyState
+NAN = float("nan")
+Change = Callable[[Measurement, int], Measurement]
+
+
+@pytest.fixture
+def case() -> TickCase:
+    return CASES["two_contact_rod"]()
+
+
+def driven(case: TickCase, change: Change, ticks: int, begin: int = 20) -> osc.Controller:
+    """A controller on the exact plant whose readings are changed from a tick on."""
+    plant = RigidPlant(case.chain, case.pairs, 1e-3)
+    plant.reset(case.measurement.q)
+    controller, start = case.controller(), case.reference.X_WD
+    for k in range(begin + ticks):
+        seen = plant.measure()
+        given = change(seen, k - begin) if k >= begin else seen
+        goal = pin.SE3(start.rotation, start.translation + np.array([1e-4 * k, 0.0, 0.0]))
+        wish = replace(case.reference, X_WD=goal)
+        plant.command(controller.tick(given, wish), 1e-3)
+        if k == begin - 1:
+            assert controller.state is RUN, controller.reason
+    return controller
+
+
+def moved(m: Measurement, joint: int, by: float) -> Measurement:
+    q = m.q.copy()
+    q[joint] += by
+    return replace(m, q=q)
+
+
+def test_a_rotation_that_is_none_is_refused(case: TickCase) -> None:
+    X = case.reference.X_WD
+    for turn in (1.01 * X.rotation, X.rotation @ np.diag([1.0, 1.0, -1.0]), np.zeros((3, 3))):
+        controller = case.controller()
+        bad = X.copy()
+        bad.rotation = turn
+        controller.tick(case.measurement, replace(case.reference, X_WD=bad))
+        assert controller.status is osc.Status.HELD and "its rotation is none" in controller.reason
+    nearly = X.copy()
+    nearly.rotation = np.array(X.rotation, dtype=np.float32).astype(float)
+    controller.reset()
+    controller.tick(case.measurement, replace(case.reference, X_WD=nearly))
+    assert controller.status is osc.Status.OK
+
+
+@pytest.mark.parametrize(("axis", "size"), [(0, 1e5), (2, -1001.0), (4, 201.0)])
+def test_a_wrench_that_no_sensor_measures_is_not_believed(
+    case: TickCase, axis: int, size: float
+) -> None:
+    controller = case.controller()
+    last = controller.tick(case.measurement, case.reference)
+    sums = controller.force_law.integral.copy()
+    wrenches = case.measurement.wrenches.copy()
+    wrenches[1, axis] = size
+    tau = controller.tick(replace(case.measurement, wrenches=wrenches), case.reference)
+    assert controller.status is osc.Status.HELD
+    assert f"arm '{case.chain.arms[1].name}' reads more than it measures" in controller.reason
+    np.testing.assert_array_equal(tau, last)
+    np.testing.assert_array_equal(controller.force_law.integral, sums)
+    controller.tick(case.measurement, case.reference)
+    assert controller.status is osc.Status.OK and controller.state is RUN
+
+
+def test_one_jump_is_not_believed_and_one_that_stays_stops_the_arms(case: TickCase) -> None:
+    joint = int(case.chain.actuated[1])
+    once = driven(case, lambda m, k: moved(m, joint, 0.5) if k == 0 else m, 30)
+    assert once.state is RUN and once.status is osc.Status.OK
+    controller = driven(case, lambda m, k: moved(m, joint, 0.5), 20)
+    assert controller.state is SAFE_STOP
+    assert f"joint {case.chain.joint_names[joint]} jumps" in controller.reason
+    slow = driven(case, lambda m, k: moved(m, joint, 0.015), 2)
+    assert slow.status is not osc.Status.HELD  # within what encoders may be noisy by
+
+
+def test_ticks_without_a_wrench_go_on_with_the_last_one_for_a_while(case: TickCase) -> None:
+    gone = replace(case.measurement, wrenches=np.full((2, 6), NAN), wrench_valid=False)
+    controller, other = case.controller(), case.controller()
+    for each in (controller, other):
+        each.tick(case.measurement, case.reference)
+    sums = controller.force_law.integral.copy()
+    states = []
+    for _ in range(25):
+        tau = controller.tick(gone, case.reference)
+        want = other.tick(case.measurement, case.reference)
+        other.force_law.integral = sums  # what is old is not integrated
+        states.append(controller.state)
+        if len(states) == 1:
+            np.testing.assert_allclose(tau, want, rtol=0, atol=1e-1)
+        if len(states) <= 20:
+            np.testing.assert_array_equal(controller.force_law.integral, sums)
+    assert states == [DEGRADED] * 20 + [DEGRADED] * 2 + [HOLD] * 3
+    assert "no wrench was read for longer than unheard_for" in controller.reason
+    first = case.controller()
+    first.tick(gone, case.reference)
+    assert first.status is osc.Status.HELD  # there is no last one
+
+
+def test_packets_that_repeat_or_come_late_are_not_read(case: TickCase) -> None:
+    def number(k: int) -> Measurement:
+        return replace(case.measurement, sequence=k)
+
+    controller = case.controller()
+    controller.tick(number(4), case.reference)
+    for k, status in ((5, "OK"), (5, "HELD"), (3, "HELD"), (6, "OK"), (60, "OK")):
+        controller.tick(number(k), case.reference)
+        assert controller.status is osc.Status[status], (k, controller.reason)
+        if status == "HELD":
+            assert f"packet {k} came" in controller.reason
+    for _ in range(20):
+        controller.tick(number(60), case.reference)
+    assert controller.state is SAFE_STOP
+    controller.reset()
+    controller.tick(number(0), case.reference)  # the robot was switched on again
+    assert controller.status is osc.Status.OK
+
+
+@pytest.mark.parametrize("late", ["encoders", "wrists"])
+def test_readings_that_grow_old_are_not_run_on(case: TickCase, late: str) -> None:
+    controller, fine = case.controller(), []
+    for k in range(60):
+        stamps = Stamps(*[1e-3 * k] * 4)
+        if k > 10:
+            stamps = replace(stamps, **{late: 0.01})
+        controller.tick(replace(case.measurement, stamps=stamps), case.reference)
+        fine.append(controller.status is osc.Status.OK)
+    assert fine.index(False) == 31  # 20 ms after the last one
+    assert controller.state is SAFE_STOP
+
+
+def test_an_encoder_that_stands_still_though_its_joint_is_pushed(case: TickCase) -> None:
+    joint, held = int(case.chain.actuated[1]), {}
+
+    def stuck(m: Measurement, k: int) -> Measurement:
+        q, v = m.q.copy(), m.v.copy()
+        q[joint], v[joint] = held.setdefault("q", q[joint]), 0.0
+        return replace(m, q=q, v=v)
+
+    controller = driven(case, stuck, 300)
+    assert controller.state is SAFE_STOP
+    assert "reads the very same" in controller.reason or "is not that of" in controller.reason
+
+
+def test_speeds_that_are_not_those_of_the_positions(case: TickCase) -> None:
+    controller = driven(case, lambda m, k: replace(m, v=m.v + np.eye(len(m.v))[0]), 40)
+    assert controller.state is SAFE_STOP
+    assert f"speed of joint {case.chain.joint_names[0]} is not that of" in controller.reason
+    rng = np.random.default_rng(3)
+    noisy = driven(case, lambda m, k: replace(m, v=m.v + 0.02 * rng.normal(size=len(m.v))), 200)
+    assert noisy.state is not SAFE_STOP, noisy.reason
+
+
+def test_wrists_that_read_the_very_same_stop_the_arms_and_so_do_packets(case: TickCase) -> None:
+    zero = driven(case, lambda m, k: replace(m, wrenches=0.0 * m.wrenches), 249)
+    assert zero.state is RUN or "fifth" in zero.reason
+    zero = driven(case, lambda m, k: replace(m, wrenches=0.0 * m.wrenches), 255)
+    assert zero.state is SAFE_STOP
+    free = osc.Controller(case.chain, (), case.gains, posture=case.posture)
+    X = case.chain.state(case.measurement.q, np.zeros(case.chain.nq)).X_WO
+    still = replace(case.measurement, v=np.zeros(case.chain.nq))
+    ticks = 0
+    while free.state is not SAFE_STOP and ticks < 300:
+        free.tick(still, osc.Reference(X))
+        ticks += 1
+    free.tick(still, osc.Reference(X))
+    assert ticks in (252, 253) and "a packet repeats itself" in free.reason
+
+
+def test_rows_of_a_batch_judge_their_own_sensors(case: TickCase) -> None:
+    batch = osc.BatchController([case.controller() for _ in range(4)])
+    one, m, r = case.controller(), case.measurement, case.reference
+
+    def four(x: object) -> np.ndarray:
+        return np.tile(np.asarray(x, dtype=float), (4,) + (1,) * np.ndim(x))
+
+    q, wrenches, X = four(m.q), four(m.wrenches), four(r.X_WD.homogeneous)
+    for k in range(25):
+        if k == 1:
+            q[1, case.chain.actuated[0]] += 0.6
+            wrenches[2, 0, 0] = 1e4
+        valid = np.array([True, True, True, k < 1])
+        tau = batch.tick(
+            q, four(m.v), wrenches, X, four(r.V_D), four(r.A_D), four(r.alpha_d),
+            np.full(4, float(r.squeeze_d)), wrench_valid=valid,
+        )  # fmt: skip
+        np.testing.assert_array_equal(tau[3], one.tick(replace(m, wrench_valid=k < 1), r))
+    assert batch.state.tolist() == [RUN, SAFE_STOP, SAFE_STOP, HOLD]
+
+
+def test_one_bad_encoder_sample_does_not_blind_the_velocity_estimate() -> None:
+    estimate = VelocityEstimate.with_bandwidth(np.array([200.0, 200.0]), 1e-3)
+    for k in range(400):
+        x = np.array([0.5e-3 * k, -1e-3 * k])
+        if k == 200:
+            x[0] = NAN
+        position, speed = estimate.update(x)
+    np.testing.assert_allclose(speed, [0.5, -1.0], rtol=1e-6)
+    np.testing.assert_allclose(position, x, rtol=1e-6)
+
+
+@pytest.mark.parametrize("bad", [NAN, 1e6, 0.5])
+def test_an_observed_arm_runs_on_after_one_bad_encoder_sample(bad: float) -> None:
+    rig = osc.build_rig(osc.load_scenario("workcell"))
+    observer = rig.observer()
+    plant = rig.plant(0)
+    m = plant.measure()
+    for k in range(300):
+        stamps = Stamps(*[1e-3 * k] * 4)
+        q = m.q + 1e-4 * k
+        if k == 150:
+            q = q.copy()
+            q[2] += bad
+        seen = observer.complete(replace(m, q=q, stamps=stamps), None)
+        assert np.isnan(seen.q).any() == (k == 150)
+    np.testing.assert_allclose(seen.v[:4], 0.1, rtol=0.1)
