@@ -164,3 +164,19 @@ def test_no_figure_is_reproduced_without_its_picture():
     answers = {key: Answer("so it is", True) for key in fig3.states}
     assert judge(fig3, True, answers) is Verdict.reproduced
     assert judge(fig3, True, answers, drawn=False) is Verdict.partly
+
+
+def test_the_first_reason_is_kept_beyond_a_stop():
+    """A law of one's own that returns nonsense stops the arms; the cause is the first tick's."""
+    task = osc.load_scenario("two_contact_rod", ["duration=1.05 s"])
+    recording = osc.run(task.replaced(laws=osc.Laws(force=lambda desired, measured: 5.0)))
+    assert recording.meta["end_state"] == "SAFE_STOP"
+    assert recording.meta["first_reason"].startswith("at 0.000 s: the force law returned 5.0")
+    (stopped, *_) = osc.metrics(recording)["task"]["why"]
+    assert "the force law returned 5.0: return 2 finite numbers" in stopped
+
+
+def test_a_run_too_short_to_be_judged_is_refused_with_its_length():
+    recording = osc.run(osc.load_scenario("two_contact_rod", ["duration=0.02 s"]))
+    with pytest.raises(osc.InvalidInputError, match="20 ticks ends before t = 1 s"):
+        osc.metrics(recording)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.control.controller import Controller
+from osc_contact.control.reports import Status
 from osc_contact.control.result import TickResult, internal_forces
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
@@ -98,6 +99,7 @@ class Log:
         self._fields = [(name, "<f8", (size,)) for name, size in sizes.items()]
         self._rows = np.zeros((BLOCK, ends[-1]))
         self._r = r
+        self.first_reason = ""  #: why the first tick that failed could not be computed
         self._last: TickResult | None = None
         self._flushed = perf_counter()
 
@@ -126,6 +128,9 @@ class Log:
         row[self._copied :] = 0.0
         row[self._copied : self._copied + 3] = spent, controller.status, controller.engaged
         _put_squeeze(row[places["squeeze_d"]], reference.squeeze_d)
+        if controller.status is Status.HELD and not self.first_reason:
+            at = self.count * controller.dt
+            self.first_reason = f"at {at:.3f} s: {controller.reason}"
         cost = controller.given_up
         if cost is not None and len(cost.force) == self._r:
             row[places["given_up"]] = cost.force

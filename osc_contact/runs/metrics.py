@@ -118,7 +118,7 @@ class _Series:
 
     def add(self, values: Array) -> None:
         """Ticks (k,) or (k, m)."""
-        values = values.reshape(len(values), -1)
+        values = values[:, None] if values.ndim == 1 else values
         if not self.count:
             self._sums = self._squares = self._peaks = np.zeros(values.shape[1])
         values = values[np.isfinite(values).all(axis=1)]

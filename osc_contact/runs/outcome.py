@@ -143,7 +143,7 @@ def judge_task(recording: Recording, verdict: Mapping[str, Any], openings: Openi
     if held:
         failed = held > HELD_SHARE * ticks
         why = f"{held} of {ticks} ticks could not be computed ({held / ticks:.2%})"
-        cure = f"; see docs/reliability.md. Last reason: {_reason(recording)}" if failed else ""
+        cure = f"; see docs/reliability.md. First reason, {_reason(recording)}" if failed else ""
         found.append(("HELD", failed, why + cure))
     if saturated:
         motors = ", ".join(joint for joint, _ in verdict["at_limit"][:3]) or "some"
@@ -159,11 +159,12 @@ def judge_task(recording: Recording, verdict: Mapping[str, Any], openings: Openi
 def _stopped(recording: Recording) -> list[str]:
     if recording.meta.get("end_state") != "SAFE_STOP":
         return []
-    return [f"the controller had stopped (SAFE_STOP) at the end: {_reason(recording)}"]
+    return [f"it had stopped (SAFE_STOP) at the end; first reason, {_reason(recording)}"]
 
 
 def _reason(recording: Recording) -> str:
-    return str(recording.meta.get("end_reason") or "not recorded")
+    first, last = (recording.meta.get(key) for key in ("first_reason", "end_reason"))
+    return str(first or last or "not recorded")
 
 
 def _ran_away(verdict: Mapping[str, Any], away: tuple[float | None, float | None]) -> list[str]:

@@ -116,6 +116,7 @@ class Recorder:
         controller = log.of.controller
         recording.meta["end_state"] = controller.state.name
         recording.meta["end_reason"] = controller.reason
+        recording.meta["first_reason"] = log.first_reason
         recording.meta["wall_s"] = perf_counter() - self._began[0]
         recording.meta["cpu_s"] = process_time() - self._began[1]
         return recording

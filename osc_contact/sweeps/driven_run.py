@@ -49,6 +49,7 @@ def record_run(rig: Rig, seed: int = 0) -> Recording:
         log.flush()
         made = recording_of(of, log.truth, log.journal.read(), about)
         made.meta["end_state"], made.meta["end_reason"] = controller.state.name, controller.reason
+        made.meta["first_reason"] = log.first_reason
         return made
 
     ticks = round(rig.scenario.duration * rig.scenario.control.rate)
