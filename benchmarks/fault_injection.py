@@ -199,7 +199,7 @@ FAULTS: dict[str, Fault] = {
     # encoders
     "encoder NaN once": Fault(_one("q", lambda t, x: NAN), _TICK, _ON),
     "encoder NaN for ever": Fault(_one("q", lambda t, x: NAN), ends=_STOPS),
-    "encoders NaN, 15 ticks": Fault(_set("q", lambda t, x: x * NAN), 0.0145, _ON),
+    "encoders NaN, 15 ticks": Fault(_set("q", lambda t, x: x * NAN), 0.014, _ON),
     "encoder spike of 1 rad, one tick": Fault(_motor("q", lambda t, x: x + 1.0), _TICK, _ON),
     "encoder jumps by 1 rad": Fault(_motor("q", lambda t, x: x + 1.0), ends=_STOPS),
     "encoder 1e200": Fault(_motor("q", lambda t, x: 1e200), ends=_STOPS),
@@ -229,7 +229,7 @@ FAULTS: dict[str, Fault] = {
     ),
     # wrists
     "wrench NaN once": Fault(_one("wrenches", lambda t, x: NAN), _TICK, _ON),
-    "wrench NaN, 19 ticks": Fault(_one("wrenches", lambda t, x: NAN), 0.0185, _ON),
+    "wrench NaN, 19 ticks": Fault(_one("wrenches", lambda t, x: NAN), 0.018, _ON),
     "wrench NaN for ever": Fault(_one("wrenches", lambda t, x: NAN), ends=_STOPS),
     "wrench 100 kN once": Fault(_one("wrenches", lambda t, x: 1e5), _TICK, _ON),
     "wrench 900 N once": Fault(_one("wrenches", lambda t, x: 900.0), _TICK, _ON),
@@ -244,7 +244,7 @@ FAULTS: dict[str, Fault] = {
     "wrist noise of 5 N": Fault(
         _set("wrenches", lambda t, x: x + 5.0 * t.rng.normal(size=x.shape))
     ),
-    "no wrench for 15 ticks": Fault(_no_wrench, 0.0145, _ON),
+    "no wrench for 15 ticks": Fault(_no_wrench, 0.014, _ON),
     "no wrench for ever": Fault(_no_wrench, ends=_STOPS),
     # packets
     "packet repeats for ever": Fault(_repeat, ends=_STOPS),
