@@ -15,7 +15,7 @@ from osc_contact.console import err, exit_codes, out, require, say
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs.report import write_json
 from osc_contact.sweeps.report import REPORT, write_report
-from osc_contact.sweeps.study import Study
+from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.sweep import TABLE, run_study
 from osc_contact.sweeps.tune import Tuned
 
@@ -64,7 +64,7 @@ def sweep(
         for package in ("pyarrow", "scipy"):
             require(package)
         changes = [*(set_ or []), *([] if duration is None else [f"duration={duration!r}"])]
-        study = Study.of(scenario, vary, samples, design.value, seed, changes)
+        study = SweepStudy.of(scenario, vary, samples, design.value, seed, changes)
         folder = out_dir or Path("out") / f"{Path(scenario).stem}_sweep"
         table = with_progress(study, folder, workers)
         summary = write_report(table, study, folder)
@@ -75,7 +75,7 @@ def sweep(
             write_json(summary, json_file)
 
 
-def with_progress(study: Study, folder: Path, workers: int | None) -> Any:
+def with_progress(study: SweepStudy, folder: Path, workers: int | None) -> Any:
     """Run a study, with a progress bar on a terminal."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                TimeRemainingColumn())  # fmt: skip
@@ -91,7 +91,7 @@ def with_progress(study: Study, folder: Path, workers: int | None) -> Any:
             raise typer.Exit(130) from None
 
 
-def show_summary(study: Study, summary: dict[str, Any]) -> None:
+def show_summary(study: SweepStudy, summary: dict[str, Any]) -> None:
     """What became of the runs, errors and what they depend on, the worst."""
     words = ", ".join(f"{count} {word}" for word, count in summary["words"].items())
     say(f"{summary['rows']} runs, {summary['success_rate']:.1%} without a failed task: {words}")

@@ -25,7 +25,7 @@ from osc_contact.cli import app
 from osc_contact.sweeps.distributions import parse_distribution
 from osc_contact.sweeps.report import write_report
 from osc_contact.sweeps.rows import make_rows
-from osc_contact.sweeps.study import Study
+from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.sweep import ROWS, TABLE, run_study
 
 U = np.linspace(0.01, 0.99, 7)
@@ -34,8 +34,8 @@ MASSES = "model_error.object_mass=uniform(0.8, 1.2)"
 NORMALS = "contacts.left_end.face.normal=tilt(5 deg)"
 
 
-def rod(samples: int, *vary: str, **how) -> Study:
-    return Study.of("two_contact_rod", vary, samples, overrides=SHORT, **how)
+def rod(samples: int, *vary: str, **how) -> SweepStudy:
+    return SweepStudy.of("two_contact_rod", vary, samples, overrides=SHORT, **how)
 
 
 # --- what a key may be ----------------------------------------------------------------------------
@@ -146,7 +146,7 @@ def test_a_grid_has_every_combination_and_both_ends() -> None:
 )
 def test_a_study_that_cannot_be_made_is_refused_before_its_runs(vary, complaint) -> None:
     with pytest.raises((osc.InvalidInputError, osc.ScenarioError), match=complaint):
-        Study.of("two_contact_rod", vary, 3)
+        SweepStudy.of("two_contact_rod", vary, 3)
 
 
 # --- rows -----------------------------------------------------------------------------------------
@@ -161,7 +161,7 @@ def test_a_study_that_cannot_be_made_is_refused_before_its_runs(vary, complaint)
     ],
 )  # fmt: skip
 def test_every_row_equals_its_single_run(name, vary) -> None:
-    study = Study.of(name, vary, 2, overrides=SHORT)
+    study = SweepStudy.of(name, vary, 2, overrides=SHORT)
     for row in make_rows(study, [0, 1]):
         sample = study.sample(row["row"])
         changes = [*SHORT, *(f"{k}={v}" for k, v in sample.overrides.items())]
@@ -241,7 +241,7 @@ def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path
     count = kept.count(b"\n") - 1
     assert 3 <= count < 16 and not (tmp_path / TABLE).exists()
     rows.write_bytes(kept + b'{"row": 15, "seed"')  # killed while it wrote
-    study = Study.of("two_contact_rod", [MASSES], 16, overrides=["duration=1.02"])
+    study = SweepStudy.of("two_contact_rod", [MASSES], 16, overrides=["duration=1.02"])
     begun: list[int] = []
     resumed = run_study(study, out=tmp_path, workers=1, progress=lambda n, _: begun.append(n))
     assert len(begun) == 16 - count
@@ -298,11 +298,11 @@ def test_the_command_of_a_row_runs_that_row() -> None:
 
 def test_scenarios_made_in_python_are_swept_and_their_laws_refused() -> None:
     scenario = osc.load_scenario("two_contact_rod", SHORT)
-    study = Study.of(scenario, [MASSES], 1)
+    study = SweepStudy.of(scenario, [MASSES], 1)
     assert study.command(0) is None
-    named = Study.of("two_contact_rod", [MASSES], 1, overrides=SHORT)
+    named = SweepStudy.of("two_contact_rod", [MASSES], 1, overrides=SHORT)
     (one,), (other,) = make_rows(study, [0]), make_rows(named, [0])
     assert one == other
     own = scenario.replaced(laws=osc.Laws())
     with pytest.raises(osc.InvalidInputError, match="laws"):
-        Study.of(own, [MASSES], 1)
+        SweepStudy.of(own, [MASSES], 1)

@@ -6,7 +6,7 @@ inertias (`inertias`), Pinocchio and its mass matrix (`model`); on demand a seco
 (`second_reader`). docs/robots.md says what is refused and why.
 """
 
-from osc_contact.robots.findings import Finding, suggest
+from osc_contact.robots.findings import ModelFinding, suggest
 from osc_contact.robots.inertias import Inertias
 from osc_contact.robots.library import ROBOT_DATA, find_robot, locate, resolve_urdf, urdf_path
 from osc_contact.robots.limits import JointLimits
@@ -44,7 +44,7 @@ __all__ = [
     "Loaded",
     "JointLimits",
     "Inertias",
-    "Finding",
+    "ModelFinding",
     "frame_id",
     "ends_of",
     "random_configurations",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from osc_contact.robots.findings import Finding, refuse
+from osc_contact.robots.findings import ModelFinding, refuse
 from osc_contact.robots.xml_tree import Element
 
 __all__ = ["Document", "Inertial", "Joint", "Link", "Vector"]
@@ -64,7 +64,7 @@ class Document:
     links: dict[str, Link] = field(default_factory=dict)
     joints: dict[str, Joint] = field(default_factory=dict)
     rotors: dict[str, tuple[float, float]] = field(default_factory=dict)
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[ModelFinding] = field(default_factory=list)
 
     def add(self, check: str, element: Element, reason: str, cure: str = "", key: str = "") -> None:
         """Note what is wrong with an element (or with its attribute `key`).
@@ -73,7 +73,7 @@ class Document:
             check: that failed. element: at fault. reason, cure: sentences. key: attribute.
         """
         place = (self.file, element.line, element.column, element.label(key))
-        self.findings.append(Finding(check, *place, reason, cure))
+        self.findings.append(ModelFinding(check, *place, reason, cure))
 
     def require(self) -> None:
         """Raise what was found, if anything."""

@@ -10,14 +10,14 @@ from typing import NoReturn
 
 from osc_contact.errors import ModelError
 
-__all__ = ["Finding", "refuse", "suggest"]
+__all__ = ["ModelFinding", "refuse", "suggest"]
 
 _SHOWN = 12
 """So many findings go into the text of an error; the rest is counted."""
 
 
 @dataclass(frozen=True)
-class Finding:
+class ModelFinding:
     """One thing wrong with a file.
 
     Attributes:
@@ -43,7 +43,7 @@ class Finding:
         )
 
 
-def refuse(findings: Sequence[Finding]) -> NoReturn:
+def refuse(findings: Sequence[ModelFinding]) -> NoReturn:
     """Raise a `ModelError` that tells all findings and carries them as `findings`."""
     lines = [str(finding) for finding in findings[:_SHOWN]]
     if len(findings) > _SHOWN:

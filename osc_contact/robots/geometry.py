@@ -10,7 +10,7 @@ from urllib.parse import unquote
 
 from osc_contact.robots.attributes import number, vector
 from osc_contact.robots.document import Document
-from osc_contact.robots.findings import Finding
+from osc_contact.robots.findings import ModelFinding
 from osc_contact.robots.xml_tree import Element
 
 __all__ = ["MESH_TYPES", "check_geometry", "check_mesh_files"]
@@ -42,7 +42,7 @@ def check_geometry(document: Document, package_dirs: Sequence[Path]) -> None:
             _check_shape(document, shape.children[0], package_dirs)
 
 
-def check_mesh_files(document: Document, package_dirs: Sequence[Path]) -> list[Finding]:
+def check_mesh_files(document: Document, package_dirs: Sequence[Path]) -> list[ModelFinding]:
     """Note mesh files that lead outside through a link, are huge, or are Collada files whose
     textures lie elsewhere. Returns, without noting them, those that are not there."""
     addresses: dict[str, Element] = {}
@@ -55,7 +55,7 @@ def check_mesh_files(document: Document, package_dirs: Sequence[Path]) -> list[F
         if file is None:
             looked = f"the mesh is not there; looked for {', '.join(map(str, places)) or 'nothing'}"
             place = (document.file, mesh.line, mesh.column, mesh.label("filename"))
-            missing.append(Finding("mesh", *place, looked, "pass package_dirs"))
+            missing.append(ModelFinding("mesh", *place, looked, "pass package_dirs"))
         elif problem := _file_problem(file, _roots(document, package_dirs)):
             document.add("mesh", mesh, *problem, "filename")
     return missing

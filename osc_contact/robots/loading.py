@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from osc_contact.errors import ModelError
 from osc_contact.robots.document import Document
-from osc_contact.robots.findings import Finding, refuse
+from osc_contact.robots.findings import ModelFinding, refuse
 from osc_contact.robots.geometry import check_geometry, check_mesh_files
 from osc_contact.robots.inertias import (
     Inertias,
@@ -191,7 +191,9 @@ def load_geometry(
             model, str(file), kind, package_dirs=[str(f) for f in (*folders, file.parent)]
         )
     except (ValueError, RuntimeError) as error:
-        refuse([Finding("mesh", file, 0, 0, "", f"Pinocchio cannot read the shapes: {error}", "")])
+        refuse(
+            [ModelFinding("mesh", file, 0, 0, "", f"Pinocchio cannot read the shapes: {error}", "")]
+        )
     return model, geometry, document
 
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from osc_contact.errors import ModelError
 from osc_contact.robots.document import Document, Inertial, Joint
-from osc_contact.robots.findings import Finding, refuse, suggest
+from osc_contact.robots.findings import ModelFinding, refuse, suggest
 from osc_contact.spatial import Array
 
 __all__ = [
@@ -41,7 +41,7 @@ def build_model(document: Document) -> pin.Model:
         model = pin.buildModelFromXML(_text(document))
     except (ValueError, RuntimeError) as error:
         reason = f"Pinocchio refuses the file: {error}"
-        refuse([Finding("tree", document.file, 0, 0, "", reason, "details are on stderr")])
+        refuse([ModelFinding("tree", document.file, 0, 0, "", reason, "details are on stderr")])
     low, high = model.lowerPositionLimit, model.upperPositionLimit
     for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
         limits = document.joints[name].limits
@@ -146,7 +146,7 @@ def _refuse_mass_matrix(model: pin.Model, document: Document | None, q: Array, w
         raise ModelError(f"model {model.name!r}: {reason}. {cure}")
     element = document.joints[names[0]].element
     place = (element.line, element.column, element.label())
-    refuse([Finding("mass matrix", document.file, *place, reason, cure)])
+    refuse([ModelFinding("mass matrix", document.file, *place, reason, cure)])
 
 
 # The text that Pinocchio reads --------------------------------------------------------------------

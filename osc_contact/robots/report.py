@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from osc_contact.errors import ModelError
-from osc_contact.robots.findings import Finding
+from osc_contact.robots.findings import ModelFinding
 from osc_contact.robots.geometry import check_mesh_files
 from osc_contact.robots.inertias import Inertias
 from osc_contact.robots.limits import JointLimits
@@ -36,7 +36,7 @@ class RobotReport:
     """
 
     file: Path
-    findings: tuple[Finding, ...]
+    findings: tuple[ModelFinding, ...]
     load_ms: float = 0.0
     reader_difference: float = 0.0
     meshes_missing: int = 0
@@ -129,7 +129,7 @@ def _check_mjcf(
     except ModelError as error:
         if isinstance(error.__cause__, ImportError):
             raise
-        return RobotReport(file, (Finding("mjcf", file, 0, 0, "", str(error), ""),))
+        return RobotReport(file, (ModelFinding("mjcf", file, 0, 0, "", str(error), ""),))
     mass = float(mj.body_subtreemass[0])
     return RobotReport(
         file, (), load_ms, difference, 0, summarise_mjcf(model, file.stem, mass, tip)

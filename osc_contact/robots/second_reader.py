@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.robots.findings import Finding, refuse
+from osc_contact.robots.findings import ModelFinding, refuse
 from osc_contact.robots.model import frame_id, random_configurations
 
 __all__ = ["CROSS_CHECK_TOLERANCE", "compare"]
@@ -32,13 +32,13 @@ def compare(model: pin.Model, file: Path) -> float:
         worst, where = _difference(model, other)
     except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
         reason = f"the second reader (yourdfpy) fails: {type(error).__name__}: {error}"
-        refuse([Finding("second reader", file, 0, 0, "", reason, "")])
+        refuse([ModelFinding("second reader", file, 0, 0, "", reason, "")])
     if not worst <= CROSS_CHECK_TOLERANCE:
         reason = (
             f"two URDF readers place link {where!r} {worst:.3g} apart (allowed "
             f"{CROSS_CHECK_TOLERANCE:g})"
         )
-        refuse([Finding("second reader", file, 0, 0, f"link {where!r}", reason,
+        refuse([ModelFinding("second reader", file, 0, 0, f"link {where!r}", reason,
                         "look at the origins and axes of the joints above it")])  # fmt: skip
     return worst
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NoReturn
 from xml.parsers import expat
 
-from osc_contact.robots.findings import Finding, refuse
+from osc_contact.robots.findings import ModelFinding, refuse
 
 __all__ = ["MAX_BYTES", "MAX_DEPTH", "MAX_ELEMENTS", "MAX_LINKS", "Element", "read_bytes", "parse"]
 
@@ -73,12 +73,12 @@ def read_bytes(file: Path) -> bytes:
     """The content of a regular file that is not too large; anything else is refused."""
     if not file.is_file():
         words = "is not a file" if file.exists() else "does not exist"
-        refuse([Finding("file", file, 0, 0, "", words, "")])
+        refuse([ModelFinding("file", file, 0, 0, "", words, "")])
     try:
         with file.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except OSError as error:
-        refuse([Finding("file", file, 0, 0, "", f"cannot be read: {error.strerror}", "")])
+        refuse([ModelFinding("file", file, 0, 0, "", f"cannot be read: {error.strerror}", "")])
     if len(data) > MAX_BYTES:
         _stop(file, "file", 0, 0, f"is larger than {MAX_BYTES // 2**20} MiB",
               "keep meshes in files of their own")  # fmt: skip
@@ -182,4 +182,4 @@ def _short(text: str | None, length: int = 60) -> str:
 
 
 def _stop(file: Path, check: str, line: int, column: int, reason: str, cure: str) -> NoReturn:
-    refuse([Finding(check, file, line, column, "", reason, cure)])
+    refuse([ModelFinding(check, file, line, column, "", reason, cure)])

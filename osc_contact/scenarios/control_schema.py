@@ -29,12 +29,12 @@ from .quantities import (
 __all__ = [
     "PLANT_TYPES",
     "ControlSpec",
-    "ForceGains",
+    "ForceGainsSpec",
     "ForceReadingSpec",
     "GainsSpec",
     "PhasesSpec",
     "ModelErrorSpec",
-    "MotionGains",
+    "MotionGainsSpec",
     "PlantSpec",
     "PushSpec",
     "SafetySpec",
@@ -48,7 +48,7 @@ PLANT_TYPES: dict[str, bool] = {"mujoco": False, "rigid": True}
 Fraction = Annotated[Number, Field(gt=0, lt=1)]
 
 
-class MotionGains(Spec):
+class MotionGainsSpec(Spec):
     """The motion loop: natural frequency (Hz) and damping ratio, or the gains themselves."""
 
     frequency: Annotated[Frequency, Field(gt=0)] | None = None
@@ -61,7 +61,7 @@ class MotionGains(Spec):
     integral: NotNegative | None = None
 
     @model_validator(mode="after")
-    def _of_one_kind(self) -> MotionGains:
+    def _of_one_kind(self) -> MotionGainsSpec:
         _require_one_kind(
             self, ("frequency", "damping_ratio", "integral_time"),
             ("stiffness", "damping", "integral"), "gains.motion={frequency: 5 Hz}",
@@ -73,7 +73,7 @@ class MotionGains(Spec):
         return self
 
 
-class ForceGains(Spec):
+class ForceGainsSpec(Spec):
     """The force loop (fig. 5): bandwidth (Hz) and damping ratio, or gains for one mass."""
 
     bandwidth: Annotated[Frequency, Field(gt=0)] | None = None
@@ -84,7 +84,7 @@ class ForceGains(Spec):
     damping: NotNegative | None = None
 
     @model_validator(mode="after")
-    def _of_one_kind(self) -> ForceGains:
+    def _of_one_kind(self) -> ForceGainsSpec:
         _require_one_kind(
             self, ("bandwidth", "damping_ratio"), ("integral", "damping"),
             "gains.force={bandwidth: 5 Hz}",
@@ -111,9 +111,9 @@ def _require_one_kind(
 class GainsSpec(Spec):
     """Gains of both loops; what is left out serves every mass."""
 
-    motion: MotionGains = MotionGains()
+    motion: MotionGainsSpec = MotionGainsSpec()
     """frequency and damping_ratio, or stiffness and damping, of the motion loop"""
-    force: ForceGains = ForceGains()
+    force: ForceGainsSpec = ForceGainsSpec()
     """bandwidth, damping_ratio and rise, or integral and damping, of the force loop"""
 
 

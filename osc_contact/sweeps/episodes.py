@@ -15,7 +15,7 @@ from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 from osc_contact.sweeps.fleet import Start
 from osc_contact.sweeps.rows import scenario_of, without_doubts_told
-from osc_contact.sweeps.study import Study
+from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.workshop import Workshop
 
 __all__ = ["Episode", "Episodes"]
@@ -59,7 +59,7 @@ class Episodes:
             scenario, vary, overrides: see `sweep`; without `vary` all episodes are the same.
             period: of the steps (s). count: how many different episodes there are.
         """
-        self._study = Study.of(scenario, vary, count, overrides=overrides) if vary else None
+        self._study = SweepStudy.of(scenario, vary, count, overrides=overrides) if vary else None
         self._scenario = _scenario(scenario, overrides)
         self._workshop, self._period = Workshop(), period
         self.count = count if vary else 1

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from osc_contact import __version__
-from osc_contact.sweeps.study import Study
+from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.summary import numbers, summarise
 from osc_contact.visual.page import POLICY, asset, filled, write_whole
 
@@ -23,7 +23,7 @@ REPORT, SUMMARY = "report.html", "summary.json"
 _SHOWN = 4  #: errors that are drawn; as many causes of each
 
 
-def write_report(table: Any, study: Study, folder: Path) -> dict[str, Any]:
+def write_report(table: Any, study: SweepStudy, folder: Path) -> dict[str, Any]:
     """Write summary, figures (with the extra `plot`) and page; returns the summary.
 
     Args:
@@ -48,7 +48,7 @@ def write_report(table: Any, study: Study, folder: Path) -> dict[str, Any]:
     return summary
 
 
-def _about(study: Study, summary: Mapping[str, Any]) -> str:
+def _about(study: SweepStudy, summary: Mapping[str, Any]) -> str:
     words = ", ".join(f"{count} {word}" for word, count in summary["words"].items())
     varied = "".join(f"<li><code>{escape(one)}</code></li>" for one in study.vary)
     fixed = "".join(f"<li><code>{escape(one)}</code></li>" for one in study.overrides)
@@ -97,7 +97,7 @@ def _picture(path: Path) -> str:
     )
 
 
-def _draw(table: Any, study: Study, summary: Mapping[str, Any], folder: Path) -> list[Path]:
+def _draw(table: Any, study: SweepStudy, summary: Mapping[str, Any], folder: Path) -> list[Path]:
     """How errors are distributed, and over what they depend on; PNG and SVG."""
     from matplotlib.figure import Figure
 

@@ -14,7 +14,7 @@ from osc_contact.recorder import Recording
 from osc_contact.runs.metrics import SETTLE_S, metrics
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sweeps.driven_run import record_run
-from osc_contact.sweeps.study import Sample, Study
+from osc_contact.sweeps.study import Sample, SweepStudy
 from osc_contact.sweeps.workshop import Workshop
 
 __all__ = [
@@ -40,7 +40,7 @@ Row = dict[str, Any]
 _mine = threading.local()  # workshops are not shared between threads
 
 
-def make_rows(study: Study, numbers: Sequence[int]) -> list[Row]:
+def make_rows(study: SweepStudy, numbers: Sequence[int]) -> list[Row]:
     """Run some samples of a study, in this thread; a row for each.
 
     Rows do not depend on which of them are run together, or where.
@@ -64,7 +64,7 @@ def without_doubts_told() -> Iterator[None]:
         logger.level = before
 
 
-def record_sample(study: Study, sample: Sample, workshop: Workshop | None = None) -> Recording:
+def record_sample(study: SweepStudy, sample: Sample, workshop: Workshop | None = None) -> Recording:
     """The recording of one run of a study.
 
     Raises:
@@ -74,7 +74,7 @@ def record_sample(study: Study, sample: Sample, workshop: Workshop | None = None
     return record_run(workshop.rig(scenario_of(study, sample)), sample.seed)
 
 
-def scenario_of(study: Study, sample: Sample) -> Scenario:
+def scenario_of(study: SweepStudy, sample: Sample) -> Scenario:
     """The scenario of one run."""
     changes = [*study.overrides, *(f"{k}={v}" for k, v in sample.overrides.items())]
     return study.template.make(changes)
@@ -93,13 +93,13 @@ def require_long_enough(scenario: Scenario) -> None:
         )
 
 
-def crashed_row(study: Study, number: int) -> Row:
+def crashed_row(study: SweepStudy, number: int) -> Row:
     """The row of a run that ended its process, twice."""
     why = "the process that ran it died, twice; run it alone to see why"
     return _head(study.sample(number)) | {"word": CRASHED, "failed": True, "why": why}
 
 
-def _row(study: Study, workshop: Workshop, number: int) -> Row:
+def _row(study: SweepStudy, workshop: Workshop, number: int) -> Row:
     sample = study.sample(number)
     row = _head(sample)
     try:

@@ -20,7 +20,7 @@ from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 from osc_contact.sweeps.distributions import Distribution, parse_distribution
 
-__all__ = ["SEED", "Design", "Sample", "Study"]
+__all__ = ["SEED", "Design", "Sample", "SweepStudy"]
 
 Design = Literal["halton", "sobol", "latin", "random", "grid"]
 SEED = "seed"  #: a path that is no key of the scenario: the seed of a run
@@ -43,7 +43,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Study:
+class SweepStudy:
     """What a sweep runs; row i depends on nothing but this and i.
 
     Attributes:
@@ -72,7 +72,7 @@ class Study:
         design: Design = "halton",
         seed: int = 0,
         overrides: Sequence[str] = (),
-    ) -> Study:
+    ) -> SweepStudy:
         """A study of a packaged scenario, a file, or a scenario made in Python.
 
         Raises:

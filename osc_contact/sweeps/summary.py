@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from osc_contact.spatial import Array
-from osc_contact.sweeps.study import Study
+from osc_contact.sweeps.study import SweepStudy
 
 __all__ = ["QUANTILES", "judged_columns", "sensitivities", "summarise", "worst_rows"]
 
@@ -18,7 +18,7 @@ _ERRORS = (".rms_error_rel", "overshoot_rel", "motion.rms_error_m", "motion.rms_
            "power.ratio")  # fmt: skip
 
 
-def summarise(table: Any, study: Study, worst: int = 5) -> dict[str, Any]:
+def summarise(table: Any, study: SweepStudy, worst: int = 5) -> dict[str, Any]:
     """Success rate, quantiles, sensitivities and the worst runs.
 
     Args:
@@ -56,7 +56,7 @@ def judged_columns(table: Any) -> list[str]:
     return [name for end in _ERRORS for name in names if name.endswith(end)]
 
 
-def sensitivities(table: Any, study: Study, name: str) -> dict[str, float | None]:
+def sensitivities(table: Any, study: SweepStudy, name: str) -> dict[str, float | None]:
     """Spearman's rank correlation of an error with everything that varied; None: not a number."""
     from scipy.stats import spearmanr
 
@@ -73,7 +73,7 @@ def sensitivities(table: Any, study: Study, name: str) -> dict[str, float | None
     return found
 
 
-def worst_rows(table: Any, study: Study, count: int) -> list[dict[str, Any]]:
+def worst_rows(table: Any, study: SweepStudy, count: int) -> list[dict[str, Any]]:
     """Runs that failed first, then those of the largest force errors, each with its command."""
     rows = table.to_pylist()
     judged = [name for name in judged_columns(table) if name.endswith(".rms_error_rel")]

@@ -13,7 +13,7 @@ from typing import Any
 
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sweeps.rows import crashed_row, make_rows, require_long_enough, scenario_of
-from osc_contact.sweeps.study import Design, Study
+from osc_contact.sweeps.study import Design, SweepStudy
 from osc_contact.sweeps.table import RowFile, make_table, write_table
 
 __all__ = ["ROWS", "TABLE", "available_cores", "leave_signals_to_the_parent", "run_study", "sweep"]
@@ -63,12 +63,12 @@ def sweep(
         ScenarioError, InvalidInputError: the study is not understood; runs too short to be judged;
             the folder holds another study.
     """
-    study = Study.of(scenario, vary, samples, design, seed, overrides)
+    study = SweepStudy.of(scenario, vary, samples, design, seed, overrides)
     return run_study(study, out=out, workers=workers, progress=progress)
 
 
 def run_study(
-    study: Study,
+    study: SweepStudy,
     *,
     out: str | Path | None = None,
     workers: int | None = None,
@@ -104,7 +104,7 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _run(study: Study, wanted: Sequence[int], workers: int) -> Iterator[list[Row]]:
+def _run(study: SweepStudy, wanted: Sequence[int], workers: int) -> Iterator[list[Row]]:
     if workers <= 1:
         for number in wanted:
             yield make_rows(study, [number])
@@ -120,7 +120,7 @@ def _run(study: Study, wanted: Sequence[int], workers: int) -> Iterator[list[Row
 
 
 def _in_processes(
-    study: Study, chunks: Iterable[list[int]], workers: int, lost: list[int]
+    study: SweepStudy, chunks: Iterable[list[int]], workers: int, lost: list[int]
 ) -> Iterator[list[Row]]:
     """Rows as they come; `lost`: of chunks that were under way when a worker died."""
     waiting = iter(chunks)

@@ -10,7 +10,7 @@ from typing import Any
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.files import whole_file
-from osc_contact.sweeps.study import Study
+from osc_contact.sweeps.study import SweepStudy
 
 __all__ = ["RowFile", "make_table", "write_table"]
 
@@ -24,7 +24,7 @@ class RowFile:
         path: of the file. done: rows by number.
     """
 
-    def __init__(self, path: Path, study: Study) -> None:
+    def __init__(self, path: Path, study: SweepStudy) -> None:
         """Go on with a file, or begin one.
 
         Args:
@@ -68,7 +68,7 @@ class RowFile:
         self._file.close()
 
 
-def make_table(rows: Sequence[Row], study: Study) -> Any:
+def make_table(rows: Sequence[Row], study: SweepStudy) -> Any:
     """A `pyarrow.Table`, sorted by row, columns in the order in which they first appear.
 
     Args:

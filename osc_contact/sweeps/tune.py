@@ -13,7 +13,7 @@ import numpy as np
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.sweeps.rows import make_rows, require_long_enough, scenario_of
-from osc_contact.sweeps.study import Study
+from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.sweep import available_cores, leave_signals_to_the_parent
 
 __all__ = ["GAINS", "Tuned", "tune"]
@@ -95,7 +95,7 @@ def tune(
     """
     import optuna
 
-    keys = Study.of(scenario, tuple(vary) or _stated(scenario, overrides), 1, "halton", seed,
+    keys = SweepStudy.of(scenario, tuple(vary) or _stated(scenario, overrides), 1, "halton", seed,
                     overrides)  # fmt: skip
     require_long_enough(scenario_of(keys, keys.sample(0)))
     base = replace(keys, vary=tuple(over), samples=samples)
@@ -114,7 +114,7 @@ def tune(
     )  # fmt: skip
     names = [f"{path}:{i}" for path, d in keys.variations for i in range(d.dims)]
 
-    def ask() -> tuple[Any, Study]:
+    def ask() -> tuple[Any, SweepStudy]:
         trial = study.ask()
         u = np.array([trial.suggest_float(name, 0.0, 1.0) for name in names])
         values = keys.values_at(u)
@@ -151,7 +151,7 @@ def tune(
 
 def _stated(scenario: str | Path, overrides: Sequence[str]) -> tuple[str, ...]:
     """The gains that a scenario states and that are not 0."""
-    probe = Study.of(scenario, ["seed=integers(0, 1)"], 1, overrides=overrides)
+    probe = SweepStudy.of(scenario, ["seed=integers(0, 1)"], 1, overrides=overrides)
     said = {one: probe.template.value(one.partition("=")[0], overrides) for one in GAINS}
     return tuple(one for one, value in said.items() if value not in (None, 0, 0.0))
 

@@ -22,11 +22,11 @@ from osc_contact.sweeps.episodes import Episode, Episodes
 from osc_contact.sweeps.fleet import Fleet
 from osc_contact.sweeps.sweep import available_cores
 
-__all__ = ["ContactVectorEnv", "Seen", "make_vector_env", "tracking_reward"]
+__all__ = ["ContactVectorEnv", "SensedRows", "make_vector_env", "tracking_reward"]
 
 
 @dataclass(frozen=True)
-class Seen:
+class SensedRows:
     """What rewards are made of, of all rows after a step.
 
     Attributes:
@@ -45,7 +45,7 @@ class Seen:
     diverged: Array
 
 
-def tracking_reward(seen: Seen) -> Array:
+def tracking_reward(seen: SensedRows) -> Array:
     """(B,) 1 where force and motion are as the scenario asks, less for each error.
 
     1 − mean |Δα| / mean |α| − |Δp| / 10 mm − |Δθ| / 0.1 rad, at least −1.
@@ -66,7 +66,7 @@ def make_vector_env(
     rate: float = 50.0,
     move: tuple[float, float] | None = None,
     most_force: float | None = None,
-    reward: Callable[[Seen], Array] = tracking_reward,
+    reward: Callable[[SensedRows], Array] = tracking_reward,
     episodes: int = 256,
     threads: int | None = None,
     autoreset: str = "next_step",
@@ -123,7 +123,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         rate: float,
         move: tuple[float, float] | None,
         most_force: float | None,
-        reward: Callable[[Seen], Array],
+        reward: Callable[[SensedRows], Array],
         threads: int,
         autoreset: AutoresetMode,
     ) -> None:
@@ -249,7 +249,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self._target, self._asked = X[-1].copy(), wanted
         return tau
 
-    def _see(self, actions: Array, tau: Array) -> Seen:
+    def _see(self, actions: Array, tau: Array) -> SensedRows:
         places, forces = self._wanted()
         p, R = self.fleet.objects()
         error = np.concatenate(
@@ -258,7 +258,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         stopped = self.fleet.control.state == SafetyState.SAFE_STOP
         diverged = self.fleet.diverged() | stopped | ~np.isfinite(error).all(axis=1)
         force = self.fleet.control.alpha_meas
-        return Seen(force, forces, error, tau, actions, diverged)
+        return SensedRows(force, forces, error, tau, actions, diverged)
 
     def _wanted(self, ahead: int = 0) -> tuple[Array, Array]:
         """(B, 4, 4), (B, r): what the scenario asks for so many actions from now."""

@@ -48,7 +48,7 @@ class LivePage:
         self.scene: Scene | None = None
         self.drawn = CommandSink()
         self.trails: dict[str, dict[str, Any]] = {}
-        self.browsers: set[Browser] = set()
+        self.browsers: set[BrowserLink] = set()
         self.frame: Frame = {}
         self.numbers = ""
         self.pictures, self.parent = 0, os.getppid()
@@ -109,7 +109,7 @@ class LivePage:
             self.ticks.link.send(json.dumps(news).encode())
 
 
-class Browser(WebSocketHandler):
+class BrowserLink(WebSocketHandler):
     """One browser; it gets the next picture when it has taken the last one."""
 
     def initialize(self, page: LivePage) -> None:
@@ -180,7 +180,7 @@ def serve(link: socket.socket, content: Content, find: FindFrame) -> None:
     application = Application(websocket_max_message_size=1024, log_function=lambda _: None)
     given = {"page": page}
     application.add_handlers(
-        r"(127\.0\.0\.1|localhost)", [("/", Page, given), ("/frames", Browser, given)]
+        r"(127\.0\.0\.1|localhost)", [("/", Page, given), ("/frames", BrowserLink, given)]
     )
     sockets = bind_sockets(0, LOOPBACK)
     HTTPServer(application, max_body_size=1024, idle_connection_timeout=30.0).add_sockets(sockets)
