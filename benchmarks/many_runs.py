@@ -15,7 +15,7 @@ from rich.table import Table
 
 import osc_contact as osc
 from osc_contact.sweeps.rows import make_rows, scenario_of, without_doubts_told
-from osc_contact.sweeps.study import Study
+from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.sweep import available_cores
 
 VARY = (
@@ -28,7 +28,7 @@ VARY = (
 
 def time_rows(runs: int, duration: float) -> tuple[float, float]:
     """Least processor time (s) of a row, and of the same run by itself, taken in turns."""
-    study = Study.of("two_contact_rod", VARY, runs, overrides=(f"duration={duration!r}",))
+    study = SweepStudy.of("two_contact_rod", VARY, runs, overrides=(f"duration={duration!r}",))
     least = [np.inf, np.inf]
     for number in range(runs):
         sample = study.sample(number)

@@ -17,7 +17,7 @@ import numpy as np
 import osc_contact as osc
 from osc_contact.spatial import Array
 from osc_contact.sweeps.rows import record_sample, without_doubts_told
-from osc_contact.sweeps.study import Study
+from osc_contact.sweeps.study import SweepStudy
 
 __all__ = ["CASES", "Case", "Goal", "judge", "judge_samples", "scenario_of"]
 
@@ -146,7 +146,7 @@ def judge(case: Case, recording: osc.Recording) -> Array:
 
 def judge_samples(case: Case, count: int) -> Array:
     """(count, goals, 3) the same of runs in which masses and friction are not what is believed."""
-    study = Study.of(scenario_of(case), UNKNOWN, count)
+    study = SweepStudy.of(scenario_of(case), UNKNOWN, count)
     with without_doubts_told():
         return np.array([judge(case, record_sample(study, study.sample(i))) for i in range(count)])
 
