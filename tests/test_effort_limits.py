@@ -25,7 +25,14 @@ from osc_contact.plants.rigid import RigidPlant
 GAINS = osc.Gains(MotionGains(400, 40, 2000), ForceGains(30, 5))
 FORCE, SQUEEZE, TORQUE, POSTURE, FLOOR = 1e-3, 1e-5, 1e-7, 0.1, 1.0
 MAX = np.finfo(float).max
-both = pytest.mark.parametrize("law", [Controller, ReadableController])
+
+
+def motors_only(chain, pairs, gains):
+    """A controller for states drawn at random: no limits but those of its motors."""
+    return Controller(chain, pairs, gains, safety=osc.SafetySettings.motors_only())
+
+
+both = pytest.mark.parametrize("law", [motors_only, ReadableController])
 
 
 def weakened(chain, tau_max):
@@ -233,7 +240,7 @@ def test_motors_without_limit(rig):
     same = weakened(chain, np.full(chain.n_a, 60.0))
     seen = []
     for one in (endless, mixed, same):
-        for law in (Controller, ReadableController):
+        for law in (motors_only, ReadableController):
             controller = law(one, pairs, GAINS)
             tau = controller.tick(measurement, reference)
             assert np.isfinite(tau).all() and (np.abs(tau) <= one.tau_max).all()
@@ -242,7 +249,7 @@ def test_motors_without_limit(rig):
     for tau in wanted[1:]:
         np.testing.assert_allclose(tau, wanted[0], atol=1e-9 * np.abs(tau).max())
     weak = weakened(chain, np.where(np.arange(chain.n_a) % 2, np.inf, 0.5))
-    controller = Controller(weak, pairs, GAINS)
+    controller = motors_only(weak, pairs, GAINS)
     tau = controller.tick(measurement, reference)
     assert controller.status is osc.Status.SATURATED
     assert np.isfinite(tau).all() and (np.abs(tau) <= weak.tau_max).all()
@@ -264,8 +271,7 @@ def test_random_states_saturated_the_numpy_law_integrates_alike():
     for _ in range(5):
         pairs, measurement, reference = demanding(chain, rng, 2)
         weak = weakened(chain, 0.03 * chain.tau_max)
-        bare = osc.SafetySettings.motors_only()
-        fast = Controller(weak, pairs, GAINS, safety=bare)
+        fast = motors_only(weak, pairs, GAINS)
         slow = ReadableController(weak, pairs, GAINS)
         for _ in range(5):
             a, b = fast.tick(measurement, reference), slow.tick(measurement, reference)

@@ -251,7 +251,7 @@ def test_metres_or_millimetres_do_not_matter(monkeypatch):
                 osc.Gains(force=gains),
                 posture=case.q,
                 reading="filter",
-                safety=SafetySettings(contact_power=1e15, contact_force=1e15),
+                safety=SafetySettings.motors_only(),
             )
             taus = []
             for k, (dq, v) in enumerate(moves):

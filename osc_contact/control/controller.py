@@ -27,7 +27,7 @@ from osc_contact.control.reasons import (
 from osc_contact.control.reports import Status
 from osc_contact.control.safety import SafetySettings
 from osc_contact.control.settings import PostureTask, Settings
-from osc_contact.control.signals import BLOCKS, Block, Signals
+from osc_contact.control.signals import Block, Signals
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.control.torque_limits import MotorLimits, scale_torques
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -325,12 +325,6 @@ class Controller(ControllerCopies):
             return False
         memory.X_WO[:], memory.located = X_WO.homogeneous, 2
         return True
-
-    def wiring(self, measurement: Measurement, reference: Reference) -> list[Block]:
-        """The boxes of fig. 4 with the signals that each reads and writes."""
-        return self.laws.boxes(BLOCKS)
-
-    # --- contact ---------------------------------------------------------------------------------
 
     def engage(self) -> None:
         """Take the contacts into the model, without a jump.

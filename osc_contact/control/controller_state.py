@@ -15,7 +15,7 @@ from osc_contact.control.reports import LimitLoss, LostDirection, Status
 from osc_contact.control.result import TickResult
 from osc_contact.control.safety import SafetyState
 from osc_contact.control.settings import Settings
-from osc_contact.control.signals import Signals
+from osc_contact.control.signals import BLOCKS, Block, Signals
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.control.torque_limits import MotorLimits
 from osc_contact.errors import InvalidInputError
@@ -123,6 +123,10 @@ class ControllerState:
     def last_signals(self) -> Signals:
         """The same."""
         return self.signals
+
+    def wiring(self, measurement: Measurement, reference: Reference) -> list[Block]:
+        """The boxes of fig. 4 with the signals that each reads and writes."""
+        return self.laws.boxes(BLOCKS)
 
     def result(self) -> TickResult:
         """The numbers of the last tick that recordings keep; the next tick overwrites them.

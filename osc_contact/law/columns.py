@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import dot6, orthonormalise, solve_lower_transposed
+from osc_contact.law.algebra import dot6, lu_solve, orthonormalise, solve_lower_transposed
 from osc_contact.law.energy import carry_wrench, energy_wrench
 from osc_contact.law.jit import inner
 from osc_contact.law.tables import CONTRADICTION, DIFFERENT_BODIES, NO_REASON
 
-__all__ = ["DEPENDENT", "choose_columns", "keep_columns"]
+__all__ = ["DEPENDENT", "choose_columns", "keep_columns", "spread_magnitudes"]
 
 #: A column of unit size with less than this outside the others depends on them.
 DEPENDENT = 3e-7
@@ -173,3 +173,37 @@ def _same_body(table, bodies, columns, count, body_work):
                 if a != b or (i < 36 and a != 0.0):
                     return DIFFERENT_BODIES
     return NO_REASON
+
+
+@inner
+def spread_magnitudes(work, columns, alpha, speed):
+    """Measured magnitudes and speeds of the kept columns, to all columns in force.
+
+    Where columns depend on others that is the split with the least sum of squares.
+    """
+    r, count = work.rank, work.count
+    if r == count:
+        for j in range(count):
+            alpha[columns[j].chosen] = work.alpha_meas[j]
+            speed[columns[j].chosen] = work.speed[j]
+        return
+    _spread_dependent(work, columns, alpha, speed)
+
+
+@inner
+def _spread_dependent(work, columns, alpha, speed):
+    """α_all = Rᵀ(RRᵀ)⁻¹α and Rᵀ speed, R the shares."""
+    r, count, G, x = work.rank, work.count, work.D, work.E
+    for a in range(r):
+        x[0, a] = work.alpha_meas[a]
+        for b in range(r):
+            G[a, b] = 0.0
+            for j in range(count):
+                G[a, b] += columns[j].share[a] * columns[j].share[b]
+    lu_solve(G, r, x, 1)
+    for j in range(count):
+        s = t = 0.0
+        for a in range(r):
+            s += columns[j].share[a] * x[0, a]
+            t += columns[j].share[a] * work.speed[a]
+        alpha[columns[j].chosen], speed[columns[j].chosen] = s, t

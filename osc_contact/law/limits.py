@@ -23,14 +23,13 @@ import numpy as np
 
 from osc_contact.errors import SolverError
 from osc_contact.law.algebra import (
-    back_substitute,
     cholesky,
     cholesky_solve,
     lu_solve,
     one_sided_jacobi,
-    qr_rows,
 )
 from osc_contact.law.jit import entry, inner
+from osc_contact.law.refinement import add, dot, refine
 
 __all__ = ["TorqueLimits"]
 
@@ -41,22 +40,6 @@ _POSTURE = 0.1  # joint motions that leave the object alone: they cost too, or a
 _BEYOND = 1e2  # of a force outside its range, where no torques within the limits keep it
 _INFINITE = 1e30  # the solver's
 _SLACK = 1e-9  # of the limits, for rounding errors
-_DEPENDENT = 1e-9  # of a unit row, beside the rows before it
-_ROOM = 1e-7  # around the bounds, for a point worked out from its active limits
-
-
-@inner
-def _dot(a, b, n):
-    s = 0.0
-    for i in range(n):
-        s += a[i] * b[i]
-    return s
-
-
-@inner
-def _add(s, a, n, out):
-    for i in range(n):
-        out[i] += s * a[i]
 
 
 @inner
@@ -83,9 +66,9 @@ def _mobility(d, r, Lambda, N, pushed, Phi_e, work):
     for a in range(r):
         size[a] = 0.0
         for b in range(r):
-            D[a, b] = _dot(X[a], P[b], d)
+            D[a, b] = dot(X[a], P[b], d)
             for c in range(r):
-                D[a, b] += X[a, u + c] * _dot(Phi_e[c], X[b, u:], r)
+                D[a, b] += X[a, u + c] * dot(Phi_e[c], X[b, u:], r)
             size[a] = max(size[a], abs(D[a, b]))
         for b in range(r):
             D[a, b] /= size[a]
@@ -105,7 +88,7 @@ def _respond(d, r, given, maps, work, rows):
             motion[j, i] = G[j, 6 - d + i] * scale[j]
         cholesky_solve(K, d, motion[j], 0)
         for a in range(r):
-            force[j, a] = _dot(X[a], motion[j], d) / size[a]
+            force[j, a] = dot(X[a], motion[j], d) / size[a]
     if not lu_solve(D, r, force, len(scale)):
         return False
     for j in range(len(scale)):
@@ -114,10 +97,10 @@ def _respond(d, r, given, maps, work, rows):
         for a in range(r):
             psi[a], force[j, a] = force[j, a], 0.0
         for a in range(r):
-            _add(-psi[a], P[a], d, motion[j])
-            _add(psi[a], X[a, 6 + d :], r, force[j])
-            _add(sqrt(_FORCE) * psi[a], X[a], 6, rows[j, d:])
-        _add(1.0, motion[j], d, rows[j])
+            add(-psi[a], P[a], d, motion[j])
+            add(psi[a], X[a, 6 + d :], r, force[j])
+            add(sqrt(_FORCE) * psi[a], X[a], 6, rows[j, d:])
+        add(1.0, motion[j], d, rows[j])
     return True
 
 
@@ -150,11 +133,11 @@ def prepare(d, r, k, s, slack, mass, given, maps, work, H, A, bounds, rows):
         return False
     for j in range(n):
         for c in range(s):
-            squeeze[c, j] = E[c, j] * scale[j] - _dot(carried[c, 6 - d :], motion[j], d)
+            squeeze[c, j] = E[c, j] * scale[j] - dot(carried[c, 6 - d :], motion[j], d)
             rows[j, 6 + d + c] = sqrt(_SQUEEZE / mass) * squeeze[c, j]
         for c in range(p):
             rows[j, 6 + d + s + c] = sqrt(_POSTURE) * idle[c, j] * scale[j]
-        energy += _dot(rows[j], rows[j], w)
+        energy += dot(rows[j], rows[j], w)
     size = sqrt(energy / n) if energy > 0.0 else 1.0
     for j in range(v):
         weight = _TORQUE if j < n else _BEYOND
@@ -163,80 +146,18 @@ def prepare(d, r, k, s, slack, mass, given, maps, work, H, A, bounds, rows):
         for i in range(v):
             rows[j, w + i] = sqrt(weight) if i == j else 0.0
         for i in range(j + 1):
-            H[i, j] = H[j, i] = _dot(rows[i], rows[j], w) + (weight if i == j else 0.0)
+            H[i, j] = H[j, i] = dot(rows[i], rows[j], w) + (weight if i == j else 0.0)
     for c in range(k):
         for j in range(v):
-            A[c, j] = _dot(share[c], force[j], r) if j < n else 0.0
-        norm = sqrt(_dot(A[c], A[c], n))
+            A[c, j] = dot(share[c], force[j], r) if j < n else 0.0
+        norm = sqrt(dot(A[c], A[c], n))
         norm = norm if norm > 0.0 else 1.0
         for j in range(n):
             A[c, j] /= norm
         if slack > 0:
             A[c, n + c], bounds[0, n + c], bounds[1, n + c] = 1.0, -_INFINITE, _INFINITE
-        bounds[0, v + c] = min((floor[c] - _dot(share[c], alpha, r)) / norm, 0.0)
+        bounds[0, v + c] = min((floor[c] - dot(share[c], alpha, r)) / norm, 0.0)
         bounds[1, v + c] = 0.0  # nobody presses harder than commanded
-    return True
-
-
-@inner
-def _reflect(u, beta, n, x):
-    _add(-beta * _dot(u, x, n), u, n, x)
-
-
-@inner
-def _refine(lam, w, A, bounds, rows, scratch):
-    """Work out z once more from `rows`, the limits that have multipliers as equations: `point`.
-
-    That has the root of H's condition. Returns False where another limit is broken.
-    """
-    point, y, diagonal, beta, bend, mix, t, T, normals, reduced, free = scratch
-    (k, v), f, kept = A.shape, 0, 0
-    for i in range(w + k):
-        t[i] = 0.0
-    for j in range(v):
-        for i in range(w + k):
-            reduced[f, i] = rows[j, i] if i < w else A[i - w, j]
-        if lam[j] == 0.0:
-            point[j], free[f] = 0.0, j
-            f += 1
-        else:
-            point[j] = bounds[int(lam[j] > 0.0), j]
-            _add(point[j], reduced[f], w + k, t)
-    for c in range(k):
-        u, rest = normals[kept], reduced[kept:]
-        for j in range(f - kept):
-            u[j] = rest[j, w + c]
-        if lam[v + c] == 0.0 or kept == f:
-            continue
-        mirrored = qr_rows(normals[kept:], T.shape[1], f - kept, diagonal, bend[kept:])  # one row
-        if not mirrored or abs(diagonal[0]) <= _DEPENDENT:
-            continue
-        for i in range(w + k):
-            mix[i] = 0.0
-        for j in range(f - kept):
-            _add(bend[kept] * u[j], rest[j], w + k, mix)
-        for j in range(f - kept):
-            _add(-u[j], mix, w + k, rest[j])
-        y[kept] = (bounds[int(lam[v + c] > 0.0), v + c] - t[w + c]) / diagonal[0]
-        _add(y[kept], rest[0], w + k, t)
-        kept += 1
-    rest = reduced[kept:]
-    if not qr_rows(rest, f - kept, w, diagonal, beta):
-        return False
-    for c in range(f - kept):
-        _reflect(rest[c, c:], beta[c], w - c, t[c:])
-    back_substitute(rest, f - kept, 1, diagonal, T)
-    for c in range(f - kept):
-        y[kept + c] = -t[c]
-    for b in range(kept - 1, -1, -1):
-        _reflect(normals[b], bend[b], f - b, y[b:])
-    for j in range(f):
-        point[free[j]] = y[j]
-    for j in range(v + k):
-        x = point[j] if j < v else _dot(A[j - v], point, v)
-        room = _ROOM * (1.0 + abs(x))
-        if not bounds[0, j] - room <= x <= bounds[1, j] + room:
-            return False
     return True
 
 
@@ -245,13 +166,13 @@ def finish(z, lam, d, r, s, given, maps, A, bounds, rows, scratch, answer):
     """Torques from the solver's z (v,) and multipliers (v + k,); whether they are finite.
 
     Args:
-        d, r, s, given, maps, A, bounds, rows: of `prepare`. scratch: see `_refine`.
+        d, r, s, given, maps, A, bounds, rows: of `prepare`. scratch: see `refine`.
         answer: tau, at_limit and what is lost, filled, see `TorqueLimits`.
     """
     wanted, tau_max, _, _, _, _, _, _, _, _, _, _, idle = given
     scale, motion, force, squeeze = maps
     tau, at_limit, lost_force, lost_motion, lost_squeeze = answer
-    if _refine(lam, 6 + d + s + len(idle) + len(z), A, bounds, rows, scratch):
+    if refine(lam, 6 + d + s + len(idle) + len(z), A, bounds, rows, scratch):
         for j in range(len(z)):
             z[j] = scratch[0][j]
     for i in range(6):
@@ -261,10 +182,10 @@ def finish(z, lam, d, r, s, given, maps, A, bounds, rows, scratch, answer):
             return False
         tau[j] = max(-tau_max[j], min(tau_max[j], wanted[j] + scale[j] * z[j]))
         at_limit[j] = abs(tau[j]) >= tau_max[j] * (1.0 - _SLACK)
-        _add(-z[j], force[j], r, lost_force)
-        _add(-z[j], motion[j], d, lost_motion[6 - d :])
+        add(-z[j], force[j], r, lost_force)
+        add(-z[j], motion[j], d, lost_motion[6 - d :])
     for c in range(s):
-        lost_squeeze[c] = -_dot(squeeze[c], z, len(scale))
+        lost_squeeze[c] = -dot(squeeze[c], z, len(scale))
     return True
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import inf, isfinite
 
 from osc_contact.law import phases
-from osc_contact.law.algebra import dot6, lu_solve, meet, reflect, reflect_back, solve_lower
-from osc_contact.law.allocation import command_object, limit_torques
-from osc_contact.law.columns import keep_columns
+from osc_contact.law.algebra import dot6, meet, reflect, reflect_back, solve_lower
+from osc_contact.law.allocation import command_object
+from osc_contact.law.columns import keep_columns, spread_magnitudes
 from osc_contact.law.command_filter import (
     filter_motion,
     permit_error,
@@ -25,35 +25,28 @@ from osc_contact.law.force import (
     measure_magnitudes,
     sum_readings,
 )
-from osc_contact.law.jit import inner, integers, leaf
+from osc_contact.law.jit import inner, leaf
 from osc_contact.law.least_squares import learn_friction, weigh_magnitudes
 from osc_contact.law.motion import command_motion, pose_error
 from osc_contact.law.singular import reduce_motion
-from osc_contact.law.steps import brake_contacts, keep_steps, shape_steps
+from osc_contact.law.steps import brake_contacts, shape_steps
 from osc_contact.law.tables import (
     BAD_METRIC,
     BLIND,
     BY_OBJECT,
     DEGENERATE_PAIR,
-    DEGRADED,
     LEAST_SQUARES,
     NO_REASON,
-    NOT_FINITE,
-    OK,
-    SATURATED,
 )
 
 __all__ = [
     "advance_contacts",
     "command",
     "compare_poses",
-    "finish",
     "hand_over",
     "is_finite",
     "measure",
-    "remember",
     "set_wishes",
-    "spread_magnitudes",
     "take_in",
 ]
 
@@ -280,104 +273,4 @@ def command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, 
     if work.n_lost > 0 and work.locked < 6:
         reduce_motion(chain, arms, table, work, arm_work, joints, r, q, v)
     command_object(chain, work, memory.f_bias)
-    return NO_REASON
-
-
-@inner
-def remember(chain, work, memory, columns, column_memory, table, contacts, flat):
-    """The integrals move on; phases keep what was measured."""
-    r = work.rank
-    memory.ticked, memory.fresh, memory.located = memory.ticked + 1, 1, 1
-    memory.more_friction = work.more_friction
-    for i in range(4):
-        for j in range(4):
-            memory.X_WO[i, j] = work.X_WO[i, j]
-    if work.status != SATURATED:
-        for a in range(r):
-            memory.force_sum[a] = work.force_next[a]
-        memory.force_rank = r
-        if work.status == OK:
-            for i in range(6):
-                memory.motion_sum[i] = work.motion_next[i]
-    n = chain.n_columns
-    here, alpha, speed = flat[n : 2 * n], flat[2 * n : 3 * n], flat[3 * n : 4 * n]
-    chosen = integers(flat, 4 * n, n)
-    for j in range(n):
-        here[j] = alpha[j] = speed[j] = 0.0
-    spread_magnitudes(work, columns, alpha, speed)
-    for j in range(n):
-        column_memory[j].alpha, column_memory[j].speed = alpha[j], speed[j]
-    for j in range(work.count):
-        here[columns[j].chosen] = 1.0
-        chosen[j] = columns[j].chosen
-    keep_steps(chain, memory, column_memory, columns, work, flat, here, speed)
-    if chain.phased == 0:
-        return
-    phases.low_pass(
-        column_memory, n, here, alpha, speed, work.mobility, chosen, r,
-        r == work.count and work.weightless == 0,
-        chain.period, chain.lag, work.D, work.E,
-    )  # fmt: skip
-
-
-@inner
-def spread_magnitudes(work, columns, alpha, speed):
-    """Measured magnitudes and speeds of the kept columns, to all columns in force.
-
-    Where columns depend on others that is the split with the least sum of squares.
-    """
-    r, count = work.rank, work.count
-    if r == count:
-        for j in range(count):
-            alpha[columns[j].chosen] = work.alpha_meas[j]
-            speed[columns[j].chosen] = work.speed[j]
-        return
-    _spread_dependent(work, columns, alpha, speed)
-
-
-@inner
-def _spread_dependent(work, columns, alpha, speed):
-    """α_all = Rᵀ(RRᵀ)⁻¹α and Rᵀ speed, R the shares."""
-    r, count, G, x = work.rank, work.count, work.D, work.E
-    for a in range(r):
-        x[0, a] = work.alpha_meas[a]
-        for b in range(r):
-            G[a, b] = 0.0
-            for j in range(count):
-                G[a, b] += columns[j].share[a] * columns[j].share[b]
-    lu_solve(G, r, x, 1)
-    for j in range(count):
-        s = t = 0.0
-        for a in range(r):
-            s += columns[j].share[a] * x[0, a]
-            t += columns[j].share[a] * work.speed[a]
-        alpha[columns[j].chosen], speed[columns[j].chosen] = s, t
-
-
-@inner
-def finish(chain, table, work, memory, joints, columns, column_memory, owners, contacts, flat,
-            last, tau, first):  # fmt: skip
-    """The verdict, the torques and the memory of a tick that could be computed; a reason."""
-    excess, finite = limit_torques(chain, table, joints, tau, first)
-    s = 0.0
-    for i in range(6):
-        s += 0.0 * work.motion_next[i]
-    for a in range(work.rank):
-        s += 0.0 * work.force_next[a]
-    if not (finite and isfinite(s)):
-        return NOT_FINITE
-    if excess:
-        work.status = SATURATED
-    elif work.n_lost > 0:
-        work.status = DEGRADED
-    if not excess:
-        if memory.ticked != 0:
-            step = flat[5 * chain.n_columns :]
-            for j in range(chain.n_joints):
-                if table[j].motor >= 0:
-                    step[table[j].motor] = chain.torque_rate * chain.period * table[j].tau_max
-            phases.slew(tau[first : first + chain.n_motors], last, step, chain.n_motors)
-        for i in range(chain.n_motors):
-            last[i] = tau[first + i]
-    remember(chain, work, memory, columns, column_memory, owners, contacts, flat)
     return NO_REASON

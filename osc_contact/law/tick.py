@@ -30,7 +30,6 @@ from osc_contact.law.stages import (
     advance_contacts,
     command,
     compare_poses,
-    finish,
     hand_over,
     is_finite,
     measure,
@@ -62,6 +61,7 @@ from osc_contact.law.tables import (
     read_shapes,
     read_work,
 )
+from osc_contact.law.verdict import finish
 from osc_contact.law.watch import watch_contacts, watch_joints
 
 __all__ = [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from osc_contact.contacts.raibert_craig import RaibertCraig
 from osc_contact.control.controller import Controller
+from osc_contact.control.safety import SafetySettings
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.paper.cone_in_groove.geometry import Seat, seated_cone
@@ -106,8 +106,8 @@ class _ConeWitness(Witness):
     ) -> None:
         self.N.append(self.controller.last_signals().contact.N)
         if len(self.N) % self.every == 0:
-            probed = copy(self.controller)
-            self.probes.append(couplings(probed, self.rigid, measurement, reference, self.R))
+            probe = couplings(self.controller, self.rigid, measurement, reference, self.R)
+            self.probes.append(probe)
         super().append(measurement, reference, tau, seconds)
 
 
@@ -175,6 +175,7 @@ def couplings(
     The steps of force are 5 N on each of the walls' magnitudes, α = `to_pair` λ; those of motion
     are the two permitted ones and the six unit vectors, permitted or not.
     """
+    controller = controller.with_safety(SafetySettings.motors_only())  # the same readings again
     before = (controller.motion_law.integral, controller.force_law.integral)
 
     def answer(changed: Reference) -> tuple[Array, Array]:
