@@ -10,6 +10,7 @@ import pytest
 
 import osc_contact as osc
 from osc_contact.bench.cases import CASES, TickCase, repeatable
+from osc_contact.bench.special_cases import SPECIAL_CASES
 from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant
 
@@ -207,3 +208,17 @@ def test_limits_are_checked_and_can_be_changed(case: TickCase) -> None:
     wish = replace(case.reference, alpha_d=np.full(len(case.pairs), 300.0))
     step = np.abs(other.tick(case.measurement, wish) - controller.last_torques())
     assert (step / case.chain.tau_max).max() == pytest.approx(5.0 * DT)
+
+
+def test_other_limits_and_gains_hold_beside_pairs_written_in_python() -> None:
+    """Such a pair has the records packed anew at the first tick: by the new settings."""
+    case = SPECIAL_CASES["own_pair"]()
+    tick, unwind = case.ticking(repeatable(case.controller()))
+    for _ in range(400):  # the same readings for longer than `frozen_for`
+        tick()
+        unwind()
+    soft = osc.Gains(osc.MotionGains(100.0, 20.0, 0.0), case.gains.force)
+    other, made = case.controller().with_gains(soft), replace(case, gains=soft).controller()
+    for _ in range(2):
+        got, want = (c.tick(case.measurement, case.reference) for c in (other, made))
+        np.testing.assert_allclose(got, want, rtol=1e-12)

@@ -68,7 +68,8 @@ class ControllerCopies(ControllerState):
     def _another(self, settings: Settings, laws: Laws) -> Self:
         other = type(self).__new__(type(self))
         row = self._records.row.copy()
-        outside = self._outside if laws is self.laws else None
+        same = settings is self.settings and laws is self.laws
+        outside = self._outside if same else None  # it packs rows anew, by its settings
         other._begin(settings, laws, TickRecords(row, self._records.memory_bytes.copy()), outside)
         return other
 
