@@ -138,7 +138,8 @@ def main(kills: int) -> None:
         if find_spec(package) is None:
             print(f"{kind}: {package} is not installed")
             continue
-        unreadable, lost = 0, []
+        unreadable: list[str] = []
+        lost: list[int] = []
         for _ in range(kills):
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / f"run.{kind}"
@@ -151,11 +152,13 @@ def main(kills: int) -> None:
                     said = [1, *map(int, process.stdout.read().split())][-1]
                 try:
                     lost.append(max(0, said - chunks_in(kind, path)))
-                except Exception:
-                    unreadable += 1
+                except Exception as error:  # whatever a container's reader ends in is the result
+                    unreadable.append(type(error).__name__)
         most = max(lost, default=0)
+        ends = f" ({', '.join(sorted(set(unreadable)))})" if unreadable else ""
         print(
-            f"{kind}: {kills} kills, {unreadable} unreadable, {most} chunks lost at most",
+            f"{kind}: {kills} kills, {len(unreadable)} unreadable{ends}, "
+            f"{most} chunks lost at most",
             flush=True,
         )
 

@@ -204,7 +204,7 @@ def test_a_numba_without_the_accelerators_classes_is_enough(
 ) -> None:
     monkeypatch.setenv("OSC_CONTACT_ACCELERATOR", "1")
     monkeypatch.setitem(sys.modules, "osc_contact.law.accelerator", None)
-    assert jit._options() == (jit._PLAIN, jit._PLAIN)
+    assert jit._accelerator() is None and jit._options(None) == (jit._PLAIN, jit._PLAIN)
     monkeypatch.undo()
     monkeypatch.setenv("OSC_CONTACT_ACCELERATOR", "0")
-    assert jit._options() == (jit._PLAIN, jit._PLAIN)
+    assert jit._accelerator() is None

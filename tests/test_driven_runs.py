@@ -8,6 +8,7 @@ import pytest
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.detection import collision_shapes
+from osc_contact.law.jit import PLAIN_PYTHON
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.run import start
@@ -16,7 +17,7 @@ from osc_contact.sweeps.compiled_loop import compiled_loop
 from osc_contact.sweeps.driven_run import record_run
 from osc_contact.sweeps.workshop import Workshop
 
-pytestmark = pytest.mark.skipif(compiled_loop() is None, reason="the law runs as plain Python")
+pytestmark = pytest.mark.skipif(PLAIN_PYTHON, reason="nothing is compiled")
 
 PLAIN = ["two_contact_rod", "panda_edge", "hinge_ball_rod", "three_arm_plate", "limited_rod"]
 OTHERS = ["workcell", "moving_face", "approach_and_slide"]  # sensors, faces that move, phases
@@ -55,6 +56,17 @@ def test_recording_is_that_of_the_same_run(name, monkeypatch) -> None:
     compare(osc.run(scenario, seed=3), record_run(osc.build_rig(scenario), 3))
     ticks = round(0.7 * scenario.control.rate)
     assert 1 <= len(by_hand) < 0.5 * ticks  # the others were compiled
+
+
+def test_runs_are_compiled_here_and_the_same_where_they_cannot_be(monkeypatch) -> None:
+    """With the numba and MuJoCo of the constraints they are; with others Python runs every tick."""
+    assert compiled_loop() is not None
+    scenario = osc.load_scenario("two_contact_rod", ["duration=0.1 s"])
+    compiled = record_run(osc.build_rig(scenario))
+    by_hand = spy(monkeypatch)
+    monkeypatch.setattr(driven_run, "compiled_loop", lambda: None)
+    compare(compiled, record_run(osc.build_rig(scenario)))
+    assert not by_hand  # the loop of every other run has its own log
 
 
 @pytest.mark.parametrize("name", OTHERS)

@@ -108,7 +108,7 @@ def test_ticks_without_a_wrench_go_on_with_the_last_one_for_a_while(case: TickCa
         if len(states) <= 20:
             np.testing.assert_array_equal(controller.force_law.integral, sums)
     assert states == [DEGRADED] * 20 + [DEGRADED] * 2 + [HOLD] * 3
-    assert "no wrench was read for longer than unheard_for" in controller.reason
+    assert "no wrench was read for longer than wrench_timeout" in controller.reason
     first = case.controller()
     first.tick(gone, case.reference)
     assert first.status is osc.Status.HELD  # there is no last one

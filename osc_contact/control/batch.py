@@ -142,7 +142,7 @@ class BatchController:
             _table("alpha_d", wishes, (B, self._r)).ravel(), squeeze.ravel(), motion, flags, tau,
         )  # fmt: skip
         if wrench_valid is not None:
-            self._memories["unheard"][:] = np.broadcast_to(wrench_valid, (B,)) == 0
+            self._memories["wrench_missing"][:] = np.broadcast_to(wrench_valid, (B,)) == 0
         self._locate(args[0].reshape(B, self._n))
         ends = np.linspace(0, B, self.threads + 1).astype(int)
         if self._pool is None:

@@ -10,11 +10,11 @@ import numpy as np
 
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.controller_copies import ControllerCopies
+from osc_contact.control.freshness import Freshness
 from osc_contact.control.friction import Friction
 from osc_contact.control.gains import Gains
 from osc_contact.control.laws import Laws
 from osc_contact.control.loops import ForceLoop, MotionLoop, refuse
-from osc_contact.control.news import News
 from osc_contact.control.outside import Outside
 from osc_contact.control.phases import Phase, PhaseSettings
 from osc_contact.control.reading import Reading
@@ -61,7 +61,7 @@ class Controller(ControllerCopies):
     """
 
     _converting: bool
-    _news: News
+    _freshness: Freshness
 
     def __init__(
         self,
@@ -161,7 +161,7 @@ class Controller(ControllerCopies):
             _moving=np.zeros((len(settings.contacts), 28)),
             _arms=len(settings.chain.arms), _n_a=settings.chain.n_a, _in_parts=outside.needed,
             _limits=None, _given_up=None, _failure=None, _inputs=None, _result=None,
-            _converting=False, _news=News(settings.dt, settings.safety.unheard_for),
+            _converting=False, _freshness=Freshness(settings.dt, settings.safety.wrench_timeout),
             motion_law=MotionLoop(settings.gains.motion, settings.dt, records.memory),
             force_law=ForceLoop(settings.gains.force, settings.dt, records.memory),
         )  # fmt: skip
@@ -212,9 +212,9 @@ class Controller(ControllerCopies):
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
         """The same with bodies that move, stamps, three arms and more, or code of the user's."""
         if not self._converting:
-            self._news.require(measurement)
+            self._freshness.require(measurement)
         if measurement.wrench_valid is not None and not measurement.wrench_valid:
-            self._records.memory.unheard = 1
+            self._records.memory.wrench_missing = 1
         touched, flags, table = measurement.touched, 0, self._still
         if touched is not None:
             table, flags = self._motions(touched), law.MOVING

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from osc_contact.control.freshness import Freshness
 from osc_contact.control.laws import Laws
 from osc_contact.control.loops import ForceLoop, MotionLoop
-from osc_contact.control.news import News
 from osc_contact.control.phases import Phase
 from osc_contact.control.reasons import explain
 from osc_contact.control.reports import LimitLoss, LostDirection, Status
@@ -39,7 +39,7 @@ class ControllerState:
     _arms: int
     _codes: Array
     _squeeze: Array
-    _news: News
+    _freshness: Freshness
     _limits: MotorLimits | None
     _given_up: LimitLoss | None
     _failure: Exception | None
@@ -84,10 +84,10 @@ class ControllerState:
     def reset(self) -> None:
         """Run again after a stop: both integrals at zero, tare, bias and phases as they are."""
         memory = self._records.memory
-        self._news.forget()
+        self._freshness.forget()
         memory.state, memory.age, memory.faults, memory.too_fast = SafetyState.RUN, 0, 0, 0
         memory.powered = memory.ending = 0.0
-        memory.compared = memory.frozen = memory.silence = 0
+        memory.compared = memory.frozen = memory.wrench_age = 0
         for name in ("unfelt", "pressed"):
             self._records.column_memory[name][:] = 0.0
         memory.repeats, memory.fresh, memory.motion_sum[:], memory.force_sum[:] = 0, 0, 0.0, 0.0

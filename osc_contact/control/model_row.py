@@ -97,7 +97,7 @@ class ModelRow:
         head, safety, phases = self.head, settings.safety, settings.phases
         for name in ("repeats", "hold_rate", "reaction", "contact_power", "contact_force",
                      "unfelt_for", "pressed_for", "integral_force", "integral_motion",
-                     "believed_speed", "unheard_for", "stuck_speed", "frozen_for",
+                     "plausible_speed", "wrench_timeout", "stuck_speed", "frozen_for",
                      "speed_error"):  # fmt: skip
             setattr(head, name, getattr(safety, name))
         head.guarded, head.fault_ticks = 1, safety.stop_after

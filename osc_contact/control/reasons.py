@@ -128,7 +128,7 @@ def explain(
         return f"stopped, until reset() is called. Cause: {why or 'code called in the tick failed'}"
     if failure is not None:
         return str(failure)
-    if code in (at.OUT_OF_RANGE, at.JUMPED, at.UNHEARD):
+    if code in (at.OUT_OF_RANGE, at.JUMPED, at.WRENCH_TIMEOUT):
         return _not_believed(rows, settings, code)
     if code >= at.TOO_FAST:
         return f"{_limit_passed(rows, settings, code)}. See why, then call reset()"
@@ -216,12 +216,12 @@ def _not_believed(rows: TickRecords, settings: Settings, code: int) -> str:
         )
     if code == at.JUMPED:
         return (
-            f"joint {chain.joint_names[culprit]} jumps: it reads faster than believed_speed = "
-            f"{safety.believed_speed:g} times its speed limit of "
+            f"joint {chain.joint_names[culprit]} jumps: it reads faster than plausible_speed = "
+            f"{safety.plausible_speed:g} times its speed limit of "
             f"{chain.model.velocityLimit[culprit]:.4g} rad/s or m/s"
         )
-    if code == at.UNHEARD:
-        return f"no wrench was read for longer than unheard_for = {safety.unheard_for:g} s"
+    if code == at.WRENCH_TIMEOUT:
+        return f"no wrench was read for longer than wrench_timeout = {safety.wrench_timeout:g} s"
     return ""
 
 
@@ -251,7 +251,7 @@ def _limit_passed(rows: TickRecords, settings: Settings, code: int) -> str:
             f"the speed of joint {chain.joint_names[culprit]} is not that of its positions: they "
             f"differ by more than {safety.speed_error:g} of its speed limit"
         )
-    if code == at.DEAF:
+    if code == at.WRIST_FROZEN:
         return (
             f"the wrist of arm '{chain.arms[culprit].name}' reads the very same for "
             f"{safety.frozen_for:g} s: it is dead, or its last reading repeats itself. Sensors too "

@@ -20,8 +20,8 @@ __all__ = ["SafetySettings", "SafetyState"]
 #: what may be infinite: no limit
 _OPEN = (
     "too_fast_for", "torque_rate", "contact_power", "contact_force", "pressed_for", "unfelt_for",
-    "integral_force", "integral_motion", "force_range", "torque_range", "believed_speed",
-    "unheard_for", "stuck_speed", "frozen_for", "speed_error",
+    "integral_force", "integral_motion", "force_range", "torque_range", "plausible_speed",
+    "wrench_timeout", "stuck_speed", "frozen_for", "speed_error",
 )  # fmt: skip
 
 
@@ -58,9 +58,9 @@ class SafetySettings:
             where that is more. integral_motion: m/s², rad/s²; the same of the motion integral.
         force_range, torque_range: N, N m; wrist readings beyond that, and beyond three times the
             object's weight (on a lever of 1 m), are not believed.
-        believed_speed: times a joint's speed limit; faster ones, and positions that jump further,
+        plausible_speed: times a joint's speed limit; faster ones, and positions that jump further,
             are not believed.
-        unheard_for: s; ticks go on with the last wrenches as long as there are none
+        wrench_timeout: s; ticks go on with the last wrenches as long as there are none
             (`Measurement.wrench_valid`), and stamps may stand still.
         stuck_speed: times a joint's speed limit; a joint that is told to gain more while its
             encoder reads the very same stops the controller.
@@ -84,8 +84,8 @@ class SafetySettings:
     integral_motion: float = 50.0
     force_range: float = 1000.0
     torque_range: float = 200.0
-    believed_speed: float = 3.0
-    unheard_for: float = 0.02
+    plausible_speed: float = 3.0
+    wrench_timeout: float = 0.02
     stuck_speed: float = 0.1
     frozen_for: float = 0.25
     speed_error: float = 0.1

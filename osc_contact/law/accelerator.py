@@ -1,21 +1,33 @@
-"""Compiles the parts of the law into LLVM code only: half the time of the first compilation.
+"""What rests on numba's own classes: a faster first compilation, and calls between compiled code.
 
 numba optimises every function and turns it into machine code, whether Python can call it or not.
 The parts of the law are called by its entry alone, which is optimised as a whole with all of them
-in it. This rests on numba's own compiler classes, which may change: whatever goes wrong here, `jit`
-compiles with public numba instead, to the same code. OSC_CONTACT_ACCELERATOR=0 leaves it out.
+in it. Other compiled code calls that entry by its address: numba would link the whole law into
+every caller and optimise it again, for a minute.
+
+These classes may change: where they do, `jit` compiles with public numba instead, to the same code,
+and compiled runs go tick by tick. OSC_CONTACT_ACCELERATOR=0 leaves all of it out.
 """
 
 from __future__ import annotations
 
+import zlib
 from typing import Any
 
+from llvmlite import binding
+from numba import types
+from numba.core import cgutils
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.errors import TypingError
 from numba.core.typed_passes import NopythonTypeInference
+from numba.extending import intrinsic
 
-__all__ = ["entry_options", "part_options"]
+__all__ = ["call_entry", "entry_options", "part_options", "share_entry"]
+
+_SYMBOL = "osc_contact_law_rows"
+_shared: list[Any] = []  #: the entry that compiled code calls
 
 
 class _NoSymbols:
@@ -83,3 +95,42 @@ def part_options() -> dict[str, Any]:
 def entry_options() -> dict[str, Any]:
     """The same for functions that Python calls."""
     return {"no_cfunc_wrapper": True, "_nrt": False}
+
+
+def share_entry(entry: Any) -> int | None:
+    """Let compiled code call a compiled entry by `call_entry`; a number of its arguments' types.
+
+    None where this numba keeps its code elsewhere.
+    """
+    try:
+        (signature,) = entry.signatures
+        compiled = entry.overloads[signature]
+        address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+    except (AttributeError, KeyError, ValueError):
+        return None
+    if not address:
+        return None
+    _shared[:] = [entry]
+    binding.add_symbol(_SYMBOL, address)
+    return zlib.crc32(str(signature).encode())
+
+
+@intrinsic
+def call_entry(typing: Any, arguments: Any) -> Any:
+    """The entry of `share_entry`, for compiled code: one tuple of its arguments."""
+    (wanted,) = _shared[0].signatures
+    if tuple(arguments.types) != tuple(wanted):
+        raise TypingError(f"the entry takes {wanted}, got {arguments.types}")
+    tools: Any = cgutils
+
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        call = context.call_conv
+        kind = call.get_function_type(types.int64, wanted)
+        function = tools.get_or_insert_function(builder.module, kind, _SYMBOL)
+        values = [builder.extract_value(given[0], i) for i in range(len(wanted))]
+        status, done = call.call_function(builder, function, types.int64, wanted, values)
+        with tools.if_unlikely(builder, status.is_error):
+            call.return_status_propagate(builder, status)
+        return done
+
+    return types.int64(arguments), generate

@@ -3,7 +3,7 @@
 The same source runs compiled and, with NUMBA_DISABLE_JIT=1, as plain Python: a debugger steps
 through it and the tests compare the two. `inner` marks functions that compiled ones call, `entry`
 those that Python calls. Public numba is enough; `accelerator` halves the time of the first
-compilation and saves a third of a tick, where the installed numba allows it.
+compilation and lets compiled runs call the tick, where the installed numba allows it.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from numba.extending import intrinsic
 __all__ = [
     "PLAIN_PYTHON",
     "as_python",
+    "call_entry",
     "entry",
     "inner",
     "integers",
@@ -30,6 +31,7 @@ __all__ = [
     "numbers",
     "prefetch",
     "reader",
+    "share_entry",
 ]
 
 PLAIN_PYTHON: bool = bool(getattr(config, "DISABLE_JIT"))  # noqa: B009 - set at run time
@@ -39,19 +41,30 @@ _njit: Any = njit
 _PLAIN: dict[str, Any] = {"error_model": "numpy"}
 
 
-def _options() -> tuple[dict[str, Any], dict[str, Any]]:
+def _accelerator() -> Any:
+    """The module `accelerator`; None where it is left out or this numba has other classes."""
+    if PLAIN_PYTHON or os.environ.get("OSC_CONTACT_ACCELERATOR", "1") == "0":
+        return None
+    try:
+        import osc_contact.law.accelerator as accelerator
+    except (ImportError, AttributeError, TypeError) as error:
+        _log.info("public numba only, which takes longer to compile: %s", error)
+        return None
+    return accelerator
+
+
+def _options(fast: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     """Options of parts, and of entries."""
-    if os.environ.get("OSC_CONTACT_ACCELERATOR", "1") != "0":
-        try:
-            from osc_contact.law.accelerator import entry_options, part_options
-
-            return {**_PLAIN, **part_options()}, {**_PLAIN, **entry_options()}
-        except Exception:
-            _log.info("this numba has no accelerator: the first compilation takes longer")
-    return _PLAIN, _PLAIN
+    if fast is None:
+        return _PLAIN, _PLAIN
+    return {**_PLAIN, **fast.part_options()}, {**_PLAIN, **fast.entry_options()}
 
 
-_INNER, _ENTRY = ({}, {}) if PLAIN_PYTHON else _options()
+_fast = _accelerator()
+_INNER, _ENTRY = ({}, {}) if PLAIN_PYTHON else _options(_fast)
+#: Of the accelerator: how other compiled code calls an entry. None without it.
+call_entry: Any = None if _fast is None else _fast.call_entry
+share_entry: Any = None if _fast is None else _fast.share_entry
 
 
 def inner(function: Any) -> Any:

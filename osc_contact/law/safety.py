@@ -14,10 +14,10 @@ from math import isfinite
 
 from osc_contact.law.algebra import cross
 from osc_contact.law.arm_motion import move_arm, place_arm, place_point
-from osc_contact.law.belief import doubt, jumped
 from osc_contact.law.energy import carry_wrench
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import slew
+from osc_contact.law.plausibility import check_sensors, jumped
 from osc_contact.law.tables import (
     DEGRADED_STATE,
     HOLD,
@@ -39,8 +39,8 @@ BRAKE_RATE = 40.0  #: 1/s: torques of a hold move from the last ones by their li
 
 @inner
 def guard(
-    chain, arms, table, work, memory, joints, kept, heard, step, q, v, wrenches, last, tau, first,
-    reason,
+    chain, arms, table, work, memory, joints, kept, last_wrenches, step, q, v, wrenches, last,
+    tau, first, reason,
 ):  # fmt: skip
     """The state after this tick, and the torques of one that was not computed; its reason.
 
@@ -48,18 +48,20 @@ def guard(
         chain, arms, table: CHAIN record, ARM and JOINT rows. work, memory: records.
         joints: JOINT_WORK rows; those of a tick that is held lose placements, h and M.
         kept: (5 n,) of MEMORY: joint positions last read, those held, speeds, what joints that
-            stood still were to gain, and by what speeds disagree (see `belief`).
-        heard: (7 arms,) of MEMORY: wrenches last read, and for how long (s).
+            stood still were to gain, and by what speeds disagree (see `plausibility`).
+        last_wrenches: (7 arms,) of MEMORY: wrenches last read, and for how long (s).
         step: (motors,) scratch. q, v: (n,) and wrenches: (arms, 6) as they came in.
         last: (motors,) torques of the last tick, tau[first:] of this.
     """
-    memory.silence = memory.silence + 1 if memory.unheard != 0 else 0
+    memory.wrench_age = memory.wrench_age + 1 if memory.wrench_missing != 0 else 0
     if reason == NO_REASON:
-        cause = doubt(chain, arms, table, work, memory, joints, kept, heard, q, v, wrenches)
+        cause = check_sensors(
+            chain, arms, table, work, memory, joints, kept, last_wrenches, q, v, wrenches
+        )
         if work.status != SATURATED:  # then the motor limits still have to be met
             memory.faults = 0
         memory.read, memory.repeats = 1, chain.repeats if work.status != SATURATED else 0
-        fine = work.status == OK and memory.unheard == 0
+        fine = work.status == OK and memory.wrench_missing == 0
         _enter(memory, RUN if fine else DEGRADED_STATE)
         if cause != NO_REASON:  # these torques still are good: the next tick stops
             memory.cause = cause
@@ -103,7 +105,7 @@ def _read_joints(chain, table, memory, kept, q, v):
     for j in range(n):
         fine = fine and isfinite(q[j])
     for j in range(n):
-        speed, most = 0.0, chain.believed_speed * table[j].speed_max
+        speed, most = 0.0, chain.plausible_speed * table[j].speed_max
         if isfinite(v[j]):
             speed = min(max(v[j], -most), most)
             if lying:

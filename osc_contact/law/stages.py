@@ -242,7 +242,7 @@ def hand_over(chain, work, memory):
 def command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, flags):
     """Force law, motion law, filter and control structure; returns a reason."""
     r, dt = work.rank, chain.period
-    if memory.unheard != 0:
+    if memory.wrench_missing != 0:
         for a in range(r):
             work.gain[a] = 0.0
     if flags & OWN_FORCE == 0:

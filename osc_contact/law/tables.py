@@ -56,7 +56,7 @@ CHAIN = _record(
         "repeats", "fault_ticks", "fast_ticks",  # see `safety`
         "row_bytes", "arms_at", "joints_at", "pairs_at", "shapes_at", "columns_at", "bodies_at",
         "memory_bytes", "contact_memory_at", "column_memory_at", "torque_memory_at", "kept_at",
-        "heard_at",
+        "last_wrenches_at",
         "work_bytes", "arm_work_at", "joint_work_at", "column_work_at", "body_work_at",
         "locked_at", "extra_at", "link_at", "flat_at", "jacobian_at", "bars_at",
     ),
@@ -68,8 +68,9 @@ CHAIN = _record(
         "reaction", "contact_power", "contact_force", "unfelt_for", "pressed_for",
         "integral_force", "integral_motion",  # the most that integrals add: N, m/s² or rad/s²
         "force_brake", "drift_share", "step_time",  # see `steps`
-        # see `belief`: N, N m, times a speed limit, s without a wrench, share of a speed limit, s
-        "force_range", "torque_range", "believed_speed", "unheard_for", "stuck_speed", "frozen_for",
+        # see `plausibility`: N, N m, times a speed limit, s without a wrench
+        "force_range", "torque_range", "plausible_speed", "wrench_timeout",
+        "stuck_speed", "frozen_for",  # likewise: share of a speed limit, s
         "speed_error",  # times a speed limit
         # contact phases, see `phases`
         "force_gain", "force_damping", "approach_speed", "approach_damping", "travel", "rise",
@@ -124,9 +125,9 @@ MEMORY = _record(
         # see `safety`: ticks in this state, faults in a row, ticks too fast, ticks that may repeat
         "state", "age", "faults", "too_fast", "repeats", "cause", "read", "settled",
         "culprit",  # joint, arm or column of N that the cause is about
-        # see `belief`: whether this tick has no wrench, ticks since the last one, whether one was
-        # ever read, ticks of the same readings, whether readings of the last tick are there
-        "unheard", "silence", "heard", "frozen", "compared",
+        # see `plausibility`: whether this tick has no wrench, ticks since the last one, whether one
+        # was ever read, ticks of the same readings, whether readings of the last tick are there
+        "wrench_missing", "wrench_age", "has_wrench", "frozen", "compared",
         "given",  # GIVEN_POSE, GIVEN_TWIST: the object's pose, its twist too, need not be found
     ),
     number=(
@@ -221,9 +222,9 @@ OK, SATURATED, HELD, DEGRADED = range(4)
 (
     NO_REASON, BAD_INPUT, OBJECT_UNKNOWN, BAD_INERTIA, UNACTUATED, DEGENERATE_PAIR, CONTRADICTION,
     DIFFERENT_BODIES, UNREACHABLE, INSEPARABLE, BAD_METRIC, NOT_FINITE, BLIND, STOPPED,
-    NO_ROTATION, OUT_OF_RANGE, JUMPED, UNHEARD,
+    NO_ROTATION, OUT_OF_RANGE, JUMPED, WRENCH_TIMEOUT,
     TOO_FAST, NEAR_END, POWERED, UNFELT, PRESSED,
-    STUCK, FROZEN, DEAF, DISAGREE,  # from TOO_FAST on: these stop at once
+    STUCK, FROZEN, WRIST_FROZEN, DISAGREE,  # from TOO_FAST on: these stop at once
 ) = range(27)  # fmt: skip
 #: What the controller does, see `safety`.
 RUN, DEGRADED_STATE, HOLD, SAFE_STOP = range(4)

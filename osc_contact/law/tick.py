@@ -17,12 +17,12 @@ from __future__ import annotations
 from typing import Any
 
 from osc_contact.law.allocation import allocate_torques, predict_joints
-from osc_contact.law.belief import believe
 from osc_contact.law.chain import solve_chain
 from osc_contact.law.columns import choose_columns
 from osc_contact.law.energy import carry_motion
 from osc_contact.law.internal import internal_forces
 from osc_contact.law.jit import entry, inner, matrix, numbers, prefetch
+from osc_contact.law.plausibility import check_readings
 from osc_contact.law.safety import guard
 from osc_contact.law.stages import (
     OWN_FORCE,
@@ -106,9 +106,9 @@ def _row(
     column_memory = read_column_memory(memory_bytes, memory_at + chain.column_memory_at, r_all)
     last = numbers(memory_bytes, memory_at + chain.torque_memory_at, chain.n_motors)
     kept = numbers(memory_bytes, memory_at + chain.kept_at, 5 * n)
-    heard = numbers(memory_bytes, memory_at + chain.heard_at, 7 * k)
-    if memory.unheard != 0:
-        wrenches = matrix(heard, 0, k, 6)
+    last_wrenches = numbers(memory_bytes, memory_at + chain.last_wrenches_at, 7 * k)
+    if memory.wrench_missing != 0:
+        wrenches = matrix(last_wrenches, 0, k, 6)
     work = read_work(work_bytes, 0, 1)[0]
     arm_work = read_arm_work(work_bytes, chain.arm_work_at, k)
     joints = read_joint_work(work_bytes, chain.joint_work_at, n)
@@ -135,7 +135,7 @@ def _row(
         elif memory.state == SAFE_STOP:
             reason = STOPPED
         elif chain.guarded != 0:
-            reason = believe(chain, arms, table, memory, kept, q, v, wrenches, X_WD)
+            reason = check_readings(chain, arms, table, memory, kept, q, v, wrenches, X_WD)
         if reason != NO_REASON:
             pass
         elif chain.leader < 0 and memory.located == 0:
@@ -193,10 +193,10 @@ def _row(
                 )
     if reason != NO_REASON or stop == END:
         reason = guard(
-            chain, arms, table, work, memory, joints, kept, heard, flat[5 * r_all :], q, v,
+            chain, arms, table, work, memory, joints, kept, last_wrenches, flat[5 * r_all :], q, v,
             wrenches, last, tau, first, reason,
         )  # fmt: skip
-        memory.unheard = 0
+        memory.wrench_missing = 0
     work.reason = memory.reason = reason
     if reason != NO_REASON:
         work.status, memory.fresh = HELD, 0

@@ -27,11 +27,11 @@ TEXT = "meta"  #: the entry that holds the text
 _DATE = (1980, 1, 1, 0, 0, 0)  #: of every entry: archives of the same content are the same
 _MOST_UNPACKED = 256 << 20  #: bytes that packed entries may grow to
 _MOST_ENTRIES = 1000
-#: What reading a file that is none of ours, or damaged, ends in. zipfile answers unknown
-#: compression with NotImplementedError, encryption with RuntimeError.
+#: What reading a file that is none of ours, or damaged, ends in. zipfile answers encryption, and
+#: compression that it does not know, with kinds of RuntimeError.
 _UNREADABLE = (
     OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, OverflowError,
-    NotImplementedError, zipfile.BadZipFile, zlib.error, struct.error,
+    zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
 
 

@@ -233,7 +233,7 @@ class Observer:
             limit = np.array(chain.model.velocityLimit)
             limit = np.where(limit > 0.0, limit, np.inf)
             period = max(self.dt, 1.0 / float(spec.encoder.rate))
-            self._reach = float(scenario.control.safety.believed_speed) * limit * period
+            self._reach = float(scenario.control.safety.plausible_speed) * limit * period
             self._believed, self._missed = np.full(chain.nq, np.nan), np.zeros(chain.nq)
             self._joints = VelocityEstimate.optimal(
                 np.maximum(noise, 1e-9), unknown, self.dt, 1.0 / float(spec.encoder.rate)

@@ -148,8 +148,8 @@ class SafetySpec(Spec):
     integral_motion: Positive = 50.0
     force_range: Annotated[Force, Field(gt=0)] = 1000.0
     torque_range: Positive = 200.0
-    believed_speed: Positive = 3.0
-    unheard_for: Annotated[Time, Field(gt=0)] = 0.02
+    plausible_speed: Positive = 3.0
+    wrench_timeout: Annotated[Time, Field(gt=0)] = 0.02
     stuck_speed: Positive = 0.1
     frozen_for: Annotated[Time, Field(gt=0)] = 0.25
     speed_error: Positive = 0.1

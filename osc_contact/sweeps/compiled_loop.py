@@ -14,7 +14,8 @@ from llvmlite import ir
 from numba import carray, njit, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
-from osc_contact.control.native_tick import call_tick, tick_stamp
+from osc_contact.law.compiled import rows as law_rows
+from osc_contact.law.jit import call_entry, share_entry
 from osc_contact.plants.mujoco_memory import find_places
 
 __all__ = ["DIVERGED", "FULL", "ODD", "ROOM", "compiled_loop"]
@@ -49,7 +50,7 @@ def _whole(address):
 @cache
 def compiled_loop() -> Any:
     """The loop, see `_build`; None where it cannot be compiled."""
-    stamp = tick_stamp()
+    stamp = None if share_entry is None else share_entry(law_rows())
     return None if stamp is None or find_places() is None else _build(stamp)
 
 
@@ -85,7 +86,7 @@ def _build(stamp: int) -> Any:
                 for c in range(6):
                     if readings[i, c] >= 0:
                         wrenches[i, c] = sensed[readings[i, c]]
-            done = call_tick((
+            done = call_entry((
                 model, memory, work, q, v, wrenches, X_WD[k], V_D[k], A_D[k], alpha_d[k], squeeze,
                 still, flags, tau, codes, 0, 4, 0, 1,
             ))  # fmt: skip

@@ -8,7 +8,6 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.control.controller import Controller
-from osc_contact.control.native_tick import tick_tables
 from osc_contact.errors import PlantError
 from osc_contact.interface import Reference
 from osc_contact.plants.judge import Plant
@@ -88,7 +87,9 @@ def _drive(plant: MujocoPlant, controller: Controller, log: DrivenLog, plan: Pla
     wishes = poses, plan.V_D, plan.A_D, plan.alpha_d
     squeeze = np.full(len(controller._squeeze), plan.squeeze_d)
     flags = 0 if plan.squeeze_d == 0.0 or len(plant.chain.arms) < 3 else 2
-    raw, own_memory, work, codes, rank = tick_tables(controller)
+    own = controller._records
+    raw, own_memory, work = own.row.raw, own.memory_bytes, own.work_bytes
+    codes, rank = controller._codes, own.rank
     tau = np.zeros(len(memory[3]))
     tables = raw, own_memory, work, codes, rank, squeeze, controller._still, flags, r, tau
     at = np.array(astuple(places), dtype=np.int64)

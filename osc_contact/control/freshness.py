@@ -5,12 +5,12 @@ from __future__ import annotations
 from osc_contact.errors import SensorTimeout
 from osc_contact.interface import Measurement, Stamps
 
-__all__ = ["News"]
+__all__ = ["Freshness"]
 
 _NEVER = float("-inf")
 
 
-class News:
+class Freshness:
     """What was newest so far, of one controller."""
 
     def __init__(self, dt: float, patience: float) -> None:
@@ -51,5 +51,5 @@ class News:
             if age > self.patience * (1.0 + 1e-9):
                 raise SensorTimeout(
                     f"{name}: the newest reading is of {self._stamps[name]:g} s and {age:.4g} s "
-                    f"old; more than unheard_for = {self.patience:g} s is not run on"
+                    f"old; more than wrench_timeout = {self.patience:g} s is not run on"
                 )

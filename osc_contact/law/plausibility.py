@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.tables import (
-    DEAF,
     DISAGREE,
     FROZEN,
     JUMPED,
@@ -18,10 +17,11 @@ from osc_contact.law.tables import (
     NO_ROTATION,
     OUT_OF_RANGE,
     STUCK,
-    UNHEARD,
+    WRENCH_TIMEOUT,
+    WRIST_FROZEN,
 )
 
-__all__ = ["believe", "doubt", "jumped"]
+__all__ = ["check_readings", "check_sensors", "jumped"]
 
 _ROUND = 1e-4  #: by how much the rows of a rotation may differ from orthonormal ones
 _GAIN = 0.21  #: share of `stuck_speed` that one tick can tell: slow encoders repeat readings
@@ -30,13 +30,13 @@ _NOISE = 0.02  #: rad, m: joints may jump by as much, whatever their speed limit
 
 
 @inner
-def believe(chain, arms, table, memory, kept, q, v, wrenches, X_WD):
+def check_readings(chain, arms, table, memory, kept, q, v, wrenches, X_WD):
     """Whether readings and reference are credible; a reason."""
     if not _is_rotation(X_WD):
         return NO_ROTATION
-    if memory.unheard != 0:
-        if memory.heard == 0 or (memory.silence + 1) * chain.period > chain.unheard_for:
-            return UNHEARD
+    if memory.wrench_missing != 0:
+        if memory.has_wrench == 0 or (memory.wrench_age + 1) * chain.period > chain.wrench_timeout:
+            return WRENCH_TIMEOUT
     else:
         for k in range(chain.n_arms):
             for i in range(6):
@@ -45,7 +45,7 @@ def believe(chain, arms, table, memory, kept, q, v, wrenches, X_WD):
                     memory.culprit = k
                     return OUT_OF_RANGE
     for j in range(chain.n_joints):
-        fast = abs(v[j]) > chain.believed_speed * table[j].speed_max
+        fast = abs(v[j]) > chain.plausible_speed * table[j].speed_max
         if fast or (memory.compared != 0 and jumped(chain, table[j], memory, kept[j], q[j])):
             memory.culprit = j
             return JUMPED
@@ -55,7 +55,7 @@ def believe(chain, arms, table, memory, kept, q, v, wrenches, X_WD):
 @leaf
 def jumped(chain, row, memory, before, now):
     """Whether a joint has moved faster than it can since it was read last."""
-    room = chain.believed_speed * row.speed_max * chain.period
+    room = chain.plausible_speed * row.speed_max * chain.period
     return abs(now - before) > _NOISE + room * (1 + memory.faults)
 
 
@@ -74,12 +74,14 @@ def _is_rotation(X):
 
 
 @leaf
-def doubt(chain, arms, table, work, memory, joints, kept, heard, q, v, wrenches):
-    """What a computed tick shows of its sensors; a reason to stop. `kept`, `heard` take readings.
+def check_sensors(chain, arms, table, work, memory, joints, kept, last_wrenches, q, v, wrenches):
+    """What a computed tick shows of its sensors; a reason to stop.
+
+    `kept` and `last_wrenches` take the readings.
 
     A joint whose encoder reads the very same while it is told to gain more than a share of its
     speed limit is stuck. Speeds disagree with positions where q̇ − Δq/Δt, low-passed, is more than
-    a share of the limit. Wrists in contact that read the very same for too long are deaf; where all
+    a share of the limit. Wrists in contact that read the same for too long are frozen; where all
     readings do, a packet repeats itself.
     """
     n, reason, dt = chain.n_joints, NO_REASON, chain.period
@@ -88,13 +90,13 @@ def doubt(chain, arms, table, work, memory, joints, kept, heard, q, v, wrenches)
     for k in range(chain.n_arms):
         still = known
         for i in range(6):
-            still = still and heard[6 * k + i] == wrenches[k, i]
-            heard[6 * k + i] = wrenches[k, i]
+            still = still and last_wrenches[6 * k + i] == wrenches[k, i]
+            last_wrenches[6 * k + i] = wrenches[k, i]
         same = same and still
         count = 6 * chain.n_arms + k
-        heard[count] = heard[count] + dt if still else 0.0
-        if heard[count] > chain.frozen_for and work.rank > 0 and arms[k].sensor_joint >= 0:
-            reason, memory.culprit = DEAF, k
+        last_wrenches[count] = last_wrenches[count] + dt if still else 0.0
+        if last_wrenches[count] > chain.frozen_for and work.rank > 0 and arms[k].sensor_joint >= 0:
+            reason, memory.culprit = WRIST_FROZEN, k
     for j in range(n):
         step, row = q[j] - kept[j], table[j]
         same = same and step == 0.0 and v[j] == kept[2 * n + j]
@@ -108,6 +110,6 @@ def doubt(chain, arms, table, work, memory, joints, kept, heard, q, v, wrenches)
         elif abs(kept[4 * n + j]) > chain.speed_error * row.speed_max:
             reason, memory.culprit = DISAGREE, j
         kept[j], kept[2 * n + j] = q[j], v[j]
-    memory.compared = memory.heard = 1
+    memory.compared = memory.has_wrench = 1
     memory.frozen = memory.frozen + 1 if same else 0
     return FROZEN if same and late else reason
