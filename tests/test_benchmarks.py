@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from benchmarks import jitter, peers, scaling, simulation
+from benchmarks import jitter, peers, scaling, simulation, vector_env
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.engines import constraint_dynamics, mujoco_state
 from benchmarks.textbook import TextbookLaw
@@ -151,7 +151,17 @@ def test_simulation_program(tmp_path: Path) -> None:
     assert {"MuJoCo: mj_step", "tick", "references", "the loop itself"} <= set(result["shares"])
 
 
-@pytest.mark.parametrize("module", [ticks, peers, scaling, jitter, simulation])
+def test_vector_env_program(tmp_path: Path) -> None:
+    result, _ = run_program("vector_env", 2, tmp_path)
+    assert result["cases"][0]["threads"] == 1
+    for case in result["cases"]:
+        parts, shares = case["cpu_us_per_tick"], case["shares"]
+        assert sum(shares.values()) == pytest.approx(1.0)
+        assert sum(parts.values()) * case["ticks_per_cpu_s"] == pytest.approx(1e6)
+        assert case["ticks_per_s"] > 0.0 and 0.0 < parts["control"] < parts["MuJoCo"]
+
+
+@pytest.mark.parametrize("module", [ticks, peers, scaling, jitter, simulation, vector_env])
 def test_benchmarks_refuse_no_ticks(module) -> None:
     with pytest.raises(InvalidInputError, match=r"0 .* tell no time"):
         module.measure(0)

@@ -199,8 +199,6 @@ def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given() -> N
         batch.replace(2, starts[0].controller)
 
 
-def test_benchmark_times_a_row_beside_its_single_run_and_a_fleet() -> None:
+def test_benchmark_times_a_row_beside_its_single_run() -> None:
     row, single = many_runs.time_rows(3, 1.05)
     assert 0.0 < row < 60.0 and 0.0 < single < 60.0
-    ticks, share = many_runs.time_fleet(3, 1, 2)
-    assert ticks > 0.0 and 0.0 < share < 1.0

@@ -1,0 +1,95 @@
+"""How fast the rows of a vector environment advance, and what of it is control."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+import osc_contact as osc
+from benchmarks.simulation import Ledger
+from osc_contact.bench.measuring import bars, machine, new_axes, require_count
+from osc_contact.sweeps.sweep import available_cores
+
+__all__ = ["draw", "measure", "tables"]
+
+SCENARIO, ROWS = "panda_edge", 64
+REST = "set points, observations, rewards"
+
+
+def measure(steps: int = 60) -> dict[str, Any]:
+    """{"cases": [{"threads", "ticks_per_s", "cpu_us_per_tick": {part: …}, "shares"}], …}.
+
+    64 rows of `panda_edge`: 1 kHz control, four plant steps each, an action every 20 ticks. Of all
+    steps the fastest on the clock gives the rate, the one that took least processor time the parts:
+    that of all threads, which other work on the machine does not count into.
+
+    Args:
+        steps: of the environment.
+
+    Raises:
+        InvalidInputError: no steps.
+    """
+    require_count(steps, "steps")
+    counts = sorted({1, available_cores()})
+    cases = [_case(threads, steps) for threads in counts]
+    return {"machine": machine(), "scenario": SCENARIO, "rows": ROWS, "cases": cases}
+
+
+def _case(threads: int, steps: int) -> dict[str, Any]:
+    env = osc.make_vector_env(SCENARIO, ROWS, threads=threads)
+    env.reset(seed=0)
+    hold = np.zeros(env.action_space.shape)
+    ledger = Ledger(process_time)
+    parts_of = [("control", env.fleet.control, "tick"), ("MuJoCo", env.fleet._plants, "step")]
+    clock, parts = np.inf, {REST: np.inf}
+    with ledger.watching([*parts_of, (REST, env, "step")]):
+        for _ in range(steps):
+            ledger.spent = dict.fromkeys(ledger.spent, 0.0)
+            start = perf_counter()
+            env.step(hold)
+            clock = min(clock, perf_counter() - start)
+            parts = min(parts, dict(ledger.spent), key=lambda spent: sum(spent.values()))
+    ticks = ROWS * round(1.0 / (50.0 * env.fleet.dt))
+    whole = sum(parts.values())
+    return {
+        "threads": threads,
+        "ticks_per_s": ticks / clock,
+        "cpu_us_per_tick": {name: spent / ticks * 1e6 for name, spent in parts.items()},
+        "ticks_per_cpu_s": ticks / whole,
+        "shares": {name: spent / whole for name, spent in parts.items()},
+    }
+
+
+def tables(result: dict[str, Any]) -> list[Table]:
+    """Rates, and the parts of a tick."""
+    cases = result["cases"]
+    title = f"{result['rows']} rows of {result['scenario']}, four plant steps a tick"
+    table = Table("", *(f"{case['threads']} threads" for case in cases), title=title)
+    rows = {
+        "control ticks a second": [f"{case['ticks_per_s']:.0f}" for case in cases],
+        "… of processor time": [f"{case['ticks_per_cpu_s']:.0f}" for case in cases],
+    }
+    for name in cases[0]["shares"]:
+        rows[name] = [
+            f"{c['cpu_us_per_tick'][name]:.1f} µs, {c['shares'][name]:.0%}" for c in cases
+        ]
+    for name, cells in rows.items():
+        table.add_row(name, *cells)
+    table.caption = "parts: processor time of a tick, of all threads"
+    return [table]
+
+
+def draw(result: dict[str, Any], path: Path) -> None:
+    """The parts as bars."""
+    from osc_contact.visual.plots import save, style
+
+    with style():
+        figure, axes = new_axes(len(result["cases"]))
+        for ax, case in zip(axes, result["cases"], strict=True):
+            bars(ax, case["cpu_us_per_tick"], "µs of processor time per tick", marked=("MuJoCo",))
+            ax.set_title(f"{case['threads']} threads: {case['ticks_per_s']:.0f} ticks a second")
+        save(figure, path.with_suffix(""))
