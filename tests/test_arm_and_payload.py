@@ -25,7 +25,7 @@ from osc_contact.dynamics.outboard import columns_at, outboard_links
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import InvalidInputError, ModelError
 
-SEEDS = range(20)
+SEEDS = range(4)
 FINE = 1e-9  # rank tolerance under which random arms lose no direction
 GRAVITY = np.array([0.3, -0.2, -9.81])
 
@@ -604,7 +604,7 @@ def test_fixed_environment_is_all_zero() -> None:
         assert not (fixed.Phi_e.any() or fixed.b_e.any() or fixed.V_e.any())
 
 
-@pytest.mark.parametrize("seed", range(200))
+@pytest.mark.parametrize("seed", range(24))
 def test_any_mobility_a_mechanism_can_have_is_accepted(seed: int) -> None:
     """Φ = X J M⁻¹Jᵀ Xᵀ of rank 1 to 6, given at another point, with its rounding errors."""
     rng = np.random.default_rng([seed, 11])

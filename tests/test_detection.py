@@ -34,7 +34,7 @@ from osc_contact import robots
 from osc_contact.contacts.detection import CollisionShape, collision_shapes, detect
 from osc_contact.contacts.detection.solver import Nearest
 
-SEEDS = range(100)
+SEEDS = range(12)
 
 
 # A box on a table -----------------------------------------------------------------------------
@@ -169,7 +169,7 @@ def test_a_box_just_beyond_the_rim_of_the_table_touches_in_one_point_of_it():
     assert x == pytest.approx(0.5) and 0.06 <= y <= 0.14 and abs(z) < 1e-3
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(6))
 def test_corners_that_point_at_one_another_touch_on_their_bodies(seed):
     """Where edges near both corners cross beyond their ends, the contact stays on them."""
     rng = np.random.default_rng(seed)
@@ -212,7 +212,7 @@ def test_where_the_distance_solver_fails_the_shapes_decide(monkeypatch):
 
 
 @pytest.mark.parametrize("gap", [1.1e-3, 0.02, 1.0])
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(2))
 def test_what_is_apart_does_not_touch(seed, gap):
     rng = np.random.default_rng(seed)
     for tilt in (np.eye(3), pin.rpy.rpyToMatrix(0.4, 0, 0), pin.rpy.rpyToMatrix(0.4, 0.6, 0)):
@@ -273,7 +273,7 @@ def test_a_corner_of_the_environment_under_a_face_of_the_object(seed):
     assert_kept_by_its_pair(found, X_WO, X_WO * X, push, -depth)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(6))
 def test_an_edge_of_the_environment_under_a_face_of_the_object(seed):
     rng = np.random.default_rng(seed)
     tilt = pin.rpy.rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0)
@@ -311,7 +311,7 @@ def on_the_faces(pairs, X, motion):
     return X
 
 
-@pytest.mark.parametrize("seed", range(201))
+@pytest.mark.parametrize("seed", range(9))
 def test_the_rod_finds_the_contacts_the_scenario_declares(rod, seed):
     shapes, declared, plates, X_start = rod
     rng = np.random.default_rng(seed)

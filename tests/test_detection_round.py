@@ -28,7 +28,7 @@ from osc_contact.contacts.detection import CollisionShape, detect
 from osc_contact.errors import ContactError
 
 
-@pytest.mark.parametrize("seed", range(50))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_ball_on_a_table(seed):
     rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
     centre = np.array([[0.01, 0.02, 0.0]])
@@ -46,7 +46,7 @@ def test_a_ball_on_a_table(seed):
 
 
 @pytest.mark.parametrize("shapes", [CAN, PILL], ids=["can", "pill"])
-@pytest.mark.parametrize("seed", range(50))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_lying_cylinder_is_one_line_contact(seed, shapes):
     rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
     lie = pin.rpy.rpyToMatrix(np.pi / 2, 0, 0) @ pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3))
@@ -62,7 +62,7 @@ def test_a_lying_cylinder_is_one_line_contact(seed, shapes):
     assert_kept_by_its_pair(found, X_WE * X, X_WE, push, -depth)
 
 
-@pytest.mark.parametrize("seed", range(50))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_standing_cylinder_is_one_face_contact(seed):
     rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
     X = standing(np.diag([1, -1, -1.0]) if seed % 2 else np.eye(3), AXIS, rng, lift=-depth)
@@ -77,7 +77,7 @@ def test_a_standing_cylinder_is_one_face_contact(seed):
     assert_kept_by_its_pair(found, X_WE * X, X_WE, push, -depth)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_standing_capsule_touches_with_its_cap(seed):
     rng = np.random.default_rng(seed)
     X = standing(pin.rpy.rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0), AXIS, rng, lift=0.03)
@@ -86,7 +86,7 @@ def test_a_standing_capsule_touches_with_its_cap(seed):
     np.testing.assert_allclose(found.object_point, AXIS[0], atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_cylinder_tipped_on_the_rim_of_its_end(seed):
     rng = np.random.default_rng(seed)
     tilt = rng.uniform(0.1, 1.4)
@@ -127,7 +127,7 @@ def test_a_can_hardly_tipped_rolls_on_its_rim_and_a_large_one_sooner():
         assert only(detect(big, X, floor)).kind == kind
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_lying_can_of_the_environment_under_a_face_of_the_object(seed):
     rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
     lie = pin.rpy.rpyToMatrix(np.pi / 2, 0, 0)
@@ -139,7 +139,7 @@ def test_a_lying_can_of_the_environment_under_a_face_of_the_object(seed):
     assert_kept_by_its_pair(found, X_WO, X_WO * X, push, -depth)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(6))
 def test_the_side_of_a_can_on_a_corner_is_pushed_across_its_axis(seed):
     """Nearest point of the axis, overlapping by up to 3 mm: no solver knows this normal well."""
     rng, depth = np.random.default_rng(seed), (*DEPTHS, 3e-3)[seed % 4]
@@ -157,7 +157,7 @@ def test_the_side_of_a_can_on_a_corner_is_pushed_across_its_axis(seed):
     assert_kept_by_its_pair(found, X, pin.SE3.Identity(), push, -depth)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_rim_of_the_environment_under_a_face_of_the_object(seed):
     rng = np.random.default_rng(seed)
     rim = np.array([[0, -0.03, -0.06]])
@@ -173,7 +173,7 @@ def test_a_rim_of_the_environment_under_a_face_of_the_object(seed):
     np.testing.assert_allclose(found.pair().gaps(X_WO, turned), 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_ball_of_the_environment_under_a_face_of_the_object(seed):
     rng = np.random.default_rng(seed)
     centre = BALL[0].placement.translation[None, :]
@@ -187,7 +187,7 @@ def test_a_ball_of_the_environment_under_a_face_of_the_object(seed):
     assert_kept_by_its_pair(found, X_WO, X_WO * X, push)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_ball_at_an_edge_and_at_a_corner_is_pushed_through_its_centre(seed):
     rng = np.random.default_rng(seed)
     outward = np.append(rng.uniform(0.2, 1.0, 2), 0.0)
@@ -216,7 +216,7 @@ def _centripetal(X, V):
     return -np.cross(w, np.cross(w, centre)) - np.cross(w, V[:3])
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(6))
 def test_crossed_pills_touch_between_their_axes(seed):
     rng = np.random.default_rng(seed)
     lie = pin.rpy.rpyToMatrix(np.pi / 2, 0, 0)

@@ -33,7 +33,7 @@ def derivative(f, h=1e-3):
     return (8 * (f(h) - f(-h)) - (f(2 * h) - f(-2 * h))) / (12 * h)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(4))
 def test_prescribed_motion_against_finite_differences_of_the_pose(seed):
     """V_e, b_e and the classical acceleration from the pose alone, at a frozen point O."""
     rng = np.random.default_rng([seed, 40])
@@ -184,7 +184,7 @@ def test_no_contacts_have_a_fixed_environment():
     assert not empty.Phi_e.any()
 
 
-@pytest.mark.parametrize("seed", range(50))
+@pytest.mark.parametrize("seed", range(8))
 def test_the_environment_of_several_contacts_does_not_depend_on_frame_or_units(seed):
     rng = np.random.default_rng([seed, 45])
     N, half = rng.normal(size=(6, 3)), rng.normal(size=(3, 2))

@@ -57,7 +57,7 @@ ALL = sorted(KINDS)
 MADE = {name: type(KINDS[name](np.random.default_rng(0), PLAIN)[0]) for name in ALL}
 #: n_γ from T and β: it presumes that V_rel is a permitted motion.
 BY_T = {name for name, pair in MADE.items() if issubclass(pair, TangentPair)}
-TURNS = range(6)
+TURNS = range(3)
 
 
 def test_twist_and_acceleration_from_poses_are_those_of_a_known_path() -> None:
@@ -154,7 +154,7 @@ def test_N_and_T_do_no_work_on_one_another(name: str, open_by: float, turn: int)
         assert np.linalg.svd(contact.N / np.linalg.norm(contact.N, axis=0))[1][-1] > 1e-3
 
 
-@pytest.mark.parametrize("turn", range(3))
+@pytest.mark.parametrize("turn", range(2))
 @pytest.mark.parametrize("name", ALL)
 def test_every_pair_from_its_gaps_alone(name: str, turn: int) -> None:
     """`GapFunctions` on the gaps of the others finds their N and n_γ."""
@@ -194,10 +194,10 @@ def answer(contact: Contact, Phi: np.ndarray, f: np.ndarray, a_E: np.ndarray) ->
     return N @ alpha
 
 
-@pytest.mark.parametrize("turn", range(13))
+@pytest.mark.parametrize("turn", range(2))
 @pytest.mark.parametrize("name", ALL)
 def test_the_contact_force_knows_no_frame_origin_basis_or_unit(name: str, turn: int) -> None:
-    """13 changes of every pair, 221 in all: other frames W, A, E, another basis; mm and g."""
+    """Other frames W, A, E, another basis; mm and g."""
     rng = np.random.default_rng([turn, 9])
     Y, X_A, X_E = pose_of(rng), pose_of(rng), pose_of(rng)
     X_A.translation *= 0.2  # about the size of the object
@@ -231,7 +231,7 @@ def test_the_contact_force_knows_no_frame_origin_basis_or_unit(name: str, turn: 
         np.testing.assert_allclose(other, f_c, rtol=0, atol=1e-9 * scale)
 
 
-@pytest.mark.parametrize("turn", range(4))
+@pytest.mark.parametrize("turn", range(2))
 @pytest.mark.parametrize("name", ["sphere_on_plane", "edge_on_face", "face_on_face"])
 def test_lifted_objects_have_open_gaps(name: str, turn: int) -> None:
     """Outward normals: an object moved along the face's normal is that far away from it."""
@@ -297,7 +297,7 @@ def test_pairs_are_frozen_and_comparable(name: str) -> None:
     assert "name" in {f.name for f in fields(pair)} and pair.name in repr(pair)
 
 
-@pytest.mark.parametrize("turn", range(3))
+@pytest.mark.parametrize("turn", range(2))
 def test_magnitudes_belong_to_feet_around_the_stated_point(turn: int) -> None:
     lever = {
         "edge_on_face": 0.15, "cylinder_on_plane": 0.2, "face_on_face": 0.2, "cylinder_in_hole": 0.1

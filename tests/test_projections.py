@@ -18,7 +18,7 @@ from osc_contact import projections as P
 from osc_contact.errors import ContactError
 
 RANKS = range(7)
-TRIALS = range(8)
+TRIALS = range(2)
 #: rad/s, kg m², N m and m/s, kg, N: what a hand-held object in SI units looks like
 SIZE = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
 
@@ -230,7 +230,7 @@ def test_rank_five_inverse_inertia_is_enough(seed: int, r: int) -> None:
 
 
 @pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(4))
 def test_metric_that_cannot_push_along_n_is_refused(seed: int, r: int) -> None:
     """The wrench the structure carries itself, Φn = 0, alone or hidden in a basis of N."""
     rng = np.random.default_rng([seed, r, 5])
@@ -261,7 +261,7 @@ def test_zero_and_indefinite_metrics_are_refused() -> None:
 
 
 @pytest.mark.parametrize("k", [2, 3, 4, 5, 6])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(3))
 def test_dependent_columns_are_refused(seed: int, k: int) -> None:
     rng = np.random.default_rng([seed, k])
     columns = SIZE[:, None] * rng.normal(size=(6, k))
@@ -281,7 +281,7 @@ def test_zero_columns_are_refused() -> None:
 
 
 @pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(3))
 def test_no_complement_is_refused(seed: int, r: int) -> None:
     """One vector in common with the other space is enough."""
     c = case(seed, r)
@@ -361,7 +361,7 @@ def check_change(c: Case, X: np.ndarray, X_f: np.ndarray, R: np.ndarray, Q: np.n
 
 
 @pytest.mark.parametrize("change", [frame_change, millimetres, millimetres_and_grams])
-@pytest.mark.parametrize("trial", range(200))
+@pytest.mark.parametrize("trial", range(21))
 def test_laws_do_not_depend_on_frame_units_or_basis(trial: int, change: object) -> None:
     rng = np.random.default_rng([trial, 7])
     r = trial % 7

@@ -58,7 +58,7 @@ def changes(rng: np.random.Generator) -> Iterator[tuple[np.ndarray, np.ndarray]]
 
 @pytest.mark.parametrize("gap", GAPS)
 @pytest.mark.parametrize("rank", [5, 6])
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_identities_9_to_12_hold_for_columns_that_are_nearly_dependent(
     seed: int, rank: int, gap: float
 ) -> None:
@@ -88,7 +88,7 @@ def test_identities_9_to_12_hold_for_columns_that_are_nearly_dependent(
 
 @pytest.mark.parametrize("gap", GAPS)
 @pytest.mark.parametrize("rank", [5, 6])
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_basis(
     seed: int, rank: int, gap: float
 ) -> None:
@@ -109,7 +109,7 @@ def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_b
 
 @pytest.mark.usefixtures("limits")
 @pytest.mark.parametrize("rank", [5, 6])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(4))
 def test_columns_a_millionth_apart_are_accepted_in_every_frame(seed: int, rank: int) -> None:
     rng = np.random.default_rng([seed, rank, 3])
     near, _ = nearly_dependent(rng, 2 + seed % 4, 1e-6)

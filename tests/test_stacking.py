@@ -43,7 +43,7 @@ def all_columns(parts: Sequence[Contact]) -> tuple[np.ndarray, np.ndarray]:
     return np.hstack([c.N for c in parts]), np.concatenate([c.n_gamma for c in parts])
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_table_on_four_legs_has_three_forces_and_a_split_that_is_not_unique(seed: int) -> None:
     """On a moving floor, moving at will; R leads back to N, n_γ and the least split."""
     rng = np.random.default_rng([seed, 1])
@@ -84,7 +84,7 @@ def dependent_parts(rng: np.random.Generator) -> tuple[list[Contact], int]:
     return parts, min(rank, sum(c.r for c in parts))
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(12))
 def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed: int) -> None:
     rng = np.random.default_rng([seed, 2])
     parts, rank = dependent_parts(rng)
@@ -110,7 +110,7 @@ def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed: int) -> Non
             assert np.linalg.svd(unit, compute_uv=False)[-1] > 0.02 * values[rank - 1]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(4))
 def test_the_contact_force_is_that_of_all_contacts_in_any_order(seed: int) -> None:
     """A free table pressed on four legs: against one multiplier for each leg, by least squares."""
     rng = np.random.default_rng([seed, 3])
@@ -162,9 +162,9 @@ def test_the_rank_knows_no_frame_origin_basis_or_unit(apart: float, r: int) -> N
     assert far.r == 1  # unit columns do depend on O: this is why Φ_ref is passed
 
 
-@pytest.mark.parametrize("seed", range(200))
+@pytest.mark.parametrize("seed", range(20))
 def test_the_reduced_table_gives_one_physical_answer(seed: int) -> None:
-    """200 changes of frame, origin, size of columns and units: the same force and least split."""
+    """Changes of frame, origin, size of columns and units: the same force and least split."""
     rng = np.random.default_rng([seed, 5])
     parts, Phi, f = moving_table(seed), mobility(rng), rng.normal(size=6) * 30
 
@@ -217,7 +217,7 @@ def test_contacts_that_no_acceleration_keeps_are_refused_by_name() -> None:
         Contact.stack([Contact(N, [5.0]), Contact(2 * N, [10.001])])
 
 
-@pytest.mark.parametrize("turn", range(6))
+@pytest.mark.parametrize("turn", range(2))
 @pytest.mark.parametrize("name", ["cone_in_groove", "revolute", "screw", "cylinder_in_hole"])
 def test_contacts_given_by_tangents_in_motion(name: str, turn: int) -> None:
     """n_γ = NᵀṪβ for whatever N was chosen: the differentiated poses keep the contact."""
