@@ -76,7 +76,13 @@ def sweep(
 
 
 def with_progress(study: SweepStudy, folder: Path, workers: int | None) -> Any:
-    """Run a study, with a progress bar on a terminal."""
+    """Run a study, with a progress bar on a terminal.
+
+    Args:
+        study: what to run.
+        folder: where the rows are kept.
+        workers: processes (None: one for each core).
+    """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                TimeRemainingColumn())  # fmt: skip
     with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:

@@ -118,7 +118,7 @@ def record(scenario: Scenario, seed: int, folder: Path) -> Recording:
     """Run, and keep nothing but the recording.
 
     Args:
-        seed: of the noise. folder: for what the run writes.
+        scenario: to run. seed: of the noise. folder: for what the run writes.
     """
     recording = run_with_progress(scenario, seed, folder)
     forget_rows(folder)

@@ -51,7 +51,7 @@ def require_status(controller: Controller, name: str, expected: Status = Status.
     """Refuse to time a tick that did not end as expected.
 
     Args:
-        name: of the case. expected: how its ticks end.
+        controller: after the tick. name: of the case. expected: how its ticks end.
 
     Raises:
         InvalidInputError: with the status and its reason.

@@ -114,7 +114,7 @@ def kernel_call(
     """The law's call of a tick by itself, to be timed; the state of the loops moves on.
 
     Args:
-        measurement, reference: of the tick.
+        controller: whose tick is timed. measurement, reference: of the tick.
     """
     controller.tick(measurement, reference)
     r, tau = controller._records, np.empty(controller._n_a)

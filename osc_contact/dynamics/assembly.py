@@ -180,6 +180,7 @@ def constraint_rows(chain: ClosedChain, O: Array, N: Array) -> Array:  # noqa: E
     Where no arm holds the object rigidly there are six columns more, for V_O.
 
     Args:
+        chain: kinematics computed.
         O: (3,) operational point (m). N: (6, r) contact forces at O, world axes.
     """
     J = columns_at(chain.data.J, O)

@@ -33,7 +33,8 @@ def pack_chain(chain: ChainModel, raw: Bytes, leader: int | None) -> None:
     """Fill in what of a row of MODEL comes from the chain: its head, arms and joints.
 
     Args:
-        raw: bytes of the row. leader: arm that holds the object rigidly; None: no arm does.
+        chain: to pack. raw: bytes of the row.
+        leader: arm that holds the object rigidly; None: no arm does.
     """
     head = records(raw, 0, 1, at.CHAIN)[0]
     _pack_object(chain, head, leader)

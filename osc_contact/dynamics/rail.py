@@ -33,7 +33,11 @@ class Conveyor:
     """A body whose motion is prescribed and does not yield: Φ_e = 0, b_e as commanded."""
 
     def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
-        """See `Body.environment`."""
+        """See `Body.environment`.
+
+        Args:
+            X_WE, V_E, A_E, O: as of `Body.environment`.
+        """
         return Environment.moving(X_WE=X_WE, V_E=V_E, A_E=A_E, O=O)
 
 
@@ -64,7 +68,11 @@ class Cart:
         _require_possible(self, "cart", "mass")
 
     def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
-        """See `Body.environment`; `A_E` is not used: the cart's acceleration follows from f."""
+        """See `Body.environment`; `A_E` is not used: the cart's acceleration follows from f.
+
+        Args:
+            X_WE, V_E, A_E, O: as of `Body.environment`.
+        """
         u = self.direction
         travel, speed = float(u @ X_WE.translation), float(u @ V_E[:3])
         force = self.preload - self.stiffness * travel - self.damping * speed
@@ -109,7 +117,11 @@ class Hinge:
         _require_possible(self, "hinge", "inertia")
 
     def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
-        """See `Body.environment`; `A_E` is not used: the acceleration follows from f."""
+        """See `Body.environment`; `A_E` is not used: the acceleration follows from f.
+
+        Args:
+            X_WE, V_E, A_E, O: as of `Body.environment`.
+        """
         a = self.axis
         angle, rate = float(a @ pin.log3(X_WE.rotation)), float(a @ V_E[3:])
         moment = self.preload - self.stiffness * angle - self.damping * rate

@@ -214,7 +214,13 @@ def landings(
     changes: Sequence[str] = (),
     tell: Callable[[str], None] | None = None,
 ) -> list[Landing]:
-    """`land` for each seed; `tell` hears which one runs."""
+    """`land` for each seed; `tell` hears which one runs.
+
+    Args:
+        seeds: one run each.
+        changes: "path.to.key=value" of the scenario.
+        tell: called with what runs next.
+    """
     runs = []
     for seed in seeds:
         if tell is not None:

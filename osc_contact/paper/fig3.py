@@ -197,7 +197,13 @@ class Workcell:
 
 
 def run(duration: float = 1.4, seed: int = 0, changes: Sequence[str] = ()) -> Workcell:
-    """Run the workcell until both contacts are made; the last tick is what is drawn."""
+    """Run the workcell until both contacts are made; the last tick is what is drawn.
+
+    Args:
+        duration: simulated time (s).
+        seed: of everything random.
+        changes: "path.to.key=value" of the scenario.
+    """
     scenario = load_scenario(SCENARIO, changes)
     recording = run_scenario(scenario, duration=duration, seed=seed)
     tick = len(recording["t"]) - 1

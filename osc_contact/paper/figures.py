@@ -121,7 +121,12 @@ FIGURES: tuple[str, ...] = ("fig1", "fig4", "fig5", "fig6", "fig8")
 def write_figure(
     name: str, folder: Path, scenario: Scenario | None = None, recording: Recording | None = None
 ) -> tuple[Path, ...]:
-    """Draw one figure into a folder; returns its files: PNG, SVG, PDF."""
+    """Draw one figure into a folder; returns its files: PNG, SVG, PDF.
+
+    Args:
+        name, scenario, recording: as of `reproduce`.
+        folder: must exist.
+    """
     from osc_contact.visual.style import PRINT, save
 
     return save(reproduce(name, scenario, recording), folder / name, PRINT)

@@ -117,7 +117,14 @@ def names_of(figure: str) -> tuple[str, ...]:
 
 
 def typed(plant: str | None, duration: float | None, seed: int, changes: Sequence[str]) -> str:
-    """The options of a command as they are typed."""
+    """The options of a command as they are typed.
+
+    Args:
+        plant: of `--plant`, None if it was not given.
+        duration: of `--duration` (s), None if it was not given.
+        seed: of `--seed`; 0 is left out.
+        changes: of `--set`.
+    """
     words = [] if plant is None else ["--plant", plant]
     words += [] if duration is None else ["--duration", f"{duration:g}"]
     words += ["--seed", str(seed)] if seed else []

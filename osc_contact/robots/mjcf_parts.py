@@ -32,6 +32,13 @@ def mjcf_skeleton(
     tip that is a site becomes a body without mass; a sensor's site is called `wrist`, as is one in
     the body of that name.
 
+    Args:
+        mujoco: the module.
+        path: the MJCF file.
+        tip: body or site at the arm's end.
+        sensor: site of the wrist sensor, if there is one.
+        locked: positions (m, rad) of the joints that are held.
+
     Raises:
         ModelError: a locked joint moves its body after one that is not locked.
     """

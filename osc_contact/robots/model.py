@@ -89,7 +89,16 @@ def check_mass_matrix(model: pin.Model, document: Document | None = None) -> Non
 
 
 def random_configurations(model: pin.Model, count: int, seed: int = 0) -> Iterator[Array]:
-    """Seeded uniform configurations between the position limits, ±π where there are none."""
+    """Seeded uniform configurations between the position limits, ±π where there are none.
+
+    Args:
+        model: with position limits.
+        count: how many.
+        seed: of the random numbers.
+
+    Yields:
+        (nq,) joint positions (m, rad).
+    """
     random = np.random.default_rng(seed)
     low = np.array(model.lowerPositionLimit)
     high = np.array(model.upperPositionLimit)

@@ -24,7 +24,7 @@ def free_part(chain: ClosedChain, q: Array, X_WO: pin.SE3, N: Array, x: Array) -
 
     Args:
         chain: of the arms. q: (n,) joint positions. X_WO: pose of the object.
-        N: (6, r) lines of force in contact.
+        N: (6, r) lines of force in contact. x: (6,) displacement at O (m, rad).
     """
     L = np.linalg.cholesky(chain.reference_inertia(X_WO))
     pin.computeJointJacobians(chain.model, chain.data, q)

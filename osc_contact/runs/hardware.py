@@ -47,7 +47,7 @@ def flexible_joints(
     """The springs of a scenario, at the state from which its first mode is counted.
 
     Args:
-        chain: of the arms. state: at the start.
+        scenario: with `arms`. chain: of the arms. state: at the start.
 
     Raises:
         ScenarioError: numbers for an arm that is not there, or not one for each motor.
@@ -78,7 +78,7 @@ def drives(scenario: Scenario, chain: ClosedChain, state: ChainState, seed: int)
     """Springs, motor errors and friction of every motor joint.
 
     Args:
-        chain: of the arms. state: at the start. seed: of the motors' errors.
+        scenario, chain, state: as of `flexible_joints`. seed: of the motors' errors.
     """
     spec, motors = scenario.plant, None
     if spec.motors is not None:
@@ -170,7 +170,7 @@ def torque_loop(
     """The joint torque loop of a scenario, or None.
 
     Args:
-        chain: of the arms. joints: the springs; None: stiff joints.
+        scenario, chain: as of `flexible_joints`. joints: the springs; None: stiff joints.
     """
     spec = scenario.control.joint_torque
     if spec is None or joints is None:

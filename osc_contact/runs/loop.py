@@ -64,7 +64,11 @@ class Witness(Records):
     def append(
         self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
     ) -> None:
-        """See `Records.append`."""
+        """See `Records.append`.
+
+        Args:
+            measurement, reference, tau, seconds: as of `Records.append`.
+        """
         self.plant.hold(tau)
         self.truths.append(self.plant.truth())
         self.status.append(int(self.controller.status))

@@ -79,6 +79,11 @@ def picture(recording: Recording, rig: Rig, path: Path, time: float | None) -> P
 def moving_picture(recording: Recording, rig: Rig, path: Path) -> Path:
     """An animated GIF of the whole recording.
 
+    Args:
+        recording: what is shown.
+        rig: the parts of its scenario.
+        path: to write.
+
     Raises:
         ViewerError: there is no browser to render it.
     """

@@ -248,6 +248,7 @@ def build_chain(
     """Arms and object of a scenario, with masses and friction times the given factors.
 
     Args:
+        scenario: with arms, grasps and object.
         arm_mass, object_mass, joint_friction: factors of model error.
     """
     source = scenario.folder

@@ -119,7 +119,13 @@ def run_rig(
 
 
 def describe_run(rig: Rig, seed: int, doubts: Sequence[str]) -> dict[str, Any]:
-    """What the recording of a rig's run says of itself."""
+    """What the recording of a rig's run says of itself.
+
+    Args:
+        rig: what ran.
+        seed: of everything random.
+        doubts: what the preflight said.
+    """
     scenario = rig.scenario
     return {
         "scenario": scenario.as_dict(),

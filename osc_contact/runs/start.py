@@ -40,6 +40,11 @@ def posture_of(scenario: Scenario, chain: ClosedChain) -> Array:
 def asked_pose(scenario: Scenario, chain: ClosedChain, posture: Array) -> pin.SE3:
     """`object.pose`, or where the posture puts what the first arm with a rigid grasp holds.
 
+    Args:
+        scenario: with or without `object.pose`.
+        chain: arms and grasps.
+        posture: (n,) joint positions (m, rad).
+
     Raises:
         ModelError: it is left out, and the joints do not tell the pose.
     """
@@ -49,6 +54,12 @@ def asked_pose(scenario: Scenario, chain: ClosedChain, posture: Array) -> pin.SE
 
 def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: pin.SE3) -> Array:
     """(n,) joint positions near q that put the object onto its contacts, from near X_WO.
+
+    Args:
+        chain: arms and grasps.
+        pairs: that shall be in contact.
+        q: (n,) joint positions to begin from (m, rad).
+        X_WO: pose of the object to begin from.
 
     Raises:
         ModelError: arms, grasps and contacts cannot be met together. ScenarioError: only outside
@@ -71,7 +82,13 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
 
 
 def standoff_of(state: ChainState, contact: Contact, distance: float) -> Array:
-    """The displacement (6,) of least kinetic energy that opens every gap by `distance`."""
+    """The displacement (6,) of least kinetic energy that opens every gap by `distance`.
+
+    Args:
+        state: of the chain, in contact.
+        contact: the contacts that open.
+        distance: of every gap (m).
+    """
     H = state.S.T @ state.metric @ state.S
     N_S = state.S.T @ contact.N
     H_inv_N = np.linalg.solve(H, N_S)

@@ -136,7 +136,11 @@ class Fleet:
     def tick(
         self, X_WD: Array, V_D: Array, A_D: Array, alpha_d: Array, squeeze_d: Array | None = None
     ) -> Array:
-        """One control period; torques (B, n_a). Arguments as of `BatchController.tick`."""
+        """One control period; torques (B, n_a). Arguments as of `BatchController.tick`.
+
+        Args:
+            X_WD, V_D, A_D, alpha_d, squeeze_d: as of `BatchController.tick`.
+        """
         tau = self.control.tick(*self.measure(), X_WD, V_D, A_D, alpha_d, squeeze_d)
         self._ctrl[:] = tau
         self._plants.step(nstep=self._steps)

@@ -67,6 +67,11 @@ def without_doubts_told() -> Iterator[None]:
 def record_sample(study: SweepStudy, sample: Sample, workshop: Workshop | None = None) -> Recording:
     """The recording of one run of a study.
 
+    Args:
+        study: which the sample belongs to.
+        sample: its changes and its seed.
+        workshop: keeps the parts that runs share (None: nothing is shared).
+
     Raises:
         OscContactError: it cannot be built, is not possible, or diverges.
     """

@@ -75,6 +75,14 @@ class SweepStudy:
     ) -> SweepStudy:
         """A study of a packaged scenario, a file, or a scenario made in Python.
 
+        Args:
+            scenario: name, path, or a scenario made in Python.
+            vary: "path.to.key=DISTRIBUTION", or a mapping of the same.
+            samples: how many points; on a grid: values of each key that can have any.
+            design: where the points lie.
+            seed: of the points and of the runs.
+            overrides: "path.to.key=value" of all runs.
+
         Raises:
             ScenarioError: it cannot be read; a path that cannot be set.
             InvalidInputError: no distribution, or one that is not understood.

@@ -57,7 +57,13 @@ def judged_columns(table: Any) -> list[str]:
 
 
 def sensitivities(table: Any, study: SweepStudy, name: str) -> dict[str, float | None]:
-    """Spearman's rank correlation of an error with everything that varied; None: not a number."""
+    """Spearman's rank correlation of an error with everything that varied; None: not a number.
+
+    Args:
+        table: of the study, one row a run.
+        study: says what varied.
+        name: the column of the error.
+    """
     from scipy.stats import spearmanr
 
     found: dict[str, float | None] = {}
@@ -74,7 +80,13 @@ def sensitivities(table: Any, study: SweepStudy, name: str) -> dict[str, float |
 
 
 def worst_rows(table: Any, study: SweepStudy, count: int) -> list[dict[str, Any]]:
-    """Runs that failed first, then those of the largest force errors, each with its command."""
+    """Runs that failed first, then those of the largest force errors, each with its command.
+
+    Args:
+        table: of the study, one row a run.
+        study: says how a run is repeated.
+        count: how many at most.
+    """
     rows = table.to_pylist()
     judged = [name for name in judged_columns(table) if name.endswith(".rms_error_rel")]
 

@@ -74,7 +74,12 @@ def run_study(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Any:
-    """Run what is not done yet of a study, see `sweep`."""
+    """Run what is not done yet of a study, see `sweep`.
+
+    Args:
+        study: what to run.
+        out, workers, progress: as of `sweep`.
+    """
     import pyarrow  # noqa: F401 - refused before the runs, not after them
 
     require_long_enough(scenario_of(study, study.sample(0)))

@@ -81,7 +81,15 @@ def orthographic(
     reach: float,
     zoom: float,
 ) -> tuple[Figure, Any]:
-    """A figure (inches) with a cube of equal scales, `reach` (m) around its `middle` (3,)."""
+    """A figure (inches) with a cube of equal scales, `reach` (m) around its `middle` (3,).
+
+    Args:
+        size: of the figure (inches).
+        room: the axes' left, bottom, width and height, as shares of the figure.
+        middle: (3,) of the cube (m).
+        reach: half its edge (m).
+        zoom: of the projection.
+    """
     figure = Figure(figsize=size)
     figure.set_layout_engine("none")
     ax: Any = figure.add_axes(room, projection="3d", proj_type="ortho")
@@ -101,7 +109,14 @@ def fill(ax: Any, polygons: Array, **look: Any) -> None:
 
 
 def arrow(ax: Any, tail: Array, tip: Array, colour: str, radius: float) -> None:
-    """Thick shaft and a cone whose apex is the tip."""
+    """Thick shaft and a cone whose apex is the tip.
+
+    Args:
+        ax: axes of `orthographic`.
+        tail, tip: (3,) its ends (m).
+        colour: of shaft and cone.
+        radius: of the shaft (m).
+    """
     axis = (tip - tail) / np.linalg.norm(tip - tail)
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     side /= np.linalg.norm(side)

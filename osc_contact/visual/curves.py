@@ -27,7 +27,10 @@ def layout(
 ) -> list[dict[str, Any]]:
     """The panels and their lines, for what was recorded; JSON-able.
 
-    `columns`: the contact of each force, default one force per contact.
+    Args:
+        sample: the channels at one tick; what is missing has no panel.
+        contacts: their names.
+        columns: the contact of each force (default: one force per contact).
     """
     owners = list(columns) or list(range(len(contacts)))
     names = column_names(contacts, owners if contacts else ())
@@ -71,6 +74,11 @@ def thinned(
     """Times and values of all lines: the smallest and largest value of each of `bins` stretches.
 
     Short peaks stay visible this way, however long the recording is.
+
+    Args:
+        panels: from `layout`.
+        channels: (T, …) of each channel, and the times `t` (T,).
+        bins: stretches of equally many ticks.
     """
     t = np.asarray(channels["t"], dtype=float)
     rows = [np.asarray(row, dtype=float) for row in _columns(panels, channels)]

@@ -32,6 +32,10 @@ def moments(begin: float, end: float, most: int = MOST_FRAMES) -> tuple[list[flo
 
     Twelve frames per second in real time, or fewer; what lasts longer
     than 10 s is played faster.
+
+    Args:
+        begin, end: of the recording (s).
+        most: how many frames at most.
     """
     span = max(end - begin, 1e-3)
     count = int(np.clip(np.ceil(span * RATE), 2, most))

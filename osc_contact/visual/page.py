@@ -78,6 +78,12 @@ def set_camera(
     meshcat 0.3.2 has no camera methods and its orbit controls always turn about the viewer's
     origin: the whole scene is moved so that the target lies there, and the camera sits at the
     offset in three.js axes (y up).
+
+    Args:
+        scene: of the page.
+        target: (3,) what is looked at (m, world).
+        offset: (3,) from there to the camera (m, world).
+        field_of_view: vertical (degrees).
     """
     x, y, z = np.asarray(offset, dtype=float).tolist()
     shift = (-np.asarray(target, dtype=float)).tolist()
@@ -88,7 +94,12 @@ def set_camera(
 
 
 def set_background(scene: Visualizer, top: Sequence[float], bottom: Sequence[float]) -> None:
-    """Background from the top to the bottom colour (r, g, b in 0..1), without grid and axes."""
+    """Background from the top to the bottom colour (r, g, b in 0..1), without grid and axes.
+
+    Args:
+        scene: of the page.
+        top, bottom: colours (r, g, b in 0..1).
+    """
     scene["/Background"].set_property("top_color", list(top))
     scene["/Background"].set_property("bottom_color", list(bottom))
     for helper in ("/Grid", "/Axes"):
@@ -131,6 +142,12 @@ def write_page(
     sink: CommandSink, path: str | Path, title: str, config: dict[str, Any] = EMPTY
 ) -> Path:
     """Write `page_text` to a file, which appears complete or not at all; returns its path.
+
+    Args:
+        sink: what has been drawn.
+        path: to write.
+        title: of the page.
+        config: what the page's scripts are told.
 
     Raises:
         InvalidInputError: as `page_text`.

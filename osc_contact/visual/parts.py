@@ -73,7 +73,13 @@ class Part(Protocol):
 
 
 def animate(scene: Visualizer, animation: Animation, frames: Sequence[Frame]) -> None:
-    """Start at the first frame and animate through all of them; what never changes is set once."""
+    """Start at the first frame and animate through all of them; what never changes is set once.
+
+    Args:
+        scene: of the page.
+        animation: that takes the key frames.
+        frames: where everything is, one entry a frame.
+    """
     for path, first in frames[0].items():
         node, states = scene[path], [frame[path] for frame in frames]
         if first.pose is not None:
@@ -95,6 +101,13 @@ def track(
     """Key frames of one property; keys inside a stretch of equal values are left out.
 
     The last frame always has its key: tracks of unequal length would drift apart when repeated.
+
+    Args:
+        node: that moves.
+        animation: that takes the key frames.
+        name: the property, such as `position`.
+        kind: its type in three.js, such as `vector3`.
+        values: (frames, …) one value a frame.
     """
     from meshcat.animation import AnimationClip, AnimationTrack
 
@@ -109,7 +122,12 @@ def track(
 
 
 def changes(scene: Visualizer, before: Frame, after: Frame) -> None:
-    """Send what differs from the frame before (an empty one: everything)."""
+    """Send what differs from the frame before (an empty one: everything).
+
+    Args:
+        scene: of the page.
+        before, after: two frames of the same parts.
+    """
     for path, state in after.items():
         old = before.get(path, State())
         if state.pose is not None or state.scale is not None:

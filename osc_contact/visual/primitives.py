@@ -60,7 +60,13 @@ def plain(colour: str | ArrayLike, opacity: float = 1.0) -> Any:
 
 
 def material(colour: str | ArrayLike, opacity: float = 1.0, glow: float = 0.0) -> Any:
-    """Lit material; ``glow`` in 0..1 is the share of its own colour that needs no light."""
+    """Lit material; ``glow`` in 0..1 is the share of its own colour that needs no light.
+
+    Args:
+        colour: ``#RRGGBB`` or (r, g, b, ...) in 0..1.
+        opacity: 0 (not seen) … 1.
+        glow: share of the colour that is seen in the dark (0 … 1).
+    """
     from meshcat.geometry import MeshLambertMaterial
 
     number = rgb(colour)
@@ -76,6 +82,12 @@ def arrow(node: Visualizer, colour: str, radius: float = 0.006, opacity: float =
 
     Its length is changed by the scales of the children ``shaft`` and ``head`` (see
     `arrow_lengths`), which an animation can do; freshly made it is 1 m + head long.
+
+    Args:
+        node: that gets the arrow.
+        colour: ``#RRGGBB``.
+        radius: of the shaft (m).
+        opacity: 0 (not seen) … 1.
     """
     from meshcat.geometry import Cylinder
 
@@ -99,14 +111,27 @@ def arrow_lengths(length: float) -> tuple[Triple, float, Triple]:
 
 
 def rod(node: Visualizer, paint: Any, length: float, radius: float = 0.002) -> None:
-    """Thin cylinder along the node's y-axis, centred on the node's origin."""
+    """Thin cylinder along the node's y-axis, centred on the node's origin.
+
+    Args:
+        node: that gets the rod.
+        paint: its material.
+        length, radius: in m.
+    """
     from meshcat.geometry import Cylinder
 
     node["rod"].set_object(Cylinder(length, radius), paint)
 
 
 def cone(node: Visualizer, paint: Any, tip: float, length: float, radius: float) -> None:
-    """Cone along the node's y-axis; its apex at y = tip, the base on the origin's side."""
+    """Cone along the node's y-axis; its apex at y = tip, the base on the origin's side.
+
+    Args:
+        node: that gets the cone.
+        paint: its material.
+        tip: of the apex along y (m).
+        length, radius: in m.
+    """
     from meshcat.geometry import Cylinder
 
     ends = (0.0, radius) if tip >= 0.0 else (radius, 0.0)
@@ -115,7 +140,13 @@ def cone(node: Visualizer, paint: Any, tip: float, length: float, radius: float)
 
 
 def tube(points: ArrayLike, radius: float, sides: int = 6) -> Any:
-    """Mesh of a tube around a path (k, 3), k >= 2; repeated points are left out."""
+    """Mesh of a tube around a path (k, 3), k >= 2; repeated points are left out.
+
+    Args:
+        points: (k, 3) the path (m).
+        radius: of the tube (m).
+        sides: of its cross section.
+    """
     from meshcat.geometry import TriangularMeshGeometry
 
     path = np.asarray(points, dtype=float)

@@ -90,7 +90,12 @@ class CommonPerpendicular(NamedTuple):
 def common_perpendicular(
     p: ArrayLike, d: ArrayLike, q: ArrayLike, e: ArrayLike
 ) -> CommonPerpendicular:
-    """Shortest connection of the lines p + s d and q + t e (parallel lines: the one through q)."""
+    """Shortest connection of the lines p + s d and q + t e (parallel lines: the one through q).
+
+    Args:
+        p, q: (3,) a point of each line (m).
+        d, e: (3,) their directions, of any length.
+    """
     p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
     d, e = (np.asarray(line / np.linalg.norm(line)) for line in map(np.asarray, (d, e)))
     cosine, sine = float(d @ e), float(np.linalg.norm(np.cross(d, e)))
@@ -179,6 +184,12 @@ def helix(pitch: float, radius: float, length: float, count: int = 48) -> Array:
 
     The path is `length` m long whatever the pitch (m/rad): a circle's arc for pitch 0, ever closer
     to a straight line as the pitch grows. The middle of the path is at y = 0.
+
+    Args:
+        pitch: advance per turned angle (m/rad).
+        radius: of the helix (m).
+        length: of the path (m).
+        count: how many points.
     """
     angle = min(length / float(np.hypot(radius, pitch)), 1.75 * np.pi)
     turn = np.linspace(-0.5 * angle, 0.5 * angle, count)

@@ -140,7 +140,13 @@ class BrowserLink(WebSocketHandler):
         self.page.tell()
 
     def send(self, page: LivePage, trails: list[dict[str, Any]], numbers: str) -> None:
-        """Send what this browser does not show yet, unless it is still drawing."""
+        """Send what this browser does not show yet, unless it is still drawing.
+
+        Args:
+            page: what is shown now.
+            trails: of the contact points, for the page's scripts.
+            numbers: the curves' new values, as JSON.
+        """
         self.late |= {command["path"]: command for command in trails}
         if self.busy or not page.frame:
             return
@@ -175,6 +181,11 @@ def serve(link: socket.socket, content: Content, find: FindFrame) -> None:
 
     Requests are answered only if they name this machine's own address: a foreign page whose name
     is made to point here gets 404, and its websocket 403.
+
+    Args:
+        link: to the process that runs the loop.
+        content: what the page shows.
+        find: the best single frame for N.
     """
     page = LivePage(Ticks(link), content, find)
     application = Application(websocket_max_message_size=1024, log_function=lambda _: None)

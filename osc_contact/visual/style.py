@@ -71,6 +71,11 @@ def save(
 ) -> tuple[Path, ...]:
     """Write the figure as PNG (150 dpi), SVG, PDF; each file appears complete or not at all.
 
+    Args:
+        figure: to write.
+        path_without_suffix: the suffixes are appended to it.
+        suffixes: one file each.
+
     Returns:
         The paths, one for each suffix.
     """

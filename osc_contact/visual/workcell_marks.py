@@ -37,7 +37,13 @@ class Callout:
     colour: str = INK
 
     def draw(self, scene: Visualizer, path: str, axes: Array) -> dict[str, Any]:
-        """Make the nodes; axes: (2, 3) right and up. Returns the label for the page's scripts."""
+        """Make the nodes; axes: (2, 3) right and up. Returns the label for the page's scripts.
+
+        Args:
+            scene: of the page.
+            path: under which the nodes stand.
+            axes: (2, 3) directions of the picture: right and up.
+        """
         from meshcat.geometry import Sphere
 
         spot = self.feature + np.asarray(self.beside) @ axes
@@ -100,7 +106,13 @@ class OverheadCamera:
 
 
 def stand(node: Visualizer, X: pin.SE3, thickness: float) -> None:
-    """What carries a plate whose front is the xy-plane of X: a post from the floor to its back."""
+    """What carries a plate whose front is the xy-plane of X: a post from the floor to its back.
+
+    Args:
+        node: that gets the post.
+        X: pose of the plate's front, the xy-plane.
+        thickness: of the plate (m).
+    """
     back = X.act(np.array([0.0, 0.0, -thickness]))
     paint = material(_METAL)
     foot = np.array([back[0], back[1], 0.0])
@@ -110,7 +122,15 @@ def stand(node: Visualizer, X: pin.SE3, thickness: float) -> None:
 
 
 def ring(node: Visualizer, X: pin.SE3, radius: float, colour: str, thickness: float) -> None:
-    """A ring about the z-axis of X."""
+    """A ring about the z-axis of X.
+
+    Args:
+        node: that gets the ring.
+        X: its pose; the ring turns about z.
+        radius: of the ring (m).
+        colour: ``#RRGGBB``.
+        thickness: of its tube (m).
+    """
     turn = np.linspace(0.0, 2.0 * np.pi, 65)
     circle = radius * np.column_stack((np.cos(turn), np.sin(turn), np.zeros_like(turn)))
     node.set_object(tube(circle, thickness, sides=10), material(colour, glow=0.35))

@@ -70,6 +70,9 @@ class TrackedContact:
     ) -> Contact:
         """N (6, r) and n_γ (r,) of all that touches (see `ContactPair.contact`).
 
+        Args:
+            X_WO, V_O, X_WE, V_E: as of `ContactPair.contact`.
+
         Raises:
             ContactError: nothing touches, and nothing ever has.
         """

@@ -61,7 +61,11 @@ class GapFunctions:
         X_WE: pin.SE3 | None = None,
         V_E: Array | None = None,
     ) -> Contact:
-        """N (6, r) and n_γ (r,) at O, world axes (see `ContactPair.contact`)."""
+        """N (6, r) and n_γ (r,) at O, world axes (see `ContactPair.contact`).
+
+        Args:
+            X_WO, V_O, X_WE, V_E: as of `ContactPair.contact`.
+        """
         b = Bodies.at_O(X_WO, V_O, X_WE, V_E)
         X_EA = _relative(X_WO, X_WE)
         to_E = np.eye(3) if b.R_E is None else b.R_E.T

@@ -108,6 +108,9 @@ class LawPair:
     ) -> Contact:
         """N (6, r), n_γ (r,) and, if the pair is given by it, T (6, 6−r) at O, world axes.
 
+        Args:
+            X_WO, V_O, X_WE, V_E: as of `ContactPair.contact`.
+
         Raises:
             ContactError: two edges are parallel.
         """

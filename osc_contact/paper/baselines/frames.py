@@ -62,7 +62,14 @@ def best_selection(
 def random_selection(
     instant: Instant, baseline: Baseline, rng: np.random.Generator, forces: Triple, couples: Triple
 ) -> Selection:
-    """A frame anywhere on the object: uniform axes, a point within twice its size of O."""
+    """A frame anywhere on the object: uniform axes, a point within twice its size of O.
+
+    Args:
+        instant: the state, for the object's size.
+        baseline: how many triads the frame has.
+        rng: source of the random numbers.
+        forces, couples: which of the frame's axes are force controlled.
+    """
     triads = [pin.Quaternion(*_unit(rng.normal(size=4))).matrix() for _ in range(baseline.triads)]
     frame = pin.SE3(triads[0], rng.uniform(-2.0, 2.0, 3) * instant.size)
     return Selection(frame, triads[-1], forces, couples)

@@ -63,7 +63,13 @@ def selected_before_and_after(state: ChainState, selection: Selection) -> tuple[
 
 
 def structure(state: ChainState, eta_dot: Array, f: Array) -> Array:
-    """(d,) Λ_S η̇ + b_S + Sᵀf, the equation of motion that all of them cancel."""
+    """(d,) Λ_S η̇ + b_S + Sᵀf, the equation of motion that all of them cancel.
+
+    Args:
+        state: of the closed chain.
+        eta_dot: (d,) commanded acceleration, in the coordinates of S.
+        f: (6,) commanded contact wrench at O (N, N m).
+    """
     return np.asarray(state.Lambda @ eta_dot + state.bias + state.S.T @ f)
 
 
@@ -122,7 +128,14 @@ class SelectionLaw:
         return np.asarray(X @ a - Y @ state.sigma)
 
     def f_S(self, state: ChainState, contact: Contact, a: Array, alpha: Array) -> Array:
-        """Object force (d,) for a motion command a (6,) and a force command α (r,)."""
+        """Object force (d,) for a motion command a (6,) and a force command α (r,).
+
+        Args:
+            state: of the closed chain.
+            contact: the contacts in force.
+            a: (6,) commanded spatial acceleration at O.
+            alpha: (r,) commanded contact forces (N).
+        """
         f = self.selection.force @ (contact.N @ alpha)
         return structure(state, self.eta(state, a), f)
 
@@ -142,7 +155,11 @@ class Ours:
     """Motion filter and dynamic control structure, eqs. 21 to 25, from the contact's N alone."""
 
     def f_S(self, state: ChainState, contact: Contact, a: Array, alpha: Array) -> Array:
-        """Object force (d,) for a motion command a (6,) and a force command α (r,)."""
+        """Object force (d,) for a motion command a (6,) and a force command α (r,).
+
+        Args:
+            state, contact, a, alpha: as of `SelectionLaw.f_S`.
+        """
         return command(state, contact, a, alpha)[1]
 
     def install(self, controller: Controller) -> Controller:

@@ -39,7 +39,12 @@ class Selection:
 
     @classmethod
     def of_frame(cls, frame: pin.SE3, forces: Triple, couples: Triple) -> Selection:
-        """One constraint frame for forces and couples: the Raibert–Craig model."""
+        """One constraint frame for forces and couples: the Raibert–Craig model.
+
+        Args:
+            frame: pose of the constraint frame.
+            forces, couples: which of its axes are force controlled.
+        """
         return cls(frame, np.array(frame.rotation), forces, couples)
 
     @cached_property

@@ -174,6 +174,14 @@ def couplings(
     acceleration command over the force that the command means, √(Δf_cᵀΛ_o⁻¹Δf_c / Δa_uᵀΛ_oΔa_u).
     The steps of force are 5 N on each of the walls' magnitudes, α = `to_pair` λ; those of motion
     are the two permitted ones and the six unit vectors, permitted or not.
+
+    Args:
+        controller, plant: in the state of the measurement.
+        measurement, reference: of the tick whose commands are changed.
+        to_pair: (4, 4) from the wall forces λ (N) to the pair's magnitudes α.
+
+    Returns:
+        The ratios of the four steps of force, and of the eight steps of motion.
     """
     controller = controller.with_safety(SafetySettings.motors_only())  # the same readings again
     before = (controller.motion_law.integral, controller.force_law.integral)

@@ -92,7 +92,16 @@ def poles(eigenvalues: Array) -> Array:
 
 
 def classic_torque(arm: HybridArm, q: Array, v: Array, goal: pin.SE3) -> Array:
-    """τ = h − K_q J⁻¹S(x + DAMPING_S ẋ), x the tip's task coordinates from the goal, h exact."""
+    """τ = h − K_q J⁻¹S(x + DAMPING_S ẋ), x the tip's task coordinates from the goal, h exact.
+
+    Args:
+        arm: of the experiment.
+        q, v: (n,) joint positions (rad) and velocities (rad/s).
+        goal: pose that the tip is held at.
+
+    Returns:
+        (n,) joint torques (N m).
+    """
     _, J_tip, tip = arm.terms(q)
     J = J_tip[list(arm.rows)]
     x = -pose_error(goal, tip)[list(arm.rows)]
@@ -102,7 +111,14 @@ def classic_torque(arm: HybridArm, q: Array, v: Array, goal: pin.SE3) -> Array:
 
 
 def our_torque(arm: HybridArm, q: Array, v: Array, goal: pin.SE3) -> Array:
-    """The control law of this package (eqs. 21, 24), a_u = −B K′(x + DAMPING_S ẋ), force 0."""
+    """The control law of this package (eqs. 21, 24), a_u = −B K′(x + DAMPING_S ẋ), force 0.
+
+    Args:
+        arm, q, v, goal: as of `classic_torque`.
+
+    Returns:
+        (n,) joint torques (N m).
+    """
     state = arm.chain.state(q, v)
     contact = arm.pair.contact(state.X_WO, state.V_O)
     B = np.linalg.inv(state.metric)

@@ -117,7 +117,13 @@ class PostureMap:
 
 
 def posture_map(found: Found, joints: tuple[int, int] = (0, 1), count: int = 48) -> PostureMap:
-    """Both schemes over a plane of the posture space through the posture found."""
+    """Both schemes over a plane of the posture space through the posture found.
+
+    Args:
+        found: arm and posture.
+        joints: indices of the two joints that are varied.
+        count: positions of each, over the whole turn.
+    """
     grid = (np.arange(count) + 0.5) / count * 2 * np.pi - np.pi  # never exactly straight
     least = np.full((2, count, count), np.nan)
     q = found.q.copy()

@@ -43,6 +43,12 @@ def simulate(
 
     Continuous-time control, forward dynamics by `pin.aba`, fourth-order Runge–Kutta.
 
+    Args:
+        found: arm and posture.
+        duration: of both runs (s).
+        error: at the start (m, rad).
+        step: of the integration (s).
+
     Raises:
         InvalidInputError: error, duration or step not positive.
     """

@@ -1,0 +1,76 @@
+"""Docstrings: every public function that takes three things or more says what each of them is."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import indent
+
+PACKAGE = Path(__file__).parents[1] / "osc_contact"
+FILES = sorted(path for path in PACKAGE.rglob("*.py") if "law" not in path.parts)
+
+
+def public_functions(node: ast.AST) -> Iterator[ast.FunctionDef]:
+    """Functions of a module, and methods of its classes, whose names have no underscore."""
+    for child in getattr(node, "body", []):
+        if isinstance(child, ast.ClassDef | ast.FunctionDef) and not child.name.startswith("_"):
+            if isinstance(child, ast.FunctionDef):
+                yield child
+            else:
+                yield from public_functions(child)
+
+
+def arguments(function: ast.FunctionDef) -> list[ast.arg]:
+    every = function.args.posonlyargs + function.args.args + function.args.kwonlyargs
+    return [one for one in every if one.arg not in ("self", "cls")]
+
+
+def is_command(function: ast.FunctionDef) -> bool:
+    """Of the command line: its options have their help where they stand."""
+    return "Option" in ast.unparse(function.args)
+
+
+def unexplained(text: str) -> list[str]:
+    """Public functions of a module with an argument that the docstring leaves out."""
+    found = []
+    for function in public_functions(ast.parse(text)):
+        names = [one.arg for one in arguments(function)]
+        if len(names) < 3 or is_command(function):
+            continue
+        _, _, described = (ast.get_docstring(function) or "").partition("Args:")
+        left_out = [name for name in names if name not in described]
+        if left_out:
+            found.append(f"{function.name}: {', '.join(left_out)}")
+    return found
+
+
+def test_arguments_are_explained():
+    found = {str(path): unexplained(path.read_text(encoding="utf-8")) for path in FILES}
+    assert {path: functions for path, functions in found.items() if functions} == {}
+    assert len(FILES) > 200
+
+
+def test_what_is_left_out_is_found():
+    text = 'def carry(x, start, end):\n    """x.\n\n    Args:\n        x, start: (3,).\n    """'
+    assert unexplained(text) == ["carry: end"]
+    assert unexplained(text.replace("x, start", "x, start, end")) == []
+    assert unexplained(text.replace("carry", "_carry")) == []
+    assert unexplained(f"class Body:\n{indent(text, '    ')}") == ["carry: end"]
+
+
+def test_options_of_commands_have_their_help():
+    for name in ("cli.py", "cli_robots.py", "cli_sweeps.py"):
+        tree = ast.parse((PACKAGE / name).read_text(encoding="utf-8"))
+        aliases = {
+            target.id: ast.unparse(one.value)
+            for one in tree.body
+            if isinstance(one, ast.Assign)
+            for target in one.targets
+            if isinstance(target, ast.Name)
+        }
+        for function in filter(is_command, public_functions(tree)):
+            for one in arguments(function):
+                kind = ast.unparse(one.annotation)
+                described = "help=" in aliases.get(kind, kind) or kind == "typer.Context"
+                assert described, f"{name} {function.name}: {one.arg}"
