@@ -38,7 +38,7 @@ from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.recovery import scenario_of
 from osc_contact.runs.report import write_json
 from osc_contact.runs.rig import build_rig
-from osc_contact.runs.viewing import write_scene_of
+from osc_contact.runs.viewing import require_drawable, write_scene_of
 from osc_contact.scenarios import list_scenarios
 from osc_contact.visual.browser import find_browser
 
@@ -233,6 +233,8 @@ def view(
         else:
             scenario = load_task(what, set_, plant, duration)
         rig = build_rig(scenario)
+        if recording is not None:
+            require_drawable(recording, rig, what)
         if live:
             show_live(scenario, recording, seed, hold)
             return

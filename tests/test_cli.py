@@ -309,6 +309,102 @@ def test_installed_command_pipes_and_exits_like_the_application(tmp_path: Path) 
     assert good.returncode == 0 and good.stderr == "" and "\x1b" not in good.stdout
 
 
+@pytest.fixture(scope="module")
+def brief() -> Recording:
+    scenario = load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
+    return osc_contact.run(scenario, duration=0.05)
+
+
+def view_of(
+    recording: Recording, folder: Path, channels: dict[str, Any], meta: dict[str, Any]
+) -> Path:
+    """A file with other channels and meta (None: left out) than the recording."""
+    kept = {k: v for k, v in {**recording.channels, **channels}.items() if v is not None}
+    told = {k: v for k, v in {**recording.meta, **meta}.items() if v is not None}
+    return Recording(told, kept).save(folder / "bad.npz")
+
+
+DRAWN = {
+    "t": (), "q": (10,), "pose": (7,), "face_pose": (2, 7), "N": (6, 2), "contact_point": (2, 3),
+    "contact_direction": (2, 3), "closed": (2,), "alpha_cmd": (2,), "alpha_meas": (2,),
+    "alpha_true": (2,), "power_total": (), "power_projected": (),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_view_refuses_channels_that_no_run_of_its_scenario_has(
+    name: str, brief: Recording, tmp_path: Path
+) -> None:
+    ticks, page = len(brief), tmp_path / "page.html"
+    for shape in ((ticks, 0), (ticks, 3, 5), *([(ticks,)] if DRAWN[name] else [])):
+        path = view_of(brief, tmp_path, {name: np.zeros(shape)}, {})
+        words = refused("view", path, "--html", page)
+        assert f"channel '{name}' has shape {shape[1:]}" in words and f"{DRAWN[name]}" in words
+    for size in (np.inf, 1e300):
+        path = view_of(brief, tmp_path, {name: np.full((ticks, *DRAWN[name]), size)}, {})
+        assert f"channel '{name}' holds numbers above" in refused("view", path, "--html", page)
+    path = view_of(brief, tmp_path, {name: None}, {})
+    if name in ("t", "q", "pose"):
+        assert f"'{name}'" in refused("view", path, "--html", page)
+    else:
+        assert call("view", path, "--html", page).exit_code == 0, "what is not there is not drawn"
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [(np.zeros(50), "does not grow"), (np.arange(50)[::-1], "does not grow"),
+     (np.full(50, np.nan), "does not grow")],
+)  # fmt: skip
+def test_view_refuses_times_that_do_not_grow(
+    times: np.ndarray, words: str, brief: Recording, tmp_path: Path
+) -> None:
+    path = view_of(brief, tmp_path, {"t": times.astype(float)}, {})
+    assert words in refused("view", path, "--html", tmp_path / "page.html")
+
+
+def test_view_refuses_the_wrong_meta(brief: Recording, tmp_path: Path) -> None:
+    for key, words in (("contact_names", "its contact_names are"), ("columns", "its columns are"),
+                       ("scenario", "does not say which scenario")):  # fmt: skip
+        for junk in (5, "x", [], {}, ["a"], [7], {"a": 1}):
+            path = view_of(brief, tmp_path, {}, {key: junk})
+            assert words in refused("view", path, "--html", tmp_path / "page.html")
+    for junk in (5, [], {"a": 1}):  # packaged scenarios are found without it
+        path = view_of(brief, tmp_path, {}, {"source_folder": junk})
+        assert call("view", path, "--html", tmp_path / "page.html").exit_code == 0
+
+
+@pytest.mark.parametrize("name", ["run.npz", "run.mcap"])
+def test_view_refuses_files_that_are_no_recordings(
+    name: str, brief: Recording, tmp_path: Path
+) -> None:
+    whole, rng = brief.save(tmp_path / "whole.npz").read_bytes(), np.random.default_rng(8)
+    bad = [b"", b"\0" * 100, b"name: two_contact_rod\n", whole[: len(whole) // 2], whole[100:]]
+    bad += [bytes(rng.integers(0, 256, size, dtype=np.uint8)) for size in (1, 30, 3000)]
+    bad += [b"PK\x03\x04" + bad[-1], b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + bad[-1]]
+    for content in bad:
+        path = tmp_path / name
+        path.write_bytes(content)
+        words = refused("view", path, "--html", tmp_path / "page.html")
+        assert words.startswith("error: ") and name in words
+    assert not (tmp_path / "page.html").exists()
+
+
+@pytest.mark.parametrize("first", [0, 20])
+def test_view_draws_ticks_that_were_held_where_things_were_before(
+    first: int, brief: Recording, tmp_path: Path
+) -> None:
+    gaps = {name: brief[name].astype(float) for name in DRAWN if name != "t"}
+    for values in gaps.values():
+        values[first : first + 25] = np.nan
+    path = view_of(brief, tmp_path, gaps, {})
+    assert call("view", path, "--html", tmp_path / "page.html").exit_code == 0
+
+
+def test_view_of_a_recording_shorter_than_a_picture(brief: Recording, tmp_path: Path) -> None:
+    short = Recording(brief.meta, brief.rows(0, 3)).save(tmp_path / "short.npz")
+    assert call("view", short, "--html", tmp_path / "page.html").exit_code == 0
+
+
 def test_view_makes_the_page_of_a_recording(done: tuple[Path, Result], tmp_path: Path) -> None:
     recording = done[0] / "recording.npz"
     page = tmp_path / "deep" / "page.html"

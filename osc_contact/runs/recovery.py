@@ -61,7 +61,7 @@ def scenario_of(meta: dict[str, Any], path: Path) -> Scenario:
     except (KeyError, ScenarioError, ValueError) as error:
         raise RecordingError(f"{path} does not say which scenario was run: {error}") from error
     places = [meta.get("source_folder"), path.resolve().parent, Path.cwd()]
-    folders = list(dict.fromkeys(Path(place) for place in places if place is not None))
+    folders = list(dict.fromkeys(Path(p) for p in places if isinstance(p, str | Path)))
     missing = ModelError()
     for folder in folders:
         placed = scenario.with_source(folder / str(meta.get("source")))

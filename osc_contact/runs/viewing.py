@@ -10,6 +10,7 @@ import pinocchio as pin
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.raibert_craig import as_raibert_craig
+from osc_contact.errors import RecordingError
 from osc_contact.recorder import Recording
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.references import force_owners
@@ -21,9 +22,12 @@ from osc_contact.visual.live import Viewer
 from osc_contact.visual.scene import write_scene
 from osc_contact.visual.subspaces import BestFrame
 
-__all__ = ["DRAWN", "best_frame", "content_of", "open_viewer", "write_scene_of"]
+__all__ = [
+    "DRAWN", "best_frame", "content_of", "open_viewer", "require_drawable", "write_scene_of",
+]  # fmt: skip
 
 DRAWN = 50_000  #: ticks; of longer recordings every second, third, … one is drawn
+_LARGEST = 1e9  #: m, rad, N, W; no run comes near it
 
 
 def write_scene_of(recording: Recording, rig: Rig, path: Path, still: float | None = None) -> Path:
@@ -45,6 +49,48 @@ def write_scene_of(recording: Recording, rig: Rig, path: Path, still: float | No
         frame_words=content.frame_words,
         still=still,
     )
+
+
+def require_drawable(recording: Recording, rig: Rig, source: str) -> None:
+    """Refuse a recording that runs of this rig cannot have left; channels may be missing.
+
+    Args:
+        recording: read from a file. rig: of its scenario. source: the file.
+
+    Raises:
+        RecordingError: other contacts, channels of other shapes, times that do not grow, numbers
+            too large to be drawn. NaN is a number that is not known, as of a tick that was held.
+    """
+    names, owners = [pair.name for pair in rig.pairs], list(force_owners(rig.scenario))
+    for key, of_rig in (("contact_names", names), ("columns", owners)):
+        if recording.meta.get(key, of_rig) != of_rig:
+            raise RecordingError(
+                f"{source}: its {key} are {recording.meta[key]!r}; runs of {rig.scenario.name} "
+                f"have {of_rig!r}"
+            )
+    r, contacts = len(owners), len(names)
+    one: tuple[int, ...] = ()
+    shapes = {
+        "t": one, "q": (rig.chain.nq,), "pose": (7,), "face_pose": (contacts, 7), "N": (6, r),
+        "contact_point": (contacts, 3), "contact_direction": (contacts, 3), "closed": (r,),
+        "alpha_cmd": (r,), "alpha_meas": (r,), "alpha_true": (r,), "power_total": one,
+        "power_projected": one,
+    }  # fmt: skip
+    recording = recording.thinned(DRAWN)
+    for name, shape in shapes.items():
+        if name not in recording and name != "t":
+            continue
+        values = np.asarray(recording[name], dtype=float)
+        if values.shape[1:] != shape:
+            raise RecordingError(
+                f"{source}: channel {name!r} has shape {values.shape[1:]} at a tick; runs of "
+                f"{rig.scenario.name} have {shape}"
+            )
+        if np.abs(values).max(initial=0.0, where=~np.isnan(values)) > _LARGEST:
+            raise RecordingError(f"{source}: channel {name!r} holds numbers above {_LARGEST:g}")
+    t = np.asarray(recording["t"], dtype=float)
+    if not (np.isfinite(t).all() and (np.diff(t) > 0.0).all()):
+        raise RecordingError(f"{source}: channel 't' does not grow from tick to tick")
 
 
 def content_of(rig: Rig) -> Content:

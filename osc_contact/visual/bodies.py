@@ -110,7 +110,7 @@ class MovingArm:
             urdf_geometry(node[f"{number}_{shape.name}"], shape)
 
     def states(self, sample: Sample) -> Frame:
-        """Placement of every moving link.
+        """Placement of every moving link; where q is not known (NaN) it stays as it was.
 
         Raises:
             InvalidInputError: q is not recorded, or its slice does not fit the URDF.
@@ -121,7 +121,8 @@ class MovingArm:
                 f"arm {self.arm.name!r}: {self.arm.q_slice} takes {q.size} numbers of q, "
                 f"but {self.arm.urdf} has nq = {self.model.nq}, {len(self.arm.locked)} locked"
             )
-        self.q[self.moving] = q
+        if np.isfinite(q).all():
+            self.q[self.moving] = q
         pin.forwardKinematics(self.model, self.data, self.q)
         return {
             path: State(self.arm.base * self.data.oMi[joint]) for joint, path in self.paths.items()
@@ -149,6 +150,7 @@ class MovingBody:
         _, geometry, _ = load_geometry(body.urdf, pin.GeometryType.VISUAL, body.package_dirs)
         self.shapes = list(geometry.geometryObjects)
         self.path = f"bodies/{body.name}"
+        self.last = pin.SE3.Identity() if body.placement is None else body.placement
 
     def draw(self, scene: Visualizer) -> None:
         """Make the nodes."""
@@ -174,10 +176,14 @@ class MovingBody:
 
     def _placement(self, sample: Sample) -> pin.SE3:
         if self.body.face is not None and "face_pose" in sample:
-            return pin.XYZQUATToSE3(np.asarray(sample["face_pose"], dtype=float)[self.body.face])
-        if self.body.placement is None:
-            return pin.XYZQUATToSE3(_channel(sample, "pose", f"body {self.body.name!r}"))
-        return self.body.placement
+            pose = np.asarray(sample["face_pose"], dtype=float)[self.body.face]
+        elif self.body.placement is None:
+            pose = _channel(sample, "pose", f"body {self.body.name!r}")
+        else:
+            return self.body.placement
+        if np.isfinite(pose).all():  # else it is not known, and stays where it was
+            self.last = pin.XYZQUATToSE3(pose)
+        return self.last
 
 
 def _channel(sample: Sample, key: str, needed_by: str) -> Array:

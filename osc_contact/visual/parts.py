@@ -111,7 +111,8 @@ def track(
     """
     from meshcat.animation import AnimationClip, AnimationTrack
 
-    same = np.all(np.reshape(values[1:] == values[:-1], (len(values) - 1, -1)), axis=1)
+    changed = values[1:] != values[:-1]
+    same = ~changed.any(axis=tuple(range(1, values.ndim)))
     if same.all():
         return
     inner = np.zeros(len(values), dtype=bool)
