@@ -379,7 +379,7 @@ def _scenario(name: str, outward: float | None) -> osc.Scenario:
         return scenario
     away = {"type": "minimum_jerk", "value": outward, "start": 0.1, "duration": 1.6}
     motion = {"kind": "linear", "direction": [0, 1, 0], "signals": [away]}
-    safety = {"too_fast_for": 0.1}  # joints pass their speed limits there
+    safety = {"overspeed_time": 0.1}  # joints pass their speed limits there
     control = scenario.control.model_dump() | {"safety": safety}
     return scenario.replaced(
         contacts=[], force={}, environment=[], motion=[motion], control=control

@@ -168,6 +168,24 @@ def test_speeds_that_are_not_those_of_the_positions(case: TickCase) -> None:
     assert noisy.state is not SAFE_STOP, noisy.reason
 
 
+@pytest.mark.parametrize("rate", [0.1, -0.3])  # rad/s, below `speed_error` times the speed limit
+def test_an_encoder_that_slips_slowly_stops_the_arms(case: TickCase, rate: float) -> None:
+    joint = int(case.chain.actuated[1])
+    drifting = driven(case, lambda m, k: moved(m, joint, 1e-3 * rate * k), 300)
+    assert drifting.state is SAFE_STOP and "from what speeds add up to" in drifting.reason
+    drifting.reset()
+    drifting.tick(case.measurement, case.reference)
+    assert drifting.state is RUN, drifting.reason
+    rng = np.random.default_rng(3)
+
+    def fair(m: Measurement, k: int) -> Measurement:
+        """A scale error of 4 %, noise of 0.1 mrad (mm)."""
+        return replace(m, q=m.q + 1e-4 * rng.normal(size=len(m.q)), v=1.04 * m.v)
+
+    fine = driven(case, fair, 600)
+    assert fine.state is not SAFE_STOP, fine.reason
+
+
 def test_wrists_that_read_the_very_same_stop_the_arms_and_so_do_packets(case: TickCase) -> None:
     zero = driven(case, lambda m, k: replace(m, wrenches=0.0 * m.wrenches), 249)
     assert zero.state is RUN or "fifth" in zero.reason

@@ -99,7 +99,9 @@ def test_power_into_the_contacts_stops_it() -> None:
     fast = replace(case.measurement, v=into_faces(case, 0.3))
     states = {}
     for limit in (0.5, 100.0):
-        controller = guarded(case, contact_power=limit, pressed_for=np.inf, unfelt_for=np.inf)
+        controller = guarded(
+            case, contact_power=limit, overforce_time=np.inf, contact_loss_time=np.inf
+        )
         for _ in range(8):
             controller.tick(fast, case.reference)
             states.setdefault(limit, []).append(controller.state)
@@ -130,7 +132,7 @@ def test_a_force_that_is_far_too_large_stops_it_and_so_does_one_that_is_not_felt
     case = CASES["one_panda"]()
     wish = float(case.reference.alpha_d[0])
     for times, word, ticks in ((8.0, "three times its command", 51), (-1.0, "fifth of its", 101)):
-        controller = guarded(case, pressed_for=0.0505, unfelt_for=0.1005)
+        controller = guarded(case, overforce_time=0.0505, contact_loss_time=0.1005)
         states = []
         for _ in range(120):
             controller.tick(pressed(case, times), case.reference)
@@ -145,7 +147,7 @@ def test_the_force_integral_is_bounded() -> None:
     case = CASES["one_panda"]()
     dead = replace(case.measurement, wrenches=np.zeros_like(case.measurement.wrenches))
     for alpha_d, room in ((2.0, 15.0), (40.0, 60.0)):
-        controller = guarded(case, unfelt_for=np.inf)
+        controller = guarded(case, contact_loss_time=np.inf)
         wish = replace(case.reference, alpha_d=np.array([alpha_d]))
         seen = []
         for _ in range(4000):
@@ -159,7 +161,7 @@ def test_the_force_integral_is_bounded() -> None:
 def test_the_motion_integral_is_bounded() -> None:
     case = CASES["one_panda"]()
     gains = osc.Gains(replace(case.gains.motion, integral=2000.0), case.gains.force)
-    controller = guarded(case, unfelt_for=np.inf, integral_motion=0.5).with_gains(gains)
+    controller = guarded(case, contact_loss_time=np.inf, integral_motion=0.5).with_gains(gains)
     off = case.reference.X_WD.copy()
     off.translation = off.translation + np.array([0.01, -0.01, 0.0])
     for _ in range(60):
@@ -214,7 +216,7 @@ def test_other_limits_and_gains_hold_beside_pairs_written_in_python() -> None:
     """Such a pair has the records packed anew at the first tick: by the new settings."""
     case = SPECIAL_CASES["own_pair"]()
     tick, unwind = case.ticking(repeatable(case.controller()))
-    for _ in range(400):  # the same readings for longer than `frozen_for`
+    for _ in range(400):  # the same readings for longer than `frozen_time`
         tick()
         unwind()
     soft = osc.Gains(osc.MotionGains(100.0, 20.0, 0.0), case.gains.force)

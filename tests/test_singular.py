@@ -198,7 +198,7 @@ def outward(name, direction, distance, duration, plant):
         for value, start in ((distance, 0.1), (-distance, 0.1 + duration))
     ]
     data["motion"] = [{"kind": "linear", "direction": direction, "signals": moves}]
-    data["control"]["safety"] = {"too_fast_for": 10.0}  # joints pass their speed limits here
+    data["control"]["safety"] = {"overspeed_time": 10.0}  # joints pass their speed limits here
     return osc.run(Scenario.model_validate(data))
 
 

@@ -66,7 +66,11 @@ def require_status(controller: Controller, name: str, expected: Status = Status.
 def repeatable(controller: Controller) -> Controller:
     """The same controller, to be ticked with the very same readings again and again."""
     endless = replace(
-        controller.settings.safety, stuck_speed=np.inf, frozen_for=np.inf, speed_error=np.inf
+        controller.settings.safety,
+        stuck_speed=np.inf,
+        frozen_time=np.inf,
+        speed_error=np.inf,
+        position_drift=np.inf,
     )
     return controller.with_safety(endless)
 

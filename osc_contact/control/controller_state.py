@@ -85,10 +85,10 @@ class ControllerState:
         """Run again after a stop: both integrals at zero, tare, bias and phases as they are."""
         memory = self._records.memory
         self._freshness.forget()
-        memory.state, memory.age, memory.faults, memory.too_fast = SafetyState.RUN, 0, 0, 0
+        memory.state, memory.age, memory.faults, memory.overspeed = SafetyState.RUN, 0, 0, 0
         memory.powered = memory.ending = 0.0
         memory.compared = memory.frozen = memory.wrench_age = 0
-        for name in ("unfelt", "pressed"):
+        for name in ("underforce", "overforce"):
             self._records.column_memory[name][:] = 0.0
         memory.repeats, memory.fresh, memory.motion_sum[:], memory.force_sum[:] = 0, 0, 0.0, 0.0
         memory.step_left, self._records.column_memory.wished[:] = 0.0, 0

@@ -96,12 +96,12 @@ class ModelRow:
         """Limits of the robot, and what becomes of ticks that cannot be computed."""
         head, safety, phases = self.head, settings.safety, settings.phases
         for name in ("repeats", "hold_rate", "reaction", "contact_power", "contact_force",
-                     "unfelt_for", "pressed_for", "integral_force", "integral_motion",
-                     "plausible_speed", "wrench_timeout", "stuck_speed", "frozen_for",
-                     "speed_error"):  # fmt: skip
+                     "contact_loss_time", "overforce_time", "integral_force", "integral_motion",
+                     "plausible_speed", "wrench_timeout", "stuck_speed", "frozen_time",
+                     "speed_error", "position_drift"):  # fmt: skip
             setattr(head, name, getattr(safety, name))
         head.guarded, head.fault_ticks = 1, safety.stop_after
-        head.fast_ticks = round(min(safety.too_fast_for / settings.dt, _NEVER))
+        head.fast_ticks = round(min(safety.overspeed_time / settings.dt, _NEVER))
         weight = 9.81 * settings.chain.reference.inertia.mass
         head.force_range = max(safety.force_range, 3.0 * weight)
         head.torque_range = max(safety.torque_range, 3.0 * weight)  # on a lever of 1 m

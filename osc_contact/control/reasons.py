@@ -130,7 +130,7 @@ def explain(
         return str(failure)
     if code in (at.OUT_OF_RANGE, at.JUMPED, at.WRENCH_TIMEOUT):
         return _not_believed(rows, settings, code)
-    if code >= at.TOO_FAST:
+    if code >= at.OVERSPEED:
         return f"{_limit_passed(rows, settings, code)}. See why, then call reset()"
     names = [settings.contacts[c].name for c in rows.row.pairs.owners]
     if code == at.BAD_INPUT:
@@ -228,12 +228,12 @@ def _not_believed(rows: TickRecords, settings: Settings, code: int) -> str:
 def _limit_passed(rows: TickRecords, settings: Settings, code: int) -> str:
     """Which limit of the robot stopped it; empty: none."""
     safety, chain, culprit = settings.safety, settings.chain, int(rows.memory.culprit)
-    if code in (at.TOO_FAST, at.NEAR_END):
+    if code in (at.OVERSPEED, at.NEAR_END):
         model, name = chain.model, chain.joint_names[culprit]
-        if code == at.TOO_FAST:
+        if code == at.OVERSPEED:
             return (
                 f"joint {name} stayed above its speed limit of {model.velocityLimit[culprit]:.4g} "
-                f"rad/s or m/s for {safety.too_fast_for:g} s; the arms are braked"
+                f"rad/s or m/s for {safety.overspeed_time:g} s; the arms are braked"
             )
         low, high = model.lowerPositionLimit[culprit], model.upperPositionLimit[culprit]
         return (
@@ -249,33 +249,35 @@ def _limit_passed(rows: TickRecords, settings: Settings, code: int) -> str:
     if code == at.DISAGREE:
         return (
             f"the speed of joint {chain.joint_names[culprit]} is not that of its positions: they "
-            f"differ by more than {safety.speed_error:g} of its speed limit"
+            f"differ by more than {safety.speed_error:g} of its speed limit, or positions drift by "
+            f"more than {safety.position_drift:g} rad or m from what speeds add up to"
         )
     if code == at.WRIST_FROZEN:
         return (
             f"the wrist of arm '{chain.arms[culprit].name}' reads the very same for "
-            f"{safety.frozen_for:g} s: it is dead, or its last reading repeats itself. Sensors too "
-            "coarse to show any noise take frozen_for = inf"
+            f"{safety.frozen_time:g} s: it is dead, or its last reading repeats itself. Sensors "
+            "too coarse to show any noise take frozen_time = inf"
         )
     if code == at.FROZEN:
         return (
-            f"all readings are the very same for {safety.frozen_for:g} s: a packet repeats itself. "
-            "Sensors too coarse to show any noise take frozen_for = inf"
+            f"all readings are the very same for {safety.frozen_time:g} s: a packet repeats "
+            "itself. "
+            "Sensors too coarse to show any noise take frozen_time = inf"
         )
     if code == at.POWERED:
         return f"more than contact_power = {safety.contact_power:g} W went into the contacts"
-    if code not in (at.UNFELT, at.PRESSED):
+    if code not in (at.CONTACT_LOST, at.OVERFORCE):
         return ""
     column = rows.row.pairs.owners[culprit]
     name, forces = settings.contacts[column].name, rows.column_memory
     read = f"{float(forces.alpha[culprit]):.3g} N when last computed"
-    if code == at.UNFELT:
+    if code == at.CONTACT_LOST:
         return (
-            f"{name}: less than a fifth of its command was felt for {safety.unfelt_for:g} s, or "
-            f"its integral stood at its bound ({read}). Contact is lost, or a wrist sensor is dead "
-            "or wired with the wrong sign"
+            f"{name}: less than a fifth of its command was read for {safety.contact_loss_time:g} "
+            f"s, or its integral stood at its bound ({read}). Contact is lost, or a wrist sensor "
+            "is dead or wired with the wrong sign"
         )
     return (
         f"{name}: more than {safety.contact_force:g} N and three times its command was read for "
-        f"{safety.pressed_for:g} s ({read})"
+        f"{safety.overforce_time:g} s ({read})"
     )

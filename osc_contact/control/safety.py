@@ -19,9 +19,10 @@ __all__ = ["SafetySettings", "SafetyState"]
 
 #: what may be infinite: no limit
 _OPEN = (
-    "too_fast_for", "torque_rate", "contact_power", "contact_force", "pressed_for", "unfelt_for",
-    "integral_force", "integral_motion", "force_range", "torque_range", "plausible_speed",
-    "wrench_timeout", "stuck_speed", "frozen_for", "speed_error",
+    "overspeed_time", "torque_rate", "contact_power", "contact_force", "overforce_time",
+    "contact_loss_time", "integral_force", "integral_motion", "force_range", "torque_range",
+    "plausible_speed", "wrench_timeout", "stuck_speed", "frozen_time", "speed_error",
+    "position_drift",
 )  # fmt: skip
 
 
@@ -42,7 +43,7 @@ class SafetySettings:
         repeats: ticks in a row that repeat the last torques; later ones hold the posture. None
             repeats those of a tick whose motors were at their limits.
         stop_after: ticks in a row after which the controller stops.
-        too_fast_for: s; a motor joint above its speed limit for longer stops the controller (time
+        overspeed_time: s; a motor joint above its speed limit for longer stops the controller (time
             below it is taken off).
         hold_rate: ω, 1/s, of q̈ = −2ω q̇ − ω²(q − q_hold) in a hold and a stop.
         torque_rate: 1/s; no motor torque changes faster than its limit times this.
@@ -50,10 +51,10 @@ class SafetySettings:
             stops as long as that still ends before the joint's position limit; 0: position limits
             are not watched.
         contact_power: W; more power into the contacts stops the controller.
-        contact_force, pressed_for: N and s; a contact that reads more than that, and more than
+        contact_force, overforce_time: N and s; a contact that reads more than that, and more than
             three times its command, for longer stops the controller.
-        unfelt_for: s; a contact that is wanted and reads less than a fifth of its command for
-            longer stops the controller, unless contact phases see to it.
+        contact_loss_time: s; a contact that is wanted and reads less than a fifth of its command
+            for longer stops the controller, unless contact phases see to it.
         integral_force: N; the force integral stays within that, or within 1.5 times the command
             where that is more. integral_motion: m/s², rad/s²; the same of the motion integral.
         force_range, torque_range: N, N m; wrist readings beyond that, and beyond three times the
@@ -64,22 +65,23 @@ class SafetySettings:
             (`Measurement.wrench_valid`), and stamps may stand still.
         stuck_speed: times a joint's speed limit; a joint that is told to gain more while its
             encoder reads the very same stops the controller.
-        frozen_for: s; a wrist in contact that reads the very same for longer stops it, and so does
+        frozen_time: s; a wrist in contact that reads the very same for longer stops it, and so does
             a whole packet.
         speed_error: times a joint's speed limit; speeds that differ from those of the positions by
-            more, for 20 ms or so, stop it.
+            more, for 20 ms or so, stop it. position_drift: rad, m; so do positions that drift away
+            by more, within half a second, from what speeds add up to.
     """
 
     repeats: int = 2
     stop_after: int = 20
-    too_fast_for: float = 0.02
+    overspeed_time: float = 0.02
     hold_rate: float = 20.0
     torque_rate: float = 200.0
     brake_time: float = 0.1
     contact_power: float = 20.0
     contact_force: float = 30.0
-    pressed_for: float = 0.15
-    unfelt_for: float = 0.2
+    overforce_time: float = 0.15
+    contact_loss_time: float = 0.2
     integral_force: float = 15.0
     integral_motion: float = 50.0
     force_range: float = 1000.0
@@ -87,8 +89,9 @@ class SafetySettings:
     plausible_speed: float = 3.0
     wrench_timeout: float = 0.02
     stuck_speed: float = 0.1
-    frozen_for: float = 0.25
+    frozen_time: float = 0.25
     speed_error: float = 0.1
+    position_drift: float = 0.02
 
     @classmethod
     def motors_only(cls) -> SafetySettings:

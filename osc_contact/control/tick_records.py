@@ -50,7 +50,7 @@ class TickRecords:
         self.torques: Array = raw[start : start + 8 * int(head.n_motors)].view(np.float64)
         n = int(head.n_joints)
         start = int(head.kept_at)
-        self.joint_memory: Array = raw[start : start + 40 * n].view(np.float64)
+        self.joint_memory: Array = raw[start : start + 48 * n].view(np.float64)
         raw = self.work_bytes
         self.work = records(raw, 0, 1, at.WORK)[0]
         self.rank = _cell(raw, at.WORK, "rank")

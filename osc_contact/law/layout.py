@@ -36,7 +36,7 @@ def new_model(
     memory, memory_size = at.allocate({
         "head": at.MEMORY_BYTES, "contact_memory": c * at.CONTACT_MEMORY_BYTES,
         "column_memory": r * at.COLUMN_MEMORY_BYTES, "torque_memory": 8 * motors,
-        "kept": 8 * 5 * n, "last_wrenches": 8 * 7 * k,
+        "kept": 8 * 6 * n, "last_wrenches": 8 * 7 * k,
     })  # fmt: skip
     work, work_size = at.allocate({
         "head": at.WORK_BYTES, "arm_work": k * at.ARM_WORK_BYTES,

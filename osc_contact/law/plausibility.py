@@ -3,7 +3,7 @@
 Before: a rotation that is none, wrenches beyond what the sensors measure, joints that jump,
 wrenches too old. Such a tick is not computed, see `safety`; the next one may be.
 After: encoders that stand still though their joints are pushed, speeds that are not those of the
-positions, wrists and packets that repeat themselves. The arms are stopped.
+positions or do not add up to them, wrists and packets that repeat themselves. The arms are stopped.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ _ROUND = 1e-4  #: by how much the rows of a rotation may differ from orthonormal
 _GAIN = 0.21  #: share of `stuck_speed` that one tick can tell: slow encoders repeat readings
 _LAG = 0.02  #: s, of the low-pass of speeds that disagree
 _NOISE = 0.02  #: rad, m: joints may jump by as much, whatever their speed limits
+_FORGET = 0.5  #: s in which a drift between positions and speeds is forgotten
+_SCALE = 0.05  #: share of a speed by which it may be wrong
+_LATE = 0.01  #: s by which speeds may be late
 
 
 @inner
@@ -82,11 +85,15 @@ def check_sensors(chain, arms, table, work, memory, joints, kept, last_wrenches,
     A joint whose encoder reads the very same while it is told to gain more than a share of its
     speed limit is stuck. Speeds disagree with positions where q̇ − Δq/Δt, low-passed, is more than
     a share of the limit. Wrists in contact that read the same for too long are frozen; where all
-    readings do, a packet repeats itself.
+    readings do, a packet repeats itself. What both add up to drifts apart,
+
+        d ← d + (q̇ − Δq/Δt − d/T) Δt,
+
+    where |d| is more than `position_drift` and what a small error of scale and delay of q̇ explain.
     """
     n, reason, dt = chain.n_joints, NO_REASON, chain.period
     known = memory.compared != 0 and memory.faults == 0  # readings of the last tick are there
-    same, late = known, memory.frozen * dt > chain.frozen_for
+    same, late = known, memory.frozen * dt > chain.frozen_time
     for k in range(chain.n_arms):
         still = known
         for i in range(6):
@@ -95,7 +102,7 @@ def check_sensors(chain, arms, table, work, memory, joints, kept, last_wrenches,
         same = same and still
         count = 6 * chain.n_arms + k
         last_wrenches[count] = last_wrenches[count] + dt if still else 0.0
-        if last_wrenches[count] > chain.frozen_for and work.rank > 0 and arms[k].sensor_joint >= 0:
+        if last_wrenches[count] > chain.frozen_time and work.rank > 0 and arms[k].sensor_joint >= 0:
             reason, memory.culprit = WRIST_FROZEN, k
     for j in range(n):
         step, row = q[j] - kept[j], table[j]
@@ -104,10 +111,18 @@ def check_sensors(chain, arms, table, work, memory, joints, kept, last_wrenches,
         kept[3 * n + j] = kept[3 * n + j] + gained if step == 0.0 and known else 0.0
         most = 2.0 * row.speed_max
         error = min(max(v[j] - step / dt, -most), most) if known else 0.0
+        if memory.compared == 0:
+            kept[4 * n + j] = kept[5 * n + j] = 0.0
         kept[4 * n + j] += (error - kept[4 * n + j]) * dt / (_LAG + dt)
         if kept[3 * n + j] > chain.stuck_speed * row.speed_max:
             reason, memory.culprit = STUCK, j
         elif abs(kept[4 * n + j]) > chain.speed_error * row.speed_max:
+            reason, memory.culprit = DISAGREE, j
+        drift = (kept[5 * n + j] + error * dt) * (1.0 - dt / _FORGET)
+        explained = _SCALE * dt * abs(v[j])
+        drift = max(drift - explained, 0.0) if drift > 0.0 else min(drift + explained, 0.0)
+        kept[5 * n + j] = drift
+        if abs(drift) > chain.position_drift + _LATE * abs(v[j]):
             reason, memory.culprit = DISAGREE, j
         kept[j], kept[2 * n + j] = q[j], v[j]
     memory.compared = memory.has_wrench = 1

@@ -23,11 +23,11 @@ from osc_contact.law.tables import (
     HOLD,
     NO_REASON,
     OK,
+    OVERSPEED,
     RUN,
     SAFE_STOP,
     SATURATED,
     STUCK,
-    TOO_FAST,
 )
 
 __all__ = ["BRAKE_RATE", "guard"]
@@ -47,8 +47,9 @@ def guard(
     Args:
         chain, arms, table: CHAIN record, ARM and JOINT rows. work, memory: records.
         joints: JOINT_WORK rows; those of a tick that is held lose placements, h and M.
-        kept: (5 n,) of MEMORY: joint positions last read, those held, speeds, what joints that
-            stood still were to gain, and by what speeds disagree (see `plausibility`).
+        kept: (6 n,) of MEMORY: joint positions last read, those held, speeds, what joints that
+            stood still were to gain, by what speeds disagree, and by what positions have drifted
+            away from them (see `plausibility`).
         last_wrenches: (7 arms,) of MEMORY: wrenches last read, and for how long (s).
         step: (motors,) scratch. q, v: (n,) and wrenches: (arms, 6) as they came in.
         last: (motors,) torques of the last tick, tau[first:] of this.
@@ -70,7 +71,7 @@ def guard(
     if memory.state != SAFE_STOP:
         memory.faults += 1
         memory.cause = reason
-        if memory.faults >= chain.fault_ticks or reason >= TOO_FAST:
+        if memory.faults >= chain.fault_ticks or reason >= OVERSPEED:
             _enter(memory, SAFE_STOP)
         elif memory.faults > memory.repeats:
             _enter(memory, HOLD)

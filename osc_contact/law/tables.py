@@ -65,13 +65,13 @@ CHAIN = _record(
         "posture_damping", "retreat_damping", "mu", "slip", "learning",
         "hold_rate", "torque_rate",  # 1/s, of `safety`
         # see `watch`: s to begin braking, W, N of the least limit, s of low and of high forces
-        "reaction", "contact_power", "contact_force", "unfelt_for", "pressed_for",
+        "reaction", "contact_power", "contact_force", "contact_loss_time", "overforce_time",
         "integral_force", "integral_motion",  # the most that integrals add: N, m/s² or rad/s²
         "force_brake", "drift_share", "step_time",  # see `steps`
         # see `plausibility`: N, N m, times a speed limit, s without a wrench
         "force_range", "torque_range", "plausible_speed", "wrench_timeout",
-        "stuck_speed", "frozen_for",  # likewise: share of a speed limit, s
-        "speed_error",  # times a speed limit
+        "stuck_speed", "frozen_time",  # likewise: share of a speed limit, s
+        "speed_error", "position_drift",  # times a speed limit; rad or m
         # contact phases, see `phases`
         "force_gain", "force_damping", "approach_speed", "approach_damping", "travel", "rise",
         "least_force", "lost_share", "lag", "force_on", "force_off", "power",
@@ -123,7 +123,7 @@ MEMORY = _record(
     whole=(
         "force_rank", "located", "ticked", "fresh", "engaged", "hand_over", "reason",
         # see `safety`: ticks in this state, faults in a row, ticks too fast, ticks that may repeat
-        "state", "age", "faults", "too_fast", "repeats", "cause", "read", "settled",
+        "state", "age", "faults", "overspeed", "repeats", "cause", "read", "settled",
         "culprit",  # joint, arm or column of N that the cause is about
         # see `plausibility`: whether this tick has no wrench, ticks since the last one, whether one
         # was ever read, ticks of the same readings, whether readings of the last tick are there
@@ -152,7 +152,7 @@ COLUMN_MEMORY = _record(
         "low_for", "high_for", "burst", "armed_for",  # see `phases.monitor`
         "force", "pace",  # low-passed magnitude and speed
         "alpha", "speed", "net",  # of the last tick; net: without the inertia of what flies
-        "unfelt", "pressed",  # see `watch`: s of too little force, and of too much
+        "underforce", "overforce",  # see `watch`: s of too little force, and of too much
         "wish", "scale", "drift",  # desired force, its size, lasting speed, see `steps`
     ),
     to_come=3,  # of a step, see `steps`
@@ -223,8 +223,8 @@ OK, SATURATED, HELD, DEGRADED = range(4)
     NO_REASON, BAD_INPUT, OBJECT_UNKNOWN, BAD_INERTIA, UNACTUATED, DEGENERATE_PAIR, CONTRADICTION,
     DIFFERENT_BODIES, UNREACHABLE, INSEPARABLE, BAD_METRIC, NOT_FINITE, BLIND, STOPPED,
     NO_ROTATION, OUT_OF_RANGE, JUMPED, WRENCH_TIMEOUT,
-    TOO_FAST, NEAR_END, POWERED, UNFELT, PRESSED,
-    STUCK, FROZEN, WRIST_FROZEN, DISAGREE,  # from TOO_FAST on: these stop at once
+    OVERSPEED, NEAR_END, POWERED, CONTACT_LOST, OVERFORCE,
+    STUCK, FROZEN, WRIST_FROZEN, DISAGREE,  # from OVERSPEED on: these stop at once
 ) = range(27)  # fmt: skip
 #: What the controller does, see `safety`.
 RUN, DEGRADED_STATE, HOLD, SAFE_STOP = range(4)

@@ -105,7 +105,7 @@ def _row(
     contacts = read_contact_memory(memory_bytes, memory_at + chain.contact_memory_at, c)
     column_memory = read_column_memory(memory_bytes, memory_at + chain.column_memory_at, r_all)
     last = numbers(memory_bytes, memory_at + chain.torque_memory_at, chain.n_motors)
-    kept = numbers(memory_bytes, memory_at + chain.kept_at, 5 * n)
+    kept = numbers(memory_bytes, memory_at + chain.kept_at, 6 * n)
     last_wrenches = numbers(memory_bytes, memory_at + chain.last_wrenches_at, 7 * k)
     if memory.wrench_missing != 0:
         wrenches = matrix(last_wrenches, 0, k, 6)

@@ -11,22 +11,22 @@ from __future__ import annotations
 from osc_contact.law.force import integral_room
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.tables import (
+    CONTACT_LOST,
     NEAR_END,
     NO_REASON,
+    OVERFORCE,
+    OVERSPEED,
     POWERED,
-    PRESSED,
     RUN,
-    TOO_FAST,
-    UNFELT,
 )
 
 __all__ = ["SURE", "watch_contacts", "watch_joints"]
 
 _FULL = 0.99  #: share of its bound at which a force integral has reached it
-_FELT = 0.2  #: share of a command; a contact that reads less is not felt
+_SHARE = 0.2  #: share of a command; a contact that reads less is lost
 _LIGHT = 1.0  #: N; what is commanded less cannot be told from nothing
 SURE = 0.0025  #: s of evidence, at the least, that one wrong sample does not bring about
-_PRESSED = 3.0  #: times the command; a contact that reads more is pressed
+_OVERFORCE = 3.0  #: times the command; a contact that reads more is overloaded
 
 
 @leaf
@@ -44,24 +44,24 @@ def watch_joints(chain, table, memory, q, v):
         rest = x + speed * (chain.reaction + row.brake * abs(speed))
         if (rest > row.upper and x <= row.upper) or (rest < row.lower and x >= row.lower):
             near = j
-    memory.too_fast = memory.too_fast + 1 if fast >= 0 else max(memory.too_fast - 1, 0)
+    memory.overspeed = memory.overspeed + 1 if fast >= 0 else max(memory.overspeed - 1, 0)
     memory.ending = collect(memory.ending, chain.period, near >= 0)
     if memory.ending > max(SURE, 1.5 * chain.period):
         memory.culprit = near
         return NEAR_END
-    if memory.too_fast > chain.fast_ticks:
+    if memory.overspeed > chain.fast_ticks:
         memory.culprit = fast
-        return TOO_FAST
+        return OVERSPEED
     return NO_REASON
 
 
 @inner
 def watch_contacts(chain, work, memory, columns, column_memory):
-    """Contacts that take too much power, that are not felt, or that are pressed; a reason.
+    """Contacts that take too much power, that are lost, or overloaded; a reason.
 
-    P = Σ α_k (NᵀV_rel)_k over what moves into its face. A force is not felt below a fifth of its
-    command, or where the force integral stands at its bound: contact is lost, or the sensor lies;
-    contact phases see to that where they are on. It is pressed above three times its command, or
+    P = Σ α_k (NᵀV_rel)_k over what moves into its face. A contact is lost, or its sensor lies,
+    where less than a fifth of its command is read, or its force integral stands at its bound;
+    contact phases see to that where they are on. It is overloaded above three times its command, or
     above `contact_force`, whichever is more.
     """
     power, reason, dt = 0.0, NO_REASON, chain.period
@@ -70,19 +70,19 @@ def watch_contacts(chain, work, memory, columns, column_memory):
         if alpha > 0.0 and speed > 0.0:
             power += alpha * speed
         row = column_memory[columns[int(work.keep[a])].chosen]
-        felt = alpha if wanted > 0.0 else -alpha
         size = abs(wanted)
-        missing = size > _LIGHT and felt < _FELT * size
+        missing = size > _LIGHT and (alpha if wanted > 0.0 else -alpha) < _SHARE * size
         if memory.force_rank == work.rank:
             room = _FULL * integral_room(chain.integral_force, wanted)
             missing = missing or abs(memory.force_sum[a]) > room
-        row.unfelt = collect(row.unfelt, dt, missing and chain.phased == 0 and memory.state == RUN)
-        most = max(_PRESSED * size, chain.contact_force)
-        row.pressed = collect(row.pressed, dt, abs(alpha) > most)
-        if row.unfelt > chain.unfelt_for:
-            reason = UNFELT
-        elif row.pressed > chain.pressed_for:
-            reason = PRESSED
+        missing = missing and chain.phased == 0 and memory.state == RUN
+        row.underforce = collect(row.underforce, dt, missing)
+        most = max(_OVERFORCE * size, chain.contact_force)
+        row.overforce = collect(row.overforce, dt, abs(alpha) > most)
+        if row.underforce > chain.contact_loss_time:
+            reason = CONTACT_LOST
+        elif row.overforce > chain.overforce_time:
+            reason = OVERFORCE
         if reason != NO_REASON:
             memory.culprit = columns[int(work.keep[a])].chosen
             return reason

@@ -136,14 +136,14 @@ class SafetySpec(Spec):
 
     repeats: Annotated[int, Field(ge=0)] = 2
     stop_after: Annotated[int, Field(gt=0)] = 20
-    too_fast_for: Annotated[Time, Field(gt=0)] = 0.02
+    overspeed_time: Annotated[Time, Field(gt=0)] = 0.02
     hold_rate: Positive = 20.0
     torque_rate: Positive = 200.0
     brake_time: Annotated[Time, Field(ge=0)] = 0.1
     contact_power: Positive = 20.0
     contact_force: Annotated[Force, Field(gt=0)] = 30.0
-    pressed_for: Annotated[Time, Field(gt=0)] = 0.15
-    unfelt_for: Annotated[Time, Field(gt=0)] = 0.2
+    overforce_time: Annotated[Time, Field(gt=0)] = 0.15
+    contact_loss_time: Annotated[Time, Field(gt=0)] = 0.2
     integral_force: Annotated[Force, Field(gt=0)] = 15.0
     integral_motion: Positive = 50.0
     force_range: Annotated[Force, Field(gt=0)] = 1000.0
@@ -151,8 +151,9 @@ class SafetySpec(Spec):
     plausible_speed: Positive = 3.0
     wrench_timeout: Annotated[Time, Field(gt=0)] = 0.02
     stuck_speed: Positive = 0.1
-    frozen_for: Annotated[Time, Field(gt=0)] = 0.25
+    frozen_time: Annotated[Time, Field(gt=0)] = 0.25
     speed_error: Positive = 0.1
+    position_drift: Positive = 0.02
 
 
 class ForceReadingSpec(Spec):
