@@ -1,4 +1,4 @@
-"""What `import osc_contact` costs: what is only for figures, studies and simulators stays out."""
+"""What `import osc_contact` costs: no more than Python itself; a name costs what it needs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import sys
 
 import pytest
 
+import osc_contact as osc
+from osc_contact.contacts.pairs import PAIRS
+
 LATER = (
     "matplotlib", "mujoco", "meshcat", "tornado", "PIL", "yourdfpy", "ruckig", "rich", "typer",
     "urllib.request", "ssl", "osc_contact.paper", "osc_contact.bench", "osc_contact.cli",
@@ -14,13 +17,18 @@ LATER = (
 )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def loaded() -> set[str]:
-    program = "import osc_contact, sys; print(*sys.modules)"
+def printed(program: str) -> list[str]:
+    """The words that a fresh Python prints."""
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
-    return set(done.stdout.split())
+    return done.stdout.split()
+
+
+@pytest.fixture(scope="module")
+def loaded() -> set[str]:
+    program = "import osc_contact as o, sys; o.Controller, o.load_scenario, o.run, o.MujocoRobot"
+    return set(printed(f"{program}; print(*sys.modules)"))
 
 
 @pytest.mark.parametrize("module", LATER)
@@ -29,13 +37,44 @@ def test_what_few_programs_need_is_imported_where_it_is_used(loaded: set[str], m
     assert module not in loaded
 
 
+def test_nothing_is_loaded_before_a_name_is_asked_for() -> None:
+    program = "import sys; before = {*sys.modules}; import osc_contact; print(*sys.modules)"
+    assert not {"numpy", "pinocchio", "numba", "pydantic"} & set(printed(program))
+
+
+def test_a_recording_is_judged_without_compiler_and_simulator() -> None:
+    program = "import osc_contact as o, sys; o.Recording, o.metrics; print(*sys.modules)"
+    assert not {"numba", "mujoco"} & set(printed(program))
+
+
+def test_every_public_name_is_found_and_told() -> None:
+    assert all(hasattr(osc, name) for name in osc.__all__)
+    assert set(osc.__all__) <= set(dir(osc))
+    assert set(PAIRS) <= set(osc.__all__), "name the pair in osc_contact and in contacts.pairs"
+    with pytest.raises(AttributeError, match="no attribute 'Contorller'"):
+        osc.Contorller  # noqa: B018
+
+
+def test_a_pair_that_is_only_a_file_beside_the_others_is_a_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(osc.contacts.pairs, "Dovetail", osc.Prismatic, raising=False)
+    assert osc.Dovetail is osc.Prismatic
+    del osc.Dovetail
+
+
+def test_scenarios_know_the_kinds_of_the_layers_above_without_being_told() -> None:
+    program = (
+        "from osc_contact.scenarios import load_scenario;"
+        "print(*(type(c).__name__ for c in load_scenario('scara_peg').contacts))"
+    )
+    assert printed(program) == ["SphereOnPlaneSpec", "SphereOnPlaneSpec"]
+
+
 def test_scenario_models_are_built_when_they_are_first_used() -> None:
     program = (
         "import osc_contact as osc; G = osc.Scenario;"
         "print(G.__pydantic_complete__); osc.load_scenario('two_contact_rod');"
         "print(G.__pydantic_complete__)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.split() == ["False", "True"]
+    assert printed(program) == ["False", "True"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -196,6 +197,14 @@ class Scenario(Spec):
     def __eq__(self, other: Any) -> bool:
         """Compare what the file says, not where it lies."""
         return isinstance(other, Scenario) and self.__dict__ == other.__dict__
+
+    @model_validator(mode="before")
+    @classmethod
+    def _know_the_kinds(cls, data: Any) -> Any:
+        """Let the layers above enter their kinds of contact and grasp, if none has asked before."""
+        for register in ("osc_contact.contacts.pairs", "osc_contact.dynamics.grasp"):
+            import_module(register)
+        return data
 
     @model_validator(mode="after")
     def _check_across(self) -> Scenario:

@@ -14,6 +14,7 @@ from pkgutil import iter_modules
 
 from osc_contact.contacts.pairs.cone_in_groove import ConeInGroove
 from osc_contact.contacts.pairs.cylinder_in_hole import CylinderInHole
+from osc_contact.contacts.pairs.cylinder_in_v_groove import CylinderInVGroove
 from osc_contact.contacts.pairs.cylinder_on_plane import CylinderOnPlane
 from osc_contact.contacts.pairs.edge_on_edge import EdgeOnEdge
 from osc_contact.contacts.pairs.edge_on_face import EdgeOnFace
@@ -45,6 +46,7 @@ __all__ = [
     "CylinderOnPlane",
     "FaceOnFace",
     "CylinderInHole",
+    "CylinderInVGroove",
     "ConeInGroove",
     "Revolute",
     "Prismatic",
