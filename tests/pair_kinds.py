@@ -16,26 +16,8 @@ from importlib import import_module
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs import (
-    PAIRS,
-    ConeInGroove,
-    ContactPair,
-    CylinderInHole,
-    CylinderOnPlane,
-    EdgeOnEdge,
-    EdgeOnFace,
-    FaceOnFace,
-    FaceOnVertex,
-    Fixed,
-    Free,
-    GapFunctions,
-    Prismatic,
-    Revolute,
-    Screw,
-    SphereOnPlane,
-    VertexOnFace,
-)
+import osc_contact as osc
+from osc_contact.contacts.pairs import PAIRS
 
 STILL = np.zeros(6)
 
@@ -105,7 +87,7 @@ class Coordinates:
 
 PLAIN = Coordinates()
 Poses = Callable[[np.ndarray], pin.SE3]
-Kind = Callable[[np.random.Generator, Coordinates], tuple[ContactPair, Poses, int]]
+Kind = Callable[[np.random.Generator, Coordinates], tuple[osc.ContactPair, Poses, int]]
 KINDS: dict[str, Kind] = {}
 
 
@@ -148,7 +130,7 @@ def pose_of(rng: np.random.Generator) -> pin.SE3:
 def vertex_on_face(rng, c):
     vertex, point, n, rho = rng.normal(size=3), rng.normal(size=3), unit(rng), 0.2
     plane = in_plane(n)
-    pair = VertexOnFace(c.A(vertex), c.E(point), c.along_E(n), rho * c.per_metre)
+    pair = osc.VertexOnFace(c.A(vertex), c.E(point), c.along_E(n), rho * c.per_metre)
     return pair, lambda q: placed(pin.exp3(q[:3]), vertex, point + q[3:] @ plane + rho * n), 1
 
 
@@ -156,7 +138,7 @@ def vertex_on_face(rng, c):
 def sphere_on_plane(rng, c):
     centre, point, n, rho = rng.normal(size=3), rng.normal(size=3), unit(rng), 0.3
     plane = in_plane(n)
-    pair = SphereOnPlane(c.A(centre), rho * c.per_metre, c.E(point), c.along_E(n))
+    pair = osc.SphereOnPlane(c.A(centre), rho * c.per_metre, c.E(point), c.along_E(n))
     return pair, lambda q: placed(pin.exp3(q[:3]), centre, point + q[3:] @ plane + rho * n), 1
 
 
@@ -164,7 +146,7 @@ def sphere_on_plane(rng, c):
 def face_on_vertex(rng, c):
     point, n, vertex, rho = rng.normal(size=3), unit(rng), rng.normal(size=3), 0.2
     plane = in_plane(n)
-    pair = FaceOnVertex(c.A(point), c.along_A(n), c.E(vertex), rho * c.per_metre)
+    pair = osc.FaceOnVertex(c.A(point), c.along_A(n), c.E(vertex), rho * c.per_metre)
     return pair, lambda q: placed(pin.exp3(q[:3]), point + q[3:] @ plane + rho * n, vertex), 1
 
 
@@ -174,7 +156,7 @@ def crossed_edges(rng, c, hint: bool):
     # turned by at most about 1 rad from perpendicular, so that the edges never become parallel
     R0 = carrying(e, np.cross(f, in_plane(f)[0]))
     side = c.along_E(-np.cross(R0 @ e, f)) if hint else -1.0
-    pair = EdgeOnEdge(c.A(a), 2 * c.along_A(e), c.E(b), 3 * c.along_E(f), side)
+    pair = osc.EdgeOnEdge(c.A(a), 2 * c.along_A(e), c.E(b), 3 * c.along_E(f), side)
     return pair, lambda q: placed(pin.exp3(0.3 * q[:3]) @ R0, a + q[3] * e, b + q[4] * f), 1
 
 
@@ -203,7 +185,7 @@ def line_on_plane(rng, make, rho: float):
 def edge_on_face(rng, c):
     def make(point, e, face, n):
         length = 0.3 * c.per_metre
-        return EdgeOnFace(c.A(point), c.along_A(e), c.E(face), c.along_E(n), length)
+        return osc.EdgeOnFace(c.A(point), c.along_A(e), c.E(face), c.along_E(n), length)
 
     return line_on_plane(rng, make, 0.0)
 
@@ -212,7 +194,7 @@ def edge_on_face(rng, c):
 def cylinder_on_plane(rng, c):
     def make(point, e, face, n):
         rho, length = 0.15 * c.per_metre, 0.4 * c.per_metre
-        return CylinderOnPlane(c.A(point), c.along_A(e), rho, c.E(face), c.along_E(n), length)
+        return osc.CylinderOnPlane(c.A(point), c.along_A(e), rho, c.E(face), c.along_E(n), length)
 
     return line_on_plane(rng, make, 0.15)
 
@@ -221,7 +203,7 @@ def cylinder_on_plane(rng, c):
 def face_on_face(rng, c):
     point, n, face, m = rng.normal(size=3), unit(rng), rng.normal(size=3), unit(rng)
     R0, plane = carrying(n, -m), in_plane(m)
-    pair = FaceOnFace(c.A(point), c.along_A(n), c.E(face), c.along_E(m), 0.2 * c.per_metre)
+    pair = osc.FaceOnFace(c.A(point), c.along_A(n), c.E(face), c.along_E(m), 0.2 * c.per_metre)
     return pair, lambda q: placed(about(m, q[0]) @ R0, point, face + q[1:] @ plane), 3
 
 
@@ -229,7 +211,7 @@ def face_on_face(rng, c):
 def cylinder_in_hole(rng, c):
     point, e, hole, h = rng.normal(size=3), unit(rng), rng.normal(size=3), unit(rng)
     R0 = carrying(e, h)
-    pair = CylinderInHole(c.A(point), c.along_A(e), c.E(hole), c.along_E(h), 0.2 * c.per_metre)
+    pair = osc.CylinderInHole(c.A(point), c.along_A(e), c.E(hole), c.along_E(h), 0.2 * c.per_metre)
     return pair, lambda q: placed(about(h, q[0]) @ R0, point, hole + q[1] * h), 4
 
 
@@ -242,40 +224,42 @@ def cone_in_groove(rng, c):
         *(unit(rng) for _ in range(2)),
     )
     R0 = carrying(axis, seat)
-    pair = ConeInGroove(c.A(apex), c.along_A(axis), c.E(point), c.along_E(groove), c.along_E(seat))
+    pair = osc.ConeInGroove(
+        c.A(apex), c.along_A(axis), c.E(point), c.along_E(groove), c.along_E(seat)
+    )
     return pair, lambda q: placed(about(seat, q[0]) @ R0, apex, point + q[1] * groove), 4
 
 
 @kind
 def revolute(rng, c):
     point, e, X = rng.normal(size=3), unit(rng), pose_of(rng)
-    pair = Revolute(c.A(point), c.along_A(e), c.pose(X))
+    pair = osc.Revolute(c.A(point), c.along_A(e), c.pose(X))
     return pair, lambda q: X * placed(about(e, q[0]), point, point), 5
 
 
 @kind
 def prismatic(rng, c):
     point, e, X = rng.normal(size=3), unit(rng), pose_of(rng)
-    pair = Prismatic(c.A(point), c.along_A(e), c.pose(X))
+    pair = osc.Prismatic(c.A(point), c.along_A(e), c.pose(X))
     return pair, lambda q: X * pin.SE3(np.eye(3), q[0] * e), 5
 
 
 @kind
 def screw(rng, c):
     point, e, X, pitch = rng.normal(size=3), unit(rng), pose_of(rng), rng.normal()
-    pair = Screw(c.A(point), c.along_A(e), pitch * c.per_metre, c.pose(X))
+    pair = osc.Screw(c.A(point), c.along_A(e), pitch * c.per_metre, c.pose(X))
     return pair, lambda q: X * placed(about(e, q[0]), point, point + pitch * q[0] * e), 5
 
 
 @kind
 def fixed(rng, c):
     X = pose_of(rng)
-    return Fixed(c.pose(X)), lambda q: X, 6
+    return osc.Fixed(c.pose(X)), lambda q: X, 6
 
 
 @kind
 def free(rng, c):
-    return Free(), lambda q: pin.SE3(pin.exp3(q[:3]), q[3:]), 0
+    return osc.Free(), lambda q: pin.SE3(pin.exp3(q[:3]), q[3:]), 0
 
 
 @kind
@@ -290,7 +274,7 @@ def point_on_a_saddle(rng, c):
         x, y = 0.5 * q[3:]
         return placed(pin.exp3(q[:3]), vertex, X.act(np.array([x, y, k * x * x + m * y**3])))
 
-    return GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 1
+    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 1
 
 
 @kind
@@ -304,7 +288,7 @@ def bead_on_a_wire(rng, c):
     def pose(q: np.ndarray) -> pin.SE3:
         return placed(pin.exp3(q[:3]), bead, X.act(np.array([q[3], np.sin(q[3]), 0.5 * q[3] ** 2])))
 
-    return GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 2
+    return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 2
 
 
 def steps(order: int) -> tuple[np.ndarray, np.ndarray]:
@@ -337,7 +321,7 @@ def kinematics(X: Callable[[float], pin.SE3]) -> tuple[np.ndarray, np.ndarray]:
 class Motion:
     """A pair, and both bodies moving."""
 
-    pair: ContactPair
+    pair: osc.ContactPair
     body: Callable[[float], pin.SE3]
     env: Callable[[float], pin.SE3]
 
@@ -369,7 +353,7 @@ class Motion:
             for a, e in zip(kinematics(self.body), kinematics(self.env), strict=True)
         )
 
-    def contact(self) -> Contact:
+    def contact(self) -> osc.Contact:
         X_WO, X_WE = self.body(0.0), self.env(0.0)
         return self.pair.contact(X_WO, kinematics(self.body)[0], X_WE, kinematics(self.env)[0])
 
@@ -383,7 +367,7 @@ class Motion:
         return away.toActionMatrixInverse().T @ N
 
 
-def free_motions(name: str, turn: int) -> tuple[Contact, np.ndarray]:
+def free_motions(name: str, turn: int) -> tuple[osc.Contact, np.ndarray]:
     """A contact, and the twists (6, 6−r) of the object along each free coordinate, from poses."""
     rng = np.random.default_rng([turn, 10])
     pair, pose, r = KINDS[name](rng, PLAIN)
@@ -393,7 +377,7 @@ def free_motions(name: str, turn: int) -> tuple[Contact, np.ndarray]:
     return pair.contact(X_WO, STILL, X_WE), np.reshape(twists, (6 - r, 6)).T
 
 
-def touching(name: str, X_WO: pin.SE3, seed: int, per_metre: float = 1.0) -> ContactPair:
+def touching(name: str, X_WO: pin.SE3, seed: int, per_metre: float = 1.0) -> osc.ContactPair:
     """A pair of a kind that touches the world at a pose of the object."""
     _, pose, r = KINDS[name](np.random.default_rng(seed), PLAIN)
     X = pin.SE3(X_WO.rotation, X_WO.translation / per_metre)

@@ -30,25 +30,8 @@ from pair_kinds import (
     rate,
 )
 
-from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs import (
-    PAIRS,
-    ConeInGroove,
-    ContactPair,
-    CylinderInHole,
-    CylinderOnPlane,
-    EdgeOnEdge,
-    EdgeOnFace,
-    FaceOnFace,
-    FaceOnVertex,
-    Fixed,
-    GapFunctions,
-    Prismatic,
-    Revolute,
-    Screw,
-    SphereOnPlane,
-    VertexOnFace,
-)
+import osc_contact as osc
+from osc_contact.contacts.pairs import PAIRS
 from osc_contact.contacts.pairs.pair import count_forces
 from osc_contact.contacts.pairs.tangent_pair import TangentPair
 from osc_contact.errors import ContactError, InvalidInputError
@@ -161,7 +144,7 @@ def test_every_pair_from_its_gaps_alone(name: str, turn: int) -> None:
     motion = Motion.keeping(name, turn)
     contact = motion.contact()
     other = Motion(
-        GapFunctions(lambda X: motion.pair.gaps(X), length=1.0), motion.body, motion.env
+        osc.GapFunctions(lambda X: motion.pair.gaps(X), length=1.0), motion.body, motion.env
     ).contact()
     np.testing.assert_allclose(
         other.N, contact.N, atol=1e-9 * (1 + np.abs(contact.N).max(initial=0))
@@ -182,10 +165,10 @@ def test_the_environment_defaults_to_the_world_at_rest(name: str) -> None:
         np.testing.assert_allclose(one.N, other.N, atol=1e-14)
         np.testing.assert_allclose(one.n_gamma, other.n_gamma, atol=1e-11)
     np.testing.assert_allclose(pair.gaps(X_WO), pair.gaps(X_WO, here), atol=1e-14)
-    assert isinstance(pair, ContactPair)
+    assert isinstance(pair, osc.ContactPair)
 
 
-def answer(contact: Contact, Phi: np.ndarray, f: np.ndarray, a_E: np.ndarray) -> np.ndarray:
+def answer(contact: osc.Contact, Phi: np.ndarray, f: np.ndarray, a_E: np.ndarray) -> np.ndarray:
     """f_c of a free body of inverse inertia Φ under the wrench f: Nᵀ(Φ(f − Nα) − a_E) = n_γ."""
     N = contact.N
     D = N.T @ Phi @ N
@@ -225,7 +208,7 @@ def test_the_contact_force_knows_no_frame_origin_basis_or_unit(name: str, turn: 
     changed = moved.contact(mm(Y * X_WO * X_A), to_O @ V_O, mm(Y * X_WE * X_E), to_E @ V_E)
     f_changed = answer(changed, to_O @ Phi @ to_O.T / 1e9, forces @ f, to_O @ a_E)
     M = np.linalg.qr(rng.normal(size=(r, r)))[0] * rng.uniform(0.3, 3.0, size=r)
-    f_basis = answer(Contact(plain.N @ M, plain.n_gamma @ M), Phi, f, a_E)
+    f_basis = answer(osc.Contact(plain.N @ M, plain.n_gamma @ M), Phi, f, a_E)
     scale = np.abs(f_c).max() + np.abs(f).max()
     for other in (np.linalg.solve(forces, f_changed), f_basis):
         np.testing.assert_allclose(other, f_c, rtol=0, atol=1e-9 * scale)
@@ -244,7 +227,7 @@ def test_lifted_objects_have_open_gaps(name: str, turn: int) -> None:
 
 
 def test_a_face_of_the_object_pushes_along_its_own_outward_normal() -> None:
-    pair = FaceOnVertex([0.0, 0, -0.1], [0.0, 0, -2.0], [0.3, 0.2, 0.0])
+    pair = osc.FaceOnVertex([0.0, 0, -0.1], [0.0, 0, -2.0], [0.3, 0.2, 0.0])
     X = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.15]))
     np.testing.assert_allclose(pair.gaps(X), [0.05])
     np.testing.assert_allclose(pair.contact(X, STILL).N[:, 0], [0, 0, -1, -0.2, 0.3, 0])
@@ -253,7 +236,7 @@ def test_a_face_of_the_object_pushes_along_its_own_outward_normal() -> None:
 @pytest.mark.parametrize(("side", "down"), [(1.0, 1), (-1.0, -1), ([0.1, 0.3, 2.0], 1)])
 def test_edges_cross_with_the_environment_on_the_stated_side(side: object, down: int) -> None:
     """e_A × e_E = y × x = −z."""
-    pair = EdgeOnEdge([0.0, 5, 0.02], [0.0, 1, 0], [7.0, 0, 0], [1.0, 0, 0], side)
+    pair = osc.EdgeOnEdge([0.0, 5, 0.02], [0.0, 1, 0], [7.0, 0, 0], [1.0, 0, 0], side)
     here = pin.SE3.Identity()
     np.testing.assert_allclose(pair.gaps(here), [down * 0.02], atol=1e-15)
     np.testing.assert_allclose(pair.contact(here, STILL).N[:, 0], [0, 0, -down, 0, 0, 0])
@@ -272,7 +255,7 @@ def test_the_cone_has_the_two_motions_of_figure_2() -> None:
 
 
 def test_a_screw_is_closed_again_after_every_turn_and_open_in_between() -> None:
-    pair = Screw(np.zeros(3), [0.0, 0, 1], 0.002)
+    pair = osc.Screw(np.zeros(3), [0.0, 0, 1], 0.002)
     for turns in (1, -2, 7):
         lifted = pin.SE3(np.eye(3), np.array([0, 0, 0.002 * 2 * np.pi * turns]))
         np.testing.assert_allclose(pair.gaps(lifted), 0.0, atol=1e-15)
@@ -283,9 +266,9 @@ def test_a_screw_is_closed_again_after_every_turn_and_open_in_between() -> None:
 def test_a_joint_angle_error_is_a_gap_in_radians() -> None:
     """Couples push against rotations about the axes of the environment: −θ for a turn by θ."""
     for axis in range(3):
-        gaps = Fixed().gaps(pin.SE3(about(np.eye(3)[axis], 1e-4), np.zeros(3)))
+        gaps = osc.Fixed().gaps(pin.SE3(about(np.eye(3)[axis], 1e-4), np.zeros(3)))
         np.testing.assert_allclose(gaps, -1e-4 * np.eye(6)[3 + axis], atol=2e-8)
-    np.testing.assert_allclose(Fixed().contact(pin.SE3.Identity(), STILL).N, np.eye(6))
+    np.testing.assert_allclose(osc.Fixed().contact(pin.SE3.Identity(), STILL).N, np.eye(6))
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -312,7 +295,7 @@ def test_magnitudes_belong_to_feet_around_the_stated_point(turn: int) -> None:
 
 
 def test_a_hinge_is_held_by_forces_and_couples_along_the_axes_of_its_seat() -> None:
-    contact = Revolute(O3, Z).contact(pin.SE3.Identity(), STILL)
+    contact = osc.Revolute(O3, Z).contact(pin.SE3.Identity(), STILL)
     np.testing.assert_allclose(contact.N, np.eye(6)[:, :5])
 
 
@@ -322,27 +305,36 @@ Z, O3 = [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: SphereOnPlane(O3, -1.0, O3, Z, name="ball"), "ball.radius = -1.0"),
-        (lambda: SphereOnPlane(O3, 1.0, O3, O3, name="ball"), "ball.normal is zero"),
-        (lambda: FaceOnVertex(O3, O3, O3, name="lid"), "lid.normal is zero"),
-        (lambda: FaceOnVertex(O3, Z, O3, np.nan, name="lid"), "lid.radius = nan"),
-        (lambda: EdgeOnEdge(O3, O3, O3, Z), "edge_on_edge.direction_A is zero"),
-        (lambda: EdgeOnEdge(O3, Z, O3, [1.0]), r"edge_on_edge.direction_E: expected shape \(3\)"),
-        (lambda: EdgeOnEdge(O3, Z, O3, Z, side=0.5), r"edge_on_edge.side = 0.5; give \+1 or −1"),
-        (lambda: EdgeOnEdge(O3, Z, O3, Z, side=O3), "edge_on_edge.side is zero"),
-        (lambda: EdgeOnFace(O3, Z, O3, Z, length=0.0), "edge_on_face.length = 0.0"),
-        (lambda: CylinderOnPlane(O3, Z, -0.1, O3, Z), "cylinder_on_plane.radius = -0.1"),
-        (lambda: CylinderOnPlane(O3, Z, 0.1, O3, Z, np.inf), "cylinder_on_plane.length = inf"),
-        (lambda: FaceOnFace(O3, Z, O3, Z, size=-1.0), "face_on_face.size = -1.0"),
-        (lambda: CylinderInHole(O3, Z, O3, O3), "cylinder_in_hole.hole_direction is zero"),
-        (lambda: CylinderInHole(O3, Z, O3, Z, 0.0), "cylinder_in_hole.length = 0.0"),
-        (lambda: ConeInGroove(O3, Z, O3, Z, O3), "cone_in_groove.seat is zero"),
-        (lambda: Revolute(O3, O3), "revolute.axis is zero"),
-        (lambda: Prismatic([0.0], Z), r"prismatic.point: expected shape \(3\)"),
-        (lambda: Screw(O3, Z, 0.0), "screw.pitch = 0.0"),
-        (lambda: Screw(O3, Z, np.nan), "screw.pitch = nan"),
-        (lambda: GapFunctions(lambda X: X.translation, length=0.0), "gap_functions.length = 0.0"),
-        (lambda: GapFunctions(lambda X: X.translation, step=1.0), "gap_functions.step = 1.0"),
+        (lambda: osc.SphereOnPlane(O3, -1.0, O3, Z, name="ball"), "ball.radius = -1.0"),
+        (lambda: osc.SphereOnPlane(O3, 1.0, O3, O3, name="ball"), "ball.normal is zero"),
+        (lambda: osc.FaceOnVertex(O3, O3, O3, name="lid"), "lid.normal is zero"),
+        (lambda: osc.FaceOnVertex(O3, Z, O3, np.nan, name="lid"), "lid.radius = nan"),
+        (lambda: osc.EdgeOnEdge(O3, O3, O3, Z), "edge_on_edge.direction_A is zero"),
+        (
+            lambda: osc.EdgeOnEdge(O3, Z, O3, [1.0]),
+            r"edge_on_edge.direction_E: expected shape \(3\)",
+        ),
+        (
+            lambda: osc.EdgeOnEdge(O3, Z, O3, Z, side=0.5),
+            r"edge_on_edge.side = 0.5; give \+1 or −1",
+        ),
+        (lambda: osc.EdgeOnEdge(O3, Z, O3, Z, side=O3), "edge_on_edge.side is zero"),
+        (lambda: osc.EdgeOnFace(O3, Z, O3, Z, length=0.0), "edge_on_face.length = 0.0"),
+        (lambda: osc.CylinderOnPlane(O3, Z, -0.1, O3, Z), "cylinder_on_plane.radius = -0.1"),
+        (lambda: osc.CylinderOnPlane(O3, Z, 0.1, O3, Z, np.inf), "cylinder_on_plane.length = inf"),
+        (lambda: osc.FaceOnFace(O3, Z, O3, Z, size=-1.0), "face_on_face.size = -1.0"),
+        (lambda: osc.CylinderInHole(O3, Z, O3, O3), "cylinder_in_hole.hole_direction is zero"),
+        (lambda: osc.CylinderInHole(O3, Z, O3, Z, 0.0), "cylinder_in_hole.length = 0.0"),
+        (lambda: osc.ConeInGroove(O3, Z, O3, Z, O3), "cone_in_groove.seat is zero"),
+        (lambda: osc.Revolute(O3, O3), "revolute.axis is zero"),
+        (lambda: osc.Prismatic([0.0], Z), r"prismatic.point: expected shape \(3\)"),
+        (lambda: osc.Screw(O3, Z, 0.0), "screw.pitch = 0.0"),
+        (lambda: osc.Screw(O3, Z, np.nan), "screw.pitch = nan"),
+        (
+            lambda: osc.GapFunctions(lambda X: X.translation, length=0.0),
+            "gap_functions.length = 0.0",
+        ),
+        (lambda: osc.GapFunctions(lambda X: X.translation, step=1.0), "gap_functions.step = 1.0"),
     ],
 )
 def test_impossible_geometry_is_refused(make: Callable[[], object], message: str) -> None:
@@ -354,28 +346,30 @@ def test_impossible_geometry_is_refused(make: Callable[[], object], message: str
 def test_forces_are_counted_in_any_pose(name: str) -> None:
     pair, _, r = KINDS[name](np.random.default_rng(4), PLAIN)
     assert count_forces(pair) == r
-    assert count_forces(EdgeOnEdge(O3, Z, [0.1, 0, 0], Z)) == 1  # parallel where frames coincide
+    assert (
+        count_forces(osc.EdgeOnEdge(O3, Z, [0.1, 0, 0], Z)) == 1
+    )  # parallel where frames coincide
 
 
 def test_contacts_that_do_not_exist_are_refused() -> None:
     here = pin.SE3.Identity()
-    parallel = EdgeOnEdge(O3, Z, [0.1, 0, 0], Z, name="rails")
+    parallel = osc.EdgeOnEdge(O3, Z, [0.1, 0, 0], Z, name="rails")
     for ask in (lambda: parallel.contact(here, STILL), lambda: parallel.gaps(here)):
         with pytest.raises(ContactError, match="rails: the edges are parallel"):
             ask()
-    flat = GapFunctions(lambda X: [1.0])  # a gap that no motion changes
+    flat = osc.GapFunctions(lambda X: [1.0])  # a gap that no motion changes
     with pytest.raises(ContactError, match="column 0 is zero"):
         flat.contact(here, STILL)
     with pytest.raises(InvalidInputError, match=r"broken.gap\(X_EA\): element \(0,\) is nan"):
-        GapFunctions(lambda X: [np.nan], name="broken").gaps(here)
+        osc.GapFunctions(lambda X: [np.nan], name="broken").gaps(here)
 
 
 # Vertex on a face ---------------------------------------------------------------------------------
 
 
-def touching(seed: int, radius: float = 0.0) -> tuple[VertexOnFace, pin.SE3, pin.SE3]:
+def touching(seed: int, radius: float = 0.0) -> tuple[osc.VertexOnFace, pin.SE3, pin.SE3]:
     rng = np.random.default_rng(seed)
-    return VertexOnFace(*rng.normal(size=(3, 3)), radius), pose_of(rng), pose_of(rng)
+    return osc.VertexOnFace(*rng.normal(size=(3, 3)), radius), pose_of(rng), pose_of(rng)
 
 
 def test_N_is_a_unit_force_into_the_face_through_the_vertex() -> None:
@@ -420,13 +414,13 @@ def test_point_on_face_is_where_the_line_of_force_meets_it() -> None:
 def test_a_wheel_and_a_carousel() -> None:
     """Two textbook cases. A spinning body on a still face: n_γ is the centripetal acceleration of
     the vertex along n. A still vertex over a turning face: −ω² times its height lever, by hand."""
-    pair = VertexOnFace([0.0, 0.0, -0.3], np.zeros(3), [0.0, 0.0, 1.0])
+    pair = osc.VertexOnFace([0.0, 0.0, -0.3], np.zeros(3), [0.0, 0.0, 1.0])
     X = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.3]))
     spin = np.array([0.0, 0, 0, 0, 2.0, 0])
     # the vertex is accelerated up, away from the face, by ω²R unless a_O makes up for it
     assert pair.contact(X, spin).n_gamma[0] == pytest.approx(4.0 * 0.3)
     # a face through the origin, tilting about y below a still vertex at x = 0.5: gap = x sin θ
-    pair = VertexOnFace([0.5, 0.0, 0.0], np.zeros(3), [0.0, 0.0, 1.0])
+    pair = osc.VertexOnFace([0.5, 0.0, 0.0], np.zeros(3), [0.0, 0.0, 1.0])
     here = pin.SE3.Identity()
     contact = pair.contact(here, STILL, here, spin)
     assert contact.N[:, 0] @ (STILL - spin) == pytest.approx(-2.0 * 0.5)  # the gap opens at ω x
@@ -444,7 +438,7 @@ def test_face_placement_is_a_right_handed_frame_on_the_face(
     direction: tuple[float, float, float], length: float
 ) -> None:
     normal = np.array(direction) * length
-    pair = VertexOnFace(np.zeros(3), [0.1, 0.2, 0.3], normal)
+    pair = osc.VertexOnFace(np.zeros(3), [0.1, 0.2, 0.3], normal)
     X = pair.face_placement()
     np.testing.assert_allclose(X.rotation.T @ X.rotation, np.eye(3), atol=1e-12)
     assert np.linalg.det(X.rotation) == pytest.approx(1.0)
@@ -456,14 +450,14 @@ def test_face_placement_is_a_right_handed_frame_on_the_face(
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_face_placement_along_every_axis(axis: int, sign: float) -> None:
     normal = sign * np.eye(3)[axis]
-    X = VertexOnFace(np.zeros(3), np.zeros(3), normal).face_placement()
+    X = osc.VertexOnFace(np.zeros(3), np.zeros(3), normal).face_placement()
     np.testing.assert_allclose(X.rotation @ X.rotation.T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(np.cross(X.rotation[:, 0], X.rotation[:, 1]), normal, atol=1e-15)
 
 
 def test_normal_is_normalised_and_input_is_copied() -> None:
     vertex, normal = np.ones(3), np.array([0.0, 3.0, 4.0])
-    pair = VertexOnFace(vertex, np.zeros(3), normal)
+    pair = osc.VertexOnFace(vertex, np.zeros(3), normal)
     np.testing.assert_allclose(pair.normal, [0.0, 0.6, 0.8], atol=1e-16)
     vertex[:] = 9.0
     np.testing.assert_array_equal(pair.vertex, np.ones(3))
@@ -490,5 +484,5 @@ GOOD = {"vertex": np.zeros(3), "point": np.zeros(3), "normal": np.array([0.0, 0.
 )
 def test_impossible_pairs_are_refused(wrong: dict[str, object], message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
-        VertexOnFace(**{**GOOD, **wrong}, name="rod_end")  # type: ignore[arg-type]
-    VertexOnFace(**GOOD, name="rod_end")
+        osc.VertexOnFace(**{**GOOD, **wrong}, name="rod_end")  # type: ignore[arg-type]
+    osc.VertexOnFace(**GOOD, name="rod_end")
