@@ -1,4 +1,4 @@
-"""One full system of equations for arms that hold an object by any grasp.
+"""Full systems of equations for arms that hold an object by any grasp.
 
 Every joint and the object have accelerations of their own, in classical terms; grasps are written
 as points and directions that stay together, differentiated twice by hand. Nothing here knows
@@ -8,6 +8,7 @@ N, T, spatial drift or generalised inverses of the package.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -21,6 +22,7 @@ class Solution:
     qdd: np.ndarray
     a_object: np.ndarray  # spatial, at O
     alpha: np.ndarray
+    loops: np.ndarray  # (arms, 6) wrench of each arm on the object, at O; split not unique
     residual: float
 
 
@@ -56,7 +58,7 @@ class System:
         self.pull = np.concatenate(
             (m * g - m * np.cross(w, np.cross(w, c)), m * np.cross(c, g) - np.cross(w, I_O @ w))
         )
-        self.rows = []
+        self.rows, self.ends = [], [0]
         for tip, (kind, X_TO, axis) in zip(tips, grasps, strict=True):
             f = model.getFrameId(tip)
             X = data.oMf[f]
@@ -65,6 +67,7 @@ class System:
             a = pin.getFrameClassicalAcceleration(model, data, f, LWA).vector
             held = R @ X_TO.inverse().translation  # from O to the grasp's point of the object
             self._grasp(kind, axis, X, J, u, a, p, held, w, R @ X_TO.rotation.T)
+            self.ends.append(len(self.rows))
 
     def _grasp(self, kind, axis, X, J, u, a, p, held, w, R_OT):
         """`held`: O to the point G of the object that the grasp holds; R_OT: its axes there."""
@@ -137,7 +140,9 @@ class System:
             x += scale * np.linalg.lstsq(Ks, scale * (y - K @ x), rcond=1e-13)[0]
         residual = float(np.abs(scale * (K @ x - y)).max())
         spatial = x[n : n + 6] - np.concatenate((np.cross(w, v), np.zeros(3)))
-        return Solution(x[:n], spatial, x[n + 6 + k :], residual)
+        pulls = -K[n : n + 6, n + 6 : n + 6 + k] * x[n + 6 : n + 6 + k]
+        loops = [pulls[:, a:b].sum(axis=1) for a, b in pairwise(self.ends)]
+        return Solution(x[:n], spatial, x[n + 6 + k :], np.array(loops), residual)
 
 
 def across(axis):
@@ -145,3 +150,55 @@ def across(axis):
     first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     first /= np.linalg.norm(first)
     return first, np.cross(axis / np.linalg.norm(axis), first)
+
+
+def kkt(chain, q, v, tau, N=None, n_gamma=None) -> Solution:
+    """Arms that hold the object rigidly; its state is that of the first arm's tip."""
+    model = chain.model
+    data = model.createData()
+    tips = [f"{arm.name}/{arm.tip}" for arm in chain.arms]
+    pin.forwardKinematics(model, data, q, v)
+    X_WT = pin.updateFramePlacement(model, data, model.getFrameId(tips[0]))
+    X_WO = X_WT * chain.grasps[0].X_TO
+    V = pin.getFrameVelocity(model, data, model.getFrameId(tips[0]), LWA).vector
+    shift = np.cross(V[3:], X_WO.translation - X_WT.translation)
+    grasps = [("rigid", grasp.X_TO, None) for grasp in chain.grasps]
+    V_O = np.concatenate((V[:3] + shift, V[3:]))
+    system = System(model, tips, grasps, chain.payload.inertia, q, v, X_WO, V_O)
+    force = -model.damping * v
+    force[chain.actuated] += tau
+    N = np.zeros((6, 0)) if N is None else N
+    return system.solve(force, N, np.zeros(N.shape[1]) if n_gamma is None else n_gamma)
+
+
+class ClosedLoop:
+    """Pinocchio's own: arms, a free-flying object, and welds (or points, of balls) between them."""
+
+    def __init__(self, chain):
+        self.chain = chain
+        model = chain.model.copy()
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "object")
+        model.appendBodyToJoint(joint, chain.payload.inertia, pin.SE3.Identity())
+        self.model, self.data, self.ties = model, model.createData(), []
+        for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
+            tip = model.frames[model.getFrameId(f"{arm.name}/{arm.tip}")]
+            rows = pin.ContactType.CONTACT_6D if grasp.is_rigid else pin.ContactType.CONTACT_3D
+            ends = (tip.parentJoint, tip.placement, joint, grasp.X_TO.inverse())
+            self.ties.append(pin.RigidConstraintModel(rows, model, *ends, pin.LOCAL))
+        self.tie_data = [tie.createData() for tie in self.ties]
+        pin.initConstraintDynamics(model, self.data, self.ties, self.tie_data)
+        self.settings = pin.ProximalSettings(1e-13, 1e-10, 50)
+
+    def acceleration(self, q, v, X_WO, V_O, tau, wrench=None):
+        """Spatial acceleration (6,) of the object at O, world axes; wrench (6,) on it there."""
+        n, R = self.chain.nq, X_WO.rotation
+
+        def own(x):  # in the object's axes
+            return np.concatenate((R.T @ x[:3], R.T @ x[3:]))
+
+        Q = np.concatenate((q, pin.SE3ToXYZQUAT(X_WO)))
+        force = np.concatenate((np.zeros(n), np.zeros(6) if wrench is None else own(wrench)))
+        force[self.chain.actuated] = tau
+        U, ties = np.concatenate((v, own(V_O))), (self.ties, self.tie_data)
+        a = pin.constraintDynamics(self.model, self.data, Q, U, force, *ties, self.settings)
+        return np.concatenate((R @ a[n : n + 3], R @ a[n + 3 :]))

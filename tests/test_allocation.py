@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from oracles import kkt
+from grasp_oracle import kkt
 from readable.allocation import squeeze_rows
 from rigs import PANDA_Q, panda_pair, random_state, scara_pair
 from test_decoupling import both_allocations, both_laws, in_contact

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from oracles import constrained_pinocchio, kkt
+from grasp_oracle import ClosedLoop, kkt
 from rigs import (
     ROD,
     SCARA_Q,
@@ -80,32 +80,23 @@ def test_one_panda_with_zero_to_five_contacts_agrees_with_the_full_kkt_system():
 def test_accelerations_inertia_and_G_agree_with_pinocchio_constraint_dynamics(rig):
     """Λ_S⁻¹ and G from unit forces and unit torques on Pinocchio's own closed loop."""
     chain, rng = rig(), np.random.default_rng(3)
-    oracle = constrained_pinocchio(chain)
+    oracle = ClosedLoop(chain)
     for k in range(STATES):
         q, v = random_state(chain, rng)
         state = chain.state(q, v)
         tau = rng.normal(size=chain.n_a) * 20.0
         got = osc.contact_response(state, osc.Contact(np.zeros((6, 0))), tau=tau)
-        a = oracle.acceleration(q, v, state.X_WO, tau)
+        a = oracle.acceleration(q, v, state.X_WO, state.V_O, tau)
         assert close_to(got.acceleration, a) < RTOL, k
         if k % 20 == 0:
-            rest = np.zeros(chain.nq)
+            rest, none = np.zeros(chain.nq), np.zeros(chain.n_a)
             still = chain.state(q, rest)
-            none = np.zeros(chain.n_a)
-            base = oracle.acceleration(q, rest, still.X_WO, none)
-            Phi = np.column_stack(
-                [
-                    oracle.acceleration(q, rest, still.X_WO, none, wrench) - base
-                    for wrench in np.eye(6)
-                ]
-            )
-            assert close_to(still.Phi, Phi) < RTOL
-            SG = np.column_stack(
-                [
-                    oracle.acceleration(q, rest, still.X_WO, motor) - base
-                    for motor in np.eye(chain.n_a)
-                ]
-            )
+            where = q, rest, still.X_WO, still.V_O
+            base = oracle.acceleration(*where, none)
+            pushed = [oracle.acceleration(*where, none, wrench) - base for wrench in np.eye(6)]
+            assert close_to(still.Phi, np.column_stack(pushed)) < RTOL
+            driven = [oracle.acceleration(*where, motor) - base for motor in np.eye(chain.n_a)]
+            SG = np.column_stack(driven)
             mine = still.S @ np.linalg.solve(still.Lambda, still.G)
             assert close_to(mine, SG) < RTOL
 

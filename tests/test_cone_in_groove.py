@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
-from oracles import kkt
+from grasp_oracle import kkt
 from typer.testing import CliRunner
 
 import osc_contact as osc

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from oracles import kkt
+from grasp_oracle import kkt
 from readable.allocation import Allocation
 from readable.command_filter import (
     filtered_motion,

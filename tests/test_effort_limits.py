@@ -8,7 +8,7 @@ from dataclasses import replace
 import daqp
 import numpy as np
 import pytest
-from oracles import kkt
+from grasp_oracle import kkt
 from readable.controller import ReadableController
 from readable.effort_limits import idle_motions
 from rigs import one_panda, panda_pair, scara_pair

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from oracles import kkt
+from grasp_oracle import kkt
 from rigs import PANDA_Q, ROD, one_panda, panda_pair, scara_pair
 from test_decoupling import commanded, in_contact, structured
 from test_law import agree, disturb, inputs, twins

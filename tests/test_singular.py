@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from oracles import kkt
+from grasp_oracle import kkt
 from readable.chain import FULL, NONE_LEFT, share_left
 from readable.controller import ReadableController
 from rigs import SCARA_Q, one_panda, scara_pair
