@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from grasp_oracle import kkt
 from readable.motion import MotionLaw
 
 import osc_contact as osc
@@ -17,7 +18,6 @@ from osc_contact.control.controller import Controller
 from osc_contact.control.motion import MotionGains
 from osc_contact.control.safety import SafetyState
 from osc_contact.control.signals import SIGNALS
-from osc_contact.spatial import pose_error
 
 
 @pytest.fixture(scope="module")
@@ -61,26 +61,28 @@ def test_a_bad_measurement_repeats_the_last_torques_and_freezes_the_integrators(
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("of", "change"),
     [
-        {"alpha_d": np.array([10.0, np.nan])},
-        {"alpha_d": np.array([10.0])},
-        {"V_D": np.full(6, np.inf)},
-        {"squeeze_d": float("nan")},
+        ("measurement", {"q": np.zeros(9)}),
+        ("measurement", {"v": np.zeros((10, 1))}),
+        ("measurement", {"wrenches": np.zeros((1, 6))}),
+        ("measurement", {"wrenches": np.zeros(12)}),
+        ("reference", {"alpha_d": np.array([10.0, np.nan])}),
+        ("reference", {"alpha_d": np.array([10.0])}),
+        ("reference", {"V_D": np.full(6, np.inf)}),
+        ("reference", {"V_D": np.zeros(3)}),
+        ("reference", {"A_D": np.zeros((6, 1))}),
+        ("reference", {"squeeze_d": float("nan")}),
     ],
 )
-def test_a_bad_reference_is_held(ready, change):
+def test_what_does_not_fit_repeats_the_last_torques(ready, of, change):
     controller, _, measurement, reference = ready
-    tau = controller.tick(measurement, replace(reference, **change))
+    last = controller.tick(measurement, reference)
+    given = {"measurement": measurement, "reference": reference}
+    given[of] = replace(given[of], **change)
+    np.testing.assert_array_equal(controller.tick(*given.values()), last)
     assert controller.status is osc.Status.HELD
-    assert np.isfinite(tau).all()
-
-
-def test_wrong_sizes_are_held_not_raised(ready):
-    controller, _, measurement, reference = ready
-    controller.tick(replace(measurement, q=measurement.q[:-1]), reference)
-    assert controller.status is osc.Status.HELD
-    assert "q" in controller.reason
+    assert controller.reason
 
 
 def test_torques_never_exceed_a_motor_limit(ready):
@@ -178,12 +180,15 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig):
 
 
 def test_without_contacts_the_whole_motion_is_controlled(rig):
-    controller = Controller(rig.model, (), engaged=True)
-    plant = rig.plant()
-    reference = replace(rig.references.at(0.0), alpha_d=np.zeros(0))
-    tau = controller.tick(plant.measure(), reference)
+    """Of all accelerations that the arms permit the object gets the one nearest to the command."""
+    controller = Controller(rig.model, (), joint_friction=False)
+    reference = replace(rig.references.at(0.0), alpha_d=np.zeros(0), A_D=np.arange(1.0, 7.0))
+    measurement = rig.plant().measure()
+    tau = controller.tick(measurement, reference)
     assert controller.status is osc.Status.OK, controller.reason
-    assert np.isfinite(tau).all()
+    miss = kkt(rig.chain, measurement.q, measurement.v, tau).a_object - controller.signals.a_u
+    state = controller.signals.state
+    np.testing.assert_allclose(state.S.T @ state.metric @ miss, 0.0, atol=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -223,23 +228,6 @@ def test_arms_without_wrist_sensors_cannot_control_contact_forces():
     rig = osc.build_rig(scenario)
     with pytest.raises(osc.InvalidInputError, match="left"):
         rig.controller()
-
-
-@pytest.mark.parametrize(
-    "change",
-    [{"wrenches": np.zeros((1, 6))}, {"wrenches": np.zeros(12)}, {"v": np.zeros((10, 1))}],
-)
-def test_a_measurement_of_the_wrong_shape_is_held(ready, change):
-    controller, _, measurement, reference = ready
-    assert np.isfinite(controller.tick(replace(measurement, **change), reference)).all()
-    assert controller.status is osc.Status.HELD
-
-
-@pytest.mark.parametrize("change", [{"V_D": np.zeros(3)}, {"A_D": np.zeros((6, 1))}])
-def test_a_reference_of_the_wrong_shape_is_held(ready, change):
-    controller, _, measurement, reference = ready
-    controller.tick(measurement, replace(reference, **change))
-    assert controller.status is osc.Status.HELD
 
 
 def test_asking_for_signals_before_the_first_tick_says_so(rig):
@@ -333,39 +321,3 @@ def test_two_threads_on_one_chain_do_not_disturb_one_another(rig):
         for (tau, Lambda), (same, again) in zip(a, b, strict=True):
             np.testing.assert_array_equal(tau, same)
             np.testing.assert_array_equal(Lambda, again)
-
-
-def test_laws_of_ones_own(rig, ready):
-    """Force law, motion law and structure replaced by the same laws give the same torques."""
-    _, _, measurement, reference = ready
-    plain = rig.controller()
-    want = plain.tick(measurement, reference)
-    k = plain.gains.motion
-    sums = {"force": np.zeros(2), "motion": plain.motion_law.integral}
-
-    def force(alpha_d, alpha):
-        sums["force"] = sums["force"] + plain.gains.force.integral * plain.dt * (alpha_d - alpha)
-        speed = plain.result().normal_speed
-        return alpha_d + sums["force"] - plain.gains.force.damping * speed
-
-    def motion(reference, X_WO, V_O):
-        error = pose_error(reference.X_WD, X_WO)
-        integral = k.integral * plain.motion_law.integral
-        return reference.A_D + k.damping * (reference.V_D - V_O) + k.stiffness * error + integral
-
-    def structure(s):
-        return s.eta_c, s.f_S
-
-    for laws in ({"force": force}, {"motion": motion}, {"structure": structure}):
-        own = rig.controller().with_laws(**laws)
-        sums["force"] = np.zeros(2)
-        got = own.tick(measurement, reference)
-        assert own.status is osc.Status.OK, own.reason
-        np.testing.assert_allclose(got, want, atol=1e-9)
-        assert any(box.name.startswith("own") for box in own.wiring(measurement, reference))
-    broken = rig.controller().with_laws(motion=lambda *_: np.full(6, np.nan))
-    broken.tick(measurement, reference)
-    assert broken.status is osc.Status.HELD and "six finite numbers" in broken.reason
-    failing = rig.controller().with_laws(force=lambda *_: 1 / 0)
-    failing.tick(measurement, reference)
-    assert failing.status is osc.Status.HELD and "division" in failing.reason

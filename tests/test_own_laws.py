@@ -22,7 +22,7 @@ from osc_contact.control.signals import Signals
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Touched
 from osc_contact.plants.rigid import RigidPlant
-from osc_contact.spatial import classical_to_spatial
+from osc_contact.spatial import classical_to_spatial, pose_error
 
 
 @pytest.fixture(scope="module")
@@ -97,10 +97,17 @@ class BuiltIn:
 
 def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig: osc.Rig) -> None:
     """One after the other and together, while the plant moves."""
-    gains = osc.Gains(rig.controller().gains.motion, osc.ForceGains(30.0, 0.0))
+    own = replace(rig.controller().gains.motion, integral=0.0)
+    gains = osc.Gains(own, osc.ForceGains(30.0, 0.0))
     plain = rig.controller().with_gains(gains)
+
+    def motion(reference: osc.Reference, X_WO: pin.SE3, V_O: np.ndarray) -> np.ndarray:
+        error = pose_error(reference.X_WD, X_WO)
+        return reference.A_D + own.damping * (reference.V_D - V_O) + own.stiffness * error
+
     others = [
         force_law(BuiltIn)(plain),
+        plain.with_laws(motion=motion),
         plain.with_laws(structure=paper),
         plain.with_laws(force=BuiltIn(), structure=paper),
         osc.Controller(
