@@ -16,7 +16,7 @@ from rich.table import Table
 import osc_contact as osc
 from osc_contact.sweeps.rows import make_rows, scenario_of, without_doubts_told
 from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.sweep import available_cores
+from osc_contact.sweeps.workers import available_cores
 
 VARY = (
     "model_error.object_mass=uniform(0.8, 1.2)",

@@ -11,6 +11,11 @@ import typer
 from osc_contact import __version__, cli_robots, cli_start, cli_sweeps
 from osc_contact.bench.program import run_benchmark
 from osc_contact.console import (
+    DurationOption,
+    JsonOption,
+    ScenarioArgument,
+    SeedOption,
+    SetOption,
     err,
     exit_codes,
     forget_rows,
@@ -67,16 +72,7 @@ class PlantName(StrEnum):
     rigid = "rigid"
 
 
-ScenarioArgument = Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")]
 PlantOption = Annotated[PlantName | None, typer.Option(help="instead of the scenario's own")]
-DurationOption = Annotated[
-    float | None, typer.Option(help="seconds, instead of the scenario's own", show_default=False)
-]
-SeedOption = Annotated[int, typer.Option(min=0, help="of everything random")]
-SetOption = Annotated[
-    list[str] | None, typer.Option("--set", help="path.to.key=value, any number of times")
-]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="also write the result as JSON")]
 
 
 def _show_version(wanted: bool) -> None:

@@ -11,7 +11,7 @@ import pinocchio as pin
 import typer
 
 from osc_contact import robots
-from osc_contact.console import exit_codes, load_task, out, say
+from osc_contact.console import JsonOption, exit_codes, load_task, out, say
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs import poses, tables
@@ -20,8 +20,6 @@ from osc_contact.runs.report import write_json
 from osc_contact.scenarios import list_scenarios
 
 __all__ = ["check", "new", "pose"]
-
-JsonOption = Annotated[Path | None, typer.Option("--json", help="also write the result as JSON")]
 
 
 class InertiaLevel(StrEnum):

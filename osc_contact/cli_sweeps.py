@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,29 +12,37 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from osc_contact.console import err, exit_codes, out, require, say
+from osc_contact.console import (
+    DurationOption,
+    JsonOption,
+    ScenarioArgument,
+    SeedOption,
+    SetOption,
+    err,
+    exit_codes,
+    out,
+    require,
+    say,
+)
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs.report import write_json
 from osc_contact.sweeps.report import REPORT, write_report
-from osc_contact.sweeps.study import SweepStudy
+from osc_contact.sweeps.study import Design, SweepStudy
 from osc_contact.sweeps.sweep import TABLE, run_study
 from osc_contact.sweeps.tune import Tuned
 
 __all__ = ["sweep", "tune"]
 
-
-class DesignName(StrEnum):
-    """Where the points of a study lie."""
-
-    halton = "halton"
-    sobol = "sobol"
-    latin = "latin"
-    random = "random"
-    grid = "grid"
+WorkersOption = Annotated[
+    int | None, typer.Option(min=1, help="processes (default: one for each core)")
+]
+SchedulerOption = Annotated[
+    str | None, typer.Option(help="of a dask cluster that does it: its address, or `local`")
+]
 
 
 def sweep(
-    scenario: Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")],
+    scenario: ScenarioArgument,
     vary: Annotated[
         list[str],
         typer.Option(help="path.to.key=uniform(A, B), any number; see docs/sweeps.md for others"),
@@ -41,32 +50,31 @@ def sweep(
     samples: Annotated[
         int, typer.Option(min=1, help="points; on a grid: values of each key that can have any")
     ] = 100,
-    design: Annotated[DesignName, typer.Option(help="where they lie")] = DesignName.halton,
-    seed: Annotated[int, typer.Option(min=0, help="of the points, and of the runs")] = 0,
-    duration: Annotated[
-        float | None, typer.Option(help="seconds, instead of the scenario's", show_default=False)
-    ] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", help="path.to.key=value, of all runs")
-    ] = None,
+    design: Annotated[Design, typer.Option(help="where they lie")] = "halton",
+    seed: SeedOption = 0,
+    duration: DurationOption = None,
+    set_: SetOption = None,
     out_dir: Annotated[
         Path | None, typer.Option("--out", help="folder (default: out/SCENARIO_sweep)")
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="processes (default: one for each core)")
-    ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="also write the summary as JSON")
-    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Run a scenario many times with other numbers; the same command goes on after a kill."""
     with exit_codes():
         for package in ("pyarrow", "scipy"):
             require(package)
-        changes = [*(set_ or []), *([] if duration is None else [f"duration={duration!r}"])]
-        study = SweepStudy.of(scenario, vary, samples, design.value, seed, changes)
+        study = SweepStudy.of(scenario, vary, samples, design, seed, changed(set_, duration))
         folder = out_dir or Path("out") / f"{Path(scenario).stem}_sweep"
-        table = with_progress(study, folder, workers)
+        with counting("runs", study.rows) as progress:
+            try:
+                table = run_study(
+                    study, out=folder, workers=workers, scheduler=scheduler, progress=progress
+                )
+            except KeyboardInterrupt:
+                say(f"interrupted; the same command goes on with what is in {folder}")
+                raise typer.Exit(130) from None
         summary = write_report(table, study, folder)
         show_summary(study, summary)
         columns = f"{table.num_rows} rows of {table.num_columns} columns"
@@ -75,26 +83,27 @@ def sweep(
             write_json(summary, json_file)
 
 
-def with_progress(study: SweepStudy, folder: Path, workers: int | None) -> Any:
-    """Run a study, with a progress bar on a terminal.
+def changed(set_: list[str] | None, duration: float | None) -> list[str]:
+    """What is set in all runs.
 
     Args:
-        study: what to run.
-        folder: where the rows are kept.
-        workers: processes (None: one for each core).
+        set_: path=value of the command. duration: of the runs (s), if one was given.
+    """
+    return [*(set_ or []), *([] if duration is None else [f"duration={duration!r}"])]
+
+
+@contextmanager
+def counting(what: str, total: int) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar, on a terminal, while the block lasts.
+
+    Args:
+        what: is counted. total: how many there are.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                TimeRemainingColumn())  # fmt: skip
     with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
-        task = bar.add_task("runs", total=study.rows)
-        try:
-            return run_study(
-                study, out=folder, workers=workers,
-                progress=lambda done, _: bar.update(task, completed=done),
-            )  # fmt: skip
-        except KeyboardInterrupt:
-            say(f"interrupted; the same command goes on with what is in {folder}")
-            raise typer.Exit(130) from None
+        task = bar.add_task(what, total=total)
+        yield lambda done, _: bar.update(task, completed=done)
 
 
 def show_summary(study: SweepStudy, summary: dict[str, Any]) -> None:
@@ -120,7 +129,7 @@ def show_summary(study: SweepStudy, summary: dict[str, Any]) -> None:
 
 
 def tune(
-    scenario: Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")],
+    scenario: ScenarioArgument,
     vary: Annotated[
         list[str] | None,
         typer.Option(help="path.to.key=DISTRIBUTION to tune (default: the gains, factors of them)"),
@@ -137,38 +146,27 @@ def tune(
         list[str] | None, typer.Option(help="path.to.key=DISTRIBUTION of what is not known")
     ] = None,
     samples: Annotated[int, typer.Option(min=1, help="of that, for each trial")] = 1,
-    seed: Annotated[int, typer.Option(min=0, help="of everything random")] = 0,
-    duration: Annotated[
-        float | None, typer.Option(help="seconds, instead of the scenario's", show_default=False)
-    ] = None,
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", help="path.to.key=value, of all runs")
-    ] = None,
+    seed: SeedOption = 0,
+    duration: DurationOption = None,
+    set_: SetOption = None,
     out_dir: Annotated[
         Path | None, typer.Option("--out", help="folder of the trials; goes on with them")
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="processes (default: one for each core)")
-    ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="also write the result as JSON")
-    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    json_file: JsonOption = None,
 ) -> None:
     """Tune keys of a scenario with Optuna; print those to paste."""
     with exit_codes():
         require("optuna")
         from osc_contact.sweeps.tune import tune as find
 
-        changes = [*(set_ or []), *([] if duration is None else [f"duration={duration!r}"])]
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-                   TimeRemainingColumn())  # fmt: skip
-        with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
-            task = bar.add_task("trials", total=trials)
+        with counting("trials", trials) as progress:
             found = find(
                 scenario, vary or (), objective=objective, limits=_limits(limit or []),
-                trials=trials, over=over or (), samples=samples, seed=seed, overrides=changes,
-                out=out_dir, workers=workers,
-                progress=lambda done, _: bar.update(task, completed=done),
+                trials=trials, over=over or (), samples=samples, seed=seed,
+                overrides=changed(set_, duration), out=out_dir, workers=workers,
+                scheduler=scheduler, progress=progress,
             )  # fmt: skip
         show_tuned(found, objective)
         if json_file:

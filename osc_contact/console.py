@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -24,10 +25,20 @@ from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.visual.live import Shows
 
 __all__ = [
-    "PARTIAL", "UNFINISHED", "err", "exit_codes", "forget_rows", "load_task", "open_recording",
-    "out", "record", "report_run", "require", "require_report", "run_with_progress", "say",
-    "show_live",
+    "DurationOption", "JsonOption", "PARTIAL", "ScenarioArgument", "SeedOption", "SetOption",
+    "UNFINISHED", "err", "exit_codes", "forget_rows", "load_task", "open_recording", "out",
+    "record", "report_run", "require", "require_report", "run_with_progress", "say", "show_live",
 ]  # fmt: skip
+
+ScenarioArgument = Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")]
+DurationOption = Annotated[
+    float | None, typer.Option(help="seconds, instead of the scenario's own", show_default=False)
+]
+SeedOption = Annotated[int, typer.Option(min=0, help="of everything random")]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", help="path.to.key=value, any number of times")
+]
+JsonOption = Annotated[Path | None, typer.Option("--json", help="also write the result as JSON")]
 
 out = Console(width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True)
@@ -43,6 +54,7 @@ EXTRAS = {
     "scipy": "sweep",
     "gymnasium": "learn",
     "optuna": "tune",
+    "distributed": "cluster",
 }
 
 

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 import osc_contact as osc
 from osc_contact.cli import app
 from osc_contact.sweeps import tune as tuning
+from osc_contact.sweeps import workers
 from osc_contact.sweeps.tune import tune
 
 SHORT = ("duration=1.1 s",)
@@ -41,10 +42,12 @@ def test_what_is_not_known_counts_by_its_mean_and_limits_by_the_worst(monkeypatc
     inner = tuning.make_rows
 
     def make_rows(study, numbers):
-        seen.append(inner(study, numbers))
-        return seen[-1]
+        rows = inner(study, numbers)
+        seen.extend(rows)
+        return rows
 
-    monkeypatch.setattr(tuning, "make_rows", make_rows)
+    for module in (tuning, workers):
+        monkeypatch.setattr(module, "make_rows", make_rows)
     found = tune(
         "two_contact_rod", ["gains.force.integral=uniform(10, 60)"], objective="force",
         over=["model_error.object_mass=uniform(0.9, 1.1)"], samples=2, overrides=SHORT,
@@ -52,7 +55,7 @@ def test_what_is_not_known_counts_by_its_mean_and_limits_by_the_worst(monkeypatc
     )  # fmt: skip
     force = [
         [max(r["force.left_end.rms_error_rel"], r["force.right_end.rms_error_rel"]) for r in rows]
-        for rows in seen
+        for rows in zip(seen[::2], seen[1::2], strict=True)
     ]
     assert len(force) == 4 and all(len(one) == 2 for one in force)
     assert found.shipped == pytest.approx(np.mean(force[0]))

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,7 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.sweeps.rows import make_rows, require_long_enough, scenario_of
 from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.sweep import available_cores, leave_signals_to_the_parent
+from osc_contact.sweeps.workers import make_all, workers_of
 
 __all__ = ["GAINS", "Tuned", "tune"]
 
@@ -71,6 +69,7 @@ def tune(
     overrides: Sequence[str] = (),
     out: str | Path | None = None,
     workers: int | None = None,
+    scheduler: Any = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Tuned:
     """Find values of keys that make a scenario's errors small, without breaking a limit.
@@ -86,7 +85,8 @@ def tune(
         over: path=distribution of what is not known, such as masses: a trial is judged by its mean
             over `samples` of them, limits by the worst.
         seed: of trials and samples. overrides: path=value, of all runs.
-        out: folder of the trials, which the same call goes on with. workers: processes.
+        out: folder of the trials, which the same call goes on with.
+        workers, scheduler: see `sweep`; each runs a trial at a time.
         progress: called with the trials done and all of them.
 
     Raises:
@@ -122,15 +122,16 @@ def tune(
         changes = tuple(f"{path}={value}" for path, value in values.items())
         return trial, replace(base, overrides=(*base.overrides, *changes))
 
-    count = min(available_cores() if workers is None else workers, trials)
     done = len(study.get_trials(states=(optuna.trial.TrialState.COMPLETE,)))
-    with _executor(count) as executor:
+    with workers_of(workers, scheduler, trials) as crew:
         while done < trials:
+            count = 1 if crew is None else crew.count()
             asked = [ask() for _ in range(min(count, trials - done))]
-            found = executor.map(
-                make_rows, [one for _, one in asked], [range(samples)] * len(asked)
-            )
-            for (trial, _), rows in zip(asked, found, strict=True):
+            found: dict[int, list[Row]] = {id(one): [] for _, one in asked}
+            for one, row in make_all(crew, [(one, range(samples)) for _, one in asked]):
+                found[id(one)].append(row)
+            for trial, one in asked:
+                rows = sorted(found[id(one)], key=lambda row: int(row["row"]))
                 broken = judge.excess(rows)
                 for name, excess in enumerate(broken):
                     trial.set_constraint(str(name), excess)
@@ -164,14 +165,6 @@ def _storage(out: str | Path | None) -> Any:
 
     Path(out).mkdir(parents=True, exist_ok=True)
     return JournalStorage(JournalFileBackend(str(Path(out) / "trials.log")))
-
-
-def _executor(workers: int) -> Executor:
-    if workers > 1:
-        return ProcessPoolExecutor(workers, get_context("spawn"), leave_signals_to_the_parent)
-    from concurrent.futures import ThreadPoolExecutor
-
-    return ThreadPoolExecutor(1)
 
 
 class _Judge:

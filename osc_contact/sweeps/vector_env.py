@@ -20,7 +20,7 @@ from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, rotations
 from osc_contact.sweeps.episodes import Episode, Episodes
 from osc_contact.sweeps.fleet import Fleet
-from osc_contact.sweeps.sweep import available_cores
+from osc_contact.sweeps.workers import available_cores
 
 __all__ = ["ContactVectorEnv", "SensedRows", "make_vector_env", "tracking_reward"]
 

@@ -1,0 +1,122 @@
+"""Sweeps on a dask cluster: the same table as here, whatever becomes of its workers."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import urllib.request
+from http.client import HTTPException
+
+import psutil
+import pytest
+from distributed import Client, LocalCluster
+from pyarrow import parquet
+from typer.testing import CliRunner
+
+import osc_contact as osc
+from osc_contact.cli import app
+from osc_contact.sweeps import cluster
+from osc_contact.sweeps.study import SweepStudy
+from osc_contact.sweeps.sweep import TABLE, run_study
+from osc_contact.sweeps.tune import tune
+
+SHORT = ("duration=1.02 s",)
+MASSES = "model_error.object_mass=uniform(0.8, 1.2)"
+
+
+class Deadly(SweepStudy):
+    """Its row 1 ends the process that makes it."""
+
+    def sample(self, number):
+        if number == 1 and multiprocessing.parent_process() is not None:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().sample(number)
+
+
+@pytest.fixture(scope="module")
+def client():
+    with cluster.connect(cluster.LOCAL, 2) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def alone():
+    """The table of one process."""
+    return osc.sweep("two_contact_rod", [MASSES], 10, overrides=SHORT, workers=1)
+
+
+def listening() -> list[tuple[str, int]]:
+    """(host, port) on which this process and its children wait for others."""
+    me = psutil.Process()
+    return [
+        (one.laddr.ip, one.laddr.port)
+        for process in (me, *me.children(recursive=True))
+        for one in process.net_connections(kind="inet")
+        if one.status == psutil.CONN_LISTEN
+    ]
+
+
+def test_a_killed_worker_loses_nothing_and_the_table_is_that_of_one_process(client, alone) -> None:
+    killed = []
+
+    def kill_one(done: int, total: int) -> None:
+        if not killed:
+            killed.append(next(iter(client.run(os.getpid).values())))
+            os.kill(killed[0], signal.SIGKILL)
+
+    table = osc.sweep("two_contact_rod", [MASSES], 10, overrides=SHORT, scheduler=client,
+                      progress=kill_one)  # fmt: skip
+    assert killed and table.equals(alone)
+
+
+def test_by_command_and_address_too(client, alone, tmp_path) -> None:
+    words = ["sweep", "two_contact_rod", "--vary", MASSES, "--samples", "10", "--set", *SHORT,
+             "--scheduler", client.scheduler.address, "--out", str(tmp_path)]  # fmt: skip
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert parquet.read_table(tmp_path / TABLE).equals(alone)
+
+
+@pytest.mark.parametrize("where", ["processes", "cluster"])
+def test_a_run_that_ends_its_worker_twice_is_a_row_that_says_so(where, client) -> None:
+    client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
+    study = Deadly.of("two_contact_rod", [MASSES], 6, seed=1, overrides=SHORT)
+    how = {"workers": 2} if where == "processes" else {"scheduler": client}
+    rows, wanted = run_study(study, **how).to_pylist(), run_study(study, workers=1).to_pylist()
+    died = rows.pop(1)
+    assert died["row"] == 1 and died["word"] == "CRASHED" and died["failed"]
+    assert "twice" in died["why"] and wanted.pop(1)["word"] == "OK"
+    assert rows == wanted
+
+
+def test_tuning_finds_the_same_on_a_cluster(client) -> None:
+    how = {"overrides": SHORT, "trials": 4, "over": [MASSES], "samples": 2}
+    assert tune("two_contact_rod", **how, scheduler=client) == tune(
+        "two_contact_rod", **how, workers=2
+    )
+
+
+def test_a_cluster_of_this_machine_is_reached_by_itself_only_and_shows_no_pages(client) -> None:
+    client.run(os.getpid)
+    ports = listening()
+    assert len(ports) >= 4 and {host for host, _ in ports} == {"127.0.0.1"}
+    for host, port in ports:
+        with pytest.raises((OSError, HTTPException)):
+            urllib.request.urlopen(f"http://{host}:{port}/health", timeout=1.0)
+
+
+def test_what_cannot_be_used_is_refused_with_what_to_do(client, monkeypatch) -> None:
+    monkeypatch.setattr(cluster, "_PATIENCE_S", 0.5)
+
+    def refused(scheduler, complaint, **how):
+        with pytest.raises(osc.InvalidInputError, match=complaint):
+            osc.sweep("two_contact_rod", [MASSES], 2, overrides=SHORT, scheduler=scheduler, **how)
+
+    refused(client, "a cluster has its own", workers=2)
+    refused("tcp://127.0.0.1:1", "no scheduler answers at 'tcp://127.0.0.1:1'")
+    refused("nonsense://x", "no scheduler answers at 'nonsense://x'")
+    with LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty, Client(empty) as idle:
+        refused(idle, "dask worker tcp://127")
+    monkeypatch.setattr(cluster, "__version__", "0.0.1")
+    refused(client, "this is osc_contact 0.0.1")
