@@ -60,15 +60,17 @@ def test_what_is_left_out_is_found():
 
 
 def test_options_of_commands_have_their_help():
-    for name in ("cli.py", "cli_robots.py", "cli_sweeps.py"):
-        tree = ast.parse((PACKAGE / name).read_text(encoding="utf-8"))
-        aliases = {
-            target.id: ast.unparse(one.value)
-            for one in tree.body
-            if isinstance(one, ast.Assign)
-            for target in one.targets
-            if isinstance(target, ast.Name)
-        }
+    names = ("console.py", "cli.py", "cli_robots.py", "cli_sweeps.py")
+    trees = [ast.parse((PACKAGE / name).read_text(encoding="utf-8")) for name in names]
+    aliases = {
+        target.id: ast.unparse(one.value)
+        for tree in trees
+        for one in tree.body
+        if isinstance(one, ast.Assign)
+        for target in one.targets
+        if isinstance(target, ast.Name)
+    }
+    for name, tree in zip(names, trees, strict=True):
         for function in filter(is_command, public_functions(tree)):
             for one in arguments(function):
                 kind = ast.unparse(one.annotation)

@@ -76,7 +76,7 @@ def run_study(
 
     Args:
         study: what to run.
-        out, workers, progress: as of `sweep`.
+        out, workers, scheduler, progress: as of `sweep`.
     """
     import pyarrow  # noqa: F401 - refused before the runs, not after them
 
