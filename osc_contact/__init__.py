@@ -173,15 +173,15 @@ def _homes() -> dict[str, str]:
 
 def __getattr__(name: str) -> Any:
     if name in _homes():
-        found = getattr(import_module(_homes()[name]), name)
+        value = getattr(import_module(_homes()[name]), name)
     elif find_spec(f"{__name__}.{name}"):
         return import_module(f"{__name__}.{name}")
     elif name[0].isupper() and hasattr(import_module(_homes()["ContactPair"]), name):
-        found = getattr(import_module(_homes()["ContactPair"]), name)  # a file beside other pairs
+        value = getattr(import_module(_homes()["ContactPair"]), name)  # a file beside other pairs
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = found
-    return found
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

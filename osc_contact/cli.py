@@ -135,10 +135,10 @@ def export(
 ) -> None:
     """Write a recording for other programs; recover that of a run that was killed."""
     with exit_codes():
-        found = open_recording(str(recording))
-        for sentence in found.meta.get("missing", ()):
+        loaded = open_recording(str(recording))
+        for sentence in loaded.meta.get("missing", ()):
             say(sentence)
-        say(f"written: {found.export(file)}")
+        say(f"written: {loaded.export(file)}")
 
 
 @app.command()
@@ -169,7 +169,7 @@ def reproduce(
         scenario = load_task(paper_figures.SCENARIO, set_ if drawn else None, plant, duration)
         if any(name in paper_figures.needs_run for name in drawn):
             require_report(scenario)
-        found = reproduction.make(
+        result = reproduction.make(
             names,
             out_dir,
             scenario,
@@ -179,14 +179,14 @@ def reproduce(
             waiting=err.status,
             options=reproduction.typed(plant and plant.value, duration, seed, set_ or ()),
         )
-        for one in found.made.values():
+        for one in result.made.values():
             for path in one.files:
                 say(f"written: {path}")
         if figure == "all":
-            out.print(tables.paper_table(found.verdicts()))
-            say(f"written: {write_paper_report(found, out_dir / 'report.html')}")
+            out.print(tables.paper_table(result.verdicts()))
+            say(f"written: {write_paper_report(result, out_dir / 'report.html')}")
         if json_file:
-            write_json(found.as_dict(), json_file)
+            write_json(result.as_dict(), json_file)
 
 
 @app.command()
@@ -258,13 +258,13 @@ def inspect(
     with exit_codes():
         rig = build_rig(load_task(scenario, set_))
         doubts = require_ready(rig)
-        found = inspect_rig(rig)
-        for line in found.lines:
+        inspection = inspect_rig(rig)
+        for line in inspection.lines:
             say(line)
-        for table in tables.basis_tables(found):
+        for table in tables.basis_tables(inspection):
             out.print(table)
         if json_file:
-            write_json(found.as_dict(), json_file)
+            write_json(inspection.as_dict(), json_file)
     if doubts:
         raise typer.Exit(1)
 
@@ -279,10 +279,10 @@ def calibrate(
 ) -> None:
     """Find mass, centre of mass and bias at each wrist sensor from static postures."""
     with exit_codes():
-        found = calibrate_wrists(load_task(scenario, set_), postures, seed=seed)
-        out.print(tables.calibration_table(found))
+        loads = calibrate_wrists(load_task(scenario, set_), postures, seed=seed)
+        out.print(tables.calibration_table(loads))
         if json_file:
-            write_json({one.arm: one.as_dict() for one in found}, json_file)
+            write_json({one.arm: one.as_dict() for one in loads}, json_file)
 
 
 @app.command("list")

@@ -99,12 +99,12 @@ def pose(
         if xyz is not None or rpy is not None:
             p = now.translation if xyz is None else poses.numbers("xyz", xyz)
             R = now.rotation if rpy is None else pin.rpy.rpyToMatrix(*poses.numbers("rpy", rpy))
-            found = poses.solve(chain, pin.SE3(R, p), q, seed)
-            q, reached = found.q, found.reached
+            solution = poses.solve(chain, pin.SE3(R, p), q, seed)
+            q, reached = solution.q, solution.reached
             if not reached:
                 say(
-                    f"not reached within the joints' limits: {1e3 * found.miss[0]:.3g} mm and "
-                    f"{np.rad2deg(found.miss[1]):.3g} deg are left at the nearest posture found; "
+                    f"not reached within the joints' limits: {1e3 * solution.miss[0]:.3g} mm and "
+                    f"{np.rad2deg(solution.miss[1]):.3g} deg are left at the nearest posture; "
                     "give another pose, or another --seed"
                 )
         outside = poses.outside(chain, q)

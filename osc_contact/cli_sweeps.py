@@ -114,9 +114,9 @@ def show_summary(study: SweepStudy, summary: dict[str, Any]) -> None:
         "error", "median", "90 %", "99 %", "largest", "depends most on (rank correlation)"
     )
     for name, values in summary["quantiles"].items():
-        told = {k: v for k, v in summary["sensitivities"][name].items() if v is not None}
-        most = sorted(told, key=lambda key: -abs(told[key]))[:2]
-        causes = ", ".join(f"{key} {told[key]:+.2f}" for key in most)
+        known = {k: v for k, v in summary["sensitivities"][name].items() if v is not None}
+        most = sorted(known, key=lambda key: -abs(known[key]))[:2]
+        causes = ", ".join(f"{key} {known[key]:+.2f}" for key in most)
         table.add_row(name, *(f"{value:.3g}" for value in values.values()), causes)
     if summary["quantiles"]:
         out.print(table)
@@ -162,40 +162,40 @@ def tune(
         from osc_contact.sweeps.tune import tune as find
 
         with counting("trials", trials) as progress:
-            found = find(
+            tuned = find(
                 scenario, vary or (), objective=objective, limits=_limits(limit or []),
                 trials=trials, over=over or (), samples=samples, seed=seed,
                 overrides=changed(set_, duration), out=out_dir, workers=workers,
                 scheduler=scheduler, progress=progress,
             )  # fmt: skip
-        show_tuned(found, objective)
+        show_tuned(tuned, objective)
         if json_file:
-            write_json(asdict(found) | {"better": found.better}, json_file)
-    if not found.better:
+            write_json(asdict(tuned) | {"better": tuned.better}, json_file)
+    if not tuned.better:
         raise typer.Exit(1)
 
 
 def _limits(texts: list[str]) -> dict[str, float]:
-    found = {}
+    limits = {}
     for text in texts:
         name, _, most = text.partition("=")
         try:
-            found[name.strip()] = float(most)
+            limits[name.strip()] = float(most)
         except ValueError as error:
             raise InvalidInputError(f"--limit {text!r}: write COLUMN=NUMBER") from error
-    return found
+    return limits
 
 
-def show_tuned(found: Tuned, objective: str) -> None:
+def show_tuned(tuned: Tuned, objective: str) -> None:
     """What was found, beside the shipped values, and the keys to paste."""
     table = Table("worst over all samples", "shipped", "found")
-    for name, (before, after) in found.numbers.items():
+    for name, (before, after) in tuned.numbers.items():
         table.add_row(name, f"{before:.4g}", f"{after:.4g}")
     out.print(table)
-    say(f"{objective}: {found.shipped:.4g} shipped, {found.best:.4g} after {found.trials} trials")
-    for words in found.broken:
+    say(f"{objective}: {tuned.shipped:.4g} shipped, {tuned.best:.4g} after {tuned.trials} trials")
+    for words in tuned.broken:
         say(f"no trial keeps all limits: {words}")
-    if not found.better:
+    if not tuned.better:
         say("nothing better was found; give more --trials, or other keys with --vary")
-    for path, value in found.values.items():
+    for path, value in tuned.values.items():
         say(f"{path}: {value}")

@@ -53,7 +53,7 @@ class JerkLimits:
         Raises:
             InvalidInputError: neither one nor n numbers were given.
         """
-        found: list[list[float]] = []
+        bounds: list[list[float]] = []
         for key, value in vars(self).items():
             bound = np.asarray(value, dtype=np.float64)
             if bound.shape not in ((), (1,), (n,)):
@@ -61,8 +61,8 @@ class JerkLimits:
                     f"{key} limit of shape {bound.shape} for {n} coordinates; give one number, or "
                     "one for each"
                 )
-            found.append(np.broadcast_to(bound, (n,)).tolist())
-        return found[0], found[1], found[2]
+            bounds.append(np.broadcast_to(bound, (n,)).tolist())
+        return bounds[0], bounds[1], bounds[2]
 
 
 def solve(

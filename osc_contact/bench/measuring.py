@@ -43,7 +43,7 @@ def machine() -> dict[str, Any]:
 
 def machine_lines(about: Mapping[str, Any]) -> tuple[str, str]:
     """The same in two lines."""
-    packages = ", ".join(f"{name} {found}" for name, found in about["packages"].items())
+    packages = ", ".join(f"{name} {version}" for name, version in about["packages"].items())
     return (
         f"{about['cpu']}, {about['cores']} cores, {about['system']}",
         f"Python {about['python']}, {packages}",

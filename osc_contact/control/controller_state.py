@@ -161,8 +161,8 @@ class ControllerState:
         Its mean at rest without contact is the tare, to be stored in `f_tare`: weight errors
         cannot be distinguished from contact forces once contact is made.
         """
-        found = self.result()
-        return np.asarray(found.f_meas + self.f_tare - found.bias_out)
+        result = self.result()
+        return np.asarray(result.f_meas + self.f_tare - result.bias_out)
 
     def phases(self) -> Array:
         """(contacts,) open 0, approaching 1, closed 2 (`Phase`) as of the last tick."""

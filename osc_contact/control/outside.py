@@ -91,14 +91,14 @@ class Outside:
         rows = controller._records
         try:
             if self._given and rows.contacts.active.any():
-                found = self._evaluate(rows, measurement)
-                columns = {c: N.shape[1] for c, (N, _, _) in found.items()}
+                evaluated = self._evaluate(rows, measurement)
+                columns = {c: N.shape[1] for c, (N, _, _) in evaluated.items()}
                 if any(r != rows.row.pairs.table[c][2] for c, r in columns.items()):
                     self._repack(controller, columns)
                     rows = controller._records
                     if not run(law.LOOK, law.MEASURE):
                         return None
-                self._put(rows, found)
+                self._put(rows, evaluated)
             if self._bodies and measurement.touched is not None:
                 self._answer(rows, measurement)
             misfit = np.size(reference.alpha_d) != len(rows.columns) and rows.memory.engaged
@@ -126,7 +126,7 @@ class Outside:
 
     def _evaluate(self, rows: TickRecords, measurement: Measurement) -> dict[int, Any]:
         """N (6, r), n_γ (r,) and N_μ − N (6, r) of the pairs that only Python knows, where on."""
-        X, V, found = pin.SE3(rows.work.X_WO.copy()), rows.work.V_O.copy(), {}
+        X, V, evaluated = pin.SE3(rows.work.X_WO.copy()), rows.work.V_O.copy(), {}
         touched = measurement.touched
         for number, pair in self._given:
             if not rows.contacts.active[number]:
@@ -141,12 +141,12 @@ class Outside:
                 raise ContactError(f"{pair.name}: N or n_γ is not finite")
             if not contact.split_is_unique:
                 N, n_gamma = N @ contact.R, n_gamma @ contact.R
-            found[number] = (
+            evaluated[number] = (
                 N,
                 n_gamma,
                 self._friction_wrenches(number, pair, N.shape[1], X, V, touched),
             )
-        return found
+        return evaluated
 
     def _friction_wrenches(
         self,
@@ -171,10 +171,10 @@ class Outside:
             )
         return friction_wrenches
 
-    def _put(self, rows: TickRecords, found: dict[int, Any]) -> None:
+    def _put(self, rows: TickRecords, evaluated: dict[int, Any]) -> None:
         for number, _, first in rows.row.pairs.elsewhere:
-            if number in found:
-                N, n_gamma, friction_wrenches = found[number]
+            if number in evaluated:
+                N, n_gamma, friction_wrenches = evaluated[number]
                 part = slice(first, first + N.shape[1])
                 rows.columns.N[part], rows.columns.n_gamma_all[part] = N.T, n_gamma
                 rows.columns.friction_wrench[part] = friction_wrenches.T

@@ -157,10 +157,10 @@ class PoseSetPoint:
 
 
 def _period(dt: float) -> float:
-    found = float(as_array("dt", dt, ()))
-    if found <= 0.0:
-        raise InvalidInputError(f"dt = {found:g}; give the period of step in seconds, > 0")
-    return found
+    period = float(as_array("dt", dt, ()))
+    if period <= 0.0:
+        raise InvalidInputError(f"dt = {period:g}; give the period of step in seconds, > 0")
+    return period
 
 
 def _pose(name: str, X: pin.SE3) -> pin.SE3:

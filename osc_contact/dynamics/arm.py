@@ -102,8 +102,8 @@ class Arm:
             model.upperEffortLimit = model.upperEffortLimit * effort_factor
             model.lowerEffortLimit = model.lowerEffortLimit * effort_factor
         given = {"armature": armature, "damping": damping, "friction": friction}
-        told = {key: x for key, x in given.items() if x is not None}
-        model = with_joints(model, told, friction_factor)
+        joints = {key: x for key, x in given.items() if x is not None}
+        model = with_joints(model, joints, friction_factor)
         X_WB = pin.SE3.Identity() if base is None else base
         still = {j: held.get(j, 0.0) for j in every_joint if j not in list(model.names)}
         return cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor, still)

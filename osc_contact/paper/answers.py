@@ -104,7 +104,7 @@ def _fig5(seen: Evidence) -> dict[str, Answer]:
     sensed = [force["sensing_rms_rel"] for force in seen.verdict["force"].values()]
     rate = float(seen.recording.meta["control_rate_hz"])
     faster = np.linalg.norm(np.diff(seen["twist"][:, :3], axis=0), axis=1).max() * rate
-    found = {
+    answers = {
         "path": Answer(f"As wired in a tick: {' → '.join(path)}.", path == wanted),
         "filter": Answer(
             f"While the rod accelerates by up to {faster:.2f} m/s², the filtered magnitudes are "
@@ -118,14 +118,14 @@ def _fig5(seen: Evidence) -> dict[str, Answer]:
         error = np.linalg.norm(seen.recording["motion_error"][:, :3], axis=1)
         usual = error[(seen.recording["t"] >= SETTLE_S) & ~after].max()
         worst = error[after].max()
-        found["motion"] = Answer(
+        answers["motion"] = Answer(
             f"In the {1e3 * STEP_BLANK_S:.0f} ms after the step of a desired force the error of "
             f"the free motion stays below {1e3 * worst:.4f} mm, otherwise below "
             f"{1e3 * usual:.4f} mm.",
             bool(worst <= 1e-5),
             "less than 0.01 mm",
         )
-    return found
+    return answers
 
 
 def _fig6(seen: Evidence) -> dict[str, Answer]:

@@ -61,7 +61,7 @@ def collisions(recording: Recording) -> list[Collision]:
     """
     t, speeds, power = recording["t"], normal_speeds(recording), recording["power_projected"]
     period = 1.0 / float(recording.meta["control_rate_hz"])
-    found = []
+    hits = []
     for c, closed in enumerate(recording["closed"].T):
         edges = np.flatnonzero(np.diff(closed.astype(int))) + 1
         flags = t[recording["collision_seen"][:, c]]
@@ -73,8 +73,8 @@ def collisions(recording: Recording) -> list[Collision]:
             peak = np.abs(power[made : made + round(WITHIN_S / period)]).max()
             after = float(max(late[0] - t[made], 0.0)) if len(late) else None
             away = float(t[made] - t[lost])
-            found.append(Collision(c, float(t[made]), away, met, float(peak), after))
-    return sorted(found, key=lambda hit: hit.t)
+            hits.append(Collision(c, float(t[made]), away, met, float(peak), after))
+    return sorted(hits, key=lambda hit: hit.t)
 
 
 def false_alarms(recording: Recording) -> int:

@@ -97,15 +97,15 @@ class Workcell:
 
     def rings(self) -> dict[str, tuple[pin.SE3, float, str]]:
         """By path: where a sensor's ring is, its radius and colour."""
-        found = {}
+        rings = {}
         for spec in self.rig.scenario.arms:
             for k, (joint, place, radius) in enumerate(JOINT_SENSORS):
                 X = self.frames[f"{spec.name}/{joint}"] * _shifted(place)
-                found[f"joint_torque/{spec.name}{k + 1}"] = (X, radius, JOINT_TORQUE)
+                rings[f"joint_torque/{spec.name}{k + 1}"] = (X, radius, JOINT_TORQUE)
             place, radius = WRIST_SENSOR
             X = self.frames[f"{spec.name}/{spec.wrist_sensor}"] * _shifted(place)
-            found[f"wrist/{spec.name}"] = (X, radius, WRIST)
-        return found
+            rings[f"wrist/{spec.name}"] = (X, radius, WRIST)
+        return rings
 
     def faces(self) -> list[pin.SE3]:
         """Where the faces are."""
@@ -150,20 +150,20 @@ class Workcell:
         names = [contact.name for contact in scenario.contacts]
         forces = (f"{n} {a:.1f} N" for n, a in zip(names, self.sample["alpha_true"], strict=True))
         passive = sum(len(arm.passive_joints) for arm in chain.arms)
-        found = {
+        parts = {
             "arms": f"{len(chain.arms)}, with {chain.n_a} motors and {passive} free gripper hinges",
             "object": f"moved in {self.rig.d} ways, {self.rig.d - len(names)} while in contact",
             "contacts": ", ".join(forces),
             "overhead vision": _vision_words(self),
         }
         if sensors.joint_torque is not None:
-            found["joint torque sensors"] = f"{chain.n_a}, {sensors.joint_torque.rate:g} Hz"
+            parts["joint torque sensors"] = f"{chain.n_a}, {sensors.joint_torque.rate:g} Hz"
         if wrist is not None:
-            found["wrist sensors"] = (
+            parts["wrist sensors"] = (
                 f"{len(chain.arms)}, {wrist.rate:g} Hz, {wrist.force.noise:g} N and "
                 f"{wrist.torque.noise:g} N m noise"
             )
-        return found
+        return parts
 
     def answers(self) -> dict[str, Answer]:
         """To what the paper states about fig. 3."""

@@ -43,39 +43,43 @@ _RULES = (
 )
 
 
-def write_paper_report(found: Reproduction, path: Path) -> Path:
+def write_paper_report(reproduction: Reproduction, path: Path) -> Path:
     """Write the report, which appears complete or not at all; returns its path.
 
     Args:
-        found: what `reproduce all` made. Studies that are no figures of the paper come last.
+        reproduction: what `reproduce all` made. Studies that are no figures of the paper come last.
         path: of the page.
     """
-    verdicts = found.verdicts()
-    beside = {k: one for k, one in found.made.items() if k not in verdicts}
+    verdicts = reproduction.verdicts()
+    beside = {k: one for k, one in reproduction.made.items() if k not in verdicts}
     parts = {
         "policy": POLICY,
         "style": asset("report.css"),
         "script": asset("report.js"),
-        "about": _about(found),
+        "about": _about(reproduction),
         "overview": "".join(_row(figure, verdicts[figure.name]) for figure in PAPER),
         "rules": "".join(f"<li>{_badge(v)} {escape(words)}</li>" for v, words in _RULES),
-        "figures": "".join(_section(figure, found, verdicts[figure.name]) for figure in PAPER),
-        "scene": _scene(found.scene, "Open the moving scene of the run, with slider and plots"),
-        "studies": "".join(_study(name, one, found) for name, one in beside.items()),
+        "figures": "".join(
+            _section(figure, reproduction, verdicts[figure.name]) for figure in PAPER
+        ),
+        "scene": _scene(
+            reproduction.scene, "Open the moving scene of the run, with slider and plots"
+        ),
+        "studies": "".join(_study(name, one, reproduction) for name, one in beside.items()),
     }
     return write_whole(filled("report.html", parts), path)
 
 
-def _about(found: Reproduction) -> str:
+def _about(reproduction: Reproduction) -> str:
     run = "no run"
-    if found.recording is not None:
-        meta, ticks = found.recording.meta, len(found.recording)
+    if reproduction.recording is not None:
+        meta, ticks = reproduction.recording.meta, len(reproduction.recording)
         seconds = ticks / float(meta["control_rate_hz"])
         run = (
-            f"a run of <b>{escape(found.scenario.name)}</b> on the plant <b>{meta['plant']}</b>: "
-            f"{seconds:g} s, {ticks} ticks, seed {meta['seed']}"
+            f"a run of <b>{escape(reproduction.scenario.name)}</b> on the plant "
+            f"<b>{meta['plant']}</b>: {seconds:g} s, {ticks} ticks, seed {meta['seed']}"
         )
-    command = f"osc-contact reproduce all {found.options}".strip()
+    command = f"osc-contact reproduce all {reproduction.options}".strip()
     return (
         f"<p>Made by {_code(command)}, osc_contact {escape(__version__)}, from {run}. Forces, "
         "motion and power are judged by the plant's truth, from 1 s on, without the 50 ms after a "
@@ -90,8 +94,8 @@ def _row(figure: PaperFigure, verdict: Verdict) -> str:
     )
 
 
-def _section(figure: PaperFigure, found: Reproduction, verdict: Verdict) -> str:
-    made = found.made.get(figure.name)
+def _section(figure: PaperFigure, reproduction: Reproduction, verdict: Verdict) -> str:
+    made = reproduction.made.get(figure.name)
     answers = {} if made is None else made.answers
     states = "".join(
         _statement(words, answers.get(key), made is not None)
@@ -105,7 +109,7 @@ def _section(figure: PaperFigure, found: Reproduction, verdict: Verdict) -> str:
         scenes = "".join(_scene(page, "Open the scene, to turn and look at") for page in pages)
         ours = "".join(_pictures(made, figure.name)) + scenes + _table(made.table)
         broad = " broad" if 'class="broad"' in ours else ""
-        command = _command(figure.name, found)
+        command = _command(figure.name, reproduction)
     return (
         f'<section id="{figure.name}"><h2>Fig. {figure.number} {_badge(verdict)}</h2>'
         f'<div class="pair{broad}"><div class="paper"><h3>The paper shows</h3>'
@@ -130,11 +134,11 @@ def _statement(words: str, answer: Answer | None, made: bool) -> str:
     )
 
 
-def _study(name: str, made: Made, found: Reproduction) -> str:
+def _study(name: str, made: Made, reproduction: Reproduction) -> str:
     title = escape(name.replace("_", " "))
     return (
         f'<section id="{name}"><h2>{title[:1].upper() + title[1:]}</h2>{_table(made.table)}'
-        f"{''.join(_pictures(made, name))}{_command(name, found)}</section>"
+        f"{''.join(_pictures(made, name))}{_command(name, reproduction)}</section>"
     )
 
 
@@ -158,8 +162,8 @@ def _aspect(files: Mapping[str, Path]) -> float:
     """Width over height, as an SVG says it in its first lines; 1 without one."""
     if ".svg" not in files:
         return 1.0
-    found = _SIZE.search(files[".svg"].read_text(encoding="utf-8")[:2000])
-    return 1.0 if found is None else float(found[1]) / float(found[2])
+    size = _SIZE.search(files[".svg"].read_text(encoding="utf-8")[:2000])
+    return 1.0 if size is None else float(size[1]) / float(size[2])
 
 
 def _table(table: Table | None) -> str:
@@ -187,8 +191,8 @@ def _scene(scene: Path | None, words: str) -> str:
     )
 
 
-def _command(name: str, found: Reproduction) -> str:
-    options = " ".join(filter(None, (found.made[name].options, found.options)))
+def _command(name: str, reproduction: Reproduction) -> str:
+    options = " ".join(filter(None, (reproduction.made[name].options, reproduction.options)))
     return f'<p class="command">{_code(f"osc-contact reproduce {name} {options}".strip())}</p>'
 
 

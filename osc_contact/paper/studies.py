@@ -96,14 +96,14 @@ def _kinematic_stability(ask: Ask) -> Study:
         "arm", "postures", "classic unstable", "classic least λ (1/s²)", "ours least λ (1/s²)",
         "classic leaves the posture", "ours: error first → last", title="kinematic stability",
     )  # fmt: skip
-    for found, rows in ((r.found, r.as_dict()) for r in results):
+    for worst, rows in ((r.worst, r.as_dict()) for r in results):
         left = rows["classic_left_after_s"]
         table.add_row(
-            found.arm.name,
-            str(found.tried),
-            str(found.unstable),
-            f"{found.classic[0].real:.4g}",
-            f"{found.ours_least:.4g}",
+            worst.arm.name,
+            str(worst.tried),
+            str(worst.unstable),
+            f"{worst.classic[0].real:.4g}",
+            f"{worst.ours_least:.4g}",
             "not" if left is None else f"after {left:.3f} s",
             f"{rows['first_error_mrad']:.3g} → {rows['last_error_mrad']:.3g} mrad",
         )
@@ -117,36 +117,36 @@ def _fig2(ask: Ask) -> Study:
     from osc_contact.paper.cone_in_groove.picture import draw_run, draw_state
 
     result = experiment.run(5.0 if ask.duration is None else ask.duration)
-    found = result.as_dict()
+    data = result.as_dict()
     table = Table("quantity", "value", title="fig. 2: a Panda turns a cone in its groove")
-    frame = found["raibert_craig"]
-    rms = ", ".join(f"{1e3 * value:.2g}" for value in found["wall_force_rms_N"])
+    frame = data["raibert_craig"]
+    rms = ", ".join(f"{1e3 * value:.2g}" for value in data["wall_force_rms_N"])
     rows = {
         "constraint frame": "describes it" if frame["describes_it"] else frame["reason"],
-        "force step → motion": f"{found['force_step_to_motion']:.2g} of the free object's answer",
-        "motion step → force": f"{found['motion_step_to_force']:.2g} of the force it means",
-        "forces": f"rms error {rms} mN; least push {found['wall_force_least_N']:.2f} N",
-        "turn": f"{np.rad2deg(found['turned_rad']):.1f}°, "
-        f"rms error {1e6 * found['turn_rms_rad']:.2g} µrad",
-        "slide": f"{1e3 * found['slid_m']:.1f} mm, rms error {1e6 * found['slide_rms_m']:.2g} µm",
-        "contact power": f"at most {found['contact_power_W']:.2g} W",
-        "N per tick": f"changes by at most {found['N_change_per_tick']:.2g}, its change by "
-        f"{found['N_second_difference']:.2g} (1, m)",
+        "force step → motion": f"{data['force_step_to_motion']:.2g} of the free object's answer",
+        "motion step → force": f"{data['motion_step_to_force']:.2g} of the force it means",
+        "forces": f"rms error {rms} mN; least push {data['wall_force_least_N']:.2f} N",
+        "turn": f"{np.rad2deg(data['turned_rad']):.1f}°, "
+        f"rms error {1e6 * data['turn_rms_rad']:.2g} µrad",
+        "slide": f"{1e3 * data['slid_m']:.1f} mm, rms error {1e6 * data['slide_rms_m']:.2g} µm",
+        "contact power": f"at most {data['contact_power_W']:.2g} W",
+        "N per tick": f"changes by at most {data['N_change_per_tick']:.2g}, its change by "
+        f"{data['N_second_difference']:.2g} (1, m)",
     }
     for row in rows.items():
         table.add_row(*row)
     answers = {
         "freedoms": Answer(
-            f"T has {6 - found['r']} columns. A Panda turns the cone by "
-            f"{np.rad2deg(found['turned_rad']):.1f}° and slides it by "
-            f"{1e3 * found['slid_m']:.1f} mm while all four wall forces push.",
-            found["r"] == 4 and found["wall_force_least_N"] > 0.0,
+            f"T has {6 - data['r']} columns. A Panda turns the cone by "
+            f"{np.rad2deg(data['turned_rad']):.1f}° and slides it by "
+            f"{1e3 * data['slid_m']:.1f} mm while all four wall forces push.",
+            data["r"] == 4 and data["wall_force_least_N"] > 0.0,
         ),
-        "axes": Answer(f"They are {found['axes_deg']:.1f}° apart.", 1.0 < found["axes_deg"] < 89.0),
+        "axes": Answer(f"They are {data['axes_deg']:.1f}° apart.", 1.0 < data["axes_deg"] < 89.0),
         "frame": Answer(f"No frame: {frame['reason']}.", not frame["describes_it"]),
     }
     figures = {"fig2": draw_state(result.seat), "fig2_run": draw_run(result)}
-    return Study(figures, table, found, answers)
+    return Study(figures, table, data, answers)
 
 
 def _fig3(ask: Ask) -> Study:
@@ -201,13 +201,13 @@ def _baselines(ask: Ask) -> Study:
     if ask.duration is not None:
         changes.append(f"duration={ask.duration!r}")
     ask.tell("best frames")
-    found = compare(
+    comparison = compare(
         load_scenario("two_contact_rod", changes),
         seed=ask.seed,
         progress=lambda what, t: ask.tell(f"{what} {t:.1f} s"),
     )
-    result = found.as_dict()
-    return Study({"baselines": draw(found)}, comparison_table(result), result)
+    result = comparison.as_dict()
+    return Study({"baselines": draw(comparison)}, comparison_table(result), result)
 
 
 def _workcell(ask: Ask) -> Study:
@@ -221,8 +221,8 @@ def _workcell(ask: Ask) -> Study:
     )
     table = Table("what is real", "force, rms", "peak", "sensed within", "closed", title="workcell")
     data = {rung.real: rung.as_dict() for rung in rungs}
-    for real, found in data.items():
-        numbers = ["diverged" if value is None else f"{value:.3%}" for value in found.values()]
+    for real, errors in data.items():
+        numbers = ["diverged" if value is None else f"{value:.3%}" for value in errors.values()]
         table.add_row(real, *numbers)
     return Study({"workcell": experiment.draw(rungs)}, table, data)
 
@@ -257,8 +257,10 @@ def _fig7(ask: Ask) -> Study:
     for name, r in quiet.items():
         rms = float(np.sqrt(np.mean(r["power_projected"][r["t"] >= 1.0] ** 2)))
         table.add_row(f"projected power of {name}, rms", f"{rms:.2g} W")
-    for name, found in data["false_alarms"].items():
-        table.add_row(f"false alarms in {found['duration_s']:.0f} s of {name}", str(found["count"]))
+    for name, alarms in data["false_alarms"].items():
+        table.add_row(
+            f"false alarms in {alarms['duration_s']:.0f} s of {name}", str(alarms["count"])
+        )
     figures = {"fig7": draw_collisions(knocked)}
     return Study(figures, table, data, experiment.answers(knocked))
 

@@ -65,8 +65,8 @@ def _look(data: Any) -> Places:
     start = int(data._address)
     clock = np.asarray(data.timer.duration)  # the timers end where the counts begin
     counts = _address(clock) + len(clock) * clock.strides[0]
-    told = [data.ncon, data.ne, data.nf, data.nl, data.nefc]
-    if told[0] != 2 or list((ctypes.c_int * 5).from_address(counts)) != told:
+    counted = [data.ncon, data.ne, data.nf, data.nl, data.nefc]
+    if counted[0] != 2 or list((ctypes.c_int * 5).from_address(counts)) != counted:
         raise RuntimeError("the counts are elsewhere")
     contact = data.contact
     fields = [_address(getattr(contact, f)) for f in ("geom", "efc_address", "pos", "frame")]

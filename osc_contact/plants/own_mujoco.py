@@ -111,12 +111,12 @@ class MujocoRobot(MujocoPlant):
         """Where torques go: through a plain motor, or to the joint itself."""
         mj, motors = self.model, []
         for joint in joints:
-            found = motors_of(mj, int(joint))
-            if len(found) == 1 and _is_plain(mj, found[0]):
-                motors.append(found[0])
+            own = motors_of(mj, int(joint))
+            if len(own) == 1 and _is_plain(mj, own[0]):
+                motors.append(own[0])
                 continue
             motors.append(-1)
-            mj.actuator_gainprm[found] = mj.actuator_biasprm[found] = 0.0
+            mj.actuator_gainprm[own] = mj.actuator_biasprm[own] = 0.0
         self._motors = np.array(motors, dtype=int)
         self._direct = mj.jnt_dofadr[joints][self._motors < 0]
         driven = self._motors[self._motors >= 0]
@@ -140,13 +140,13 @@ class MujocoRobot(MujocoPlant):
         mj, kinds = self.model, self._mj.mjtSensor
         site, rows = int(mj.site(name).id), []
         for kind, tag in ((kinds.mjSENS_FORCE, "force"), (kinds.mjSENS_TORQUE, "torque")):
-            found = [i for i in range(mj.nsensor)
+            sensors = [i for i in range(mj.nsensor)
                      if mj.sensor_type[i] == kind and mj.sensor_objid[i] == site]  # fmt: skip
-            if not found:
+            if not sensors:
                 raise PlantError(
                     f'site {name!r} has no {tag} sensor; add to <sensor>: <{tag} site="{name}"/>'
                 )
-            rows.append(int(mj.sensor_adr[found[0]]) + np.arange(3))
+            rows.append(int(mj.sensor_adr[sensors[0]]) + np.arange(3))
         self._sensed, self._readings = [0], np.concatenate(rows)[None]
         return int(mj.site_bodyid[site])
 

@@ -144,8 +144,8 @@ class RigidPlant:
         )  # fmt: skip
         key = np.concatenate(state).tobytes()
         if self._solved[0] != key:  # `measure` and `truth` of one instant share it
-            found = self._solve(self._tau, with_wrenches=True)
-            self._solved = key, (found, self._object())
+            solution = self._solve(self._tau, with_wrenches=True)
+            self._solved = key, (solution, self._object())
         return self._solved[1]
 
     def poses(self) -> Array:

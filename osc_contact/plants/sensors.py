@@ -192,20 +192,20 @@ class SensedPlant:
 
     def measure(self) -> Measurement:
         """What has arrived by now, and when it was sampled."""
-        found = self.plant.measure()
+        measurement = self.plant.measure()
         stamps = Stamps(*[self.time] * 4)
         for name, sensor in self._sensor.items():
             at, reading = sensor.read(self.time)
             stamps = replace(stamps, **{name: at})
             if name == "encoders":
-                found = replace(found, q=reading, v=np.full(len(reading), np.nan))
+                measurement = replace(measurement, q=reading, v=np.full(len(reading), np.nan))
             elif name == "joint_torques":
-                found = replace(found, joint_torques=reading)
+                measurement = replace(measurement, joint_torques=reading)
             elif name == "wrists":
-                found = replace(found, wrenches=reading)
+                measurement = replace(measurement, wrenches=reading)
             else:
-                found = self._pictured(found, reading)
-        return replace(found, stamps=stamps)
+                measurement = self._pictured(measurement, reading)
+        return replace(measurement, stamps=stamps)
 
     def _begin(self) -> None:
         self.time = self.plant.time
@@ -239,17 +239,17 @@ class SensedPlant:
         value: Array = getattr(ideal, attribute)
         return value
 
-    def _pictured(self, found: Measurement, poses: Array) -> Measurement:
+    def _pictured(self, measurement: Measurement, poses: Array) -> Measurement:
         """The measurement with what a picture shows."""
         assert self.sensors.vision is not None
-        found = replace(found, seen=Seen(poses[0], poses[1 : self._robots]))
+        measurement = replace(measurement, seen=Seen(poses[0], poses[1 : self._robots]))
         bodies, markers = poses[self._robots :], self.sensors.vision.markers
         if not len(bodies):
-            return found
+            return measurement
         if markers is not None:
             bodies = bodies @ np.linalg.inv(markers)
         unknown = np.full((len(bodies), 6), np.nan)
-        return replace(found, touched=Touched(bodies, unknown, np.zeros_like(unknown)))
+        return replace(measurement, touched=Touched(bodies, unknown, np.zeros_like(unknown)))
 
 
 def _noisy(

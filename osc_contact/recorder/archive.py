@@ -89,8 +89,8 @@ def read_archive(source: Path) -> tuple[str, dict[str, Array | Column]]:
             arrays: dict[str, Array | Column] = {}
             for name, info in entries.items():
                 stays = large and info.compress_type == zipfile.ZIP_STORED
-                found = _column(archive, info, kept) if stays else _array(archive, info)
-                arrays[name.removesuffix(".npy")] = found
+                array = _column(archive, info, kept) if stays else _array(archive, info)
+                arrays[name.removesuffix(".npy")] = array
         text = arrays.pop(TEXT)
         return str(np.asarray(text.read() if isinstance(text, Column) else text)[()]), arrays
     except zipfile.BadZipFile as error:

@@ -35,8 +35,8 @@ class Channels(Mapping[str, Array]):
         self.columns = columns
 
     def __getitem__(self, name: str) -> Array:
-        found = self.columns[name]
-        return found.read() if isinstance(found, Column) else found
+        column = self.columns[name]
+        return column.read() if isinstance(column, Column) else column
 
     def __setitem__(self, name: str, values: Array) -> None:
         self.columns[name] = values
@@ -108,15 +108,15 @@ class Recording:
 
     def rows(self, start: int, stop: int, *names: str) -> dict[str, Array]:
         """The ticks start to stop − 1 of some channels, by default of all."""
-        found = {}
+        rows = {}
         for name in names or self.channels:
             self._require(name)
             column = self.channels.columns[name]
             if isinstance(column, Column):
-                found[name] = column.read(start, stop)
+                rows[name] = column.read(start, stop)
             else:
-                found[name] = column[start:stop]
-        return found
+                rows[name] = column[start:stop]
+        return rows
 
     def pieces(self, *names: str) -> Iterator[dict[str, Array]]:
         """All ticks of some channels, some ten thousand at a time."""
@@ -133,13 +133,13 @@ class Recording:
         step = max(1, -(-len(self) // most))
         if step == 1:
             return self
-        found: dict[str, list[Array]] = {name: [] for name in self.channels}
+        kept: dict[str, list[Array]] = {name: [] for name in self.channels}
         start = 0
         for piece in self.pieces():
             for name, values in piece.items():
-                found[name].append(values[-start % step :: step].copy())
+                kept[name].append(values[-start % step :: step].copy())
             start += len(piece[name])
-        return Recording(self.meta, {name: np.concatenate(some) for name, some in found.items()})
+        return Recording(self.meta, {name: np.concatenate(some) for name, some in kept.items()})
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write one .npz file: complete under its final name, or not there at all.

@@ -22,10 +22,10 @@ def urdf_path(name: str) -> Path:
         ModelError: no packaged file has that name.
     """
     packaged = _packaged()
-    found = packaged.get(name) or packaged.get(f"{name}.urdf")
-    if found is None:
+    file = packaged.get(name) or packaged.get(f"{name}.urdf")
+    if file is None:
         raise ModelError(f"no packaged URDF is called {name!r}. {suggest(name, packaged)}")
-    return found
+    return file
 
 
 def find_robot(name: str) -> tuple[Path, Path]:

@@ -68,18 +68,18 @@ def environment_bodies(scenario: Scenario) -> tuple[EnvironmentBody, ...]:
         ModelError: a URDF is not found.
     """
     source = scenario.folder
-    found = []
+    bodies = []
     for i, spec in enumerate(scenario.contacts):
         if isinstance(spec, OnFaceSpec):
             face = spec.face
             placement = pin.SE3(triad(np.array(face.normal)), np.array(face.point))
             urdf = robots.resolve_urdf(face.urdf, source)
-            found.append(EnvironmentBody(f"face_{spec.name}", urdf, placement, face.motion, (i,)))
+            bodies.append(EnvironmentBody(f"face_{spec.name}", urdf, placement, face.motion, (i,)))
     for body in scenario.environment:
         on = [i for i, c in enumerate(scenario.contacts) if getattr(c, "body", None) == body.name]
         urdf = robots.resolve_urdf(body.urdf, source)
-        found.append(EnvironmentBody(body.name, urdf, pose_of(body.pose), body.motion, tuple(on)))
-    return tuple(found)
+        bodies.append(EnvironmentBody(body.name, urdf, pose_of(body.pose), body.motion, tuple(on)))
+    return tuple(bodies)
 
 
 def feet(pair: ContactPair, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> tuple[Array, Array]:

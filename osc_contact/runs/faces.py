@@ -89,7 +89,7 @@ def known_bodies(
     Args:
         bodies: of the environment. contacts: how many. ignored: the controller knows of none.
     """
-    found: list[Body | None] = [None] * contacts
+    known: list[Body | None] = [None] * contacts
     for body in () if ignored else bodies:
         motion = body.motion
         answer: Body | None = None
@@ -103,8 +103,8 @@ def known_bodies(
         elif motion is not None:
             answer = Conveyor()
         for i in body.contacts:
-            found[i] = answer
-    return found
+            known[i] = answer
+    return known
 
 
 def tracked(

@@ -76,10 +76,10 @@ def free_parts(chain: ClosedChain, q: Array, J: Array, X_WO: Poses, N: Array, x:
     for b in basis:
         e = e - b * (b * e).sum(axis=0)
     own = np.tensordot(np.linalg.inv(L.T), e, 1)
-    found = np.concatenate((X_WO.rotate(own[:3]), X_WO.rotate(own[3:])))
+    parts = np.concatenate((X_WO.rotate(own[:3]), X_WO.rotate(own[3:])))
     for i in np.flatnonzero(~plain).tolist():
-        found[:, i] = free_part(chain, q[i], X_WO[i], N[:, :, i], x[:, i])
-    return found
+        parts[:, i] = free_part(chain, q[i], X_WO[i], N[:, :, i], x[:, i])
+    return parts
 
 
 def _locked(arms: list[Array]) -> tuple[Array, Array]:
@@ -90,18 +90,18 @@ def _locked(arms: list[Array]) -> tuple[Array, Array]:
     """
     k = arms[0].shape[2]
     plain = np.ones(k, dtype=bool)
-    found = []
+    locked = []
     for columns in arms:
         if columns.shape[1] > 5:  # whether these span all motions takes singular values
             return np.zeros((0, 6, k)), ~plain
         directions, clear = _complement(columns)
-        found.append(directions)
+        locked.append(directions)
         plain &= clear
-    if len(found) == 1:
-        return found[0], plain
-    if [len(directions) for directions in found] != [1, 1]:
+    if len(locked) == 1:
+        return locked[0], plain
+    if [len(directions) for directions in locked] != [1, 1]:
         return np.zeros((0, 6, k)), plain & False
-    a, b = found[0][0], found[1][0]  # the same direction up to sign, or two
+    a, b = locked[0][0], locked[1][0]  # the same direction up to sign, or two
     b = b * np.where((a * b).sum(axis=0) < 0.0, -1.0, 1.0)
     mean, apart = a + b, a - b
     ratio = _length(apart) / _length(mean)

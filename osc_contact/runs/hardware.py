@@ -92,7 +92,7 @@ def drives(scenario: Scenario, chain: ClosedChain, state: ChainState, seed: int)
 def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]]) -> Array:
     """(n_a,) numbers of all arms, in the order of the motors."""
     names = [arm.name for arm in chain.arms]
-    found: list[float] = []
+    numbers: list[float] = []
     for arm in chain.arms:
         motors = arm.model.nv - len(arm.passive_joints)
         if arm.name not in given or len(given[arm.name]) != motors:
@@ -100,11 +100,11 @@ def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]
                 f"plant.flexible_joints.{key}: give {motors} numbers for arm '{arm.name}', one for "
                 f"each motor; got {list(given.get(arm.name, ()))}"
             )
-        found.extend(given[arm.name])
+        numbers.extend(given[arm.name])
     extra = sorted(set(given) - set(names))
     if extra:
         raise ScenarioError(f"plant.flexible_joints.{key}: no arm {extra}; there are {names}")
-    return np.array(found, dtype=float)
+    return np.array(numbers, dtype=float)
 
 
 def sensors(

@@ -116,7 +116,7 @@ class Log:
         controller, row, places = self.of.controller, self._rows[self._k], self._places
         try:
             ends = measurement.q, measurement.v, tau, reference.alpha_d
-            parts = (*ends, *self._found(measurement))
+            parts = (*ends, *self._last_result(measurement))
             np.concatenate(parts, out=row[: self._copied])
         except (InvalidInputError, TypeError, ValueError):  # held: nothing to note, or misshapen
             row[: self._copied] = np.nan
@@ -163,22 +163,22 @@ class Log:
             fields = [*fields, ("noted", "<f8", (noted.shape[1],))]
         return np.ndarray(stop - start, np.dtype(fields), np.ascontiguousarray(rows))
 
-    def _found(self, measurement: Measurement) -> list[Array]:
+    def _last_result(self, measurement: Measurement) -> list[Array]:
         """What the last tick found, and the judge's parts."""
-        found = self.of.controller.result()
-        if found is not self._last:  # compiled ticks overwrite theirs
-            self._last = found
-            self._parts = self._flat(found, found.magnitudes[: self._r], found.speeds[: self._r])
+        result = self.of.controller.result()
+        if result is not self._last:  # compiled ticks overwrite theirs
+            self._last = result
+            self._parts = self._flat(result, result.magnitudes[: self._r], result.speeds[: self._r])
         parts = self._parts
-        if found.rank != self._r:
-            parts = self._flat(found, *found.records.spread())
+        if result.rank != self._r:
+            parts = self._flat(result, *result.records.spread())
         if self.truth is None:
             touched = measurement.touched
             return [*parts, self._still if touched is None else np.ravel(touched.X_WE)]
         return parts
 
-    def _flat(self, found: TickResult, alpha: Array, speed: Array) -> list[Array]:
-        fields = (np.ravel(getattr(found, name)) for name in self._of_result)
+    def _flat(self, result: TickResult, alpha: Array, speed: Array) -> list[Array]:
+        fields = (np.ravel(getattr(result, name)) for name in self._of_result)
         truth = () if self.truth is None else self.truth.parts
         return [*_flattened([alpha, speed, *fields]), *truth]
 

@@ -174,8 +174,8 @@ def _tick(recording: Recording) -> dict[str, float | None]:
     for piece in recording.pieces("tick_s"):
         start, end = end, end + len(piece["tick_s"])
         seconds[start:end] = piece["tick_s"]
-    found = np.percentile(seconds, [50, 99, 99.9, 100], overwrite_input=True) * 1e6
-    return dict(zip(keys, map(float, found), strict=True))
+    values = np.percentile(seconds, [50, 99, 99.9, 100], overwrite_input=True) * 1e6
+    return dict(zip(keys, map(float, values), strict=True))
 
 
 def _limits(recording: Recording) -> Array:
@@ -186,8 +186,8 @@ def _limits(recording: Recording) -> Array:
 
 def _standing(recording: Recording, ticks: Array) -> list[list[str | int]]:
     joints = recording.meta.get("effort_limits", {})
-    found = zip(joints, map(int, ticks), strict=False)
-    return [[joint, n] for joint, n in sorted(found, key=lambda item: -item[1]) if n]
+    values = zip(joints, map(int, ticks), strict=False)
+    return [[joint, n] for joint, n in sorted(values, key=lambda item: -item[1]) if n]
 
 
 def _ratio(part: float | None, whole: float | None) -> float | None:

@@ -75,13 +75,13 @@ def step_answers(recording: Recording, landings: Sequence[int | None]) -> list[d
     rate = float(recording.meta["control_rate_hz"])
     owners = list(recording.meta.get("columns", range(len(recording.magnitude_names))))
     steps = sorted({round(t * rate) for t in recording.meta["force_steps_s"]})
-    found = []
+    changes = []
     for column, owner in enumerate(owners):
         first = landings[owner]
         if first is not None:
-            found.append((first, column, True))
-        found += [(k, column, False) for k in steps if k > max(2, first or 0)]
-    rows = [_answer(recording, rate, steps, *one) for one in sorted(found)]
+            changes.append((first, column, True))
+        changes += [(k, column, False) for k in steps if k > max(2, first or 0)]
+    rows = [_answer(recording, rate, steps, *one) for one in sorted(changes)]
     return [row for row in rows if row is not None]
 
 
@@ -134,7 +134,7 @@ def judge_task(recording: Recording, verdict: Mapping[str, Any], openings: Openi
         {"word": STOPPED, RUN AWAY, LOST, HELD, SATURATED or OK, "failed": bool, "why": sentences};
         the gravest word that applies.
     """
-    found = [
+    verdicts = [
         *(("STOPPED", True, why) for why in _stopped(recording)),
         *(("RUN AWAY", True, why) for why in _ran_away(verdict, away)),
         *(("LOST", True, why) for why in _lost(recording, verdict, openings)),
@@ -144,15 +144,15 @@ def judge_task(recording: Recording, verdict: Mapping[str, Any], openings: Openi
         failed = held > HELD_SHARE * ticks
         why = f"{held} of {ticks} ticks could not be computed ({held / ticks:.2%})"
         cure = f"; see docs/reliability.md. First reason, {_reason(recording)}" if failed else ""
-        found.append(("HELD", failed, why + cure))
+        verdicts.append(("HELD", failed, why + cure))
     if saturated:
         motors = ", ".join(joint for joint, _ in verdict["at_limit"][:3]) or "some"
         why = f"{saturated} of {ticks} ticks were at a motor limit ({motors})"
-        found.append(("SATURATED", False, why))
+        verdicts.append(("SATURATED", False, why))
     return {
-        "word": found[0][0] if found else "OK",
-        "failed": any(failed for _, failed, _ in found),
-        "why": [why for _, _, why in found],
+        "word": verdicts[0][0] if verdicts else "OK",
+        "failed": any(failed for _, failed, _ in verdicts),
+        "why": [why for _, _, why in verdicts],
     }
 
 
@@ -168,35 +168,35 @@ def _reason(recording: Recording) -> str:
 
 
 def _ran_away(verdict: Mapping[str, Any], away: tuple[float | None, float | None]) -> list[str]:
-    found = []
+    reasons = []
     far, turned = (value or 0.0 for value in away)
     if far > AWAY_M or turned > AWAY_RAD:
-        found.append(
+        reasons.append(
             f"the object was {1e3 * far:.0f} mm and {turned:.2g} rad away from its reference "
             f"(task failed beyond {1e3 * AWAY_M:.0f} mm or {AWAY_RAD:g} rad); ask for a slower or "
             "smaller motion, or look at gains, model and friction"
         )
     for name, force in verdict["force"].items():
         if (force["rms_error_rel"] or 0.0) > 1.0:
-            found.append(
+            reasons.append(
                 f"force {name} was off by {force['rms_error_N']:.3g} N rms, more than the "
                 f"{force['mean_command_N']:.3g} N asked for; look at gains, friction and sensors"
             )
-    return found
+    return reasons
 
 
 def _lost(recording: Recording, verdict: Mapping[str, Any], openings: Openings) -> list[str]:
-    rate, found = float(recording.meta["control_rate_hz"]), []
+    rate, reasons = float(recording.meta["control_rate_hz"]), []
     for i, (name, first) in enumerate(verdict["first_contact_s"].items()):
         longest, share = openings.longest[i] / rate, openings.ticks[i] / verdict["judged_ticks"]
         if first is None:
-            found.append(
+            reasons.append(
                 f"contact '{name}' was never made; look at the start pose, and where the face is"
             )
         elif longest > LOST_S or share > LOST_SHARE:
-            found.append(
+            reasons.append(
                 f"contact '{name}' was lost: open for up to {longest:.3g} s in a row and in "
                 f"{share:.1%} of the judged time, while the controller took it as closed; ask for "
                 "more force or a slower motion, or close contacts again with control.life"
             )
-    return found
+    return reasons

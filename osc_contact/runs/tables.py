@@ -113,13 +113,13 @@ def paper_table(verdicts: Mapping[str, str]) -> Table:
     return table
 
 
-def basis_tables(found: Inspection) -> Iterator[Table]:
+def basis_tables(inspection: Inspection) -> Iterator[Table]:
     """N with a column for each contact, T with a column for each motion."""
     where = "(at the object's origin, world axes)"
-    yield _basis(f"N: forces the contacts transmit {where}", found.N, found.contacts,
+    yield _basis(f"N: forces the contacts transmit {where}", inspection.N, inspection.contacts,
                  ("force", "moment"), ("", "m"))  # fmt: skip
-    names = [f"t{i + 1}" for i in range(found.T.shape[1])]
-    yield _basis(f"T: motions they permit {where}", found.T, names,
+    names = [f"t{i + 1}" for i in range(inspection.T.shape[1])]
+    yield _basis(f"T: motions they permit {where}", inspection.T, names,
                  ("linear", "angular"), ("m/s", "rad/s"))  # fmt: skip
 
 

@@ -58,12 +58,12 @@ def name_problems(
         arms, contacts, grasps: names. force: keys of `reference.force`.
         magnitudes: number of forces by contact name.
     """
-    grasps, force, found = list(grasps), list(force), list[Problem]()
+    grasps, force, problems = list(grasps), list(force), list[Problem]()
     for key, names in (("arms", arms), ("contacts", contacts)):
         for index, name in enumerate(names):
             if Counter(names[:index])[name]:
                 text = f"the name {name!r} is taken by an earlier item of {key}; names are unique"
-                found.append(((key, index, "name"), text))
+                problems.append(((key, index, "name"), text))
     for key, given, wanted, kind, example in (
         ("grasps", grasps, arms, "arm", "{xyz: [0, 0, 0], rpy: [0, 0, 0]}"),
         (
@@ -78,12 +78,12 @@ def name_problems(
                     text = f"this contact has {magnitudes[name]} forces; " + (
                         f"give each its own entry, {name}.1 to {name}.{magnitudes[name]}"
                     )
-                found.append(((key, name), text))
+                problems.append(((key, name), text))
         for name in dict.fromkeys(wanted):
             if name not in given:
                 text = f"the {kind} {name!r} has no entry; add {name}: {example}"
-                found.append(((key,), text))
-    return found
+                problems.append(((key,), text))
+    return problems
 
 
 def body_problems(bodies: Sequence[str], used: Sequence[str | None]) -> list[Problem]:
@@ -91,19 +91,19 @@ def body_problems(bodies: Sequence[str], used: Sequence[str | None]) -> list[Pro
 
     `used`: the body of each contact, None where it brings its own face.
     """
-    found = list[Problem]()
+    problems = list[Problem]()
     for index, name in enumerate(bodies):
         if name in bodies[:index]:
             text = f"the name {name!r} is taken by an earlier item of environment; names are unique"
-            found.append((("environment", index, "name"), text))
+            problems.append((("environment", index, "name"), text))
         if name not in used:
             text = f"no contact is on the body {name!r}; give one its name as body, or remove it"
-            found.append((("environment", index), text))
+            problems.append((("environment", index), text))
     for index, body in enumerate(used):
         if body is not None and body not in bodies:
             text = f"no body of environment has this name; {did_you_mean(body, bodies)}"
-            found.append((("contacts", index, "body"), text))
-    return found
+            problems.append((("contacts", index, "body"), text))
+    return problems
 
 
 def timing_problems(control: ControlSpec, plant: PlantSpec) -> list[Problem]:

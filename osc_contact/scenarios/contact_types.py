@@ -151,10 +151,10 @@ def raw_magnitudes(contacts: Any) -> dict[str, int] | None:
     """Name → r of contacts as a file has them; None where names or types are not sound."""
     if not isinstance(contacts, list):
         return None
-    found = {}
+    magnitudes = {}
     for item in contacts:
         name, kind = (item.get("name"), item.get("type")) if isinstance(item, dict) else (0, 0)
         if not isinstance(name, str) or not name or kind not in CONTACT_TYPES:
             return None
-        found[name] = CONTACT_TYPES[str(kind)].forces
-    return found
+        magnitudes[name] = CONTACT_TYPES[str(kind)].forces
+    return magnitudes

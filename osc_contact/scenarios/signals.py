@@ -173,8 +173,8 @@ def total(signals: Iterable[Signal], t: float) -> Values:
 
 def total_over(signals: Iterable[Signal], t: Array) -> Array:
     """Return (3, k) the same sums at many times `t` (k,)."""
-    found = np.zeros((3, len(t)))
+    total = np.zeros((3, len(t)))
     for signal in signals:
-        for row, x in zip(found, signal.at(t), strict=True):
+        for row, x in zip(total, signal.at(t), strict=True):
             row += x
-    return found
+    return total

@@ -80,7 +80,7 @@ class DrivenLog(Log):
 
     def sources(self, measurement: Measurement) -> Array:
         """(m, 2) address and count of the numbers that follow q, v, τ, α_d in each row."""
-        parts = [part for part in self._found(measurement) if part.size]
+        parts = [part for part in self._last_result(measurement) if part.size]
         return np.array([(_address(part), part.size) for part in parts], dtype=np.int64)
 
     def tail(self) -> Array:

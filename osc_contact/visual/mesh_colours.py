@@ -21,23 +21,23 @@ LOST_SHARE = 0.005
 def vertex_colours(
     file: str | Path, triangles: NDArray[np.integer], vertices: int
 ) -> NDArray[np.float32] | None:
-    """(vertices, 3) colours in 0..1 of a mesh as it was read, None if its file tells none.
+    """(vertices, 3) colours in 0..1 of a mesh as it was read, None if its file has none.
 
     Args:
         file: of the mesh.
         triangles: (k, 3) indices, in the order of the file.
         vertices: how many there are.
     """
-    told = triangle_colours(file, len(triangles))
-    if told is None:
+    of_triangles = triangle_colours(file, len(triangles))
+    if of_triangles is None:
         return None
     colours = np.ones((vertices, 3), dtype=np.float32)
-    colours[np.asarray(triangles)] = told[:, None, :]
+    colours[np.asarray(triangles)] = of_triangles[:, None, :]
     return colours
 
 
 def triangle_colours(file: str | Path, count: int) -> Array | None:
-    """(count, 3) colours in 0..1, None if the file is no COLLADA or tells no colours.
+    """(count, 3) colours in 0..1, None if the file is no COLLADA or has no colours.
 
     White is drawn at 0.88 and black at 0.14: their shapes are seen by light and shade.
     """
@@ -74,5 +74,5 @@ def _colour(root: ET.Element, material: str) -> list[float]:
     """Diffuse colour of a material."""
     effect = root.find(f".//c:material[@id='{material}']/c:instance_effect", SPACE)
     url = "" if effect is None else effect.get("url", "")[1:]
-    told = root.findtext(f".//c:effect[@id='{url}']//c:diffuse/c:color", None, SPACE)
-    return [float(word) for word in told.split()[:3]] if told else [0.8, 0.8, 0.8]
+    diffuse = root.findtext(f".//c:effect[@id='{url}']//c:diffuse/c:color", None, SPACE)
+    return [float(word) for word in diffuse.split()[:3]] if diffuse else [0.8, 0.8, 0.8]

@@ -168,8 +168,8 @@ def torques(recording: Recording) -> Figure:
     groups = {arm: [i for i, n in enumerate(names) if n.startswith(arm)] for arm in arms}
     if sorted(i for group in groups.values() for i in group) != list(range(len(names))):
         groups = {"all actuators": list(range(len(names)))}
-    told = recording.meta.get("effort_limits") or {}
-    limits = [told.get(name) for name in names]
+    recorded = recording.meta.get("effort_limits") or {}
+    limits = [recorded.get(name) for name in names]
     known = all(limits)
     shown = 100.0 * tau / np.array(limits, dtype=float) if known else tau
     unit = "effort (% of its limit)" if known else "effort (N m; sliding joints: N)"

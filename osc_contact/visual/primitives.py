@@ -205,14 +205,14 @@ def urdf_geometry(node: Visualizer, shape: pin.GeometryObject) -> None:
         corners = np.asarray(form.vertices(), dtype=np.float32).reshape(-1, 3)
         faces = (form.tri_indices(i) for i in range(form.num_tris))
         triangles = np.array([[face[0], face[1], face[2]] for face in faces])
-        told = (
+        colours = (
             None
             if shape.overrideMaterial
             else vertex_colours(shape.meshPath, triangles, len(corners))
         )
-        if told is not None:
+        if colours is not None:
             paint = mc.MeshLambertMaterial(color=0xFFFFFF, vertexColors=True)
-        body.set_object(mc.TriangularMeshGeometry(corners, triangles, told), paint)
+        body.set_object(mc.TriangularMeshGeometry(corners, triangles, colours), paint)
     else:
         raise InvalidInputError(
             f"geometry {shape.name!r} is a {type(form).__name__}, which cannot be drawn: "

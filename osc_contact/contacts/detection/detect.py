@@ -54,7 +54,7 @@ def detect(
         raise InvalidInputError(f"angle = {angle}; give an angle between 0 and 0.1 rad")
     X_WE = pin.SE3.Identity() if X_WE is None else X_WE
     placed = [(e, e.solid.moved(X_WE), X_WE * e.placement) for e in environment_geometry]
-    found = []
+    contacts = []
     for a in object_geometry:
         solid, X_A = a.solid.moved(X_WO), X_WO * a.placement
         for e, solid_e, X_E in placed:
@@ -67,8 +67,8 @@ def detect(
                 n = best_direction(solid, solid_e, near.normal)
             contact = _classified(a, solid, X_WO, e, solid_e, X_WE, n, near, margin, angle)
             if contact is not None:
-                found.append(contact)
-    return merged(found, object_geometry, X_WO, margin, angle)
+                contacts.append(contact)
+    return merged(contacts, object_geometry, X_WO, margin, angle)
 
 
 def _classified(

@@ -19,13 +19,13 @@ _BURIED = 1e-6
 
 
 def merged(
-    found: Sequence[Detected],
+    contacts: Sequence[Detected],
     object_geometry: Sequence[CollisionShape],
     X_WO: pin.SE3,
     margin: float,
     angle: float,
 ) -> list[Detected]:
-    """`found` without the contacts that repeat another: faces stay first, then lines, then points.
+    """`contacts` without those that repeat another: faces stay first, then lines, then points.
 
     A contact repeats another of the same tangent plane if its patch lies on the other's plane,
     line or point, or if it touches with a part of the object's shape that is inside the other's
@@ -33,12 +33,12 @@ def merged(
     stays, then the nearer.
 
     Args:
-        found: all contacts. object_geometry: shapes of the object. X_WO: its pose.
+        contacts: all contacts. object_geometry: shapes of the object. X_WO: its pose.
         margin: heights that count as equal (m). angle: directions that count as equal (rad).
     """
     shapes = {shape.name: shape for shape in object_geometry}
     kept: list[Detected] = []
-    for contact in sorted(found, key=_rank):
+    for contact in sorted(contacts, key=_rank):
         if not any(
             _same_plane(contact, other, margin, angle)
             and (
@@ -48,7 +48,7 @@ def merged(
             for other in kept
         ):
             kept.append(contact)
-    return [contact for contact in found if any(contact is other for other in kept)]
+    return [contact for contact in contacts if any(contact is other for other in kept)]
 
 
 def _rank(contact: Detected) -> tuple[int, bool, float]:

@@ -76,15 +76,15 @@ class TrackedContact:
         Raises:
             ContactError: nothing touches, and nothing ever has.
         """
-        pairs = self._found(X_WO, X_WE)
+        pairs = self._touching(X_WO, X_WE)
         parts = [pair.contact(X_WO, V_O, X_WE, V_E) for pair in pairs]
         return parts[0] if len(parts) == 1 else Contact.stack(parts)
 
     def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
         """Gaps of the pairs found, one below the other (m, rad)."""
-        return np.concatenate([pair.gaps(X_WO, X_WE) for pair in self._found(X_WO, X_WE)])
+        return np.concatenate([pair.gaps(X_WO, X_WE) for pair in self._touching(X_WO, X_WE)])
 
-    def _found(self, X_WO: pin.SE3, X_WE: pin.SE3 | None) -> tuple[ContactPair, ...]:
+    def _touching(self, X_WO: pin.SE3, X_WE: pin.SE3 | None) -> tuple[ContactPair, ...]:
         X_EO = X_WO if X_WE is None else X_WE.actInv(X_WO)
         moved = self._X_EO.actInv(X_EO)
         near = (
@@ -94,10 +94,10 @@ class TrackedContact:
         if self.pairs and near:
             return self.pairs
         shapes, bodies = self._shapes
-        found = detect(shapes, X_WO, bodies, X_WE, margin=self._margin)
+        detected = detect(shapes, X_WO, bodies, X_WE, margin=self._margin)
         self.lookups += 1
-        if found:
-            self.pairs = tuple(contact.pair() for contact in found)
+        if detected:
+            self.pairs = tuple(contact.pair() for contact in detected)
         self._X_EO = X_EO.copy()
         if not self.pairs:
             raise ContactError(

@@ -87,10 +87,10 @@ class Comparison:
 
     def _law(self, key: str) -> dict[str, Any]:
         law, predicted, measured = self.laws[key], self.predicted[key], self.measured[key]
-        found: dict[str, Any] = {"label": self.label(key)}
+        row: dict[str, Any] = {"label": self.label(key)}
         if isinstance(law, SelectionLaw):
             chosen = law.selection
-            found |= {
+            row |= {
                 "equation": law.baseline.equation,
                 "source": law.baseline.source,
                 "selection": {
@@ -101,17 +101,17 @@ class Comparison:
             }
         for name, coupling in (("predicted", predicted), ("measured", measured)):
             f, m = coupling.norms
-            found[name] = {"force_to_motion": f, "motion_to_force": m, "cost": coupling.cost}
+            row[name] = {"force_to_motion": f, "motion_to_force": m, "cost": coupling.cost}
         for plant in PLANTS:
             steps = self.steps[plant][key]
-            found[plant] = {
+            row[plant] = {
                 "force_to_motion_m": steps.force_to_motion.tolist(),
                 "motion_to_force_N": steps.motion_to_force.tolist(),
                 "closed": steps.closed,
                 "saturated_ticks": steps.saturated,
                 "task": self.task[plant][key],
             }
-        return found
+        return row
 
 
 def compare(scenario: Scenario, *, seed: int = 0, progress: Progress | None = None) -> Comparison:

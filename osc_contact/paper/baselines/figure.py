@@ -25,7 +25,7 @@ _HATCHES = ("", "//", "..", "xx")
 _BEFORE_S = 0.05
 
 
-def draw(found: Comparison) -> Figure:
+def draw(comparison: Comparison) -> Figure:
     """Top: what a force step does to the motion. Bottom: what a motion step does to the force.
 
     Left: at one instant on the rigid plant, dimensionless. Middle: peak on MuJoCo. Right: over
@@ -34,11 +34,11 @@ def draw(found: Comparison) -> Figure:
     with style():
         figure = Figure(figsize=(10.0, 5.4))
         grid = figure.subplots(2, 3, gridspec_kw={"width_ratios": [1.0, 1.0, 2.7]})
-        instant = np.array([found.measured[key].norms for key in found.laws])
-        peaks = np.array([found.peaks("mujoco", key) for key in found.laws]) * [1e6, 1.0]
-        r = found.instant.contact.r
-        first = next(iter(found.steps["mujoco"].values()))
-        names = [f"{c.name.replace('_', ' ')}" for c in found.scenario.contacts]
+        instant = np.array([comparison.measured[key].norms for key in comparison.laws])
+        peaks = np.array([comparison.peaks("mujoco", key) for key in comparison.laws]) * [1e6, 1.0]
+        r = comparison.instant.contact.r
+        first = next(iter(comparison.steps["mujoco"].values()))
+        names = [f"{c.name.replace('_', ' ')}" for c in comparison.scenario.contacts]
         forces = [f"{name}: +{FORCE_STEP_N:g} N" for name in names]
         motions = [f"free motion {i + 1}: +{1e3 * MOTION_STEP_M:g} mm"
                    for i in range(len(first.starts) - r)]  # fmt: skip
@@ -60,24 +60,24 @@ def draw(found: Comparison) -> Figure:
         )
         for i, (title, symbol, unit, what, steps) in enumerate(rows):
             left, middle, right = grid[i]
-            _bars(left, found, instant[:, i], limit=1e-9)
+            _bars(left, comparison, instant[:, i], limit=1e-9)
             left.set(title=f"({'ad'[i]}) {title}", ylabel=f"{symbol}  (1)")
-            _bars(middle, found, peaks[:, i])
+            _bars(middle, comparison, peaks[:, i])
             middle.set(title=f"({'be'[i]}) largest of all steps", ylabel=unit)
-            _history(right, found, i == 0, steps)
+            _history(right, comparison, i == 0, steps)
             right.set(title=f"({'cf'[i]}) {what}", ylabel=unit)
         for ax, where in zip(grid[0], ("rigid plant, one instant", "MuJoCo", "MuJoCo"),
                              strict=True):  # fmt: skip
             ax.text(0.5, 1.19, where, transform=ax.transAxes, ha="center", weight="bold")
         grid[1, 2].set_xlabel("time (s)")
         figure.legend(
-            *_entries(found), loc="outside lower center", ncols=len(found.laws), handlelength=3.6,
-            handler_map={tuple: HandlerTuple(ndivide=None)},
+            *_entries(comparison), loc="outside lower center", ncols=len(comparison.laws),
+            handlelength=3.6, handler_map={tuple: HandlerTuple(ndivide=None)},
         )  # fmt: skip
     return figure
 
 
-def _bars(ax: Axes, found: Comparison, values: Array, limit: float | None = None) -> None:
+def _bars(ax: Axes, comparison: Comparison, values: Array, limit: float | None = None) -> None:
     """One bar for each law, with its number."""
     low = 10.0 ** (np.floor(np.log10(values.min())) - 0.5)
     for i, value in enumerate(values):
@@ -95,11 +95,11 @@ def _bars(ax: Axes, found: Comparison, values: Array, limit: float | None = None
                     fontsize=8.5)  # fmt: skip
 
 
-def _history(ax: Axes, found: Comparison, of_forces: bool, steps: list[str]) -> None:
+def _history(ax: Axes, comparison: Comparison, of_forces: bool, steps: list[str]) -> None:
     """The effect of every step of one kind on the other quantity."""
-    r = found.instant.contact.r
+    r = comparison.instant.contact.r
     offset = 0 if of_forces else r
-    for i, run in enumerate(found.steps["mujoco"].values()):
+    for i, run in enumerate(comparison.steps["mujoco"].values()):
         for k in range(offset, offset + len(steps)):
             rows = run.window(k, _BEFORE_S if k == offset else 0.0)
             if of_forces:
@@ -118,15 +118,15 @@ def _history(ax: Axes, found: Comparison, of_forces: bool, steps: list[str]) -> 
                     va="top", fontsize=8.5)  # fmt: skip
 
 
-def _entries(found: Comparison) -> tuple[list[Any], list[str]]:
+def _entries(comparison: Comparison) -> tuple[list[Any], list[str]]:
 
     handles: list[Any] = []
     labels: list[str] = []
-    for i, key in enumerate(found.laws):
+    for i, key in enumerate(comparison.laws):
         colour = OKABE_ITO[_COLOURS[i]]
         patch = Patch(facecolor=colour, hatch=_HATCHES[i], edgecolor="white", lw=0.0)
         handles.append((patch, Line2D([], [], color=colour, ls=_DASHES[i], lw=1.6)))
-        labels.append(found.label(key) + ("" if key == OURS else ", best frame"))
+        labels.append(comparison.label(key) + ("" if key == OURS else ", best frame"))
     return handles, labels
 
 

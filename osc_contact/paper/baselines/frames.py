@@ -93,10 +93,10 @@ def _descend(instant: Instant, law: SelectionLaw) -> tuple[SelectionLaw, float]:
             break
         step = -np.linalg.solve(normal + damping * np.eye(count), gradient)
         trial = _moved(law, step * min(1.0, 1.0 / float(np.linalg.norm(step))), instant.size)
-        found = instant.coupling(trial)
-        if found.cost < cost:
-            done = cost - found.cost < 1e-7 * cost
-            law, at, cost, damping = trial, found, found.cost, 0.2 * damping
+        coupling = instant.coupling(trial)
+        if coupling.cost < cost:
+            done = cost - coupling.cost < 1e-7 * cost
+            law, at, cost, damping = trial, coupling, coupling.cost, 0.2 * damping
             if done:
                 break
         else:

@@ -42,15 +42,15 @@ def _comparison_rows(
     )
     force, motion = f"{result['force_step_N']:g} N", f"{1e3 * result['motion_step_m']:g} mm"
     for plant in ("rigid", "mujoco"):
-        found = [law[plant] for law in laws]
-        tasks = [x["task"] for x in found]
+        answers = [law[plant] for law in laws]
+        tasks = [x["task"] for x in answers]
         yield (
             f"{plant}, {force} step: object moves (µm)",
-            [1e6 * max(x["force_to_motion_m"]) for x in found],
+            [1e6 * max(x["force_to_motion_m"]) for x in answers],
         )
         yield (
             f"{plant}, {motion} step: force error (N)",
-            [max(x["motion_to_force_N"]) for x in found],
+            [max(x["motion_to_force_N"]) for x in answers],
         )
         yield (
             f"{plant}, whole task: force rms (N)",

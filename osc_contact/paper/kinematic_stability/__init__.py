@@ -31,8 +31,8 @@ from osc_contact.paper.kinematic_stability.laws import (
     poles,
 )
 from osc_contact.paper.kinematic_stability.search import (
-    Found,
     PostureMap,
+    WorstPosture,
     posture_map,
     search,
 )
@@ -42,7 +42,7 @@ from osc_contact.spatial import Array
 __all__ = [
     "DAMPING_S",
     "LEFT",
-    "Found",
+    "WorstPosture",
     "Histories",
     "HybridArm",
     "PostureMap",
@@ -65,13 +65,13 @@ __all__ = [
 class Result:
     """One arm: the posture found, the map through it and what happens there."""
 
-    found: Found
+    worst: WorstPosture
     map: PostureMap
     histories: Histories
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; eigenvalues (1/s²) and poles (1/s) as [real, imaginary]."""
-        f, h = self.found, self.histories
+        f, h = self.worst, self.histories
         return {
             "arm": f.arm.name,
             "seed": f.seed,
@@ -112,8 +112,8 @@ def run(
         arms = (planar_arm(), (0, 1)), (ur5_arm(), (1, 2))
     results = []
     for arm, joints in arms:
-        found = search(arm, seed, postures)
-        results.append(Result(found, posture_map(found, joints, count), simulate(found, duration)))
+        worst = search(arm, seed, postures)
+        results.append(Result(worst, posture_map(worst, joints, count), simulate(worst, duration)))
     return results
 
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from osc_contact.paper.kinematic_stability import Result
-from osc_contact.paper.kinematic_stability.search import Found, PostureMap
+from osc_contact.paper.kinematic_stability.search import PostureMap, WorstPosture
 from osc_contact.paper.kinematic_stability.simulate import Histories
 from osc_contact.spatial import Array
 from osc_contact.visual import contact_colour
@@ -27,18 +27,18 @@ def draw(results: Sequence[Result]) -> Figure:
         figure = Figure(figsize=(12.0, 4.2 * len(results) + 0.3))
         rows = figure.subfigures(len(results), 1, squeeze=False)[:, 0]
         for row, result in zip(rows, results, strict=True):
-            found = result.found
+            worst = result.worst
             row.suptitle(
-                f"{found.arm.name}: of {found.tried} random postures (the more regular of "
-                f"{found.drawn}) the classic scheme is unstable in {found.unstable}, "
-                f"ours in {found.ours_unstable}",
+                f"{worst.arm.name}: of {worst.tried} random postures (the more regular of "
+                f"{worst.drawn}) the classic scheme is unstable in {worst.unstable}, "
+                f"ours in {worst.ours_unstable}",
                 x=0.01, ha="left", size=11.5, weight="bold",
             )  # fmt: skip
             grid = row.add_gridspec(2, 3, width_ratios=(1.0, 1.0, 1.05))
             maps = [row.add_subplot(grid[:, k]) for k in (0, 1)]
             m = result.map
-            shade = _map(maps[0], m, m.classic, found, r"classic: $M^{-1}K_q J^{-1}SJ$")
-            _map(maps[1], m, m.ours, found, r"ours: $(T^TB^{-1}T)^{-1}T^TB^{-1}K\,T,\ K=BK'$")
+            shade = _map(maps[0], m, m.classic, worst, r"classic: $M^{-1}K_q J^{-1}SJ$")
+            _map(maps[1], m, m.ours, worst, r"ours: $(T^TB^{-1}T)^{-1}T^TB^{-1}K\,T,\ K=BK'$")
             bar = row.colorbar(shade, ax=maps, shrink=0.9, pad=0.02, extend="both")
             bar.set_label(r"least real part $\lambda$, as sign$(\lambda)\sqrt{|\lambda|}$ (1/s)")
             above = row.add_subplot(grid[0, 2])
@@ -51,7 +51,7 @@ def draw(results: Sequence[Result]) -> Figure:
     return figure
 
 
-def _map(ax: Axes, m: PostureMap, values: Array, found: Found, title: str) -> Any:
+def _map(ax: Axes, m: PostureMap, values: Array, worst: WorstPosture, title: str) -> Any:
     rates = np.clip(np.sign(values) * np.sqrt(np.abs(values)), -_LIMIT, _LIMIT)
     degrees = np.rad2deg(m.grid)
     shade = ax.pcolormesh(
@@ -63,7 +63,7 @@ def _map(ax: Axes, m: PostureMap, values: Array, found: Found, title: str) -> An
         ax.contourf(degrees, degrees, values, levels=[-1e30, 0.0], colors="none", hatches=["////"])
         ax.contour(degrees, degrees, values, levels=[0.0], colors="black", linewidths=1.0)
     a, b = m.joints
-    ax.plot(*np.rad2deg(found.q[[a, b]]), "X", color="black", mec="white", ms=11)
+    ax.plot(*np.rad2deg(worst.q[[a, b]]), "X", color="black", mec="white", ms=11)
     ax.grid(False)
     ax.set(title=title, xlabel=rf"$q_{a + 1}$ (°)", ylabel=rf"$q_{b + 1}$ (°)", aspect="equal")
     ax.set(xticks=range(-180, 181, 90), yticks=range(-180, 181, 90))

@@ -11,11 +11,11 @@ from osc_contact.paper.kinematic_stability.arms import HybridArm
 from osc_contact.paper.kinematic_stability.laws import classic_eigenvalues, our_eigenvalues
 from osc_contact.spatial import Array
 
-__all__ = ["Found", "PostureMap", "posture_map", "search"]
+__all__ = ["PostureMap", "WorstPosture", "posture_map", "search"]
 
 
 @dataclass(frozen=True)
-class Found:
+class WorstPosture:
     """The posture in which the classic scheme is least stable, and both schemes there.
 
     Attributes:
@@ -39,7 +39,9 @@ class Found:
     ours_least: float
 
 
-def search(arm: HybridArm, seed: int = 0, postures: int = 2000, regular: float = 0.5) -> Found:
+def search(
+    arm: HybridArm, seed: int = 0, postures: int = 2000, regular: float = 0.5
+) -> WorstPosture:
     """Draw uniformly random postures and examine the most regular of them.
 
     Args:
@@ -68,7 +70,7 @@ def search(arm: HybridArm, seed: int = 0, postures: int = 2000, regular: float =
             f"{arm.name}: none of {len(examined)} postures examined is unstable; draw more "
             "(postures=), or control the force along another axis"
         )
-    return Found(
+    return WorstPosture(
         arm=arm,
         q=examined[worst],
         seed=seed,
@@ -116,20 +118,22 @@ class PostureMap:
     ours: Array
 
 
-def posture_map(found: Found, joints: tuple[int, int] = (0, 1), count: int = 48) -> PostureMap:
+def posture_map(
+    worst: WorstPosture, joints: tuple[int, int] = (0, 1), count: int = 48
+) -> PostureMap:
     """Both schemes over a plane of the posture space through the posture found.
 
     Args:
-        found: arm and posture.
+        worst: arm and posture.
         joints: indices of the two joints that are varied.
         count: positions of each, over the whole turn.
     """
     grid = (np.arange(count) + 0.5) / count * 2 * np.pi - np.pi  # never exactly straight
     least = np.full((2, count, count), np.nan)
-    q = found.q.copy()
+    q = worst.q.copy()
     for j, second in enumerate(grid):
         for i, first in enumerate(grid):
             q[list(joints)] = first, second
-            if regularity(found.arm, q) > 1e-9:
-                least[:, j, i] = [values[0].real for values in eigenvalues(found.arm, q)]
+            if regularity(worst.arm, q) > 1e-9:
+                least[:, j, i] = [values[0].real for values in eigenvalues(worst.arm, q)]
     return PostureMap(joints, grid, *least)

@@ -11,7 +11,7 @@ import pinocchio as pin
 from osc_contact.errors import InvalidInputError
 from osc_contact.paper.kinematic_stability.arms import HybridArm
 from osc_contact.paper.kinematic_stability.laws import classic_torque, our_torque
-from osc_contact.paper.kinematic_stability.search import Found
+from osc_contact.paper.kinematic_stability.search import WorstPosture
 from osc_contact.spatial import Array, pose_error
 
 __all__ = ["LEFT", "Histories", "simulate"]
@@ -37,14 +37,14 @@ class Histories:
 
 
 def simulate(
-    found: Found, duration: float = 1.0, error: float = 1e-3, step: float = 2e-3
+    worst: WorstPosture, duration: float = 1.0, error: float = 1e-3, step: float = 2e-3
 ) -> Histories:
     """Both closed loops from rest, `error` (m, rad) off in every position-controlled coordinate.
 
     Continuous-time control, forward dynamics by `pin.aba`, fourth-order Runge–Kutta.
 
     Args:
-        found: arm and posture.
+        worst: arm and posture.
         duration: of both runs (s).
         error: at the start (m, rad).
         step: of the integration (s).
@@ -56,17 +56,17 @@ def simulate(
         if not (np.isfinite(value) and value > 0.0):
             raise InvalidInputError(f"{name} = {value}; give a number > 0")
     t = np.arange(round(duration / step) + 1) * step
-    goal = found.arm.terms(found.q)[2]
-    start = _reached(found, error * found.arm.selection, goal)
+    goal = worst.arm.terms(worst.q)[2]
+    start = _reached(worst, error * worst.arm.selection, goal)
     return Histories(
         t,
-        _integrate(found, classic_torque, goal, start, t),
-        _integrate(found, our_torque, goal, start, t),
+        _integrate(worst, classic_torque, goal, start, t),
+        _integrate(worst, our_torque, goal, start, t),
     )
 
 
-def _integrate(found: Found, law: Law, goal: pin.SE3, start: Array, t: Array) -> Array:
-    arm, n, h = found.arm, len(start), t[1] - t[0]
+def _integrate(worst: WorstPosture, law: Law, goal: pin.SE3, start: Array, t: Array) -> Array:
+    arm, n, h = worst.arm, len(start), t[1] - t[0]
     data = arm.plant.createData()
 
     def rate(state: Array) -> Array:
@@ -76,9 +76,9 @@ def _integrate(found: Found, law: Law, goal: pin.SE3, start: Array, t: Array) ->
     state = np.concatenate((start, np.zeros(n)))
     out = np.full((len(t), n), np.nan)
     for k in range(len(t)):
-        if np.abs(state[:n] - found.q).max() > LEFT:
+        if np.abs(state[:n] - worst.q).max() > LEFT:
             break
-        out[k] = state[:n] - found.q
+        out[k] = state[:n] - worst.q
         a = rate(state)
         b = rate(state + 0.5 * h * a)
         c = rate(state + 0.5 * h * b)
@@ -86,10 +86,10 @@ def _integrate(found: Found, law: Law, goal: pin.SE3, start: Array, t: Array) ->
     return out
 
 
-def _reached(found: Found, offset: Array, goal: pin.SE3) -> Array:
+def _reached(worst: WorstPosture, offset: Array, goal: pin.SE3) -> Array:
     """(n,) joint positions whose task coordinates are exactly `offset` from the posture's."""
-    rows, q = list(found.arm.rows), found.q
+    rows, q = list(worst.arm.rows), worst.q
     for _ in range(10):
-        _, J, tip = found.arm.terms(q)
+        _, J, tip = worst.arm.terms(q)
         q = q + np.linalg.solve(J[rows], offset + pose_error(goal, tip)[rows])
     return q
