@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from benchmarks import jitter, peers, scaling, simulation, vector_env
+from benchmarks import jitter, many_runs, peers, scaling, simulation, vector_env
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.engines import constraint_dynamics, mujoco_state
 from benchmarks.textbook import TextbookLaw
@@ -151,6 +151,32 @@ def test_simulation_program(tmp_path: Path) -> None:
     assert {"MuJoCo: mj_step", "tick", "references", "the loop itself"} <= set(result["shares"])
 
 
+def test_many_runs_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(many_runs, "DURATION", 1.05)
+    found = many_runs.measure(1)
+    for name in ("row_s", "single_s", "start_s", "job_s", "worker_s", "keep_s", "table_s"):
+        assert 0.0 < found[name] < 60.0, name
+    assert found["row_s"] < found["start_s"] and found["keep_s"] < found["row_s"]
+    assert 100.0 < found["parquet_B"] < found["line_B"] < found["memory_B"] < 1e5
+    for table in many_runs.tables(found):
+        assert table.row_count >= 6
+    many_runs.draw(found, tmp_path / "b.png")
+    assert (tmp_path / "b.png").stat().st_size > 10000
+
+
+def test_a_million_rows_scale_until_one_process_is_busy() -> None:
+    """By hand: 36 ms a row, 10 h on one core; 3.6 ms a job of 4 and 0.1 ms a row: 1 ms a row."""
+    found = {"row_s": 0.036, "start_s": 0.0, "job_s": 3.6e-3, "worker_s": 0.0, "keep_s": 1e-4,
+             "table_s": 0.0}  # fmt: skip
+    one, ten, many = (many_runs.scaled(found, machines, 2, 4) for machines in (1, 10, 1000))
+    assert one["hours"] == pytest.approx(5.0) and ten["hours"] == pytest.approx(0.5)
+    assert one["used"] == ten["used"] == 1.0 and one["most"] == pytest.approx(36.0)
+    assert many["hours"] == many["busy"] == pytest.approx(1e6 * 1e-3 / 3600)
+    assert many["used"] == pytest.approx(36.0 / 2000)
+    slower = many_runs.scaled({**found, "worker_s": 4e-6}, 9, 4, 4)
+    assert slower["busy"] == pytest.approx(1e6 * (1e-3 + 36e-6) / 3600) and slower["most"] < 36.0
+
+
 def test_vector_env_program(tmp_path: Path) -> None:
     result, _ = run_program("vector_env", 2, tmp_path)
     assert result["cases"][0]["threads"] == 1
@@ -161,7 +187,9 @@ def test_vector_env_program(tmp_path: Path) -> None:
         assert case["ticks_per_s"] > 0.0 and 0.0 < parts["control"] < parts["MuJoCo"]
 
 
-@pytest.mark.parametrize("module", [ticks, peers, scaling, jitter, simulation, vector_env])
+@pytest.mark.parametrize(
+    "module", [ticks, peers, scaling, jitter, simulation, many_runs, vector_env]
+)
 def test_benchmarks_refuse_no_ticks(module) -> None:
     with pytest.raises(InvalidInputError, match=r"0 .* tell no time"):
         module.measure(0)

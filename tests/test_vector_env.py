@@ -12,7 +12,6 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import osc_contact as osc
-from benchmarks import many_runs
 from osc_contact.control.batch import BatchController
 from osc_contact.sweeps.fleet import Fleet, Start
 from osc_contact.sweeps.vector_env import make_vector_env
@@ -197,8 +196,3 @@ def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given() -> N
         batch.replace(0, rod)
     with pytest.raises(osc.InvalidInputError, match="rows 0"):
         batch.replace(2, starts[0].controller)
-
-
-def test_benchmark_times_a_row_beside_its_single_run() -> None:
-    row, single = many_runs.time_rows(3, 1.05)
-    assert 0.0 < row < 60.0 and 0.0 < single < 60.0
