@@ -206,7 +206,7 @@ def tick(state, contacts, i, rng):
     wanted = osc.Reference(
         case.X_WO * pin.exp6(pin.Motion(0.02 * rng.normal(size=6))),
         0.1 * rng.normal(size=6),
-        rng.normal(size=6),
+        rng.normal(size=6) * (state.mu == 0.0),  # else friction is that of a slip to come
         rng.uniform(5.0, 20.0, sum(len(c.along_object) for c in contacts)),
         squeeze if rigid and k > 2 else squeeze.sum() if k == 2 else 0.0,
     )

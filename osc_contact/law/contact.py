@@ -27,6 +27,7 @@ from osc_contact.law.tables import (
 __all__ = ["PARALLEL", "permitted_motion", "place_contacts", "place_pair", "point_of_contact"]
 
 PARALLEL = 1e-6  #: sine of the angle below which two edges have no common normal
+_AHEAD = 2.0  #: control periods after its measurement at which a torque acts at the latest
 
 
 @leaf
@@ -62,7 +63,9 @@ def place_contacts(chain, pairs, shapes, columns, X_WO, V_O, bodies, moving, wor
         X_WO: (4, 4) pose of the object. V_O: (6,) its twist at O.
         bodies: (contacts, 28) of each touched body: X_WE (16, by rows), V_E (6), A_E (6).
         moving: whether `bodies` counts; False: they rest in the world.
-        work: WORK record: the coefficient of friction `mu`; scratch.
+        work: WORK record: the coefficient of friction `mu`, the wanted acceleration A_D; scratch.
+            Friction is that of the slip to come, when the torques of this tick act: where a motion
+            turns back it changes its sign within milliseconds.
     """
     R_E, V_E, V_rel = work.A, work.u, work.w
     for i in range(3):
@@ -93,10 +96,12 @@ def place_contacts(chain, pairs, shapes, columns, X_WO, V_O, bodies, moving, wor
         if not sine >= PARALLEL:
             return False
         if pair.has_friction != 0 and (work.mu > 0.0 or chain.reading == LEAST_SQUARES):
+            for i in range(6):
+                work.z[i] = V_rel[i] + _AHEAD * chain.period * work.A_D[i]
             for j in range(pair.count):
                 row, column = shapes[pair.shape_at + j].row, columns[pair.first + j]
                 point = point_of_contact(pair.kind, row, X_WO, R_E, column.N)
-                _slide(point, V_rel, work.mu, chain.slip, column)
+                _slide(point, work.z, work.mu, chain.slip, column)
     return True
 
 

@@ -36,6 +36,8 @@ HINGE_SPAN = 0.05
 
 #: Heavy enough that no contact force moves a driven face between two steps (kg, kg m²).
 DRIVE_MASS = 1e6
+#: Time constant of friction (s) with which points keep contact that slide at 0.15 m/s or so.
+LEAST_SLIDING = 0.015
 GUIDES = ("slide", "hinge")  #: joints of a body that moves
 _NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo wants mass in what moves
 
@@ -44,7 +46,8 @@ _NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo wants mass in what moves
 class MujocoOptions:
     """Integration step (s), contact softness and Coulomb friction of the environment.
 
-    `friction_solref`: of friction alone, see `_let_slide`; None: the same as `solref`.
+    `friction_solref`: of friction alone, see `_let_slide`; None: that of `solref`, but with at
+    least 15 ms, so that points which slide do not lose contact.
     """
 
     step: float = 2.5e-4
@@ -52,6 +55,12 @@ class MujocoOptions:
     solimp: tuple[float, float, float] = (0.2, 0.9, 0.0005)
     friction: float = 0.0
     friction_solref: tuple[float, float] | None = None
+
+    @property
+    def own_friction(self) -> tuple[float, float]:
+        """The solref of friction."""
+        time, ratio = self.solref
+        return self.friction_solref or (max(time, LEAST_SLIDING), ratio)
 
 
 def scene(
@@ -98,8 +107,8 @@ def scene(
     _hold_object(mujoco, spec, chain, object_urdf)
     for i, (body, rail) in enumerate(zip(bodies, rails, strict=True)):
         _body(mujoco, spec, i, *body, options, rail)
-    if options.friction > 0.0 and options.friction_solref is not None:
-        _let_slide(spec, options, options.friction_solref)
+    if options.friction > 0.0 and options.own_friction != options.solref:
+        _let_slide(spec, options, options.own_friction)
     return spec
 
 
@@ -188,6 +197,7 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
     root = part.worldbody.first_body()
     root.name = "root"
     root.add_site(name="held")
+    _weigh(root, chain)
     first = chain.grasps[0]
     for i, grasp in enumerate(chain.grasps[1:], start=1):
         for k, point in enumerate(_tie_points(grasp)):
@@ -214,6 +224,18 @@ def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None
             own, other = f"{arm.name}/tie.{k}", f"object/tie{i}.{k}"
             tip.add_site(name=own, pos=point)
             _tie(mujoco, spec, own, own, other).type = mujoco.mjtEq.mjEQ_CONNECT
+
+
+def _weigh(root: Any, chain: ClosedChain) -> None:
+    """The chain's object where that is not the one of the file."""
+    assert chain.payload is not None
+    inertia = chain.payload.inertia
+    if inertia.mass == root.mass:
+        return
+    I = inertia.inertia  # noqa: E741 - the field's letter
+    root.explicitinertial = True
+    root.mass, root.ipos, root.iquat = inertia.mass, inertia.lever, [1.0, 0.0, 0.0, 0.0]
+    root.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
 
 
 def _tie_points(grasp: Grasp) -> list[Array]:

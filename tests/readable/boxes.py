@@ -43,6 +43,8 @@ from readable.validation import independent
 
 __all__ = ["Boxes"]
 
+AHEAD = 2.0  #: control periods from a measurement to when its torques act at the latest
+
 
 class Boxes:
     """What the boxes know besides their signals; `Controller` says what each of these is."""
@@ -75,7 +77,8 @@ class Boxes:
         touched = chosen(s.touched, active)
         s.parts = parts = parts_in_force(pairs, s.state, touched)
         s.contact = contact = Contact.stack(parts, np.linalg.inv(s.state.metric))
-        s.friction_wrenches, X, V = np.zeros_like(contact.N), s.state.X_WO, s.state.V_O
+        s.friction_wrenches, X = np.zeros_like(contact.N), s.state.X_WO
+        V = s.state.V_O + AHEAD * self.force_law.dt * s.reference.A_D  # when the torques act
         believed = self.friction or Friction(0.0)
         mu = max(believed.mu + self.more_friction, 0.0)
         if mu > 0.0:
