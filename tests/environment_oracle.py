@@ -59,6 +59,7 @@ class Solution:
     a_object: np.ndarray  # spatial, at O
     alpha: np.ndarray
     a_e: list[np.ndarray]  # spatial acceleration of each touched link, at O
+    body_qdd: list[np.ndarray]
     loops: np.ndarray  # (arms, 6) wrench of each arm on the object, at O; split not unique
 
 
@@ -168,6 +169,7 @@ def kkt(chain, q, v, tau, bodies, touches, whole=None, mu=0.0) -> Solution:
         a_object=_spatial_at(np.zeros(3), V_o, frame("object_frame")[3]),
         alpha=lam[6 * k : 6 * k + len(touches)],
         a_e=a_e,
+        body_qdd=[qdd[s] for s in whole.parts],
         loops=-lam[: 6 * k].reshape(k, 6),
     )
 

@@ -15,7 +15,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_door import terms_of
-from test_robots import written_inertia
 
 from osc_contact import robots
 from osc_contact.dynamics.arm import Arm
@@ -425,9 +424,17 @@ def test_impossible_arms_are_refused(options: dict[str, object], message: str) -
 
 def written(file: object, link: str) -> pin.Inertia:
     """Inertia of a link in its own frame, from the text of the URDF."""
-    element = ElementTree.parse(str(file)).find(f"link[@name='{link}']")
-    assert element is not None
-    return written_inertia(element)
+    inertial = ElementTree.parse(str(file)).find(f"link[@name='{link}']/inertial")
+    assert inertial is not None
+    origin, mass, tensor = (inertial.find(key) for key in ("origin", "mass", "inertia"))
+    assert origin is not None and mass is not None and tensor is not None
+    xyz, rpy = (np.array(origin.get(k, "0 0 0").split(), dtype=float) for k in ("xyz", "rpy"))
+    xx, xy, xz, yy, yz, zz = (
+        float(tensor.get(k, "nan")) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
+    about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    at_com = pin.Inertia(float(mass.get("value", "nan")), np.zeros(3), about_com)
+    return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz).act(at_com)
 
 
 @pytest.mark.parametrize("sensor", ["wrist_sensor", "wrist_sensor_joint"])

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pinocchio as pin
 import pytest
-from test_decoupling import structured
+from test_decoupling import both_allocations
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import pushes_only
@@ -111,8 +111,9 @@ def test_limits_on_mujoco(runs, name):
     assert np.ptp(runs[name]["pose"][:, :3], axis=0).max() > 0.01  # it does move
 
 
+@both_allocations
 @pytest.mark.parametrize("name", NAMES)
-def test_rigid_plant_decouples_exactly(rigs, name):
+def test_rigid_plant_decouples_exactly(rigs, name, allocated):
     """Steps of one command, ≤ 1e-9 of what they cause in their own space, felt in the other."""
     rig = rigs[name]
     scenario = osc.load_scenario(name, ["plant.type=rigid", "plant.step=1 ms"])
@@ -129,7 +130,7 @@ def test_rigid_plant_decouples_exactly(rigs, name):
 
     def answer(eta, alpha):
         f_S = s.state.Lambda @ eta + s.state.bias + N_S @ alpha
-        tau = structured(rig.chain, s.q, s.v, f_S, eta, s.squeeze_d, rig.q_contact, s.state)
+        tau = allocated(rig.chain, s.q, s.v, f_S, eta, s.squeeze_d, rig.q_contact, s.state)
         _, a, forces = plant.accelerations(tau)
         return a, forces
 

@@ -12,7 +12,7 @@ from readable.allocation import squeeze_response, squeeze_rows
 from readable.chain import mobility
 from readable.linkage import Linkage, bar_forces
 from rigs import contact_of, panda_pair, random_faces, random_state, scara_pair
-from test_decoupling import structured
+from test_decoupling import both_allocations
 from test_grasps import forces, moving
 from test_law import readable_of
 
@@ -70,7 +70,7 @@ def cases(rng, count, arms, kinds):
         yield case, state, contact, v, V
 
 
-def answers(case, state, contact, v, V, commands, rng):
+def answers(allocated, case, state, contact, v, V, commands, rng):
     """For each squeeze command: forces at the tips, points, acceleration, contact forces."""
     posture = case.q + 0.1 * rng.normal(size=case.chain.nq)
     eta = rng.normal(size=state.d)
@@ -81,20 +81,21 @@ def answers(case, state, contact, v, V, commands, rng):
     alpha = rng.uniform(5, 20, contact.r)
     f_S = state.Lambda @ eta + state.bias + lever @ alpha
     for command in commands:
-        tau = structured(case.chain, case.q, v, f_S, eta, command, posture, state)
+        tau = allocated(case.chain, case.q, v, f_S, eta, command, posture, state)
         got = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
         f, points = cut(case, v, tau, got.qdd)
         yield f, points, got.a_object, got.alpha
 
 
+@both_allocations
 @pytest.mark.parametrize("arms", [3, 4])
-def test_each_bar_carries_its_command_and_nothing_else_feels_it(arms):
+def test_each_bar_carries_its_command_and_nothing_else_feels_it(arms, allocated):
     """The forces cut at the grasps, projected on the bars; then the motion-inducing rest."""
     rng, count = np.random.default_rng(70), arms * (arms - 1) // 2
     for case, *state in cases(rng, 8, arms, ["rigid", "rigid", "ball"]):
         one, two = rng.normal(size=(2, count)) * 20.0
         commands = (one, two, 7.5, 0.0)
-        seen = list(answers(case, *state, commands, rng))
+        seen = list(answers(allocated, case, *state, commands, rng))
         points = seen[0][1]
         E = bars_of(points)
         for command, (f, *_) in zip(commands[:3], seen, strict=False):
@@ -108,21 +109,23 @@ def test_each_bar_carries_its_command_and_nothing_else_feels_it(arms):
             np.testing.assert_allclose(change.sum(axis=0), 0.0, atol=1e-7)
 
 
-def test_three_balls_pass_on_the_bars_forces_alone():
+@both_allocations
+def test_three_balls_pass_on_the_bars_forces_alone(allocated):
     """Forces without moments and without resultant lie along the triangle's sides: δf = E δt."""
     rng = np.random.default_rng(71)
     for case, *state in cases(rng, 6, 3, ["ball"]):
         one, two = rng.normal(size=(2, 3)) * 20.0
-        (f, points, *_), (g, *_) = answers(case, *state, (one, two), rng)
+        (f, points, *_), (g, *_) = answers(allocated, case, *state, (one, two), rng)
         np.testing.assert_allclose((g - f).ravel(), bars_of(points) @ (two - one), atol=1e-7)
 
 
-def test_dependent_bars_share_and_the_object_does_not_notice():
+@both_allocations
+def test_dependent_bars_share_and_the_object_does_not_notice(allocated):
     """Five arms: ten bars, nine independent; what comes is the nearest to what was wanted."""
     rng = np.random.default_rng(72)
     for case, *state in cases(rng, 2, 5, ["rigid", "ball"]):
         wanted = rng.normal(size=10) * 20.0
-        one, other = answers(case, *state, (wanted, 0.0), rng)
+        one, other = answers(allocated, case, *state, (wanted, 0.0), rng)
         (f, points, a, alpha), (_, _, b, beta) = one, other
         E = bars_of(points)
         np.testing.assert_allclose(
@@ -132,12 +135,13 @@ def test_dependent_bars_share_and_the_object_does_not_notice():
         np.testing.assert_allclose(alpha, beta, atol=1e-9 * np.abs(beta).max())
 
 
+@both_allocations
 @pytest.mark.parametrize("arms, kinds, bends, settable", [
     (["scara"] * 3, ["rigid"] * 3, None, 3), (["3R", "3R", "scara"], ["rigid"] * 3, None, 1),
     (["ur5"] * 3, ["slide", "cylinder", "rigid"], None, 3), (["3R"] * 3, ["rigid"] * 3, None, 1),
     (["ur5"] * 3, ["rigid", "rigid", "ball"], [0.0, 0.8, 0.8], 2),
 ])  # fmt: skip
-def test_what_cannot_be_set_is_left_alone(arms, kinds, bends, settable):
+def test_what_cannot_be_set_is_left_alone(arms, kinds, bends, settable, allocated):
     """Structure, slides and straight arms: fewer combinations, same object.
 
     Tips of planar arms at different heights: of three bars only one combination is horizontal.
@@ -159,7 +163,7 @@ def test_what_cannot_be_set_is_left_alone(arms, kinds, bends, settable):
         E, e0 = linkage.rows(state, case.chain, eta)
         seen = []
         for squeeze in (0.0, 30.0):
-            tau = structured(case.chain, case.q, still, f_S, eta, squeeze, case.q, state)
+            tau = allocated(case.chain, case.q, still, f_S, eta, squeeze, case.q, state)
             system = case.system(still, np.zeros(6))
             got = system.solve(forces(case, tau), np.zeros((6, 0)), np.zeros(0))
             seen.append(got.a_object)
@@ -175,7 +179,8 @@ def test_what_cannot_be_set_is_left_alone(arms, kinds, bends, settable):
     assert tried >= 3
 
 
-def test_an_arm_without_motors_leaves_two_of_three_combinations():
+@both_allocations
+def test_an_arm_without_motors_leaves_two_of_three_combinations(allocated):
     """The two others push on each other in any direction; bars feel what is in their plane."""
     rng = np.random.default_rng(75)
     for _ in range(4):
@@ -190,7 +195,7 @@ def test_an_arm_without_motors_leaves_two_of_three_combinations():
         assert linkage.basis.shape == (3, 2)
         seen, where = [], (case.chain, case.q, still)
         for squeeze in (0.0, 30.0):
-            tau = structured(*where, state.bias, np.zeros(6), squeeze, case.q, state)
+            tau = allocated(*where, state.bias, np.zeros(6), squeeze, case.q, state)
             assert np.abs(tau).max() < 1e4
             system = case.system(still, np.zeros(6))
             got = system.solve(forces(case, tau), np.zeros((6, 0)), np.zeros(0))

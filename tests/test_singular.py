@@ -151,12 +151,13 @@ def test_torques_of_the_pair_are_continuous_until_both_elbows_are_straight():
     assert ranks == {4, 5}
 
 
-def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed():
+@pytest.mark.parametrize("law", [Controller, ReadableController])
+def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed(law):
     """Accelerations by the KKT system of all bodies."""
     chain = one_panda()
     q, v = straight_panda(0.006), 0.1 * np.arange(-3.0, 4.0)
     posture = straight_panda(-0.5)
-    controller, tau = tick(chain, q, v, posture)
+    controller, tau = tick(chain, q, v, posture, law)
     assert controller.status is osc.Status.DEGRADED
     s = controller.last_signals()
     (lost,) = s.state.singular_directions
@@ -173,16 +174,17 @@ def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed():
     np.testing.assert_allclose(change, along * push, atol=1e-6 * np.abs(change).max())
 
 
-def test_the_lost_direction_is_named_and_ordinary_postures_lose_none():
+@pytest.mark.parametrize("law", [Controller, ReadableController])
+def test_the_lost_direction_is_named_and_ordinary_postures_lose_none(law):
     chain = one_panda()
-    controller, _ = tick(chain, straight_panda(0.02), np.zeros(7))
+    controller, _ = tick(chain, straight_panda(0.02), np.zeros(7), law=law)
     assert controller.status is osc.Status.DEGRADED
     (lost,) = controller.lost_directions
     assert lost.arm == "arm" and 0.0 <= lost.left < 1.0 and lost.inertia_ratio > 10.0
     assert "arm" in controller.reason and "singular" in controller.reason
     away = chain.state(straight_panda(0.02), np.zeros(7)).X_WO.translation
     assert abs(lost.twist[:3] @ (away - [0, 0, 0.333])) > 0.5 * np.linalg.norm(away)
-    bent, _ = tick(chain, straight_panda(-1.5), np.zeros(7))
+    bent, _ = tick(chain, straight_panda(-1.5), np.zeros(7), law=law)
     assert bent.status is osc.Status.OK and bent.lost_directions == ()
 
 
@@ -207,8 +209,9 @@ PANDA = ("panda_edge", [1, 0, 0.2], 0.4386)  # 0.4366 m
 @pytest.mark.parametrize(
     ("arms", "duration", "plant"),
     [
-        (SCARAS, 1.0, "mujoco"), (SCARAS, 0.6, "mujoco"),
-        (PANDA, 1.6, "mujoco"), (PANDA, 0.8, "mujoco"), (SCARAS, 1.0, "rigid"),
+        (SCARAS, 1.6, "mujoco"), (SCARAS, 1.0, "mujoco"), (SCARAS, 0.6, "mujoco"),
+        (PANDA, 1.6, "mujoco"), (PANDA, 1.1, "mujoco"), (PANDA, 0.8, "mujoco"),
+        (SCARAS, 1.0, "rigid"), (PANDA, 0.8, "rigid"),
     ],
 )  # fmt: skip
 def test_slowly_normally_and_fast_to_the_edge_of_the_workspace_and_back(arms, duration, plant):

@@ -226,10 +226,6 @@ CORPUS: dict[str, Bad] = {
     "mass negative": _mass("-1.5", "mass -1.5 kg is negative", "inertia"),
     "mass 0": spoil('value="1.5"', 'value="0"', "inertia", "mass 0 kg with principal", up=-1),
     "inertial without mass": spoil('<mass value="1.5"/>', "", "inertia", "without <mass>", up=2),
-    "inertial without inertia": spoil(
-        '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0.001" izz="0.02"/>', "", "inertia",
-        "without <inertia>", up=3,
-    ),
     "inertia negative": spoil('izz="0.001"', 'izz="-0.001"', "inertia", "inertia is not positive"),
     "inertia indefinite": spoil('ixy="0.001"', 'ixy="0.06"', "inertia", "is not positive"),
     "triangle violated": spoil('izz="0.001"', 'izz="0.005"', "inertia", "exceeds the sum of"),

@@ -6,6 +6,7 @@ the world while the body it is on stands where it began.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,13 +17,22 @@ from osc_contact import robots
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.contacts.pairs.pair import ContactPair, triad
 from osc_contact.contacts.pairs.registry import make_pair
+from osc_contact.errors import ScenarioError
 from osc_contact.scenarios.contact_schema import FaceMotion
 from osc_contact.scenarios.contact_types import OnFaceSpec, OwnContactSpec
 from osc_contact.scenarios.geometry import PoseSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, Poses, cross
 
-__all__ = ["EnvironmentBody", "build_pairs", "environment_bodies", "feet", "feet_over", "pose_of"]
+__all__ = [
+    "EnvironmentBody",
+    "build_pairs",
+    "environment_bodies",
+    "feet",
+    "feet_over",
+    "misplaced",
+    "pose_of",
+]
 
 
 @dataclass(frozen=True)
@@ -59,6 +69,60 @@ def build_pairs(scenario: Scenario) -> tuple[ContactPair, ...]:
         else make_pair(spec, poses.get(getattr(spec, "body", ""), world))
         for spec in scenario.contacts
     )
+
+
+def misplaced(
+    scenario: Scenario,
+    pairs: tuple[ContactPair, ...],
+    bodies: Sequence[EnvironmentBody],
+    X_WO: pin.SE3,
+) -> tuple[ContactPair, ...]:
+    """The pairs as the controller believes them, each body displaced by the scenario's error.
+
+    A body is believed to stand `face_offset` nearer to the object along the first line of force at
+    it, and turned by `face_tilt` about an axis across that line, through where it meets the body.
+
+    Args:
+        scenario: with its `model_error`. pairs: where they are. bodies: that they are on.
+        X_WO: pose of the object in contact.
+    """
+    error = scenario.model_error
+    if error.face_offset == 0.0 and error.face_tilt == 0.0:
+        return pairs
+    found = list(pairs)
+    for body in bodies:
+        if not body.contacts:
+            continue
+        points, directions = feet(pairs[body.contacts[0]], X_WO)
+        outward, foot = -directions[0], points[0]
+        across = np.cross([0.0, 0.0, 1.0], outward)
+        across = (
+            triad(outward)[:, 0]
+            if np.linalg.norm(across) < 1e-3
+            else across / np.linalg.norm(across)
+        )
+        about = pin.exp3(error.face_tilt_about * outward) @ across
+        turn = pin.SE3(pin.exp3(error.face_tilt * about), foot + error.face_offset * outward)
+        wrong = turn * pin.SE3(np.eye(3), -foot)
+        for i in body.contacts:
+            found[i] = _displaced(scenario, i, wrong)
+    return tuple(found)
+
+
+def _displaced(scenario: Scenario, i: int, X: pin.SE3) -> ContactPair:
+    """Contact i with the body that it is on displaced by X in the world."""
+    spec = scenario.contacts[i]
+    if isinstance(spec, OwnContactSpec):
+        raise ScenarioError(
+            f"model_error.face_offset and face_tilt: contact '{spec.name}' is a pair given as an "
+            "object, which cannot be displaced; put another pair into the controller by install="
+        )
+    if isinstance(spec, OnFaceSpec):
+        point, normal = X.act(np.array(spec.face.point)), X.rotation @ np.array(spec.face.normal)
+        face = spec.face.model_copy(update={"point": point, "normal": normal})
+        return make_pair(spec.model_copy(update={"face": face}), X)
+    poses = {body.name: pose_of(body.pose) for body in scenario.environment}
+    return make_pair(spec, X * poses[getattr(spec, "body", "")])
 
 
 def environment_bodies(scenario: Scenario) -> tuple[EnvironmentBody, ...]:

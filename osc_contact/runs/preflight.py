@@ -82,8 +82,12 @@ def _tare(rig: Rig) -> Iterator[Finding]:
     error, wrist = scenario.model_error, scenario.sensors.wrist
     wrong = [
         f"model_error.{key} is {value:g}"
-        for key, value in (("object_mass", error.object_mass), ("arm_mass", error.arm_mass))
-        if value != 1.0
+        for key, value, right in (
+            ("object_mass", error.object_mass, 1.0),
+            ("arm_mass", error.arm_mass, 1.0),
+            ("hidden_mass", error.hidden_mass, 0.0),
+        )
+        if value != right
     ]
     if wrist is not None:
         wrong += [

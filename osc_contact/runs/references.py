@@ -50,13 +50,18 @@ def force_owners(scenario: Scenario) -> tuple[int, ...]:
 
 
 def force_steps(scenario: Scenario) -> list[float]:
-    """Times at which a desired contact force jumps (s); forces are not judged just after them."""
+    """Times at which a desired contact force jumps (s); forces are not judged just after them.
+
+    Contacts that engage after a tare are such steps, too.
+    """
     steps = {
         float(signal.start)
         for signals in scenario.force.values()
         for signal in signals
         if isinstance(signal, Step)
     }
+    if (tare := scenario.tare) is not None and scenario.control.life is None:
+        steps.add(float(tare.duration + tare.approach))
     return sorted(steps)
 
 

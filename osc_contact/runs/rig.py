@@ -34,6 +34,7 @@ from osc_contact.runs.contacts import (
     EnvironmentBody,
     build_pairs,
     environment_bodies,
+    misplaced,
     pose_of,
 )
 from osc_contact.runs.log import Subject
@@ -46,6 +47,8 @@ from osc_contact.spatial import Array
 
 __all__ = ["MakesChains", "Rig", "build_chain", "build_rig"]
 
+TARE_INTEGRAL_S = 0.2  #: integral_time of the motion where there is a tare
+
 
 class MakesChains(Protocol):
     """What `build_chain` does."""
@@ -56,8 +59,9 @@ class MakesChains(Protocol):
         arm_mass: float = 1.0,
         object_mass: float = 1.0,
         joint_friction: float = 1.0,
+        hidden_mass: float = 0.0,
     ) -> ClosedChain:
-        """Arms and object of a scenario, with masses and friction times the given factors."""
+        """Arms and object of a scenario, see `build_chain`."""
 
 
 @dataclass(frozen=True)
@@ -132,9 +136,15 @@ class Rig:
 
     @property
     def gains(self) -> Gains:
-        """Those of the scenario, as the controller takes them."""
-        motion, force = self.scenario.gains.motion, self.scenario.gains.force
-        return Gains(MotionGains(**motion.model_dump()), ForceGains(**force.model_dump()))
+        """Those of the scenario, as the controller takes them.
+
+        Off the contacts nothing but the motion integral holds what the model takes wrongly for
+        weight, so a tare brings one unless the scenario gives the law's own gains.
+        """
+        motion, force = self.scenario.gains.motion.model_dump(), self.scenario.gains.force
+        if self.scenario.tare is not None and motion["stiffness"] is None:
+            motion["integral_time"] = motion["integral_time"] or TARE_INTEGRAL_S
+        return Gains(MotionGains(**motion), ForceGains(**force.model_dump()))
 
     def controller(self) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
@@ -172,7 +182,7 @@ class Rig:
     def controlled_pairs(self) -> tuple[ContactPair, ...]:
         """The controller's contacts: as declared, or read off the geometry while it moves."""
         if self.scenario.control.contacts == "declared":
-            return self.pairs
+            return misplaced(self.scenario, self.pairs, self.bodies, self.state().X_WO)
         urdf = robots.resolve_urdf(self.scenario.object.urdf, self.scenario.folder)[0]
         return faces.tracked(self.pairs, urdf, self.bodies)
 
@@ -219,9 +229,10 @@ def build_rig(scenario: Scenario, chains: MakesChains | None = None) -> Rig:
     """
     error = scenario.model_error
     make = build_chain if chains is None else chains
-    chain = make(scenario)
+    chain = make(scenario, hidden_mass=error.hidden_mass)
     factors = error.arm_mass, error.object_mass, error.joint_friction
-    model = chain if set(factors) == {1.0} else make(scenario, *factors)
+    known = set(factors) == {1.0} and error.hidden_mass == 0.0
+    model = chain if known else make(scenario, *factors)
     pairs = build_pairs(scenario)
     posture = posture_of(scenario, chain)
     X_asked = asked_pose(scenario, chain, posture)
@@ -244,12 +255,14 @@ def build_chain(
     arm_mass: float = 1.0,
     object_mass: float = 1.0,
     joint_friction: float = 1.0,
+    hidden_mass: float = 0.0,
 ) -> ClosedChain:
     """Arms and object of a scenario, with masses and friction times the given factors.
 
     Args:
         scenario: with arms, grasps and object.
         arm_mass, object_mass, joint_friction: factors of model error.
+        hidden_mass: kg, a point of the object where the first arm grasps it.
     """
     source = scenario.folder
     arms = [
@@ -272,7 +285,11 @@ def build_chain(
     ]
     body = RigidObject(robots.load_body(robots.resolve_urdf(scenario.object.urdf, source)[0]))
     grasps = [_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
-    return ClosedChain(arms, grasps, body.scaled(object_mass))
+    held = body.scaled(object_mass)
+    if hidden_mass > 0.0:
+        at_grasp = grasps[0].X_TO.inverse().translation
+        held = RigidObject(held.inertia + pin.Inertia(hidden_mass, at_grasp, np.zeros((3, 3))))
+    return ClosedChain(arms, grasps, held)
 
 
 def _per_joint(given: Sequence[float] | None) -> float | Sequence[float] | None:

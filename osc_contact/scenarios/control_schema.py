@@ -14,10 +14,12 @@ from .hardware import (
     MotorsSpec,
 )
 from .quantities import (
+    Angle,
     Force,
     ForceVec3,
     Frequency,
     Length,
+    Mass,
     NotNegative,
     Number,
     Positive,
@@ -179,19 +181,23 @@ class ControlSpec(Spec):
 
 
 class ModelErrorSpec(Spec):
-    """What the controller believes wrongly: factors on masses and inertias, faces that yield."""
+    """What the controller believes wrongly of masses, friction and faces."""
 
     object_mass: Positive = 1.0
     arm_mass: Positive = 1.0
+    hidden_mass: Annotated[Mass, Field(ge=0)] = 0.0
     joint_friction: NotNegative = 1.0
     environment: Literal["known", "ignored"] = "known"
+    face_offset: Length = 0.0
+    face_tilt: Angle = 0.0
+    face_tilt_about: Angle = 0.0
 
 
 class TareSpec(Spec):
     """Zeroing of the wrist sensors in free space before contact is made."""
 
-    duration: Annotated[Time, Field(gt=0)] = 0.3
-    standoff: Annotated[Length, Field(gt=0)] = 0.003
+    duration: Annotated[Time, Field(gt=0)] = 0.4
+    standoff: Annotated[Length, Field(gt=0)] = 0.01
     approach: Annotated[Time, Field(gt=0)] = 0.3
 
 

@@ -18,6 +18,7 @@ from .quantities import (
     Spec,
     Time,
     Torque,
+    Velocity,
     refuse,
 )
 
@@ -81,7 +82,7 @@ class FrictionSpec(Spec):
 
     mu: NotNegative
     """the Coulomb coefficient, such as 0.1"""
-    slip: Positive = 0.002
+    slip: Annotated[Velocity, Field(gt=0)] = 0.002
     learning: NotNegative = 5.0
 
 
