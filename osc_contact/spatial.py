@@ -20,6 +20,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     if not fits:
         wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
         raise InvalidInputError(f"{name}: expected shape {wanted}, got {array.shape}")
-    if not np.isfinite(array).all():
+    if not isfinite(np.vdot(array, array)) and not np.isfinite(array).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise InvalidInputError(f"{name}: element {where} is {array[where]}; give a finite number")
     return array

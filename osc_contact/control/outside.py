@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any, Protocol
 
 import numpy as np
@@ -90,7 +91,7 @@ class Outside:
             return None
         rows = controller._records
         try:
-            if self._given and rows.contacts.active.any():
+            if self._given and rows.active.any():
                 evaluated = self._evaluate(rows, measurement)
                 columns = {c: N.shape[1] for c, (N, _, _) in evaluated.items()}
                 if any(r != rows.row.pairs.table[c][2] for c, r in columns.items()):
@@ -107,8 +108,8 @@ class Outside:
             if not run(law.MEASURE, law.COMMAND, law.OWN_FORCE if laws.force else 0):
                 return None
             w, given = rows.work, 0
-            r = int(w.rank)
             if laws.force is not None:
+                r = int(w.rank)
                 alpha = laws.command_force(w.alpha_d[:r].copy(), w.alpha_meas[:r].copy())
                 w.alpha_u[:r], given = alpha, given | law.OWN_FORCE
             if laws.motion is not None:
@@ -126,10 +127,10 @@ class Outside:
 
     def _evaluate(self, rows: TickRecords, measurement: Measurement) -> dict[int, Any]:
         """N (6, r), n_γ (r,) and N_μ − N (6, r) of the pairs that only Python knows, where on."""
-        X, V, evaluated = pin.SE3(rows.work.X_WO.copy()), rows.work.V_O.copy(), {}
+        X, V, evaluated = pin.SE3(rows.X_WO.copy()), rows.V_O.copy(), {}
         touched = measurement.touched
         for number, pair in self._given:
-            if not rows.contacts.active[number]:
+            if not rows.active[number]:
                 continue
             if touched is None:
                 contact = pair.contact(X, V)
@@ -137,7 +138,7 @@ class Outside:
                 X_WE = pin.SE3(np.asarray(touched.X_WE[number], dtype=float))
                 contact = pair.contact(X, V, X_WE, touched.V_E[number])
             N, n_gamma = contact.N, contact.n_gamma
-            if not (np.isfinite(N).all() and np.isfinite(n_gamma).all()):
+            if not isfinite(np.vdot(N, N) + np.vdot(n_gamma, n_gamma)):
                 raise ContactError(f"{pair.name}: N or n_γ is not finite")
             if not contact.split_is_unique:
                 N, n_gamma = N @ contact.R, n_gamma @ contact.R
@@ -176,8 +177,8 @@ class Outside:
             if number in evaluated:
                 N, n_gamma, friction_wrenches = evaluated[number]
                 part = slice(first, first + N.shape[1])
-                rows.columns.N[part], rows.columns.n_gamma_all[part] = N.T, n_gamma
-                rows.columns.friction_wrench[part] = friction_wrenches.T
+                rows.given_columns[0][part], rows.given_columns[1][part] = N.T, n_gamma
+                rows.given_columns[2][part] = friction_wrenches.T
 
     def _answer(self, rows: TickRecords, measurement: Measurement) -> None:
         touched, O = measurement.touched, rows.work.O.copy()  # noqa: E741

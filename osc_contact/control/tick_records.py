@@ -28,8 +28,9 @@ class TickRecords:
     Attributes:
         row: MODEL. memory_bytes, work_bytes: the others. memory, contacts, column_memory, torques,
             joint_memory: views of MEMORY. work, arms, joints, columns, bodies: views of WORK.
+        given_columns: N (r_all, 6), n_γ and N_μ − N, where pairs in Python put them.
         floats: WORK as numbers; what recordings keep are slices of it.
-        rank, engaged, ticked: (1,) of WORK and MEMORY.
+        rank, engaged, ticked: (1,) of WORK and MEMORY. X_WO, V_O: of WORK. active: (contacts,).
     """
 
     def __init__(
@@ -54,12 +55,17 @@ class TickRecords:
         raw = self.work_bytes
         self.work = records(raw, 0, 1, at.WORK)[0]
         self.rank = _cell(raw, at.WORK, "rank")
+        self.X_WO, self.V_O = self.field("X_WO"), self.field("V_O")
+        self.active: Array = self.contacts["active"]
         self.engaged, self.ticked = (
             _cell(self.memory_bytes, at.MEMORY, name) for name in ("engaged", "ticked")
         )
         self.arms = records(raw, int(head.arm_work_at), int(head.n_arms), at.ARM_WORK)
         self.joints = records(raw, int(head.joint_work_at), n, at.JOINT_WORK)
         self.columns = records(raw, int(head.column_work_at), r, at.COLUMN_WORK)
+        self.given_columns = tuple(
+            self.columns[name] for name in ("N", "n_gamma_all", "friction_wrench")
+        )
         self.bodies = records(raw, int(head.body_work_at), c, at.BODY_WORK)
         start = int(head.jacobian_at) // 8
         self.jacobian: Array = self.floats[start : start + 6 * n].reshape(n, 6)

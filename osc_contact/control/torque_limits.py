@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from osc_contact.control.model_row import ModelRow
@@ -10,6 +12,7 @@ from osc_contact.control.settings import Settings
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.law.compiled import saturated
+from osc_contact.law.jit import direct
 from osc_contact.law.limits import TorqueLimits
 from osc_contact.spatial import Array
 
@@ -30,7 +33,15 @@ class MotorLimits:
         self._program.mass = chain.reference.inertia.mass
         self._sizes = np.zeros(4, dtype=np.int64)
         self._fill, self._settle = saturated()
+        self._warm = False
         self._short = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_fill": None, "_settle": None, "_warm": False}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._fill, self._settle = saturated()
 
     def relieve(self, rows: TickRecords, tau: Array) -> None:
         """Torques within the limits that lose least, in tau (n_a,); the force integral follows.
@@ -49,6 +60,8 @@ class MotorLimits:
             s = int(self._sizes[3])
             rows.bars[:] -= rows.bar_basis()[:, :s] @ program.lost_squeeze[:s]
         rows.memory.faults = 0
+        if not self._warm:
+            self._fill, self._settle, self._warm = direct(self._fill), direct(self._settle), True
 
     def given_up(self, rows: TickRecords) -> LimitLoss:
         """What the last call of `relieve` cost."""

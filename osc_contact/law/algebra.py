@@ -5,21 +5,18 @@ from __future__ import annotations
 from math import sqrt
 
 from osc_contact.law.jit import inner, leaf
+from osc_contact.law.six import add, dot6, fill, scaled, six
 
 __all__ = [
     "back_substitute",
     "cholesky",
     "cholesky_solve",
     "cross",
-    "dot6",
     "form_q",
     "invert_spd6",
     "lu_solve",
     "one_sided_jacobi",
     "qr_rows",
-    "reflect",
-    "reflect_back",
-    "reflect_sides",
 ]
 
 _SINGULAR = 1e-10
@@ -29,12 +26,6 @@ _SINGULAR = 1e-10
 def cross(ax, ay, az, bx, by, bz):
     """a × b."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-
-
-@leaf
-def dot6(a, b):
-    """aᵀb of 6-vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
 
 
 @inner
@@ -82,24 +73,21 @@ def invert_spd6(A, L, out):
     least = cholesky(A, 0, 6, L)
     if not least > 0.0:
         return 0.0
-    # rows of L⁻¹, below L's diagonal's inverse pivots
-    for j in range(6):
-        out[j, j] = L[j, j]
-        for i in range(j + 1, 6):
-            s = 0.0
-            for k in range(j, i):
-                s -= L[i, k] * out[k, j]
-            out[i, j] = s * L[i, i]
+    for i in range(6):  # rows of L⁻¹
+        for j in range(6):
+            out[i, j] = 0.0
+        out[i, i] = 1.0
+        x = six(out[i])
+        for k in range(i):
+            x = add(x, -L[i, k], out[k])
+        fill(out[i], scaled(L[i, i], x))
     for i in range(6):
-        for j in range(i + 1):
-            s = 0.0
-            for k in range(i, 6):
-                s += out[k, i] * out[k, j]
-            L[j, i] = s  # upper triangle as scratch; (i, i) is read no more
+        x = scaled(out[i, i], out[i])
+        for k in range(i + 1, 6):
+            x = add(x, out[k, i], out[k])
+        fill(L[i], x)
     for i in range(6):
-        for j in range(i + 1):
-            out[i, j] = L[j, i]
-            out[j, i] = L[j, i]
+        fill(out[i], six(L[i]))
     return least
 
 
@@ -127,8 +115,11 @@ def lu_solve(A, n, B, columns):
         for i in range(k + 1, n):
             f = A[i, k] * inverse
             if f != 0.0:
-                for j in range(k + 1, n):
-                    A[i, j] -= f * A[k, j]
+                if n == 6:
+                    fill(A[i], add(six(A[i]), -f, A[k]))
+                else:
+                    for j in range(k + 1, n):
+                        A[i, j] -= f * A[k, j]
                 for c in range(columns):
                     B[c, i] -= f * B[c, k]
     for c in range(columns):
@@ -197,50 +188,6 @@ def back_substitute(X, rows, length, diagonal, Z):
             Z[k, i] = s * inverse
 
 
-@leaf
-def reflect(V, beta, m, x):
-    """x ← H_m … H_1 x (6,) with the reflectors in the rows of V."""
-    for k in range(m):
-        t = 0.0
-        for i in range(k, 6):
-            t += V[k, i] * x[i]
-        t *= beta[k]
-        for i in range(k, 6):
-            x[i] -= t * V[k, i]
-
-
-@leaf
-def reflect_back(V, beta, m, x):
-    """x ← H_1 … H_m x, the inverse of `reflect`."""
-    for k in range(m - 1, -1, -1):
-        t = 0.0
-        for i in range(k, 6):
-            t += V[k, i] * x[i]
-        t *= beta[k]
-        for i in range(k, 6):
-            x[i] -= t * V[k, i]
-
-
-@inner
-def reflect_sides(V, beta, m, A):
-    """Symmetric A (6, 6) ← H A Hᵀ with H = H_m … H_1; both triangles are kept."""
-    for k in range(m):
-        for i in range(6):
-            t = 0.0
-            for j in range(k, 6):
-                t += A[i, j] * V[k, j]
-            t *= beta[k]
-            for j in range(k, 6):
-                A[i, j] -= t * V[k, j]
-        for j in range(6):
-            t = 0.0
-            for i in range(k, 6):
-                t += A[i, j] * V[k, i]
-            t *= beta[k]
-            for i in range(k, 6):
-                A[i, j] -= t * V[k, i]
-
-
 @inner
 def one_sided_jacobi(X, count, length, carried):
     """Rotate the rows X[:count, :length] until they are orthogonal; their norms are the singular
@@ -275,33 +222,29 @@ def one_sided_jacobi(X, count, length, carried):
 def orthonormalise(X, r, m, Q, L):
     """X = L Q over the elements m … 5 of rows: Q (r, 6) orthonormal, L (r, r) lower triangular.
 
-    Modified Gram–Schmidt, twice. Returns the least |L_aa| beside its row's length; 0: a zero row.
+    The first m elements of Q are zero. Modified Gram–Schmidt, twice. Returns the least |L_aa|
+    beside its row's length; 0: a zero row.
     """
     least = 1.0
     for a in range(r):
-        whole = 0.0
-        for i in range(m, 6):
-            Q[a, i] = X[a, i]
-            whole += X[a, i] * X[a, i]
+        fill(Q[a], six(X[a]))
+        for i in range(m):
+            Q[a, i] = 0.0
+        x = six(Q[a])
+        whole = dot6(x, x)
         for b in range(a):
             L[a, b] = 0.0
-        for _ in range(2):
+        for _ in range(2 if a > 0 else 0):
             for b in range(a):
-                s = 0.0
-                for i in range(m, 6):
-                    s += Q[a, i] * Q[b, i]
-                L[a, b] += s
-                for i in range(m, 6):
-                    Q[a, i] -= s * Q[b, i]
-        square = 0.0
-        for i in range(m, 6):
-            square += Q[a, i] * Q[a, i]
+                t = dot6(x, Q[b])
+                L[a, b] += t
+                x = add(x, -t, Q[b])
+        square = dot6(x, x)
         if not square > 0.0:
             return 0.0
         norm = sqrt(square)
         L[a, a] = norm
-        for i in range(m, 6):
-            Q[a, i] /= norm
+        fill(Q[a], scaled(1.0 / norm, x))
         least = min(least, norm / sqrt(whole))
     return least
 
@@ -327,12 +270,10 @@ def solve_lower_transposed(L, r, x):
 
 
 @inner
-def meet(Q, r, m, x, wanted):
-    """x ← the nearest x with Q x = wanted in the elements m … 5, the rows of Q orthonormal."""
+def meet(Q, r, x, wanted):
+    """x ← the nearest x (6,) with Q x = wanted, the rows of Q (r, 6) orthonormal."""
+    y = six(x)
     for _ in range(2):
         for a in range(r):
-            s = wanted[a]
-            for i in range(m, 6):
-                s -= Q[a, i] * x[i]
-            for i in range(m, 6):
-                x[i] += s * Q[a, i]
+            y = add(y, wanted[a] - dot6(Q[a], y), Q[a])
+    fill(x, y)

@@ -15,18 +15,11 @@ from __future__ import annotations
 
 from math import isfinite, sqrt
 
-from osc_contact.law.algebra import (
-    cholesky,
-    cholesky_solve,
-    dot6,
-    form_q,
-    qr_rows,
-    reflect,
-    reflect_back,
-)
+from osc_contact.law.algebra import cholesky, cholesky_solve, form_q, qr_rows
 from osc_contact.law.internal import internal_rows
 from osc_contact.law.jit import inner, leaf, matrix
 from osc_contact.law.singular import retreat
+from osc_contact.law.six import add, dot6, fill, reflect, reflect_back, scaled, six, times6
 from osc_contact.law.tables import NO_REASON, UNACTUATED
 
 __all__ = [
@@ -72,10 +65,9 @@ def _energy_of(work, f, out):
 @leaf
 def predict_joints(chain, arms, work, joints):
     """q̈ = J̄a + offset, and the torque h + Mq̈ that it takes; a is the object's acceleration `x`."""
-    a = work.w
-    for i in range(6):
-        a[i] = work.x[i]
-    reflect_back(work.reflectors, work.beta, work.locked, a)
+    fill(work.w, six(work.x))
+    reflect_back(work.reflectors, work.beta, work.locked, work.w)
+    a = six(work.w)
     for k in range(chain.n_arms):
         lo, hi = arms[k].first, arms[k].end
         for j in range(lo, hi):
@@ -107,7 +99,7 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
     for k in range(chain.n_arms):
         arm, own = arms[k], arm_work[k]
         if own.wide != 0:
-            _hold_posture(chain, arm, table, own, joints, q, v, work.u)
+            _hold_posture(chain, arm, table, own, joints, q, v)
         else:
             for j in range(arm.first, arm.end):
                 joints[j].rest = 0.0
@@ -145,7 +137,7 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
         y[i] = b[i - m] if i >= m else 0.0
     reflect_back(work.reflectors, work.beta, m, y)
     for k in range(chain.n_arms):
-        _add_torques(arms[k], table, arm_work[k], joints, work, y)
+        _add_torques(arms[k], table, arm_work[k], joints, y)
     for e in range(count):
         for j in range(n):
             joints[j].tau += b[d + e] * weighed[e, j]
@@ -169,10 +161,11 @@ def _factor_rows(chain, arms, table, work, arm_work, joints, E, weighed, Z, coun
 def _fill_row(chain, arms, table, arm_work, joints, work, E, weighed, Z, d, e):
     """weighed[e] = R⁻¹ E[e], and the row of Z that belongs to it."""
     for k in range(chain.n_arms):
-        _weigh_row(arms[k], table, arm_work[k], joints, work, E[e], weighed[e])
-    for j in range(chain.n_joints):  # rows of G R⁻¹Eᵀ, turned
-        for i in range(6):
-            work.u[i] = joints[j].J_bar[i] * weighed[e, j] + (work.u[i] if j > 0 else 0.0)
+        _weigh_row(arms[k], table, arm_work[k], joints, E[e], weighed[e])
+    x = scaled(weighed[e, 0], joints[0].J_bar)
+    for j in range(1, chain.n_joints):  # rows of G R⁻¹Eᵀ, turned
+        x = add(x, weighed[e, j], joints[j].J_bar)
+    fill(work.u, x)
     reflect(work.reflectors, work.beta, work.locked, work.u)
     for i in range(d):
         Z[d + e, i] = work.u[work.locked + i]
@@ -221,12 +214,11 @@ def push_from_limits(joint, q):
 
 
 @leaf
-def _hold_posture(chain, arm, table, own, joints, q, v, scratch):
+def _hold_posture(chain, arm, table, own, joints, q, v):
     """rest = (1 − JᵀJ̄ᵀ)τ₀, τ₀ = h + M(−k_d q̇ + k_p(q₀ − q)) + diag(M) a_l(q), of a wide arm."""
     lo, hi = arm.first, arm.end
     stiffness, damping = chain.posture_stiffness, chain.posture_damping
-    for i in range(6):
-        scratch[i] = 0.0
+    moved = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for j in range(lo, hi):
         M = joints[j].M
         s = joints[j].h + M[j - lo] * push_from_limits(table[j], q[j])
@@ -234,10 +226,9 @@ def _hold_posture(chain, arm, table, own, joints, q, v, scratch):
             s += M[k - lo] * (stiffness * (table[k].posture - q[k]) - damping * v[k])
         joints[j].rest = s
         joints[j].tau = s  # τ₀ itself
-        for i in range(6):
-            scratch[i] += joints[j].J_bar[i] * s
+        moved = add(moved, s, joints[j].J_bar)
     for j in range(lo, hi):
-        joints[j].rest -= dot6(joints[j].J, scratch)
+        joints[j].rest -= dot6(joints[j].J, moved)
     if own.n_lost > 0:
         _retreat_from_lost(chain, arm, table, own, joints, q, v)
 
@@ -293,9 +284,10 @@ def _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, first, q, 
             b[d + count] = side
             count += 1
     if count > first or work.n_lost > 0:
-        for j in range(chain.n_joints):
-            for i in range(6):
-                work.u[i] = joints[j].J_bar[i] * joints[j].rest + (work.u[i] if j > 0 else 0.0)
+        x = scaled(joints[0].rest, joints[0].J_bar)
+        for j in range(1, chain.n_joints):
+            x = add(x, joints[j].rest, joints[j].J_bar)
+        fill(work.u, x)
         reflect(work.reflectors, work.beta, work.locked, work.u)
         for i in range(d):
             b[i] -= work.u[work.locked + i]
@@ -303,33 +295,31 @@ def _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, first, q, 
 
 
 @inner
-def _weigh_row(arm, table, own, joints, work, row, out):
+def _weigh_row(arm, table, own, joints, row, out):
     """out = R⁻¹ row, over one arm's joints."""
     lo, hi = arm.first, arm.end
     if own.wide == 0:
         for j in range(lo, hi):
             out[j] = table[j].effort * row[j]
         return
+    x = scaled(row[lo], joints[lo].J)
+    for j in range(lo + 1, hi):
+        x = add(x, row[j], joints[j].J)
+    x = times6(own.effort, x)
     for j in range(lo, hi):
-        for i in range(6):
-            work.u[i] = joints[j].J[i] * row[j] + (work.u[i] if j > lo else 0.0)
-    for i in range(6):
-        work.w[i] = dot6(own.effort[i], work.u)
-    for j in range(lo, hi):
-        out[j] = dot6(joints[j].J, work.w)
+        out[j] = dot6(joints[j].J, x)
 
 
 @leaf
-def _add_torques(arm, table, own, joints, work, y):
+def _add_torques(arm, table, own, joints, y):
     """τ = τ_0 + R⁻¹J̄ y, y (6,) multipliers of f_S in energy coordinates."""
     if own.wide == 0:
         for j in range(arm.first, arm.end):
             joints[j].tau = joints[j].rest + table[j].effort * dot6(joints[j].J_bar, y)
         return
-    for i in range(6):
-        work.w[i] = dot6(own.effort[i], y)
+    x = times6(own.effort, y)
     for j in range(arm.first, arm.end):
-        joints[j].tau = joints[j].rest + dot6(joints[j].J, work.w)
+        joints[j].tau = joints[j].rest + dot6(joints[j].J, x)
 
 
 @leaf

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from osc_contact.law.algebra import cross, dot6
+from osc_contact.law.algebra import cross
 from osc_contact.law.jit import inner, leaf
+from osc_contact.law.six import dot6
 
 __all__ = ["move_arm", "place_arm", "place_frame", "place_point"]
 

@@ -4,17 +4,9 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import (
-    back_substitute,
-    cholesky,
-    cholesky_solve,
-    dot6,
-    form_q,
-    invert_spd6,
-    one_sided_jacobi,
-    qr_rows,
-)
+from osc_contact.law.algebra import cholesky, cholesky_solve, invert_spd6, one_sided_jacobi
 from osc_contact.law.jit import inner, leaf
+from osc_contact.law.six import add, dot6, fill, form_q6, mirror, qr6, scaled, six
 
 __all__ = ["arm_terms", "effort_metric", "solve_inertia_transposed"]
 
@@ -46,12 +38,13 @@ def arm_terms(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
         for j in range(n):
             for i in range(6):
                 X[j, i] = joints[lo + j].J[i]
-        if qr_rows(X, n, 6, work.s, work.t):
-            form_q(X, n, 6, work.t, 6, Z)
-            back_substitute(X, n, 6, work.s, Z)
-            for j in range(n):
-                for i in range(6):
-                    joints[lo + j].J_bar[i] = Z[j, i]
+        if qr6(X, n, work.K, work.s, work.t):
+            form_q6(X, n, work.t, Z)
+            for j in range(n - 1, -1, -1):
+                x = six(Z[j])
+                for k in range(j + 1, n):
+                    x = add(x, -work.K[j, k], joints[lo + k].J_bar)
+                fill(joints[lo + j].J_bar, scaled(1.0 / work.s[j], x))
             for k in range(6 - n):
                 for i in range(6):
                     locked[row + k, i] = Z[n + k, i]
@@ -74,18 +67,16 @@ def _apply_inertia(lo, n, joints, X, Lambda):
     """Λ = J̄ᵀ M J̄."""
     for j in range(n):
         M = joints[lo + j].M
-        for i in range(6):
-            s = 0.0
-            for k in range(n):
-                s += M[k] * joints[lo + k].J_bar[i]
-            X[j, i] = s
+        x = scaled(M[0], joints[lo].J_bar)
+        for k in range(1, n):
+            x = add(x, M[k], joints[lo + k].J_bar)
+        fill(X[j], x)
     for a in range(6):
-        for b in range(a + 1):
-            s = 0.0
-            for j in range(n):
-                s += joints[lo + j].J_bar[a] * X[j, b]
-            Lambda[a, b] = s
-            Lambda[b, a] = s
+        x = scaled(joints[lo].J_bar[a], X[0])
+        for j in range(1, n):
+            x = add(x, joints[lo + j].J_bar[a], X[j])
+        fill(Lambda[a], x)
+    mirror(Lambda)
 
 
 @leaf
@@ -104,12 +95,10 @@ def _weigh_joints(lo, n, joints, K, Z):
     if not factor_inertia(lo, n, joints, K):
         return False
     for j in range(n):
-        J = joints[lo + j].J
-        for i in range(6):
-            s = J[i]
-            for k in range(j):
-                s -= K[j, k] * Z[k, i]
-            Z[j, i] = s * K[j, j]
+        x = six(joints[lo + j].J)
+        for k in range(j):
+            x = add(x, -K[j, k], Z[k])
+        fill(Z[j], scaled(K[j, j], x))
     return True
 
 
@@ -117,12 +106,10 @@ def _weigh_joints(lo, n, joints, K, Z):
 def solve_inertia_transposed(lo, n, K, joints):
     """J̄ ← K⁻ᵀJ̄."""
     for j in range(n - 1, -1, -1):
-        bar = joints[lo + j].J_bar
-        for i in range(6):
-            s = bar[i]
-            for k in range(j + 1, n):
-                s -= K[k, j] * joints[lo + k].J_bar[i]
-            bar[i] = s * K[j, j]
+        x = six(joints[lo + j].J_bar)
+        for k in range(j + 1, n):
+            x = add(x, -K[k, j], joints[lo + k].J_bar)
+        fill(joints[lo + j].J_bar, scaled(K[j, j], x))
 
 
 @leaf
@@ -131,24 +118,70 @@ def _invert_wide(lo, n, joints, Lambda, work):
     K, X, Z = work.K, work.X, work.Z
     if not _weigh_joints(lo, n, joints, K, Z):
         return False
-    for i in range(6):
-        for j in range(n):
-            X[i, j] = Z[j, i]
-    if not qr_rows(X, 6, n, work.s, work.t):
+    if not _qr_tall(Z, n, X, work.A, work.t, work.u):  # Aᵀ = QR
         return False
-    form_q(X, 6, n, work.t, 6, Z)
-    back_substitute(X, 6, n, work.s, Z)
+    T = work.A  # R, then R⁻ᵀ: A⁺ = Q R⁻ᵀ
+    for d in range(6):
+        x = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for c in range(d):
+            x = add(x, -T[c, d], work.B[c])
+        fill(work.B[d], x)
+        work.B[d, d] += 1.0
+        fill(work.B[d], scaled(1.0 / T[d, d], work.B[d]))
     for a in range(6):
-        for b in range(a + 1):
-            s = 0.0
-            for j in range(n):
-                s += Z[a, j] * Z[b, j]
-            Lambda[a, b] = s
-            Lambda[b, a] = s
+        x = scaled(work.B[a, a], work.B[a])
+        for d in range(a + 1, 6):
+            x = add(x, work.B[d, a], work.B[d])
+        fill(Lambda[a], x)
     for j in range(n):
-        for i in range(6):
-            joints[lo + j].J_bar[i] = Z[i, j]
+        x = scaled(X[j, 0], work.B[0])
+        for d in range(1, 6):
+            x = add(x, X[j, d], work.B[d])
+        fill(joints[lo + j].J_bar, x)
     solve_inertia_transposed(lo, n, K, joints)
+    return True
+
+
+@inner
+def _qr_tall(A, n, Q, R, beta, scratch):
+    """A = QR of n > 6 rows of six, by Householder reflections; A is destroyed.
+
+    Returns False where a column depends on those before it to the last digit.
+    """
+    for k in range(6):
+        s = 0.0
+        for i in range(k, n):
+            s += A[i, k] * A[i, k]
+        norm = sqrt(s)
+        if not norm > 0.0:
+            return False
+        head = A[k, k]
+        alpha = -norm if head >= 0.0 else norm
+        b = 1.0 / (norm * (norm + abs(head)))
+        A[k, k] = head - alpha
+        beta[k] = b
+        t = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for i in range(k, n):
+            t = add(t, A[i, k], A[i])
+        fill(scratch, scaled(b, t))
+        for c in range(k + 1):
+            scratch[c] = 0.0
+        t = six(scratch)
+        for i in range(k, n):
+            fill(A[i], add(six(A[i]), -A[i, k], t))
+        fill(R[k], six(A[k]))
+        R[k, k] = alpha
+    for i in range(n):
+        fill(Q[i], (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        if i < 6:
+            Q[i, i] = 1.0
+    for k in range(5, -1, -1):
+        t = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for i in range(k, n):
+            t = add(t, A[i, k], Q[i])
+        t = scaled(beta[k], t)
+        for i in range(k, n):
+            fill(Q[i], add(six(Q[i]), -A[i, k], t))
     return True
 
 
@@ -203,20 +236,18 @@ def effort_metric(lo, n, m, joints, table, arm, work, out):
     """
     if n <= m:
         for a in range(6):
-            for b in range(a + 1):
-                s = 0.0
-                for j in range(lo, lo + n):
-                    s += table[j].effort * joints[j].J_bar[a] * joints[j].J_bar[b]
-                out[a, b] = s
-                out[b, a] = s
+            x = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            for j in range(lo, lo + n):
+                x = add(x, table[j].effort * joints[j].J_bar[a], joints[j].J_bar)
+            fill(out[a], x)
+        mirror(out)
         return True
     if arm.n_kept == 6:
         for a in range(6):
-            for b in range(a + 1):
-                s = 0.0
-                for j in range(lo, lo + n):
-                    s += joints[j].J[a] * joints[j].J[b] * table[j].ease
-                work.A[a, b] = s
+            x = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            for j in range(lo, lo + n):
+                x = add(x, table[j].ease * joints[j].J[a], joints[j].J)
+            fill(work.A[a], x)
         return invert_spd6(work.A, work.B, out) > _DEFINITE
     return _effort_of_kept(lo, n, joints, table, arm, work, out)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import dot6, one_sided_jacobi, qr_rows, reflect, reflect_sides
+from osc_contact.law.algebra import one_sided_jacobi
 from osc_contact.law.arm_motion import move_arm, place_arm, place_frame
 from osc_contact.law.arm_terms import arm_terms, effort_metric
 from osc_contact.law.energy import (
@@ -19,6 +19,7 @@ from osc_contact.law.grasps import add_slip, filter_outboard, find_twist
 from osc_contact.law.held_object import centre_object, find_object
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.singular import find_lost, may_be_singular
+from osc_contact.law.six import add, dot6, fill, qr6, reflect, reflect_sides, six
 from osc_contact.law.tables import (
     BAD_INERTIA,
     GIVEN_POSE,
@@ -131,14 +132,14 @@ def _add_arm(chain, arm, table, work, own, joints, locked, row):
         _add_friction(arm, table, joints, work)
     for j in range(lo, arm.end):
         joints[j].offset = -dot6(joints[j].J_bar, own.gamma)
+    bias = six(work.chain_bias)
+    for j in range(lo, arm.end):
+        bias = add(bias, joints[j].h, joints[j].J_bar)
     for i in range(6):
-        s = -dot6(own.Lambda[i], own.gamma)
-        for j in range(lo, arm.end):
-            s += joints[j].J_bar[i] * joints[j].h
-        work.chain_bias[i] += s
-        for j in range(6):
-            work.Lambda[i, j] += own.Lambda[i, j]
-            work.effort[i, j] += own.effort[i, j]
+        bias = add(bias, -own.gamma[i], own.Lambda[i])
+        fill(work.Lambda[i], add(six(work.Lambda[i]), 1.0, own.Lambda[i]))
+        fill(work.effort[i], add(six(work.effort[i]), 1.0, own.effort[i]))
+    fill(work.chain_bias, bias)
     if arm.sensor_joint >= 0 and arm.outer_joint >= 0:
         if arm.filtered != 0:
             filter_outboard(arm, own, joints, work, own.bias)
@@ -173,11 +174,9 @@ def _add_outboard(arm, own, joints, work):
     for j in range(arm.first, arm.end):
         P, bar = joints[j].outboard, joints[j].J_bar
         energy_wrench(work.axes, P, P)
-        s = dot6(bar, own.gamma)
-        for a in range(6):
-            work.bias_e[a] -= s * P[a]
-            for b in range(6):
-                work.out_T[b, a] += P[a] * bar[b]
+        fill(work.bias_e, add(six(work.bias_e), -dot6(bar, own.gamma), P))
+        for b in range(6):
+            fill(work.out_T[b], add(six(work.out_T[b]), bar[b], P))
 
 
 @inner
@@ -235,5 +234,5 @@ def _intersect(locked, count, tolerance, work):
                 sigma[i] += locked[k, i] * locked[k, 6] / square
                 V[m, i] = locked[k, i]
             m += 1
-    qr_rows(V, m, 6, work.pivots, work.beta)
+    qr6(V, m, work.K, work.pivots, work.beta)
     return m

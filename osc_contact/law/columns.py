@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import dot6, lu_solve, orthonormalise, solve_lower_transposed
+from osc_contact.law.algebra import lu_solve, orthonormalise, solve_lower_transposed
 from osc_contact.law.energy import carry_wrench, energy_wrench
 from osc_contact.law.jit import inner
+from osc_contact.law.six import dot6, fill, six
 from osc_contact.law.tables import CONTRADICTION, DIFFERENT_BODIES, NO_REASON
 
 __all__ = ["DEPENDENT", "choose_columns", "keep_columns", "spread_magnitudes"]
@@ -44,11 +45,9 @@ def keep_columns(table, bodies, columns, work, body_work):
         energy_wrench(work.axes, column.energy, column.energy)
         column.n_gamma = whole.n_gamma_all
         column.extent = sqrt(dot6(column.energy, column.energy))
-        for i in range(6):
-            column.rest[i] = column.energy[i]
+        fill(column.rest, six(column.energy))
     for a in range(min(count, 6)):
-        for i in range(6):
-            work.N[a, i] = columns[a].energy[i]
+        fill(work.N[a], six(columns[a].energy))
         work.keep[a] = float(a)
     work.rank = count
     if count > 6 or (
@@ -61,9 +60,9 @@ def keep_columns(table, bodies, columns, work, body_work):
     for a in range(r):
         column = columns[int(work.keep[a])]
         work.n_gamma[a] = column.n_gamma
-        for i in range(6):
-            work.N[a, i] = column.energy[i]
-    orthonormalise(work.N, r, 0, work.Q, work.L)
+        fill(work.N[a], six(column.energy))
+    if r < count or count == 1:
+        orthonormalise(work.N, r, 0, work.Q, work.L)
     return NO_REASON
 
 

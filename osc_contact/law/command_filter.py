@@ -9,16 +9,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import (
-    cholesky,
-    dot6,
-    meet,
-    orthonormalise,
-    reflect,
-    reflect_back,
-    reflect_sides,
-    solve_lower,
-)
+from osc_contact.law.algebra import cholesky, meet, orthonormalise, solve_lower
 from osc_contact.law.energy import (
     carry_motion,
     carry_wrench,
@@ -27,6 +18,7 @@ from osc_contact.law.energy import (
     world_motion,
 )
 from osc_contact.law.jit import inner
+from osc_contact.law.six import dot6, fill, reflect, reflect_back, reflect_sides, six
 from osc_contact.law.tables import (
     BAD_METRIC,
     BY_CHAIN,
@@ -52,9 +44,8 @@ _APART = 1e-10  #: least part of a column outside the others, as seen through th
 def reflect_columns(work):
     """Columns of N and N_μ in the turned coordinates."""
     for a in range(work.rank):
-        for i in range(6):
-            work.N_t[a, i] = work.N[a, i]
-            work.pushed_t[a, i] = work.pushed[a, i]
+        fill(work.N_t[a], six(work.N[a]))
+        fill(work.pushed_t[a], six(work.pushed[a]))
         reflect(work.reflectors, work.beta, work.locked, work.N_t[a])
         reflect(work.reflectors, work.beta, work.locked, work.pushed_t[a])
 
@@ -129,7 +120,7 @@ def permit_error(chain, work, error, out, by_object):
     carry_motion(error, work.O, work.C, e)
     energy_motion(work.axes, e, e)
     if by_object:
-        meet(work.Q, r, 0, e, work.s)
+        meet(work.Q, r, e, work.s)
     else:
         reflect(work.reflectors, work.beta, work.locked, e)
         if not _meet_weighed(work, 0, e):
@@ -161,7 +152,7 @@ def _meet_weighed(work, m, x):
     for a in range(r):
         work.u[a] = work.s[a]
     solve_lower(work.A, r, work.u)
-    meet(work.E, r, m, x, work.u)
+    meet(work.E, r, x, work.u)
     for i in range(d - 1, -1, -1):
         s = x[m + i]
         for k in range(i + 1, d):
@@ -227,7 +218,7 @@ def filter_motion(chain, work):
             for a in range(r):
                 work.s[a] = work.rho[a]
             solve_lower(work.L_t, r, work.s)
-            meet(work.Q_t, r, m, x, work.s)
+            meet(work.Q_t, r, x, work.s)
         else:
             if m > 0:  # what the contact sees of a motion outside the chain's is not rounded away
                 for a in range(r):
@@ -235,7 +226,7 @@ def filter_motion(chain, work):
                     for i in range(6):
                         work.s[a] += work.N_t[a, i] * x[i]
                 solve_lower(work.L_t, r, work.s)
-                meet(work.Q_t, r, m, x, work.s)
+                meet(work.Q_t, r, x, work.s)
             for a in range(r):
                 work.s[a] = work.rho[a]
             if not _meet_weighed(work, m, x):

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from math import copysign, sqrt
 
-from osc_contact.law.algebra import cross, dot6
+from osc_contact.law.algebra import cross
 from osc_contact.law.jit import inner, leaf
+from osc_contact.law.six import dot6
 from osc_contact.law.tables import (
     COUPLE,
     EDGES,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from osc_contact.law.algebra import dot6
 from osc_contact.law.energy import carry_motion
 from osc_contact.law.jit import inner
+from osc_contact.law.six import dot6
 from osc_contact.law.tables import CART, CONVEYOR, ELSEWHERE
 
 __all__ = ["answer_bodies", "project_bodies", "still_bodies"]

@@ -4,18 +4,12 @@ from __future__ import annotations
 
 from math import inf
 
-from osc_contact.law.algebra import (
-    dot6,
-    lu_solve,
-    reflect,
-    reflect_back,
-    solve_lower,
-    solve_lower_transposed,
-)
+from osc_contact.law.algebra import lu_solve, solve_lower, solve_lower_transposed
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.energy import carry_wrench, energy_wrench
 from osc_contact.law.grasps import filter_reading
 from osc_contact.law.jit import inner, leaf
+from osc_contact.law.six import dot6, fill, reflect, reflect_back, six
 
 __all__ = [
     "add_friction",
@@ -119,13 +113,11 @@ def measure_magnitudes(chain, work):
     work.weightless = 0
     for a in range(r):
         work.z[a] = 0.0
-        for i in range(6):
-            work.solved[a, i] = work.Q[a, i]
+        fill(work.solved[a], six(work.Q[a]))
     if chain.held == 0:
         return _measure_at_tip(work)
     for i in range(6):
-        for j in range(6):
-            work.B[i, j] = work.out_T[i, j]
+        fill(work.B[i], six(work.out_T[i]))
     if not lu_solve(work.B, 6, work.solved, r):  # rows: Λ_out⁻ᵀ q
         return False
     return _solve_magnitudes(work, 1.0)

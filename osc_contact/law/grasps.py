@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import cholesky, cholesky_solve, cross, dot6, one_sided_jacobi
+from osc_contact.law.algebra import cholesky, cholesky_solve, cross, one_sided_jacobi
 from osc_contact.law.arm_motion import place_frame
 from osc_contact.law.energy import (
     carry_motion,
@@ -15,6 +15,7 @@ from osc_contact.law.energy import (
     world_wrench,
 )
 from osc_contact.law.jit import inner
+from osc_contact.law.six import dot6
 
 __all__ = ["add_slip", "filter_outboard", "filter_reading", "find_twist", "grasp_rows"]
 

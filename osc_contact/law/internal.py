@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import dot6, reflect
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.energy import energy_motion
 from osc_contact.law.jit import inner, integers, matrix
 from osc_contact.law.linkage import settable_bars
+from osc_contact.law.six import dot6, reflect
 
 __all__ = ["internal_forces", "internal_rows"]
 

@@ -23,6 +23,7 @@ __all__ = [
     "PLAIN_PYTHON",
     "as_python",
     "call_entry",
+    "direct",
     "entry",
     "inner",
     "integers",
@@ -82,6 +83,19 @@ def entry(function: Any) -> Any:
     if PLAIN_PYTHON:
         return np.errstate(all="ignore")(function)  # compiled code does not warn either
     return _njit(cache=True, nogil=True, **_ENTRY)(function)
+
+
+def direct(entry: Any) -> Any:
+    """An entry that was called before, from now on without a look at the types of its arguments.
+
+    numba looks at each array of a tuple, which takes longer than small functions do. Only for
+    arguments that the caller makes itself: those of other types would be misread.
+    """
+    try:
+        (compiled,) = entry.overloads.values()
+        return compiled.entry_point
+    except (AttributeError, ValueError):  # plain Python, or more than one signature
+        return entry
 
 
 def as_python(part: Any, **instead: Any) -> Any:

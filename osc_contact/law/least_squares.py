@@ -21,17 +21,10 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import (
-    cholesky,
-    cholesky_solve,
-    cross,
-    dot6,
-    lu_solve,
-    meet,
-    solve_lower,
-)
+from osc_contact.law.algebra import cholesky, cholesky_solve, cross, lu_solve, meet, solve_lower
 from osc_contact.law.energy import carry_motion, carry_wrench, energy_motion, energy_wrench
-from osc_contact.law.jit import inner
+from osc_contact.law.jit import inner, leaf
+from osc_contact.law.six import add, dot6, fill, scaled, six
 
 __all__ = ["learn_friction", "weigh_magnitudes"]
 
@@ -64,7 +57,7 @@ def weigh_magnitudes(chain, table, bodies, columns, work, goal):
             _add_yield(work, H[a])
         for i in range(6):
             x[i] = largest * H[a, i]
-        _add_square(x, R)
+        _add_square(1.0, x, R)
     if not cholesky(R, 0, 6, work.A) > 0.0:
         return False
     gram, right = work.E, work.K
@@ -116,11 +109,10 @@ def learn_friction(chain, table, bodies, columns, work, goal):
 @inner
 def _outboard(work, x, out):
     """out = Λ_out x, energy coordinates."""
-    for i in range(6):
-        s = 0.0
-        for j in range(6):
-            s += work.out_T[j, i] * x[j]
-        out[i] = s
+    y = scaled(x[0], work.out_T[0])
+    for j in range(1, 6):
+        y = add(y, x[j], work.out_T[j])
+    fill(out, y)
 
 
 @inner
@@ -136,7 +128,7 @@ def _subtract_motion(work, f):
     for b in range(r):
         work.s[b] = work.n_gamma[b] + work.b_N[b]
     solve_lower(work.L, r, work.s)
-    meet(work.Q, r, 0, a, work.s)
+    meet(work.Q, r, a, work.s)
     _outboard(work, a, work.z)
     for i in range(6):
         f[i] -= work.z[i]
@@ -148,17 +140,14 @@ def _weigh_departure(mass, work, R):
     share = _DEPARTURE * _DEPARTURE * mass
     L, x = work.out_T, work.z
     for i in range(6):
-        for j in range(i + 1):
-            s = 0.0
-            for k in range(6):
-                s += L[k, i] * L[k, j]
-            R[i, j] = share * s
+        y = scaled(L[0, i], L[0])
+        for k in range(1, 6):
+            y = add(y, L[k, i], L[k])
+        fill(R[i], scaled(share, y))
         R[i, i] += _NOISE * _NOISE / mass
     for a in range(work.rank):
         _outboard(work, work.Q[a], x)
-        for i in range(6):
-            for j in range(i + 1):
-                R[i, j] -= share * x[i] * x[j]
+        _add_square(-share, x, R)
 
 
 @inner
@@ -185,7 +174,7 @@ def _weigh_tangents(table, bodies, columns, work, goal, R):
             p = column.point
             f[3], f[4], f[5] = cross(p[0], p[1], p[2], f[0], f[1], f[2])
             _push_on(table, bodies, columns, work, f, chosen)
-            _add_square(f, R)
+            _add_square(1.0, f, R)
     return largest
 
 
@@ -224,9 +213,13 @@ def _add_yield(work, f):
         f[i] += out[i]
 
 
-@inner
-def _add_square(x, R):
-    """R + x xᵀ, its lower triangle."""
-    for i in range(6):
-        for j in range(i + 1):
-            R[i, j] += x[i] * x[j]
+@leaf
+def _add_square(scale, x, R):
+    """R + scale x xᵀ."""
+    y = six(x)
+    fill(R[0], add(six(R[0]), scale * y[0], y))
+    fill(R[1], add(six(R[1]), scale * y[1], y))
+    fill(R[2], add(six(R[2]), scale * y[2], y))
+    fill(R[3], add(six(R[3]), scale * y[3], y))
+    fill(R[4], add(six(R[4]), scale * y[4], y))
+    fill(R[5], add(six(R[5]), scale * y[5], y))

@@ -28,7 +28,7 @@ from osc_contact.law.algebra import (
     lu_solve,
     one_sided_jacobi,
 )
-from osc_contact.law.jit import entry, inner
+from osc_contact.law.jit import direct, entry, inner
 from osc_contact.law.refinement import add, dot, refine
 
 __all__ = ["TorqueLimits"]
@@ -230,7 +230,10 @@ class TorqueLimits:
         self._sense, free, T = zeros(v + k_max, np.int32), zeros(v, np.int64), zeros((w, 1))
         normals, reduced = zeros((k_max + 1, v)), zeros((v, w))
         self._scratch = (*zeros((6, w)), T[:, 0].reshape(w), T, normals, reduced, free)
+        self._solution = zeros(v), zeros(v + k_max)
+        self._prepare, self._finish = prepare, finish
         self.solve(0, 0, 0, 0)  # no tick has to wait until this is compiled
+        self._prepare, self._finish = direct(prepare), direct(finish)
 
     def solve(self, d: int, r: int, k: int, s: int) -> bool:
         """Find the torques within the limits that lose the least acceleration energy.
@@ -251,14 +254,16 @@ class TorqueLimits:
             v = len(self.tau) + slack
             H, A, end = self._H[: v * v].reshape(v, v), self._A[: k * v].reshape(k, v), v + k
             mass, work = float(self.mass), self._work
-            if not prepare(d, r, k, s, slack, mass, given, maps, work, H, A, bounds, rows):
+            if not self._prepare(d, r, k, s, slack, mass, given, maps, work, H, A, bounds, rows):
                 break
             z, _, verdict, info = daqp.solve(
                 H, self._f[:v], A, bounds[1, :end], bounds[0, :end], self._sense[:end],
                 primal_tol=1e-10,
             )  # fmt: skip
-            if verdict > 0 and finish(
-                z, info["lam"], d, r, s, given, maps, A, bounds, rows, self._scratch, self._answer
+            own_z, own_lam = self._solution[0][:v], self._solution[1][:end]
+            own_z[:], own_lam[:] = z, info["lam"]
+            if verdict > 0 and self._finish(
+                own_z, own_lam, d, r, s, given, maps, A, bounds, rows, self._scratch, self._answer
             ):
                 return slack > 0
         raise SolverError(

@@ -5,10 +5,11 @@ from __future__ import annotations
 from math import sqrt
 from typing import Any
 
-from osc_contact.law.algebra import cholesky, cholesky_solve, dot6, reflect
+from osc_contact.law.algebra import cholesky, cholesky_solve
 from osc_contact.law.arm_terms import factor_inertia
 from osc_contact.law.jit import entry, inner, matrix, numbers
 from osc_contact.law.phases import slew
+from osc_contact.law.six import dot6, reflect
 from osc_contact.law.tables import (
     read_arm_work,
     read_arms,

@@ -13,16 +13,10 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import (
-    cholesky,
-    meet,
-    one_sided_jacobi,
-    orthonormalise,
-    reflect,
-    reflect_back,
-)
+from osc_contact.law.algebra import cholesky, meet, one_sided_jacobi, orthonormalise
 from osc_contact.law.arm_terms import factor_inertia
 from osc_contact.law.jit import inner, leaf
+from osc_contact.law.six import reflect, reflect_back
 
 __all__ = ["NONE_LEFT", "FULL", "reduce_motion", "find_lost", "may_be_singular"]
 
@@ -220,7 +214,7 @@ def reduce_motion(chain, arms, table, work, arm_work, joints, r, q, v):
         _forward(L, d, work.D[b], m)
         work.s[b] = 0.0
     orthonormalise(work.D, r, m, work.E, work.A)
-    meet(work.E, r, m, step, work.s)
+    meet(work.E, r, step, work.s)
     for i in range(d - 1, -1, -1):
         s = step[m + i]
         for k in range(i + 1, d):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf, isfinite
 
 from osc_contact.law import phases
-from osc_contact.law.algebra import dot6, meet, reflect, reflect_back, solve_lower
+from osc_contact.law.algebra import meet, solve_lower
 from osc_contact.law.allocation import command_object
 from osc_contact.law.columns import keep_columns, spread_magnitudes
 from osc_contact.law.command_filter import (
@@ -29,6 +29,7 @@ from osc_contact.law.jit import inner, leaf
 from osc_contact.law.least_squares import learn_friction, weigh_magnitudes
 from osc_contact.law.motion import command_motion, pose_error
 from osc_contact.law.singular import reduce_motion
+from osc_contact.law.six import dot6, reflect, reflect_back
 from osc_contact.law.steps import brake_contacts, shape_steps
 from osc_contact.law.tables import (
     BAD_METRIC,
@@ -223,7 +224,7 @@ def hand_over(chain, work, memory):
     for a in range(work.rank):  # what the contacts see of a locked motion is not rounded away
         work.s[a] = dot6(work.N_t[a], x)
     solve_lower(work.L_t, work.rank, work.s)
-    meet(work.Q_t, work.rank, m, x, work.s)
+    meet(work.Q_t, work.rank, x, work.s)
     held = 1.0 if chain.held != 0 else 0.0
     for i in range(6):
         f[i] = 0.0

@@ -1,0 +1,138 @@
+"""Rows of six numbers, held as values: fixed lengths, which a compiler keeps in vector registers.
+
+The operational space has six dimensions, so most matrices of the law are rows of six. Reflectors
+1 − β v vᵀ are rows v with zeros before the diagonal.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from osc_contact.law.jit import inner, leaf
+
+__all__ = [
+    "add", "dot6", "fill", "form_q6", "mirror", "qr6",
+    "reflect", "reflect_back", "reflect_sides", "scaled", "six", "times6",
+]  # fmt: skip
+
+
+@leaf
+def dot6(a, b):
+    """aᵀb of 6-vectors."""
+    return (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
+
+
+@leaf
+def six(x):
+    """A row as a tuple."""
+    return x[0], x[1], x[2], x[3], x[4], x[5]
+
+
+@leaf
+def fill(x, t):
+    """x ← t."""
+    x[0], x[1], x[2], x[3], x[4], x[5] = t[0], t[1], t[2], t[3], t[4], t[5]
+
+
+@leaf
+def add(t, s, x):
+    """t + s x, as a tuple."""
+    return (
+        t[0] + s * x[0], t[1] + s * x[1], t[2] + s * x[2],
+        t[3] + s * x[3], t[4] + s * x[4], t[5] + s * x[5],
+    )  # fmt: skip
+
+
+@leaf
+def scaled(s, x):
+    """s x, as a tuple."""
+    return s * x[0], s * x[1], s * x[2], s * x[3], s * x[4], s * x[5]
+
+
+@leaf
+def times6(A, x):
+    """A x of a (6, 6) matrix, as a tuple."""
+    return dot6(A[0], x), dot6(A[1], x), dot6(A[2], x), dot6(A[3], x), dot6(A[4], x), dot6(A[5], x)
+
+
+@inner
+def qr6(X, rows, R, diagonal, beta):
+    """Householder QR of the (6, rows) matrix whose *columns* are X[:rows, :6].
+
+    The reflectors are left in the rows of X, the part of R beyond its diagonal in R[k, j], k < j.
+    Returns False where a column depends on those before it to the last digit.
+    """
+    for k in range(rows):
+        for i in range(k):
+            R[i, k] = X[k, i]
+            X[k, i] = 0.0
+        norm = sqrt(dot6(X[k], X[k]))
+        if not norm > 0.0:
+            return False
+        head = X[k, k]
+        alpha = -norm if head >= 0.0 else norm
+        b = 1.0 / (norm * (norm + abs(head)))
+        X[k, k] = head - alpha
+        diagonal[k] = alpha
+        beta[k] = b
+        v = six(X[k])
+        for j in range(k + 1, rows):
+            x = six(X[j])
+            fill(X[j], add(x, -b * dot6(v, x), v))
+    return True
+
+
+@inner
+def form_q6(V, rows, beta, Q):
+    """The columns of H_1 … H_rows, as rows Q[:6, :6]."""
+    for c in range(6):
+        for i in range(6):
+            Q[c, i] = 0.0
+        Q[c, c] = 1.0
+        reflect_back(V, beta, min(c + 1, rows), Q[c])
+
+
+@leaf
+def reflect(V, beta, m, x):
+    """x ← H_m … H_1 x (6,) with the reflectors in the rows of V."""
+    if m > 0:
+        y = six(x)
+        for k in range(m):
+            y = add(y, -beta[k] * dot6(V[k], y), V[k])
+        fill(x, y)
+
+
+@leaf
+def reflect_back(V, beta, m, x):
+    """x ← H_1 … H_m x, the inverse of `reflect`."""
+    if m > 0:
+        y = six(x)
+        for k in range(m - 1, -1, -1):
+            y = add(y, -beta[k] * dot6(V[k], y), V[k])
+        fill(x, y)
+
+
+@inner
+def reflect_sides(V, beta, m, A):
+    """Symmetric A (6, 6) ← H A Hᵀ with H = H_m … H_1; both triangles are kept.
+
+    (1 − β v vᵀ) A (1 − β v vᵀ) = A − v wᵀ − w vᵀ,  w = p − ½β(vᵀp) v,  p = β A v.
+    """
+    for k in range(m):
+        v, b = six(V[k]), beta[k]
+        p = scaled(b, times6(A, v))
+        w = add(p, -0.5 * b * dot6(v, p), v)
+        fill(A[0], add(add(six(A[0]), -v[0], w), -w[0], v))
+        fill(A[1], add(add(six(A[1]), -v[1], w), -w[1], v))
+        fill(A[2], add(add(six(A[2]), -v[2], w), -w[2], v))
+        fill(A[3], add(add(six(A[3]), -v[3], w), -w[3], v))
+        fill(A[4], add(add(six(A[4]), -v[4], w), -w[4], v))
+        fill(A[5], add(add(six(A[5]), -v[5], w), -w[5], v))
+
+
+@leaf
+def mirror(A):
+    """Copy what is below the diagonal of A (6, 6) above it."""
+    for i in range(1, 6):
+        for j in range(i):
+            A[j, i] = A[i, j]
