@@ -260,9 +260,11 @@ class TorqueLimits:
                 H, self._f[:v], A, bounds[1, :end], bounds[0, :end], self._sense[:end],
                 primal_tol=1e-10,
             )  # fmt: skip
+            if verdict <= 0:
+                continue
             own_z, own_lam = self._solution[0][:v], self._solution[1][:end]
             own_z[:], own_lam[:] = z, info["lam"]
-            if verdict > 0 and self._finish(
+            if self._finish(
                 own_z, own_lam, d, r, s, given, maps, A, bounds, rows, self._scratch, self._answer
             ):
                 return slack > 0
