@@ -106,3 +106,41 @@ def test_ends_are_the_bodies_that_carry_nothing():
     assert (
         osc.Arm.from_urdf(robots.find_robot("z1")[0], name="z", tip="gripperStator").model.nv == 6
     )
+
+
+def test_a_pose_is_reached_within_a_micrometre_and_ten_microradians():
+    for miss, reached in (((0.9e-6, 0.9e-5), True), ((1.1e-6, 0.0), False), ((0.0, 1.1e-5), False)):
+        assert poses.Posture(np.zeros(7), miss).reached == reached
+
+
+def test_joints_outside_either_limit_are_named():
+    chain = osc.ClosedChain([poses.arm_of("panda", "panda_hand_tcp")])
+    low, high = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    assert poses.outside(chain, low) == poses.outside(chain, high) == []
+    np.testing.assert_allclose(poses.rest(chain), (low + high) / 2, atol=1e-15)
+    for k, name in enumerate(chain.joint_names):
+        for q in (low - 1e-3 * np.eye(7)[k], high + 1e-3 * np.eye(7)[k]):
+            (said,) = poses.outside(chain, q)
+            assert said.startswith(f"joint {name} at ")
+
+
+def test_of_poses_out_of_reach_the_nearest_is_given():
+    """The arm points at it, as far as it goes: no farther off than any posture tried at random."""
+    chain = osc.ClosedChain([poses.arm_of("panda", "panda_hand_tcp")])
+    far = pin.SE3(np.eye(3), np.array([0.9, 0.9, 0.3]))
+    found = poses.solve(chain, far, poses.rest(chain))
+    assert not found.reached and not poses.outside(chain, found.q)
+    reached = [standing(q).translation for q in robots.random_configurations(chain.model, 2000, 3)]
+    nearest = min(np.linalg.norm(x - far.translation) for x in reached)
+    assert np.linalg.norm(standing(found.q).translation - far.translation) < nearest + 0.05
+
+
+def test_every_arm_must_get_there():
+    """One of two arms reaches the object; what its hinge permits is no miss, what it forbids is."""
+    chain, q, X = poses.chain_of(osc.load_scenario("two_contact_rod"))
+    away = pin.SE3(X.rotation, X.translation + np.array([-0.45, -0.4, 0.0]))
+    found = poses.solve(chain, away, q)
+    assert not found.reached and found.miss[0] > 1e-2
+    chain, q, X = poses.chain_of(osc.load_scenario("hinge_ball_rod"))
+    near = pin.SE3(X.rotation, X.translation + np.array([0.0, 0.01, 0.01]))
+    assert poses.solve(chain, near, q).reached

@@ -6,10 +6,12 @@ import logging
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from typer.testing import CliRunner, Result
 
 import osc_contact as osc
+from osc_contact import robots
 from osc_contact.cli import app
 from osc_contact.runs.preflight import least_peak
 
@@ -173,3 +175,101 @@ def test_a_doubtful_run_ends_with_exit_code_1(tmp_path, caplog):
     words = ("run", "two_contact_rod", *short, "--out", tmp_path)
     assert call(*words, "--set", change).exit_code == 1
     assert "verdict: OK" in call(*words).stdout and (tmp_path / "metrics.json").is_file()
+
+
+def told(name, *changes):
+    """Findings as "doubtful" or "refused", with their texts."""
+    found = osc.preflight(osc.build_rig(osc.load_scenario(name, list(changes))))
+    return [("refused" if one.refused else "doubtful", one.text) for one in found]
+
+
+LEAN = 0.841854  #: cos of the angle between the faces' normals and the vertical
+
+
+def drop(mm):
+    return f"object.pose.xyz=[0, 0, {0.2 + mm / 1.067e3}]"  # it turns a little on the way
+
+
+def balanced(newtons):
+    """A cart of 2 kg; preload, weight and 8 N on a face that leans leave so much along its rail."""
+    preload = 2.0 * 9.81 + 8.0 * LEAN + newtons
+    cart = f"{{type: cart, direction: [0, 0, 1], mass: 2 kg, preload: {preload:.6f} N}}"
+    return f"{LEFT}.motion={cart}", "force.left_end=[{type: constant, value: 8 N}]"
+
+
+def lift(mm):
+    signal = f"{{type: minimum_jerk, value: {mm} mm, start: 1 s, duration: 1 s}}"
+    return f"motion=[{{kind: linear, direction: [0, 0, 1], signals: [{signal}]}}]"
+
+
+#: Changes just below a limit and just above it; from where on it is doubtful, or refused.
+LIMITS = {
+    "20 mm to the start": ([drop(19.5)], [drop(20.5)], "doubtful", "mm away from"),
+    "100 mm to the start": ([drop(98)], [drop(102)], "refused", "102 mm away from"),
+    "5 mm off a face": ([lift(4.8 / LEAN)], [lift(5.2 / LEAN)], "doubtful", "5 mm off"),
+    "5 mm into a face": ([lift(-4.8 / LEAN)], [lift(-5.2 / LEAN)], "doubtful", "5 mm into"),
+    "motion damping": (["gains.motion.damping=690"], ["gains.motion.damping=710"], "doubtful",
+                       "raise the rate to 7100 Hz"),
+    "motion damping, twice": (["gains.motion.damping=1990"], ["gains.motion.damping=2010"],
+                              "refused", "raise the rate to 20100 Hz"),
+    "force integral": (["gains.force.integral=690"], ["gains.force.integral=710"], "doubtful",
+                       "gains.force.integral 710 1/s"),
+    "force brake": (["gains.force={bandwidth: 25 Hz, damping_ratio: 2.2}"],
+                    ["gains.force={bandwidth: 26 Hz, damping_ratio: 2.2}"], "doubtful",
+                    "bandwidth 26 Hz, brake 718.796"),
+    "springs": (["plant.flexible_joints.frequency=102 Hz"],
+                ["plant.flexible_joints.frequency=98 Hz"], "doubtful", "swing at 98 Hz"),
+    # s = F t² / 2m in 10 s
+    "cart up": (balanced(0.0076), balanced(0.0084), "doubtful", "0.0084 N along its rail"),
+    "cart down": (balanced(-0.0076), balanced(-0.0084), "doubtful", "-0.0084 N along its rail"),
+    "weight": (["model_error.object_mass=1"], ["model_error.object_mass=1.1"], "doubtful",
+               "object_mass is 1.1, and nothing zeroes"),
+    "bias of forces": (["sensors.wrist={rate: 1 kHz, force: {noise: 1 N}}"],
+                       ["sensors.wrist={rate: 1 kHz, force: {bias: 1 N}}"], "doubtful",
+                       "force has a bias of 1 N, and nothing zeroes"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_what_is_told_begins_at_its_limit(name):
+    below, above, kind, words = LIMITS[name]
+    assert kind not in [one for one, _ in told("two_contact_rod", *below)]
+    assert any(one == kind and words in text for one, text in told("two_contact_rod", *above))
+
+
+def test_a_contact_may_lie_five_millimetres_beside_its_body():
+    def aside(metres):
+        return told("ur5_wipe", f"environment.board.pose.xyz=[0.47, {metres}, 0.24]")
+
+    ((_, text),) = aside(0.3)
+    beyond = 1e-3 * float(text.split(" mm beside")[0].split()[-1])
+    assert aside(0.3 - beyond + 0.004) == []
+    ((kind, text),) = aside(0.3 - beyond + 0.006)
+    assert kind == "refused" and "6 mm beside 'board'" in text
+
+
+def test_forces_beyond_the_motors_are_doubtful_then_refused():
+    found = {
+        newtons: told("dual_panda_rod", f"force.left_end=[{{type: constant, value: {newtons} N}}]")
+        for newtons in (430, 460, 1180, 1250)
+    }
+    assert found[430] == []
+    assert [found[newtons][0][0] for newtons in (460, 1180, 1250)] == [
+        "doubtful", "doubtful", "refused",
+    ]  # fmt: skip
+    assert "2.9 times their limits" in found[1180][0][1]
+
+
+@pytest.mark.parametrize("name", ["two_contact_rod", "ur5_wipe", "panda_edge", "scara_peg"])
+def test_no_posture_reaches_further_than_what_motions_are_compared_with(name):
+    rig = osc.build_rig(osc.load_scenario(name))
+    arm, grasp = rig.chain.arms[0], rig.chain.grasps[0]
+    model, data = arm.model, arm.model.createData()
+    tip, most = model.getFrameId(arm.tip), 0.0
+    for q in robots.random_configurations(model, 3000, 1):
+        pin.framesForwardKinematics(model, data, q)
+        reached = (data.oMf[tip] * grasp.X_TO).translation
+        most = max(most, float(np.linalg.norm(reached)))
+    found = told(name, "motion.0.signals=[{type: constant, value: 70 m}]")
+    bound = float(found[0][1].split("the stretched arm reaches ")[1].split()[0])
+    assert most <= bound < 2.5 * most
