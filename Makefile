@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: venv browser demo test docs gallery dist bench clean
+.PHONY: venv browser demo test coverage mutants docs gallery dist bench clean
 
 venv: .venv/.installed
 
@@ -35,6 +35,19 @@ test: venv browser
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -n auto --dist loadfile
+
+# Branches that the tests run. The law is compiled, which coverage cannot look into: its own tests run
+# without compilation first.
+PLAIN := $(addprefix tests/test_,$(addsuffix .py,law_once law_watch law_phases law_limits law_linkage))
+coverage: venv browser
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -k "not checked_bounds" --cov --cov-report= $(PLAIN)
+	$(BIN)/python -m pytest -n auto --dist loadfile --cov --cov-append --cov-report=term
+
+# Small faults put into the law, one at a time: how many do the tests notice? An hour for 300.
+mutants: venv
+	@$(BIN)/python -c "import cosmic_ray" 2> /dev/null || \
+		$(BIN)/pip install -q -c constraints.txt -e '.[mutation]'
+	$(BIN)/python tests/mutants.py $(MUTANTS)
 
 docs: venv
 	$(BIN)/sphinx-build -W --keep-going -q -c docs -d out/doctrees . out/site

@@ -1,0 +1,98 @@
+"""Half an hour of control, twice: does memory grow, are the recordings the same bit for bit?
+
+    python -m benchmarks soak [--ticks 1800000]
+
+Each run has a process of its own, and records as every run does. Memory is what the kernel counts
+for the process, from a tenth of the run on to its last tick, and at its most until the recording
+has been read through.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from osc_contact.bench.measuring import bars, machine, new_axes, require_count
+from osc_contact.scenarios import load_scenario
+
+__all__ = ["draw", "measure", "soak", "tables"]
+
+SCENARIO = "two_contact_rod"
+RUNS = 2
+CLOCKED = "tick_s"  #: the only channel that differs from run to run
+
+
+def soak(ticks: int) -> dict[str, Any]:
+    """One run, in this process: memory (MB) and a hash of all channels that no clock made."""
+    from osc_contact.runs.run import run
+
+    scenario = load_scenario(SCENARIO)
+    duration, held = ticks / scenario.control.rate, []
+
+    def progress(now: float) -> None:
+        if now >= 0.1 * duration:
+            held.append(resident())
+
+    recording = run(scenario, duration=duration, progress=progress)
+    names = [name for name in recording.channels if name != CLOCKED]
+    found = sha256()
+    for piece in recording.pieces(*names):
+        for name in names:
+            found.update(piece[name].tobytes())
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return {
+        "ticks": len(recording), "begin_MB": held[0], "grown_MB": max(held) - held[0],
+        "peak_MB": peak, "hash": found.hexdigest()[:16], "end": recording.meta["end_state"],
+    }  # fmt: skip
+
+
+def resident() -> float:
+    """Memory of this process (MB)."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+def measure(ticks: int) -> dict[str, Any]:
+    """Both runs, one after the other."""
+    require_count(ticks)
+    runs = []
+    for _ in range(RUNS):
+        words = [sys.executable, "-m", "benchmarks.soak", str(ticks)]
+        done = subprocess.run(words, check=True, stdout=subprocess.PIPE, text=True)
+        runs.append(json.loads(done.stdout))
+    return {"machine": machine(), "scenario": SCENARIO, "runs": runs}
+
+
+def tables(data: dict[str, Any]) -> list[Table]:
+    """Memory and hash of each run."""
+    table = Table(title=f"{data['scenario']}, {data['runs'][0]['ticks']} ticks")
+    for head in ("run", "memory", "grown by", "at most", "hash", "ended"):
+        table.add_column(head, justify="right")
+    for number, run in enumerate(data["runs"], 1):
+        table.add_row(
+            str(number), f"{run['begin_MB']:.1f} MB", f"{run['grown_MB']:.2f} MB",
+            f"{run['peak_MB']:.0f} MB", run["hash"], run["end"],
+        )  # fmt: skip
+    return [table]
+
+
+def draw(data: dict[str, Any], path: Path) -> None:
+    """Memory of the runs as bars."""
+    figure, axes = new_axes()
+    runs = data["runs"]
+    parts = {"at the most": [run["peak_MB"] for run in runs],
+             "in the loop": [run["begin_MB"] for run in runs]}  # fmt: skip
+    bars(axes, [f"run {k + 1}" for k in range(len(runs))], parts)
+    axes.set_ylabel("memory (MB)")
+    figure.savefig(path)
+
+
+if __name__ == "__main__":
+    print(json.dumps(soak(int(sys.argv[1]))))

@@ -1,0 +1,426 @@
+"""Limits of the robot and belief in its sensors, tick by tick, on the law's own functions.
+
+Each limit is met from just below and from just above, in either sign, and timed to the tick. What
+becomes of them in closed loop: tests/test_robot_limits.py, tests/test_lying_sensors.py.
+"""
+
+from __future__ import annotations
+
+from math import inf
+from types import SimpleNamespace as Record
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from osc_contact.law import plausibility, safety, watch
+from osc_contact.law import tables as at
+from osc_contact.law.jit import as_python
+
+DT = 1e-3
+watch_joints, watch_contacts, collect, check_readings, check_sensors, jumped = map(
+    as_python,
+    (watch.watch_joints, watch.watch_contacts, watch.collect, plausibility.check_readings,
+     plausibility.check_sensors, plausibility.jumped),
+)  # fmt: skip
+common_part, enter = as_python(safety._common_part), as_python(safety._enter)
+BOTH = pytest.mark.parametrize("sign", [1.0, -1.0])
+
+
+def joint(**more):
+    """A joint between ∓1 rad, at most 2 rad/s, which brakes with 5 rad/s²."""
+    return Record(**{"speed_max": 2.0, "lower": -1.0, "upper": 1.0, "brake": 0.1} | more)
+
+
+def joints_memory():
+    return Record(overspeed=0, ending=0.0, culprit=-1)
+
+
+# --- joints ---------------------------------------------------------------------------------------
+
+
+@BOTH
+def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
+    chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=4)
+    table, memory = [joint(lower=-9.0, upper=9.0)] * 2, joints_memory()
+
+    def after(speeds):
+        return [watch_joints(chain, table, memory, [0.0, 0.0], [0.1, sign * v]) for v in speeds]
+
+    assert set(after([2.0] * 50)) == {at.NO_REASON}, "at the limit is not above it"
+    assert after([2.001] * 5) == [at.NO_REASON] * 4 + [at.OVERSPEED]
+    assert memory.culprit == 1
+    # time below is taken off at the same pace, and no more than there is
+    assert set(after([1.0] * 9)) == {at.NO_REASON} and memory.overspeed == 0
+    assert after([3.0] * 4 + [1.0] + [3.0] * 2) == [at.NO_REASON] * 6 + [at.OVERSPEED]
+
+
+@BOTH
+@pytest.mark.parametrize("reaction", [0.0, 0.1])
+def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, reaction):
+    """s = |q̇| t_r + q̇²/2a with a = 5 rad/s², found by steps of 10 µs."""
+    speed, way, dt = 1.5, 1.5 * reaction, 1e-5
+    v = speed
+    while v > 0.0:
+        way, v = way + (v - 0.5 * 5.0 * dt) * dt, v - 5.0 * dt
+    chain = Record(n_joints=1, reaction=reaction, period=DT, fast_ticks=99)
+    for gap, stops in ((way + 1e-3, False), (way - 1e-3, True), (-1e-3, False)):
+        memory, q = joints_memory(), [sign * (1.0 - gap)]
+        found = [watch_joints(chain, [joint()], memory, q, [sign * speed]) for _ in range(4)]
+        wanted = at.NEAR_END if stops else at.NO_REASON  # braking does not help beyond the end
+        assert found == [at.NO_REASON] * 2 + [wanted] * 2
+        assert memory.culprit == (0 if stops else -1)
+        back = watch_joints(chain, [joint()], joints_memory(), q, [-sign * 0.01])
+        assert back == at.NO_REASON
+    at_the_end = [sign * 1.0]
+    memory = joints_memory()
+    found = [watch_joints(chain, [joint()], memory, at_the_end, [sign * 0.1]) for _ in range(3)]
+    assert found[-1] == at.NEAR_END, "it still is within its range"
+
+
+@pytest.mark.parametrize(("period", "ticks"), [(0.3e-3, 9), (1e-3, 3), (2e-3, 2), (10e-3, 2)])
+def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
+    """2.5 ms of evidence, and more than one tick."""
+    chain = Record(n_joints=1, reaction=0.0, period=period, fast_ticks=99)
+    memory = joints_memory()
+    found = [watch_joints(chain, [joint()], memory, [0.99], [1.0]) for _ in range(ticks)]
+    assert found == [at.NO_REASON] * (ticks - 1) + [at.NEAR_END]
+
+
+def test_evidence_comes_and_goes_at_the_same_pace():
+    assert collect(0.002, DT, True) == pytest.approx(0.003)
+    assert collect(0.002, DT, False) == pytest.approx(0.001)
+    assert collect(0.0005, DT, False) == 0.0
+
+
+# --- contacts -------------------------------------------------------------------------------------
+
+
+class Contacts:
+    """Two columns of N, which are numbers 2 and 0 of the contacts' four."""
+
+    def __init__(self, **more):
+        self.chain = Record(**{
+            "period": DT, "phased": 0, "contact_power": 20.0, "contact_force": 30.0,
+            "contact_loss_time": 0.0105, "overforce_time": 0.0055, "integral_force": 15.0,
+        } | more)  # fmt: skip
+        self.memory = Record(
+            force_rank=2, force_sum=np.zeros(2), state=at.RUN, powered=0.0, culprit=-1
+        )
+        self.columns = [Record(chosen=k) for k in (2, 9, 0, 9)]
+        self.kept = [Record(underforce=0.0, overforce=0.0) for _ in range(3)]
+
+    def tick(self, alpha, wanted, speed=(0.0, 0.0)):
+        work = Record(rank=2, alpha_meas=alpha, alpha_d=wanted, speed=speed, keep=[0.0, 2.0])
+        return watch_contacts(self.chain, work, self.memory, self.columns, self.kept)
+
+    def until(self, reason, *given, most=40):
+        """The first tick that ends with this reason; 0: none does."""
+        for k in range(1, most):
+            found = self.tick(*given)
+            assert found in (at.NO_REASON, reason)
+            if found == reason:
+                return k
+        return 0
+
+
+def test_power_that_moves_into_faces_adds_up():
+    wanted = (10.0, 10.0)
+    for speed, ticks in (((1.0, 0.99), 0), ((1.0, 1.01), 3), ((2.5, -9.0), 3), ((1.9, -9.0), 0)):
+        assert Contacts().until(at.POWERED, (10.0, 10.0), wanted, speed) == ticks
+    assert Contacts().until(at.POWERED, (10.0, -0.1), (10.0, 0.0), (1.9, -900.0)) == 0
+    assert Contacts(period=10e-3).until(at.POWERED, (10.0, 10.0), wanted, (3.0, 0.0)) == 2
+    contacts = Contacts()
+    contacts.tick((10.0, 10.0), wanted, (3.0, 3.0))
+    assert contacts.memory.powered == pytest.approx(DT)
+
+
+@BOTH
+@pytest.mark.parametrize("column", [0, 1])
+def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
+    def both(x, other):
+        return (sign * x, sign * other) if column == 0 else (sign * other, sign * x)
+
+    wanted, fine = both(10.0, 5.0), 5.0
+    for alpha, ticks in ((2.01, 0), (1.99, 11), (-8.0, 11), (0.0, 11)):
+        contacts = Contacts()
+        assert contacts.until(at.CONTACT_LOST, both(alpha, fine), wanted) == ticks
+        assert contacts.memory.culprit == (-1 if not ticks else (2, 0)[column])
+    for command, ticks in ((1.0, 0), (1.01, 11)):  # too little to be told from nothing
+        assert Contacts().until(at.CONTACT_LOST, (0.0, 0.0), both(command, 0.0)) == ticks
+    contacts = Contacts(phased=1)  # contact phases see to it
+    assert contacts.until(at.CONTACT_LOST, both(0.0, fine), wanted) == 0
+    contacts = Contacts()
+    contacts.memory.state = at.DEGRADED_STATE
+    assert contacts.until(at.CONTACT_LOST, both(0.0, fine), wanted) == 0
+
+
+@BOTH
+def test_a_force_integral_at_its_bound_tells_that_nothing_is_felt(sign):
+    """15 N, or one and a half times the command."""
+    for command, room in ((4.0, 15.0), (40.0, 60.0)):
+        for share, ticks in ((0.98, 0), (0.995, 11)):
+            contacts = Contacts()
+            contacts.memory.force_sum[1] = sign * share * room
+            given = (command, command), (command, command)
+            assert contacts.until(at.CONTACT_LOST, *given) == ticks
+            contacts.memory.force_rank = 1  # integrals of other columns
+            contacts.kept[0].underforce = 0.0
+            assert contacts.until(at.CONTACT_LOST, *given) == 0
+
+
+@BOTH
+def test_a_contact_is_overloaded_above_three_times_its_command_or_30_newtons(sign):
+    for command, alpha, ticks in ((5.0, 29.9, 0), (5.0, 30.1, 6), (20.0, 59.0, 0), (20.0, 61.0, 6)):
+        contacts = Contacts()
+        given = (5.0, sign * alpha), (5.0, sign * command)
+        assert contacts.until(at.OVERFORCE, *given) == ticks
+        assert contacts.memory.culprit == (0 if ticks else -1)
+
+
+# --- readings before a tick -----------------------------------------------------------------------
+
+
+def readings(**more):
+    """What `check_readings` is given, all of it credible."""
+    given = Record(
+        chain=Record(
+            n_arms=2, n_joints=2, period=DT, wrench_timeout=0.0205, force_range=100.0,
+            torque_range=10.0, plausible_speed=3.0,
+        ),
+        arms=[Record(sensor_joint=0), Record(sensor_joint=5)],
+        table=[joint(), joint(speed_max=4.0)],
+        memory=Record(wrench_missing=0, has_wrench=1, wrench_age=0, compared=1, faults=0,
+                      culprit=-1),
+        kept=np.array([0.1, 0.2]), q=np.array([0.1, 0.2]), v=np.zeros(2),
+        wrenches=np.zeros((2, 6)), X_WD=np.eye(4)[:3],
+    )  # fmt: skip
+    for name, value in more.items():
+        setattr(given, name, value)
+    return given
+
+
+def judged(given):
+    return check_readings(*vars(given).values())
+
+
+def test_a_rotation_is_one_but_for_a_ten_thousandth():
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        R = pin.exp3(rng.normal(size=3))
+        assert judged(readings(X_WD=R)) == at.NO_REASON
+        assert judged(readings(X_WD=R @ np.diag([1, 1, -1]))) == at.NO_ROTATION
+        assert judged(readings(X_WD=R[:, [1, 0, 2]])) == at.NO_ROTATION
+        i, j = rng.choice(3, 2, replace=False)
+        for way in (np.outer(np.eye(3)[i], R[j]), np.outer(np.eye(3)[i], 0.5 * R[i])):
+            for size, reason in ((0.97e-4, at.NO_REASON), (1.03e-4, at.NO_ROTATION)):
+                assert judged(readings(X_WD=R + size * way)) == reason
+
+
+@BOTH
+def test_wrenches_within_the_range_of_their_sensors(sign):
+    for arm in range(2):
+        for axis, most in enumerate([100.0] * 3 + [10.0] * 3):
+            for size, reason in ((most, at.NO_REASON), (1.001 * most, at.OUT_OF_RANGE)):
+                given = readings()
+                given.wrenches[arm, axis] = sign * size
+                assert judged(given) == reason
+                assert given.memory.culprit == (-1 if reason == at.NO_REASON else arm)
+                given.arms[arm].sensor_joint = -1  # no sensor, no range
+                assert judged(given) == at.NO_REASON
+
+
+def test_a_tick_without_a_wrench_goes_on_with_one_that_is_young_enough():
+    for age, has, reason in (
+        (19, 1, at.NO_REASON), (20, 1, at.WRENCH_TIMEOUT), (0, 0, at.WRENCH_TIMEOUT)
+    ):  # fmt: skip
+        given = readings(wrenches=np.full((2, 6), np.nan))
+        given.memory.wrench_missing, given.memory.wrench_age = 1, age
+        given.memory.has_wrench = has
+        assert judged(given) == reason
+
+
+@BOTH
+@pytest.mark.parametrize("faults", [0, 4])
+def test_joints_move_no_further_than_they_can(sign, faults):
+    """20 mrad, and three times the speed limit since the last reading that was believed."""
+    for j, limit in enumerate((2.0, 4.0)):
+        most = 0.02 + 3.0 * limit * DT * (1 + faults)
+        for way, reason in ((most - 1e-6, at.NO_REASON), (most + 1e-6, at.JUMPED)):
+            given = readings()
+            given.memory.faults = faults
+            given.q[j] += sign * way
+            assert judged(given) == reason
+            assert given.memory.culprit == (-1 if reason == at.NO_REASON else j)
+            given.memory.compared = 0  # nothing to compare with
+            assert judged(given) == at.NO_REASON
+        for speed, reason in ((3.0 * limit, at.NO_REASON), (3.001 * limit, at.JUMPED)):
+            given = readings()
+            given.v[j] = sign * speed
+            assert judged(given) == reason
+
+
+# --- sensors after a tick -------------------------------------------------------------------------
+
+
+class Sensors:
+    """One arm of two joints with a wrist; readings differ from tick to tick where not told."""
+
+    def __init__(self, **more):
+        self.chain = Record(**{
+            "n_arms": 1, "n_joints": 2, "period": DT, "frozen_time": 0.0105, "stuck_speed": 0.1,
+            "speed_error": 0.1, "position_drift": 0.05,
+        } | more)  # fmt: skip
+        self.arms, self.table = [Record(sensor_joint=3)], [joint(), joint()]
+        self.work = Record(rank=1)
+        self.memory = Record(compared=0, faults=0, frozen=0, culprit=-1, has_wrench=0)
+        self.joints = [Record(acceleration=0.0), Record(acceleration=0.0)]
+        self.kept, self.last, self.count = np.zeros(12), np.zeros(7), 0
+        self.q = np.zeros(2)
+
+    def tick(self, v=(0.3, -0.4), wrench=None, q=None, told=None):
+        """`v`: as read. `q`: as read, None: what true speeds make of it. `told`: those speeds."""
+        self.q = self.q + DT * np.array(v if told is None else told) if q is None else q
+        self.count += 1
+        wrench = np.full((1, 6), float(self.count)) if wrench is None else wrench
+        v = np.array(v) + (1e-9 * self.count if q is None else 0.0)
+        return check_sensors(
+            self.chain, self.arms, self.table, self.work, self.memory, self.joints, self.kept,
+            self.last, self.q, v, wrench,
+        )  # fmt: skip
+
+    def until(self, most=400, **given):
+        """Ticks until a reason is found, and the reason."""
+        for k in range(1, most):
+            reason = self.tick(**given)
+            if reason != at.NO_REASON:
+                return k, reason
+        return 0, at.NO_REASON
+
+
+def test_readings_that_agree_are_believed():
+    sensors = Sensors()
+    assert sensors.until() == (0, at.NO_REASON)
+    np.testing.assert_array_equal(sensors.kept[:2], sensors.q)
+    assert (sensors.memory.compared, sensors.memory.has_wrench) == (1, 1)
+    np.testing.assert_array_equal(sensors.last[:6], 399.0)
+
+
+def test_a_wrist_in_contact_may_repeat_itself_for_so_long():
+    still = np.arange(6.0)[None]
+    sensors = Sensors()
+    assert sensors.until(wrench=still) == (12, at.WRIST_FROZEN)
+    assert sensors.memory.culprit == 0
+    for axis in range(6):  # one number that moves is enough
+        sensors = Sensors()
+        for k in range(40):
+            moving = still.copy()
+            moving[0, axis] += k
+            assert sensors.tick(wrench=moving) == at.NO_REASON
+    sensors = Sensors()
+    sensors.work.rank = 0  # free: gravity alone may well be constant
+    assert sensors.until(wrench=still, most=60) == (0, at.NO_REASON)
+    sensors = Sensors()
+    sensors.arms[0].sensor_joint = -1
+    assert sensors.until(wrench=still, most=60) == (0, at.NO_REASON)
+    sensors = Sensors()
+    for k in range(100):  # what moves now and then begins anew
+        assert sensors.tick(wrench=still + k // 10) == at.NO_REASON
+
+
+def test_a_packet_that_repeats_itself_is_told_from_joints_at_rest():
+    still = {"wrench": np.ones((1, 6)), "q": np.ones(2), "v": (0.0, 0.0)}
+    sensors = Sensors()
+    sensors.work.rank = 0
+    assert sensors.until(**still) == (13, at.FROZEN)
+    sensors = Sensors()
+    assert sensors.until(**still | {"wrench": None}, most=60) == (0, at.NO_REASON)
+    for j in range(2):
+        sensors, q = Sensors(), np.ones(2)
+        sensors.work.rank = 0
+        for k in range(60):
+            q[j] = 1.0 + 1e-12 * (k % 2)
+            assert sensors.tick(**still | {"q": q.copy()}) == at.NO_REASON
+    sensors = Sensors()
+    sensors.work.rank = 0
+    for k in range(60):
+        v = (0.0, 1e-12 * (k % 2))
+        assert sensors.tick(**still | {"v": v}) == at.NO_REASON
+    assert sensors.memory.frozen == 0
+
+
+@BOTH
+def test_an_encoder_is_stuck_when_its_joint_was_told_to_gain_a_tenth_of_its_limit(sign):
+    for j in range(2):
+        sensors = Sensors(speed_error=inf, position_drift=inf)
+        sensors.joints[j].acceleration = sign * 10.3  # rad/s²; a tenth is 0.2 rad/s
+        assert sensors.until(q=np.zeros(2)) == (21, at.STUCK)  # the first is compared with nothing
+        assert sensors.memory.culprit == j
+        sensors.joints[j].acceleration = sign * 1e6  # one tick tells no more than 0.21 of it
+        sensors.tick(q=np.ones(2))
+        assert sensors.until(q=np.ones(2)) == (5, at.STUCK)
+        sensors.tick(q=np.zeros(2))
+        sensors.joints[j].acceleration = sign * 10.0
+        for k in range(60):  # slow encoders repeat readings
+            assert sensors.tick(q=np.full(2, float(k // 15))) == at.NO_REASON
+
+
+@BOTH
+def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
+    for j in range(2):
+        for error, found in ((0.199, False), (0.201, True), (1.0, True)):
+            sensors, v = Sensors(position_drift=inf), np.array([0.3, -0.4])
+            wrong = v.copy()
+            wrong[j] += sign * error
+            sensors.tick(v=v)
+            ticks, reason = sensors.until(v=wrong, told=v)
+            assert (reason == at.DISAGREE) == found
+            if found:
+                assert sensors.memory.culprit == j
+            if error == 1.0:  # 1 − exp(−t / 20 ms) = 0.2, a tick or two for the sampling
+                assert ticks == pytest.approx(20.0 * np.log(1.25), abs=1.0)
+    sensors = Sensors(position_drift=inf)
+    sensors.tick()
+    sensors.memory.faults = 1  # the last reading was not believed
+    assert sensors.until(v=(9.0, 9.0), told=(0.0, 0.0)) == (0, at.NO_REASON)
+
+
+@BOTH
+def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
+    """d' = e − d/T, T = 0.5 s, less 5 % of the speed: e (1 − exp(−t/T)) T = 50 mrad + 10 ms q̇."""
+    for j in range(2):
+        for error, speed, limit in ((0.09, 0.0, 0.05), (0.18, 1.0, 0.06)):
+            sensors, v = Sensors(), np.zeros(2)
+            v[j] = sign * speed
+            wrong = v.copy()
+            wrong[j] += sign * error
+            sensors.tick(v=v)
+            gone = error - 0.05 * abs(wrong[j])
+            most = limit if speed == 0.0 else 0.05 + 0.01 * abs(wrong[j])
+            ticks, reason = sensors.until(v=wrong, told=v, most=3000)
+            if gone * 0.5 > most * 1.02:
+                expected = -500.0 * np.log(1.0 - most / (0.5 * gone))
+                assert reason == at.DISAGREE and sensors.memory.culprit == j
+                assert ticks == pytest.approx(expected, rel=0.03)
+            else:
+                assert reason == at.NO_REASON
+
+
+# --- what becomes of it ---------------------------------------------------------------------------
+
+
+def test_what_two_speeds_agree_on():
+    for a, b, want in ((1.0, 3.0, 1.0), (3.0, 1.0, 1.0), (-1.0, -3.0, -1.0), (-3.0, -1.0, -1.0),
+                       (1.0, -1.0, 0.0), (-1.0, 1.0, 0.0), (0.0, 2.0, 0.0), (np.nan, 2.0, 0.0),
+                       (2.0, np.nan, 0.0), (-2.0, np.nan, 0.0)):  # fmt: skip
+        assert common_part(a, b) == want
+
+
+def test_a_state_counts_its_ticks_and_a_hold_begins_unsettled():
+    for before in range(4):
+        for after in range(4):
+            memory = Record(state=before, age=7, settled=1)
+            enter(memory, after)
+            assert (memory.state, memory.age) == (after, 8 if before == after else 1)
+            begins = after >= at.HOLD > before
+            assert memory.settled == (0 if begins else 1)
