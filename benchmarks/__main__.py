@@ -1,6 +1,6 @@
 """Time the control tick beside its peers, by size, on the clock, and in a whole run.
 
-python -m benchmarks peers | scaling | jitter | simulation | many_runs | vector_env
+python -m benchmarks peers | scaling | jitter | simulation | many_runs | vector_env | soak
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ BENCHMARKS: dict[str, tuple[str, int]] = {
     "scaling": ("benchmarks.scaling", 300),
     "jitter": ("benchmarks.jitter", 4000),
     "simulation": ("benchmarks.simulation", 10000),
+    "soak": ("benchmarks.soak", 1_800_000),
     "many_runs": ("benchmarks.many_runs", 20),
     "vector_env": ("benchmarks.vector_env", 60),
 }

@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from benchmarks import jitter, many_runs, peers, scaling, simulation, vector_env
+from benchmarks import jitter, many_runs, peers, scaling, simulation, soak, vector_env
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.engines import constraint_dynamics, mujoco_state
 from benchmarks.textbook import TextbookLaw
@@ -374,6 +374,16 @@ def test_tsid_runs_in_its_own_interpreter(tmp_path: Path) -> None:
         run_benchmark("peers", 1, tsid_python=tmp_path / "nowhere", benchmarks=BENCHMARKS)
     with pytest.raises(InvalidInputError, match="only the benchmark 'peers'"):
         run_benchmark("jitter", 1, tsid_python=python, benchmarks=BENCHMARKS)
+
+
+def test_a_soak_tells_memory_that_grows_and_runs_that_differ(tmp_path: Path) -> None:
+    report = run_benchmark("soak", 300, figure=tmp_path / "soak.png", benchmarks=BENCHMARKS)
+    first, second = report.data["runs"]
+    assert first["hash"] == second["hash"] and first["ticks"] == 300
+    assert 0.0 <= first["grown_MB"] < 5.0 < first["begin_MB"] <= first["peak_MB"]
+    assert (tmp_path / "soak.png").stat().st_size > 5000
+    before, kept = soak.resident(), np.ones(1 << 22)  # 32 MB
+    assert 30.0 < soak.resident() - before < 40.0 and kept.all()
 
 
 def test_calls_take_turns() -> None:
