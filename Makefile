@@ -58,12 +58,14 @@ gallery: venv browser
 	$(BIN)/python docs/_ext/gallery.py
 
 # Wheel and sdist, each tried in an empty environment outside of this folder: some minutes.
-# More than one Python: make dist PYTHONS="python3.11 python3.12"
+# More than one Python: make dist PYTHONS="python3.11 python3.12". Other versions of what it needs
+# than those of constraints.txt: make dist VERSIONS=lowest, or highest, within pyproject.toml.
 PYTHONS ?= $(PYTHON)
+VERSIONS ?= pinned
 dist: venv browser
 	rm -rf dist
 	$(BIN)/python -m hatchling build -d dist
-	$(BIN)/python tests/try_dist.py dist $(PYTHONS)
+	$(BIN)/python tests/try_dist.py dist --versions $(VERSIONS) $(PYTHONS)
 
 bench: venv
 	$(BIN)/python benchmarks/control_loop.py

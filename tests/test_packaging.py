@@ -109,6 +109,30 @@ def test_constraints_satisfy_every_bound() -> None:
         assert requirement.specifier.contains(version), f"{requirement}, but {version} is pinned"
 
 
+CONDA_NAMES = {
+    "pin": "pinocchio", "meshcat": "meshcat-python", "mujoco": "mujoco-python",
+    "matplotlib": "matplotlib-base",
+}  # fmt: skip
+
+
+def test_conda_recipe_asks_for_what_the_wheel_asks_for() -> None:
+    recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
+    assert recipe["context"]["version"] == PROJECT["version"]
+    assert f">={recipe['context']['python_min']}" == PROJECT["requires-python"]
+    (command,) = recipe["build"]["python"]["entry_points"]
+    assert dict([command.split(" = ")]) == PROJECT["scripts"]
+    listed = recipe["requirements"]
+    further = [r for r in requirements("sweep", "tune", "learn") if r not in requirements()]
+    of_python = {"python >=${{ python_min }}", "__linux"}
+    for part, wanted in (
+        (set(listed["run"]) - of_python, requirements("sim", "plot")),
+        (listed["run_constraints"], further),
+    ):
+        names = {r.name: CONDA_NAMES.get(r.name, r.name.lower()) for r in wanted}
+        bounds = {names[r.name]: r.specifier for r in wanted}
+        assert {r.name: r.specifier for r in map(Requirement, part)} == bounds
+
+
 def test_every_requirement_is_bounded_on_both_sides() -> None:
     build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]
     for requirement in [*requirements("sim", "plot", "dev"), *map(Requirement, build["requires"])]:

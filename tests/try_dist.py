@@ -1,27 +1,33 @@
 """`make dist`: wheel and sdist, each tried in an empty environment outside of the checkout.
 
-    python tests/try_dist.py DIST [PYTHON ...]
+    python tests/try_dist.py DIST [--versions pinned|lowest|highest] [PYTHON ...]
 
 Installs what lies in DIST with its extras, then runs what a new user runs, in a folder of its own.
+Versions of the dependencies: those of constraints.txt, the lower bounds of pyproject.toml, or the
+highest that the bounds allow.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
 from pathlib import Path
 from time import perf_counter
 
 ROOT = Path(__file__).resolve().parent.parent
-TASK = ("osc-contact", "run", "two_contact_rod", "--duration", "2", "--out", "rod")
+PICTURE = (  # with the first compilation in it
+    ("osc-contact", "run", "two_contact_rod", "--duration", "2", "--out", "rod"),
+    ("osc-contact", "view", "rod/recording.npz", "--gif", "rod.gif"),
+)
 COMMANDS = (
     ("osc-contact",),
     ("osc-contact", "list"),
-    TASK,
-    ("osc-contact", "view", "rod/recording.npz", "--gif", "rod.gif"),
     ("osc-contact", "reproduce", "fig1", "--out", "figures"),
     ("osc-contact", "examples", "mine"),
     ("python", "mine/01_osc_contact.py"),
@@ -32,37 +38,58 @@ WRITTEN = ("rod/metrics.json", "rod/scene.html", "rod.gif", "figures/fig1.png")
 
 def main() -> None:
     """Try every file of the folder with every Python."""
-    dist, pythons = Path(sys.argv[1]).resolve(), sys.argv[2:] or [sys.executable]
-    for python in pythons:
-        for file in sorted([*dist.glob("*.whl"), *dist.glob("*.tar.gz")]):
-            attempt(file, python)
+    ask = argparse.ArgumentParser()
+    ask.add_argument("dist", type=Path)
+    ask.add_argument("pythons", nargs="*", default=[sys.executable])
+    ask.add_argument("--versions", choices=("pinned", "lowest", "highest"), default="pinned")
+    asked = ask.parse_args()
+    for python in asked.pythons:
+        for file in sorted([*asked.dist.glob("*.whl"), *asked.dist.glob("*.tar.gz")]):
+            attempt(file.resolve(), python, asked.versions)
 
 
-def attempt(file: Path, python: str) -> None:
+def lowest() -> list[str]:
+    """The lower bound of every dependency, as pip's constraints."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    users = [*project["dependencies"]]
+    for extra, listed in project["optional-dependencies"].items():
+        users += listed if extra not in ("all", "docs", "dev") else []
+    return [re.sub(r">=([^,]+),.*", r"==\1", requirement) for requirement in users]
+
+
+def attempt(file: Path, python: str, versions: str) -> None:
     """Install one file into an empty environment and use it; exits where a command fails."""
     with tempfile.TemporaryDirectory(prefix="osc_contact_dist_") as name:
         folder = Path(name)
-        print(f"{file.name} with {python}, in {folder}", flush=True)
+        print(f"{file.name} with {python}, {versions} versions, in {folder}", flush=True)
+        begin = perf_counter()
         run(folder, {}, python, "-m", "venv", "env")
         around = {
             "PATH": f"{folder / 'env/bin'}{os.pathsep}{os.environ['PATH']}",
             "NUMBA_CACHE_DIR": str(folder / "compiled"),
         }
         pip = (str(folder / "env/bin/python"), "-m", "pip", "install", "-q")
-        pinned = ("-c", str(ROOT / "constraints.txt"))
-        run(folder, around, *pip, *pinned, f"{file}[all]", "pytest", "pytest-timeout", "hypothesis")
-        begin = perf_counter()
+        bounds = folder / "bounds.txt"
+        bounds.write_text("\n".join(lowest() if versions == "lowest" else []), encoding="utf-8")
+        limits = ("-c", str(ROOT / "constraints.txt" if versions == "pinned" else bounds))
+        run(folder, around, *pip, *limits, f"{file}[all]")
+        installed = perf_counter()
+        for command in PICTURE:
+            run(folder, around, *command)
+        seen = perf_counter()
+        print(
+            f"  a moving picture {seen - installed:.0f} s after the package was installed, "
+            f"{seen - begin:.0f} s after there was nothing",
+            flush=True,
+        )
         for command in COMMANDS:
             run(folder, around, *command)
-            if "--gif" in command:
-                print(
-                    f"  from the first command to a moving picture: {perf_counter() - begin:.0f} s"
-                )
         missing = [path for path in WRITTEN if not (folder / path).is_file()]
         if missing:
             sys.exit(f"not written: {', '.join(missing)}")
         for needed in ("tests", "urdf"):
             shutil.copytree(ROOT / needed, folder / needed)
+        run(folder, around, *pip, "pytest", "pytest-timeout", "hypothesis")
         tests = [f"tests/{test}" for test in TESTS]
         run(folder, around, "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests)
 
