@@ -187,7 +187,7 @@ def test_a_motion_that_nobody_drives_is_named():
         robots.urdf_path("scara_left"), name="a", tip="tool", passive_joints=["hinge"]
     )
     chain = osc.ClosedChain([arm], None, osc.RigidObject(ROD))
-    with pytest.raises(osc.ModelError, match="nobody drives"):
+    with pytest.raises(osc.ModelError, match="no motor drives"):
         chain.state(SCARA_Q[:5], np.zeros(5))
 
 

@@ -302,7 +302,7 @@ def test_a_rod_between_two_balls_spins_about_their_line():
     still = spin[:3] + np.cross(spin[3:], state.grasp_points[0] - state.X_WO.translation)
     assert np.abs(still).max() < 1e-9 * np.abs(spin).max()
     strict = osc.ClosedChain(chain.arms, chain.grasps, chain.payload)
-    with pytest.raises(osc.ModelError, match="nobody drives"):
+    with pytest.raises(osc.ModelError, match="no motor drives"):
         strict.state(case.q, np.zeros(12), case.X_WO, np.zeros(6))
     controller = osc.Controller(strict, [])
     measured = osc.Measurement(case.q, np.zeros(12), np.zeros((2, 6)))

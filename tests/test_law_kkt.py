@@ -79,7 +79,7 @@ def any_arms(*grasps):
                 chain = strong(case.chain)
                 chain.state(case.q, np.zeros(chain.nq))
                 osc.Controller(chain, [])
-            except osc.ModelError:  # motions that nobody drives, or that no joint tells
+            except osc.ModelError:  # motions that no motor drives, or that no joint measures
                 continue
             return replace(case, chain=chain)
 

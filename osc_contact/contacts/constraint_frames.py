@@ -49,7 +49,7 @@ def explicit(Q: Array) -> tuple[Array, Array, Array]:
     system = -np.einsum("lij,blk->bkij", _SKEW, force)  # p × f = −[f]× p
     system = np.where(chosen[:, None, 3:, None], 0.0, system).reshape(-1, 9, 3)
     right = moment.transpose(0, 2, 1).reshape(-1, 9, 1)
-    # an absolute limit: a wrench whose force is rounding says nothing about p
+    # an absolute limit: a wrench whose force is rounding does not determine p
     reach = np.maximum(np.linalg.norm(system, axis=(1, 2)), POINT)
     p = E @ np.linalg.pinv(system, rcond=POINT / reach) @ right
     return E, p[:, :, 0], chosen

@@ -1,4 +1,4 @@
-"""Why a tick was held, in words: made of codes and numbers when somebody reads them."""
+"""Why a tick was held, in words: made of codes and numbers when they are read."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ _SENTENCES = {
     ),
     at.DIFFERENT_BODIES: (
         "dependent contacts on different bodies: how their force is split decides how the bodies "
-        "move, and nothing tells it. Put them on one body, or drop one of them"
+        "move, and no equation says how. Put them on one body, or drop one of them"
     ),
     at.INSEPARABLE: (
         "as seen through the arms, some contact columns are dependent: their forces cannot be told "
@@ -244,7 +244,7 @@ def _limit_passed(rows: TickRecords, settings: Settings, code: int) -> str:
     if code == at.STUCK:
         return (
             f"the encoder of joint {chain.joint_names[culprit]} reads the very same though it "
-            f"was told to gain {safety.stuck_speed:g} of its speed limit"
+            f"was commanded to gain {safety.stuck_speed:g} of its speed limit"
         )
     if code == at.DISAGREE:
         return (

@@ -63,7 +63,7 @@ class SafetySettings:
             are not believed.
         wrench_timeout: s; ticks go on with the last wrenches as long as there are none
             (`Measurement.wrench_valid`), and stamps may stand still.
-        stuck_speed: times a joint's speed limit; a joint that is told to gain more while its
+        stuck_speed: times a joint's speed limit; a joint that is commanded to gain more while its
             encoder reads the very same stops the controller.
         frozen_time: s; a wrist in contact that reads the very same for longer stops it, and so does
             a whole packet.

@@ -180,7 +180,7 @@ class ChainModel:
         if motions.shape[1] and not self.allow_unactuated:
             raise ModelError(
                 f"the {self.n_a} motors cannot drive every one of the {G.shape[0]} motions of the "
-                f"object: nobody drives the twist {np.array2string(motions[:, -1], precision=3)} "
+                f"object: no motor drives the twist {np.array2string(motions[:, -1], precision=3)} "
                 "(linear, angular; world axes at the object). Add a motor, or grasp so that the "
                 "motion is blocked."
             )

@@ -214,7 +214,7 @@ def landings(
     changes: Sequence[str] = (),
     tell: Callable[[str], None] | None = None,
 ) -> list[Landing]:
-    """`land` for each seed; `tell` hears which one runs.
+    """`land` for each seed.
 
     Args:
         seeds: one run each.

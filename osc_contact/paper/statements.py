@@ -1,8 +1,9 @@
 """What the paper's eight figures state, in our words, and the form of an answer to it.
 
 The paper's text gives no numbers for its plots: statements are compared, not curves. A figure is
-made by `osc_contact.paper.figures` or by the study of the same name; whoever makes it answers
-the statements by their keys. What nobody answers is reported as open, what nobody makes as missing.
+made by `osc_contact.paper.figures` or by the study of the same name; what makes it answers
+the statements by their keys. Statements without an answer are reported as open, figures that are
+not made as missing.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class Truths:
 
 
 class TruthLog(Protocol):
-    """Notes what a plant knows, cheaply; it is worked out when somebody asks."""
+    """Notes what a plant knows, cheaply; it is worked out when it is asked for."""
 
     parts: Sequence[Array]  #: vectors whose numbers at every instant the caller keeps
 

@@ -274,7 +274,7 @@ class MujocoPlant:
                 self._push(push, push.at(self.time))
         steps = round(duration / self._step) or 1
         if not self._driven:
-            if steps > 1:  # what sensors read in between nobody sees
+            if steps > 1:  # readings in between are not used
                 self._option.disableflags = self._flags | self._blind
                 self._mj.mj_step(self.model, self.data, steps - 1)
                 self._option.disableflags = self._flags

@@ -23,7 +23,7 @@ _PIECE = 4096  #: ticks that are read or written at once
 
 
 class OpenFile:
-    """A file that stays open as long as somebody reads from it."""
+    """A file that stays open as long as it is read from."""
 
     def __init__(self, descriptor: int) -> None:
         """Keep a file open of its own; the descriptor given may be closed."""

@@ -68,7 +68,7 @@ class JournalFile:
                     self._number = os.dup(made.fileno())
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                path.unlink(missing_ok=True)  # whoever reads the older file goes on reading it
+                path.unlink(missing_ok=True)  # readers of the older file go on reading it
                 self._number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
         except OSError as error:
             raise RecordingError(f"cannot begin the recording {path}: {error}") from error

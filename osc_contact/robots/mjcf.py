@@ -67,7 +67,7 @@ def load_mjcf(
 
     Joints stand where MuJoCo's qpos says, whatever their `ref`; armature, damping and frictionloss
     are those of its joints. Effort limits are the least of what actuators and joints name; a joint
-    for which nobody names one has none. Bodies and sites are frames.
+    for which neither names one has none. Bodies and sites are frames.
 
     Args:
         mjcf: path, `MjSpec` or `MjModel`.

@@ -106,7 +106,7 @@ def work_out(
 
 
 class Tick(Mapping[str, Any]):
-    """The channels of one tick, worked out when somebody reads them."""
+    """The channels of one tick, worked out when they are read."""
 
     def __init__(self, made: Callable[[], dict[str, Array]]) -> None:
         """`made` gives channels of one row each."""

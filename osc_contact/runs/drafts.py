@@ -81,12 +81,14 @@ def draft(robot: str, arm: Arm, press: Press, posture: Array | None, target: Pat
         try:
             text = _text(robot, arm, press, q)
             scenario = parse_scenario(text, target)
-            told = [one.text for one in preflight(build_rig(scenario))] or _rehearsed(scenario)
-            if not told:
+            complaints = [one.text for one in preflight(build_rig(scenario))] or _rehearsed(
+                scenario
+            )
+            if not complaints:
                 return text
         except OscContactError as error:
-            told = [str(error)]
-        reasons.append(told[0])
+            complaints = [str(error)]
+        reasons.append(complaints[0])
     raise ScenarioError(
         f"no posture of {robot} was found in which '{arm.tip}' can press {press.force:g} N along "
         f"its {press}; the last one: {reasons[-1] if reasons else 'no candidate'}; "
@@ -97,8 +99,8 @@ def draft(robot: str, arm: Arm, press: Press, posture: Array | None, target: Pat
 def _rehearsed(scenario: Scenario) -> list[str]:
     """What a run of the scenario is not content with."""
     verdict = metrics(run(scenario))
-    told = [f"{count} ticks {word}" for word, count in verdict["status"].items() if word != "ok"]
-    bad = [text for text in told if not text.startswith("0 ")]
+    counts = [f"{count} ticks {word}" for word, count in verdict["status"].items() if word != "ok"]
+    bad = [text for text in counts if not text.startswith("0 ")]
     return bad if verdict["task"]["word"] == "OK" else [f"a run ends {verdict['task']['word']}"]
 
 

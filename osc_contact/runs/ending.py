@@ -16,10 +16,10 @@ T = TypeVar("T")
 
 @contextmanager
 def asked_to_end() -> Iterator[Callable[[], bool]]:
-    """Whether somebody has pressed Ctrl-C or sent SIGTERM since the block began.
+    """Whether Ctrl-C was pressed or SIGTERM sent since the block began.
 
     The first time is only noted; the second ends the program as always. Signals come to the main
-    thread: in others, and where somebody else handles them, nothing changes.
+    thread: in others, and where another handler is set, nothing changes.
     """
     seen: list[int] = []
     before: dict[int, Any] = {}
@@ -42,7 +42,7 @@ def asked_to_end() -> Iterator[Callable[[], bool]]:
 
 
 def until(asked: Callable[[], bool], items: Iterable[T]) -> Iterator[T]:
-    """Items as long as nobody has asked to end."""
+    """Items until the end is asked for."""
     for item in items:
         if asked():
             return

@@ -42,7 +42,7 @@ class Records(Protocol):
         """
 
     def latest(self) -> Mapping[str, Any]:
-        """The channels of the last tick, for a viewer; none if not said otherwise."""
+        """The channels of the last tick, for a viewer; by default none."""
         return {}
 
 

@@ -92,7 +92,7 @@ class Recorder:
             _logger.error("%s; the loop goes on", self.error)
 
     def latest(self) -> Mapping[str, Any]:
-        """The channels of the last tick, worked out when somebody reads them."""
+        """The channels of the last tick, worked out when they are read."""
         log, row = self.log, self.log.last()
         return Tick(partial(channels, log.of, log.truth, log.count - 1, row))
 

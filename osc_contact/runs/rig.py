@@ -172,8 +172,8 @@ class Rig:
         if spec is None:
             return None
         keys = spec.model_dump()
-        told = {key: keys.pop(key) for key in ("force_on", "force_off", "power")}
-        return PhaseSettings(**keys, limits=replace(PhaseSettings().limits, **told))
+        limits = {key: keys.pop(key) for key in ("force_on", "force_off", "power")}
+        return PhaseSettings(**keys, limits=replace(PhaseSettings().limits, **limits))
 
     def _friction(self) -> Friction | None:
         spec = self.scenario.control.friction

@@ -46,7 +46,7 @@ class Start:
         require_ready(rig)
         plant, controller = start(rig)
         scenario = rig.scenario
-        told = {
+        obstacles = {
             "plant.type is not mujoco, or sensors have errors": type(plant) is not MujocoPlant,
             "faces move, motors have errors, or arms are pushed": (
                 isinstance(plant, MujocoPlant) and plant.memory(controller.dt) is None
@@ -55,7 +55,7 @@ class Start:
             "a joint torque loop": scenario.control.joint_torque is not None,
             "pairs, bodies or laws written in Python": controller._outside.needed,
         }
-        why = [words for words, so in told.items() if so]
+        why = [words for words, so in obstacles.items() if so]
         if why:
             raise InvalidInputError(
                 f"plants that advance together are plain ones, and {scenario.name} has: "

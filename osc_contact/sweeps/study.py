@@ -149,9 +149,9 @@ class SweepStudy:
     @cached_property
     def fingerprint(self) -> str:
         """What tells this study from others; how many samples it has does not."""
-        told = asdict(self) | {"samples": self.samples if self.design in _WHOLE else None}
-        del told["name"]
-        return sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+        content = asdict(self) | {"samples": self.samples if self.design in _WHOLE else None}
+        del content["name"]
+        return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     @cached_property
     def rows(self) -> int:

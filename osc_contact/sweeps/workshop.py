@@ -36,9 +36,9 @@ class Workshop:
         joint_friction: float = 1.0,
         hidden_mass: float = 0.0,
     ) -> ClosedChain:
-        told = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
+        content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
         factors = arm_mass, object_mass, joint_friction, hidden_mass
-        key = json.dumps([told, factors, str(scenario.source)], sort_keys=True)
+        key = json.dumps([content, factors, str(scenario.source)], sort_keys=True)
         if key not in self._chains:
             while len(self._chains) >= _KEPT:
                 self._chains.popitem(last=False)

@@ -146,9 +146,9 @@ class Viewer:
         """Take in what the other process has said: how many browsers there are, why it ends."""
         with contextlib.suppress(OSError, ValueError):  # nothing more to read, or half a message
             while news := self._link.recv(4096):
-                told = json.loads(news)
-                self.browsers = int(told.get("browsers", self.browsers))
-                self._said = str(told.get("error", self._said))
+                message = json.loads(news)
+                self.browsers = int(message.get("browsers", self.browsers))
+                self._said = str(message.get("error", self._said))
 
     def close(self) -> None:
         """End the process and free its port; may be called again."""
@@ -177,7 +177,7 @@ class Ticks:
     """A mailbox that holds one tick.
 
     Attributes:
-        newest: the channels of the last tick that came, until somebody takes it.
+        newest: the channels of the last tick that came, until it is taken.
     """
 
     def __init__(self, link: socket.socket) -> None:

@@ -105,7 +105,7 @@ def one_palette(frames: Sequence[Image]) -> list[Any]:
 
 
 def quieted(frames: Sequence[Image], few: Sequence[Image]) -> list[Any]:
-    """Pixels that hardly change keep their colour: flicker that nobody sees costs most bytes."""
+    """Pixels that hardly change keep their colour: flicker that is not seen costs most bytes."""
     from PIL import Image
 
     shown = np.asarray(frames[0]).astype(int)

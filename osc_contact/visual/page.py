@@ -147,7 +147,7 @@ def write_page(
         sink: what has been drawn.
         path: to write.
         title: of the page.
-        config: what the page's scripts are told.
+        config: what the page's scripts need.
 
     Raises:
         InvalidInputError: as `page_text`.

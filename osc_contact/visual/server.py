@@ -1,6 +1,6 @@
 """The server of a live page: one address on 127.0.0.1, drawing commands over a websocket.
 
-meshcat's own server listens on all interfaces, writes into a pipe that nobody reads, and answers a
+meshcat's own server listens on all interfaces, writes into a pipe that is not read, and answers a
 client that waits; nothing of it is used. Here the newest tick comes over a socket from the run's
 process, is drawn into meshcat commands, and goes to every browser that has taken the one before.
 """

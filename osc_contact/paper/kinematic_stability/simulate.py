@@ -16,7 +16,7 @@ from osc_contact.spatial import Array, pose_error
 
 __all__ = ["LEFT", "Histories", "simulate"]
 
-#: rad: a joint this far off has left the posture; what the arm does from there on says nothing.
+#: rad: a joint this far off has left the posture; what the arm does from there on is not judged.
 LEFT = 0.5
 
 Law = Callable[[HybridArm, Array, Array, pin.SE3], Array]
