@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from benchmarks import jitter, many_runs, peers, scaling, simulation, soak, vector_env
+from benchmarks import history, jitter, many_runs, peers, scaling, simulation, soak, vector_env
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.engines import constraint_dynamics, mujoco_state
 from benchmarks.textbook import TextbookLaw
@@ -88,6 +88,16 @@ def test_time_tick_gives_the_documented_numbers() -> None:
     assert set(row) == {"tick_p50_us", "floor_p50_us", "ratio", "p99_9_us"}
     with pytest.raises(InvalidInputError, match="0 rounds"):
         time_tick(["two_contact_rod"], 0)
+
+
+def test_history_grows_by_a_line_and_is_drawn(tmp_path: Path) -> None:
+    line, file = history.measure(2), tmp_path / "history.jsonl"
+    history.append(line, file)
+    lines = history.append({**line, "commit": "later"}, file)
+    assert [one["commit"] for one in lines] == [line["commit"], "later"]
+    assert min(*line["tick_over_floor"].values(), line["run_real_time_factor"]) > 0.0
+    history.draw(lines, tmp_path / "history.png")
+    assert (tmp_path / "history.png").stat().st_size > 10000
 
 
 def run_program(name: str, ticks: int, folder: Path) -> tuple[dict, str]:
