@@ -35,7 +35,7 @@ from osc_contact.law import compiled
 from osc_contact.paper import figures as paper_figures
 from osc_contact.paper import reproduction
 from osc_contact.paper.report import write_paper_report
-from osc_contact.paper.studies import STUDIES, Ask
+from osc_contact.paper.studies import STUDIES, WITH_SAMPLES, Ask
 from osc_contact.runs import replay, tables
 from osc_contact.runs.calibration import calibrate as calibrate_wrists
 from osc_contact.runs.inspection import inspect_rig
@@ -156,6 +156,9 @@ def reproduce(
         "out/figures"
     ),
     seed: SeedOption = 0,
+    samples: Annotated[
+        int | None, typer.Option(min=1, help="of a study that varies something")
+    ] = None,
     set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
@@ -166,6 +169,8 @@ def reproduce(
         drawn = [name for name in names if name not in STUDIES]
         if not drawn and plant is not None:
             raise InvalidInputError(f"{figure} chooses its own plants; leave --plant out")
+        if samples is not None and not WITH_SAMPLES.issuperset(names):
+            raise InvalidInputError(f"nothing is sampled for {figure}; leave --samples out")
         scenario = load_task(paper_figures.SCENARIO, set_ if drawn else None, plant, duration)
         if any(name in paper_figures.needs_run for name in drawn):
             require_report(scenario)
@@ -173,7 +178,7 @@ def reproduce(
             names,
             out_dir,
             scenario,
-            Ask(seed, duration, () if drawn else tuple(set_ or ())),
+            Ask(seed, duration, () if drawn else tuple(set_ or ()), samples),
             record=lambda: record(scenario, seed, out_dir),
             show=out.print,
             waiting=err.status,

@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 import osc_contact as osc
 from osc_contact.cli import app
 from osc_contact.sweeps import tune as tuning
-from osc_contact.sweeps import workers
 from osc_contact.sweeps.tune import tune
 
 SHORT = ("duration=1.1 s",)
@@ -46,8 +45,7 @@ def test_what_is_not_known_counts_by_its_mean_and_limits_by_the_worst(monkeypatc
         seen.extend(rows)
         return rows
 
-    for module in (tuning, workers):
-        monkeypatch.setattr(module, "make_rows", make_rows)
+    monkeypatch.setattr(tuning, "make_rows", make_rows)
     found = tune(
         "two_contact_rod", ["gains.force.integral=uniform(10, 60)"], objective="force",
         over=["model_error.object_mass=uniform(0.9, 1.1)"], samples=2, overrides=SHORT,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from osc_contact.scenarios import load_scenario
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["SLOW", "STUDIES", "Ask", "Study", "write_study"]
+__all__ = ["SLOW", "STUDIES", "WITH_SAMPLES", "Ask", "Study", "write_study"]
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,16 @@ class Ask:
         seed: of everything random.
         duration: of simulated runs (s); default: the study's own.
         changes: "key=value" of its scenario, where it has one.
+        samples: of what varies, where something does; default: the study's own.
+        folder: for what a study keeps while it goes on; None: nothing.
         tell: called with what it does next.
     """
 
     seed: int = 0
     duration: float | None = None
     changes: Sequence[str] = ()
+    samples: int | None = None
+    folder: Path | None = None
     tell: Callable[[str], None] = lambda _: None
 
 
@@ -75,7 +79,7 @@ def write_study(name: str, folder: Path, ask: Ask) -> tuple[Study, list[Path]]:
     if ask.changes and name not in WITH_SCENARIO:
         raise InvalidInputError(f"{name} is not made from a scenario; leave --set out")
     folder.mkdir(parents=True, exist_ok=True)
-    study = STUDIES[name](ask)
+    study = STUDIES[name](replace(ask, folder=folder))
     written = [
         path
         for title, figure in study.figures.items()
@@ -210,6 +214,18 @@ def _baselines(ask: Ask) -> Study:
     return Study({"baselines": draw(comparison)}, comparison_table(result), result)
 
 
+def _robustness(ask: Ask) -> Study:
+    from osc_contact.paper import robustness as experiment
+    from osc_contact.paper.robustness_picture import draw, tabulate
+
+    changes = list(ask.changes)
+    if ask.duration is not None:
+        changes.append(f"duration={ask.duration!r}")
+    samples = experiment.SAMPLES if ask.samples is None else ask.samples
+    found = experiment.run(samples, ask.seed, changes, ask.folder, tell=ask.tell)
+    return Study({"robustness": draw(found)}, tabulate(found), found.as_dict())
+
+
 def _workcell(ask: Ask) -> Study:
     from osc_contact.paper import workcell as experiment
 
@@ -303,11 +319,14 @@ STUDIES: dict[str, Callable[[Ask], Study]] = {
     "kinematic_stability": _kinematic_stability,
     "moving_face": _moving_face,
     "baselines": _baselines,
+    "robustness": _robustness,
     "workcell": _workcell,
     "fig7": _fig7,
     "approach_and_slide": _approach_and_slide,
 }
-WITH_SCENARIO = {"fig3", "baselines", "workcell", "fig7", "approach_and_slide"}
+WITH_SCENARIO = {"fig3", "baselines", "robustness", "workcell", "fig7", "approach_and_slide"}
 """whose scenario can be changed"""
-SLOW = {"baselines", "workcell", "fig7", "approach_and_slide"}
+WITH_SAMPLES = {"robustness"}
+"""whose runs are samples"""
+SLOW = {"baselines", "robustness", "workcell", "fig7", "approach_and_slide"}
 """several minutes: not in `reproduce all`"""

@@ -24,7 +24,7 @@ from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
 
-__all__ = ["describe_run", "run", "run_rig", "start"]
+__all__ = ["Install", "describe_run", "run", "run_rig", "start"]
 
 Progress = Callable[[float], None]
 Install = Callable[[Controller], Controller]

@@ -18,25 +18,28 @@ from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.recorder import describe_subject, recording_of
 from osc_contact.runs.references import Plan
 from osc_contact.runs.rig import Rig
-from osc_contact.runs.run import describe_run, run_rig, start
+from osc_contact.runs.run import Install, describe_run, run_rig, start
 from osc_contact.sweeps.compiled_loop import DIVERGED, ODD, ROOM, compiled_loop
 from osc_contact.sweeps.driven_log import DrivenLog
 
 __all__ = ["record_run"]
 
 
-def record_run(rig: Rig, seed: int = 0) -> Recording:
+def record_run(rig: Rig, seed: int = 0, install: Install | None = None) -> Recording:
     """Run a rig and record it: every number but the times of ticks is that of `run`.
 
     Ticks run compiled, with the plant's steps, where nothing in them is Python: MuJoCo, ideal
     sensors, faces at rest, packaged pairs and laws, no contact phases, no tare, no joint torque
     loop, no motor errors, no pushes. All others run as `run` does.
 
+    Args:
+        rig: see `build_rig`. seed: of everything random. install: see `run`.
+
     Raises:
         ScenarioError, PlantError: see `run`.
     """
     doubts = require_ready(rig)
-    plant, controller = start(rig, seed)
+    plant, controller = start(rig, seed, install)
     if not _is_plain(rig, plant, controller):
         return run_rig(rig, seed, doubts, plant, controller)
     assert isinstance(plant, MujocoPlant)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.sweeps.rows import require_long_enough, scenario_of
+from osc_contact.sweeps.rows import make_rows, require_long_enough, scenario_of
 from osc_contact.sweeps.study import Design, SweepStudy
 from osc_contact.sweeps.table import RowFile, make_table, write_table
 from osc_contact.sweeps.workers import make_all, workers_of
@@ -88,7 +88,7 @@ def run_study(
     jobs = [(study, wanted[i : i + _CHUNK]) for i in range(0, len(wanted), _CHUNK)]
     try:
         with workers_of(workers, scheduler, len(jobs)) as crew:
-            for _, row in make_all(crew, jobs):
+            for _, row in make_all(crew, jobs, make_rows):
                 done[row["row"]] = row
                 if rows is not None:
                     rows.append([row])

@@ -128,7 +128,8 @@ def tune(
             count = 1 if crew is None else crew.count()
             asked = [ask() for _ in range(min(count, trials - done))]
             found: dict[int, list[Row]] = {id(one): [] for _, one in asked}
-            for one, row in make_all(crew, [(one, range(samples)) for _, one in asked]):
+            jobs = [(one, range(samples)) for _, one in asked]
+            for one, row in make_all(crew, jobs, make_rows):
                 found[id(one)].append(row)
             for trial, one in asked:
                 rows = sorted(found[id(one)], key=lambda row: int(row["row"]))

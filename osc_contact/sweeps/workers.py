@@ -21,7 +21,7 @@ from typing import Any
 
 from osc_contact.errors import OscContactError
 from osc_contact.law import compiled
-from osc_contact.sweeps.rows import crashed_row, make_rows
+from osc_contact.sweeps.rows import crashed_row
 from osc_contact.sweeps.study import SweepStudy
 
 __all__ = ["Job", "Workers", "available_cores", "make_all", "workers_of"]
@@ -30,6 +30,7 @@ _AHEAD = 2  #: jobs that wait for each worker
 
 Row = dict[str, Any]
 Job = tuple[SweepStudy, Sequence[int]]  #: a study, and the numbers of the rows that are wanted
+MakesRows = Callable[[SweepStudy, Sequence[int]], list[Row]]
 
 
 class Workers:
@@ -55,13 +56,13 @@ class Workers:
         self._executor, self._made = executor, executor()
         self.count, self.deaths = count, deaths
 
-    def submit(self, job: Job) -> Future[list[Row]]:
+    def submit(self, make: MakesRows, job: Job) -> Future[list[Row]]:
         """Have a job done.
 
         Args:
-            job: whose rows the future gives.
+            make: makes its rows. job: what it is given.
         """
-        return self._made.submit(make_rows, *job)
+        return self._made.submit(make, *job)
 
     def renew(self) -> None:
         """Go on after a worker's death."""
@@ -105,7 +106,9 @@ def workers_of(workers: int | None, scheduler: Any, most: int) -> Iterator[Worke
         yield made
 
 
-def make_all(workers: Workers | None, jobs: Iterable[Job]) -> Iterator[tuple[SweepStudy, Row]]:
+def make_all(
+    workers: Workers | None, jobs: Iterable[Job], make: MakesRows
+) -> Iterator[tuple[SweepStudy, Row]]:
     """All rows of all jobs, in the order in which they are done.
 
     Where a worker dies its jobs are done again, row by row; a row that ends its worker then too is
@@ -113,18 +116,19 @@ def make_all(workers: Workers | None, jobs: Iterable[Job]) -> Iterator[tuple[Swe
 
     Args:
         workers: see `workers_of`; None: this process. jobs: what is to be done.
+        make: makes the rows of a job, such as `make_rows`; other processes import it.
     """
     if workers is None:
         for study, numbers in jobs:
             for number in numbers:
-                yield study, make_rows(study, [number])[0]
+                yield study, make(study, [number])[0]
         return
     lost: list[Job] = []
-    yield from _hand_out(workers, jobs, lost)
+    yield from _hand_out(workers, jobs, make, lost)
     for study, numbers in lost:
         for number in numbers:  # it may have ended a worker: now alone
             died: list[Job] = []
-            yield from _hand_out(workers, [(study, [number])], died)
+            yield from _hand_out(workers, [(study, [number])], make, died)
             if died:
                 yield study, crashed_row(study, number)
 
@@ -135,7 +139,7 @@ def available_cores() -> int:
 
 
 def _hand_out(
-    workers: Workers, jobs: Iterable[Job], lost: list[Job]
+    workers: Workers, jobs: Iterable[Job], make: MakesRows, lost: list[Job]
 ) -> Iterator[tuple[SweepStudy, Row]]:
     """Rows as they come; `lost`: jobs that were under way when a worker died."""
     waiting = iter(jobs)
@@ -146,7 +150,7 @@ def _hand_out(
             ahead = 0 if broken else workers.count() * _AHEAD - len(under_way)
             for job in islice(waiting, max(0, ahead)):
                 try:
-                    under_way[workers.submit(job)] = job
+                    under_way[workers.submit(make, job)] = job
                 except workers.deaths:
                     broken = True
                     lost.append(job)

@@ -21,7 +21,7 @@ from osc_contact.paper.baselines.laws import Baseline, SelectionLaw
 from osc_contact.paper.baselines.selection import Selection
 from osc_contact.spatial import Array
 
-__all__ = ["best_selection", "random_selection"]
+__all__ = ["best_frames", "best_selection", "random_selection"]
 
 _STEPS = 40
 
@@ -32,29 +32,43 @@ def best_selection(
     """The law with the selection of least cost.
 
     Args:
+        instant, baseline, restarts, seed: see `best_frames`.
+
+    Raises:
+        ContactError: with no selection does the law keep control of forces and motions.
+    """
+    found = best_frames(instant, baseline, restarts=restarts, seed=seed)
+    return min(found, key=lambda law: instant.coupling(law).cost)
+
+
+def best_frames(
+    instant: Instant, baseline: Baseline, *, restarts: int = 4, seed: int = 0
+) -> list[SelectionLaw]:
+    """For each selection of r out of six axes with which control is kept, the law of least cost.
+
+    Args:
         instant: for which it is optimal.
         baseline: family of laws.
         restarts: random starts for each selection of axes, besides that of `as_raibert_craig`.
         seed: of the random starts.
 
     Raises:
-        ContactError: with no selection does the law keep control of forces and motions.
+        ContactError: there is none.
     """
     rng = np.random.default_rng(seed)
     start = as_raibert_craig(instant.contact.N, instant.size).frame
-    best: SelectionLaw | None = None
-    least = np.inf
+    best = []
     for chosen in combinations(range(6), instant.contact.r):
         forces, couples = _flags(chosen)
         first = Selection.of_frame(start, forces, couples)
         others = [
             random_selection(instant, baseline, rng, forces, couples) for _ in range(restarts)
         ]
-        for selection in (first, *others):
-            law, cost = _descend(instant, SelectionLaw(baseline, selection))
-            if cost < least:
-                best, least = law, cost
-    if best is None:
+        found = [_descend(instant, SelectionLaw(baseline, one)) for one in (first, *others)]
+        law, cost = min(found, key=lambda one: one[1])
+        if np.isfinite(cost):
+            best.append(law)
+    if not best:
         raise ContactError("no constraint frame keeps control of all forces and motions")
     return best
 

@@ -1,0 +1,120 @@
+"""Robustness study: both laws meet the same plants, and do not know what varies."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import osc_contact as osc
+from osc_contact.cli import app
+from osc_contact.paper import robustness as study
+from osc_contact.sweeps.study import SweepStudy
+
+CHANGES = ["control.rate=250 Hz", "plant.step=0.5 ms", "duration=1.1"]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Two samples of each case, by command: (folder, what it printed)."""
+    folder = tmp_path_factory.mktemp("robustness")
+    words = ["reproduce", "robustness", "--samples", "2", "--duration", "1.1", "--out", str(folder)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "_FIRST", 0)  # the best law from nominal runs alone
+        done = CliRunner().invoke(app, words)
+        again = CliRunner().invoke(app, [*words, "--seed", "1"])
+    assert done.exit_code == 0, done.output
+    assert again.exit_code == 2 and "another study" in again.stderr
+    return folder, done.stdout
+
+
+@pytest.fixture(scope="module")
+def found(made):
+    return json.loads((made[0] / "robustness.json").read_text())
+
+
+def sample_of(case: str, number: int):
+    points = SweepStudy.of("two_contact_rod", study.VARIED[case], 2, overrides=CHANGES)
+    drawn = points.sample(number)
+    changes = [*CHANGES, *(f"{k}={v}" for k, v in drawn.overrides.items())]
+    return osc.load_scenario("two_contact_rod", changes), drawn.seed
+
+
+def errors(scenario, seed, **how):
+    verdict = osc.metrics(osc.run(scenario, seed=seed, **how))
+    force = max(one["rms_error_rel"] for one in verdict["force"].values())
+    return force, verdict["motion"]["rms_error_m"]
+
+
+def test_rows_are_single_runs_of_the_same_sample_under_each_law(found) -> None:
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod", CHANGES))
+    laws = dict(zip(study.LAWS, (study.Ours(), chosen_law(rig)), strict=True))
+    for case in ("masses", "friction", "delay"):
+        row = found["rows"][case][1]
+        scenario, seed = sample_of(case, 1)
+        for name, law in laws.items():
+            force, motion = errors(scenario, seed, install=law.install)
+            assert row[f"{name}.force"] == pytest.approx(force, rel=1e-6)
+            assert row[f"{name}.motion"] == pytest.approx(motion, rel=1e-6)
+            assert row[f"{name}.word"] == "OK" and not row[f"{name}.failed"]
+
+
+def chosen_law(rig):
+    """The best law, by its definition: least product of both errors in the nominal run."""
+    instant = study.Instant(rig.state(), rig.contact())
+    laws = [law for b in study.BASELINES.values() for law in study.best_frames(instant, b)]
+    candidates = [(law, *errors(rig.scenario, 0, install=law.install)) for law in laws]
+    return min(candidates, key=lambda one: one[1] * one[2])[0]
+
+
+def test_controllers_do_not_know_how_the_faces_are_tilted(found) -> None:
+    scenario, seed = sample_of("normals", 0)
+    row = found["rows"]["normals"][0]
+    assert row["contacts.left_end.face.normal.tilt [rad]"] > 0.05
+    known = errors(scenario, seed)[0]
+    assert known < 0.005 < 0.02 < min(row["ours.force"], row["selection.force"])
+
+
+def test_the_table_and_the_figure_tell_what_the_rows_say(made, found) -> None:
+    folder, printed = made
+    assert {path.name for path in folder.iterdir()} == {
+        "robustness.json", *(f"robustness.{kind}" for kind in ("png", "svg", "pdf")),
+        *(f"robustness_{case}.jsonl" for case in study.VARIED),
+    }  # fmt: skip
+    for case, title in study.TITLES.items():
+        told = found["cases"][case]
+        assert title in printed and told["samples"] == 2
+        for law in study.LAWS:
+            assert told[law]["success_rate"] == 1.0
+            worst = 1e3 * max(row[f"{law}.motion"] for row in found["rows"][case])
+            assert told[law]["motion"][-1] == pytest.approx(worst) and f"{worst:.3g}" in printed
+    assert found["selection"]["candidates"] > 10
+
+
+def test_failed_runs_count_as_the_largest_errors() -> None:
+    rng = np.random.default_rng(0)
+    values, failed = rng.uniform(1, 2, 50), np.arange(50) < 3
+    rows = [{"ours.failed": bool(f), "ours.force": None if f else x, "ours.motion": 0.0}
+            for x, f in zip(values, failed, strict=True)]  # fmt: skip
+    both = [row | {k.replace("ours", "selection"): v for k, v in row.items()} for row in rows]
+    made = study.Robustness(None, [], {"masses": both}, {})
+    told = made._told("masses", "ours")
+    assert told["success_rate"] == pytest.approx(0.94)
+    wanted = np.quantile(np.where(failed, np.inf, values), (0.5, 0.9), method="inverted_cdf")
+    np.testing.assert_allclose(told["force"][:2], 100 * wanted)
+    assert told["force"][2] is None
+
+
+def test_rows_that_are_done_are_not_run_again(made, monkeypatch) -> None:
+    folder, _ = made
+    monkeypatch.setattr(study, "_FIRST", 0)
+    monkeypatch.setattr(study, "_make", lambda *_: pytest.fail("a row was made again"))
+    again = study.run(2, changes=["duration=1.1"], folder=folder, workers=1)
+    assert [len(rows) for rows in again.rows.values()] == [2] * 4
+
+
+def test_samples_of_what_has_none_are_refused() -> None:
+    refused = CliRunner().invoke(app, ["reproduce", "fig5", "--samples", "3"])
+    assert refused.exit_code == 2 and "leave --samples out" in refused.stderr
