@@ -12,6 +12,7 @@ from typing import Any
 from osc_contact.errors import Interrupted, InvalidInputError, OscContactError, PlantError
 from osc_contact.recorder import Recording
 from osc_contact.runs.metrics import SETTLE_S, metrics
+from osc_contact.runs.run import Install
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sweeps.driven_run import record_run
 from osc_contact.sweeps.study import Sample, SweepStudy
@@ -40,16 +41,21 @@ Row = dict[str, Any]
 _mine = threading.local()  # workshops are not shared between threads
 
 
-def make_rows(study: SweepStudy, numbers: Sequence[int]) -> list[Row]:
+def make_rows(
+    study: SweepStudy, numbers: Sequence[int], install: Install | None = None
+) -> list[Row]:
     """Run some samples of a study, in this thread; a row for each.
 
     Rows do not depend on which of them are run together, or where.
+
+    Args:
+        study: of the rows. numbers: of them. install: puts another law into each controller.
     """
     if getattr(_mine, "fingerprint", None) != study.fingerprint:
         _mine.study, _mine.fingerprint = study, study.fingerprint
         _mine.workshop = getattr(_mine, "workshop", None) or Workshop()
     with without_doubts_told():
-        rows = [_row(_mine.study, _mine.workshop, number) for number in numbers]
+        rows = [_row(_mine.study, _mine.workshop, number, install) for number in numbers]
     return json.loads(json.dumps(rows))  # as they come out of a file
 
 
@@ -64,19 +70,25 @@ def without_doubts_told() -> Iterator[None]:
         logger.level = before
 
 
-def record_sample(study: SweepStudy, sample: Sample, workshop: Workshop | None = None) -> Recording:
+def record_sample(
+    study: SweepStudy,
+    sample: Sample,
+    workshop: Workshop | None = None,
+    install: Install | None = None,
+) -> Recording:
     """The recording of one run of a study.
 
     Args:
         study: which the sample belongs to.
         sample: its changes and its seed.
         workshop: keeps the parts that runs share (None: nothing is shared).
+        install: puts another law into each controller.
 
     Raises:
         OscContactError: it cannot be built, is not possible, or diverges.
     """
     workshop = Workshop() if workshop is None else workshop
-    return record_run(workshop.rig(scenario_of(study, sample)), sample.seed)
+    return record_run(workshop.rig(scenario_of(study, sample)), sample.seed, install)
 
 
 def scenario_of(study: SweepStudy, sample: Sample) -> Scenario:
@@ -104,11 +116,11 @@ def crashed_row(study: SweepStudy, number: int) -> Row:
     return _head(study.sample(number)) | {"word": CRASHED, "failed": True, "why": why}
 
 
-def _row(study: SweepStudy, workshop: Workshop, number: int) -> Row:
+def _row(study: SweepStudy, workshop: Workshop, number: int, install: Install | None = None) -> Row:
     sample = study.sample(number)
     row = _head(sample)
     try:
-        recording = record_sample(study, sample, workshop)
+        recording = record_sample(study, sample, workshop, install)
         verdict = metrics(recording)
     except Interrupted:
         raise
