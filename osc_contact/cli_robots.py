@@ -80,7 +80,9 @@ def pose(
     rpy: Annotated[
         str | None, typer.Option(help='and turn it so: "180 deg, 0, 0" (rad); default: as it is')
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="of postures to begin the search from")] = 0,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="begin from random postures, not from --posture")
+    ] = None,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="path.to.key=value, of a scenario")
     ] = None,
@@ -96,6 +98,8 @@ def pose(
                 raise InvalidInputError(f"posture: {len(q)} numbers for {chain.nq} joints: {names}")
         now = X if posture is None and X is not None else poses.stands(chain, q)
         reached = True
+        if seed is not None and xyz is None and rpy is None:
+            raise InvalidInputError("--seed is of the search for a posture; give --xyz or --rpy")
         if xyz is not None or rpy is not None:
             p = now.translation if xyz is None else poses.numbers("xyz", xyz)
             R = now.rotation if rpy is None else pin.rpy.rpyToMatrix(*poses.numbers("rpy", rpy))

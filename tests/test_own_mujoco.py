@@ -148,6 +148,14 @@ def test_only_the_tool_touches():
     assert pushes(robot, ["tool"]) == 0.0 and truth.alpha[0] == 0.0 and not truth.closed[0]
 
 
+@pytest.mark.parametrize(("friction", "told"), [(0.1, False), (0.6, True)])
+def test_much_friction_is_told(caplog, friction, told):
+    model = scene()
+    model.geom("wall").friction[0] = friction
+    robot_of(model)
+    assert ("rubs on the scene with a coefficient of 0.6" in caplog.text) == told
+
+
 def test_the_model_given_stays_as_it_is():
     model = scene(SERVOS)
     before = model.actuator_gainprm.copy(), model.actuator_biasprm.copy(), model.opt.cone

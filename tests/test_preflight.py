@@ -37,6 +37,11 @@ DOUBTFUL = {
     "springs without a loop": (
         "plant.flexible_joints.frequency=60 Hz", "set control.joint_torque={rate: 4 kHz}"),
     "masses wrong, no tare": ("model_error.arm_mass=1.2", "arm_mass is 1.2, and nothing zeroes"),
+    "motion out of reach": (
+        "motion.0.signals=[{type: minimum_jerk, value: 0.5 m, duration: 0.4 s}]",
+        "where no posture near the start puts it"),
+    "friction that the filter reads": (
+        "plant.friction=0.2", "set control.force.reading=least_squares, or give control.friction"),
     "biased wrists, no tare": (
         "sensors.wrist={rate: 1 kHz, torque: {bias: 0.1 Nm}}", "set tare={} to zero them"),
 }  # fmt: skip

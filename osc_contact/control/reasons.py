@@ -36,6 +36,11 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
         as_array("touched X_WE", touched.X_WE, (c, 4, 4))
         as_array("touched V_E", touched.V_E, (c, 6))
         as_array("touched A_E", touched.A_E, (c, 6))
+    if np.ndim(reference.alpha_d) == 0:
+        raise InvalidInputError(
+            f"reference alpha_d: {reference.alpha_d!r} is no vector; give an array with one force "
+            "for each column of N, such as np.array([10.0])"
+        )
     as_array("reference alpha_d", reference.alpha_d, (None,))
     if k < 3 and np.ndim(reference.squeeze_d):
         raise InvalidInputError(f"reference squeeze_d: {k} arms take a number, got an array")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +15,8 @@ from osc_contact.dynamics.motors import PerJoint, with_joints
 from osc_contact.errors import ModelError
 
 __all__ = ["Arm"]
+
+_logger = logging.getLogger("osc_contact.robots")
 
 
 @dataclass(frozen=True)
@@ -106,6 +109,7 @@ class Arm:
         model = with_joints(model, joints, friction_factor)
         X_WB = pin.SE3.Identity() if base is None else base
         still = {j: held.get(j, 0.0) for j in every_joint if j not in list(model.names)}
+        _tell_followers(list(model.names), follows, still)
         return cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor, still)
 
     @classmethod
@@ -135,7 +139,9 @@ class Arm:
         mj = robots.compile_mjcf(mjcf)
         model = robots.load_mjcf(mj, tip, limits=limits)
         arm = cls.from_urdf(model, name=name, tip=tip, **how)
-        _require_uncoupled(arm.model, robots.couplings(mj))
+        follows = robots.couplings(mj)
+        _require_uncoupled(arm.model, follows)
+        _tell_followers(list(arm.model.names), follows, arm.locked)
         return arm
 
 
@@ -159,6 +165,20 @@ def _require_uncoupled(model: pin.Model, follows: Mapping[str, str]) -> None:
                 "both where they stand (locked=, arms.locked_joints), choose a tip before it, or "
                 "leave the coupling out if it has a motor of its own"
             )
+
+
+def _tell_followers(
+    moving: Sequence[str], follows: Mapping[str, str], still: Mapping[str, float]
+) -> None:
+    """Joints beside the way to the tip that follow one on the way, and are held all the same."""
+    for name, master in follows.items():
+        if master in moving and name in still:
+            _logger.warning(
+                "joint %r follows %r, which moves the tip; it is taken as held at %g: what moves "
+                "with it is not reckoned with. Lock %r too (locked=, arms.locked_joints), or leave "
+                "the coupling out",
+                name, master, still[name], master,
+            )  # fmt: skip
 
 
 def _require_sound(model: pin.Model) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import logging
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
@@ -23,6 +24,8 @@ from osc_contact.spatial import Array, as_array
 
 __all__ = ["MujocoRobot"]
 
+MUCH_FRICTION = 0.5  #: a coefficient that is told
+_log = logging.getLogger(__name__)
 _LINK = -2  # geoms that belong neither to the tool nor to what it touches
 
 
@@ -102,6 +105,7 @@ class MujocoRobot(MujocoPlant):
         if arm.wrist_sensor is not None:
             tool = self._take_sensor(arm.wrist_sensor)
         self._sort_geoms(tool)
+        self._tell_friction(tool)
         self._moved, self._driven = {}, False
         self._guided = (np.array([], dtype=int),) * 2
         self._face_q = self._face_v = np.array([], dtype=int)
@@ -157,6 +161,27 @@ class MujocoRobot(MujocoPlant):
         bodies = mj.geom_bodyid[others]
         links = (mj.body_rootid[bodies] == mj.body_rootid[tool]) & (mj.body_weldid[bodies] != 0)
         self._body_of = dict(zip(others, np.where(links, _LINK, 0), strict=True))
+
+    def _tell_friction(self, tool: int) -> None:
+        """Warn of friction that MuJoCo gives what has none named, and that few surfaces have."""
+        mj, most = self.model, 0.0
+        own = mj.body_rootid[mj.geom_bodyid] == mj.body_rootid[tool]
+        for one in self._geoms_of(tool):
+            for other in np.flatnonzero(~own):
+                first, second = int(mj.geom_priority[one]), int(mj.geom_priority[other])
+                both = [one] * (first >= second) + [other] * (second >= first)
+                meet = (mj.geom_contype[one] & mj.geom_conaffinity[other]) | (
+                    mj.geom_contype[other] & mj.geom_conaffinity[one]
+                )
+                if meet and max(mj.geom_condim[both]) > 1:
+                    most = max(most, float(max(mj.geom_friction[both, 0])))
+        if most >= MUCH_FRICTION:
+            _log.warning(
+                "the tool rubs on the scene with a coefficient of %g (MuJoCo's default is 1): what "
+                "slides hops, and forces are read wrongly; name friction= and priority= of what it "
+                'touches, or condim="1" for none',
+                most,
+            )
 
     def reset(self, q: Array) -> None:
         """Start at rest at joint positions q (n,), the rest of the scene where it starts."""

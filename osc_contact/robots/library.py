@@ -52,7 +52,7 @@ def find_robot(name: str) -> tuple[Path, Path]:
             return files[hits[0]], root.parent.parent
         if hits:
             raise ModelError(f"{name!r} is ambiguous in {ROBOT_DATA}: say one of {', '.join(hits)}")
-    stems = {path.stem for path in files.values()}
+    stems = {path.stem.removesuffix("_robot") for path in files.values()}
     raise ModelError(f"{ROBOT_DATA} has no robot {name!r}. {suggest(name, stems)}")
 
 

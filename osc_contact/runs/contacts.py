@@ -32,7 +32,10 @@ __all__ = [
     "feet_over",
     "misplaced",
     "pose_of",
+    "require_own_pairs",
 ]
+
+_STEP = 1e-6  #: m, rad; by so much an object is moved to see its gaps change
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,39 @@ def build_pairs(scenario: Scenario) -> tuple[ContactPair, ...]:
         else make_pair(spec, poses.get(getattr(spec, "body", ""), world))
         for spec in scenario.contacts
     )
+
+
+def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
+    """Refuse pairs given as objects whose N does not go with their gaps: d gaps/dt = −NᵀV.
+
+    Args:
+        scenario: with its contacts. X_WO: pose near which they are to touch.
+
+    Raises:
+        ScenarioError: with the gaps' rates, and the cure.
+    """
+    for spec in scenario.contacts:
+        if not isinstance(spec, OwnContactSpec):
+            continue
+        N = np.asarray(spec.pair.contact(X_WO, np.zeros(6)).N, dtype=float)
+        before = np.asarray(spec.pair.gaps(X_WO), dtype=float)
+        if N.shape != (6, len(before)):
+            raise ScenarioError(
+                f"contact '{spec.name}': N has shape {N.shape}, and gaps gives {len(before)} "
+                "numbers; there is one column of N (6,) for each gap"
+            )
+        for j, column in enumerate(N.T):
+            V = _STEP * column / max(float(np.linalg.norm(column)), 1e-12)
+            turned = pin.exp3(V[3:]) @ X_WO.rotation
+            moved = spec.pair.gaps(pin.SE3(turned, X_WO.translation + V[:3]))
+            rate, want = (float(moved[j]) - before[j]) / _STEP, float(-column @ V) / _STEP
+            if abs(rate - want) > 0.5 * abs(want):
+                raise ScenarioError(
+                    f"contact '{spec.name}': along column {j + 1} of its N the gap changes by "
+                    f"{rate:.3g} m per metre instead of {want:.3g}: N points into the environment "
+                    "and gaps shrink along it; "
+                    + ("reverse the sign of N or of gaps" if rate * want < 0.0 else "check both")
+                )
 
 
 def misplaced(

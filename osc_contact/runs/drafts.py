@@ -89,6 +89,11 @@ def draft(robot: str, arm: Arm, press: Press, posture: Array | None, target: Pat
         except OscContactError as error:
             complaints = [str(error)]
         reasons.append(complaints[0])
+    if posture is not None:
+        raise ScenarioError(
+            f"in the posture given '{arm.tip}' of {robot} cannot press {press.force:g} N along its "
+            f"{press}: {reasons[0]}; give another posture, or none to have one sought"
+        )
     raise ScenarioError(
         f"no posture of {robot} was found in which '{arm.tip}' can press {press.force:g} N along "
         f"its {press}; the last one: {reasons[-1] if reasons else 'no candidate'}; "

@@ -111,18 +111,17 @@ def numbers(kind: str, text: str) -> Array:
         raise InvalidInputError(f"{kind} {text!r}: expected numbers with commas between") from error
 
 
-def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int = 0) -> Posture:
+def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = None) -> Posture:
     """Joint positions within limits that put the object where it is wanted, or nearest to it.
-
-    From the given posture first, then from random ones between the limits.
 
     Args:
         chain: the arms; without an object their tip. X_WO: the wanted pose.
-        start: (n,) where to look first. seed: of the random ones.
+        start: (n,) where to look first, before random postures between the limits.
+        seed: of these; None: 0. If it is given they come first, and may find other postures.
     """
     best: Posture | None = None
-    starts = robots.random_configurations(chain.model, TRIES, seed)
-    for q in (start, *starts):
+    random = robots.random_configurations(chain.model, TRIES, seed or 0)
+    for q in (start, *random) if seed is None else (*random, start):
         try:
             found = reach(chain, q, X_WO)
         except ModelError:  # it circles about a pose out of reach

@@ -7,12 +7,16 @@ from collections.abc import Callable, Iterator
 
 import daqp
 import numpy as np
+import pinocchio as pin
 
 from osc_contact import robots
+from osc_contact.contacts.pairs.pair import knows_where_it_slides
+from osc_contact.control.reading import choose_reading
 from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.dynamics.joint_modes import modes
-from osc_contact.errors import OscContactError, ScenarioError
-from osc_contact.runs import hardware
+from osc_contact.errors import ModelError, OscContactError, ScenarioError
+from osc_contact.runs import faces, hardware
 from osc_contact.runs import preflight_contacts as at
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.finding import Finding
@@ -27,6 +31,7 @@ CART_M = 0.2  #: a free cart that runs further is doubtful
 SLOW, TOO_SLOW = 0.7, 2.0  #: gain × control period: doubtful, refused (a sampled loop diverges)
 SOFT_HZ = 100.0  #: joints whose springs swing slower want a joint torque loop
 OVERLOAD = 3.0  #: forces that ever need more than so many times the motors' limits are refused
+FAR_M = 0.02  #: m; a motion that misses more, for want of a posture, is doubtful
 _SAMPLES = 400  #: instants at which references are looked at
 _logger = logging.getLogger("osc_contact.preflight")
 
@@ -44,7 +49,7 @@ def preflight(rig: Rig) -> tuple[Finding, ...]:
     """
     checks: tuple[Callable[[Rig], Iterator[Finding]], ...] = (
         _sensors, _tare, _rate, _springs, at.normals, at.inverted, at.inside, at.start, at.beside,
-        _reach, at.lifted, _motors, _carts,
+        _reach, _postures, at.lifted, _reading, _motors, _carts,
     )  # fmt: skip
     return tuple(finding for check in checks for finding in check(rig))
 
@@ -100,6 +105,23 @@ def _tare(rig: Rig) -> Iterator[Finding]:
             False,
             f"{' and '.join(wrong)}, and nothing zeroes the wrist sensors: what they read wrongly "
             "is taken for contact force; set tare={} to zero them in free space before contact",
+        )
+
+
+def _reading(rig: Rig) -> Iterator[Finding]:
+    """Friction that the filter of fig. 5 takes for normal force."""
+    control, mu = rig.scenario.control, rig.scenario.plant.friction
+    if rig.scenario.plant.exact or mu == 0.0 or control.friction is not None or not rig.pairs:
+        return
+    of = faces.known_bodies(rig.bodies, len(rig.pairs), False)
+    if choose_reading(control.force.reading, rig.pairs, of, control.life is not None) == "filter":
+        cure = "give control.friction={mu: …}"
+        if control.life is None and all(map(knows_where_it_slides, rig.pairs)):
+            cure = f"set control.force.reading=least_squares, or {cure}"
+        yield Finding(
+            False,
+            f"plant.friction is {mu:g}, the controller knows of none, and the filter that reads "
+            f"forces takes it for normal force; {cure}",
         )
 
 
@@ -159,6 +181,40 @@ def _reach(rig: Rig) -> Iterator[Finding]:
                 f"'{arm.name}' at t = {_times(rig)[k]:.3g} s, and the stretched arm reaches "
                 f"{most:.3g} m; ask for a smaller motion (are its signals in the right unit?)",
             )
+
+
+def _postures(rig: Rig) -> Iterator[Finding]:
+    """Places to which no posture within the joints' limits leads, from the start on."""
+    if any(True for _ in _reach(rig)):
+        return
+    times, chain = _times(rig), rig.chain
+    poses = rig.references.over(times).X_WD
+    ways = poses[:, :3] - poses[0, :3]
+    turns = np.abs(poses[:, 3:] @ poses[0, 3:])  # cosine of half the angle
+    ends = {int(k) for k in (*ways.argmax(axis=0), *ways.argmin(axis=0), turns.argmin())}
+    for k in sorted(ends):
+        X = pin.XYZQUATToSE3(poses[k])
+        try:
+            q = reach(chain, rig.q_contact, X, 1e-3)
+            left = float(np.linalg.norm(object_pose(chain, q).translation - X.translation))
+        except ModelError:  # it circles about a pose out of reach
+            q, left = rig.q_contact, np.inf
+        if left > FAR_M:
+            at = [
+                name for name, x, low, high in zip(
+                    chain.joint_names, q, chain.model.lowerPositionLimit,
+                    chain.model.upperPositionLimit, strict=True,
+                ) if min(x - low, high - x) < 1e-6
+            ]  # fmt: skip
+            yield Finding(
+                False,
+                f"at t = {times[k]:.3g} s the motion wants the object where no posture near the "
+                f"start puts it ({np.round(X.translation, 3).tolist()} m)"
+                + (f": {1e3 * left:.0f} mm are left" if np.isfinite(left) else "")
+                + (f" with {', '.join(at)} at the end stop" if at else "")
+                + "; ask for a smaller motion, or begin in another posture",
+            )
+            return
 
 
 def _length(arm: Arm) -> float:

@@ -36,6 +36,7 @@ from osc_contact.runs.contacts import (
     environment_bodies,
     misplaced,
     pose_of,
+    require_own_pairs,
 )
 from osc_contact.runs.log import Subject
 from osc_contact.runs.plants import Parts, make_plant
@@ -236,6 +237,7 @@ def build_rig(scenario: Scenario, chains: MakesChains | None = None) -> Rig:
     pairs = build_pairs(scenario)
     posture = posture_of(scenario, chain)
     X_asked = asked_pose(scenario, chain, posture)
+    require_own_pairs(scenario, X_asked)
     q_contact = touching(chain, pairs, posture, X_asked)
     state = chain.state(q_contact, np.zeros(chain.nq))
     contact = Contact.stack([pair.contact(state.X_WO, np.zeros(6)) for pair in pairs])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from osc_contact.control.controller import Controller
-from osc_contact.errors import Interrupted, PlantError
+from osc_contact.errors import Interrupted, InvalidInputError, PlantError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Plant
 from osc_contact.recorder import Recording
@@ -149,9 +149,30 @@ def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plan
     # laws of the user's own may remember their ticks: each controller has its own
     first = rig.controller() if callable(rig.scenario.laws) else copy(controller)
     if install is not None:
-        controller, first = install(controller), install(first)
+        controller, first = _installed(install, controller), _installed(install, first)
     plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
     return plant, controller
+
+
+def _installed(install: Install, controller: Controller) -> Controller:
+    """What `install` makes of a controller.
+
+    Raises:
+        InvalidInputError: it takes no controller, or returns none.
+    """
+    how = "install= takes a function of a controller that returns one, such as lambda c: c"
+    if not callable(install):
+        raise InvalidInputError(f"{how}; got {install!r}")
+    try:
+        made = install(controller)
+    except TypeError as error:
+        own = error.__traceback__
+        if own is not None and own.tb_next is None:  # raised by the call itself
+            raise InvalidInputError(f"{how}; calling {install!r} with one: {error}") from error
+        raise
+    if not hasattr(made, "tick"):
+        raise InvalidInputError(f"{how}; {install!r} returned {made!r}, which has no tick")
+    return made
 
 
 class _Taring:

@@ -119,7 +119,8 @@ def basis_tables(inspection: Inspection) -> Iterator[Table]:
     yield _basis(f"N: forces the contacts transmit {where}", inspection.N, inspection.contacts,
                  ("force", "moment"), ("", "m"))  # fmt: skip
     names = [f"t{i + 1}" for i in range(inspection.T.shape[1])]
-    yield _basis(f"T: motions they permit {where}", inspection.T, names,
+    largest = np.abs(inspection.T).max(axis=0, initial=1e-300)
+    yield _basis(f"T: motions they permit {where}", inspection.T / largest, names,
                  ("linear", "angular"), ("m/s", "rad/s"))  # fmt: skip
 
 

@@ -27,7 +27,7 @@ from pydantic import (
 
 from .contact_schema import FaceSpec
 from .geometry import Name
-from .quantities import Spec, UnitVec3, Vec3
+from .quantities import Spec, UnitVec3, Vec3, refuse
 
 __all__ = [
     "CONTACT_TYPES",
@@ -98,6 +98,13 @@ class OwnContactSpec(OnBodySpec):
     @model_validator(mode="before")
     @classmethod
     def _named_as_the_pair(cls, data: Any) -> Any:
+        pair = data.get("pair") if isinstance(data, dict) else None
+        missing = [key for key in ("name", "contact", "gaps") if not hasattr(pair, key)]
+        if pair is not None and missing:
+            raise refuse(
+                f"a {type(pair).__name__} has no {' and no '.join(missing)}; a pair of your own "
+                "has name, contact(X_WO, V_O, X_WE, V_E) and gaps(X_WO, X_WE)"
+            )
         return {"name": data["pair"].name, **data} if isinstance(data, dict) else data
 
     @property

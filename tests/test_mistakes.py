@@ -1,0 +1,115 @@
+"""Mistakes in Python and at the command line that are told in a sentence with its cure."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import osc_contact as osc
+from osc_contact.cli import app
+
+
+class Floor:
+    """A pair of one's own: the object's origin on the floor, with N of the wrong sign."""
+
+    name: ClassVar[str] = "floor"
+    pushes: ClassVar[bool] = True
+
+    def contact(self, X_WO, V_O, X_WE=None, V_E=None):
+        return osc.Contact(np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]).T, np.zeros(1))
+
+    def gaps(self, X_WO, X_WE=None):
+        return np.array([X_WO.translation[2] - 0.3])
+
+
+class Gapless:
+    name: ClassVar[str] = "floor"
+    contact = Floor.contact
+
+
+class TwoGaps(Floor):
+    def gaps(self, X_WO, X_WE=None):
+        return np.zeros(2)
+
+
+def on_the_table(pair, *names):
+    scenario = osc.load_scenario("panda_edge")
+    force = {name: [{"type": "constant", "value": 10.0}] for name in names or ("floor",)}
+    return scenario.replaced(contacts=[{"pair": pair, "body": "table"}], force=force)
+
+
+def test_pairs_of_ones_own_that_do_not_fit():
+    with pytest.raises(osc.ScenarioError, match=r"Gapless has no gaps; a pair of your own has"):
+        on_the_table(Gapless())
+    with pytest.raises(osc.ScenarioError, match="reverse the sign of N or of gaps"):
+        osc.build_rig(on_the_table(Floor()))
+    with pytest.raises(osc.ScenarioError, match="one column of N"):
+        osc.build_rig(on_the_table(TwoGaps(), "floor.1", "floor.2"))
+
+
+@pytest.mark.parametrize(
+    ("install", "words"),
+    [
+        (5, "got 5"),
+        (lambda: None, "takes 0 positional arguments"),
+        (lambda controller: None, "which has no tick"),
+        (osc.Controller, "missing 1 required positional argument"),
+    ],
+)
+def test_what_install_takes(install, words):
+    scenario = osc.load_scenario("panda_edge", ["duration=1.1 s"])
+    with pytest.raises(osc.InvalidInputError, match=f"install= takes a function.*{words}"):
+        osc.run(scenario, install=install)
+
+
+def test_mistakes_of_an_install_are_its_own():
+    def install(controller):
+        return controller + 1
+
+    with pytest.raises(TypeError, match="unsupported operand"):
+        osc.run(osc.load_scenario("panda_edge"), install=install)
+
+
+def test_a_force_that_is_no_vector():
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    controller, at = rig.controller(), rig.references.at(0.0)
+    controller.tick(rig.plant().measure(), osc.Reference(at.X_WD, alpha_d=10.0))
+    assert controller.status is osc.Status.HELD
+    assert "10.0 is no vector; give an array with one force" in controller.reason
+
+
+def test_robots_that_are_nearly_called_so():
+    with pytest.raises(osc.ModelError, match="Did you mean ur10 "):
+        osc.robots.find_robot("ur10e")
+
+
+def call(*words):
+    result = CliRunner().invoke(app, list(words))
+    return result.exit_code, result.stdout + result.stderr
+
+
+def test_a_posture_that_does_not_serve_is_called_so(tmp_path):
+    words = ("new", "--robot", "panda", "--tip", "panda_hand_tcp", "--press", "Z=10")
+    code, said = call(*words, "--posture", "0, 0, 0", "--out", str(tmp_path / "my.yaml"))
+    said = " ".join(said.split())
+    assert code == 2 and "in the posture given" in said and "or none to have one sought" in said
+
+
+def test_seeds_find_other_postures():
+    words = ("pose", "panda", "--tip", "panda_hand_tcp", "--xyz", "0.4, 0.1, 0.4")
+    told = {call(*words, *seed)[1] for seed in ((), ("--seed", "1"), ("--seed", "2"))}
+    assert len(told) == 3
+    code, said = call(*words[:4], "--seed", "1")
+    assert code == 2 and "give --xyz or --rpy" in " ".join(said.split())
+
+
+def test_inspect_prints_motions_of_a_light_object_in_small_numbers():
+    rig = osc.build_rig(osc.load_scenario("panda_edge"))
+    rows = call("inspect", "panda_edge")[1].splitlines()
+    numbers = [float(x) for row in rows if "(m/s)" in row or "(rad/s)" in row
+               for x in row.split("│")[2:-1]]  # fmt: skip
+    assert len(numbers) == 30 and max(map(abs, numbers)) == 1.0
+    assert np.abs(rig.contact().T).max() > 1.5  # as they are
