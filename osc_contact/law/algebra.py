@@ -24,7 +24,11 @@ _SINGULAR = 1e-10
 
 @leaf
 def cross(ax, ay, az, bx, by, bz):
-    """a × b."""
+    """a × b.
+
+    Args:
+        ax, ay, az: of a. bx, by, bz: of b.
+    """
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
@@ -34,6 +38,10 @@ def cholesky(A, first, n, L):
 
     Returns the smallest pivot relative to its diagonal element, ≤ 0 if A is not positive definite.
     Only the lower triangle of A is read. L carries the inverse pivots on its diagonal.
+
+    Args:
+        A: symmetric. first: row and column at which the block begins. n: its size.
+        L: (n, n) scratch for the factor.
     """
     least = 1.0
     for i in range(n):
@@ -54,7 +62,11 @@ def cholesky(A, first, n, L):
 
 @inner
 def cholesky_solve(L, n, x, first):
-    """Overwrite x[first : first + n] with (LLᵀ)⁻¹x, L from `cholesky`."""
+    """Overwrite x[first : first + n] with (LLᵀ)⁻¹x, L from `cholesky`.
+
+    Args:
+        L: (n, n) factor. n: its size. x: right side, then solution. first: element where it begins.
+    """
     for i in range(n):
         s = x[first + i]
         for k in range(i):
@@ -69,7 +81,11 @@ def cholesky_solve(L, n, x, first):
 
 @inner
 def invert_spd6(A, L, out):
-    """out = A⁻¹ (6, 6), through its Cholesky factor; the pivots' least share as in `cholesky`."""
+    """out = A⁻¹ (6, 6), through its Cholesky factor; the pivots' least share as in `cholesky`.
+
+    Args:
+        A: (6, 6) positive definite. L: (6, 6) scratch. out: (6, 6).
+    """
     least = cholesky(A, 0, 6, L)
     if not least > 0.0:
         return 0.0
@@ -96,6 +112,9 @@ def lu_solve(A, n, B, columns):
     """Overwrite the rows B[:columns, :n] with A⁻¹B by elimination with pivoting; A is destroyed.
 
     Returns False where a pivot shrinks to _SINGULAR of the largest.
+
+    Args:
+        A: (n, n). n: its size. B: right sides as rows. columns: how many.
     """
     largest = 0.0
     for k in range(n):
@@ -136,6 +155,10 @@ def qr_rows(X, rows, length, diagonal, beta):
     """Householder QR of the (length, rows) matrix whose *columns* are X[:rows, :length].
 
     Column k's reflector 1 − β v vᵀ is left in X[k, k:], R in X[j, k] (k < j) and `diagonal`.
+
+    Args:
+        X: columns of the matrix, as rows. rows: how many. length: of each.
+        diagonal, beta: (rows,) of R, and of the reflectors.
     """
     for k in range(rows):
         s = 0.0
@@ -162,7 +185,11 @@ def qr_rows(X, rows, length, diagonal, beta):
 
 @inner
 def form_q(X, rows, length, beta, count, Q):
-    """The first `count` columns of Q, as rows Q[:count, :length]."""
+    """The first `count` columns of Q, as rows Q[:count, :length].
+
+    Args:
+        X, rows, length, beta: from `qr_rows`. count: columns of Q. Q: for them, as rows.
+    """
     for c in range(count):
         for i in range(length):
             Q[c, i] = 0.0
@@ -178,7 +205,11 @@ def form_q(X, rows, length, beta, count, Q):
 
 @inner
 def back_substitute(X, rows, length, diagonal, Z):
-    """Overwrite the rows Z[:rows, :length] with R⁻¹Z, R from `qr_rows`."""
+    """Overwrite the rows Z[:rows, :length] with R⁻¹Z, R from `qr_rows`.
+
+    Args:
+        X, rows, diagonal: from `qr_rows`. length: of each row of Z. Z: right sides, then solutions.
+    """
     for k in range(rows - 1, -1, -1):
         inverse = 1.0 / diagonal[k]
         for i in range(length):
@@ -191,7 +222,12 @@ def back_substitute(X, rows, length, diagonal, Z):
 @inner
 def one_sided_jacobi(X, count, length, carried):
     """Rotate the rows X[:count, :length] until they are orthogonal; their norms are the singular
-    values. The next `carried` elements of each row are rotated along."""
+    values. The next `carried` elements of each row are rotated along.
+
+    Args:
+        X: rows, overwritten. count: how many. length: elements that become orthogonal.
+        carried: elements behind them.
+    """
     for _ in range(30):
         turned = False
         for p in range(count - 1):
@@ -224,6 +260,9 @@ def orthonormalise(X, r, m, Q, L):
 
     The first m elements of Q are zero. Modified Gram–Schmidt, twice. Returns the least |L_aa|
     beside its row's length; 0: a zero row.
+
+    Args:
+        X: rows. r: how many. m: first element that counts. Q, L: for the factors.
     """
     least = 1.0
     for a in range(r):
@@ -251,7 +290,11 @@ def orthonormalise(X, r, m, Q, L):
 
 @inner
 def solve_lower(L, r, x):
-    """x ← L⁻¹x, L (r, r) lower triangular."""
+    """x ← L⁻¹x, L (r, r) lower triangular.
+
+    Args:
+        L: factor. r: its size. x: (r,), overwritten.
+    """
     for a in range(r):
         s = x[a]
         for b in range(a):
@@ -261,7 +304,11 @@ def solve_lower(L, r, x):
 
 @inner
 def solve_lower_transposed(L, r, x):
-    """x ← L⁻ᵀx."""
+    """x ← L⁻ᵀx.
+
+    Args:
+        L, r, x: as of `solve_lower`.
+    """
     for a in range(r - 1, -1, -1):
         s = x[a]
         for b in range(a + 1, r):
@@ -271,7 +318,12 @@ def solve_lower_transposed(L, r, x):
 
 @inner
 def meet(Q, r, x, wanted):
-    """x ← the nearest x (6,) with Q x = wanted, the rows of Q (r, 6) orthonormal."""
+    """x ← the nearest x (6,) with Q x = wanted, the rows of Q (r, 6) orthonormal.
+
+    Args:
+        Q: (r, 6). r: how many rows. m: first element that counts. x: (6,), overwritten.
+        wanted: (r,) what Q x shall be.
+    """
     y = six(x)
     for _ in range(2):
         for a in range(r):

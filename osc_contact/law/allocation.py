@@ -35,7 +35,11 @@ _DRIVEN = 1e-12  #: least share of a pivot of Z
 
 @inner
 def command_object(chain, work, f_bias):
-    """f_S (6,) = Λ_S η̇_c + b_S + Sᵀ(N_μ α_u + f_bias): eq. 21, turned."""
+    """f_S (6,) = Λ_S η̇_c + b_S + Sᵀ(N_μ α_u + f_bias): eq. 21, turned.
+
+    Args:
+        f_bias: (6,) constant wrench in energy coordinates.
+    """
     r, m, x, bias = work.rank, work.locked, work.x, work.u
     held = 1.0 if chain.held != 0 else 0.0
     _energy_of(work, f_bias, bias)
@@ -324,7 +328,11 @@ def _add_torques(arm, table, own, joints, y):
 
 @leaf
 def limit_torques(chain, table, joints, tau, first):
-    """Motor torques to tau[first:]; whether one exceeds its limit, and whether all are finite."""
+    """Motor torques to tau[first:]; whether one exceeds its limit, and whether all are finite.
+
+    Args:
+        tau: torques of all rows (N m). first: element where those of this row begin.
+    """
     excess, total = False, 0.0
     for j in range(chain.n_joints):
         i = table[j].motor

@@ -17,7 +17,11 @@ __all__ = ["move_arm", "place_arm", "place_frame", "place_point"]
 
 @leaf
 def place_arm(joints, work, lo, hi, q):
-    """Rotation R and point p of every joint of an arm at q (n,), in the world."""
+    """Rotation R and point p of every joint of an arm at q (n,), in the world.
+
+    Args:
+        lo, hi: first joint of the arm, and the one behind its last. q: (n,) positions (m, rad).
+    """
     for j in range(lo, hi):
         X, w, angle = joints[j].placement, work[j], q[j]
         R, p = w.R, w.p
@@ -43,7 +47,12 @@ def place_arm(joints, work, lo, hi, q):
 
 @leaf
 def place_point(w, table, start, out):
-    """A point given in a joint, table[start:], in the world."""
+    """A point given in a joint, table[start:], in the world.
+
+    Args:
+        w: JOINT_WORK row. table: (…,) numbers that hold the point in the joint (m).
+        start: first of three elements. out: (3,) point (m).
+    """
     x, y, z = table[start], table[start + 1], table[start + 2]
     R, p = w.R, w.p
     for i in range(3):
@@ -52,7 +61,11 @@ def place_point(w, table, start, out):
 
 @inner
 def place_frame(w, X, R, p):
-    """A frame given in a joint, X (12,): rotation by rows, then point; in the world: R, p."""
+    """A frame given in a joint, X (12,): rotation by rows, then point; in the world: R, p.
+
+    Args:
+        w: JOINT_WORK row. X: (12,) frame in the joint. R, p: (3, 3), (3,) for it in the world.
+    """
     B = w.R
     for i in range(3):
         for j in range(3):

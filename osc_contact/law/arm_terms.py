@@ -81,7 +81,11 @@ def _apply_inertia(lo, n, joints, X, Lambda):
 
 @leaf
 def factor_inertia(lo, n, joints, K):
-    """K (n, n) with M = KKᵀ, its inverse pivots on the diagonal as in `cholesky`."""
+    """K (n, n) with M = KKᵀ, its inverse pivots on the diagonal as in `cholesky`.
+
+    Args:
+        lo: first joint of the arm. n: how many. K: (n, n) for the factor.
+    """
     for i in range(n):
         M = joints[lo + i].M
         for j in range(i + 1):
@@ -104,7 +108,11 @@ def _weigh_joints(lo, n, joints, K, Z):
 
 @inner
 def solve_inertia_transposed(lo, n, K, joints):
-    """J̄ ← K⁻ᵀJ̄."""
+    """J̄ ← K⁻ᵀJ̄.
+
+    Args:
+        lo: first joint of the arm. n: how many. K: from `factor_inertia`.
+    """
     for j in range(n - 1, -1, -1):
         x = six(joints[lo + j].J_bar)
         for k in range(j + 1, n):
@@ -233,6 +241,10 @@ def effort_metric(lo, n, m, joints, table, arm, work, out):
 
     J̄ᵀ τ_max² J̄ where every torque is needed; for arms with more joints than m wrenches
     Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, the rows of U the wrenches that they can make.
+
+    Args:
+        arm: ARM row. lo: first joint of the arm. n: how many. m: wrenches that the arm can make.
+        out: (6, 6) for the metric.
     """
     if n <= m:
         for a in range(6):

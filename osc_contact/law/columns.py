@@ -179,6 +179,9 @@ def spread_magnitudes(work, columns, alpha, speed):
     """Measured magnitudes and speeds of the kept columns, to all columns in force.
 
     Where columns depend on others that is the split with the least sum of squares.
+
+    Args:
+        alpha, speed: (r_all,) for all columns (N, m/s).
     """
     r, count = work.rank, work.count
     if r == count:

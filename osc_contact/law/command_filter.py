@@ -112,7 +112,7 @@ def permit_error(chain, work, error, out, by_object):
     """out (6,) = Ω_m(B) error, eq. 4, at O: with all six axes, locked or not.
 
     Args:
-        error: (6,) at O. by_object: B is the object's inverse inertia, else `B_inv_t`.
+        error, out: (6,) at O. by_object: B is the object's inverse inertia, else `B_inv_t`.
     """
     e, r = work.y, work.rank
     for a in range(r):

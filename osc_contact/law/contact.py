@@ -32,7 +32,7 @@ _AHEAD = 2.0  #: control periods after its measurement at which a torque acts at
 
 
 @leaf
-def rotated(R, x, y, z):
+def _rotated(R, x, y, z):
     """R (x, y, z), R the rotation in the first rows and columns of a matrix."""
     return (
         R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
@@ -59,7 +59,6 @@ def place_contacts(chain, pairs, shapes, columns, X_WO, V_O, bodies, moving, wor
     """Fill N, n_γ and friction wrenches of all columns; returns False where a pair is degenerate.
 
     Args:
-        chain: CHAIN record. pairs: PAIR rows. shapes: SHAPE rows.
         columns: COLUMN_WORK rows; those of pairs that Python evaluates (GIVEN) stay as they are.
         X_WO: (4, 4) pose of the object. V_O: (6,) its twist at O.
         bodies: (contacts, 28) of each touched body: X_WE (16, by rows), V_E (6), A_E (6).
@@ -111,8 +110,7 @@ def place_pair(pair, shapes, columns, X_WO, V_O, R_E, V_E, V_rel, moving, scratc
     """Fill N and n_γ of one pair's columns.
 
     Args:
-        pair: PAIR record. shapes: SHAPE rows. columns: COLUMN_WORK rows.
-        X_WO: (4, 4) pose of the object. R_E: the same of the touched body.
+        pair: PAIR row. X_WO: (4, 4) pose of the object. R_E: the same of the touched body.
         V_O, V_E, V_rel: (6,) twists at O of the object, of the body, of one against the other.
         moving: False: R_E is the identity, V_E zero. scratch: (6,).
 
@@ -137,10 +135,10 @@ def place_pair(pair, shapes, columns, X_WO, V_O, R_E, V_E, V_rel, moving, scratc
 @inner
 def _point_on_plane(row, X_WO, V_O, R_E, V_E, V_rel, moving, column):
     """A point of A (0:3) on a plane of E with direction into it (3:6), distance (6) along."""
-    x, y, z = rotated(X_WO, row[0], row[1], row[2])
+    x, y, z = _rotated(X_WO, row[0], row[1], row[2])
     a, b, c = row[3], row[4], row[5]
     if moving:
-        a, b, c = rotated(R_E, row[3], row[4], row[5])
+        a, b, c = _rotated(R_E, row[3], row[4], row[5])
     _line(column.N, x, y, z, a, b, c)
     u, v, w = _velocity(V_O, x, y, z)
     u, v, w = cross(V_rel[3], V_rel[4], V_rel[5], u, v, w)
@@ -154,17 +152,19 @@ def _point_on_plane(row, X_WO, V_O, R_E, V_E, V_rel, moving, column):
 
 @inner
 def point_of_contact(kind, row, X_WO, R_E, N):
-    """Where a magnitude of a pair that pushes acts, from O, given its line of force N.
+    """Where a magnitude of a pair that pushes acts, from O: plane, rounded vertex or object's edge.
 
-    On the plane; on the rounded vertex; on the object's edge.
+    Args:
+        kind: of the pair. row: (16,) of the column. X_WO: of the object. R_E: axes of the body.
+        N: (6,) line of force at O.
     """
     if kind == POINTS:
-        x, y, z = rotated(X_WO, row[0], row[1], row[2])
+        x, y, z = _rotated(X_WO, row[0], row[1], row[2])
         ahead = row[6] + N[0] * (R_E[0, 3] - X_WO[0, 3] - x)
         ahead += N[1] * (R_E[1, 3] - X_WO[1, 3] - y) + N[2] * (R_E[2, 3] - X_WO[2, 3] - z)
         return x + ahead * N[0], y + ahead * N[1], z + ahead * N[2]
     if kind == FACE_ON_VERTEX:
-        x, y, z = rotated(R_E, row[3], row[4], row[5])
+        x, y, z = _rotated(R_E, row[3], row[4], row[5])
         x, y, z = x + R_E[0, 3] - X_WO[0, 3], y + R_E[1, 3] - X_WO[1, 3], z + R_E[2, 3] - X_WO[2, 3]
         return x - row[6] * N[0], y - row[6] * N[1], z - row[6] * N[2]
     return _crossing(row, X_WO, R_E)[0]
@@ -198,8 +198,8 @@ def _rate(p, n, p_dot, n_dot, out):
 @inner
 def _face_on_vertex(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
     """Row: normal of A's face (0:3), vertex of E (3:6), its radius (6)."""
-    n = rotated(X_WO, row[0], row[1], row[2])
-    x, y, z = rotated(R_E, row[3], row[4], row[5])
+    n = _rotated(X_WO, row[0], row[1], row[2])
+    x, y, z = _rotated(R_E, row[3], row[4], row[5])
     p = (x + R_E[0, 3] - X_WO[0, 3], y + R_E[1, 3] - X_WO[1, 3], z + R_E[2, 3] - X_WO[2, 3])
     _line(column.N, p[0], p[1], p[2], n[0], n[1], n[2])
     n_dot = cross(V_O[3], V_O[4], V_O[5], n[0], n[1], n[2])
@@ -217,11 +217,11 @@ def _along_first(a, e, m, mm):
 @inner
 def _crossing(row, X_WO, R_E):
     """Where A's edge comes nearest to E's, from O, and from a point of A's edge to one of E's."""
-    e = rotated(X_WO, row[3], row[4], row[5])
-    f = rotated(R_E, row[9], row[10], row[11])
+    e = _rotated(X_WO, row[3], row[4], row[5])
+    f = _rotated(R_E, row[9], row[10], row[11])
     m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
-    q = rotated(X_WO, row[0], row[1], row[2])
-    x, y, z = rotated(R_E, row[6], row[7], row[8])
+    q = _rotated(X_WO, row[0], row[1], row[2])
+    x, y, z = _rotated(R_E, row[6], row[7], row[8])
     apart = (
         x + R_E[0, 3] - X_WO[0, 3] - q[0],
         y + R_E[1, 3] - X_WO[1, 3] - q[1],
@@ -238,14 +238,14 @@ def _edges(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
     The side is ±1, or 0 where the environment's outward normal tells it. Returns the sine of the
     edges' angle; near zero the column is not a number.
     """
-    e = rotated(X_WO, row[3], row[4], row[5])
-    f = rotated(R_E, row[9], row[10], row[11])
+    e = _rotated(X_WO, row[3], row[4], row[5])
+    f = _rotated(R_E, row[9], row[10], row[11])
     m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
     mm = m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
     sine = sqrt(mm)
     side = row[12]
     if side == 0.0:
-        o = rotated(R_E, row[13], row[14], row[15])
+        o = _rotated(R_E, row[13], row[14], row[15])
         side = -(o[0] * m[0] + o[1] * m[1] + o[2] * m[2])
     scale = copysign(1.0 / sine, side)
     n = (scale * m[0], scale * m[1], scale * m[2])
@@ -281,17 +281,19 @@ def _edges(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
 def permitted_motion(row, X_WO, R_E):
     """A motion t (6 numbers) that a pair given by T permits.
 
-    Row: point of A (0:3), axis (3:6), kind (6): TURN about A's axis, carried by A; SLIDE along E's
-    axis, carried by E; SCREW, the turn and a slide of pitch (10) along E's direction (7:10).
+    Args:
+        row: point of A (0:3), axis (3:6), kind (6): TURN about A's axis, carried by A; SLIDE along
+            E's axis, carried by E; SCREW, the turn and a slide of pitch (10) along 7:10 of E.
+        X_WO: pose of the object. R_E: axes of the body.
     """
-    p = rotated(X_WO, row[0], row[1], row[2])
+    p = _rotated(X_WO, row[0], row[1], row[2])
     if row[6] == SLIDE:
-        d = rotated(R_E, row[3], row[4], row[5])
+        d = _rotated(R_E, row[3], row[4], row[5])
         return d[0], d[1], d[2], 0.0, 0.0, 0.0
-    w = rotated(X_WO, row[3], row[4], row[5])
+    w = _rotated(X_WO, row[3], row[4], row[5])
     t = cross(p[0], p[1], p[2], w[0], w[1], w[2])
     if row[6] == SCREW:
-        d = rotated(R_E, row[7], row[8], row[9])
+        d = _rotated(R_E, row[7], row[8], row[9])
         t = (t[0] + row[10] * d[0], t[1] + row[10] * d[1], t[2] + row[10] * d[2])
     return t[0], t[1], t[2], w[0], w[1], w[2]
 
@@ -323,7 +325,7 @@ def _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, Tdot_beta):
         row = shapes[pair.shape_at + k].row
         t = permitted_motion(row, X_WO, R_E)
         if row[6] == SLIDE:
-            p = rotated(X_WO, row[0], row[1], row[2])
+            p = _rotated(X_WO, row[0], row[1], row[2])
             v = _velocity(V_rel, p[0], p[1], p[2])
             _add_carried(V_E, t, t[0] * v[0] + t[1] * v[1] + t[2] * v[2], Tdot_beta)
         else:
@@ -331,8 +333,8 @@ def _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, Tdot_beta):
             _add_carried(V_O, t, rate, Tdot_beta)
     for j in range(r):
         row, N = shapes[pair.shape_at + j].row, columns[pair.first + j].N
-        p = rotated(X_WO, row[0], row[1], row[2])
-        d = rotated(R_E, row[3], row[4], row[5])
+        p = _rotated(X_WO, row[0], row[1], row[2])
+        d = _rotated(R_E, row[3], row[4], row[5])
         if row[6] == COUPLE:
             m = cross(p[0], p[1], p[2], d[0], d[1], d[2])
             for i in range(3):
@@ -341,7 +343,7 @@ def _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, Tdot_beta):
         else:
             _line(N, p[0], p[1], p[2], d[0], d[1], d[2])
             if row[6] == THREAD:
-                w = rotated(X_WO, row[7], row[8], row[9])
+                w = _rotated(X_WO, row[7], row[8], row[9])
                 f = row[10] / (d[0] * w[0] + d[1] * w[1] + d[2] * w[2])
                 for i in range(3):
                     N[3 + i] -= f * d[i]

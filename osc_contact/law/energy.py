@@ -22,7 +22,11 @@ __all__ = [
 
 @inner
 def set_axes(R, roots, axes):
-    """Fill `axes` from R (3, 3) and roots = [√m, √I₁, √I₂, √I₃]."""
+    """Fill `axes` from R (3, 3) and roots = [√m, √I₁, √I₂, √I₃].
+
+    Args:
+        R: (3, 3) principal axes. roots: (4,). axes: of WORK.
+    """
     for i in range(3):
         root = roots[1 + i]
         for j in range(3):
@@ -43,14 +47,22 @@ def _apply(axes, k, x, first, out):
 
 @leaf
 def energy_motion(axes, x, out):
-    """x̃ = Lᵀx of a motion x (6,) at C."""
+    """x̃ = Lᵀx of a motion x (6,) at C.
+
+    Args:
+        axes: from `set_axes`. x: (6,) motion. out: (6,).
+    """
     _apply(axes, 0, x, 0, out)
     _apply(axes, 1, x, 3, out)
 
 
 @leaf
 def energy_wrench(axes, f, out):
-    """f̃ = L⁻¹f of a wrench f (6,) at C."""
+    """f̃ = L⁻¹f of a wrench f (6,) at C.
+
+    Args:
+        axes: from `set_axes`. f: (6,) wrench. out: (6,).
+    """
     _apply(axes, 2, f, 0, out)
     _apply(axes, 3, f, 3, out)
 
@@ -64,21 +76,33 @@ def _apply_transposed(axes, k, x, first, out):
 
 @leaf
 def world_motion(axes, x, out):
-    """x = L⁻ᵀx̃ at C; out may be x."""
+    """x = L⁻ᵀx̃ at C; out may be x.
+
+    Args:
+        axes: from `set_axes`. x: (6,) in energy coordinates. out: (6,).
+    """
     _apply_transposed(axes, 2, x, 0, out)
     _apply_transposed(axes, 3, x, 3, out)
 
 
 @leaf
 def world_wrench(axes, f, out):
-    """f = L f̃ at C; out may be f."""
+    """f = L f̃ at C; out may be f.
+
+    Args:
+        axes: from `set_axes`. f: (6,) in energy coordinates. out: (6,).
+    """
     _apply_transposed(axes, 0, f, 0, out)
     _apply_transposed(axes, 1, f, 3, out)
 
 
 @leaf
 def carry_motion(V, start, end, out):
-    """A motion carried from point to point, in place or not."""
+    """A motion carried from point to point, in place or not.
+
+    Args:
+        V: (6,) motion. start, end: (3,) points (m). out: (6,).
+    """
     x, y, z = cross(V[3], V[4], V[5], end[0] - start[0], end[1] - start[1], end[2] - start[2])
     out[0], out[1], out[2] = V[0] + x, V[1] + y, V[2] + z
     out[3], out[4], out[5] = V[3], V[4], V[5]
@@ -86,7 +110,11 @@ def carry_motion(V, start, end, out):
 
 @leaf
 def carry_wrench(f, start, end, out):
-    """A wrench carried from point to point, in place or not."""
+    """A wrench carried from point to point, in place or not.
+
+    Args:
+        f: (6,) wrench. start, end: (3,) points (m). out: (6,).
+    """
     x, y, z = cross(start[0] - end[0], start[1] - end[1], start[2] - end[2], f[0], f[1], f[2])
     out[3], out[4], out[5] = f[3] + x, f[4] + y, f[5] + z
     out[0], out[1], out[2] = f[0], f[1], f[2]

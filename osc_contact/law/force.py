@@ -72,7 +72,7 @@ def sum_readings(chain, arms, arm_work, joints, work, wrenches, f_tare):
     """f_meas (6,) = Σ wrist readings less tare, at O; `reading_e`: the same less bias, energy.
 
     Args:
-        wrenches: (arms, 6) wrist readings.
+        wrenches: (arms, 6) wrist readings. f_tare: (6,) at O.
     """
     total, own = work.reading_e, work.y
     for i in range(6):
@@ -219,6 +219,12 @@ def command_force(
     """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ α_min; the new integral: `after`.
 
     The integral stays within `most` (N), or `_WINDUP` times the command where that is more.
+
+    Args:
+        r: columns. alpha_d, alpha_meas: (r,) desired and measured (N). speed: (r,) NᵀV_rel (m/s).
+        integral: (r,) so far (N). gain: (r,) K_i (1/s). damping: (r,) K_v (N s/m).
+        least: (r,) α_min (N). most: bound of the integral (N). dt: period (s).
+        after, out: (r,) for the new integral and the command (N).
     """
     for a in range(r):
         room = integral_room(most, alpha_d[a])

@@ -25,7 +25,12 @@ _MOVES = 1e-7  #: of the outboard links' wrench, below which their own motion is
 
 @inner
 def grasp_rows(arm, work, C, axes, out):
-    """N and T of a grasp in energy coordinates, the rows of out (6, 6); the tip stands in `tip`."""
+    """N and T of a grasp in energy coordinates, the rows of out (6, 6); the tip stands in `tip`.
+
+    Args:
+        arm: ARM row. C: (3,) centre of mass (m). axes: from `energy.set_axes`.
+        out: (6, 6), the rows of N first.
+    """
     tip = work.tip
     for a in range(6):
         row = out[a]
@@ -45,7 +50,11 @@ def grasp_rows(arm, work, C, axes, out):
 
 @inner
 def orthonormalise_with(rows, first, last, r):
-    """Rows [first, last) made orthonormal; r (…,), one number for each row, goes along."""
+    """Rows [first, last) made orthonormal; r (…,), one number for each row, goes along.
+
+    Args:
+        rows: overwritten. first, last: of them. r: numbers that go along, overwritten.
+    """
     for a in range(first, last):
         for _ in range(2):
             for b in range(first, a):
@@ -68,6 +77,9 @@ def find_twist(chain, arms, work, arm_work, joints, given):
 
     With a leader the object moves with its tip; with none it is what all the grasps leave. Where it
     is given V_C stays as it is.
+
+    Args:
+        given: whether the twist is given.
     """
     A, L, x, r, twist = work.A, work.B, work.x, work.y, work.w
     for i in range(6):
@@ -107,7 +119,11 @@ def find_twist(chain, arms, work, arm_work, joints, given):
 
 @inner
 def add_slip(V, V_C, gamma):
-    """γ += V × V_C: the tip carries the wrenches of the grasp while the object slips in it."""
+    """γ += V × V_C: the tip carries the wrenches of the grasp while the object slips in it.
+
+    Args:
+        V: (6,) twist of the tip. V_C: (6,) of the object. gamma: (6,) drift, overwritten.
+    """
     x, y, z = cross(V[3], V[4], V[5], V_C[0], V_C[1], V_C[2])
     i, j, l = cross(V[0], V[1], V[2], V_C[3], V_C[4], V_C[5])
     gamma[0], gamma[1], gamma[2] = gamma[0] + x + i, gamma[1] + y + j, gamma[2] + z + l
@@ -189,7 +205,12 @@ def filter_outboard(arm, own, joints, work, bias):
 
 @inner
 def filter_reading(axes, F, reading, energy):
-    """reading (6,) at C ← F reading; energy: (6,) scratch."""
+    """reading (6,) at C ← F reading; energy: (6,) scratch.
+
+    Args:
+        axes: from `energy.set_axes`. F: (6, 6) of the grasp. reading: (6,), overwritten.
+        energy: (6,) scratch.
+    """
     energy_wrench(axes, reading, energy)
     for a in range(6):
         reading[a] = dot6(F[a], energy)

@@ -17,7 +17,11 @@ __all__ = ["centre_object", "find_object", "rotate"]
 
 @inner
 def rotate(X, wx, wy, wz):
-    """The rotation in X (≥ 3, ≥ 3) rotated further by a vector (rad, world axes)."""
+    """The rotation in X (≥ 3, ≥ 3) rotated further by a vector (rad, world axes).
+
+    Args:
+        X: rotation or pose, overwritten. wx, wy, wz: of the vector (rad).
+    """
     angle = sqrt(wx * wx + wy * wy + wz * wz)
     a, b = 1.0, 0.5
     if angle > 1e-6:
@@ -166,7 +170,11 @@ def _take_off(R, p, B):
 
 @inner
 def centre_object(X, chain, work):
-    """Centre of mass C, principal axes and energy coordinates of the object at X."""
+    """Centre of mass C, principal axes and energy coordinates of the object at X.
+
+    Args:
+        X: (4, 4) pose of the object.
+    """
     for i in range(3):
         work.C[i] = X[i, 3]
         work.O[i] = X[i, 3]
@@ -183,6 +191,9 @@ def find_object(chain, arms, work, arm_work, joints, X):
     """X (4, 4) at which all grasps fit the tips, from where it was: Gauss–Newton in the energy.
 
     Returns False where the grasps do not fix it.
+
+    Args:
+        X: (4, 4) pose of the object, overwritten.
     """
     A, L, x, step, r = work.A, work.B, work.x, work.w, work.y
     for k in range(chain.n_arms):

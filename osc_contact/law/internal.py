@@ -17,7 +17,12 @@ _COINCIDE = 1e-9  #: m; grasps nearer than this have no line between them
 
 @inner
 def internal_rows(chain, arms, table, work, arm_work, joints, E, b, d, link, squeeze):
-    """Rows of the commanded internal forces, and what they are to be; returns their number."""
+    """Rows of the commanded internal forces, and what they are to be; returns their number.
+
+    Args:
+        E: rows for the torques. b: right sides. d: rows before these. link: of the bars.
+        squeeze: (bars,) commands (N).
+    """
     if chain.n_arms == 2:
         line = work.line
         place_point(joints[arms[0].tip_joint], arms[0].tip, 9, work.u)
@@ -108,7 +113,11 @@ def _bar_rows(chain, arms, table, work, arm_work, joints, E, b, d, link, squeeze
 
 @inner
 def internal_forces(chain, work, joints, link, out):
-    """Forces (bars,) between each two of three grasps and more that the joints' torques make."""
+    """Forces (bars,) between each two of three grasps and more that the joints' torques make.
+
+    Args:
+        link: of the bars. out: (bars,) for the forces (N).
+    """
     n, k, bars = chain.n_joints, chain.n_arms, chain.n_bars
     levers = matrix(link, 29 * k + 10 * n, bars, n)
     for c in range(bars):

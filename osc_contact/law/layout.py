@@ -16,14 +16,22 @@ Bytes = NDArray[np.uint8]
 
 
 def records(raw: Bytes, start: int, count: int, dtype: np.dtype[Any]) -> Any:
-    """Records inside bytes, as a view with attributes."""
+    """Records inside bytes, as a view with attributes.
+
+    Args:
+        raw: bytes. start: offset. count: how many. dtype: of `tables`.
+    """
     return raw[start : start + count * dtype.itemsize].view(dtype).view(np.recarray)
 
 
 def new_model(
     arms: int, joints: int, motors: int, contacts: int = 0, shapes: int = 0, columns: int = 0
 ) -> Bytes:
-    """A row of MODEL in which nothing stands but how many there are of everything, and where."""
+    """A row of MODEL in which nothing stands but how many there are of everything, and where.
+
+    Args:
+        arms, joints, motors, contacts, shapes, columns: how many there are of each.
+    """
     k, n, c, r = arms, joints, contacts, columns
     bars = 1 if k == 2 else k * (k - 1) // 2
     extra = max(1, bars) + 6 * k

@@ -85,6 +85,9 @@ def learn_friction(chain, table, bodies, columns, work, goal):
     dμ/dt = k Σw_j s_jᵀβ_j / Σw_j², β_j = C_jT_jᵀR⁻¹(f − N_μα): where contacts slide, to one that
     explains them best; where they rest, s_j = 0, nothing is learnt. The factor of R and the
     residual are those that `weigh_magnitudes` left.
+
+    Args:
+        goal: (r_all,) desired forces (N).
     """
     if chain.learning == 0.0:
         return

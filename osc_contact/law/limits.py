@@ -166,7 +166,8 @@ def finish(z, lam, d, r, s, given, maps, A, bounds, rows, scratch, answer):
     """Torques from the solver's z (v,) and multipliers (v + k,); whether they are finite.
 
     Args:
-        d, r, s, given, maps, A, bounds, rows: of `prepare`. scratch: see `refine`.
+        z, lam: of the solver. d, r, s, given, maps, A, bounds, rows: of `prepare`.
+        scratch: see `refine`.
         answer: tau, at_limit and what is lost, filled, see `TorqueLimits`.
     """
     wanted, tau_max, _, _, _, _, _, _, _, _, _, _, idle = given

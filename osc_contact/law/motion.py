@@ -39,7 +39,11 @@ def _rotation_vector(r00, r01, r02, r10, r11, r12, r20, r21, r22, out, first):
 
 @inner
 def pose_error(X_WD, X_WO, out):
-    """[p_D − p_O; log₃(R_D R_Oᵀ)] of two (4, 4) poses."""
+    """[p_D − p_O; log₃(R_D R_Oᵀ)] of two (4, 4) poses.
+
+    Args:
+        X_WD, X_WO: (4, 4) desired and actual pose. out: (6,) for the error (m, rad).
+    """
     for i in range(3):
         out[i] = X_WD[i, 3] - X_WO[i, 3]
     D, B = X_WD, X_WO
@@ -60,7 +64,13 @@ def pose_error(X_WD, X_WO, out):
 
 @inner
 def command_motion(error, integral, V_D, A_D, V_O, stiffness, damping, gain, a_u):
-    """a_u (6,) at O: p̈_d + K_d ė + K_p e + K_i ∫e, less ω × v."""
+    """a_u (6,) at O: p̈_d + K_d ė + K_p e + K_i ∫e, less ω × v.
+
+    Args:
+        error, integral: (6,) e and ∫e. V_D, V_O: (6,) desired and actual twist.
+        A_D: (6,) desired classical acceleration. stiffness, damping, gain: K_p, K_d, K_i.
+        a_u: (6,) for the command, spatial.
+    """
     for i in range(6):
         a_u[i] = A_D[i] + damping * (V_D[i] - V_O[i]) + stiffness * error[i] + gain * integral[i]
     x, y, z = cross(V_O[3], V_O[4], V_O[5], V_O[0], V_O[1], V_O[2])

@@ -34,7 +34,12 @@ _LATE = 0.01  #: s by which speeds may be late
 
 @inner
 def check_readings(chain, arms, table, memory, kept, q, v, wrenches, X_WD):
-    """Whether readings and reference are credible; a reason."""
+    """Whether readings and reference are credible; a reason.
+
+    Args:
+        kept: readings of the last tick. q, v: (n,) positions and speeds.
+        wrenches: (arms, 6) readings (N, N m). X_WD: (4, 4) desired pose.
+    """
     if not _is_rotation(X_WD):
         return NO_ROTATION
     if memory.wrench_missing != 0:
@@ -57,7 +62,11 @@ def check_readings(chain, arms, table, memory, kept, q, v, wrenches, X_WD):
 
 @leaf
 def jumped(chain, row, memory, before, now):
-    """Whether a joint has moved faster than it can since it was read last."""
+    """Whether a joint has moved faster than it can since it was read last.
+
+    Args:
+        row: JOINT row. before, now: its position at the last tick and at this one (m, rad).
+    """
     room = chain.plausible_speed * row.speed_max * chain.period
     return abs(now - before) > _NOISE + room * (1 + memory.faults)
 
@@ -90,6 +99,10 @@ def check_sensors(chain, arms, table, work, memory, joints, kept, last_wrenches,
         d ← d + (q̇ − Δq/Δt − d/T) Δt,
 
     where |d| is more than `position_drift` and what a small error of scale and delay of q̇ explain.
+
+    Args:
+        kept, last_wrenches: readings of the last tick. q, v: (n,) positions and speeds.
+        wrenches: (arms, 6) readings (N, N m).
     """
     n, reason, dt = chain.n_joints, NO_REASON, chain.period
     known = memory.compared != 0 and memory.faults == 0  # readings of the last tick are there

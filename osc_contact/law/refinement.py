@@ -13,6 +13,11 @@ _ROOM = 1e-7  # around the bounds, for a point worked out from its active limits
 
 @inner
 def dot(a, b, n):
+    """Σ aᵢbᵢ.
+
+    Args:
+        a, b: rows. n: how many elements of them count.
+    """
     s = 0.0
     for i in range(n):
         s += a[i] * b[i]
@@ -21,6 +26,11 @@ def dot(a, b, n):
 
 @inner
 def add(s, a, n, out):
+    """out ← out + s a.
+
+    Args:
+        s: factor. a: row. n: how many elements of it count. out: row, overwritten.
+    """
     for i in range(n):
         out[i] += s * a[i]
 
@@ -35,6 +45,10 @@ def refine(lam, w, A, bounds, rows, scratch):
     """Work out z once more from `rows`, the limits that have multipliers as equations: `point`.
 
     That has the root of H's condition. Returns False where another limit is broken.
+
+    Args:
+        lam: multipliers of all limits. w: columns of `rows`. A: (k, v) constraint rows.
+        bounds: (2, …) lower and upper. rows: (v, w) root of the program's H. scratch: arrays.
     """
     point, y, diagonal, beta, bend, mix, t, T, normals, reduced, free = scratch
     (k, v), f, kept = A.shape, 0, 0

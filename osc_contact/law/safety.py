@@ -53,6 +53,7 @@ def guard(
         last_wrenches: (7 arms,) of MEMORY: wrenches last read, and for how long (s).
         step: (motors,) scratch. q, v: (n,) and wrenches: (arms, 6) as they came in.
         last: (motors,) torques of the last tick, tau[first:] of this.
+        reason: of the tick so far.
     """
     memory.wrench_age = memory.wrench_age + 1 if memory.wrench_missing != 0 else 0
     if reason == NO_REASON:

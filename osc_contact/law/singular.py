@@ -32,6 +32,9 @@ def may_be_singular(chain, arm, own):
     """Whether some χ may be below FULL: a bound that never misses one.
 
     ΣΣ Λ_ij²/(Λ_ii Λ_jj)_ref ≥ 1/χ⁴, in energy coordinates.
+
+    Args:
+        arm: ARM row. own: its ARM_WORK.
     """
     if own.n_kept < arm.full_rank:
         return True
@@ -49,6 +52,9 @@ def find_lost(chain, arm, own, joints, work):
     """Every direction of an arm whose χ is below FULL: its χ, share, wrench and joint motion.
 
     Fills n_lost, chi, share, gone, lost (6, 6) wrenches Lu, mode (6, n) joint motions K⁻ᵀv.
+
+    Args:
+        arm: ARM row. own: its ARM_WORK.
     """
     lo, n, m = arm.first, arm.end - arm.first, arm.m
     X, Z, K, root = work.X, work.Z, work.K, work.u
@@ -155,7 +161,11 @@ def _share_left(chi):
 
 @inner
 def retreat(chain, joint, q, v):
-    """q̈ = −k_r q̇ + k_p (q₀ − q) of a joint whose motion a singular posture takes from the task."""
+    """q̈ = −k_r q̇ + k_p (q₀ − q) of a joint whose motion a singular posture takes from the task.
+
+    Args:
+        joint: JOINT row. q, v: its position (m, rad) and speed.
+    """
     return chain.posture_stiffness * (joint.posture - q) - chain.retreat_damping * v
 
 
@@ -170,6 +180,7 @@ def reduce_motion(chain, arms, table, work, arm_work, joints, r, q, v):
         min ΔᵀΔ + Σ (1 − φ)/φ (uᵀΔ − t)²/|u|²,   NΔ = 0,   t = χ vᵀKᵀq̈_posture − uᵀ(a − γ)
 
     Args:
+        r: columns of N. q, v: (n,) positions and speeds.
         work: x (6,), the object's acceleration, turned; its elements beyond the locked ones change.
     """
     m, x, H, L, step = work.locked, work.x, work.A, work.B, work.y

@@ -36,7 +36,11 @@ def fill(x, t):
 
 @leaf
 def add(t, s, x):
-    """t + s x, as a tuple."""
+    """t + s x, as a tuple.
+
+    Args:
+        t: six numbers. s: factor. x: six numbers.
+    """
     return (
         t[0] + s * x[0], t[1] + s * x[1], t[2] + s * x[2],
         t[3] + s * x[3], t[4] + s * x[4], t[5] + s * x[5],
@@ -61,6 +65,10 @@ def qr6(X, rows, R, diagonal, beta):
 
     The reflectors are left in the rows of X, the part of R beyond its diagonal in R[k, j], k < j.
     Returns False where a column depends on those before it to the last digit.
+
+    Args:
+        X: columns of the matrix, as rows of six. rows: how many. R: for the factor.
+        diagonal, beta: (rows,) of R, and of the reflectors.
     """
     for k in range(rows):
         for i in range(k):
@@ -84,7 +92,11 @@ def qr6(X, rows, R, diagonal, beta):
 
 @inner
 def form_q6(V, rows, beta, Q):
-    """The columns of H_1 … H_rows, as rows Q[:6, :6]."""
+    """The columns of H_1 … H_rows, as rows Q[:6, :6].
+
+    Args:
+        V, beta: reflectors and their factors, of `qr6`. rows: how many. Q: for the columns.
+    """
     for c in range(6):
         for i in range(6):
             Q[c, i] = 0.0
@@ -94,7 +106,11 @@ def form_q6(V, rows, beta, Q):
 
 @leaf
 def reflect(V, beta, m, x):
-    """x ← H_m … H_1 x (6,) with the reflectors in the rows of V."""
+    """x ← H_m … H_1 x (6,) with the reflectors in the rows of V.
+
+    Args:
+        V: reflectors. beta: (m,) their factors. m: how many. x: six numbers.
+    """
     if m > 0:
         y = six(x)
         for k in range(m):
@@ -104,7 +120,11 @@ def reflect(V, beta, m, x):
 
 @leaf
 def reflect_back(V, beta, m, x):
-    """x ← H_1 … H_m x, the inverse of `reflect`."""
+    """x ← H_1 … H_m x, the inverse of `reflect`.
+
+    Args:
+        V, beta, m, x: as of `reflect`.
+    """
     if m > 0:
         y = six(x)
         for k in range(m - 1, -1, -1):
@@ -117,6 +137,9 @@ def reflect_sides(V, beta, m, A):
     """Symmetric A (6, 6) ← H A Hᵀ with H = H_m … H_1; both triangles are kept.
 
     (1 − β v vᵀ) A (1 − β v vᵀ) = A − v wᵀ − w vᵀ,  w = p − ½β(vᵀp) v,  p = β A v.
+
+    Args:
+        V, beta, m: as of `reflect`. A: (6, 6), overwritten.
     """
     for k in range(m):
         v, b = six(V[k]), beta[k]

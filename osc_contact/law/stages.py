@@ -57,7 +57,12 @@ OWN_FORCE, OWN_MOTION = 4, 8
 
 @leaf
 def is_finite(chain, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, touched, engaged, moving):
-    """Whether what came in is finite; sums side by side do not wait for one another."""
+    """Whether what came in is finite; sums side by side do not wait for one another.
+
+    Args:
+        q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, touched: as of `tick`.
+        engaged: whether contacts are in force. moving: whether bodies were measured.
+    """
     a = b = c = d = e = 0.0
     for i in range(chain.n_joints):
         a += q[i] * 0.0
@@ -83,7 +88,11 @@ def is_finite(chain, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, touched, 
 @leaf
 def take_in(chain, work, arm_work, joints, columns, body_work, q, v, wrenches, X_WD, V_D, A_D,
              alpha_d, touched, engaged, moving):  # fmt: skip
-    """What came in, for whoever looks at the signals of the tick afterwards."""
+    """What came in, for whoever looks at the signals of the tick afterwards.
+
+    Args:
+        q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, engaged, moving: as of `is_finite`.
+    """
     for i in range(4):
         for j in range(4):
             work.X_WD[i, j] = X_WD[i, j]
@@ -103,7 +112,11 @@ def take_in(chain, work, arm_work, joints, columns, body_work, q, v, wrenches, X
 
 @inner
 def advance_contacts(chain, bodies, table, memory, contacts, column_memory, flat, alpha_d):
-    """Open, approach and close contacts; the goals of their forces go to flat[:n]."""
+    """Open, approach and close contacts; the goals of their forces go to flat[:n].
+
+    Args:
+        flat: (r_all,) for the goals (N). alpha_d: (r_all,) desired forces (N).
+    """
     n = chain.n_columns
     goal, kept, scratch = flat[:n], flat[n : 2 * n], flat[2 * n : 3 * n]
     if memory.fresh != 0:
@@ -119,7 +132,11 @@ def advance_contacts(chain, bodies, table, memory, contacts, column_memory, flat
 @inner
 def measure(chain, arms, pairs, shapes, table, bodies, contacts, work, arm_work, joints,
              columns, body_work, memory, wrenches, touched, moving, goal):  # fmt: skip
-    """N, n_γ, the bodies along N, the force filter; returns a reason."""
+    """N, n_γ, the bodies along N, the force filter; returns a reason.
+
+    Args:
+        wrenches, touched, moving: as of `is_finite`. goal: (r_all,) of the contact forces (N).
+    """
     work.mu = max(chain.mu + memory.more_friction, 0.0)
     work.more_friction = memory.more_friction
     if work.count > 0:
@@ -166,6 +183,9 @@ def set_wishes(
     """α_d (r,) of the independent columns from the goals of all; `flags`: OWN_FORCE or not.
 
     Steps are smoothed and swinging contacts braked, but for a force law of the user's own.
+
+    Args:
+        flat: (r_all,) goals (N). flags: OWN_FORCE or 0.
     """
     n, own = chain.n_columns, flags & OWN_FORCE != 0
     alpha, speed = flat[n : 2 * n], flat[2 * n : 3 * n]
@@ -194,7 +214,11 @@ def set_wishes(
 
 @inner
 def compare_poses(chain, work, X_WD):
-    """Pose error, and the part of it that the contacts permit; a reason."""
+    """Pose error, and the part of it that the contacts permit; a reason.
+
+    Args:
+        X_WD: (4, 4) desired pose.
+    """
     set_metric(chain, work)
     pose_error(X_WD, work.X_WO, work.error)
     permit_error(chain, work, work.error, work.free_error, True)
@@ -241,7 +265,12 @@ def hand_over(chain, work, memory):
 
 @inner
 def command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, flags):
-    """Force law, motion law, filter and control structure; returns a reason."""
+    """Force law, motion law, filter and control structure; returns a reason.
+
+    Args:
+        q, v: (n,) positions and speeds. V_D, A_D: (6,) desired twist and classical acceleration.
+        flags: which laws are the user's own.
+    """
     r, dt = work.rank, chain.period
     if memory.wrench_missing != 0:
         for a in range(r):

@@ -2,7 +2,19 @@
 
 Each is one run of bytes: a head, then the rows of arms, joints and so on, at the offsets that the
 `CHAIN` head names. A controller has one row of MODEL and one of MEMORY; a batch has many. WORK
-belongs to whoever computes. Field names that `numpy.recarray` knows as methods are not allowed.
+belongs to the thread that computes. Field names that `numpy.recarray` knows as methods are not
+allowed.
+
+The law's functions call these records by the same names everywhere:
+
+| argument | record |
+|---|---|
+| `chain`, `arms`, `pairs`, `shapes` | CHAIN; ARM, PAIR, SHAPE rows |
+| `owners`, `bodies` | COLUMN, BODY rows |
+| `table` | JOINT rows; where columns are chosen, COLUMN rows |
+| `memory`, `contacts`, `column_memory` | MEMORY; CONTACT_MEMORY, COLUMN_MEMORY rows |
+| `work`, `arm_work`, `joints` | WORK; ARM_WORK, JOINT_WORK rows |
+| `columns`, `body_work` | COLUMN_WORK, BODY_WORK rows |
 """
 
 from __future__ import annotations

@@ -17,7 +17,12 @@ __all__ = ["finish", "remember"]
 @inner
 def finish(chain, table, work, memory, joints, columns, column_memory, owners, contacts, flat,
             last, tau, first):  # fmt: skip
-    """The verdict, the torques and the memory of a tick that could be computed; a reason."""
+    """The verdict, the torques and the memory of a tick that could be computed; a reason.
+
+    Args:
+        flat: (r_all,) goals (N). last: wrenches of the last tick.
+        tau: torques of all rows (N m). first: element where those of this row begin.
+    """
     excess, finite = limit_torques(chain, table, joints, tau, first)
     s = 0.0
     for i in range(6):
@@ -45,7 +50,11 @@ def finish(chain, table, work, memory, joints, columns, column_memory, owners, c
 
 @inner
 def remember(chain, work, memory, columns, column_memory, table, contacts, flat):
-    """The integrals move on; phases keep what was measured."""
+    """The integrals move on; phases keep what was measured.
+
+    Args:
+        flat: (r_all,) goals (N).
+    """
     r = work.rank
     memory.ticked, memory.fresh, memory.located = memory.ticked + 1, 1, 1
     memory.more_friction = work.more_friction

@@ -35,6 +35,9 @@ def watch_joints(chain, table, memory, q, v):
 
     A joint can stop within |q̇|(t_r + |q̇|/(2a)), t_r the time until the brakes are on. One that is
     beyond its end already is left alone: no braking helps there.
+
+    Args:
+        q, v: (n,) positions and speeds.
     """
     fast, near = -1, -1
     for j in range(chain.n_joints):
@@ -94,5 +97,9 @@ def watch_contacts(chain, work, memory, columns, column_memory):
 
 @leaf
 def collect(seconds, dt, amiss):
-    """Seconds of evidence after one tick more."""
+    """Seconds of evidence after one tick more.
+
+    Args:
+        seconds: so far. dt: period (s). amiss: whether this tick speaks against it.
+    """
     return seconds + dt if amiss else max(seconds - dt, 0.0)
