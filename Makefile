@@ -43,7 +43,8 @@ coverage: venv browser
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -k "not checked_bounds" --cov --cov-report= $(PLAIN)
 	$(BIN)/python -m pytest -n auto --dist loadfile --cov --cov-append --cov-report=term
 
-# Small faults put into the law, one at a time: how many do the tests notice? An hour for 300.
+# Small faults put into the law, one at a time: how many do the tests notice? For a machine that
+# has nothing else to do; options: make mutants MUTANTS="--count 500 --seed 2 --only law/force"
 mutants: venv
 	@$(BIN)/python -c "import cosmic_ray" 2> /dev/null || \
 		$(BIN)/pip install -q -c constraints.txt -e '.[mutation]'
