@@ -54,9 +54,10 @@ docs: venv
 	$(BIN)/sphinx-build -W --keep-going -q -c docs -d out/doctrees . out/site
 	@echo "out/site/index.html"
 
-# Runs every packaged scenario and films it: some minutes. Without arguments it writes docs/gallery.md.
+# Runs every packaged scenario and films it: some minutes. With NAMES="ur5_wipe fig2" only these, and
+# the cards are printed; without it docs/gallery.md is written.
 gallery: venv browser
-	$(BIN)/python docs/_ext/gallery.py
+	$(BIN)/python docs/_ext/gallery.py $(NAMES)
 
 # Wheel and sdist, each tried in an empty environment outside of this folder: some minutes.
 # More than one Python: make dist PYTHONS="python3.11 python3.12". Other versions of what it needs

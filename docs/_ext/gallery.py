@@ -1,6 +1,7 @@
-"""`make gallery`: a card for every packaged scenario, and the README's moving picture.
+"""`make gallery`: a card for every packaged scenario and study, and the README's moving picture.
 
-Runs each scenario, films it, and writes docs/gallery.md with the verdicts of these runs.
+Runs each scenario and films it, makes each study's figure, and writes docs/gallery.md with the
+verdicts of these runs. `make gallery NAMES="ur5_wipe fig2"` makes the cards of these alone.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import osc_contact as osc
+from osc_contact.paper.statements import PAPER, judge
+from osc_contact.paper.studies import STUDIES, Ask, Study
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.viewing import write_scene_of
 from osc_contact.visual.movie import write_gif
@@ -20,7 +23,8 @@ PICTURES = DOCS / "images" / "gallery"
 README_MOST, CARD_MOST = 3_000_000, 1_500_000  # bytes
 HEAD = """# Gallery
 
-Every packaged scenario: what it shows, its command, and the verdict of the run that is shown.
+Every packaged scenario and study: what it shows, its command, and the verdict of the run that is
+shown.
 Arrows are contact forces (10 mm per newton; wide and pale: commanded, black: measured), long lines
 are lines of force, thin curves are trails. `make gallery` makes this page and its pictures anew;
 `osc-contact view SCENARIO --gif FILE` makes one of your own.
@@ -38,6 +42,16 @@ SHOTS = {
     "approach_and_slide": Shot(camera="contacts"),
     "collisions": Shot(4.0, "contacts"),
     "workcell": Shot(10.0),
+}
+
+
+#: Studies that are no scenario of their own: what they show.
+STUDIED = {
+    "fig2": "A Panda turns and slides a cone in a groove by four contacts (fig. 2); no constraint "
+    "frame describes them.",
+    "fig3": "The workcell and its task, rendered from a run (fig. 3).",
+    "kinematic_stability": "Postures that classic hybrid control leaves by itself, and "
+    "this law keeps.",
 }
 
 
@@ -81,6 +95,34 @@ def film(name: str) -> str:
     )
 
 
+def draw(name: str) -> str:
+    """Make a study, write its figure; returns its card."""
+    print(name, flush=True)
+    study, picture = STUDIES[name](Ask()), PICTURES / f"{name}.png"
+    study.figures[name].savefig(picture, dpi=75)
+    require_small(picture, CARD_MOST)
+    return (
+        f"## {name}\n\n![{name.replace('_', ' ')}](images/gallery/{name}.png)\n\n"
+        f"{STUDIED[name]}\n\n    osc-contact reproduce {name}\n\n{study_words(name, study)}\n"
+    )
+
+
+def study_words(name: str, study: Study) -> str:
+    """The verdict of a study: what it answers to the paper, or its own numbers."""
+    if study.answers:
+        (figure,) = (figure for figure in PAPER if figure.name == name)
+        return f"**{judge(figure, True, study.answers).upper()}**; " + " ".join(
+            answer.found for answer in study.answers.values()
+        )
+    arms = "; ".join(
+        f"{arm['arm']}: classic leaves {arm['classic_unstable']} of {arm['postures']} postures, "
+        f"ours {arm['ours_unstable']}"
+        for arm in study.data["arms"]
+    )
+    stable = not any(arm["ours_unstable"] for arm in study.data["arms"])
+    return f"**{'OK' if stable else 'UNSTABLE'}**; {arms}"
+
+
 def require_small(picture: Path, most: int) -> None:
     """Refuse a picture that is too large for a page."""
     size = picture.stat().st_size
@@ -92,8 +134,8 @@ def main() -> None:
     """Make all cards, or those named."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     Path("out/gallery").mkdir(parents=True, exist_ok=True)
-    names = sys.argv[1:] or list(osc.list_scenarios())
-    cards = [film(name) for name in names]
+    names = sys.argv[1:] or [*osc.list_scenarios(), *STUDIED]
+    cards = [draw(name) if name in STUDIED else film(name) for name in names]
     if not sys.argv[1:]:
         text = "\n".join([HEAD, *cards])
         (DOCS / "gallery.md").write_text(text, encoding="utf-8")
