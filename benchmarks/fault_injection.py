@@ -26,7 +26,7 @@ import osc_contact as osc
 from osc_contact.control.safety import SafetyState
 from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Reference, Stamps
-from osc_contact.runs.run import start
+from osc_contact.runs.run import Taring, start
 
 __all__ = ["FAULTS", "PHASES", "Fault", "Trial", "Verdict", "try_fault"]
 
@@ -270,7 +270,7 @@ FAULTS: dict[str, Fault] = {
 #: s at which the fault begins, and what of the scenario is changed
 PHASES: dict[str, tuple[float, dict[str, Any]]] = {
     "start": (0.005, {}),  # a first tick has nothing to be compared with
-    "approach": (0.05, {"scenario": "approach_and_slide"}),
+    "approach": (0.6, {"scenario": "approach_and_slide"}),  # from 0.4 s on
     "contact": (0.8, {}),
     "saturated": (2.05, {"scenario": "limited_rod"}),
     "near singular": (1.5, {"outward": 0.2205}),  # m; their reach ends at 0.2185 m
@@ -305,6 +305,7 @@ def try_fault(name: str, phase: str, seed: int = 0, scenario: str = "two_contact
     rig = osc.build_rig(_scenario(scenario, how.get("outward")))
     plant, controller = start(rig, seed)
     robot = rig.robot(plant, controller)
+    tick = controller.tick if rig.scenario.tare is None else Taring(rig, controller).tick
     chain, dt = rig.model, controller.dt
     act = np.array(chain.actuated)
     limit, rate = chain.tau_max, controller.settings.safety.torque_rate
@@ -329,7 +330,7 @@ def try_fault(name: str, phase: str, seed: int = 0, scenario: str = "two_contact
             trial.k = k - first
             if fault.change is not None:
                 measurement, reference = fault.change(trial, measurement, reference)
-        tau = controller.tick(measurement, reference)
+        tau = tick(measurement, reference)
         if not np.isfinite(tau).all() or (np.abs(tau) > limit * (1 + 1e-9)).any():
             wrong.append(f"tick {k}: torques {tau}")
             break

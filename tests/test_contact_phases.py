@@ -20,6 +20,7 @@ from osc_contact.control.friction import Friction
 from osc_contact.control.phases import Phase, PhaseSettings
 from osc_contact.paper.contact_phases import answers, collisions, false_alarms, land
 from osc_contact.paper.contact_phases_pictures import draw_collisions, draw_landing
+from osc_contact.runs.run import start
 
 DT = 1e-3
 OPEN, APPROACHING, CLOSED = Phase
@@ -197,6 +198,47 @@ def test_a_knocked_rod_as_in_numpy_tick_by_tick():
 
 
 # --- on MuJoCo ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["two_contact_rod", "dual_panda_rod", "ur5_wipe", "limited_rod"])
+def test_phases_change_nothing_while_contacts_stay_closed(name):
+    """Filter and least squares, several columns, motors at their limits: bit for bit."""
+    rig = osc.build_rig(osc.load_scenario(name))
+    bare = osc.build_rig(osc.load_scenario(name, ["control.life=off"]))
+    plant, controller = start(rig)
+    other = start(bare)[1]
+    assert controller.life is not None and other.life is None
+    plan = rig.references.over(np.arange(2300) * DT)
+    for k in range(2300 if name == "limited_rod" else 700):
+        measurement = plant.measure()
+        tau, want = (c.tick(measurement, plan[k]) for c in (controller, other))
+        np.testing.assert_array_equal(tau, want)
+        plant.command(tau, DT)
+    assert (controller.phases() == CLOSED).all()
+
+
+@pytest.mark.parametrize("reading", ["filter", "least_squares"])
+def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(reading):
+    """Beside Λ_out of the readable chain: the object accelerates by x along its lines of force."""
+    chain, rng = panda_pair(), np.random.default_rng(57)
+    q, _ = random_state(chain, rng)
+    v = np.zeros(chain.nq)
+    pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
+    controller = osc.Controller(chain, pairs, reading=reading, life=PhaseSettings())
+    measurement, reference = inputs(chain, q, v, rng, 2)
+    state, x = chain.state(q, v), rng.normal(size=2)
+    controller.tick(measurement, reference)
+    before, N = controller.result().alpha_meas.copy(), controller.signals.contact.N
+    D = controller._records.work.mobility[:2, :2].copy()
+    Phi = np.linalg.inv(state.payload.Lambda)
+    seen = state.Lambda_out @ Phi @ N @ np.linalg.solve(N.T @ Phi @ N, x)
+    sensor = state.sensors[0]
+    moment = seen[3:] - np.cross(sensor.translation - state.X_WO.translation, seen[:3])
+    added = np.concatenate((sensor.rotation.T @ seen[:3], sensor.rotation.T @ moment))
+    wrenches = measurement.wrenches + np.array([added, np.zeros(6)])
+    controller.tick(replace(measurement, wrenches=wrenches), reference)
+    found = controller.result().alpha_meas - before
+    np.testing.assert_allclose(D @ found, x, rtol=1e-7, atol=1e-9)
 
 
 @pytest.fixture(scope="module")

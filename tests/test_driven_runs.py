@@ -58,6 +58,16 @@ def test_recording_is_that_of_the_same_run(name, monkeypatch) -> None:
     assert 1 <= len(by_hand) < 0.5 * ticks  # the others were compiled
 
 
+def test_contacts_that_open_and_close_do_so_in_compiled_runs_too(monkeypatch) -> None:
+    by_hand = spy(monkeypatch)
+    gone = "force.left_end=[{type: step, value: 10 N, start: 0.2 s}]"
+    scenario = osc.load_scenario("two_contact_rod", [gone, "duration=0.5 s"])
+    one, other = osc.run(scenario), record_run(osc.build_rig(scenario))
+    assert set(np.unique(one["contact_phase"][:, 0])) == {0, 1, 2}
+    compare(one, other)
+    assert 195 <= len(by_hand) < 260  # while it was open
+
+
 def test_runs_are_compiled_here_and_the_same_where_they_cannot_be(monkeypatch) -> None:
     """With the numba and MuJoCo of the constraints they are; with others Python runs every tick."""
     assert compiled_loop() is not None

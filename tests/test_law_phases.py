@@ -29,6 +29,7 @@ from osc_contact.law.phases import (
     CLOSED,
     OPEN,
     advance_phases,
+    expect,
     low_pass,
     monitor,
     remap_force_sums,
@@ -52,13 +53,22 @@ def begin_tick(
     if judge:
         changed = advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept)
         remap_force_sums(chain, memory, columns, contacts, kept, goal)
-    set_goals(chain, bodies, columns, contacts, wanted, goal)
+    set_goals(chain, bodies, columns, contacts, column_memory, wanted, goal)
     return changed
 
 
 @compiled
-def end_tick(column_memory, here, alpha, speed, D, chosen, r, independent, dt, lag, A, b):
-    low_pass(column_memory, len(here), here, alpha, speed, D, chosen, r, independent, dt, lag, A, b)
+def end_tick(chains, column_memory, here, alpha, speed, D, chosen, r, independent, A, b, goal, hot):
+    chain = chains[0]
+    for j in range(len(here)):
+        if here[j]:
+            expect(chain, column_memory[j], goal[j], hot)
+        else:
+            column_memory[j].expected = 0.0
+    low_pass(
+        column_memory, len(here), here, alpha, speed, D, chosen, r, independent, chain.period,
+        chain.lag, A, b,
+    )  # fmt: skip
 
 
 @compiled
@@ -110,9 +120,10 @@ class Phases:
         bodies.pushes, columns.contact = pushing, owners
         self.contacts.phase = np.where(pushing, OPEN, CLOSED) if phase is None else phase
         self.contacts.active = self.contacts.phase != OPEN
-        self.contacts.since = k.rise
+        self.contacts.since = np.inf
         self.columns.closed = (self.contacts.phase == CLOSED)[owners]
         self.kept, self.A, self.b = np.zeros(self.n), np.zeros((9, 9)), np.zeros((1, 9))
+        self.goal = np.zeros(self.n)
 
     @property
     def here(self):
@@ -121,17 +132,18 @@ class Phases:
 
     def begin(self, wanted, judge=True):
         """Start a tick; returns whether N has changed, and the goals."""
-        wanted, goal = np.array(wanted, dtype=float), np.full(self.n, np.nan)
-        changed = begin_tick(*self.tables, wanted, judge, self.kept, goal)
-        return changed, goal
+        wanted, self.goal = np.array(wanted, dtype=float), np.full(self.n, np.nan)
+        changed = begin_tick(*self.tables, wanted, judge, self.kept, self.goal)
+        return changed, self.goal.copy()
 
-    def end(self, alpha, speed, D=None, independent=False, chosen=None):
+    def end(self, alpha, speed, D=None, independent=False, chosen=None, limited=False):
         """End a tick with what was measured; D (r, r) is of the columns chosen, or all in N."""
         chosen = np.flatnonzero(self.here) if chosen is None else chosen
         D = np.eye(len(chosen)) if D is None else D
         end_tick(
-            self.columns, self.here, np.asarray(alpha, float), np.asarray(speed, float),
-            D, chosen, len(chosen), independent, self.chain.period, self.chain.lag, self.A, self.b,
+            self.tables[0], self.columns, self.here, np.asarray(alpha, float),
+            np.asarray(speed, float), D, chosen, len(chosen), independent, self.A, self.b,
+            self.goal, limited,
         )  # fmt: skip
 
     @property
@@ -200,7 +212,9 @@ def test_whatever_happens_the_phases_keep_their_rules(story):
                     assert row.since == 0.0
                 if PUSHING[c] and now == APPROACHING:
                     assert row.gain == 0.0 and row.damping == k.damping and row.least == -np.inf
-                    assert (goal[mine] <= push + 1e-12).all()
+                    gap = phases.columns.gap[mine]
+                    assert (goal[mine] <= push + 5.0 * k.damping * gap + 1e-12).all()
+                    assert (goal[mine] <= 0.1 * k.damping + 1e-12).all()
                 if PUSHING[c] and now == CLOSED:
                     assert row.gain == 30.0 and row.damping == 100.0 and row.least == k.least
                     low = np.minimum(wanted, push)[mine] - 1e-12
@@ -283,10 +297,12 @@ def test_force_integrals_follow_their_columns():
 
 
 @pytest.mark.parametrize("rank", [0, 1, 3])
-def test_force_integrals_that_are_not_one_for_each_column_are_reset(rank):
+def test_force_integrals_that_are_not_one_for_each_column_go_on_until_a_phase_changes(rank):
     phases = Phases([0, 1], [True] * 2, phase=[CLOSED, CLOSED])
     phases.memory.force_rank, phases.memory.force_sum[:] = rank, 7.0
     phases.begin([5.0, 5.0])
+    assert phases.sums.tolist() == [7.0] * rank
+    phases.begin([5.0, 0.0])
     assert len(phases.sums) == 0
 
 
@@ -339,7 +355,7 @@ class Machine:
         self.terms = ContactTerms(np.zeros((len(pushing), 4)), GAINS)
         self.terms.rows[:, 0] = self.life.state.active
         self.force_law = ForceLaw(GAINS, dt)
-        self.motion_law = SimpleNamespace(integral=np.zeros(6))
+        self.motion_law, self.reading = SimpleNamespace(integral=np.zeros(6)), "filter"
         self.engaged, self.ticked, self.status = True, False, Status.OK
         self.measured = self.signals = None
 
@@ -409,8 +425,9 @@ def tell(seed, ticks=400, machine=True):
             agree(phases, old, goal, want)
             assert changed == (old.life.state.active != (was_here != 0)).any()
         images.append(phases.image())
-        held, ticked = rng.random() < 0.03, True
-        old.status, old.ticked = (Status.HELD if held else Status.OK), True
+        held, limited, ticked = rng.random() < 0.03, rng.random() < 0.05, True
+        status = Status.SATURATED if limited else Status.OK
+        old.status, old.ticked = (Status.HELD if held else status), True
         here = phases.here
         if held:
             continue
@@ -429,7 +446,7 @@ def tell(seed, ticks=400, machine=True):
             contact = SimpleNamespace(magnitudes=lambda _, found=spread: found, R=R)
             old.signals = SimpleNamespace(contact=contact)
             happened |= {"dependent"}
-        phases.end(alpha, speed, D, independent or count < 2)
+        phases.end(alpha, speed, D, independent or count < 2, limited=limited)
         rank = rng.integers(0, 7) if rng.random() < 0.05 else count
         phases.memory.force_rank = rank
         phases.memory.force_sum[:rank] = rng.normal(size=rank)
@@ -449,6 +466,8 @@ def agree(phases, old, goal, want):
     for name in ("force", "pace"):
         np.testing.assert_allclose(phases.columns[name], getattr(state.heard, name), **close)
     np.testing.assert_array_equal(phases.columns.known, state.heard.known)
+    np.testing.assert_allclose(phases.columns.expected, state.expected, **close)
+    np.testing.assert_allclose(phases.columns.gap, state.gap, **close)
     for k, name in enumerate(("active", "gain", "damping", "least")):
         np.testing.assert_array_equal(phases.contacts[name], old.terms.rows[:, k])
     np.testing.assert_allclose(goal, want, **close)

@@ -340,10 +340,10 @@ class Controller(ControllerCopies):
 
     def _reset_contacts(self) -> None:
         """All contacts closed, their terms those of the force law."""
-        contacts, gains, life = self._records.contacts, self.gains.force, self.life
+        contacts, gains = self._records.contacts, self.gains.force
         contacts.active[:], contacts.phase[:] = 1, Phase.CLOSED
         contacts.gain[:], contacts.damping[:] = gains.integral, gains.damping
         contacts.brake[:] = gains.brake
         contacts.least[:] = -np.inf
-        contacts.since[:] = 0.0 if life is None else life.rise
+        contacts.since[:] = np.inf  # as if for ever
         self._records.column_memory.closed[:] = 1

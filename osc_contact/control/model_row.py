@@ -88,25 +88,24 @@ class ModelRow:
             head.approach_speed, head.approach_damping = phases.speed, phases.damping
             head.travel, head.rise, head.least_force = phases.travel, phases.rise, phases.least
             head.lost_share, head.lag = phases.share, phases.lag
+            head.phase_rate = phases.torque_rate
             for name in ("force_on", "force_off", "power", "patience", "window", "dwell"):
                 setattr(head, name, getattr(limits, name))
             head.leaving = limits.leaving
 
     def set_safety(self, settings: Settings) -> None:
         """Limits of the robot, and what becomes of ticks that cannot be computed."""
-        head, safety, phases = self.head, settings.safety, settings.phases
-        for name in ("repeats", "hold_rate", "reaction", "contact_power", "contact_force",
-                     "contact_loss_time", "overforce_time", "integral_force", "integral_motion",
-                     "plausible_speed", "wrench_timeout", "stuck_speed", "frozen_time",
-                     "speed_error", "position_drift"):  # fmt: skip
+        head, safety = self.head, settings.safety
+        for name in ("repeats", "hold_rate", "torque_rate", "reaction", "contact_power",
+                     "contact_force", "contact_loss_time", "overforce_time", "integral_force",
+                     "integral_motion", "plausible_speed", "wrench_timeout", "stuck_speed",
+                     "frozen_time", "speed_error", "position_drift"):  # fmt: skip
             setattr(head, name, getattr(safety, name))
         head.guarded, head.fault_ticks = 1, safety.stop_after
         head.fast_ticks = round(min(safety.overspeed_time / settings.dt, _NEVER))
         weight = 9.81 * settings.chain.reference.inertia.mass
         head.force_range = max(safety.force_range, 3.0 * weight)
         head.torque_range = max(safety.torque_range, 3.0 * weight)  # on a lever of 1 m
-        rate = safety.torque_rate
-        head.torque_rate = rate if phases is None else min(rate, phases.torque_rate)
         model = settings.chain.model
         rows = self.table("joints", settings.chain.nq, at.JOINT)
         watched = (rows.motor >= 0) & (safety.brake_time > 0.0)

@@ -32,13 +32,11 @@ def choose_reading(
     wanted: Reading | None,
     pairs: Sequence[ContactPair],
     bodies: Sequence[Body | None],
-    phased: bool,
 ) -> Reading:
     """What is wanted, or the better one: least squares where their answer is unique.
 
     Args:
-        wanted: None: choose. pairs: the contacts. bodies: of each. phased: whether contacts are
-            opened and closed one by one, which is judged by the filter.
+        wanted: None: choose. pairs: the contacts. bodies: of each.
 
     Raises:
         InvalidInputError: unknown, or least squares wanted where they are not possible.
@@ -48,19 +46,14 @@ def choose_reading(
             f"reading = '{wanted}'; give 'filter', 'least_squares' or None, which chooses"
         )
     unknown = [pair.name for pair in pairs if not _known(pair)]
-    if wanted == "least_squares" and (phased or unknown):
+    if wanted == "least_squares" and unknown:
         raise InvalidInputError(
-            "reading = 'least_squares' "
-            + (
-                f"needs contacts that know where they touch; {unknown} do not"
-                if unknown
-                else "is not for contacts that open and close (life), which the filter judges"
-            )
-            + ". Give 'filter'"
+            f"reading = 'least_squares' needs contacts that know where they touch; {unknown} do "
+            "not. Give 'filter'"
         )
     if wanted is not None:
         return wanted
-    unique = pairs and not (phased or unknown) and _in_one_plane(pairs, bodies)
+    unique = pairs and not unknown and _in_one_plane(pairs, bodies)
     return "least_squares" if unique else "filter"
 
 

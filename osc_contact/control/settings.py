@@ -104,7 +104,7 @@ class Settings:
         object.__setattr__(self, "posture", as_array("posture", posture, (chain.nq,)))
         if self.friction is not None:
             self.friction.require_known_points(self.contacts)
-        reading = choose_reading(self.reading, self.contacts, bodies, self.phases is not None)
+        reading = choose_reading(self.reading, self.contacts, bodies)
         object.__setattr__(self, "reading", reading)
         if self.gains.force.integral * self.dt >= 1.0:
             raise InvalidInputError(

@@ -21,6 +21,7 @@ __all__ = [
 ]
 
 _WINDUP = 1.5  #: times the command, of the force integral
+_LEAST = 0.1  #: times the command: more than that is never the least command of a contact
 _NOTHING = 1e-9  #: Λ_out beside the object's inertia, below which sensors read f_c itself
 
 
@@ -216,7 +217,7 @@ def integral_room(most, wanted):
 def command_force(
     r, alpha_d, alpha_meas, speed, integral, gain, damping, least, most, dt, after, out
 ):
-    """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ α_min; the new integral: `after`.
+    """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ min(α_min, α_d/10); the integral: `after`.
 
     The integral stays within `most` (N), or `_WINDUP` times the command where that is more.
 
@@ -231,8 +232,9 @@ def command_force(
         s = integral[a] + gain[a] * dt * (alpha_d[a] - alpha_meas[a])
         after[a] = min(max(s, -room), room)
         out[a] = alpha_d[a] + after[a] - damping[a] * speed[a]
-        if out[a] < least[a]:
-            out[a] = least[a]
+        floor = min(least[a], _LEAST * alpha_d[a])  # a force that rises begins with less
+        if out[a] < floor:
+            out[a] = floor
             after[a] = max(after[a], integral[a])
 
 

@@ -62,20 +62,50 @@ def weigh_magnitudes(chain, table, bodies, columns, work, goal):
         return False
     gram, right = work.E, work.K
     for a in range(r):
+        y = work.solved[a]
         for i in range(6):
-            x[i] = H[a, i]
-        cholesky_solve(work.A, 6, x, 0)
-        right[0, a] = dot6(x, f)
+            y[i] = H[a, i]
+        cholesky_solve(work.A, 6, y, 0)
+        right[0, a] = dot6(y, f)
         for b in range(r):
-            gram[a, b] = dot6(x, H[b])
+            gram[a, b] = dot6(y, H[b])
+    work.weightless = 0
+    if chain.phased != 0:
+        _find_mobility(work)
     if not lu_solve(gram, r, right, 1):
         return False
-    work.weightless = 0
     for a in range(r):
         work.alpha_meas[a] = right[0, a]
         for i in range(6):
             f[i] -= right[0, a] * H[a, i]
     return True
+
+
+@inner
+def _find_mobility(work):
+    """`mobility` (r, r): normal acceleration for each newton that it makes these forces read.
+
+    What is in flight accelerates by x = d(NᵀV_rel)/dt beside what contacts permit. That adds
+    Λ_outN⁺x to the reading, N⁺ the motion of least kinetic energy, and (HᵀR⁻¹H)⁻¹HᵀR⁻¹Λ_outN⁺x to
+    α: H and HᵀR⁻¹ are in `solved` and `E`.
+    """
+    r, A, seen = work.rank, work.B, work.z
+    for b in range(r):
+        for i in range(6):
+            seen[i] = 0.0
+        for a in range(r):
+            work.s[a] = 1.0 if a == b else 0.0
+        _add_yield(work, seen)
+        for a in range(r):
+            A[a, b] = dot6(work.solved[a], seen)
+    for a in range(r):  # columns of the Gram matrix, as rows
+        for b in range(r):
+            work.mobility[a, b] = work.E[b, a]
+    if not lu_solve(A, r, work.mobility, r):
+        work.weightless = 1
+    for a in range(r):
+        for b in range(a):
+            work.mobility[a, b], work.mobility[b, a] = work.mobility[b, a], work.mobility[a, b]
 
 
 @inner

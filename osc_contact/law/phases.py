@@ -8,7 +8,8 @@
 An open contact is out of N: its column is free motion. A closed one is in N under the law of
 fig. 5. An approaching one is in N too, but in place of the force law a damper moves it towards its
 face at a set speed, α_u = K_a (v_a − NᵀV_rel): a guarded move, which meets the face with no more
-than K_a v_a. So N does not change at the moment of impact, and every magnitude of a contact to be
+than K_a v_a. One that was lost goes back faster to where it was: what it has moved away is known.
+So N does not change at the moment of impact, and every magnitude of a contact to be
 made is measured by the filter of fig. 5.
 
 A tick ends with `low_pass`; the next begins with `advance_phases`, which judges what that left,
@@ -22,10 +23,15 @@ from math import inf
 from osc_contact.law.algebra import lu_solve
 from osc_contact.law.jit import inner
 
-__all__ = ["advance_phases", "low_pass", "monitor", "remap_force_sums", "set_goals", "slew"]
+__all__ = [
+    "advance_phases", "expect", "low_pass", "monitor", "remap_force_sums", "set_goals", "slew",
+    "torque_rate",
+]  # fmt: skip
 
 #: Out of N; in N and dragged towards the face; in N under force control.
 OPEN, APPROACHING, CLOSED = range(3)
+_CHANGES = 0.1  #: s after a change of phase for which torques go gently
+_RETURN, _FASTEST = 5.0, 0.1  #: 1/s, m/s: the way back to where contact was lost
 
 
 @inner
@@ -62,6 +68,20 @@ def low_pass(column_memory, n, here, alpha, speed, D, chosen, r, independent, dt
     for a in range(r if solved else 0):
         row = column_memory[chosen[a]]
         row.net = row.net - b[0, a]
+
+
+@inner
+def expect(chain, row, asked, limited):
+    """What a contact should read: the force asked of it `rise` ago, or now where that is less.
+
+    Args:
+        row: COLUMN_MEMORY of a column in N. asked: the force command α_s of this tick (N).
+        limited: whether motors were at their limits: then no more than an approach is expected.
+    """
+    late = row.expected + chain.period / (chain.rise + chain.period) * (asked - row.expected)
+    row.expected = min(asked, late)
+    if limited:
+        row.expected = min(row.expected, chain.approach_damping * chain.approach_speed)
 
 
 @inner
@@ -107,7 +127,8 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
     Args:
         chain: CHAIN. bodies: (contacts,) BODY. columns: (n,) COLUMN.
         contacts: (contacts,) CONTACT_MEMORY; phase and since are changed, not yet `active`.
-        column_memory: (n,) COLUMN_MEMORY after `low_pass`; changed as by `monitor`.
+        column_memory: (n,) COLUMN_MEMORY after `low_pass`; changed as by `monitor`, and gap (m):
+            how far it has gone since contact was lost, or is not known to hold again.
         wanted: (n,) desired magnitudes (N); a contact that can only push is left if none is > 0.
         kept: (n,) filled: 1 for columns that were and are under force control, 0 for others.
 
@@ -119,16 +140,17 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
     for c in range(chain.n_contacts):
         contact, pushes = contacts[c], bodies[c].pushes
         before, phase = contact.phase, CLOSED
-        share = chain.lost_share * _risen(chain, contact, pushes)
         desired, some_closed, all_closed = False, False, True
         for j in range(chain.n_columns):
             if columns[j].contact != c:
                 continue
             row = column_memory[j]
+            more = -inf  # too little to be told from nothing
+            if row.expected > chain.force_on:
+                more = chain.lost_share * max(row.expected - push, 0.0)
             monitor(
                 row, row.net, row.speed, dt, chain.force_on, chain.force_off, chain.power,
-                chain.patience, chain.window, chain.dwell, chain.leaving,
-                max(share * (wanted[j] - push), 0.0),
+                chain.patience, chain.window, chain.dwell, chain.leaving, more,
             )  # fmt: skip
             if before == OPEN:
                 row.closed, row.collision = 0, 0
@@ -146,6 +168,9 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
         for j in range(chain.n_columns):
             if columns[j].contact == c:
                 kept[j] = 1 if before == CLOSED and phase == CLOSED else 0
+                row, known = column_memory[j], before != OPEN and phase != OPEN
+                held = phase == CLOSED and contact.since > chain.rise
+                row.gap = max(row.gap - dt * row.speed, 0.0) if known and not held else 0.0
     return changed
 
 
@@ -159,7 +184,13 @@ def remap_force_sums(chain, memory, columns, contacts, kept, scratch):
     Args:
         memory: MEMORY; force_sum, force_rank are changed. kept: (n,) flags. scratch: (n,).
     """
-    sums, before, after = memory.force_sum, 0, 0
+    sums, before, after, same = memory.force_sum, 0, 0, True
+    for j in range(chain.n_columns):
+        contact = contacts[columns[j].contact]
+        here = contact.active != 0
+        same = same and here == (contact.phase != OPEN) and (kept[j] != 0 or not here)
+    if same:  # dependent columns, too: they have fewer integrals
+        return
     for j in range(chain.n_columns):
         contact = contacts[columns[j].contact]
         carried = contact.active != 0 and kept[j] != 0 and before < len(sums)
@@ -175,12 +206,12 @@ def remap_force_sums(chain, memory, columns, contacts, kept, scratch):
 
 
 @inner
-def set_goals(chain, bodies, columns, contacts, wanted, goal):
+def set_goals(chain, bodies, columns, contacts, column_memory, wanted, goal):
     """How each contact takes part in a tick, and the goals of its forces.
 
     Args:
         contacts: (contacts,) CONTACT_MEMORY; active, gain, damping, brake and least (−∞: none) are
-            set.
+            set. column_memory: (n,) COLUMN_MEMORY.
         wanted: (n,) desired magnitudes (N). goal: (n,) filled with α_d (N); may be `wanted`.
     """
     for c in range(chain.n_contacts):
@@ -193,7 +224,10 @@ def set_goals(chain, bodies, columns, contacts, wanted, goal):
         contact.least = chain.least_force if bodies[c].pushes != 0 and not approaching else -inf
     for j in range(chain.n_columns):
         contact, pushes = contacts[columns[j].contact], bodies[columns[j].contact].pushes
-        start = chain.approach_damping * chain.approach_speed if pushes != 0 else wanted[j]
+        pace = chain.approach_speed
+        if contact.phase == APPROACHING:
+            pace = max(pace, min(pace + _RETURN * column_memory[j].gap, _FASTEST))
+        start = chain.approach_damping * pace if pushes != 0 else wanted[j]
         if contact.phase == APPROACHING and contact.since * chain.approach_speed >= chain.travel:
             start = 0.0  # it has found nothing and stands still
         goal[j] = start + _risen(chain, contact, pushes) * (wanted[j] - start)
@@ -205,6 +239,16 @@ def _risen(chain, contact, pushes):
     if pushes == 0 or contact.phase != CLOSED:
         return 0.0
     return min(contact.since / chain.rise, 1.0)
+
+
+@inner
+def torque_rate(chain, contacts):
+    """1/s; no motor torque changes faster than its limit times this, around a change of phase."""
+    rate = chain.torque_rate
+    for c in range(chain.n_contacts if chain.phased != 0 else 0):
+        if contacts[c].since < _CHANGES:
+            rate = min(rate, chain.phase_rate)
+    return rate
 
 
 @inner

@@ -126,7 +126,7 @@ def advance_contacts(chain, bodies, table, memory, contacts, column_memory, flat
         if changed:
             memory.hand_over = 1
         phases.remap_force_sums(chain, memory, table, contacts, kept, scratch)
-    phases.set_goals(chain, bodies, table, contacts, alpha_d, goal)
+    phases.set_goals(chain, bodies, table, contacts, column_memory, alpha_d, goal)
 
 
 @inner
@@ -210,6 +210,9 @@ def set_wishes(
         work.alpha_d[a] = s
         work.gain[a] *= work.heed
         work.brake[a] = 0.0 if own else work.brake[a]
+        contact = contacts[owners[columns[int(work.keep[a])].chosen].contact]
+        if own and contact.phase != phases.APPROACHING:  # a law of the user's own
+            work.damping[a] = 0.0
 
 
 @inner
@@ -272,10 +275,9 @@ def command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, 
         flags: which laws are the user's own.
     """
     r, dt = work.rank, chain.period
-    if memory.wrench_missing != 0:
-        for a in range(r):
-            work.gain[a] = 0.0
     if flags & OWN_FORCE == 0:
+        for a in range(r if memory.wrench_missing != 0 else 0):
+            work.gain[a] = 0.0
         for a in range(r):  # another number of columns: start again
             work.w[a] = memory.force_sum[a] if memory.force_rank == r else 0.0
         command_force(
@@ -285,6 +287,8 @@ def command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, 
     else:
         for a in range(r):
             work.force_next[a] = memory.force_sum[a] if memory.force_rank == r else 0.0
+            if work.damping[a] > 0.0:  # approached
+                work.alpha_u[a] = work.alpha_d[a] - work.damping[a] * work.speed[a]
     if memory.hand_over != 0:
         memory.hand_over = 0
         hand_over(chain, work, memory)

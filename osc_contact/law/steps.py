@@ -19,7 +19,8 @@ mass, and any basis of N; the force that it takes is (NᵀΦN)⁻¹ times as muc
 from __future__ import annotations
 
 from osc_contact.law.jit import inner
-from osc_contact.law.phases import APPROACHING
+from osc_contact.law.phases import APPROACHING, expect
+from osc_contact.law.tables import SATURATED
 
 __all__ = ["brake_contacts", "keep_steps", "shape_steps"]
 
@@ -110,8 +111,9 @@ def keep_steps(chain, memory, column_memory, columns, work, goal, here, speed):
         row = column_memory[j]
         if here[j] == 0.0:
             row.wished, row.wish, row.scale, row.drift = 0, 0.0, 0.0, 0.0
-            row.to_come[0] = row.to_come[1] = row.to_come[2] = 0.0
+            row.to_come[0] = row.to_come[1] = row.to_come[2] = row.expected = 0.0
             continue
+        expect(chain, row, columns[j].goal, work.status == SATURATED)
         row.wished, row.wish, row.scale = columns[j].shaped, goal[j], columns[j].scale
         row.drift += work.heed * chain.drift_share * (speed[j] - row.drift)
         for i in range(3):

@@ -86,7 +86,7 @@ CHAIN = _record(
         "speed_error", "position_drift",  # times a speed limit; rad or m
         # contact phases, see `phases`
         "force_gain", "force_damping", "approach_speed", "approach_damping", "travel", "rise",
-        "least_force", "lost_share", "lag", "force_on", "force_off", "power",
+        "least_force", "phase_rate", "lost_share", "lag", "force_on", "force_off", "power",
         "patience", "window", "dwell", "leaving",
     ),
     gravity=3,
@@ -166,6 +166,7 @@ COLUMN_MEMORY = _record(
         "alpha", "speed", "net",  # of the last tick; net: without the inertia of what flies
         "underforce", "overforce",  # see `watch`: s of too little force, and of too much
         "wish", "scale", "drift",  # desired force, its size, lasting speed, see `steps`
+        "expected", "gap",  # see `phases`: N that a contact should read, m since it was lost
     ),
     to_come=3,  # of a step, see `steps`
 )  # fmt: skip

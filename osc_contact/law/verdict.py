@@ -37,10 +37,10 @@ def finish(chain, table, work, memory, joints, columns, column_memory, owners, c
         work.status = DEGRADED
     if not excess:
         if memory.ticked != 0:
-            step = flat[5 * chain.n_columns :]
+            step, rate = flat[5 * chain.n_columns :], phases.torque_rate(chain, contacts)
             for j in range(chain.n_joints):
                 if table[j].motor >= 0:
-                    step[table[j].motor] = chain.torque_rate * chain.period * table[j].tau_max
+                    step[table[j].motor] = rate * chain.period * table[j].tau_max
             phases.slew(tau[first : first + chain.n_motors], last, step, chain.n_motors)
         for i in range(chain.n_motors):
             last[i] = tau[first + i]

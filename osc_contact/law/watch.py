@@ -63,8 +63,8 @@ def watch_contacts(chain, work, memory, columns, column_memory):
     """Contacts that take too much power, that are lost, or overloaded; a reason.
 
     P = Σ α_k (NᵀV_rel)_k over what moves into its face. A contact is lost, or its sensor lies,
-    where less than a fifth of its command is read, or its force integral stands at its bound;
-    contact phases see to that where they are on. It is overloaded above three times its command, or
+    where less than a fifth of its command is read (contact phases see to that where they are on),
+    or its force integral stands at its bound. It is overloaded above three times its command, or
     above `contact_force`, whichever is more.
     """
     power, reason, dt = 0.0, NO_REASON, chain.period
@@ -75,11 +75,11 @@ def watch_contacts(chain, work, memory, columns, column_memory):
         row = column_memory[columns[int(work.keep[a])].chosen]
         size = abs(wanted)
         missing = size > _LIGHT and (alpha if wanted > 0.0 else -alpha) < _SHARE * size
+        missing = missing and chain.phased == 0
         if memory.force_rank == work.rank:
             room = _FULL * integral_room(chain.integral_force, wanted)
             missing = missing or abs(memory.force_sum[a]) > room
-        missing = missing and chain.phased == 0 and memory.state == RUN
-        row.underforce = collect(row.underforce, dt, missing)
+        row.underforce = collect(row.underforce, dt, missing and memory.state == RUN)
         most = max(_OVERFORCE * size, chain.contact_force)
         row.overforce = collect(row.overforce, dt, abs(alpha) > most)
         if row.underforce > chain.contact_loss_time:

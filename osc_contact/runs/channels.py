@@ -80,13 +80,12 @@ class Monitor:
     def channels(self, rows: Array) -> dict[str, Array]:
         """Of the ticks that follow those it was told of before."""
         if self._of.controller.life is not None:  # the controller had one listening
-            return {f"{word}_seen": rows[name] > 0.0 for word, name in _SEEN}
+            pushing = self._of.pushing  # what can pull stays in contact
+            closed, collision = rows["closed"] > 0.0, rows["collision"] > 0.0
+            return {"contact_seen": closed | ~pushing, "collision_seen": collision & pushing}
         alpha = np.where(self._of.pushing, rows["alpha"], np.abs(rows["alpha"]))
         closed, collision = watch_series(self._monitor, alpha, rows["speed"])
         return {"contact_seen": closed, "collision_seen": collision}
-
-
-_SEEN = (("contact", "closed"), ("collision", "collision"))
 
 
 def work_out(

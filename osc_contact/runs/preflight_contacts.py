@@ -199,7 +199,7 @@ def lifted(rig: Rig) -> Iterator[Finding]:
         pressed = plan.alpha_d[:, forces].max(axis=1, initial=0.0) > 0.0
         gaps = np.array([
             pair.gaps(X) for X, wanted in zip(poses, pressed, strict=True)
-            if wanted or rig.scenario.control.life is None  # which opens it when its force ends
+            if wanted or rig.life is None  # which opens it when its force ends
         ])  # fmt: skip
         worst = float(np.abs(gaps).max(initial=0.0))
         if worst > LIFTED_M:

@@ -162,15 +162,17 @@ class Rig:
             engaged=self.scenario.tare is None,
             friction=self._friction(),
             reading=self.scenario.control.force.reading,
-            life=self._life(),
+            life=self.life,
             safety=SafetySettings(**self.scenario.control.safety.model_dump()),
             laws=self.scenario.laws() if callable(self.scenario.laws) else self.scenario.laws,
             joint_friction=self.scenario.control.joint_friction,
         )
 
-    def _life(self) -> PhaseSettings | None:
+    @property
+    def life(self) -> PhaseSettings | None:
+        """How contacts are made and kept; None: they do not open, or cannot on an exact plant."""
         spec = self.scenario.control.life
-        if spec is None:
+        if spec is None or self.scenario.plant.exact:
             return None
         keys = spec.model_dump()
         limits = {key: keys.pop(key) for key in ("force_on", "force_off", "power")}

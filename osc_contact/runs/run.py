@@ -24,7 +24,7 @@ from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
 
-__all__ = ["Install", "describe_run", "run", "run_rig", "start"]
+__all__ = ["Install", "Taring", "describe_run", "run", "run_rig", "start"]
 
 Progress = Callable[[float], None]
 Install = Callable[[Controller], Controller]
@@ -102,7 +102,7 @@ def run_rig(
         meta=describe_run(rig, seed, doubts),
     )
     robot = rig.robot(plant, controller)
-    taring = controller if scenario.tare is None else _Taring(rig, controller)
+    taring = controller if scenario.tare is None else Taring(rig, controller)
     with asked_to_end() as asked:
         plan = until(asked, rig.references.each(ticks, controller.dt))
         try:
@@ -175,7 +175,7 @@ def _installed(install: Install, controller: Controller) -> Controller:
     return made
 
 
-class _Taring:
+class Taring:
     """A controller that averages its wrist sensors at rest off the contacts, then engages."""
 
     def __init__(self, rig: Rig, controller: Controller) -> None:

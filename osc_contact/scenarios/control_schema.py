@@ -175,9 +175,14 @@ class ControlSpec(Spec):
     force: ForceReadingSpec = ForceReadingSpec()
     friction: FrictionSpec | None = None
     joint_friction: bool = True
-    life: PhasesSpec | None = None
+    life: PhasesSpec | None = PhasesSpec()
     safety: SafetySpec = SafetySpec()
     estimate: EstimateSpec = EstimateSpec()
+
+    @field_validator("life", mode="before")
+    @classmethod
+    def _may_be_off(cls, value: object) -> object:
+        return None if value is False or value == "off" else value
 
 
 class ModelErrorSpec(Spec):

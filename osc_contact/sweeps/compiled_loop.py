@@ -58,7 +58,7 @@ def _build(stamp: int) -> Any:
     """`stamp` tells numba's cache of a law with other arguments."""
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def loop(tables, plan, plant, places, notes, rows, sources, tail, k, last, j):
+    def loop(tables, plan, plant, places, notes, rows, sources, tail, flags_of, k, last, j):
         """Ticks k … last − 1 into rows j …; returns (next tick, next row, why)."""
         if stamp < 0:
             return k, j, FULL
@@ -92,6 +92,9 @@ def _build(stamp: int) -> Any:
             ))  # fmt: skip
             if done != 2 or rank[0] != r:
                 return k, j, ODD
+            for i in range(len(flags_of)):
+                if _word(flags_of[i, 0]) != flags_of[i, 1]:
+                    return k, j, ODD
             row, end = rows[j], 0
             for part in (q, v, tau, alpha_d[k]):
                 row[end : end + part.size] = part

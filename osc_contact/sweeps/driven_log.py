@@ -83,9 +83,26 @@ class DrivenLog(Log):
         parts = [part for part in self._last_result(measurement) if part.size]
         return np.array([(_address(part), part.size) for part in parts], dtype=np.int64)
 
-    def tail(self) -> Array:
-        """The numbers behind those, the same after every tick that ended well."""
-        return self._rows[self._k - 1, self._copied :].copy()
+    def tail(self) -> tuple[Array, Array]:
+        """The numbers behind those, the same after every tick that ended well.
+
+        Returns:
+            The numbers, all that is timed 0; and (m, 2) address and value of the flags of contact
+            phases with which they are the same.
+        """
+        tail = self._rows[self._k - 1, self._copied :].copy()
+        tail[0] = 0.0
+        if self.of.controller.life is None:
+            return tail, np.zeros((0, 2), dtype=np.int64)
+        rows = self.of.controller._records
+        of_contacts = [rows.contacts.active, rows.contacts.phase]
+        of_columns = [rows.column_memory.closed, rows.column_memory.collision]
+        flags = [
+            (int(x.__array_interface__["data"][0]) + i * x.strides[0], x[i])
+            for x in (*of_contacts, *of_columns)
+            for i in range(len(x))
+        ]
+        return tail, np.array(flags, dtype=np.int64).reshape(-1, 2)
 
 
 def _address(x: Array) -> int:

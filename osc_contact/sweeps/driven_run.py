@@ -29,8 +29,8 @@ def record_run(rig: Rig, seed: int = 0, install: Install | None = None) -> Recor
     """Run a rig and record it: every number but the times of ticks is that of `run`.
 
     Ticks run compiled, with the plant's steps, where nothing in them is Python: MuJoCo, ideal
-    sensors, faces at rest, packaged pairs and laws, no contact phases, no tare, no joint torque
-    loop, no motor errors, no pushes. All others run as `run` does.
+    sensors, faces at rest, packaged pairs and laws, no tare, no joint torque loop, no motor errors,
+    no pushes. All others run as `run` does.
 
     Args:
         rig: see `build_rig`. seed: of everything random. install: see `run`.
@@ -70,7 +70,6 @@ def _is_plain(rig: Rig, plant: Plant, controller: Controller) -> bool:
         and compiled_loop() is not None
         and rig.scenario.tare is None
         and rig.scenario.control.joint_torque is None
-        and controller.life is None
         and not controller._outside.needed
         and plant.memory(controller.dt) is not None
     )
@@ -96,20 +95,19 @@ def _drive(plant: MujocoPlant, controller: Controller, log: DrivenLog, plan: Pla
     tau = np.zeros(len(memory[3]))
     tables = raw, own_memory, work, codes, rank, squeeze, controller._still, flags, r, tau
     at = np.array(astuple(places), dtype=np.int64)
-    sources = tail = None
+    sources, tail = None, (np.zeros(0), np.zeros((0, 2), dtype=np.int64))
     k, ticks = 0, len(plan)
     while k < ticks:
-        if sources is None or tail is None:
+        if sources is None:
             _one(plant, controller, log, plan[k])
             k += 1
             if int(controller.status) == 0 and controller.result().rank == r:
                 sources, tail = log.sources(plant.measure()), log.tail()
-                tail[0] = 0.0
             continue
         log.make_room()
         begun = k
         k, row, why = loop(
-            tables, wishes, memory, at, log.truth.tables(), log.table, sources, tail, k, ticks,
+            tables, wishes, memory, at, log.truth.tables(), log.table, sources, *tail, k, ticks,
             log.filled,
         )  # fmt: skip
         log.filled_to(row)
@@ -125,6 +123,8 @@ def _drive(plant: MujocoPlant, controller: Controller, log: DrivenLog, plan: Pla
             log.note(measurement, asked, sent, 0.0)
             plant.command(sent, dt)
             k += 1
+            if codes[0] == 0 and rank[0] == r:  # contact phases have changed
+                tail = log.tail()
 
 
 def _one(plant: Plant, controller: Controller, log: DrivenLog, reference: Reference) -> None:

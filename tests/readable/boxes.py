@@ -108,10 +108,12 @@ class Boxes:
                 s.f_meas, s.state, s.contact, s.environment, s.friction_wrenches
             )
             return
-        alpha, rate = explained(
+        wanted, active = s.alpha_d, self.terms.active
+        if self.life is not None:
+            wanted = wanted[active[self.life.columns.owners]]
+        alpha, rate, self.inertia = explained(
             s.f_meas, s.state, s.contact, s.environment, s.friction_wrenches, s.reference.A_D,
-            s.alpha_d,
-            self._where,
+            wanted, self._where,
         )  # fmt: skip
         s.f_c_meas = s.contact.N @ alpha
         believed = self.friction or Friction(0.0)

@@ -33,17 +33,23 @@ def live(controller: Controller, life: ContactPhases, reference: Reference) -> R
     terms = controller.terms
     active = terms.active.copy()
     if controller.ticked and controller.status is not Status.HELD:
+        life.expect(controller.status is Status.SATURATED, active[owners])
         alpha, speed = measured(controller, owners)
-        kept = life.advance(wanted, alpha, speed, _outboard(controller, owners))
+        inertia = _outboard(controller, owners)
+        kept = life.advance(wanted, alpha, speed, inertia, active[owners])
         if (life.state.active != active).any() and controller.motion_law.integral.any():
             hand_over(controller)
         before, integral = active[owners], np.zeros(len(owners))
-        if len(law.integral) == before.sum():
+        if (life.state.active == active).all() and kept[before].all():
+            pass  # they go on, fewer than columns where these are dependent
+        elif len(law.integral) == before.sum():
             integral[before] = law.integral
             law.integral = np.where(kept, integral, 0.0)[life.state.active[owners]]
         else:
             law.integral = np.zeros(0)
-    goal = commanded(life.state, wanted, life.columns, law.gains, life.settings, terms.rows)
+    life.asked = goal = commanded(
+        life.state, wanted, life.columns, law.gains, life.settings, terms.rows
+    )
     return replace(reference, alpha_d=goal)
 
 
@@ -82,7 +88,8 @@ def _outboard(controller: Controller, owners: Array) -> Array:
     D, here = controller.result().mobility, np.flatnonzero(controller.terms.active[owners])
     out = np.zeros((len(owners), len(owners)))
     if 0 < len(D) == len(here):
-        out[np.ix_(here, here)] = np.linalg.inv(D)
+        known = controller.reading == "least_squares"
+        out[np.ix_(here, here)] = controller.inertia if known else np.linalg.inv(D)
     return out
 
 

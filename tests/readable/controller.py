@@ -154,7 +154,9 @@ class ReadableController(Boxes):
         last = self._last_tau.copy()
         tau = self._computed(measurement, live(self, self.life, reference))
         if self.ticked and self.status is not Status.HELD:
-            step = self.life.settings.torque_rate * self.force_law.dt * self.chain.tau_max
+            gentle = (self.life.state.since < 0.1).any()
+            rate = self.life.settings.torque_rate if gentle else np.inf
+            step = rate * self.force_law.dt * self.chain.tau_max
             self._last_tau[:] = tau = slewed(tau, last, step)
         self.ticked |= self.status is not Status.HELD
         return tau

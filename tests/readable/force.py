@@ -150,7 +150,7 @@ class ContactTerms:
 class ForceLaw:
     """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel: feed-forward, integral and damping.
 
-    Where a least command is set, α_u ≥ α_min, and the integral does not run further below it.
+    Where a least command is set, α_u ≥ min(α_min, α_d/10), and the integral stops there.
     """
 
     gains: ForceGains
@@ -194,8 +194,9 @@ class ForceLaw:
         before = self.integral if len(self.integral) == r else np.zeros(r)
         after = before + gain * self.dt * (alpha_d - alpha_meas)
         wanted = alpha_d + after - damping * normal_speed
-        self.integral = np.where(wanted < least, np.maximum(before, after), after)
-        return np.maximum(wanted, least)
+        floor = np.minimum(least, 0.1 * alpha_d)
+        self.integral = np.where(wanted < floor, np.maximum(before, after), after)
+        return np.maximum(wanted, floor)
 
     def forgo(self, lost: Array, gain: Array) -> None:
         """Take back what the last `command`, with `gain` (r,), integrated of forces (r,) that will

@@ -51,8 +51,10 @@ def explained(
     A_D: Array,
     wanted: Array,
     where: Sequence[tuple[Array, Array, Array]],
-) -> tuple[Array, float]:
-    """Magnitudes α (r,), and the rate of the coefficient of friction per unit of `learning`.
+) -> tuple[Array, float, Array]:
+    """Magnitudes α (r,), the rate of the coefficient of friction per unit of `learning`, and D⁻¹.
+
+    D⁻¹ (r, r) is what normal accelerations of an object in flight add to the magnitudes.
 
     Args:
         f_meas: (6,) at O. A_D: (6,) classical, wanted. wanted: (n,) forces of all columns.
@@ -85,6 +87,8 @@ def explained(
         sharp @ np.hstack((H, T, out @ free)),
         np.hstack((np.zeros((t + d, r)), np.eye(t + d))),
     ))  # fmt: skip
-    x = np.linalg.lstsq(rows, np.concatenate((sharp @ f, np.zeros(t + d))), rcond=None)[0]
+    known = np.column_stack((sharp @ f, sharp @ out @ pull))
+    answers = np.linalg.lstsq(rows, np.vstack((known, np.zeros((t + d, r + 1)))), rcond=None)[0]
+    x, inertia = answers[:, 0], answers[:r, 1:]
     found = sum(w * w * share @ x[r + 2 * j : r + 2 * j + 2] for j, (w, share) in enumerate(along))
-    return x[:r], found / sum(w * w for w in weights)
+    return x[:r], found / sum(w * w for w in weights), inertia

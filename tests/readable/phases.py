@@ -38,12 +38,15 @@ class PhaseState:
     Attributes:
         phase: (contacts,) of `Phase`. since: (contacts,) s in this phase.
         seen: the monitor's state of each magnitude (r_all,). heard: what it listens to.
+        expected: (r_all,) N that should be read. gap: (r_all,) m moved away since contact was lost.
     """
 
     phase: Array
     since: Array
     seen: MonitorState
     heard: FilteredForce
+    expected: Array
+    gap: Array
 
     @property
     def active(self) -> Flags:
@@ -81,6 +84,7 @@ def lived(
     columns: Columns,
     dt: float,
     settings: PhaseSettings,
+    here: Flags,
 ) -> PhaseState:
     """The state one tick later.
 
@@ -89,14 +93,14 @@ def lived(
         alpha, speed: (r_all,) measured magnitudes (N) and NᵀV_rel (m/s), 0 out of N.
         inertia: (r_all, r_all) of what is outboard of the sensors (kg), see `monitor.heard`.
         wanted: (r_all,) desired magnitudes; a contact with none > 0 is left.
-        columns, dt, settings: as they are.
+        columns, dt, settings: as they are. here: (r_all,) which were in N.
     """
-    here = state.active[columns.owners]
     audible, force = filter_force(state.heard, alpha, speed, inertia, here, dt, settings.lag)
-    more = settings.share * _risen(state, columns, settings) * (wanted - settings.push)
-    force, more = np.where(here, force, 0.0), np.maximum(more, 0.0)
+    more = settings.share * np.maximum(state.expected - settings.push, 0.0)
+    more = np.where(state.expected > settings.limits.force_on, more, -np.inf)
+    force = np.where(here, force, 0.0)
     seen = watched(state.seen, force, speed, dt, settings.limits, more)
-    held = seen.closed & here
+    held = seen.closed & state.active[columns.owners]
     seen = replace(seen, closed=held, collision=seen.collision & held)
     light = wanted <= settings.limits.force_on  # too little to be told from nothing
     made = columns.all(held | light) & columns.any(held)
@@ -105,7 +109,17 @@ def lived(
     phase = np.where(columns.any(wanted > 0.0), closed, Phase.OPEN)
     phase = np.where(columns.pushing, phase, Phase.CLOSED)
     since = np.where(phase == state.phase, state.since + dt, 0.0)
-    return PhaseState(phase, since, seen, audible)
+    held = (phase == Phase.CLOSED) & (since > settings.rise)
+    astray = ((phase != Phase.OPEN) & (state.phase != Phase.OPEN) & ~held)[columns.owners]
+    gap = np.where(astray, np.maximum(state.gap - dt * speed, 0.0), 0.0)
+    return PhaseState(phase, since, seen, audible, state.expected, gap)
+
+
+def expected(before: Array, asked: Array, limited: bool, dt: float, k: PhaseSettings) -> Array:
+    """(r,) what contacts should read: what was asked a while ago, or now where that is less."""
+    late = np.exp(-np.log1p(dt / k.rise)) * before + dt / (k.rise + dt) * asked
+    out = np.minimum(asked, late)
+    return np.minimum(out, k.push) if limited else out
 
 
 def commanded(
@@ -125,12 +139,14 @@ def commanded(
     """
     approaching, guarded = state.phase == Phase.APPROACHING, columns.pushing
     on_its_way = state.since * settings.speed < settings.travel
-    push = settings.push
+    back = 5.0 * np.where(approaching[columns.owners], state.gap, 0.0)
+    pace = np.maximum(np.minimum(settings.speed + back, 0.1), settings.speed)
+    push = settings.damping * pace
     rows[:, 0] = state.active
     rows[:, 1] = np.where(approaching, 0.0, gains.integral)
     rows[:, 2] = np.where(approaching, settings.damping, gains.damping)
     rows[:, 3] = np.where(guarded & ~approaching, settings.least, -np.inf)
-    start = np.where(approaching, push * on_its_way, push)[columns.owners]
+    start = push * (on_its_way | ~approaching)[columns.owners]
     risen = np.where(guarded[columns.owners], _risen(state, columns, settings), 1.0)
     return np.asarray(start + risen * (wanted - start))
 
@@ -153,7 +169,7 @@ class ContactPhases:
     """`lived`, remembered from tick to tick.
 
     Attributes:
-        settings: as given. columns: of N. state: of the last tick.
+        settings: as given. columns: of N. state: of the last tick. asked: (r_all,) goals in it.
     """
 
     def __init__(
@@ -170,11 +186,20 @@ class ContactPhases:
         self.settings, self.dt = settings, dt
         self.columns = Columns(np.asarray(owners, dtype=np.intp), pushing)
         phase = np.where(closed | ~pushing, Phase.CLOSED, Phase.OPEN)
-        since = np.full(len(pushing), settings.rise)
+        since = np.full(len(pushing), np.inf)
         seen = MonitorState.of((phase == Phase.CLOSED)[self.columns.owners])
-        self.state = PhaseState(phase, since, seen, FilteredForce.nothing(len(self.columns.owners)))
+        n = len(self.columns.owners)
+        self.state = PhaseState(phase, since, seen, FilteredForce.nothing(n), *np.zeros((2, n)))
+        self.asked = np.zeros(n)
 
-    def advance(self, wanted: Array, alpha: Array, speed: Array, inertia: Array) -> Flags:
+    def expect(self, limited: bool, here: Flags) -> None:
+        """After a tick: what should be read of the columns (r_all,) that were in N."""
+        found = expected(self.state.expected, self.asked, limited, self.dt, self.settings)
+        self.state = replace(self.state, expected=np.where(here, found, 0.0))
+
+    def advance(
+        self, wanted: Array, alpha: Array, speed: Array, inertia: Array, here: Flags
+    ) -> Flags:
         """One tick; arguments as in `lived`.
 
         Returns:
@@ -182,7 +207,7 @@ class ContactPhases:
         """
         before = self.state.phase
         self.state = lived(
-            self.state, alpha, speed, inertia, wanted, self.columns, self.dt, self.settings
+            self.state, alpha, speed, inertia, wanted, self.columns, self.dt, self.settings, here
         )  # fmt: skip
         kept = (before == Phase.CLOSED) & (self.state.phase == Phase.CLOSED)
         return np.asarray(kept[self.columns.owners])

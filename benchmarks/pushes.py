@@ -1,0 +1,207 @@
+"""Pushes on the arms of every packaged scenario: do they come back into contact, or stop?
+
+    python benchmarks/pushes.py [--scenario NAME] [--force N] [--duration S] [--direction WORD]
+
+A push is a half sine of force on the wrist of the first arm, off the faces, into or along them,
+while the contacts are closed. One row for each is printed; the exit code is 1 where the forces did
+not come back within 2 s though the controller did not stop, where an arm that stopped still moved
+then, or where a joint was above its speed limit later than 50 ms after the push.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import osc_contact as osc
+from osc_contact.control.safety import SafetyState
+from osc_contact.errors import PlantError
+from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.plants.pushes import Push
+from osc_contact.runs.rig import Rig
+from osc_contact.runs.run import Taring, start
+
+__all__ = ["DIRECTIONS", "DURATIONS", "FORCES", "Pushed", "packaged", "push_arm"]
+
+FORCES = (5.0, 20.0, 60.0, 120.0, 200.0)  #: N
+DURATIONS = (0.05, 0.1)  #: s
+DIRECTIONS = ("off", "into", "along")
+BACK_WITHIN, SLOW_WITHIN = 2.0, 0.05  #: s after the push
+_STEADY = 0.1  #: s that forces have to be back for
+_NEAR = 0.3  #: share of its command that a force is back within; or `_LEAST` N
+_LEAST = 1.5
+_SETTLING = 1.0  #: s between contact and push
+_REST = 0.02  #: share of their speed limits below which joints rest
+
+
+@dataclass
+class Pushed:
+    """What became of one push.
+
+    Attributes:
+        back: s after the push until all forces were back to stay; None: never.
+        stopped: s after its start until the controller stopped; None: it did not.
+        late: s after the push at which a joint was last above its speed limit; 0: never.
+        speed: largest speed (share of its limit), force: largest contact force (N), since the push.
+        wrong: sentences.
+    """
+
+    scenario: str
+    direction: str
+    force: float
+    duration: float
+    back: float | None
+    stopped: float | None
+    late: float
+    speed: float
+    largest: float
+    wrong: list[str]
+
+
+def packaged() -> list[str]:
+    """The names of the packaged scenarios."""
+    folder = Path(osc.__file__).parent / "scenarios" / "files"
+    return sorted(path.stem for path in folder.glob("*.yaml"))
+
+
+def push_arm(
+    name: str, direction: str, force: float, duration: float, changes: Sequence[str] = ()
+) -> Pushed:
+    """Push once, at rest in contact; look at the two seconds behind it.
+
+    Args:
+        changes: of the scenario, as `load_scenario` takes them.
+    """
+    rig = _rig(name, tuple(changes))
+    plant, controller = start(rig, 0)
+    robot, truth = rig.robot(plant, controller), _inside(plant)
+    tick = controller.tick if rig.scenario.tare is None else Taring(rig, controller).tick
+    dt, act = controller.dt, np.array(rig.model.actuated)
+    fastest = rig.model.model.velocityLimit[act]
+    truth.pushes = tuple(push for push in truth.pushes if push.every == 0.0)
+    after = round((BACK_WITHIN + _STEADY) / dt)
+    begin, first, good, k = None, 0, 0, 0
+    log = truth.log(1)
+
+    def judge() -> np.ndarray:
+        log.clear()
+        log.note()
+        parts = np.concatenate([np.zeros(0), *log.parts])[None]
+        return log.truths(parts, log.noted(0, 1)).alpha[0]
+
+    seen = Pushed(name, direction, force, duration, None, None, 0.0, 0.0, 0.0, [])
+    while begin is None or k < first + after:
+        reference = rig.references.at(k * dt)
+        try:
+            robot.command(tick(robot.measure(), reference), dt)
+        except PlantError as error:
+            seen.wrong.append(f"{error}"[:80])
+            return seen
+        k += 1
+        now, wanted = judge(), np.asarray(reference.alpha_d)
+        back = bool((np.abs(now - wanted) <= np.maximum(_NEAR * np.abs(wanted), _LEAST)).all())
+        asked = not len(wanted) or bool((wanted > _LEAST).any())
+        good = good + 1 if back and asked else 0
+        if begin is None:
+            if good * dt >= _SETTLING:
+                begin = k * dt
+                arm = next(a.name for a in rig.model.arms if a.wrist_sensor is not None)
+                push = Push(arm, force * _direction(rig, direction), begin, duration)
+                truth.pushes = (*truth.pushes, push)
+                first = k + round(duration / dt)
+            elif k * dt > rig.scenario.duration:
+                seen.wrong.append("there was no contact to be pushed in")
+                return seen
+            continue
+        since = (k - first) * dt
+        speed = float((np.abs(truth.measure().v[act]) / fastest).max())
+        seen.speed, seen.largest = max(seen.speed, speed), max(seen.largest, *map(abs, now), 0.0)
+        if speed > 1.0 and since > 0.0:
+            seen.late = since
+        if seen.stopped is None and controller.state is SafetyState.SAFE_STOP:
+            seen.stopped = since + duration
+    if good * dt >= _STEADY:
+        seen.back = max((k - first - good) * dt, 0.0)
+    if seen.late > SLOW_WITHIN:
+        seen.wrong.append(f"a joint above its speed limit {seen.late:.3f} s after the push")
+    if seen.stopped is None and seen.back is None:
+        seen.wrong.append(f"not back: {now.round(1)} N of {wanted.round(1)}")
+    if seen.stopped is not None and speed > _REST:
+        seen.wrong.append(f"stopped, but a joint moves at {speed:.2f} of its speed limit")
+    return seen
+
+
+@cache
+def _rig(name: str, changes: tuple[str, ...]) -> Rig:
+    scenario = osc.load_scenario(name, list(changes))
+    if scenario.plant.exact:  # nothing there is pushed: on MuJoCo it is
+        scenario = osc.load_scenario(name, [*changes, "plant.type=mujoco", "plant.step=0.25 ms"])
+    return osc.build_rig(scenario)
+
+
+def _inside(plant: object) -> MujocoPlant:
+    """The plant behind its sensors."""
+    while hasattr(plant, "plant"):
+        plant = plant.plant
+    assert isinstance(plant, MujocoPlant)
+    return plant
+
+
+def _direction(rig: Rig, word: str) -> np.ndarray:
+    """(3,) unit vector in the world."""
+    lines = rig.contact().N[:3] if rig.pairs else np.zeros((3, 0))
+    into = lines.sum(axis=1)
+    if not np.linalg.norm(into) > 0.1:
+        into = np.array([0.0, 0.0, -1.0])
+    into = into / np.linalg.norm(into)
+    if word == "along":
+        across = np.cross(into, [0.3, 0.9, 0.4])
+        return np.asarray(across / np.linalg.norm(across))
+    return into if word == "into" else -into
+
+
+def table(rows: Sequence[Pushed]) -> str:
+    """One line for each push."""
+    lines = [
+        f"{'scenario':26}{'direction':10}{'N':>5}{'ms':>5}{'back s':>8}{'stop s':>8}"
+        f"{'late s':>8}{'speed':>7}{'force N':>9}"
+    ]
+    for x in rows:
+        back, stopped = ("-" if t is None else f"{t:.3f}" for t in (x.back, x.stopped))
+        lines.append(
+            f"{x.scenario:26}{x.direction:10}{x.force:5.0f}{1e3 * x.duration:5.0f}{back:>8}"
+            f"{stopped:>8}{x.late:8.3f}{x.speed:7.2f}{x.largest:9.1f}  {'; '.join(x.wrong)}"
+        )
+    return "\n".join(lines)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Push them all; 1 if anything was wrong."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--scenario", action="append", choices=packaged())
+    parser.add_argument("--force", action="append", type=float)
+    parser.add_argument("--duration", action="append", type=float)
+    parser.add_argument("--direction", action="append", choices=DIRECTIONS)
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    given = parser.parse_args(argv)
+    print(table([]))
+    wrong = count = 0
+    for name in given.scenario or packaged():
+        for direction in given.direction or DIRECTIONS:
+            for force in given.force or FORCES:
+                for duration in given.duration or DURATIONS:
+                    found = push_arm(name, direction, force, duration, given.set)
+                    print(table([found]).split("\n")[1], flush=True)
+                    wrong, count = wrong + bool(found.wrong), count + 1
+    print(f"{count} pushes, {wrong} of them wrong")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""Faces pulled away under every packaged scenario: nothing runs away; pushes: back in contact."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import osc_contact as osc
+from benchmarks.pushes import packaged, push_arm, table
+from osc_contact.control.phases import Phase
+from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.runs.run import Taring, start
+
+WITH_CONTACTS = [name for name in packaged() if osc.load_scenario(name).contacts]
+
+#: what came out worst in `benchmarks/pushes.py`
+WORST = (
+    ("dual_panda_rod", "off", 200.0, 0.1),
+    ("ur5_wipe", "off", 60.0, 0.1),
+    ("two_contact_rod", "along", 200.0, 0.1),
+)
+
+
+def pull_away(name: str, by: float) -> tuple[osc.Controller, list[float], float]:
+    """Take every face `by` (m) away from the object in contact, and go on for a second.
+
+    Returns:
+        The controller, joint speeds as shares of their limits, share of ticks that some contact was
+        known to be lost.
+    """
+    rig = osc.build_rig(osc.load_scenario(name))
+    plant, controller = start(rig, 0)
+    robot, judge = rig.robot(plant, controller), plant
+    tick = controller.tick if rig.scenario.tare is None else Taring(rig, controller).tick
+    while hasattr(judge, "plant"):
+        judge = judge.plant
+    assert isinstance(judge, MujocoPlant)
+    dt, act, fastest = controller.dt, rig.model.actuated, rig.model.model.velocityLimit
+    held, k, last, lost, seen = 0, 0, None, 0, []
+    while last is None or k < last:
+        reference = rig.references.at(k * dt)
+        robot.command(tick(robot.measure(), reference), dt)
+        k += 1
+        closed = (controller.phases() == Phase.CLOSED).all() and controller.engaged
+        held = held + 1 if closed and (np.asarray(reference.alpha_d) > 1.0).any() else 0
+        if last is None and held * dt > 0.5:
+            last = k + round(1.0 / dt)
+            lines = rig.contact().N[:3]
+            for i in range(len(rig.bodies)):
+                into = lines[:, [rig.on[o] == i for o in rig.owners]].sum(axis=1)
+                root = judge.model.body(f"face{i}/root").id
+                judge.model.body_pos[root] += by * into / np.linalg.norm(into)
+        elif last is not None:
+            lost += not closed
+            seen.append(float((np.abs(judge.measure().v) / fastest)[list(act)].max()))
+        assert k * dt < rig.scenario.duration, "it never was in contact"
+    return controller, seen, lost / len(seen)
+
+
+@pytest.mark.parametrize("name", WITH_CONTACTS)
+def test_a_face_that_is_pulled_away_is_looked_for_or_the_arms_stop(name: str) -> None:
+    controller, speeds, lost = pull_away(name, 0.2)
+    assert max(speeds) < 1.0
+    assert controller.state is osc.SafetyState.SAFE_STOP or lost > 0.7, (lost, controller.reason)
+
+
+@pytest.mark.parametrize("name", ["two_contact_rod", "dual_panda_rod"])
+def test_a_face_that_is_near_is_found_again(name: str) -> None:
+    controller, speeds, lost = pull_away(name, 0.005)
+    assert max(speeds) < 0.5 and 0.05 < lost < 0.9
+    assert (controller.phases() == Phase.CLOSED).all()
+
+
+@pytest.mark.parametrize("push", WORST)
+def test_pushes_end_in_contact_or_in_a_stop(push: tuple[str, str, float, float]) -> None:
+    found = push_arm(*push)
+    assert not found.wrong, table([found])
+
+
+def test_a_push_without_limits_and_phases_is_found_wrong() -> None:
+    """The judge sees what it is there to see."""
+    off = [f"control.safety.{key}=100 s" for key in ("contact_loss_time", "overspeed_time")]
+    off += ["control.life=off", "control.safety.contact_power=1e9", "control.safety.brake_time=0"]
+    assert push_arm("dual_panda_rod", "off", 1000.0, 0.1, off).wrong
