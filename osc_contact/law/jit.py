@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import os
+from contextlib import nullcontext
 from types import FunctionType
 from typing import Any
 
@@ -31,6 +32,7 @@ __all__ = [
     "matrix",
     "numbers",
     "prefetch",
+    "quick_typing",
     "reader",
     "share_entry",
 ]
@@ -66,6 +68,8 @@ _INNER, _ENTRY = ({}, {}) if PLAIN_PYTHON else _options(_fast)
 #: Of the accelerator: how other compiled code calls an entry. None without it.
 call_entry: Any = None if _fast is None else _fast.call_entry
 share_entry: Any = None if _fast is None else _fast.share_entry
+#: What the law is compiled in.
+quick_typing: Any = nullcontext if _fast is None else _fast.quick_typing
 
 
 def inner(function: Any) -> Any:
