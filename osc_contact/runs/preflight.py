@@ -114,9 +114,9 @@ def _reading(rig: Rig) -> Iterator[Finding]:
     if rig.scenario.plant.exact or mu == 0.0 or control.friction is not None or not rig.pairs:
         return
     of = faces.known_bodies(rig.bodies, len(rig.pairs), False)
-    if choose_reading(control.force.reading, rig.pairs, of, control.life is not None) == "filter":
+    if choose_reading(control.force.reading, rig.pairs, of) == "filter":
         cure = "give control.friction={mu: …}"
-        if control.life is None and all(map(knows_where_it_slides, rig.pairs)):
+        if all(map(knows_where_it_slides, rig.pairs)):
             cure = f"set control.force.reading=least_squares, or {cure}"
         yield Finding(
             False,
