@@ -117,6 +117,11 @@ def show_summary(study: SweepStudy, summary: dict[str, Any]) -> None:
         known = {k: v for k, v in summary["sensitivities"][name].items() if v is not None}
         most = sorted(known, key=lambda key: -abs(known[key]))[:2]
         causes = ", ".join(f"{key} {known[key]:+.2f}" for key in most)
+        shares = sorted(summary["variances"][name].items(), key=lambda one: -one[1]["total"])[:2]
+        causes += "".join(
+            f"\n{key}: {share['total']:.0%} of its variance, {share['first']:.0%} alone"
+            for key, share in shares
+        )
         table.add_row(name, *(f"{value:.3g}" for value in values.values()), causes)
     if summary["quantiles"]:
         out.print(table)

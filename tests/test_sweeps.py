@@ -14,6 +14,7 @@ import sys
 import time
 
 import numpy as np
+import pyarrow
 import pytest
 from pyarrow import parquet
 from scipy import stats
@@ -26,6 +27,7 @@ from osc_contact.sweeps.distributions import parse_distribution
 from osc_contact.sweeps.report import write_report
 from osc_contact.sweeps.rows import make_rows
 from osc_contact.sweeps.study import SweepStudy
+from osc_contact.sweeps.summary import variances
 from osc_contact.sweeps.sweep import ROWS, TABLE, run_study
 
 U = np.linspace(0.01, 0.99, 7)
@@ -147,6 +149,33 @@ def test_a_grid_has_every_combination_and_both_ends() -> None:
 def test_a_study_that_cannot_be_made_is_refused_before_its_runs(vary, complaint) -> None:
     with pytest.raises((osc.InvalidInputError, osc.ScenarioError), match=complaint):
         SweepStudy.of("two_contact_rod", vary, 3)
+
+
+def test_sobol_indices_are_those_of_ishigamis_function() -> None:
+    """sin x + 7 sin² y + 0.1 z⁴ sin x on (−π, π)³, indices by Ishigami and Homma 1990."""
+    keys = [f"model_error.{name}" for name in ("face_tilt", "face_tilt_about", "face_offset")]
+    study = rod(1024, *(f"{key}=uniform({-np.pi}, {np.pi})" for key in keys), design="saltelli")
+    assert study.rows == 5 * 1024
+    points = [study.sample(i).shown for i in range(study.rows)]
+    x, y, z = (np.array([one[key] for one in points]) for key in keys)
+    error = np.sin(x) + 7 * np.sin(y) ** 2 + 0.1 * z**4 * np.sin(x)
+    table = pyarrow.table({"motion.rms_error_m": error})
+    found = variances(table, study, "motion.rms_error_m")
+    first, total = ([found[key][kind] for key in keys] for kind in ("first", "total"))
+    np.testing.assert_allclose(first, (0.3139, 0.4424, 0.0), atol=0.03)
+    np.testing.assert_allclose(total, (0.5576, 0.4424, 0.2437), atol=0.03)
+    assert variances(table.slice(0, 9), study, "motion.rms_error_m") == {}
+    with pytest.raises(osc.InvalidInputError, match="power of two, such as 1024"):
+        rod(1000, MASSES, design="saltelli")
+
+
+def test_a_key_with_two_numbers_is_exchanged_as_one() -> None:
+    study = rod(2, MASSES, NORMALS, "squeeze=uniform(0, 1)", design="saltelli")
+    A, B, *exchanged = (study.sample(5 + i).shown for i in range(5))
+    tilt = [name for name in A if "normal" in name]
+    assert len(tilt) == 2 and all(A[name] != B[name] for name in A)
+    for names, one in zip(([next(iter(A))], tilt, ["squeeze"]), exchanged, strict=True):
+        assert one == A | {name: B[name] for name in names}
 
 
 # --- rows -----------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from osc_contact.sweeps.distributions import Distribution, parse_distribution
 
 __all__ = ["SEED", "Design", "Sample", "SweepStudy"]
 
-Design = Literal["halton", "sobol", "latin", "random", "grid"]
+Design = Literal["halton", "sobol", "latin", "random", "grid", "saltelli"]
 SEED = "seed"  #: a path that is no key of the scenario: the seed of a run
 _BLOCK = 1024  #: points that are made at once
 
@@ -50,7 +50,7 @@ class SweepStudy:
         text, source: of the scenario. overrides: (path=value, …) of all runs.
         name: what `osc-contact run` calls the scenario; None: it was made in Python.
         vary: (path=distribution, …). samples: how many points; on a grid, how many values of each
-            key that can have any.
+            key that can have any; "saltelli" has two more runs of each than keys.
         design: where the points lie. seed: of the points, and of the runs if it does not vary.
     """
 
@@ -121,6 +121,11 @@ class SweepStudy:
             )
         if self.design not in get_args(Design):
             raise InvalidInputError(f"design {self.design!r}; give one of {get_args(Design)}")
+        if self.design == "saltelli" and self.samples & (self.samples - 1):
+            raise InvalidInputError(
+                f"{self.samples} samples: the design saltelli needs a power of two, such as "
+                f"{1 << self.samples.bit_length()}"
+            )
         paths = [path for path, _ in self.variations]
         if len(set(paths)) < len(paths):
             raise InvalidInputError(f"a key varies twice: {paths}")
@@ -156,6 +161,8 @@ class SweepStudy:
     @cached_property
     def rows(self) -> int:
         """How many runs there are."""
+        if self.design == "saltelli":
+            return self.samples * (len(self.variations) + 2)
         return prod(self._levels) if self.design == "grid" else self.samples
 
     @cached_property
@@ -215,6 +222,20 @@ class SweepStudy:
                 int(i) / (n - 1) if end and n > 1 else (int(i) + 0.5) / n
                 for i, n, end in zip(place, self._levels, ends, strict=True)
             ])  # fmt: skip
+        if self.design == "saltelli":
+            return self._exchanged(*divmod(number, len(self.variations) + 2))
+        return self._in_block(number)
+
+    def _exchanged(self, number: int, turn: int) -> Array:
+        """Points A, B, and A with the numbers of one key from B after the other."""
+        A, B = np.split(self._in_block(number), 2)
+        if turn < 2:
+            return B if turn else A
+        ends = np.cumsum([distribution.dims for _, distribution in self.variations])
+        key = np.searchsorted(ends, np.arange(len(A)), side="right")
+        return np.where(key == turn - 2, B, A)
+
+    def _in_block(self, number: int) -> Array:
         block = 0 if self.design in _WHOLE else number // _BLOCK
         if block not in self._points:
             self._points[block] = self._block(block)
@@ -228,7 +249,9 @@ class SweepStudy:
 
         if self.design == "latin":
             return np.asarray(qmc.LatinHypercube(dims, rng=self.seed).random(self.samples))
-        kind = qmc.Sobol if self.design == "sobol" else qmc.Halton
+        if self.design == "saltelli":
+            dims *= 2
+        kind = qmc.Halton if self.design == "halton" else qmc.Sobol
         points = kind(dims, scramble=True, rng=self.seed)
         if block:
             points.fast_forward(block * _BLOCK)

@@ -10,7 +10,7 @@ import numpy as np
 from osc_contact.spatial import Array
 from osc_contact.sweeps.study import SweepStudy
 
-__all__ = ["QUANTILES", "judged_columns", "sensitivities", "summarise", "worst_rows"]
+__all__ = ["QUANTILES", "judged_columns", "sensitivities", "summarise", "variances", "worst_rows"]
 
 QUANTILES = (0.5, 0.9, 0.99, 1.0)
 #: Ends of the columns in which errors stand, most telling first.
@@ -26,7 +26,8 @@ def summarise(table: Any, study: SweepStudy, worst: int = 5) -> dict[str, Any]:
 
     Returns:
         rows, success_rate, words {word: runs}, quantiles {column: {"50 %": …}}, sensitivities
-        {column: {what varied: ρ}}, worst [{row, word, why, column, value, command}].
+        {column: {what varied: ρ}}, variances {column: {key: {first, total}}} of the design
+        "saltelli", worst [{row, word, why, column, value, command}].
     """
     words = Counter(table.column("word").to_pylist())
     failed = table.column("failed").to_pylist()
@@ -41,6 +42,7 @@ def summarise(table: Any, study: SweepStudy, worst: int = 5) -> dict[str, Any]:
             if np.isfinite(x := numbers(table, name)).any()
         },
         "sensitivities": {name: sensitivities(table, study, name) for name in columns},
+        "variances": {name: variances(table, study, name) for name in columns},
         "worst": worst_rows(table, study, worst),
     }
 
@@ -77,6 +79,32 @@ def sensitivities(table: Any, study: SweepStudy, name: str) -> dict[str, float |
         varied = known.sum() > 2 and np.ptp(x[known]) > 0.0 and np.ptp(error[known]) > 0.0
         found[column] = float(spearmanr(x[known], error[known]).statistic) if varied else None
     return found
+
+
+def variances(table: Any, study: SweepStudy, name: str) -> dict[str, dict[str, float]]:
+    """Sobol's indices: which share of an error's variance each key makes, alone and with others.
+
+    Args:
+        table: of the design "saltelli". study: of it. name: column of the error.
+
+    Returns:
+        {key: {"first": alone, "total": with all that it works together with}}; empty with other
+        designs, and where some row has no error.
+    """
+    f = numbers(table, name)
+    if study.design != "saltelli" or len(f) != study.rows or not np.isfinite(f).all():
+        return {}
+    from scipy.stats import sobol_indices
+
+    A, B, *AB = f.reshape(study.samples, -1).T
+    parts = {"f_A": A[None], "f_B": B[None], "f_AB": np.array(AB)[:, None]}
+    found = sobol_indices(func=parts, n=study.samples)
+    both = zip(np.atleast_1d(found.first_order), np.atleast_1d(found.total_order), strict=True)
+    keys = [path for path, _ in study.variations]
+    return {
+        key: {"first": float(first), "total": float(total)}
+        for key, (first, total) in zip(keys, both, strict=True)
+    }
 
 
 def worst_rows(table: Any, study: SweepStudy, count: int) -> list[dict[str, Any]]:

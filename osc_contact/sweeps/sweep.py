@@ -43,7 +43,8 @@ def sweep(
         vary: {"path.to.key": "uniform(0.8, 1.2)"}, see `sweeps.distributions.WORDS`; the path
             "seed" is the seed of each run.
         samples: how many points; on a grid, how many values of each key that can have any.
-        design: "halton" or "sobol" (quasi-random), "latin", "random" or "grid".
+        design: "halton" or "sobol" (quasi-random), "latin", "random" or "grid"; "saltelli" for
+            Sobol's indices, with keys + 2 runs of each of 2^m samples.
         seed: of the points, and of each run where it does not vary.
         out: a folder for rows and table; rows that are done there are not run again.
         workers: processes; None: one for each core; 1: none but this one.
