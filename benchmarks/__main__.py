@@ -1,6 +1,7 @@
 """Time the control tick beside its peers, by size, on the clock, and in a whole run.
 
-python -m benchmarks peers | scaling | jitter | simulation | many_runs | vector_env | soak
+python -m benchmarks peers | scaling | jitter | front_end | simulation | many_runs | vector_env |
+soak
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ BENCHMARKS: dict[str, tuple[str, int]] = {
     "peers": ("benchmarks.peers", 500),
     "scaling": ("benchmarks.scaling", 300),
     "jitter": ("benchmarks.jitter", 4000),
+    "front_end": ("benchmarks.front_end", 2000),
     "simulation": ("benchmarks.simulation", 10000),
     "soak": ("benchmarks.soak", 1_800_000),
     "many_runs": ("benchmarks.many_runs", 20),

@@ -14,7 +14,17 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from benchmarks import history, jitter, many_runs, peers, scaling, simulation, soak, vector_env
+from benchmarks import (
+    front_end,
+    history,
+    jitter,
+    many_runs,
+    peers,
+    scaling,
+    simulation,
+    soak,
+    vector_env,
+)
 from benchmarks.__main__ import BENCHMARKS
 from benchmarks.engines import constraint_dynamics, mujoco_state
 from benchmarks.textbook import TextbookLaw
@@ -152,6 +162,13 @@ def test_jitter_program(tmp_path: Path) -> None:
         assert bodies["empty"]["compute_us"]["p50"] < bodies["tick"]["compute_us"]["p50"]
 
 
+def test_front_end_program(tmp_path: Path) -> None:
+    result, _ = run_program("front_end", 3, tmp_path)
+    assert set(result["cases"]) == set(CASES)
+    for case in result["cases"].values():
+        assert 0.0 < case["us_per_arm"] < case["floor_us_per_arm"] * 100
+
+
 def test_simulation_program(tmp_path: Path) -> None:
     result, _ = run_program("simulation", 30, tmp_path)
     assert result["simulated_s"] == pytest.approx(0.03) and result["ticks"] == 30
@@ -198,7 +215,7 @@ def test_vector_env_program(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "module", [ticks, peers, scaling, jitter, simulation, many_runs, vector_env]
+    "module", [ticks, peers, scaling, jitter, front_end, simulation, many_runs, vector_env]
 )
 def test_benchmarks_refuse_no_ticks(module) -> None:
     with pytest.raises(InvalidInputError, match=r"0 .* tell no time"):

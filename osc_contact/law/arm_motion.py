@@ -10,7 +10,7 @@ from math import cos, sin
 
 from osc_contact.law.algebra import cross
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.six import dot6
+from osc_contact.law.six import add, dot6, fill, six
 
 __all__ = ["move_arm", "place_arm", "place_frame", "place_point"]
 
@@ -33,12 +33,14 @@ def place_arm(joints, work, lo, hi, q):
                 R[i, 0], R[i, 1], R[i, 2], p[i] = X[3 * i], X[3 * i + 1], X[3 * i + 2], X[9 + i]
         else:
             before, start = work[j - 1].R, work[j - 1].p
+            x0, x1, x2, x3, x4, x5 = six(X)
+            x6, x7, x8, x, y, z = six(X[6:])
             for i in range(3):
                 a, b, d = before[i, 0], before[i, 1], before[i, 2]
-                R[i, 0] = a * X[0] + b * X[3] + d * X[6]
-                R[i, 1] = a * X[1] + b * X[4] + d * X[7]
-                R[i, 2] = a * X[2] + b * X[5] + d * X[8]
-                p[i] = start[i] + a * X[9] + b * X[10] + d * X[11]
+                R[i, 0] = a * x0 + b * x3 + d * x6
+                R[i, 1] = a * x1 + b * x4 + d * x7
+                R[i, 2] = a * x2 + b * x5 + d * x8
+                p[i] = start[i] + a * x + b * y + d * z
         for i in range(3):
             a, b = R[i, 0], R[i, 1]
             R[i, 0], R[i, 1] = c * a + s * b, c * b - s * a
@@ -201,22 +203,17 @@ def _sum_back(lo, hi, sensed, joints, work, outer, bias_out):
                     bias_out[i] += beyond.force[i]
                 for i in range(10):
                     outer[i] += beyond.body[i]
-            for i in range(6):
-                w.force[i] += beyond.force[i]
+            fill(w.force, add(six(w.force), 1.0, beyond.force))
             for i in range(10):
                 w.body[i] += beyond.body[i]
         c = w.column
         w.h = dot6(c, w.force)
-        out = w.outboard
-        out[0], out[1], out[2], out[3], out[4], out[5] = _times(
-            w.body, c[0], c[1], c[2], c[3], c[4], c[5]
-        )
+        momentum = _times(w.body, c[0], c[1], c[2], c[3], c[4], c[5])
         for k in range(lo, j + 1):
-            m = dot6(work[k].column, out)
+            m = dot6(work[k].column, momentum)
             w.M[k - lo] = m
             work[k].M[j - lo] = m
         w.M[j - lo] += joints[j].armature
         if j <= sensed:
-            out[0], out[1], out[2], out[3], out[4], out[5] = _times(
-                outer, c[0], c[1], c[2], c[3], c[4], c[5]
-            )
+            momentum = _times(outer, c[0], c[1], c[2], c[3], c[4], c[5])
+        fill(w.outboard, momentum)

@@ -157,23 +157,21 @@ def _qr_tall(A, n, Q, R, beta, scratch):
     Returns False where a column depends on those before it to the last digit.
     """
     for k in range(6):
-        s = 0.0
-        for i in range(k, n):
-            s += A[i, k] * A[i, k]
-        norm = sqrt(s)
+        t = scaled(A[k, k], A[k])
+        for i in range(k + 1, n):
+            t = add(t, A[i, k], A[i])
+        fill(scratch, t)  # of the column itself: its square, and its products with the others
+        norm = sqrt(scratch[k])
         if not norm > 0.0:
             return False
         head = A[k, k]
         alpha = -norm if head >= 0.0 else norm
         b = 1.0 / (norm * (norm + abs(head)))
-        A[k, k] = head - alpha
-        beta[k] = b
-        t = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        for i in range(k, n):
-            t = add(t, A[i, k], A[i])
-        fill(scratch, scaled(b, t))
+        fill(scratch, scaled(b, add(t, -alpha, A[k])))
         for c in range(k + 1):
             scratch[c] = 0.0
+        A[k, k] = head - alpha
+        beta[k] = b
         t = six(scratch)
         for i in range(k, n):
             fill(A[i], add(six(A[i]), -A[i, k], t))
