@@ -181,11 +181,13 @@ class BatchCase:
         return floor
 
 
-def _pandas(threads: int) -> Callable[[], BatchCase]:
-    return lambda: BatchCase.around(one_panda(), ROWS, threads)
+def _batch(case: Callable[[], TickCase], threads: int) -> Callable[[], BatchCase]:
+    return lambda: BatchCase.around(case(), ROWS, threads)
 
 
 BATCHES: dict[str, Callable[[], BatchCase]] = {
-    "batch_4096": _pandas(1),
-    "batch_4096_two_threads": _pandas(2),
+    "batch_4096": _batch(one_panda, 1),
+    "batch_4096_two_threads": _batch(one_panda, 2),
+    "batch_4096_rods": _batch(two_contact_rod, 1),
+    "batch_4096_rods_two_threads": _batch(two_contact_rod, 2),
 }

@@ -133,20 +133,20 @@ def lu_solve(A, n, B, columns):
         inverse = 1.0 / A[k, k]
         for i in range(k + 1, n):
             f = A[i, k] * inverse
-            if f != 0.0:
-                if n == 6:
-                    fill(A[i], add(six(A[i]), -f, A[k]))
-                else:
-                    for j in range(k + 1, n):
-                        A[i, j] -= f * A[k, j]
-                for c in range(columns):
-                    B[c, i] -= f * B[c, k]
+            if n == 6:
+                fill(A[i], add(six(A[i]), -f, A[k]))
+            else:
+                for j in range(k + 1, n):
+                    A[i, j] -= f * A[k, j]
+            for c in range(columns):
+                B[c, i] -= f * B[c, k]
+        A[k, k] = inverse
     for c in range(columns):
         for i in range(n - 1, -1, -1):
             s = B[c, i]
             for j in range(i + 1, n):
                 s -= A[i, j] * B[c, j]
-            B[c, i] = s / A[i, i]
+            B[c, i] = s * A[i, i]
     return True
 
 
