@@ -152,7 +152,7 @@ class Controller(ControllerCopies):
         if outside is None:
             outside = Outside(settings, laws)
         if records is None:
-            records = TickRecords(outside.pack())
+            records = TickRecords(outside.row)
         n_bars = int(records.row.head.n_bars)
         self.__dict__.update(
             settings=settings, laws=laws, _outside=outside,

@@ -40,13 +40,14 @@ class Outside:
 
     Attributes:
         needed: whether there is anything to call.
+        row: as packed at first, for the controller that is made with it.
     """
 
     def __init__(self, settings: Settings, laws: Laws) -> None:
         self.settings, self.laws = settings, laws
-        row = self.pack()
-        self._given = [(number, pair) for number, pair, _ in row.pairs.elsewhere]
-        kinds = row.table("bodies", len(settings.contacts), BODY)
+        self.row = self.pack()
+        self._given = [(number, pair) for number, pair, _ in self.row.pairs.elsewhere]
+        kinds = self.row.table("bodies", len(settings.contacts), BODY)
         self._bodies = [
             (c, settings.bodies[c])
             for c, one in enumerate(kinds)

@@ -15,6 +15,7 @@ from osc_contact.spatial import Array, cross
 
 __all__ = ["chain_row", "pack_chain"]
 
+_UPPER = np.triu_indices(3)
 _KINDS = {"rigid": at.RIGID, "hinge": at.HINGE, "ball": at.BALL, "other": at.OTHER}
 
 
@@ -98,16 +99,16 @@ def _pack_joints(chain: ChainModel, rows: Any) -> None:
     model, firsts = chain.model, {part.start for part in chain.slices}
     rows.motor[:] = -1
     rows.armature[:] = model.armature
+    frames = [_z_frame(model, j + 1) for j in range(len(rows))]
     for j, row in enumerate(rows):
         joint = model.joints[j + 1]
         parent = model.parents[j + 1]
         if joint.idx_v != j or parent != (0 if j in firsts else j):
             raise ModelError(f"joint '{model.names[j + 1]}' does not follow the one before it")
         row.slides = joint.shortname().startswith("JointModelP")
-        before = pin.SE3.Identity() if parent == 0 else _z_frame(model, parent)
-        X = before.actInv(model.jointPlacements[j + 1]) * _z_frame(model, j + 1)
-        row.placement[:] = _flat_pose(X)
-        row.link[:] = _flat_inertia(_z_frame(model, j + 1).actInv(model.inertias[j + 1]))
+        before = pin.SE3.Identity() if parent == 0 else frames[parent - 1]
+        row.placement[:] = _flat_pose(before.actInv(model.jointPlacements[j + 1]) * frames[j])
+        row.link[:] = _flat_inertia(frames[j].actInv(model.inertias[j + 1]))
 
 
 def _z_frame(model: pin.Model, joint: int) -> pin.SE3:
@@ -138,4 +139,4 @@ def _flat_pose(X: pin.SE3) -> Array:
 
 def _flat_inertia(inertia: pin.Inertia) -> Array:
     """(10,) mass, centre, inertia about it (xx, xy, xz, yy, yz, zz)."""
-    return np.array([inertia.mass, *inertia.lever, *inertia.inertia[np.triu_indices(3)]])
+    return np.array([inertia.mass, *inertia.lever, *inertia.inertia[_UPPER]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+from functools import cache
 from pathlib import Path
 
 import pinocchio as pin
@@ -102,6 +103,11 @@ def _packaged() -> dict[str, Path]:
     """Packaged URDFs by file name: inside the installed package, or beside it in a checkout."""
     here = Path(__file__).resolve().parent.parent
     folder = next((f for f in (here / "urdf", here.parent / "urdf") if f.is_dir()), here / "urdf")
+    return _urdfs_in(folder)
+
+
+@cache
+def _urdfs_in(folder: Path) -> dict[str, Path]:
     return {path.name: path for path in sorted(folder.glob("*.urdf"))}
 
 

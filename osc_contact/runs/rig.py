@@ -212,6 +212,10 @@ class Rig:
 
     def state(self) -> ChainState:
         """The true chain at rest in contact."""
+        return self._state
+
+    @cached_property
+    def _state(self) -> ChainState:
         return self.chain.state(self.q_contact, np.zeros(self.chain.nq))
 
     def contact(self) -> Contact:
