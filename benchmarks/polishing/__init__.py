@@ -1,0 +1,1 @@
+"""Learning in contact: a bar wears a table's edge, whose hardness is hidden, evenly."""

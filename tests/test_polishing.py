@@ -1,0 +1,48 @@
+"""The learning example: what it gauges, what it learns in a few generations, and the other law."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.polishing.__main__ import FAST, KNOTS, LAWS, SLOW, judge, teach
+from benchmarks.polishing.learner import learn
+from benchmarks.polishing.task import EDGES, MEAN, best_forces, softness
+
+
+def test_the_strategy_finds_what_it_is_not_told() -> None:
+    """The lowest point of a parabola, of which it gets noisy heights."""
+    hidden = np.array([3.0, -1.0, 0.5])
+    noise = np.random.default_rng(0)
+
+    def cost(policies, seed):
+        assert policies.shape == (40, 3)
+        return ((policies - hidden) ** 2).sum(axis=1) + 0.01 * noise.standard_normal(40)
+
+    found, curve = learn(cost, np.zeros(3), 1.0, 40, 25, seed=1)
+    np.testing.assert_allclose(found, hidden, atol=0.1)
+    assert curve[0] == pytest.approx(hidden @ hidden, abs=0.05) and len(curve) == 25
+
+
+def test_an_even_force_wears_as_soft_as_the_edge_is() -> None:
+    seen = judge("ours", np.full(len(KNOTS), MEAN), SLOW)
+    fine = np.linspace(EDGES[:-1], EDGES[1:], 50)
+    soft = softness(fine).mean(axis=0)
+    assert soft.max() > 2.2 * soft.min()
+    np.testing.assert_allclose(seen.depth, np.tile(soft, (16, 1)), rtol=0.08)  # unknown masses
+    assert seen.off.max() < 1e-3
+
+
+def test_a_few_generations_learn_the_hidden_hardness() -> None:
+    policy, curve = teach("ours", rows=24, generations=8, seed=0)
+    assert curve[0] > 0.3
+    seen = judge("ours", policy, SLOW)
+    assert seen.uneven.mean() < 0.5 * curve[0]
+    assert np.corrcoef(policy, best_forces(KNOTS))[0, 1] > 0.8
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_the_best_forces_wear_evenly_above_every_law(law) -> None:
+    slow, fast = (judge(law, best_forces(KNOTS), seconds) for seconds in (SLOW, FAST))
+    assert slow.uneven.mean() < 0.05 and fast.uneven.mean() < 0.08
+    assert fast.off.mean() > slow.off.mean() and fast.off.max() < 5e-3
