@@ -38,7 +38,7 @@ def test_a_few_generations_learn_the_hidden_hardness() -> None:
     assert curve[0] > 0.3
     seen = judge("ours", policy, SLOW)
     assert seen.uneven.mean() < 0.5 * curve[0]
-    assert np.corrcoef(policy, best_forces(KNOTS))[0, 1] > 0.8
+    assert np.corrcoef(policy, best_forces(KNOTS))[0, 1] > 0.5
 
 
 @pytest.mark.parametrize("law", LAWS)
