@@ -120,15 +120,15 @@ def _time_dask(numbers: int) -> float:
     from osc_contact.sweeps.cluster import connect
 
     class Idle(Workers):
-        def submit(self, job: Any) -> Future[list[dict[str, Any]]]:
-            return self._made.submit(_answer, *job, numbers)
+        def submit(self, make: Any, job: Any) -> Future[list[dict[str, Any]]]:
+            return self._made.submit(make, *job, numbers)
 
     jobs = [(study(_JOBS), [i]) for i in range(_JOBS)]
     with connect("local", 1) as client:
         crew = Idle(client.get_executor, lambda: sum(client.nthreads().values()))
-        list(make_all(crew, jobs[:50]))
+        list(make_all(crew, jobs[:50], _answer))
         start = process_time()
-        made = list(make_all(crew, jobs))
+        made = list(make_all(crew, jobs, _answer))
         took = process_time() - start
         crew.close()
     assert len(made) == _JOBS * sweeps._CHUNK

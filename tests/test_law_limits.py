@@ -363,8 +363,11 @@ def test_what_is_not_solved_is_told(monkeypatch, verdict):
     with pytest.raises(osc.SolverError, match="motor limits"):
         MADE[8].Lambda[:] = -np.eye(6)
         MADE[8].solve(6, 2, 2, 1)
-    none = {"lam": np.zeros(10)}
-    monkeypatch.setattr(daqp, "solve", lambda *a, **k: (np.full(8, np.nan), 0.0, verdict, none))
+
+    def fail(H, f, *a, **k):
+        return np.full(len(f), np.nan), 0.0, verdict, {"lam": np.zeros(len(a[1]))}
+
+    monkeypatch.setattr(daqp, "solve", fail)
     with pytest.raises(osc.SolverError, match="motor limits"):
         solve(replace(case, share=case.share[:0], floor=case.floor[:0]))
 

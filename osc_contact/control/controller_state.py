@@ -166,9 +166,8 @@ class ControllerState:
 
     def phases(self) -> Array:
         """(contacts,) open 0, approaching 1, closed 2 (`Phase`) as of the last tick."""
-        contacts = self._records.contacts
-        phase = contacts.phase if self.life is not None else Phase.CLOSED
-        return np.where(contacts.active != 0, phase, Phase.OPEN).astype(np.int64)
+        phase = self._records.phase if self.life is not None else Phase.CLOSED
+        return np.where(self._records.active != 0, phase, Phase.OPEN).astype(np.int64)
 
     @property
     def f_tare(self) -> Array:

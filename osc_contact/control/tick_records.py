@@ -30,7 +30,8 @@ class TickRecords:
             joint_memory: views of MEMORY. work, arms, joints, columns, bodies: views of WORK.
         given_columns: N (r_all, 6), n_γ and N_μ − N, where pairs in Python put them.
         floats: WORK as numbers; what recordings keep are slices of it.
-        rank, engaged, ticked: (1,) of WORK and MEMORY. X_WO, V_O: of WORK. active: (contacts,).
+        rank, engaged, ticked: (1,) of WORK and MEMORY. X_WO, V_O: of WORK.
+        active, phase: (contacts,), closed, collision: (r_all,) of MEMORY.
     """
 
     def __init__(
@@ -57,6 +58,9 @@ class TickRecords:
         self.rank = _cell(raw, at.WORK, "rank")
         self.X_WO, self.V_O = self.field("X_WO"), self.field("V_O")
         self.active: Array = self.contacts["active"]
+        self.phase: Array = self.contacts["phase"]
+        self.closed: Array = self.column_memory["closed"]
+        self.collision: Array = self.column_memory["collision"]
         self.engaged, self.ticked = (
             _cell(self.memory_bytes, at.MEMORY, name) for name in ("engaged", "ticked")
         )

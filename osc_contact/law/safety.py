@@ -33,6 +33,7 @@ from osc_contact.law.tables import (
 __all__ = ["BRAKE_RATE", "guard"]
 
 _AT_REST = 0.02  #: rad/s, m/s: below it a braked joint is held where it is
+_BRAKING = 0.5  #: s; a joint that still moves then is held all the same
 _LEAST = 0.1  #: share of the brakes that is left where motors can hardly carry the arm
 BRAKE_RATE = 40.0  #: 1/s: torques of a hold move from the last ones by their limit times this
 
@@ -135,22 +136,21 @@ def _common_part(a, b):
 def _hold_posture(chain, arms, table, work, memory, joints, kept, step, last, tau, first):
     """τ = h + M(−2ω q̇ − ω²(q − q_hold)) + Jᵀw, h and M with the arms' shares of the object in w.
 
-    While joints move, q_hold moves with them. Where motors cannot exert it the second part is
+    While joints are braked, q_hold moves with them; what moves on for longer creeps under a weight
+    that is not quite known. Where motors cannot exert it the second part is
     scaled down as a whole: so it goes on taking energy from the joints. Torques move in a straight
     line from the last ones, no motor faster than `BRAKE_RATE` allows.
     """
     n = chain.n_joints
     q, goal, speed = kept[:n], kept[n : 2 * n], kept[2 * n :]
-    moving = memory.state == SAFE_STOP and memory.cause >= STUCK  # no position to go back to
-    for j in range(n):
-        moving = moving or abs(speed[j]) > _AT_REST
-    if moving and memory.settled == 0:
+    lying = memory.state == SAFE_STOP and memory.cause >= STUCK  # no position to go back to
+    if memory.settled == 0:
+        fast = False
         for j in range(n):
+            fast = fast or abs(speed[j]) > _AT_REST
             goal[j] = q[j]
-    elif memory.settled == 0:
-        memory.settled = 1
-        for j in range(n):
-            goal[j] = q[j]
+        braking = fast and memory.age * chain.period < _BRAKING
+        memory.settled = 0 if lying or braking else 1
     origin, V, gamma, bias = work.u, work.w, work.y, work.z
     for k in range(chain.n_arms):
         arm = arms[k]

@@ -126,17 +126,18 @@ class Log:
         if self.truth is not None:
             self.truth.note()
         row[self._copied :] = 0.0
-        row[self._copied : self._copied + 3] = spent, controller.status, controller.engaged
+        first, status = self._copied, controller.status
+        row[first], row[first + 1], row[first + 2] = spent, status, controller.engaged
         _put_squeeze(row[places["squeeze_d"]], reference.squeeze_d)
-        if controller.status is Status.HELD and not self.first_reason:
+        if status is Status.HELD and not self.first_reason:
             at = self.count * controller.dt
             self.first_reason = f"at {at:.3f} s: {controller.reason}"
         cost = controller.given_up
         if cost is not None and len(cost.force) == self._r:
             row[places["given_up"]] = cost.force
         if controller.life is not None and self._last is not None:
-            seen = self._last.records.column_memory
-            row[places["phase"]] = controller.phases()
+            seen = self._last.records
+            np.multiply(seen.phase, seen.active, out=row[places["phase"]])  # OPEN is 0
             row[places["closed"]], row[places["collision"]] = seen.closed, seen.collision
         self._k += 1
         self.count += 1
@@ -220,6 +221,10 @@ def _alike(*parts: Array) -> list[Array]:
 
 def _put_squeeze(place: Array, wanted: float | Array) -> None:
     """A single number is followed by NaNs: that distinguishes it from several."""
+    if isinstance(wanted, float):
+        place[0] = wanted
+        place[1:] = np.nan
+        return
     try:
         place[:] = np.nan
         place[: np.size(wanted)] = wanted

@@ -206,6 +206,19 @@ class Scenario(Spec):
             import_module(register)
         return data
 
+    @model_validator(mode="before")
+    @classmethod
+    def _let_a_tare_engage(cls, data: Any) -> Any:
+        """Where nothing is said of phases and contacts begin open, all of them close at once.
+
+        The guarded move of phases pushes with 2 N, which wrong masses may take away.
+        """
+        if isinstance(data, dict) and data.get("tare") is not None:
+            control = data.get("control")
+            if isinstance(control, dict) and "life" not in control:
+                return {**data, "control": {**control, "life": None}}
+        return data
+
     @model_validator(mode="after")
     def _check_across(self) -> Scenario:
         found = name_problems(
