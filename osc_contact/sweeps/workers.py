@@ -64,6 +64,11 @@ class Workers:
         """
         return self._made.submit(make, *job)
 
+    def wake(self, count: int) -> None:
+        """Have processes start and import this package while their work is prepared."""
+        for _ in range(count):
+            self._made.submit(available_cores)
+
     def renew(self) -> None:
         """Go on after a worker's death."""
         self.close()
@@ -89,12 +94,12 @@ def workers_of(workers: int | None, scheduler: Any, most: int) -> Iterator[Worke
     if scheduler is None and count <= 1:
         yield None
         return
-    compiled.rows()  # if need be now, and once, not in every worker
     with ExitStack() as stack:
         if scheduler is None:
             context = get_context("spawn")  # threads of this process would not survive a fork
             end = _leave_signals_to_the_parent
             made = Workers(lambda: ProcessPoolExecutor(count, context, end), lambda: count)
+            made.wake(count)
         else:
             from osc_contact.sweeps.cluster import KilledWorker, connect
 
@@ -103,6 +108,7 @@ def workers_of(workers: int | None, scheduler: Any, most: int) -> Iterator[Worke
                 client.get_executor, lambda: max(1, sum(client.nthreads().values())), KilledWorker
             )
         stack.callback(made.close)
+        compiled.rows()  # compiled once if need be, not in every worker
         yield made
 
 
