@@ -126,8 +126,10 @@ def push_arm(
             seen.late = since
         if seen.stopped is None and controller.state is SafetyState.SAFE_STOP:
             seen.stopped = since + duration
-    if good * dt >= _STEADY:
-        seen.back = max((k - first - good) * dt, 0.0)
+        if asked and not back:  # once they were back the task may take them away
+            seen.back = None
+        elif seen.back is None and good * dt >= _STEADY:
+            seen.back = max((k - first - good) * dt, 0.0)
     if seen.late > SLOW_WITHIN:
         seen.wrong.append(f"a joint above its speed limit {seen.late:.3f} s after the push")
     if seen.stopped is None and seen.back is None:
