@@ -168,7 +168,8 @@ def _homes() -> dict[str, str]:
     """Name → module of every public name: the imports above, which only type checkers run."""
     source = __spec__.loader.get_source(__name__)  # type: ignore[union-attr]
     block = next(node for node in ast.parse(source).body if isinstance(node, ast.If))
-    return {name.name: node.module for node in block.body for name in node.names}  # type: ignore
+    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    return {name.name: str(node.module) for node in imports for name in node.names}
 
 
 def __getattr__(name: str) -> Any:

@@ -98,9 +98,11 @@ def test_tuning_finds_the_same_on_a_cluster(client) -> None:
 
 
 def test_a_cluster_of_this_machine_is_reached_by_itself_only_and_shows_no_pages(client) -> None:
+    client.restart()  # others have killed workers
+    client.wait_for_workers(2)
     client.run(os.getpid)
     ports = listening()
-    assert len(ports) >= 3 and {host for host, _ in ports} == {"127.0.0.1"}
+    assert len(ports) >= 4 and {host for host, _ in ports} == {"127.0.0.1"}
     for host, port in ports:
         with pytest.raises((OSError, HTTPException)):
             urllib.request.urlopen(f"http://{host}:{port}/health", timeout=1.0)

@@ -208,34 +208,3 @@ def test_a_numba_without_the_accelerators_classes_is_enough(
     monkeypatch.undo()
     monkeypatch.setenv("OSC_CONTACT_ACCELERATOR", "0")
     assert jit._accelerator() is None
-
-
-@pytest.mark.skipif(PLAIN, reason="nothing is compiled")
-def test_quick_typing_answers_as_numba_does_and_is_taken_back() -> None:
-    from numba import njit
-    from numba.core import ir, targetconfig
-    from numba.core.compiler import Flags, run_frontend
-    from numba.core.types.functions import BaseFunction
-
-    def work(x, y):
-        pair = (x[0], y)
-        for i in range(3):
-            x[i] += pair[0] * np.sin(y) - (x[1:][i] if y > 0 else 2.0)
-        return x.sum() + pair[1]
-
-    changed, same = Flags(), Flags()
-    changed.boundscheck, same.boundscheck = True, Flags().boundscheck  # set to its default
-
-    def seen() -> list[Any]:
-        blocks = run_frontend(work).blocks.values()
-        names = [[v.name for v in stmt.list_vars()] for b in blocks for stmt in b.body]
-        return [names, Flags() == changed, Flags() == same, changed == 1, hash(same)]
-
-    owners = BaseFunction.__dict__, targetconfig.TargetConfig.__dict__, ir.Inst.__dict__
-    before, slow = [dict(owner) for owner in owners], seen()
-    with jit.quick_typing():
-        assert [dict(owner) for owner in owners] != before
-        assert seen() == slow == [slow[0], False, True, False, hash(Flags())]
-        quick = njit(work)(np.ones(4), 0.3)
-    assert [dict(owner) for owner in owners] == before
-    assert quick == njit(work)(np.ones(4), 0.3) == pytest.approx(work(np.ones(4), 0.3))

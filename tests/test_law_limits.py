@@ -17,7 +17,8 @@ import pytest
 from readable.effort_limits import Response, relieve
 
 import osc_contact as osc
-from osc_contact.law.limits import TorqueLimits
+from osc_contact.law import jit
+from osc_contact.law.limits import TorqueLimits, finish, prepare
 
 FORCE, SQUEEZE, TORQUE, BEYOND = 1e-3, 1e-5, 1e-7, 1e2
 K_MAX, S_MAX = 9, 3
@@ -370,6 +371,17 @@ def test_what_is_not_solved_is_told(monkeypatch, verdict):
     monkeypatch.setattr(daqp, "solve", fail)
     with pytest.raises(osc.SolverError, match="motor limits"):
         solve(replace(case, share=case.share[:0], floor=case.floor[:0]))
+
+
+def test_the_answer_is_the_same_where_numba_looks_at_the_arguments(monkeypatch):
+    case, limits = random_case(np.random.default_rng(71), 8, 6, 2, 2, 1), TorqueLimits(8, 6, 3)
+    solve(case, limits)
+    monkeypatch.setattr(jit, "_fast", None)
+    ordinary = TorqueLimits(8, 6, 3)
+    assert ordinary._prepare is prepare and ordinary._finish is finish
+    solve(case, ordinary)
+    np.testing.assert_array_equal(ordinary.tau, limits.tau)
+    np.testing.assert_array_equal(ordinary.lost_force, limits.lost_force)
 
 
 def test_nothing_accumulates():

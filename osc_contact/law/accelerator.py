@@ -5,10 +5,6 @@ The parts of the law are called by its entry alone, which is optimised as a whol
 in it. Other compiled code calls that entry by its address: numba would link the whole law into
 every caller and optimise it again, for a minute.
 
-Much of the rest is numba asking itself the same: which function `a + b` is for two floats, whether
-two sets of options are equal, which variables a statement names. Inside `quick_typing` it has the
-same answers sooner.
-
 These classes may change: where they do, `jit` compiles with public numba instead, to the same code,
 and compiled runs go tick by tick. OSC_CONTACT_ACCELERATOR=0 leaves all of it out.
 """
@@ -16,78 +12,22 @@ and compiled runs go tick by tick. OSC_CONTACT_ACCELERATOR=0 leaves all of it ou
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from llvmlite import binding
 from numba import types
-from numba.core import cgutils, ir
+from numba.core import cgutils
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.errors import TypingError
-from numba.core.targetconfig import ConfigStack, TargetConfig
 from numba.core.typed_passes import NopythonTypeInference
-from numba.core.types.functions import BaseFunction
 from numba.extending import intrinsic
 
-__all__ = ["call_entry", "entry_options", "part_options", "quick_typing", "share_entry"]
+__all__ = ["call_entry", "direct", "entry_options", "part_options", "share_entry"]
 
 _SYMBOL = "osc_contact_law_rows"
 _shared: list[Any] = []  #: the entry that compiled code calls
-
-
-@contextmanager
-def quick_typing() -> Iterator[None]:
-    """numba's answers while it infers types, given faster inside the block."""
-    answers: dict[Any, Any] = {}
-    ask, equal = BaseFunction.get_call_type, TargetConfig.__eq__
-
-    def get_call_type(self: Any, context: Any, args: Any, kws: Any) -> Any:
-        """The same question has the same answer: function, arguments and options."""
-        options = ConfigStack.top_or_none()
-        asked = id(self), id(context), tuple(args), tuple(kws.items()), options
-        if asked not in answers:
-            answers[asked] = ask(self, context, args, kws), self  # which lives on, so does its id
-        return answers[asked][0]
-
-    def same(self: Any, other: Any) -> Any:
-        """Options that were set alike are equal, whatever the defaults of the others are."""
-        alike = type(self) is type(other) and self._values == other._values
-        return alike or equal(self, other)
-
-    def constant_hash(self: Any) -> int:
-        """numba's own value: it depends on the names of the options only."""
-        return hash(tuple(sorted(self.options)))
-
-    patched = (
-        (BaseFunction, "get_call_type", get_call_type), (TargetConfig, "__eq__", same),
-        (TargetConfig, "__hash__", constant_hash), (ir.Inst, "_rec_list_vars", _list_vars),
-    )  # fmt: skip
-    before = [(owner, name, getattr(owner, name)) for owner, name, _ in patched]
-    for owner, name, quick in patched:
-        setattr(owner, name, quick)
-    try:
-        yield
-    finally:
-        for owner, name, slow in before:
-            setattr(owner, name, slow)
-
-
-def _list_vars(self: Any, value: Any) -> list[Any]:
-    """The variables in a statement's fields, most of which are none."""
-    kind = type(value)
-    if kind is ir.Var:
-        return [value]
-    if kind is ir.Loc or kind is str or value is None:
-        return []
-    if kind in (list, tuple, dict):
-        parts = value.values() if kind is dict else value
-        return [found for part in parts for found in _list_vars(self, part)]
-    if isinstance(value, ir.Var):
-        return [value]
-    return value.list_vars() if isinstance(value, ir.Inst) else []
 
 
 class _NoSymbols:
@@ -155,6 +95,17 @@ def part_options() -> dict[str, Any]:
 def entry_options() -> dict[str, Any]:
     """The same for functions that Python calls."""
     return {"no_cfunc_wrapper": True, "_nrt": False}
+
+
+def direct(entry: Any) -> Any:
+    """The entry without numba's look at the types of its arguments, see `jit.direct`.
+
+    The entry itself where it was not called before, or with other types, too.
+    """
+    if len(entry.overloads) != 1:
+        return entry
+    (compiled,) = entry.overloads.values()
+    return getattr(compiled, "entry_point", entry)
 
 
 def share_entry(entry: Any) -> int | None:

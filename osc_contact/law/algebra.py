@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.six import add, dot6, fill, scaled, six
+from osc_contact.law.six import add, dot6, fill, reflector, scaled, six
 
 __all__ = [
     "back_substitute",
@@ -164,15 +164,11 @@ def qr_rows(X, rows, length, diagonal, beta):
         s = 0.0
         for i in range(k, length):
             s += X[k, i] * X[k, i]
-        norm = sqrt(s)
-        if not norm > 0.0:
+        if not s > 0.0:
             return False
-        head = X[k, k]
-        alpha = -norm if head >= 0.0 else norm
-        b = 1.0 / (norm * (norm + abs(head)))
-        X[k, k] = head - alpha
-        diagonal[k] = alpha
-        beta[k] = b
+        diagonal[k], beta[k] = reflector(s, X[k, k])
+        X[k, k] -= diagonal[k]
+        b = beta[k]
         for j in range(k + 1, rows):
             t = 0.0
             for i in range(k, length):

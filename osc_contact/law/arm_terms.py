@@ -6,7 +6,7 @@ from math import sqrt
 
 from osc_contact.law.algebra import cholesky, cholesky_solve, invert_spd6, one_sided_jacobi
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.six import add, dot6, fill, form_q6, mirror, qr6, scaled, six
+from osc_contact.law.six import add, dot6, fill, form_q6, mirror, qr6, reflector, scaled, six
 
 __all__ = ["arm_terms", "effort_metric", "solve_inertia_transposed"]
 
@@ -161,16 +161,13 @@ def _qr_tall(A, n, Q, R, beta, scratch):
         for i in range(k + 1, n):
             t = add(t, A[i, k], A[i])
         fill(scratch, t)  # of the column itself: its square, and its products with the others
-        norm = sqrt(scratch[k])
-        if not norm > 0.0:
+        if not scratch[k] > 0.0:
             return False
-        head = A[k, k]
-        alpha = -norm if head >= 0.0 else norm
-        b = 1.0 / (norm * (norm + abs(head)))
+        alpha, b = reflector(scratch[k], A[k, k])
         fill(scratch, scaled(b, add(t, -alpha, A[k])))
         for c in range(k + 1):
             scratch[c] = 0.0
-        A[k, k] = head - alpha
+        A[k, k] -= alpha
         beta[k] = b
         t = six(scratch)
         for i in range(k, n):

@@ -19,7 +19,7 @@ import numpy as np
 from osc_contact.law import saturation
 from osc_contact.law import tables as at
 from osc_contact.law import tick as law
-from osc_contact.law.jit import PLAIN_PYTHON, quick_typing
+from osc_contact.law.jit import PLAIN_PYTHON
 
 __all__ = ["announced", "rows", "saturated", "tell"]
 
@@ -42,7 +42,7 @@ def rows() -> Any:
     if PLAIN_PYTHON:
         return call
     none, raw = np.zeros(0), np.zeros(at.CHAIN_BYTES, np.uint8)
-    with announced(), quick_typing():
+    with announced():
         call(
             raw, raw, raw, none, none, np.zeros((0, 6)), np.zeros((0, 4)), none, none, none, none,
             np.zeros((0, 28)), 0, none, np.zeros(0, np.int64), law.LOOK, law.END, 0, 0,

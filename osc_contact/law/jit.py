@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import os
-from contextlib import nullcontext
 from types import FunctionType
 from typing import Any
 
@@ -32,7 +31,6 @@ __all__ = [
     "matrix",
     "numbers",
     "prefetch",
-    "quick_typing",
     "reader",
     "share_entry",
 ]
@@ -68,8 +66,6 @@ _INNER, _ENTRY = ({}, {}) if PLAIN_PYTHON else _options(_fast)
 #: Of the accelerator: how other compiled code calls an entry. None without it.
 call_entry: Any = None if _fast is None else _fast.call_entry
 share_entry: Any = None if _fast is None else _fast.share_entry
-#: What the law is compiled in.
-quick_typing: Any = nullcontext if _fast is None else _fast.quick_typing
 
 
 def inner(function: Any) -> Any:
@@ -95,11 +91,7 @@ def direct(entry: Any) -> Any:
     numba looks at each array of a tuple, which takes longer than small functions do. Only for
     arguments that the caller makes itself: those of other types would be misread.
     """
-    try:
-        (compiled,) = entry.overloads.values()
-        return compiled.entry_point
-    except (AttributeError, ValueError):  # plain Python, or more than one signature
-        return entry
+    return entry if _fast is None else _fast.direct(entry)
 
 
 def as_python(part: Any, **instead: Any) -> Any:

@@ -12,7 +12,7 @@ from osc_contact.law.jit import inner, leaf
 
 __all__ = [
     "add", "dot6", "fill", "form_q6", "mirror", "qr6",
-    "reflect", "reflect_back", "reflect_sides", "scaled", "six", "times6",
+    "reflect", "reflect_back", "reflect_sides", "reflector", "scaled", "six", "times6",
 ]  # fmt: skip
 
 
@@ -59,6 +59,17 @@ def times6(A, x):
     return dot6(A[0], x), dot6(A[1], x), dot6(A[2], x), dot6(A[3], x), dot6(A[4], x), dot6(A[5], x)
 
 
+@leaf
+def reflector(square, head):
+    """α and β of the reflection 1 − β v vᵀ that takes a vector x to α e: v = x − α e.
+
+    Args:
+        square: xᵀx > 0. head: the element of x that is left, eᵀx.
+    """
+    norm = sqrt(square)
+    return -norm if head >= 0.0 else norm, 1.0 / (norm * (norm + abs(head)))
+
+
 @inner
 def qr6(X, rows, R, diagonal, beta):
     """Householder QR of the (6, rows) matrix whose *columns* are X[:rows, :6].
@@ -74,15 +85,12 @@ def qr6(X, rows, R, diagonal, beta):
         for i in range(k):
             R[i, k] = X[k, i]
             X[k, i] = 0.0
-        norm = sqrt(dot6(X[k], X[k]))
-        if not norm > 0.0:
+        square = dot6(X[k], X[k])
+        if not square > 0.0:
             return False
-        head = X[k, k]
-        alpha = -norm if head >= 0.0 else norm
-        b = 1.0 / (norm * (norm + abs(head)))
-        X[k, k] = head - alpha
-        diagonal[k] = alpha
-        beta[k] = b
+        diagonal[k], beta[k] = reflector(square, X[k, k])
+        X[k, k] -= diagonal[k]
+        b = beta[k]
         v = six(X[k])
         for j in range(k + 1, rows):
             x = six(X[j])
