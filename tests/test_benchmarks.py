@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from mmap import mmap
 from pathlib import Path
 from time import perf_counter, sleep
 
@@ -409,8 +410,9 @@ def test_a_soak_tells_memory_that_grows_and_runs_that_differ(tmp_path: Path) -> 
     assert first["hash"] == second["hash"] and first["ticks"] == 300
     assert 0.0 <= first["grown_MB"] < 5.0 < first["begin_MB"] <= first["peak_MB"]
     assert (tmp_path / "soak.png").stat().st_size > 5000
-    before, kept = soak.resident(), np.ones(1 << 22)  # 32 MB
-    assert 30.0 < soak.resident() - before < 40.0 and kept.all()
+    before, pages = soak.resident(), mmap(-1, 32 << 20)  # a heap may have pages to spare
+    pages.write(b"1" * len(pages))
+    assert 30.0 < soak.resident() - before < 40.0
 
 
 def test_calls_take_turns() -> None:

@@ -179,8 +179,11 @@ def test_commands_come_out_on_the_true_rig(torques):
 
 @pytest.mark.parametrize("kinds", [("slide", "plane"), ("cylinder", "plane")])
 def test_two_grasps_that_pass_on_no_squeeze(kinds):
-    """The force along the line between the tips is decided by f_S: there is nothing to command."""
-    for seed in range(4):
+    """The force along the line between the tips is decided by f_S: there is nothing to command.
+
+    Seeds 3 and 45: near singular postures rounding leaves a pivot for the squeeze, on some kernels.
+    """
+    for seed in (0, 1, 2, 3, 45):
         rng = np.random.default_rng(seed)
         case = random_case(["ur5", "ur5"], kinds, rng)
         v, V, _, contact = moving(case, (), np.zeros((6, 0)), rng)

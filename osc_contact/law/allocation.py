@@ -13,14 +13,15 @@ dynamically consistent null space,
 
 from __future__ import annotations
 
-from math import isfinite, sqrt
+from math import isfinite
 
-from osc_contact.law.algebra import cholesky, cholesky_solve, form_q, qr_rows
+from osc_contact.law.algebra import cholesky_solve, form_q, qr_rows
 from osc_contact.law.internal import internal_rows
 from osc_contact.law.jit import inner, leaf, matrix
 from osc_contact.law.singular import retreat
 from osc_contact.law.six import add, dot6, fill, reflect, reflect_back, scaled, six, times6
 from osc_contact.law.tables import NO_REASON, UNACTUATED
+from osc_contact.law.torque_rows import add_row, factor_effort
 
 __all__ = [
     "allocate_torques",
@@ -29,8 +30,6 @@ __all__ = [
     "predict_joints",
     "push_from_limits",
 ]
-
-_DRIVEN = 1e-12  #: least share of a pivot of Z
 
 
 @inner
@@ -100,6 +99,7 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
     weighed = matrix(extra, e_max * n, e_max, n)
     Z = matrix(extra, 2 * e_max * n, wide, wide)
     b = extra[2 * e_max * n + wide * wide :]
+    rest = extra[2 * e_max * n + wide * (wide + 1) :]
     for k in range(chain.n_arms):
         arm, own = arms[k], arm_work[k]
         if own.wide != 0:
@@ -117,13 +117,14 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
     if chain.n_bars > 0:
         count = internal_rows(chain, arms, table, work, arm_work, joints, E, b, d, link, squeeze)
     work.n_internal = count
-    if not _factor_rows(chain, arms, table, work, arm_work, joints, E, weighed, Z, count):
-        if chain.n_arms != 2 or count == 0:
-            return UNACTUATED
-        count = 0  # the grasps pass on no squeeze of its own: f_S decides it
-        work.n_internal, work.internal[0] = 0, 0.0
-        if not _factor_rows(chain, arms, table, work, arm_work, joints, E, weighed, Z, count):
-            return UNACTUATED
+    if not factor_effort(work, Z):
+        return UNACTUATED
+    for e in range(count):
+        if not add_row(chain, arms, table, work, arm_work, joints, E, weighed, Z, e, rest):
+            if chain.n_arms != 2:
+                return UNACTUATED
+            count = 0  # the grasps pass on no squeeze of its own: f_S decides it
+            work.n_internal, work.internal[0] = 0, 0.0
     size = d + count
     own = _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, count, q, v)
     for e in range(count, count + own):
@@ -131,8 +132,7 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
             b[size] = b[d + e]
             for j in range(n):
                 E[size - d, j] = E[e, j]
-        _fill_row(chain, arms, table, arm_work, joints, work, E, weighed, Z, d, size - d)
-        if _extend_factor(Z, size):
+        if add_row(chain, arms, table, work, arm_work, joints, E, weighed, Z, size - d, rest):
             size += 1
     count = size - d
     cholesky_solve(Z, size, b, 0)
@@ -146,54 +146,6 @@ def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, sq
         for j in range(n):
             joints[j].tau += b[d + e] * weighed[e, j]
     return NO_REASON
-
-
-@inner
-def _factor_rows(chain, arms, table, work, arm_work, joints, E, weighed, Z, count):
-    """Z = A R⁻¹Aᵀ of G and `count` rows E, factored; False: they depend on one another."""
-    m = work.locked
-    d = 6 - m
-    for i in range(d):
-        for j in range(i + 1):
-            Z[i, j] = work.effort[m + i, m + j]
-    for e in range(count):
-        _fill_row(chain, arms, table, arm_work, joints, work, E, weighed, Z, d, e)
-    return cholesky(Z, 0, d + count, Z) > _DRIVEN
-
-
-@inner
-def _fill_row(chain, arms, table, arm_work, joints, work, E, weighed, Z, d, e):
-    """weighed[e] = R⁻¹ E[e], and the row of Z that belongs to it."""
-    for k in range(chain.n_arms):
-        _weigh_row(arms[k], table, arm_work[k], joints, E[e], weighed[e])
-    x = scaled(weighed[e, 0], joints[0].J_bar)
-    for j in range(1, chain.n_joints):  # rows of G R⁻¹Eᵀ, turned
-        x = add(x, weighed[e, j], joints[j].J_bar)
-    fill(work.u, x)
-    reflect(work.reflectors, work.beta, work.locked, work.u)
-    for i in range(d):
-        Z[d + e, i] = work.u[work.locked + i]
-    for c in range(e + 1):
-        s = 0.0
-        for j in range(chain.n_joints):
-            s += weighed[e, j] * E[c, j]
-        Z[d + e, d + c] = s
-
-
-@inner
-def _extend_factor(Z, size):
-    """One row more of a factor from `cholesky`; False: no motor tells it from the others."""
-    whole = left = Z[size, size]
-    for i in range(size):
-        s = Z[size, i]
-        for k in range(i):
-            s -= Z[size, k] * Z[i, k]
-        Z[size, i] = s * Z[i, i]
-        left -= Z[size, i] * Z[size, i]
-    if not left > _DRIVEN * whole:
-        return False
-    Z[size, size] = 1.0 / sqrt(left)
-    return True
 
 
 @leaf
@@ -296,22 +248,6 @@ def _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, first, q, 
         for i in range(d):
             b[i] -= work.u[work.locked + i]
     return count - first
-
-
-@inner
-def _weigh_row(arm, table, own, joints, row, out):
-    """out = R⁻¹ row, over one arm's joints."""
-    lo, hi = arm.first, arm.end
-    if own.wide == 0:
-        for j in range(lo, hi):
-            out[j] = table[j].effort * row[j]
-        return
-    x = scaled(row[lo], joints[lo].J)
-    for j in range(lo + 1, hi):
-        x = add(x, row[j], joints[j].J)
-    x = times6(own.effort, x)
-    for j in range(lo, hi):
-        out[j] = dot6(joints[j].J, x)
 
 
 @leaf

@@ -50,7 +50,7 @@ def new_model(
         "head": at.WORK_BYTES, "arm_work": k * at.ARM_WORK_BYTES,
         "joint_work": n * at.JOINT_WORK_BYTES, "column_work": r * at.COLUMN_WORK_BYTES,
         "body_work": c * at.BODY_WORK_BYTES, "locked": 8 * 7 * 6 * k,
-        "extra": 8 * (2 * extra * n + wide * wide + wide),
+        "extra": 8 * (2 * extra * n + wide * wide + 2 * wide + 2 * n),
         "link": 8 * (_linkage_size(k, n, bars) if k > 2 else 0),
         "flat": 8 * (5 * r + motors), "jacobian": 8 * 6 * n,
         "bars": 8 * bars,
