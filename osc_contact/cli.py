@@ -46,6 +46,7 @@ from osc_contact.runs.rig import build_rig
 from osc_contact.runs.viewing import require_drawable, write_scene_of
 from osc_contact.scenarios import list_scenarios
 from osc_contact.visual.browser import find_browser
+from osc_contact.visual.movie import write_gif, write_mp4
 
 __all__ = ["app"]
 
@@ -206,6 +207,9 @@ def view(
     ] = None,
     png: Annotated[Path | None, typer.Option("--png", help="a picture of the page")] = None,
     gif: Annotated[Path | None, typer.Option("--gif", help="a moving picture of it")] = None,
+    mp4: Annotated[
+        Path | None, typer.Option("--mp4", help="a video of it (extra `video`)", show_default=False)
+    ] = None,
     time: Annotated[
         float | None,
         typer.Option(help="s: stand still there (PNG: default the middle)", show_default=False),
@@ -219,12 +223,16 @@ def view(
     seed: SeedOption = 0,
     set_: SetOption = None,
 ) -> None:
-    """Look at a scenario or a recording: HTML with a time slider (default), PNG, GIF, or live."""
+    """Look at a scenario or a recording: HTML with a time slider (default), PNG, GIF, MP4, or live."""
     with exit_codes():
-        if live + sum(file is not None for file in (html, png, gif)) > 1:
-            raise InvalidInputError("give one of --live, --html FILE, --png FILE and --gif FILE")
-        if gif is not None and time is not None:
-            raise InvalidInputError("a GIF shows the whole recording: leave --time out")
+        if live + sum(file is not None for file in (html, png, gif, mp4)) > 1:
+            raise InvalidInputError(
+                "give one of --live, --html FILE, --png FILE, --gif FILE and --mp4 FILE"
+            )
+        film = gif or mp4
+        if film is not None and time is not None:
+            kind = "a GIF" if gif else "a video"
+            raise InvalidInputError(f"{kind} shows the whole recording: leave --time out")
         recording = None
         if what.endswith(RECORDINGS):
             if set_ or plant or duration is not None:
@@ -239,16 +247,19 @@ def view(
         if live:
             show_live(scenario, recording, seed, hold)
             return
-        if png is not None or gif is not None:
+        if png is not None or film is not None:
             find_browser()
-        if gif is not None:
+        if mp4 is not None:
+            require("av")
+        if film is not None:
             require("PIL")
         recording = run_with_progress(scenario, seed, None) if recording is None else recording
         if png is not None:
             say(f"written: {replay.picture(recording, rig, png, time)}")
             return
-        if gif is not None:
-            say(f"written: {replay.moving_picture(recording, rig, gif)}")
+        if film is not None:
+            write = write_gif if gif is not None else write_mp4
+            say(f"written: {replay.moving_picture(recording, rig, film, write)}")
             return
         name = Path(what).stem if what.endswith(RECORDINGS) else scenario.file_stem
         page = html or Path("out") / f"{name}.html"

@@ -48,6 +48,7 @@ EXTRAS = {
     "matplotlib": "plot",
     "mpl_toolkits": "plot",
     "PIL": "plot",
+    "av": "video",
     "mujoco": "sim",
     "ruckig": "sim",
     "pyarrow": "sweep",

@@ -433,6 +433,9 @@ def test_view_runs_a_scenario_and_writes_to_out(
     result = call("view", "two_contact_rod", *short, "--gif", "moving.gif")
     assert result.exit_code == 0, result.output
     assert (tmp_path / "moving.gif").read_bytes().startswith(b"GIF89a")
+    result = call("view", "two_contact_rod", *short, "--mp4", "moving.mp4")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "moving.mp4").read_bytes()[4:8] == b"ftyp"
 
 
 @pytest.mark.parametrize("what", ["scenario", "recording"])
@@ -457,10 +460,16 @@ def test_view_refuses_what_it_cannot_show(
     assert "no recording" in refused("view", tmp_path / "none.npz")
     words = refused("view", recording, "--gif", tmp_path / "x.gif", "--time", "0.5")
     assert "a GIF shows the whole recording" in words
+    words = refused("view", recording, "--mp4", tmp_path / "x.mp4", "--time", "0.5")
+    assert "a video shows the whole recording" in words
     words = refused("view", recording, "--png", tmp_path / "x.png", "--time", "7")
     assert "time 7 s is not in the recording, which spans 0 to 1.04" in words
     Recording({"contact_names": []}, {"t": np.zeros(1)}).save(tmp_path / "bare.npz")
     assert "does not say which scenario" in refused("view", tmp_path / "bare.npz")
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "av", None)
+        words = refused("view", recording, "--mp4", tmp_path / "x.mp4")
+        assert "av is not installed: pip install 'osc-contact[video]'" in words
     monkeypatch.setenv("OSC_CONTACT_BROWSER", "/no/browser/here")
     assert "apt-get install chromium" in refused("view", recording, "--png", tmp_path / "x.png")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bare.npz"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from headless import Browser, near
@@ -13,7 +14,7 @@ from scene_samples import ARMS, BODIES, make_recording
 from osc_contact.errors import ViewerError
 from osc_contact.visual import contact_colour
 from osc_contact.visual.devtools import FRAMES
-from osc_contact.visual.movie import moments, one_palette, write_gif
+from osc_contact.visual.movie import moments, one_palette, write_gif, write_mp4
 from osc_contact.visual.scene import write_scene
 from osc_contact.visual.subspaces import T_COLOUR
 
@@ -52,6 +53,20 @@ def test_a_gif_shows_arm_arrows_curves_and_the_marker_at_its_times(gif: list[np.
     assert blue[1] > 20 and near(gif[0][:180], T_COLOUR) < 20, "arrows, and no twist axes"
     moved = np.abs(gif[0][:180] - gif[-1][:180]).max(axis=2) > 40
     assert moved.sum() > 500, "the arm has moved"
+
+
+def test_a_video_decodes_to_the_frames_of_the_gif(page: Path, gif: list[np.ndarray]) -> None:
+    path = write_mp4(page, page.with_suffix(".mp4"), 0.0, 1.0, SIZE)
+    with av.open(str(path)) as video:
+        (stream,) = video.streams
+        assert (stream.codec.name, stream.pix_fmt) == ("h264", "yuv420p")
+        assert (stream.width, stream.height, stream.average_rate) == (*SIZE, 25)
+        assert float(stream.duration * stream.time_base) == pytest.approx(1.0)
+        frames = [f.to_ndarray(format="rgb24").astype(int) for f in video.decode(stream)]
+    assert len(frames) == 25
+    off = [np.abs(frame - gif[3]).mean() for frame in frames]  # at 0.5 s
+    assert np.argmin(off) in (12, 13) and min(off) < 8
+    assert near(frames[12][:180], contact_colour(0), 40) > 20, "its colours"
 
 
 def test_pixels_that_hardly_change_keep_their_colour() -> None:

@@ -76,13 +76,16 @@ def picture(recording: Recording, rig: Rig, path: Path, time: float | None) -> P
         return write_png(page, path, moment)
 
 
-def moving_picture(recording: Recording, rig: Rig, path: Path) -> Path:
-    """An animated GIF of the whole recording.
+def moving_picture(
+    recording: Recording, rig: Rig, path: Path, write: Callable[..., Path] = write_gif
+) -> Path:
+    """The whole recording, moving.
 
     Args:
         recording: what is shown.
         rig: the parts of its scenario.
         path: to write.
+        write: write_gif or write_mp4.
 
     Raises:
         ViewerError: there is no browser to render it.
@@ -91,4 +94,4 @@ def moving_picture(recording: Recording, rig: Rig, path: Path) -> Path:
     t = recording["t"]
     with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
         page = write_scene_of(recording, rig, Path(folder) / "scene.html")
-        return write_gif(page, path, float(t[0]), float(t[-1]))
+        return write(page, path, float(t[0]), float(t[-1]))

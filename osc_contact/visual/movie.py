@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -18,11 +18,12 @@ from osc_contact.visual.page import unfolded
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["SIZE", "write_gif"]
+__all__ = ["SIZE", "write_gif", "write_mp4"]
 
 SIZE = (640, 540)
 """Of a moving picture, pixels."""
 RATE, MOST_FRAMES, LONGEST_S = 12.0, 72, 10.0
+VIDEO_RATE, LONGEST_VIDEO_S = 25, 30.0
 SAMPLES = 6
 LEAST_CHANGE = 10  # of 255
 
@@ -67,13 +68,7 @@ def write_gif(
         InvalidInputError: the page holds no drawing commands.
     """
     times, shown = moments(begin, end, most)
-    text = unfolded(Path(page).read_text(encoding="utf-8"))
-    with tempfile.TemporaryDirectory(prefix="osc_contact_", ignore_cleanup_errors=True) as folder:
-        plain = Path(folder) / "page.html"
-        plain.write_text(text, encoding="utf-8")
-        with Browser(f"{plain.as_uri()}#t={begin:g}&movie&camera={quote(camera)}", size) as browser:
-            frames = [photograph(browser, time) for time in times]
-    few = one_palette(frames)
+    few = one_palette(list(photographs(page, times, size, camera)))
     with whole_file(path) as unfinished:
         few[0].save(
             unfinished, format="GIF", save_all=True, append_images=few[1:], duration=shown,
@@ -82,12 +77,58 @@ def write_gif(
     return Path(path)
 
 
-def photograph(browser: Browser, time: float) -> Image:
-    """The page at a time (s) of its recording."""
+def write_mp4(
+    page: str | Path,
+    path: str | Path,
+    begin: float,
+    end: float,
+    size: tuple[int, int] = SIZE,
+    camera: str = "whole",
+) -> Path:
+    """Write a video (H.264) of a page that plays a recording; returns its path.
+
+    It has 25 frames per second in real time; what lasts longer than 30 s is played faster.
+
+    Args:
+        page: file written by `write_scene`.
+        path: the video; it appears complete or not at all.
+        begin, end: of what it shows (s).
+        size: of the picture, pixels, even numbers.
+        camera: whole, contacts, from above or other side.
+
+    Raises:
+        ViewerError: no browser, or it gave no picture.
+        InvalidInputError: the page holds no drawing commands.
+    """
+    import av
+
+    count = max(2, round(min(end - begin, LONGEST_VIDEO_S) * VIDEO_RATE))
+    times = np.linspace(begin, end, count, endpoint=False).tolist()
+    with whole_file(path) as unfinished, av.open(str(unfinished), "w", format="mp4") as video:
+        stream = video.add_stream("libx264", rate=VIDEO_RATE, options={"crf": "20"})
+        stream.width, stream.height = size
+        stream.pix_fmt = "yuv420p"  # what every player shows
+        for picture in photographs(page, times, size, camera):
+            video.mux(stream.encode(av.VideoFrame.from_image(picture)))
+        video.mux(stream.encode())
+    return Path(path)
+
+
+def photographs(
+    page: str | Path, times: Sequence[float], size: tuple[int, int], camera: str
+) -> Iterator[Image]:
+    """The page at times (s) of its recording, without its controls."""
     from PIL import Image
 
-    browser.run(f"player.seek({time:.6f} - origin)")
-    return Image.open(io.BytesIO(browser.png())).convert("RGB")
+    text = unfolded(Path(page).read_text(encoding="utf-8"))
+    with tempfile.TemporaryDirectory(prefix="osc_contact_", ignore_cleanup_errors=True) as folder:
+        plain = Path(folder) / "page.html"
+        plain.write_text(text, encoding="utf-8")
+        address = f"{plain.as_uri()}#t={times[0]:g}&movie&camera={quote(camera)}"
+        with Browser(address, size) as browser:
+            for time in times:
+                browser.run(f"player.seek({time:.6f} - origin)")
+                yield Image.open(io.BytesIO(browser.png())).convert("RGB")
 
 
 def one_palette(frames: Sequence[Image]) -> list[Any]:
