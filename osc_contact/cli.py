@@ -223,7 +223,7 @@ def view(
     seed: SeedOption = 0,
     set_: SetOption = None,
 ) -> None:
-    """Look at a scenario or a recording: HTML with a time slider (default), PNG, GIF, MP4, or live."""
+    """Look at a scenario or a recording: page with a time slider (default), PNG, GIF, MP4, live."""
     with exit_codes():
         if live + sum(file is not None for file in (html, png, gif, mp4)) > 1:
             raise InvalidInputError(

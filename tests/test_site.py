@@ -130,6 +130,22 @@ def test_equations_are_drawn_without_a_script(site: Path) -> None:
     assert "n<sub>γ</sub>" in text and "V<sub>rel</sub>" in text
 
 
+def test_first_uses_of_symbols_lead_to_the_glossary(site: Path) -> None:
+    """Each once on a page, in its text; not in tables of keys, where N is a newton."""
+    wanted = {
+        "theory": "N T r d S C G O n_γ α_u η̇_u Ψ Φ Ω_f",
+        "inspect": "d r C N T",
+        "scenario": "r",
+    }
+    for page, names in wanted.items():
+        text = (site / f"docs/{page}.html").read_text(encoding="utf-8")
+        links = re.findall(r'<a class="term [^>]*>(.*?)</a>', text)
+        linked = [re.sub("</?sub>", "", link.replace("<sub>", "_")) for link in links]
+        assert len(linked) == len(set(linked)), page
+        assert set(names.split()) <= set(linked), page
+        assert '<td><p><a class="term' not in text, page
+
+
 def test_names_in_tables_break_after_their_parts_only(site: Path) -> None:
     text = (site / "docs/scenario.html").read_text(encoding="utf-8")
     name = re.sub(r"</?span[^>]*>", "", text)

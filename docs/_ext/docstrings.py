@@ -9,6 +9,12 @@ SECTION = re.compile(r"(Args|Attributes|Raises|Returns):$")
 NAMES = re.compile(r"^ {4}(\w+(?:, \w+)+): ")
 BAR = re.compile(r"(?<!\\)\|")
 ALIAS = re.compile(r"TypeAliasForwardRef\('(\w+)'\)")
+ARRAY = re.compile(r"[~\w.]*ndarray\[tuple\[[~\w.]*Any, \.\.\.\], [~\w.]*dtype\[[~\w.]+\]\]")
+ARRAY_LIKE = re.compile(  # what NumPy makes of ArrayLike
+    r"[~\w.]*_Buffer \| [^,]*?_NestedSequence\[complex \| bytes \| str\]"
+)
+FUNCTION = re.compile(r"<function (\w+)>")
+MADE = re.compile(r"(Create a new model by parsing|Create new instance of|Alias for field number)")
 
 
 def setup(app: Any) -> dict[str, bool]:
@@ -32,7 +38,8 @@ def tidy(_app: Any, what: str, _name: str, _object: Any, _options: Any, lines: l
         if section:
             line = NAMES.sub(lambda found: found[0].replace(", ", ","), line)
         out.append(line if formula else BAR.sub(r"\\|", line))
-    lines[:] = out
+    made = [k for k, line in enumerate(out) if MADE.match(line)]  # what pydantic and tuples add
+    lines[:] = out[: made[0]] if made else out
 
 
 def no_type(app: Any, what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
@@ -53,5 +60,7 @@ def short_aliases(
         return None
     if hasattr(_object, "model_fields"):
         return "(keys)", None
-    given = given.replace("<factory>", "...")
-    return ALIAS.sub(r"\1", given), returned and ALIAS.sub(r"\1", returned)
+    given = FUNCTION.sub(r"\1", given.replace("<factory>", "..."))
+    for long, short in ((ALIAS, r"\1"), (ARRAY, "Array"), (ARRAY_LIKE, "ArrayLike")):
+        given, returned = long.sub(short, given), returned and long.sub(short, returned)
+    return given, returned

@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from PIL import Image
+
 import osc_contact as osc
 from osc_contact.paper.statements import PAPER, judge
 from osc_contact.paper.studies import STUDIES, Ask, Study
@@ -20,7 +22,7 @@ from osc_contact.visual.movie import write_gif
 
 DOCS = Path(__file__).resolve().parents[1]
 PICTURES = DOCS / "images" / "gallery"
-README_MOST, CARD_MOST = 3_000_000, 1_500_000  # bytes
+README_MOST, CARD_MOST, FIGURE_MOST = 3_000_000, 1_500_000, 300_000  # bytes
 HEAD = """# Gallery
 
 Every packaged scenario and study: what it shows, its command, and the verdict of the run that is
@@ -99,8 +101,9 @@ def draw(name: str) -> str:
     """Make a study, write its figure; returns its card."""
     print(name, flush=True)
     study, picture = STUDIES[name](Ask()), PICTURES / f"{name}.png"
-    study.figures[name].savefig(picture, dpi=75)
-    require_small(picture, CARD_MOST)
+    study.figures[name].savefig(picture, dpi=90)
+    Image.open(picture).quantize(256).save(picture, optimize=True)
+    require_small(picture, FIGURE_MOST)
     return (
         f"## {name}\n\n![{name.replace('_', ' ')}](images/gallery/{name}.png)\n\n"
         f"{STUDIED[name]}\n\n    osc-contact reproduce {name}\n\n{study_words(name, study)}\n"

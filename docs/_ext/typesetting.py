@@ -8,7 +8,7 @@ from typing import Any
 from docutils import nodes
 
 INDEX = re.compile(
-    r"(?:(?<![A-Za-z0-9_])|(?<=_[a-z]))((?:bias|[A-Za-zΑ-Ωα-ω])[\u0300-\u036f]*)_([a-z0-9]+|[A-Z]|[γμη])(?![a-z]*_)"
+    r"(?:(?<![A-Za-z0-9_])|(?<=_[a-z]))((?:bias|[A-Za-zΑ-Ωα-ω])[\u0300-\u036f]*)_([a-z0-9]+|[A-Z]+|[γμητω])(?![a-z]*_)"
 )
 PLACES = re.compile(r"(?<=[._/])(?=\w)(?!py\b)")
 

@@ -31,7 +31,9 @@ class BatchController:
     grasps. Masses, gains, contacts, friction, limits and memory are each row's own.
 
     Attributes:
-        rows: B. threads: how many share a tick. status: (B,) of `Status`, of the last tick.
+        rows: B, how many controllers.
+        threads: how many share a tick.
+        status: (B,) of `Status`, of the last tick.
     """
 
     def __init__(self, controllers: Sequence[Controller], threads: int = 1) -> None:

@@ -19,7 +19,7 @@ __all__ = ["READY", "Browser"]
 READY = "typeof player === 'object' && player.ready"
 """True once a page of `write_page` has drawn its first picture."""
 FRAMES = "new Promise(d => requestAnimationFrame(() => requestAnimationFrame(() => d(1))))"
-ANSWER_S = 60.0
+ANSWER_S, OPEN_S = 60.0, 120.0
 
 
 class Browser:
@@ -56,7 +56,7 @@ class Browser:
             for domain in ("Page", "Runtime", "Log"):
                 self.ask(f"{domain}.enable")
             self.ask("Page.navigate", url=address)
-            self.until(f"document.readyState === 'complete' && {ready}")
+            self.until(f"document.readyState === 'complete' && {ready}", OPEN_S)
         except BaseException:
             self.close()
             raise

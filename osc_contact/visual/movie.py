@@ -109,7 +109,9 @@ def write_mp4(
         stream.width, stream.height = size
         stream.pix_fmt = "yuv420p"  # what every player shows
         for picture in photographs(page, times, size, camera):
-            video.mux(stream.encode(av.VideoFrame.from_image(picture)))
+            video.mux(
+                stream.encode(av.VideoFrame.from_ndarray(np.asarray(picture), format="rgb24"))
+            )
         video.mux(stream.encode())
     return Path(path)
 
@@ -117,7 +119,11 @@ def write_mp4(
 def photographs(
     page: str | Path, times: Sequence[float], size: tuple[int, int], camera: str
 ) -> Iterator[Image]:
-    """The page at times (s) of its recording, without its controls."""
+    """The page at moments of its recording, without its controls.
+
+    Args:
+        page: see `write_gif`. times: s. size: pixels. camera: see `write_gif`.
+    """
     from PIL import Image
 
     text = unfolded(Path(page).read_text(encoding="utf-8"))

@@ -183,7 +183,7 @@ function start() {
   });
   if (movie) nodeAt("twists").set_property("visible", false);
   const caption = element("caption");
-  caption.classList.toggle("folded", window.innerWidth < 700);
+  caption.classList.toggle("folded", window.innerWidth < 900);
   caption.querySelector("h1").addEventListener("click", () => caption.classList.toggle("folded"));
   window.addEventListener("keydown", (event) => {
     if (event.key === "g") {
