@@ -313,6 +313,19 @@ def test_report_shows_everything_in_one_page(tmp_path) -> None:
     worst = failed.index(True)
     assert summary["worst"][0]["row"] in np.flatnonzero(failed)
     assert html.escape(study.command(worst)) in page and "REFUSED" in page
+    assert "Sobol" not in page
+
+
+def test_report_shows_the_shares_of_a_saltelli_design(tmp_path) -> None:
+    study = rod(2, MASSES, "squeeze=uniform(0, 1)", design="saltelli")
+    found = write_report(run_study(study, workers=1), study, tmp_path)["variances"]
+    shares = [share for keys in found.values() for share in keys.values()]
+    page = (tmp_path / "report.html").read_text()
+    table = page.split("Shares of the variance")[1].split("</table>")[0]
+    assert [text for text in re.findall("<td>(.*?)</td>", table) if " alone" in text] == [
+        f"{share['first']:.0%} alone, {share['total']:.0%} in all" for share in shares
+    ]
+    assert len(shares) == 2 * len(found) > 0 and "<th>squeeze</th>" in table
 
 
 def test_the_command_of_a_row_runs_that_row() -> None:

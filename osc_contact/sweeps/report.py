@@ -42,6 +42,7 @@ def write_report(table: Any, study: SweepStudy, folder: Path) -> dict[str, Any]:
         "errors": _rows(("error", "median", "90 %", "99 %", "largest"), _errors(summary)),
         "pictures": "".join(map(_picture, pictures)),
         "causes": _causes(summary),
+        "shares": _shares(summary),
         "worst": "".join(map(_worst, summary["worst"])),
     }
     write_whole(filled("sweep.html", parts), folder / REPORT)
@@ -72,6 +73,23 @@ def _causes(summary: Mapping[str, Any]) -> str:
         for error, found in summary["sensitivities"].items()
     ]
     return _rows(("error", *names), rows)
+
+
+def _shares(summary: Mapping[str, Any]) -> str:
+    """Sobol's indices of the design "saltelli"; nothing with others."""
+    found = {error: shares for error, shares in summary["variances"].items() if shares}
+    if not found:
+        return ""
+    rows = [
+        (error, *(f"{s['first']:.0%} alone, {s['total']:.0%} in all" for s in shares.values()))
+        for error, shares in found.items()
+    ]
+    return (
+        "<h3>Shares of the variance</h3><p>What each key makes of an error's variance alone, and "
+        "in all with what it does together with others (Sobol's indices). With few samples they "
+        'are rough, and a small one may come out negative.</p><div class="wide">'
+        f"{_rows(('error', *next(iter(found.values()))), rows)}</div>"
+    )
 
 
 def _worst(one: Mapping[str, Any]) -> str:
