@@ -53,7 +53,7 @@ def lowest() -> list[str]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     users = [*project["dependencies"]]
     for extra, listed in project["optional-dependencies"].items():
-        users += listed if extra not in ("all", "docs", "dev") else []
+        users += listed if extra not in ("all", "docs", "dev", "mutation") else []
     return [re.sub(r">=([^,]+),.*", r"==\1", requirement) for requirement in users]
 
 
