@@ -1,22 +1,24 @@
 """Faults of sensors, actuators and references in closed loop: what the controller makes of them.
 
-    python benchmarks/fault_injection.py [--ticks 1000000] [--workers 2]
+    python benchmarks/fault_injection.py [--ticks 1000000] [--workers 2] [--kept FILE]
 
 Every kind of fault is tried in every phase of a run, with other seeds until there are enough ticks.
 Printed is, for each kind, how the runs ended and the largest of all figures; the exit code is 1 if
 a torque was not finite or beyond its limit or its rate, if a joint stayed beyond its speed limit or
 outside its range for 0.3 s without a stop, if the true contact force went beyond three times its
 command (or 30 N, whichever is more) where a sensor lied, or if a state is not one that the kind is
-to end in.
+to end in. With `--kept` each run is a line of that file, and the same command goes on where it was.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -295,6 +297,7 @@ class Verdict:
     rate: float
     wrong: list[str]
     reason: str = ""
+    seed: int = 0
 
 
 def try_fault(name: str, phase: str, seed: int = 0, scenario: str = "two_contact_rod") -> Verdict:
@@ -370,7 +373,7 @@ def try_fault(name: str, phase: str, seed: int = 0, scenario: str = "two_contact
     if controller.state not in fault.ends:
         wrong.append(f"ended in {controller.state.name}: {controller.reason[:60]}")
     return Verdict(name, phase, ticks, controller.state, stopped, **seen, wrong=wrong,
-                   reason=controller.reason)  # fmt: skip
+                   reason=controller.reason, seed=seed)  # fmt: skip
 
 
 def _scenario(name: str, outward: float | None) -> osc.Scenario:
@@ -413,6 +416,22 @@ def _work(job: tuple[str, str, int]) -> Verdict:
     return try_fault(*job)
 
 
+def _read(kept: Path | None) -> list[Verdict]:
+    """The runs of a file; a last line that is not whole is taken out of it."""
+    if kept is None or not kept.exists():
+        return []
+    lines = [line for line in kept.read_text().splitlines(True) if line.endswith("\n")]
+    kept.write_text("".join(lines))
+    return [Verdict(**row | {"state": SafetyState[row["state"]]}) for row in map(json.loads, lines)]
+
+
+def _keep(verdict: Verdict, kept: Path | None) -> Verdict:
+    if kept is not None:
+        with kept.open("a") as file:
+            file.write(json.dumps(asdict(verdict) | {"state": verdict.state.name}) + "\n")
+    return verdict
+
+
 def table(verdicts: list[Verdict]) -> str:
     """One line for each kind."""
     head = ("fault", "runs", "ticks", "RUN", "DEGR", "HOLD", "STOP", "latest stop s", "force N",
@@ -447,13 +466,19 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--fault", action="append", choices=list(FAULTS))
     parser.add_argument("--phase", action="append", choices=list(PHASES))
+    parser.add_argument("--kept", type=Path, help="a file of runs, gone on with")
     given = parser.parse_args(argv)
     jobs = list(_jobs(given.ticks, given.fault or list(FAULTS), given.phase or list(PHASES)))
+    wanted = set(jobs)
+    verdicts = [v for v in _read(given.kept) if (v.fault, v.phase, v.seed) in wanted]
+    done = {(v.fault, v.phase, v.seed) for v in verdicts}
+    jobs = [job for job in jobs if job not in done]
     if given.workers == 1:
-        verdicts = list(map(_work, jobs))
+        verdicts += [_keep(v, given.kept) for v in map(_work, jobs)]
     else:
         with ProcessPoolExecutor(given.workers) as pool:
-            verdicts = list(pool.map(_work, jobs, chunksize=4))
+            found = pool.map(_work, jobs, chunksize=4)
+            verdicts += [_keep(v, given.kept) for v in found]
     print(table(verdicts))
     wrong = [v for v in verdicts if v.wrong]
     for v in wrong[:60]:

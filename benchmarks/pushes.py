@@ -5,7 +5,9 @@
 A push is a half sine of force on the wrist of the first arm, off the faces, into or along them,
 while the contacts are closed. One row for each is printed; the exit code is 1 where the forces did
 not come back within 2 s though the controller did not stop, where an arm that stopped still moved
-then, or where a joint was above its speed limit later than 50 ms after the push.
+then, or where a joint was above its speed limit later than 50 ms after the push. Arms whose motors
+cannot carry them off their faces (limited_rod: 48.0 N for a weight of 48.07 N) sink back onto these
+when they are stopped: that is told, and not wrong below a tenth of their speed limits.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from osc_contact.control.safety import SafetyState
 from osc_contact.errors import PlantError
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.pushes import Push
+from osc_contact.runs.preflight import least_peak
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.run import Taring, start
 
@@ -37,7 +40,7 @@ _STEADY = 0.1  #: s that forces have to be back for
 _NEAR = 0.3  #: share of its command that a force is back within; or `_LEAST` N
 _LEAST = 1.5
 _SETTLING = 1.0  #: s between contact and push
-_REST = 0.02  #: share of their speed limits below which joints rest
+_REST, _SINKING = 0.02, 0.1  #: shares of their speed limits below which joints rest, or sink
 
 
 @dataclass
@@ -49,7 +52,7 @@ class Pushed:
         stopped: s after its start until the controller stopped; None: it did not.
         late: s after the push at which a joint was last above its speed limit; 0: never.
         speed: largest speed (share of its limit), force: largest contact force (N), since the push.
-        wrong: sentences.
+        wrong, told: sentences.
     """
 
     scenario: str
@@ -62,6 +65,7 @@ class Pushed:
     speed: float
     largest: float
     wrong: list[str]
+    told: str = ""
 
 
 def packaged() -> list[str]:
@@ -135,8 +139,19 @@ def push_arm(
     if seen.stopped is None and seen.back is None:
         seen.wrong.append(f"not back: {now.round(1)} N of {wanted.round(1)}")
     if seen.stopped is not None and speed > _REST:
-        seen.wrong.append(f"stopped, but a joint moves at {speed:.2f} of its speed limit")
+        moving = f"a joint moves at {speed:.2f} of its speed limit"
+        need = _needed(rig)
+        if need > 1.0 and speed < _SINKING:
+            seen.told = f"{moving}: motors would need {need:.3f} times their limits to carry it"
+        else:
+            seen.wrong.append(f"stopped, but {moving}")
     return seen
+
+
+def _needed(rig: Rig) -> float:
+    """What arms and object need of their motors' limits at least, held still off their faces."""
+    state = rig.state()
+    return least_peak(state.G * np.minimum(rig.chain.tau_max, 1e12), state.bias)
 
 
 @cache
@@ -175,10 +190,11 @@ def table(rows: Sequence[Pushed]) -> str:
         f"{'late s':>8}{'speed':>7}{'force N':>9}"
     ]
     for x in rows:
+        words = "; ".join(x.wrong) or x.told
         back, stopped = ("-" if t is None else f"{t:.3f}" for t in (x.back, x.stopped))
         lines.append(
             f"{x.scenario:26}{x.direction:10}{x.force:5.0f}{1e3 * x.duration:5.0f}{back:>8}"
-            f"{stopped:>8}{x.late:8.3f}{x.speed:7.2f}{x.largest:9.1f}  {'; '.join(x.wrong)}"
+            f"{stopped:>8}{x.late:8.3f}{x.speed:7.2f}{x.largest:9.1f}  {words}"
         )
     return "\n".join(lines)
 

@@ -1,13 +1,15 @@
 """Small faults put into the law, one at a time: how many of them do the tests notice?
 
-    python tests/mutants.py [--count 300] [--seed 1] [--only TEXT] [--again] [--out out/mutants]
+    python tests/mutants.py [--count 300] [--seed 1] [--only TEXT] [--again] [--judges NAME ...]
 
 Works in a copy of the checkout, without compilation. First every judge (a test file that is fast
 that way) is run once, with the lines that each of its tests runs. Then places are drawn at random,
 a mutant at each; the tests that run its line judge it, the shortest first, until one fails or
 those that take `--budget` seconds have passed. Mutants are cosmic-ray's; left out are those that
 every run notices (operators that floats do not have) and none can (decorators, annotations).
-Results are kept: the same command goes on where it was, `--again` judges survivors once more.
+Results are kept: the same command goes on where it was, `--again` judges survivors once more. A
+few `--judges` are a quick start; all of them judge what these leave with `--again`.
+Times are the processor's, not the clock's: a busy machine changes no verdict.
 """
 
 from __future__ import annotations
@@ -18,18 +20,19 @@ import json
 import os
 import random
 import re
+import resource
 import shutil
 import signal
 import subprocess
 import sys
-import xml.etree.ElementTree as xml
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from difflib import unified_diff
 from importlib import import_module
 from pathlib import Path
-from time import monotonic, sleep
+from time import process_time
 
+import pytest
 from cosmic_ray.ast import ast_nodes, get_ast_from_path
 from cosmic_ray.mutating import use_mutation
 from cosmic_ray.plugins import get_operator, operator_names
@@ -55,7 +58,9 @@ OWN = {
     "law_phases": ("phases.py",), "law_linkage": ("linkage.py",),
     "law_limits": ("limits.py", "saturation.py", "refinement.py"), "monitor": ("monitor.py",),
 }  # fmt: skip
-SLOW = 20  #: s; a test that takes longer without compilation is no judge
+SLOW = 6  #: s; a test that takes longer without compilation is no judge
+SECONDS = "MUTANTS_SECONDS"  #: the file for the times of a survey
+_passed: dict[str, float] = {}
 OPERATORS = re.compile(
     r"""core/(ReplaceBinaryOperator_(Add_Sub|Add_Mul|Sub_Add|Mul_Div|Mul_Add|Div_Mul|Pow_Mul
         |Mod_FloorDiv|FloorDiv_Mul)|ReplaceComparisonOperator_(?!Is)\w+(?<!Is)(?<!IsNot)
@@ -74,6 +79,7 @@ def main() -> None:
     ask.add_argument("--only", default="", help="modules whose path holds this text")
     ask.add_argument("--again", action="store_true", help="judge survivors once more")
     ask.add_argument("--budget", type=float, default=40.0, help="s of tests for each mutant")
+    ask.add_argument("--judges", nargs="+", choices=JUDGES, default=JUDGES, metavar="NAME")
     ask.add_argument("--out", type=Path, default=ROOT / "out/mutants")
     given = ask.parse_args()
     out = given.out.resolve()
@@ -81,7 +87,7 @@ def main() -> None:
     make_copy(copy)
     os.chdir(copy)
     os.environ |= {"PYTHONPATH": str(copy), "NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "1"}
-    judges = Judges(out, survey(out))
+    judges = Judges(out, survey(out, given.judges))
     modules = [m for m in mutated_modules() if given.only in str(m)]
     kept = out / f"results_{given.seed}.jsonl"
     known = {r["key"]: r for r in map(json.loads, kept.read_text().splitlines())} \
@@ -90,7 +96,7 @@ def main() -> None:
     sys.path[:0] = [str(copy), str(copy / "tests")]
     found, drawn = [], sample(modules, given.count, given.seed)
     for spec in drawn[:3]:
-        if not run_forked(judges.of(spec, given.budget), 600.0):
+        if not run_forked(judges.of(spec, given.budget), 600):
             sys.exit(f"the tests of {name_of(spec)} fail without any mutant")
     for number, spec in enumerate(drawn):
         key = name_of(spec)
@@ -129,11 +135,11 @@ def mutated_modules() -> list[Path]:
     return [*law, *(package / name for name in MODULES)]
 
 
-def survey(out: Path) -> list[str]:
+def survey(out: Path, names: Sequence[str]) -> list[str]:
     """Run each judge once with coverage, unless neither it nor a module has changed since."""
     sources = b"".join(path.read_bytes() for path in mutated_modules())
     there = []
-    for name in JUDGES:
+    for name in names:
         test = Path(f"tests/test_{name}.py")
         if not test.exists():
             continue
@@ -148,22 +154,39 @@ def survey(out: Path) -> list[str]:
             f"[run]\nrelative_files = True\ndata_file = {out}/{name}.cov\ninclude =\n    {files}\n"
         )
         words = [
-            *pytest(),
-            f"--timeout={SLOW}",
+            *(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "mutants"),
             "--cov",
             f"--cov-config={config}",
             "--cov-context=test",
             "--cov-report=",
-            f"--junitxml={out}/{name}.xml",
             str(test),
         ]
-        subprocess.run(words, stdout=subprocess.DEVNULL, check=False)
+        where = {"PYTHONPATH": f"{Path.cwd()}:{Path.cwd()}/tests", SECONDS: f"{out}/{name}.json"}
+        subprocess.run(words, stdout=subprocess.DEVNULL, check=False, env={**os.environ, **where})
         stamp.write_text(seen)
     return there
 
 
-def pytest() -> list[str]:
-    return [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:randomly"]
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """In a survey: give up what is slow, note how long the others take."""
+
+    def give_up(*_: object) -> None:
+        raise TimeoutError(f"no judge: longer than {SLOW} s")
+
+    signal.signal(signal.SIGPROF, give_up)
+    signal.setitimer(signal.ITIMER_PROF, SLOW)
+    begin = process_time()
+    try:
+        yield
+        _passed[item.nodeid] = process_time() - begin
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+
+
+def pytest_sessionfinish() -> None:
+    """Hand over the times of a survey."""
+    Path(os.environ[SECONDS]).write_text(json.dumps(_passed))
 
 
 class Judges:
@@ -173,10 +196,7 @@ class Judges:
         self.seconds: dict[str, float] = {}
         self.by_line: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
         for name in names:
-            for case in xml.parse(out / f"{name}.xml").iter("testcase"):
-                if not list(case):  # passed
-                    file = case.get("classname", "").replace(".", "/") + ".py"
-                    self.seconds[f"{file}::{case.get('name')}"] = float(case.get("time", 0.0))
+            self.seconds |= json.loads((out / f"{name}.json").read_text())
             data = CoverageData(str(out / f"{name}.cov"))
             data.read()
             for path in data.measured_files():
@@ -242,32 +262,25 @@ def judge(spec: MutationSpec, judges: Judges, budget: float) -> dict[str, object
     tests = judges.of(spec, budget)
     operator = get_operator(spec.operator_name)()
     with use_mutation(spec.module_path, operator, spec.occurrence) as (before, after):
-        passed = run_forked(tests, 3.0 * budget + 60.0)
+        passed = run_forked(tests, round(3.0 * budget + 60.0))
     lines = unified_diff(before.splitlines(), after.splitlines(), n=0, lineterm="")
     diff = "\n".join([*lines][3:])
     return {"outcome": "survived" if passed else "noticed", "tests": len(tests), "diff": diff}
 
 
-def run_forked(tests: list[str], seconds: float) -> bool:
+def run_forked(tests: list[str], seconds: int) -> bool:
     """Whether all tests pass, in a child that need not import what is not ours."""
     child = os.fork()
     if not child:
-        os.setsid()
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)
         os.dup2(nowhere, 2)
-        import pytest
-
-        os._exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", "--timeout=60", *tests]))
-    end = monotonic() + seconds
-    while monotonic() < end:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return status == 0
-        sleep(0.02)
-    os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return False
+        os._exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *tests]))
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if status not in (0, 1, 2, 4, -signal.SIGXCPU, -signal.SIGKILL, -signal.SIGSEGV):
+        sys.exit(f"pytest ended with {status}: {tests[:3]} …")
+    return status == 0
 
 
 def import_others() -> None:

@@ -15,7 +15,7 @@ from numba import config  # type: ignore[attr-defined]
 
 import osc_contact as osc
 from osc_contact.law import jit, tables
-from osc_contact.law.compiled import announced, tell
+from osc_contact.law.compiled import announced, rows, tell
 
 PLAIN = jit.PLAIN_PYTHON
 
@@ -208,3 +208,9 @@ def test_a_numba_without_the_accelerators_classes_is_enough(
     monkeypatch.undo()
     monkeypatch.setenv("OSC_CONTACT_ACCELERATOR", "0")
     assert jit._accelerator() is None
+
+
+def test_the_compiled_tick_keeps_no_intermediate_code() -> None:
+    """Which takes 19 MB: compiled runs call it by its address (tests/test_driven_runs.py)."""
+    for compiled in getattr(rows(), "overloads", {}).values():
+        assert compiled.library._shared_module is None

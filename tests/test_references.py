@@ -70,9 +70,12 @@ def test_turns_about_points_are_products_of_poses():
     assert np.linalg.norm(X.translation - wanted.X_start.translation) > 0.02
 
 
-def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages():
-    wanted = references()
-    start, engaged = wanted.at(0.0).X_WD, wanted.at(wanted.engage_at).X_WD
+@pytest.mark.parametrize(("life", "after"), [("off", 0.0), ("{}", 0.2)])
+def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after):
+    """Or 0.2 s later, while contacts are approached."""
+    wanted = references(f"control.life={life}")
+    start, engaged = wanted.at(0.0).X_WD, wanted.at(wanted.engage_at + after).X_WD
+    assert wanted.engage_at == pytest.approx(0.6 - after)
     gap = np.linalg.norm(start.translation - wanted.X_start.translation)
     assert gap > 3e-3
     np.testing.assert_allclose(engaged.translation, wanted.X_start.translation, atol=1e-12)

@@ -25,6 +25,7 @@ __all__ = [
     "call_entry",
     "direct",
     "entry",
+    "forget_code",
     "inner",
     "integers",
     "leaf",
@@ -66,6 +67,8 @@ _INNER, _ENTRY = ({}, {}) if PLAIN_PYTHON else _options(_fast)
 #: Of the accelerator: how other compiled code calls an entry. None without it.
 call_entry: Any = None if _fast is None else _fast.call_entry
 share_entry: Any = None if _fast is None else _fast.share_entry
+#: Of the accelerator: gives back what numba keeps of an entry beside its machine code.
+forget_code: Any = (lambda entry: None) if _fast is None else _fast.forget_code
 
 
 def inner(function: Any) -> Any:

@@ -6,11 +6,12 @@
      └──────────────────── no force is wanted ──────────────────────┘
 
 An open contact is out of N: its column is free motion. A closed one is in N under the law of
-fig. 5. An approaching one is in N too, but in place of the force law a damper moves it towards its
-face at a set speed, α_u = K_a (v_a − NᵀV_rel): a guarded move, which meets the face with no more
-than K_a v_a. One that was lost goes back faster to where it was: what it has moved away is known.
-So N does not change at the moment of impact, and every magnitude of a contact to be
-made is measured by the filter of fig. 5.
+fig. 5. An approaching one is in N too, but in place of the force law one of speeds moves it towards
+its face, α_u = K_a (e + K ∫e dt) with e = v_a − NᵀV_rel: a guarded move, which meets the face with
+K_a v_a beside what its integral has learnt of the weight. This goes on in the force law once
+contact is made. One that was lost goes back faster to where it was: what it has moved away is
+known. So N does not change at the moment of impact, and every magnitude of a contact to be made is
+measured by the filter of fig. 5.
 
 A tick ends with `low_pass`; the next begins with `advance_phases`, which judges what that left,
 `remap_force_sums` and `set_goals`. After a tick that was held only `set_goals` is called.
@@ -24,13 +25,14 @@ from osc_contact.law.algebra import lu_solve
 from osc_contact.law.jit import inner
 
 __all__ = [
-    "advance_phases", "expect", "low_pass", "monitor", "remap_force_sums", "set_goals", "slew",
-    "torque_rate",
+    "APPROACH_GAIN", "advance_phases", "expect", "low_pass", "monitor", "remap_force_sums",
+    "set_goals", "slew", "torque_rate",
 ]  # fmt: skip
 
 #: Out of N; in N and dragged towards the face; in N under force control.
 OPEN, APPROACHING, CLOSED = range(3)
 _CHANGES = 0.1  #: s after a change of phase for which torques go gently
+APPROACH_GAIN = 10.0  #: 1/s; of the integral of an approach
 _RETURN, _FASTEST = 5.0, 0.1  #: 1/s, m/s: the way back to where contact was lost
 
 
@@ -130,7 +132,8 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
         column_memory: (n,) COLUMN_MEMORY after `low_pass`; changed as by `monitor`, and gap (m):
             how far it has gone since contact was lost, or is not known to hold again.
         wanted: (n,) desired magnitudes (N); a contact that can only push is left if none is > 0.
-        kept: (n,) filled: 1 for columns that were and are under force control, 0 for others.
+        kept: (n,) filled: 1 for columns whose integral goes on: they were in N, and contact was
+            not lost; 0 for others.
 
     Returns:
         Whether other contacts than in the last tick are in N.
@@ -167,7 +170,7 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
         changed = changed or (phase != OPEN) != (contact.active != 0)
         for j in range(chain.n_columns):
             if columns[j].contact == c:
-                kept[j] = 1 if before == CLOSED and phase == CLOSED else 0
+                kept[j] = 1 if before != OPEN and phase >= before else 0
                 row, known = column_memory[j], before != OPEN and phase != OPEN
                 held = phase == CLOSED and contact.since > chain.rise
                 row.gap = max(row.gap - dt * row.speed, 0.0) if known and not held else 0.0

@@ -211,7 +211,12 @@ def set_wishes(
         work.gain[a] *= work.heed
         work.brake[a] = 0.0 if own else work.brake[a]
         contact = contacts[owners[columns[int(work.keep[a])].chosen].contact]
-        if own and contact.phase != phases.APPROACHING:  # a law of the user's own
+        approached = contact.phase == phases.APPROACHING
+        work.felt[a] = work.alpha_meas[a]
+        if approached and r == count:
+            work.gain[a] = phases.APPROACH_GAIN
+            work.felt[a] = work.damping[a] * work.speed[a]
+        if own and not approached:  # a law of the user's own
             work.damping[a] = 0.0
 
 
@@ -281,7 +286,7 @@ def command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, 
         for a in range(r):  # another number of columns: start again
             work.w[a] = memory.force_sum[a] if memory.force_rank == r else 0.0
         command_force(
-            r, work.alpha_d, work.alpha_meas, work.speed, work.w, work.gain, work.damping,
+            r, work.alpha_d, work.felt, work.speed, work.w, work.gain, work.damping,
             work.least, chain.integral_force, dt, work.force_next, work.alpha_u,
         )  # fmt: skip
     else:

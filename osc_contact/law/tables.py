@@ -196,6 +196,7 @@ WORK = _record(
     yields=(6, 6),  # NᵀΦ_e, at O
     b_N=6, V_N=6, n_gamma=6, keep=6,
     alpha_d=6, alpha_meas=6, alpha_u=6, speed=6, gain=6, damping=6, brake=6, least=6,
+    felt=6,  # what the force integral compares with alpha_d
     reading_e=6, motion_next=6, force_next=6, a_u=6,
     x=6,  # the object's acceleration, _t
     rho=6, f_S=6, multipliers=6,

@@ -24,6 +24,7 @@ _RESERVED = frozenset({TEXT, "file", "allow_pickle"})
 #: the next of the same seed.
 _TIMES, _META_TIMES = ("tick_s",), ("wall_s", "cpu_s", "source_folder")
 _PIECE = 1 << 14  #: ticks that are judged or drawn at once
+_FROM_DISK = 1 << 11  #: the same of a recording that stays on disk, and is to take little memory
 
 Array = npt.NDArray[Any]
 
@@ -119,9 +120,11 @@ class Recording:
         return rows
 
     def pieces(self, *names: str) -> Iterator[dict[str, Array]]:
-        """All ticks of some channels, some ten thousand at a time."""
-        for start in range(0, len(self), _PIECE):
-            yield self.rows(start, start + _PIECE, *names)
+        """All ticks of some channels, some thousand at a time."""
+        stays = any(isinstance(column, Column) for column in self.channels.columns.values())
+        many = _FROM_DISK if stays else _PIECE
+        for start in range(0, len(self), many):
+            yield self.rows(start, start + many, *names)
 
     def at(self, tick: int) -> dict[str, Any]:
         """All channels at one tick."""

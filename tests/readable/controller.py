@@ -103,7 +103,7 @@ class ReadableController(Boxes):
         self._tare, self._bias = np.zeros(6), np.zeros(6)
         self.friction, self.life, self.reading = friction, life, reading
         self.more_friction = self._more_friction = 0.0
-        self.terms = ContactTerms(np.zeros((len(self.contacts), 4)), gains.force)
+        self.terms = ContactTerms(np.zeros((len(self.contacts), 5)), gains.force)
         self.signals = Signals()
         self.status, self._reason = Status.OK, ""
         self._last_tau: Array = np.zeros(chain.n_a)

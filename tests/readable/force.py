@@ -119,21 +119,21 @@ class ContactTerms:
     """On what terms each contact takes part in a tick; the compiled tick reads the same rows.
 
     Attributes:
-        rows: (contacts, 4) in N (1) or out of it (0), integral gain (1/s), damping (N s/m), least
-            force command (N; −inf: none).
+        rows: (contacts, 5) in N (1) or out of it (0), integral gain (1/s), damping (N s/m), least
+            force command (N; −inf: none), approached (1) or not (0).
     """
 
     def __init__(self, rows: Array, gains: ForceGains) -> None:
         self.rows = rows
-        rows[:] = 1.0, gains.integral, gains.damping, -np.inf
+        rows[:] = 1.0, gains.integral, gains.damping, -np.inf, 0.0
 
     @property
     def active(self) -> NDArray[np.bool_]:
         """(contacts,) whether its columns are in N."""
         return self.rows[:, 0] != 0.0
 
-    def of_columns(self, owners: Array, r: int) -> tuple[Array, Array, Array]:
-        """Integral gain, damping and least command (r,) of the r independent columns of N.
+    def of_columns(self, owners: Array, r: int) -> tuple[Array, Array, Array, Array]:
+        """Integral gain, damping, least command and approached (r,) of the r independent columns.
 
         Args:
             owners: the contact of each column that is in force. Where some of these depend on
@@ -141,9 +141,9 @@ class ContactTerms:
         """
         rows = self.rows[owners, 1:]
         if len(owners) != r:
-            rows = np.tile((rows[:, 0].min(), rows[:, 1].max(), -np.inf), (r, 1))
-        gain, damping, least = rows.T
-        return gain, damping, least
+            rows = np.tile((rows[:, 0].min(), rows[:, 1].max(), -np.inf, 0.0), (r, 1))
+        gain, damping, least, approached = rows.T
+        return np.where(approached, 10.0, gain), damping, least, approached
 
 
 @dataclass
@@ -179,20 +179,21 @@ class ForceLaw:
         alpha_d: Array,
         alpha_meas: Array,
         normal_speed: Array,
-        terms: tuple[Array, Array, Array] | None = None,
+        terms: tuple[Array, Array, Array, Array] | None = None,
     ) -> Array:
         """Commanded magnitudes α_u (r,).
 
         Args:
             alpha_d, alpha_meas: (r,) desired and measured (N). normal_speed: NᵀV_rel (r,) in m/s.
-            terms: gain, damping, least command, (r,) each; default: the gains, no least.
+            terms: see `ContactTerms.of_columns`; default: the gains, no least, none approached.
         """
         r = len(alpha_d)
         k = self.gains
-        alike = np.full(r, k.integral), np.full(r, k.damping), np.full(r, -np.inf)
-        gain, damping, least = alike if terms is None else terms
+        alike = np.full(r, k.integral), np.full(r, k.damping), np.full(r, -np.inf), np.zeros(r)
+        gain, damping, least, approached = alike if terms is None else terms
         before = self.integral if len(self.integral) == r else np.zeros(r)
-        after = before + gain * self.dt * (alpha_d - alpha_meas)
+        felt = np.where(approached, damping * normal_speed, alpha_meas)
+        after = before + gain * self.dt * (alpha_d - felt)
         wanted = alpha_d + after - damping * normal_speed
         floor = np.minimum(least, 0.1 * alpha_d)
         self.integral = np.where(wanted < floor, np.maximum(before, after), after)

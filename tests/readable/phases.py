@@ -135,7 +135,7 @@ def commanded(
     Args:
         state: see `lived`. wanted: (r_all,) desired magnitudes (N).
         columns, gains, settings: as they are.
-        rows: (contacts, 4) filled, see `ContactTerms`.
+        rows: (contacts, 5) filled, see `ContactTerms`.
     """
     approaching, guarded = state.phase == Phase.APPROACHING, columns.pushing
     on_its_way = state.since * settings.speed < settings.travel
@@ -146,6 +146,7 @@ def commanded(
     rows[:, 1] = np.where(approaching, 0.0, gains.integral)
     rows[:, 2] = np.where(approaching, settings.damping, gains.damping)
     rows[:, 3] = np.where(guarded & ~approaching, settings.least, -np.inf)
+    rows[:, 4] = approaching
     start = push * (on_its_way | ~approaching)[columns.owners]
     risen = np.where(guarded[columns.owners], _risen(state, columns, settings), 1.0)
     return np.asarray(start + risen * (wanted - start))
@@ -203,11 +204,11 @@ class ContactPhases:
         """One tick; arguments as in `lived`.
 
         Returns:
-            (r_all,) which columns go on under force control: only their integrals are kept.
+            (r_all,) whose integrals go on: of columns in N whose contact was not lost.
         """
         before = self.state.phase
         self.state = lived(
             self.state, alpha, speed, inertia, wanted, self.columns, self.dt, self.settings, here
         )  # fmt: skip
-        kept = (before == Phase.CLOSED) & (self.state.phase == Phase.CLOSED)
+        kept = (before != Phase.OPEN) & (self.state.phase >= before)
         return np.asarray(kept[self.columns.owners])

@@ -32,7 +32,7 @@ def within_limits(controller: Controller, s: Signals, motion: Array, force: Arra
         return tau
     wanted = controller.limits.response(s, controller._owners)
     relief = relieve(wanted)
-    gain, _, _ = controller.terms.of_columns(controller._owners, s.contact.r)
+    gain, *_ = controller.terms.of_columns(controller._owners, s.contact.r)
     controller.force_law.forgo(relief.force, gain)
     lost = s.state.S @ relief.motion
     controller.given_up = controller.limits.given_up(wanted, relief, s.contact.R, lost)
