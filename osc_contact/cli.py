@@ -233,6 +233,12 @@ def view(
         if film is not None and time is not None:
             kind = "a GIF" if gif else "a video"
             raise InvalidInputError(f"{kind} shows the whole recording: leave --time out")
+        if png is not None or film is not None:
+            find_browser()
+        if mp4 is not None:
+            require("av")
+        if film is not None:
+            require("PIL")
         recording = None
         if what.endswith(RECORDINGS):
             if set_ or plant or duration is not None:
@@ -247,12 +253,6 @@ def view(
         if live:
             show_live(scenario, recording, seed, hold)
             return
-        if png is not None or film is not None:
-            find_browser()
-        if mp4 is not None:
-            require("av")
-        if film is not None:
-            require("PIL")
         recording = run_with_progress(scenario, seed, None) if recording is None else recording
         if png is not None:
             say(f"written: {replay.picture(recording, rig, png, time)}")

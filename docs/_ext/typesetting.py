@@ -1,4 +1,4 @@
-"""How words are set: names in tables break after their parts only, indices stand low."""
+"""How words are set: names in tables, and long ones, break after parts only; indices stand low."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from docutils import nodes
 INDEX = re.compile(
     r"(?:(?<![A-Za-z0-9_])|(?<=_[a-z]))((?:bias|[A-Za-zΑ-Ωα-ω])[\u0300-\u036f]*)_([a-z0-9]+|[A-Z]+|[γμητω])(?![a-z]*_)"
 )
+LONG = 24  # letters
 PLACES = re.compile(r"(?<=[._/])(?=\w)(?!py\b)")
 
 
@@ -20,11 +21,12 @@ def setup(app: Any) -> dict[str, bool]:
 
 
 def allow(app: Any, tree: nodes.document, _page: str) -> None:
-    """Put a place to break after each part of a name."""
+    """Put a place to break after each part of a name, in the text of long ones."""
     if app.builder.format != "html":
         return
-    for entry in tree.findall(nodes.entry):
-        for literal in list(entry.findall(nodes.literal)):
+    cells = [one for entry in tree.findall(nodes.entry) for one in entry.findall(nodes.literal)]
+    for literal in list(tree.findall(nodes.literal)):
+        if literal in cells or len(literal.astext()) > LONG:
             parts = PLACES.split(literal.astext())
             broken: list[nodes.Node] = [nodes.Text(parts[0])]
             for part in parts[1:]:
