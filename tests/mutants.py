@@ -59,6 +59,7 @@ OWN = {
     "law_limits": ("limits.py", "saturation.py", "refinement.py"), "monitor": ("monitor.py",),
 }  # fmt: skip
 SLOW = 6  #: s; a test that takes longer without compilation is no judge
+CHECK = 2.0  #: s of tests that have to pass without any mutant, three times
 SECONDS = "MUTANTS_SECONDS"  #: the file for the times of a survey
 _passed: dict[str, float] = {}
 OPERATORS = re.compile(
@@ -96,7 +97,7 @@ def main() -> None:
     sys.path[:0] = [str(copy), str(copy / "tests")]
     found, drawn = [], sample(modules, given.count, given.seed)
     for spec in drawn[:3]:
-        if not run_forked(judges.of(spec, given.budget), 600):
+        if not run_forked(judges.of(spec, CHECK), 600):
             sys.exit(f"the tests of {name_of(spec)} fail without any mutant")
     for number, spec in enumerate(drawn):
         key = name_of(spec)
