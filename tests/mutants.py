@@ -46,7 +46,7 @@ MODULES = ("projections.py", "spans.py", "response.py", "control/monitor.py")
 JUDGES = (
     "law_once", "law_watch", "contact_kinds", "pairs", "chain_oracles", "chain_state", "grasps",
     "projections", "spans", "monitor", "law_limits", "law_phases", "law_linkage", "safety",
-    "friction", "reading", "environment", "singular",
+    "friction", "reading", "environment", "singular", "law_steps",
 )  # fmt: skip
 #: Whose tests come first. The NumPy law of `law_once` takes contacts and arms from the law itself,
 #: so that faults in these are noticed by the tests that differentiate poses, and ask Pinocchio.
@@ -55,7 +55,7 @@ OWN = {
     "chain_oracles": ("arm_motion.py", "chain.py", "arm_terms.py", "energy.py", "grasps.py"),
     "chain_state": ("arm_motion.py", "chain.py", "arm_terms.py"), "grasps": ("held_object.py",),
     "law_watch": ("watch.py", "plausibility.py"), "safety": ("safety.py",),
-    "law_phases": ("phases.py",), "law_linkage": ("linkage.py",),
+    "law_phases": ("phases.py",), "law_steps": ("steps.py",), "law_linkage": ("linkage.py",),
     "law_limits": ("limits.py", "saturation.py", "refinement.py"), "monitor": ("monitor.py",),
 }  # fmt: skip
 SLOW = 6  #: s; a test that takes longer without compilation is no judge

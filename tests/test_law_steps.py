@@ -1,0 +1,208 @@
+"""Steps of desired forces and the brake, on the law's own functions: α_s against its quintic."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace as Record
+
+import numpy as np
+import pytest
+
+from osc_contact.law import steps
+from osc_contact.law import tables as at
+from osc_contact.law.jit import as_python
+from osc_contact.law.phases import APPROACHING, CLOSED
+
+DT, RISE = 1e-3, 0.05
+shape, keep, brake = map(as_python, (steps.shape_steps, steps.keep_steps, steps.brake_contacts))
+
+
+def eased(x):
+    """The share of a step that is still to come: least jerk, from 1 to 0, at rest at both ends."""
+    x = np.clip(x, 0.0, 1.0)
+    return 1.0 - 10.0 * x**3 + 15.0 * x**4 - 6.0 * x**5
+
+
+class Forces:
+    """Columns of N, one contact each, in the order `chosen`; ticks from tick 1 on."""
+
+    def __init__(self, n=1, chosen=None, **more):
+        self.chosen = list(range(n)) if chosen is None else chosen
+        self.chain = Record(**{
+            "period": DT, "step_time": RISE, "n_columns": n, "drift_share": 0.25, "rise": RISE,
+            "approach_damping": 200.0, "approach_speed": 0.01,
+        } | more)  # fmt: skip
+        self.owners = [Record(contact=j) for j in range(n)]
+        self.contacts = [Record(phase=CLOSED) for _ in range(n)]
+        self.memory = Record(step_left=0.0, step_time=RISE, ticked=1)
+        self.kept = [
+            Record(wished=0, wish=0.0, scale=0.0, drift=0.0, expected=0.0, to_come=np.zeros(3))
+            for _ in range(n)
+        ]
+        self.columns = [Record(chosen=0, goal=0.0, scale=0.0, shaped=1, to_come=np.zeros(3))
+                        for _ in range(n)]  # fmt: skip
+        for place, j in enumerate(self.chosen):
+            self.columns[place].chosen = j
+        self.work = Record(
+            count=len(self.chosen), step_left=0.0, step_time=RISE, heed=0.0, status=at.OK
+        )
+
+    def tick(self, goal, measured=None, speed=None):
+        """α_s of the columns in N."""
+        n = self.chain.n_columns
+        goal = np.array(goal, dtype=float)
+        measured = np.zeros(n) if measured is None else np.array(measured)
+        shape(self.chain, self.owners, self.contacts, self.memory, self.kept, self.columns,
+              self.work, goal, measured)  # fmt: skip
+        here = np.array([1.0 if j in self.chosen else 0.0 for j in range(n)])
+        speed = np.zeros(n) if speed is None else np.array(speed)
+        keep(self.chain, self.memory, self.kept, self.columns, self.work, goal, here, speed)
+        return np.array([self.columns[j].goal for j in self.chosen])
+
+    def run(self, goal, ticks):
+        return np.array([self.tick(goal) for _ in range(ticks)])
+
+
+def test_a_step_is_let_in_along_the_quintic_of_least_jerk():
+    forces = Forces(2)
+    forces.run([10.0, 4.0], 200)
+    found = forces.run([16.0, 3.0], 80)
+    share = eased(np.arange(80) * DT / RISE)
+    np.testing.assert_allclose(found[:, 0], 16.0 - 6.0 * share, atol=1e-9)
+    np.testing.assert_allclose(found[:, 1], 3.0 + 1.0 * share, atol=1e-9)
+    assert forces.work.step_left == 0.0 and (found[-1] == [16.0, 3.0]).all()
+
+
+@pytest.mark.parametrize("rises", [(RISE, RISE), (RISE, 0.08)])
+def test_a_second_step_goes_on_from_value_slope_and_curvature(rises):
+    """Of either rise time: the path is a polynomial of degree 5 from there, at rest in its end."""
+    forces = Forces()
+    forces.run([10.0], 200)
+    forces.run([16.0], 21)
+    forces.chain.step_time = rises[1]
+    found = forces.run([8.0], 100)[:, 0]
+    t0, T = 21 * DT, rises[1]
+    x = t0 / RISE
+    first = np.polynomial.Polynomial([1.0, 0.0, 0.0, -10.0, 15.0, -6.0])
+    value = 16.0 - 6.0 * first(x)
+    slope, bend = (-6.0 * first.deriv(k)(x) / RISE**k for k in (1, 2))
+    rows, right = [], [value - 8.0, slope, bend, 0.0, 0.0, 0.0]
+    for t in (0.0, T):
+        for k in range(3):
+            rows.append([
+                np.prod(range(p - k + 1, p + 1)) * t ** (p - k) if p >= k else 0.0
+                for p in range(6)
+            ])  # fmt: skip
+    path = np.polynomial.Polynomial(np.linalg.solve(rows, right))
+    t = np.arange(100) * DT
+    np.testing.assert_allclose(found, 8.0 + np.where(t < T, path(t), 0.0), atol=1e-7)
+    assert found.max() > value, "it goes on upwards at first"
+
+
+@pytest.mark.parametrize("rate", [0.99, 1.01])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign):
+    """20 times its size a second: 0.2 N in a tick for 10 N."""
+    forces = Forces()
+    forces.run([10.0], 200)
+    change = sign * rate * 20.0 * DT * 10.0
+    size = max(10.0 + change, 10.0 * (1.0 - 0.5 * DT))  # of the new command, or what is remembered
+    wanted = 10.0 + change
+    stepped = abs(change) > 20.0 * DT * size
+    found = forces.tick([wanted])[0]
+    assert found == pytest.approx(10.0 if stepped else wanted)
+    assert forces.work.step_left == (1.0 if stepped else 0.0)
+
+
+def test_the_size_of_a_force_that_has_gone_fades():
+    """Half of it a second: after 1 s of no force, 0.6 of it are left, and are what a step is."""
+    forces = Forces()
+    forces.run([10.0], 200)
+    forces.run([0.0], 1000)
+    left = 10.0 * (1.0 - 0.5 * DT) ** 1000
+    assert forces.kept[0].scale == pytest.approx(left, rel=1e-9)
+    assert forces.tick([0.99 * 20.0 * DT * left])[0] == pytest.approx(0.99 * 20.0 * DT * left)
+    assert forces.tick([2.1 * 20.0 * DT * left])[0] == pytest.approx(0.99 * 20.0 * DT * left)
+
+
+def test_the_integral_rests_while_much_of_a_step_is_to_come():
+    """A tenth of the size, or more: not at all; nothing: fully."""
+    forces = Forces()
+    forces.run([10.0], 200)
+    assert forces.work.heed == 1.0
+    idle = Forces()
+    idle.run([0.0], 3)
+    assert idle.work.heed == 1.0, "nothing was ever asked for"
+    share = eased(np.arange(60) * DT / RISE)
+    for left in share:
+        forces.tick([14.0])
+        wanted = max(1.0 - 4.0 * left / 14.0 / 0.1, 0.0)
+        assert forces.work.heed == pytest.approx(wanted, abs=1e-9)
+    assert forces.work.heed == 1.0
+
+
+def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
+    for ticked, start in ((1, 3.0), (0, 0.0)):
+        forces = Forces()
+        forces.memory.ticked = ticked
+        assert forces.tick([10.0], measured=[3.0])[0] == pytest.approx(start)
+        assert forces.run([10.0], 60)[-1, 0] == pytest.approx(10.0)
+
+
+def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
+    """In another order, too, and with a column out of N."""
+    forces = Forces(3, chosen=[2, 0])
+    forces.contacts[2].phase = APPROACHING
+    forces.run([10.0, 7.0, 2.0], 200)
+    found = forces.run([12.0, 9.0, 4.0], 60)
+    np.testing.assert_allclose(found[:, 0], 4.0)
+    np.testing.assert_allclose(
+        found[:, 1], 12.0 - 2.0 * eased(np.arange(60) * DT / RISE), atol=1e-9
+    )
+    assert forces.kept[1].wished == 0 == forces.kept[2].wished and forces.kept[0].wished == 1
+    assert forces.kept[1].scale == 0.0 and forces.kept[0].wish == 12.0
+    assert forces.kept[2].wish == 4.0 == forces.kept[2].scale
+
+
+def test_without_a_rise_time_forces_are_as_they_are_wanted():
+    forces = Forces(step_time=0.0)
+    for goal in (10.0, -4.0, 60.0):
+        assert forces.tick([goal])[0] == goal
+        assert forces.work.heed == 1.0 and forces.work.step_left == 0.0
+    forces = Forces()
+    forces.run([10.0], 200)
+    forces.run([16.0], 60)
+    assert forces.kept[0].to_come.all(), "a step was made"
+    forces.chain.step_time = 0.0
+    forces.tick([16.0])
+    assert not forces.kept[0].to_come.any()
+
+
+def test_a_column_out_of_n_is_forgotten():
+    forces = Forces()
+    forces.run([10.0], 200)
+    forces.tick([10.0], speed=[0.1])
+    forces.run([16.0], 10)
+    row = forces.kept[0]
+    assert row.expected > 0.0 and row.to_come.any() and row.drift > 0.0
+    forces.chosen = []
+    forces.work.count = 0
+    forces.tick([16.0])
+    assert (row.wished, row.wish, row.scale, row.drift, row.expected) == (0, 0.0, 0.0, 0.0, 0.0)
+    assert not row.to_come.any()
+
+
+def test_the_brake_leaves_out_the_speed_that_lasts():
+    """v̄ follows NᵀV_rel by a share of a quarter each tick, and not while a step is made."""
+    forces = Forces()
+    forces.run([10.0], 200)
+    drift = 0.0
+    for speed in (0.02, 0.02, -0.01):
+        forces.tick([10.0], speed=[speed])
+        drift += 0.25 * (speed - drift)
+        assert forces.kept[0].drift == pytest.approx(drift)
+    forces.tick([20.0], speed=[5.0])
+    assert forces.kept[0].drift == pytest.approx(drift), "the integral rests, and so does v̄"
+    rows = [Record(drift=0.5), Record(drift=0.0), Record(drift=drift)]
+    work = Record(rank=2, keep=[1.0, 0.0], speed=np.array([0.3, 0.7]), brake=np.array([20.0, 10.0]))
+    brake(rows, [Record(chosen=2), Record(chosen=0)], work)
+    np.testing.assert_allclose(work.brake, [20.0 * (0.3 - 0.5), 10.0 * (0.7 - drift)])
