@@ -176,7 +176,8 @@ def test_simulation_program(tmp_path: Path) -> None:
     assert result["real_time_factor"] == pytest.approx(0.03 / result["wall_s"])
     assert sum(result["shares"].values()) == pytest.approx(1.0)
     assert min(result["us_per_tick"].values()) > 0.0
-    assert {"MuJoCo: mj_step", "tick", "references", "the loop itself"} <= set(result["shares"])
+    assert {simulation.LOOP, "tick", "references", simulation.REST} <= set(result["shares"])
+    assert 0.0 < result["steps_us_per_tick"] < 1e4
 
 
 def test_many_runs_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

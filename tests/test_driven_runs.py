@@ -10,11 +10,12 @@ from osc_contact import robots
 from osc_contact.contacts.detection import collision_shapes
 from osc_contact.law.jit import PLAIN_PYTHON
 from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.recorder.memory import MemoryJournal
+from osc_contact.runs import driven
+from osc_contact.runs.compiled_loop import compiled_loop
+from osc_contact.runs.driven_log import DrivenLog
 from osc_contact.runs.preflight import require_ready
-from osc_contact.runs.run import start
-from osc_contact.sweeps import driven_run
-from osc_contact.sweeps.compiled_loop import compiled_loop
-from osc_contact.sweeps.driven_run import record_run
+from osc_contact.runs.run import run_rig, start
 from osc_contact.sweeps.workshop import Workshop
 
 pytestmark = pytest.mark.skipif(PLAIN_PYTHON, reason="nothing is compiled")
@@ -26,10 +27,7 @@ OTHERS = ["workcell", "moving_face", "approach_and_slide"]  # sensors, faces tha
 def compare(one: osc.Recording, other: osc.Recording) -> None:
     assert set(one.channels) == set(other.channels)
     for name in set(one.channels) - {"tick_s"}:
-        np.testing.assert_allclose(
-            np.asarray(other[name], float), np.asarray(one[name], float), rtol=0, atol=1e-9,
-            err_msg=name, equal_nan=True,
-        )  # fmt: skip
+        np.testing.assert_array_equal(np.asarray(other[name]), np.asarray(one[name]), name)
     clocks = {"wall_s", "cpu_s"}
     assert {k: v for k, v in one.meta.items() if k not in clocks} == {
         k: v for k, v in other.meta.items() if k not in clocks
@@ -39,30 +37,38 @@ def compare(one: osc.Recording, other: osc.Recording) -> None:
 def spy(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Ticks that Python had a part in."""
     seen: list[int] = []
-    inner = driven_run.DrivenLog.note
+    inner = DrivenLog.note
 
     def note(self, *args):
         seen.append(self.count)
         inner(self, *args)
 
-    monkeypatch.setattr(driven_run.DrivenLog, "note", note)
+    monkeypatch.setattr(DrivenLog, "note", note)
     return seen
+
+
+def python_run(*args, **kwargs) -> osc.Recording:
+    """`osc.run`, tick by tick in Python."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(driven, "compiled_loop", lambda: None)
+        return osc.run(*args, **kwargs)
 
 
 @pytest.mark.parametrize("name", PLAIN)
 def test_recording_is_that_of_the_same_run(name, monkeypatch) -> None:
-    by_hand = spy(monkeypatch)
     scenario = osc.load_scenario(name, ["duration=0.7 s"])
-    compare(osc.run(scenario, seed=3), record_run(osc.build_rig(scenario), 3))
+    one, by_hand = python_run(scenario, seed=3), spy(monkeypatch)
+    other = osc.run(scenario, seed=3)
+    compare(one, other)
+    assert 1e-7 < other["tick_s"].min() < other["tick_s"].mean() < 5e-3
     ticks = round(0.7 * scenario.control.rate)
     assert 1 <= len(by_hand) < 0.5 * ticks  # the others were compiled
 
 
 def test_contacts_that_open_and_close_do_so_in_compiled_runs_too(monkeypatch) -> None:
-    by_hand = spy(monkeypatch)
     gone = "force.left_end=[{type: step, value: 10 N, start: 0.2 s}]"
     scenario = osc.load_scenario("two_contact_rod", [gone, "duration=0.5 s"])
-    one, other = osc.run(scenario), record_run(osc.build_rig(scenario))
+    one, by_hand, other = python_run(scenario), spy(monkeypatch), osc.run(scenario)
     assert set(np.unique(one["contact_phase"][:, 0])) == {0, 1, 2}
     compare(one, other)
     assert 195 <= len(by_hand) < 260  # while it was open
@@ -72,27 +78,24 @@ def test_runs_are_compiled_here_and_the_same_where_they_cannot_be(monkeypatch) -
     """With the numba and MuJoCo of the constraints they are; with others Python runs every tick."""
     assert compiled_loop() is not None
     scenario = osc.load_scenario("two_contact_rod", ["duration=0.1 s"])
-    compiled = record_run(osc.build_rig(scenario))
-    by_hand = spy(monkeypatch)
-    monkeypatch.setattr(driven_run, "compiled_loop", lambda: None)
-    compare(compiled, record_run(osc.build_rig(scenario)))
-    assert not by_hand  # the loop of every other run has its own log
+    compiled, by_hand = osc.run(scenario), spy(monkeypatch)
+    compare(compiled, python_run(scenario))
+    assert len(by_hand) == 100
 
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_what_python_has_a_part_in_runs_as_ever(name, monkeypatch) -> None:
-    by_hand = spy(monkeypatch)
     scenario = osc.load_scenario(name, ["duration=0.1 s"])
-    compare(osc.run(scenario, seed=3), record_run(osc.build_rig(scenario), 3))
-    assert not by_hand
+    one, by_hand = python_run(scenario, seed=3), spy(monkeypatch)
+    compare(one, osc.run(scenario, seed=3))
+    assert len(by_hand) == round(0.1 * scenario.control.rate)
 
 
 def test_ticks_at_a_motor_limit_are_those_of_the_quadratic_program(monkeypatch) -> None:
     """Weak motors: a good part of the ticks saturates, in Python, and the rest goes on from it."""
-    by_hand = spy(monkeypatch)
     weak = ["arms.left.effort_factor=0.09", "arms.right.effort_factor=0.09", "duration=0.3 s"]
     scenario = osc.load_scenario("two_contact_rod", weak)
-    one, other = osc.run(scenario), record_run(osc.build_rig(scenario))
+    one, by_hand, other = python_run(scenario), spy(monkeypatch), osc.run(scenario)
     saturated = int(np.count_nonzero(np.asarray(one["status"]) == 1))
     assert 5 <= saturated <= len(by_hand) < 300
     compare(one, other)
@@ -109,9 +112,9 @@ def test_a_run_that_diverges_leaves_what_came_before(monkeypatch) -> None:
     monkeypatch.setattr(MujocoPlant, "command", hit)
     scenario = osc.load_scenario("two_contact_rod", ["duration=0.1 s"])
     with pytest.raises(osc.PlantError, match="diverged") as single:
-        osc.run(scenario)
+        python_run(scenario)
     with pytest.raises(osc.PlantError) as compiled:
-        record_run(osc.build_rig(scenario))
+        osc.run(scenario)
     assert str(single.value) == str(compiled.value)
     assert len(compiled.value.recording) == 2
     compare(single.value.recording, compiled.value.recording)
@@ -130,7 +133,7 @@ def test_rigs_of_a_workshop_are_those_built_alone() -> None:
         for m, n in changes
     ]  # fmt: skip
     for scenario in scenarios:
-        compare(osc.run(scenario), record_run(workshop.rig(scenario)))
+        compare(osc.run(scenario), run_rig(workshop.rig(scenario), journal=MemoryJournal()))
     rigs = [workshop.rig(scenario) for scenario in scenarios]
     assert len({id(rig.chain) for rig in rigs}) == 1 and len({id(rig.model) for rig in rigs}) == 2
     assert len({rig.q_contact.tobytes() for rig in rigs}) == 2  # the normals do vary
@@ -159,9 +162,9 @@ def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_pa
 def test_doubts_and_refusals_are_those_of_a_run() -> None:
     scenario = osc.load_scenario("two_contact_rod", ["duration=0.05 s", "control.rate=80 Hz"])
     rig = osc.build_rig(scenario)
-    assert require_ready(rig) == record_run(rig).meta["doubts"] != []
+    assert require_ready(rig) == run_rig(rig).meta["doubts"] != []
     with pytest.raises(osc.ScenarioError):
-        record_run(osc.build_rig(scenario.replaced(control={"rate": 20.0})))
+        run_rig(osc.build_rig(scenario.replaced(control={"rate": 20.0})))
 
 
 def test_start_leaves_the_controller_that_only_gave_first_torques_behind() -> None:

@@ -88,14 +88,15 @@ def test_ctrl_c_ends_a_run_in_order(tmp_path, whole):
     assert (tmp_path / "metrics.json").exists() == (tmp_path / "scene.html").exists() == judged
 
 
+@pytest.mark.parametrize("plant", ["rigid", "mujoco"])  # in Python, compiled
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_run_asked_to_end_gives_what_it_has(number):
+def test_a_run_asked_to_end_gives_what_it_has(number, plant):
     before = signal.getsignal(number)
 
     def ask(t):
         os.kill(os.getpid(), number)
 
-    scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
+    scenario = osc.load_scenario("two_contact_rod", [f"plant.type={plant}", "plant.step=1 ms"])
     with pytest.raises(osc.Interrupted, match=r"ended on request at t = 0\.1 s") as ended:
         osc.run(scenario, duration=0.5, progress=ask)
     assert isinstance(ended.value, KeyboardInterrupt) and len(ended.value.recording) == 100

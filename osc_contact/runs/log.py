@@ -19,6 +19,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Judge
 from osc_contact.recorder.journal import JournalFile
+from osc_contact.recorder.memory import MemoryJournal
 from osc_contact.spatial import Array
 
 __all__ = ["BLOCK", "Log", "Subject", "blocks"]
@@ -67,7 +68,9 @@ class Log:
         journal: where the rows go.
     """
 
-    def __init__(self, of: Subject, judge: Judge | None, journal: JournalFile) -> None:
+    def __init__(
+        self, of: Subject, judge: Judge | None, journal: JournalFile | MemoryJournal
+    ) -> None:
         """Lay out the rows.
 
         Args:
@@ -111,8 +114,7 @@ class Log:
         Args:
             measurement, reference: of the tick. tau: (n_a,) its torques. spent: on it (s).
         """
-        if self._k == BLOCK or perf_counter() - self._flushed > _EVERY:
-            self.flush()
+        self.make_room()
         controller, row, places = self.of.controller, self._rows[self._k], self._places
         try:
             ends = measurement.q, measurement.v, tau, reference.alpha_d
@@ -141,6 +143,11 @@ class Log:
             row[places["closed"]], row[places["collision"]] = seen.closed, seen.collision
         self._k += 1
         self.count += 1
+
+    def make_room(self) -> None:
+        """Flush full tables, and those that have waited long enough."""
+        if self._k == BLOCK or perf_counter() - self._flushed > _EVERY:
+            self.flush()
 
     def last(self) -> Array:
         """The row of the last tick, by itself."""

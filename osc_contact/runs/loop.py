@@ -13,9 +13,9 @@ from osc_contact.plants.judge import Plant, Truth
 from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
 
-__all__ = ["Controls", "Records", "Witness", "run_loop"]
+__all__ = ["NEWS", "Controls", "Records", "Witness", "run_loop"]
 
-_NEWS = 100  #: ticks from one call of `progress` to the next
+NEWS = 100  #: ticks from one call of `progress` to the next
 
 
 class Controls(Protocol):
@@ -115,7 +115,7 @@ def run_loop(
                 if viewer is not None:
                     viewer.show(recorder.latest())
             robot.command(tau, period)
-            if progress is not None and k % _NEWS == _NEWS - 1:
+            if progress is not None and k % NEWS == NEWS - 1:
                 progress((k + 1) * period)
     finally:
         robot.stop()

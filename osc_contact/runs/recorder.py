@@ -20,8 +20,10 @@ from osc_contact.plants.judge import Judge, TruthLog
 from osc_contact.recorder import Recording
 from osc_contact.recorder.columns import gather
 from osc_contact.recorder.journal import Journal, JournalFile
+from osc_contact.recorder.memory import MemoryJournal
 from osc_contact.runs.channels import Tick, channels, work_out
-from osc_contact.runs.log import Log, Subject
+from osc_contact.runs.driven_log import DrivenLog
+from osc_contact.runs.log import Subject
 from osc_contact.spatial import Array
 
 __all__ = ["Recorder", "describe_subject", "recording_of"]
@@ -51,7 +53,7 @@ class Recorder:
         judge: Judge | None = None,
         *,
         subject: Subject | None = None,
-        journal: Path | None = None,
+        journal: Path | MemoryJournal | None = None,
         meta: Mapping[str, Any] | None = None,
     ) -> None:
         """Begin.
@@ -61,7 +63,7 @@ class Recorder:
             judge: what knows the truth, if anything does.
             subject: the true contacts, where they are not the controller's.
             journal: the file of the rows, such as unfinished.mcap; None: a temporary one, which
-                goes with the process.
+                goes with the process; or where rows are kept in memory.
             meta: what the recording is to say of itself beside names, rate and times.
 
         Raises:
@@ -70,7 +72,8 @@ class Recorder:
         self._began = perf_counter(), process_time()
         of = _subject(controller) if subject is None else subject
         self._meta, self._told = {**describe_subject(of), **(meta or {})}, False
-        self.log = Log(of, judge, JournalFile(journal, self._meta))
+        to = journal if isinstance(journal, MemoryJournal) else JournalFile(journal, self._meta)
+        self.log = DrivenLog(of, judge, to)
 
     @property
     def error(self) -> RecordingError | None:
@@ -87,6 +90,10 @@ class Recorder:
             tau: (n_a,) that came out. seconds: that it took.
         """
         self.log.note(measurement, reference, tau, seconds)
+        self.tell()
+
+    def tell(self) -> None:
+        """Log, once, that no more ticks are recorded."""
         if self.error is not None and not self._told:
             self._told = True
             _logger.error("%s; the loop goes on", self.error)
@@ -123,7 +130,7 @@ class Recorder:
 
 
 def recording_of(
-    of: Subject, log: TruthLog | None, journal: Journal, meta: Mapping[str, Any]
+    of: Subject, log: TruthLog | None, journal: Journal | MemoryJournal, meta: Mapping[str, Any]
 ) -> Recording:
     """The recording of a journal's rows.
 

@@ -14,6 +14,8 @@ from osc_contact.errors import Interrupted, InvalidInputError, PlantError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Plant
 from osc_contact.recorder import Recording
+from osc_contact.recorder.memory import MemoryJournal
+from osc_contact.runs.driven import is_plain, run_compiled
 from osc_contact.runs.ending import asked_to_end, until
 from osc_contact.runs.loop import run_loop
 from osc_contact.runs.preflight import require_ready
@@ -70,29 +72,32 @@ def run(
     if plant is not None:
         changes["plant"] = scenario.plant.model_dump() | {"type": plant}
     rig = build_rig(scenario.replaced(**changes) if changes else scenario)
-    doubts = require_ready(rig)
-    parts = start(rig, seed, install)
-    return run_rig(rig, seed, doubts, *parts, progress=progress, viewer=viewer, journal=journal)
+    return run_rig(rig, seed, progress=progress, viewer=viewer, install=install, journal=journal)
 
 
 def run_rig(
     rig: Rig,
-    seed: int,
-    doubts: Sequence[str],
-    plant: Plant,
-    controller: Controller,
+    seed: int = 0,
     *,
     progress: Progress | None = None,
     viewer: Shows | None = None,
-    journal: Path | None = None,
+    install: Install | None = None,
+    journal: Path | MemoryJournal | None = None,
 ) -> Recording:
-    """Run a rig whose plant and controller stand at their start, see `run`.
+    """Run a rig and record it.
+
+    Ticks and steps run compiled where nothing in them needs Python, see `is_plain`; the recording
+    is the same but for the times of ticks, which are those of the law alone.
 
     Args:
-        rig: see `build_rig`. seed: of everything random. doubts: see `require_ready`.
-        plant, controller: see `start`. progress, viewer, journal: see `run`.
+        rig: see `build_rig`. seed, progress, viewer, install: see `run`.
+        journal: see `run`; a `MemoryJournal` for runs that need not survive a kill.
+
+    Raises:
+        ScenarioError, PlantError, Interrupted: see `run`.
     """
-    scenario = rig.scenario
+    scenario, doubts = rig.scenario, require_ready(rig)
+    plant, controller = start(rig, seed, install)
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(
         controller,
@@ -101,12 +106,16 @@ def run_rig(
         journal=journal,
         meta=describe_run(rig, seed, doubts),
     )
-    robot = rig.robot(plant, controller)
-    taring = controller if scenario.tare is None else Taring(rig, controller)
     with asked_to_end() as asked:
-        plan = until(asked, rig.references.each(ticks, controller.dt))
         try:
-            run_loop(robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress)
+            if viewer is None and is_plain(plant, controller, scenario):
+                plans = rig.references.plans(ticks, controller.dt)
+                run_compiled(plant, controller, plans, recorder, asked, progress)
+            else:
+                robot = rig.robot(plant, controller)
+                taring = controller if scenario.tare is None else Taring(rig, controller)
+                plan = until(asked, rig.references.each(ticks, controller.dt))
+                run_loop(robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress)
         except PlantError as error:
             error.recording = recorder.recording()
             raise

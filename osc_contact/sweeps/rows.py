@@ -11,10 +11,10 @@ from typing import Any
 
 from osc_contact.errors import Interrupted, InvalidInputError, OscContactError, PlantError
 from osc_contact.recorder import Recording
+from osc_contact.recorder.memory import MemoryJournal
 from osc_contact.runs.metrics import SETTLE_S, metrics
-from osc_contact.runs.run import Install
+from osc_contact.runs.run import Install, run_rig
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.sweeps.driven_run import record_run
 from osc_contact.sweeps.study import Sample, SweepStudy
 from osc_contact.sweeps.workshop import Workshop
 
@@ -88,7 +88,8 @@ def record_sample(
         OscContactError: it cannot be built, is not possible, or diverges.
     """
     workshop = Workshop() if workshop is None else workshop
-    return record_run(workshop.rig(scenario_of(study, sample)), sample.seed, install)
+    rig = workshop.rig(scenario_of(study, sample))
+    return run_rig(rig, sample.seed, install=install, journal=MemoryJournal())
 
 
 def scenario_of(study: SweepStudy, sample: Sample) -> Scenario:

@@ -6,6 +6,7 @@ the same numbers. Where a tick is out of the ordinary it stops, and Python does 
 
 from __future__ import annotations
 
+import time
 from functools import cache
 from typing import Any
 
@@ -20,10 +21,12 @@ from osc_contact.plants.mujoco_memory import find_places
 
 __all__ = ["DIVERGED", "FULL", "ODD", "ROOM", "compiled_loop"]
 
-#: Why the loop ended: rows are full or all ticks done; the tick that was just computed is out of
-#: the ordinary; there is no room for the contacts' notes; MuJoCo warns.
+#: Why the loop ended: rows are full, all ticks done or time is up; the tick that was just computed
+#: is out of the ordinary; there is no room for the contacts' notes; MuJoCo warns.
 FULL, ODD, ROOM, DIVERGED = range(4)
 
+_CLOCK = time.CLOCK_MONOTONIC
+_clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
 _mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 
 
@@ -47,6 +50,12 @@ def _whole(address):
     return carray(_at(address), (1,), types.int32)[0]
 
 
+@njit
+def _now(clock):
+    _clock_gettime(_CLOCK, clock.ctypes.data)
+    return clock[0] + 1e-9 * clock[1]
+
+
 @cache
 def compiled_loop() -> Any:
     """The loop, see `_build`; None where it cannot be compiled."""
@@ -58,10 +67,14 @@ def _build(stamp: int) -> Any:
     """`stamp` tells numba's cache of a law with other arguments."""
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def loop(tables, plan, plant, places, notes, rows, sources, tail, flags_of, k, last, j):
-        """Ticks k … last − 1 into rows j …; returns (next tick, next row, why)."""
+    def loop(tables, plan, plant, places, notes, rows, sources, tail, flags_of, k, last, j, most):
+        """Ticks k … last − 1 into rows j …, for `most` s or a tick longer.
+
+        Returns (next tick, next row, why it ended, s that the law took in the last tick).
+        """
+        seconds = 0.0
         if stamp < 0:
-            return k, j, FULL
+            return k, j, FULL, seconds
         model, memory, work, codes, rank, squeeze, still, flags, r, tau = tables
         X_WD, V_D, A_D, alpha_d = plan
         qpos, qvel, sensed, ctrl, q_at, v_at, driven, spring_q, spring_v, readings = plant[:10]
@@ -69,14 +82,16 @@ def _build(stamp: int) -> Any:
         points, geoms, addresses, forces, place, frame = notes
         n = q_at.size
         q, v, wrenches = np.zeros(n), np.zeros(n), np.zeros(readings.shape)
-        while k < last and j < len(rows):
+        clock = np.zeros(2, np.int64)
+        began = now = _now(clock)
+        while k < last and j < len(rows) and now - began < most:
             count = _whole(data + places[0])
             if count > place.shape[1]:
-                return k, j, ROOM
+                return k, j, ROOM, seconds
             first, force = _word(data + places[1]), _word(data + places[2])
             for c in range(count):
                 if _whole(first + c * places[3] + places[5]) >= forces.shape[1]:
-                    return k, j, ROOM
+                    return k, j, ROOM, seconds
             for i in range(n):
                 q[i], v[i] = qpos[q_at[i]], qvel[v_at[i]]
             for i in range(spring_q.size):
@@ -86,15 +101,18 @@ def _build(stamp: int) -> Any:
                 for c in range(6):
                     if readings[i, c] >= 0:
                         wrenches[i, c] = sensed[readings[i, c]]
+            start = _now(clock)
             done = call_entry((
                 model, memory, work, q, v, wrenches, X_WD[k], V_D[k], A_D[k], alpha_d[k], squeeze,
                 still, flags, tau, codes, 0, 4, 0, 1,
             ))  # fmt: skip
+            now = _now(clock)
+            seconds = now - start
             if done != 2 or rank[0] != r:
-                return k, j, ODD
+                return k, j, ODD, seconds
             for i in range(len(flags_of)):
                 if _word(flags_of[i, 0]) != flags_of[i, 1]:
-                    return k, j, ODD
+                    return k, j, ODD, seconds
             row, end = rows[j], 0
             for part in (q, v, tau, alpha_d[k]):
                 row[end : end + part.size] = part
@@ -104,6 +122,7 @@ def _build(stamp: int) -> Any:
                 row[end : end + size] = carray(_at(sources[i, 0]), (size,), types.float64)
                 end += size
             row[end:] = tail
+            row[end] = seconds
             points[j] = count
             for c in range(count):
                 here = first + c * places[3]
@@ -120,7 +139,7 @@ def _build(stamp: int) -> Any:
             k, j = k + 1, j + 1
             for i in range(warnings.size):
                 if warnings[i] != 0:
-                    return k, j, DIVERGED
-        return k, j, FULL
+                    return k, j, DIVERGED, seconds
+        return k, j, FULL, seconds
 
     return loop

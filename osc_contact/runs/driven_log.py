@@ -1,61 +1,23 @@
-"""The log of a run whose ticks are compiled: the same rows, filled without Python."""
+"""The log of a run whose ticks may be compiled: the same rows, filled without Python."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
 
 import numpy as np
 
 from osc_contact.interface import Measurement
-from osc_contact.plants.judge import Judge
 from osc_contact.plants.mujoco_truth import MujocoTruth
-from osc_contact.runs.log import BLOCK, Log, Subject
+from osc_contact.runs.log import Log
 from osc_contact.spatial import Array
 
-__all__ = ["DrivenLog", "MemoryJournal"]
-
-
-class MemoryJournal:
-    """Rows kept in memory, for runs that are short and need not survive a kill.
-
-    Attributes:
-        error: None, memory does not fail.
-    """
-
-    error = None
-
-    def __init__(self) -> None:
-        """Begin with no rows."""
-        self._kept: list[tuple[int, Array]] = []
-
-    def append(self, first: int, rows: Array) -> None:
-        """Keep rows, of which the first has this number."""
-        self._kept.append((first, rows.copy()))
-
-    def rows(self) -> Iterator[tuple[int, Array]]:
-        """(number of the first row, rows), in order."""
-        return iter(self._kept)
-
-    def close(self) -> None:
-        """Nothing to do."""
-
-    def read(self) -> MemoryJournal:
-        """The rows are in memory: the journal itself."""
-        return self
+__all__ = ["DrivenLog"]
 
 
 class DrivenLog(Log):
-    """A `Log` into whose tables compiled code writes.
+    """A `Log` into whose tables compiled code can write.
 
     Attributes:
         table: (BLOCK, …) rows. filled: how many of them hold ticks.
     """
-
-    truth: MujocoTruth
-
-    def __init__(self, of: Subject, judge: Judge) -> None:
-        """Lay out the rows of a MuJoCo plant's run."""
-        super().__init__(of, judge, MemoryJournal())  # type: ignore[arg-type]
 
     @property
     def table(self) -> Array:
@@ -67,15 +29,11 @@ class DrivenLog(Log):
         """How many rows hold ticks that were not flushed."""
         return self._k
 
-    def make_room(self) -> None:
-        """Flush full tables."""
-        if self._k == BLOCK:
-            self.flush()
-
     def filled_to(self, row: int) -> None:
         """Take over rows that were filled from outside."""
         self.count += row - self._k
         self._k = row
+        assert isinstance(self.truth, MujocoTruth)
         self.truth.noted_to(row)
 
     def sources(self, measurement: Measurement) -> Array:
