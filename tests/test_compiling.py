@@ -214,3 +214,22 @@ def test_the_compiled_tick_keeps_no_intermediate_code() -> None:
     """Which takes 19 MB: compiled runs call it by its address (tests/test_driven_runs.py)."""
     for compiled in getattr(rows(), "overloads", {}).values():
         assert compiled.library._shared_module is None
+
+
+@pytest.mark.skipif(PLAIN, reason="nothing is compiled")
+def test_flags_of_the_law_say_and_compare_as_numbas_own() -> None:
+    from numba.core.compiler import Flags
+
+    from osc_contact.law.accelerator import _Flags
+
+    kinds = [Flags() for _ in range(4)]
+    kinds[1].no_cpython_wrapper = kinds[2].no_cpython_wrapper = True
+    kinds[2].error_model = "numpy"
+    kinds[3].no_cpython_wrapper = True
+    for one in kinds:
+        fast = _Flags(one)
+        assert fast.values() == one.values() and hash(fast) == hash(one)
+        assert fast.copy() == fast and type(fast.copy()) is _Flags
+        for other in kinds:
+            alike = [fast == _Flags(other), fast == other, other == fast]
+            assert alike == [one == other] * 3

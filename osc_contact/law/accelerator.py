@@ -20,10 +20,11 @@ from llvmlite import binding
 from numba import types
 from numba.core import cgutils
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
 from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.errors import TypingError
 from numba.core.typed_passes import NopythonTypeInference
+from numba.core.untyped_passes import InlineClosureLikes
 from numba.extending import intrinsic
 
 __all__ = [
@@ -75,11 +76,51 @@ class _AsPart(FunctionPass):
         return True
 
 
+class _Flags(Flags):
+    """Options of a compilation that tell their values at once.
+
+    numba asks for them at every pass, and at each call of a function of its own to compare them,
+    and looks each of thirty up: a fifth of the whole compilation.
+    """
+
+    __slots__ = ()
+
+    def values(self) -> dict[str, Any]:
+        return {**_DEFAULTS, **self._values}
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is _Flags:
+            return bool(self._values == other._values)
+        return bool(super().__eq__(other))
+
+    def __hash__(self) -> int:
+        return _HASH
+
+
+_DEFAULTS = Flags().values()
+_HASH = hash(Flags())  #: that of all flags: it is made of their names
+_Flags().values()  # another numba may keep them elsewhere: an AttributeError, see `jit`
+
+
+class _Arguments(tuple[Any, ...]):
+    """Types of a function's arguments, without the many words that numba puts into its events."""
+
+    def __str__(self) -> str:
+        return f"{len(self)} arguments"
+
+
 class PartCompiler(CompilerBase):
     """numba's compiler without the machine code."""
 
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.state.flags = _Flags(self.state.flags)
+        self.state.args = _Arguments(self.state.args)
+
     def define_pipelines(self) -> Any:
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        # the law defines no functions within functions
+        passes.passes = [one for one in passes.passes if one[0] is not InlineClosureLikes]
         passes.add_pass_after(_AsPart, NopythonTypeInference)
         passes.finalize()
         return [passes]
