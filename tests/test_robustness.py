@@ -1,10 +1,11 @@
-"""Robustness study: both laws meet the same plants, and do not know what varies."""
+"""Robustness study: all laws meet the same plants, and do not know what varies."""
 
 from __future__ import annotations
 
 import json
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from typer.testing import CliRunner
 
@@ -50,7 +51,7 @@ def errors(scenario, seed, **how):
 
 def test_rows_are_single_runs_of_the_same_sample_under_each_law(found) -> None:
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", CHANGES))
-    laws = dict(zip(study.LAWS, (study.Ours(), chosen_law(rig)), strict=True))
+    laws = {"ours": study.Ours()} | {name: chosen_law(rig, name) for name in study.BASELINES}
     for case in study.VARIED:
         row = found["rows"][case][1]
         scenario, seed = sample_of(case, 1)
@@ -61,19 +62,19 @@ def test_rows_are_single_runs_of_the_same_sample_under_each_law(found) -> None:
             assert row[f"{name}.word"] == "OK" and not row[f"{name}.failed"]
 
 
-def chosen_law(rig):
-    """The best law, by its definition: least product of both errors in the nominal run."""
+def chosen_law(rig, family):
+    """A family's best law, by its definition: least product of both errors in the nominal run."""
     instant = study.Instant(rig.state(), rig.contact())
-    laws = [law for b in study.BASELINES.values() for law in study.best_frames(instant, b)]
+    laws = study.best_frames(instant, study.BASELINES[family])
     candidates = [(law, *errors(rig.scenario, 0, install=law.install)) for law in laws]
     return min(candidates, key=lambda one: one[1] * one[2])[0]
 
 
-def test_what_the_controllers_do_not_know_costs_both_of_them_accuracy(found) -> None:
+def test_what_the_controllers_do_not_know_costs_all_of_them_accuracy(found) -> None:
     for case in ("masses", "friction", "normals"):
         for law in study.LAWS:
             worst = max(row[f"{law}.force"] for row in found["rows"][case])
-            assert worst > 3 * found["nominal"][f"{law}.force"]
+            assert worst > found["nominal"][f"{law}.force"] + 0.01  # of the command
 
 
 def test_the_table_and_the_figure_tell_what_the_rows_say(made, found) -> None:
@@ -89,7 +90,8 @@ def test_the_table_and_the_figure_tell_what_the_rows_say(made, found) -> None:
             assert told[law]["success_rate"] == 1.0
             worst = 1e3 * max(row[f"{law}.motion"] for row in found["rows"][case])
             assert told[law]["motion"][-1] == pytest.approx(worst) and f"{worst:.3g}" in printed
-    assert found["selection"]["candidates"] > 10
+    assert {one["candidates"] > 4 for one in found["selection"].values()} == {True}
+    assert all(label in printed for label in study.LABELS.values())
 
 
 def test_failed_runs_count_as_the_largest_errors() -> None:
@@ -97,8 +99,7 @@ def test_failed_runs_count_as_the_largest_errors() -> None:
     values, failed = rng.uniform(1, 2, 50), np.arange(50) < 3
     rows = [{"ours.failed": bool(f), "ours.force": None if f else x, "ours.motion": 0.0}
             for x, f in zip(values, failed, strict=True)]  # fmt: skip
-    both = [row | {k.replace("ours", "selection"): v for k, v in row.items()} for row in rows]
-    made = study.Robustness(None, [], {"masses": both}, {})
+    made = study.Robustness({}, {}, {"masses": rows}, {})
     told = made._told("masses", "ours")
     assert told["success_rate"] == pytest.approx(0.94)
     wanted = np.quantile(np.where(failed, np.inf, values), (0.5, 0.9), method="inverted_cdf")
@@ -114,10 +115,20 @@ def test_rows_that_are_done_are_not_run_again(tmp_path, monkeypatch) -> None:
         return inner(crew, jobs, make)
 
     monkeypatch.setattr(study, "make_all", make_all)
-    monkeypatch.setattr(study, "_candidates", lambda *_: [(study.Ours(), 1.0, 1.0)])
+    at_O, force = pin.SE3.Identity(), (False, True, False)
+    couples = ((True, False, False), (False, False, True))
+    chosen = [study.Selection.of_frame(at_O, force, one) for one in couples]
+
+    def candidates(_, family, __):
+        return [(study.SelectionLaw(family, chosen[0]), 1.0, 1.0)]
+
+    monkeypatch.setattr(study, "_candidates", candidates)
     how = {"changes": ["duration=1.02"], "folder": tmp_path, "workers": 1}
     first, second = study.run(1, **how), study.run(1, **how)
     assert asked == [4, 0] and first.rows == second.rows
+    del chosen[0]
+    with pytest.raises(osc.InvalidInputError, match="seed or law"):  # rows of other laws
+        study.run(1, **how)
 
 
 def test_samples_of_what_has_none_are_refused() -> None:

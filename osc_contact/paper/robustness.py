@@ -1,8 +1,8 @@
-"""Ours and the best selection law where plant and controller's model differ: the runs."""
+"""Ours and the best selection laws where plant and controller's model differ: the runs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +13,8 @@ import numpy as np
 
 from osc_contact.paper.baselines.coupling import Instant
 from osc_contact.paper.baselines.frames import best_frames
-from osc_contact.paper.baselines.laws import BASELINES, Law, Ours, SelectionLaw
+from osc_contact.paper.baselines.laws import BASELINES, Baseline, Law, Ours, SelectionLaw
+from osc_contact.paper.baselines.selection import Selection
 from osc_contact.runs.rig import build_rig
 from osc_contact.spatial import Array
 from osc_contact.sweeps.rows import make_rows, scenario_of
@@ -22,7 +23,7 @@ from osc_contact.sweeps.table import RowFile
 from osc_contact.sweeps.workers import make_all, workers_of
 
 __all__ = [
-    "LAWS", "QUANTITIES", "SAMPLES", "SHARES", "TITLES", "VARIED", "Robustness", "best_law", "run",
+    "LABELS", "LAWS", "QUANTITIES", "SAMPLES", "SHARES", "TITLES", "VARIED", "Robustness", "run",
 ]  # fmt: skip
 
 SCENARIO = "two_contact_rod"
@@ -49,29 +50,32 @@ TITLES = {
     "delay": "wrist delay up to 10 ms",
     "normals": "faces turned by up to 5°",
 }
-LAWS = ("ours", "selection")
+LAWS = ("ours", *BASELINES)
+LABELS = {"ours": "ours"} | {name: one.label for name, one in BASELINES.items()}
 QUANTITIES = {"force": "force error, rms (%)", "motion": "motion error, rms (mm)"}
 SHARES = (0.5, 0.9, 0.99)
 _SCALE = {"force": 100.0, "motion": 1e3}
 #: A control rate at which a row is cheap; the task's slow first part is over after 1 s.
 _AT = ("control.rate=250 Hz", "plant.step=0.5 ms", "duration=1.5 s")
-_FIRST = 2  #: samples of each case by which the best selection law is chosen
+Candidate = tuple[SelectionLaw, float, float]
+_FIRST = 2  #: samples of each case by which the best selection laws are chosen
 
 
 @dataclass(frozen=True)
 class Robustness:
-    """What both laws made of the same runs.
+    """What the laws made of the same runs.
 
     Attributes:
-        law: the best selection law. candidates: (law, force error, motion error) of all that do
-            the task: geometric means over the runs by which the best was chosen.
+        laws: the best of each family of selection laws, by the names of `BASELINES`.
+        candidates: of each family (law, force error, motion error) of all that do the task:
+            geometric means over the runs by which the best was chosen.
         rows: by what varies: one a sample, with `LAW.word`, `LAW.failed`, `LAW.force` (relative
             rms error of the worse contact) and `LAW.motion` (rms error of the position, m).
         nominal: the row without anything varied. changes: key=value of all runs.
     """
 
-    law: SelectionLaw
-    candidates: list[tuple[SelectionLaw, float, float]]
+    laws: dict[str, SelectionLaw]
+    candidates: dict[str, list[Candidate]]
     rows: dict[str, list[dict[str, Any]]]
     nominal: dict[str, Any]
     changes: tuple[str, ...] = ()
@@ -87,18 +91,18 @@ class Robustness:
         return np.sort(_SCALE[quantity] * np.array(found, dtype=float))
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-able: how the law was chosen, quantiles of every case and all rows."""
-        chosen = self.law.selection
+        """JSON-able: how the laws were chosen, quantiles of every case and all rows."""
         return {
             "scenario": SCENARIO,
             "set_in_all_runs": list(self.changes),
             "selection": {
-                "law": self.law.baseline.label,
-                "equation": self.law.baseline.equation,
-                "candidates": len(self.candidates),
-                "point_m": chosen.linear.translation.tolist(),
-                "force_axes": chosen.linear.rotation[:, np.array(chosen.forces)].T.tolist(),
-                "couple_axes": chosen.angular[:, np.array(chosen.couples)].T.tolist(),
+                name: {
+                    "law": law.baseline.label,
+                    "equation": law.baseline.equation,
+                    "candidates": len(self.candidates[name]),
+                    **_frame_of(law.selection),
+                }
+                for name, law in self.laws.items()
             },
             "nominal": self.nominal,
             "cases": {
@@ -134,6 +138,8 @@ def run(
 ) -> Robustness:
     """Run every case: each sample once under each law, on the same plant with the same seed.
 
+    The best law of a family is the one with the least product of force error and motion error.
+
     Args:
         samples: of each case. seed: of the points, of the runs and of the search for frames.
         changes: key=value of the scenario, in all runs.
@@ -148,15 +154,17 @@ def run(
         SweepStudy.of(SCENARIO, vary, samples, seed=seed, overrides=changes)
         for vary in VARIED.values()
     ]
-    tell("best selection law")
-    candidates = _candidates(studies, seed)
-    law = best_law(candidates)
+    tell("best selection laws")
+    candidates = {name: _candidates(studies, family, seed) for name, family in BASELINES.items()}
+    best = {name: min(some, key=lambda x: x[1] * x[2])[0] for name, some in candidates.items()}
+    laws: dict[str, Law] = {"ours": Ours()} | best
+    frames = {name: _frame_of(law.selection) for name, law in best.items()}
     done: list[dict[int, dict[str, Any]]] = [{} for _ in studies]
     with ExitStack() as stack:
         files = []
         if folder is not None:
             for name, study in zip(VARIED, studies, strict=True):
-                files.append(RowFile(folder / f"robustness_{name}.jsonl", study))
+                files.append(RowFile(folder / f"robustness_{name}.jsonl", study, frames))
                 stack.callback(files[-1].close)
             done = [{k: row for k, row in file.done.items() if k < samples} for file in files]
         jobs = [
@@ -166,29 +174,19 @@ def run(
             if number not in rows
         ]
         crew = stack.enter_context(workers_of(workers, None, len(jobs)))
-        for study, row in make_all(crew, jobs, partial(_make, law)):
+        for study, row in make_all(crew, jobs, partial(_make, laws)):
             case = studies.index(study)
             done[case][row["row"]] = row
             if files:
                 files[case].append([row])
             tell(f"{sum(map(len, done))} of {samples * len(studies)} samples")
     rows = {name: [one[k] for k in sorted(one)] for name, one in zip(VARIED, done, strict=True)}
-    return Robustness(law, candidates, rows, _make(law, _nominal(studies[0]), [0])[0], changes)
+    nominal = _make(laws, _nominal(studies[0]), [0])[0]
+    return Robustness(best, candidates, rows, nominal, changes)
 
 
-def best_law(candidates: Sequence[tuple[SelectionLaw, float, float]]) -> SelectionLaw:
-    """The candidate with the least product of force error and motion error.
-
-    Args:
-        candidates: (law, force error, motion error).
-    """
-    return min(candidates, key=lambda one: one[1] * one[2])[0]
-
-
-def _candidates(
-    studies: Sequence[SweepStudy], seed: int
-) -> list[tuple[SelectionLaw, float, float]]:
-    """Every selection of axes in every family, each with its best frame, judged by first samples.
+def _candidates(studies: Sequence[SweepStudy], family: Baseline, seed: int) -> list[Candidate]:
+    """Every selection of axes of a family, each with its best frame, judged by first samples.
 
     Those that fail one of them are left out.
     """
@@ -196,14 +194,22 @@ def _candidates(
     jobs = [(nominal, 0), *((one, k) for one in studies for k in range(min(_FIRST, one.rows)))]
     rig = build_rig(scenario_of(nominal, nominal.sample(0)))
     instant, found = Instant(rig.state(), rig.contact()), []
-    for baseline in BASELINES.values():
-        for law in best_frames(instant, baseline, seed=seed):
-            rows = [_judge(law, *job) for job in jobs]
-            if not any(row["failed"] for row in rows):
-                errors = [(row["force"], row["motion"]) for row in rows]
-                force, motion = np.exp(np.mean(np.log(errors), axis=0))
-                found.append((law, float(force), float(motion)))
+    for law in best_frames(instant, family, seed=seed):
+        rows = [_judge(law, *job) for job in jobs]
+        if not any(row["failed"] for row in rows):
+            errors = [(row["force"], row["motion"]) for row in rows]
+            force, motion = np.exp(np.mean(np.log(errors), axis=0))
+            found.append((law, float(force), float(motion)))
     return found
+
+
+def _frame_of(selection: Selection) -> dict[str, Any]:
+    """Point (m) and axes of a selection, JSON-able."""
+    return {
+        "point_m": selection.linear.translation.tolist(),
+        "force_axes": selection.linear.rotation[:, np.array(selection.forces)].T.tolist(),
+        "couple_axes": selection.angular[:, np.array(selection.couples)].T.tolist(),
+    }
 
 
 def _nominal(study: SweepStudy) -> SweepStudy:
@@ -211,13 +217,15 @@ def _nominal(study: SweepStudy) -> SweepStudy:
     return replace(study, vary=(), samples=1)
 
 
-def _make(law: Law, study: SweepStudy, numbers: Sequence[int]) -> list[dict[str, Any]]:
+def _make(
+    laws: Mapping[str, Law], study: SweepStudy, numbers: Sequence[int]
+) -> list[dict[str, Any]]:
     """Rows of some samples: one run under each law."""
     rows = []
     for sample in map(study.sample, numbers):
         row: dict[str, Any] = {"row": sample.number, "seed": sample.seed, **sample.shown}
-        for name, one in zip(LAWS, (Ours(), law), strict=True):
-            verdict = _judge(one, study, sample.number)
+        for name, law in laws.items():
+            verdict = _judge(law, study, sample.number)
             row |= {f"{name}.{key}": value for key, value in verdict.items()}
         rows.append(row)
     return rows

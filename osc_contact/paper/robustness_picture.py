@@ -7,7 +7,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from rich.table import Table
 
-from osc_contact.paper.robustness import LAWS, QUANTITIES, SHARES, TITLES, Robustness
+from osc_contact.paper.robustness import (
+    LABELS,
+    LAWS,
+    QUANTITIES,
+    SHARES,
+    TITLES,
+    Robustness,
+)
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.style import style
 
@@ -29,13 +36,13 @@ def tabulate(found: Robustness) -> Table:
             errors = [
                 " / ".join("none" if x is None else f"{x:.3g}" for x in told[k]) for k in QUANTITIES
             ]
-            table.add_row(TITLES[name], law, f"{told['success_rate']:.1%}", *errors)
+            table.add_row(TITLES[name], LABELS[law], f"{told['success_rate']:.1%}", *errors)
     return table
 
 
 def draw(found: Robustness) -> Figure:
     """The share of runs below an error: a column for each case, forces above, motions below."""
-    colours = dict(zip(LAWS, ("blue", "vermillion"), strict=True))
+    colours = dict(zip(LAWS, ("blue", "vermillion", "orange"), strict=True))
     with style():
         figure = Figure(figsize=(10.0, 5.2))
         axes = figure.subplots(2, len(found.rows), sharex="row", sharey=True)
@@ -44,7 +51,13 @@ def draw(found: Robustness) -> Figure:
                 for law in LAWS:
                     errors = found.errors(name, law, quantity)
                     share = (np.arange(len(errors)) + 1) / len(errors)
-                    ax.step(errors, share, where="post", color=OKABE_ITO[colours[law]], label=law)
+                    ax.step(
+                        errors,
+                        share,
+                        where="post",
+                        color=OKABE_ITO[colours[law]],
+                        label=LABELS[law],
+                    )
                 ax.set_xscale("log")
                 ax.set_xlabel(label)
             row[0].set_ylabel("share of runs")

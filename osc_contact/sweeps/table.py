@@ -24,11 +24,12 @@ class RowFile:
         path: of the file. done: rows by number.
     """
 
-    def __init__(self, path: Path, study: SweepStudy) -> None:
+    def __init__(self, path: Path, study: SweepStudy, laws: Any = None) -> None:
         """Go on with a file, or begin one.
 
         Args:
             path: of the file. study: that the rows belong to; its first line names it.
+            laws: JSON-able, of the controllers that make the rows where they are not the study's.
 
         Raises:
             InvalidInputError: it holds another study.
@@ -39,10 +40,11 @@ class RowFile:
         text = path.read_bytes() if path.exists() else b""
         whole = text[: text.rfind(b"\n") + 1]
         lines = whole.splitlines()
-        if lines and json.loads(lines[0]).get("study") != study.fingerprint:
+        head = json.loads(lines[0]) if lines else {}
+        if lines and (head.get("study"), head.get("laws")) != (study.fingerprint, laws):
             raise InvalidInputError(
                 f"{path} holds the rows of another study: another scenario, other distributions, "
-                "another design or seed; give another folder, or remove this one"
+                "another design, seed or law; give another folder, or remove this one"
             )
         for line in lines[1:]:
             row = json.loads(line)
@@ -50,7 +52,8 @@ class RowFile:
         self._file = path.open("ab")
         self._file.truncate(len(whole))
         if not lines:
-            self._write({"study": study.fingerprint, "vary": study.vary, "design": study.design})
+            named = {"study": study.fingerprint, "vary": study.vary, "design": study.design}
+            self._write(named if laws is None else named | {"laws": laws})
 
     def append(self, rows: Iterable[Row]) -> None:
         """Keep rows, now."""
