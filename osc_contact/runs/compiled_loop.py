@@ -25,7 +25,7 @@ __all__ = ["DIVERGED", "FULL", "ODD", "ROOM", "compiled_loop"]
 #: is out of the ordinary; there is no room for the contacts' notes; MuJoCo warns.
 FULL, ODD, ROOM, DIVERGED = range(4)
 
-_CLOCK = time.CLOCK_MONOTONIC
+_CLOCK = getattr(time, "CLOCK_MONOTONIC", None)  #: None on Windows: then no loop is compiled
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
 _mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 
@@ -60,7 +60,9 @@ def _now(clock):
 def compiled_loop() -> Any:
     """The loop, see `_build`; None where it cannot be compiled."""
     stamp = None if share_entry is None else share_entry(law_rows())
-    return None if stamp is None or find_places() is None else _build(stamp)
+    if stamp is None or _CLOCK is None or find_places() is None:
+        return None
+    return _build(stamp)
 
 
 def _build(stamp: int) -> Any:
