@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite, pi
+from math import isfinite, pi, radians
 from typing import Any
 
 from osc_contact.errors import InvalidInputError
@@ -25,12 +25,15 @@ class ForceGains:
         brake: κ = 2 damping_ratio K_i (1/s), of the normal velocity: a force of κ(NᵀΦN)⁻¹.
         rise: T (s) that a step of a desired force takes; 0: none.
         damping: K_v (N s/m) of the normal velocity, whatever the mass behind the contact.
+        tilt: rad; a face on which one point slides is believed to be turned by as much as the
+            motion shows, up to this angle. 0: never.
     """
 
     integral: float
     damping: float
     brake: float
     rise: float
+    tilt: float
 
     def __init__(
         self,
@@ -40,6 +43,7 @@ class ForceGains:
         bandwidth: float | None = None,
         damping_ratio: float | None = None,
         rise: float | None = None,
+        tilt: float | None = None,
         brake: float | None = None,
     ) -> None:
         """Scaled by mass unless `integral` or `damping` is given, the gains for one mass.
@@ -47,7 +51,7 @@ class ForceGains:
         Args:
             integral: 1/s, default 30. damping: N s/m, default 0.
             bandwidth: Hz, default 5. damping_ratio: default 0.7. rise: s, default 0.25; 0 beside
-                `integral` or `damping`.
+                `integral` or `damping`. tilt: rad, default 10°; 0 beside `integral` or `damping`.
             brake: 1/s, in place of a damping ratio.
 
         Raises:
@@ -71,9 +75,10 @@ class ForceGains:
             integral = 2.0 * pi * (5.0 if bandwidth is None else bandwidth)
             brake = 2.0 * (0.7 if damping_ratio is None else damping_ratio) * integral
             rise = 0.25 if rise is None else rise
+            tilt = radians(10.0) if tilt is None else tilt
         self._set(
             integral=30.0 if integral is None else integral, damping=damping or 0.0,
-            brake=brake or 0.0, rise=rise or 0.0,
+            brake=brake or 0.0, rise=rise or 0.0, tilt=tilt or 0.0,
         )  # fmt: skip
 
     def _set(self, **values: Any) -> None:

@@ -70,7 +70,9 @@ class ModelRow:
         force, dt = gains.force, settings.dt
         head.force_gain, head.force_damping = force.integral, force.damping
         head.force_brake, head.step_time = force.brake, force.rise
-        head.drift_share = -np.expm1(-force.drift * dt) if force.brake > 0.0 else 0.0
+        wanted = force.brake > 0.0 or force.tilt > 0.0
+        head.drift_share = -np.expm1(-force.drift * dt) if wanted else 0.0
+        head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # of a chord
         posture = settings.posture_task
         head.posture_stiffness, head.posture_damping = posture.stiffness, posture.damping
         head.retreat_damping = posture.retreat_damping

@@ -12,7 +12,7 @@ from math import copysign, sqrt
 
 from osc_contact.law.algebra import cross
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.six import dot6
+from osc_contact.law.six import dot6, rotated, velocity_at
 from osc_contact.law.tables import (
     COUPLE,
     EDGES,
@@ -24,27 +24,12 @@ from osc_contact.law.tables import (
     SLIDE,
     THREAD,
 )
+from osc_contact.law.tilt import follow_face
 
 __all__ = ["PARALLEL", "permitted_motion", "place_contacts", "place_pair", "point_of_contact"]
 
 PARALLEL = 1e-6  #: sine of the angle below which two edges have no common normal
 _AHEAD = 2.0  #: control periods after its measurement at which a torque acts at the latest
-
-
-@leaf
-def _rotated(R, x, y, z):
-    """R (x, y, z), R the rotation in the first rows and columns of a matrix."""
-    return (
-        R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
-        R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
-        R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
-    )
-
-
-@leaf
-def _velocity(V, x, y, z):
-    a, b, c = cross(V[3], V[4], V[5], x, y, z)
-    return V[0] + a, V[1] + b, V[2] + c
 
 
 @leaf
@@ -95,6 +80,11 @@ def place_contacts(chain, pairs, shapes, columns, X_WO, V_O, bodies, moving, wor
         )  # fmt: skip
         if not sine >= PARALLEL:
             return False
+        if pair.count == 1 and chain.tilt > 0.0 and pair.has_friction != 0 and pair.kind != EDGES:
+            for i in range(6):
+                work.z[i] = work.V_D[i] - V_E[i]
+            row, column = shapes[pair.shape_at].row, columns[pair.first]
+            follow_face(chain, pair.kind, row, X_WO, R_E, V_rel, work.z, column)
         if pair.has_friction != 0 and (work.mu > 0.0 or chain.reading == LEAST_SQUARES):
             for i in range(6):
                 work.z[i] = V_rel[i] + _AHEAD * chain.period * work.A_D[i]
@@ -135,17 +125,18 @@ def place_pair(pair, shapes, columns, X_WO, V_O, R_E, V_E, V_rel, moving, scratc
 @inner
 def _point_on_plane(row, X_WO, V_O, R_E, V_E, V_rel, moving, column):
     """A point of A (0:3) on a plane of E with direction into it (3:6), distance (6) along."""
-    x, y, z = _rotated(X_WO, row[0], row[1], row[2])
-    a, b, c = row[3], row[4], row[5]
+    x, y, z = rotated(X_WO, row[0], row[1], row[2])
+    turn = column.turn
+    a, b, c = row[3] + turn[0], row[4] + turn[1], row[5] + turn[2]
     if moving:
-        a, b, c = _rotated(R_E, row[3], row[4], row[5])
+        a, b, c = rotated(R_E, a, b, c)
     _line(column.N, x, y, z, a, b, c)
-    u, v, w = _velocity(V_O, x, y, z)
+    u, v, w = velocity_at(V_O, x, y, z)
     u, v, w = cross(V_rel[3], V_rel[4], V_rel[5], u, v, w)
     s = -(a * u + b * v + c * w)
     if moving:
         a, b, c = cross(V_E[3], V_E[4], V_E[5], a, b, c)
-        u, v, w = _velocity(V_rel, x, y, z)
+        u, v, w = velocity_at(V_rel, x, y, z)
         s -= a * u + b * v + c * w
     column.n_gamma_all = s
 
@@ -159,12 +150,13 @@ def point_of_contact(kind, row, X_WO, R_E, N):
         N: (6,) line of force at O.
     """
     if kind == POINTS:
-        x, y, z = _rotated(X_WO, row[0], row[1], row[2])
-        ahead = row[6] + N[0] * (R_E[0, 3] - X_WO[0, 3] - x)
-        ahead += N[1] * (R_E[1, 3] - X_WO[1, 3] - y) + N[2] * (R_E[2, 3] - X_WO[2, 3] - z)
+        x, y, z = rotated(X_WO, row[0], row[1], row[2])
+        a, b, c = rotated(R_E, row[3], row[4], row[5])  # of the plane that is believed
+        ahead = row[6] + a * (R_E[0, 3] - X_WO[0, 3] - x)
+        ahead += b * (R_E[1, 3] - X_WO[1, 3] - y) + c * (R_E[2, 3] - X_WO[2, 3] - z)
         return x + ahead * N[0], y + ahead * N[1], z + ahead * N[2]
     if kind == FACE_ON_VERTEX:
-        x, y, z = _rotated(R_E, row[3], row[4], row[5])
+        x, y, z = rotated(R_E, row[3], row[4], row[5])
         x, y, z = x + R_E[0, 3] - X_WO[0, 3], y + R_E[1, 3] - X_WO[1, 3], z + R_E[2, 3] - X_WO[2, 3]
         return x - row[6] * N[0], y - row[6] * N[1], z - row[6] * N[2]
     return _crossing(row, X_WO, R_E)[0]
@@ -176,7 +168,7 @@ def _slide(point, V_rel, mu, slip, column):
     N = column.N
     a, b, c = N[0], N[1], N[2]
     x, y, z = point
-    u, v, w = _velocity(V_rel, x, y, z)
+    u, v, w = velocity_at(V_rel, x, y, z)
     s = a * u + b * v + c * w
     u, v, w = u - s * a, v - s * b, w - s * c
     s = 1.0 / sqrt(u * u + v * v + w * w + slip * slip)
@@ -198,12 +190,13 @@ def _rate(p, n, p_dot, n_dot, out):
 @inner
 def _face_on_vertex(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
     """Row: normal of A's face (0:3), vertex of E (3:6), its radius (6)."""
-    n = _rotated(X_WO, row[0], row[1], row[2])
-    x, y, z = _rotated(R_E, row[3], row[4], row[5])
+    turn = column.turn
+    n = rotated(X_WO, row[0] + turn[0], row[1] + turn[1], row[2] + turn[2])
+    x, y, z = rotated(R_E, row[3], row[4], row[5])
     p = (x + R_E[0, 3] - X_WO[0, 3], y + R_E[1, 3] - X_WO[1, 3], z + R_E[2, 3] - X_WO[2, 3])
     _line(column.N, p[0], p[1], p[2], n[0], n[1], n[2])
     n_dot = cross(V_O[3], V_O[4], V_O[5], n[0], n[1], n[2])
-    _rate(p, n, _velocity(V_E, p[0], p[1], p[2]), n_dot, rate)
+    _rate(p, n, velocity_at(V_E, p[0], p[1], p[2]), n_dot, rate)
     column.n_gamma_all = -dot6(rate, V_rel)
 
 
@@ -217,11 +210,11 @@ def _along_first(a, e, m, mm):
 @inner
 def _crossing(row, X_WO, R_E):
     """Where A's edge comes nearest to E's, from O, and from a point of A's edge to one of E's."""
-    e = _rotated(X_WO, row[3], row[4], row[5])
-    f = _rotated(R_E, row[9], row[10], row[11])
+    e = rotated(X_WO, row[3], row[4], row[5])
+    f = rotated(R_E, row[9], row[10], row[11])
     m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
-    q = _rotated(X_WO, row[0], row[1], row[2])
-    x, y, z = _rotated(R_E, row[6], row[7], row[8])
+    q = rotated(X_WO, row[0], row[1], row[2])
+    x, y, z = rotated(R_E, row[6], row[7], row[8])
     apart = (
         x + R_E[0, 3] - X_WO[0, 3] - q[0],
         y + R_E[1, 3] - X_WO[1, 3] - q[1],
@@ -238,14 +231,14 @@ def _edges(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
     The side is ±1, or 0 where the environment's outward normal tells it. Returns the sine of the
     edges' angle; near zero the column is not a number.
     """
-    e = _rotated(X_WO, row[3], row[4], row[5])
-    f = _rotated(R_E, row[9], row[10], row[11])
+    e = rotated(X_WO, row[3], row[4], row[5])
+    f = rotated(R_E, row[9], row[10], row[11])
     m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
     mm = m[0] * m[0] + m[1] * m[1] + m[2] * m[2]
     sine = sqrt(mm)
     side = row[12]
     if side == 0.0:
-        o = _rotated(R_E, row[13], row[14], row[15])
+        o = rotated(R_E, row[13], row[14], row[15])
         side = -(o[0] * m[0] + o[1] * m[1] + o[2] * m[2])
     scale = copysign(1.0 / sine, side)
     n = (scale * m[0], scale * m[1], scale * m[2])
@@ -263,8 +256,8 @@ def _edges(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
         (w[1] - along * n[1]) / size,
         (w[2] - along * n[2]) / size,
     )
-    u = _velocity(V_O, p[0], p[1], p[2])
-    v = _velocity(V_E, p[0] + gap * n[0], p[1] + gap * n[1], p[2] + gap * n[2])
+    u = velocity_at(V_O, p[0], p[1], p[2])
+    v = velocity_at(V_E, p[0] + gap * n[0], p[1] + gap * n[1], p[2] + gap * n[2])
     slip = (
         u[0] - v[0] + gap * n_dot[0],
         u[1] - v[1] + gap * n_dot[1],
@@ -286,14 +279,14 @@ def permitted_motion(row, X_WO, R_E):
             E's axis, carried by E; SCREW, the turn and a slide of pitch (10) along 7:10 of E.
         X_WO: pose of the object. R_E: axes of the body.
     """
-    p = _rotated(X_WO, row[0], row[1], row[2])
+    p = rotated(X_WO, row[0], row[1], row[2])
     if row[6] == SLIDE:
-        d = _rotated(R_E, row[3], row[4], row[5])
+        d = rotated(R_E, row[3], row[4], row[5])
         return d[0], d[1], d[2], 0.0, 0.0, 0.0
-    w = _rotated(X_WO, row[3], row[4], row[5])
+    w = rotated(X_WO, row[3], row[4], row[5])
     t = cross(p[0], p[1], p[2], w[0], w[1], w[2])
     if row[6] == SCREW:
-        d = _rotated(R_E, row[7], row[8], row[9])
+        d = rotated(R_E, row[7], row[8], row[9])
         t = (t[0] + row[10] * d[0], t[1] + row[10] * d[1], t[2] + row[10] * d[2])
     return t[0], t[1], t[2], w[0], w[1], w[2]
 
@@ -325,16 +318,16 @@ def _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, Tdot_beta):
         row = shapes[pair.shape_at + k].row
         t = permitted_motion(row, X_WO, R_E)
         if row[6] == SLIDE:
-            p = _rotated(X_WO, row[0], row[1], row[2])
-            v = _velocity(V_rel, p[0], p[1], p[2])
+            p = rotated(X_WO, row[0], row[1], row[2])
+            v = velocity_at(V_rel, p[0], p[1], p[2])
             _add_carried(V_E, t, t[0] * v[0] + t[1] * v[1] + t[2] * v[2], Tdot_beta)
         else:
             rate = t[3] * V_rel[3] + t[4] * V_rel[4] + t[5] * V_rel[5]
             _add_carried(V_O, t, rate, Tdot_beta)
     for j in range(r):
         row, N = shapes[pair.shape_at + j].row, columns[pair.first + j].N
-        p = _rotated(X_WO, row[0], row[1], row[2])
-        d = _rotated(R_E, row[3], row[4], row[5])
+        p = rotated(X_WO, row[0], row[1], row[2])
+        d = rotated(R_E, row[3], row[4], row[5])
         if row[6] == COUPLE:
             m = cross(p[0], p[1], p[2], d[0], d[1], d[2])
             for i in range(3):
@@ -343,7 +336,7 @@ def _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, Tdot_beta):
         else:
             _line(N, p[0], p[1], p[2], d[0], d[1], d[2])
             if row[6] == THREAD:
-                w = _rotated(X_WO, row[7], row[8], row[9])
+                w = rotated(X_WO, row[7], row[8], row[9])
                 f = row[10] / (d[0] * w[0] + d[1] * w[1] + d[2] * w[2])
                 for i in range(3):
                     N[3 + i] -= f * d[i]

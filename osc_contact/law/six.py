@@ -1,4 +1,4 @@
-"""Rows of six numbers, held as values: fixed lengths, which a compiler keeps in vector registers.
+"""Rows of six numbers, and points, held as values: lengths that a compiler keeps in registers.
 
 The operational space has six dimensions, so most matrices of the law are rows of six. Reflectors
 1 − β v vᵀ are rows v with zeros before the diagonal.
@@ -12,7 +12,8 @@ from osc_contact.law.jit import inner, leaf
 
 __all__ = [
     "add", "dot6", "fill", "form_q6", "mirror", "qr6",
-    "reflect", "reflect_back", "reflect_sides", "reflector", "scaled", "six", "times6",
+    "reflect", "reflect_back", "reflect_sides", "reflector", "rotated", "rotated_back", "scaled",
+    "six", "times6", "velocity_at",
 ]  # fmt: skip
 
 
@@ -167,3 +168,33 @@ def mirror(A):
     for i in range(1, 6):
         for j in range(i):
             A[j, i] = A[i, j]
+
+
+@leaf
+def rotated(R, x, y, z):
+    """R (x, y, z), R the rotation in the first rows and columns of a matrix."""
+    return (
+        R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
+        R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
+        R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
+    )
+
+
+@leaf
+def rotated_back(R, x, y, z):
+    """Rᵀ (x, y, z)."""
+    return (
+        R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
+        R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
+        R[0, 2] * x + R[1, 2] * y + R[2, 2] * z,
+    )
+
+
+@leaf
+def velocity_at(V, x, y, z):
+    """Of the point (x, y, z) of a body of twist V."""
+    return (
+        V[0] + (V[4] * z - V[5] * y),
+        V[1] + (V[5] * x - V[3] * z),
+        V[2] + (V[3] * y - V[4] * x),
+    )

@@ -39,6 +39,7 @@ from osc_contact.law.tables import (
     LEAST_SQUARES,
     NO_REASON,
 )
+from osc_contact.law.tilt import take_turns
 
 __all__ = [
     "advance_contacts",
@@ -131,7 +132,8 @@ def advance_contacts(chain, bodies, table, memory, contacts, column_memory, flat
 
 @inner
 def measure(chain, arms, pairs, shapes, table, bodies, contacts, work, arm_work, joints,
-             columns, body_work, memory, wrenches, touched, moving, goal):  # fmt: skip
+             columns, column_memory, body_work, memory, wrenches, touched, moving,
+             goal):  # fmt: skip
     """N, n_γ, the bodies along N, the force filter; returns a reason.
 
     Args:
@@ -140,6 +142,7 @@ def measure(chain, arms, pairs, shapes, table, bodies, contacts, work, arm_work,
     work.mu = max(chain.mu + memory.more_friction, 0.0)
     work.more_friction = memory.more_friction
     if work.count > 0:
+        take_turns(chain, column_memory, columns)
         if not place_contacts(
             chain, pairs, shapes, columns, work.X_WO, work.V_O, touched, moving, work
         ):

@@ -26,6 +26,7 @@ __all__ = ["brake_contacts", "keep_steps", "shape_steps"]
 
 _SUDDEN = 20.0  #: 1/s; a force that changes faster than its size times this makes a step
 _FADES = 0.5  #: 1/s; how fast the size of a force that has gone is forgotten
+_PRESSES = 0.3  #: of its desired force; with less a contact does not tell how its face is tilted
 _RESTS = 0.1  #: of the size; where more of a step is to come the integral rests
 
 
@@ -100,11 +101,12 @@ def brake_contacts(column_memory, columns, work):
 
 
 @inner
-def keep_steps(chain, memory, column_memory, columns, work, goal, here, speed):
-    """What the next tick must know of the desired forces, and v̄ of each column.
+def keep_steps(chain, memory, column_memory, columns, work, goal, here, alpha, speed):
+    """What the next tick must know of the desired forces, v̄ and the turn of each column.
 
     Args:
-        goal, here, speed: (n,) desired magnitudes, whether in N, NᵀV_rel (m/s).
+        goal, here, alpha, speed: (n,) desired magnitudes, whether in N, measured magnitudes,
+            NᵀV_rel (m/s).
     """
     memory.step_left, memory.step_time = work.step_left, work.step_time
     for j in range(chain.n_columns):
@@ -112,9 +114,14 @@ def keep_steps(chain, memory, column_memory, columns, work, goal, here, speed):
         if here[j] == 0.0:
             row.wished, row.wish, row.scale, row.drift = 0, 0.0, 0.0, 0.0
             row.to_come[0] = row.to_come[1] = row.to_come[2] = row.expected = 0.0
+            row.turn[0] = row.turn[1] = row.turn[2] = 0.0
             continue
         expect(chain, row, columns[j].goal, work.status == SATURATED)
         row.wished, row.wish, row.scale = columns[j].shaped, goal[j], columns[j].scale
-        row.drift += work.heed * chain.drift_share * (speed[j] - row.drift)
+        presses = columns[j].shaped != 0 and alpha[j] > _PRESSES * goal[j] > 0.0
+        lasting = speed[j] * (1.0 - columns[j].slides if presses else 1.0)
+        row.drift += work.heed * chain.drift_share * (lasting - row.drift)
         for i in range(3):
             row.to_come[i] = columns[j].to_come[i]
+            if presses:
+                row.turn[i] += work.heed * (columns[j].turned[i] - row.turn[i])

@@ -79,7 +79,7 @@ CHAIN = _record(
         # see `watch`: s to begin braking, W, N of the least limit, s of low and of high forces
         "reaction", "contact_power", "contact_force", "contact_loss_time", "overforce_time",
         "integral_force", "integral_motion",  # the most that integrals add: N, m/s² or rad/s²
-        "force_brake", "drift_share", "step_time",  # see `steps`
+        "force_brake", "drift_share", "step_time", "tilt",  # see `steps`
         # see `plausibility`: N, N m, times a speed limit, s without a wrench
         "force_range", "torque_range", "plausible_speed", "wrench_timeout",
         "stuck_speed", "frozen_time",  # likewise: share of a speed limit, s
@@ -169,6 +169,7 @@ COLUMN_MEMORY = _record(
         "expected", "gap",  # see `phases`: N that a contact should read, m since it was lost
     ),
     to_come=3,  # of a step, see `steps`
+    turn=3,  # of the believed normal, in the axes of its body, see `steps`
 )  # fmt: skip
 
 # What a tick works out --------------------------------------------------------------------------
@@ -224,9 +225,10 @@ JOINT_WORK = _record(
 )  # fmt: skip
 COLUMN_WORK = _record(
     whole=("chosen", "shaped"),
-    number=("n_gamma", "n_gamma_all", "extent", "alpha_d", "goal", "scale"),
+    number=("n_gamma", "n_gamma_all", "extent", "alpha_d", "goal", "scale", "slides", "drift"),
     N=6, friction_wrench=6, energy=6, rest=6, share=6, to_come=3,
     point=3, slip=3,  # of contact, from O; v_t / √(v_t² + v_0²) there
+    turn=3, turned=3,  # of the believed normal, and after this tick
 )  # fmt: skip
 BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E
 

@@ -166,7 +166,7 @@ def _row(
     if begin <= MEASURE < stop and reason == NO_REASON:
         reason = measure(
             chain, arms, pairs, shapes, owners, bodies, contacts, work, arm_work, joints,
-            columns, body_work, memory, wrenches, touched, moving, flat,
+            columns, column_memory, body_work, memory, wrenches, touched, moving, flat,
         )  # fmt: skip
         if reason == NO_REASON:
             set_wishes(chain, owners, contacts, memory, column_memory, columns, work, flat, flags)

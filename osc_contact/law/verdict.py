@@ -79,7 +79,7 @@ def remember(chain, work, memory, columns, column_memory, table, contacts, flat)
     for j in range(work.count):
         here[columns[j].chosen] = 1.0
         chosen[j] = columns[j].chosen
-    keep_steps(chain, memory, column_memory, columns, work, flat, here, speed)
+    keep_steps(chain, memory, column_memory, columns, work, flat, here, alpha, speed)
     if chain.phased == 0:
         return
     phases.low_pass(

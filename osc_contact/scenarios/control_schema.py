@@ -81,6 +81,7 @@ class ForceGainsSpec(Spec):
     bandwidth: Annotated[Frequency, Field(gt=0)] | None = None
     damping_ratio: NotNegative | None = None
     rise: Annotated[Time, Field(ge=0)] | None = None
+    tilt: Annotated[Angle, Field(ge=0, le=0.8)] | None = None
     integral: NotNegative | None = None
     """a number in 1/s"""
     damping: NotNegative | None = None

@@ -152,7 +152,10 @@ class LawPair:
         self, A: _Elements, V_O: Any, E: _Elements, V_E: Any, V_rel: Any, moving: bool
     ) -> list[Any]:
         head, shapes = self._numbers
-        columns = [SimpleNamespace(N=[0.0] * 6, n_gamma_all=0.0) for _ in range(head.count)]
+        columns = [
+            SimpleNamespace(N=[0.0] * 6, n_gamma_all=0.0, turn=(0.0, 0.0, 0.0))
+            for _ in range(head.count)
+        ]
         try:
             with np.errstate(all="ignore"):
                 sine = _place(head, shapes, columns, A, V_O, E, V_E, V_rel, moving, [0.0] * 6)

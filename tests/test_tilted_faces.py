@@ -1,0 +1,161 @@
+"""Faces whose normal is believed wrongly: what sliding tells of it, and what that brings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from pair_kinds import pose_of
+from rigs import one_panda, random_state
+from test_reading import judged, point
+
+import osc_contact as osc
+from osc_contact.contacts.pairs.pair import velocity
+
+DT, SLIDES = 1e-3, 0.01
+
+
+def circle(hertz: float, about: float = 0.0, gains: object = None, **plant: object):
+    """40 mm on a face that is believed to be turned by 5°; 10 N."""
+    data = point(plant).as_dict()
+    for move in data["motion"]:
+        move["signals"][0]["frequency"] = f"{hertz} Hz"
+    data["gains"] = gains or {}
+    data["model_error"] = {"face_tilt": "5 deg", "face_tilt_about": f"{about} deg"}
+    return osc.Scenario.from_dict(data)
+
+
+def slid(scenario, duration):
+    """deg between the law's normal and the true one at last, and the believed one; the verdict."""
+    kept = []
+    run = osc.run(scenario, duration=duration, install=lambda c: kept.append(c) or c)
+    rig, controller = osc.build_rig(scenario), max(kept, key=lambda c: c._records.memory.ticked)
+    (true,), (believed,) = rig.pairs, rig.controlled_pairs()
+    n = believed.normal - controller._records.column_memory[0].turn
+    off = [float(np.rad2deg(np.arcsin(np.linalg.norm(np.cross(n, pair.normal)))))
+           for pair in (true, believed)]  # fmt: skip
+    return *off, osc.metrics(run)
+
+
+# --- against MuJoCo -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("about", [0.0, 90.0])
+def test_fast_circles_on_a_face_that_is_believed_to_be_tilted(about):
+    assert judged(circle(1.5, about)) < 0.01
+    assert judged(circle(1.0, about, friction=0.2)) < 0.01
+    assert judged(circle(1.0, about, {"force": {"tilt": 0}})) > 0.03
+
+
+@pytest.mark.parametrize("hertz", [0.5, 0.75, 1.0])
+def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
+    """docs/tuning.md: of acceleration and brake that leak into the force."""
+    cost = [judged(circle(hertz, about, {"force": {"tilt": 0}})) for about in (0.0, 90.0)]
+    rig = osc.build_rig(circle(hertz))
+    state = rig.state()
+    N = rig.pairs[0].contact(state.X_WO, np.zeros(6)).N
+    M = 1.0 / (N.T @ state.S @ np.linalg.solve(state.Lambda, state.S.T) @ N).item()
+    w, K = 2 * np.pi * hertz, 10 * np.pi
+    leak = M * np.deg2rad(5) * 0.04 * w**2 / np.sqrt(2) / 10
+    want = leak * abs(1 + 1.4 * K / (K / 6 + 1j * w)) * w / np.hypot(w, K)
+    assert np.mean(cost) == pytest.approx(want, rel=0.25)
+
+
+def test_the_normal_that_is_learnt_is_that_of_the_face():
+    off, turned, _ = slid(circle(0.5), 3.0)
+    assert off < 0.1 and turned == pytest.approx(5.0, abs=0.1)
+    off, turned, _ = slid(circle(0.5, gains={"force": {"tilt": "3 deg"}}), 2.0)
+    assert 2.5 < turned < 3.001 and off > 1.9
+
+
+def test_a_soft_face_is_not_taken_for_a_tilted_one():
+    """It yields while it is slid on, and the force changes with the motion's frequency."""
+    data = circle(0.5, solref=[0.03, 1.0], solimp=[0.1, 0.5, 0.003]).as_dict()
+    sine = {"type": "sine", "amplitude": "5 N", "frequency": "0.5 Hz", "ramp": "1 s"}
+    data["force"]["nose"].append(sine)
+    data["model_error"]["face_tilt"] = 0
+    off, _, verdict = slid(osc.Scenario.from_dict(data), 3.0)
+    assert off < 1.0
+    assert verdict["force"]["nose"]["rms_error_rel"] < 0.01
+
+
+def test_what_stands_still_does_not_turn_its_face():
+    data = circle(0.5).replaced(motion=[]).as_dict()
+    data["sensors"] = {"encoder": {"rate": "1 kHz", "angle": {"noise": "0.1 mrad"}}}
+    _, turned, _ = slid(osc.Scenario.from_dict(data), 3.0)
+    assert turned == 0.0
+
+
+# --- what the law makes of it ---------------------------------------------------------------------
+
+
+def touching(kind: str, X: pin.SE3, X_WE: pin.SE3, rng: np.random.Generator):
+    """A pair of one point that touches at X, and the pose of the body with its normal."""
+    p, n = 0.1 * rng.normal(size=3), rng.normal(size=3)
+    at = X_WE.actInv(X.act(p))
+    if kind == "face_on_vertex":
+        return osc.FaceOnVertex(p, n, at, 0.01), X
+    if kind == "sphere_on_plane":
+        return osc.SphereOnPlane(p, 0.02, at, n), X_WE
+    return osc.VertexOnFace(p, at, n, 0.01), X_WE
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("kind", ["vertex_on_face", "sphere_on_plane", "face_on_vertex"])
+def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, moving):
+    """N and n_γ against the pair made anew; the turn against its formula in world axes."""
+    chain, rng = one_panda(), np.random.default_rng(11)
+    gains = osc.Gains()
+    for _ in range(5):
+        q, v = random_state(chain, rng)
+        state = chain.state(q, v)
+        X, V = state.X_WO, state.V_O
+        X_WE, V_E = pin.SE3.Identity(), np.zeros(6)
+        if moving:
+            X_WE, V_E = pose_of(rng), 0.1 * rng.normal(size=6)
+        pair, carrier = touching(kind, X, X_WE, rng)
+        touched = osc.interface.Touched(X_WE.homogeneous[None], V_E[None], np.zeros((1, 6)))
+        controller = osc.Controller(chain, [pair], gains, dt=DT)
+        measurement = osc.Measurement(q, v, np.zeros((1, 6)), touched if moving else None)
+        V_D = 0.3 * rng.normal(size=6)
+        reference = osc.Reference(X, V_D, np.zeros(6), np.array([10.0]))
+        controller.tick(measurement, reference)
+        memory = controller._records.column_memory[0]
+        d = 0.03 * rng.normal(size=3)
+        new = pair.normal + d
+        new /= np.linalg.norm(new)
+        sign = 1.0 if kind == "face_on_vertex" else -1.0
+        memory.turn[:], memory.drift = sign * (new - pair.normal), 0.02
+        controller.tick(measurement, reference)
+        bodies = (X_WE, V_E) if moving else ()
+        want = replace(pair, normal=new).contact(X, V, *bodies)
+        np.testing.assert_allclose(controller.signals.contact.N, want.N, atol=1e-12)
+        np.testing.assert_allclose(controller.signals.contact.n_gamma, want.n_gamma, atol=1e-11)
+        n, centre = want.N[:3, 0], X.translation
+        centre = (
+            X_WE.act(pair.vertex)
+            if kind == "face_on_vertex"
+            else X.act(pair.vertex if kind == "vertex_on_face" else pair.centre)
+        )
+        on_body = velocity(V_E, centre - X_WE.translation)
+        across = n @ (velocity(V, centre - X.translation) - on_body)
+        wanted = velocity(V_D, centre - X.translation) - on_body
+        along = wanted - (n @ wanted) * n
+        square = along @ along
+        share = square**2 / (square**2 + SLIDES**4)
+        rate = 1 - np.exp(-gains.force.drift * DT)
+        n = n - rate * share * (across - 0.02) * along / square
+        turned = controller._records.columns[0].turned
+        got = carrier.rotation @ (sign * pair.normal + turned)
+        np.testing.assert_allclose(got, n / np.linalg.norm(n), atol=1e-10)
+
+
+def test_gains_for_one_mass_leave_faces_as_they_are_told():
+    assert osc.ForceGains().tilt == pytest.approx(np.deg2rad(10))
+    assert osc.ForceGains(30, 100).tilt == osc.ForceGains(bandwidth=5, tilt=0).tilt == 0.0
+    assert osc.ForceGains(30, 100, tilt=0.1).tilt == 0.1
+    plain = {"integral": 30}
+    assert slid(circle(0.5, gains={"force": plain}), 1.2)[1] == 0.0
+    assert slid(circle(0.5, gains={"force": plain | {"tilt": "10 deg"}}), 2.0)[0] < 0.3
