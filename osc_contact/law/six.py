@@ -172,7 +172,11 @@ def mirror(A):
 
 @leaf
 def rotated(R, x, y, z):
-    """R (x, y, z), R the rotation in the first rows and columns of a matrix."""
+    """R (x, y, z).
+
+    Args:
+        R: matrix, the rotation in its first rows and columns. x, y, z: of a vector.
+    """
     return (
         R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
         R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
@@ -182,7 +186,11 @@ def rotated(R, x, y, z):
 
 @leaf
 def rotated_back(R, x, y, z):
-    """Rᵀ (x, y, z)."""
+    """Rᵀ (x, y, z).
+
+    Args:
+        R, x, y, z: as of `rotated`.
+    """
     return (
         R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
         R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
@@ -192,7 +200,11 @@ def rotated_back(R, x, y, z):
 
 @leaf
 def velocity_at(V, x, y, z):
-    """Of the point (x, y, z) of a body of twist V."""
+    """Of a point of a body.
+
+    Args:
+        V: (6,) twist of the body. x, y, z: of the point, from where V is at.
+    """
     return (
         V[0] + (V[4] * z - V[5] * y),
         V[1] + (V[5] * x - V[3] * z),
