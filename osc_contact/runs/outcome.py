@@ -11,8 +11,8 @@ from osc_contact.recorder import Recording
 from osc_contact.spatial import Array
 
 __all__ = [
-    "AWAY_M", "AWAY_RAD", "HELD_SHARE", "LOST_S", "LOST_SHARE", "STEP_WINDOW_S", "Landings",
-    "Openings", "judge_task", "step_answers",
+    "AWAY_FORCE", "AWAY_M", "AWAY_RAD", "HELD_SHARE", "LOST_S", "LOST_SHARE", "STEP_WINDOW_S",
+    "Landings", "Openings", "judge_task", "step_answers",
 ]  # fmt: skip
 
 STEP_WINDOW_S = 0.5  #: a step's overshoot is looked for this long, or until the next step
@@ -20,6 +20,7 @@ LOST_S = 0.05  #: a contact open for longer, while the controller took it as clo
 LOST_SHARE = 0.05  #: … and so was one open in a larger share of the judged ticks
 AWAY_M = 0.1  #: an object further from its reference has run away
 AWAY_RAD = 0.3  #: … and so has one turned further
+AWAY_FORCE = 0.9  #: times its mean command: a force further off in the rms is not followed
 HELD_SHARE = 0.01  #: a larger share of ticks that were not computed fails a task
 _CLOSED = 2  #: of channel `contact_phase`
 
@@ -177,10 +178,11 @@ def _ran_away(verdict: Mapping[str, Any], away: tuple[float | None, float | None
             "smaller motion, or look at gains, model and friction"
         )
     for name, force in verdict["force"].items():
-        if (force["rms_error_rel"] or 0.0) > 1.0:
+        if (force["rms_error_rel"] or 0.0) > AWAY_FORCE:
             reasons.append(
-                f"force {name} was off by {force['rms_error_N']:.3g} N rms, more than the "
-                f"{force['mean_command_N']:.3g} N asked for; look at gains, friction and sensors"
+                f"force {name} was off by {force['rms_error_N']:.3g} N rms of "
+                f"{force['mean_command_N']:.3g} N asked for (task failed beyond "
+                f"{AWAY_FORCE:.0%}); look at gains, masses, friction and sensors"
             )
     return reasons
 
