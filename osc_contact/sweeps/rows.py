@@ -63,11 +63,12 @@ def make_rows(
 def without_doubts_told() -> Iterator[None]:
     """Doubts that stand in rows are not told a thousand times."""
     logger = logging.getLogger("osc_contact.preflight")
-    before, logger.level = logger.level, logging.ERROR
+    before = logger.level
+    logger.setLevel(logging.ERROR)
     try:
         yield
     finally:
-        logger.level = before
+        logger.setLevel(before)
 
 
 def record_sample(
