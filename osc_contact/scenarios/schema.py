@@ -208,12 +208,16 @@ class Scenario(Spec):
 
     @model_validator(mode="before")
     @classmethod
-    def _approach_what_was_tared(cls, data: Any) -> Any:
-        """Faces that have to be found are approached at 30 mm/s, unless phases are given."""
+    def _let_a_tare_engage(cls, data: Any) -> Any:
+        """Where nothing is said of phases and contacts begin open, all of them close at once.
+
+        The tare's own approach is slow in time; phases would land at a set speed, which stiff
+        faces, masses and late wrists turn into overshoot.
+        """
         if isinstance(data, dict) and data.get("tare") is not None:
             control = data.get("control")
             if isinstance(control, dict) and "life" not in control:
-                return {**data, "control": {**control, "life": {"speed": 0.03}}}
+                return {**data, "control": {**control, "life": None}}
         return data
 
     @model_validator(mode="after")
