@@ -35,11 +35,19 @@ class Forces:
         self.contacts = [Record(phase=CLOSED) for _ in range(n)]
         self.memory = Record(step_left=0.0, step_time=RISE, ticked=1)
         self.kept = [
-            Record(wished=0, wish=0.0, scale=0.0, drift=0.0, expected=0.0, to_come=np.zeros(3))
+            Record(
+                wished=0,
+                wish=0.0,
+                scale=0.0,
+                drift=0.0,
+                expected=0.0,
+                to_come=np.zeros(3),
+                turn=np.zeros(3),
+            )
             for _ in range(n)
         ]
-        self.columns = [Record(chosen=0, goal=0.0, scale=0.0, shaped=1, to_come=np.zeros(3))
-                        for _ in range(n)]  # fmt: skip
+        self.columns = [Record(chosen=0, goal=0.0, scale=0.0, shaped=1, to_come=np.zeros(3),
+                               slides=0.0, turned=np.zeros(3)) for _ in range(n)]  # fmt: skip
         for place, j in enumerate(self.chosen):
             self.columns[place].chosen = j
         self.work = Record(
@@ -55,7 +63,8 @@ class Forces:
               self.work, goal, measured)  # fmt: skip
         here = np.array([1.0 if j in self.chosen else 0.0 for j in range(n)])
         speed = np.zeros(n) if speed is None else np.array(speed)
-        keep(self.chain, self.memory, self.kept, self.columns, self.work, goal, here, speed)
+        keep(self.chain, self.memory, self.kept, self.columns, self.work, goal, here, measured,
+             speed)  # fmt: skip
         return np.array([self.columns[j].goal for j in self.chosen])
 
     def run(self, goal, ticks):

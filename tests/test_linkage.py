@@ -224,7 +224,9 @@ def test_two_grasps_are_the_case_of_one_bar(rig):
 
 @pytest.fixture(scope="module")
 def plate():
-    return osc.build_rig(osc.load_scenario("three_arm_plate"))
+    """With gains for one mass: the NumPy law smooths no steps."""
+    gains = "gains={force: {integral: 10, damping: 3000}}"
+    return osc.build_rig(osc.load_scenario("three_arm_plate", [gains]))
 
 
 def test_commands_by_number_and_by_bar(plate):
@@ -282,5 +284,5 @@ def test_a_squeezed_plate_stays_within_its_limits():
         assert force["rms_error_rel"] <= 0.01, name
     assert recording["squeeze"].shape == (len(recording), 3)
     np.testing.assert_allclose(recording["squeeze"], 10.0, atol=1e-6)
-    # at first the gaps are zero up to rounding, which decides what MuJoCo takes for touching
-    assert recording["closed"][1:].all()
+    # at first the gaps are zero up to rounding, and the forces rise from zero
+    assert recording["closed"][10:].all()
