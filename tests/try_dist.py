@@ -42,7 +42,7 @@ def main() -> None:
     ask.add_argument("dist", type=Path)
     ask.add_argument("pythons", nargs="*", default=[sys.executable])
     ask.add_argument("--versions", choices=("pinned", "lowest", "highest"), default="pinned")
-    asked = ask.parse_args()
+    asked = ask.parse_intermixed_args()  # Pythons may come after options
     for python in asked.pythons:
         for file in sorted([*asked.dist.glob("*.whl"), *asked.dist.glob("*.tar.gz")]):
             attempt(file.resolve(), python, asked.versions)
