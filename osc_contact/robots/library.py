@@ -99,15 +99,11 @@ def locate(reference: str) -> tuple[Path, tuple[Path, ...]]:
     return resolve_urdf(reference)
 
 
+@cache
 def _packaged() -> dict[str, Path]:
     """Packaged URDFs by file name: inside the installed package, or beside it in a checkout."""
     here = Path(__file__).resolve().parent.parent
     folder = next((f for f in (here / "urdf", here.parent / "urdf") if f.is_dir()), here / "urdf")
-    return _urdfs_in(folder)
-
-
-@cache
-def _urdfs_in(folder: Path) -> dict[str, Path]:
     return {path.name: path for path in sorted(folder.glob("*.urdf"))}
 
 

@@ -76,7 +76,8 @@ def run_compiled(
         while k < len(plan):
             if asked():
                 return
-            k = drive.go_on(k, min(len(plan), k + NEWS - (done + k) % NEWS))
+            news = len(plan) if progress is None else k + NEWS - (done + k) % NEWS
+            k = drive.go_on(k, min(len(plan), news))
             if progress is not None and (done + k) % NEWS == 0:
                 progress((done + k) * controller.dt)
         done += len(plan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -97,8 +98,7 @@ def workers_of(workers: int | None, scheduler: Any, most: int) -> Iterator[Worke
     with ExitStack() as stack:
         if scheduler is None:
             context = get_context("spawn")  # threads of this process would not survive a fork
-            end = _leave_signals_to_the_parent
-            made = Workers(lambda: ProcessPoolExecutor(count, context, end), lambda: count)
+            made = Workers(lambda: ProcessPoolExecutor(count, context, _begin_work), lambda: count)
             made.wake(count)
         else:
             from osc_contact.sweeps.cluster import KilledWorker, connect
@@ -186,10 +186,12 @@ def _hand_out(
             future.cancel()
 
 
-def _leave_signals_to_the_parent() -> None:
-    """Ctrl-C goes to all processes of a terminal; workers end when their parent does.
+def _begin_work() -> None:
+    """A worker process begins.
 
-    And at once, not in order as a run does by itself: nobody reads its recording any more.
+    Ctrl-C goes to all processes of a terminal; workers end when their parent does. And at once, not
+    in order as a run does by itself: nobody reads its recording any more.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: os._exit(128 + number))
+    gc.freeze()  # what is imported stays; not looked through again with every run

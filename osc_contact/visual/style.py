@@ -86,4 +86,5 @@ def save(
         written.append(base.with_name(base.name + suffix))
         with whole_file(written[-1]) as unfinished:
             figure.savefig(unfinished, dpi=150, format=suffix[1:], metadata=undated.get(suffix))
+        figure.set_layout_engine("none")  # laid out once, alike in all files
     return tuple(written)
