@@ -57,6 +57,19 @@ def scale(x, factor):
             x[i, j] *= factor
 
 
+@inner
+def step(at, by):
+    return at + by
+
+
+@inner
+def walk(count):
+    at = 0
+    for i in range(count):
+        at = step(at, 2) if i else step(at, 1)
+    return at
+
+
 @entry
 def work(raw, at, out):
     head = read_head(raw, 0, 1)[0]
@@ -70,7 +83,7 @@ def work(raw, at, out):
     A = matrix(flat, 2, 2, 2)
     A[1, 0] = -flat[7]
     chosen = integers(flat, 0, 2)
-    chosen[1] = 7 + chosen[0]
+    chosen[1] = walk(4) + chosen[0]
     out[0] = 1.0 / (head.mass - head.mass)  # as C does it, not as Python
     return A[0, 1]
 """
@@ -155,6 +168,7 @@ def test_parts_of_the_law_read_bytes_as_records_without_a_copy(parts: Any) -> No
     assert (first == raw).all()
     if hasattr(parts.work, "signatures"):
         assert len(parts.work.signatures) == 1, "one compilation serves all integers"
+        assert jit._INNER is jit._PLAIN or len(parts.step.signatures) == 1, "and all constants"
 
 
 RECORDS = {name: x for name, x in vars(tables).items() if isinstance(x, np.dtype)}

@@ -18,13 +18,13 @@ from typing import Any
 
 from llvmlite import binding
 from numba import types
-from numba.core import cgutils
+from numba.core import cgutils, ir
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
 from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.errors import TypingError
 from numba.core.typed_passes import NopythonTypeInference
-from numba.core.untyped_passes import InlineClosureLikes
+from numba.core.untyped_passes import InlineClosureLikes, IRProcessing
 from numba.extending import intrinsic
 
 __all__ = [
@@ -76,6 +76,27 @@ class _AsPart(FunctionPass):
         return True
 
 
+@register_pass(mutates_CFG=False, analysis_only=False)
+class _PlainNumbers(FunctionPass):
+    """Takes a constant for any number of its type.
+
+    numba gives constants types of their own, and compiles what they are handed to for each of them;
+    also for the 0 that a variable begins with, before it sees what else the variable may be.
+    """
+
+    _name = "plain_numbers"
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def run_pass(self, state: Any) -> bool:
+        for block in state.func_ir.blocks.values():
+            for assignment in block.find_insts(ir.Assign):
+                if isinstance(assignment.value, ir.Const):
+                    assignment.value.use_literal_type = False
+        return True
+
+
 class _Flags(Flags):
     """Options of a compilation that tell their values at once.
 
@@ -122,6 +143,7 @@ class PartCompiler(CompilerBase):
         # the law defines no functions within functions
         passes.passes = [one for one in passes.passes if one[0] is not InlineClosureLikes]
         passes.add_pass_after(_AsPart, NopythonTypeInference)
+        passes.add_pass_after(_PlainNumbers, IRProcessing)
         passes.finalize()
         return [passes]
 

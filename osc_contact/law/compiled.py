@@ -5,6 +5,7 @@ Compiling takes about a minute, once on a machine; listeners get a message.
 
 from __future__ import annotations
 
+import gc
 import logging
 import zlib
 from collections.abc import Callable, Iterator
@@ -60,22 +61,31 @@ def saturated() -> tuple[Any, Any]:
 
 @contextmanager
 def announced() -> Iterator[None]:
-    """Log (INFO) when numba begins to compile inside the block, and how long it took."""
+    """Log (INFO) when numba begins to compile inside the block, and how long it took.
+
+    Python looks through its objects for those to give back less often meanwhile: numba makes
+    millions that stay, and a tenth of the time would go there.
+    """
     from numba.core import event
 
     began: list[float] = []
+    usual = gc.get_threshold()
 
     class Begun(event.Listener):
         def on_start(self, event: Any) -> None:
             if not began:
                 began.append(perf_counter())
+                gc.set_threshold(50_000, 20, 100)
                 _log.info("compiling the control tick: about a minute, then it is cached …")
 
         def on_end(self, event: Any) -> None:
             pass
 
-    with event.install_listener("numba:compile", Begun()):
-        yield
+    try:
+        with event.install_listener("numba:compile", Begun()):
+            yield
+    finally:
+        gc.set_threshold(*usual)
     if began:
         _log.info("compiled in %.0f s", perf_counter() - began[0])
 
