@@ -51,6 +51,11 @@ def _whole(address):
 
 
 @njit
+def _number(address):
+    return carray(_at(address), (1,), types.float64)[0]
+
+
+@njit
 def _now(clock):
     _clock_gettime(_CLOCK, clock.ctypes.data)
     return clock[0] + 1e-9 * clock[1]
@@ -117,24 +122,30 @@ def _build(stamp: int) -> Any:
                     return k, j, ODD, seconds
             row, end = rows[j], 0
             for part in (q, v, tau, alpha_d[k]):
-                row[end : end + part.size] = part
-                end += part.size
+                for x in part:
+                    row[end] = x
+                    end += 1
             for i in range(len(sources)):
-                size = sources[i, 1]
-                row[end : end + size] = carray(_at(sources[i, 0]), (size,), types.float64)
-                end += size
-            row[end:] = tail
+                for place_of_x in range(sources[i, 0], sources[i, 0] + 8 * sources[i, 1], 8):
+                    row[end] = _number(place_of_x)
+                    end += 1
+            for i in range(tail.size):
+                row[end + i] = tail[i]
             row[end] = seconds
             points[j] = count
             for c in range(count):
                 here = first + c * places[3]
-                geoms[j, c] = carray(_at(here + places[4]), (2,), types.int32)
+                for i in range(2):
+                    geoms[j, c, i] = _whole(here + places[4] + 4 * i)
                 addresses[j, c] = address = _whole(here + places[5])
-                place[j, c] = carray(_at(here + places[6]), (3,), types.float64)
-                frame[j, c] = carray(_at(here + places[7]), (9,), types.float64)
+                for i in range(3):
+                    place[j, c, i] = _number(here + places[6] + 8 * i)
+                for i in range(9):
+                    frame[j, c, i] = _number(here + places[7] + 8 * i)
                 if address >= 0:
-                    forces[j, address] = carray(_at(force + 8 * address), (1,), types.float64)[0]
-            ctrl[:] = tau
+                    forces[j, address] = _number(force + 8 * address)
+            for i in range(tau.size):
+                ctrl[i] = tau[i]
             for _ in range(substeps - 1):
                 _mj_step(blind_model, data)
             _mj_step(whole_model, data)
