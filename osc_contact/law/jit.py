@@ -31,6 +31,7 @@ __all__ = [
     "leaf",
     "matrix",
     "numbers",
+    "pointer",
     "prefetch",
     "reader",
     "share_entry",
@@ -114,6 +115,7 @@ def as_python(part: Any, **instead: Any) -> Any:
 
 
 if PLAIN_PYTHON:
+    pointer: Any = None
 
     def _at(raw: Any, start: int, shape: Any, dtype: Any) -> Any:
         size = int(np.prod(shape)) * np.dtype(dtype).itemsize
@@ -143,7 +145,7 @@ else:
                        else _PLAIN)  # fmt: skip
 
     @intrinsic
-    def _pointer(typing: Any, address: Any) -> Any:
+    def pointer(typing: Any, address: Any) -> Any:
         """An address as a pointer."""
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -177,22 +179,22 @@ else:
 
         @_view
         def read(raw, start, count):
-            return carray(_pointer(raw.ctypes.data + np.uintp(start)), (count,), dtype)
+            return carray(pointer(raw.ctypes.data + np.uintp(start)), (count,), dtype)
 
         return read
 
     @_view
     def numbers(raw, start, count):
         """`count` numbers among bytes, without a copy."""
-        return carray(_pointer(raw.ctypes.data + np.uintp(start)), (count,), np.float64)
+        return carray(pointer(raw.ctypes.data + np.uintp(start)), (count,), np.float64)
 
     @_view
     def matrix(x, start, rows, columns):
         """A matrix among numbers, from number `start` on, without a copy."""
-        at = _pointer(x.ctypes.data + np.uintp(8 * start))
+        at = pointer(x.ctypes.data + np.uintp(8 * start))
         return carray(at, (rows, columns), np.float64)
 
     @_view
     def integers(x, start, count):
         """Room for numbers taken for integers."""
-        return carray(_pointer(x.ctypes.data + np.uintp(8 * start)), (count,), np.int64)
+        return carray(pointer(x.ctypes.data + np.uintp(8 * start)), (count,), np.int64)

@@ -11,12 +11,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
 from numba import carray, njit, types  # type: ignore[attr-defined]
-from numba.extending import intrinsic
 
 from osc_contact.law.compiled import rows as law_rows
-from osc_contact.law.jit import call_entry, share_entry
+from osc_contact.law.jit import call_entry, pointer, share_entry
 from osc_contact.plants.mujoco_memory import find_places
 
 __all__ = ["DIVERGED", "FULL", "ODD", "ROOM", "compiled_loop"]
@@ -30,29 +28,19 @@ _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32
 _mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 
 
-@intrinsic
-def _at(typing: Any, address: Any) -> Any:
-    """An address as a pointer."""
-
-    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        return builder.inttoptr(given[0], ir.IntType(8).as_pointer())
-
-    return types.voidptr(types.intp), generate
-
-
 @njit
 def _word(address):
-    return carray(_at(address), (1,), types.int64)[0]
+    return carray(pointer(np.uintp(address)), (1,), types.int64)[0]
 
 
 @njit
 def _whole(address):
-    return carray(_at(address), (1,), types.int32)[0]
+    return carray(pointer(np.uintp(address)), (1,), types.int32)[0]
 
 
 @njit
 def _number(address):
-    return carray(_at(address), (1,), types.float64)[0]
+    return carray(pointer(np.uintp(address)), (1,), types.float64)[0]
 
 
 @njit
