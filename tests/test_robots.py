@@ -295,7 +295,7 @@ def test_urdf_path_knows_the_packaged_files() -> None:
 def test_urdf_path_finds_the_folder_of_an_installed_package(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(library, "__file__", str(tmp_path / "osc_contact/robots/library.py"))
+    monkeypatch.setattr(library, "_PACKAGE", tmp_path.resolve() / "osc_contact")
     for folder in ("urdf", "osc_contact/urdf"):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "rod.urdf").touch()

@@ -14,6 +14,7 @@ from osc_contact.robots.findings import suggest
 __all__ = ["ROBOT_DATA", "urdf_path", "find_robot", "resolve_urdf", "locate"]
 
 ROBOT_DATA = "example-robot-data"
+_PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def urdf_path(name: str) -> Path:
@@ -99,11 +100,14 @@ def locate(reference: str) -> tuple[Path, tuple[Path, ...]]:
     return resolve_urdf(reference)
 
 
-@cache
 def _packaged() -> dict[str, Path]:
     """Packaged URDFs by file name: inside the installed package, or beside it in a checkout."""
-    here = Path(__file__).resolve().parent.parent
-    folder = next((f for f in (here / "urdf", here.parent / "urdf") if f.is_dir()), here / "urdf")
+    places = _PACKAGE / "urdf", _PACKAGE.parent / "urdf"
+    return _urdfs_in(next((folder for folder in places if folder.is_dir()), places[0]))
+
+
+@cache
+def _urdfs_in(folder: Path) -> dict[str, Path]:
     return {path.name: path for path in sorted(folder.glob("*.urdf"))}
 
 
