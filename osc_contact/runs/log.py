@@ -24,7 +24,8 @@ from osc_contact.spatial import Array
 
 __all__ = ["BLOCK", "Log", "Subject", "blocks"]
 
-BLOCK = 500  #: rows whose channels are worked out together
+BLOCK = 500  #: rows that the journal is handed at once, at most
+_TOGETHER = 1000  #: rows whose channels are worked out together
 _EVERY = 0.08  #: s; the journal is not left behind any longer
 
 #: What of `TickResult` is kept, and how many numbers that is.
@@ -192,7 +193,7 @@ class Log:
 
 
 def blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
-    """Rows of a journal cut at every `BLOCK` ticks, wherever its chunks end.
+    """Rows of a journal cut at every 1,000 ticks, wherever its chunks end.
 
     Args:
         parts: number of the first row, rows; in order.
@@ -206,7 +207,7 @@ def blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
             begin, waiting = first, rows
         else:
             waiting = np.concatenate(_alike(waiting, rows))
-        while (cut := BLOCK - begin % BLOCK) <= len(waiting):
+        while (cut := _TOGETHER - begin % _TOGETHER) <= len(waiting):
             yield begin, waiting[:cut]
             begin, waiting = begin + cut, waiting[cut:]
     if len(waiting):

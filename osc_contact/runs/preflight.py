@@ -32,7 +32,6 @@ SLOW, TOO_SLOW = 0.7, 2.0  #: gain × control period: doubtful, refused (a sampl
 SOFT_HZ = 100.0  #: joints whose springs swing slower want a joint torque loop
 OVERLOAD = 3.0  #: forces that ever need more than so many times the motors' limits are refused
 FAR_M = 0.02  #: m; a motion that misses more, for want of a posture, is doubtful
-_SAMPLES = 400  #: instants at which references are looked at
 _logger = logging.getLogger("osc_contact.preflight")
 
 
@@ -169,7 +168,8 @@ def _rate(rig: Rig) -> Iterator[Finding]:
 
 
 def _reach(rig: Rig) -> Iterator[Finding]:
-    poses = rig.references.over(_times(rig)).X_WD[:, :3]
+    times, plan = rig.references.overview
+    poses = plan.X_WD[:, :3]
     for arm, grasp in zip(rig.chain.arms, rig.chain.grasps, strict=True):
         most = _length(arm) + float(np.linalg.norm(grasp.X_TO.translation))
         far = np.linalg.norm(poses - arm.base.translation, axis=1)
@@ -178,7 +178,7 @@ def _reach(rig: Rig) -> Iterator[Finding]:
             yield Finding(
                 True,
                 f"the motion leads the object to {far[k]:.3g} m from the base of arm "
-                f"'{arm.name}' at t = {_times(rig)[k]:.3g} s, and the stretched arm reaches "
+                f"'{arm.name}' at t = {times[k]:.3g} s, and the stretched arm reaches "
                 f"{most:.3g} m; ask for a smaller motion (are its signals in the right unit?)",
             )
 
@@ -187,8 +187,8 @@ def _postures(rig: Rig) -> Iterator[Finding]:
     """Places to which no posture within the joints' limits leads, from the start on."""
     if any(True for _ in _reach(rig)):
         return
-    times, chain = _times(rig), rig.chain
-    poses = rig.references.over(times).X_WD
+    chain, (times, plan) = rig.chain, rig.references.overview
+    poses = plan.X_WD
     ways = poses[:, :3] - poses[0, :3]
     turns = np.abs(poses[:, 3:] @ poses[0, 3:])  # cosine of half the angle
     ends = {int(k) for k in (*ways.argmax(axis=0), *ways.argmin(axis=0), turns.argmin())}
@@ -235,8 +235,8 @@ def _motors(rig: Rig) -> Iterator[Finding]:
     state, r = rig.state(), rig.contact().r
     if not r or not state.d:
         return
-    t = _times(rig)
-    alpha = np.asarray(rig.references.over(t).alpha_d)
+    t, plan = rig.references.overview
+    alpha = plan.alpha_d
     limits = np.minimum(rig.chain.tau_max, 1e12)
     wanted = state.bias[:, None] + state.S.T @ rig.contact().N @ rig.contact().R @ alpha.T
     shares = np.linalg.pinv(state.G * limits) @ wanted  # of each motor's limit, least squares
@@ -278,8 +278,8 @@ def least_peak(A: Array, b: Array) -> float:
 
 
 def _carts(rig: Rig) -> Iterator[Finding]:
-    t = _times(rig)
-    alpha = np.asarray(rig.references.over(t).alpha_d)
+    t, plan = rig.references.overview
+    alpha = plan.alpha_d
     X, dt = rig.state().X_WO, t[1] - t[0]
     for body in rig.bodies:
         cart = body.motion
@@ -304,7 +304,3 @@ def _carts(rig: Rig) -> Iterator[Finding]:
                 f"{most:.3g} m in {rig.scenario.duration:g} s; give it a preload of "
                 f"{cart.preload - float(np.mean(push + constant)):.3g} N, or a stiffness",
             )
-
-
-def _times(rig: Rig) -> Array:
-    return np.linspace(0.0, rig.scenario.duration, _SAMPLES)

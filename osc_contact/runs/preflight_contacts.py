@@ -28,7 +28,6 @@ BESIDE_M = 0.005  #: a contact further than this beside body or object is refuse
 LIFTED_M = 0.005  #: a motion that opens or closes a gap by more is doubtful
 INSIDE_M = 0.005  #: an object that starts deeper in a body is refused
 PROBE_M = 0.002  #: how far in front of and behind a contact geometry is looked for
-_SAMPLES = 400  #: instants at which references are looked at
 OUTWARD = {"body": ("face_normal", "edge_outward"), "object": ("normal", "edge_outward")}
 
 
@@ -157,7 +156,7 @@ def inverted(rig: Rig) -> Iterator[Finding]:
 
 def inside(rig: Rig) -> Iterator[Finding]:
     """An object that begins in a body, for another cause than those above."""
-    if rig.scenario.plant.exact or any(True for _ in (*normals(rig), *inverted(rig))):
+    if rig.scenario.plant.exact:
         return
     deepest: dict[str, float] = {}
     for _, _, solids in _solids(rig):
@@ -168,14 +167,16 @@ def inside(rig: Rig) -> Iterator[Finding]:
             for b in held.shapes
         ]
         deepest[body.name] = max(depths, default=0.0)
-    for name, depth in deepest.items():
-        if depth > INSIDE_M:
-            yield Finding(
-                True,
-                f"the object starts {1e3 * depth:.0f} mm inside {name}, with its contacts just "
-                "touching: a normal is reversed, or the collision geometry is larger than the "
-                "contacts say; reverse the normals of its contacts, or mend the geometry",
-            )
+    deep = {name: depth for name, depth in deepest.items() if depth > INSIDE_M}
+    if deep and any(True for _ in (*normals(rig), *inverted(rig))):
+        return
+    for name, depth in deep.items():
+        yield Finding(
+            True,
+            f"the object starts {1e3 * depth:.0f} mm inside {name}, with its contacts just "
+            "touching: a normal is reversed, or the collision geometry is larger than the "
+            "contacts say; reverse the normals of its contacts, or mend the geometry",
+        )
 
 
 def _distance(first: Any, X_first: pin.SE3, second: Any, X_second: pin.SE3) -> float:
@@ -187,16 +188,15 @@ def _distance(first: Any, X_first: pin.SE3, second: Any, X_second: pin.SE3) -> f
 
 def lifted(rig: Rig) -> Iterator[Finding]:
     """Motions along a normal, while the contact is to be kept."""
-    t, tare = np.linspace(0.0, rig.scenario.duration, _SAMPLES), rig.scenario.tare
-    t = t[t >= (0.0 if tare is None else tare.duration + tare.approach)]
-    t = t[:: max(1, len(t) // 100)]
-    plan = rig.references.over(t)
-    poses = [pin.XYZQUATToSE3(x) for x in plan.X_WD]
+    (t, plan), tare = rig.references.overview, rig.scenario.tare
+    kept = np.flatnonzero(t >= (0.0 if tare is None else tare.duration + tare.approach))
+    kept = kept[:: max(1, len(kept) // 100)]
+    poses = [pin.XYZQUATToSE3(x) for x in plan.X_WD[kept]]
     for i, pair in enumerate(rig.pairs):
         if rig.bodies[rig.on[i]].motion is not None:
             continue
         forces = np.flatnonzero(rig.owners == i)
-        pressed = plan.alpha_d[:, forces].max(axis=1, initial=0.0) > 0.0
+        pressed = plan.alpha_d[np.ix_(kept, forces)].max(axis=1, initial=0.0) > 0.0
         gaps = np.array([
             pair.gaps(X) for X, wanted in zip(poses, pressed, strict=True)
             if wanted or rig.life is None  # which opens it when its force ends

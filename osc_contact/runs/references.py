@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -65,7 +66,7 @@ def force_steps(scenario: Scenario) -> list[float]:
     return sorted(steps)
 
 
-_AT_ONCE = 500  #: references made in a row, which takes half the time of making them one by one
+_AT_ONCE = 1000  #: references made in a row, which takes half the time of making them one by one
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class References:
         )  # fmt: skip
         references = cls(scenario, X_start, directions, standoff)
         t = np.linspace(0.0, scenario.duration, 2000)
-        wanted = references.over(t).alpha_d
+        wanted = references.forces(t).T
         pushes = [pushes_only(p) for p, c in zip(pairs, scenario.contacts, strict=True)
                   for _ in range(c.forces)]  # fmt: skip
         for name, pushing, force in zip(force_names(scenario), pushes, wanted.T, strict=True):
@@ -144,6 +145,17 @@ class References:
         for start in range(0, ticks, _AT_ONCE):
             yield self.over(np.arange(start, min(start + _AT_ONCE, ticks)) * period)
 
+    def forces(self, t: Array) -> Array:
+        """(r, k) desired magnitudes at times t (k,)."""
+        names, signals = force_names(self.scenario), self.scenario.force
+        return np.reshape([total_over(signals[name], t)[0] for name in names], (len(names), len(t)))
+
+    @cached_property
+    def overview(self) -> tuple[Array, Plan]:
+        """Times (400,) through the whole run, and the references there."""
+        t = np.linspace(0.0, self.scenario.duration, 400)
+        return t, self.over(t)
+
     def over(self, t: Array) -> Plan:
         """The references at many times t (k,), worked out together."""
         x = np.zeros((3, 3, len(t)))  # displacement, velocity, acceleration
@@ -168,14 +180,11 @@ class References:
         spin = np.zeros((2, 3, len(t)))
         if turn is not None:
             R, spin = rotated(turn.R, R), np.stack((turn.omega, turn.omega_dot))
-        forces = self.scenario.force
-        names = force_names(self.scenario)
-        alpha = np.array([total_over(forces[name], t)[0] for name in names])
         return Plan(
             X_WD=Poses(R, place[0] + x[0]).coordinates(len(t)),
             V_D=np.concatenate((x[1], spin[0])).T.copy(),
             A_D=np.concatenate((x[2], spin[1])).T.copy(),
-            alpha_d=alpha.reshape(len(names), len(t)).T.copy(),
+            alpha_d=self.forces(t).T.copy(),
             squeeze_d=float(self.scenario.squeeze),
         )
 
