@@ -218,6 +218,7 @@ def test_vector_env_program(tmp_path: Path) -> None:
         assert sum(shares.values()) == pytest.approx(1.0)
         assert sum(parts.values()) * case["ticks_per_cpu_s"] == pytest.approx(1e6)
         assert case["ticks_per_s"] > 0.0 and min(parts.values()) > 0.0
+        assert 0.0 < case["control_of_the_clock"] < 1.0
 
 
 @pytest.mark.parametrize(

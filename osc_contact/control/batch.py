@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
@@ -71,7 +71,7 @@ class BatchController:
         self._memories = self._strided(at.MEMORY, 0, 1)[:, 0]
         self._columns = self._strided(at.COLUMN_MEMORY, int(head.column_memory_at), self._r)
         self._limits: dict[int, MotorLimits] = {}
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._pool = _pool(threads)
 
     def _require_fitting(self, i: int, one: Controller) -> None:
         found = _structure_of(one)
@@ -146,16 +146,17 @@ class BatchController:
         if wrench_valid is not None:
             self._memories["wrench_missing"][:] = np.broadcast_to(wrench_valid, (B,)) == 0
         self._locate(args[0].reshape(B, self._n))
-        ends = np.linspace(0, B, self.threads + 1).astype(int)
-        if self._pool is None:
-            self._run(0, 0, B, args)
-        else:
-            parts = [
-                self._pool.submit(self._run, i, int(ends[i]), int(ends[i + 1]), args)
-                for i in range(self.threads)
-            ]
-            for part in parts:
-                part.result()
+        ends = np.linspace(0, B, self.threads + 1).astype(int).tolist()
+        others = [] if self._pool is None else [
+            self._pool.submit(self._run, i, ends[i], ends[i + 1], args)
+            for i in range(1, self.threads)
+        ]  # fmt: skip
+        try:
+            self._run(0, 0, ends[1], args)
+        finally:
+            wait(others)
+        for part in others:
+            part.result()
         return tau.reshape(B, self._n_a)
 
     def _run(self, worker: int, lo: int, hi: int, args: tuple[Any, ...]) -> None:
@@ -267,7 +268,12 @@ class BatchController:
         head = records(self._model, 0, 1, at.CHAIN)[0]
         self._memories = self._strided(at.MEMORY, 0, 1)[:, 0]
         self._columns = self._strided(at.COLUMN_MEMORY, int(head.column_memory_at), self._r)
-        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
+        self._pool = _pool(self.threads)
+
+
+def _pool(threads: int) -> ThreadPoolExecutor | None:
+    """Of the threads beside the one that calls."""
+    return ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
 
 def _structure_of(controller: Controller) -> dict[str, int]:
