@@ -18,7 +18,7 @@ from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.run import run_rig, start
 from osc_contact.sweeps.workshop import Workshop
 
-pytestmark = pytest.mark.skipif(PLAIN_PYTHON, reason="nothing is compiled")
+compares = pytest.mark.skipif(PLAIN_PYTHON, reason="no compiled run to compare with")
 
 PLAIN = ["two_contact_rod", "panda_edge", "hinge_ball_rod", "three_arm_plate", "limited_rod"]
 OTHERS = ["workcell", "moving_face", "approach_and_slide"]  # sensors, faces that move, phases
@@ -55,6 +55,7 @@ def python_run(*args, **kwargs) -> osc.Recording:
 
 
 @pytest.mark.parametrize("name", PLAIN)
+@compares
 def test_recording_is_that_of_the_same_run(name, monkeypatch) -> None:
     scenario = osc.load_scenario(name, ["duration=0.7 s"])
     one, by_hand = python_run(scenario, seed=3), spy(monkeypatch)
@@ -65,6 +66,7 @@ def test_recording_is_that_of_the_same_run(name, monkeypatch) -> None:
     assert 1 <= len(by_hand) < 0.5 * ticks  # the others were compiled
 
 
+@compares
 def test_contacts_that_open_and_close_do_so_in_compiled_runs_too(monkeypatch) -> None:
     gone = "force.left_end=[{type: step, value: 10 N, start: 0.2 s}]"
     scenario = osc.load_scenario("two_contact_rod", [gone, "duration=0.5 s"])
@@ -74,6 +76,7 @@ def test_contacts_that_open_and_close_do_so_in_compiled_runs_too(monkeypatch) ->
     assert 195 <= len(by_hand) < 260  # while it was open
 
 
+@compares
 def test_runs_are_compiled_here_and_the_same_where_they_cannot_be(monkeypatch) -> None:
     """With the numba and MuJoCo of the constraints they are; with others Python runs every tick."""
     assert compiled_loop() is not None
@@ -84,6 +87,7 @@ def test_runs_are_compiled_here_and_the_same_where_they_cannot_be(monkeypatch) -
 
 
 @pytest.mark.parametrize("name", OTHERS)
+@compares
 def test_what_python_has_a_part_in_runs_as_ever(name, monkeypatch) -> None:
     scenario = osc.load_scenario(name, ["duration=0.1 s"])
     one, by_hand = python_run(scenario, seed=3), spy(monkeypatch)
@@ -91,6 +95,7 @@ def test_what_python_has_a_part_in_runs_as_ever(name, monkeypatch) -> None:
     assert len(by_hand) == round(0.1 * scenario.control.rate)
 
 
+@compares
 def test_ticks_at_a_motor_limit_are_those_of_the_quadratic_program(monkeypatch) -> None:
     """Weak motors: a good part of the ticks saturates, in Python, and the rest goes on from it."""
     weak = ["arms.left.effort_factor=0.09", "arms.right.effort_factor=0.09", "duration=0.3 s"]
@@ -101,6 +106,7 @@ def test_ticks_at_a_motor_limit_are_those_of_the_quadratic_program(monkeypatch) 
     compare(one, other)
 
 
+@compares
 def test_a_run_that_diverges_leaves_what_came_before(monkeypatch) -> None:
     """Something hits the arm after the first tick, which Python does; the next is compiled."""
     command = MujocoPlant.command
