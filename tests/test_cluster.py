@@ -57,6 +57,16 @@ def listening() -> list[tuple[str, int]]:
     ]
 
 
+def test_a_cluster_of_this_machine_is_reached_by_itself_only_and_shows_no_pages(client) -> None:
+    client.wait_for_workers(2)
+    client.run(os.getpid)
+    ports = listening()
+    assert len(ports) >= 4 and {host for host, _ in ports} == {"127.0.0.1"}
+    for host, port in ports:
+        with pytest.raises((OSError, HTTPException)):
+            urllib.request.urlopen(f"http://{host}:{port}/health", timeout=1.0)
+
+
 def test_a_killed_worker_loses_nothing_and_the_table_is_that_of_one_process(client, alone) -> None:
     killed = []
 
@@ -95,17 +105,6 @@ def test_tuning_finds_the_same_on_a_cluster(client) -> None:
     assert tune("two_contact_rod", **how, scheduler=client) == tune(
         "two_contact_rod", **how, workers=2
     )
-
-
-def test_a_cluster_of_this_machine_is_reached_by_itself_only_and_shows_no_pages(client) -> None:
-    client.restart()  # others have killed workers
-    client.wait_for_workers(2)
-    client.run(os.getpid)
-    ports = listening()
-    assert len(ports) >= 4 and {host for host, _ in ports} == {"127.0.0.1"}
-    for host, port in ports:
-        with pytest.raises((OSError, HTTPException)):
-            urllib.request.urlopen(f"http://{host}:{port}/health", timeout=1.0)
 
 
 def test_what_cannot_be_used_is_refused_with_what_to_do(client, monkeypatch) -> None:
