@@ -40,7 +40,8 @@ test: venv browser
 # without compilation first.
 PLAIN := $(addprefix tests/test_,$(addsuffix .py,law_once law_watch law_phases law_limits law_linkage))
 coverage: venv browser
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -k "not checked_bounds" --cov --cov-report= $(PLAIN)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -k "not checked_bounds" --cov --cov-report= \
+		--cov-fail-under=0 $(PLAIN)
 	$(BIN)/python -m pytest -n auto --dist loadfile --cov --cov-append --cov-report=term
 
 # Small faults put into the law, one at a time: how many do the tests notice? For a machine that

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -93,6 +95,7 @@ def main(
     if context.invoked_subcommand is None:
         say(cli_start.FIRST_STEPS)
     compiled.tell(lambda text: err.print(text, style="dim", highlight=False))
+    atexit.register(gc.freeze)  # or Python looks through all of numba's objects before it ends
 
 
 @app.command()

@@ -43,23 +43,43 @@ class _NoSymbols:
 
 
 class _PartLibrary(JITCodeLibrary):
-    """Code that is linked into its callers, and left as it is until then."""
+    """Code that is linked into the entry, once, and left as it is until then."""
 
     codegen = _NoSymbols()
+
+    def finalize(self) -> None:
+        self._finalize_dynamic_globals()
+        for function in self._final_module.functions:
+            if not function.is_declaration:
+                function.linkage = "linkonce_odr"
+        self._finalized = True
+
+    def _get_module_for_linking(self) -> Any:
+        return self._final_module
 
     def _optimize_functions(self, ll_module: Any) -> None:
         ll_module.data_layout = self._codegen._data_layout
 
-    def _optimize_final_module(self) -> None:
-        pass
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
     def get_pointer_to_function(self, name: str) -> int:
         self._ensure_finalized()
         return 0
+
+
+class _EntryLibrary(JITCodeLibrary):
+    """Code of an entry and of all parts that it calls, and that these call.
+
+    numba links what a function calls into each of them, so that most parts would be linked,
+    and copied, a hundred times.
+    """
+
+    def finalize(self) -> None:
+        libraries = list(dict.fromkeys(self._linking_libraries))
+        for library in libraries:  # more of them as it goes on
+            if isinstance(library, _PartLibrary):
+                called = dict.fromkeys(library._linking_libraries)
+                libraries += [one for one in called if one not in libraries]
+        self._linking_libraries = libraries
+        super().finalize()
 
 
 @register_pass(mutates_CFG=False, analysis_only=False)
@@ -73,6 +93,21 @@ class _AsPart(FunctionPass):
 
     def run_pass(self, state: Any) -> bool:
         state.library = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        return True
+
+
+@register_pass(mutates_CFG=False, analysis_only=False)
+class _AsEntry(FunctionPass):
+    """The same for what Python calls; cached on disk."""
+
+    _name = "as_entry"
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = _EntryLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
         return True
 
 
@@ -148,6 +183,16 @@ class PartCompiler(CompilerBase):
         return [passes]
 
 
+class EntryCompiler(CompilerBase):
+    """numba's compiler, with everything that is called linked in at once."""
+
+    def define_pipelines(self) -> Any:
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.add_pass_after(_AsEntry, NopythonTypeInference)
+        passes.finalize()
+        return [passes]
+
+
 def part_options() -> dict[str, Any]:
     """Options of `numba.njit` for functions that only compiled functions call.
 
@@ -161,7 +206,7 @@ def part_options() -> dict[str, Any]:
 
 def entry_options() -> dict[str, Any]:
     """The same for functions that Python calls."""
-    return {"no_cfunc_wrapper": True, "_nrt": False}
+    return {"no_cfunc_wrapper": True, "pipeline_class": EntryCompiler, "_nrt": False}
 
 
 def direct(entry: Any) -> Any:
