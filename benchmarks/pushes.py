@@ -1,6 +1,7 @@
 """Pushes on the arms of every packaged scenario: do they come back into contact, or stop?
 
     python benchmarks/pushes.py [--scenario NAME] [--force N] [--duration S] [--direction WORD]
+                                [--workers 2]
 
 A push is a half sine of force on the wrist of the first arm, off the faces, into or along them,
 while the contacts are closed. One row for each is printed; the exit code is 1 where the forces did
@@ -15,8 +16,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache
+from itertools import product, repeat
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -207,16 +211,16 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--duration", action="append", type=float)
     parser.add_argument("--direction", action="append", choices=DIRECTIONS)
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args(argv)
     print(table([]))
     wrong = count = 0
-    for name in given.scenario or packaged():
-        for direction in given.direction or DIRECTIONS:
-            for force in given.force or FORCES:
-                for duration in given.duration or DURATIONS:
-                    found = push_arm(name, direction, force, duration, given.set)
-                    print(table([found]).split("\n")[1], flush=True)
-                    wrong, count = wrong + bool(found.wrong), count + 1
+    pushes = product(given.scenario or packaged(), given.direction or DIRECTIONS,
+                     given.force or FORCES, given.duration or DURATIONS)  # fmt: skip
+    with ProcessPoolExecutor(given.workers, get_context("spawn")) as pool:
+        for found in pool.map(push_arm, *zip(*pushes, strict=True), repeat(given.set)):
+            print(table([found]).split("\n")[1], flush=True)
+            wrong, count = wrong + bool(found.wrong), count + 1
     print(f"{count} pushes, {wrong} of them wrong")
     return 1 if wrong else 0
 
