@@ -115,6 +115,7 @@ def push_arm(
         now, wanted = judge(), np.asarray(reference.alpha_d)
         back = bool((np.abs(now - wanted) <= np.maximum(_NEAR * np.abs(wanted), _LEAST)).all())
         asked = not len(wanted) or bool((wanted > _LEAST).any())
+        ended = good if begin is not None and not asked else 0  # the task has taken them away
         good = good + 1 if back and asked else 0
         if begin is None:
             if good * dt >= _SETTLING:
@@ -136,8 +137,8 @@ def push_arm(
             seen.stopped = since + duration
         if asked and not back:  # once they were back the task may take them away
             seen.back = None
-        elif seen.back is None and good * dt >= _STEADY:
-            seen.back = max((k - first - good) * dt, 0.0)
+        elif seen.back is None and (good * dt >= _STEADY or ended > 0):
+            seen.back = max((k - first - max(good, ended)) * dt, 0.0)
     if seen.late > SLOW_WITHIN:
         seen.wrong.append(f"a joint above its speed limit {seen.late:.3f} s after the push")
     if seen.stopped is None and seen.back is None:

@@ -1,6 +1,6 @@
 """The compiled functions of the law, made or loaded from the cache when first asked for.
 
-Compiling takes about a minute, once on a machine; listeners get a message.
+Compiling takes most of a minute, once on a machine; listeners get a message.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from osc_contact.law.jit import PLAIN_PYTHON, forget_code
 __all__ = ["announced", "rows", "saturated", "tell"]
 
 _log = logging.getLogger(__name__)
+_usual: list[tuple[int, int, int]] = []  #: of `gc`, once for each thread that is in `announced`
 
 
 @cache
@@ -69,7 +70,7 @@ def announced() -> Iterator[None]:
     from numba.core import event
 
     began: list[float] = []
-    usual = gc.get_threshold()
+    _usual.append(_usual[0] if _usual else gc.get_threshold())
 
     class Begun(event.Listener):
         def on_start(self, event: Any) -> None:
@@ -85,7 +86,9 @@ def announced() -> Iterator[None]:
         with event.install_listener("numba:compile", Begun()):
             yield
     finally:
-        gc.set_threshold(*usual)
+        usual = _usual.pop()
+        if not _usual:  # another thread may still compile
+            gc.set_threshold(*usual)
     if began:
         _log.info("compiled in %.0f s", perf_counter() - began[0])
 
