@@ -55,7 +55,11 @@ class _PartLibrary(JITCodeLibrary):
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        return self._final_module
+        """With all that it calls: for callers that numba compiles as usual."""
+        if self._shared_module is None:
+            self._shared_module = self._final_module.clone()
+            _link(self, self._shared_module)
+        return self._shared_module
 
     def _optimize_functions(self, ll_module: Any) -> None:
         ll_module.data_layout = self._codegen._data_layout
@@ -73,13 +77,21 @@ class _EntryLibrary(JITCodeLibrary):
     """
 
     def finalize(self) -> None:
-        libraries = list(dict.fromkeys(self._linking_libraries))
-        for library in libraries:  # more of them as it goes on
-            if isinstance(library, _PartLibrary):
-                called = dict.fromkeys(library._linking_libraries)
-                libraries += [one for one in called if one not in libraries]
-        self._linking_libraries = libraries
+        _link(self, self._final_module)
+        self._linking_libraries = []
         super().finalize()
+
+
+def _link(library: Any, module: Any) -> None:
+    """Link into a module what its library calls, directly or not, each library once."""
+    called = list(dict.fromkeys(library._linking_libraries))
+    for one in called:  # more of them as it goes on
+        library._reload_init.update(one._reload_init)
+        if isinstance(one, _PartLibrary):
+            called += [x for x in dict.fromkeys(one._linking_libraries) if x not in called]
+            module.link_in(one._final_module, preserve=True)
+        else:
+            module.link_in(one._get_module_for_linking(), preserve=True)
 
 
 @register_pass(mutates_CFG=False, analysis_only=False)
