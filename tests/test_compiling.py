@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import os
 import subprocess
@@ -110,6 +111,21 @@ def load(path: Path) -> Any:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def test_collections_are_as_usual_when_the_last_of_two_threads_has_compiled() -> None:
+    usual = gc.get_threshold()
+    one, other = announced(), announced()
+    try:
+        one.__enter__()
+        gc.set_threshold(50_000, 20, 100)  # as a compilation does
+        other.__enter__()
+        one.__exit__(None, None, None)
+        assert gc.get_threshold() == (50_000, 20, 100)  # the other may still compile
+        other.__exit__(None, None, None)
+        assert gc.get_threshold() == usual
+    finally:
+        gc.set_threshold(*usual)
 
 
 def test_compiling_is_announced_once_and_loading_is_not(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from osc_contact.law.jit import PLAIN_PYTHON, forget_code
 __all__ = ["announced", "rows", "saturated", "tell"]
 
 _log = logging.getLogger(__name__)
-_usual: list[tuple[int, int, int]] = []  #: of `gc`, once for each thread that is in `announced`
+_usual: list[tuple[int, int, int]] = []  #: thresholds that `announced` has met
 
 
 @cache
@@ -70,7 +70,7 @@ def announced() -> Iterator[None]:
     from numba.core import event
 
     began: list[float] = []
-    _usual.append(_usual[0] if _usual else gc.get_threshold())
+    _usual.append(gc.get_threshold())
 
     class Begun(event.Listener):
         def on_start(self, event: Any) -> None:
@@ -86,9 +86,7 @@ def announced() -> Iterator[None]:
         with event.install_listener("numba:compile", Begun()):
             yield
     finally:
-        usual = _usual.pop()
-        if not _usual:  # another thread may still compile
-            gc.set_threshold(*usual)
+        gc.set_threshold(*_usual.pop())  # of another thread's, if one has begun meanwhile
     if began:
         _log.info("compiled in %.0f s", perf_counter() - began[0])
 
