@@ -248,8 +248,13 @@ def test_a_story_approach_contact_loss_and_contact_again():
 def test_an_approach_that_finds_nothing_stands_still():
     k = PhaseSettings(speed=0.01, travel=0.02)
     phases = Phases(OWNERS, PUSHING, k, phase=(APPROACHING, OPEN, CLOSED))
-    for t, push in ((1.9, k.damping * k.speed), (2.1, 0.0)):
-        phases.contacts[0].since = t
+    for t, pace, push in (
+        (1.9, k.speed, k.damping * k.speed),
+        (1.9, 0.001, 0.5 * k.limits.force_on + 0.001 * k.damping),  # gains speed gently
+        (1.9, -0.01, 0.5 * k.limits.force_on),
+        (2.1, k.speed, 0.0),
+    ):
+        phases.contacts[0].since, phases.columns[0].pace = t, pace
         assert phases.begin(np.full(4, 10.0), judge=False)[1][0] == pytest.approx(push)
 
 
@@ -463,7 +468,7 @@ def agree(phases, old, goal, want):
     np.testing.assert_array_equal(phases.columns.collision, seen.collision)
     for name in ("low_for", "high_for", "burst", "armed_for"):
         np.testing.assert_allclose(phases.columns[name], getattr(seen, name), **close)
-    for name in ("force", "pace"):
+    for name in ("force", "pace", "noise"):
         np.testing.assert_allclose(phases.columns[name], getattr(state.heard, name), **close)
     np.testing.assert_array_equal(phases.columns.known, state.heard.known)
     np.testing.assert_allclose(phases.columns.expected, state.expected, **close)
@@ -520,7 +525,7 @@ def test_measurements_are_low_passed_as_by_the_numpy_monitor(seed):
             inertia[np.ix_(here, here)] = np.linalg.inv(D)
         before, force = filter_force(before, alpha, speed, inertia, here, DT, phases.chain.lag)
         phases.end(alpha, speed, D, independent)
-        for name in ("force", "pace", "known"):
+        for name in ("force", "pace", "known", "noise"):
             np.testing.assert_allclose(phases.columns[name], getattr(before, name), 1e-12, 1e-12)
         size = 1e-12 * max(1.0, np.linalg.cond(D) if count else 1.0)
         np.testing.assert_allclose(phases.columns.net, here * force, 1e-12, size)

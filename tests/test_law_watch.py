@@ -278,7 +278,7 @@ class Sensors:
         } | more)  # fmt: skip
         self.arms, self.table = [Record(sensor_joint=3)], [joint(), joint()]
         self.work = Record(rank=1)
-        self.memory = Record(compared=0, faults=0, frozen=0, culprit=-1, has_wrench=0)
+        self.memory = Record(compared=0, faults=0, frozen=0, still=0, culprit=-1, has_wrench=0)
         self.joints = [Record(acceleration=0.0), Record(acceleration=0.0)]
         self.kept, self.last, self.count = np.zeros(12), np.zeros(7), 0
         self.q = np.zeros(2)

@@ -87,7 +87,7 @@ class ControllerState:
         self._freshness.forget()
         memory.state, memory.age, memory.faults, memory.overspeed = SafetyState.RUN, 0, 0, 0
         memory.powered = memory.ending = 0.0
-        memory.compared = memory.frozen = memory.wrench_age = 0
+        memory.compared = memory.frozen = memory.still = memory.wrench_age = 0
         for name in ("underforce", "overforce"):
             self._records.column_memory[name][:] = 0.0
         memory.repeats, memory.fresh, memory.motion_sum[:], memory.force_sum[:] = 0, 0, 0.0, 0.0

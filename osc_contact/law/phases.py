@@ -25,8 +25,8 @@ from osc_contact.law.algebra import lu_solve
 from osc_contact.law.jit import inner
 
 __all__ = [
-    "APPROACH_GAIN", "advance_phases", "expect", "low_pass", "monitor", "remap_force_sums",
-    "set_goals", "slew", "torque_rate",
+    "APPROACHING", "APPROACH_GAIN", "advance_phases", "expect", "low_pass", "monitor",
+    "remap_force_sums", "set_goals", "slew", "torque_rate",
 ]  # fmt: skip
 
 #: Out of N; in N and dragged towards the face; in N under force control.
@@ -34,6 +34,10 @@ OPEN, APPROACHING, CLOSED = range(3)
 _CHANGES = 0.1  #: s after a change of phase for which torques go gently
 APPROACH_GAIN = 10.0  #: 1/s; of the integral of an approach
 _RETURN, _FASTEST = 5.0, 0.1  #: 1/s, m/s: the way back to where contact was lost
+#: of v_a: contact is made where an approach is slower; s of force after which also if it is not
+_SLOWED, _SOFT = 0.5, 0.5
+_NOISE = 0.05  #: s in which the noise of a force is learnt, above which contact must be felt
+_GENTLE = 0.5  #: of what counts as contact: with so much an approach at v_a pushes to gain speed
 
 
 @inner
@@ -62,6 +66,8 @@ def low_pass(column_memory, n, here, alpha, speed, D, chosen, r, independent, dt
         solved = lu_solve(A, r, b, 1)
     for j in range(n):
         row = column_memory[j]
+        off = abs(alpha[j] - row.force) if row.known != 0 else 0.0
+        row.noise += dt / (_NOISE + dt) * (off - row.noise)
         row.force = row.force + k * (alpha[j] - row.force) if row.known != 0 else alpha[j]
         row.pace = row.pace + k * (speed[j] - row.pace) if row.known != 0 else speed[j]
         row.known = 1 if here[j] else 0
@@ -148,12 +154,17 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
             if columns[j].contact != c:
                 continue
             row = column_memory[j]
-            more = -inf  # too little to be told from nothing
+            dwell, more = chain.dwell, -inf  # too little to be told from nothing
             if row.expected > chain.force_on:
                 more = chain.lost_share * max(row.expected - push, 0.0)
+            force = row.net
+            if row.closed == 0:  # sensors that fail look like an impact, to wrists or to speeds
+                flies = row.speed > _SLOWED * chain.approach_speed and row.high_for < _SOFT
+                dwell = inf if flies else chain.dwell
+                force = min(row.net, row.force) - row.noise
             monitor(
-                row, row.net, row.speed, dt, chain.force_on, chain.force_off, chain.power,
-                chain.patience, chain.window, chain.dwell, chain.leaving, more,
+                row, force, row.speed, dt, chain.force_on, chain.force_off, chain.power,
+                chain.patience, chain.window, dwell, chain.leaving, more,
             )  # fmt: skip
             if before == OPEN:
                 row.closed, row.collision = 0, 0
@@ -231,6 +242,9 @@ def set_goals(chain, bodies, columns, contacts, column_memory, wanted, goal):
         if contact.phase == APPROACHING:
             pace = max(pace, min(pace + _RETURN * column_memory[j].gap, _FASTEST))
         start = chain.approach_damping * pace if pushes != 0 else wanted[j]
+        if contact.phase == APPROACHING:
+            gentle = _GENTLE * chain.force_on * pace / chain.approach_speed
+            start = min(start, gentle + chain.approach_damping * max(column_memory[j].pace, 0.0))
         if contact.phase == APPROACHING and contact.since * chain.approach_speed >= chain.travel:
             start = 0.0  # it has found nothing and stands still
         goal[j] = start + _risen(chain, contact, pushes) * (wanted[j] - start)

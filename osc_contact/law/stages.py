@@ -28,6 +28,7 @@ from osc_contact.law.force import (
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.least_squares import learn_friction, weigh_magnitudes
 from osc_contact.law.motion import command_motion, pose_error
+from osc_contact.law.plausibility import compare_speeds
 from osc_contact.law.singular import reduce_motion
 from osc_contact.law.six import dot6, reflect, reflect_back
 from osc_contact.law.steps import brake_contacts, shape_steps
@@ -176,6 +177,8 @@ def measure(chain, arms, pairs, shapes, table, bodies, contacts, work, arm_work,
         work.speed[a] = dot6(N, work.V_O) - work.V_N[a]
         for i in range(6):
             f_c[i] += work.alpha_meas[a] * N[i]
+    if chain.phased != 0:
+        compare_speeds(chain, memory, table, contacts, columns, column_memory, work)
     return require_reachable(chain, work)
 
 

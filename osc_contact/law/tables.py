@@ -138,8 +138,9 @@ MEMORY = _record(
         "state", "age", "faults", "overspeed", "repeats", "cause", "read", "settled",
         "culprit",  # joint, arm or column of N that the cause is about
         # see `plausibility`: whether this tick has no wrench, ticks since the last one, whether one
-        # was ever read, ticks of the same readings, whether readings of the last tick are there
-        "wrench_missing", "wrench_age", "has_wrench", "frozen", "compared",
+        # was ever read, ticks of the same readings, of the same ones of joints, whether readings of
+        # the last tick are there
+        "wrench_missing", "wrench_age", "has_wrench", "frozen", "still", "compared",
         "given",  # GIVEN_POSE, GIVEN_TWIST: the object's pose, its twist too, need not be found
     ),
     number=(
@@ -167,6 +168,8 @@ COLUMN_MEMORY = _record(
         "underforce", "overforce",  # see `watch`: s of too little force, and of too much
         "wish", "scale", "drift",  # desired force, its size, lasting speed, see `steps`
         "expected", "gap",  # see `phases`: N that a contact should read, m since it was lost
+        "noise",  # mean |magnitude − low-passed magnitude|
+        "shown", "told",  # low-passed NᵀV_rel, of positions and of speeds
     ),
     to_come=3,  # of a step, see `steps`
     turn=3,  # of the believed normal, in the axes of its body, see `steps`

@@ -13,16 +13,20 @@ __all__ = ["FilteredForce", "filter_force"]
 
 @dataclass(frozen=True)
 class FilteredForce:
-    """Low-passed magnitudes and speeds, (r,) each, of the columns that are `known`."""
+    """Low-passed magnitudes and speeds, (r,) each, of the columns that are `known`.
+
+    `noise`: mean size of what the low-pass takes away of a magnitude.
+    """
 
     force: Array
     pace: Array
     known: Array
+    noise: Array
 
     @classmethod
     def nothing(cls, r: int) -> FilteredForce:
         """Before the first tick."""
-        return cls(np.zeros(r), np.zeros(r), np.zeros(r, dtype=bool))
+        return cls(np.zeros(r), np.zeros(r), np.zeros(r, dtype=bool), np.zeros(r))
 
 
 def filter_force(
@@ -50,4 +54,6 @@ def filter_force(
     force = np.where(before.known, before.force + k * (alpha - before.force), alpha)
     pace = np.where(before.known, before.pace + k * (speed - before.pace), speed)
     rate = np.where(before.known, pace - before.pace, 0.0) / dt
-    return FilteredForce(force, pace, here), force - inertia @ rate
+    off = np.where(before.known, np.abs(alpha - before.force), 0.0)
+    noise = before.noise + (off - before.noise) / (1.0 + 0.05 / dt)
+    return FilteredForce(force, pace, here, noise), force - inertia @ rate

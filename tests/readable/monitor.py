@@ -46,6 +46,7 @@ def watched(
     dt: float,
     limits: MonitorLimits,
     more: Array | float = 0.0,
+    dwell: Array | float | None = None,
 ) -> MonitorState:
     """The state one tick later.
 
@@ -53,12 +54,14 @@ def watched(
         state: before. alpha: (r,) measured magnitudes (N), from the wrist filter.
         speed: (r,) NᵀV_rel (m/s). dt: the tick (s). limits: thresholds.
         more: (r,) N above force_off below which contact is lost already.
+        dwell: (r,) s; None: that of `limits`.
     """
     away = speed < -limits.leaving
     low_for = np.where(away | (alpha < limits.force_off + more), state.low_for + dt, 0.0)
     high_for = np.where(~away & (alpha > limits.force_on), state.high_for + dt, 0.0)
+    dwell = limits.dwell if dwell is None else dwell
     lost = state.closed & (low_for > limits.patience)
-    closed = (state.closed | (high_for > limits.dwell)) & ~lost
+    closed = (state.closed | (high_for > dwell)) & ~lost
     armed_for = np.where(state.closed, np.maximum(state.armed_for - dt, 0.0), limits.window)
     burst = np.where(closed | (high_for > 0.0), np.maximum(state.burst, np.abs(alpha * speed)), 0.0)
     collision = closed & (armed_for > 0.0) & (burst > limits.power)

@@ -99,7 +99,13 @@ def lived(
     more = settings.share * np.maximum(state.expected - settings.push, 0.0)
     more = np.where(state.expected > settings.limits.force_on, more, -np.inf)
     force = np.where(here, force, 0.0)
-    seen = watched(state.seen, force, speed, dt, settings.limits, more)
+    open_ = ~np.asarray(state.seen.closed, dtype=bool)
+    clear = np.minimum(force, audible.force) - audible.noise
+    flies = open_ & (speed > 0.5 * settings.speed) & (state.seen.high_for < 0.5)
+    seen = watched(
+        state.seen, np.where(open_, clear, force), speed, dt, settings.limits, more,
+        np.where(flies, np.inf, settings.limits.dwell),
+    )  # fmt: skip
     held = seen.closed & state.active[columns.owners]
     seen = replace(seen, closed=held, collision=seen.collision & held)
     light = wanted <= settings.limits.force_on  # too little to be told from nothing
@@ -147,7 +153,10 @@ def commanded(
     rows[:, 2] = np.where(approaching, settings.damping, gains.damping)
     rows[:, 3] = np.where(guarded & ~approaching, settings.least, -np.inf)
     rows[:, 4] = approaching
-    start = push * (on_its_way | ~approaching)[columns.owners]
+    gentle = 0.5 * settings.limits.force_on * pace / settings.speed
+    gentle = gentle + settings.damping * np.maximum(state.heard.pace, 0.0)
+    start = np.where(approaching[columns.owners], np.minimum(push, gentle), push)
+    start = start * (on_its_way | ~approaching)[columns.owners]
     risen = np.where(guarded[columns.owners], _risen(state, columns, settings), 1.0)
     return np.asarray(start + risen * (wanted - start))
 
