@@ -18,6 +18,13 @@ ELSEWHERE = (
     ("wrists read zero", "after a hold"),
     ("speeds mirrored", "saturated"),
     ("packet repeats for ever", "start"),
+    ("speeds zero", "approach"),
+    ("speeds mirrored", "approach"),
+    ("speed noise of 0.05 rad/s", "approach"),
+    ("encoders stuck, speeds too", "approach"),
+    ("encoders stuck, speeds zero", "approach"),
+    ("one wrist mirrored", "approach"),
+    ("wrists times 0.3", "approach"),
 )
 
 

@@ -251,7 +251,8 @@ def test_an_approach_that_finds_nothing_stands_still():
     for t, pace, push in (
         (1.9, k.speed, k.damping * k.speed),
         (1.9, 0.001, 0.5 * k.limits.force_on + 0.001 * k.damping),  # gains speed gently
-        (1.9, -0.01, 0.5 * k.limits.force_on),
+        (1.9, -0.001, 0.5 * k.limits.force_on + 0.001 * k.damping),
+        (1.9, -0.1, k.damping * k.speed),
         (2.1, k.speed, 0.0),
     ):
         phases.contacts[0].since, phases.columns[0].pace = t, pace
@@ -270,6 +271,71 @@ def test_the_inertia_of_a_flying_object_is_not_taken_for_contact():
     found = np.array(found)
     assert np.abs(found[60:300]).max() < 1e-3 * mass * 3.0 + 0.01
     assert found[-1] == pytest.approx(8.0, rel=1e-4)
+
+
+def meet(alpha, speed, mass=0.5, k=None, ticks=700):
+    """Tick at which an approach is over; 0: never. alpha (N), speed (m/s): a number, or of k."""
+    phases = Phases([0], [True], k, phase=[APPROACHING])
+    for tick in range(1, ticks):
+        values = [x(tick) if callable(x) else x for x in (alpha, speed)]
+        phases.end([values[0]], [values[1]], np.eye(1) / mass, independent=True)
+        phases.begin([10.0])
+        if phases.contacts[0].phase == CLOSED:
+            return tick
+    return 0
+
+
+def test_what_flies_on_has_no_contact_for_half_a_second():
+    assert meet(2.0, 0.0049) == 3 == meet(2.0, -0.01), "dwell: 2 ms"
+    assert 500 < meet(2.0, 0.0051) < 505, "a soft face"
+    assert meet(2.0, lambda k: 0.01 if k < 100 else 0.004) == 100
+    fast = PhaseSettings(speed=0.02)
+    assert meet(2.0, 0.0099, k=fast) == 3 and meet(2.0, 0.0101, k=fast) > 500
+
+
+def test_speeds_alone_or_wrists_alone_make_no_contact():
+    """A speed that drops to 0 in mid-air looks like 10 mm/s · 1 kg / 6 ms = 1.7 N of an impact."""
+    stops = lambda k: 0.01 if k < 50 else 0.0  # noqa: E731
+    assert meet(0.0, stops, mass=1.0) == 0
+    assert meet(lambda k: 0.0 if k < 50 else 2.0, stops, mass=1.0) < 57
+    for read, made in ((0.29, 0), (0.31, 1)):  # an impact counts for no more than twice that
+        falls = lambda k: 0.004 - 1e-3 * k  # noqa: E731  1 N for each kg
+        assert bool(meet(read, falls, mass=3.0, ticks=30)) == made
+
+
+def test_a_contact_stands_out_of_the_noise_before_it():
+    def noise(k):
+        return 0.0 if k == 1 else 3.0 if k % 2 else -3.0
+
+    assert meet(noise, 0.0, ticks=400) == 0
+    later = meet(lambda k: noise(k) if k < 200 else 2.0, 0.0)
+    clear = meet(lambda k: noise(k) if k < 200 else 5.0, 0.0)
+    assert 200 < clear < later < 300, "what it was is forgotten in 50 ms or so"
+    phases = Phases([0], [True], phase=[CLOSED])
+    for k in range(400):
+        phases.end([noise(k)], [0.0], np.eye(1), independent=True)
+    assert phases.columns[0].noise == pytest.approx(3.0, rel=0.1)
+
+
+def test_a_lost_contact_is_astray_until_it_is_held_again():
+    phases = Phases([0], [True], phase=[CLOSED])
+    wanted, seen = [10.0], []
+    for alpha, count in ((10.0, 100), (0.0, 300), (10.0, 30), (0.0, 100), (10.0, 100)):
+        for _ in range(count):
+            phases.end([alpha], [0.0], np.eye(1), independent=True)
+            phases.begin(wanted)
+            seen.append(phases.columns[0].astray)
+    seen = np.array(seen)
+    first = np.flatnonzero(seen)[0]
+    assert 100 < first < 200 and (seen[: first - 1] == 0.0).all()
+    steady = seen[first:500]  # 30 ms of contact are not held: `rise` is 50 ms
+    np.testing.assert_allclose(steady, DT * np.arange(1, len(steady) + 1), atol=1e-9)
+    assert seen[-1] == 0.0
+    start = Phases([0], [True], phase=[OPEN])
+    for _ in range(200):
+        start.begin(wanted)
+        start.end([0.0], [0.0], np.eye(1), independent=True)
+    assert start.columns[0].astray == 0.0, "it was never there"
 
 
 @settings(max_examples=50, deadline=None)
@@ -473,6 +539,7 @@ def agree(phases, old, goal, want):
     np.testing.assert_array_equal(phases.columns.known, state.heard.known)
     np.testing.assert_allclose(phases.columns.expected, state.expected, **close)
     np.testing.assert_allclose(phases.columns.gap, state.gap, **close)
+    np.testing.assert_allclose(phases.columns.astray, state.astray, **close)
     for k, name in enumerate(("active", "gain", "damping", "least")):
         np.testing.assert_array_equal(phases.contacts[name], old.terms.rows[:, k])
     np.testing.assert_allclose(goal, want, **close)

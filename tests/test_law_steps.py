@@ -29,7 +29,7 @@ class Forces:
         self.chosen = list(range(n)) if chosen is None else chosen
         self.chain = Record(**{
             "period": DT, "step_time": RISE, "n_columns": n, "drift_share": 0.25, "rise": RISE,
-            "approach_damping": 200.0, "approach_speed": 0.01,
+            "approach_damping": 200.0, "approach_speed": 0.01, "phased": 1,
         } | more)  # fmt: skip
         self.owners = [Record(contact=j) for j in range(n)]
         self.contacts = [Record(phase=CLOSED) for _ in range(n)]
@@ -155,6 +155,18 @@ def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
         forces.memory.ticked = ticked
         assert forces.tick([10.0], measured=[3.0])[0] == pytest.approx(start)
         assert forces.run([10.0], 60)[-1, 0] == pytest.approx(10.0)
+
+
+def test_an_impact_is_not_held_where_phases_close_a_contact():
+    """What is measured at the moment of contact may be many times what is wanted."""
+    for phased, start in ((1, 2.0), (0, 40.0)):
+        forces = Forces(phased=phased)
+        assert forces.tick([2.0], measured=[40.0])[0] == pytest.approx(start)
+        found = forces.run([10.0], 60)
+        assert (found.max() > 11.0) == (phased == 0)
+        assert found[-1, 0] == pytest.approx(10.0)
+    forces = Forces()
+    assert forces.tick([-2.0], measured=[-40.0])[0] == pytest.approx(-40.0), "it may be pulled"
 
 
 def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():

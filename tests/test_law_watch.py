@@ -16,12 +16,16 @@ import pytest
 from osc_contact.law import plausibility, safety, watch
 from osc_contact.law import tables as at
 from osc_contact.law.jit import as_python
+from osc_contact.law.phases import APPROACHING, CLOSED
 
 DT = 1e-3
-watch_joints, watch_contacts, collect, check_readings, check_sensors, jumped = map(
+watch_joints, watch_contacts, collect = map(
+    as_python, (watch.watch_joints, watch.watch_contacts, watch.collect)
+)
+check_readings, check_sensors, compare_speeds, jumped = map(
     as_python,
-    (watch.watch_joints, watch.watch_contacts, watch.collect, plausibility.check_readings,
-     plausibility.check_sensors, plausibility.jumped),
+    (plausibility.check_readings, plausibility.check_sensors, plausibility.compare_speeds,
+     plausibility.jumped),
 )  # fmt: skip
 common_part, enter = as_python(safety._common_part), as_python(safety._enter)
 BOTH = pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -52,7 +56,23 @@ def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
     assert memory.culprit == 1
     # time below is taken off at the same pace, and no more than there is
     assert set(after([1.0] * 9)) == {at.NO_REASON} and memory.overspeed == 0
-    assert after([3.0] * 4 + [1.0] + [3.0] * 2) == [at.NO_REASON] * 6 + [at.OVERSPEED]
+    assert after([2.2] * 4 + [1.0] + [2.2] * 2) == [at.NO_REASON] * 6 + [at.OVERSPEED]
+
+
+@BOTH
+def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fast(sign):
+    table = [joint(lower=-9.0, upper=9.0), joint(lower=-9.0, upper=9.0, speed_max=1.0)]
+    for speed, ticks in ((1.1, 22), (1.13, 11), (1.26, 8), (1.51, 5), (3.1, 2), (9.0, 1)):
+        for j in range(2):
+            memory, v = joints_memory(), [0.0, 0.0]
+            chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=21)
+            v[j] = sign * speed * table[j].speed_max
+            found = [watch_joints(chain, table, memory, [0.0, 0.0], v) for _ in range(ticks)]
+            assert found == [at.NO_REASON] * (ticks - 1) + [at.OVERSPEED]
+            assert memory.culprit == j
+    memory, chain = joints_memory(), Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=4)
+    assert watch_joints(chain, table, memory, [0.0, 0.0], [2.4, 1.6]) == at.OVERSPEED
+    assert memory.culprit == 1, "the one that is further beyond its limit"
 
 
 @BOTH
@@ -103,12 +123,13 @@ class Contacts:
         self.chain = Record(**{
             "period": DT, "phased": 0, "contact_power": 20.0, "contact_force": 30.0,
             "contact_loss_time": 0.0105, "overforce_time": 0.0055, "integral_force": 15.0,
+            "regain_time": 0.0305,
         } | more)  # fmt: skip
         self.memory = Record(
             force_rank=2, force_sum=np.zeros(2), state=at.RUN, powered=0.0, culprit=-1
         )
         self.columns = [Record(chosen=k) for k in (2, 9, 0, 9)]
-        self.kept = [Record(underforce=0.0, overforce=0.0) for _ in range(3)]
+        self.kept = [Record(underforce=0.0, overforce=0.0, astray=0.0) for _ in range(3)]
 
     def tick(self, alpha, wanted, speed=(0.0, 0.0)):
         work = Record(rank=2, alpha_meas=alpha, alpha_d=wanted, speed=speed, keep=[0.0, 2.0])
@@ -133,6 +154,15 @@ def test_power_that_moves_into_faces_adds_up():
     contacts = Contacts()
     contacts.tick((10.0, 10.0), wanted, (3.0, 3.0))
     assert contacts.memory.powered == pytest.approx(DT)
+
+
+@pytest.mark.parametrize("column", [0, 1])
+def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
+    for astray, reason in ((0.0304, at.NO_REASON), (0.0306, at.CONTACT_LOST)):
+        contacts = Contacts(phased=1)
+        contacts.kept[2 * (1 - column)].astray = astray  # columns 2 and 0 of the contacts'
+        assert contacts.tick((0.0, 0.0), (2.0, 2.0)) == reason
+        assert contacts.memory.culprit == (2 * (1 - column) if reason else -1)
 
 
 @BOTH
@@ -265,6 +295,88 @@ def test_joints_move_no_further_than_they_can(sign, faults):
             assert judged(given) == reason
 
 
+# --- speeds of an approach ------------------------------------------------------------------------
+
+
+class Approach:
+    """Columns 3 and 1 of N are kept; the object moves with the twist V, at O."""
+
+    def __init__(self, seed=0, phase=APPROACHING):
+        rng = np.random.default_rng(seed)
+        self.chain = Record(period=DT, approach_speed=0.02)
+        self.memory = Record(fresh=1, X_WO=np.eye(4))
+        self.work = Record(
+            rank=2, keep=[0.0, 2.0], V_N=0.01 * rng.normal(size=2), speed=np.zeros(2),
+            X_WO=np.eye(4), y=np.zeros(6),
+        )  # fmt: skip
+        self.owners, self.contacts = [Record(contact=k // 2) for k in range(4)], [
+            Record(phase=phase), Record(phase=phase),
+        ]  # fmt: skip
+        self.columns = [Record(chosen=k, N=rng.normal(size=6)) for k in (3, 1, 1, 0)]
+        self.kept = [Record(known=1, shown=0.0, told=0.0) for _ in range(4)]
+
+    def true(self, V):
+        """NᵀV_rel of the kept columns."""
+        return [self.columns[j].N @ V - w for j, w in zip((3, 1), self.work.V_N, strict=True)]
+
+    def tick(self, V, speed):
+        """The object has moved by V; these speeds were read. What is believed."""
+        X = self.memory.X_WO
+        self.work.X_WO = np.eye(4)
+        self.work.X_WO[:3, 3] = X[:3, 3] + V[:3] * DT
+        self.work.X_WO[:3, :3] = pin.exp3(V[3:] * DT) @ X[:3, :3]
+        self.work.speed[:] = speed
+        compare_speeds(self.chain, self.memory, self.owners, self.contacts, self.columns,
+                       self.kept, self.work)  # fmt: skip
+        self.memory.X_WO = self.work.X_WO.copy()
+        return self.work.speed.copy()
+
+
+def test_an_approach_believes_positions_where_speeds_read_too_little():
+    for seed in range(20):
+        approach, rng = Approach(seed), np.random.default_rng(seed)
+        V = 0.05 * rng.normal(size=6)
+        true = np.array(approach.true(V))
+        for _ in range(300):
+            believed = approach.tick(V, true - 0.0041)  # a fifth of v_a is 4 mm/s
+        np.testing.assert_allclose(believed, true, atol=1e-6)
+        shown = np.array([approach.kept[j].shown for j in (3, 1)])
+        np.testing.assert_array_equal(believed, shown)
+        for more in (-0.0039, 0.1):
+            approach = Approach(seed)
+            for _ in range(300):
+                np.testing.assert_array_equal(approach.tick(V, true + more), true + more)
+
+
+def test_positions_are_low_passed_and_a_tick_that_was_missed_begins_anew():
+    approach = Approach(1)
+    V = np.array([0.3, -0.2, 0.1, 0.5, 0.4, -0.6])
+    true = np.array(approach.true(V))
+    for k in range(1, 60):
+        approach.tick(V, 0.0)
+        share = 1.0 - (20.0 / 21.0) ** k  # 20 ms
+        found = [approach.kept[j].shown for j in (3, 1)]
+        np.testing.assert_allclose(found, true * share, rtol=1e-4)
+        assert [approach.kept[j].told for j in (3, 1)] == [0.0, 0.0]
+    approach.memory.fresh = 0
+    np.testing.assert_array_equal(approach.tick(V, 0.007), 0.007)
+    assert {(approach.kept[j].shown, approach.kept[j].told) for j in (3, 1)} == {(0.007, 0.007)}
+    approach.memory.fresh, approach.kept[3].known = 1, 0
+    believed = approach.tick(100.0 * V * np.sign(true[0]), -9.0)
+    assert believed[0] == -9.0 == approach.kept[3].told and approach.kept[1].told != -9.0
+
+
+def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
+    approach = Approach(2, phase=CLOSED)
+    V = np.array([0.3, -0.2, 0.1, 0.5, 0.4, -0.6])
+    for _ in range(100):
+        np.testing.assert_array_equal(approach.tick(V, -1.0), -1.0)
+    approach.contacts[1].phase = APPROACHING  # of column 3, the first that is kept
+    believed = approach.tick(V, -1.0)
+    assert believed[0] == approach.kept[3].shown and believed[1] == -1.0
+    assert approach.kept[0].shown == 0.0 == approach.kept[2].shown, "not in N"
+
+
 # --- sensors after a tick -------------------------------------------------------------------------
 
 
@@ -352,6 +464,26 @@ def test_a_packet_that_repeats_itself_is_told_from_joints_at_rest():
         v = (0.0, 1e-12 * (k % 2))
         assert sensors.tick(**still | {"v": v}) == at.NO_REASON
     assert sensors.memory.frozen == 0
+
+
+@BOTH
+def test_joints_that_read_the_same_with_some_speed_for_long_are_not_believed(sign):
+    """Wrists go on: an encoder's card repeats itself. Half the time of a packet, or far enough."""
+    still = {"q": np.ones(2), "speed_error": inf}
+    for j in range(2):
+        for speed, most in ((1.3, 11), (0.7, 18)):  # rad/s; more than 12.5 mrad, after 10.5 ms
+            sensors, v = Sensors(speed_error=inf, position_drift=0.05), np.zeros(2)
+            v[j] = sign * speed
+            sensors.kept[10:] = -9.0 * v  # drift as such is far from its bound
+            sensors.tick(v=v, q=still["q"])
+            found = [sensors.tick(v=v, q=still["q"]) for _ in range(most)]
+            assert found == [at.NO_REASON] * (most - 1) + [at.DISAGREE], speed
+            assert sensors.memory.culprit == j and sensors.memory.still == most
+        for other in ({"q": np.ones(2) + 1e-12}, {"v": v * (1.0 + 1e-12)}):
+            assert sensors.tick(**{"v": v, "q": still["q"]} | other) == at.NO_REASON
+            assert sensors.memory.still == 0
+    sensors = Sensors(speed_error=inf)
+    assert sensors.until(v=(0.0, 0.0), q=still["q"], most=90) == (0, at.NO_REASON), "at rest"
 
 
 @BOTH

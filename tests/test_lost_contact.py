@@ -23,6 +23,9 @@ WORST = (
     ("dual_panda_rod", "off", 200.0, 0.1),
     ("ur5_wipe", "off", 60.0, 0.1),
     ("two_contact_rod", "along", 200.0, 0.1),
+    ("panda_edge", "along", 200.0, 0.05),
+    ("three_arm_plate", "into", 200.0, 0.05),
+    ("moving_face", "into", 60.0, 0.05),
 )
 
 

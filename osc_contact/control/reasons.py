@@ -279,8 +279,9 @@ def _limit_passed(rows: TickRecords, settings: Settings, code: int) -> str:
     if code == at.CONTACT_LOST:
         return (
             f"{name}: less than a fifth of its command was read for {safety.contact_loss_time:g} "
-            f"s, or its integral stood at its bound ({read}). Contact is lost, or a wrist sensor "
-            "is dead or wired with the wrong sign"
+            f"s, or its integral stood at its bound ({read}), or it was not held again "
+            f"{safety.regain_time:g} s after it was lost. Contact is lost, or a wrist sensor is "
+            "dead or wired with the wrong sign"
         )
     return (
         f"{name}: more than {safety.contact_force:g} N and three times its command was read for "

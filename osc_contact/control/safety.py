@@ -20,9 +20,9 @@ __all__ = ["SafetySettings", "SafetyState"]
 #: what may be infinite: no limit
 _OPEN = (
     "overspeed_time", "torque_rate", "contact_power", "contact_force", "overforce_time",
-    "contact_loss_time", "integral_force", "integral_motion", "force_range", "torque_range",
-    "plausible_speed", "wrench_timeout", "stuck_speed", "frozen_time", "speed_error",
-    "position_drift",
+    "contact_loss_time", "regain_time", "integral_force", "integral_motion", "force_range",
+    "torque_range", "plausible_speed", "wrench_timeout", "stuck_speed", "frozen_time",
+    "speed_error", "position_drift",
 )  # fmt: skip
 
 
@@ -54,7 +54,8 @@ class SafetySettings:
         contact_force, overforce_time: N and s; a contact that reads more than that, and more than
             three times its command, for longer stops the controller.
         contact_loss_time: s; a contact that is wanted and reads less than a fifth of its command
-            for longer stops the controller, unless contact phases see to it.
+            for longer stops the controller, unless contact phases see to it. regain_time: s; so
+            does one that contact phases have lost and do not hold again for longer.
         integral_force: N; the force integral stays within that, or within 1.5 times the command
             where that is more. integral_motion: m/s², rad/s²; the same of the motion integral.
         force_range, torque_range: N, N m; wrist readings beyond that, and beyond three times the
@@ -82,6 +83,7 @@ class SafetySettings:
     contact_force: float = 30.0
     overforce_time: float = 0.15
     contact_loss_time: float = 0.2
+    regain_time: float = 1.5
     integral_force: float = 15.0
     integral_motion: float = 50.0
     force_range: float = 1000.0

@@ -36,6 +36,7 @@ APPROACH_GAIN = 10.0  #: 1/s; of the integral of an approach
 _RETURN, _FASTEST = 5.0, 0.1  #: 1/s, m/s: the way back to where contact was lost
 #: of v_a: contact is made where an approach is slower; s of force after which also if it is not
 _SLOWED, _SOFT = 0.5, 0.5
+_FELT = 2.0  #: times what wrists alone read; no more of an impact is believed
 _NOISE = 0.05  #: s in which the noise of a force is learnt, above which contact must be felt
 _GENTLE = 0.5  #: of what counts as contact: with so much an approach at v_a pushes to gain speed
 
@@ -47,7 +48,8 @@ def low_pass(column_memory, n, here, alpha, speed, D, chosen, r, independent, dt
     The filter of fig. 5 puts Nᵀa_rel = n_γ. An object that leaves its face, or flies towards it,
     has Nᵀa_rel = n_γ + d(NᵀV_rel)/dt, and shows a contact force that is none: that of the parts
     outboard of the sensors, D⁻¹ d(NᵀV_rel)/dt. It is taken away, both terms through the same first
-    order low-pass, which makes the derivative one of measured speeds.
+    order low-pass, which makes the derivative one of measured speeds. Contacts do not pull: what
+    seems to is noise, of half the size.
 
     Args:
         column_memory: (n,) COLUMN_MEMORY. here: (n,) whether each column is in N.
@@ -66,8 +68,6 @@ def low_pass(column_memory, n, here, alpha, speed, D, chosen, r, independent, dt
         solved = lu_solve(A, r, b, 1)
     for j in range(n):
         row = column_memory[j]
-        off = abs(alpha[j] - row.force) if row.known != 0 else 0.0
-        row.noise += dt / (_NOISE + dt) * (off - row.noise)
         row.force = row.force + k * (alpha[j] - row.force) if row.known != 0 else alpha[j]
         row.pace = row.pace + k * (speed[j] - row.pace) if row.known != 0 else speed[j]
         row.known = 1 if here[j] else 0
@@ -76,6 +76,10 @@ def low_pass(column_memory, n, here, alpha, speed, D, chosen, r, independent, dt
     for a in range(r if solved else 0):
         row = column_memory[chosen[a]]
         row.net = row.net - b[0, a]
+    for j in range(n):
+        row = column_memory[j]
+        pulls = max(row.force - row.net - alpha[j], 0.0) if here[j] else 0.0
+        row.noise += dt / (_NOISE + dt) * (2.0 * pulls - row.noise)
 
 
 @inner
@@ -136,7 +140,8 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
         chain: CHAIN. bodies: (contacts,) BODY. columns: (n,) COLUMN.
         contacts: (contacts,) CONTACT_MEMORY; phase and since are changed, not yet `active`.
         column_memory: (n,) COLUMN_MEMORY after `low_pass`; changed as by `monitor`, and gap (m):
-            how far it has gone since contact was lost, or is not known to hold again.
+            how far it has gone since contact was lost, or is not known to hold again; astray: how
+            long ago that was.
         wanted: (n,) desired magnitudes (N); a contact that can only push is left if none is > 0.
         kept: (n,) filled: 1 for columns whose integral goes on: they were in N, and contact was
             not lost; 0 for others.
@@ -161,7 +166,7 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
             if row.closed == 0:  # sensors that fail look like an impact, to wrists or to speeds
                 flies = row.speed > _SLOWED * chain.approach_speed and row.high_for < _SOFT
                 dwell = inf if flies else chain.dwell
-                force = min(row.net, row.force) - row.noise
+                force = min(row.net, _FELT * row.force) - row.noise
             monitor(
                 row, force, row.speed, dt, chain.force_on, chain.force_off, chain.power,
                 chain.patience, chain.window, dwell, chain.leaving, more,
@@ -185,6 +190,8 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
                 row, known = column_memory[j], before != OPEN and phase != OPEN
                 held = phase == CLOSED and contact.since > chain.rise
                 row.gap = max(row.gap - dt * row.speed, 0.0) if known and not held else 0.0
+                lost = row.astray > 0.0 or (before == CLOSED and phase == APPROACHING)
+                row.astray = row.astray + dt if lost and known and not held else 0.0
     return changed
 
 
@@ -244,7 +251,7 @@ def set_goals(chain, bodies, columns, contacts, column_memory, wanted, goal):
         start = chain.approach_damping * pace if pushes != 0 else wanted[j]
         if contact.phase == APPROACHING:
             gentle = _GENTLE * chain.force_on * pace / chain.approach_speed
-            start = min(start, gentle + chain.approach_damping * max(column_memory[j].pace, 0.0))
+            start = min(start, gentle + chain.approach_damping * abs(column_memory[j].pace))
         if contact.phase == APPROACHING and contact.since * chain.approach_speed >= chain.travel:
             start = 0.0  # it has found nothing and stands still
         goal[j] = start + _risen(chain, contact, pushes) * (wanted[j] - start)

@@ -36,6 +36,7 @@ _AT_REST = 0.02  #: rad/s, m/s: below it a braked joint is held where it is
 _BRAKING = 0.5  #: s; a joint that still moves then is held all the same
 _LEAST = 0.1  #: share of the brakes that is left where motors can hardly carry the arm
 BRAKE_RATE = 40.0  #: 1/s: torques of a hold move from the last ones by their limit times this
+_HASTE = 4.0  #: times that, where a joint is above its speed limit
 
 
 @inner
@@ -139,7 +140,8 @@ def _hold_posture(chain, arms, table, work, memory, joints, kept, step, last, ta
     While joints are braked, q_hold moves with them; what moves on for longer creeps under a weight
     that is not quite known. Where motors cannot exert it the second part is
     scaled down as a whole: so it goes on taking energy from the joints. Torques move in a straight
-    line from the last ones, no motor faster than `BRAKE_RATE` allows.
+    line from the last ones, no motor faster than `BRAKE_RATE` allows, or a joint that is above its
+    speed limit makes necessary.
     """
     n = chain.n_joints
     q, goal, speed = kept[:n], kept[n : 2 * n], kept[2 * n :]
@@ -159,8 +161,10 @@ def _hold_posture(chain, arms, table, work, memory, joints, kept, step, last, ta
         place_arm(table, joints, arm.first, arm.end, q)
         move_arm(arm, table, joints, speed, origin, chain.gravity, work.s, work.t, V, gamma, bias)
     mass = _carry_weight(chain, arms, memory, joints, work)
-    rate = chain.hold_rate
+    rate, fastest = chain.hold_rate, min(BRAKE_RATE, chain.torque_rate)
     for j in range(n):
+        if abs(speed[j]) > table[j].speed_max:
+            fastest = min(_HASTE * BRAKE_RATE, chain.torque_rate)
         joints[j].acceleration = -rate * (2.0 * speed[j] + rate * (q[j] - goal[j]))
     for k in range(chain.n_arms):
         share = _split_torques(chain, arms[k], table, joints, work, mass)
@@ -169,7 +173,7 @@ def _hold_posture(chain, arms, table, work, memory, joints, kept, step, last, ta
             if motor >= 0:
                 s = min(max(joints[j].tau + share * joints[j].rest, -most), most)
                 tau[first + motor] = s if isfinite(s) else last[motor]
-                step[motor] = BRAKE_RATE * chain.period * most
+                step[motor] = fastest * chain.period * most
     out = tau[first : first + chain.n_motors]
     if memory.ticked != 0:
         slew(out, last, step, chain.n_motors)

@@ -57,6 +57,8 @@ def shape_steps(chain, owners, contacts, memory, column_memory, columns, work, g
         row.goal = goal[j]
         row.scale = max(abs(goal[j]), last.scale * (1.0 - _FADES * dt))
         before = last.wish if last.wished != 0 else measured[j] if memory.ticked != 0 else 0.0
+        if last.wished == 0 and chain.phased != 0 and goal[j] > 0.0:
+            before = min(before, goal[j])  # an impact is not held
         row.to_come[0] = goal[j] - before  # the step, for now
         sudden = sudden or (row.shaped and abs(row.to_come[0]) > _SUDDEN * dt * row.scale)
     sudden = sudden and time > 0.0

@@ -77,7 +77,8 @@ CHAIN = _record(
         "posture_damping", "retreat_damping", "mu", "slip", "learning",
         "hold_rate", "torque_rate",  # 1/s, of `safety`
         # see `watch`: s to begin braking, W, N of the least limit, s of low and of high forces
-        "reaction", "contact_power", "contact_force", "contact_loss_time", "overforce_time",
+        "reaction", "contact_power", "contact_force", "contact_loss_time", "regain_time",
+        "overforce_time",
         "integral_force", "integral_motion",  # the most that integrals add: N, m/s² or rad/s²
         "force_brake", "drift_share", "step_time", "tilt",  # see `steps`
         # see `plausibility`: N, N m, times a speed limit, s without a wrench
@@ -167,8 +168,8 @@ COLUMN_MEMORY = _record(
         "alpha", "speed", "net",  # of the last tick; net: without the inertia of what flies
         "underforce", "overforce",  # see `watch`: s of too little force, and of too much
         "wish", "scale", "drift",  # desired force, its size, lasting speed, see `steps`
-        "expected", "gap",  # see `phases`: N that a contact should read, m since it was lost
-        "noise",  # mean |magnitude − low-passed magnitude|
+        "expected", "gap", "astray",  # see `phases`: N to be read, m and s since it was lost
+        "noise",  # N
         "shown", "told",  # low-passed NᵀV_rel, of positions and of speeds
     ),
     to_come=3,  # of a step, see `steps`

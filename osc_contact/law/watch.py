@@ -26,6 +26,7 @@ _FULL = 0.99  #: share of its bound at which a force integral has reached it
 _SHARE = 0.2  #: share of a command; a contact that reads less is lost
 _LIGHT = 1.0  #: N; what is commanded less cannot be told from nothing
 SURE = 0.0025  #: s of evidence, at the least, that one wrong sample does not bring about
+_HASTE = 8.0  #: at so many times its limit beyond it a joint's time above it counts once more
 _OVERFORCE = 3.0  #: times the command; a contact that reads more is overloaded
 
 
@@ -39,15 +40,16 @@ def watch_joints(chain, table, memory, q, v):
     Args:
         q, v: (n,) positions and speeds.
     """
-    fast, near = -1, -1
+    fast, near, times = -1, -1, 1.0
     for j in range(chain.n_joints):
         x, speed, row = q[j], v[j], table[j]
-        if abs(speed) > row.speed_max:
-            fast = j
+        if abs(speed) > times * row.speed_max:
+            fast, times = j, abs(speed) / row.speed_max
         rest = x + speed * (chain.reaction + row.brake * abs(speed))
         if (rest > row.upper and x <= row.upper) or (rest < row.lower and x >= row.lower):
             near = j
-    memory.overspeed = memory.overspeed + 1 if fast >= 0 else max(memory.overspeed - 1, 0)
+    weight = 1 + int(_HASTE * (times - 1.0))
+    memory.overspeed = max(memory.overspeed + (weight if fast >= 0 else -1), 0)
     memory.ending = collect(memory.ending, chain.period, near >= 0)
     if memory.ending > max(SURE, 1.5 * chain.period):
         memory.culprit = near
@@ -63,9 +65,9 @@ def watch_contacts(chain, work, memory, columns, column_memory):
     """Contacts that take too much power, that are lost, or overloaded; a reason.
 
     P = Σ α_k (NᵀV_rel)_k over what moves into its face. A contact is lost, or its sensor lies,
-    where less than a fifth of its command is read (contact phases see to that where they are on),
-    or its force integral stands at its bound. It is overloaded above three times its command, or
-    above `contact_force`, whichever is more.
+    where less than a fifth of its command is read (contact phases see to that where they are on,
+    but it must be held again in time), or its force integral stands at its bound. It is overloaded
+    above three times its command, or above `contact_force`, whichever is more.
     """
     power, reason, dt = 0.0, NO_REASON, chain.period
     for a in range(work.rank):
@@ -82,7 +84,7 @@ def watch_contacts(chain, work, memory, columns, column_memory):
         row.underforce = collect(row.underforce, dt, missing and memory.state == RUN)
         most = max(_OVERFORCE * size, chain.contact_force)
         row.overforce = collect(row.overforce, dt, abs(alpha) > most)
-        if row.underforce > chain.contact_loss_time:
+        if row.underforce > chain.contact_loss_time or row.astray > chain.regain_time:
             reason = CONTACT_LOST
         elif row.overforce > chain.overforce_time:
             reason = OVERFORCE

@@ -15,7 +15,7 @@ __all__ = ["FilteredForce", "filter_force"]
 class FilteredForce:
     """Low-passed magnitudes and speeds, (r,) each, of the columns that are `known`.
 
-    `noise`: mean size of what the low-pass takes away of a magnitude.
+    `noise`: twice the mean of what contacts seem to pull.
     """
 
     force: Array
@@ -54,6 +54,7 @@ def filter_force(
     force = np.where(before.known, before.force + k * (alpha - before.force), alpha)
     pace = np.where(before.known, before.pace + k * (speed - before.pace), speed)
     rate = np.where(before.known, pace - before.pace, 0.0) / dt
-    off = np.where(before.known, np.abs(alpha - before.force), 0.0)
-    noise = before.noise + (off - before.noise) / (1.0 + 0.05 / dt)
-    return FilteredForce(force, pace, here, noise), force - inertia @ rate
+    flying = inertia @ rate
+    pulls = np.where(here, np.maximum(flying - alpha, 0.0), 0.0)
+    noise = before.noise + (2.0 * pulls - before.noise) / (1.0 + 0.05 / dt)
+    return FilteredForce(force, pace, here, noise), force - flying

@@ -38,7 +38,8 @@ class PhaseState:
     Attributes:
         phase: (contacts,) of `Phase`. since: (contacts,) s in this phase.
         seen: the monitor's state of each magnitude (r_all,). heard: what it listens to.
-        expected: (r_all,) N that should be read. gap: (r_all,) m moved away since contact was lost.
+        expected: (r_all,) N that should be read. gap, astray: (r_all,) m moved away, and s, since
+            contact was lost.
     """
 
     phase: Array
@@ -47,6 +48,7 @@ class PhaseState:
     heard: FilteredForce
     expected: Array
     gap: Array
+    astray: Array
 
     @property
     def active(self) -> Flags:
@@ -100,7 +102,7 @@ def lived(
     more = np.where(state.expected > settings.limits.force_on, more, -np.inf)
     force = np.where(here, force, 0.0)
     open_ = ~np.asarray(state.seen.closed, dtype=bool)
-    clear = np.minimum(force, audible.force) - audible.noise
+    clear = np.minimum(force, 2.0 * audible.force) - audible.noise
     flies = open_ & (speed > 0.5 * settings.speed) & (state.seen.high_for < 0.5)
     seen = watched(
         state.seen, np.where(open_, clear, force), speed, dt, settings.limits, more,
@@ -118,7 +120,10 @@ def lived(
     held = (phase == Phase.CLOSED) & (since > settings.rise)
     astray = ((phase != Phase.OPEN) & (state.phase != Phase.OPEN) & ~held)[columns.owners]
     gap = np.where(astray, np.maximum(state.gap - dt * speed, 0.0), 0.0)
-    return PhaseState(phase, since, seen, audible, state.expected, gap)
+    lost = (state.phase == Phase.CLOSED) & (phase == Phase.APPROACHING)
+    lost = lost[columns.owners] | (state.astray > 0.0)
+    late = np.where(astray & lost, state.astray + dt, 0.0)
+    return PhaseState(phase, since, seen, audible, state.expected, gap, late)
 
 
 def expected(before: Array, asked: Array, limited: bool, dt: float, k: PhaseSettings) -> Array:
@@ -154,7 +159,7 @@ def commanded(
     rows[:, 3] = np.where(guarded & ~approaching, settings.least, -np.inf)
     rows[:, 4] = approaching
     gentle = 0.5 * settings.limits.force_on * pace / settings.speed
-    gentle = gentle + settings.damping * np.maximum(state.heard.pace, 0.0)
+    gentle = gentle + settings.damping * np.abs(state.heard.pace)
     start = np.where(approaching[columns.owners], np.minimum(push, gentle), push)
     start = start * (on_its_way | ~approaching)[columns.owners]
     risen = np.where(guarded[columns.owners], _risen(state, columns, settings), 1.0)
@@ -199,7 +204,7 @@ class ContactPhases:
         since = np.full(len(pushing), np.inf)
         seen = MonitorState.of((phase == Phase.CLOSED)[self.columns.owners])
         n = len(self.columns.owners)
-        self.state = PhaseState(phase, since, seen, FilteredForce.nothing(n), *np.zeros((2, n)))
+        self.state = PhaseState(phase, since, seen, FilteredForce.nothing(n), *np.zeros((3, n)))
         self.asked = np.zeros(n)
 
     def expect(self, limited: bool, here: Flags) -> None:
