@@ -5,10 +5,11 @@
 
 A push is a half sine of force on the wrist of the first arm, off the faces, into or along them,
 while the contacts are closed. One row for each is printed; the exit code is 1 where the forces did
-not come back within 2 s though the controller did not stop, where an arm that stopped still moved
-then, or where a joint was above its speed limit later than 50 ms after the push. Arms whose motors
-cannot carry them off their faces (limited_rod: 48.0 N for a weight of 48.07 N) sink back onto these
-when they are stopped: that is told, and not wrong below a tenth of their speed limits.
+not come back within 2 s though the controller did not stop, where an arm still moved then, or a
+second after it stopped if that is later, or where a joint was above its speed limit later than
+50 ms after the push. Arms whose motors cannot carry them off their faces (limited_rod: 48.0 N for a
+weight of 48.07 N) sink back onto these when they are stopped, and a free cart may lean on them
+(moving_face): that is told, and not wrong below a tenth of their speed limits.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from osc_contact.plants.pushes import Push
 from osc_contact.runs.preflight import least_peak
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.run import Taring, start
+from osc_contact.scenarios.contact_schema import CartSpec
 
 __all__ = ["DIRECTIONS", "DURATIONS", "FORCES", "Pushed", "packaged", "push_arm"]
 
@@ -44,6 +46,7 @@ _STEADY = 0.1  #: s that forces have to be back for
 _NEAR = 0.3  #: share of its command that a force is back within; or `_LEAST` N
 _LEAST = 1.5
 _SETTLING = 1.0  #: s between contact and push
+_BRAKED = 1.0  #: s after a stop at which joints rest: they are held half a second after it
 _REST, _SINKING = 0.02, 0.1  #: shares of their speed limits below which joints rest, or sink
 
 
@@ -104,7 +107,8 @@ def push_arm(
         return log.truths(parts, log.noted(0, 1)).alpha[0]
 
     seen = Pushed(name, direction, force, duration, None, None, 0.0, 0.0, 0.0, [])
-    while begin is None or k < first + after:
+    last = 0
+    while begin is None or k < last:
         reference = rig.references.at(k * dt)
         try:
             robot.command(tick(robot.measure(), reference), dt)
@@ -124,6 +128,7 @@ def push_arm(
                 push = Push(arm, force * _direction(rig, direction), begin, duration)
                 truth.pushes = (*truth.pushes, push)
                 first = k + round(duration / dt)
+                last = first + after
             elif k * dt > rig.scenario.duration:
                 seen.wrong.append("there was no contact to be pushed in")
                 return seen
@@ -135,6 +140,7 @@ def push_arm(
             seen.late = since
         if seen.stopped is None and controller.state is SafetyState.SAFE_STOP:
             seen.stopped = since + duration
+            last = max(last, k + round(_BRAKED / dt))
         if asked and not back:  # once they were back the task may take them away
             seen.back = None
         elif seen.back is None and (good * dt >= _STEADY or ended > 0):
@@ -148,9 +154,16 @@ def push_arm(
         need = _needed(rig)
         if need > 1.0 and speed < _SINKING:
             seen.told = f"{moving}: motors would need {need:.3f} times their limits to carry it"
+        elif speed < _SINKING and _leans(rig):
+            seen.told = f"{moving}: a cart leans on it"
         else:
             seen.wrong.append(f"stopped, but {moving}")
     return seen
+
+
+def _leans(rig: Rig) -> bool:
+    """Whether a touched body is a cart, which nothing but the object holds."""
+    return any(isinstance(body.motion, CartSpec) for body in rig.bodies)
 
 
 def _needed(rig: Rig) -> float:

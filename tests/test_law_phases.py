@@ -24,17 +24,20 @@ from osc_contact.control.monitor import MonitorLimits
 from osc_contact.control.phases import PhaseSettings
 from osc_contact.control.reports import Status
 from osc_contact.law import tables
+from osc_contact.law.jit import as_python
 from osc_contact.law.phases import (
     APPROACHING,
     CLOSED,
     OPEN,
     advance_phases,
     expect,
+    haste,
     low_pass,
     monitor,
     remap_force_sums,
     set_goals,
     slew,
+    torque_rate,
 )
 
 DT = 1e-3
@@ -271,6 +274,22 @@ def test_the_inertia_of_a_flying_object_is_not_taken_for_contact():
     found = np.array(found)
     assert np.abs(found[60:300]).max() < 1e-3 * mass * 3.0 + 0.01
     assert found[-1] == pytest.approx(8.0, rel=1e-4)
+
+
+def test_torques_go_gently_around_a_change_but_for_fast_joints():
+    def rate(since, share=0.0, phased=1):
+        chain = SimpleNamespace(torque_rate=200.0, phase_rate=20.0, phased=phased, n_contacts=2)
+        rows = [SimpleNamespace(since=9.0), SimpleNamespace(since=since)]
+        return as_python(torque_rate)(chain, rows, share)
+
+    assert rate(0.099) == 20.0 and rate(0.101) == 200.0 and rate(0.0, phased=0) == 200.0
+    assert rate(0.0, 0.5) == pytest.approx(80.0) and rate(0.101, 0.5) == 200.0
+    assert rate(0.0, 0.7) == 200.0 == rate(0.0, 1.0) == rate(0.0, 3.0)
+    chain = SimpleNamespace(n_joints=3)
+    table = [SimpleNamespace(speed_max=s) for s in (2.0, 0.5, np.inf)]
+    for v, most in (((1.0, 0.1, 9.0), 0.5), ((-1.0, 0.4, 0.0), 0.8), ((0.1, -0.4, 0.0), 0.8)):
+        joints = [SimpleNamespace(v=x) for x in v]
+        assert as_python(haste)(chain, table, joints) == pytest.approx(most)
 
 
 def meet(alpha, speed, mass=0.5, k=None, ticks=700):

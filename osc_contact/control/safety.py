@@ -83,7 +83,7 @@ class SafetySettings:
     contact_force: float = 30.0
     overforce_time: float = 0.15
     contact_loss_time: float = 0.2
-    regain_time: float = 1.5
+    regain_time: float = 1.0
     integral_force: float = 15.0
     integral_motion: float = 50.0
     force_range: float = 1000.0

@@ -109,7 +109,9 @@ def as_python(part: Any, **instead: Any) -> Any:
     names = dict(source.__globals__)
     for name in source.__code__.co_names:
         called = getattr(names.get(name), "py_func", names.get(name))
-        if isinstance(called, FunctionType) and called.__module__.startswith(f"{__package__}."):
+        if not isinstance(called, FunctionType) or called is source:  # a field has its name
+            continue
+        if called.__module__.startswith(f"{__package__}."):
             names[name] = as_python(called, **instead)
     return FunctionType(source.__code__, {**names, **instead}, source.__name__)
 

@@ -25,7 +25,7 @@ from osc_contact.law.algebra import lu_solve
 from osc_contact.law.jit import inner
 
 __all__ = [
-    "APPROACHING", "APPROACH_GAIN", "advance_phases", "expect", "low_pass", "monitor",
+    "APPROACHING", "APPROACH_GAIN", "advance_phases", "expect", "haste", "low_pass", "monitor",
     "remap_force_sums", "set_goals", "slew", "torque_rate",
 ]  # fmt: skip
 
@@ -266,12 +266,32 @@ def _risen(chain, contact, pushes):
 
 
 @inner
-def torque_rate(chain, contacts):
-    """1/s; no motor torque changes faster than its limit times this, around a change of phase."""
-    rate = chain.torque_rate
-    for c in range(chain.n_contacts if chain.phased != 0 else 0):
+def haste(chain, table, joints):
+    """The largest share that a joint has of its speed limit.
+
+    Args:
+        table: JOINT rows. joints: JOINT_WORK rows.
+    """
+    most = 0.0
+    for j in range(chain.n_joints):
+        most = max(most, abs(joints[j].v) / table[j].speed_max)
+    return most
+
+
+@inner
+def torque_rate(chain, contacts, share):
+    """1/s; no motor torque changes faster than its limit times this.
+
+    Around a change of phase torques go gently, but for joints that are fast: late ones let them go
+    astray.
+
+    Args:
+        contacts: (contacts,) CONTACT_MEMORY. share: as of `haste`.
+    """
+    rate, slow = chain.torque_rate, 1.0 - share
+    for c in range(chain.n_contacts if chain.phased != 0 and slow > 0.0 else 0):
         if contacts[c].since < _CHANGES:
-            rate = min(rate, chain.phase_rate)
+            rate = min(rate, chain.phase_rate / slow**2)
     return rate
 
 

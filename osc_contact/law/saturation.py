@@ -8,7 +8,7 @@ from typing import Any
 from osc_contact.law.algebra import cholesky, cholesky_solve
 from osc_contact.law.arm_terms import factor_inertia
 from osc_contact.law.jit import entry, inner, matrix, numbers
-from osc_contact.law.phases import slew, torque_rate
+from osc_contact.law.phases import haste, slew, torque_rate
 from osc_contact.law.six import dot6, reflect
 from osc_contact.law.tables import (
     read_arm_work,
@@ -189,7 +189,8 @@ def build_settle(stamp: int) -> Any:
             step = numbers(raw, chain.flat_at + 40 * chain.n_columns, chain.n_motors)
             table = read_joints(model, chain.joints_at, chain.n_joints)
             contacts = read_contact_memory(memory_bytes, chain.contact_memory_at, chain.n_contacts)
-            rate = torque_rate(chain, contacts)
+            joints = read_joint_work(raw, chain.joint_work_at, chain.n_joints)
+            rate = torque_rate(chain, contacts, haste(chain, table, joints))
             for j in range(chain.n_joints):
                 if table[j].motor >= 0:
                     step[table[j].motor] = rate * chain.period * table[j].tau_max

@@ -37,7 +37,8 @@ def finish(chain, table, work, memory, joints, columns, column_memory, owners, c
         work.status = DEGRADED
     if not excess:
         if memory.ticked != 0:
-            step, rate = flat[5 * chain.n_columns :], phases.torque_rate(chain, contacts)
+            step = flat[5 * chain.n_columns :]
+            rate = phases.torque_rate(chain, contacts, phases.haste(chain, table, joints))
             for j in range(chain.n_joints):
                 if table[j].motor >= 0:
                     step[table[j].motor] = rate * chain.period * table[j].tau_max

@@ -147,7 +147,7 @@ class SafetySpec(Spec):
     contact_force: Annotated[Force, Field(gt=0)] = 30.0
     overforce_time: Annotated[Time, Field(gt=0)] = 0.15
     contact_loss_time: Annotated[Time, Field(gt=0)] = 0.2
-    regain_time: Annotated[Time, Field(gt=0)] = 1.5
+    regain_time: Annotated[Time, Field(gt=0)] = 1.0
     integral_force: Annotated[Force, Field(gt=0)] = 15.0
     integral_motion: Positive = 50.0
     force_range: Annotated[Force, Field(gt=0)] = 1000.0
