@@ -543,6 +543,14 @@ def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
                 assert reason == at.NO_REASON
 
 
+def test_what_was_kept_before_a_reset_is_forgotten():
+    sensors = Sensors()
+    sensors.kept[:] = 9.0
+    assert sensors.tick() == at.NO_REASON and sensors.memory.compared == 1
+    np.testing.assert_array_equal(sensors.kept[6:], 0.0)
+    np.testing.assert_array_equal(sensors.kept[:2], sensors.q)
+
+
 # --- what becomes of it ---------------------------------------------------------------------------
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import FrozenInstanceError
+
 import numpy as np
 import pytest
 
@@ -78,6 +80,19 @@ def test_contacts_are_judged_one_by_one():
 def test_thresholds_without_hysteresis_are_refused():
     with pytest.raises(osc.InvalidInputError, match="above force_off"):
         MonitorLimits(force_on=0.4, force_off=0.4)
+
+
+@pytest.mark.parametrize("power", [0.0, -0.05])
+def test_a_power_that_is_no_threshold_is_refused(power):
+    with pytest.raises(osc.InvalidInputError, match="power above 0"):
+        MonitorLimits(power=power)
+
+
+def test_what_was_said_is_not_changed_afterwards():
+    said = ContactMonitor(1, DT).update(np.zeros(1), np.zeros(1))
+    for name in ("closed", "collision"):
+        with pytest.raises(FrozenInstanceError):
+            setattr(said, name, None)
 
 
 def test_a_run_with_closed_contacts_is_seen_as_such():

@@ -122,6 +122,20 @@ def test_any_complement_decomposes(seed: int, r: int) -> None:
     close(P.Omega_m_bar_from_complement(T_prime, c.N) @ v, part(T_prime, c.T, v), 1e-9)
 
 
+@pytest.mark.parametrize("unit", [1e-7, 1e7])
+def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit: float) -> None:
+    for r in range(1, 6):
+        c = case(0, r)
+        rng = np.random.default_rng([r, 8])
+        N_prime = SIZE[:, None] * rng.normal(size=(6, 6 - r))
+        f = SIZE * rng.normal(size=6)
+        got = P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
+        close(got @ f, part(N_prime, c.N, f), 1e-9)
+        N_prime[:, 0] = c.N @ rng.normal(size=r)
+        with pytest.raises(ContactError, match="N′ is not a complement of N"):
+            P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
+
+
 @on_every_contact
 def test_complements_made_by_a_metric_give_the_metric_projections(seed: int, r: int) -> None:
     """Eq. 3 with N′ = A T is eq. 6 and eq. 4 with T′ = B N is eq. 8, in any basis of N′ and T′."""
@@ -258,6 +272,20 @@ def test_zero_and_indefinite_metrics_are_refused() -> None:
     mixed[0, 1] = mixed[1, 0] = 2.0  # positive diagonal, negative eigenvalue
     with pytest.raises(ContactError, match="smallest eigenvalue -1"):
         P.Omega_f(N, mixed)
+
+
+@pytest.mark.parametrize("size", [1e-6, 0.5])
+def test_metrics_that_are_nearly_symmetric_or_definite_are_refused(size: float) -> None:
+    """A millionth is no rounding error."""
+    N, skew, sunken = np.eye(6)[:, :2], np.eye(6), np.diag([1.0] * 5 + [-size])
+    skew[1, 0] = size
+    with pytest.raises(ContactError, match=f"not symmetric \\(relative difference {size:.3g}"):
+        P.Omega_f(N, skew)
+    with pytest.raises(ContactError, match=f"smallest eigenvalue -{size:.3g}"):
+        P.Omega_f(N, sunken)
+    for within in (1e-12, -1e-12):  # is one
+        skew[1, 0] = within
+        close(P.Omega_f(N, skew), P.Omega_f(N, np.eye(6)))
 
 
 @pytest.mark.parametrize("k", [2, 3, 4, 5, 6])

@@ -28,13 +28,18 @@ def _rotation_vector(r00, r01, r02, r10, r11, r12, r20, r21, r22, out, first):
         scale = angle / sine if sine > 1e-6 else 1.0 + sine * sine / 6.0
         out[first], out[first + 1], out[first + 2] = scale * x, scale * y, scale * z
         return
-    # near a half turn the axis comes from the symmetric part, (1 − cos) aaᵀ + cos 1
-    share = 1.0 / (1.0 - cosine)
-    a = angle * sqrt(max((r00 - cosine) * share, 0.0))
-    b = angle * sqrt(max((r11 - cosine) * share, 0.0))
-    c = angle * sqrt(max((r22 - cosine) * share, 0.0))
-    out[first], out[first + 1] = copysign(a, x), copysign(b, y)
-    out[first + 2] = copysign(c, z)
+    # near a half turn the axis comes from the symmetric part, (1 − cos) aaᵀ + cos 1: its longest
+    # column, whose sign is known best
+    u, v, w = r00 - cosine, r11 - cosine, r22 - cosine
+    a, b, c = 0.5 * (r01 + r10), 0.5 * (r02 + r20), 0.5 * (r12 + r21)
+    if u >= v and u >= w:
+        v, w, side = a, b, x
+    elif v >= w:
+        u, w, side = a, c, y
+    else:
+        u, v, side = b, c, z
+    scale = copysign(angle / sqrt(u * u + v * v + w * w), side)
+    out[first], out[first + 1], out[first + 2] = scale * u, scale * v, scale * w
 
 
 @inner

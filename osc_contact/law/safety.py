@@ -104,16 +104,17 @@ def _enter(memory, state):
 @inner
 def _read_joints(chain, table, memory, kept, q, v):
     """Positions and speeds, as far as they can be believed; whether positions ever could."""
-    n, fine = chain.n_joints, True
+    n, given = chain.n_joints, len(q) == chain.n_joints  # none are read of another number
     lying = memory.state == SAFE_STOP and memory.cause >= STUCK
+    fine = given
     for j in range(n):
         fine = fine and isfinite(q[j])
     for j in range(n):
         speed, most = 0.0, chain.plausible_speed * table[j].speed_max
-        if isfinite(v[j]):
+        if len(v) == n and isfinite(v[j]):
             speed = min(max(v[j], -most), most)
             if lying:
-                speed = _common_part(speed, (q[j] - kept[j]) / chain.period)
+                speed = _common_part(speed, (q[j] - kept[j]) / chain.period) if given else 0.0
         elif fine and memory.read != 0:
             speed = (q[j] - kept[j]) / chain.period
         kept[2 * n + j] = speed

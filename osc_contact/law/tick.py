@@ -237,6 +237,7 @@ def build(stamp: int) -> Any:
         fits = fits and X_WD.shape[0] == 4 * count and X_WD.shape[1] == 4
         fits = fits and A_D.size == 6 * count and squeeze.size == count * s
         fits = fits and touched.shape[0] == count * c and touched.shape[1] == 28
+        n_q, n_v = n if q.size == count * n else 0, n if v.size == count * n else 0
         if not fits:
             flags |= MISFIT
         elif alpha_d.size != count * r:
@@ -247,7 +248,8 @@ def build(stamp: int) -> Any:
                 prefetch(memory, (i + 1) * head.memory_bytes, head.memory_bytes)
             codes[i] = _row(
                 model, i * step, memory, i * head.memory_bytes, work,
-                q[i * n : (i + 1) * n], v[i * n : (i + 1) * n], wrenches[i * k : (i + 1) * k],
+                q[i * n_q : (i + 1) * n_q], v[i * n_v : (i + 1) * n_v],
+                wrenches[i * k : (i + 1) * k],
                 X_WD[4 * i : 4 * i + 4], V_D[6 * i : 6 * i + 6], A_D[6 * i : 6 * i + 6],
                 alpha_d[i * r : (i + 1) * r], squeeze[i * s : (i + 1) * s],
                 touched[i * c : (i + 1) * c], flags, tau, i * a, begin, stop,

@@ -1,0 +1,873 @@
+"""Small functions of the law, each against linear algebra or Pinocchio: forces, stops, stages.
+
+Goes on where `test_law_parts.py` ends, in the same way.
+"""
+
+from __future__ import annotations
+
+from math import inf
+from types import SimpleNamespace as Record
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from rigs import random_faces, random_state, scara_pair
+from test_law import inputs, motion_of, twins
+from test_law_parts import SEEDS, close, pose, rng_of, turn
+
+from osc_contact.law import (
+    allocation,
+    energy,
+    force,
+    least_squares,
+    phases,
+    safety,
+    singular,
+    stages,
+    verdict,
+)
+from osc_contact.law import command_filter as command
+from osc_contact.law import tables as at
+from osc_contact.law.compiled import saturated
+from osc_contact.law.jit import as_python
+from osc_contact.law.layout import records
+from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
+
+
+def wrench_at(p):
+    """A wrench at p, to the world's origin; its transpose carries motions the other way."""
+    return pin.SE3(np.eye(3), np.array(p)).toDualActionMatrix()
+
+
+class Energy:
+    """Energy coordinates of an object of 2 kg at C, given at O."""
+
+    def __init__(self, rng):
+        self.R, self.C, self.O = turn(rng), rng.normal(size=3), rng.normal(size=3)
+        self.roots = np.sqrt([2.0, 0.03, 0.05, 0.07])
+        self.axes = np.zeros((4, 3, 3))
+        as_python(energy.set_axes)(self.R, self.roots, self.axes)
+        L = np.diag(np.repeat(self.roots, [3, 1, 1, 1])) @ np.kron(np.eye(2), self.R.T)
+        self.wrench = np.linalg.inv(L.T) @ wrench_at(self.O - self.C)  # of one at O
+        self.motion = np.linalg.inv(self.wrench).T
+
+    def given(self):
+        return {"C": self.C, "O": self.O, "axes": self.axes}
+
+
+@SEEDS
+def test_energy_coordinates(seed):
+    rng = rng_of(seed)
+    e = Energy(rng)
+    f, V, out = rng.normal(size=6), rng.normal(size=6), np.zeros(6)
+    as_python(energy.carry_wrench)(f, e.O, e.C, out)
+    as_python(energy.energy_wrench)(e.axes, out, out)
+    close(out, e.wrench @ f, atol=1e-10)
+    as_python(energy.world_wrench)(e.axes, out, out)
+    as_python(energy.carry_wrench)(out, e.C, e.O, out)
+    close(out, f, atol=1e-10)
+    as_python(energy.carry_motion)(V, e.O, e.C, out)
+    as_python(energy.energy_motion)(e.axes, out, out)
+    close(out, e.motion @ V, atol=1e-10)
+    as_python(energy.world_motion)(e.axes, out, out)
+    as_python(energy.carry_motion)(out, e.C, e.O, out)
+    close(out, V, atol=1e-10)
+    inertia = pin.Inertia(2.0, e.C - e.O, e.R @ np.diag(e.roots[1:] ** 2) @ e.R.T)
+    close((e.motion @ V) @ (e.motion @ V), inertia.vtiv(pin.Motion(V)), rtol=1e-9)
+    as_python(allocation._energy_of)(Record(**e.given()), f, out)
+    close(out, e.wrench @ f, atol=1e-10)
+
+
+# --- forces ---------------------------------------------------------------------------------------
+
+
+def frame(M):
+    """(12,): rotation by rows, then point."""
+    return np.append(M.rotation.ravel(), M.translation)
+
+
+@SEEDS
+def test_readings_of_the_wrists_add_up(seed):
+    rng = rng_of(seed)
+    e, arms, joints, total = Energy(rng), [], [], np.zeros(6)
+    wrenches, tare, bias = rng.normal(size=(3, 6)), rng.normal(size=6), rng.normal(size=6)
+    for k in range(3):
+        M, sensor = pose(rng), pose(rng)
+        joints.append(Record(R=M.rotation, p=M.translation))
+        arms.append(Record(sensor_joint=-1 if k == 1 else k, sensor=frame(sensor), filtered=0))
+        if k != 1:
+            at_O = pin.SE3(np.eye(3), e.O).inverse() * M * sensor
+            total += at_O.act(pin.Force(wrenches[k])).vector
+    work = Record(**e.given(), reading_e=np.ones(6), f_meas=np.ones(6), y=np.zeros(6),
+                  s=np.zeros(16), u=np.zeros(6), bias_e=bias)  # fmt: skip
+    as_python(force.sum_readings)(Record(n_arms=3), arms, [None] * 3, joints, work, wrenches, tare)
+    close(work.f_meas, total - tare, atol=1e-10)
+    close(work.reading_e, e.wrench @ (total - tare) - bias, atol=1e-9)
+
+
+@pytest.mark.parametrize("dependent", [False, True])
+def test_friction_goes_with_the_magnitudes(dependent):
+    rng = rng_of(int(dependent))
+    e, chosen, N = Energy(rng), [2, 0, 3], rng.normal(size=(6, 6))
+    r = 2 if dependent else 3
+    columns = [Record(chosen=c, share=rng.normal(size=6), friction_wrench=rng.normal(size=6))
+               for c in (*chosen, 1)]  # fmt: skip
+    S = np.array([columns[j].share[:r] for j in range(3)]) if dependent else np.eye(3)
+    D = S.T @ np.array([columns[c].friction_wrench for c in chosen])
+    for mu in (0.0, 0.4):
+        work = Record(**e.given(), rank=r, count=3, mu=mu, N=N, u=np.zeros(6),
+                      pushed=np.ones((6, 6)), friction_wrenches=np.ones((6, 6)))  # fmt: skip
+        as_python(force.add_friction)(columns, work)
+        close(work.friction_wrenches[:r], (mu > 0.0) * D, atol=1e-10)
+        close(work.pushed[:r], N[:r] + (mu > 0.0) * D @ e.wrench.T, atol=1e-9)
+
+
+class Filter:
+    """Columns of N in energy coordinates and what the arms' outboard parts make of them."""
+
+    def __init__(self, seed, r, m=0, held=1):
+        rng = rng_of(seed)
+        self.chain, self.r, self.m = Record(held=held), r, m
+        self.N = rng.normal(size=(r, 6))
+        Q, R = np.linalg.qr(self.N.T)
+        self.Lambda = np.eye(6) * 3.0 + rng.normal(size=(6, 6))  # not symmetric: grasps that slip
+        V, H = rng.normal(size=(6, 6)), np.eye(6)
+        for k in range(m):
+            H = (np.eye(6) - 2.0 / (V[k] @ V[k]) * np.outer(V[k], V[k])) @ H
+        self.H, turned = H, np.where(np.arange(6) < m, rng.normal(size=6), 0.0)
+        self.sigma, self.S = H.T @ turned, H.T[:, m:]
+        self.f, self.Phi = rng.normal(size=6), 0.2 * rng.normal(size=(r, r))
+        self.pushed = self.N + 0.2 * rng.normal(size=(r, 6))
+        self.known = rng.normal(size=(2, r))
+        self.work = Record(
+            rank=r, locked=m, weightless=9, reflectors=V, beta=2.0 / (V * V).sum(axis=1),
+            sigma=turned, Q=rng.normal(size=(6, 6)), L=rng.normal(size=(6, 6)),
+            out_T=self.Lambda.T.copy(), reading_e=self.f.copy(), Phi_mu=np.zeros((6, 6)),
+            pushed=rng.normal(size=(6, 6)), n_gamma=self.known[0], b_N=self.known[1],
+            alpha_meas=np.full(6, 7.0),
+            **{name: rng.normal(size=(6, 6)) for name in ("A", "B", "D", "E", "solved")},
+            mobility=np.zeros((6, 6)), z=np.ones(6), w=np.ones(6), u=np.ones(6),
+        )  # fmt: skip
+        self.work.Q[:r], self.work.L[:r, :r] = Q.T, R.T
+        self.work.pushed[:r], self.work.Phi_mu[:r, :r] = self.pushed, self.Phi
+
+    def measure(self):
+        assert as_python(force.measure_magnitudes)(self.chain, self.work)
+        assert self.work.alpha_meas[self.r :].tolist() == [7.0] * (6 - self.r)
+        return self.work.alpha_meas[: self.r]
+
+    def want(self):
+        """Sᵀf = SᵀΛ_out(Sη̇ + σ) + SᵀN_μα, Nᵀ(Sη̇ + σ) = n_γ + b_N + Φ_μα."""
+        S, Lambda, d = self.S, self.Lambda, 6 - self.m
+        whole = np.block([[S.T @ Lambda @ S, S.T @ self.pushed.T], [self.N @ S, -self.Phi]])
+        right = np.append(
+            S.T @ (self.f - Lambda @ self.sigma), self.known.sum(axis=0) - self.N @ self.sigma
+        )
+        mobility = self.N @ S @ np.linalg.solve(S.T @ Lambda @ S, S.T @ self.pushed.T) + self.Phi
+        return np.linalg.solve(whole, right)[d:], mobility
+
+
+@pytest.mark.parametrize("r", range(1, 7))
+def test_magnitudes_with_what_the_object_takes(r):
+    case = Filter(r, r)
+    alpha, mobility = case.want()
+    close(case.measure(), alpha, atol=1e-7)
+    close(case.work.mobility[:r, :r], mobility, atol=1e-8)
+    assert case.work.weightless == 0
+    case.work.out_T[:, 2] = case.work.out_T[:, 4]
+    assert not as_python(force.measure_magnitudes)(case.chain, case.work)
+
+
+@pytest.mark.parametrize(("r", "m"), [(1, 0), (3, 0), (2, 1), (1, 3), (2, 3), (3, 2), (1, 5)])
+def test_magnitudes_at_a_tip_that_has_inertia(r, m):
+    case = Filter(10 * r + m, r, m, held=0)
+    alpha, mobility = case.want()
+    close(case.measure(), alpha, rtol=1e-6, atol=1e-7)
+    close(case.work.mobility[:r, :r], mobility, rtol=1e-6, atol=1e-8)
+    close(case.work.pushed[:r], case.pushed, atol=1e-12)
+    assert case.work.weightless == 0
+    if m < 5:
+        case = Filter(10 * r + m, r, m, held=0)
+        P = case.S @ case.S.T  # of no inertia along one of the tip's motions
+        P -= np.outer(case.S[:, 0], case.S[:, 0])
+        case.work.out_T = (case.Lambda @ P).T
+        assert not as_python(force.measure_magnitudes)(case.chain, case.work)
+
+
+@pytest.mark.parametrize("r", [1, 3, 6])
+def test_sensors_at_the_contact_read_the_contact_force(r):
+    case = Filter(r, r, held=0)
+    case.work.out_T *= 1e-11
+    # N_μα = f along the directions that N spans
+    Q = np.linalg.qr(case.N.T)[0].T
+    close(case.measure(), np.linalg.solve(Q @ case.pushed.T, Q @ case.f), rtol=1e-7)
+    close(case.work.mobility[:r, :r], case.N @ case.pushed.T, atol=1e-9)
+    assert case.work.weightless == 1
+
+
+def ask_force(alpha_d, alpha_meas, speed, integral, least=-inf, gain=20.0, damping=100.0, most=5.0):
+    after, out = np.zeros(3), np.zeros(3)
+    # columns beside it differ, so that each has its own
+    full = [np.array([1.0, x, 2.0]) for x in
+            (alpha_d, alpha_meas, speed, integral, gain, damping, least)]  # fmt: skip
+    a_d, a_m, s, i, g, d, floor = full
+    as_python(force.command_force)(2, a_d, a_m, s, i, g, d, floor, most, 1e-3, after, out)
+    assert after[2] == out[2] == 0.0 and after[0] == 1.0
+    return out[1], after[1]
+
+
+def test_the_force_law():
+    close(ask_force(8.0, 6.0, 0.01, 0.5), (8.0 + 0.5 + 0.04 - 1.0, 0.54), rtol=1e-12)
+    close(ask_force(8.0, 6.0, -0.01, 0.5), (8.0 + 0.5 + 0.04 + 1.0, 0.54), rtol=1e-12)
+    # the integral stays within 5 N or one and a half times the command
+    close(ask_force(1.0, 0.0, 0.0, 5.0), (6.0, 5.0), rtol=1e-12)
+    close(ask_force(8.0, -990.0, 0.0, 0.0), (20.0, 12.0), rtol=1e-12)
+    close(ask_force(-8.0, 990.0, 0.0, 0.0), (-20.0, -12.0), rtol=1e-12)
+    close(ask_force(1.0, 900.0, 0.0, 0.0), (-4.0, -5.0), rtol=1e-12)
+    assert as_python(force.integral_room)(5.0, -8.0) == 12.0
+    assert as_python(force.integral_room)(5.0, 3.0) == 5.0
+    # no less than α_min, or a tenth of the command; the integral does not go on then
+    close(ask_force(8.0, 9.0, 0.1, -1.0, 0.5), (0.5, -1.0), rtol=1e-12)
+    close(ask_force(8.0, 7.0, 0.1, -1.0, 0.5), (0.5, -0.98), rtol=1e-12)
+    close(ask_force(2.0, 7.0, 0.1, -1.0, 0.5), (0.2, -1.0), rtol=1e-12)
+    close(ask_force(8.0, 9.0, 0.06, -1.0, 0.5), (0.98, -1.02), rtol=1e-12)
+
+
+@pytest.mark.parametrize("dependent", [False, True])
+def test_laws_of_contacts_are_those_of_their_columns(dependent):
+    contacts = [Record(gain=3.0, damping=5.0, least=0.1, brake=0.7),
+                Record(gain=2.0, damping=9.0, least=0.2, brake=0.6),
+                Record(gain=1.0, damping=4.0, least=0.3, brake=0.8),
+                Record(gain=0.0, damping=99.0, least=0.9, brake=9.0)]  # fmt: skip
+    table = [Record(contact=c) for c in (1, 0, 2, 3)]
+    columns = [Record(chosen=c) for c in (2, 0, 1)]
+    laws = {name: np.full(3, 7.0) for name in ("gain", "damping", "brake", "least")}
+    work = Record(rank=2, count=3 if dependent else 2, keep=[1.0, 0.0], **laws)
+    as_python(force.contact_laws)(table, contacts, columns, work)
+    found = np.array([work.gain, work.damping, work.least, work.brake])
+    want = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]]
+    if not dependent:
+        want = [[2.0, 1.0], [9.0, 4.0], [0.2, 0.3], [0.6, 0.8]]
+    np.testing.assert_array_equal(found, np.column_stack((want, np.full(4, 7.0))))
+
+
+@SEEDS
+def test_bodies_yield_to_forces_on_themselves(seed):
+    rng = rng_of(seed)
+    yields, f, same = rng.normal(size=(6, 6)), rng.normal(size=6), [0, 1, 0]
+    table, bodies = [Record(contact=c) for c in (2, 0, 1)], [Record(same=s) for s in same]
+    columns = [Record(chosen=c) for c in (1, 2, 0)]
+    work = Record(rank=3, keep=[2.0, 0.0, 1.0], yields=yields, s=np.full(6, 7.0))
+    for body in (0, 1):
+        as_python(least_squares._yield_to)(table, bodies, columns, work, f, body)
+        owners = [same[table[columns[int(a)].chosen].contact] for a in work.keep]
+        want = [yields[a] @ f if owners[a] == body else 0.0 for a in range(3)]
+        close(work.s[:3], want, atol=1e-12)
+        assert work.s[3] == 7.0
+
+
+@SEEDS
+def test_the_least_squares_know_departures_and_tangents(seed):
+    rng = rng_of(seed)
+    e, Lambda, mass = Energy(rng), rng.normal(size=(6, 6)), 2.0
+    Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    R, r = np.zeros((6, 6)), 2
+    work = Record(**e.given(), rank=r, count=2, out_T=Lambda.T.copy(), Q=Q, moving=0,
+                  z=np.zeros(6), w=np.zeros(6))  # fmt: skip
+    as_python(least_squares._weigh_departure)(mass, work, R)
+    P = np.eye(6) - Q[:r].T @ Q[:r]
+    want = 0.01 * mass * Lambda @ P @ Lambda.T + 1e-4 / mass * np.eye(6)
+    close(R, want, atol=1e-10)
+    columns = [Record(chosen=c, N=rng.normal(size=6), point=rng.normal(size=3),
+                      slip=0.7 * turn(rng)[0]) for c in (2, 0, 1)]  # fmt: skip
+    goal = np.array([0.3, 9.0, -4.0])
+    largest = as_python(least_squares._weigh_tangents)(None, None, columns, work, goal, R)
+    assert largest == 4.0
+    for c, w in ((2, 4.0), (0, 1.0)):  # no less than 1 N
+        n = columns[c].N[:3] / np.linalg.norm(columns[c].N[:3])
+        s, p = columns[c].slip, columns[c].point
+        C = w**2 * (0.01 * (np.eye(3) - np.outer(n, n)) + (0.09 - 0.01) * np.outer(s, s))
+        T = e.wrench @ wrench_at(p)[:, :3]
+        want = want + T @ C @ T.T
+    close(R, want, rtol=1e-9, atol=1e-9)
+
+
+# --- stops ----------------------------------------------------------------------------------------
+
+
+class Stop:
+    """Two arms of two joints that hold an object of 4 kg."""
+
+    def __init__(self, seed, motors=(0, 1, 2, 3)):
+        self.rng = rng = rng_of(seed)
+        self.principal = np.array([4.0, 0.1, 0.2, 0.3])
+        self.tip, self.own = pose(rng), pose(rng)
+        self.chain = Record(n_arms=2, principal=self.principal, leader=1, held=1,
+                            gravity=np.array([1.0, -2.0, -9.0]), X_LP=frame(self.own))  # fmt: skip
+        self.arms = [Record(first=2 * k, end=2 * k + 2, tip_joint=2 * k + 1) for k in range(2)]
+        self.joints = [
+            Record(h=rng.normal(), M=rng.normal(size=2), column=rng.normal(size=6), tau=0.0,
+                   acceleration=rng.normal(), rest=0.0)
+            for _ in range(4)
+        ]  # fmt: skip
+        self.joints[3].R, self.joints[3].p = self.tip.rotation, self.tip.translation
+        self.table = [Record(motor=i, tau_max=inf) for i in motors]
+        self.memory = Record(located=0, X_WO=pose(rng).homogeneous)
+        self.work = Record(y=rng.normal(size=6), u=rng.normal(size=6), A=np.eye(6), z=np.ones(6),
+                           w=np.zeros(6))  # fmt: skip
+        self.work.A[:3, :3] = turn(rng)
+
+    def pull(self, mass):
+        """The wrench at the world's origin, by Pinocchio."""
+        a = sum(j.column * j.acceleration for j in self.joints[2:])
+        R = self.work.A[:3, :3]
+        share = pin.Inertia(mass, self.work.u[:3], R @ np.diag(self.principal[1:] / 2.0) @ R.T)
+        return (share * pin.Motion(a)).vector if mass else np.zeros(6)
+
+
+@SEEDS
+def test_a_share_of_the_object_follows_the_joints(seed):
+    stop, out = Stop(seed), np.full(6, 7.0)
+    for mass in (2.0, 0.0):
+        as_python(safety._accelerate_object)(
+            stop.chain, stop.arms[1], stop.joints, stop.work, mass, out
+        )
+        close(out, stop.pull(mass), atol=1e-10)
+
+
+@SEEDS
+@pytest.mark.parametrize("motors", [(0, 1, 2, 3), (0, 1, -1, 2), (0, 1, 2, -1), (0, 1, -1, -1)])
+def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
+    stop = Stop(seed, motors)
+    pull = stop.pull(2.0)
+    carry = np.array([j.h + j.column @ stop.work.y for j in stop.joints[2:]])
+    q_dd = np.array([j.acceleration for j in stop.joints[2:]])
+    brake = np.array([j.M @ q_dd + j.column @ pull for j in stop.joints[2:]])
+    # room of both signs, none, less than 1 N m, and less than the arm needs to be carried
+    for room in (2.0, 0.9, 0.5, 0.3, 0.05, 0.0, -0.4):
+        for j in range(2):
+            stop.table[2 + j].tau_max = carry[j] * np.sign(brake[j]) + room * abs(brake[j])
+            other = stop.table[3 - j]
+            other.tau_max = abs(carry[1 - j]) + 5.0 * abs(brake[1 - j])
+            share = as_python(safety._split_torques)(
+                stop.chain, stop.arms[1], stop.table, stop.joints, stop.work, 2.0
+            )
+            want = min(max(room, 0.1), 1.0) if motors[2 + j] >= 0 else 1.0
+            close(share, want, rtol=1e-9)
+            close([j.tau for j in stop.joints[2:]], carry, atol=1e-12)
+            close([j.rest for j in stop.joints[2:]], brake, atol=1e-10)
+    for j in stop.joints:
+        j.acceleration = 0.0
+    assert as_python(safety._split_torques)(
+        stop.chain, stop.arms[1], stop.table, stop.joints, stop.work, 0.0
+    ) == 1.0  # fmt: skip
+
+
+@SEEDS
+@pytest.mark.parametrize("how", ["leader", "located", "lost", "nothing"])
+def test_each_arm_carries_its_share_of_the_weight(seed, how):
+    stop = Stop(seed)
+    X = stop.tip * stop.own
+    if how != "leader":
+        stop.chain.leader = -1
+        X = pin.SE3(stop.memory.X_WO) * stop.own
+    stop.memory.located = int(how == "located")
+    stop.chain.held = int(how != "nothing")
+    mass = as_python(safety._carry_weight)(
+        stop.chain, stop.arms, stop.memory, stop.joints, stop.work
+    )
+    if how in ("lost", "nothing"):
+        assert mass == 0.0 and not stop.work.y.any() and not stop.work.u[:3].any()
+        return
+    assert mass == 2.0
+    close(stop.work.u[:3], X.translation, atol=1e-12)
+    close(stop.work.A[:3, :3], X.rotation, atol=1e-12)
+    weight = np.append(-2.0 * stop.chain.gravity, np.zeros(3))
+    close(stop.work.y, wrench_at(X.translation) @ weight, atol=1e-11)
+
+
+# --- singular postures ----------------------------------------------------------------------------
+
+
+@SEEDS
+def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_large(seed):
+    rng = rng_of(seed)
+    root, reference = rng.normal(size=(6, 6)), 10.0 ** rng.uniform(-2.0, 1.0, 6)
+    Lambda = root @ root.T
+    beside = np.sqrt((Lambda**2 / np.outer(reference, reference)).sum())
+    Lambda *= 0.3**-2 / beside  # at the limit: 1/χ² = 1/0.3²
+    chain, arm = Record(lightness=1.0 / reference), Record(full_rank=5)
+    for factor, kept, want in ((0.999, 5, False), (1.001, 5, True), (1e-9, 4, True)):
+        own = Record(Lambda=factor * Lambda, n_kept=kept)
+        assert as_python(singular.may_be_singular)(chain, arm, own) == want
+
+
+@pytest.mark.parametrize("chi", [0.0, 1e-10])
+@pytest.mark.parametrize("n", [2, 4, 7])
+def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
+    """The axes before it are spanned already: only the last ones are new."""
+    rng, small = rng_of(n), as_python(singular._unit_row)
+    for k in range(n):
+        X = np.zeros((n + 1, n + 2))
+        X[:k, :k] = np.linalg.qr(rng.normal(size=(k, k)))[0]
+        if k == n - 1 and n > 2:
+            X[:k, :n] = np.linalg.qr(rng.normal(size=(n, n)))[0][:k]
+        X[k] = chi * rng.normal(size=n + 2)
+        behind = X[k, n:].copy()
+        small(X, k, n, chi)
+        close(X[: k + 1, :n] @ X[: k + 1, :n].T, np.eye(k + 1), atol=1e-12)
+        np.testing.assert_array_equal(X[k, n:], behind)
+    X = rng.normal(size=(3, 7))
+    want = X[1, :5] / 0.3
+    small(X, 1, 5, 0.3)
+    close(X[1, :5], want, rtol=1e-12)
+
+
+def test_rows_in_order_shares_and_the_way_back():
+    rng = rng_of(0)
+    X = rng.normal(size=(5, 3 + 6 + 1)) * np.array([0.1, 5.0, 0.01, 2.0, 9.0])[:, None]
+    X[1, 3:] *= 1e-6  # what stands behind does not count
+    before = X.copy()
+    as_python(singular._sort_rows)(X, 4, 3)
+    order = [*np.argsort(-np.linalg.norm(before[:4, :3], axis=1)), 4]
+    np.testing.assert_array_equal(X[:, :9], before[order, :9])
+    np.testing.assert_array_equal(X[:, 9], before[:, 9])
+    share = as_python(singular._share_left)
+    for s, want in ((-1.0, 0.0), (0.0, 0.0), (0.25, 0.15625), (0.5, 0.5), (1.0, 1.0), (9.0, 1.0)):
+        close(share(0.05 + 0.25 * s), want, atol=1e-12)
+    chain = Record(posture_stiffness=3.0, retreat_damping=7.0)
+    close(as_python(singular.retreat)(chain, Record(posture=0.5), 0.2, 0.1), 0.9 - 0.7)
+
+
+@SEEDS
+@pytest.mark.parametrize("gone", [0.0, 1.0])
+def test_lost_motions_are_left_to_the_posture(seed, gone):
+    """νᵀτ = (1 − φ) νᵀ(h + M q̈) for ν with νᵀMν = 1; where it is gone, all of it."""
+    rng, n, lo = rng_of(seed), 3, 2
+    root = rng.normal(size=(n, n))
+    M, h, tau, rest = root @ root.T, *rng.normal(size=(3, n))
+    q, v, posture = rng.normal(size=(3, lo + n))
+    modes = np.linalg.inv(np.linalg.cholesky(M)).T[:, :2].T
+    joints = [None] * lo + [Record(M=M[j], h=h[j], tau=tau[j], rest=rest[j]) for j in range(n)]
+    own = Record(n_lost=2, mode=modes, gone=[gone, gone], share=[0.3, 0.8])
+    as_python(allocation._retreat_from_lost)(
+        Record(posture_stiffness=3.0, retreat_damping=7.0), Record(first=lo, end=lo + n),
+        [Record(posture=p) for p in posture], own, joints, q, v,
+    )  # fmt: skip
+    back = h + M @ (3.0 * (posture - q) - 7.0 * v)[lo:]
+    want = rest.copy()
+    for mode, share in zip(modes, own.share, strict=True):
+        want += mode @ (back - tau if gone else (1.0 - share) * back) * (M @ mode)
+    close([j.rest for j in joints[lo:]], want, rtol=1e-9, atol=1e-9)
+
+
+# --- torques --------------------------------------------------------------------------------------
+
+
+def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
+    table = [Record(motor=i, tau_max=2.0) for i in (1, -1, 0)]
+    for torques, excess, finite in (
+        ((1.9, 99.0, -2.0), False, True), ((2.1, 0.0, 0.0), True, True),
+        ((0.0, 0.0, -2.1), True, True), ((np.nan, 0.0, 0.0), False, False),
+        ((0.0, 0.0, -inf), False, False), ((0.0, np.nan, 0.0), False, True),
+    ):  # fmt: skip
+        tau, joints = np.full(4, 7.0), [Record(tau=t) for t in torques]
+        found = as_python(allocation.limit_torques)(Record(n_joints=3), table, joints, tau, 1)
+        assert found == (excess, finite)
+        given = finite and not excess
+        assert tau.tolist() == ([7.0, torques[2], torques[0], 7.0] if given else [7.0] * 4)
+
+
+def test_joints_are_pushed_away_from_their_limits():
+    joint, push = Record(low=-1.0, high=2.0, width=0.4, most=6.0), allocation.push_from_limits
+    for q, want in (
+        (0.0, 0.0), (2.0, 0.0), (2.1, -6.0 * 0.15625), (2.2, -3.0), (2.4, -6.0), (3.0, -6.0),
+        (-1.0, 0.0), (-1.1, 6.0 * 0.15625), (-1.4, 6.0), (-9.0, 6.0),
+    ):  # fmt: skip
+        close(as_python(push)(joint, q), want, atol=1e-12)
+
+
+@SEEDS
+@pytest.mark.parametrize("wide", [0, 1])
+def test_torques_of_one_arm_for_a_multiplier(seed, wide):
+    rng = rng_of(seed)
+    J, J_bar, y, effort = rng.normal(size=(3, 6)), rng.normal(size=(3, 6)), *rng.normal(size=(2, 6))
+    metric = rng.normal(size=(6, 6))
+    joints = [Record(rest=0.1 * j, J=J[j], J_bar=J_bar[j], tau=0.0) for j in range(3)]
+    table = [Record(effort=x) for x in effort]
+    own = Record(wide=wide, effort=metric)
+    as_python(allocation._add_torques)(Record(first=1, end=3), table, own, joints, y)
+    want = np.array([0.0, 0.1, 0.2])
+    want += J @ metric @ y if wide else effort[:3] * (J_bar @ y)
+    assert joints[0].tau == 0.0
+    close([j.tau for j in joints[1:]], want[1:], atol=1e-10)
+
+
+@SEEDS
+@pytest.mark.parametrize("held", [0, 1])
+def test_the_force_that_the_object_is_to_get(seed, held):
+    rng, e = rng_of(seed), Energy(rng_of(seed))
+    V = rng.normal(size=(6, 6))
+    beta, m, r = 2.0 / (V * V).sum(axis=1), 2, 3
+    x, bias, alpha, f = rng.normal(size=(4, 6))
+    Lambda, pushed = rng.normal(size=(2, 6, 6))
+    work = Record(**e.given(), rank=r, locked=m, x=x, u=np.zeros(6), reflectors=V, beta=beta,
+                  chain_bias=bias, Lambda=Lambda, pushed_t=pushed, alpha_u=alpha,
+                  f_S=np.zeros(6))  # fmt: skip
+    as_python(allocation.command_object)(Record(held=held), work, f)
+    H = [np.eye(6) - beta[k] * np.outer(V[k], V[k]) for k in range(m)]
+    want = Lambda @ x + held * x + bias + H[1] @ H[0] @ e.wrench @ f + alpha[:r] @ pushed[:r]
+    close(work.f_S, want, atol=1e-9)
+
+
+# --- columns of N in the turned coordinates -------------------------------------------------------
+
+
+def judged(N, Lambda, held, m=0):
+    """The reason of `require_reachable`, which column, and what is left."""
+    scratch = {name: np.full((6, 6), 7.0) for name in ("Q_t", "L_t", "A", "B", "D", "E")}
+    rows = np.full((6, 6), 7.0)
+    rows[: len(N)] = N
+    work = Record(rank=len(N), locked=m, N_t=rows, Lambda=Lambda, where=-1, amount=-1.0, **scratch)
+    return as_python(command.require_reachable)(Record(held=held), work), work
+
+
+@pytest.mark.parametrize("held", [0, 1])
+def test_columns_on_which_the_arms_can_push(held):
+    rng = rng_of(held)
+    root = rng.normal(size=(6, 6))
+    Lambda = root @ root.T + np.eye(6)
+    assert judged(np.zeros((0, 6)), Lambda, held)[0] == at.NO_REASON
+    for m in (0, 2, 5):
+        N = rng.normal(size=(min(3, 6 - m), 6))
+        assert judged(N, Lambda, held, m)[0] == at.NO_REASON
+        for a in range(len(N)):
+            hidden = N.copy()
+            hidden[a, m:] *= 1e-9
+            reason, work = judged(hidden, Lambda, held, m)
+            if m:
+                assert (reason, work.where) == (at.UNREACHABLE, a)
+    assert judged(N, Lambda, held, 6)[0] == at.UNREACHABLE
+    # 1/Λ along the column, beside 1: on either side of 1e-9
+    for mobility, want in ((0.5e-9, at.UNREACHABLE), (2e-9, at.NO_REASON)):
+        heavy = np.eye(6) / 7.0
+        heavy[3, 3] = 1.0 / mobility
+        reason, work = judged(np.eye(6)[[1, 3]], heavy, held)
+        assert reason == want and (want == at.NO_REASON or work.where == 1)
+    # columns that differ by so much
+    for apart, want in ((0.3e-10, at.INSEPARABLE), (3e-10, at.NO_REASON)):
+        N = np.zeros((2, 6))
+        N[:, 1], N[1, 4] = 1.0, apart
+        assert judged(N, np.eye(6), held)[0] == want
+
+
+def test_an_inertia_that_is_none_is_noticed_where_nothing_is_held():
+    Lambda = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 1.0])
+    assert judged(np.eye(6)[:2], Lambda, 0)[0] == at.BAD_METRIC
+    assert judged(np.eye(6)[:2], Lambda, 1)[0] == at.NO_REASON
+
+
+class Commanded:
+    """A motion command in turned coordinates and what it must do along r columns."""
+
+    def __init__(self, seed, metric, r=2, m=2):
+        self.rng = rng = rng_of(seed)
+        e, V = Energy(rng), rng.normal(size=(6, 6))
+        beta, H = 2.0 / (V * V).sum(axis=1), np.eye(6)
+        for k in range(m):
+            H = (np.eye(6) - beta[k] * np.outer(V[k], V[k])) @ H
+        root = rng.normal(size=(6, 6))
+        self.e, self.H, self.m, self.r, self.metric = e, H, m, r, metric
+        self.B_inv = root @ root.T + np.eye(6)  # of world axes at O, where it is given
+        self.N_t = rng.normal(size=(r, 6))
+        self.N = self.N_t @ H  # energy coordinates
+        self.chain = Record(metric=metric, B_inv=self.B_inv)
+        rows, names = rng.normal(size=(5, 6)), ("n_gamma", "b_N", "brake", "alpha_u", "a_u")
+        self.sigma = np.where(np.arange(6) < m, rng.normal(size=6), 0.0)
+        self.work = Record(
+            **e.given(), **dict(zip(names, rows, strict=True)), rank=r, locked=m, reflectors=V,
+            beta=beta, sigma=self.sigma, Lambda=H @ self.B_inv @ H.T, B_inv_t=np.zeros((6, 6)),
+            N_t=np.zeros((6, 6)), Q_t=np.zeros((6, 6)), L_t=np.zeros((6, 6)), Q=np.zeros((6, 6)),
+            Phi_mu=rng.normal(size=(6, 6)), rho=np.zeros(6), x=np.zeros(6), s=np.zeros(16),
+            **{name: np.zeros((6, 6)) for name in "ABDE"}, **{name: np.zeros(6) for name in "uwyz"},
+        )  # fmt: skip
+        self.work.N_t[:r] = self.N_t
+        Q, R = np.linalg.qr(self.N_t[:, m:].T)
+        self.work.Q_t[:r, m:], self.work.L_t[:r, :r] = Q.T, R.T
+        self.work.Q[:r] = np.linalg.qr(self.N.T)[0].T
+        as_python(command.set_metric)(self.chain, self.work)
+
+    def metric_t(self):
+        """B⁻¹ in turned coordinates."""
+        if self.metric == at.BY_OBJECT:
+            return np.eye(6)
+        if self.metric == at.BY_CHAIN:
+            return self.work.Lambda + np.eye(6)
+        W = self.H @ self.e.wrench
+        return W @ self.B_inv @ W.T
+
+
+METRICS = pytest.mark.parametrize("metric", [at.BY_OBJECT, at.BY_CHAIN, at.BY_MATRIX])
+
+
+@METRICS
+@pytest.mark.parametrize(("r", "m"), [(0, 0), (1, 0), (2, 2), (3, 3), (3, 0), (1, 5)])
+def test_commands_meet_the_contacts_at_least_cost(metric, r, m):
+    case = Commanded(10 * r + m, metric, r, m)
+    work, B = case.work, case.metric_t()
+    if metric != at.BY_OBJECT:
+        close(work.B_inv_t, B, rtol=1e-9, atol=1e-9)
+    assert as_python(command.filter_motion)(case.chain, work) == at.NO_REASON
+    free = case.H @ case.e.motion @ work.a_u - case.sigma
+    seen, free = case.N_t[:, :m] @ free[:m], free[m:]  # what contacts see of it is not lost
+    free = free + np.linalg.pinv(case.N_t[:, m:]) @ seen
+    rho = work.n_gamma[:r] + work.b_N[:r] - work.brake[:r]
+    rho = rho + work.Phi_mu[:r, :r] @ work.alpha_u[:r] - case.N_t @ case.sigma
+    close(work.rho[:r], rho, atol=1e-9)
+    N, B = case.N_t[:, m:], B[m:, m:]
+    KKT = np.block([[B, N.T], [N, np.zeros((r, r))]])
+    want = np.linalg.solve(KKT, np.append(B @ free, rho))[: 6 - m]
+    close(work.x, np.append(case.sigma[:m], want), rtol=1e-6, atol=1e-7)
+    if metric != at.BY_OBJECT and r:
+        work.B_inv_t[m, m] = -1.0
+        assert as_python(command.filter_motion)(case.chain, work) == at.BAD_METRIC
+
+
+@METRICS
+def test_errors_that_the_contacts_permit(metric):
+    case, error, out = Commanded(3, metric), np.arange(6.0) - 2.0, np.zeros(6)
+    by_object = metric == at.BY_OBJECT
+    assert as_python(command.permit_error)(case.chain, case.work, error, out, by_object)
+    B, N = case.metric_t(), case.N_t
+    x = case.H @ case.e.motion @ error
+    KKT = np.block([[B, N.T], [N, np.zeros((2, 2))]])
+    want = np.linalg.solve(KKT, np.append(B @ x, np.zeros(2)))[:6]
+    close(out, np.linalg.solve(case.H @ case.e.motion, want), rtol=1e-6, atol=1e-7)
+    if not by_object:
+        case.work.B_inv_t[0, 0] = -1.0
+        assert not as_python(command.permit_error)(case.chain, case.work, error, out, False)
+
+
+# --- stages ---------------------------------------------------------------------------------------
+
+
+def test_every_number_that_comes_in_is_looked_at():
+    chain = Record(n_joints=2, n_arms=2, n_columns=3, n_bars=2, n_contacts=2)
+    shapes = {"q": (3,), "v": (3,), "wrenches": (3, 6), "X_WD": (4, 4), "V_D": (6,), "A_D": (6,),
+              "alpha_d": (4,), "squeeze": (3,), "touched": (3, 28)}  # fmt: skip
+    counts = {"q": 2, "v": 2, "wrenches": 12, "X_WD": 16, "V_D": 6, "A_D": 6, "alpha_d": 3,
+              "squeeze": 2, "touched": 56}  # fmt: skip
+    given = {name: np.ones(shape) for name, shape in shapes.items()}
+    look = as_python(stages.is_finite)
+    for engaged in (False, True):
+        for moving in (False, True):
+            assert look(chain, *given.values(), engaged, moving)
+    for name, x in given.items():
+        for i in range(x.size):
+            for bad in (np.nan, inf, -inf):
+                x.flat[i] = bad
+                for on in (False, True):
+                    asked = {"alpha_d": on, "touched": on}.get(name, True)
+                    with np.errstate(invalid="ignore"):
+                        fine = look(chain, *given.values(), on, on)
+                    assert fine == (not asked or i >= counts[name]), (name, i)
+                x.flat[i] = 1.0
+    given["squeeze"][0] = np.nan  # without bars one number is looked at
+    assert not look(Record(**vars(chain) | {"n_bars": 0}), *given.values(), True, True)
+
+
+def test_friction_that_is_learnt_is_never_negative():
+    e = Energy(rng_of(0))
+    work = Record(**e.given(), count=0, rank=0, locked=0, f_c=np.ones(6), f_meas=np.ones(6),
+                  reading_e=np.ones(6), y=np.ones(6), u=np.ones(6), bias_e=np.zeros(6))  # fmt: skip
+    for more, want in ((0.1, 0.4), (-0.1, 0.2), (-0.5, 0.0)):
+        memory = Record(more_friction=more, f_tare=np.zeros(6))
+        reason = as_python(stages.measure)(
+            Record(mu=0.3, n_arms=0), [], [], [], [], [], [], work, [], [], [], [], [], memory,
+            np.zeros((0, 6)), np.zeros((0, 28)), False, np.zeros(0),
+        )  # fmt: skip
+        assert reason == at.NO_REASON and not work.f_c.any()
+        close(work.mu, want, atol=1e-12)
+        assert work.more_friction == more
+
+
+@pytest.mark.parametrize("phase", [APPROACHING, CLOSED])
+@pytest.mark.parametrize("own", [0, stages.OWN_FORCE])
+def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase):
+    chain = Record(n_columns=2, step_time=0.0, period=1e-3)
+    contacts, owners = (
+        [Record(phase=phase), Record(phase=CLOSED)],
+        [Record(contact=0), Record(contact=1)],
+    )
+    memory = Record(ticked=0, step_left=0.0, step_time=0.0)
+    kept = [Record(drift=0.1, wished=0, wish=0.0, scale=0.0, to_come=np.zeros(3)) for _ in range(2)]
+    columns = [Record(chosen=j, goal=9.0, scale=9.0, shaped=9, to_come=np.ones(3))
+               for j in range(2)]  # fmt: skip
+    work = Record(rank=2, count=2, keep=[0.0, 1.0], step_left=9.0, step_time=9.0, heed=9.0,
+                  alpha_d=np.zeros(2), gain=np.array([3.0, 4.0]), damping=np.array([5.0, 6.0]),
+                  brake=np.array([7.0, 8.0]), speed=np.array([0.3, 0.4]), felt=np.zeros(2),
+                  alpha_meas=np.array([1.0, 2.0]))  # fmt: skip
+    flat = np.array([11.0, 12.0, 0.0, 0.0, 0.0, 0.0])
+    as_python(stages.set_wishes)(chain, owners, contacts, memory, kept, columns, work, flat, own)
+    near = phase == APPROACHING
+    close(work.alpha_d, [11.0, 12.0])
+    close(work.gain, [10.0 if near else 3.0, 4.0])
+    close(work.felt, [5.0 * 0.3 if near else 1.0, 2.0])
+    close(work.brake, [0.0, 0.0] if own else [7.0 * 0.2, 8.0 * 0.3])
+    if own:
+        close(work.damping, [5.0 if near else 0.0, 0.0])
+        assert (work.heed, work.step_left) == (1.0, 0.0)
+        for column, goal in zip(columns, flat, strict=False):
+            assert (column.goal, column.scale, column.shaped) == (goal, 0.0, 0)
+            assert not column.to_come.any()
+    else:
+        close(work.damping, [5.0, 6.0])
+
+
+def a_tick():
+    """A controller of two contacts after a tick, and what the law was given."""
+    chain, rng = scara_pair(), rng_of(0)
+    q, v = random_state(chain, rng)
+    controller, _ = twins(chain, random_faces(chain.state(q, v).X_WO, 2, rng))
+    tick, seen = controller._rows, []
+    controller._rows = lambda *given: seen.append(given) or tick(*given)
+    controller.tick(*inputs(chain, q, v, rng, 2, motion_of(rng, 2)))
+    memory = controller._records.memory
+    assert memory.reason == at.NO_REASON and memory.engaged
+    return tick, seen[-1], memory
+
+
+def test_inputs_of_other_sizes_are_none():
+    tick, given, memory = a_tick()
+    for place in range(3, 12):
+        x = given[place]
+        for other in (x[:-1], np.concatenate((x, x[:1]))):
+            changed = (*given[:place], np.ascontiguousarray(other), *given[place + 1 :])
+            tick(*changed)
+            assert (changed[14][0], memory.reason) == (at.HELD, at.BAD_INPUT), place
+
+
+@pytest.mark.parametrize("place", [3, 4])
+@pytest.mark.parametrize("count", [-1, 1])
+def test_joints_of_another_number_are_not_read(place, count):
+    """What stands beyond their end, or one of them more, moves nothing that is held."""
+    found = []
+    for more in (0.01, -2.0):
+        tick, given, memory = a_tick()
+        x = np.concatenate((given[place], np.zeros(2)))
+        n = len(given[place]) + count
+        x[n if count < 0 else n - 1 :] = more
+        x[0] += more if count > 0 else 0.0
+        torques = []
+        for _ in range(40):
+            tick(*given[:place], x[:n], *given[place + 1 :])
+            torques.append(given[13].copy())
+        found.append((torques, memory.state))
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    assert found[0][1] == found[1][1] == at.SAFE_STOP
+
+
+# --- phases ---------------------------------------------------------------------------------------
+
+
+def test_contacts_take_part_as_their_phase_says():
+    chain = Record(n_contacts=6, n_columns=0, force_gain=3.0, force_damping=5.0, force_brake=0.5,
+                   approach_damping=200.0, least_force=0.4)  # fmt: skip
+    cases = [(phase, pushes) for phase in (OPEN, APPROACHING, CLOSED) for pushes in (0, 1)]
+    contacts = [Record(phase=phase) for phase, _ in cases]
+    bodies = [Record(pushes=pushes) for _, pushes in cases]
+    as_python(phases.set_goals)(chain, bodies, [], contacts, [], [], [])
+    for contact, (phase, pushes) in zip(contacts, cases, strict=True):
+        near = phase == APPROACHING
+        found = contact.active, contact.gain, contact.damping, contact.brake, contact.least
+        assert found == (int(phase != OPEN), 0.0 if near else 3.0, 200.0 if near else 5.0,
+                         0.0 if near else 0.5, 0.4 if pushes and not near else -inf)  # fmt: skip
+
+
+def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():
+    """Three columns of two closed contacts share two integrals; a third contact is open."""
+    chain = Record(n_columns=4)
+    owners = [Record(contact=c) for c in (0, 0, 1, 2)]
+    contacts = [Record(active=1, phase=CLOSED), Record(active=1, phase=APPROACHING),
+                Record(active=0, phase=OPEN)]  # fmt: skip
+
+    def remapped(kept):
+        memory = Record(force_rank=2, force_sum=np.array([1.5, -2.5, 0.0, 0.0, 0.0, 0.0]))
+        as_python(phases.remap_force_sums)(chain, memory, owners, contacts, kept, np.zeros(4))
+        return memory.force_rank, memory.force_sum[:2].tolist()
+
+    assert remapped([1, 1, 1, 0]) == (2, [1.5, -2.5])
+    assert remapped([1, 1, 0, 0])[0] == 0, "contact was lost"
+    contacts[2].phase = APPROACHING
+    assert remapped([1, 1, 1, 0])[0] == 0, "it comes"
+
+
+def test_what_is_remembered_of_columns_in_force():
+    n, seen = 3, {}
+    remember = as_python(verdict.remember, integers=lambda x, start, count: np.zeros(count, int))
+    names = remember.__globals__
+    names["keep_steps"] = lambda *given: seen.update(steps=[x.copy() for x in given[7:9]])
+    names["phases"] = Record(low_pass=lambda *given: seen.update(
+        here=given[2].copy(), alpha=given[3].copy(), speed=given[4].copy(),
+        chosen=given[6].copy(), independent=given[8]))  # fmt: skip
+    for phased in (0, 1):
+        seen.clear()
+        chain = Record(n_columns=n, phased=phased, period=1e-3, lag=0.01)
+        work = Record(rank=2, count=2, status=at.OK, more_friction=0.2, X_WO=np.ones((4, 4)),
+                      force_next=np.array([1.0, 2.0]), motion_next=np.arange(6.0), weightless=0,
+                      alpha_meas=np.array([5.0, 6.0]), speed=np.array([0.3, 0.4]),
+                      mobility=None, D=None, E=None)  # fmt: skip
+        memory = Record(ticked=4, fresh=0, located=0, more_friction=0.0, X_WO=np.zeros((4, 4)),
+                        force_sum=np.zeros(6), force_rank=0, motion_sum=np.zeros(6))  # fmt: skip
+        columns = [Record(chosen=2), Record(chosen=0), Record(chosen=1)]
+        kept = [Record(alpha=9.0, speed=9.0) for _ in range(n)]
+        flat = np.full(5 * n, 7.0)
+        remember(chain, work, memory, columns, kept, [], [], flat)
+        assert (memory.ticked, memory.fresh, memory.located) == (5, 1, 1)
+        np.testing.assert_array_equal(flat[n : 2 * n], [1.0, 0.0, 1.0])
+        assert [(row.alpha, row.speed) for row in kept] == [(6.0, 0.4), (0.0, 0.0), (5.0, 0.3)]
+        assert memory.force_rank == 2 and memory.force_sum[:2].tolist() == [1.0, 2.0]
+        np.testing.assert_array_equal(memory.motion_sum, np.arange(6.0))
+        assert ("here" in seen) == bool(phased)
+        if phased:
+            np.testing.assert_array_equal(seen["here"], [1.0, 0.0, 1.0])
+            assert seen["chosen"].tolist() == [2, 0, 0] and seen["independent"]
+
+
+# --- torques beyond the motors --------------------------------------------------------------------
+
+
+def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
+    """What `settle` makes of 6 and −1 N m found where 0 and 0 were given: torques, squeeze."""
+    model = np.zeros(at.CHAIN_BYTES + 2 * at.JOINT_BYTES, np.uint8)
+    chain = records(model, 0, 1, at.CHAIN)[0]
+    chain.n_motors = chain.n_joints = 2
+    chain.n_arms, chain.torque_rate, chain.phase_rate, chain.period = n_arms, rate, 1.0, 1e-3
+    chain.joints_at, chain.flat_at = at.CHAIN_BYTES, at.WORK_BYTES
+    chain.torque_memory_at = chain.contact_memory_at = at.MEMORY_BYTES
+    table = records(model, at.CHAIN_BYTES, 2, at.JOINT)
+    table["motor"], table["tau_max"] = [1, 0], [10.0, 30.0]
+    memory_bytes = np.zeros(at.MEMORY_BYTES + 16, np.uint8)
+    memory, work_bytes = (
+        records(memory_bytes, 0, 1, at.MEMORY)[0],
+        np.zeros(at.WORK_BYTES + 16, np.uint8),
+    )
+    work = records(work_bytes, 0, 1, at.WORK)[0]
+    memory.ticked, work.n_internal, work.rank = ticked, n_internal, 1
+    work.internal[0], work.force_next[0], work.gain[0] = 8.0, 3.0, 20.0
+    tau = np.zeros(2)
+    saturated()[1](model, work_bytes, memory_bytes, np.array([6.0, -1.0]), np.array([50.0]),
+                   np.array([5.0]), tau)  # fmt: skip
+    close(memory_bytes[at.MEMORY_BYTES :].view(float), tau)
+    close(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
+    assert memory.force_rank == 1
+    return tau, work.internal[0]
+
+
+def test_torques_within_the_limits_change_no_faster_than_others():
+    close(settled(1)[0], [6.0, -1.0])  # the first tick has none before it
+    close(settled(2)[0], [3.0, -0.5])  # 100/s of 30 N m, in 1 ms
+    close(settled(2, rate=1e9)[0], [6.0, -1.0])
+    assert settled(2)[1] == 3.0
+    assert settled(2, n_internal=0)[1] == 8.0, "what is lost is of an older tick"
+    assert settled(2, n_arms=3)[1] == 8.0, "these have bars"
