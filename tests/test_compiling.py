@@ -238,6 +238,20 @@ def test_a_numba_without_the_accelerators_classes_is_enough(
     assert jit._accelerator() is None
 
 
+@pytest.mark.parametrize("name", ["_get_module_for_linking", "_finalize_dynamic_globals"])
+def test_a_numba_whose_libraries_have_other_methods_is_told_at_once(name: str) -> None:
+    """Not at the first compilation, where nothing would catch it."""
+    script = (
+        "from numba.core.codegen import CodeLibrary, JITCodeLibrary\n"
+        f"[delattr(c, {name!r}) for c in JITCodeLibrary.__mro__ if {name!r} in vars(c)]\n"
+        "from osc_contact.law import jit\n"
+        "print(jit._accelerator(), jit._ENTRY == jit._PLAIN)"
+    )
+    env = {**os.environ, "OSC_CONTACT_ACCELERATOR": "1", "NUMBA_DISABLE_JIT": "0"}
+    out = subprocess.run([sys.executable, "-c", script], env=env, capture_output=True, text=True)
+    assert out.stdout.split() == ["None", "True"], out.stderr
+
+
 def test_the_compiled_tick_keeps_no_intermediate_code() -> None:
     """Which takes 19 MB: compiled runs call it by its address (tests/test_driven_runs.py)."""
     compiled = list(getattr(rows(), "overloads", {}).values())

@@ -31,6 +31,10 @@ __all__ = [
     "call_entry", "direct", "entry_options", "forget_code", "part_options", "share_entry",
 ]  # fmt: skip
 
+for _name in ("_finalize_dynamic_globals", "_get_module_for_linking", "_optimize_functions",
+              "_ensure_finalized", "finalize"):  # fmt: skip
+    getattr(JITCodeLibrary, _name)  # another numba may have others: an AttributeError, see `jit`
+
 _SYMBOL = "osc_contact_law_rows"
 _shared: list[Any] = []  #: the entry that compiled code calls
 
