@@ -251,14 +251,17 @@ def test_a_story_approach_contact_loss_and_contact_again():
 def test_an_approach_that_finds_nothing_stands_still():
     k = PhaseSettings(speed=0.01, travel=0.02)
     phases = Phases(OWNERS, PUSHING, k, phase=(APPROACHING, OPEN, CLOSED))
-    for t, pace, push in (
-        (1.9, k.speed, k.damping * k.speed),
-        (1.9, 0.001, 0.5 * k.limits.force_on + 0.001 * k.damping),  # gains speed gently
-        (1.9, -0.001, 0.5 * k.limits.force_on + 0.001 * k.damping),
-        (1.9, -0.1, k.damping * k.speed),
-        (2.1, k.speed, 0.0),
+    gentle = 0.5 * k.limits.force_on
+    for t, pace, speed, push in (
+        (1.9, k.speed, k.speed, k.damping * k.speed),
+        (1.9, 0.001, 0.002, gentle + 0.001 * k.damping),  # gains speed gently
+        (1.9, -0.002, 0.001, gentle + 0.001 * k.damping),
+        (1.9, -0.1, 0.1, k.damping * k.speed),
+        (1.9, 0.01, 0.0, gentle),
+        (2.1, k.speed, k.speed, 0.0),
     ):
-        phases.contacts[0].since, phases.columns[0].pace = t, pace
+        phases.contacts[0].since = t
+        phases.columns[0].pace, phases.columns[0].speed = pace, speed
         assert phases.begin(np.full(4, 10.0), judge=False)[1][0] == pytest.approx(push)
 
 
@@ -317,7 +320,7 @@ def test_speeds_alone_or_wrists_alone_make_no_contact():
     stops = lambda k: 0.01 if k < 50 else 0.0  # noqa: E731
     assert meet(0.0, stops, mass=1.0) == 0
     assert meet(lambda k: 0.0 if k < 50 else 2.0, stops, mass=1.0) < 57
-    for read, made in ((0.29, 0), (0.31, 1)):  # an impact counts for no more than twice that
+    for read, made in ((0.39, 0), (0.41, 1)):  # an impact counts for no more than 1.5 times that
         falls = lambda k: 0.004 - 1e-3 * k  # noqa: E731  1 N for each kg
         assert bool(meet(read, falls, mass=3.0, ticks=30)) == made
 

@@ -36,7 +36,7 @@ APPROACH_GAIN = 10.0  #: 1/s; of the integral of an approach
 _RETURN, _FASTEST = 5.0, 0.1  #: 1/s, m/s: the way back to where contact was lost
 #: of v_a: contact is made where an approach is slower; s of force after which also if it is not
 _SLOWED, _SOFT = 0.5, 0.5
-_FELT = 2.0  #: times what wrists alone read; no more of an impact is believed
+_FELT = 1.5  #: times what wrists alone read; no more of an impact is believed
 _NOISE = 0.05  #: s in which the noise of a force is learnt, above which contact must be felt
 _GENTLE = 0.5  #: of what counts as contact: with so much an approach at v_a pushes to gain speed
 
@@ -251,7 +251,8 @@ def set_goals(chain, bodies, columns, contacts, column_memory, wanted, goal):
         start = chain.approach_damping * pace if pushes != 0 else wanted[j]
         if contact.phase == APPROACHING:
             gentle = _GENTLE * chain.force_on * pace / chain.approach_speed
-            start = min(start, gentle + chain.approach_damping * abs(column_memory[j].pace))
+            moving = min(abs(column_memory[j].pace), abs(column_memory[j].speed))
+            start = min(start, gentle + chain.approach_damping * moving)
         if contact.phase == APPROACHING and contact.since * chain.approach_speed >= chain.travel:
             start = 0.0  # it has found nothing and stands still
         goal[j] = start + _risen(chain, contact, pushes) * (wanted[j] - start)

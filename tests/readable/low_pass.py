@@ -15,18 +15,19 @@ __all__ = ["FilteredForce", "filter_force"]
 class FilteredForce:
     """Low-passed magnitudes and speeds, (r,) each, of the columns that are `known`.
 
-    `noise`: twice the mean of what contacts seem to pull.
+    `noise`: twice the mean of what contacts seem to pull. `speed`: as it came in.
     """
 
     force: Array
     pace: Array
     known: Array
     noise: Array
+    speed: Array
 
     @classmethod
     def nothing(cls, r: int) -> FilteredForce:
         """Before the first tick."""
-        return cls(np.zeros(r), np.zeros(r), np.zeros(r, dtype=bool), np.zeros(r))
+        return cls(np.zeros(r), np.zeros(r), np.zeros(r, dtype=bool), *np.zeros((2, r)))
 
 
 def filter_force(
@@ -57,4 +58,4 @@ def filter_force(
     flying = inertia @ rate
     pulls = np.where(here, np.maximum(flying - alpha, 0.0), 0.0)
     noise = before.noise + (2.0 * pulls - before.noise) / (1.0 + 0.05 / dt)
-    return FilteredForce(force, pace, here, noise), force - flying
+    return FilteredForce(force, pace, here, noise, speed), force - flying

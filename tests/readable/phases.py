@@ -102,7 +102,7 @@ def lived(
     more = np.where(state.expected > settings.limits.force_on, more, -np.inf)
     force = np.where(here, force, 0.0)
     open_ = ~np.asarray(state.seen.closed, dtype=bool)
-    clear = np.minimum(force, 2.0 * audible.force) - audible.noise
+    clear = np.minimum(force, 1.5 * audible.force) - audible.noise
     flies = open_ & (speed > 0.5 * settings.speed) & (state.seen.high_for < 0.5)
     seen = watched(
         state.seen, np.where(open_, clear, force), speed, dt, settings.limits, more,
@@ -159,7 +159,8 @@ def commanded(
     rows[:, 3] = np.where(guarded & ~approaching, settings.least, -np.inf)
     rows[:, 4] = approaching
     gentle = 0.5 * settings.limits.force_on * pace / settings.speed
-    gentle = gentle + settings.damping * np.abs(state.heard.pace)
+    moving = np.minimum(np.abs(state.heard.pace), np.abs(state.heard.speed))
+    gentle = gentle + settings.damping * moving
     start = np.where(approaching[columns.owners], np.minimum(push, gentle), push)
     start = start * (on_its_way | ~approaching)[columns.owners]
     risen = np.where(guarded[columns.owners], _risen(state, columns, settings), 1.0)
