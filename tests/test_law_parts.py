@@ -534,6 +534,15 @@ def test_lines_of_force_their_points_and_their_rates(kind, seed):
     close(point, line_of(kind, row, X, E, turned)[2] - X.translation, atol=1e-8)
 
 
+@SEEDS
+def test_motions_that_a_body_carries(seed):
+    rng = rng_of(seed)
+    V, t, out = rng.normal(size=(3, 6))
+    want = out + 0.3 * pin.Motion(V).cross(pin.Motion(t)).vector
+    as_python(contact._add_carried)(V, t, 0.3, out)
+    close(out, want, atol=1e-12)
+
+
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("mu", [0.0, 0.3])
 def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):

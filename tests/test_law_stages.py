@@ -28,6 +28,7 @@ from osc_contact.law import (
 )
 from osc_contact.law import command_filter as command
 from osc_contact.law import tables as at
+from osc_contact.law.arm_terms import arm_terms
 from osc_contact.law.compiled import saturated
 from osc_contact.law.jit import as_python
 from osc_contact.law.layout import records
@@ -175,6 +176,9 @@ def test_magnitudes_with_what_the_object_takes(r):
     close(case.work.mobility[:r, :r], mobility, atol=1e-8)
     assert case.work.weightless == 0
     case.work.out_T[:, 2] = case.work.out_T[:, 4]
+    assert not as_python(force.measure_magnitudes)(case.chain, case.work)
+    case = Filter(r, r)
+    case.work.pushed[:r] = case.work.Phi_mu[:r, :r] = 0.0  # nobody pushes and nobody yields
     assert not as_python(force.measure_magnitudes)(case.chain, case.work)
 
 
@@ -461,6 +465,30 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     close([j.rest for j in joints[lo:]], want, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("n", range(1, 9))
+def test_terms_of_an_arm_that_holds_rigidly(n):
+    """J̄, Λ and what the arm resists, from the pseudoinverse of its Jacobian."""
+    rng, lo = rng_of(n), 1
+    J, root = rng.normal(size=(6, n)), rng.normal(size=(n, n))
+    M = root @ root.T + np.eye(n)
+    joints = [None] + [Record(J=J[:, j].copy(), M=M[j], J_bar=np.zeros(6)) for j in range(n)]
+    big = {name: rng.normal(size=(16, 32)) for name in ("X", "Z", "K")}
+    work = Record(**big, s=np.zeros(16), t=np.zeros(16), x=np.zeros(6), u=np.zeros(6),
+                  **{name: rng.normal(size=(6, 6)) for name in "ABDE"}, y=np.zeros(6))  # fmt: skip
+    arm = Record(Lambda=np.zeros((6, 6)), kept=np.zeros((6, 6)), n_kept=0, n_locked=0)
+    locked, row = np.full((12, 7), 7.0), 3
+    count = as_python(arm_terms)(lo, n, 6, True, 1e-6, joints, arm, work, locked, row)
+    weighed = np.linalg.solve(M, J.T)
+    J_bar = np.linalg.pinv(J) if n <= 6 else weighed @ np.linalg.inv(J @ weighed)
+    close([j.J_bar for j in joints[lo:]], J_bar, rtol=1e-7, atol=1e-8)
+    close(arm.Lambda, J_bar.T @ M @ J_bar, rtol=1e-7, atol=1e-7)
+    assert (count, arm.n_locked, arm.n_kept) == (max(6 - n, 0), count, min(n, 6))
+    U = locked[row : row + count, :6]
+    close(U @ U.T, np.eye(count), atol=1e-12)
+    close(U @ J, np.zeros((count, n)), atol=1e-12)
+    assert (np.delete(locked, range(row, row + count), axis=0) == 7.0).all()
+
+
 # --- torques --------------------------------------------------------------------------------------
 
 
@@ -559,6 +587,25 @@ def test_columns_on_which_the_arms_can_push(held):
         N = np.zeros((2, 6))
         N[:, 1], N[1, 4] = 1.0, apart
         assert judged(N, np.eye(6), held)[0] == want
+
+
+@pytest.mark.parametrize("held", [0, 1])
+@pytest.mark.parametrize("m", [0, 2])
+def test_how_far_columns_are_apart_as_seen_through_the_arms(held, m):
+    rng, d = rng_of(m), 6 - m
+    root, N = rng.normal(size=(6, 6)), rng.normal(size=(3, 6))
+    Lambda = root @ root.T
+    _, work = judged(N, Lambda, held, m)
+    assert as_python(command._judge_reach)(Record(held=held), work) == at.NO_REASON
+    L = np.linalg.cholesky((Lambda + held * np.eye(6))[m:, m:])
+    seen = np.linalg.solve(L, N[:, m:].T)
+    pivots = np.abs(np.diag(np.linalg.qr(seen)[1]))
+    close(work.amount, min(pivots / np.linalg.norm(seen, axis=0)), rtol=1e-7)
+    N[1, m:] = L @ np.full(d, 0.5e-5)  # seen with 0.25e-10 d of its square
+    if m:
+        reason, work = judged(N, Lambda, held, m)
+        assert (reason, work.where) == (at.UNREACHABLE, 1)
+        close(work.amount, d * 0.25e-10 / (N[1] @ N[1]), rtol=1e-6)
 
 
 def test_an_inertia_that_is_none_is_noticed_where_nothing_is_held():
@@ -693,13 +740,14 @@ def test_friction_that_is_learnt_is_never_negative():
 
 @pytest.mark.parametrize("phase", [APPROACHING, CLOSED])
 @pytest.mark.parametrize("own", [0, stages.OWN_FORCE])
-def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase):
-    chain = Record(n_columns=2, step_time=0.0, period=1e-3)
+@pytest.mark.parametrize("step_time", [0.0, 0.05])
+def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase, step_time):
+    chain = Record(n_columns=2, step_time=step_time, period=1e-3, phased=0)
     contacts, owners = (
         [Record(phase=phase), Record(phase=CLOSED)],
         [Record(contact=0), Record(contact=1)],
     )
-    memory = Record(ticked=0, step_left=0.0, step_time=0.0)
+    memory = Record(ticked=1, step_left=0.0, step_time=0.05)
     kept = [Record(drift=0.1, wished=0, wish=0.0, scale=0.0, to_come=np.zeros(3)) for _ in range(2)]
     columns = [Record(chosen=j, goal=9.0, scale=9.0, shaped=9, to_come=np.ones(3))
                for j in range(2)]  # fmt: skip
@@ -710,8 +758,9 @@ def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase):
     flat = np.array([11.0, 12.0, 0.0, 0.0, 0.0, 0.0])
     as_python(stages.set_wishes)(chain, owners, contacts, memory, kept, columns, work, flat, own)
     near = phase == APPROACHING
-    close(work.alpha_d, [11.0, 12.0])
-    close(work.gain, [10.0 if near else 3.0, 4.0])
+    steps = step_time > 0.0 and not own  # from what is measured, and the integral rests
+    close(work.alpha_d, [1.0 if steps and not near else 11.0, 2.0 if steps else 12.0])
+    close(work.gain, [10.0 if near else 0.0 if steps else 3.0, 0.0 if steps else 4.0])
     close(work.felt, [5.0 * 0.3 if near else 1.0, 2.0])
     close(work.brake, [0.0, 0.0] if own else [7.0 * 0.2, 8.0 * 0.3])
     if own:
@@ -767,6 +816,70 @@ def test_joints_of_another_number_are_not_read(place, count):
     assert found[0][1] == found[1][1] == at.SAFE_STOP
 
 
+@pytest.mark.parametrize(("r", "m"), [(0, 0), (2, 2), (3, 0)])
+@pytest.mark.parametrize("held", [0, 1])
+def test_the_motion_integral_is_handed_over_as_a_wrench(r, m, held):
+    case = Commanded(10 * r + m, at.BY_OBJECT, r, m)
+    work, total, before = case.work, np.arange(6.0) - 2.0, np.full(6, 0.5)
+    memory = Record(motion_sum=total.copy(), f_bias=before.copy())
+    as_python(stages.hand_over)(Record(integral=3.0, held=held), work, memory)
+    to_energy = case.H @ case.e.motion
+    x = to_energy @ (3.0 * total)
+    # what contacts see of a locked motion is not lost
+    free = x[m:] + np.linalg.pinv(case.N_t[:, m:]) @ (case.N_t[:, :m] @ x[:m])
+    force = (work.Lambda[m:, m:] + held * np.eye(6 - m)) @ free
+    close(memory.f_bias - before, to_energy[m:].T @ force, rtol=1e-6, atol=1e-7)
+    assert not memory.motion_sum.any()
+
+
+def ask_command(flags=0, rank=2, missing=0, integral=2.0, **more):
+    """α_u, the integrals and a_u of one tick whose columns and motions are alone."""
+    seen = {}
+    decide = as_python(
+        stages.command,
+        filter_motion=lambda chain, work: seen.get("reason", at.NO_REASON),
+        command_object=lambda chain, work, f_bias: seen.update(bias=f_bias),
+        hand_over=lambda chain, work, memory: seen.update(handed=True),
+        reduce_motion=lambda *given: seen.update(reduced=True),
+    )
+    chain = Record(period=1e-3, integral_force=5.0, integral_motion=0.8, integral=integral,
+                   stiffness=3.0, damping=4.0)  # fmt: skip
+    work = Record(rank=2, n_lost=0, locked=0, gain=np.array([20.0, 30.0]), w=np.zeros(6),
+                  alpha_d=np.array([8.0, 9.0]), felt=np.array([6.0, 10.0]),
+                  speed=np.array([0.01, 0.02]), damping=np.array([100.0, 0.0]),
+                  least=np.full(2, -inf), force_next=np.zeros(2), alpha_u=np.full(2, 7.0),
+                  motion_next=np.array([100.0, -900.0, 900.0, 0.0, 0.0, 0.0]),
+                  error=np.arange(6.0), V_O=np.zeros(6), a_u=np.full(6, 7.0))  # fmt: skip
+    memory = Record(force_sum=np.array([0.5, -0.5]), force_rank=rank, wrench_missing=missing,
+                    hand_over=0, motion_sum=np.full(6, 0.1), f_bias="bias")  # fmt: skip
+    for name, value in more.items():
+        setattr(work if hasattr(work, name) else memory, name, value)
+    reason = decide(chain, [], [], work, [], [], memory, [], [], np.ones(6), np.ones(6), flags)
+    return reason, work, memory, seen
+
+
+def test_laws_and_integrals_of_a_tick():
+    reason, work, memory, seen = ask_command()
+    assert (reason, seen) == (at.NO_REASON, {"bias": "bias"})
+    close(work.force_next, [0.54, -0.53])
+    close(work.alpha_u, [8.0 + 0.54 - 1.0, 9.0 - 0.53])
+    close(work.motion_next, [0.2, -0.4, 0.4, 0.1, 0.1, 0.1])  # no further than 0.8 / 2
+    close(work.a_u, 1.0 + 4.0 + 3.0 * np.arange(6.0) + 2.0 * work.motion_next)
+    close(ask_command(rank=1)[1].force_next, [0.04, -0.03])  # another number begins anew
+    close(ask_command(missing=1)[1].force_next, [0.5, -0.5])  # nothing to compare with
+    close(ask_command(integral=0.0)[1].motion_next, [0.2, -0.8, 1.0, 0.1, 0.1, 0.1])
+    _, _, memory, seen = ask_command(hand_over=1)
+    assert seen["handed"] and memory.hand_over == 0
+    for lost, locked, reduced in ((1, 5, True), (1, 6, False), (0, 5, False)):
+        assert ("reduced" in ask_command(n_lost=lost, locked=locked)[3]) == reduced
+    _, work, _, _ = ask_command(stages.OWN_FORCE)
+    close(work.alpha_u, [8.0 - 1.0, 7.0])  # approached; the user's own
+    close(work.force_next, [0.5, -0.5])
+    close(ask_command(stages.OWN_FORCE, rank=1)[1].force_next, [0.0, 0.0])
+    close(ask_command(stages.OWN_MOTION)[1].a_u, 7.0)
+    close(ask_command(stages.OWN_MOTION)[1].alpha_u, ask_command()[1].alpha_u)
+
+
 # --- phases ---------------------------------------------------------------------------------------
 
 
@@ -782,6 +895,27 @@ def test_contacts_take_part_as_their_phase_says():
         found = contact.active, contact.gain, contact.damping, contact.brake, contact.least
         assert found == (int(phase != OPEN), 0.0 if near else 3.0, 200.0 if near else 5.0,
                          0.0 if near else 0.5, 0.4 if pushes and not near else -inf)  # fmt: skip
+
+
+@pytest.mark.parametrize(("phase", "pushes", "since", "gap", "pace", "want"), [
+    (CLOSED, 1, 9.0, 0.0, 0.0, 8.0), (CLOSED, 1, 0.1, 0.0, 0.0, 2.0 + 0.25 * 6.0),
+    (CLOSED, 0, 0.1, 0.0, 0.0, 8.0), (APPROACHING, 0, 0.1, 0.0, 0.0, 0.5),
+    (APPROACHING, 1, 0.1, 0.0, 0.0, 0.5), (APPROACHING, 1, 0.1, 0.0, -0.004, 0.5 + 0.8),
+    (APPROACHING, 1, 0.1, 0.0, 0.1, 2.0), (APPROACHING, 1, 0.1, 0.006, 0.0, 2.0),
+    (APPROACHING, 1, 0.1, 0.006, 0.02, 6.0), (APPROACHING, 1, 0.1, 0.006, 0.1, 8.0),
+    (APPROACHING, 1, 0.1, 9.0, 0.1, 20.0), (APPROACHING, 1, 9.0, 9.0, 0.1, 0.0),
+])  # fmt: skip
+def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
+    """K_a v_a = 2 N while it is approached, from 0.5 N on; faster back over a known gap."""
+    chain = Record(n_contacts=1, n_columns=1, force_gain=3.0, force_damping=5.0, force_brake=0.5,
+                   approach_damping=200.0, approach_speed=0.01, least_force=0.4, travel=0.05,
+                   force_on=1.0, rise=0.4)  # fmt: skip
+    for slow, fast in ((pace, -9.0), (9.0, pace), (pace, pace)):  # the slower one counts
+        contact, goal = Record(phase=phase, since=since), np.zeros(1)
+        column = Record(gap=gap, pace=slow, speed=fast)
+        as_python(phases.set_goals)(chain, [Record(pushes=pushes)], [Record(contact=0)], [contact],
+                                    [column], np.array([8.0]), goal)  # fmt: skip
+        close(goal[0], want)
 
 
 def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():

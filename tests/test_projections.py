@@ -274,6 +274,17 @@ def test_zero_and_indefinite_metrics_are_refused() -> None:
         P.Omega_f(N, mixed)
 
 
+@pytest.mark.parametrize("i", range(6))
+def test_metrics_that_hardly_move_along_one_axis_are_refused_there(i: int) -> None:
+    """Beside the others of its kind: a metric of angles alone may be as small as it likes."""
+    metric = np.eye(6)
+    metric[i, i] = 1e-14
+    with pytest.raises(ContactError, match="column 0"):
+        P.Omega_f(np.eye(6)[:, [i]], metric)
+    kind = np.where(np.arange(6) // 3 == i // 3, 1e-14, 1.0)
+    close(P.Omega_f(np.eye(6)[:, [i]], np.diag(kind)), np.diag(np.eye(6)[i]))
+
+
 @pytest.mark.parametrize("size", [1e-6, 0.5])
 def test_metrics_that_are_nearly_symmetric_or_definite_are_refused(size: float) -> None:
     """A millionth is no rounding error."""
