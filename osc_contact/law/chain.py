@@ -31,6 +31,8 @@ from osc_contact.law.tables import (
 
 __all__ = ["solve_chain"]
 
+_AHEAD = 2.0  #: ticks, of the speeds whose friction is made up for
+
 
 @inner
 def solve_chain(chain, arms, table, memory, work, arm_work, joints, locked, q, v):
@@ -129,7 +131,7 @@ def _add_arm(chain, arm, table, work, own, joints, locked, row):
         for i in range(6):
             own.resisted[k - row, i] = locked[k, i]
     if chain.rubs != 0:
-        _add_friction(arm, table, joints, work)
+        _add_friction(chain, arm, table, joints, work)
     for j in range(lo, arm.end):
         joints[j].offset = -dot6(joints[j].J_bar, own.gamma)
     bias = six(work.chain_bias)
@@ -149,15 +151,15 @@ def _add_arm(chain, arm, table, work, own, joints, locked, row):
 
 
 @inner
-def _add_friction(arm, table, joints, work):
-    """h += D v + F s/√(s² + s_0²), with the wanted speeds s = v + J̄ (V_D − V).
+def _add_friction(chain, arm, table, joints, work):
+    """h += D v + F s/√(s² + s_0²), with the wanted speeds s = v + J̄ (V_D + t_a A_D − V).
 
-    They turn round when the joints do, without the noise of v; of v only what does not move the
-    object is in them.
+    They turn round when the joints do, or a little before: torques act from this tick on. They are
+    without the noise of v, of which only what does not move the object is in them.
     """
-    lag = work.y
+    lag, ahead = work.y, _AHEAD * chain.period
     for i in range(6):
-        lag[i] = work.V_D[i] - work.V_O[i]
+        lag[i] = work.V_D[i] + ahead * work.A_D[i] - work.V_O[i]
     carry_motion(lag, work.O, work.C, lag)
     energy_motion(work.axes, lag, lag)
     for j in range(arm.first, arm.end):
