@@ -33,6 +33,7 @@ __all__ = [
 OPEN, APPROACHING, CLOSED = range(3)
 _CHANGES = 0.1  #: s after a change of phase for which torques go gently
 APPROACH_GAIN = 10.0  #: 1/s; of the integral of an approach
+_SLOW = 0.25  #: share of their speed limits below which joints are not fast
 _RETURN, _FASTEST = 5.0, 0.1  #: 1/s, m/s: the way back to where contact was lost
 #: of v_a: contact is made where an approach is slower; s of force after which also if it is not
 _SLOWED, _SOFT = 0.5, 0.5
@@ -289,7 +290,7 @@ def torque_rate(chain, contacts, share):
     Args:
         contacts: (contacts,) CONTACT_MEMORY. share: as of `haste`.
     """
-    rate, slow = chain.torque_rate, 1.0 - share
+    rate, slow = chain.torque_rate, min((1.0 - share) / (1.0 - _SLOW), 1.0)
     for c in range(chain.n_contacts if chain.phased != 0 and slow > 0.0 else 0):
         if contacts[c].since < _CHANGES:
             rate = min(rate, chain.phase_rate / slow**2)
