@@ -70,6 +70,8 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
             found = [watch_joints(chain, table, memory, [0.0, 0.0], v) for _ in range(ticks)]
             assert found == [at.NO_REASON] * (ticks - 1) + [at.OVERSPEED]
             assert memory.culprit == j
+    memory = joints_memory()
+    assert watch_joints(chain, table, memory, [0.0, 0.0], [1e300, 0.0]) == at.OVERSPEED
     memory, chain = joints_memory(), Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=4)
     assert watch_joints(chain, table, memory, [0.0, 0.0], [2.4, 1.6]) == at.OVERSPEED
     assert memory.culprit == 1, "the one that is further beyond its limit"

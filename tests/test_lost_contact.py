@@ -79,6 +79,26 @@ def test_a_face_that_is_near_is_found_again(name: str) -> None:
     assert (controller.phases() == Phase.CLOSED).all()
 
 
+def test_a_contact_that_is_not_found_again_stops_the_arms_until_a_reset() -> None:
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    plant, controller = start(rig, 0)
+    rows = controller._records
+    for k in range(30):
+        if k == 20:
+            rows.contacts.since[:], rows.column_memory.astray[0] = 0.0, 0.99
+        plant.command(controller.tick(plant.measure(), rig.references.at(0.001 * k)), 0.001)
+        assert controller.state is not osc.SafetyState.SAFE_STOP
+    rows.column_memory.astray[0] = 1.01
+    for _ in range(2):
+        controller.tick(plant.measure(), rig.references.at(0.03))
+    assert controller.state is osc.SafetyState.SAFE_STOP
+    assert "not held again 1 s after it was lost" in controller.reason
+    controller.reset()
+    assert (rows.column_memory.astray == 0.0).all()
+    controller.tick(plant.measure(), rig.references.at(0.03))
+    assert controller.state is osc.SafetyState.RUN
+
+
 @pytest.mark.parametrize("push", WORST)
 def test_pushes_end_in_contact_or_in_a_stop(push: tuple[str, str, float, float]) -> None:
     found = push_arm(*push)

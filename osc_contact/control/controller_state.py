@@ -88,7 +88,7 @@ class ControllerState:
         memory.state, memory.age, memory.faults, memory.overspeed = SafetyState.RUN, 0, 0, 0
         memory.powered = memory.ending = 0.0
         memory.compared = memory.frozen = memory.still = memory.wrench_age = 0
-        for name in ("underforce", "overforce"):
+        for name in ("underforce", "overforce", "astray"):
             self._records.column_memory[name][:] = 0.0
         memory.repeats, memory.fresh, memory.motion_sum[:], memory.force_sum[:] = 0, 0, 0.0, 0.0
         memory.step_left, self._records.column_memory.wished[:] = 0.0, 0

@@ -26,7 +26,8 @@ _FULL = 0.99  #: share of its bound at which a force integral has reached it
 _SHARE = 0.2  #: share of a command; a contact that reads less is lost
 _LIGHT = 1.0  #: N; what is commanded less cannot be told from nothing
 SURE = 0.0025  #: s of evidence, at the least, that one wrong sample does not bring about
-_HASTE = 8.0  #: at so many times its limit beyond it a joint's time above it counts once more
+#: a joint's time above its limit counts once more for each eighth of it that it is beyond it
+_HASTE, _MOST = 8.0, 10.0
 _OVERFORCE = 3.0  #: times the command; a contact that reads more is overloaded
 
 
@@ -48,7 +49,7 @@ def watch_joints(chain, table, memory, q, v):
         rest = x + speed * (chain.reaction + row.brake * abs(speed))
         if (rest > row.upper and x <= row.upper) or (rest < row.lower and x >= row.lower):
             near = j
-    weight = 1 + int(_HASTE * (times - 1.0))
+    weight = 1 + int(_HASTE * min(times - 1.0, _MOST))
     memory.overspeed = max(memory.overspeed + (weight if fast >= 0 else -1), 0)
     memory.ending = collect(memory.ending, chain.period, near >= 0)
     if memory.ending > max(SURE, 1.5 * chain.period):
