@@ -7,6 +7,7 @@ from math import sqrt
 from osc_contact.law.algebra import one_sided_jacobi
 from osc_contact.law.arm_motion import move_arm, place_arm, place_frame
 from osc_contact.law.arm_terms import arm_terms, effort_metric
+from osc_contact.law.contact import AHEAD
 from osc_contact.law.energy import (
     carry_motion,
     carry_wrench,
@@ -30,8 +31,6 @@ from osc_contact.law.tables import (
 )
 
 __all__ = ["solve_chain"]
-
-_AHEAD = 2.0  #: ticks, of the speeds whose friction is made up for
 
 
 @inner
@@ -157,7 +156,7 @@ def _add_friction(chain, arm, table, joints, work):
     They turn round when the joints do, or a little before: torques act from this tick on. They are
     without the noise of v, of which only what does not move the object is in them.
     """
-    lag, ahead = work.y, _AHEAD * chain.period
+    lag, ahead = work.y, AHEAD * chain.period
     for i in range(6):
         lag[i] = work.V_D[i] + ahead * work.A_D[i] - work.V_O[i]
     carry_motion(lag, work.O, work.C, lag)

@@ -26,10 +26,12 @@ from osc_contact.law.tables import (
 )
 from osc_contact.law.tilt import follow_face
 
-__all__ = ["PARALLEL", "permitted_motion", "place_contacts", "place_pair", "point_of_contact"]
+__all__ = [
+    "AHEAD", "PARALLEL", "permitted_motion", "place_contacts", "place_pair", "point_of_contact",
+]  # fmt: skip
 
 PARALLEL = 1e-6  #: sine of the angle below which two edges have no common normal
-_AHEAD = 2.0  #: control periods after its measurement at which a torque acts at the latest
+AHEAD = 2.0  #: control periods after its measurement at which a torque acts at the latest
 
 
 @leaf
@@ -87,7 +89,7 @@ def place_contacts(chain, pairs, shapes, columns, X_WO, V_O, bodies, moving, wor
             follow_face(chain, pair.kind, row, X_WO, R_E, V_rel, work.z, column)
         if pair.has_friction != 0 and (work.mu > 0.0 or chain.reading == LEAST_SQUARES):
             for i in range(6):
-                work.z[i] = V_rel[i] + _AHEAD * chain.period * work.A_D[i]
+                work.z[i] = V_rel[i] + AHEAD * chain.period * work.A_D[i]
             for j in range(pair.count):
                 row, column = shapes[pair.shape_at + j].row, columns[pair.first + j]
                 point = point_of_contact(pair.kind, row, X_WO, R_E, column.N)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import ContactPair
@@ -35,7 +36,7 @@ from readable.force import (
 )
 from readable.least_squares import explained, slides
 from readable.motion import MotionLaw
-from readable.phases import ContactPhases
+from readable.phases import ContactPhases, Phase
 from readable.rubbing import with_friction
 from readable.signals import Signals, Stage, block
 from readable.singular import faded_motion
@@ -64,11 +65,15 @@ class Boxes:
     _tare: Array
     _bias: Array
     _owners: Array
+    _fresh: bool
+    _late: Array
+    signals: Signals
 
     @block("closed chain", "model", r"$\Lambda_S,\ \mu,\ p,\ S,\ \sigma,\ G$  (13)")
     def _model(self, s: Signals) -> None:
         state = chain_state(self.chain, s.q, s.v)
-        s.state = with_friction(self.chain, state, s.v, s.reference.V_D)
+        later = s.reference.V_D + AHEAD * self.force_law.dt * s.reference.A_D
+        s.state = with_friction(self.chain, state, s.v, later)
 
     @block("contact geometry", "model", r"$N,\ T,\ n_\gamma$")
     def _contact(self, s: Signals) -> None:
@@ -131,8 +136,34 @@ class Boxes:
             wanted = wanted[active[self.life.columns.owners]]
         desired = independent(wanted, s.contact) if active.any() else np.zeros(0)
         speed = s.contact.N.T @ (s.state.V_O - s.environment.V_e)
+        if self.life is not None:
+            speed = self._believed(s, speed)
+        self._speed = speed
         terms = self.terms.of_columns(self._owners, s.contact.r)
         s.alpha_u = self.force_law.command(desired, s.alpha_meas, speed, terms)
+
+    def _believed(self, s: Signals, speed: Array) -> Array:
+        """(r,) NᵀV_rel; of approaches that of the positions, where these show more of it."""
+        life, dt = self.life, self.force_law.dt
+        assert life is not None
+        here = np.flatnonzero(self.terms.active[life.columns.owners])
+        if len(here) != len(speed):
+            return speed
+        turned = np.eye(3)
+        step = np.zeros(3)
+        if self._fresh:
+            before = self.signals.state.X_WO
+            turned = s.state.X_WO.rotation @ before.rotation.T
+            step = s.state.X_WO.translation - before.translation
+        twist = np.concatenate((step, pin.unSkew(0.5 * (turned - turned.T)))) / dt
+        shows = s.contact.N.T @ (twist - s.environment.V_e)
+        known = life.state.heard.known[here] & self._fresh
+        late = self._late[:, here]
+        late = np.where(known, late + dt / (0.02 + dt) * (np.stack((shows, speed)) - late), speed)
+        self._late[:, here] = late
+        short = late[0] - late[1] > 0.2 * life.settings.speed
+        short &= known & (life.state.phase[life.columns.owners[here]] == Phase.APPROACHING)
+        return np.where(short, late[0], speed)
 
     @block("to operational space", "force", r"$N\alpha_u$  (16)")
     def _operational_force(self, s: Signals) -> None:

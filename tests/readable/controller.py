@@ -108,6 +108,8 @@ class ReadableController(Boxes):
         self.status, self._reason = Status.OK, ""
         self._last_tau: Array = np.zeros(chain.n_a)
         self.engaged, self.ticked = engaged, False
+        self._fresh, self._speed = False, np.zeros(0)
+        self._late = np.zeros((2, 0 if life is None else len(life.columns.owners)))
 
     @property
     def reason(self) -> str:
@@ -156,6 +158,9 @@ class ReadableController(Boxes):
         if self.ticked and self.status is not Status.HELD:
             gentle = (self.life.state.since < 0.1).any()
             rate = self.life.settings.torque_rate if gentle else np.inf
+            share = np.abs(measurement.v) / self.chain.model.velocityLimit
+            share = share[self.chain.actuated].max()
+            rate = rate / min((1.0 - share) / 0.75, 1.0) ** 2 if share < 1.0 else np.inf
             step = rate * self.force_law.dt * self.chain.tau_max
             self._last_tau[:] = tau = slewed(tau, last, step)
         self.ticked |= self.status is not Status.HELD
@@ -251,5 +256,6 @@ class ReadableController(Boxes):
         return blocks
 
     def _take_in(self, measurement: Measurement, reference: Reference, s: Signals) -> None:
+        self._fresh = self.status is not Status.HELD and hasattr(self.signals, "state")
         self.status, self._reason, self.given_up = Status.OK, "", None
         take_in(measurement, reference, s, len(self.chain.arms), len(self.contacts))

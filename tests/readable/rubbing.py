@@ -14,7 +14,7 @@ __all__ = ["friction_torques", "with_friction"]
 
 
 def friction_torques(chain: ClosedChain, state: ChainState, v: Array, V_D: Array) -> Array:
-    """(n,) D v + F s/√(s² + s_0²), with the wanted speeds s = v + J̄ (V_D − V)."""
+    """(n,) D v + F s/√(s² + s_0²), with the wanted speeds s = v + J̄ (V_D − V), V_D two ticks on."""
     model = chain.model
     slides = [joint.shortname().startswith("JointModelP") for joint in list(model.joints)[1:]]
     slip = np.where(slides, SLIDING_SLIP, TURNING_SLIP)

@@ -86,7 +86,7 @@ class Found:
             free_error=Omega_m @ error,
             squeeze=_squeeze(s, controller),
             magnitudes=s.alpha_meas,
-            speeds=s.contact.N.T @ (state.V_O - s.environment.V_e),
+            speeds=controller._speed,
             mobilities=D,
             rank=np.array([len(s.alpha_meas)]),
         )
