@@ -15,6 +15,7 @@ import pinocchio as pin
 import pytest
 
 from osc_contact.law import algebra, contact, held_object, motion, six, tilt
+from osc_contact.law import columns as columns_of_N
 from osc_contact.law import tables as at
 from osc_contact.law.jit import as_python
 
@@ -576,3 +577,29 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
         chain, [pair], [Record(row=row)], [column], X.homogeneous, V_O, motion_of, moving, work
     )
     assert (column.slip[0] == 9.0) == (mu == 0.0), "nobody asks"
+
+
+# --- columns that depend on one another -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
+    """Three columns, of which two are kept; extents differ, as units do."""
+    rng = rng_of(0)
+    for share in rng.normal(size=(20, 2)):
+        n_gamma = size * rng.normal(size=2)
+        implied = share @ n_gamma
+        summands = abs(implied) + np.abs(share * n_gamma).sum()
+        rows = [Record(n_gamma=n_gamma[0], share=[1.0, 0.0], extent=1.0, chosen=4),
+                Record(n_gamma=n_gamma[1], share=[0.0, 1.0], extent=1.0, chosen=2),
+                Record(n_gamma=implied, share=share, extent=1.0, chosen=7)]  # fmt: skip
+        work = Record(keep=[0.0, 1.0], where=-1, amount=0.0)
+        check = as_python(columns_of_N._consistent)
+        assert check(rows, 3, 2, work)
+        most = max(summands, 2.0 * np.abs(n_gamma).max())
+        for off, fine in ((0.5e-5, True), (-0.5e-5, True), (2e-5, False), (-2e-5, False)):
+            rows[2].n_gamma = implied + off * most
+            if abs(off * most) > 2e-9 or fine:  # what is next to nothing may differ
+                assert check(rows, 3, 2, work) == fine
+        if size == 1.0:
+            assert (work.where, work.amount) == (7, pytest.approx(implied))

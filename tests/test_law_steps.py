@@ -157,6 +157,18 @@ def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
         assert forces.run([10.0], 60)[-1, 0] == pytest.approx(10.0)
 
 
+@pytest.mark.parametrize("share", [0.29, 0.31, -0.5])
+def test_a_face_tells_its_tilt_where_it_carries_three_tenths_of_its_force(share):
+    forces = Forces()
+    forces.run([10.0], 200)
+    turned = forces.columns[0].turned = np.array([0.02, -0.01, 0.03])
+    forces.columns[0].slides = 1.0
+    forces.tick([10.0], measured=[10.0 * share], speed=[0.04])
+    pressed = share > 0.3
+    np.testing.assert_allclose(forces.kept[0].turn, turned if pressed else 0.0)
+    assert forces.kept[0].drift == pytest.approx(0.0 if pressed else 0.01), "sliding or leaving"
+
+
 def test_an_impact_is_not_held_where_phases_close_a_contact():
     """What is measured at the moment of contact may be many times what is wanted."""
     for phased, start in ((1, 2.0), (0, 40.0)):

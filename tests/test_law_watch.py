@@ -243,6 +243,11 @@ def test_a_rotation_is_one_but_for_a_ten_thousandth():
         X = np.column_stack([R, rng.uniform(-9.0, 9.0, 3)])
         return judged(readings(X_WD=X))
 
+    for axis in np.vstack((np.eye(3), 1.0 - np.eye(3)) / np.array([[[1.0]], [[np.sqrt(2)]]])):
+        for angle in np.deg2rad(np.arange(0, 360, 10)):
+            R = pin.exp3(angle * axis)
+            assert believed(R) == at.NO_REASON
+            assert believed(R @ np.diag([1, -1, 1])) == believed(-R) == at.NO_ROTATION
     for _ in range(20):
         R = pin.exp3(rng.normal(size=3))
         assert believed(R) == at.NO_REASON
