@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import osc_contact as osc
-from osc_contact.control.monitor import ContactMonitor, MonitorLimits
+from osc_contact.control.monitor import ContactMonitor, MonitorLimits, watch_series
 
 DT = 1e-3
 
@@ -106,3 +106,18 @@ def test_a_run_sees_contact_being_made_after_the_tare():
     t = recording["t"]
     assert not recording["contact_seen"][t < 0.4].any()
     assert recording["contact_seen"][t > 0.7].all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_series_is_watched_as_tick_by_tick(seed: int) -> None:
+    """Ticks that are passed over tell nothing new: contacts lost and made again, with bursts."""
+    rng = np.random.default_rng(seed)
+    alpha = np.repeat(rng.choice([8.0, 0.0, 0.45, 3.0], (60, 2)), rng.integers(1, 40, 60), axis=0)
+    alpha = alpha + 0.02 * rng.normal(size=alpha.shape)
+    speed = 0.02 * rng.normal(size=alpha.shape)
+    closed, collision = watch_series(ContactMonitor(2, DT), alpha, speed)
+    other = ContactMonitor(2, DT)
+    seen = [other.update(a, v) for a, v in zip(alpha, speed, strict=True)]
+    np.testing.assert_array_equal(closed, [one.closed for one in seen])
+    np.testing.assert_array_equal(collision, [one.collision for one in seen])
+    assert collision.any() and not closed.all() and closed.any()
