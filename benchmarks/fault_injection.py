@@ -1,21 +1,26 @@
 """Faults of sensors, actuators and references in closed loop: what the controller makes of them.
 
-    python benchmarks/fault_injection.py [--ticks 1000000] [--workers 2] [--kept FILE]
+    python benchmarks/fault_injection.py [--seeds 1] [--workers 2] [--kept FILE]
+    python benchmarks/fault_injection.py --quiet 60      # no fault for 60 s: nothing may stop
 
-Every kind of fault is tried in every phase of a run, with other seeds until there are enough ticks.
+Every kind of fault is tried in every phase of a run and in every packaged scenario, with no tick
+lost beside it and with every 2nd, 3rd and 10th one.
 Printed is, for each kind, how the runs ended and the largest of all figures; the exit code is 1 if
 a torque was not finite or beyond its limit or its rate, if a joint stayed beyond its speed limit or
 outside its range for 0.3 s without a stop, if the true contact force went beyond three times its
-command (or 30 N, whichever is more) where a sensor lied, or if a state is not one that the kind is
-to end in. With `--kept` each run is a line of that file, and the same command goes on where it was.
+command (or 30 N, whichever is more) where a sensor was faulty, if arms that were stopped are not at
+rest 0.5 s later (without `Controller.unbraked`), or if a state is not one that the kind is to end
+in. With `--kept` each run is a line of that file, and the same command continues where it was.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import sys
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -30,11 +35,27 @@ from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Reference, Stamps
 from osc_contact.runs.run import Taring, start
 
-__all__ = ["FAULTS", "PHASES", "Fault", "Trial", "Verdict", "try_fault"]
+__all__ = [
+    "FAULTS",
+    "LOSSES",
+    "PHASES",
+    "Case",
+    "Fault",
+    "Run",
+    "Trial",
+    "Verdict",
+    "stay_quiet",
+    "table",
+    "try_fault",
+    "try_faults",
+]
 
 RUN, DEGRADED, HOLD, SAFE_STOP = SafetyState
 STOP_WITHIN = 0.3  #: s
 FAULT_FOR = 0.6  #: s that a lasting fault is looked at
+REST_AFTER = 0.5  #: s after a stop, when the arms are at rest
+REST_SPEED, REST_TRAVEL = 0.1, 0.1  #: rad/s or m/s; rad or m since the stop
+LOSSES = (0, 2, 3, 10)  #: every so many-th tick is lost; 0: none
 NAN = float("nan")
 
 Change = Callable[["Trial", Measurement, Reference], tuple[Measurement, Reference]]
@@ -283,97 +304,206 @@ PHASES: dict[str, tuple[float, dict[str, Any]]] = {
 # --- one run --------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class Case:
+    """Where faults are put: a phase of a run, a scenario, which ticks are lost, a seed."""
+
+    phase: str = "contact"
+    scenario: str = "two_contact_rod"
+    every: int = 0
+    seed: int = 0
+
+    @property
+    def begin(self) -> float:
+        """When the fault begins (s): another moment for each seed."""
+        return PHASES[self.phase][0] + 0.003 * self.seed
+
+    def __str__(self) -> str:
+        lost = f", every {self.every}th tick lost" if self.every else ""
+        return f"{self.phase}, {self.scenario}{lost}"
+
+
 @dataclass
 class Verdict:
     """What a run showed. `wrong`: sentences; none if all was as it should be."""
 
     fault: str
-    phase: str
-    ticks: int
-    state: SafetyState
-    stopped: float | None
-    force: float
-    speed: float
-    rate: float
-    wrong: list[str]
-    reason: str = ""
-    seed: int = 0
-
-
-def try_fault(name: str, phase: str, seed: int = 0, scenario: str = "two_contact_rod") -> Verdict:
-    """Run a scenario up to a phase, then with the fault; judge it."""
-    begin, how = PHASES[phase]
-    fault = FAULTS[name]
-    scenario = how.get("scenario", scenario)
-    rig = osc.build_rig(_scenario(scenario, how.get("outward")))
-    plant, controller = start(rig, seed)
-    robot = rig.robot(plant, controller)
-    tick = controller.tick if rig.scenario.tare is None else Taring(rig, controller).tick
-    chain, dt = rig.model, controller.dt
-    act = np.array(chain.actuated)
-    limit, rate = chain.tau_max, controller.settings.safety.torque_rate
-    low, high = chain.model.lowerPositionLimit[act], chain.model.upperPositionLimit[act]
-    fastest = chain.model.velocityLimit[act]
-    trial = Trial(np.random.default_rng([seed, len(name)]), chain)
-    begin += 0.003 * seed  # another moment for each seed
-    first, last = round(begin / dt), round(min(begin + fault.lasts, 1e6) / dt)
-    ticks = first + round(FAULT_FOR / dt)
-    seen = {"force": 0.0, "speed": 0.0, "rate": 0.0}
-    wrong: list[str] = []
+    case: Case
+    ticks: int = 0
+    state: SafetyState = RUN
     stopped: float | None = None
-    beyond = outside = 0
-    before = controller.last_torques() if controller._records.ticked[0] else None
-    highest = 0.0
-    for k in range(ticks):
-        reference = rig.references.at(k * dt)
-        measurement = robot.measure()
-        if how.get("hold") and 8 < first - k <= 16:
+    force: float = 0.0
+    speed: float = 0.0
+    rate: float = 0.0
+    rest_speed: float = 0.0
+    travel: float = 0.0
+    unbraked: bool = False
+    wrong: list[str] = field(default_factory=list)
+    reason: str = ""
+
+
+class Run:
+    """One run: up to the fault, then with it. A copy of the process is a copy of the run."""
+
+    def __init__(self, case: Case) -> None:
+        """Build the rig of a case."""
+        how = PHASES[case.phase][1]
+        self.case, self.k, self.before = case, 0, None
+        self.hold = bool(how.get("hold"))
+        self.rig = osc.build_rig(_scenario(how.get("scenario", case.scenario), how.get("outward")))
+        self.plant, self.controller = start(self.rig, case.seed)
+        self.robot = self.rig.robot(self.plant, self.controller)
+        taring = self.rig.scenario.tare is not None
+        self.tick = Taring(self.rig, self.controller).tick if taring else self.controller.tick
+        self.dt, self.limit = self.controller.dt, self.rig.model.tau_max
+        if self.controller._records.ticked[0]:
+            self.before = self.controller.last_torques()
+        self.first = round(case.begin / self.dt)
+
+    def step(self, verdict: Verdict, trial: Trial | None, fault: Fault) -> Reference:
+        """One tick.
+
+        Args:
+            verdict: what is seen and wrong is noted there. trial: of a fault that lasts now.
+        """
+        k, case = self.k, self.case
+        reference, measurement = self.rig.references.at(k * self.dt), self.robot.measure()
+        if self.hold and 8 < self.first - k <= 16:
             measurement = replace(measurement, wrenches=np.full_like(measurement.wrenches, NAN))
-        if first <= k <= last:
-            trial.k = k - first
+        if trial is not None:
+            trial.k = k - self.first
             if fault.change is not None:
                 measurement, reference = fault.change(trial, measurement, reference)
-        tau = tick(measurement, reference)
-        if not np.isfinite(tau).all() or (np.abs(tau) > limit * (1 + 1e-9)).any():
-            wrong.append(f"tick {k}: torques {tau}")
-            break
-        if before is not None:
-            seen["rate"] = max(seen["rate"], float((np.abs(tau - before) / limit).max() / dt))
-        before = tau
+        if case.every and k % case.every == case.every - 1 and self.controller.engaged:
+            measurement = _lost(measurement)
+        tau = self.tick(measurement, reference)
+        if not np.isfinite(tau).all() or (np.abs(tau) > self.limit * (1 + 1e-9)).any():
+            verdict.wrong.append(f"tick {k}: torques {tau}")
+        if self.before is not None:
+            change = float((np.abs(tau - self.before) / self.limit).max() / self.dt)
+            verdict.rate = max(verdict.rate, change)
+        self.before = tau
         sent = tau
-        if fault.torque is not None and first <= k <= last:
+        if fault.torque is not None and trial is not None:
             sent = fault.torque(trial, tau.copy())
         try:
-            robot.command(sent, dt)
+            self.robot.command(sent, self.dt)
         except PlantError as error:
-            wrong.append(f"tick {k}: {error}"[:90])
-            break
-        if k < first:
-            continue
-        if stopped is None and controller.state is SAFE_STOP:
-            stopped = (k - first) * dt
-        true, truth = _inside(plant).measure(), plant.truth()
-        speeds = np.abs(true.v[act]) / fastest
-        seen["speed"] = max(seen["speed"], float(speeds.max()))
-        beyond = beyond + 1 if (speeds > 1.0).any() else 0
-        out = (true.q[act] < low) | (true.q[act] > high)
-        outside = outside + 1 if out.any() else 0
-        command = float(np.max(np.abs(reference.alpha_d), initial=0.0))
-        highest = max(highest, command)
-        force = float(np.max(np.abs(truth.alpha), initial=0.0))
-        seen["force"] = max(seen["force"], force)
-        if controller.state is not SAFE_STOP and max(beyond, outside) * dt > STOP_WITHIN:
-            wrong.append(f"tick {k}: joints beyond their limits and no stop")
-            break
-    most = max(3.0 * highest, 30.0)
-    if fault.lies and seen["force"] > most:
-        wrong.append(f"contact force {seen['force']:.1f} N, at most {most:.1f} N are allowed")
-    if seen["rate"] > rate * (1 + 1e-6):
-        wrong.append(f"torque rate {seen['rate']:.0f} 1/s")
-    if controller.state not in fault.ends:
-        wrong.append(f"ended in {controller.state.name}: {controller.reason[:60]}")
-    return Verdict(name, phase, ticks, controller.state, stopped, **seen, wrong=wrong,
-                   reason=controller.reason, seed=seed)  # fmt: skip
+            verdict.wrong.append(f"tick {k}: {error}"[:90])
+        self.k += 1
+        return reference
+
+    def lead_in(self) -> None:
+        """Up to the fault."""
+        seen = Verdict("no fault", self.case)
+        while self.k < self.first and not seen.wrong:
+            self.step(seen, None, FAULTS["no fault"])
+
+    def judge(self, name: str) -> Verdict:
+        """The run with the fault, from where it begins."""
+        fault, case, dt, chain = FAULTS[name], self.case, self.dt, self.rig.model
+        verdict = Verdict(name, case)
+        trial = Trial(np.random.default_rng([case.seed, len(name)]), chain)
+        last = round(min(case.begin + fault.lasts, 1e6) / dt)
+        act = np.array(chain.actuated)
+        model = chain.model
+        low, high = model.lowerPositionLimit[act], model.upperPositionLimit[act]
+        beyond = outside = 0
+        highest, end, stop_q = 0.0, self.first + round(FAULT_FOR / dt), np.zeros(0)
+        while self.k < end and not verdict.wrong:
+            k = self.k
+            active = trial if k <= last else None
+            reference = self.step(verdict, active, fault)
+            true, truth = _inside(self.plant).measure(), self.plant.truth()
+            if verdict.stopped is None and self.controller.state is SAFE_STOP:
+                verdict.stopped, stop_q = (k - self.first) * dt, true.q[act]
+                end = max(end, k + round(REST_AFTER / dt))
+            verdict.unbraked = verdict.unbraked or self.controller.unbraked is not None
+            speeds = np.abs(true.v[act])
+            verdict.rest_speed = float(speeds.max())
+            if verdict.stopped is not None:
+                verdict.travel = float(np.abs(true.q[act] - stop_q).max())
+            share = speeds / model.velocityLimit[act]
+            verdict.speed = max(verdict.speed, float(share.max()))
+            beyond = beyond + 1 if (share > 1.0).any() else 0
+            out = (true.q[act] < low) | (true.q[act] > high)
+            outside = outside + 1 if out.any() else 0
+            highest = max(highest, float(np.max(np.abs(reference.alpha_d), initial=0.0)))
+            verdict.force = max(verdict.force, float(np.max(np.abs(truth.alpha), initial=0.0)))
+            if self.controller.state is not SAFE_STOP and max(beyond, outside) * dt > STOP_WITHIN:
+                verdict.wrong.append(f"tick {k}: joints beyond their limits and no stop")
+        verdict.ticks, verdict.state = self.k, self.controller.state
+        verdict.reason = self.controller.reason
+        self._judge_end(verdict, fault, max(3.0 * highest, 30.0))
+        return verdict
+
+    def _judge_end(self, verdict: Verdict, fault: Fault, most: float) -> None:
+        wrong = verdict.wrong
+        if fault.lies and verdict.force > most:
+            wrong.append(f"contact force {verdict.force:.1f} N, at most {most:.1f} N are allowed")
+        if verdict.rate > self.controller.settings.safety.torque_rate * (1 + 1e-6):
+            wrong.append(f"torque rate {verdict.rate:.0f} 1/s")
+        stops = (SAFE_STOP,) if self.case.every and verdict.fault != "no fault" else ()
+        if verdict.state not in fault.ends + stops:
+            wrong.append(f"ended in {verdict.state.name}: {verdict.reason[:60]}")
+        if verdict.stopped is None or verdict.unbraked or not fault.lies:
+            return
+        if verdict.rest_speed > REST_SPEED:
+            wrong.append(f"{verdict.rest_speed:.2f} rad/s (m/s) {REST_AFTER:g} s after the stop")
+        if verdict.travel > REST_TRAVEL:
+            wrong.append(f"moved by {verdict.travel:.2f} rad (m) since the stop")
+
+
+def try_fault(name: str, phase: str, seed: int = 0, scenario: str = "two_contact_rod",
+              every: int = 0) -> Verdict:  # fmt: skip
+    """Run a scenario up to a phase, then with the fault; judge it."""
+    run = Run(Case(phase, scenario, every, seed))
+    run.lead_in()
+    return run.judge(name)
+
+
+def try_faults(case: Case, names: Sequence[str]) -> list[Verdict]:
+    """The same of several faults: each is put into a copy of the process at the same instant."""
+    run = Run(case)
+    run.lead_in()
+    fork = multiprocessing.get_context("fork")
+    verdicts = []
+    for name in names:
+        receiver, sender = fork.Pipe(duplex=False)
+        child = fork.Process(target=lambda name, out: out.send(run.judge(name)),
+                             args=(name, sender))  # fmt: skip
+        child.start()
+        sender.close()
+        try:
+            verdicts.append(receiver.recv())
+        except EOFError:
+            verdicts.append(Verdict(name, case, wrong=["the process died"]))
+        child.join()
+    return verdicts
+
+
+def _lost(m: Measurement) -> Measurement:
+    """A tick in which no packet came."""
+    return replace(m, q=m.q * NAN, v=m.v * NAN, wrenches=m.wrenches * NAN)
+
+
+def stay_quiet(scenario: str, seconds: float, noise: float = 0.5, late: float = 3e-3) -> str:
+    """Run a scenario without any fault, wrists noisy (N) and late (s); why it stopped, or ''."""
+    run, rng = Run(Case(scenario=scenario)), np.random.default_rng(5)
+    measure, queue = run.robot.measure, deque[np.ndarray](maxlen=round(late / run.dt) + 1)
+
+    def noisy() -> Measurement:
+        m = measure()
+        size = noise * np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+        queue.append(m.wrenches + size * rng.normal(size=m.wrenches.shape))
+        return replace(m, wrenches=queue[0])
+
+    run.robot.measure = noisy  # type: ignore[method-assign]
+    seen = Verdict("no fault", run.case)
+    while run.k * run.dt < seconds and not seen.wrong and run.controller.state is not SAFE_STOP:
+        run.step(seen, None, FAULTS["no fault"])
+    stopped = run.controller.reason if run.controller.state is SAFE_STOP else ""
+    return "; ".join([*seen.wrong, stopped] if stopped else seen.wrong)
 
 
 def _scenario(name: str, outward: float | None) -> osc.Scenario:
@@ -400,20 +530,15 @@ def _inside(plant: Any) -> Any:
 # --- all of them ----------------------------------------------------------------------------------
 
 
-def _jobs(ticks: int, faults: list[str], phases: list[str]) -> Iterator[tuple[str, str, int]]:
-    """(fault, phase, seed) until that many ticks are run."""
-    left, seed = ticks, 0
-    while left > 0:
-        for name in faults:
-            for phase in phases:
-                if left > 0:
-                    yield name, phase, seed
-                left -= round(1000 * (PHASES[phase][0] + FAULT_FOR + 0.003 * seed))
-        seed += 1
-
-
-def _work(job: tuple[str, str, int]) -> Verdict:
-    return try_fault(*job)
+def cases(seeds: int) -> Iterator[Case]:
+    """Every phase, then every other packaged scenario in contact; each with every loss."""
+    for seed in range(seeds):
+        for every in LOSSES:
+            for phase in PHASES:
+                yield Case(phase, every=every, seed=seed)
+            for scenario in sorted(osc.list_scenarios()):
+                if scenario != "two_contact_rod":
+                    yield Case("contact", scenario, every, seed)
 
 
 def _read(kept: Path | None) -> list[Verdict]:
@@ -422,7 +547,10 @@ def _read(kept: Path | None) -> list[Verdict]:
         return []
     lines = [line for line in kept.read_text().splitlines(True) if line.endswith("\n")]
     kept.write_text("".join(lines))
-    return [Verdict(**row | {"state": SafetyState[row["state"]]}) for row in map(json.loads, lines)]
+    return [
+        Verdict(**row | {"state": SafetyState[row["state"]], "case": Case(**row["case"])})
+        for row in map(json.loads, lines)
+    ]
 
 
 def _keep(verdict: Verdict, kept: Path | None) -> Verdict:
@@ -435,7 +563,7 @@ def _keep(verdict: Verdict, kept: Path | None) -> Verdict:
 def table(verdicts: list[Verdict]) -> str:
     """One line for each kind."""
     head = ("fault", "runs", "ticks", "RUN", "DEGR", "HOLD", "STOP", "latest stop s", "force N",
-            "speed", "rate 1/s", "wrong")  # fmt: skip
+            "speed", "rate 1/s", "rad/s at rest", "unbraked", "wrong")  # fmt: skip
     rows = [head]
     for name in FAULTS:
         mine = [v for v in verdicts if v.fault == name]
@@ -443,10 +571,12 @@ def table(verdicts: list[Verdict]) -> str:
             continue
         states = [sum(v.state is s for v in mine) for s in SafetyState]
         stops = [v.stopped for v in mine if v.stopped is not None]
+        rests = [v.rest_speed for v in mine if v.stopped is not None and not v.unbraked]
         rows.append((
             name, str(len(mine)), str(sum(v.ticks for v in mine)), *map(str, states),
             f"{max(stops):.3f}" if stops else "-", f"{max(v.force for v in mine):.1f}",
             f"{max(v.speed for v in mine):.2f}", f"{max(v.rate for v in mine):.0f}",
+            f"{max(rests, default=0.0):.3f}", str(sum(v.unbraked for v in mine)),
             str(sum(bool(v.wrong) for v in mine)),
         ))  # fmt: skip
     widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
@@ -459,33 +589,55 @@ def table(verdicts: list[Verdict]) -> str:
     )
 
 
+def _work(job: tuple[Case, list[str]]) -> list[Verdict]:
+    return try_faults(*job)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run them all; 1 if anything was wrong."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--ticks", type=int, default=1_000_000)
+    parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--fault", action="append", choices=list(FAULTS))
     parser.add_argument("--phase", action="append", choices=list(PHASES))
-    parser.add_argument("--kept", type=Path, help="a file of runs, gone on with")
+    parser.add_argument("--scenario", action="append", choices=sorted(osc.list_scenarios()))
+    parser.add_argument("--every", action="append", type=int, choices=LOSSES)
+    parser.add_argument("--kept", type=Path, help="a file of runs, to be continued")
+    parser.add_argument("--quiet", type=float, metavar="S", help="s without a fault instead")
     given = parser.parse_args(argv)
-    jobs = list(_jobs(given.ticks, given.fault or list(FAULTS), given.phase or list(PHASES)))
-    wanted = set(jobs)
-    verdicts = [v for v in _read(given.kept) if (v.fault, v.phase, v.seed) in wanted]
-    done = {(v.fault, v.phase, v.seed) for v in verdicts}
-    jobs = [job for job in jobs if job not in done]
-    if given.workers == 1:
-        verdicts += [_keep(v, given.kept) for v in map(_work, jobs)]
-    else:
-        with ProcessPoolExecutor(given.workers) as pool:
-            found = pool.map(_work, jobs, chunksize=4)
+    if given.quiet:
+        return _try_quiet(
+            given.scenario or sorted(osc.list_scenarios()), given.quiet, given.workers
+        )
+    names = given.fault or list(FAULTS)
+    chosen = [
+        case for case in cases(given.seeds)
+        if (not given.phase or case.phase in given.phase)
+        and (not given.scenario or case.scenario in given.scenario)
+        and (given.every is None or case.every in given.every)
+    ]  # fmt: skip
+    verdicts = [v for v in _read(given.kept) if v.case in chosen and v.fault in names]
+    done = {(v.fault, v.case) for v in verdicts}
+    jobs = [(case, [name for name in names if (name, case) not in done]) for case in chosen]
+    with ProcessPoolExecutor(given.workers) as pool:
+        for found in pool.map(_work, [job for job in jobs if job[1]]):
             verdicts += [_keep(v, given.kept) for v in found]
+            print(f"{found[0].case}: {sum(bool(v.wrong) for v in found)} wrong", flush=True)
     print(table(verdicts))
     wrong = [v for v in verdicts if v.wrong]
-    for v in wrong[:60]:
-        print(f"{v.fault} / {v.phase}: {'; '.join(v.wrong)}")
+    for v in wrong[:80]:
+        print(f"{v.fault} / {v.case}: {'; '.join(v.wrong)}")
     total = sum(v.ticks for v in verdicts)
-    print(f"{len(FAULTS)} kinds, {len(verdicts)} runs, {total} ticks, {len(wrong)} of them wrong")
+    print(f"{len(names)} kinds, {len(verdicts)} runs, {total} ticks, {len(wrong)} runs are wrong")
     return 1 if wrong else 0
+
+
+def _try_quiet(scenarios: Sequence[str], seconds: float, workers: int) -> int:
+    with ProcessPoolExecutor(workers) as pool:
+        reasons = list(pool.map(stay_quiet, scenarios, [seconds] * len(scenarios)))
+    for name, reason in zip(scenarios, reasons, strict=True):
+        print(f"{name}: {reason or f'{seconds:g} s, no stop'}")
+    return 1 if any(reasons) else 0
 
 
 if __name__ == "__main__":

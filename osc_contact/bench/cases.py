@@ -71,6 +71,7 @@ def repeatable(controller: Controller) -> Controller:
         frozen_time=np.inf,
         speed_error=np.inf,
         position_drift=np.inf,
+        wrist_error=np.inf,
     )
     return controller.with_safety(endless)
 

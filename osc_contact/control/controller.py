@@ -36,7 +36,7 @@ from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows
-from osc_contact.law.tables import BODY, OBJECT_UNKNOWN
+from osc_contact.law.tables import BODY, JOINTS, OBJECT_UNKNOWN, WRISTS
 from osc_contact.spatial import Array
 
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
@@ -212,7 +212,7 @@ class Controller(ControllerCopies):
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
         """The same with bodies that move, stamps, three arms and more, or code of the user's."""
         if not self._converting:
-            self._freshness.require(measurement)
+            self._records.memory.repeated = self._freshness.require(measurement)
         if measurement.wrench_valid is not None and not measurement.wrench_valid:
             self._records.memory.wrench_missing = 1
         touched, flags, table = measurement.touched, 0, self._still
@@ -249,6 +249,8 @@ class Controller(ControllerCopies):
             self._converting = True
             return self.tick(*convert_arrays(measurement, reference))
         except Exception as why:
+            if isinstance(why, SensorTimeout):
+                self._records.memory.repeated = JOINTS | WRISTS
             if not self._records.memory.ticked:
                 require_shapes(measurement, reference, self.settings)
             self._inputs, self._failure = (measurement, reference), why

@@ -81,13 +81,33 @@ class ControllerState:
         """Ticks in a row, up to the last one, that could not be computed."""
         return int(self._records.memory.faults)
 
+    @property
+    def repeated(self) -> int:
+        """Ticks in a row, up to the last one, computed with readings that were there before."""
+        return self._freshness.repeated
+
+    @property
+    def unbraked(self) -> str | None:
+        """A joint without any sound reading, so that it cannot be braked reliably; None: none.
+
+        The arms are to be stopped by their mechanical brakes then.
+        """
+        joint = int(self._records.memory.unbraked)
+        stopped = self.state is SafetyState.SAFE_STOP
+        return self.chain.joint_names[joint] if stopped and joint >= 0 else None
+
     def reset(self) -> None:
         """Run again after a stop: both integrals at zero, tare, bias and phases as they are."""
         memory = self._records.memory
         self._freshness.forget()
-        memory.state, memory.age, memory.faults, memory.overspeed = SafetyState.RUN, 0, 0, 0
-        memory.powered = memory.ending = 0.0
-        memory.compared = memory.frozen = memory.still = memory.wrench_age = 0
+        memory.state = SafetyState.RUN
+        for name in (
+            "age", "faults", "lost", "overspeed", "powered", "ending", "compared", "frozen",
+            "still", "wrench_age",
+        ):  # fmt: skip
+            setattr(memory, name, 0)
+        for rows in (self._records.joint_memory, self._records.arm_memory):
+            rows.view(np.ndarray)[:] = np.zeros(1, rows.dtype)
         for name in ("underforce", "overforce", "astray"):
             self._records.column_memory[name][:] = 0.0
         memory.repeats, memory.fresh, memory.motion_sum[:], memory.force_sum[:] = 0, 0, 0.0, 0.0

@@ -1,55 +1,66 @@
-"""Whether a packet is a new one: its sequence number and its stamps, where they are given."""
+"""Whether readings are new: a packet's sequence number and its stamps, where they are given."""
 
 from __future__ import annotations
 
 from osc_contact.errors import SensorTimeout
-from osc_contact.interface import Measurement, Stamps
+from osc_contact.interface import Measurement
+from osc_contact.law.tables import JOINTS, WRISTS
 
 __all__ = ["Freshness"]
 
 _NEVER = float("-inf")
+_READINGS = {"encoders": JOINTS, "wrists": WRISTS, "packet": JOINTS | WRISTS}
 
 
 class Freshness:
-    """What was newest so far, of one controller."""
+    """The newest packet and stamps so far, of one controller.
+
+    Attributes:
+        repeated: ticks in a row, up to the last one, that repeated readings.
+    """
 
     def __init__(self, dt: float, patience: float) -> None:
-        """Judge packets that come every dt (s); stamps may stand still for `patience` (s)."""
+        """Judge packets that come every dt (s); readings may be repeated for `patience` (s)."""
         self.dt, self.patience = dt, patience
         self.forget()
 
     def forget(self) -> None:
         """Begin again."""
-        self._sequence: int | None = None
-        self._stamps = {"encoders": _NEVER, "wrists": _NEVER}
-        self._ages = {"encoders": 0.0, "wrists": 0.0}
+        self._newest = dict.fromkeys(_READINGS, _NEVER)
+        self._ages = dict.fromkeys(_READINGS, 0.0)
+        self.repeated = 0
 
-    def require(self, measurement: Measurement) -> None:
-        """Refuse a packet that is none or no newer than the last, and readings that are too old.
+    def require(self, measurement: Measurement) -> int:
+        """Which readings are repeated, as flags JOINTS, WRISTS.
 
         Raises:
-            SensorTimeout: with what was repeated, and how old it is.
+            SensorTimeout: readings that are too old, or a packet older than one read before.
         """
-        if measurement.stamps is not None:
-            self._require_stamps(measurement.stamps)
-        number, last = measurement.sequence, self._sequence
-        if number is None:
-            return
-        if last is not None and number <= last:
-            what = "came twice" if number == last else f"came after packet {last}"
-            raise SensorTimeout(f"packet {number} {what}; nothing new was read")
-        self._sequence = number
-
-    def _require_stamps(self, stamps: Stamps) -> None:
-        for name, newest in self._stamps.items():
-            stamp = getattr(stamps, name)
-            if stamp > newest:
-                self._stamps[name], self._ages[name] = stamp, 0.0
+        stamps, number = measurement.stamps, measurement.sequence
+        given: dict[str, float] = {}
+        if stamps is not None:
+            given = {"encoders": stamps.encoders, "wrists": stamps.wrists}
+        if number is not None:
+            given["packet"] = number
+        flags = 0
+        for name, stamp in given.items():
+            if stamp > self._newest[name]:
+                self._newest[name] = stamp
+                self._ages[name] = 0.0
+            elif name == "packet" and stamp < self._newest[name]:
+                raise SensorTimeout(
+                    f"packet {number} came after packet {self._newest[name]:.0f}; it is not used"
+                )
             else:
                 self._ages[name] += self.dt
+                flags |= _READINGS[name]
+        self.repeated = self.repeated + 1 if flags else 0
         for name, age in self._ages.items():
             if age > self.patience * (1.0 + 1e-9):
+                newest = self._newest[name]
+                which = f"packet {newest:.0f}" if name == "packet" else f"{name} of {newest:g} s"
                 raise SensorTimeout(
-                    f"{name}: the newest reading is of {self._stamps[name]:g} s and {age:.4g} s "
-                    f"old; more than wrench_timeout = {self.patience:g} s is not run on"
+                    f"nothing newer than {which} was read for {age:.4g} s; more than "
+                    f"wrench_timeout = {self.patience:g} s is not run on"
                 )
+        return flags

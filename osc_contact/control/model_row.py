@@ -101,7 +101,8 @@ class ModelRow:
         for name in ("repeats", "hold_rate", "torque_rate", "reaction", "contact_power",
                      "contact_force", "contact_loss_time", "regain_time", "overforce_time",
                      "integral_force", "integral_motion", "plausible_speed", "wrench_timeout",
-                     "stuck_speed", "frozen_time", "speed_error", "position_drift"):  # fmt: skip
+                     "stuck_speed", "frozen_time", "speed_error", "position_drift",
+                     "wrist_error", "closure_error"):  # fmt: skip
             setattr(head, name, getattr(safety, name))
         head.guarded, head.fault_ticks = 1, safety.stop_after
         head.fast_ticks = round(min(safety.overspeed_time / settings.dt, _NEVER))

@@ -194,9 +194,8 @@ class Outside:
         old = controller._records
         columns = {**old.row.pairs.given, **changed}
         new = TickRecords(self.pack(columns))
-        new.memory_bytes[: old.memory.itemsize] = old.memory_bytes[: old.memory.itemsize]
-        new.contacts[:], new.torques[:] = old.contacts, old.torques
-        new.joint_memory[:] = old.joint_memory
+        same = int(new.row.head.column_memory_at)
+        new.memory_bytes[:same] = old.memory_bytes[:same]
         owners = np.asarray(new.row.pairs.owners, dtype=int)
         new.column_memory.closed[:] = new.contacts.phase[owners] == 2
         controller._take_records(new)

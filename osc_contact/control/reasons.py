@@ -130,6 +130,12 @@ def explain(
                 or _not_believed(rows, settings, cause)
                 or _SENTENCES.get(cause, "")
             )
+        joint = int(rows.memory.unbraked)
+        if joint >= 0:
+            why = (
+                f"{why}. No sound reading of joint {settings.chain.joint_names[joint]} is left: it "
+                "cannot be braked by its motor, engage the mechanical brakes"
+            )
         return f"stopped, until reset() is called. Cause: {why or 'code called in the tick failed'}"
     if failure is not None:
         return str(failure)
@@ -257,6 +263,18 @@ def _limit_passed(rows: TickRecords, settings: Settings, code: int) -> str:
             f"differ by more than {safety.speed_error:g} of its speed limit, or positions drift by "
             f"more than {safety.position_drift:g} rad or m from what speeds add up to"
         )
+    if code == at.UNBALANCED:
+        return (
+            f"the motor torques of arm '{chain.arms[culprit].name}' contradict its wrist by more "
+            f"than wrist_error = {safety.wrist_error:g} of their limits: the sensor's sign, scale, "
+            "offset, frame or arm is wrong, or the masses of the links, or a joint rubs"
+        )
+    if code == at.APART:
+        return (
+            f"arm '{chain.arms[culprit].name}' is more than closure_error = "
+            f"{1e3 * safety.closure_error:g} mm away from where the others hold the object: an "
+            "encoder is wrong, those of two arms are swapped, or a grasp has slipped"
+        )
     if code == at.WRIST_FROZEN:
         return (
             f"the wrist of arm '{chain.arms[culprit].name}' reads the very same for "
@@ -266,8 +284,7 @@ def _limit_passed(rows: TickRecords, settings: Settings, code: int) -> str:
     if code == at.FROZEN:
         return (
             f"all readings are the very same for {safety.frozen_time:g} s: a packet repeats "
-            "itself. "
-            "Sensors too coarse to show any noise take frozen_time = inf"
+            "itself. Sensors too coarse to show any noise take frozen_time = inf"
         )
     if code == at.POWERED:
         return f"more than contact_power = {safety.contact_power:g} W went into the contacts"

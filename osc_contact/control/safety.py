@@ -22,7 +22,7 @@ _OPEN = (
     "overspeed_time", "torque_rate", "contact_power", "contact_force", "overforce_time",
     "contact_loss_time", "regain_time", "integral_force", "integral_motion", "force_range",
     "torque_range", "plausible_speed", "wrench_timeout", "stuck_speed", "frozen_time",
-    "speed_error", "position_drift",
+    "speed_error", "position_drift", "wrist_error", "closure_error",
 )  # fmt: skip
 
 
@@ -71,6 +71,9 @@ class SafetySettings:
         speed_error: times a joint's speed limit; speeds that differ from those of the positions by
             more, for 20 ms or so, stop it. position_drift: rad, m; so do positions that drift away
             by more, within half a second, from what speeds add up to.
+        wrist_error: times a joint's torque limit; motor torques that the model and the wrist's
+            reading leave unexplained by more than is usual, or by twice that in all, stop it.
+        closure_error: m; arms whose encoders place the object they hold further apart stop it.
     """
 
     repeats: int = 2
@@ -94,6 +97,8 @@ class SafetySettings:
     frozen_time: float = 0.25
     speed_error: float = 0.1
     position_drift: float = 0.02
+    wrist_error: float = 0.05
+    closure_error: float = 0.02
 
     @classmethod
     def motors_only(cls) -> SafetySettings:

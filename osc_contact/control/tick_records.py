@@ -27,7 +27,8 @@ class TickRecords:
 
     Attributes:
         row: MODEL. memory_bytes, work_bytes: the others. memory, contacts, column_memory, torques,
-            joint_memory: views of MEMORY. work, arms, joints, columns, bodies: views of WORK.
+            joint_memory, arm_memory: views of MEMORY.
+        work, arms, joints, columns, bodies: views of WORK.
         given_columns: N (r_all, 6), n_γ and N_μ − N, where pairs in Python put them.
         floats: WORK as numbers; what recordings keep are slices of it.
         rank, engaged, ticked: (1,) of WORK and MEMORY. X_WO, V_O: of WORK.
@@ -51,8 +52,8 @@ class TickRecords:
         start = int(head.torque_memory_at)
         self.torques: Array = raw[start : start + 8 * int(head.n_motors)].view(np.float64)
         n = int(head.n_joints)
-        start = int(head.kept_at)
-        self.joint_memory: Array = raw[start : start + 48 * n].view(np.float64)
+        self.joint_memory = records(raw, int(head.joint_memory_at), n, at.JOINT_MEMORY)
+        self.arm_memory = records(raw, int(head.arm_memory_at), int(head.n_arms), at.ARM_MEMORY)
         raw = self.work_bytes
         self.work = records(raw, 0, 1, at.WORK)[0]
         self.rank = _cell(raw, at.WORK, "rank")

@@ -59,7 +59,7 @@ class MotorLimits:
         if len(rows.bars) > 1:
             s = int(self._sizes[3])
             rows.bars[:] -= rows.bar_basis()[:, :s] @ program.lost_squeeze[:s]
-        rows.memory.faults = 0
+        _count_computed(rows)
         if not self._warm:
             self._fill, self._settle, self._warm = direct(self._fill), direct(self._settle), True
 
@@ -98,11 +98,18 @@ def scale_torques(rows: TickRecords, chain: ClosedChain, tau: Array) -> LimitLos
         tau[:] = rows.torques + (tau - rows.torques) / max(
             1.0, np.max(np.abs(tau - rows.torques) / step)
         )
-    rows.torques[:], rows.memory.faults = tau, 0
+    rows.torques[:] = tau
+    _count_computed(rows)
     return LimitLoss(
         (chain.joint_names[chain.actuated[motor]],), wanted[[motor]], chain.tau_max[[motor]],
         np.zeros(0), np.zeros(6), np.zeros(0), False,
     )  # fmt: skip
+
+
+def _count_computed(rows: TickRecords) -> None:
+    """Note that this tick was computed after all, as `law.safety` does of others."""
+    rows.memory.faults = 0
+    rows.memory.lost = max(int(rows.memory.lost) - 1, 0)
 
 
 def _count_idle(chain: ClosedChain) -> int:

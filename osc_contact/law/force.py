@@ -12,6 +12,7 @@ from osc_contact.law.jit import inner, leaf
 from osc_contact.law.six import dot6, fill, reflect, reflect_back, six
 
 __all__ = [
+    "add_reading",
     "add_friction",
     "command_force",
     "contact_laws",
@@ -47,7 +48,7 @@ def add_friction(columns, work):
 
 
 @inner
-def _add_reading(reading, joint, sensor, C, scratch, total):
+def add_reading(reading, joint, sensor, C, scratch, total):
     """Add one wrist's reading (6,), rotated to world axes and carried to C.
 
     Args:
@@ -86,12 +87,12 @@ def sum_readings(chain, arms, arm_work, joints, work, wrenches, f_tare):
         if arm.filtered != 0:
             for i in range(6):
                 own[i] = 0.0
-            _add_reading(wrenches[k], joint, arm.sensor, work.C, work.s, own)
+            add_reading(wrenches[k], joint, arm.sensor, work.C, work.s, own)
             filter_reading(work.axes, arm_work[k].filter, own, work.u)
             for i in range(6):
                 total[i] += own[i]
         else:
-            _add_reading(wrenches[k], joint, arm.sensor, work.C, work.s, total)
+            add_reading(wrenches[k], joint, arm.sensor, work.C, work.s, total)
     f_meas = work.f_meas
     carry_wrench(total, work.C, work.O, f_meas)
     for i in range(6):

@@ -43,8 +43,10 @@ def new_model(
     })  # fmt: skip
     memory, memory_size = at.allocate({
         "head": at.MEMORY_BYTES, "contact_memory": c * at.CONTACT_MEMORY_BYTES,
-        "column_memory": r * at.COLUMN_MEMORY_BYTES, "torque_memory": 8 * motors,
-        "kept": 8 * 6 * n, "last_wrenches": 8 * 7 * k,
+        "torque_memory": 8 * motors,
+        "joint_memory": n * at.JOINT_MEMORY_BYTES, "arm_memory": k * at.ARM_MEMORY_BYTES,
+        "estimate": 8 * 2 * n, "last_wrenches": 8 * 6 * k,
+        "column_memory": r * at.COLUMN_MEMORY_BYTES,  # last: pairs in Python may change r
     })  # fmt: skip
     work, work_size = at.allocate({
         "head": at.WORK_BYTES, "arm_work": k * at.ARM_WORK_BYTES,

@@ -173,7 +173,9 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
                 chain.patience, chain.window, dwell, chain.leaving, more,
             )  # fmt: skip
             if before == OPEN:
-                row.closed, row.collision = 0, 0
+                row.closed, row.collision, contact.held = 0, 0, 0
+            elif row.high_for > chain.dwell:
+                contact.held = 1
             desired = desired or wanted[j] > 0.0
             some_closed = some_closed or row.closed != 0
             light = wanted[j] <= chain.force_on  # too little to be distinguished from nothing
@@ -191,7 +193,8 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
                 row, known = column_memory[j], before != OPEN and phase != OPEN
                 held = phase == CLOSED and contact.since > chain.rise
                 row.gap = max(row.gap - dt * row.speed, 0.0) if known and not held else 0.0
-                lost = row.astray > 0.0 or (before == CLOSED and phase == APPROACHING)
+                left = before == CLOSED and phase == APPROACHING and contact.held != 0
+                lost = row.astray > 0.0 or left
                 row.astray = row.astray + dt if lost and known and not held else 0.0
     return changed
 

@@ -4,8 +4,8 @@ RUN       computed, nothing lost
 DEGRADED  motors at their limits or a singular posture near; or not computed, for a tick or two:
           the last torques go on
 HOLD      not computed: gravity compensation and damping at the last posture that was read
-SAFE_STOP not computed for too long, or a limit of the robot is passed, see `watch`: braked to rest,
-          then held; ends by a reset only
+SAFE_STOP not computed for too long or too often, a limit of the robot is passed, see `watch`, or a
+          sensor is faulty, see `sensors`: braked to rest, then held; ends by a reset only
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from math import isfinite
 from osc_contact.law.algebra import cross
 from osc_contact.law.arm_motion import move_arm, place_arm, place_point
 from osc_contact.law.energy import carry_wrench
-from osc_contact.law.jit import inner, leaf
+from osc_contact.law.jit import inner
 from osc_contact.law.phases import slew
-from osc_contact.law.plausibility import check_sensors, jumped
+from osc_contact.law.sensors import check_sensors, estimate_joints
 from osc_contact.law.tables import (
     DEGRADED_STATE,
     HOLD,
@@ -27,7 +27,6 @@ from osc_contact.law.tables import (
     RUN,
     SAFE_STOP,
     SATURATED,
-    STUCK,
 )
 
 __all__ = ["BRAKE_RATE", "guard"]
@@ -41,53 +40,58 @@ _HASTE = 4.0  #: times that, where a joint is above its speed limit
 
 @inner
 def guard(
-    chain, arms, table, work, memory, joints, kept, last_wrenches, step, q, v, wrenches, last,
-    tau, first, reason,
+    chain, arms, table, work, memory, joints, joint_memory, arm_memory, estimate, last_wrenches,
+    step, q, v, wrenches, last, tau, first, reason,
 ):  # fmt: skip
     """The state after this tick, and the torques of one that was not computed; its reason.
 
     Args:
         chain, arms, table: CHAIN record, ARM and JOINT rows. work, memory: records.
         joints: JOINT_WORK rows; those of a tick that is held lose placements, h and M.
-        kept: (6 n,) of MEMORY: joint positions last read, those held, speeds, what joints that
-            stood still were to gain, by what speeds disagree, and by what positions have drifted
-            away from them (see `plausibility`).
-        last_wrenches: (7 arms,) of MEMORY: wrenches last read, and for how long (s).
+        joint_memory, arm_memory: JOINT_MEMORY and ARM_MEMORY rows.
+        estimate: (2 n,) of MEMORY: joint positions and speeds, see `sensors.estimate_joints`.
+        last_wrenches: (6 arms,) of MEMORY: wrenches last read.
         step: (motors,) scratch. q, v: (n,) and wrenches: (arms, 6) as they came in.
         last: (motors,) torques of the last tick, tau[first:] of this.
         reason: of the tick so far.
     """
     memory.wrench_age = memory.wrench_age + 1 if memory.wrench_missing != 0 else 0
+    cause = check_sensors(
+        chain, arms, table, memory, joint_memory, arm_memory, last_wrenches, q, v, wrenches
+    )
+    estimate_joints(chain, table, memory, joint_memory, estimate)
     if reason == NO_REASON:
-        cause = check_sensors(
-            chain, arms, table, work, memory, joints, kept, last_wrenches, q, v, wrenches
-        )
+        for j in range(chain.n_joints):
+            joint_memory[j].acceleration = joints[j].acceleration
+        memory.has_wrench = 1
         if work.status != SATURATED:  # then the motor limits still have to be met
-            memory.faults = 0
-        memory.read, memory.repeats = 1, chain.repeats if work.status != SATURATED else 0
+            memory.faults, memory.lost = 0, max(memory.lost - 1, 0)
+        memory.repeats = chain.repeats if work.status != SATURATED else 0
         fine = work.status == OK and memory.wrench_missing == 0
         _enter(memory, RUN if fine else DEGRADED_STATE)
         if cause != NO_REASON:  # these torques still are good: the next tick stops
             memory.cause = cause
             _enter(memory, SAFE_STOP)
         return NO_REASON
-    if memory.state != SAFE_STOP:
-        memory.faults += 1
-        memory.cause = reason
-        if memory.faults >= chain.fault_ticks or reason >= OVERSPEED:
+    memory.faults += 1
+    memory.lost += 1
+    if memory.state == SAFE_STOP:
+        _enter(memory, SAFE_STOP)
+    else:
+        memory.cause = reason if cause == NO_REASON else cause
+        if memory.lost >= chain.fault_ticks or memory.cause >= OVERSPEED:
             _enter(memory, SAFE_STOP)
         elif memory.faults > memory.repeats:
             _enter(memory, HOLD)
         else:
             _enter(memory, DEGRADED_STATE)
-    else:
-        _enter(memory, SAFE_STOP)
-    read = _read_joints(chain, table, memory, kept, q, v)
-    if memory.state == DEGRADED_STATE or not read:
+    if memory.state == DEGRADED_STATE or memory.compared == 0:
         for i in range(chain.n_motors):
             tau[first + i] = last[i]
     else:
-        _hold_posture(chain, arms, table, work, memory, joints, kept, step, last, tau, first)
+        _hold_posture(
+            chain, arms, table, work, memory, joints, joint_memory, estimate, step, last, tau, first
+        )
     return reason
 
 
@@ -102,58 +106,25 @@ def _enter(memory, state):
 
 
 @inner
-def _read_joints(chain, table, memory, kept, q, v):
-    """Positions and speeds, as far as they can be believed; whether positions ever could."""
-    n, given = chain.n_joints, len(q) == chain.n_joints  # none are read of another number
-    lying = memory.state == SAFE_STOP and memory.cause >= STUCK
-    fine = given
-    for j in range(n):
-        fine = fine and isfinite(q[j])
-    for j in range(n):
-        speed, most = 0.0, chain.plausible_speed * table[j].speed_max
-        if len(v) == n and isfinite(v[j]):
-            speed = min(max(v[j], -most), most)
-            if lying:
-                speed = _common_part(speed, (q[j] - kept[j]) / chain.period) if given else 0.0
-        elif fine and memory.read != 0:
-            speed = (q[j] - kept[j]) / chain.period
-        kept[2 * n + j] = speed
-    if fine:
-        for j in range(n):
-            if memory.compared == 0 or not jumped(chain, table[j], memory, kept[j], q[j]):
-                kept[j] = q[j]
-        memory.read = 1
-    return memory.read != 0
-
-
-@leaf
-def _common_part(a, b):
-    """What two speeds agree on: the smaller one; 0 if their signs differ or one is not finite."""
-    if a > 0.0 and b > 0.0:
-        return min(a, b)
-    return max(a, b) if a < 0.0 and b < 0.0 else 0.0
-
-
-@inner
-def _hold_posture(chain, arms, table, work, memory, joints, kept, step, last, tau, first):
+def _hold_posture(
+    chain, arms, table, work, memory, joints, joint_memory, estimate, step, last, tau, first
+):
     """τ = h + M(−2ω q̇ − ω²(q − q_hold)) + Jᵀw, h and M with the arms' shares of the object in w.
 
     While joints are braked, q_hold moves with them; what moves on for longer creeps under a weight
     that is not quite known. Where motors cannot exert it the second part is
-    scaled down as a whole: so it goes on taking energy from the joints. Torques move in a straight
+    scaled down as a whole, and still takes energy from the joints. Torques move in a straight
     line from the last ones, no motor faster than `BRAKE_RATE` allows, or a joint that is above its
     speed limit makes necessary.
     """
     n = chain.n_joints
-    q, goal, speed = kept[:n], kept[n : 2 * n], kept[2 * n :]
-    lying = memory.state == SAFE_STOP and memory.cause >= STUCK  # no position to go back to
+    q, speed = estimate[:n], estimate[n:]
     if memory.settled == 0:
         fast = False
         for j in range(n):
             fast = fast or abs(speed[j]) > _AT_REST
-            goal[j] = q[j]
-        braking = fast and memory.age * chain.period < _BRAKING
-        memory.settled = 0 if lying or braking else 1
+            joint_memory[j].hold = q[j]
+        memory.settled = 0 if fast and memory.age * chain.period < _BRAKING else 1
     origin, V, gamma, bias = work.u, work.w, work.y, work.z
     for k in range(chain.n_arms):
         arm = arms[k]
@@ -166,10 +137,12 @@ def _hold_posture(chain, arms, table, work, memory, joints, kept, step, last, ta
     for j in range(n):
         if abs(speed[j]) > table[j].speed_max:
             fastest = min(_HASTE * BRAKE_RATE, chain.torque_rate)
-        joints[j].acceleration = -rate * (2.0 * speed[j] + rate * (q[j] - goal[j]))
+        back = rate * (q[j] - joint_memory[j].hold)
+        joints[j].acceleration = -rate * (2.0 * speed[j] + back)
     for k in range(chain.n_arms):
         share = _split_torques(chain, arms[k], table, joints, work, mass)
         for j in range(arms[k].first, arms[k].end):
+            joint_memory[j].acceleration = share * joints[j].acceleration
             motor, most = table[j].motor, table[j].tau_max
             if motor >= 0:
                 s = min(max(joints[j].tau + share * joints[j].rest, -most), most)

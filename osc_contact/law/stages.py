@@ -28,7 +28,7 @@ from osc_contact.law.force import (
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.least_squares import learn_friction, weigh_magnitudes
 from osc_contact.law.motion import command_motion, pose_error
-from osc_contact.law.plausibility import compare_speeds
+from osc_contact.law.sensors import compare_speeds
 from osc_contact.law.singular import reduce_motion
 from osc_contact.law.six import dot6, reflect, reflect_back
 from osc_contact.law.steps import brake_contacts, shape_steps

@@ -13,6 +13,7 @@ The law's functions call these records by the same names everywhere:
 | `owners`, `bodies` | COLUMN, BODY rows |
 | `table` | JOINT rows; where columns are chosen, COLUMN rows |
 | `memory`, `contacts`, `column_memory` | MEMORY; CONTACT_MEMORY, COLUMN_MEMORY rows |
+| `joint_memory`, `arm_memory` | JOINT_MEMORY, ARM_MEMORY rows |
 | `work`, `arm_work`, `joints` | WORK; ARM_WORK, JOINT_WORK rows |
 | `columns`, `body_work` | COLUMN_WORK, BODY_WORK rows |
 """
@@ -67,8 +68,8 @@ CHAIN = _record(
         "guarded",  # whether readings are judged: those of a controller, not of a lone chain
         "repeats", "fault_ticks", "fast_ticks",  # see `safety`
         "row_bytes", "arms_at", "joints_at", "pairs_at", "shapes_at", "columns_at", "bodies_at",
-        "memory_bytes", "contact_memory_at", "column_memory_at", "torque_memory_at", "kept_at",
-        "last_wrenches_at",
+        "memory_bytes", "contact_memory_at", "column_memory_at", "torque_memory_at",
+        "joint_memory_at", "arm_memory_at", "estimate_at", "last_wrenches_at",
         "work_bytes", "arm_work_at", "joint_work_at", "column_work_at", "body_work_at",
         "locked_at", "extra_at", "link_at", "flat_at", "jacobian_at", "bars_at",
     ),
@@ -81,10 +82,11 @@ CHAIN = _record(
         "overforce_time",
         "integral_force", "integral_motion",  # the most that integrals add: N, m/s² or rad/s²
         "force_brake", "drift_share", "step_time", "tilt",  # see `steps`
-        # see `plausibility`: N, N m, times a speed limit, s without a wrench
+        # see `sensors`: N, N m, times a speed limit, s without a wrench
         "force_range", "torque_range", "plausible_speed", "wrench_timeout",
         "stuck_speed", "frozen_time",  # likewise: share of a speed limit, s
         "speed_error", "position_drift",  # times a speed limit; rad or m
+        "wrist_error", "closure_error",  # times a torque limit; m
         # contact phases, see `phases`
         "force_gain", "force_damping", "approach_speed", "approach_damping", "travel", "rise",
         "least_force", "phase_rate", "lost_share", "lag", "force_on", "force_off", "power",
@@ -131,22 +133,28 @@ BODY = _record(whole=("kind", "same", "pushes"), parameters=8)
 # What is remembered -----------------------------------------------------------------------------
 
 GIVEN_POSE, GIVEN_TWIST = 1, 2
+JOINTS, WRISTS = 1, 2  #: readings of a tick
+FAULTY_POSITION, FAULTY_SPEED = 1, 2  #: of a joint
 
 MEMORY = _record(
     whole=(
         "force_rank", "located", "ticked", "fresh", "engaged", "hand_over", "reason",
-        # see `safety`: ticks in this state, faults in a row, ticks too fast, ticks that may repeat
-        "state", "age", "faults", "overspeed", "repeats", "cause", "read", "settled",
+        # see `safety`: ticks in this state, ticks in a row that were not computed, how many more of
+        # those than of computed ones, ticks too fast, ticks that may repeat
+        "state", "age", "faults", "lost", "overspeed", "repeats", "cause", "settled",
         "culprit",  # joint, arm or column of N that the cause is about
-        # see `plausibility`: whether this tick has no wrench, ticks since the last one, whether one
-        # was ever read, ticks of the same readings, of the same ones of joints, whether readings of
-        # the last tick are there
-        "wrench_missing", "wrench_age", "has_wrench", "frozen", "still", "compared",
+        "unbraked",  # joint that is stopped without any sound reading of it, or −1
+        # see `sensors`: whether this tick has no wrench, ticks since the last one, whether one
+        # was ever read, whether joints were
+        "wrench_missing", "wrench_age", "has_wrench", "compared",
+        "repeated",  # which readings of this tick are those of the last one: JOINTS, WRISTS
         "given",  # GIVEN_POSE, GIVEN_TWIST: the object's pose, its twist too, need not be found
     ),
     number=(
         "more_friction",  # learnt, beyond what is believed
         "powered", "ending",  # see `watch`: s of too much power, s near the end of a joint
+        "still", "frozen",  # s for which joints, and all sensors, have read the very same
+        "apart",  # s for which arms have held the object at different places
         "step_left", "step_time",  # share of a step's time that is left, and that time, see `steps`
     ),
     motion_sum=6, f_tare=6, f_bias=6,
@@ -155,7 +163,8 @@ MEMORY = _record(
     V_O=6,  # where it is given
 )  # fmt: skip
 CONTACT_MEMORY = _record(
-    whole=("active", "phase"), number=("gain", "damping", "brake", "least", "since")
+    whole=("active", "phase", "held"),  # whether it was measured closed since it was open last
+    number=("gain", "damping", "brake", "least", "since"),
 )
 COLUMN_MEMORY = _record(
     whole=(
@@ -175,6 +184,30 @@ COLUMN_MEMORY = _record(
     to_come=3,  # of a step, see `steps`
     turn=3,  # of the believed normal, in the axes of its body, see `steps`
 )  # fmt: skip
+#: what is known of a joint from its sensors, see `sensors`; `acceleration`: as commanded last
+JOINT_MEMORY = _record(
+    whole=(
+        "faulty",  # FAULTY_POSITION, FAULTY_SPEED
+        "unread_q", "unread_v",  # ticks since either was read
+        "stuck",  # whether it should have moved by what was commanded
+    ),
+    number=(
+        "q", "v",  # last read
+        "hold", "acceleration",
+        "gained",  # speed commanded while the position stood still
+        "error", "drift",  # of speeds from positions, low-passed; and summed
+        # s for which the speed has been the very same, and how far the joint was seen to move
+        # meanwhile; how far it should have moved by its speeds since the position last changed
+        "same_speed", "moved", "due",
+        "model_v", "model_q",  # speeds predicted from those read, and from those of positions
+        "surprise_v", "surprise_q",  # what of either was not predicted, low-passed
+        # motor torques less those that model and wrist explain, low-passed, and their mean; mean
+        # and rate of the speed over the same time; s for which they have been too large
+        "excess", "usual", "mean_v", "rate", "unbalanced",
+    ),
+)  # fmt: skip
+#: ticks since a wrist was read, s for which it has read the very same
+ARM_MEMORY = _record(whole=("unread",), number=("same",))
 
 # What a tick works out --------------------------------------------------------------------------
 
@@ -244,8 +277,8 @@ OK, SATURATED, HELD, DEGRADED = range(4)
     DIFFERENT_BODIES, UNREACHABLE, INSEPARABLE, BAD_METRIC, NOT_FINITE, BLIND, STOPPED,
     NO_ROTATION, OUT_OF_RANGE, JUMPED, WRENCH_TIMEOUT,
     OVERSPEED, NEAR_END, POWERED, CONTACT_LOST, OVERFORCE,
-    STUCK, FROZEN, WRIST_FROZEN, DISAGREE,  # from OVERSPEED on: these stop at once
-) = range(27)  # fmt: skip
+    STUCK, FROZEN, WRIST_FROZEN, DISAGREE, UNBALANCED, APART,  # from OVERSPEED on: stop at once
+) = range(29)  # fmt: skip
 #: What the controller does, see `safety`.
 RUN, DEGRADED_STATE, HOLD, SAFE_STOP = range(4)
 
@@ -253,6 +286,7 @@ CHAIN_BYTES, ARM_BYTES, JOINT_BYTES = CHAIN.itemsize, ARM.itemsize, JOINT.itemsi
 PAIR_BYTES, SHAPE_BYTES, COLUMN_BYTES = PAIR.itemsize, SHAPE.itemsize, COLUMN.itemsize
 BODY_BYTES, MEMORY_BYTES, WORK_BYTES = BODY.itemsize, MEMORY.itemsize, WORK.itemsize
 CONTACT_MEMORY_BYTES, COLUMN_MEMORY_BYTES = CONTACT_MEMORY.itemsize, COLUMN_MEMORY.itemsize
+JOINT_MEMORY_BYTES, ARM_MEMORY_BYTES = JOINT_MEMORY.itemsize, ARM_MEMORY.itemsize
 ARM_WORK_BYTES, JOINT_WORK_BYTES = ARM_WORK.itemsize, JOINT_WORK.itemsize
 COLUMN_WORK_BYTES, BODY_WORK_BYTES = COLUMN_WORK.itemsize, BODY_WORK.itemsize
 
@@ -260,6 +294,7 @@ read_chain, read_arms, read_joints = reader(CHAIN), reader(ARM), reader(JOINT)
 read_pairs, read_shapes, read_columns = reader(PAIR), reader(SHAPE), reader(COLUMN)
 read_bodies, read_memory, read_work = reader(BODY), reader(MEMORY), reader(WORK)
 read_contact_memory, read_column_memory = reader(CONTACT_MEMORY), reader(COLUMN_MEMORY)
+read_joint_memory, read_arm_memory = reader(JOINT_MEMORY), reader(ARM_MEMORY)
 read_arm_work, read_joint_work = reader(ARM_WORK), reader(JOINT_WORK)
 read_column_work, read_body_work = reader(COLUMN_WORK), reader(BODY_WORK)
 

@@ -22,8 +22,8 @@ from osc_contact.law.columns import choose_columns
 from osc_contact.law.energy import carry_motion
 from osc_contact.law.internal import internal_forces
 from osc_contact.law.jit import entry, inner, matrix, numbers, prefetch
-from osc_contact.law.plausibility import check_readings
 from osc_contact.law.safety import guard
+from osc_contact.law.sensors import check_arms, check_readings
 from osc_contact.law.stages import (
     OWN_FORCE,
     OWN_MOTION,
@@ -45,6 +45,7 @@ from osc_contact.law.tables import (
     SAFE_STOP,
     SATURATED,
     STOPPED,
+    read_arm_memory,
     read_arm_work,
     read_arms,
     read_bodies,
@@ -54,6 +55,7 @@ from osc_contact.law.tables import (
     read_column_work,
     read_columns,
     read_contact_memory,
+    read_joint_memory,
     read_joint_work,
     read_joints,
     read_memory,
@@ -105,8 +107,10 @@ def _row(
     contacts = read_contact_memory(memory_bytes, memory_at + chain.contact_memory_at, c)
     column_memory = read_column_memory(memory_bytes, memory_at + chain.column_memory_at, r_all)
     last = numbers(memory_bytes, memory_at + chain.torque_memory_at, chain.n_motors)
-    kept = numbers(memory_bytes, memory_at + chain.kept_at, 6 * n)
-    last_wrenches = numbers(memory_bytes, memory_at + chain.last_wrenches_at, 7 * k)
+    joint_memory = read_joint_memory(memory_bytes, memory_at + chain.joint_memory_at, n)
+    arm_memory = read_arm_memory(memory_bytes, memory_at + chain.arm_memory_at, k)
+    estimate = numbers(memory_bytes, memory_at + chain.estimate_at, 2 * n)
+    last_wrenches = numbers(memory_bytes, memory_at + chain.last_wrenches_at, 6 * k)
     if memory.wrench_missing != 0:
         wrenches = matrix(last_wrenches, 0, k, 6)
     work = read_work(work_bytes, 0, 1)[0]
@@ -135,7 +139,7 @@ def _row(
         elif memory.state == SAFE_STOP:
             reason = STOPPED
         elif chain.guarded != 0:
-            reason = check_readings(chain, arms, table, memory, kept, q, v, wrenches, X_WD)
+            reason = check_readings(chain, arms, table, memory, joint_memory, q, v, wrenches, X_WD)
         if reason != NO_REASON:
             pass
         elif chain.leader < 0 and memory.located == 0:
@@ -175,6 +179,10 @@ def _row(
         reason = command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, flags)
         if reason == NO_REASON:
             reason = watch_joints(chain, table, memory, q, v)
+        if reason == NO_REASON and chain.guarded != 0:
+            reason = check_arms(
+                chain, arms, table, memory, work, arm_work, joints, joint_memory, last
+            )
         if reason == NO_REASON and work.rank > 0:
             reason = watch_contacts(chain, work, memory, columns, column_memory)
     if begin <= ALLOCATE < stop and reason == NO_REASON:
@@ -193,10 +201,10 @@ def _row(
                 )
     if reason != NO_REASON or stop == END:
         reason = guard(
-            chain, arms, table, work, memory, joints, kept, last_wrenches, flat[5 * r_all :], q, v,
-            wrenches, last, tau, first, reason,
+            chain, arms, table, work, memory, joints, joint_memory, arm_memory, estimate,
+            last_wrenches, flat[5 * r_all :], q, v, wrenches, last, tau, first, reason,
         )  # fmt: skip
-        memory.wrench_missing = 0
+        memory.wrench_missing = memory.repeated = 0
     work.reason = memory.reason = reason
     if reason != NO_REASON:
         work.status, memory.fresh = HELD, 0

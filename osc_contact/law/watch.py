@@ -50,8 +50,9 @@ def watch_joints(chain, table, memory, q, v):
         if (rest > row.upper and x <= row.upper) or (rest < row.lower and x >= row.lower):
             near = j
     weight = 1 + int(_HASTE * min(times - 1.0, _MOST))
-    memory.overspeed = max(memory.overspeed + (weight if fast >= 0 else -1), 0)
-    memory.ending = collect(memory.ending, chain.period, near >= 0)
+    ticks = 1 + memory.faults
+    memory.overspeed = max(memory.overspeed + ticks * (weight if fast >= 0 else -1), 0)
+    memory.ending = collect(memory.ending, ticks * chain.period, near >= 0)
     if memory.ending > max(SURE, 1.5 * chain.period):
         memory.culprit = near
         return NEAR_END
@@ -70,7 +71,7 @@ def watch_contacts(chain, work, memory, columns, column_memory):
     but it must be held again in time), or its force integral stands at its bound. It is overloaded
     above three times its command, or above `contact_force`, whichever is more.
     """
-    power, reason, dt = 0.0, NO_REASON, chain.period
+    power, reason, dt = 0.0, NO_REASON, chain.period * (1 + memory.faults)
     for a in range(work.rank):
         alpha, wanted, speed = work.alpha_meas[a], work.alpha_d[a], work.speed[a]
         if alpha > 0.0 and speed > 0.0:
@@ -82,7 +83,8 @@ def watch_contacts(chain, work, memory, columns, column_memory):
         if memory.force_rank == work.rank:
             room = _FULL * integral_room(chain.integral_force, wanted)
             missing = missing or abs(memory.force_sum[a]) > room
-        row.underforce = collect(row.underforce, dt, missing and memory.state == RUN)
+        fair = memory.state == RUN or memory.faults > 0
+        row.underforce = collect(row.underforce, dt, missing and fair)
         most = max(_OVERFORCE * size, chain.contact_force)
         row.overforce = collect(row.overforce, dt, abs(alpha) > most)
         if row.underforce > chain.contact_loss_time or row.astray > chain.regain_time:

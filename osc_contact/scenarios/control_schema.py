@@ -158,6 +158,8 @@ class SafetySpec(Spec):
     frozen_time: Annotated[Time, Field(gt=0)] = 0.25
     speed_error: Positive = 0.1
     position_drift: Positive = 0.02
+    wrist_error: Positive = 0.05
+    closure_error: Annotated[Length, Field(gt=0)] = 0.02
 
 
 class ForceReadingSpec(Spec):

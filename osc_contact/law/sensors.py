@@ -1,0 +1,435 @@
+"""Sensor fault detection: before a tick, during it and after it.
+
+Before: a rotation that is none, wrenches beyond what the sensors measure, joints that jump,
+wrenches too old. Such a tick is not computed, see `safety`; the next one may be.
+During: speeds of an approach, which may read too little; wrists that motor torques contradict;
+arms whose encoders place the object they hold at different places.
+After, computed or not: encoders that stand still though their joints are pushed, speeds that are
+not those of the positions or do not add up to them, wrists and packets that repeat themselves. The
+arms are stopped. Evidence counts the time since a reading, so that lost packets take none away.
+
+A fault is also isolated: which of a joint's two readings is wrong decides with which it is braked,
+see `estimate_joints`.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, sqrt
+
+from osc_contact.law.arm_motion import place_point
+from osc_contact.law.energy import world_wrench
+from osc_contact.law.force import add_reading
+from osc_contact.law.jit import inner, leaf
+from osc_contact.law.phases import APPROACHING
+from osc_contact.law.six import dot6
+from osc_contact.law.tables import (
+    APART,
+    DISAGREE,
+    FAULTY_POSITION,
+    FAULTY_SPEED,
+    FROZEN,
+    JOINTS,
+    JUMPED,
+    NO_REASON,
+    NO_ROTATION,
+    OTHER,
+    OUT_OF_RANGE,
+    STUCK,
+    UNBALANCED,
+    WRENCH_TIMEOUT,
+    WRIST_FROZEN,
+    WRISTS,
+)
+
+__all__ = [
+    "check_arms", "check_readings", "check_sensors", "compare_speeds", "estimate_joints", "jumped",
+]  # fmt: skip
+
+_ROUND = 1e-4  #: by how much the rows of a rotation may differ from orthonormal ones
+_GAIN = 0.21  #: share of `stuck_speed` that one tick can tell: slow encoders repeat readings
+_LAG = 0.02  #: s, of the low-pass of speeds that disagree
+_NOISE = 0.02  #: rad, m: joints may jump by as much, whatever their speed limits
+_FORGET = 0.5  #: s in which a drift between positions and speeds is forgotten
+_SCALE = 0.05  #: share of a speed by which it may be wrong
+_LATE = 0.01  #: s by which speeds may be late
+_GONE = 0.25  #: of `position_drift`; joints must show so much of a speed that lasts
+_AGREE = 0.2  #: of the speed of an approach, by which speeds may read less than positions show
+_MODEL = 0.1  #: s for which a speed is predicted from accelerations, to see what reading is wrong
+_DEAD = 0.01  #: s of the very same readings after which a stuck joint is one of a dead packet
+_SLOPE = 0.005  #: s, of the filter of a speed that only positions show
+_BALANCE = 0.05  #: s, of the low-pass of torques that nothing explains
+_USUAL = 1.0  #: s in which an unexplained torque becomes the usual one
+_UNBALANCED = 0.1  #: s for which torques may be unexplained
+_APART = 0.01  #: s for which arms may hold the object at different places
+_BLIND = 0.01  #: s without a sound reading from which on a joint cannot be braked
+
+
+@inner
+def check_readings(chain, arms, table, memory, joint_memory, q, v, wrenches, X_WD):
+    """Whether readings and reference are credible; a reason.
+
+    Args:
+        joint_memory: JOINT_MEMORY rows. q, v: (n,) positions and speeds.
+        wrenches: (arms, 6) readings (N, N m). X_WD: (4, 4) desired pose.
+    """
+    if not _is_rotation(X_WD):
+        return NO_ROTATION
+    if memory.wrench_missing != 0:
+        if memory.has_wrench == 0 or (memory.wrench_age + 1) * chain.period > chain.wrench_timeout:
+            return WRENCH_TIMEOUT
+    else:
+        for k in range(chain.n_arms):
+            if arms[k].sensor_joint >= 0 and not _measurable(chain, wrenches, k):
+                memory.culprit = k
+                return OUT_OF_RANGE
+    for j in range(chain.n_joints):
+        fast = abs(v[j]) > chain.plausible_speed * table[j].speed_max
+        if fast or (memory.compared != 0 and jumped(chain, table[j], joint_memory[j], q[j])):
+            memory.culprit = j
+            return JUMPED
+    return NO_REASON
+
+
+@leaf
+def jumped(chain, row, known, now):
+    """Whether a joint has moved faster than it can since its position was read last.
+
+    Args:
+        row: JOINT row. known: its JOINT_MEMORY. now: its position as read at this tick (m, rad).
+    """
+    room = chain.plausible_speed * row.speed_max * chain.period
+    return abs(now - known.q) > _NOISE + room * (1 + known.unread_q)
+
+
+@leaf
+def _measurable(chain, wrenches, k):
+    """Whether the reading of wrist k is finite and within the range of its sensor."""
+    fits = True
+    for i in range(6):
+        fits = fits and abs(wrenches[k, i]) <= (chain.force_range if i < 3 else chain.torque_range)
+    return fits
+
+
+@leaf
+def _is_rotation(X):
+    """R Rᵀ = 1 and det R = 1, but for `_ROUND`."""
+    worst = 0.0
+    for i in range(3):
+        for j in range(i + 1):
+            s = X[i, 0] * X[j, 0] + X[i, 1] * X[j, 1] + X[i, 2] * X[j, 2]
+            worst = max(worst, abs(s - (1.0 if i == j else 0.0)))
+    x = X[0, 1] * X[1, 2] - X[0, 2] * X[1, 1]
+    y = X[0, 2] * X[1, 0] - X[0, 0] * X[1, 2]
+    z = X[0, 0] * X[1, 1] - X[0, 1] * X[1, 0]
+    return worst < _ROUND and x * X[2, 0] + y * X[2, 1] + z * X[2, 2] > 0.0
+
+
+@inner
+def compare_speeds(chain, memory, owners, contacts, columns, column_memory, work):
+    """Approaches believe positions, low-passed, where NᵀV_rel is less than they show.
+
+    Speeds that read too little would drive an object into its face ever faster. The twist that
+    positions show is that from the last tick's X_WO to this one's.
+
+    Args:
+        chain, memory, work: records; `work.speed` (r,) may be raised. owners: (n,) COLUMN.
+        contacts: (contacts,) CONTACT_MEMORY. columns: (n,) COLUMN_WORK. column_memory: (n,)
+            COLUMN_MEMORY; shown and told follow NᵀV_rel of positions and of speeds.
+    """
+    V, X, last = work.y, work.X_WO, memory.X_WO
+    dt = chain.period * (1 + memory.faults)
+    k = dt / (_LAG + dt)
+    for i in range(3):
+        V[i], V[3 + i] = (X[i, 3] - last[i, 3]) / dt, 0.0
+        a, b = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):  # half of R Rᵀ of the last tick less its transpose
+            V[3 + i] += 0.5 * (X[b, j] * last[a, j] - X[a, j] * last[b, j]) / dt
+    for a in range(work.rank):
+        j = columns[int(work.keep[a])].chosen
+        row, speed = column_memory[j], work.speed[a]
+        if row.known == 0 or memory.compared == 0:
+            row.shown = row.told = speed
+            continue
+        row.shown += k * (dot6(columns[j].N, V) - work.V_N[a] - row.shown)
+        row.told += k * (speed - row.told)
+        short = row.shown - row.told > _AGREE * chain.approach_speed
+        if short and contacts[owners[j].contact].phase == APPROACHING:
+            work.speed[a] = row.shown
+
+
+@inner
+def check_arms(chain, arms, table, memory, work, arm_work, joints, joint_memory, last):
+    """Whether motors, wrists and encoders of the arms fit together; a reason to stop.
+
+    Inboard of its wrist an arm needs τ = h + M q̈ + Jᵀ(w − w_out), with w the wrist's reading and
+    w_out what moves the bodies beyond it. No contact force is left in what remains, see
+    `docs/theory.md`. It must stay within `wrist_error` of the torque limit, as far as it is not
+    the usual one, and within twice that. All terms pass the same low-pass, which makes
+    q̈ = (q̇ − LP(q̇))/T.
+
+    Args:
+        work, arm_work, joints: of this tick's chain. joint_memory: JOINT_MEMORY rows; the torques
+            nobody explains are kept there. last: (motors,) torques that have acted (N m, N).
+    """
+    dt = chain.period * (1 + memory.faults)
+    apart = _find_apart(chain, arms, work, joints)
+    memory.apart = max(memory.apart + (dt if apart >= 0 else -dt), 0.0)
+    if apart >= 0 and memory.apart > _APART:
+        memory.culprit = apart
+        return APART
+    if memory.wrench_missing != 0 or memory.ticked == 0:
+        return NO_REASON
+    for k in range(chain.n_arms):
+        if arms[k].sensor_joint < 0:
+            continue
+        found = _balance_arm(
+            chain, arms[k], table, work, arm_work[k], joints, joint_memory, last, dt
+        )
+        if found:
+            memory.culprit = k
+            return UNBALANCED
+    return NO_REASON
+
+
+@inner
+def _balance_arm(chain, arm, table, work, own, joints, joint_memory, last, dt):
+    """Whether unexplained torques of an arm have been too large for too long, see `check_arms`."""
+    load, moved, found = work.y, work.z, False
+    k = dt / (_BALANCE + dt)
+    for i in range(6):
+        load[i] = -own.bias[i]
+        moved[i] = 0.0
+    for j in range(arm.first, arm.end):
+        known, v = joint_memory[j], joints[j].v
+        if known.mean_v == 0.0:
+            known.mean_v = v
+        known.mean_v += k * (v - known.mean_v)
+        known.rate = (v - known.mean_v) / _BALANCE
+        if arm.outer_joint >= 0:  # of what is beyond the wrist, in energy coordinates
+            along = dot6(joints[j].J_bar, own.gamma) if arm.filtered != 0 else 0.0
+            for i in range(6):
+                moved[i] += joints[j].outboard[i] * known.rate
+                load[i] -= joints[j].outboard[i] * along
+    world_wrench(work.axes, moved, moved)
+    if arm.outer_joint >= 0 and arm.filtered != 0:
+        world_wrench(work.axes, load, load)
+    add_reading(own.reading, joints[arm.sensor_joint], arm.sensor, work.C, work.s, load)
+    for j in range(arm.first, arm.sensor_joint + 1):
+        known, motor = joint_memory[j], table[j].motor
+        if motor < 0:
+            continue
+        excess = last[motor] - joints[j].h - dot6(joints[j].column, load)
+        inertial = -dot6(joints[j].column, moved)
+        for i in range(arm.first, arm.end):
+            inertial += joints[j].M[i - arm.first] * joint_memory[i].rate
+        known.excess += k * (excess - known.excess)
+        rest, most = known.excess - inertial, chain.wrist_error * table[j].tau_max
+        known.usual += dt / (_USUAL + dt) * (rest - known.usual)
+        too_much = abs(rest - known.usual) > most or abs(rest) > 2.0 * most
+        known.unbalanced = max(known.unbalanced + (dt if too_much else -dt), 0.0)
+        found = found or known.unbalanced > _UNBALANCED
+    return found
+
+
+@leaf
+def _find_apart(chain, arms, work, joints):
+    """An arm whose tip is further from where the object has it than `closure_error`, or −1."""
+    tip, most, apart = work.s, chain.closure_error, -1
+    for k in range(chain.n_arms if chain.n_arms > 1 else 0):
+        arm, X, gap = arms[k], work.X_WO, 0.0
+        if arm.kind == OTHER:
+            continue
+        place_point(joints[arm.tip_joint], arm.tip, 9, tip)
+        for i in range(3):
+            x = X[i, 3] - tip[i]
+            for j in range(3):
+                x += X[i, j] * arm.point[j]
+            gap += x * x
+        if sqrt(gap) > most:
+            apart = k
+    return apart
+
+
+@inner
+def check_sensors(
+    chain, arms, table, memory, joint_memory, arm_memory, last_wrenches, q, v, wrenches
+):
+    """What this tick's readings show of the sensors; a reason to stop.
+
+    A joint whose encoder reads the very same while it is commanded to gain more than a share of
+    its speed limit is stuck. Speeds disagree with positions where q̇ − Δq/Δt, low-passed, is more
+    than a share of the limit. Wrists in contact that read the same for too long are frozen; where
+    all readings do, a packet repeats itself. What both add up to drifts apart,
+
+        d ← d + (q̇ − Δq/Δt − d/T) Δt,
+
+    where |d| is more than `position_drift` and what a small error of scale and delay of q̇ explain.
+    Δt is the time since the position was read last; readings that are not there, repeated or not
+    credible leave the evidence as it is.
+
+    Args:
+        joint_memory: JOINT_MEMORY rows, arm_memory: ARM_MEMORY rows. last_wrenches: (6 arms,) of
+            MEMORY; all three take the readings.
+        q, v: (n,) positions and speeds, as far as they were read. wrenches: (arms, 6) (N, N m).
+    """
+    n, reason, compared = chain.n_joints, NO_REASON, memory.compared != 0
+    dead, same_wrenches = _check_wrists(chain, arms, memory, arm_memory, last_wrenches, wrenches)
+    if dead >= 0:
+        reason, memory.culprit = WRIST_FROZEN, dead
+    fresh = memory.repeated & JOINTS == 0 and len(q) == n
+    complete, same_joints, elapsed = fresh, compared, 0.0
+    for j in range(n):
+        known, limit = joint_memory[j], table[j].speed_max
+        read = fresh and isfinite(q[j])
+        read = read and not (compared and jumped(chain, table[j], known, q[j]))
+        credible = fresh and len(v) == n and abs(v[j]) <= chain.plausible_speed * limit
+        complete = complete and read
+        if read:
+            step, elapsed = q[j] - known.q, chain.period * (1 + known.unread_q)
+            same_joints = same_joints and step == 0.0 and credible and v[j] == known.v
+            if compared and credible:
+                found = _check_joint(chain, known, limit, step, v[j], elapsed)
+                if found != NO_REASON:
+                    reason, memory.culprit = found, j
+                    _isolate(chain, joint_memory, j)
+            known.q = q[j]
+        if credible:
+            known.v = v[j]
+            if not compared:
+                known.model_v = known.model_q = v[j]
+        known.unread_q = 0 if read else known.unread_q + 1
+        known.unread_v = 0 if credible else known.unread_v + 1
+    if complete:
+        memory.compared = 1
+        memory.still = memory.still + elapsed if same_joints else 0.0
+        memory.frozen = memory.frozen + elapsed if same_joints and same_wrenches else 0.0
+        for j in range(n if memory.still > chain.frozen_time else 0):
+            if abs(joint_memory[j].v) * memory.still > _GONE * chain.position_drift:
+                reason, memory.culprit = DISAGREE, j
+        if memory.frozen > chain.frozen_time:
+            reason = FROZEN
+        joints = reason in (STUCK, DISAGREE, FROZEN)
+        for j in range(n if joints and memory.still > _DEAD else 0):  # a dead packet
+            joint_memory[j].faulty = FAULTY_POSITION | FAULTY_SPEED
+    return reason
+
+
+@inner
+def _check_wrists(chain, arms, memory, arm_memory, last_wrenches, wrenches):
+    """The arm whose wrist has read the very same in contact for too long, or −1; whether all do."""
+    all_same, dead = True, -1
+    fresh = memory.repeated & WRISTS == 0 and memory.wrench_missing == 0
+    fresh = fresh and wrenches.shape[0] == chain.n_arms
+    for k in range(chain.n_arms):
+        known = arm_memory[k]
+        if not (fresh and _measurable(chain, wrenches, k)):
+            known.unread += 1
+            continue
+        same = memory.has_wrench != 0
+        for i in range(6):
+            same = same and last_wrenches[6 * k + i] == wrenches[k, i]
+            last_wrenches[6 * k + i] = wrenches[k, i]
+        known.same = known.same + chain.period * (1 + known.unread) if same else 0.0
+        known.unread = 0
+        all_same = all_same and same
+        pressed = arms[k].sensor_joint >= 0 and memory.engaged != 0 and memory.force_rank > 0
+        if pressed and known.same > chain.frozen_time:
+            dead = k
+    return dead, all_same
+
+
+@leaf
+def _check_joint(chain, known, limit, step, v, dt):
+    """Evidence from one reading of a joint; a reason.
+
+    Args:
+        known: JOINT_MEMORY. limit: of its speed. step: by how much the position differs from the
+            last one read. v: speed read. dt: s since the position was read last.
+    """
+    a, slope, same = known.acceleration, step / dt, v == known.v
+    known.same_speed = known.same_speed + dt if same else 0.0
+    known.moved = known.moved + step if same else 0.0
+    known.due = known.due + v * dt if step == 0.0 else 0.0
+    gained = min(abs(a) * dt, _GAIN * chain.stuck_speed * limit)
+    known.gained = known.gained + gained if step == 0.0 else 0.0
+    error = min(max(v - slope, -2.0 * limit), 2.0 * limit)
+    known.error += (error - known.error) * dt / (_LAG + dt)
+    drift = (known.drift + error * dt) * (1.0 - min(dt / _FORGET, 1.0))
+    explained = _SCALE * dt * abs(v)
+    drift = max(drift - explained, 0.0) if drift > 0.0 else min(drift + explained, 0.0)
+    known.drift = drift
+    k, lag = dt / (_MODEL + dt), dt / (_LAG + dt)
+    known.model_v += a * dt
+    known.model_q += a * dt
+    known.surprise_v += lag * (v - known.model_v - known.surprise_v)
+    known.surprise_q += lag * (slope - known.model_q - known.surprise_q)
+    known.model_v += k * (v - known.model_v)
+    known.model_q += k * (slope - known.model_q)
+    known.stuck = 1 if known.gained > chain.stuck_speed * limit else 0
+    if known.stuck != 0:
+        return STUCK
+    if abs(known.error) > chain.speed_error * limit:
+        return DISAGREE
+    if abs(drift) > chain.position_drift + _LATE * abs(v):
+        return DISAGREE
+    return NO_REASON
+
+
+@inner
+def _isolate(chain, joint_memory, j):
+    """Note which reading of joint j is faulty, where they were found to contradict one another.
+
+    It is one that stands still while the other moves, or the one whose changes the commanded
+    accelerations predict less. Speeds come from one estimator for all joints: where those of one
+    are faulty, none is used any more.
+    """
+    known, most = joint_memory[j], _GONE * chain.position_drift
+    stuck = abs(known.due) > most or known.stuck != 0
+    dead = known.same_speed > _DEAD and (stuck or abs(known.moved) > most)
+    if stuck:
+        known.faulty |= FAULTY_POSITION
+        if dead:
+            known.faulty |= FAULTY_SPEED
+    elif known.faulty == 0:
+        if dead or abs(known.surprise_v) > abs(known.surprise_q):
+            for i in range(chain.n_joints):
+                if joint_memory[i].faulty == 0:
+                    joint_memory[i].faulty = FAULTY_SPEED
+        else:
+            known.faulty = FAULTY_POSITION
+
+
+@inner
+def estimate_joints(chain, table, memory, joint_memory, estimate):
+    """Positions and speeds of the joints from their sound readings, else by prediction.
+
+    A position that is not read, or is faulty, is integrated from the speed; a speed that is not
+    read, or is faulty, follows from positions and commanded accelerations. Without either both are
+    predicted, and the joint cannot be braked reliably: `memory.unbraked`.
+
+    Args:
+        estimate: (2 n,) positions and speeds; those of the last tick become those of this one.
+    """
+    n, dt = chain.n_joints, chain.period
+    memory.unbraked = -1
+    for j in range(n):
+        known = joint_memory[j]
+        use_q = known.faulty & FAULTY_POSITION == 0
+        use_v = known.faulty & FAULTY_SPEED == 0
+        seen_q, seen_v = use_q and known.unread_q == 0, use_v and known.unread_v == 0
+        v = estimate[n + j] + known.acceleration * dt
+        if memory.ticked == 0:
+            estimate[j], v = known.q, 0.0
+        if seen_v:
+            v = known.v
+        elif seen_q:
+            slope = (known.q - estimate[j]) / dt
+            v += (slope - v) * dt / (_SLOPE + dt)
+        most = chain.plausible_speed * table[j].speed_max
+        v = min(max(v, -most), most)
+        estimate[j] = known.q if seen_q else estimate[j] + v * dt
+        estimate[n + j] = v
+        blind_q = not use_q or known.unread_q * dt > _BLIND
+        blind_v = not use_v or known.unread_v * dt > _BLIND
+        if blind_q and blind_v and table[j].motor >= 0:
+            memory.unbraked = j
