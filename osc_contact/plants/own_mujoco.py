@@ -14,7 +14,8 @@ from osc_contact.contacts.pairs import ContactPair
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.errors import PlantError
+from osc_contact.dynamics.joint_range import require_in_range
+from osc_contact.errors import InvalidInputError, ModelError, PlantError
 from osc_contact.plants.joint_drives import JointDrives
 from osc_contact.plants.mujoco import MujocoPlant, quieten
 from osc_contact.plants.mujoco_truth import MujocoTruth
@@ -85,7 +86,7 @@ class MujocoRobot(MujocoPlant):
         robot = cls.__new__(cls)
         robot._take(mujoco, mj, ClosedChain([arm]), contacts)
         robot._keyframe = None if keyframe is None else int(mj.key(keyframe).id)
-        robot.reset(np.array(robot.data.qpos[robot._q]))
+        robot._place(np.array(robot.data.qpos[robot._q]))
         return robot
 
     def _take(self, mujoco: Any, mj: Any, chain: ClosedChain, contacts: Sequence[Any]) -> None:
@@ -184,8 +185,19 @@ class MujocoRobot(MujocoPlant):
             )
 
     def reset(self, q: Array) -> None:
-        """Start at rest at joint positions q (n,), the rest of the scene where it starts."""
+        """Start at rest at joint positions q (n,), the rest of the scene where it starts.
+
+        Motors carry the arm from the beginning, as far as their limits permit, so that the first
+        reading of the wrist is that of an arm that rests.
+
+        Raises:
+            InvalidInputError: q is outside the limits of the joints.
+        """
         q = as_array("q", q, (self.chain.nq,))
+        require_in_range("reset", self.chain, q)
+        self._place(q)
+
+    def _place(self, q: Array) -> None:
         if self._keyframe is None:
             self._mj.mj_resetData(self.model, self.data)
         else:
@@ -195,21 +207,30 @@ class MujocoRobot(MujocoPlant):
             self.data.qpos[at] = held
         self.data.qpos[self._q] = q
         self.time = 0.0
-        self._mj.mj_forward(self.model, self.data)
+        model = self.chain.model
+        self.hold(pin.computeGeneralizedGravity(model, model.createData(), q)[self.chain.actuated])
 
     def touching(self, q: Array) -> Array:
         """(n,) joint positions next to q at which every contact touches.
 
         Raises:
-            ModelError: there are none near.
+            InvalidInputError: q is outside the limits of the joints.
+            ModelError: there are none near, or none within the limits.
         """
+        q = as_array("q", q, (self.chain.nq,))
+        require_in_range("touching", self.chain, q)
 
         def gaps(X_WO: pin.SE3) -> tuple[Array, Array]:
             N = [pair.contact(X_WO, np.zeros(6)).N for pair in self.contacts]
             gap = np.concatenate([np.zeros(0), *(pair.gaps(X_WO) for pair in self.contacts)])
             return gap, np.hstack([np.zeros((6, 0)), *N])
 
-        return close(self.chain, as_array("q", q, (self.chain.nq,)), gaps)
+        found = close(self.chain, q, gaps)
+        try:
+            require_in_range("touching", self.chain, found)
+        except InvalidInputError as error:
+            raise ModelError(f"{error}. Begin nearer to the contacts, or move them") from error
+        return found
 
     def command(self, tau: Array, duration: float) -> None:
         """Hold the torques for `duration` (s), a whole number of MuJoCo's steps.
