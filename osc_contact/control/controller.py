@@ -218,7 +218,7 @@ class Controller(ControllerCopies):
             return self._convert(measurement, reference, error)
 
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """The same at the start, with bodies that move, stamps, three arms, or code of the user's."""
+        """At the start; with bodies that move, stamps, three arms, or code of the user's."""
         if not self._converting:
             self._freshness.require(measurement)
         if self._starting and self._start.is_done(self, measurement):

@@ -7,7 +7,7 @@ its axes or the payload is wrong, or a tare is missing.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -18,9 +18,6 @@ from osc_contact.dynamics.joint_range import require_in_range
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement
 from osc_contact.spatial import Array
-
-if TYPE_CHECKING:
-    from osc_contact.control.controller_state import ControllerState
 
 __all__ = ["StartCheck", "is_clear", "judge_load"]
 
@@ -47,11 +44,11 @@ class StartCheck:
         self.readings: list[Array] = []
         self.expected = np.zeros(6)
 
-    def is_done(self, controller: ControllerState, measurement: Measurement) -> bool:
+    def is_done(self, controller: Any, measurement: Measurement) -> bool:
         """Look at the joints as they are now, and at the wrists as of the last computed tick.
 
         Args:
-            controller: whose records hold that tick. measurement: that came in now.
+            controller: the `Controller` whose records hold that tick. measurement: that came in now.
 
         Raises:
             InvalidInputError: joints outside their limits, or a wrist that reads another load.
@@ -79,7 +76,7 @@ class StartCheck:
             return False
         return self._end(controller)
 
-    def _end(self, controller: ControllerState) -> bool:
+    def _end(self, controller: Any) -> bool:
         """All readings are there; those of free objects are judged by `engage`, after a tare."""
         if controller.engaged:
             self.judge(controller)
@@ -87,7 +84,7 @@ class StartCheck:
             raise InvalidInputError(self.refused)
         return True
 
-    def judge(self, controller: ControllerState) -> None:
+    def judge(self, controller: Any) -> None:
         """Compare the median of the readings, less the tare, with the limit."""
         if self.readings:
             error = np.median(self.readings, axis=0) - controller.f_tare

@@ -19,6 +19,7 @@ from osc_contact.errors import InvalidInputError, ModelError, PlantError
 from osc_contact.plants.joint_drives import JointDrives
 from osc_contact.plants.mujoco import MujocoPlant, quieten
 from osc_contact.plants.mujoco_truth import MujocoTruth
+from osc_contact.plants.scene_probe import SceneProbe
 from osc_contact.robots import suggest
 from osc_contact.robots.mjcf import compile_mjcf, motors_of
 from osc_contact.spatial import Array, as_array
@@ -238,6 +239,15 @@ class MujocoRobot(MujocoPlant):
         Raises:
             PlantError: it is none, or MuJoCo diverged.
         """
+        self.require_steps(duration)
+        super().command(tau, duration)
+
+    def require_steps(self, duration: float) -> None:
+        """Refuse a duration (s) that is no whole number of MuJoCo's steps.
+
+        Raises:
+            PlantError: it is none.
+        """
         steps = duration / self._step
         if abs(steps - max(1, round(steps))) > 1e-6 * steps:
             raise PlantError(
@@ -245,7 +255,12 @@ class MujocoRobot(MujocoPlant):
                 f"{1e3 * self._step:g} ms; set opt.timestep to a part of it, such as "
                 f"{duration / 4:g} s, before from_model, or the controller's dt to a multiple"
             )
-        super().command(tau, duration)
+
+    def probe(self) -> SceneProbe:
+        """Distances from what the tool can touch, as the scene is now."""
+        tool = [g for g in range(self.model.ngeom) if g not in self._body_of]
+        others = [g for g, body in self._body_of.items() if body != _LINK]
+        return SceneProbe(self.model, self.data, tool, others)
 
     def _send(self, tau: Array) -> None:
         self._tau = as_array("tau", tau, (self.chain.n_a,))
