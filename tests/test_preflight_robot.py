@@ -63,15 +63,15 @@ def tool_radius(radius):
 AT = 0.4298  #: m, where the tip begins
 TILTED = [-np.cos(0.2), 0, np.sin(0.2)]
 WRONG = {
-    "wall 20 mm deeper": (lambda: {"model": scene(wall=0.52)}, "20 mm before the nearest geom, 'wall'"),
-    "wall 20 mm nearer": (lambda: {"model": scene(wall=0.48)}, "20 mm inside the nearest geom, 'wall'"),
+    "wall 20 mm deeper": (lambda: {"model": scene(wall=0.52)}, "20 mm before the nearest"),
+    "wall 20 mm nearer": (lambda: {"model": scene(wall=0.48)}, "20 mm inside the nearest geom, 'w"),
     "reversed normal": (lambda: moved(normal=[1, 0, 0]), "180 deg away from that of 'wall'"),
     "tilted normal": (lambda: moved(normal=TILTED, point=[0.5, 0, AT]), "11.5 deg away"),
     "mass in grams": (lambda: {"model": heavy(1000.0)}, "are masses in kg"),
     "15,000 N": (lambda: {"alpha": 15e3}, "force_range = 1000 N"),
     "a force that pulls": (lambda: {"alpha": -10.0}, "cannot pull"),
     "step of MuJoCo": (lambda: {"model": scene(step=0.0007)}, "no whole number of MuJoCo's steps"),
-    "end of a joint": (lambda: {"model": short(0.05), "amplitude": 0.02, "guess": NEAR}, "arm/elbow"),
+    "end of a joint": (lambda: {"model": short(0.05), "guess": NEAR}, "arm/elbow"),
     "tool of another size": (lambda: {"model": tool_radius(0.005)}, "the tool is 10 mm away"),
     "slow loop": (lambda: {"gains": osc.Gains(osc.MotionGains(damping=900.0))}, "control.rate"),
 }  # fmt: skip

@@ -48,7 +48,7 @@ class StartCheck:
         """Look at the joints as they are now, and at the wrists as of the last computed tick.
 
         Args:
-            controller: the `Controller` whose records hold that tick. measurement: that came in now.
+            controller: the `Controller` whose records hold that tick. measurement: of now.
 
         Raises:
             InvalidInputError: joints outside their limits, or a wrist that reads another load.
@@ -58,8 +58,9 @@ class StartCheck:
         settings, rows = controller.settings, controller._records
         if not self.inside:
             model = settings.chain.model
-            reach = np.array(model.upperPositionLimit) - np.array(model.lowerPositionLimit)
-            require_in_range("measured q", settings.chain, measurement.q, RANGE * reach)
+            lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+            beyond = RANGE * upper - RANGE * lower
+            require_in_range("measured q", settings.chain, measurement.q, beyond)
             self.inside = True
         if not settings.contacts or settings.safety.load_error == np.inf:
             return True

@@ -22,6 +22,7 @@ from osc_contact.plants.mujoco_truth import MujocoTruth
 from osc_contact.plants.scene_probe import SceneProbe
 from osc_contact.robots import suggest
 from osc_contact.robots.mjcf import compile_mjcf, motors_of
+from osc_contact.robots.pictures import scene_picture
 from osc_contact.spatial import Array, as_array
 
 __all__ = ["MujocoRobot"]
@@ -255,6 +256,13 @@ class MujocoRobot(MujocoPlant):
                 f"{1e3 * self._step:g} ms; set opt.timestep to a part of it, such as "
                 f"{duration / 4:g} s, before from_model, or the controller's dt to a multiple"
             )
+
+    def picture(self) -> dict[str, Any]:
+        """What is seen of the scene, as JSON data; recordings carry it, see `robots.pictures`."""
+        model, mj = self.chain.model, self.model
+        number = {int(adr): j for j, adr in enumerate(mj.jnt_qposadr)}
+        joints = {number[int(at)]: k + 1 for k, at in enumerate(self._q)}
+        return scene_picture(mj, self.data, model, np.array(self.data.qpos[self._q]), joints)
 
     def probe(self) -> SceneProbe:
         """Distances from what the tool can touch, as the scene is now."""

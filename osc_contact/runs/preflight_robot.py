@@ -29,7 +29,7 @@ Values = Iterator[tuple[float, dict[str, Any]]]
 
 def _first_tick(task: Task) -> Values:
     """A copy of the controller is given what is measured and the first reference."""
-    assert task.controller is not None
+    assert task.controller is not None and task.measured is not None
     trial = copy(task.controller)
     trial.tick(task.measured, next(task.every(task.dt)))
     if trial.status is Status.HELD:

@@ -111,12 +111,26 @@ class Task:
             return iter(wanted[:: max(1, round(period / settings.dt))])
 
         return cls(
-            getattr(robot, "chain", settings.chain), pairs, settings.gains, settings.dt,
-            settings.posture, settings.safety, q, q, looks * settings.dt, plan_of([wanted[k] for k in looks]), every, [f"alpha_d of {x}" for x in names],
-            np.array(owners, dtype=int), settings.gains,
-            [body is None for body in settings.bodies], 0.0, settings.phases is None,
-            controller, robot, measured,
-        )  # fmt: skip
+            getattr(robot, "chain", settings.chain),
+            pairs,
+            settings.gains,
+            settings.dt,
+            settings.posture,
+            settings.safety,
+            q,
+            q,
+            looks * settings.dt,
+            plan_of([wanted[k] for k in looks]),
+            every,
+            [f"alpha_d of {name}" for name in names],
+            np.array(owners, dtype=int),
+            settings.gains,
+            [body is None for body in settings.bodies],
+            bound=settings.phases is None,
+            controller=controller,
+            robot=robot,
+            measured=measured,
+        )
 
     @property
     def rate(self) -> float:
