@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from headless import Browser
+from headless import Browser, near
 from test_own_mujoco import START, WALL, robot_of, scene
 from typer.testing import CliRunner
 
@@ -80,14 +80,16 @@ def test_a_recording_carries_no_path_and_is_drawn(recorded, tmp_path):
     assert pixels.reshape(-1, 3).std(axis=0).max() > 10.0
 
 
-def test_a_viewer_takes_the_robot_and_its_recording(recorded):
+def test_a_viewer_takes_the_robot_and_its_recording(recorded, tmp_path):
     robot, recording, _ = recorded
     with osc.open_viewer(robot) as viewer:
         for tick in (0, 200):
             viewer._due = 0.0
             viewer.show(recording.at(tick))
         with Browser(viewer.url) as page:
-            page.until("document.querySelector('canvas')")
+            page.until("document.querySelectorAll('canvas').length > 0")
+            pixels = page.picture(tmp_path / "live.png")[:600]
+            assert pixels.std() > 10 and near(pixels, "#0072B2") > 20
         assert viewer.error is None
 
 
