@@ -88,6 +88,9 @@ class Task:
     def of_robot(cls, robot: Any, controller: Controller, references: Any) -> Task:
         """Of a robot at rest where the run will start.
 
+        Args:
+            robot: is measured once. controller: of it. references: one for each tick.
+
         Raises:
             InvalidInputError: no references, or not all of them have a force for each column.
         """
