@@ -42,10 +42,10 @@ from osc_contact.runs import replay, tables
 from osc_contact.runs.calibration import calibrate as calibrate_wrists
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.preflight import require_ready
-from osc_contact.runs.recovery import scenario_of
+from osc_contact.runs.recovery import shown_of
 from osc_contact.runs.report import write_json
 from osc_contact.runs.rig import build_rig
-from osc_contact.runs.viewing import require_drawable, write_scene_of
+from osc_contact.runs.viewing import Shown, require_drawable, write_scene_of
 from osc_contact.scenarios import list_scenarios
 from osc_contact.visual.browser import find_browser
 from osc_contact.visual.movie import write_gif, write_mp4
@@ -242,31 +242,32 @@ def view(
             require("av")
         if film is not None:
             require("PIL")
-        recording = None
+        recording = scenario = None
         if what.endswith(RECORDINGS):
             if set_ or plant or duration is not None:
                 raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
             recording = open_recording(what)
-            scenario = scenario_of(recording.meta, Path(what))
+            shown = shown_of(recording, Path(what))
+            require_drawable(recording, shown, what)
         else:
             scenario = load_task(what, set_, plant, duration)
-        rig = build_rig(scenario)
-        if recording is not None:
-            require_drawable(recording, rig, what)
+            shown = Shown.of(build_rig(scenario))
         if live:
-            show_live(scenario, recording, seed, hold)
+            show_live(shown, scenario, recording, seed, hold)
             return
-        recording = run_with_progress(scenario, seed, None) if recording is None else recording
+        if recording is None and scenario is not None:
+            recording = run_with_progress(scenario, seed, None)
+        assert recording is not None
         if png is not None:
-            say(f"written: {replay.picture(recording, rig, png, time)}")
+            say(f"written: {replay.picture(recording, shown, png, time)}")
             return
         if film is not None:
             write = write_gif if gif is not None else write_mp4
-            say(f"written: {replay.moving_picture(recording, rig, film, write)}")
+            say(f"written: {replay.moving_picture(recording, shown, film, write)}")
             return
-        name = Path(what).stem if what.endswith(RECORDINGS) else scenario.file_stem
+        name = Path(what).stem if scenario is None else scenario.file_stem
         page = html or Path("out") / f"{name}.html"
-        say(f"written: {write_scene_of(recording, rig, page, time)}")
+        say(f"written: {write_scene_of(recording, shown, page, time)}")
 
 
 @app.command()

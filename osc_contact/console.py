@@ -20,7 +20,7 @@ from osc_contact.runs.metrics import SETTLE_S
 from osc_contact.runs.recovery import recover
 from osc_contact.runs.report import require_judgeable, write_json, write_report
 from osc_contact.runs.run import run
-from osc_contact.runs.viewing import open_viewer
+from osc_contact.runs.viewing import Shown, open_viewer
 from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.visual.live import Shows
 
@@ -159,23 +159,28 @@ def report_run(
 
 
 def show_live(
-    scenario: Scenario, recording: Recording | None, seed: int, hold: float | None
+    shown: Shown,
+    scenario: Scenario | None,
+    recording: Recording | None,
+    seed: int,
+    hold: float | None,
 ) -> None:
     """Show a run, or a recording, while it goes on.
 
     Args:
-        recording: to show; None: run the scenario. seed: of its noise.
+        shown: what the page shows.
+        scenario: to run. recording: to show instead. seed: of its noise.
         hold: s for which the page stays; None: until it is closed.
     """
     at_terminal = out.is_terminal
-    with open_viewer(scenario) as viewer:
+    with open_viewer(shown) as viewer:
         say(f"open {viewer.url}" + ("   (Ctrl-C ends it)" if at_terminal else ""))
         patience = hold if hold is not None else 15.0 * at_terminal
         replay.wait_for(lambda: viewer.count_browsers() > 0, patience)
         try:
-            if recording is None:
+            if recording is None and scenario is not None:
                 run_with_progress(scenario, seed, None, replay.RealTime(viewer))
-            else:
+            elif recording is not None:
                 replay.replay(recording, viewer)
             stay = hold if hold is not None else (float("inf") if at_terminal else 0.0)
             replay.wait_for(lambda: viewer.error is not None, stay)

@@ -127,6 +127,9 @@ def random_case(arms, kinds, rng, bends=None, tolerance=1e-3, upright=False, bod
             model, name=f"arm{i}", tip=tip, passive_joints=passive,
             wrist_sensor=sensor[arm], damping=0.0,  # the oracles know none
         )  # fmt: skip
+        limits = made.model.lowerPositionLimit, made.model.upperPositionLimit
+        made.model.lowerPositionLimit = np.minimum(limits[0], q - 1.0)  # random postures know none
+        made.model.upperPositionLimit = np.maximum(limits[1], q + 1.0)
         X_WT = X_WO * (slip * X_TO).inverse()
         data = made.model.createData()
         pin.framesForwardKinematics(made.model, data, q)

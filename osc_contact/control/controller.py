@@ -28,6 +28,7 @@ from osc_contact.control.reports import Status
 from osc_contact.control.safety import SafetySettings
 from osc_contact.control.settings import PostureTask, Settings
 from osc_contact.control.signals import Block, Signals
+from osc_contact.control.start_check import StartCheck
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.control.torque_limits import MotorLimits, scale_torques
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -162,17 +163,24 @@ class Controller(ControllerCopies):
             _arms=len(settings.chain.arms), _n_a=settings.chain.n_a, _in_parts=outside.needed,
             _limits=None, _given_up=None, _failure=None, _inputs=None, _result=None,
             _converting=False, _freshness=Freshness(settings.dt, settings.safety.wrench_timeout),
+            _start=StartCheck(), _starting=True,
             motion_law=MotionLoop(settings.gains.motion, settings.dt, records.memory),
             force_law=ForceLoop(settings.gains.force, settings.dt, records.memory),
         )  # fmt: skip
         self._take_records(records)
+
+    def _begin_start(self, start: StartCheck, starting: bool) -> None:
+        """Look at joints and wrists in the ticks to come, or look no more."""
+        self._start, self._starting = start, starting
+        self._take_records(self._records)
 
     def _take_records(self, records: TickRecords) -> None:
         self._records = records
         self.motion_law._memory = self.force_law._memory = records.memory
         self._tables = (
             records.row.raw, records.memory_bytes, records.work_bytes, self._squeeze, self._still,
-            self._codes, self._rows, self._n_a, self._arms < 3 and not self._in_parts,
+            self._codes, self._rows, self._n_a,
+            self._arms < 3 and not self._in_parts and not self._starting,
         )  # fmt: skip
 
     # --- what it is made of ----------------------------------------------------------------------
@@ -210,9 +218,11 @@ class Controller(ControllerCopies):
             return self._convert(measurement, reference, error)
 
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """The same with bodies that move, stamps, three arms and more, or code of the user's."""
+        """At the start; with bodies that move, stamps, three arms, or code of the user's."""
         if not self._converting:
             self._records.memory.repeated = self._freshness.require(measurement)
+        if self._starting and self._start.is_done(self, measurement):
+            self._begin_start(self._start, False)
         if measurement.wrench_valid is not None and not measurement.wrench_valid:
             self._records.memory.wrench_missing = 1
         touched, flags, table = measurement.touched, 0, self._still
@@ -336,6 +346,8 @@ class Controller(ControllerCopies):
         """
         if not self.engaged:
             self._require_tick()
+            self._start.judge(self)
+            self._begin_start(self._start, self._starting or bool(self._start.refused))
             self._hand_over()
             self.force_law.integral = np.zeros(0)
             self.engaged = True

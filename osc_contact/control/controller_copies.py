@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any, Self
 
@@ -71,6 +72,7 @@ class ControllerCopies(ControllerState):
         same = settings is self.settings and laws is self.laws
         outside = self._outside if same else None  # it packs rows anew, by its settings
         other._begin(settings, laws, TickRecords(row, self._records.memory_bytes.copy()), outside)
+        other._begin_start(deepcopy(self._start), self._starting)
         return other
 
     def _copy_work(self, other: Self) -> None:
@@ -92,6 +94,7 @@ class ControllerCopies(ControllerState):
             "settings": self.settings, "laws": self.laws, "columns": dict(r.row.pairs.given),
             "memory": r.memory_bytes, "work": r.work_bytes, "code": int(self._codes[0]),
             "given_up": self.given_up, "inputs": self._inputs,
+            "start": (self._start, self._starting),
             "failure": None if self._failure is None else str(self._failure),
         }  # fmt: skip
 
@@ -100,6 +103,7 @@ class ControllerCopies(ControllerState):
         row = outside.pack(state["columns"])
         self._begin(state["settings"], state["laws"], TickRecords(row, state["memory"].copy()))
         self._records.work_bytes[:] = state["work"]
+        self._begin_start(*state["start"])
         self._codes[0], self._given_up = state["code"], state["given_up"]
         self._inputs, why = state["inputs"], state["failure"]
         self._failure = None if why is None else OscContactError(why)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from osc_contact.control.result import TickResult
 from osc_contact.control.safety import SafetyState
 from osc_contact.control.settings import Settings
 from osc_contact.control.signals import BLOCKS, Block, Signals
+from osc_contact.control.start_check import StartCheck
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.control.torque_limits import MotorLimits
 from osc_contact.errors import InvalidInputError
@@ -40,6 +42,9 @@ class ControllerState:
     _codes: Array
     _squeeze: Array
     _freshness: Freshness
+    _start: StartCheck
+    _starting: bool
+    _begin_start: Callable[[StartCheck, bool], None]
     _limits: MotorLimits | None
     _given_up: LimitLoss | None
     _failure: Exception | None
@@ -100,6 +105,8 @@ class ControllerState:
         """Run again after a stop: both integrals at zero, tare, bias and phases as they are."""
         memory = self._records.memory
         self._freshness.forget()
+        if self._start.refused:
+            self._begin_start(StartCheck(), True)
         memory.state = SafetyState.RUN
         for name in (
             "age", "faults", "lost", "overspeed", "powered", "ending", "compared", "frozen",

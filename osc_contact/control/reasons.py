@@ -123,7 +123,7 @@ def explain(
     code, work = int(rows.work.reason), rows.work
     if code == at.STOPPED:
         cause = int(rows.memory.cause)
-        why = "a tick could not be computed"
+        why = "a tick could not be computed" if failure is None else str(failure)
         if cause != at.BAD_INPUT:
             why = (
                 _limit_passed(rows, settings, cause)

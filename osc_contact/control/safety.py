@@ -21,7 +21,7 @@ __all__ = ["SafetySettings", "SafetyState"]
 _OPEN = (
     "overspeed_time", "torque_rate", "contact_power", "contact_force", "overforce_time",
     "contact_loss_time", "regain_time", "integral_force", "integral_motion", "force_range",
-    "torque_range", "plausible_speed", "wrench_timeout", "stuck_speed", "frozen_time",
+    "torque_range", "load_error", "plausible_speed", "wrench_timeout", "stuck_speed", "frozen_time",
     "speed_error", "position_drift", "wrist_error", "closure_error",
 )  # fmt: skip
 
@@ -60,6 +60,9 @@ class SafetySettings:
             where that is more. integral_motion: m/s², rad/s²; the same of the motion integral.
         force_range, torque_range: N, N m; wrist readings beyond that, and beyond three times the
             object's weight (on a lever of 1 m), are not believed.
+        load_error: N; a controller whose wrists, before any contact is made, read more than that
+            beside the weight they carry does not run (nor with that force on a lever of 0.2 m, or
+            of the tool's length, as a torque).
         plausible_speed: times a joint's speed limit; faster ones, and positions that jump further,
             are not believed.
         wrench_timeout: s; ticks go on with the last wrenches as long as there are none
@@ -91,6 +94,7 @@ class SafetySettings:
     integral_motion: float = 50.0
     force_range: float = 1000.0
     torque_range: float = 200.0
+    load_error: float = 2.0
     plausible_speed: float = 3.0
     wrench_timeout: float = 0.02
     stuck_speed: float = 0.1

@@ -16,6 +16,7 @@ from osc_contact.control.phases import PhaseSettings
 from osc_contact.control.reading import Reading, choose_reading
 from osc_contact.control.safety import SafetySettings
 from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.joint_range import require_in_range
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array, as_array
@@ -100,8 +101,12 @@ class Settings:
                 f"{len(self.contacts)} contacts but {len(bodies)} bodies; give one for each contact"
             )
         object.__setattr__(self, "bodies", bodies)
-        posture = self.posture if len(self.posture) else np.zeros(chain.nq)
-        object.__setattr__(self, "posture", as_array("posture", posture, (chain.nq,)))
+        if len(self.posture):
+            posture = as_array("posture", self.posture, (chain.nq,))
+            require_in_range("posture", chain, posture)
+        else:
+            posture = np.zeros(chain.nq)
+        object.__setattr__(self, "posture", posture)
         if self.friction is not None:
             self.friction.require_known_points(self.contacts)
         reading = choose_reading(self.reading, self.contacts, bodies)

@@ -51,7 +51,7 @@ def _fig1(seen: Evidence) -> dict[str, Answer]:
     directions = np.array([pair.direction() for pair in faces])
     apart = common_perpendicular(points[0], directions[0], points[1], directions[1])
     angle = np.rad2deg(apart.angle)
-    frame = contact.as_raibert_craig(object_size(seen.rig))
+    frame = contact.as_raibert_craig(object_size(seen.rig.pairs, seen.rig.state().X_WO))
     by_hand = np.vstack([directions.T, cross((points - X.translation).T, directions.T)])
     off = np.abs(contact.N - by_hand).max()
     return {
@@ -152,7 +152,7 @@ def _fig8(seen: Evidence) -> dict[str, Answer]:
     rms, peak, sensed = ([f[key] for f in forces] for key in keys)
     mean = [f["mean_command_N"] for f in forces]
     N = seen["N"]
-    size = object_size(seen.rig)
+    size = object_size(seen.rig.pairs, seen.rig.state().X_WO)
     looks = np.linspace(0, len(N) - 1, LOOKS).astype(int)
     framed = sum(bool(as_raibert_craig(N[k], size)) for k in looks)
     rank = N.shape[2]

@@ -14,12 +14,15 @@ from osc_contact.contacts.pairs import ContactPair
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.errors import PlantError
+from osc_contact.dynamics.joint_range import require_in_range
+from osc_contact.errors import InvalidInputError, ModelError, PlantError
 from osc_contact.plants.joint_drives import JointDrives
 from osc_contact.plants.mujoco import MujocoPlant, quieten
 from osc_contact.plants.mujoco_truth import MujocoTruth
+from osc_contact.plants.scene_probe import SceneProbe
 from osc_contact.robots import suggest
 from osc_contact.robots.mjcf import compile_mjcf, motors_of
+from osc_contact.robots.pictures import scene_picture
 from osc_contact.spatial import Array, as_array
 
 __all__ = ["MujocoRobot"]
@@ -85,7 +88,7 @@ class MujocoRobot(MujocoPlant):
         robot = cls.__new__(cls)
         robot._take(mujoco, mj, ClosedChain([arm]), contacts)
         robot._keyframe = None if keyframe is None else int(mj.key(keyframe).id)
-        robot.reset(np.array(robot.data.qpos[robot._q]))
+        robot._place(np.array(robot.data.qpos[robot._q]))
         return robot
 
     def _take(self, mujoco: Any, mj: Any, chain: ClosedChain, contacts: Sequence[Any]) -> None:
@@ -184,8 +187,19 @@ class MujocoRobot(MujocoPlant):
             )
 
     def reset(self, q: Array) -> None:
-        """Start at rest at joint positions q (n,), the rest of the scene where it starts."""
+        """Start at rest at joint positions q (n,), the rest of the scene where it starts.
+
+        Motors carry the arm from the beginning, as far as their limits permit, so that the first
+        reading of the wrist is that of an arm that rests.
+
+        Raises:
+            InvalidInputError: q is outside the limits of the joints.
+        """
         q = as_array("q", q, (self.chain.nq,))
+        require_in_range("reset", self.chain, q)
+        self._place(q)
+
+    def _place(self, q: Array) -> None:
         if self._keyframe is None:
             self._mj.mj_resetData(self.model, self.data)
         else:
@@ -195,27 +209,45 @@ class MujocoRobot(MujocoPlant):
             self.data.qpos[at] = held
         self.data.qpos[self._q] = q
         self.time = 0.0
-        self._mj.mj_forward(self.model, self.data)
+        model = self.chain.model
+        self.hold(pin.computeGeneralizedGravity(model, model.createData(), q)[self.chain.actuated])
 
     def touching(self, q: Array) -> Array:
         """(n,) joint positions next to q at which every contact touches.
 
         Raises:
-            ModelError: there are none near.
+            InvalidInputError: q is outside the limits of the joints.
+            ModelError: there are none near, or none within the limits.
         """
+        q = as_array("q", q, (self.chain.nq,))
+        require_in_range("touching", self.chain, q)
 
         def gaps(X_WO: pin.SE3) -> tuple[Array, Array]:
             N = [pair.contact(X_WO, np.zeros(6)).N for pair in self.contacts]
             gap = np.concatenate([np.zeros(0), *(pair.gaps(X_WO) for pair in self.contacts)])
             return gap, np.hstack([np.zeros((6, 0)), *N])
 
-        return close(self.chain, as_array("q", q, (self.chain.nq,)), gaps)
+        found = close(self.chain, q, gaps)
+        try:
+            require_in_range("touching", self.chain, found)
+        except InvalidInputError as error:
+            raise ModelError(f"{error}. Begin nearer to the contacts, or move them") from error
+        return found
 
     def command(self, tau: Array, duration: float) -> None:
         """Hold the torques for `duration` (s), a whole number of MuJoCo's steps.
 
         Raises:
             PlantError: it is none, or MuJoCo diverged.
+        """
+        self.require_steps(duration)
+        super().command(tau, duration)
+
+    def require_steps(self, duration: float) -> None:
+        """Refuse a duration (s) that is no whole number of MuJoCo's steps.
+
+        Raises:
+            PlantError: it is none.
         """
         steps = duration / self._step
         if abs(steps - max(1, round(steps))) > 1e-6 * steps:
@@ -224,7 +256,19 @@ class MujocoRobot(MujocoPlant):
                 f"{1e3 * self._step:g} ms; set opt.timestep to a part of it, such as "
                 f"{duration / 4:g} s, before from_model, or the controller's dt to a multiple"
             )
-        super().command(tau, duration)
+
+    def picture(self) -> dict[str, Any]:
+        """What is seen of the scene, as JSON data; recordings carry it, see `robots.pictures`."""
+        model, mj = self.chain.model, self.model
+        number = {int(adr): j for j, adr in enumerate(mj.jnt_qposadr)}
+        joints = {number[int(at)]: k + 1 for k, at in enumerate(self._q)}
+        return scene_picture(mj, self.data, model, np.array(self.data.qpos[self._q]), joints)
+
+    def probe(self) -> SceneProbe:
+        """Distances from what the tool can touch, as the scene is now."""
+        tool = [g for g in range(self.model.ngeom) if g not in self._body_of]
+        others = [g for g, body in self._body_of.items() if body != _LINK]
+        return SceneProbe(self.model, self.data, tool, others)
 
     def _send(self, tau: Array) -> None:
         self._tau = as_array("tau", tau, (self.chain.n_a,))

@@ -18,8 +18,11 @@ from osc_contact.robots.mjcf import compile_mjcf, load_mjcf, place, trees_of
 from osc_contact.robots.model import random_configurations
 from osc_contact.spatial import Array
 
-__all__ = ["mjcf_geometry", "mjcf_skeleton", "placement_difference"]
+__all__ = [
+    "mesh_of", "mesh_rows", "mjcf_geometry", "mjcf_shape", "mjcf_skeleton", "placement_difference",
+]  # fmt: skip
 
+_MESH = 7  #: MuJoCo's number of the type
 _POSTURES = 6  #: at which placements are compared
 
 
@@ -136,7 +139,25 @@ def mjcf_geometry(path: Path | str, tip: str | None) -> tuple[pin.Model, pin.Geo
 
 def _shape(mj: Any, g: int) -> Any:
     """The coal shape of a geom, None if it has none."""
-    size, kind = np.array(mj.geom_size[g], dtype=float), int(mj.geom_type[g])
+    if int(mj.geom_type[g]) != _MESH:
+        return mjcf_shape(int(mj.geom_type[g]), np.array(mj.geom_size[g], dtype=float))
+    return mesh_of(*mesh_rows(mj, g))
+
+
+def mesh_rows(mj: Any, g: int) -> tuple[Any, Any]:
+    """Corners (k, 3) in m and faces (m, 3) of the mesh of a geom."""
+    m = int(mj.geom_dataid[g])
+    v, f = int(mj.mesh_vertadr[m]), int(mj.mesh_faceadr[m])
+    corners = mj.mesh_vert[v : v + int(mj.mesh_vertnum[m])]
+    return corners, mj.mesh_face[f : f + int(mj.mesh_facenum[m])]
+
+
+def mjcf_shape(kind: int, size: Array) -> Any:
+    """The coal shape of a type of geom other than a mesh, None if it has none.
+
+    Args:
+        kind: MuJoCo's number of it. size: (3,) as MuJoCo means it.
+    """
     if kind == 2:
         return coal.Sphere(size[0])
     if kind == 3:
@@ -145,14 +166,19 @@ def _shape(mj: Any, g: int) -> Any:
         return coal.Cylinder(size[0], 2.0 * size[1])
     if kind == 6:
         return coal.Box(*(2.0 * size))
-    if kind != 7:
-        return None
-    m = int(mj.geom_dataid[g])
-    v, f = int(mj.mesh_vertadr[m]), int(mj.mesh_faceadr[m])
-    corners = np.array(mj.mesh_vert[v : v + int(mj.mesh_vertnum[m])], dtype=float)
-    faces = mj.mesh_face[f : f + int(mj.mesh_facenum[m])]
+    return None
+
+
+def mesh_of(corners: Any, faces: Any) -> coal.BVHModelOBBRSS:
+    """A mesh.
+
+    Args:
+        corners: (k, 3) m. faces: (m, 3) numbers of corners.
+    """
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(corners):
+        raise ValueError(f"faces name corners beyond {len(corners)}")
     mesh, triangles, points = coal.BVHModelOBBRSS(), coal.StdVec_Triangle(), coal.StdVec_Vec3s()
-    points.extend(list(corners))
+    points.extend([np.array(corner, dtype=float) for corner in corners])
     triangles.extend([coal.Triangle(*(int(k) for k in face)) for face in faces])
     mesh.beginModel(len(faces), len(corners))
     mesh.addSubModel(points, triangles)

@@ -7,6 +7,7 @@ import socket
 import sys
 
 from osc_contact.runs.viewing import best_frame
+from osc_contact.visual.live import receive
 from osc_contact.visual.server import serve
 
 __all__ = ["main"]
@@ -15,7 +16,7 @@ __all__ = ["main"]
 def main() -> None:
     """Serve the scene that comes over the inherited socket, until its other end closes."""
     link = socket.socket(fileno=int(sys.argv[1]))
-    content, size = pickle.loads(link.recv(1 << 20))
+    content, size = pickle.loads(receive(link))
     serve(link, content, lambda N: best_frame(N, size))
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
+from itertools import chain
 
 import daqp
 import numpy as np
@@ -11,17 +12,21 @@ import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.contacts.pairs.pair import knows_where_it_slides
+from osc_contact.control.controller import Controller
 from osc_contact.control.reading import choose_reading
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.dynamics.joint_modes import modes
-from osc_contact.errors import ModelError, OscContactError, ScenarioError
+from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
+from osc_contact.interface import Reference, Robot
 from osc_contact.runs import faces, hardware
 from osc_contact.runs import preflight_contacts as at
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.finding import Finding
-from osc_contact.runs.references import force_names
+from osc_contact.runs.preflight_joints import JOINT_RULES
+from osc_contact.runs.preflight_robot import ROBOT_RULES, SCENE_RULES
 from osc_contact.runs.rig import Rig
+from osc_contact.runs.task import Task, findings
 from osc_contact.scenarios.contact_schema import CartSpec
 from osc_contact.spatial import Array
 
@@ -35,22 +40,56 @@ FAR_M = 0.02  #: m; a motion that misses more, for want of a posture, is doubtfu
 _logger = logging.getLogger("osc_contact.preflight")
 
 
-def preflight(rig: Rig) -> tuple[Finding, ...]:
+def preflight(
+    task: Rig | Robot,
+    controller: Controller | None = None,
+    references: Iterable[Reference] = (),
+) -> tuple[Finding, ...]:
     """Everything that is wrong or doubtful about a task, before it runs.
 
-    Compared are the start pose with the scenario's, faces with object and arms, contacts with the
-    bodies they are on, motions with the contacts and the arms' reach, forces with motors and carts,
-    the control rate with the gains, springs in the joints with their loop, masses and sensors with
-    the tare.
+    Of every task are compared: motions with the contacts, the arms' reach, the joints' ranges and
+    speeds, forces and weights with the motors, the control rate with the gains. Of a scenario, too:
+    the start pose with the scenario's, faces with object and arms, contacts with the bodies they
+    are on, carts, springs in the joints with their loop, masses and sensors with the tare. Of a
+    robot: the wrists with the load they carry, the first reference with the pose; of a
+    `MujocoRobot` also contacts, tool and masses with its scene.
 
     Args:
-        rig: see `build_rig`.
+        task: a scenario, see `build_rig`; or a robot at rest where the run will start, which is
+            measured once.
+        controller: of the robot; it is not changed.
+        references: of the run, as for `run_loop`, which needs them anew; at most the first 100,000
+            are looked at.
+
+    Raises:
+        InvalidInputError: a robot without controller or references, or forces that do not fit the
+            contacts.
     """
-    checks: tuple[Callable[[Rig], Iterator[Finding]], ...] = (
-        _sensors, _tare, _rate, _springs, at.normals, at.inverted, at.inside, at.start, at.beside,
-        _reach, _postures, at.lifted, _reading, _motors, _carts,
+    if not isinstance(task, Rig):
+        return _preflight_robot(task, controller, references)
+    rig, of = task, Task.of_rig(task)
+    checks: tuple[Iterator[Finding], ...] = (
+        _sensors(of), _tare(rig), _rate(of), _springs(rig), at.normals(rig), at.inverted(rig),
+        at.inside(rig), at.start(rig), at.beside(rig), _motion(of), _reading(rig), _motors(of),
+        _carts(rig),
     )  # fmt: skip
-    return tuple(finding for check in checks for finding in check(rig))
+    return tuple(chain.from_iterable(checks))
+
+
+def _preflight_robot(
+    robot: Robot, controller: Controller | None, references: Iterable[Reference]
+) -> tuple[Finding, ...]:
+    if controller is None:
+        raise InvalidInputError(
+            "preflight takes the rig of a scenario, or a robot with its controller and references"
+        )
+    of = Task.of_robot(robot, controller, references)
+    if of.chain.nq != len(of.q):
+        raise InvalidInputError(f"the robot measures {len(of.q)} joints of {of.chain.nq}")
+    found = list(findings((*ROBOT_RULES, *SCENE_RULES), of))
+    if any(one.refused for one in found):  # what follows from it is no news
+        return tuple(found)
+    return (*found, *_rate(of), *_motion(of), *_motors(of))
 
 
 def require_ready(rig: Rig) -> list[str]:
@@ -68,8 +107,8 @@ def require_ready(rig: Rig) -> list[str]:
     return [one.text for one in found]
 
 
-def _sensors(rig: Rig) -> Iterator[Finding]:
-    for arm in rig.chain.arms if rig.pairs else ():
+def _sensors(task: Task) -> Iterator[Finding]:
+    for arm in task.chain.arms if task.pairs else ():
         if arm.wrist_sensor is None:
             yield Finding(
                 True,
@@ -144,14 +183,14 @@ def _springs(rig: Rig) -> Iterator[Finding]:
         )
 
 
-def _rate(rig: Rig) -> Iterator[Finding]:
-    rate, given, gains = rig.scenario.control.rate, rig.scenario.gains, rig.gains
+def _rate(task: Task) -> Iterator[Finding]:
+    rate, given, gains = task.rate, task.given, task.gains
     motion, force = gains.motion, gains.force
     name = "motion.damping"
     if given.motion.damping is None:
         name = f"motion.frequency {motion.frequency:g} Hz, damping"
     limits = [(name, motion.damping)]
-    if rig.pairs:
+    if task.pairs:
         name = "force.integral"
         if given.force.integral is None:
             name = f"force.bandwidth {force.bandwidth:g} Hz, integral"
@@ -167,10 +206,16 @@ def _rate(rig: Rig) -> Iterator[Finding]:
             )
 
 
-def _reach(rig: Rig) -> Iterator[Finding]:
-    times, plan = rig.references.overview
+def _motion(task: Task) -> Iterator[Finding]:
+    """What is wrong with the motion; one that is possible is gone through."""
+    found = [*_reach(task), *_postures(task), *at.lifted(task)]
+    yield from found or findings(JOINT_RULES, task)
+
+
+def _reach(task: Task) -> Iterator[Finding]:
+    times, plan = task.times, task.plan
     poses = plan.X_WD[:, :3]
-    for arm, grasp in zip(rig.chain.arms, rig.chain.grasps, strict=True):
+    for arm, grasp in zip(task.chain.arms, task.chain.grasps, strict=True):
         most = _length(arm) + float(np.linalg.norm(grasp.X_TO.translation))
         far = np.linalg.norm(poses - arm.base.translation, axis=1)
         if far.max() > most:
@@ -183,11 +228,11 @@ def _reach(rig: Rig) -> Iterator[Finding]:
             )
 
 
-def _postures(rig: Rig) -> Iterator[Finding]:
+def _postures(task: Task) -> Iterator[Finding]:
     """Places to which no posture within the joints' limits leads, from the start on."""
-    if any(True for _ in _reach(rig)):
+    if any(True for _ in _reach(task)):
         return
-    chain, (times, plan) = rig.chain, rig.references.overview
+    chain, times, plan = task.chain, task.times, task.plan
     poses = plan.X_WD
     ways = poses[:, :3] - poses[0, :3]
     turns = np.abs(poses[:, 3:] @ poses[0, 3:])  # cosine of half the angle
@@ -195,10 +240,10 @@ def _postures(rig: Rig) -> Iterator[Finding]:
     for k in sorted(ends):
         X = pin.XYZQUATToSE3(poses[k])
         try:
-            q = reach(chain, rig.q_contact, X, 1e-3)
+            q = reach(chain, task.q_contact, X, 1e-3)
             left = float(np.linalg.norm(object_pose(chain, q).translation - X.translation))
         except ModelError:  # it circles about a pose out of reach
-            q, left = rig.q_contact, np.inf
+            q, left = task.q_contact, np.inf
         if left > FAR_M:
             at = [
                 name for name, x, low, high in zip(
@@ -230,15 +275,16 @@ def _length(arm: Arm) -> float:
     return links + float(np.linalg.norm(frame.placement.translation)) + slides
 
 
-def _motors(rig: Rig) -> Iterator[Finding]:
+def _motors(task: Task) -> Iterator[Finding]:
     """Forces that no torques within the limits make, whatever the internal forces are."""
-    state, r = rig.state(), rig.contact().r
-    if not r or not state.d:
+    if not task.pairs:
         return
-    t, plan = rig.references.overview
-    alpha = plan.alpha_d
-    limits = np.minimum(rig.chain.tau_max, 1e12)
-    wanted = state.bias[:, None] + state.S.T @ rig.contact().N @ rig.contact().R @ alpha.T
+    state, contact = task.state, task.contact
+    if not contact.r or not state.d:
+        return
+    t, alpha = task.times, task.plan.alpha_d
+    limits = np.minimum(task.chain.tau_max, 1e12)
+    wanted = state.bias[:, None] + state.S.T @ contact.N @ contact.R @ alpha.T
     shares = np.linalg.pinv(state.G * limits) @ wanted  # of each motor's limit, least squares
     order = np.argsort(np.abs(shares).max(axis=0))
     most, usual = (
@@ -247,12 +293,12 @@ def _motors(rig: Rig) -> Iterator[Finding]:
     if most > OVERLOAD or usual > 1.0:  # a peak that is a little too high saturates for a while
         k = int(order[-1])
         motor = int(np.abs(shares[:, k]).argmax())
-        name = force_names(rig.scenario)[int(alpha[k].argmax())]
+        name = task.force_names[int(alpha[k].argmax())]
         yield Finding(
             most > OVERLOAD,
-            f"force.{name} asks for {alpha[k].max():.4g} N at t = {t[k]:.3g} s, for which motors "
+            f"{name} asks for {alpha[k].max():.4g} N at t = {t[k]:.3g} s, for which motors "
             f"would need {most:.2g} times their limits at least (most of all "
-            f"{rig.chain.joint_names[rig.chain.actuated[motor]]}, {limits[motor]:.3g} N m or N); "
+            f"{task.chain.joint_names[task.chain.actuated[motor]]}, {limits[motor]:.3g} N m or N); "
             "ask for less force, or choose another posture",
         )
 

@@ -19,6 +19,7 @@ from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.finding import Finding
 from osc_contact.runs.rig import Rig
+from osc_contact.runs.task import Task
 from osc_contact.spatial import Array
 
 __all__ = ["beside", "inside", "inverted", "lifted", "normals", "start"]
@@ -186,20 +187,20 @@ def _distance(first: Any, X_first: pin.SE3, second: Any, X_second: pin.SE3) -> f
     return float(coal.distance(first, at[0], second, at[1], coal.DistanceRequest(), answer))
 
 
-def lifted(rig: Rig) -> Iterator[Finding]:
+def lifted(task: Task) -> Iterator[Finding]:
     """Motions along a normal, while the contact is to be kept."""
-    (t, plan), tare = rig.references.overview, rig.scenario.tare
-    kept = np.flatnonzero(t >= (0.0 if tare is None else tare.duration + tare.approach))
+    plan = task.plan
+    kept = np.flatnonzero(task.times >= task.kept_from)
     kept = kept[:: max(1, len(kept) // 100)]
     poses = [pin.XYZQUATToSE3(x) for x in plan.X_WD[kept]]
-    for i, pair in enumerate(rig.pairs):
-        if rig.bodies[rig.on[i]].motion is not None:
+    for i, pair in enumerate(task.pairs):
+        if not task.rests[i]:
             continue
-        forces = np.flatnonzero(rig.owners == i)
+        forces = np.flatnonzero(task.owners == i)
         pressed = plan.alpha_d[np.ix_(kept, forces)].max(axis=1, initial=0.0) > 0.0
         gaps = np.array([
             pair.gaps(X) for X, wanted in zip(poses, pressed, strict=True)
-            if wanted or rig.life is None  # which opens it when its force ends
+            if wanted or task.bound  # which opens it when its force ends
         ])  # fmt: skip
         worst = float(np.abs(gaps).max(initial=0.0))
         if worst > LIFTED_M:

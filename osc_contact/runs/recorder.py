@@ -17,6 +17,7 @@ from osc_contact.control.controller import Controller
 from osc_contact.errors import RecordingError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Judge, TruthLog
+from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
 from osc_contact.recorder.columns import gather
 from osc_contact.recorder.journal import Journal, JournalFile
@@ -72,6 +73,8 @@ class Recorder:
         self._began = perf_counter(), process_time()
         of = _subject(controller) if subject is None else subject
         self._meta, self._told = {**describe_subject(of), **(meta or {})}, False
+        if isinstance(judge, MujocoRobot):
+            self._meta["picture"] = judge.picture()
         to = journal if isinstance(journal, MemoryJournal) else JournalFile(journal, self._meta)
         self.log = DrivenLog(of, judge, to)
 

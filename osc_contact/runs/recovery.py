@@ -13,6 +13,7 @@ from osc_contact.robots import resolve_urdf
 from osc_contact.runs.contacts import environment_bodies
 from osc_contact.runs.recorder import recording_of
 from osc_contact.runs.rig import build_rig
+from osc_contact.runs.viewing import Shown
 from osc_contact.scenarios.schema import Scenario
 
 __all__ = ["recover", "scenario_of"]
@@ -41,6 +42,17 @@ def recover(path: str | os.PathLike[str]) -> Recording:
         missing.append(f"{len(recording)} of {ticks} ticks are here")
     recording.meta["missing"] = missing
     return recording
+
+
+def shown_of(recording: Recording, path: Path) -> Shown:
+    """What a recording is of: the picture that it carries, or its scenario.
+
+    Raises:
+        RecordingError: it holds neither, see `scenario_of`.
+    """
+    if "picture" in recording.meta:
+        return Shown.of_recording(recording)
+    return Shown.of(build_rig(scenario_of(recording.meta, path)))
 
 
 def scenario_of(meta: dict[str, Any], path: Path) -> Scenario:

@@ -11,7 +11,7 @@ from typing import Any
 from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording
 from osc_contact.runs.rig import Rig
-from osc_contact.runs.viewing import write_scene_of
+from osc_contact.runs.viewing import Shown, write_scene_of
 from osc_contact.visual.browser import find_browser, write_png
 from osc_contact.visual.live import Viewer
 from osc_contact.visual.movie import write_gif
@@ -54,7 +54,7 @@ def wait_for(condition: Callable[[], bool], seconds: float) -> bool:
     return True
 
 
-def picture(recording: Recording, rig: Rig, path: Path, time: float | None) -> Path:
+def picture(recording: Recording, rig: Rig | Shown, path: Path, time: float | None) -> Path:
     """A PNG of the recording's page at a time (s), default the middle.
 
     Args:
@@ -77,7 +77,7 @@ def picture(recording: Recording, rig: Rig, path: Path, time: float | None) -> P
 
 
 def moving_picture(
-    recording: Recording, rig: Rig, path: Path, write: Callable[..., Path] = write_gif
+    recording: Recording, rig: Rig | Shown, path: Path, write: Callable[..., Path] = write_gif
 ) -> Path:
     """The whole recording, moving.
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs.pair import ContactPair, count_forces
 from osc_contact.contacts.raibert_craig import as_raibert_craig
-from osc_contact.errors import RecordingError
+from osc_contact.errors import InvalidInputError, RecordingError
+from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.references import force_owners
@@ -19,27 +24,90 @@ from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 from osc_contact.visual.bodies import ArmVisual, BodyVisual, Content
 from osc_contact.visual.live import Viewer
-from osc_contact.visual.scene import write_scene
+from osc_contact.visual.scene import Scene, write_scene
 from osc_contact.visual.subspaces import BestFrame
 
 __all__ = [
-    "DRAWN", "best_frame", "content_of", "open_viewer", "require_drawable", "write_scene_of",
+    "DRAWN", "Shown", "best_frame", "content_of", "object_size", "open_viewer", "require_drawable",
+    "write_scene_of",
 ]  # fmt: skip
 
 DRAWN = 50_000  #: ticks; of longer recordings every second, third, … one is drawn
 _LARGEST = 1e9  #: m, rad, N, W; no run comes near it
 
 
-def write_scene_of(recording: Recording, rig: Rig, path: Path, still: float | None = None) -> Path:
+@dataclass(frozen=True)
+class Shown:
+    """What pictures show.
+
+    Attributes:
+        name: in messages. content: of the scene.
+        size: m, of the object as far as its contacts tell.
+        joints: how many q has.
+    """
+
+    name: str
+    content: Content
+    size: float
+    joints: int
+
+    @classmethod
+    def of(cls, what: Rig | Shown | MujocoRobot) -> Shown:
+        """Of a scenario's rig, or of a robot in a MuJoCo scene."""
+        if isinstance(what, Rig):
+            size = object_size(what.pairs, what.state().X_WO if what.pairs else None)
+            return cls(what.scenario.name, content_of(what), size, what.chain.nq)
+        if isinstance(what, Shown):
+            return what
+        q = np.asarray(what.measure().q)
+        X = what.chain.state(q, np.zeros(len(q))).X_WO if what.contacts else None
+        owners = [i for i, pair in enumerate(what.contacts) for _ in range(count_forces(pair))]
+        names = [pair.name for pair in what.contacts]
+        return _of_picture(what.picture(), what.chain.arms[0].name, (names, owners),
+                           object_size(what.contacts, X), len(q))  # fmt: skip
+
+    @classmethod
+    def of_recording(cls, recording: Recording) -> Shown:
+        """Of a recording that carries a picture.
+
+        Raises:
+            RecordingError: that is damaged, or there is no first tick.
+        """
+        meta, size = recording.meta, 0.1
+        try:
+            name, joints = meta["arm_names"][0], len(meta["joint_names"])
+            contacts = meta["contact_names"], meta["columns"]
+            if len(recording) and "contact_point" in recording and contacts[0]:
+                points = recording["contact_point"][0] - recording["pose"][0, :3]
+                size = max(size, float(np.nanmax(np.linalg.norm(points, axis=1), initial=0.0)))
+            shown = _of_picture(meta["picture"], name, contacts, size, joints)
+            Scene(shown.content, {})
+        except (KeyError, TypeError, IndexError, ValueError, InvalidInputError) as error:
+            raise RecordingError(f"its picture cannot be drawn: {error}") from error
+        return shown
+
+
+def _of_picture(
+    picture: Any, name: str, contacts: tuple[Sequence[str], Sequence[int]], size: float, joints: int
+) -> Shown:
+    arm = ArmVisual(name, picture, (), pin.SE3.Identity(), slice(0, joints))
+    content = Content(name.replace("_", " "), [arm], [], tuple(contacts[0]), tuple(contacts[1]))
+    return Shown(name, content, size, joints)
+
+
+def write_scene_of(
+    recording: Recording, rig: Rig | Shown, path: Path, still: float | None = None
+) -> Path:
     """The moving scene of a run as one HTML file that needs no server.
 
     Args:
         recording: of a run of this rig.
-        rig: what the picture shows.
+        rig: what is shown.
         path: the page to write.
         still: s; the page opens standing still at that time instead of playing.
     """
-    content, size = content_of(rig), object_size(rig)
+    shown = Shown.of(rig)
+    content, size = shown.content, shown.size
     return write_scene(
         recording.thinned(DRAWN),
         content.arms,
@@ -51,27 +119,27 @@ def write_scene_of(recording: Recording, rig: Rig, path: Path, still: float | No
     )
 
 
-def require_drawable(recording: Recording, rig: Rig, source: str) -> None:
+def require_drawable(recording: Recording, shown: Shown, source: str) -> None:
     """Refuse a recording that runs of this rig cannot have left; channels may be missing.
 
     Args:
-        recording: read from a file. rig: of its scenario. source: the file.
+        recording: read from a file. shown: what it is of. source: the file.
 
     Raises:
         RecordingError: other contacts, channels of other shapes, times that do not grow, numbers
             too large to be drawn. NaN is a number that is not known, as of a tick that was held.
     """
-    names, owners = [pair.name for pair in rig.pairs], list(force_owners(rig.scenario))
+    names, owners = list(shown.content.contacts), list(shown.content.columns)
     for key, of_rig in (("contact_names", names), ("columns", owners)):
         if recording.meta.get(key, of_rig) != of_rig:
             raise RecordingError(
-                f"{source}: its {key} are {recording.meta[key]!r}; runs of {rig.scenario.name} "
+                f"{source}: its {key} are {recording.meta[key]!r}; runs of {shown.name} "
                 f"have {of_rig!r}"
             )
     r, contacts = len(owners), len(names)
     one: tuple[int, ...] = ()
     shapes = {
-        "t": one, "q": (rig.chain.nq,), "pose": (7,), "face_pose": (contacts, 7), "N": (6, r),
+        "t": one, "q": (shown.joints,), "pose": (7,), "face_pose": (contacts, 7), "N": (6, r),
         "contact_point": (contacts, 3), "contact_direction": (contacts, 3), "closed": (r,),
         "alpha_cmd": (r,), "alpha_meas": (r,), "alpha_true": (r,), "power_total": one,
         "power_projected": one,
@@ -84,7 +152,7 @@ def require_drawable(recording: Recording, rig: Rig, source: str) -> None:
         if values.shape[1:] != shape:
             raise RecordingError(
                 f"{source}: channel {name!r} has shape {values.shape[1:]} at a tick; runs of "
-                f"{rig.scenario.name} have {shape}"
+                f"{shown.name} have {shape}"
             )
         if np.abs(values).max(initial=0.0, where=~np.isnan(values)) > _LARGEST:
             raise RecordingError(f"{source}: channel {name!r} holds numbers above {_LARGEST:g}")
@@ -110,11 +178,11 @@ def content_of(rig: Rig) -> Content:
     return Content(title(scenario), arms, bodies, names, force_owners(scenario), frame_words(rig))
 
 
-def open_viewer(scenario: Scenario, rate: float = 30.0) -> Viewer:
-    """Open a live view of a scenario's runs, for ``run(scenario, viewer=...)``.
+def open_viewer(what: Scenario | MujocoRobot | Shown, rate: float = 30.0) -> Viewer:
+    """Open a live view of runs, for ``run(scenario, viewer=...)`` or ``run_loop(...)``.
 
     Args:
-        scenario: what will be run.
+        what: will be run: a scenario, or a robot in a MuJoCo scene.
         rate: pictures per second at most, 1 … 60.
 
     Returns:
@@ -123,8 +191,8 @@ def open_viewer(scenario: Scenario, rate: float = 30.0) -> Viewer:
     Raises:
         ViewerError: the page's server does not start.
     """
-    rig = build_rig(scenario)
-    return Viewer("osc_contact.runs.live_page", (content_of(rig), object_size(rig)), rate)
+    shown = Shown.of(build_rig(what) if isinstance(what, Scenario) else what)
+    return Viewer("osc_contact.runs.live_page", (shown.content, shown.size), rate)
 
 
 def title(scenario: Scenario) -> str:
@@ -145,17 +213,16 @@ def frame_words(rig: Rig) -> str:
     contact: Contact = rig.contact()
     if not contact.r:
         return "best single frame (Raibert–Craig)"
-    found = contact.as_raibert_craig(object_size(rig))
+    found = contact.as_raibert_craig(object_size(rig.pairs, rig.state().X_WO))
     if found:
         return "single frame that describes N (Raibert–Craig)"
     return f"best single frame (Raibert–Craig), {np.rad2deg(np.arcsin(found.residual)):.1f}° off N"
 
 
-def object_size(rig: Rig) -> float:
-    """Length (m) of the held object as far as its contacts tell, at least 0.1 m."""
-    if not rig.pairs:
+def object_size(pairs: Sequence[ContactPair], X: pin.SE3 | None) -> float:
+    """Length (m) of the object at X as far as its contacts tell, at least 0.1 m."""
+    if not pairs or X is None:
         return 0.1
-    X = rig.state().X_WO
-    vertices = np.vstack([feet(pair, X)[0] for pair in rig.pairs]) - X.translation
+    vertices = np.vstack([feet(pair, X)[0] for pair in pairs]) - X.translation
     apart = np.linalg.norm(vertices[:, None] - vertices[None], axis=2).max()
     return max(float(apart), float(np.linalg.norm(vertices, axis=1).max()), 0.1)

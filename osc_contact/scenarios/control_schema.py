@@ -152,6 +152,7 @@ class SafetySpec(Spec):
     integral_motion: Positive = 50.0
     force_range: Annotated[Force, Field(gt=0)] = 1000.0
     torque_range: Positive = 200.0
+    load_error: Annotated[Force, Field(gt=0)] = 2.0
     plausible_speed: Positive = 3.0
     wrench_timeout: Annotated[Time, Field(gt=0)] = 0.02
     stuck_speed: Positive = 0.1

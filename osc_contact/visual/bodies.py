@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from osc_contact.errors import InvalidInputError
 from osc_contact.robots import is_mjcf, load_geometry
 from osc_contact.robots.mjcf_parts import mjcf_geometry
+from osc_contact.robots.pictures import read_picture
 from osc_contact.visual.parts import Frame, LegendEntry, Sample, State
 from osc_contact.visual.primitives import urdf_geometry
 
@@ -27,14 +28,15 @@ Array = NDArray[np.float64]
 
 
 class ArmVisual(NamedTuple):
-    """An arm to draw: its URDF or MJCF, where its base stands (X_WB), where its joints are in q.
+    """An arm to draw: its URDF, MJCF or picture (`robots.pictures`), where its base stands (X_WB),
+    where its joints are in q.
 
     Joints that q does not have are in `locked`, with their positions (m, rad). Of an MJCF file the
     tree is drawn that `tip` belongs to.
     """
 
     name: str
-    urdf: str | Path
+    urdf: str | Path | Mapping[str, Any]
     package_dirs: Sequence[str | Path]
     base: pin.SE3
     q_slice: slice
@@ -79,6 +81,8 @@ class Content:
 
 def _shapes(arm: ArmVisual) -> tuple[pin.Model, pin.GeometryModel]:
     """Kinematics and shapes of an arm's file."""
+    if isinstance(arm.urdf, Mapping):
+        return read_picture(arm.urdf)
     if is_mjcf(arm.urdf):
         return mjcf_geometry(arm.urdf, arm.tip)
     kind = pin.GeometryType.VISUAL
@@ -119,7 +123,7 @@ class MovingArm:
         if self.model.nq != self.model.nv or q.shape != (len(self.moving),):
             raise InvalidInputError(
                 f"arm {self.arm.name!r}: {self.arm.q_slice} takes {q.size} numbers of q, "
-                f"but {self.arm.urdf} has nq = {self.model.nq}, {len(self.arm.locked)} locked"
+                f"but its model has nq = {self.model.nq}, {len(self.arm.locked)} locked"
             )
         if np.isfinite(q).all():
             self.q[self.moving] = q

@@ -77,7 +77,7 @@ class Viewer:
             with other:  # closed here, so that the end of the process closes the link
                 self._process = _started(module, other, complaints)
             try:
-                self._link.sendall(pickle.dumps(about))
+                send(self._link, pickle.dumps(about))
                 self.url = self._answer()
             except (OSError, ValueError, KeyError) as error:
                 self.close()
@@ -171,6 +171,21 @@ class Viewer:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def send(link: socket.socket, message: bytes) -> None:
+    """Hand over a message of any length, in pieces that the socket takes."""
+    link.sendall(str(len(message)).encode())
+    for start in range(0, len(message), ROOM):
+        link.sendall(message[start : start + ROOM])
+
+
+def receive(link: socket.socket) -> bytes:
+    """Take in what `send` hands over; less where the other end is closed before."""
+    message, length = b"", int(link.recv(32))
+    while len(message) < length and (piece := link.recv(ROOM)):
+        message += piece
+    return message
 
 
 class Ticks:

@@ -1,0 +1,158 @@
+"""What a controller compares when it starts: joints with their limits, wrists with their load.
+
+`Measurement.wrenches` includes the weight of what hangs on the sensor. As long as no contact is
+made, a reading that differs from that weight is no contact force: its gravity convention, its sign,
+its axes or the payload is wrong, or a tare is missing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.control.settings import Settings
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.joint_range import require_in_range
+from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Measurement
+from osc_contact.spatial import Array
+
+__all__ = ["StartCheck", "is_clear", "judge_load"]
+
+RANGE = 0.05  #: of a joint's range; how far beyond its limits a robot may stand as it starts
+CLEAR = 1e-3  #: m, rad; contacts whose gaps are larger are not made
+WINDOW_S = 0.05  #: s of readings whose median is compared
+FEWEST = 5  #: readings
+LEVER = 0.2  #: m, the least on which `load_error` acts as a torque
+LIKE = 0.25  #: of the weight; readings nearer to none, or to its opposite, show the cause
+
+
+class StartCheck:
+    """The first ticks of one controller, until all is compared.
+
+    Attributes:
+        refused: why the controller does not run; empty: nothing is wrong so far.
+        readings: (6,) wrist readings less what the model predicts, at O, one for each tick.
+        expected: (6,) what it predicts, as of the last tick.
+    """
+
+    def __init__(self, refused: str = "") -> None:
+        self.refused = refused
+        self.inside = False
+        self.readings: list[Array] = []
+        self.expected = np.zeros(6)
+
+    def is_done(self, controller: Any, measurement: Measurement) -> bool:
+        """Look at the joints as they are now, and at the wrists as of the last computed tick.
+
+        Args:
+            controller: the `Controller` whose records hold that tick. measurement: of now.
+
+        Raises:
+            InvalidInputError: joints outside their limits, or a wrist that reads another load.
+        """
+        if self.refused:
+            raise InvalidInputError(self.refused)
+        settings, rows = controller.settings, controller._records
+        if not self.inside:
+            model = settings.chain.model
+            lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+            beyond = RANGE * upper - RANGE * lower
+            require_in_range("measured q", settings.chain, measurement.q, beyond)
+            self.inside = True
+        if not settings.contacts or settings.safety.load_error == np.inf:
+            return True
+        if not rows.memory.ticked or rows.work.reason:
+            return False
+        if not is_clear(settings, rows):
+            self.readings = self.readings if len(self.readings) >= FEWEST else []
+            return self._end(controller)
+        inertial = np.zeros(6)
+        inertial[:3] = outboard_mass(settings.chain) * rows.work.A_D[:3]
+        self.readings.append(controller.residual_wrench() - inertial)
+        self.expected = controller.result().bias_out.copy()
+        if len(self.readings) < max(FEWEST, WINDOW_S / settings.dt):
+            return False
+        return self._end(controller)
+
+    def _end(self, controller: Any) -> bool:
+        """All readings are there; those of free objects are judged by `engage`, after a tare."""
+        if controller.engaged:
+            self.judge(controller)
+        if self.refused:
+            raise InvalidInputError(self.refused)
+        return True
+
+    def judge(self, controller: Any) -> None:
+        """Compare the median of the readings, less the tare, with the limit."""
+        if self.readings:
+            error = np.median(self.readings, axis=0) - controller.f_tare
+            self.refused = judge_load(controller.settings, error, self.expected)
+
+
+def is_clear(settings: Settings, rows: Any) -> bool:
+    """Whether no contact is made: every gap that the controller believes in is open.
+
+    Args:
+        settings: with the contacts. rows: `TickRecords` of a tick that was computed.
+    """
+    X_WO = pin.SE3(np.array(rows.work.X_WO))
+    for i, pair in enumerate(settings.contacts):
+        X_WE = None
+        if rows.work.moving:
+            X_WE = pin.SE3(np.reshape(rows.bodies.motion[i, :16], (4, 4)).copy())
+        gaps = pair.gaps(X_WO, X_WE)
+        if len(gaps) and not np.min(np.abs(gaps)) > CLEAR:
+            return False
+    return True
+
+
+def outboard_mass(chain: ClosedChain) -> float:
+    """kg beyond all wrist sensors, the held object included."""
+    held = 0.0 if chain.payload is None else chain.payload.inertia.mass
+    return float(held + sum(link.inertia.mass for links in chain.outboard for link in links))
+
+
+def judge_load(settings: Settings, error: Array, expected: Array) -> str:
+    """What is to be said of wrists that read another load than they carry; "" for nothing.
+
+    Args:
+        settings: of the controller. error: (6,) reading less load, at O in world axes.
+        expected: (6,) the load.
+    """
+    chain, most = settings.chain, settings.safety.load_error
+    tips = [link.inertia.lever for links in chain.outboard for link in links]
+    lever = max([LEVER, *(float(np.linalg.norm(c)) for c in tips)])
+    force, torque = (float(np.linalg.norm(part)) for part in (error[:3], error[3:]))
+    if force <= most and torque <= most * lever:
+        return ""
+    weight = float(np.linalg.norm(expected[:3]))
+    if np.linalg.norm(error[:3] + expected[:3]) < LIKE * weight:
+        cause = (
+            "The readings seem to be without gravity, and Measurement.wrenches includes it: add "
+            "the weight of what hangs on the sensor"
+        )
+    elif np.linalg.norm(error[:3] + 2.0 * expected[:3]) < LIKE * weight:
+        cause = (
+            "It seems that the sign is reversed: give the wrench that the arm exerts on the gripper"
+        )
+    else:
+        cause = (
+            "Likely causes: gravity is not included, the sign or the axes of the frame are "
+            "others, the model lacks a payload, or there is no tare (Controller.f_tare)"
+        )
+    frames = ", ".join(f"frame '{arm.wrist_sensor}' of arm '{arm.name}'" for arm in chain.arms)
+    read = error + expected
+    return (
+        f"the wrist sensor ({frames}) reads another load than it carries, and no contact is made: "
+        f"in world axes at the object's origin {_show(read)}, expected {_show(expected)} of "
+        f"{outboard_mass(chain):.3g} kg; the difference is {force:.3g} N and {torque:.3g} N m, "
+        f"limit load_error = {most:g} N ({most * lever:.2g} N m). {cause}"
+    )
+
+
+def _show(wrench: Array) -> str:
+    force, torque = np.round(wrench[:3], 2) + 0.0, np.round(wrench[3:], 3) + 0.0
+    return f"{force.tolist()} N, {torque.tolist()} N m"

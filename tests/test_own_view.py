@@ -1,0 +1,128 @@
+"""Pictures of a robot in a MuJoCo scene of one's own, and of recordings that it leaves."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from headless import Browser, near
+from test_own_mujoco import START, WALL, robot_of, scene
+from typer.testing import CliRunner
+
+import osc_contact as osc
+from osc_contact.cli import app
+from osc_contact.robots.pictures import read_picture
+from osc_contact.visual.bodies import MovingArm
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A robot, its recording and the file of it."""
+    robot = robot_of(scene(), locked={"grip": 0.02})
+    start = robot.touching(START)
+    robot.reset(start)
+    controller = osc.Controller(robot.chain, [WALL], posture=start)
+    X = robot.chain.state(start, np.zeros(3)).X_WO
+    recorder = osc.Recorder(controller, robot)
+    goals = (
+        osc.pose_reference(X.translation + [0, 0, 0.1 * k / 400], X.rotation, alpha_d=[10.0])
+        for k in range(400)
+    )
+    osc.run_loop(robot, controller, goals, recorder=recorder)
+    file = tmp_path_factory.mktemp("own") / "own.npz"
+    recorder.recording().save(file)
+    return robot, osc.Recording.load(file), file
+
+
+def call(*words):
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def test_the_picture_stands_where_mujoco_puts_the_shapes(recorded):
+    robot, recording, _ = recorded
+    model, shapes = read_picture(recording.meta["picture"])
+    data = model.createData()
+    robot.reset(np.array([0.7, -0.4, 1.1]))
+    robot.data.qpos[robot.model.joint("grip").qposadr[0]] = 0.02
+    mujoco.mj_forward(robot.model, robot.data)
+    pin.forwardKinematics(model, data, np.array([0.7, -0.4, 1.1]))
+    drawn = np.array([
+        (data.oMi[one.parentJoint] * one.placement).translation
+        for one in shapes.geometryObjects if one.parentJoint
+    ])  # fmt: skip
+    names = ["upper", "lower", "tool"]
+    for name in names:
+        at = robot.data.geom(name).xpos
+        assert np.linalg.norm(drawn - at, axis=1).min() < 1e-6, name
+    fixed = [one.placement.translation for one in shapes.geometryObjects if not one.parentJoint]
+    assert np.linalg.norm(fixed - robot.data.geom("wall").xpos, axis=1).min() < 1e-6
+
+
+def test_a_recording_carries_no_path_and_is_drawn(recorded, tmp_path):
+    _, recording, file = recorded
+    text = json.dumps(recording.meta)
+    assert str(Path.cwd()) not in text and "/home" not in text and "/tmp" not in text
+    page, png = tmp_path / "own.html", tmp_path / "own.png"
+    assert call("view", file, "--html", page).exit_code == 0
+    assert "arms/arm/elbow" in page.read_text() or page.stat().st_size > 5e5
+    result = call("view", file, "--png", png)
+    assert result.exit_code == 0, result.stderr
+    from PIL import Image
+
+    pixels = np.asarray(Image.open(png).convert("RGB")).astype(int)
+    assert pixels.reshape(-1, 3).std(axis=0).max() > 10.0
+
+
+def test_a_viewer_takes_the_robot_and_its_recording(recorded, tmp_path):
+    robot, recording, _ = recorded
+    with osc.open_viewer(robot) as viewer:
+        for tick in (0, 200):
+            viewer._due = 0.0
+            viewer.show(recording.at(tick))
+        with Browser(viewer.url) as page:
+            page.until("document.querySelectorAll('canvas').length > 0")
+            pixels = page.picture(tmp_path / "live.png")[:600]
+            assert pixels.std() > 10 and near(pixels, "#0072B2") > 20
+        assert viewer.error is None
+
+
+def with_picture(recording, picture):
+    return osc.Recording(recording.meta | {"picture": picture}, dict(recording.channels))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda p: None,
+        lambda p: p | {"joints": p["joints"][:1]},
+        lambda p: p | {"shapes": [p["shapes"][0] | {"place": [0, 0, 0]}]},
+        lambda p: p | {"shapes": [p["shapes"][0] | {"joint": 99}]},
+        lambda p: p | {"shapes": [{**p["shapes"][0], "kind": 7, "corners": "???", "faces": ""}]},
+    ],
+)
+def test_damaged_pictures_are_refused(recorded, damage, tmp_path):
+    _, recording, _ = recorded
+    file = tmp_path / "bad.npz"
+    with_picture(recording, damage(recording.meta["picture"])).save(file)
+    result = call("view", file, "--html", tmp_path / "page.html")
+    assert result.exit_code == 2 and "picture" in result.stderr, result.stderr
+
+
+def test_meshes_are_drawn_with_their_corners():
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco><asset><mesh name="cube" vertex="-1 -1 -1 1 -1 -1 1 1 -1 -1 1 -1 -1 -1 1 1 -1 1 1 1 1
+      -1 1 1"/></asset>
+    <worldbody><body name="hand" pos="0 0 6"><joint type="slide" axis="1 0 0"/>
+    <geom type="mesh" mesh="cube" mass="1"/></body></worldbody></mujoco>""")
+    robot = osc.MujocoRobot.from_model(model, tip="hand")
+    visual = osc.runs.viewing.Shown.of(robot).content.arms[0]
+    corners = MovingArm(visual).corners({"q": np.array([2.0])})
+    np.testing.assert_allclose(corners.min(axis=0), [0, -1, 0], atol=1e-6)  # and the base
+    np.testing.assert_allclose(corners.max(axis=0), [3, 1, 7], atol=1e-6)

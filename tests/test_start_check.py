@@ -1,0 +1,152 @@
+"""Postures outside joint limits and wrists that read a wrong weight are found at the start."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_own_mujoco import MOTORS, START, WALL, robot_of, scene
+
+import osc_contact as osc
+from osc_contact.control.phases import PhaseSettings
+
+DEGREES = np.degrees(START)
+OUT = [0.3, 3.0, -1.2]  # the elbow is limited to ±2
+
+
+def limited(**how):
+    """The arm of `scene`, its joints limited to ±2 rad."""
+    spec = osc.robots.mjcf.compile_mjcf(scene(MOTORS, **how))
+    for name in ("shoulder", "elbow", "wrist_pitch"):
+        spec.joint(name).range, spec.jnt_limited[spec.joint(name).id] = (-2.0, 2.0), 1
+    return robot_of(spec)
+
+
+@pytest.mark.parametrize("door", ["reset", "touching", "posture"])
+def test_postures_outside_the_limits_are_refused_with_numbers_and_cure(door):
+    robot = limited()
+    doors = {
+        "reset": robot.reset,
+        "touching": robot.touching,
+        "posture": lambda q: osc.Controller(robot.chain, [WALL], posture=q),
+    }
+    with pytest.raises(osc.InvalidInputError, match=r"arm/elbow at 3 \(limits -2 … 2\).* file"):
+        doors[door](np.array(OUT))
+    with pytest.raises(osc.InvalidInputError, match=r"look like degrees: give np.radians"):
+        doors[door](np.array(DEGREES))
+    doors[door](np.array(START))
+
+
+def test_a_touching_posture_outside_the_limits_is_refused():
+    far = limited(wall=0.5)
+    far.contacts = [osc.VertexOnFace([0, 0, 0], [0.1, 0, 0.5], [-1, 0, 0], name="behind")]
+    with pytest.raises(osc.ModelError, match="touching: outside the limits"):
+        far.touching([1.9, 1.9, 0.0])
+
+
+def test_a_controller_that_starts_outside_the_limits_holds_and_stops():
+    robot = limited()
+    q = np.array(START)
+    controller = osc.Controller(robot.chain, [], posture=q)
+    goal = osc.Reference(robot.chain.state(q, np.zeros(3)).X_WO)
+    read = osc.Measurement(DEGREES, np.zeros(3), np.zeros((1, 6)))
+    for _ in range(25):
+        tau = controller.tick(read, goal)
+        assert np.isfinite(tau).all() and np.abs(tau).max() < 40.0
+        assert controller.status is osc.Status.HELD and "look like degrees" in controller.reason
+    assert controller.state is osc.SafetyState.SAFE_STOP
+    controller.reset()
+    controller.tick(replace(read, q=q), goal)
+    assert controller.status is osc.Status.OK
+
+
+def free_run(change, tick=lambda k, controller: None, ticks=300, engaged=True, **how):
+    """Ticks of the arm at rest 20 mm before the wall, its wrist readings changed."""
+    robot = robot_of(scene())
+    robot.contacts = (replace(WALL, point=[0.48, 0, 0.5]),)
+    start = robot.touching(START)
+    robot.reset(start)
+    controller = osc.Controller(
+        robot.chain, [WALL], posture=start, life=PhaseSettings(), engaged=engaged, **how
+    )
+    X = robot.chain.state(start, np.zeros(3)).X_WO
+    rng = np.random.default_rng(1)
+    for k in range(ticks):
+        read = robot.measure()
+        wrench = change(read.wrenches.copy(), robot) + 0.3 * rng.standard_normal((1, 6)) * [
+            1, 1, 1, 0.02, 0.02, 0.02]  # fmt: skip
+        tau = controller.tick(replace(read, wrenches=wrench), osc.Reference(X, alpha_d=[5.0]))
+        tick(k, controller)
+        if controller.state is osc.SafetyState.SAFE_STOP:
+            break
+        robot.command(tau, controller.dt)
+    return controller, k
+
+
+def without_gravity(wrench, robot):
+    R = robot.data.site("wrist").xmat.reshape(3, 3)
+    load = 0.32 * 9.81 * R.T @ [0, 0, 1.0]
+    return wrench - np.concatenate((load, np.zeros(3)))
+
+
+CHANGES = {
+    "as it is": (lambda w, robot: w, None),
+    "without gravity": (without_gravity, "without gravity"),
+    "reversed": (lambda w, robot: -w, "the sign is reversed"),
+    "offset": (lambda w, robot: w + [0, 3, 0, 0, 0, 0], "tare"),
+    "torque": (lambda w, robot: w + [0, 0, 0, 0, 0.9, 0], "N m"),
+    "little": (lambda w, robot: w + [0, 1.2, 0, 0, 0, 0], None),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+@pytest.mark.parametrize("engaged", [True, False])
+def test_a_wrist_that_reads_another_weight_is_refused_before_contact(name, engaged):
+    change, cause = CHANGES[name]
+
+    def engage(k, controller):
+        if k == 100 and not engaged:
+            controller.engage()
+
+    controller, ticks = free_run(change, engage, engaged=engaged)
+    if cause is None:
+        assert ticks == 299 and controller.status is not osc.Status.HELD, controller.reason
+        return
+    assert ticks < 100 + 100 * (not engaged)
+    assert controller.state is osc.SafetyState.SAFE_STOP
+    for word in (cause, "load_error = 2 N", "wrist", "frame"):
+        assert word in controller.reason
+
+
+def test_a_tare_answers_an_offset_and_a_limit_can_be_set():
+    def tare(k, controller):
+        if k == 90:
+            controller.f_tare = controller.residual_wrench()
+            controller.engage()
+
+    offset = CHANGES["offset"][0]
+    controller, ticks = free_run(offset, tare, engaged=False)
+    assert ticks == 299 and controller.status is not osc.Status.HELD
+    loose = osc.SafetySettings(load_error=5.0)
+    assert free_run(offset, ticks=80, safety=loose)[1] == 79
+    with pytest.raises(osc.InvalidInputError, match="load_error = 0"):
+        osc.SafetySettings(load_error=0.0)
+
+
+@pytest.mark.parametrize("another", [copy.copy, lambda c: pickle.loads(pickle.dumps(c))])
+def test_copies_compare_what_the_first_was_about_to(another):
+    controllers = []
+
+    def keep(k, controller):
+        if k == 20:
+            controllers.append(another(controller))
+
+    controller, _ = free_run(CHANGES["reversed"][0], keep)
+    other = controllers[0]
+    inputs = controller._inputs
+    for _ in range(100):
+        other.tick(*inputs)
+    assert other.state is osc.SafetyState.SAFE_STOP and "sign is reversed" in other.reason
