@@ -94,11 +94,12 @@ def _idle_motions(arm, own, table, joints, work, idle, count):
 
 @entry
 def fill(model, raw, given, sizes):
-    """Fill the arrays of `limits.TorqueLimits`; sizes (4,): d, r, k, s.
+    """Fill the arrays of `limits.TorqueLimits`.
 
     Args:
         model, raw: bytes of one row of MODEL, and of WORK after a tick that ended SATURATED.
         given: wanted, tau_max, G, Λ, N, N_μ, Φ_e, α, share, floor, E, carried, idle.
+        sizes: (4,) d, r, k, s, filled, too.
     """
     chain, work = read_chain(model, 0, 1)[0], read_work(raw, 0, 1)[0]
     n, m, r = chain.n_joints, work.locked, work.rank
