@@ -14,6 +14,7 @@ from osc_contact import __version__, cli_robots, cli_start, cli_sweeps
 from osc_contact.bench.program import run_benchmark
 from osc_contact.console import (
     DurationOption,
+    FolderOption,
     JsonOption,
     ScenarioArgument,
     SeedOption,
@@ -33,6 +34,7 @@ from osc_contact.console import (
     show_live,
 )  # fmt: skip
 from osc_contact.errors import Interrupted, InvalidInputError
+from osc_contact.files import sole_user
 from osc_contact.law import compiled
 from osc_contact.paper import figures as paper_figures
 from osc_contact.paper import reproduction
@@ -115,14 +117,15 @@ def run(
         chosen = load_task(scenario, set_, plant, duration)
         folder = out_dir or Path("out") / chosen.file_stem
         require_report(chosen)
-        interrupted = None
-        try:
-            recording = run_with_progress(chosen, seed, folder)
-        except Interrupted as error:
-            recording, interrupted = error.recording, error
-            say(str(error))
-        written, failed = report_run(recording, chosen, folder, json_file)
-        forget_rows(folder)
+        with sole_user(folder):
+            interrupted = None
+            try:
+                recording = run_with_progress(chosen, seed, folder)
+            except Interrupted as error:
+                recording, interrupted = error.recording, error
+                say(str(error))
+            written, failed = report_run(recording, chosen, folder, json_file)
+            forget_rows(folder)
         for sentence in recording.meta.get("missing", ()):
             say(sentence)
         say(f"written to {folder}: {written}")
@@ -136,10 +139,11 @@ def run(
 def export(
     recording: Annotated[Path, typer.Argument(help="recording.npz, or unfinished.mcap of a run")],
     file: Annotated[Path, typer.Argument(help="to write: .npz, .csv or .mcap")],
+    folder: FolderOption = None,
 ) -> None:
     """Write a recording for other programs; recover that of a run that was killed."""
     with exit_codes():
-        loaded = open_recording(str(recording))
+        loaded = open_recording(str(recording), folder)
         for sentence in loaded.meta.get("missing", ()):
             say(sentence)
         say(f"written: {loaded.export(file)}")
@@ -225,6 +229,7 @@ def view(
     duration: DurationOption = None,
     seed: SeedOption = 0,
     set_: SetOption = None,
+    folder: FolderOption = None,
 ) -> None:
     """Look at a scenario or a recording: page with a time slider (default), PNG, GIF, MP4, live."""
     with exit_codes():
@@ -247,7 +252,7 @@ def view(
             if set_ or plant or duration is not None:
                 raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
             recording = open_recording(what)
-            shown = shown_of(recording, Path(what))
+            shown = shown_of(recording, Path(what), folder)
             require_drawable(recording, shown, what)
         else:
             scenario = load_task(what, set_, plant, duration)

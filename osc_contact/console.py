@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from osc_contact.errors import OscContactError, PlantError
+from osc_contact.files import sole_user
 from osc_contact.recorder import Recording
 from osc_contact.runs import replay, tables
 from osc_contact.runs.metrics import SETTLE_S
@@ -25,9 +26,10 @@ from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.visual.live import Shows
 
 __all__ = [
-    "DurationOption", "JsonOption", "PARTIAL", "ScenarioArgument", "SeedOption", "SetOption",
-    "UNFINISHED", "err", "exit_codes", "forget_rows", "load_task", "open_recording", "out",
-    "record", "report_run", "require", "require_report", "run_with_progress", "say", "show_live",
+    "DurationOption", "FolderOption", "JsonOption", "PARTIAL", "ScenarioArgument", "SeedOption",
+    "SetOption", "UNFINISHED", "err", "exit_codes", "forget_rows", "load_task", "open_recording",
+    "out", "record", "report_run", "require", "require_report", "run_with_progress", "say",
+    "show_live",
 ]  # fmt: skip
 
 ScenarioArgument = Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")]
@@ -37,6 +39,10 @@ DurationOption = Annotated[
 SeedOption = Annotated[int, typer.Option(min=0, help="of everything random")]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="path.to.key=value, any number of times")
+]
+FolderOption = Annotated[
+    Path | None,
+    typer.Option(help="of the scenario's file, if its URDFs are beside it", show_default=False),
 ]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="also write the result as JSON")]
 
@@ -95,12 +101,11 @@ def run_with_progress(
 
     Args:
         scenario, seed, viewer: see `run`.
-        folder: where a failed run leaves its recording, and any run its rows while it lasts.
+        folder: that is there: a failed run leaves its recording in it, and any run its rows while
+            it lasts.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} s"),
                TimeRemainingColumn())  # fmt: skip
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
     journal = None if folder is None else folder / UNFINISHED
     with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as bar:
         task = bar.add_task(f"{scenario.name} on {scenario.plant.type}", total=scenario.duration)
@@ -122,9 +127,13 @@ def forget_rows(folder: Path) -> None:
     (folder / UNFINISHED).unlink(missing_ok=True)
 
 
-def open_recording(name: str) -> Recording:
-    """A recording, or what is left of one."""
-    return recover(name) if name.endswith(".mcap") else Recording.load(name)
+def open_recording(name: str, folder: Path | None) -> Recording:
+    """A recording, or what is left of one.
+
+    Args:
+        name: of its file. folder: of its scenario.
+    """
+    return recover(name, folder) if name.endswith(".mcap") else Recording.load(name)
 
 
 def record(scenario: Scenario, seed: int, folder: Path) -> Recording:
@@ -133,8 +142,9 @@ def record(scenario: Scenario, seed: int, folder: Path) -> Recording:
     Args:
         scenario: to run. seed: of the noise. folder: for what the run writes.
     """
-    recording = run_with_progress(scenario, seed, folder)
-    forget_rows(folder)
+    with sole_user(folder):
+        recording = run_with_progress(scenario, seed, folder)
+        forget_rows(folder)
     return recording
 
 

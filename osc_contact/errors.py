@@ -72,7 +72,7 @@ class ViewerError(OscContactError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """A run was ended in order by Ctrl-C or SIGTERM.
+    """A run was ended in order by Ctrl-C, SIGTERM or SIGHUP.
 
     Attributes:
         recording: the `Recording` of what came before.

@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all."""
+"""Files that appear complete or not at all, and folders that one program at a time writes to."""
 
 from __future__ import annotations
 
@@ -8,7 +8,60 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["whole_file"]
+from osc_contact.errors import InvalidInputError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["hold", "sole_user", "whole_file"]
+
+
+def hold(number: int, what: str | os.PathLike[str]) -> None:
+    """Lock an open file or folder until it is closed, at the latest by the end of the process.
+
+    Where the file system has no locks, nothing is locked.
+
+    Args:
+        number: of the open file. what: its name.
+
+    Raises:
+        InvalidInputError: another program holds it.
+    """
+    if fcntl is None:
+        return
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise InvalidInputError(
+            f"another program writes to {what} now: wait until it ends, or give another folder "
+            "(--out)"
+        ) from error
+    except OSError:  # a file system without locks
+        pass
+
+
+@contextmanager
+def sole_user(folder: Path) -> Iterator[None]:
+    """Make a folder, and keep other programs that call this from it while the block lasts.
+
+    Args:
+        folder: for results.
+
+    Raises:
+        InvalidInputError: another program holds it. OSError: it cannot be made.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if fcntl is None:
+        yield
+        return
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        hold(number, folder)
+        yield
+    finally:
+        os.close(number)
 
 
 @contextmanager

@@ -109,8 +109,17 @@ class Robot(Protocol):
             duration: s, the control period.
         """
 
-    def stop(self) -> None:
-        """Come to a safe stop: called once, however the loop ends. Plants do nothing."""
+    def stop(self, reason: str = "") -> None:
+        """Come to a safe stop, by brakes if there are any, and return soon. Plants do nothing.
+
+        Called in the tick in which the controller enters `SAFE_STOP`, and once more however the
+        loop ends: a second call must be safe. After the first one the controller's braking torques
+        still come by `command`; a driver that has engaged its brakes ignores them.
+
+        Args:
+            reason: why, in a sentence: the controller's, an error, or the name of a signal; empty
+                where the references have ended.
+        """
 
 
 def _six() -> Array:

@@ -368,9 +368,6 @@ def test_view_refuses_the_wrong_meta(brief: Recording, tmp_path: Path) -> None:
         for junk in (5, "x", [], {}, ["a"], [7], {"a": 1}):
             path = view_of(brief, tmp_path, {}, {key: junk})
             assert words in refused("view", path, "--html", tmp_path / "page.html")
-    for junk in (5, [], {"a": 1}):  # packaged scenarios are found without it
-        path = view_of(brief, tmp_path, {}, {"source_folder": junk})
-        assert call("view", path, "--html", tmp_path / "page.html").exit_code == 0
 
 
 @pytest.mark.parametrize("name", ["run.npz", "run.mcap"])

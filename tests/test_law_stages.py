@@ -29,10 +29,10 @@ from osc_contact.law import (
 from osc_contact.law import command_filter as command
 from osc_contact.law import tables as at
 from osc_contact.law.arm_terms import arm_terms
-from osc_contact.law.compiled import saturated
 from osc_contact.law.jit import as_python
 from osc_contact.law.layout import records
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
+from osc_contact.law.saturation import settle
 
 
 def wrench_at(p):
@@ -990,8 +990,8 @@ def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
     memory.ticked, work.n_internal, work.rank = ticked, n_internal, 1
     work.internal[0], work.force_next[0], work.gain[0] = 8.0, 3.0, 20.0
     tau = np.zeros(2)
-    saturated()[1](model, work_bytes, memory_bytes, np.array([6.0, -1.0]), np.array([50.0]),
-                   np.array([5.0]), tau)  # fmt: skip
+    found, lost, squeeze = np.array([6.0, -1.0]), np.array([50.0]), np.array([5.0])
+    settle(model, work_bytes, memory_bytes, found, lost, squeeze, tau)
     close(memory_bytes[at.MEMORY_BYTES :].view(float), tau)
     close(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
     assert memory.force_rank == 1

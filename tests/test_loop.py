@@ -39,7 +39,7 @@ class Hardware:
         self.sent.append((tau, duration))
         self._plant.command(tau, duration)
 
-    def stop(self):
+    def stop(self, reason=""):
         self.stopped += 1
 
 

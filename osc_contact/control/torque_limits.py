@@ -11,9 +11,9 @@ from osc_contact.control.reports import LimitLoss
 from osc_contact.control.settings import Settings
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.law.compiled import saturated
 from osc_contact.law.jit import direct
 from osc_contact.law.limits import TorqueLimits
+from osc_contact.law.saturation import fill, settle
 from osc_contact.spatial import Array
 
 __all__ = ["MotorLimits", "scale_torques"]
@@ -32,7 +32,7 @@ class MotorLimits:
         )
         self._program.mass = chain.reference.inertia.mass
         self._sizes = np.zeros(4, dtype=np.int64)
-        self._fill, self._settle = saturated()
+        self._fill, self._settle = fill, settle
         self._warm = False
         self._short = False
 
@@ -41,7 +41,7 @@ class MotorLimits:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._fill, self._settle = saturated()
+        self._fill, self._settle = fill, settle
 
     def relieve(self, rows: TickRecords, tau: Array) -> None:
         """Torques within the limits that lose least, in tau (n_a,); the force integral follows.

@@ -7,40 +7,28 @@ from __future__ import annotations
 
 import gc
 import logging
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from osc_contact.law import saturation
 from osc_contact.law import tables as at
 from osc_contact.law import tick as law
 from osc_contact.law.jit import PLAIN_PYTHON, forget_code
 
-__all__ = ["announced", "rows", "saturated", "tell"]
+__all__ = ["announced", "rows", "tell"]
 
 _log = logging.getLogger(__name__)
 _usual: list[tuple[int, int, int]] = []  #: thresholds that `announced` has met
 
 
 @cache
-def _stamp() -> int:
-    """Of the sources of the law: numba's cache looks at one file's date only."""
-    stamp = 0
-    for source in sorted(Path(law.__file__).parent.glob("*.py")):
-        stamp = zlib.crc32(source.read_bytes(), stamp)
-    return stamp
-
-
-@cache
 def rows() -> Any:
     """The tick over rows, see `law.tick.build`; other types than its own are a TypeError."""
-    call = law.build(_stamp())
+    call = law.build(0)  # `jit.entry` marks what is cached with the sources
     if PLAIN_PYTHON:
         return call
     none, raw = np.zeros(0), np.zeros(at.CHAIN_BYTES, np.uint8)
@@ -52,12 +40,6 @@ def rows() -> Any:
     call.disable_compile()
     forget_code(call)
     return call
-
-
-@cache
-def saturated() -> tuple[Any, Any]:
-    """What fills the program of the motor limits and takes in its answer, see `law.saturation`."""
-    return saturation.build_fill(_stamp()), saturation.build_settle(_stamp())
 
 
 @contextmanager

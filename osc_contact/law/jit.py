@@ -63,7 +63,20 @@ def _options(fast: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     return {**_PLAIN, **fast.part_options()}, {**_PLAIN, **fast.entry_options()}
 
 
+def _code_cache() -> Any:
+    """The class `code_cache.CodeCache`; None where this numba has other classes."""
+    if PLAIN_PYTHON:
+        return None
+    try:
+        import osc_contact.law.code_cache as code_cache
+    except (ImportError, AttributeError) as error:
+        _log.warning("this numba caches otherwise, so every process compiles the law: %s", error)
+        return None
+    return code_cache.CodeCache
+
+
 _fast = _accelerator()
+_cache = _code_cache()
 _INNER, _ENTRY = ({}, {}) if PLAIN_PYTHON else _options(_fast)
 #: Of the accelerator: how other compiled code calls an entry. None without it.
 call_entry: Any = None if _fast is None else _fast.call_entry
@@ -83,10 +96,16 @@ def leaf(function: Any) -> Any:
 
 
 def entry(function: Any) -> Any:
-    """What Python calls: compiled at the first call, then cached on disk. Releases the GIL."""
+    """What Python calls: compiled at the first call, then cached on disk. Releases the GIL.
+
+    An edit of any source of the law, or a damaged cache, has it compiled anew, see `code_cache`.
+    """
     if PLAIN_PYTHON:
         return np.errstate(all="ignore")(function)  # compiled code does not warn either
-    return _njit(cache=True, nogil=True, **_ENTRY)(function)
+    made = _njit(nogil=True, **_ENTRY)(function)
+    if _cache is not None:
+        made._cache = _cache(function)
+    return made
 
 
 def direct(entry: Any) -> Any:

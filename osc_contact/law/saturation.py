@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any
 
 from osc_contact.law.algebra import cholesky, cholesky_solve
 from osc_contact.law.arm_terms import factor_inertia
@@ -24,7 +23,7 @@ from osc_contact.law.tables import (
     read_work,
 )
 
-__all__ = ["build_fill", "build_settle"]
+__all__ = ["fill", "settle"]
 
 _FLOOR = 1.0  #: N, least force of contacts that cannot pull; a command below it is its own floor
 
@@ -93,114 +92,101 @@ def _idle_motions(arm, own, table, joints, work, idle, count):
     return count
 
 
-def build_fill(stamp: int) -> Any:
-    """The function that fills the program; `stamp` tells the cache of changed sources."""
+@entry
+def fill(model, raw, given, sizes):
+    """Fill the arrays of `limits.TorqueLimits`.
 
-    @entry
-    def fill(model, raw, given, sizes):
-        """Fill the arrays of `limits.TorqueLimits`; sizes (4,): d, r, k, s.
-
-        Args:
-            model, raw: bytes of one row of MODEL, and of WORK after a tick that ended SATURATED.
-            given: wanted, tau_max, G, Λ, N, N_μ, Φ_e, α, share, floor, E, carried, idle.
-        """
-        if stamp < 0:
-            return
-        chain, work = read_chain(model, 0, 1)[0], read_work(raw, 0, 1)[0]
-        n, m, r = chain.n_joints, work.locked, work.rank
-        table, joints = read_joints(model, chain.joints_at, n), read_joint_work(
-            raw, chain.joint_work_at, n
-        )  # fmt: skip
-        arms = read_arms(model, chain.arms_at, chain.n_arms)
-        arm_work = read_arm_work(raw, chain.arm_work_at, chain.n_arms)
-        bodies = read_bodies(model, chain.bodies_at, chain.n_contacts)
-        owners = read_columns(model, chain.columns_at, chain.n_columns)
-        columns = read_column_work(raw, chain.column_work_at, chain.n_columns)
-        rows = matrix(
-            numbers(raw, chain.extra_at, chain.n_extra * n), 0, chain.n_extra, n
-        )  # fmt: skip
-        wanted, tau_max, G, Lambda, N, pushed, Phi_e, alpha, share, floor, E, carried, idle = given
-        for j in range(n):
-            i = table[j].motor
-            if i < 0:
-                continue
-            wanted[i], tau_max[i] = joints[j].tau, table[j].tau_max
-            for a in range(6):
-                G[i, a] = joints[j].J_bar[a]
-            reflect(work.reflectors, work.beta, m, G[i])
-        held = 1.0 if chain.held != 0 else 0.0
+    Args:
+        model, raw: bytes of one row of MODEL, and of WORK after a tick that ended SATURATED.
+        given: wanted, tau_max, G, Λ, N, N_μ, Φ_e, α, share, floor, E, carried, idle.
+        sizes: (4,) d, r, k, s, filled, too.
+    """
+    chain, work = read_chain(model, 0, 1)[0], read_work(raw, 0, 1)[0]
+    n, m, r = chain.n_joints, work.locked, work.rank
+    table, joints = read_joints(model, chain.joints_at, n), read_joint_work(
+        raw, chain.joint_work_at, n
+    )  # fmt: skip
+    arms = read_arms(model, chain.arms_at, chain.n_arms)
+    arm_work = read_arm_work(raw, chain.arm_work_at, chain.n_arms)
+    bodies = read_bodies(model, chain.bodies_at, chain.n_contacts)
+    owners = read_columns(model, chain.columns_at, chain.n_columns)
+    columns = read_column_work(raw, chain.column_work_at, chain.n_columns)
+    rows = matrix(
+        numbers(raw, chain.extra_at, chain.n_extra * n), 0, chain.n_extra, n
+    )  # fmt: skip
+    wanted, tau_max, G, Lambda, N, pushed, Phi_e, alpha, share, floor, E, carried, idle = given
+    for j in range(n):
+        i = table[j].motor
+        if i < 0:
+            continue
+        wanted[i], tau_max[i] = joints[j].tau, table[j].tau_max
         for a in range(6):
-            for b in range(6):
-                Lambda[a, b] = work.Lambda[a, b] + (held if a == b else 0.0)
-        for a in range(r):
-            alpha[a] = work.alpha_u[a]
-            for i in range(6):
-                N[a, i], pushed[a, i] = work.N_t[a, i], work.pushed_t[a, i]
-            for b in range(r):
-                Phi_e[a, b] = work.Phi_mu[a, b]
-        for e in range(work.n_internal):
-            for a in range(6):
-                carried[e, a] = 0.0
-            for k in range(chain.n_arms):
-                lo, hi = arms[k].first, arms[k].end
-                for j in range(lo, hi):
-                    s = 0.0
-                    for i in range(lo, hi):
-                        s += rows[e, i] * joints[i].M[j - lo]
-                    for a in range(6):
-                        carried[e, a] += s * joints[j].J_bar[a]
-            reflect(work.reflectors, work.beta, m, carried[e])
-            for j in range(n):
-                if table[j].motor >= 0:
-                    E[e, table[j].motor] = rows[e, j]
-        count = 0
-        for c in range(len(idle)):
-            for i in range(chain.n_motors):
-                idle[c, i] = 0.0
+            G[i, a] = joints[j].J_bar[a]
+        reflect(work.reflectors, work.beta, m, G[i])
+    held = 1.0 if chain.held != 0 else 0.0
+    for a in range(6):
+        for b in range(6):
+            Lambda[a, b] = work.Lambda[a, b] + (held if a == b else 0.0)
+    for a in range(r):
+        alpha[a] = work.alpha_u[a]
+        for i in range(6):
+            N[a, i], pushed[a, i] = work.N_t[a, i], work.pushed_t[a, i]
+        for b in range(r):
+            Phi_e[a, b] = work.Phi_mu[a, b]
+    for e in range(work.n_internal):
+        for a in range(6):
+            carried[e, a] = 0.0
         for k in range(chain.n_arms):
-            if len(idle) > 0:
-                count = _idle_motions(arms[k], arm_work[k], table, joints, work, idle, count)
-        sizes[0], sizes[1], sizes[3] = 6 - m, r, work.n_internal
-        sizes[2] = _shares(work, owners, bodies, columns, alpha, share, floor, len(floor))
-
-    return fill
-
-
-def build_settle(stamp: int) -> Any:
-    """The function that takes in the answer; `stamp` tells the cache of changed sources."""
-
-    @entry
-    def settle(model, raw, memory_bytes, found, lost_force, lost_squeeze, tau):
-        """Torques found to tau, no faster than motors may change; the memory goes on with them.
-
-        Args:
-            model, raw, memory_bytes: of one row. found: (motors,) torques within the limits.
-            lost_force, lost_squeeze: wanted less what will come: the force integral does not
-                integrate it. tau: (motors,) filled.
-        """
-        if stamp < 0:
-            return
-        chain, work = read_chain(model, 0, 1)[0], read_work(raw, 0, 1)[0]
-        memory = read_memory(memory_bytes, 0, 1)[0]
-        last = numbers(memory_bytes, chain.torque_memory_at, chain.n_motors)
+            lo, hi = arms[k].first, arms[k].end
+            for j in range(lo, hi):
+                s = 0.0
+                for i in range(lo, hi):
+                    s += rows[e, i] * joints[i].M[j - lo]
+                for a in range(6):
+                    carried[e, a] += s * joints[j].J_bar[a]
+        reflect(work.reflectors, work.beta, m, carried[e])
+        for j in range(n):
+            if table[j].motor >= 0:
+                E[e, table[j].motor] = rows[e, j]
+    count = 0
+    for c in range(len(idle)):
         for i in range(chain.n_motors):
-            tau[i] = found[i]
-        if memory.ticked > 1:
-            step = numbers(raw, chain.flat_at + 40 * chain.n_columns, chain.n_motors)
-            table = read_joints(model, chain.joints_at, chain.n_joints)
-            contacts = read_contact_memory(memory_bytes, chain.contact_memory_at, chain.n_contacts)
-            joints = read_joint_work(raw, chain.joint_work_at, chain.n_joints)
-            rate = torque_rate(chain, contacts, haste(chain, table, joints))
-            for j in range(chain.n_joints):
-                if table[j].motor >= 0:
-                    step[table[j].motor] = rate * chain.period * table[j].tau_max
-            slew(tau, last, step, chain.n_motors)
-        for i in range(chain.n_motors):
-            last[i] = tau[i]
-        for a in range(work.rank):
-            memory.force_sum[a] = work.force_next[a] - work.gain[a] * chain.period * lost_force[a]
-        memory.force_rank = work.rank
-        if work.n_internal > 0 and chain.n_arms == 2:
-            work.internal[0] -= lost_squeeze[0]
+            idle[c, i] = 0.0
+    for k in range(chain.n_arms):
+        if len(idle) > 0:
+            count = _idle_motions(arms[k], arm_work[k], table, joints, work, idle, count)
+    sizes[0], sizes[1], sizes[3] = 6 - m, r, work.n_internal
+    sizes[2] = _shares(work, owners, bodies, columns, alpha, share, floor, len(floor))
 
-    return settle
+
+@entry
+def settle(model, raw, memory_bytes, found, lost_force, lost_squeeze, tau):
+    """Torques found to tau, no faster than motors may change; the memory goes on with them.
+
+    Args:
+        model, raw, memory_bytes: of one row. found: (motors,) torques within the limits.
+        lost_force, lost_squeeze: wanted less what will come: the force integral does not
+            integrate it. tau: (motors,) filled.
+    """
+    chain, work = read_chain(model, 0, 1)[0], read_work(raw, 0, 1)[0]
+    memory = read_memory(memory_bytes, 0, 1)[0]
+    last = numbers(memory_bytes, chain.torque_memory_at, chain.n_motors)
+    for i in range(chain.n_motors):
+        tau[i] = found[i]
+    if memory.ticked > 1:
+        step = numbers(raw, chain.flat_at + 40 * chain.n_columns, chain.n_motors)
+        table = read_joints(model, chain.joints_at, chain.n_joints)
+        contacts = read_contact_memory(memory_bytes, chain.contact_memory_at, chain.n_contacts)
+        joints = read_joint_work(raw, chain.joint_work_at, chain.n_joints)
+        rate = torque_rate(chain, contacts, haste(chain, table, joints))
+        for j in range(chain.n_joints):
+            if table[j].motor >= 0:
+                step[table[j].motor] = rate * chain.period * table[j].tau_max
+        slew(tau, last, step, chain.n_motors)
+    for i in range(chain.n_motors):
+        last[i] = tau[i]
+    for a in range(work.rank):
+        memory.force_sum[a] = work.force_next[a] - work.gain[a] * chain.period * lost_force[a]
+    memory.force_rank = work.rank
+    if work.n_internal > 0 and chain.n_arms == 2:
+        work.internal[0] -= lost_squeeze[0]

@@ -300,7 +300,7 @@ class MujocoPlant:
             f"{np.abs(self.data.qvel).max():.3g}. Lower the gains or the plant step."
         )
 
-    def stop(self) -> None:
+    def stop(self, reason: str = "") -> None:
         """Nothing to do."""
 
     @property

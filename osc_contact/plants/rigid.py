@@ -175,7 +175,7 @@ class RigidPlant:
             self.q, self._X = closed(self.chain, q, X, self._gaps)
             self.v, self._V = self._on_constraints(v, V)
 
-    def stop(self) -> None:
+    def stop(self, reason: str = "") -> None:
         """Nothing to do."""
 
     def accelerations(self, tau: Array) -> tuple[Array, Array, Array]:

@@ -175,7 +175,7 @@ class SensedPlant:
         for name, sensor in self._sensor.items():
             sensor.observe(self.time, partial(self._value, name, ideal))
 
-    def stop(self) -> None:
+    def stop(self, reason: str = "") -> None:
         """Nothing to do."""
 
     def truth(self) -> Truth:

@@ -154,7 +154,7 @@ class Journal:
         self.about: dict[str, Any] = json.loads(found)
 
     def rows(self) -> Iterator[tuple[int, Array]]:
-        """(number of the first row, rows) of every whole chunk, in order.
+        """(number of the first row, rows) of every whole chunk, each row once, in order.
 
         Raises:
             RecordingError: the file cannot be read, or another version wrote it.
@@ -175,8 +175,13 @@ class Journal:
                 ) from error
             if first > after:
                 self.missing.append(f"ticks {after} to {first - 1} are missing")
-            after = first + len(rows)
-            yield first, rows
+            again = max(0, min(after - first, len(rows)))
+            if again:
+                last = first + again - 1
+                self.missing.append(f"ticks {first} to {last} come again, and are left out there")
+            if again < len(rows):
+                after = first + len(rows)
+                yield first + again, rows[again:]
 
     def _messages(self) -> Iterator[tuple[int, bytes]]:
         """(MCAP channel, data) of the messages in all whole chunks; after damage, from the next."""

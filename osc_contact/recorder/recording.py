@@ -20,9 +20,8 @@ __all__ = ["Recording"]
 
 _FORMAT = 1
 _RESERVED = frozenset({TEXT, "file", "allow_pickle"})
-#: What a clock measured, and where the scenario lay: the only things that differ from one run to
-#: the next of the same seed.
-_TIMES, _META_TIMES = ("tick_s",), ("wall_s", "cpu_s", "source_folder")
+#: What a clock measured: all that differs from one run to the next of the same seed.
+_TIMES, _META_TIMES = ("tick_s",), ("wall_s", "cpu_s")
 _PIECE = 1 << 14  #: ticks that are judged or drawn at once
 _FROM_DISK = 1 << 11  #: the same of a recording that stays on disk, and is to take little memory
 
@@ -52,6 +51,17 @@ class Channels(Mapping[str, Array]):
         return len(self.columns)
 
 
+class Meta(dict[str, Any]):
+    """What a recording says of itself; a key that is not there is a `RecordingError`."""
+
+    def __missing__(self, key: str) -> Any:
+        known = ", ".join(self) or "nothing"
+        raise RecordingError(
+            f"the recording's meta has no {key!r}, but {known}; "
+            "take recordings that osc.run or osc.Recorder made, with their meta"
+        )
+
+
 class Recording:
     """Time series of one run: `meta` (JSON-able) and `channels` (first axis = control tick).
 
@@ -68,7 +78,7 @@ class Recording:
     def __init__(
         self, meta: Mapping[str, Any], channels: Mapping[str, npt.ArrayLike | Column]
     ) -> None:
-        self.meta: dict[str, Any] = _plain(meta)
+        self.meta: dict[str, Any] = Meta(_plain(meta))
         columns: dict[str, Array | Column] = {}
         for name, values in channels.items():
             array = values if isinstance(values, Column) else np.asarray(values)
@@ -148,8 +158,7 @@ class Recording:
         """Write one .npz file: complete under its final name, or not there at all.
 
         Two runs of the same seed make the same bytes. What a clock measured (`tick_s`; `wall_s`
-        and `cpu_s` of the meta), and its `source_folder`, goes to a file of its own beside it,
-        run.times.npz for run.npz.
+        and `cpu_s` of the meta) goes to a file of its own beside it, run.times.npz for run.npz.
 
         Raises:
             RecordingError: the file cannot be written; an older file of the name is kept."""
@@ -207,7 +216,7 @@ class Recording:
             if spent.get("of") == checksum(source):
                 columns |= times
                 if isinstance(meta, dict):
-                    meta |= spent["meta"]
+                    meta |= {k: v for k, v in spent["meta"].items() if k in _META_TIMES}
         ranks = {name: rank for rank, name in enumerate(order)}
         last = len(ranks)
         names = sorted(columns, key=lambda name: ranks.get(name, last))

@@ -1,4 +1,8 @@
-"""How a run is asked to end: between two ticks, by Ctrl-C or SIGTERM."""
+"""How a run is ended from outside: by Ctrl-C, SIGTERM or SIGHUP, between two ticks or at once.
+
+Signals come to the main thread: in others nothing changes here, nor for a signal that the program
+handles itself or ignores.
+"""
 
 from __future__ import annotations
 
@@ -6,39 +10,110 @@ import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
-__all__ = ["asked_to_end", "until"]
+__all__ = ["RaisedSignals", "asked_to_end", "raised_signals", "until"]
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+#: What ends a program, where the system has it: signal → what is called by default.
+_USUAL: dict[int, Any] = {
+    getattr(signal, name): signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
+    for name in ("SIGINT", "SIGTERM", "SIGHUP")
+    if hasattr(signal, name)
+}
 T = TypeVar("T")
+Handler = Callable[[int, Any], None]
+
+
+class RaisedSignals:
+    """Signals that end a block by an exception, as Ctrl-C always does, but not amid some calls.
+
+    Attributes:
+        seen: signals that came. busy: they are kept until later; the third one is not.
+    """
+
+    def __init__(self) -> None:
+        """None came yet."""
+        self.seen: list[int] = []
+        self.busy = False
+
+    @property
+    def name(self) -> str:
+        """Of the first, such as SIGTERM; empty: none came."""
+        return signal.Signals(self.seen[0]).name if self.seen else ""
+
+    def note(self, number: int, frame: Any) -> None:
+        """Take a signal in: as a handler is called."""
+        self.seen.append(number)
+        if not self.busy or len(self.seen) > 2:
+            self.end()
+
+    def whole(self, call: Callable[..., Any], *given: Any) -> None:
+        """Call something that no signal interrupts; one that came meanwhile ends the block then.
+
+        Args:
+            call, given: a function and its arguments.
+        """
+        self.busy = True
+        call(*given)
+        self.busy = False
+        if self.seen:
+            self.end()
+
+    def end(self) -> NoReturn:
+        """End the block.
+
+        Raises:
+            KeyboardInterrupt: by Ctrl-C.
+            SystemExit: by another signal, with 128 + its number, as a shell reports it.
+        """
+        if self.seen[0] == signal.SIGINT:
+            raise KeyboardInterrupt
+        raise SystemExit(128 + self.seen[0])
+
+
+@contextmanager
+def raised_signals() -> Iterator[RaisedSignals]:
+    """Let signals end a block by an exception; those kept until its end are raised then."""
+    signals = RaisedSignals()
+    with _handled(signals.note):
+        yield signals
+    if signals.seen:
+        signals.end()
 
 
 @contextmanager
 def asked_to_end() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C was pressed or SIGTERM sent since the block began.
+    """Whether a signal asked for the end since the block began.
 
-    The first time is only noted; the second ends the program as always. Signals come to the main
-    thread: in others, and where another handler is set, nothing changes.
+    The first is only noted; the second ends the program as always.
     """
     seen: list[int] = []
-    before: dict[int, Any] = {}
 
     def note(number: int, frame: Any) -> None:
         seen.append(number)
-        for one, handler in before.items():
-            signal.signal(one, handler)
+        _restore(note)
 
-    if threading.current_thread() is threading.main_thread():
-        usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
-        before = {n: usual[n] for n in _SIGNALS if signal.getsignal(n) == usual[n]}
-        for number in before:
-            signal.signal(number, note)
-    try:
+    with _handled(note):
         yield lambda: bool(seen)
+
+
+@contextmanager
+def _handled(note: Handler) -> Iterator[None]:
+    """Have signals handled that would end the program."""
+    if threading.current_thread() is threading.main_thread():
+        for number, usual in _USUAL.items():
+            if signal.getsignal(number) == usual:
+                signal.signal(number, note)
+    try:
+        yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        _restore(note)
+
+
+def _restore(note: Handler) -> None:
+    for number, usual in _USUAL.items():
+        if signal.getsignal(number) == note:
+            signal.signal(number, usual)
 
 
 def until(asked: Callable[[], bool], items: Iterable[T]) -> Iterator[T]:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Mapping
+from inspect import signature
 from time import perf_counter
 from typing import Any, Protocol
 
 from osc_contact.control.controller import Controller
+from osc_contact.control.safety import SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference, Robot
 from osc_contact.plants.judge import Plant, Truth
+from osc_contact.runs.ending import RaisedSignals, raised_signals
 from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
 
 __all__ = ["NEWS", "Controls", "Records", "Witness", "run_loop"]
+
+_log = logging.getLogger(__name__)
 
 NEWS = 100  #: ticks from one call of `progress` to the next
 
@@ -85,12 +91,18 @@ def run_loop(
 ) -> None:
     """Measure, compute, record, command: once for each reference, then stop the robot.
 
-    The robot keeps the time: `Robot.command` returns when the period is over. It is stopped in
-    any case, also where the loop ends by an error or by Ctrl-C.
+    The robot keeps the time: `Robot.command` returns when the period is over.
+
+    `Robot.stop` is called with a reason in the very tick in which the controller enters
+    `SAFE_STOP`, and however the loop ends: with its references, by an error, by Ctrl-C, SIGTERM or
+    SIGHUP. A signal ends the loop at once, but never amid a tick's record or amid this last stop,
+    unless it is the third. That is so in the main thread, which signals come to, where the program
+    has no handler of its own; elsewhere end the references to end the loop.
 
     Args:
         robot: hardware, or a plant.
-        controller: a `Controller`, or anything with its `tick` and `dt`.
+        controller: a `Controller`, or anything with its `tick` and `dt`; its `state` and `reason`
+            are looked at if there are any.
         references: one for each tick, of any length; a generator may go on for ever.
         recorder: notes every tick; a `Recorder` makes a recording of them, and asks the judge if
             it was given one.
@@ -98,24 +110,74 @@ def run_loop(
         progress: called with the time (s) now and then.
 
     Raises:
-        InvalidInputError: a viewer without a recorder.
-        PlantError: the simulation diverged, or what else the robot raises.
+        InvalidInputError: a viewer without a recorder; a robot whose `stop` takes no reason.
+        PlantError: the simulation diverged, or what else the robot raises. If its `stop` then
+            fails, too, that is a note of the error, and logged.
+        KeyboardInterrupt, SystemExit: a signal ended it; the latter has the code 128 + its number.
     """
     if viewer is not None and recorder is None:
         raise InvalidInputError("a viewer shows what is recorded; give the loop a recorder, too")
-    period = controller.dt
+    _require_stop(robot)
+    with raised_signals() as signals:
+        try:
+            _run(robot, controller, references, recorder, viewer, progress, signals)
+            signals.busy = True
+        except BaseException as error:
+            signals.busy = True
+            failure = _stop(robot, signals.name or f"{type(error).__name__}: {error}")
+            if failure is not None:
+                error.add_note(f"robot.stop() then failed, too: {failure!r}")
+            raise
+        robot.stop("")
+
+
+def _run(
+    robot: Robot,
+    controller: Controls,
+    references: Iterable[Reference],
+    recorder: Records | None,
+    viewer: Shows | None,
+    progress: Callable[[float], None] | None,
+    signals: RaisedSignals,
+) -> None:
+    """All ticks."""
+    period, stopped = controller.dt, False
+    for k, reference in enumerate(references):
+        measurement = robot.measure()
+        start = perf_counter()
+        tau = controller.tick(measurement, reference)
+        seconds = perf_counter() - start
+        entered = not stopped
+        stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
+        if stopped and entered:
+            _stop(robot, getattr(controller, "reason", ""))
+        if recorder is not None:
+            signals.whole(recorder.append, measurement, reference, tau, seconds)
+            if viewer is not None:
+                viewer.show(recorder.latest())
+        robot.command(tau, period)
+        if progress is not None and k % NEWS == NEWS - 1:
+            progress((k + 1) * period)
+
+
+def _stop(robot: Robot, reason: str) -> Exception | None:
+    """Stop it where there is more to do; returns why that failed, which is logged."""
     try:
-        for k, reference in enumerate(references):
-            measurement = robot.measure()
-            start = perf_counter()
-            tau = controller.tick(measurement, reference)
-            seconds = perf_counter() - start
-            if recorder is not None:
-                recorder.append(measurement, reference, tau, seconds)
-                if viewer is not None:
-                    viewer.show(recorder.latest())
-            robot.command(tau, period)
-            if progress is not None and k % NEWS == NEWS - 1:
-                progress((k + 1) * period)
-    finally:
-        robot.stop()
+        robot.stop(reason)
+    except Exception as error:
+        _log.exception("robot.stop(%r) failed", reason)
+        return error
+    return None
+
+
+def _require_stop(robot: Robot) -> None:
+    """Refuse a robot that cannot be stopped with a reason, before it moves."""
+    try:
+        signature(robot.stop).bind("why")
+    except TypeError as error:
+        raise InvalidInputError(
+            f"stop() of {type(robot).__name__} takes no reason ({error}); "
+            'define it as stop(self, reason="")'
+        ) from error
+    except ValueError:  # compiled drivers do not say what they take
+        pass

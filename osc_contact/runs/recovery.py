@@ -19,21 +19,23 @@ from osc_contact.scenarios.schema import Scenario
 __all__ = ["recover", "scenario_of"]
 
 
-def recover(path: str | os.PathLike[str]) -> Recording:
+def recover(
+    path: str | os.PathLike[str], folder: str | os.PathLike[str] | None = None
+) -> Recording:
     """The recording of a journal that a run left: all its chunks but those that are damaged.
 
     `meta["missing"]` has a sentence for each missing part.
 
     Args:
-        path: such as unfinished.mcap. A scenario of your own and its URDFs are looked for where
-            they were, beside the file.
+        path: such as unfinished.mcap.
+        folder: of your own scenario, see `scenario_of`.
 
     Raises:
         RecordingError: no such file, nothing in it, or not the journal of a scenario's run.
     """
     source = Path(path)
     journal = Journal(source)
-    rig = build_rig(scenario_of(journal.about, source))
+    rig = build_rig(scenario_of(journal.about, source, folder))
     plant, controller = rig.plant(int(journal.about.get("seed", 0))), rig.controller()
     recording = recording_of(rig.subject(controller), plant.log(1), journal, journal.about)
     ticks = round(rig.scenario.duration * rig.scenario.control.rate)
@@ -44,48 +46,56 @@ def recover(path: str | os.PathLike[str]) -> Recording:
     return recording
 
 
-def shown_of(recording: Recording, path: Path) -> Shown:
+def shown_of(
+    recording: Recording, path: Path, folder: str | os.PathLike[str] | None = None
+) -> Shown:
     """What a recording is of: the picture that it carries, or its scenario.
+
+    Args:
+        recording, path: as read, and its file. folder: as of `scenario_of`.
 
     Raises:
         RecordingError: it holds neither, see `scenario_of`.
     """
     if "picture" in recording.meta:
         return Shown.of_recording(recording)
-    return Shown.of(build_rig(scenario_of(recording.meta, path)))
+    return Shown.of(build_rig(scenario_of(recording.meta, path, folder)))
 
 
-def scenario_of(meta: dict[str, Any], path: Path) -> Scenario:
+def scenario_of(
+    meta: dict[str, Any], path: Path, folder: str | os.PathLike[str] | None = None
+) -> Scenario:
     """The scenario that a recording was made of.
 
-    URDFs given by path are looked for where the scenario lay when it was run, then beside the
-    recording, then in the working folder.
+    A recording holds no folders (SECURITY.md): URDFs that its scenario gives by path are looked for
+    in `folder`, then beside the recording, then in the working folder.
 
     Args:
-        meta: of the recording. path: of its file.
+        meta: of the recording. path: of its file. folder: in which the scenario's file stands.
 
     Raises:
         RecordingError: it does not hold a scenario that this version understands, or its URDFs are
             in none of these places.
     """
     try:
-        scenario = Scenario.model_validate(meta["scenario"])
-    except (KeyError, ScenarioError, ValueError) as error:
+        scenario = Scenario.model_validate(meta.get("scenario"))
+    except (ScenarioError, ValueError) as error:
         raise RecordingError(f"{path} does not say which scenario was run: {error}") from error
-    places = [meta.get("source_folder"), path.resolve().parent, Path.cwd()]
-    folders = list(dict.fromkeys(Path(p) for p in places if isinstance(p, str | Path)))
+    given = [] if folder is None else [Path(folder).resolve()]
+    places = list(dict.fromkeys([*given, path.resolve().parent, Path.cwd()]))
     missing = ModelError()
-    for folder in folders:
-        placed = scenario.with_source(folder / str(meta.get("source")))
+    for place in places:
+        placed = scenario.with_source(place / str(meta.get("source")))
         try:
-            _require_urdfs(placed, folder)
+            _require_urdfs(placed, place)
         except ModelError as error:
             missing = error
         else:
             return placed
     raise RecordingError(
-        f"{path} needs files of its scenario that are no longer there: looked in "
-        f"{', '.join(map(str, folders))}. Copy them beside the recording. ({missing})"
+        f"{path} needs files of its scenario, which are not in {', '.join(map(str, places))}. Give "
+        "the scenario's folder (--folder, or folder= in Python), or start there, or copy them "
+        f"beside the recording. ({missing})"
     )
 
 

@@ -66,7 +66,7 @@ def run(
         ScenarioError: it cannot run, see `preflight`. What is doubtful is logged, and kept in
             `meta["doubts"]`.
         PlantError: the simulation diverged; `error.recording` holds what came before.
-        Interrupted: Ctrl-C or SIGTERM ended it; likewise.
+        Interrupted: Ctrl-C, SIGTERM or SIGHUP ended it; likewise.
     """
     changes: dict[str, Any] = {} if duration is None else {"duration": duration}
     if plant is not None:
@@ -139,7 +139,6 @@ def describe_run(rig: Rig, seed: int, doubts: Sequence[str]) -> dict[str, Any]:
     return {
         "scenario": scenario.as_dict(),
         "source": None if scenario.source is None else scenario.source.name,
-        "source_folder": None if scenario.source is None else str(scenario.source.resolve().parent),
         "plant": scenario.plant.type,
         "seed": seed,
         "force_steps_s": force_steps(scenario),

@@ -84,7 +84,7 @@ def run_study(
     require_long_enough(scenario_of(study, study.sample(0)))
     rows = None if out is None else RowFile(Path(out) / ROWS, study)
     done = {} if rows is None else rows.done
-    done = {number: row for number, row in done.items() if number < study.rows}
+    done = {number: row for number, row in done.items() if number in range(study.rows)}
     wanted = [number for number in range(study.rows) if number not in done]
     jobs = [(study, wanted[i : i + _CHUNK]) for i in range(0, len(wanted), _CHUNK)]
     try:

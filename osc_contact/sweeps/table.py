@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.files import whole_file
+from osc_contact.files import hold, whole_file
 from osc_contact.sweeps.study import SweepStudy
 
 __all__ = ["RowFile", "make_table", "write_table"]
@@ -32,28 +32,55 @@ class RowFile:
             laws: JSON-able, of the controllers that make the rows where they are not the study's.
 
         Raises:
-            InvalidInputError: it holds another study.
+            InvalidInputError: another program writes to it, it is damaged, or it holds another
+                study.
         """
         self.path = path
         self.done: dict[int, Row] = {}
         path.parent.mkdir(parents=True, exist_ok=True)
-        text = path.read_bytes() if path.exists() else b""
+        self._file = path.open("ab")
+        try:
+            hold(self._file.fileno(), path)
+            self._go_on(path.read_bytes(), study, laws)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _go_on(self, text: bytes, study: SweepStudy, laws: Any) -> None:
+        """Take in what the file holds, and make it end with a whole line."""
         whole = text[: text.rfind(b"\n") + 1]
         lines = whole.splitlines()
-        head = json.loads(lines[0]) if lines else {}
+        head = self._read(1, lines[0], "study", str) if lines else {}
         if lines and (head.get("study"), head.get("laws")) != (study.fingerprint, laws):
             raise InvalidInputError(
-                f"{path} holds the rows of another study: another scenario, other distributions, "
-                "another design, seed or law; give another folder, or remove this one"
+                f"{self.path} holds the rows of another study: another scenario, other "
+                "distributions, another design, seed or law; give another folder, or remove it"
             )
-        for line in lines[1:]:
-            row = json.loads(line)
+        for number, line in enumerate(lines[1:], 2):
+            row = self._read(number, line, "row", int)
             self.done[row["row"]] = row
-        self._file = path.open("ab")
         self._file.truncate(len(whole))
         if not lines:
             named = {"study": study.fingerprint, "vary": study.vary, "design": study.design}
             self._write(named if laws is None else named | {"laws": laws})
+
+    def _read(self, number: int, line: bytes, key: str, kind: type) -> Row:
+        """A line as an object with a key of a kind.
+
+        Raises:
+            InvalidInputError: it is damaged.
+        """
+        try:
+            row = json.loads(line)
+            if type(row[key]) is kind:
+                return row
+            cause = f"its {key!r} is {row[key]!r}"
+        except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
+            cause = f"{type(error).__name__}: {error}"
+        cure = (
+            "remove it: its run is done again" if number > 1 else "remove the file, and begin anew"
+        )
+        raise InvalidInputError(f"{self.path}: line {number} is damaged ({cause}); {cure}")
 
     def append(self, rows: Iterable[Row]) -> None:
         """Keep rows, now."""
@@ -81,7 +108,15 @@ def make_table(rows: Sequence[Row], study: SweepStudy) -> Any:
 
     ordered = sorted(rows, key=lambda row: int(row["row"]))
     names = list(dict.fromkeys(name for row in ordered for name in row))
-    columns = {name: pa.array([_plain(row.get(name)) for row in ordered]) for name in names}
+    columns = {}
+    for name in names:
+        try:
+            columns[name] = pa.array([_plain(row.get(name)) for row in ordered])
+        except pa.ArrowException as error:
+            raise InvalidInputError(
+                f"the values of {name!r} are of several kinds ({error}): rows are damaged; remove "
+                "their file, and run the study again"
+            ) from error
     about = {
         "study": study.fingerprint,
         "scenario": study.text,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -17,7 +18,7 @@ from concurrent.futures import (
 )
 from contextlib import ExitStack, contextmanager
 from itertools import islice
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from typing import Any
 
 from osc_contact.errors import OscContactError
@@ -186,12 +187,22 @@ def _hand_out(
             future.cancel()
 
 
+def _end_with_parent() -> None:
+    """Wait until the parent process has ended, which a kill does not let it announce; then end."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
 def _begin_work() -> None:
     """A worker process begins.
 
-    Ctrl-C goes to all processes of a terminal; workers end when their parent does. And at once, not
-    in order as a run does by itself: nobody reads its recording any more.
+    Ctrl-C goes to all processes of a terminal; workers end when their parent does, however it ends.
+    And at once, not in order as a run does by itself: nobody reads its recording any more.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda number, frame: os._exit(128 + number))
+    for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+        signal.signal(number, lambda number, frame: os._exit(128 + number))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     gc.freeze()  # what is imported stays; not looked through again with every run
