@@ -78,7 +78,7 @@ from osc_contact.visual import plots
 moving = osc.load_scenario(
     "two_contact_rod",
     ["plant.type=rigid", "plant.step=2 ms", "control.rate=500 Hz",
-     "force.left_end.1.start=0.25 s", "motion.0.signals.0.ramp=0.2 s"],
+     "force.left_end.1.start=0.25 s", "gains.force.rise=0 s", "motion.0.signals.0.ramp=0.2 s"],
 )  # fmt: skip
 runs = {name: osc.run(moving, duration=0.4, install=law.install) for name, law in laws.items()}
 for name, recording in runs.items():
@@ -89,13 +89,15 @@ for name, recording in runs.items():
 # The two forces under the selection law: each follows the motion and the other force.
 
 # %%
-plots.contact_forces(runs["selection"], [0.25], judged_from=0.1)
+judged = np.ones((len(runs["ours"]), 2), dtype=bool)
+judged[:50] = judged[125:150] = False  # the start, and the step: shaded
+plots.contact_forces(runs["selection"], judged)
 
 # %% [markdown]
 # Under ours they do not.
 
 # %%
-plots.contact_forces(runs["ours"], [0.25], judged_from=0.1)
+plots.contact_forces(runs["ours"], judged)
 
 # %%
 from pathlib import Path

@@ -153,7 +153,7 @@ if find_spec("mujoco"):
 # %%
 from osc_contact.visual import plots
 
-plots.contact_forces(recording, recording.meta["force_steps_s"], judged_from=0.1)
+plots.contact_forces(recording)
 
 # %%
 from pathlib import Path

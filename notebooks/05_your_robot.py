@@ -140,7 +140,7 @@ verdict = osc.metrics(recording)
 force, motion = verdict["force"]["pin"], verdict["motion"]
 print(f"force: {force['mean_command_N']:.1f} N, rms error {force['rms_error_N']:.4f} N")
 print(f"motion: rms error {1e3 * motion['rms_error_m']:.3f} mm; ticks {verdict['status']}")
-plots.contact_forces(recording, recording.meta["force_steps_s"], judged_from=1.0)
+plots.contact_forces(recording)
 
 # %%
 plots.torques(recording)

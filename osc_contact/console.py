@@ -16,8 +16,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from osc_contact.errors import OscContactError, PlantError
 from osc_contact.files import sole_user
 from osc_contact.recorder import Recording
+from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.runs import replay, tables
-from osc_contact.runs.metrics import SETTLE_S
 from osc_contact.runs.recovery import recover
 from osc_contact.runs.report import require_judgeable, write_json, write_report
 from osc_contact.runs.run import run

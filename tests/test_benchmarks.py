@@ -314,7 +314,7 @@ def test_textbook_law_gives_our_torques(name: str) -> None:
     case = (CASES | SPECIAL_CASES)[name]()
     gains = replace(
         case.gains,
-        force=replace(case.gains.force, integral=0.0),
+        force=replace(case.gains.force, integral=0.0, rise=0.0),
         motion=replace(case.gains.motion, integral=2000.0),
     )
     rng = np.random.default_rng(50)

@@ -215,6 +215,7 @@ SCENARIO_TABLES = (
     "Who and where",
     "Contacts and commands",
     "Control and plant",
+    "Limits of the verdict",
     "Drives and sensors",
 )
 

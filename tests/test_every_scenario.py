@@ -111,6 +111,42 @@ def test_limits_on_mujoco(runs, name):
     assert np.ptp(runs[name]["pose"][:, :3], axis=0).max() > 0.01  # it does move
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_forces_do_not_overshoot_on_mujoco(runs, name):
+    """First contact and steps: at most 5 % above the command, from the first tick on."""
+    steps = osc.metrics(runs[name])["steps"]
+    assert len([s for s in steps if s["what"] == "first contact"]) == ROBOTS[name][1]
+    for step in steps:
+        assert step["overshoot_N"] <= 0.05 * abs(step["asked_N"]), step
+
+
+#: The other packaged scenarios: words of their first 3.3 s; whether no force overshoots.
+WORDS = {
+    "two_contact_rod": ("OK", True),
+    "two_contact_rod_friction": ("OK", True),
+    "two_contact_rod_mismatch": ("OK", True),
+    "moving_face": ("OK", True),
+    "approach_and_slide": ("OK", True),
+    "panda_wrist": ("OK", True),
+    "limited_rod": ("POOR", True),  # more is commanded than its motors can do, twice
+    "collisions": ("POOR", False),  # pushed off its faces again and again, its forces not let in
+}
+
+
+@pytest.mark.parametrize("name", WORDS)
+def test_verdicts_of_the_other_scenarios(name):
+    word, gentle = WORDS[name]
+    verdict = osc.metrics(osc.run(osc.load_scenario(name), duration=3.3))
+    assert verdict["task"]["word"] == word, verdict["task"]
+    for step in verdict["steps"] if gentle else ():
+        assert step["overshoot_N"] <= 0.05 * max(abs(step["asked_N"]), 1.0), step
+
+
+def test_every_packaged_scenario_has_a_verdict_in_a_test():
+    elsewhere = {"workcell"}  # tests/test_workcell.py
+    assert {*WORDS, *NAMES, *elsewhere} == set(osc.scenarios.list_scenarios())
+
+
 @both_allocations
 @pytest.mark.parametrize("name", NAMES)
 def test_rigid_plant_decouples_exactly(rigs, name, allocated):

@@ -16,6 +16,8 @@ from osc_contact.interface import Measurement, Reference
 from osc_contact.law.layout import records
 from osc_contact.law.tables import CHAIN, JOINT
 from osc_contact.plants.rigid import RigidPlant
+from osc_contact.runs.inspection import inspect_rig
+from osc_contact.runs.tables import verdict_table
 
 ROTORS = np.array([0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05])
 DRY = np.array([2.0, 1.5, 1.0, 1.0, 0.5, 0.4, 0.3])
@@ -28,6 +30,31 @@ def panda(**joints):
     how = {"name": "arm", "tip": "panda_hand_tcp", "wrist_sensor": "panda_hand"}
     arm = osc.Arm.from_urdf(urdf, **how, **joints)
     return osc.ClosedChain([arm], [placed(0.02, 0.01, 0.08)], osc.RigidObject(ROD))
+
+
+def test_friction_damping_and_armature_are_shown_wherever_a_robot_is():
+    """By `check`, by `inspect`, and by the verdict of a run: non-zero values with their units."""
+    checked = "\n".join(robots.check_robot(robots.find_robot("xarm7")[0]).lines())
+    assert "joints: friction 1 N m (every joint); damping 10 N m s/rad (joint1, joint2)" in checked
+    changes = ["arms.left.friction=[1, 1, 20, 0.5, 0]", "arms.right.armature=0.1"]
+    scenario = osc.load_scenario("two_contact_rod", [*changes, "duration=1.1 s"])
+    words = (
+        "friction 1 N m (joint1, joint2), 20 N (joint3), 0.5 N m (joint4); no damping; no armature",
+        "no friction; no damping; "
+        "armature 0.1 kg m² (joint1, joint2, joint4, hinge), 0.1 kg (joint3)",
+    )
+    lines = inspect_rig(osc.build_rig(scenario)).lines
+    assert [line for line in lines if line.startswith("joints of")] == [
+        f"joints of 'left': {words[0]}",
+        f"joints of 'right': {words[1]}",
+    ]
+    verdict = osc.metrics(osc.run(scenario))
+    assert verdict["joint_losses"][2] == {
+        "joint": "left/joint3", "friction": 20.0, "damping": 0.0, "armature": 0.0, "slides": True,
+    }  # fmt: skip
+    cells = [list(column.cells) for column in verdict_table(verdict).columns]
+    rows = dict(zip(*cells, strict=True))
+    assert [rows[f"joints {arm}, in the model"] for arm in ("left", "right")] == list(words)
 
 
 def bare_mass_matrix(chain, q):

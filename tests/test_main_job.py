@@ -63,11 +63,29 @@ def test_forces_motion_and_contact_on_mujoco(nominal):
     assert verdict["power"]["ratio"] <= 0.02
 
 
+def test_no_force_overshoots_its_command(nominal):
+    """First contacts and the step: at most 5 % above what is commanded, from the first tick on."""
+    steps = osc.metrics(nominal)["steps"]
+    assert [(s["what"], s["force"]) for s in steps] == [
+        ("first contact", "right_end"), ("first contact", "left_end"), ("step", "left_end"),
+    ]  # fmt: skip
+    assert max(s["overshoot_rel"] for s in steps) <= 0.05
+    assert nominal["alpha_true"].max(axis=0) == pytest.approx([15.0, 12.0], rel=2e-3)
+
+
+def test_steps_at_once_are_followed_as_before():
+    """The same gains without a rise time: what the law itself reaches, to the last digit given."""
+    sudden = osc.load_scenario("two_contact_rod", ["gains.force.rise=0 s"])
+    force = osc.metrics(osc.run(sudden))["force"]
+    assert force["left_end"]["rms_error_rel"] == pytest.approx(1.63e-4, abs=5e-7)
+    assert force["right_end"]["rms_error_rel"] == pytest.approx(2.25e-4, abs=5e-7)
+
+
 def test_the_judge_takes_its_forces_from_the_plant_and_its_motion_from_the_object(nominal):
     """Recompute the verdict from the raw recording, by hand."""
     verdict = osc.metrics(nominal)
     t = nominal["t"]
-    quiet = (t >= 1.0) & ~((t >= 5.0) & (t < 5.05))
+    quiet = (t >= 1.0) & ~((t >= 5.0) & (t < 5.05 + nominal.meta["force_rise_s"]))
     error = (nominal["alpha_true"] - nominal["alpha_cmd"])[quiet]
     mean = nominal["alpha_cmd"][quiet].mean(axis=0)
     for i, force in enumerate(verdict["force"].values()):

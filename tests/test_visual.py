@@ -39,17 +39,28 @@ def test_force_error_is_scaled_by_what_counts() -> None:
     recording.channels["alpha_true"] = recording["alpha_cmd"] + 1e-3
     recording.channels["alpha_true"][:20] += 7.0  # touching down
     recording.channels["alpha_true"][51:54] -= 5.0  # after a step
-    error = plots.contact_forces(recording, blank_after=[0.5], judged_from=0.2).axes[-1]
-    assert error.get_ylim()[1] < 3e-3 and error.get_ylim()[0] > -3e-3
+    judged = np.ones((101, 2), dtype=bool)
+    judged[:20] = judged[50:55] = False
+    *forces, error = plots.contact_forces(recording, judged).axes
     assert "rms 1 mN, peak 1 mN" in error.lines[0].get_label()
-    assert len(error.patches) == 2
-    beyond = plots.contact_forces(recording, judged_from=9.0).axes[-1]
-    assert beyond.get_ylim()[1] > 7.0, "if nothing counts, everything does"
+    low, high = error.get_ylim()
+    assert low < -5.0 and high > 7.0, "nothing is cut off"
+    at = error.transScale.transform
+    small, large = at((0.0, 1e-3))[1] - at((0.0, 0.0))[1], at((0.0, 7.0))[1] - at((0.0, 0.0))[1]
+    assert small > 0.2 * large, "and what is judged is seen beside it"
+    shaded = [(p.get_x(), p.get_x() + p.get_width()) for p in error.patches]
+    assert np.allclose(shaded, [(0.0, 0.2), (0.5, 0.55)])
+    assert all(len(ax.patches) == 2 for ax in forces)
+    nothing = plots.contact_forces(recording, np.zeros((101, 2), dtype=bool)).axes[-1]
+    assert nothing.get_ylim()[1] > 7.0, "if nothing counts, everything does"
 
 
 def test_power_figure_leaves_steps_out_of_the_rms() -> None:
     recording = make_recording()
-    plain, blanked = plots.power(recording), plots.power(recording, blank_after=[0.5])
+    plain, blanked = (
+        plots.power(recording),
+        plots.power(recording, ~np.isin(np.arange(101), range(50, 55))),
+    )
     assert plain.axes[0].get_ylim() == plain.axes[1].get_ylim()
     assert "398 mW" in plain.axes[1].get_title(loc="left")
     counted = np.r_[0:50, 55:101]

@@ -30,6 +30,9 @@ shown.
 Arrows are contact forces (10 mm per newton; wide and pale: commanded, black: measured), long lines
 are lines of force, thin curves are trails. `make gallery` makes this page and its pictures anew;
 `osc-contact view SCENARIO --gif FILE` makes one of your own.
+
+Two runs are `POOR` as they are meant to be: `limited_rod` is commanded more than its motors can do,
+and `collisions` is knocked off its faces again and again.
 """
 
 

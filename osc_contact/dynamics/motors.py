@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import ModelError
+from osc_contact.robots.joint_losses import rotors, slides
 from osc_contact.spatial import Array
 
 __all__ = [
@@ -56,8 +57,7 @@ def rotor_inertia(model: pin.Model) -> Array:
     Raises:
         ModelError: one that is negative or not finite.
     """
-    given, ratio = np.array(model.armature), np.array(model.rotorGearRatio)
-    inertia = np.where(given != 0.0, given, np.array(model.rotorInertia) * ratio**2)
+    inertia = rotors(model)
     for name, value in zip(list(model.names)[1:], inertia, strict=True):
         if not 0.0 <= value < np.inf:
             raise ModelError(
@@ -68,8 +68,8 @@ def rotor_inertia(model: pin.Model) -> Array:
 
 def heaviest_rotor(model: pin.Model, gyration: float) -> float:
     """Mass (kg) that has, at the radius `gyration` (m), the largest rotor inertia of the joints."""
-    slides = np.array([j.shortname().startswith("JointModelP") for j in list(model.joints)[1:]])
-    masses = rotor_inertia(model) / np.where(slides, 1.0, gyration**2)
+    sliding = np.array([slides(model, j) for j in range(1, model.njoints)])
+    masses = rotor_inertia(model) / np.where(sliding, 1.0, gyration**2)
     return float(masses.max(initial=0.0))
 
 

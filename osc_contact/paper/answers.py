@@ -13,7 +13,8 @@ from osc_contact.contacts.raibert_craig import as_raibert_craig
 from osc_contact.control.signals import BLOCKS, Block
 from osc_contact.paper.statements import Answer
 from osc_contact.recorder import Recording
-from osc_contact.runs.metrics import SETTLE_S, STEP_BLANK_S, metrics
+from osc_contact.recorder.judged import SETTLE_S, STEP_BLANK_S
+from osc_contact.runs.metrics import metrics
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.viewing import object_size
 from osc_contact.spatial import Array, cross

@@ -12,7 +12,7 @@ from osc_contact.contacts.pairs import VertexOnFace
 from osc_contact.errors import InvalidInputError
 from osc_contact.paper.studies import STUDIES
 from osc_contact.recorder import Recording
-from osc_contact.runs.metrics import SETTLE_S
+from osc_contact.recorder.judged import judged_ticks
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.spatial import Array
@@ -104,13 +104,13 @@ def _fig5(rig: Rig) -> Figure:
 def _fig6(recording: Recording) -> Figure:
     from osc_contact.visual.plots import power
 
-    return power(recording, recording.meta["force_steps_s"], SETTLE_S)
+    return power(recording, judged_ticks(recording)[1])
 
 
 def _fig8(recording: Recording) -> Figure:
     from osc_contact.visual.plots import contact_forces
 
-    return contact_forces(recording, recording.meta["force_steps_s"], SETTLE_S)
+    return contact_forces(recording, judged_ticks(recording)[0])
 
 
 _from_rig: dict[str, Callable[[Rig], Figure]] = {"fig1": _fig1, "fig4": _fig4, "fig5": _fig5}

@@ -15,7 +15,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from osc_contact.recorder import Recording
-from osc_contact.runs.metrics import SETTLE_S, metrics
+from osc_contact.recorder.judged import SETTLE_S
+from osc_contact.runs.metrics import metrics
 from osc_contact.runs.run import run as run_scenario
 from osc_contact.scenarios import load_scenario
 from osc_contact.spatial import Array

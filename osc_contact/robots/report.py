@@ -59,6 +59,8 @@ class RobotReport:
             f"{robot.moving_mass:.4g} kg move; mass matrix positive definite at {SAMPLES + 1} "
             f"configurations; a second reader differs by {self.reader_difference:.1g} at most",
         ]
+        if robot.joints:
+            lines.append(f"joints: {robot.loss_words}")
         if self.meshes_missing:
             lines.append(f"{self.meshes_missing} mesh files were not found (not needed here)")
         if robot.more_tips:

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from osc_contact.errors import ModelError
 from osc_contact.robots.document import Document
+from osc_contact.robots.joint_losses import UNITS, joint_losses, loss_words
 from osc_contact.robots.model import ends_of, frame_id, random_configurations
 from osc_contact.spatial import Array
 
@@ -23,7 +24,10 @@ _SHOWN_TIPS = 12
 
 @dataclass(frozen=True)
 class JointSummary:
-    """One joint: limits in rad, N m, rad/s, or m, N, m/s; moved_mass (kg): all that hangs on it."""
+    """One joint: limits in rad, N m, rad/s, or m, N, m/s; moved_mass (kg): all that hangs on it.
+
+    friction (N m, N), damping (N m s/rad, N s/m), armature (kg m², kg): see `joint_losses`.
+    """
 
     name: str
     kind: str
@@ -32,6 +36,9 @@ class JointSummary:
     effort: float
     velocity: float
     moved_mass: float
+    friction: float
+    damping: float
+    armature: float
 
 
 @dataclass(frozen=True)
@@ -69,6 +76,16 @@ class RobotSummary:
     joints: tuple[JointSummary, ...]
     tips: tuple[TipSummary, ...]
     more_tips: int
+
+    @property
+    def loss_words(self) -> str:
+        """Friction, damping and armature of the joints in one line."""
+        return loss_words(
+            [
+                {**asdict(one), "joint": one.name, "slides": one.kind == "prismatic"}
+                for one in self.joints
+            ]
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form; infinite numbers become null."""
@@ -120,7 +137,7 @@ def _summary(
 ) -> RobotSummary:
     data = model.createData()
     pin.crba(model, data, pin.neutral(model))
-    joints = []
+    joints, losses = [], {one["joint"]: one for one in joint_losses(model)}
     for j in range(1, model.njoints):
         joint, name = model.joints[j], model.names[j]
         q, v = joint.idx_q, joint.idx_v
@@ -128,7 +145,7 @@ def _summary(
             name, kinds[name],
             float(model.lowerPositionLimit[q]), float(model.upperPositionLimit[q]),
             _limit(model.upperEffortLimit[v]), _limit(model.upperVelocityLimit[v]),
-            float(data.Ycrb[j].mass),
+            float(data.Ycrb[j].mass), *(losses[name][key] for key in UNITS),
         ))  # fmt: skip
     frames = ends if tip is None else [frame_id(model, tip)]
     if tip is not None and model.frames[frames[0]].parentJoint == 0:

@@ -13,6 +13,7 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.contacts.pairs.vertex_on_face import VertexOnFace
 from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.robots.joint_losses import joint_losses, loss_words
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.contact_types import magnitude_names
@@ -75,6 +76,10 @@ def inspect_rig(rig: Rig) -> Inspection:
         *_locked(state),
         f"{len(rig.pairs)} contact(s) constrain r = {contact.r} of them; "
         f"{state.d - contact.r} motions stay free, {contact.r} contact forces can be controlled.",
+        *(
+            f"joints of '{arm.name}': {loss_words(joint_losses(arm.model))}"
+            for arm in rig.chain.arms
+        ),
         *_contact_lines(rig),
         *_skew(rig),
         *(f"free motion {i + 1}: {_twist_words(t)}" for i, t in enumerate(free.T)),

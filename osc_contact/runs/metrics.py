@@ -2,24 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.recorder import Recording
-from osc_contact.runs.outcome import Landings, Openings, judge_task, step_answers
+from osc_contact.recorder.judged import CLOSED, SETTLE_S, JudgedTicks
+from osc_contact.runs.limit_cycles import Cycle, CycleSearch
+from osc_contact.runs.outcome import Openings, judge_task, step_answers
+from osc_contact.scenarios.control_schema import VerdictSpec
 from osc_contact.spatial import Array
 
-__all__ = ["SETTLE_S", "STEP_BLANK_S", "metrics"]
+__all__ = ["metrics"]
 
-SETTLE_S = 1.0  #: judged from here on
-STEP_BLANK_S = 0.05  #: forces and power are not judged while a force rises, and this much longer
 _READ = (
-    "t", "alpha_cmd", "alpha_true", "alpha_meas", "power_total", "power_projected", "motion_error",
-    "closed", "contact_phase", "status", "tau",
-)  # fmt: skip
+    "t",
+    "alpha_cmd",
+    "alpha_true",
+    "alpha_meas",
+    "power_total",
+    "power_projected",
+    "motion_error",
+    "closed",
+    "contact_phase",
+    "status",
+    "tau",
+)
+_MOVING = ("twist", "N")  #: read where they are recorded  # fmt: skip
 _STATUS = ("ok", "saturated", "held", "degraded")
 
 
@@ -29,7 +40,9 @@ def metrics(recording: Recording) -> dict[str, Any]:
     Keys: scenario, plant, seed (None for a loop of the user's own), duration_s, ticks,
     real_time_factor;
     force {contact: rms_error_N, rms_error_rel, peak_error_N, peak_error_rel, mean_command_N,
-    sensing_rms_rel}; motion {rms_error_m, rms_error_rad} along the free directions;
+    sensing_rms_rel, limit_cycle_N, limit_cycle_Hz, limit_cycle_rel}, of closed contacts, see
+    `osc_contact.recorder.judged` and `limit_cycles`;
+    motion {rms_error_m, rms_error_rad} along the free directions;
     contact_fraction {contact}; first_contact_s {contact} (null: never); steps, see
     `step_answers`; judged_ticks; task {word, failed, why}, see `judge_task`;
     power {total_rms_W, projected_rms_W, ratio};
@@ -49,104 +62,188 @@ def metrics(recording: Recording) -> dict[str, Any]:
             "the recording does not hold the true contact forces: no judge took part in the run, "
             "as on hardware; compare alpha_meas with alpha_cmd instead"
         )
-    steps = recording.meta["force_steps_s"]
-    blank = STEP_BLANK_S + recording.meta.get("force_rise_s", 0.0)
+    meta = recording.meta
+    names, contacts = recording.magnitude_names, meta["contact_names"]
+    limits = VerdictSpec.model_validate(meta.get("scenario", {}).get("verdict", {}))
     force = {key: _Series() for key in ("command", "error", "sensing")}
     power = {key: _Series() for key in ("power_total", "power_projected")}
     error, closed, status, at_limit = _Series(), _Series(), np.zeros(4, int), np.zeros(0, int)
-    limits, contacts = _limits(recording), len(recording.meta["contact_names"])
-    landings, openings = Landings(contacts), Openings(contacts)
-    for piece in recording.pieces(*_READ):
+    effort = _limits(recording)
+    ticks = JudgedTicks(meta, len(names))
+    openings = Openings(len(contacts))
+    cycles = CycleSearch(meta, ticks.columns, limits.limit_cycle)
+    moving = tuple(name for name in _MOVING if name in recording)
+    count = 0
+    for piece in recording.pieces(*_READ, *moving):
         judged = piece["t"] >= SETTLE_S - 1e-9
-        quiet = judged.copy()
-        for step in steps:
-            quiet &= ~((piece["t"] >= step - 1e-9) & (piece["t"] < step + blank - 1e-9))
-        command, truth, sensed = (piece[f"alpha_{key}"][quiet] for key in ("cmd", "true", "meas"))
+        count += int(judged.sum())
+        settled, counted, quiet = ticks.add(piece)
+        command, truth, sensed = (
+            np.where(counted, piece[f"alpha_{key}"], np.nan) for key in ("cmd", "true", "meas")
+        )
         force["command"].add(command)
         force["error"].add(truth - command)
         force["sensing"].add(sensed - truth)
+        cycles.add(piece, counted)
         for key, series in power.items():
             series.add(piece[key][quiet])
         parts = piece["motion_error"][judged].reshape(-1, 2, 3)
         error.add(np.sqrt(np.sum(parts**2, axis=2)))
         closed.add(piece["closed"][judged])
-        landings.add(piece["closed"])
-        openings.add(piece["closed"][judged], piece["contact_phase"][judged])
+        openings.add(piece["closed"], piece["contact_phase"] == CLOSED, settled)
         status += np.bincount(piece["status"], minlength=4)[:4]
-        here = np.abs(piece["tau"][:, : len(limits)]) >= limits * (1.0 - 1e-9)
+        here = np.abs(piece["tau"][:, : len(effort)]) >= effort * (1.0 - 1e-9)
         at_limit = at_limit + here.sum(axis=0) if at_limit.size else here.sum(axis=0)
-    if not closed.count:
+    cycles.finish()
+    if not count:
         raise InvalidInputError(
             f"a run of {len(recording)} ticks ends before t = {SETTLE_S:g} s, from where it is "
             "judged; run it longer"
         )
-    duration = len(recording) / float(recording.meta["control_rate_hz"])
+    duration = len(recording) / float(meta["control_rate_hz"])
     position, orientation = error.rms()
-    first = [None if k is None else k * duration / len(recording) for k in landings.ticks]
     verdict = {
-        "scenario": recording.meta.get("scenario", {}).get("name"),
-        "plant": recording.meta.get("plant"),
-        "seed": recording.meta.get("seed"),
+        "scenario": meta.get("scenario", {}).get("name"),
+        "plant": meta.get("plant"),
+        "seed": meta.get("seed"),
         "duration_s": duration,
         "ticks": len(recording),
-        "real_time_factor": _ratio(duration, recording.meta.get("wall_s")),
-        "force": _forces(recording.magnitude_names, **force),
+        "real_time_factor": _ratio(duration, meta.get("wall_s")),
+        "force": _forces(names, force, cycles.worst),
         "motion": {"rms_error_m": position, "rms_error_rad": orientation},
-        "contact_fraction": dict(zip(recording.meta["contact_names"], closed.mean(), strict=False)),
-        "first_contact_s": dict(zip(recording.meta["contact_names"], first, strict=True)),
-        "steps": step_answers(recording, landings.ticks),
-        "judged_ticks": closed.count,
+        "contact_fraction": dict(zip(contacts, closed.mean(), strict=False)),
+        "first_contact_s": dict(zip(contacts, ticks.landed, strict=True)),
+        "steps": step_answers(recording, ticks.landed),
+        "judged_ticks": count,
         "power": _power(*power.values()),
         "tick_us": _tick(recording),
         "status": dict(zip(_STATUS, map(int, status), strict=True)),
         "at_limit": _standing(recording, at_limit),
+        "joint_losses": meta.get("joint_losses", []),
     }
-    away_m, away_rad = error.peak()
-    verdict["task"] = judge_task(recording, verdict, openings, (away_m, away_rad))
-    return verdict
+    facts = {
+        "run": [_run_facts(recording, verdict, error.peak())],
+        "contact": _contact_facts(verdict, openings, ticks, float(meta["control_rate_hz"])),
+        "force": _force_facts(verdict, openings.judged[ticks.columns] > 0, ticks),
+        "doubt": [{"counts": 1, "sentence": text} for text in meta.get("doubts", ())],
+    }
+    return verdict | {"task": judge_task(facts, limits)}
+
+
+def _run_facts(
+    recording: Recording, verdict: Mapping[str, Any], away: Sequence[float | None]
+) -> dict[str, Any]:
+    """Of the run as a whole: what `outcome.RULES` compare and name.
+
+    Args:
+        recording: of it. verdict: so far.
+        away: largest distance (m) and angle (rad) of the object from its reference.
+    """
+    meta, held = recording.meta, verdict["status"]["held"]
+    distance, angle = away
+    motors = [joint for joint, _ in verdict["at_limit"][:3]]
+    return {
+        "stopped": meta.get("end_state") == "SAFE_STOP",
+        "reason": meta.get("first_reason") or meta.get("end_reason") or "not recorded",
+        "distance": distance,
+        "distance_mm": 1e3 * (distance or 0.0),
+        "angle": angle,
+        "ticks": verdict["ticks"],
+        "held": held,
+        "held_share": held / verdict["ticks"],
+        "saturated": verdict["status"]["saturated"],
+        "motors": ", ".join(motors) or "some",
+    }
+
+
+def _contact_facts(
+    verdict: Mapping[str, Any], openings: Openings, ticks: JudgedTicks, rate: float
+) -> list[dict[str, Any]]:
+    """The same of each contact.
+
+    Args:
+        verdict: so far. openings, ticks: after the last tick. rate: of the ticks (Hz).
+    """
+    return [
+        {
+            "name": name,
+            "open_at_end": ticks.open[i],
+            "again": "" if first is None else " again",
+            "longest_loss": openings.longest[i] / rate,
+            "open_share": openings.ticks[i] / max(openings.judged[i], 1),
+        }
+        for i, (name, first) in enumerate(verdict["first_contact_s"].items())
+    ]
+
+
+def _force_facts(
+    verdict: Mapping[str, Any], judged: Sequence[bool], ticks: JudgedTicks
+) -> list[dict[str, Any]]:
+    """The same of each force magnitude.
+
+    Args:
+        verdict: so far. judged: (r,) whether its contact was. ticks: after the last tick.
+    """
+    return [
+        {
+            "name": name,
+            "rms": force["rms_error_rel"],
+            "rms_N": force["rms_error_N"],
+            "mean_N": force["mean_command_N"],
+            "cycle": force["limit_cycle_rel"],
+            "cycle_N": force["limit_cycle_N"],
+            "cycle_Hz": force["limit_cycle_Hz"],
+            "unjudged": not judged[j] and ticks.landed[ticks.columns[j]] is not None,
+        }
+        for j, (name, force) in enumerate(verdict["force"].items())
+    ]
 
 
 class _Series:
     """Sums over the ticks of one or several numbers, piece after piece.
 
-    Ticks that could not be computed hold no numbers and are left out; None where all are.
+    What is not finite was not computed, or is not judged, and is left out; None where all is.
     """
 
     def __init__(self) -> None:
-        self.count = 0
-        self._sums = self._squares = self._peaks = np.zeros(0)
+        self._counts = self._sums = self._squares = self._peaks = np.zeros(0)
 
     def add(self, values: Array) -> None:
         """Ticks (k,) or (k, m)."""
-        values = values[:, None] if values.ndim == 1 else values
-        if not self.count:
-            self._sums = self._squares = self._peaks = np.zeros(values.shape[1])
-        values = values[np.isfinite(values).all(axis=1)]
-        if not len(values):
-            return
-        rows = np.ascontiguousarray(values.T, dtype=float)
-        self.count += len(values)
+        rows = np.array(values[:, None] if values.ndim == 1 else values, dtype=float).T
+        if not self._counts.size:
+            self._counts = self._sums = self._squares = self._peaks = np.zeros(len(rows))
+        finite = np.isfinite(rows)
+        rows = np.where(finite, rows, 0.0)
+        self._counts = self._counts + finite.sum(axis=1)
         self._sums = self._sums + rows.sum(axis=1)
         self._squares = self._squares + (rows**2).sum(axis=1)
-        self._peaks = np.maximum(self._peaks, np.abs(rows).max(axis=1))
+        self._peaks = np.maximum(self._peaks, np.abs(rows).max(axis=1, initial=0.0))
 
     def mean(self) -> list[float | None]:
-        return self._told(lambda: self._sums / self.count)
+        return self._where_counted(self._sums / np.maximum(self._counts, 1))
 
     def rms(self) -> list[float | None]:
-        return self._told(lambda: np.sqrt(self._squares / self.count))
+        return self._where_counted(np.sqrt(self._squares / np.maximum(self._counts, 1)))
 
     def peak(self) -> list[float | None]:
-        return self._told(lambda: self._peaks)
+        return self._where_counted(self._peaks)
 
-    def _told(self, values: Callable[[], Array]) -> list[float | None]:
-        return [float(x) for x in values()] if self.count else [None] * len(self._sums)
+    def _where_counted(self, values: Array) -> list[float | None]:
+        pairs = zip(values, self._counts, strict=True)
+        return [float(x) if count else None for x, count in pairs]
 
 
 def _forces(
-    names: Sequence[str], command: _Series, error: _Series, sensing: _Series
+    names: Sequence[str], series: Mapping[str, _Series], cycles: Sequence[Cycle | None]
 ) -> dict[str, dict[str, float | None]]:
-    values = (command.mean(), error.rms(), error.peak(), sensing.rms())
+    """What `metrics` says of each force magnitude.
+
+    Args:
+        names: of them. series: "command", "error" and "sensing". cycles: the worst of each.
+    """
+    error = series["error"]
+    values = (series["command"].mean(), error.rms(), error.peak(), series["sensing"].rms(), cycles)
     return {
         name: {
             "rms_error_N": rms,
@@ -155,8 +252,11 @@ def _forces(
             "peak_error_rel": _ratio(peak, mean),
             "mean_command_N": mean,
             "sensing_rms_rel": _ratio(sensed, mean),
+            "limit_cycle_N": cycle and cycle.amplitude,
+            "limit_cycle_Hz": cycle and cycle.frequency,
+            "limit_cycle_rel": cycle and cycle.relative,
         }
-        for name, mean, rms, peak, sensed in zip(names, *values, strict=True)
+        for name, mean, rms, peak, sensed, cycle in zip(names, *values, strict=True)
     }
 
 

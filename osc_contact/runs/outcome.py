@@ -1,72 +1,144 @@
-"""What became of a task: first contacts, steps of force and their overshoot, one word, and why."""
+"""What became of a task: steps of force and their overshoot, one word, and why."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from osc_contact.recorder import Recording
+from osc_contact.scenarios.control_schema import VerdictSpec
 from osc_contact.spatial import Array
 
-__all__ = [
-    "AWAY_FORCE", "AWAY_M", "AWAY_RAD", "HELD_SHARE", "LOST_S", "LOST_SHARE", "STEP_WINDOW_S",
-    "Landings", "Openings", "judge_task", "step_answers",
-]  # fmt: skip
+__all__ = ["RULES", "STEP_WINDOW_S", "Openings", "Rule", "judge_task", "step_answers"]
 
 STEP_WINDOW_S = 0.5  #: a step's overshoot is looked for this long, or until the next step
-LOST_S = 0.05  #: a contact open for longer, while the controller took it as closed, was lost
-LOST_SHARE = 0.05  #: … and so was one open in a larger share of the judged ticks
-AWAY_M = 0.1  #: an object further from its reference has run away
-AWAY_RAD = 0.3  #: … and so has one turned further
-AWAY_FORCE = 0.9  #: times its mean command: a force further off in the rms is not followed
-HELD_SHARE = 0.01  #: a larger share of ticks that were not computed fails a task
-_CLOSED = 2  #: of channel `contact_phase`
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One row of the verdict: beyond its limit a quantity gives the run a word.
+
+    Attributes:
+        word: for the run. fails: whether its task has failed.
+        subject: "run", "force", "contact" or "doubt": of what the quantity is.
+        quantity: name of the number that is compared.
+        limit: key of `VerdictSpec`; a number: this one, whatever the scenario says.
+        sentence: with the numbers of its subject, {limit} among them.
+    """
+
+    word: str
+    fails: bool
+    subject: str
+    quantity: str
+    limit: str | float
+    sentence: str
+
+
+#: The gravest word that applies is that of the first row.
+RULES = (
+    Rule(
+        "STOPPED", True, "run", "stopped", 0.0,
+        "it had stopped (SAFE_STOP) at the end; first reason, {reason}",
+    ),
+    Rule(
+        "RUN AWAY", True, "run", "distance", "distance",
+        "the object was {distance_mm:.0f} mm away from its reference (limit {limit_mm:.0f} mm); "
+        "ask for a slower or smaller motion, or look at gains, model and friction",
+    ),
+    Rule(
+        "RUN AWAY", True, "run", "angle", "angle",
+        "the object was turned by {angle:.2g} rad from its reference (limit {limit:g} rad); ask "
+        "for a slower or smaller motion, or look at gains, model and friction",
+    ),
+    Rule(
+        "LOST", True, "contact", "open_at_end", 0.0,
+        "contact '{name}' was never made{again}; look at the start pose, and where the face is",
+    ),
+    Rule(
+        "LOST", True, "contact", "longest_loss", "lost_time",
+        "contact '{name}' was lost: open for up to {longest_loss:.3g} s in a row (limit "
+        "{limit:g} s), while the controller took it as closed; ask for more force or a slower "
+        "motion, or close contacts again with control.life",
+    ),
+    Rule(
+        "POOR", True, "contact", "open_share", "open_share",
+        "contact '{name}' was open in {open_share:.1%} of its judged time (limit {limit:.1%}), "
+        "though a force was commanded; ask for more force or a slower motion",
+    ),
+    Rule(
+        "POOR", True, "force", "rms", "force_rms",
+        "force {name} was off by {rms_N:.3g} N rms, {rms:.1%} of its mean command "
+        "{mean_N:.3g} N (limit {limit:.1%}); look at gains, masses, friction and sensors",
+    ),
+    Rule(
+        "POOR", True, "force", "cycle", "limit_cycle",
+        "force {name} swings by ± {cycle_N:.3g} N at {cycle_Hz:.3g} Hz, {cycle:.1%} of its "
+        "command (limit {limit:.1%}), and nothing commands that: a limit cycle; lower "
+        "gains.force.bandwidth, or give faces that yield their stiffness and mass",
+    ),
+    Rule(
+        "POOR", True, "force", "unjudged", 0.0,
+        "force {name} was not judged: its contact closed too late; run it longer",
+    ),
+    Rule(
+        "HELD", True, "run", "held_share", "held_share",
+        "{held} of {ticks} ticks could not be computed ({held_share:.2%}, limit {limit:.1%}); see "
+        "docs/reliability.md. First reason, {reason}",
+    ),
+    Rule("DOUBTFUL", False, "doubt", "counts", 0.0, "before it ran: {sentence}"),
+    Rule(
+        "HELD", False, "run", "held_share", 0.0,
+        "{held} of {ticks} ticks could not be computed ({held_share:.2%})",
+    ),
+    Rule(
+        "SATURATED", False, "run", "saturated", 0.0,
+        "{saturated} of {ticks} ticks were at a motor limit ({motors})",
+    ),
+)  # fmt: skip
 
 
 class Openings:
-    """How long each contact stayed open while the controller took it as closed."""
+    """How long each contact was open while it was judged.
+
+    Attributes:
+        ticks: (c,) open, with a force commanded. judged: (c,) judged at all.
+        longest: (c,) longest row of ticks that the controller took as closed beside.
+    """
 
     def __init__(self, contacts: int) -> None:
         self._run = np.zeros(contacts, int)
         self.longest = np.zeros(contacts, int)
         self.ticks = np.zeros(contacts, int)
+        self.judged = np.zeros(contacts, int)
 
-    def add(self, closed: Array, phase: Array) -> None:
-        """Ticks (k, contacts) that follow one another."""
-        opened = ~np.asarray(closed, dtype=bool) & (phase == _CLOSED)
+    def add(self, closed: Array, believed: Array, judged: Array) -> None:
+        """Ticks (k, contacts) that follow one another.
+
+        Args:
+            closed: plant's truth. believed: by the controller. judged: see `JudgedTicks`.
+        """
+        opened = ~np.asarray(closed, dtype=bool) & judged
+        self.judged += judged.sum(axis=0)
         self.ticks += opened.sum(axis=0)
-        if not opened.any():
+        lost = opened & believed
+        if not lost.any():
             self._run[:] = 0
             return
-        for row in opened:
+        for row in lost:
             self._run = np.where(row, self._run + 1, 0)
             np.maximum(self.longest, self._run, out=self.longest)
 
 
-class Landings:
-    """The tick at which each contact first closed."""
-
-    def __init__(self, contacts: int) -> None:
-        self.ticks: list[int | None] = [None] * contacts
-        self._seen = 0
-
-    def add(self, closed: Array) -> None:
-        """Ticks (k, contacts) that follow one another, from the first on."""
-        for i in np.flatnonzero(np.any(closed, axis=0)):
-            if self.ticks[i] is None:
-                self.ticks[i] = self._seen + int(np.argmax(closed[:, i]))
-        self._seen += len(closed)
-
-
-def step_answers(recording: Recording, landings: Sequence[int | None]) -> list[dict[str, Any]]:
+def step_answers(recording: Recording, landings: Sequence[float | None]) -> list[dict[str, Any]]:
     """First contacts and steps of desired forces, each with the overshoot that it caused.
 
     overshoot = largest (true − desired force) in the direction of the step, within `STEP_WINDOW_S`.
 
     Args:
-        recording: with a judge. landings: tick of each contact's first closing, None: never.
+        recording: with a judge. landings: when each contact first closed (s), None: never.
 
     Returns:
         In order of time, of each magnitude that stepped: t_s, force, what ("first contact" or
@@ -80,8 +152,9 @@ def step_answers(recording: Recording, landings: Sequence[int | None]) -> list[d
     for column, owner in enumerate(owners):
         first = landings[owner]
         if first is not None:
-            changes.append((first, column, True))
-        changes += [(k, column, False) for k in steps if k > max(2, first or 0)]
+            changes.append((round(first * rate), column, True))
+        begin = max(2, round((first or 0.0) * rate))
+        changes += [(k, column, False) for k in steps if k > begin]
     rows = [_answer(recording, rate, steps, *one) for one in sorted(changes)]
     return [row for row in rows if row is not None]
 
@@ -123,82 +196,36 @@ def _answer(
     }
 
 
-def judge_task(recording: Recording, verdict: Mapping[str, Any], openings: Openings,
-               away: tuple[float | None, float | None]) -> dict[str, Any]:  # fmt: skip
+def judge_task(
+    facts: Mapping[str, Sequence[Mapping[str, Any]]],
+    limits: VerdictSpec,
+    rules: Sequence[Rule] = RULES,
+) -> dict[str, Any]:
     """One word for a run, whether its task failed, and why.
 
     Args:
-        recording: of it. verdict: what `metrics` found. openings: of the judged ticks.
-        away: largest distance (m) and angle (rad) of the object from its reference, None: unknown.
+        facts: by subject, what is known of each: the quantities of `RULES` and what their
+            sentences name. A quantity that is None is not compared.
+        limits: of the scenario. rules: to apply, the gravest first.
 
     Returns:
-        {"word": STOPPED, RUN AWAY, LOST, HELD, SATURATED or OK, "failed": bool, "why": sentences};
-        the gravest word that applies.
+        {"word": that of the first rule that applies, or OK, "failed": bool, "why":
+        sentences}. A subject that a rule has applied to is not compared with later rules for the
+        same quantity.
     """
-    verdicts = [
-        *(("STOPPED", True, why) for why in _stopped(recording)),
-        *(("RUN AWAY", True, why) for why in _ran_away(verdict, away)),
-        *(("LOST", True, why) for why in _lost(recording, verdict, openings)),
-    ]
-    ticks, held, saturated = (verdict["ticks"], *map(verdict["status"].get, ("held", "saturated")))
-    if held:
-        failed = held > HELD_SHARE * ticks
-        why = f"{held} of {ticks} ticks could not be computed ({held / ticks:.2%})"
-        cure = f"; see docs/reliability.md. First reason, {_reason(recording)}" if failed else ""
-        verdicts.append(("HELD", failed, why + cure))
-    if saturated:
-        motors = ", ".join(joint for joint, _ in verdict["at_limit"][:3]) or "some"
-        why = f"{saturated} of {ticks} ticks were at a motor limit ({motors})"
-        verdicts.append(("SATURATED", False, why))
+    found: list[tuple[Rule, str]] = []
+    seen = set()
+    for rule in rules:
+        limit = getattr(limits, rule.limit) if isinstance(rule.limit, str) else rule.limit
+        for i, fact in enumerate(facts[rule.subject]):
+            value, key = fact[rule.quantity], (rule.subject, i, rule.quantity)
+            if value is None or not value > limit or key in seen:
+                continue
+            seen.add(key)
+            words = {**fact, "limit": limit, "limit_mm": 1e3 * limit}
+            found.append((rule, rule.sentence.format(**words)))
     return {
-        "word": verdicts[0][0] if verdicts else "OK",
-        "failed": any(failed for _, failed, _ in verdicts),
-        "why": [why for _, _, why in verdicts],
+        "word": found[0][0].word if found else "OK",
+        "failed": any(rule.fails for rule, _ in found),
+        "why": [why for _, why in found],
     }
-
-
-def _stopped(recording: Recording) -> list[str]:
-    if recording.meta.get("end_state") != "SAFE_STOP":
-        return []
-    return [f"it had stopped (SAFE_STOP) at the end; first reason, {_reason(recording)}"]
-
-
-def _reason(recording: Recording) -> str:
-    first, last = (recording.meta.get(key) for key in ("first_reason", "end_reason"))
-    return str(first or last or "not recorded")
-
-
-def _ran_away(verdict: Mapping[str, Any], away: tuple[float | None, float | None]) -> list[str]:
-    reasons = []
-    far, turned = (value or 0.0 for value in away)
-    if far > AWAY_M or turned > AWAY_RAD:
-        reasons.append(
-            f"the object was {1e3 * far:.0f} mm and {turned:.2g} rad away from its reference "
-            f"(task failed beyond {1e3 * AWAY_M:.0f} mm or {AWAY_RAD:g} rad); ask for a slower or "
-            "smaller motion, or look at gains, model and friction"
-        )
-    for name, force in verdict["force"].items():
-        if (force["rms_error_rel"] or 0.0) > AWAY_FORCE:
-            reasons.append(
-                f"force {name} was off by {force['rms_error_N']:.3g} N rms of "
-                f"{force['mean_command_N']:.3g} N asked for (task failed beyond "
-                f"{AWAY_FORCE:.0%}); look at gains, masses, friction and sensors"
-            )
-    return reasons
-
-
-def _lost(recording: Recording, verdict: Mapping[str, Any], openings: Openings) -> list[str]:
-    rate, reasons = float(recording.meta["control_rate_hz"]), []
-    for i, (name, first) in enumerate(verdict["first_contact_s"].items()):
-        longest, share = openings.longest[i] / rate, openings.ticks[i] / verdict["judged_ticks"]
-        if first is None:
-            reasons.append(
-                f"contact '{name}' was never made; look at the start pose, and where the face is"
-            )
-        elif longest > LOST_S or share > LOST_SHARE:
-            reasons.append(
-                f"contact '{name}' was lost: open for up to {longest:.3g} s in a row and in "
-                f"{share:.1%} of the judged time, while the controller took it as closed; ask for "
-                "more force or a slower motion, or close contacts again with control.life"
-            )
-    return reasons

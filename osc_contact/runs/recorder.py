@@ -22,6 +22,7 @@ from osc_contact.recorder import Recording
 from osc_contact.recorder.columns import gather
 from osc_contact.recorder.journal import Journal, JournalFile
 from osc_contact.recorder.memory import MemoryJournal
+from osc_contact.robots.joint_losses import joint_losses
 from osc_contact.runs.channels import Tick, channels, work_out
 from osc_contact.runs.driven_log import DrivenLog
 from osc_contact.runs.log import Subject
@@ -165,6 +166,9 @@ def describe_subject(of: Subject) -> dict[str, Any]:
             chain.joint_names[j]: float(limit) if np.isfinite(limit) else None
             for j, limit in zip(chain.actuated, chain.tau_max, strict=True)
         },
+        "joint_losses": [
+            one for arm in chain.arms for one in joint_losses(arm.model, f"{arm.name}/")
+        ],
         "contact_names": [pair.name for pair in of.pairs],
         "columns": of.owners.tolist(),
         "control_rate_hz": 1.0 / of.controller.dt,

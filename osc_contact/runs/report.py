@@ -9,7 +9,8 @@ from typing import Any
 from osc_contact.errors import InvalidInputError
 from osc_contact.files import whole_file
 from osc_contact.recorder import Recording
-from osc_contact.runs.metrics import SETTLE_S, metrics
+from osc_contact.recorder.judged import SETTLE_S, judged_ticks
+from osc_contact.runs.metrics import metrics
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.viewing import DRAWN, write_scene_of
 from osc_contact.scenarios.schema import Scenario
@@ -42,10 +43,11 @@ def write_report(recording: Recording, scenario: Scenario, folder: Path) -> dict
     recording.save(folder / "recording.npz")
     verdict = metrics(recording)
     write_json(verdict, folder / "metrics.json")
-    steps, recording = recording.meta["force_steps_s"], recording.thinned(DRAWN)
+    recording = recording.thinned(DRAWN)
+    forces, whole = judged_ticks(recording)
     if recording.meta["contact_names"]:
-        plots.save(plots.contact_forces(recording, steps, SETTLE_S), folder / "contact_forces")
-    plots.save(plots.power(recording, steps, SETTLE_S), folder / "power")
+        plots.save(plots.contact_forces(recording, forces), folder / "contact_forces")
+    plots.save(plots.power(recording, whole), folder / "power")
     plots.save(plots.tracking(recording, SETTLE_S), folder / "tracking")
     plots.save(plots.torques(recording), folder / "torques")
     write_scene_of(recording, build_rig(scenario), folder / "scene.html")

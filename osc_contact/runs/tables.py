@@ -9,6 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from osc_contact.robots import RobotSummary
+from osc_contact.robots.joint_losses import losses_by_arm
 from osc_contact.runs.calibration import WristCalibration
 from osc_contact.runs.inspection import Inspection
 from osc_contact.spatial import Array
@@ -23,6 +24,9 @@ __all__ = [
     "tick_table",
     "verdict_table",
 ]
+
+
+MOST_PROJECTED = 0.1  #: of the total power; a larger share is explained
 
 
 def verdict_table(verdict: Mapping[str, Any]) -> Table:
@@ -52,9 +56,11 @@ def verdict_table(verdict: Mapping[str, Any]) -> Table:
     if power["total_rms_W"] is not None:
         table.add_row(
             "power",
-            f"total {power['total_rms_W']:.4g} W, projected {power['projected_rms_W']:.3g} W, "
-            f"ratio {_percent(power['ratio'])}",
+            f"total {power['total_rms_W']:.4g} W, projected {power['projected_rms_W']:.3g} W"
+            + _share(power["ratio"]),
         )
+    for arm, words in losses_by_arm(verdict["joint_losses"]):
+        table.add_row(f"joints {arm}, in the model", words)
     table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
     table.add_row("ticks", ", ".join(f"{n} {name}" for name, n in verdict["status"].items() if n))
     if verdict["at_limit"]:
@@ -90,6 +96,18 @@ def _steps(steps: Sequence[Mapping[str, Any]], most: int = 3) -> Iterator[tuple[
                 label,
                 (f"at {s['t_s']:.3f} s from {s['from_N']:.3g} N to {s['to_N']:.3g} N; {_over(s)}"),
             )
+
+
+def _share(ratio: float | None) -> str:
+    """The ratio of powers, and what it says where it is large."""
+    if ratio is None:
+        return ""
+    if ratio <= MOST_PROJECTED:
+        return f", ratio {_percent(ratio)}"
+    return (
+        f"; the projected part (ratio {_percent(ratio)}) is what the contacts took up themselves: "
+        "they gave way, or the object hardly moved along them"
+    )
 
 
 def _over(step: Mapping[str, Any]) -> str:

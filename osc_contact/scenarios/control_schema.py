@@ -41,6 +41,7 @@ __all__ = [
     "PushSpec",
     "SafetySpec",
     "TareSpec",
+    "VerdictSpec",
 ]
 
 #: What `plant.type` may be, and whether that plant is exact: ideal joints, contacts that neither
@@ -209,6 +210,18 @@ class TareSpec(Spec):
     duration: Annotated[Time, Field(gt=0)] = 0.4
     standoff: Annotated[Length, Field(gt=0)] = 0.01
     approach: Annotated[Time, Field(gt=0)] = 0.3
+
+
+class VerdictSpec(Spec):
+    """Beyond these limits a run's task has failed (`verdict`), see `runs.outcome`."""
+
+    force_rms: Positive = 0.1
+    limit_cycle: Positive = 0.05
+    open_share: NotNegative = 0.01
+    lost_time: Annotated[Time, Field(gt=0)] = 0.05
+    distance: Annotated[Length, Field(gt=0)] = 0.1
+    angle: Annotated[Angle, Field(gt=0)] = 0.3
+    held_share: NotNegative = 0.01
 
 
 class PushSpec(Spec):

@@ -24,7 +24,14 @@ from ..errors import ScenarioError
 from .checks import body_problems, name_problems, timing_problems
 from .contact_schema import BodySpec
 from .contact_types import AnyContact, forces_of
-from .control_schema import ControlSpec, GainsSpec, ModelErrorSpec, PlantSpec, TareSpec
+from .control_schema import (
+    ControlSpec,
+    GainsSpec,
+    ModelErrorSpec,
+    PlantSpec,
+    TareSpec,
+    VerdictSpec,
+)
 from .geometry import ArmSpec, GraspSpec, Name, ObjectSpec
 from .hardware import SensorsSpec
 from .messages import complaints
@@ -132,6 +139,7 @@ class Scenario(Spec):
     """the plant: type and step"""
     duration: Annotated[Time, Field(gt=0, le=1e6)]
     """the simulated time, such as 10 s"""
+    verdict: VerdictSpec = VerdictSpec()
     laws: Annotated[Any, PlainValidator(_take_laws), Field(exclude=True)] = None
 
     _source: Path | None = PrivateAttr(default=None)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.scenarios.control_schema import VerdictSpec
 from osc_contact.scenarios.loader import Template, read_text
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
@@ -64,6 +65,11 @@ class Episodes:
         self._workshop, self._period = Workshop(), period
         self.count = count if vary else 1
         self._kept: OrderedDict[int, Episode] = OrderedDict()
+
+    @property
+    def limits(self) -> VerdictSpec:
+        """How far an object may be from where the scenario wants it."""
+        return self._scenario.verdict
 
     def __getitem__(self, number: int) -> Episode:
         if number not in self._kept:

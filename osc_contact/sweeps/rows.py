@@ -11,8 +11,9 @@ from typing import Any
 
 from osc_contact.errors import Interrupted, InvalidInputError, OscContactError, PlantError
 from osc_contact.recorder import Recording
+from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.recorder.memory import MemoryJournal
-from osc_contact.runs.metrics import SETTLE_S, metrics
+from osc_contact.runs.metrics import metrics
 from osc_contact.runs.run import Install, run_rig
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sweeps.study import Sample, SweepStudy
@@ -35,7 +36,7 @@ __all__ = [
 REFUSED, DIVERGED, CRASHED = "REFUSED", "DIVERGED", "CRASHED"
 #: Of a verdict: what a clock measured, and what the row says elsewhere.
 _LEFT_OUT = frozenset({"scenario", "plant", "seed", "real_time_factor", "tick_us", "task", "steps",
-                       "at_limit"})  # fmt: skip
+                       "at_limit", "joint_losses"})  # fmt: skip
 
 Row = dict[str, Any]
 _mine = threading.local()  # workshops are not shared between threads

@@ -15,7 +15,6 @@ from gymnasium.vector.utils import batch_space
 
 from osc_contact.control.safety import SafetyState
 from osc_contact.errors import InvalidInputError
-from osc_contact.runs.outcome import AWAY_M, AWAY_RAD
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, rotations
 from osc_contact.sweeps.episodes import Episode, Episodes
@@ -108,7 +107,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
     that which the scenario asks for after the next action; forces likewise.
 
     An episode ends (terminated) where the controller has stopped, the simulation diverged or the
-    object is further from where the scenario wants it than a run may be (`runs.outcome`); it is
+    object is further from where the scenario wants it than its `verdict` permits; it is
     truncated after the scenario's duration. `infos["sample"]` tells which numbers it had.
 
     Attributes:
@@ -137,6 +136,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             )
         self.num_envs, self.metadata = num_envs, {"autoreset_mode": autoreset, "render_modes": []}
         self._episodes, self._reward = episodes, reward
+        self._away = (episodes.limits.distance, episodes.limits.angle)
         self._mode, self._r = autoreset, first.forces.shape[1]
         self.move = np.repeat(_needed(first.places) if move is None else move, 3)
         largest = 2.0 * float(np.abs(first.forces).max(initial=0.0))
@@ -211,7 +211,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self._step[going] += 1
         seen = self._see(actions, tau)
         rewards = np.where(going, self._reward(seen), 0.0)
-        away = np.linalg.norm(seen.error.reshape(-1, 2, 3), axis=2) > (AWAY_M, AWAY_RAD)
+        away = np.linalg.norm(seen.error.reshape(-1, 2, 3), axis=2) > self._away
         terminated = going & (seen.diverged | away.any(axis=1))
         last = np.array([len(episode.places) - 1 for episode in self._now])
         truncated = going & ~terminated & (self._step >= last)

@@ -5,7 +5,6 @@ Each function returns a matplotlib figure and shows nothing; `save` writes it as
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,29 +20,27 @@ from osc_contact.visual.style import legend, panels, save, style
 
 __all__ = ["style", "contact_forces", "power", "tracking", "torques", "save"]
 
-BLANK = 0.05
-"""s after a force has risen that are shaded and left out of the rms, too."""
 _AXES = ("x", "y", "z")
 _TRIPLE = tuple(OKABE_ITO[name] for name in ("blue", "vermillion", "green"))
 Array = NDArray[np.float64]
 NEAR_LIMIT = 60.0  # %: from there on the limits are drawn
 
 
-def contact_forces(
-    recording: Recording, blank_after: Sequence[float] = (), judged_from: float = 0.0
-) -> Figure:
+def contact_forces(recording: Recording, judged: NDArray[np.bool_] | None = None) -> Figure:
     """Fig. 8: per contact the desired, true and measured force; below, the errors of them all.
+
+    Nothing is cut off: the error is drawn to scale as far as it is judged, beyond that its
+    logarithm is.
 
     Args:
         recording: needs ``t``, ``alpha_cmd``, ``alpha_true``, ``alpha_meas``.
-        blank_after: times (s) of force steps; while one rises, and 50 ms more, it is shaded.
-        judged_from: s; before, the run settles. The rms values and the scale of the error panel
-            leave out both.
+        judged: (T, r) which ticks of each force are (`judged_ticks`): the others are shaded, below
+            where none is. The rms and peak values leave them out. None: all.
 
     Raises:
         InvalidInputError: a channel is missing.
     """
-    t, blank = _get(recording, "t"), _blank(recording)
+    t = _get(recording, "t")
     names = recording.magnitude_names
     with style():
         figure, axes = panels(len(names) + 1, 2.0)
@@ -54,44 +51,42 @@ def contact_forces(
         desired, measured, true = (
             _get(recording, key) for key in ("alpha_cmd", "alpha_meas", "alpha_true")
         )
-        counted = _counted(t, blank_after, judged_from, blank)
+        counted = _counted(true.shape, judged)
         for i, (name, ax) in enumerate(zip(names, axes, strict=False)):
-            colour = contact_colour(i)
+            colour, here = contact_colour(i), counted[:, i]
             ax.plot(t, desired[:, i], color="#B4BAC2", lw=5.0, label="desired")
             ax.plot(t, true[:, i], color=colour, lw=1.8, label="true")
             ax.plot(t, measured[:, i], color="black", lw=0.9, ls=(0, (4, 6)), label="measured")
             ax.set(title=name.replace("_", " "), ylabel=rf"$\alpha_{{{i + 1}}}$ (N)")
+            _shade(ax, t, here)
             legend(ax)
             error = true[:, i] - desired[:, i]
-            rms, peak = _rms(error[counted]), float(np.abs(error[counted]).max())
+            rms, peak = _rms(error[here]), float(np.nanmax(np.abs(error[here]), initial=0.0))
             label = f"{name.replace('_', ' ')}\nrms {_si(rms, 'N')}, peak {_si(peak, 'N')}"
             axes[-1].plot(t, error, color=colour, lw=0.9, label=label)
-        _shade(axes[-1], t, blank_after, judged_from, blank)
-        axes[-1].set_ylim(_limits((true - desired)[counted]))
-        note = " (shaded: not in rms, peak and scale)" if not counted.all() else ""
+        _shade(axes[-1], t, np.logical_or.reduce(counted, axis=1))
+        _scale_errors(axes[-1], true - desired, counted)
+        note = " (shaded: not in rms and peak)" if not counted.all() else ""
         title = f"error: true − desired{note}"
         axes[-1].set(title=title, ylabel="error (N)", xlabel="time (s)")
         legend(axes[-1])
     return figure
 
 
-def power(
-    recording: Recording, blank_after: Sequence[float] = (), judged_from: float = 0.0
-) -> Figure:
+def power(recording: Recording, judged: NDArray[np.bool_] | None = None) -> Figure:
     """Figs. 6, 7: total power on top, projected power on the same scale, and that one enlarged.
 
     Args:
         recording: needs ``t``, ``power_total``, ``power_projected``.
-        blank_after: times (s) of force steps; while one rises, and 50 ms more, it is shaded and
-            left out of the rms values and of the enlarged scale.
-        judged_from: s; what lies before is treated likewise.
+        judged: (T,) which ticks are (`judged_ticks`): the others are shaded and left out of the rms
+            values and of the enlarged scale. None: all.
 
     Raises:
         InvalidInputError: a channel is missing.
     """
-    t, blank = _get(recording, "t"), _blank(recording)
+    t = _get(recording, "t")
     total, projected = _get(recording, "power_total"), _get(recording, "power_projected")
-    counted = _counted(t, blank_after, judged_from, blank)
+    counted = _counted(total.shape, judged)
     rms = [_rms(series[counted]) for series in (total, projected)]
     with style():
         figure, axes = panels(3, 2.1)
@@ -107,7 +102,7 @@ def power(
         for ax, (series, title, colour) in zip(axes, contents, strict=True):
             ax.plot(t, series, color=OKABE_ITO[colour], lw=0.9)
             ax.set(title=title, ylabel="power (W)")
-            shade = _shade(ax, t, blank_after, judged_from, blank)
+            shade = _shade(ax, t, counted)
         both = np.concatenate([total, projected])
         for ax in axes[:2]:
             ax.set_ylim(_limits(both))
@@ -115,7 +110,7 @@ def power(
         axes[2].set_xlabel("time (s)")
         if shade is not None:
             axes[0].legend(
-                [shade], ["not in the rms: settling, force steps"], loc="lower right",
+                [shade], ["not in the rms: settling, landings, force steps"], loc="lower right",
                 bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1,
             )  # fmt: skip
     return figure
@@ -135,7 +130,8 @@ def tracking(recording: Recording, judged_from: float = 0.0) -> Figure:
     way = 1e3 * (_get(recording, "pose")[:, :3] - _get(recording, "pose")[0, :3])
     with style():
         figure, axes = panels(3, 2.1)
-        judged = error[_counted(t, (), judged_from)]
+        counted = _counted(t.shape, t >= judged_from - 1e-9)
+        judged = error[counted]
         linear, angular = (_rms(np.linalg.norm(e, axis=1)) for e in (judged[:, :3], judged[:, 3:]))
         contents = (
             (error[:, :3], f"motion error along the free directions: rms {linear:.3g} mm",
@@ -148,7 +144,7 @@ def tracking(recording: Recording, judged_from: float = 0.0) -> Figure:
             for column, label, colour in zip(series.T, labels, _TRIPLE, strict=True):
                 ax.plot(t, column, color=colour, label=label)
             ax.set(title=title, ylabel=unit)
-            _shade(ax, t, (), judged_from)
+            _shade(ax, t, counted)
             legend(ax)
         axes[-1].set_xlabel("time (s)")
     return figure
@@ -214,32 +210,31 @@ def _actuated_names(meta: dict[str, Any], count: int) -> list[str]:
     return [f"actuator {i + 1}" for i in range(count)]
 
 
-def _blank(recording: Recording) -> float:
-    """How long forces are not judged after a step (s)."""
-    return BLANK + float(recording.meta.get("force_rise_s", 0.0))
+def _counted(shape: tuple[int, ...], judged: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    """The values that count: those judged; all of them if none is."""
+    every = np.ones(shape, dtype=bool)
+    return every if judged is None or not judged.any() else judged & every
 
 
-def _counted(
-    t: Array, blank_after: Sequence[float], judged_from: float, blank: float = BLANK
-) -> NDArray[np.bool_]:
-    """The ticks that count: settled and not just after a step; all of them if none does."""
-    counted: NDArray[np.bool_] = t >= judged_from - 1e-9
-    for start in blank_after:
-        counted &= ~((t >= start - 1e-9) & (t < start + blank - 1e-9))
-    return counted if counted.any() else np.ones(t.shape, dtype=bool)
-
-
-def _shade(
-    ax: Axes, t: Array, blank_after: Sequence[float], judged_from: float, blank: float = BLANK
-) -> Artist | None:
-    """Shade what does not count; returns one of the patches for a legend."""
-    spans = [(start, start + blank) for start in blank_after]
-    if t.size and judged_from > t[0]:
-        spans.append((float(t[0]), min(judged_from, float(t[-1]))))
+def _shade(ax: Axes, t: Array, counted: NDArray[np.bool_]) -> Artist | None:
+    """Shade the ticks that do not count; returns one of the patches for a legend."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], ~counted, [False])).astype(int)))
     patch = None
-    for low, high in spans:
-        patch = ax.axvspan(low, high, color="#B8BDC4", alpha=0.6, lw=0)
+    for start, stop in edges.reshape(-1, 2):
+        end = t[min(stop, len(t) - 1)]
+        patch = ax.axvspan(float(t[start]), float(end), color="#B8BDC4", alpha=0.6, lw=0)
     return patch
+
+
+def _scale_errors(ax: Axes, error: Array, counted: NDArray[np.bool_]) -> None:
+    """Errors as far as they are judged to scale, larger ones by their logarithm."""
+    largest = float(np.nanmax(np.abs(error), initial=0.0))
+    linear = float(np.nanmax(np.abs(error[counted]), initial=0.0))
+    if largest > 3.0 * linear > 0.0:
+        ax.set_yscale("symlog", linthresh=linear, linscale=3.0)
+        ax.set_ylim(-2.0 * largest, 2.0 * largest)
+    else:
+        ax.set_ylim(_limits(error))
 
 
 def _rms(values: Array) -> float:
