@@ -16,8 +16,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from osc_contact.bench.measuring import bars, machine, machine_lines, new_axes
-from osc_contact.bench.timing import time_parts
+from benchmarks.measuring import bars, machine, machine_lines, new_axes
+from benchmarks.timing import time_parts
 from osc_contact.errors import OscContactError
 from osc_contact.runs.report import write_json
 from osc_contact.runs.rig import build_rig

@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
+from benchmarks.cases import TickCase
 from osc_contact import robots
-from osc_contact.bench.cases import TickCase
 from osc_contact.plants.mujoco import MujocoPlant
 
 __all__ = ["constraint_dynamics", "mujoco_inverse", "mujoco_state"]

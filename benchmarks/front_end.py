@@ -13,8 +13,8 @@ import numpy as np
 import pinocchio as pin
 from rich.table import Table
 
-from osc_contact.bench.cases import CASES
-from osc_contact.bench.measuring import bars, machine, new_axes, take_turns
+from benchmarks.cases import CASES
+from benchmarks.measuring import bars, machine, new_axes, take_turns
 from osc_contact.law.arm_motion import move_arm, place_arm
 from osc_contact.law.jit import entry
 from osc_contact.law.tables import (

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import simulation
-from osc_contact.bench import ticks as bench_ticks
-from osc_contact.bench.measuring import machine, new_axes
+from benchmarks import tick as bench_ticks
+from benchmarks.measuring import machine, new_axes
 
 __all__ = ["append", "draw", "measure"]
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from osc_contact.bench.cases import CASES
-from osc_contact.bench.measuring import (
+from benchmarks.cases import CASES
+from benchmarks.measuring import (
     machine,
     new_axes,
     require_count,

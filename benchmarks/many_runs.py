@@ -21,7 +21,7 @@ import numpy as np
 from rich.table import Table
 
 import osc_contact as osc
-from osc_contact.bench.measuring import bars, machine, new_axes, require_count
+from benchmarks.measuring import bars, machine, new_axes, require_count
 from osc_contact.sweeps import sweep as sweeps
 from osc_contact.sweeps.rows import make_rows, scenario_of, without_doubts_told
 from osc_contact.sweeps.study import SweepStudy

@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from benchmarks.cases import CASES, TickCase, repeatable
 from benchmarks.engines import constraint_dynamics, mujoco_inverse
-from benchmarks.textbook import TextbookLaw
-from osc_contact import robots
-from osc_contact.bench.cases import CASES, TickCase, repeatable
-from osc_contact.bench.measuring import (
+from benchmarks.measuring import (
     bars,
     joined,
     machine,
@@ -26,13 +24,15 @@ from osc_contact.bench.measuring import (
     spread,
     take_turns,
 )
+from benchmarks.textbook import TextbookLaw
+from osc_contact import robots
 from osc_contact.contacts.contact import Contact
 from osc_contact.control.controller import Controller
 from osc_contact.errors import InvalidInputError
-from osc_contact.paper.baselines.coupling import Instant
-from osc_contact.paper.baselines.frames import best_selection
-from osc_contact.paper.baselines.laws import BASELINES
 from osc_contact.spatial import Array
+from paper.baselines.coupling import Instant
+from paper.baselines.frames import best_selection
+from paper.baselines.laws import BASELINES
 
 __all__ = ["TSID_PYTHON", "draw", "measure", "peers_of", "tables"]
 

@@ -11,15 +11,15 @@ import numpy as np
 import pinocchio as pin
 from rich.table import Table
 
-from osc_contact.bench.cases import repeatable, require_status
-from osc_contact.bench.measuring import (
+from benchmarks.cases import repeatable, require_status
+from benchmarks.measuring import (
     joined,
     machine,
     new_axes,
     require_count,
     take_turns,
 )
-from osc_contact.bench.random_arms import (
+from benchmarks.random_arms import (
     KINDS,
     RandomRig,
     contact_of,

@@ -11,7 +11,7 @@ from typing import Any
 
 from rich.table import Table
 
-from osc_contact.bench.measuring import bars, machine, new_axes, require_count
+from benchmarks.measuring import bars, machine, new_axes, require_count
 from osc_contact.control.controller import Controller
 from osc_contact.errors import PlantError
 from osc_contact.plants.mujoco import MujocoPlant

@@ -19,7 +19,7 @@ from typing import Any
 
 from rich.table import Table
 
-from osc_contact.bench.measuring import bars, machine, new_axes, require_count
+from benchmarks.measuring import bars, machine, new_axes, require_count
 from osc_contact.scenarios import load_scenario
 
 __all__ = ["draw", "measure", "soak", "tables"]

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import inv, lstsq, norm, pinv, svd
 
-from osc_contact.bench.cases import DT, TickCase
+from benchmarks.cases import DT, TickCase
 from osc_contact.spatial import Array
 
 __all__ = ["TextbookLaw"]

@@ -10,8 +10,8 @@ import numpy as np
 from rich.table import Table
 
 import osc_contact as osc
+from benchmarks.measuring import bars, machine, new_axes, require_count
 from benchmarks.simulation import Ledger
-from osc_contact.bench.measuring import bars, machine, new_axes, require_count
 from osc_contact.sweeps.workers import available_cores
 
 __all__ = ["draw", "measure", "tables"]

@@ -20,14 +20,14 @@ from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact.cli import app
-from osc_contact.paper.baselines.compare import PLANTS, compare
-from osc_contact.paper.baselines.coupling import Instant
-from osc_contact.paper.baselines.frames import best_selection, random_selection
-from osc_contact.paper.baselines.laws import BASELINES, Ours, SelectionLaw
-from osc_contact.paper.baselines.selection import Selection
-from osc_contact.paper.baselines.steps import measured_coupling, run_steps
 from osc_contact.runs.rig import build_rig
 from osc_contact.scenarios import Scenario
+from paper.baselines.compare import PLANTS, compare
+from paper.baselines.coupling import Instant
+from paper.baselines.frames import best_selection, random_selection
+from paper.baselines.laws import BASELINES, Ours, SelectionLaw
+from paper.baselines.selection import Selection
+from paper.baselines.steps import measured_coupling, run_steps
 
 KHATIB, ISAAC = BASELINES["khatib"], BASELINES["isaac_lab"]
 

@@ -24,21 +24,20 @@ from benchmarks import (
     simulation,
     vector_env,
 )
-from benchmarks.__main__ import BENCHMARKS
+from benchmarks import tick as ticks
+from benchmarks.__main__ import run_benchmark
+from benchmarks.cases import CASES
 from benchmarks.engines import constraint_dynamics, mujoco_state
-from benchmarks.textbook import TextbookLaw
-from osc_contact.bench import ticks
-from osc_contact.bench.cases import CASES
-from osc_contact.bench.measuring import take_turns
-from osc_contact.bench.program import run_benchmark
-from osc_contact.bench.random_arms import (
+from benchmarks.measuring import take_turns
+from benchmarks.random_arms import (
     KINDS,
     contact_of,
     faces_of,
     random_rig,
 )
-from osc_contact.bench.special_cases import SPECIAL_CASES, BatchCase, OwnFace
-from osc_contact.bench.timing import time_parts, time_tick
+from benchmarks.special_cases import SPECIAL_CASES, BatchCase, OwnFace
+from benchmarks.textbook import TextbookLaw
+from benchmarks.timing import time_parts, time_tick
 from osc_contact.control.phases import Phase
 from osc_contact.errors import InvalidInputError
 
@@ -395,7 +394,7 @@ def test_tsid_runs_in_its_own_interpreter(tmp_path: Path) -> None:
     said = {"pin": "3.4.0", "total_us": times, "problem_us": times, "solve_us": times,
             "floor_us": times}  # fmt: skip
     python = interpreter(tmp_path / "python", f"echo '{json.dumps(said)}'")
-    report = run_benchmark("peers", 1, tsid_python=python, benchmarks=BENCHMARKS)
+    report = run_benchmark("peers", 1, tsid_python=python)
     panda = report.data["cases"]["one_panda"]
     assert panda["peers_us"][peers.TSID] == times
     tsid = report.data["tsid"]
@@ -403,15 +402,15 @@ def test_tsid_runs_in_its_own_interpreter(tmp_path: Path) -> None:
     assert "TSID / tick" in str(report.tables[-1].caption)
     broken = interpreter(tmp_path / "broken", "echo 'no module tsid' >&2; exit 1")
     with pytest.raises(InvalidInputError, match=r"no module tsid.*pip install"):
-        run_benchmark("peers", 1, tsid_python=broken, benchmarks=BENCHMARKS)
+        run_benchmark("peers", 1, tsid_python=broken)
     with pytest.raises(InvalidInputError, match=r"cannot be run.*pip install"):
-        run_benchmark("peers", 1, tsid_python=tmp_path / "nowhere", benchmarks=BENCHMARKS)
+        run_benchmark("peers", 1, tsid_python=tmp_path / "nowhere")
     with pytest.raises(InvalidInputError, match="only the benchmark 'peers'"):
-        run_benchmark("jitter", 1, tsid_python=python, benchmarks=BENCHMARKS)
+        run_benchmark("jitter", 1, tsid_python=python)
 
 
 def test_a_soak_tells_memory_that_grows_and_runs_that_differ(tmp_path: Path) -> None:
-    report = run_benchmark("soak", 300, figure=tmp_path / "soak.png", benchmarks=BENCHMARKS)
+    report = run_benchmark("soak", 300, figure=tmp_path / "soak.png")
     first, second = report.data["runs"]
     assert first["hash"] == second["hash"] and first["ticks"] == 300
     assert 0.0 <= first["grown_MB"] < 5.0 < first["begin_MB"] <= first["peak_MB"]

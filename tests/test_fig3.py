@@ -11,9 +11,9 @@ from matplotlib.image import imread
 from scene_samples import read_commands
 
 from osc_contact import robots
-from osc_contact.paper import fig3
-from osc_contact.paper.studies import Ask, write_study
 from osc_contact.visual.browser import VARIABLE
+from paper import fig3
+from paper.studies import Ask, write_study
 
 SOON = [
     f"contacts.{side}_end.face.motion.{kind}{key}=0.{what} s"

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from osc_contact.cli import app
 from osc_contact.errors import InvalidInputError
-from osc_contact.paper import kinematic_stability as ks
-from osc_contact.paper.kinematic_stability.search import eigenvalues, regularity
+from paper import kinematic_stability as ks
+from paper.kinematic_stability.search import eigenvalues, regularity
 
 AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 

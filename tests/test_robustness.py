@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact.cli import app
-from osc_contact.paper import robustness as study
 from osc_contact.sweeps.study import SweepStudy
+from paper import robustness as study
 
 CHANGES = ["control.rate=250 Hz", "plant.step=0.5 ms", "duration=1.1"]
 
