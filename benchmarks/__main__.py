@@ -1,6 +1,6 @@
 """Time the control tick beside its floor and its peers, by size, on the clock, in a whole run.
 
-python -m benchmarks tick | peers | scaling | jitter | front_end | simulation | many_runs |
+python -m benchmarks tick | peers | scaling | jitter | law | simulation | many_runs |
 vector_env | soak
 """
 
@@ -25,7 +25,7 @@ BENCHMARKS: dict[str, int] = {
     "peers": 500,
     "scaling": 300,
     "jitter": 4000,
-    "front_end": 2000,
+    "law": 2000,
     "simulation": 10000,
     "soak": 1_800_000,
     "many_runs": 20,
@@ -48,7 +48,6 @@ def run_benchmark(
     name: str,
     ticks: int | None = None,
     json_file: Path | None = None,
-    figure: Path | None = None,
     tsid_python: Path | None = None,
 ) -> Report:
     """Measure, and write what was found.
@@ -56,26 +55,21 @@ def run_benchmark(
     Args:
         name: one of `BENCHMARKS`.
         ticks: timed ticks of each of its cases (default: its own).
-        json_file, figure: where to write data and picture (PNG and SVG), if anywhere.
+        json_file: where to write data, if anywhere.
         tsid_python: interpreter of TSID's environment, for the peers.
 
     Raises:
         InvalidInputError: an unknown name, no ticks, or an interpreter without TSID.
-        ImportError: a figure is wanted, but matplotlib is missing.
     """
     if name not in BENCHMARKS:
         raise InvalidInputError(f"no benchmark '{name}'; there are {', '.join(BENCHMARKS)}")
     if tsid_python is not None and name != "peers":
         raise InvalidInputError("only the benchmark 'peers' runs TSID; leave --tsid-python out")
-    if figure is not None:
-        import_module("matplotlib")
     bench = import_module(f"benchmarks.{name}")
     count = BENCHMARKS[name] if ticks is None else ticks
     data = bench.measure(count, tsid_python) if name == "peers" else bench.measure(count)
     if json_file is not None:
         write_json(data, json_file)
-    if figure is not None:
-        bench.draw(data, figure)
     lines = machine_lines(data.get("machine") or machine())
     return Report(data, lines, bench.tables(data))
 
@@ -85,12 +79,11 @@ def main(
     what: Annotated[str, typer.Argument(help=" | ".join(BENCHMARKS), metavar="WHAT")],
     ticks: Annotated[int | None, typer.Option(min=1, help="timed ticks of each case")] = None,
     tsid_python: Annotated[Path | None, typer.Option(help="peers: TSID's interpreter")] = None,
-    figure: Annotated[Path | None, typer.Option(help="also draw it (PNG, SVG)")] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Time the control tick beside its floor and its peers, by size, on the clock, in a run."""
     with exit_codes():
-        report = run_benchmark(what, ticks, json_file, figure, tsid_python)
+        report = run_benchmark(what, ticks, json_file, tsid_python)
         say("\n".join(report.lines))
         for table in report.tables:
             out.print(table)

@@ -15,17 +15,6 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
-__all__ = [
-    "bars",
-    "joined",
-    "machine",
-    "machine_lines",
-    "new_axes",
-    "require_count",
-    "spread",
-    "take_turns",
-]
-
 PACKAGES = ("osc-contact", "pin", "numpy", "numba", "mujoco")
 WARM_UP = 5
 
@@ -98,37 +87,6 @@ def spread(times: Array) -> dict[str, float]:
     """p50, p99, p99.9 and largest of some times, in their unit."""
     p50, p99, p99_9 = (float(x) for x in np.percentile(times, [50, 99, 99.9]))
     return {"p50": p50, "p99": p99, "p99_9": p99_9, "max": float(times.max())}
-
-
-def new_axes(rows: int, columns: int = 1, height: float = 3.4) -> tuple[Any, Any]:
-    """(figure, flat array of axes) in the style of the other figures; draw inside `style()`.
-
-    Args:
-        rows, columns: of axes. height: of each row (in).
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, height * rows))
-    FigureCanvasAgg(figure)
-    return figure, figure.subplots(rows, columns, squeeze=False).ravel()
-
-
-def bars(ax: Any, values: Mapping[str, float], unit: str, marked: Sequence[str] = ()) -> None:
-    """Horizontal bars with their values, those in `marked` in the colour that stands out.
-
-    Args:
-        ax: to draw in. values: by name, in `unit`. marked: names.
-    """
-    from osc_contact.visual import OKABE_ITO
-
-    colours = [OKABE_ITO["vermillion" if name in marked else "blue"] for name in values]
-    found = ax.barh(list(values), list(values.values()), color=colours)
-    ax.bar_label(found, fmt="{:.4g}", padding=3, fontsize=8.5)
-    ax.invert_yaxis()
-    ax.grid(axis="y", visible=False)
-    ax.margins(x=0.12)
-    ax.set_xlabel(unit)
 
 
 def _cpu() -> str:

@@ -55,9 +55,7 @@ print(f"the nearest frame misses N by {np.degrees(np.arcsin(rod.residual)):.1f}Â
 # and a motion command should not change a force. By how much do they?
 
 # %%
-from paper.baselines.coupling import Instant
-from paper.baselines.frames import best_selection
-from paper.baselines.laws import BASELINES, Ours
+from paper.selection_laws import BASELINES, Instant, Ours, best_selection
 
 instant = Instant(state, contact)
 laws = {"ours": Ours(), "selection": best_selection(instant, BASELINES["khatib"], restarts=0)}

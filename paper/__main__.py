@@ -13,25 +13,22 @@ from osc_contact.console import (
     PlantOption,
     SeedOption,
     SetOption,
-    err,
     exit_codes,
     load_task,
     out,
-    record,
     require,
     require_report,
     say,
 )
 from osc_contact.errors import InvalidInputError
-from osc_contact.runs import tables
 from osc_contact.runs.report import write_json
-from paper import figures as paper_figures
-from paper import reproduction
-from paper.report import write_paper_report
-from paper.studies import STUDIES, WITH_SAMPLES, Ask
+from paper import figures
+from paper.report import REPRODUCIBLE, make, names_of, typed, write_paper_report
+from paper.studies import STUDIES, WITH_SAMPLES
+from paper.study import Ask, table_of
 
-REPRODUCIBLE = tuple(sorted((*paper_figures.FIGURES, *STUDIES), key=lambda n: (n[:3] != "fig", n)))
-LONG = ", ".join(name for name in REPRODUCIBLE if name not in reproduction.names_of("all"))
+NAMES = sorted(REPRODUCIBLE, key=lambda name: (name[:3] != "fig", name))
+LONG = ", ".join(name for name in NAMES if name not in names_of("all"))
 
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
@@ -41,7 +38,7 @@ def reproduce(
     figure: Annotated[
         str,
         typer.Argument(
-            help=f"{' | '.join(REPRODUCIBLE)} | all (with report.html; without {LONG}: minutes)",
+            help=f"{' | '.join(NAMES)} | all (with report.html; without {LONG}: minutes)",
             metavar="FIGURE",
         ),
     ],
@@ -59,31 +56,29 @@ def reproduce(
 ) -> None:
     """Make the paper's figures from our own data, studies beside them, and a report on them all."""
     with exit_codes():
-        names = reproduction.names_of(figure)
+        names = names_of(figure)
         require("matplotlib")
         drawn = [name for name in names if name not in STUDIES]
         if not drawn and plant is not None:
             raise InvalidInputError(f"{figure} chooses its own plants; leave --plant out")
         if samples is not None and not WITH_SAMPLES.issuperset(names):
             raise InvalidInputError(f"nothing is sampled for {figure}; leave --samples out")
-        scenario = load_task(paper_figures.SCENARIO, set_ if drawn else None, plant, duration)
-        if any(name in paper_figures.needs_run for name in drawn):
+        scenario = load_task(figures.SCENARIO, set_ if drawn else None, plant, duration)
+        if figures.NEED_RUN.intersection(drawn):
             require_report(scenario)
-        result = reproduction.make(
+        result = make(
             names,
             out_dir,
             scenario,
             Ask(seed, duration, () if drawn else tuple(set_ or ()), samples),
-            record=lambda: record(scenario, seed, out_dir),
-            show=out.print,
-            waiting=err.status,
-            options=reproduction.typed(plant and plant.value, duration, seed, set_ or ()),
+            typed(plant and plant.value, duration, seed, set_ or ()),
         )
         for one in result.made.values():
             for path in one.files:
                 say(f"written: {path}")
         if figure == "all":
-            out.print(tables.paper_table(result.verdicts()))
+            verdicts = result.verdicts().items()
+            out.print(table_of("the paper's figures", "figure; verdict", verdicts))
             say(f"written: {write_paper_report(result, out_dir / 'report.html')}")
         if json_file:
             write_json(result.as_dict(), json_file)

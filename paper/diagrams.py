@@ -18,13 +18,13 @@ from osc_contact.control.signals import BLOCKS, Block
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.style import style
 
-__all__ = ["LOOP", "draw_blocks"]
-
 PLANT = Block("arms, object, environment", "plant", "", ("tau",), ("q", "v", "wrenches"))
 #: The control loop of fig. 4.
 LOOP = (*BLOCKS, PLANT)
 
-WIDTH, HEIGHT, PORT = 1.9, 1.15, 0.3  #: of a box; between two connections at one edge (in)
+WIDTH = 1.9
+HEIGHT = 1.15
+PORT = 0.3  #: of a box; between two connections at one edge (in)
 #: Middle of each box (in): model and plant, motion, force.
 PLACES = {
     "closed chain": (0.0, 6.4),
@@ -89,7 +89,9 @@ GROUPS = {
     "model": (OKABE_ITO["green"], "model"),
     "plant": ("#555B63", "plant"),
 }
-INK, LINE, LABEL = "#2B2F36", 1.1, 11.0  #: of connections and the names on them
+INK = "#2B2F36"
+LINE = 1.1
+LABEL = 11.0  #: of connections and the names on them
 #: Look of signals without a connection.
 NAMED: Any = {"boxstyle": "round,pad=0.18", "fc": "#E9ECF0", "ec": "none"}
 BY_NAME = "taken up by name"
@@ -150,8 +152,10 @@ def _ports(signals: Sequence[str]) -> Iterator[tuple[str, float]]:
 def _canvas(places: Sequence[Point], title: str) -> tuple[Figure, Axes]:
     """A page measured in inches around the boxes."""
     xs, ys = zip(*places, strict=True)
-    left, right = min(xs) - 0.5 * WIDTH - 1.5, max(xs) + 0.5 * WIDTH + 1.4
-    low, high = min(ys) - 0.5 * HEIGHT - 1.6, max(ys) + 0.5 * HEIGHT + 1.2
+    left = min(xs) - 0.5 * WIDTH - 1.5
+    right = max(xs) + 0.5 * WIDTH + 1.4
+    low = min(ys) - 0.5 * HEIGHT - 1.6
+    high = max(ys) + 0.5 * HEIGHT + 1.2
     figure = Figure(figsize=(right - left, high - low))
     figure.set_layout_engine("none")
     ax = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(left, right), ylim=(low, high))
@@ -162,12 +166,14 @@ def _canvas(places: Sequence[Point], title: str) -> tuple[Figure, Axes]:
 
 def _box(ax: Axes, block: Block) -> None:
 
-    (x, y), (colour, _) = PLACES[block.name], GROUPS[block.group]
+    (x, y) = PLACES[block.name]
+    (colour, _) = GROUPS[block.group]
     corner = (x - 0.5 * WIDTH, y - 0.5 * HEIGHT)
     look: Any = {"boxstyle": "round,pad=0,rounding_size=0.07", "lw": 1.4, "zorder": 3}
     ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, fc="white", ec=colour, **look))
     ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, fc=colour, ec="none", alpha=0.14, **look))
-    name, middle = textwrap.fill(block.name, 16), 0.26 if block.equation else 0.0
+    name = textwrap.fill(block.name, 16)
+    middle = 0.26 if block.equation else 0.0
     centred: Any = {"ha": "center", "va": "center", "zorder": 5}
     ax.text(x, y + middle, name, size=12, weight="bold", **centred)
     ax.text(x, y - 0.27, block.equation, size=10.5, **centred)
@@ -183,8 +189,15 @@ def _name_inputs(ax: Axes, place: Point, signals: Sequence[str]) -> None:
             edge = y + side * 0.5 * HEIGHT
             _arrow(ax, [(x, edge + 0.22 * side), (x, edge)])
             rows = [" · ".join(names[k : k + 3]) for k in range(0, len(names), 3)]
-            ax.text(x, edge + 0.3 * side, "\n".join(rows), size=LABEL, ha="center", va=va,
-                    bbox=NAMED if side < 0 else None)  # fmt: skip
+            ax.text(
+                x,
+                edge + 0.3 * side,
+                "\n".join(rows),
+                size=LABEL,
+                ha="center",
+                va=va,
+                bbox=NAMED if side < 0 else None,
+            )
 
 
 def _wire(

@@ -5,19 +5,17 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from osc_contact.runs.rig import Rig, build_rig
+import osc_contact as osc
 from osc_contact.runs.run import run as run_scenario
 from osc_contact.runs.viewing import content_of
-from osc_contact.scenarios import load_scenario
 from osc_contact.scenarios.contact_schema import ConveyorSpec
 from osc_contact.spatial import Array
 from osc_contact.visual import contact_colour
@@ -38,12 +36,13 @@ from osc_contact.visual.workcell_marks import (
     stand,
 )
 from paper.statements import Answer
-
-__all__ = ["Shot", "Workcell", "draw", "run"]
+from paper.study import Ask, Data, Study, table_of
 
 SCENARIO = "workcell"
 #: An overhead camera above the middle of the rod; scenarios do not say where it hangs.
-EYE, POST, SEEN = np.array([0.0, -0.08, 1.12]), np.array([0.0, -0.66]), np.array([0.5, 0.4])
+EYE = np.array([0.0, -0.08, 1.12])
+POST = np.array([0.0, -0.66])
+SEEN = np.array([0.5, 0.4])
 #: Where sensors sit: frame, place in it (m), radius of the ring that marks them.
 JOINT_SENSORS = (
     ("joint1", (0.0, 0.0, -0.012), 0.094),
@@ -52,7 +51,8 @@ JOINT_SENSORS = (
     ("joint4", (0.0, 0.0, 0.014), 0.026),
 )
 WRIST_SENSOR = ((0.0, 0.0, -0.004), 0.037)
-FACE_THICKNESS, FACE_SIDE = 0.02, 0.26
+FACE_THICKNESS = 0.02
+FACE_SIDE = 0.26
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class Shot:
 class Workcell:
     """The rig and what it stood like at one tick of a run (channels of the recording)."""
 
-    rig: Rig
-    sample: dict[str, Any]
+    rig: osc.Rig
+    sample: Data
 
     @cached_property
     def frames(self) -> dict[str, pin.SE3]:
@@ -145,8 +145,10 @@ class Workcell:
 
     def as_dict(self) -> dict[str, str]:
         """Its parts in words, from the scenario and the rig."""
-        scenario, chain = self.rig.scenario, self.rig.chain
-        sensors, wrist = scenario.sensors, scenario.sensors.wrist
+        scenario = self.rig.scenario
+        chain = self.rig.chain
+        sensors = scenario.sensors
+        wrist = scenario.sensors.wrist
         names = [contact.name for contact in scenario.contacts]
         forces = (f"{n} {a:.1f} N" for n, a in zip(names, self.sample["alpha_true"], strict=True))
         passive = sum(len(arm.passive_joints) for arm in chain.arms)
@@ -167,7 +169,9 @@ class Workcell:
 
     def answers(self) -> dict[str, Answer]:
         """To what the paper states about fig. 3."""
-        scenario, chain, d = self.rig.scenario, self.rig.chain, self.rig.d
+        scenario = self.rig.scenario
+        chain = self.rig.chain
+        d = self.rig.d
         motors = [arm.model.nv - len(arm.passive_joints) for arm in chain.arms]
         hinges = [len(arm.passive_joints) for arm in chain.arms]
         length = float(np.linalg.norm(np.diff(self.sample["contact_point"], axis=0)))
@@ -204,10 +208,10 @@ def run(duration: float = 1.4, seed: int = 0, changes: Sequence[str] = ()) -> Wo
         seed: of everything random.
         changes: "path.to.key=value" of the scenario.
     """
-    scenario = load_scenario(SCENARIO, changes)
+    scenario = osc.load_scenario(SCENARIO, changes)
     recording = run_scenario(scenario, duration=duration, seed=seed)
     tick = len(recording["t"]) - 1
-    return Workcell(build_rig(scenario), sample_at(recording.channels, tick))
+    return Workcell(osc.build_rig(scenario), sample_at(recording.channels, tick))
 
 
 def draw(cell: Workcell) -> Figure:
@@ -224,8 +228,17 @@ def draw(cell: Workcell) -> Figure:
             pictures.append(imread(write_png(page, png, size=shot.size, bare=True, density=2.0)))
     with style():
         figure = Figure(figsize=(12.0, 6.6))
-        grid = figure.add_gridspec(2, 2, width_ratios=[1.22, 1.0], left=0.005, right=0.995,
-                                   top=0.95, bottom=0.005, wspace=0.02, hspace=0.1)  # fmt: skip
+        grid = figure.add_gridspec(
+            2,
+            2,
+            width_ratios=[1.22, 1.0],
+            left=0.005,
+            right=0.995,
+            top=0.95,
+            bottom=0.005,
+            wspace=0.02,
+            hspace=0.1,
+        )
         places = [grid[:, 0], grid[0, 1], grid[1, 1]]
         for place, shot, picture, letter in zip(places, cell.shots(), pictures, "abc", strict=True):
             ax = figure.add_subplot(place)
@@ -236,25 +249,37 @@ def draw(cell: Workcell) -> Figure:
 
 
 def _whole(cell: Workcell) -> Shot:
-    at, camera, X = cell.frames, cell.camera, _pose(cell.sample)
+    at = cell.frames
+    camera = cell.camera
+    X = _pose(cell.sample)
     rings = cell.rings()
     left, right = (at[f"{name}/joint1"].translation for name in ("left", "right"))
-    feet = [np.append(POST, 0.0), *(p * [1, 1, 0] + [0.13 * np.sign(p[0]), 0, 0]
-                                    for p in (left, right))]  # fmt: skip
+    feet = [
+        np.append(POST, 0.0),
+        *(p * [1, 1, 0] + [0.13 * np.sign(p[0]), 0, 0] for p in (left, right)),
+    ]
     top = np.append(POST, camera.eye[2] + 0.17)
     points = np.vstack((feet, [top, camera.eye + [0, 0, 0.17]], camera.corners))
     corner = min(_corners(cell.faces()[0]), key=lambda p: float(p[2]))
     callouts = [
-        Callout("overhead vision: " + _vision_words(cell), camera.eye + [0, 0, 0.09], (0.3, 0.05),
-                VISION),
+        Callout(
+            "overhead vision: " + _vision_words(cell),
+            camera.eye + [0, 0, 0.09],
+            (0.3, 0.05),
+            VISION,
+        ),
         Callout("left arm", left + [0, 0, 0.13], (0.16, 0.1)),
         Callout("right arm", right + [0, 0, 0.13], (-0.16, 0.14)),
         Callout("rod", X.translation, (-0.03, -0.11)),
-        Callout("joint torque sensors", _edge(rings["joint_torque/left2"], 1.0), (0.06, -0.09),
-                JOINT_TORQUE),
+        Callout(
+            "joint torque sensors",
+            _edge(rings["joint_torque/left2"], 1.0),
+            (0.06, -0.09),
+            JOINT_TORQUE,
+        ),
         Callout("wrist sensor", _edge(rings["wrist/right"], 1.0), (0.11, 0.05), WRIST),
         Callout(_face_words(cell), corner, (0.05, -0.09)),
-    ]  # fmt: skip
+    ]
     return Shot("dual-arm workcell", points, 76.0, 27.0, (760, 800), callouts, whole=True)
 
 
@@ -268,9 +293,10 @@ def _task(cell: Workcell) -> Shot:
         push = np.asarray(cell.sample["contact_direction"][k])
         force = float(cell.sample["alpha_true"][k])
         callouts.append(
-            Callout(f"{name}: {force:.1f} N", point - 0.12 * push, (0.1 * side, 0.03),
-                    contact_colour(k))
-        )  # fmt: skip
+            Callout(
+                f"{name}: {force:.1f} N", point - 0.12 * push, (0.1 * side, 0.03), contact_colour(k)
+            )
+        )
     points = np.vstack((corners, [X.translation + [0, 0, 0.12]]))
     return Shot(
         "two-contact task: the lines of force are skew", points, 84.0, 30.0, (620, 350), callouts
@@ -278,16 +304,22 @@ def _task(cell: Workcell) -> Shot:
 
 
 def _gripper(cell: Workcell) -> Shot:
-    wrist, hinge = cell.frames["left/wrist_sensor"], cell.frames["left/hinge"].translation
+    wrist = cell.frames["left/wrist_sensor"]
+    hinge = cell.frames["left/hinge"].translation
     rings = cell.rings()
     points = hinge + np.array([[-0.13, 0.0, -0.05], [0.13, 0.0, 0.125]])
     callouts = [
-        Callout("joint torque sensor", _edge(rings["joint_torque/left4"], -1.0), (-0.1, 0.01),
-                JOINT_TORQUE),
-        Callout("wrist force/torque sensor", _edge(rings["wrist/left"], -1.0), (-0.09, -0.015),
-                WRIST),
+        Callout(
+            "joint torque sensor",
+            _edge(rings["joint_torque/left4"], -1.0),
+            (-0.1, 0.01),
+            JOINT_TORQUE,
+        ),
+        Callout(
+            "wrist force/torque sensor", _edge(rings["wrist/left"], -1.0), (-0.09, -0.015), WRIST
+        ),
         Callout("free hinge", hinge + wrist.rotation @ [0, 0.03, 0], (-0.11, -0.03)),
-    ]  # fmt: skip
+    ]
     return Shot(
         "gripper: a free hinge below the wrist sensor", points, 84.0, 20.0, (620, 350), callouts
     )
@@ -301,7 +333,7 @@ def _corners(X_WF: pin.SE3) -> list[Array]:
 
 def _edge(mark: tuple[pin.SE3, float, str], side: float) -> Array:
     X, radius, _ = mark
-    return np.asarray(X.translation + [-side * radius, 0.0, 0.0])
+    return X.translation + [-side * radius, 0.0, 0.0]
 
 
 def _vision_words(cell: Workcell) -> str:
@@ -319,15 +351,32 @@ def _face_words(cell: Workcell) -> str:
     motion = cell.rig.bodies[0].motion
     if not isinstance(motion, ConveyorSpec):
         return "face"
-    travel, turn = motion.signals[0].at(np.inf)[0], 0.0
+    travel = motion.signals[0].at(np.inf)[0]
+    turn = 0.0
     if motion.turn is not None:
         turn = motion.turn.signals[0].at(np.inf)[0]
     return f"face, moved by {1e3 * travel:.0f} mm and {np.rad2deg(abs(turn)):.0f}°"
 
 
-def _pose(sample: dict[str, Any]) -> pin.SE3:
+def _pose(sample: Data) -> pin.SE3:
     return pin.XYZQUATToSE3(np.asarray(sample["pose"], dtype=float))
 
 
 def _shifted(place: tuple[float, float, float]) -> pin.SE3:
     return pin.SE3(np.eye(3), np.array(place))
+
+
+def study(ask: Ask) -> Study:
+    """Fig. 3: the workcell in three views, and its parts in words."""
+    ask.tell("making contact")
+    cell = run(ask.lasting(1.4), ask.seed, ask.changes)
+    data = cell.as_dict()
+    table = table_of("fig. 3: the workcell", "part; what it is", data.items())
+    figures = {}
+    ask.tell("rendering")
+    try:
+        figures["fig3"] = draw(cell)
+    except osc.ViewerError as error:  # the page is there all the same
+        table.add_row("picture", f"not rendered: {error}")
+    pages = {"fig3": partial(cell.page, cell.shots()[0])}
+    return Study(figures, table, data, cell.answers(), pages)

@@ -9,20 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from osc_contact.recorder import Recording
+import osc_contact as osc
 from osc_contact.runs.metrics import SETTLE_S, metrics
 from osc_contact.runs.run import run as run_scenario
-from osc_contact.scenarios import load_scenario
 from osc_contact.spatial import Array
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.style import style
-
-__all__ = ["FACES", "LAWS", "Case", "draw", "run"]
+from paper.study import Ask, Data, Study, table_of
 
 _SWING = "[{type: sine, amplitude: 30 mm, frequency: 1 Hz, start: 0 s, ramp: 2 s}]"
 _TURN = (
@@ -59,11 +56,11 @@ class Case:
 
     face: str
     law: str
-    recording: Recording
-    verdict: dict[str, Any]
+    recording: osc.Recording
+    verdict: Data
 
     @property
-    def row(self) -> dict[str, Any]:
+    def row(self) -> Data:
         """What is compared: errors of both contact forces, contact kept, travel of the face."""
         force = self.verdict["force"]
         return {
@@ -80,7 +77,7 @@ def run(
     plant: str = "mujoco",
     duration: float = 10.0,
     faces: Sequence[str] = tuple(FACES),
-    tell: Callable[[str], None] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> list[Case]:
     """Every face under both laws.
 
@@ -92,19 +89,18 @@ def run(
     cases = []
     for face in faces:
         for law, knowledge in LAWS.items():
-            if tell is not None:
-                tell(f"{face}, {law}")
+            tell(f"{face}, {law}")
             changes = [*FACES[face], f"model_error.environment={knowledge}"]
-            scenario = load_scenario("moving_face", changes)
+            scenario = osc.load_scenario("moving_face", changes)
             recording = run_scenario(scenario, plant=plant, duration=duration)
             cases.append(Case(face, law, recording, metrics(recording)))
     return cases
 
 
-def _travel(recording: Recording) -> Array:
+def _travel(recording: osc.Recording) -> Array:
     """(T,) how far the left face is from where it started, with the sign of its first axis (m)."""
     path = recording["face_pose"][:, 0, :3] - recording["face_pose"][0, 0, :3]
-    return np.asarray(-np.sign(path[:, 0]) * np.linalg.norm(path, axis=1))
+    return -np.sign(path[:, 0]) * np.linalg.norm(path, axis=1)
 
 
 def draw(cases: Sequence[Case]) -> Figure:
@@ -117,7 +113,8 @@ def draw(cases: Sequence[Case]) -> Figure:
         largest = 0.0
         for (travel, force), face in zip(axes, faces, strict=True):
             for case in reversed([c for c in cases if c.face == face]):
-                t, colour = case.recording["t"], OKABE_ITO[colours[case.law]]
+                t = case.recording["t"]
+                colour = OKABE_ITO[colours[case.law]]
                 error = case.recording["alpha_true"][:, 0] - case.recording["alpha_cmd"][:, 0]
                 rms = 100 * case.row["left_end_rms_error_rel"]
                 travel.plot(t, 1e3 * _travel(case.recording), color=colour, lw=1.4)
@@ -133,3 +130,26 @@ def draw(cases: Sequence[Case]) -> Figure:
             ax.set_xlabel("time (s)")
         figure.suptitle("Pressing on a moving face", x=0.01, ha="left", size=12, weight="bold")
     return figure
+
+
+def study(ask: Ask) -> Study:
+    """All faces under both laws."""
+    cases = run(duration=ask.lasting(10.0), tell=ask.tell)
+    data = [case.row for case in cases]
+    table = table_of(
+        "moving_face on mujoco",
+        "left face; law; left force, rms; peak; right force, rms; closed; face travels",
+        (
+            (
+                row["face"],
+                row["law"],
+                f"{row['left_end_rms_error_rel']:.3%}",
+                f"{row['left_end_peak_error_N']:.3f} N",
+                f"{row['right_end_rms_error_rel']:.3%}",
+                f"{row['contact_fraction']:.2%}",
+                f"{1e3 * row['travel_m']:.1f} mm",
+            )
+            for row in data
+        ),
+    )
+    return Study({"moving_face": draw(cases)}, table, {"cases": data})

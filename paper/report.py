@@ -8,19 +8,28 @@ from __future__ import annotations
 
 import base64
 import re
+import shlex
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 
+import osc_contact as osc
 from osc_contact import __version__
+from osc_contact.console import err, out, record
+from osc_contact.runs.report import write_report
+from osc_contact.runs.tables import verdict_table
 from osc_contact.visual.page import POLICY, asset, filled, write_whole
-from paper.reproduction import Made, Reproduction
-from paper.statements import PAPER, Answer, PaperFigure, Verdict
-
-__all__ = ["write_paper_report"]
+from osc_contact.visual.style import PRINT, save
+from paper import figures
+from paper.figures import ANSWERS, Evidence
+from paper.statements import PAPER, Answer, PaperFigure, Verdict, judge
+from paper.studies import SLOW, STUDIES, write_study
+from paper.study import Ask, Data
 
 _TYPES = {".svg": "image/svg+xml", ".png": "image/png"}  #: shown: the first there is
 _SIZE = re.compile(r'viewBox="0 0 ([0-9.]+) ([0-9.]+)"')
@@ -73,7 +82,8 @@ def write_paper_report(reproduction: Reproduction, path: Path) -> Path:
 def _about(reproduction: Reproduction) -> str:
     run = "no run"
     if reproduction.recording is not None:
-        meta, ticks = reproduction.recording.meta, len(reproduction.recording)
+        meta = reproduction.recording.meta
+        ticks = len(reproduction.recording)
         seconds = ticks / float(meta["control_rate_hz"])
         run = (
             f"a run of <b>{escape(reproduction.scenario.name)}</b> on the plant "
@@ -207,3 +217,149 @@ def _code(text: str) -> str:
 
 def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode("ascii")
+
+
+# --- `osc-contact reproduce`: makes figures and studies one after the other, by their names ---
+
+
+REPRODUCIBLE = (*figures.FIGURES, *STUDIES)
+BRIEF_S = 10.0  #: of each run of a slow study that is one of several
+
+
+@dataclass(frozen=True)
+class Made:
+    """What came of one name.
+
+    Attributes:
+        files: figures in every format, and JSON.
+        answers: to what the paper states, by key; empty for studies beside the paper.
+        table: of a study. data: its numbers. options: that its command needs besides those typed.
+    """
+
+    files: Sequence[Path]
+    answers: Mapping[str, Answer] = field(default_factory=dict)
+    table: Table | None = None
+    data: Mapping[str, Any] | None = None
+    options: str = ""
+
+    @property
+    def drawn(self) -> bool:
+        """Whether there is a picture among the files; fig. 3 needs a browser for its own."""
+        return any(path.suffix in (".png", ".svg") for path in self.files)
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Everything that one command made.
+
+    Attributes:
+        made: by name. options: of the command, as typed. scene: the run's page.
+        scenario: behind the figures that are not studies, recording: of its run, if there was one.
+    """
+
+    made: Mapping[str, Made]
+    scenario: osc.Scenario
+    recording: osc.Recording | None
+    scene: Path | None
+    options: str = ""
+
+    def verdicts(self) -> dict[str, Verdict]:
+        """By the names of the paper's eight figures."""
+        found = {}
+        for figure in PAPER:
+            one = self.made.get(figure.name, Made(()))
+            made = figure.name in self.made
+            found[figure.name] = judge(figure, made, one.answers, one.drawn)
+        return found
+
+    def as_dict(self) -> Data:
+        """JSON-able: files, the run's metrics, the studies' numbers, the paper's statements."""
+        paper = {
+            name: {
+                "verdict": verdict.value,
+                "answers": {
+                    k: {"found": a.found, "holds": a.holds}
+                    for k, a in self.made[name].answers.items()
+                },
+            }
+            for name, verdict in self.verdicts().items()
+            if name in self.made
+        }
+        return {
+            "figures": [str(path) for one in self.made.values() for path in one.files],
+            "metrics": {} if self.recording is None else osc.metrics(self.recording),
+            "studies": {k: one.data for k, one in self.made.items() if one.data is not None},
+            "paper": paper,
+        }
+
+
+def names_of(figure: str) -> tuple[str, ...]:
+    """The names behind one word of the command line.
+
+    "all" are the paper's figures and the studies that take no minutes.
+
+    Raises:
+        InvalidInputError: unknown, with the names there are.
+    """
+    names: tuple[str, ...] = (figure,)
+    if figure == "all":
+        paper = {one.name for one in PAPER}
+        names = tuple(name for name in REPRODUCIBLE if name in paper or name not in SLOW)
+    if not set(REPRODUCIBLE).issuperset(names):
+        raise osc.InvalidInputError(f"no figure '{figure}'; there are {', '.join(REPRODUCIBLE)}")
+    return names
+
+
+def typed(plant: str | None, duration: float | None, seed: int, changes: Sequence[str]) -> str:
+    """The options of a command as they are typed.
+
+    Args:
+        plant: of `--plant`, None if it was not given.
+        duration: of `--duration` (s), None if it was not given.
+        seed: of `--seed`; 0 is left out.
+        changes: of `--set`.
+    """
+    words = [] if plant is None else ["--plant", plant]
+    words += [] if duration is None else ["--duration", f"{duration:g}"]
+    words += ["--seed", str(seed)] if seed else []
+    return shlex.join([*words, *(word for change in changes for word in ("--set", change))])
+
+
+def make(
+    names: Sequence[str], folder: Path, scenario: osc.Scenario, ask: Ask, options: str = ""
+) -> Reproduction:
+    """Make figures and studies; their tables are printed.
+
+    Args:
+        names: of `FIGURES` and `STUDIES`.
+        folder: for everything that is written.
+        scenario: behind the figures that are not studies; run if one of them needs it.
+        ask: of the studies, and the seed of that run.
+        options: of the command, as typed; shown in the report.
+    """
+    drawn = [name for name in names if name not in STUDIES]
+    recording = None
+    scene = None
+    if figures.NEED_RUN.intersection(drawn):
+        recording = record(scenario, ask.seed, folder)
+        of_run = folder / scenario.name
+        out.print(verdict_table(write_report(recording, scenario, of_run)))
+        scene = of_run / "scene.html"
+    made = {}
+    for name in drawn:
+        files = save(figures.reproduce(name, scenario, recording), folder / name, PRINT)
+        answers = {}
+        if recording is not None:
+            answers = ANSWERS[name](Evidence(osc.build_rig(scenario), recording))
+        made[name] = Made(files, answers)
+    for name in names:
+        if name in STUDIES:
+            brief = name in SLOW and len(names) > 1 and ask.duration is None
+            duration = BRIEF_S if brief else ask.duration
+            with err.status(name) as status:
+                asked = replace(ask, duration=duration, tell=status.update)
+                study, written = write_study(name, folder, asked)
+            out.print(study.table)
+            more = typed(None, duration, 0, ()) if brief else ""
+            made[name] = Made(written, study.answers, study.table, study.data, more)
+    return Reproduction(made, scenario, recording, scene, options)

@@ -7,24 +7,21 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from rich.table import Table
 
-from osc_contact.runs.rig import build_rig
+import osc_contact as osc
 from osc_contact.spatial import Array
 from osc_contact.sweeps.rows import make_rows, scenario_of
 from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.table import RowFile
 from osc_contact.sweeps.workers import make_all, workers_of
-from paper.baselines.coupling import Instant
-from paper.baselines.frames import best_frames
-from paper.baselines.laws import BASELINES, Baseline, Law, Ours, SelectionLaw
-from paper.baselines.selection import Selection
-
-__all__ = [
-    "LABELS", "LAWS", "QUANTITIES", "SAMPLES", "SHARES", "TITLES", "VARIED", "Robustness", "run",
-]  # fmt: skip
+from osc_contact.visual import OKABE_ITO
+from osc_contact.visual.style import style
+from paper.selection_laws import BASELINES, Baseline, Instant, Law, Ours, SelectionLaw, best_frames
+from paper.study import Ask, Data, Study, table_of
 
 SCENARIO = "two_contact_rod"
 SAMPLES = 1000  #: of each case, unless others are asked for
@@ -35,10 +32,7 @@ VARIED: dict[str, tuple[str, ...]] = {
         "model_error.arm_mass=uniform(0.8, 1.2)",
     ),
     "friction": ("plant.friction=uniform(0, 0.2)",),
-    "delay": (
-        "sensors.wrist.rate=choice(1 kHz)",
-        "sensors.wrist.delay=uniform(0 ms, 10 ms)",
-    ),
+    "delay": ("sensors.wrist.rate=choice(1 kHz)", "sensors.wrist.delay=uniform(0 ms, 10 ms)"),
     "normals": (
         "model_error.face_tilt=uniform(0 deg, 5 deg)",
         "model_error.face_tilt_about=uniform(0 deg, 360 deg)",
@@ -50,8 +44,8 @@ TITLES = {
     "delay": "wrist delay up to 10 ms",
     "normals": "faces turned by up to 5°",
 }
-LAWS = ("ours", *BASELINES)
 LABELS = {"ours": "ours"} | {name: one.label for name, one in BASELINES.items()}
+LAWS = tuple(LABELS)
 QUANTITIES = {"force": "force error, rms (%)", "motion": "motion error, rms (mm)"}
 SHARES = (0.5, 0.9, 0.99)
 _SCALE = {"force": 100.0, "motion": 1e3}
@@ -76,8 +70,8 @@ class Robustness:
 
     laws: dict[str, SelectionLaw]
     candidates: dict[str, list[Candidate]]
-    rows: dict[str, list[dict[str, Any]]]
-    nominal: dict[str, Any]
+    rows: dict[str, list[Data]]
+    nominal: Data
     changes: tuple[str, ...] = ()
 
     def errors(self, varied: str, law: str, quantity: str) -> Array:
@@ -90,7 +84,7 @@ class Robustness:
         found = [np.inf if r[f"{law}.failed"] else r[f"{law}.{quantity}"] for r in rows]
         return np.sort(_SCALE[quantity] * np.array(found, dtype=float))
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Data:
         """JSON-able: how the laws were chosen, quantiles of every case and all rows."""
         return {
             "scenario": SCENARIO,
@@ -100,7 +94,7 @@ class Robustness:
                     "law": law.baseline.label,
                     "equation": law.baseline.equation,
                     "candidates": len(self.candidates[name]),
-                    **_frame_of(law.selection),
+                    **law.selection.as_dict(),
                 }
                 for name, law in self.laws.items()
             },
@@ -116,23 +110,21 @@ class Robustness:
             "rows": self.rows,
         }
 
-    def _told(self, varied: str, law: str) -> dict[str, Any]:
+    def _told(self, varied: str, law: str) -> Data:
         rows = self.rows[varied]
-        found: dict[str, Any] = {
-            "success_rate": sum(not row[f"{law}.failed"] for row in rows) / len(rows)
-        }
+        found: Data = {"success_rate": sum(not row[f"{law}.failed"] for row in rows) / len(rows)}
         for quantity in QUANTITIES:
             errors = self.errors(varied, law, quantity)
-            values = [_quantile(errors, share) for share in SHARES]
+            values = np.quantile(errors, SHARES, method="inverted_cdf")
             found[quantity] = [float(x) if np.isfinite(x) else None for x in values]
         return found
 
 
 def run(
     samples: int,
+    folder: Path,
     seed: int = 0,
     changes: Sequence[str] = (),
-    folder: Path | None = None,
     workers: int | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Robustness:
@@ -158,15 +150,13 @@ def run(
     candidates = {name: _candidates(studies, family, seed) for name, family in BASELINES.items()}
     best = {name: min(some, key=lambda x: x[1] * x[2])[0] for name, some in candidates.items()}
     laws: dict[str, Law] = {"ours": Ours()} | best
-    frames = {name: _frame_of(law.selection) for name, law in best.items()}
-    done: list[dict[int, dict[str, Any]]] = [{} for _ in studies]
+    frames = {name: law.selection.as_dict() for name, law in best.items()}
     with ExitStack() as stack:
         files = []
-        if folder is not None:
-            for name, study in zip(VARIED, studies, strict=True):
-                files.append(RowFile(folder / f"robustness_{name}.jsonl", study, frames))
-                stack.callback(files[-1].close)
-            done = [{k: row for k, row in file.done.items() if k < samples} for file in files]
+        for name, study in zip(VARIED, studies, strict=True):
+            files.append(RowFile(folder / f"robustness_{name}.jsonl", study, frames))
+            stack.callback(files[-1].close)
+        done = [{k: row for k, row in file.done.items() if k < samples} for file in files]
         jobs = [
             (study, [number])
             for number in range(samples)
@@ -177,8 +167,7 @@ def run(
         for study, row in make_all(crew, jobs, partial(_make, laws)):
             case = studies.index(study)
             done[case][row["row"]] = row
-            if files:
-                files[case].append([row])
+            files[case].append([row])
             tell(f"{sum(map(len, done))} of {samples * len(studies)} samples")
     rows = {name: [one[k] for k in sorted(one)] for name, one in zip(VARIED, done, strict=True)}
     nominal = _make(laws, _nominal(studies[0]), [0])[0]
@@ -192,8 +181,9 @@ def _candidates(studies: Sequence[SweepStudy], family: Baseline, seed: int) -> l
     """
     nominal = _nominal(studies[0])
     jobs = [(nominal, 0), *((one, k) for one in studies for k in range(min(_FIRST, one.rows)))]
-    rig = build_rig(scenario_of(nominal, nominal.sample(0)))
-    instant, found = Instant(rig.state(), rig.contact()), []
+    rig = osc.build_rig(scenario_of(nominal, nominal.sample(0)))
+    instant = Instant(rig.state(), rig.contact())
+    found = []
     for law in best_frames(instant, family, seed=seed):
         rows = [_judge(law, *job) for job in jobs]
         if not any(row["failed"] for row in rows):
@@ -203,27 +193,16 @@ def _candidates(studies: Sequence[SweepStudy], family: Baseline, seed: int) -> l
     return found
 
 
-def _frame_of(selection: Selection) -> dict[str, Any]:
-    """Point (m) and axes of a selection, JSON-able."""
-    return {
-        "point_m": selection.linear.translation.tolist(),
-        "force_axes": selection.linear.rotation[:, np.array(selection.forces)].T.tolist(),
-        "couple_axes": selection.angular[:, np.array(selection.couples)].T.tolist(),
-    }
-
-
 def _nominal(study: SweepStudy) -> SweepStudy:
     """Where all is as the controllers believe."""
     return replace(study, vary=(), samples=1)
 
 
-def _make(
-    laws: Mapping[str, Law], study: SweepStudy, numbers: Sequence[int]
-) -> list[dict[str, Any]]:
+def _make(laws: Mapping[str, Law], study: SweepStudy, numbers: Sequence[int]) -> list[Data]:
     """Rows of some samples: one run under each law."""
     rows = []
     for sample in map(study.sample, numbers):
-        row: dict[str, Any] = {"row": sample.number, "seed": sample.seed, **sample.shown}
+        row: Data = {"row": sample.number, "seed": sample.seed, **sample.shown}
         for name, law in laws.items():
             verdict = _judge(law, study, sample.number)
             row |= {f"{name}.{key}": value for key, value in verdict.items()}
@@ -231,7 +210,7 @@ def _make(
     return rows
 
 
-def _judge(law: Law, study: SweepStudy, number: int) -> dict[str, Any]:
+def _judge(law: Law, study: SweepStudy, number: int) -> Data:
     """One run: its word, whether the task failed, the force error of the worse contact, motion."""
     (row,) = make_rows(study, [number], law.install)
     forces = [x for key, x in row.items() if key.endswith(".rms_error_rel")]
@@ -243,6 +222,44 @@ def _judge(law: Law, study: SweepStudy, number: int) -> dict[str, Any]:
     }
 
 
-def _quantile(errors: Array, share: float) -> float:
-    """The error that this share of the sorted runs does not exceed."""
-    return float(errors[max(0, int(np.ceil(share * len(errors))) - 1)])
+def tabulate(found: Robustness) -> Table:
+    """Tasks done and quantiles of both errors: a row for each case and law."""
+    cases = found.as_dict()["cases"]
+    samples = next(iter(cases.values()))["samples"]
+    shares = " / ".join(f"{100 * share:g} %" for share in SHARES)
+    rows = []
+    for name, case in cases.items():
+        for law in LAWS:
+            told = case[law]
+            errors = [
+                " / ".join("none" if x is None else f"{x:.3g}" for x in told[k]) for k in QUANTITIES
+            ]
+            rows.append((TITLES[name], LABELS[law], f"{told['success_rate']:.1%}", *errors))
+    title = f"two_contact_rod on mujoco, {samples} samples of each case: {shares} of runs below"
+    return table_of(
+        title, f"not as believed; law; tasks done; {'; '.join(QUANTITIES.values())}", rows
+    )
+
+
+def draw(found: Robustness) -> Figure:
+    """The share of runs below an error: a column for each case, forces above, motions below."""
+    colours = {"ours": "blue", "khatib": "vermillion", "isaac_lab": "orange"}
+    with style():
+        figure = Figure(figsize=(10.0, 5.2))
+        axes = figure.subplots(2, len(found.rows), sharex="row", sharey=True)
+        for row, (quantity, label) in zip(axes, QUANTITIES.items(), strict=True):
+            for ax, name in zip(row, found.rows, strict=True):
+                for law, label_of in LABELS.items():
+                    errors = found.errors(name, law, quantity)
+                    ax.ecdf(errors, color=OKABE_ITO[colours[law]], label=label_of)
+                ax.set(xscale="log", xlabel=label, title=TITLES[name])
+            row[0].set_ylabel("share of runs")
+        axes[0, 0].legend(loc="upper left")
+    return figure
+
+
+def study(ask: Ask) -> Study:
+    """All cases under all laws."""
+    samples = SAMPLES if ask.samples is None else ask.samples
+    found = run(samples, ask.folder, ask.seed, ask.all_changes(), tell=ask.tell)
+    return Study({"robustness": draw(found)}, tabulate(found), found.as_dict())

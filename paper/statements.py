@@ -12,8 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-__all__ = ["PAPER", "Answer", "PaperFigure", "Verdict", "judge"]
-
 
 @dataclass(frozen=True)
 class PaperFigure:

@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from matplotlib.figure import Figure
 
-from osc_contact.errors import InvalidInputError, PlantError
-from osc_contact.runs.metrics import metrics
-from osc_contact.runs.run import run
-from osc_contact.scenarios import load_scenario
+import osc_contact as osc
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.style import style
-
-__all__ = ["STAGES", "Rung", "draw", "ladder"]
+from paper.study import Ask, Data, Study, table_of, words_of
 
 SCENARIO = "workcell"
 _IDEAL = {
     "joints": (
-        "plant.flexible_joints=null", "plant.motors=null", "plant.joint_friction=0",
+        "plant.flexible_joints=null",
+        "plant.motors=null",
+        "plant.joint_friction=0",
         "control.joint_torque=null",
     ),
     "sensors": ("sensors={}",),
     "contact friction": ("plant.friction=0", "control.friction=null"),
     "model": ("model_error={}",),
-}  # fmt: skip
+}
 
 
 def _only(*kept: str) -> tuple[str, ...]:
@@ -50,7 +47,7 @@ class Rung:
     """One run: what was real, and its verdict; None: the simulation diverged."""
 
     real: str
-    verdict: dict[str, Any] | None
+    verdict: Data | None
 
     def worst(self, key: str) -> float | None:
         """The largest of a number of `metrics`' force entries over the contacts."""
@@ -63,7 +60,7 @@ class Rung:
         """The smallest contact fraction."""
         return None if self.verdict is None else min(self.verdict["contact_fraction"].values())
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Data:
         """JSON-able."""
         return {
             "force_rms_rel": self.worst("rms_error_rel"),
@@ -74,11 +71,11 @@ class Rung:
 
 
 def ladder(
-    stages: Sequence[str] | None = None,
+    stages: Iterable[str] = tuple(STAGES),
     duration: float = 8.0,
     seed: int = 0,
     overrides: Sequence[str] = (),
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> list[Rung]:
     """Run the workcell with only part of it real, stage by stage.
 
@@ -91,15 +88,14 @@ def ladder(
         InvalidInputError: unknown stage.
     """
     rungs = []
-    for name in STAGES if stages is None else stages:
+    for name in stages:
         if name not in STAGES:
-            raise InvalidInputError(f"no stage '{name}'; there are {', '.join(STAGES)}")
-        if progress is not None:
-            progress(name)
-        scenario = load_scenario(SCENARIO, [*STAGES[name], *overrides])
+            raise osc.InvalidInputError(f"no stage '{name}'; there are {', '.join(STAGES)}")
+        progress(name)
+        scenario = osc.load_scenario(SCENARIO, [*STAGES[name], *overrides])
         try:
-            rungs.append(Rung(name, metrics(run(scenario, duration=duration, seed=seed))))
-        except PlantError:
+            rungs.append(Rung(name, osc.metrics(osc.run(scenario, duration=duration, seed=seed))))
+        except osc.PlantError:
             rungs.append(Rung(name, None))
     return rungs
 
@@ -121,3 +117,15 @@ def draw(rungs: Sequence[Rung]) -> Figure:
         ax.invert_yaxis()
         ax.set_xlabel("force error, rms (% of the mean command), worse contact")
     return figure
+
+
+def study(ask: Ask) -> Study:
+    """All stages."""
+    rungs = ladder(STAGES, ask.lasting(8.0), ask.seed, ask.changes, ask.tell)
+    data = {rung.real: rung.as_dict() for rung in rungs}
+    rows = (
+        (real, *(words_of(value, "{:.3%}", "diverged") for value in errors.values()))
+        for real, errors in data.items()
+    )
+    heads = "what is real; force, rms; peak; sensed within; closed"
+    return Study({"workcell": draw(rungs)}, table_of("workcell", heads, rows), data)

@@ -22,12 +22,16 @@ import osc_contact as osc
 from osc_contact.cli import app
 from osc_contact.runs.rig import build_rig
 from osc_contact.scenarios import Scenario
-from paper.baselines.compare import PLANTS, compare
-from paper.baselines.coupling import Instant
-from paper.baselines.frames import best_selection, random_selection
-from paper.baselines.laws import BASELINES, Ours, SelectionLaw
-from paper.baselines.selection import Selection
-from paper.baselines.steps import measured_coupling, run_steps
+from paper.baselines import PLANTS, compare, measured_coupling, run_steps
+from paper.selection_laws import (
+    BASELINES,
+    Instant,
+    Ours,
+    Selection,
+    SelectionLaw,
+    best_selection,
+    random_selection,
+)
 
 KHATIB, ISAAC = BASELINES["khatib"], BASELINES["isaac_lab"]
 

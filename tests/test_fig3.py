@@ -13,7 +13,8 @@ from scene_samples import read_commands
 from osc_contact import robots
 from osc_contact.visual.browser import VARIABLE
 from paper import fig3
-from paper.studies import Ask, write_study
+from paper.studies import write_study
+from paper.study import Ask
 
 SOON = [
     f"contacts.{side}_end.face.motion.{kind}{key}=0.{what} s"

@@ -437,7 +437,7 @@ reference = rig.references.at(0.0)
 for _ in range(100):
     controller.tick(measurement, reference)
 assert controller.status is osc.Status.OK, controller.reason
-from benchmarks.timing import kernel_call
+from benchmarks.law import kernel_call
 call = kernel_call(controller, measurement, reference)
 start = rtsys.get_allocation_stats()
 call()

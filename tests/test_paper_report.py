@@ -18,10 +18,8 @@ from osc_contact.recorder import Recording
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.viewing import write_scene_of
 from osc_contact.visual import contact_colour
-from paper.answers import ANSWERS, Evidence
-from paper.figures import FIGURES
-from paper.report import write_paper_report
-from paper.reproduction import Made, Reproduction, names_of, typed
+from paper.figures import ANSWERS, FIGURES, Evidence
+from paper.report import Made, Reproduction, names_of, typed, write_paper_report
 from paper.statements import PAPER, Answer, Verdict, judge
 from paper.studies import STUDIES
 

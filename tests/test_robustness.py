@@ -123,12 +123,12 @@ def test_rows_that_are_done_are_not_run_again(tmp_path, monkeypatch) -> None:
         return [(study.SelectionLaw(family, chosen[0]), 1.0, 1.0)]
 
     monkeypatch.setattr(study, "_candidates", candidates)
-    how = {"changes": ["duration=1.02"], "folder": tmp_path, "workers": 1}
-    first, second = study.run(1, **how), study.run(1, **how)
+    how = {"changes": ["duration=1.02"], "workers": 1}
+    first, second = study.run(1, tmp_path, **how), study.run(1, tmp_path, **how)
     assert asked == [4, 0] and first.rows == second.rows
     del chosen[0]
     with pytest.raises(osc.InvalidInputError, match="seed or law"):  # rows of other laws
-        study.run(1, **how)
+        study.run(1, tmp_path, **how)
 
 
 def test_samples_of_what_has_none_are_refused() -> None:

@@ -11,7 +11,8 @@ import osc_contact as osc
 from osc_contact.dynamics.joint_modes import modes
 from osc_contact.runs.hardware import flexible_joints
 from paper import workcell
-from paper.studies import Ask, write_study
+from paper.studies import write_study
+from paper.study import Ask
 from paper.workcell import STAGES, ladder
 
 

@@ -18,7 +18,8 @@ from osc_contact.runs.rig import build_rig
 from osc_contact.runs.viewing import write_scene_of
 from osc_contact.visual.movie import write_gif
 from paper.statements import PAPER, judge
-from paper.studies import STUDIES, Ask, Study
+from paper.studies import STUDIES
+from paper.study import Ask, Study
 
 DOCS = Path(__file__).resolve().parents[1]
 PICTURES = DOCS / "images" / "gallery"

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 import osc_contact as osc
 from osc_contact.spatial import Array
 from osc_contact.sweeps.rows import record_sample, without_doubts_told
 from osc_contact.sweeps.study import SweepStudy
-
-__all__ = ["CASES", "Case", "Goal", "judge", "judge_samples", "scenario_of"]
 
 FOLDER = Path(__file__).parent
 UNKNOWN = (
@@ -28,7 +28,8 @@ UNKNOWN = (
     "plant.friction=uniform(0, 0.3)",
 )
 RADIUS = 0.01  #: m, of the finger tip
-MOVE_S, STAY_S = 2.0, 0.5  #: from goal to goal, and there; theirs: 2.5 s or 7.5 s for both
+MOVE_S = 2.0
+STAY_S = 0.5  #: from goal to goal, and there; theirs: 2.5 s or 7.5 s for both
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,16 @@ _DOWN = (1.663, 0.918, -1.432, -2.164, 1.646, 2.707, 0.0)
 CASES = (
     Case("decoupled_motion", (0.645, 0.0, 0.7), (-1.0, 0.0, 0.0), _UPRIGHT, 300.0, 1.0, _FORWARD),
     Case("variable_kp", (0.645, 0.0, 0.7), (-1.0, 0.0, 0.0), _UPRIGHT, 160.0, 0.8, _FORWARD),
-    Case("task_frame", (0.685 - 0.005 * _S, 0.0, 0.3 + 0.005 * _S), (-_S, 0.0, _S), _TILTED,
-         400.0, 1.0, _DOWN),
-)  # fmt: skip
+    Case(
+        "task_frame",
+        (0.685 - 0.005 * _S, 0.0, 0.3 + 0.005 * _S),
+        (-_S, 0.0, _S),
+        _TILTED,
+        400.0,
+        1.0,
+        _DOWN,
+    ),
+)
 
 
 def scenario_of(case: Case, **changes: Any) -> osc.Scenario:
@@ -88,59 +96,101 @@ def scenario_of(case: Case, **changes: Any) -> osc.Scenario:
     Args:
         case: one of `CASES`. changes: other keys.
     """
-    n, first = np.array(case.normal), _on_wall(case, case.goals[0])
+    n = np.array(case.normal)
+    first = _on_wall(case, case.goals[0])
     pitch = float(np.arctan2(-n[0], -n[2]))  # of the hand's z axis, about the world's y axis
-    motion, force = [], [{"type": "constant", "value": case.goals[0].force}]
+    motion = []
+    force = [{"type": "constant", "value": case.goals[0].force}]
     for i, (one, two) in enumerate(zip(case.goals, case.goals[1:], strict=False)):
         start = (i + 1) * STAY_S + i * MOVE_S
         rise = {"type": "minimum_jerk", "start": start, "duration": MOVE_S}
         way = _on_wall(case, two) - _on_wall(case, one)
         length = float(np.linalg.norm(way))
-        motion.append({"kind": "linear", "direction": (way / length).tolist(),
-                       "signals": [{**rise, "value": length}]})  # fmt: skip
+        motion.append(
+            {
+                "kind": "linear",
+                "direction": (way / length).tolist(),
+                "signals": [{**rise, "value": length}],
+            }
+        )
         if two.turn != one.turn:
-            motion.append({"kind": "angular", "direction": [0, 1, 0],
-                           "signals": [{**rise, "value": two.turn - one.turn}]})  # fmt: skip
+            motion.append(
+                {
+                    "kind": "angular",
+                    "direction": [0, 1, 0],
+                    "signals": [{**rise, "value": two.turn - one.turn}],
+                }
+            )
         if two.force != one.force:
             force.append({**rise, "value": two.force - one.force})
     data = {
         "name": f"hybrid_{case.name}",
-        "arms": [{
-            "name": "panda", "urdf": "example-robot-data:panda", "tip": "panda_hand_tcp",
-            "wrist_sensor": "panda_hand",
-            "locked_joints": {"panda_finger_joint1": 0.01, "panda_finger_joint2": 0.01},
-            "posture": list(case.posture),
-        }],
-        "object": {"urdf": str(FOLDER / "finger.urdf"),
-                   "pose": {"xyz": first.tolist(), "rpy": [0.0, -pitch, np.pi]}},
+        "arms": [
+            {
+                "name": "panda",
+                "urdf": "example-robot-data:panda",
+                "tip": "panda_hand_tcp",
+                "wrist_sensor": "panda_hand",
+                "locked_joints": {"panda_finger_joint1": 0.01, "panda_finger_joint2": 0.01},
+                "posture": list(case.posture),
+            }
+        ],
+        "object": {
+            "urdf": str(FOLDER / "finger.urdf"),
+            "pose": {"xyz": first.tolist(), "rpy": [0.0, -pitch, np.pi]},
+        },
         "grasps": {"panda": {"xyz": [0.0, 0.0, 0.02]}},
-        "environment": [{"name": "wall", "urdf": str(FOLDER / "wall.urdf"),
-                         "pose": {"xyz": list(case.wall), "rpy": [0.0, pitch + np.pi, 0.0]}}],
-        "contacts": [{"name": "finger", "type": "sphere_on_plane", "body": "wall",
-                      "centre": [0.0, 0.0, 0.0], "radius": RADIUS, "face_point": [0.0, 0.0, 0.0],
-                      "face_normal": [0.0, 0.0, 1.0]}],
+        "environment": [
+            {
+                "name": "wall",
+                "urdf": str(FOLDER / "wall.urdf"),
+                "pose": {"xyz": list(case.wall), "rpy": [0.0, pitch + np.pi, 0.0]},
+            }
+        ],
+        "contacts": [
+            {
+                "name": "finger",
+                "type": "sphere_on_plane",
+                "body": "wall",
+                "centre": [0.0, 0.0, 0.0],
+                "radius": RADIUS,
+                "face_point": [0.0, 0.0, 0.0],
+                "face_normal": [0.0, 0.0, 1.0],
+            }
+        ],
         "force": {"finger": force},
         "motion": motion,
-        "gains": {"motion": {"stiffness": case.stiffness,
-                             "damping": 2.0 * case.damping_ratio * case.stiffness**0.5},
-                  "force": {"integral": 30.0, "damping": 400.0}},
+        "gains": {
+            "motion": {
+                "stiffness": case.stiffness,
+                "damping": 2.0 * case.damping_ratio * case.stiffness**0.5,
+            },
+            "force": {"integral": 30.0, "damping": 400.0},
+        },
         "control": {"rate": 1000.0},
         "plant": {"type": "mujoco", "step": 2.5e-4},
         "duration": len(case.goals) * STAY_S + (len(case.goals) - 1) * MOVE_S,
-    }  # fmt: skip
+    }
     return osc.Scenario.from_dict({**data, **changes})
 
 
 def judge(case: Case, recording: osc.Recording) -> Array:
     """(goals, 3) errors at the end of each: force (N), place along the wall (m), turn (rad)."""
-    rate, n, out = float(recording.meta["control_rate_hz"]), np.array(case.normal), []
+    rate = float(recording.meta["control_rate_hz"])
+    n = np.array(case.normal)
+    out = []
     for i, goal in enumerate(case.goals):
         k = min(round(((i + 1) * STAY_S + i * MOVE_S) * rate), len(recording)) - 1
         force = float(np.asarray(recording["alpha_true"])[k, 0])
         off = np.asarray(recording["pose"])[k, :3] - _on_wall(case, goal)
         error = np.asarray(recording["motion_error"])[k]
-        out.append((abs(force - goal.force), np.linalg.norm(off - n * (n @ off)),
-                    np.linalg.norm(error[3:])))  # fmt: skip
+        out.append(
+            (
+                abs(force - goal.force),
+                np.linalg.norm(off - n * (n @ off)),
+                np.linalg.norm(error[3:]),
+            )
+        )
     return np.array(out)
 
 
@@ -153,5 +203,38 @@ def judge_samples(case: Case, count: int) -> Array:
 
 def _on_wall(case: Case, goal: Goal) -> Array:
     """(3,) where the middle of the finger tip is when it touches."""
-    n, p = np.array(case.normal), np.array(goal.point)
-    return np.asarray(p + n * (RADIUS - n @ (p - np.array(case.wall))))
+    n = np.array(case.normal)
+    p = np.array(goal.point)
+    return p + n * (RADIUS - n @ (p - np.array(case.wall)))
+
+
+# --- Errors at the goals of all cases: `python -m benchmarks.hybrid_cases` ---
+
+
+SAMPLES = 16
+
+
+def main() -> None:
+    """Run every case, alone and with what is not known; print the errors."""
+    columns = ("case", "goal", "force", "error", "along the wall", "turn")
+    alone = Table(*columns, title="exact model, no friction")
+    rough = Table(*columns, title=f"largest of {SAMPLES}: masses, friction")
+    for case in CASES:
+        one = judge(case, osc.run(scenario_of(case)))
+        for table, errors in ((alone, one), (rough, judge_samples(case, SAMPLES).max(axis=0))):
+            for i, (goal, (force, place, turn)) in enumerate(zip(case.goals, errors, strict=True)):
+                table.add_row(
+                    case.name,
+                    str(i + 1),
+                    f"{goal.force:g} N",
+                    f"{force:.2f} N",
+                    f"{1e3 * place:.1f} mm",
+                    f"{1e3 * turn:.1f} mrad",
+                )
+    console = Console()
+    console.print(alone)
+    console.print(rough)
+
+
+if __name__ == "__main__":
+    main()
