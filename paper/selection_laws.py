@@ -35,13 +35,11 @@ from osc_contact.contacts.raibert_craig import Triple, as_raibert_craig, selecti
 from osc_contact.control.command_filter import command
 from osc_contact.control.controller import Controller
 from osc_contact.control.signals import Signals
-from osc_contact.control.tick_records import TickRecords
 from osc_contact.dynamics.closed_chain import ChainState
-from osc_contact.law.frames import wrenches
 from osc_contact.spatial import Array, skew
 
 
-def coordinates(state: ChainState | _Motions, W: Array) -> Array:
+def coordinates(state: ChainState, W: Array) -> Array:
     """P_W (d, 6), see above; W (6, 0) gives P_∅, the nearest motion in the object's metric."""
     SM = state.S.T @ state.metric
     H = SM @ state.S
@@ -53,22 +51,20 @@ def coordinates(state: ChainState | _Motions, W: Array) -> Array:
     return P + lift @ np.linalg.solve(W_S.T @ lift, W.T - W_S.T @ P)
 
 
-def selected_before(state: ChainState | _Motions, selection: Selection) -> tuple[Array, Array]:
+def selected_before(state: ChainState, selection: Selection) -> tuple[Array, Array]:
     """η̇ = X a − Y σ with X = P_W Ω, Y = P_W: F = ΛΩa + Ω̄f + μ + p."""
     Y = coordinates(state, selection.wrenches)
     return Y @ selection.motion, Y
 
 
-def selected_before_and_after(
-    state: ChainState | _Motions, selection: Selection
-) -> tuple[Array, Array]:
+def selected_before_and_after(state: ChainState, selection: Selection) -> tuple[Array, Array]:
     """The same with X = Λ_S⁻¹SᵀΩᵀP_∅ᵀΛ_S P_W Ω: F = ΩᵀΛΩa + Ω̄f + μ + p."""
     X, Y = selected_before(state, selection)
     again = state.S.T @ selection.motion.T @ coordinates(state, np.zeros((6, 0))).T
     return np.linalg.solve(state.Lambda, again @ state.Lambda @ X), Y
 
 
-def structure(state: ChainState | _Motions, eta_dot: Array, f: Array) -> Array:
+def structure(state: ChainState, eta_dot: Array, f: Array) -> Array:
     """(d,) Λ_S η̇ + b_S + Sᵀf, the equation of motion that all of them cancel.
 
     Args:
@@ -92,7 +88,7 @@ class Baseline:
     """
 
     label: str
-    rule: Callable[[ChainState | _Motions, Selection], tuple[Array, Array]]
+    rule: Callable[[ChainState, Selection], tuple[Array, Array]]
     triads: int
     equation: str
     source: str
@@ -128,14 +124,12 @@ class SelectionLaw:
     baseline: Baseline
     selection: Selection
 
-    def eta(self, state: ChainState | _Motions, a: Array) -> Array:
+    def eta(self, state: ChainState, a: Array) -> Array:
         """Commanded η̇ (d,) of an unfiltered object acceleration a (6,)."""
         X, Y = self.baseline.rule(state, self.selection)
         return X @ a - Y @ state.sigma
 
-    def f_S(
-        self, state: ChainState | _Motions, contact: osc.Contact, a: Array, alpha: Array
-    ) -> Array:
+    def f_S(self, state: ChainState, contact: osc.Contact, a: Array, alpha: Array) -> Array:
         """Object force (d,) for a motion command a (6,) and a force command α (r,).
 
         Args:
@@ -149,63 +143,13 @@ class SelectionLaw:
 
     def install(self, controller: Controller) -> Controller:
         """Put this law in the place of our filter and control structure; the rest stays."""
-        return controller.with_laws(structure=_Select(self, controller.f_bias))
 
+        def command_structure(s: Signals) -> tuple[Array, Array]:
+            eta = self.eta(s.state, s.a_u)
+            f = self.selection.force @ s.f_ccomm
+            return eta, structure(s.state, eta, f + controller.f_bias)
 
-@dataclass(frozen=True)
-class _Motions:
-    """What the laws take of a `ChainState`, from a tick's records."""
-
-    S: Array
-    metric: Array
-    Lambda: Array
-    bias: Array
-    sigma: Array
-
-    @classmethod
-    def of(cls, rows: TickRecords) -> _Motions:
-        work = rows.work
-        turn = rows.reflection()
-        motion = rows.motions()
-        m = int(work["locked"])
-        held = float(rows.row.head["held"] != 0)
-        Lambda = work["Lambda"]
-        sigma = work["sigma"][:m]
-        wrench = wrenches(work)
-        return cls(
-            S=motion @ turn[m:].T,
-            metric=wrench @ wrench.T,
-            Lambda=Lambda[m:, m:] + held * np.eye(6 - m),
-            bias=work["chain_bias"][m:] + Lambda[m:, :m] @ sigma,
-            sigma=motion @ (turn[:m].T @ sigma),
-        )
-
-
-@dataclass(frozen=True)
-class _Select:
-    """A selection law in a controller; f_bias: of its wrists."""
-
-    law: SelectionLaw
-    f_bias: Array
-
-    def __call__(self, s: Signals) -> tuple[Array, Array]:
-        """(η̇_c, f_S) of a tick's signals."""
-        return self._command(s.state, s.a_u, s.f_ccomm)
-
-    def fill(self, rows: TickRecords) -> None:
-        """The same into a tick's records."""
-        work = rows.work
-        r = int(rows.work["rank"])
-        m = int(work["locked"])
-        kept = rows.kept()
-        f = (rows.columns["N"][kept] + work["friction_wrenches"][:r]).T @ work["alpha_u"][:r]
-        work["x"][m:], work["f_S"][m:] = self._command(_Motions.of(rows), work["a_u"], f)
-        work["x"][:m] = work["sigma"][:m]
-        work["f_S"][:m] = 0.0
-
-    def _command(self, state: ChainState | _Motions, a: Array, f: Array) -> tuple[Array, Array]:
-        eta = self.law.eta(state, a)
-        return eta, structure(state, eta, self.law.selection.force @ f + self.f_bias)
+        return controller.with_laws(structure=command_structure)
 
 
 @dataclass(frozen=True)
