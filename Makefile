@@ -71,7 +71,7 @@ dist: venv browser
 	$(BIN)/python tests/try_dist.py dist --versions $(VERSIONS) $(PYTHONS)
 
 bench: venv
-	$(BIN)/python benchmarks/control_loop.py
+	$(BIN)/python -m benchmarks tick
 
 clean:
 	rm -rf .venv out build dist *.egg-info MUJOCO_LOG.TXT \

@@ -1,51 +1,93 @@
-"""Time the control tick beside its peers, by size, on the clock, and in a whole run.
+"""Time the control tick beside its floor and its peers, by size, on the clock, in a whole run.
 
-python -m benchmarks peers | scaling | jitter | front_end | simulation | many_runs | vector_env |
-soak
+python -m benchmarks tick | peers | scaling | jitter | law | simulation | many_runs |
+vector_env | soak
 """
 
 from __future__ import annotations
 
-import sys
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
-from rich.console import Console
+from rich.table import Table
 
-from osc_contact.bench.program import IN_PACKAGE, run_benchmark
-from osc_contact.errors import OscContactError
+from benchmarks.measuring import machine, machine_lines
+from osc_contact.console import JsonOption, exit_codes, out, say
+from osc_contact.errors import InvalidInputError
+from osc_contact.runs.report import write_json
 
-BENCHMARKS: dict[str, tuple[str, int]] = {
-    **IN_PACKAGE,
-    "peers": ("benchmarks.peers", 500),
-    "scaling": ("benchmarks.scaling", 300),
-    "jitter": ("benchmarks.jitter", 4000),
-    "front_end": ("benchmarks.front_end", 2000),
-    "simulation": ("benchmarks.simulation", 10000),
-    "soak": ("benchmarks.soak", 1_800_000),
-    "many_runs": ("benchmarks.many_runs", 20),
-    "vector_env": ("benchmarks.vector_env", 60),
+#: Name of each benchmark, which is that of its module, → ticks where none are given.
+BENCHMARKS: dict[str, int] = {
+    "tick": 1000,
+    "peers": 500,
+    "scaling": 300,
+    "jitter": 4000,
+    "law": 2000,
+    "simulation": 10000,
+    "soak": 1_800_000,
+    "many_runs": 20,
+    "vector_env": 60,
 }
 
+app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
+
+@dataclass(frozen=True)
+class Report:
+    """What a benchmark found: JSON-able data, lines about the machine, tables."""
+
+    data: dict[str, Any]
+    lines: tuple[str, ...]
+    tables: list[Table]
+
+
+def run_benchmark(
+    name: str,
+    ticks: int | None = None,
+    json_file: Path | None = None,
+    tsid_python: Path | None = None,
+) -> Report:
+    """Measure, and write what was found.
+
+    Args:
+        name: one of `BENCHMARKS`.
+        ticks: timed ticks of each of its cases (default: its own).
+        json_file: where to write data, if anywhere.
+        tsid_python: interpreter of TSID's environment, for the peers.
+
+    Raises:
+        InvalidInputError: an unknown name, no ticks, or an interpreter without TSID.
+    """
+    if name not in BENCHMARKS:
+        raise InvalidInputError(f"no benchmark '{name}'; there are {', '.join(BENCHMARKS)}")
+    if tsid_python is not None and name != "peers":
+        raise InvalidInputError("only the benchmark 'peers' runs TSID; leave --tsid-python out")
+    bench = import_module(f"benchmarks.{name}")
+    count = BENCHMARKS[name] if ticks is None else ticks
+    data = bench.measure(count, tsid_python) if name == "peers" else bench.measure(count)
+    if json_file is not None:
+        write_json(data, json_file)
+    lines = machine_lines(data.get("machine") or machine())
+    return Report(data, lines, bench.tables(data))
+
+
+@app.command()
 def main(
     what: Annotated[str, typer.Argument(help=" | ".join(BENCHMARKS), metavar="WHAT")],
     ticks: Annotated[int | None, typer.Option(min=1, help="timed ticks of each case")] = None,
     tsid_python: Annotated[Path | None, typer.Option(help="peers: TSID's interpreter")] = None,
-    figure: Annotated[Path | None, typer.Option(help="also draw it (PNG, SVG)")] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="also write the data")] = None,
+    json_file: JsonOption = None,
 ) -> None:
-    """Time the control tick beside its peers, by size, on the clock, and in a whole run."""
-    try:
-        report = run_benchmark(what, ticks, json_file, figure, tsid_python, BENCHMARKS)
-    except OscContactError as error:
-        sys.exit(f"error: {error}")
-    console = Console()
-    console.print("\n".join(report.lines), highlight=False, markup=False)
-    for table in report.tables:
-        console.print(table)
+    """Time the control tick beside its floor and its peers, by size, on the clock, in a run."""
+    with exit_codes():
+        report = run_benchmark(what, ticks, json_file, tsid_python)
+        say("\n".join(report.lines))
+        for table in report.tables:
+            out.print(table)
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    app()

@@ -16,19 +16,22 @@ from typing import Any
 
 import osc_contact as osc
 
-__all__ = ["ERRORS", "RIGS", "SIDES", "judge"]
-
 #: Changes of any scenario, beside those of `judge`.
 ERRORS = [
-    "gains={}", "tare={}", "plant.friction=0.2", "model_error.hidden_mass=0.3 kg",
+    "gains={}",
+    "tare={}",
+    "plant.friction=0.2",
+    "model_error.hidden_mass=0.3 kg",
     "control={rate: 500 Hz, friction: {mu: 0.15}, force: {reading: least_squares}}",
-    "model_error.face_offset=3 mm", "model_error.face_tilt=3 deg",
+    "model_error.face_offset=3 mm",
+    "model_error.face_tilt=3 deg",
     "sensors.encoder={rate: 500 Hz, angle: {noise: 0.02 mrad}, length: {noise: 10 um}}",
     "sensors.wrist={rate: 500 Hz, delay: 3 ms, force: {noise: 0.1 N, bias: 1 N},"
     " torque: {noise: 0.005 Nm}}",
-]  # fmt: skip
+]
 RIGS = ("two_contact_rod", "dual_panda_rod", "panda_edge")
-MASSES, SIDES = (1.2, 0.8), (0, 90, 180, 270)
+MASSES = (1.2, 0.8)
+SIDES = (0, 90, 180, 270)
 
 
 def judge(name: str, mass: float, side: float, duration: float = 4.0) -> dict[str, Any]:

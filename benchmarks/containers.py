@@ -4,7 +4,7 @@
 
 A process appends chunks of 100 rows of 120 numbers, hands each to the operating system and says so;
 then it is killed. Counted are the files that can still be read and the chunks lost of those said to
-be written. Containers whose packages (h5py, pyarrow, zarr) are not installed are left out.
+be written. Containers whose packages (pyarrow) are not installed are left out.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from typing import Any
 
 import numpy as np
 
-ROWS, NUMBERS = 100, 120
+ROWS = 100
+NUMBERS = 120
 
 
 def write(kind: str, path: Path) -> None:
     """Append chunks for ever."""
-    put = {"mcap": _mcap, "arrow": _arrow, "hdf5": _hdf5, "zarr": _zarr, "npz": _npz}[kind](path)
+    put = {"mcap": _mcap, "arrow": _arrow, "npz": _npz}[kind](path)
     for k in count():
         put(k, np.full((ROWS, NUMBERS), float(k)))
         print(k + 1, flush=True)
@@ -35,7 +36,8 @@ def write(kind: str, path: Path) -> None:
 def _mcap(path: Path) -> Any:
     from osc_contact.recorder.journal import JournalFile
 
-    journal, row = JournalFile(path, {}), np.dtype([("x", "<f8", (NUMBERS,))])
+    journal = JournalFile(path, {})
+    row = np.dtype([("x", "<f8", (NUMBERS,))])
     return lambda k, rows: journal.append(k * ROWS, np.ndarray(ROWS, row, rows))
 
 
@@ -49,39 +51,6 @@ def _arrow(path: Path) -> Any:
     def put(k: int, rows: Any) -> None:
         flat = pa.FixedSizeListArray.from_arrays(pa.array(rows.ravel()), NUMBERS)
         stream.write_batch(pa.record_batch([flat], schema=kind))
-
-    return put
-
-
-def _hdf5(path: Path) -> Any:
-    import h5py
-
-    file = h5py.File(path, "w")
-    data = file.create_dataset(
-        "x",
-        (0, NUMBERS),
-        maxshape=(None, NUMBERS),
-        chunks=(ROWS, NUMBERS),
-        dtype="f8",
-        fletcher32=True,
-    )
-
-    def put(k: int, rows: Any) -> None:
-        data.resize((k + 1) * ROWS, axis=0)
-        data[k * ROWS :] = rows
-        file.flush()
-
-    return put
-
-
-def _zarr(path: Path) -> Any:
-    import zarr
-
-    data = zarr.create_array(str(path), shape=(0, NUMBERS), chunks=(ROWS, NUMBERS), dtype="f8")
-
-    def put(k: int, rows: Any) -> None:
-        data.resize(((k + 1) * ROWS, NUMBERS))
-        data[k * ROWS :] = rows
 
     return put
 
@@ -114,17 +83,7 @@ def chunks_in(kind: str, path: Path) -> int:
             if not parts:
                 raise
     else:
-        if kind == "hdf5":
-            import h5py
-
-            with h5py.File(path, "r") as file:
-                x = file["x"][:]
-        elif kind == "zarr":
-            import zarr
-
-            x = zarr.open_array(str(path), mode="r")[:]
-        else:
-            x = np.load(path)["x"]
+        x = np.load(path)["x"]
         parts = [x[i : i + ROWS] for i in range(0, len(x), ROWS)]
     wrong = (k for k, rows in enumerate(parts) if not (len(rows) == ROWS and (rows == k).all()))
     return next(wrong, len(parts))
@@ -132,7 +91,7 @@ def chunks_in(kind: str, path: Path) -> int:
 
 def main(kills: int) -> None:
     """Print a line for each container."""
-    needs = {"mcap": "mcap", "arrow": "pyarrow", "hdf5": "h5py", "zarr": "zarr", "npz": "numpy"}
+    needs = {"mcap": "mcap", "arrow": "pyarrow", "npz": "numpy"}
     rng = random.Random(1)
     for kind, package in needs.items():
         if find_spec(package) is None:

@@ -7,25 +7,20 @@ import platform
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter_ns, sleep
-from typing import Any
 
 import numpy as np
 from rich.table import Table
 
-from osc_contact.bench.cases import CASES
-from osc_contact.bench.measuring import (
-    machine,
-    new_axes,
-    require_count,
-    spread,
-)
+from benchmarks.cases import CASES
+from benchmarks.measuring import machine, require_count, spread
 from osc_contact.spatial import Array
-
-__all__ = ["RATES_HZ", "clocked", "draw", "measure", "tables"]
+from paper.study import Data, table_of
 
 RATES_HZ = (1000, 2000, 5000)
 BLOCKS = 8
-TICK, EMPTY = "tick", "empty"
+SHARES = ("p50", "p99", "p99_9", "max")
+TICK = "tick"
+EMPTY = "empty"
 
 
 def clocked(body: Callable[[], object], rate_hz: int, periods: int) -> tuple[Array, Array, int]:
@@ -36,7 +31,8 @@ def clocked(body: Callable[[], object], rate_hz: int, periods: int) -> tuple[Arr
         and how many deadlines were missed: the body had not ended when the next one was due.
     """
     period = round(1e9 / rate_hz)
-    late, spent = np.zeros(periods), np.zeros(periods)
+    late = np.zeros(periods)
+    spent = np.zeros(periods)
     missed = 0
     due = perf_counter_ns() + period
     for k in range(periods):
@@ -46,14 +42,15 @@ def clocked(body: Callable[[], object], rate_hz: int, periods: int) -> tuple[Arr
         awake = perf_counter_ns()
         body()
         end = perf_counter_ns()
-        late[k], spent[k] = awake - due, end - awake
+        late[k] = awake - due
+        spent[k] = end - awake
         skipped = max(0, (end - due) // period)
         missed += skipped
         due += (1 + skipped) * period
     return late / 1e3, spent / 1e3, missed
 
 
-def measure(periods: int = 4000) -> dict[str, Any]:
+def measure(periods: int = 4000) -> Data:
     """{"machine": …, "rates": {rate: {"tick" | "empty": {wake_up_us, compute_us, missed}}}}.
 
     The loop with the tick of `two_contact_rod` and the same loop with an empty body take turns in
@@ -90,7 +87,7 @@ def measure(periods: int = 4000) -> dict[str, Any]:
     }
 
 
-def _joined(blocks: list[tuple[Array, Array, int]]) -> dict[str, Any]:
+def _joined(blocks: list[tuple[Array, Array, int]]) -> Data:
     late, spent = (np.concatenate([block[i] for block in blocks]) for i in (0, 1))
     return {
         "periods": len(late),
@@ -111,48 +108,20 @@ def _timer_slack() -> float | None:
     return int(file.read_text()) / 1e3 if file.is_file() else None
 
 
-def tables(result: dict[str, Any]) -> list[Table]:
+def tables(result: Data) -> list[Table]:
     """Wake-up and compute time of both loops at each rate."""
     title = f"absolute deadlines, {result['scheduler']}, timer slack {result['timer_slack_us']} µs"
-    table = Table(
-        "rate", "body", "periods", "what (µs)", "p50", "p99", "p99.9", "max", "missed", title=title
-    )
-    for rate, bodies in result["rates"].items():
-        for name, loop in bodies.items():
-            first = (f"{int(rate) / 1000:g} kHz", name, str(loop["periods"]))
-            table.add_row(*first, "wake-up", *_numbers(loop["wake_up_us"]), str(loop["missed"]))
-            table.add_row("", "", "", "compute", *_numbers(loop["compute_us"]), "")
-        table.add_section()
-    return [table]
-
-
-def _numbers(times: dict[str, float]) -> list[str]:
-    return [f"{times[key]:.1f}" for key in ("p50", "p99", "p99_9", "max")]
-
-
-def draw(result: dict[str, Any], path: Path) -> None:
-    """Median to 99.9 % of wake-up and compute time, by rate."""
-    from osc_contact.visual import OKABE_ITO
-    from osc_contact.visual.plots import save, style
-
-    series = {
-        "wake-up, empty body": (EMPTY, "wake_up_us", "black"),
-        "wake-up, tick": (TICK, "wake_up_us", "blue"),
-        "compute, tick": (TICK, "compute_us", "vermillion"),
-    }
-    with style():
-        figure, (ax,) = new_axes(1)
-        for i, (label, (body, what, colour)) in enumerate(series.items()):
-            times = [bodies[body][what] for bodies in result["rates"].values()]
-            at = np.arange(len(times)) + 0.12 * (i - 1)
-            low, high = (np.array([t[key] for t in times]) for key in ("p50", "p99_9"))
-            ax.errorbar(
-                at, low, [np.zeros(len(low)), high - low], fmt="o", capsize=4, label=label,
-                color=OKABE_ITO[colour],
-            )  # fmt: skip
-        ax.set_xticks(
-            range(len(result["rates"])), [f"{int(r) / 1000:g} kHz" for r in result["rates"]]
+    rows = [
+        (
+            f"{int(rate) / 1000:g} kHz",
+            name,
+            loop["periods"],
+            what,
+            *(f"{loop[key][share]:.1f}" for share in SHARES),
+            loop["missed"],
         )
-        ax.set(yscale="log", ylabel="µs: p50, whisker to p99.9")
-        ax.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-        save(figure, path.with_suffix(""))
+        for rate, bodies in result["rates"].items()
+        for name, loop in bodies.items()
+        for what, key in (("wake-up", "wake_up_us"), ("compute", "compute_us"))
+    ]
+    return [table_of(title, f"rate; body; periods; what (µs); {'; '.join(SHARES)}; missed", rows)]

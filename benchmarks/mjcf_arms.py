@@ -20,8 +20,6 @@ import osc_contact as osc
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.runs.drafts import Press, draft
 
-__all__ = ["ARMS", "scenario_of"]
-
 #: Folder of each arm → its tip.
 ARMS = dict.fromkeys(
     ("iiwa", "jaco", "kinova3", "panda", "sawyer", "spot_arm", "ur5e", "xarm7"), "right_hand"
@@ -69,7 +67,8 @@ def main() -> None:
                     if rotors is not None:
                         changes.append(f"arms.arm.armature={rotors}")
                     verdict = osc.metrics(osc.run(osc.load_scenario(path, changes)))
-                    (force,), first = verdict["force"].values(), verdict["steps"][0]
+                    (force,) = verdict["force"].values()
+                    first = verdict["steps"][0]
                     print(
                         f"{name:10} {'file' if rotors is None else rotors!s:8}  "
                         f"{force['rms_error_rel']:16.4%}  {first['overshoot_rel']:9.1%}  "

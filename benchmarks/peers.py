@@ -6,40 +6,31 @@ import json
 import os
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 from rich.table import Table
 
-from benchmarks.engines import constraint_dynamics, mujoco_inverse
+import osc_contact as osc
+from benchmarks.cases import CASES, TickCase, repeatable
+from benchmarks.measuring import joined, machine, require_count, spread, take_turns
 from benchmarks.textbook import TextbookLaw
 from osc_contact import robots
-from osc_contact.bench.cases import CASES, TickCase, repeatable
-from osc_contact.bench.measuring import (
-    bars,
-    joined,
-    machine,
-    new_axes,
-    require_count,
-    spread,
-    take_turns,
-)
-from osc_contact.contacts.contact import Contact
-from osc_contact.control.controller import Controller
-from osc_contact.errors import InvalidInputError
-from osc_contact.paper.baselines.coupling import Instant
-from osc_contact.paper.baselines.frames import best_selection
-from osc_contact.paper.baselines.laws import BASELINES
+from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.spatial import Array
-
-__all__ = ["TSID_PYTHON", "draw", "measure", "peers_of", "tables"]
+from paper.selection_laws import BASELINES, Instant, best_selection
+from paper.study import Data, table_of
 
 TSID_PYTHON = "OSC_CONTACT_TSID_PYTHON"
 BLOCKS = 10
 TSID_CASE = "one_panda"
-TICK, FLOOR = "tick", "floor: computeAllTerms"
+TICK = "tick"
+FLOOR = "floor: computeAllTerms"
 TSID = "TSID: pose, posture, one contact"
 HOW_TO_TSID = (
     'python3 -m venv ENV && ENV/bin/pip install "tsid==1.7.1" "pin==3.4.0" "cmeel-urdfdom<5" '
@@ -65,12 +56,10 @@ def peers_of(case: TickCase) -> Peers:
         "pin.constraintDynamics": constraint_dynamics(case),
         "MuJoCo mj_inverse": mujoco_inverse(case),
     }
-    python: dict[str, Callable[[], object]] = {
-        "textbook law in NumPy": TextbookLaw(case).tick,
-    }
+    python: dict[str, Callable[[], object]] = {"textbook law in NumPy": TextbookLaw(case).tick}
     state = case.chain.state(case.measurement.q, case.measurement.v)
     parts = [pair.contact(state.X_WO, state.V_O) for pair in case.pairs]
-    instant = Instant(state, Contact.stack(parts))
+    instant = Instant(state, osc.Contact.stack(parts))
     for baseline in BASELINES.values():
         law = best_selection(instant, baseline, restarts=0)
         controller = law.install(repeatable(case.controller()))
@@ -78,11 +67,11 @@ def peers_of(case: TickCase) -> Peers:
     return Peers(compiled, python, unwind)
 
 
-def _ticking(controller: Controller, case: TickCase) -> Callable[[], object]:
+def _ticking(controller: osc.Controller, case: TickCase) -> Callable[[], object]:
     return lambda: controller.tick(case.measurement, case.reference)
 
 
-def measure(rounds: int = 500, tsid_python: Path | None = None) -> dict[str, Any]:
+def measure(rounds: int = 500, tsid_python: Path | None = None) -> Data:
     """{"machine": …, "cases": {case: {"peers_us": {name: spread}, "ratio": {name: …}}}, "tsid": …}.
 
     Compiled peers take turns among themselves, those in Python among themselves, in alternating
@@ -99,8 +88,8 @@ def measure(rounds: int = 500, tsid_python: Path | None = None) -> dict[str, Any
     """
     require_count(rounds, "rounds")
     given = tsid_python or os.environ.get(TSID_PYTHON)
-    cases: dict[str, Any] = {}
-    tsid: dict[str, Any] = {"missing": HOW_TO_TSID}
+    cases: Data = {}
+    tsid: Data = {"missing": HOW_TO_TSID}
     for name in ("two_contact_rod", "one_panda"):
         with_tsid = name == TSID_CASE and given is not None
         peers = peers_of(CASES[name]())
@@ -125,7 +114,7 @@ def _in_blocks(peers: Peers, rounds: int) -> dict[str, Array]:
     return joined(found)
 
 
-def _beside_tsid(peers: Peers, python: Path, rounds: int) -> dict[str, Any]:
+def _beside_tsid(peers: Peers, python: Path, rounds: int) -> Data:
     """TSID's run that was less disturbed, and the tick in the same pattern: next to its floor."""
     runs = [_tsid(python, rounds)]
     alone = {name: peers.compiled[name] for name in (TICK, FLOOR)}
@@ -135,29 +124,30 @@ def _beside_tsid(peers: Peers, python: Path, rounds: int) -> dict[str, Any]:
     return best | {"tick_us": tick, "ratio": best["total_us"]["p50"] / tick["p50"]}
 
 
-def _tsid(python: Path, rounds: int) -> dict[str, Any]:
+def _tsid(python: Path, rounds: int) -> Data:
     program = Path(__file__).with_name("tsid_peer.py")
     urdf, _ = robots.find_robot("panda")
     command = [str(python), "-I", str(program), str(urdf), str(rounds)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     except OSError as error:
-        raise InvalidInputError(f"{python} cannot be run: {error}. {HOW_TO_TSID}") from error
+        raise osc.InvalidInputError(f"{python} cannot be run: {error}. {HOW_TO_TSID}") from error
     if done.returncode != 0:
         said = (done.stderr.strip() or "nothing").splitlines()[-1]
-        raise InvalidInputError(f"{python} cannot run TSID: {said}. {HOW_TO_TSID}")
+        raise osc.InvalidInputError(f"{python} cannot run TSID: {said}. {HOW_TO_TSID}")
     return dict(json.loads(done.stdout))
 
 
-def tables(result: dict[str, Any]) -> list[Table]:
+def tables(result: Data) -> list[Table]:
     """One table a case."""
     found = []
     for name, case in result["cases"].items():
         title = f"{name}: {result['rounds']} rounds, compiled code {10 * result['rounds']}"
-        table = Table("µs", "p50", "p99", "p99.9", "max", "p50 / tick", title=title)
-        for peer, times in case["peers_us"].items():
-            numbers = (f"{times[key]:.1f}" for key in ("p50", "p99", "p99_9", "max"))
-            table.add_row(peer, *numbers, f"{case['ratio'][peer]:.2f}")
+        rows = (
+            (peer, *(f"{time:.1f}" for time in times.values()), f"{case['ratio'][peer]:.2f}")
+            for peer, times in case["peers_us"].items()
+        )
+        table = table_of(title, "µs; p50; p99; p99.9; max; p50 / tick", rows)
         if name == TSID_CASE and "missing" in result["tsid"]:
             table.caption = f"TSID: {result['tsid']['missing']}"
         found.append(table)
@@ -170,21 +160,93 @@ def tables(result: dict[str, Any]) -> list[Table]:
     return found
 
 
-def draw(result: dict[str, Any], path: Path) -> None:
-    """Medians as bars, µs on a logarithmic axis."""
-    from matplotlib.ticker import LogFormatter
+# --- What other engines need for one evaluation of the same rig's equations of motion ---
 
-    from osc_contact.visual.plots import save, style
 
-    with style():
-        cases = result["cases"]
-        figure, axes = new_axes(len(cases))
-        for ax, (name, case) in zip(axes, cases.items(), strict=True):
-            medians = {peer: times["p50"] for peer, times in case["peers_us"].items()}
-            bars(ax, medians, "median time (µs)", marked=(TICK,))
-            ax.set_xscale("log")
-            ax.set_xlim(0.5 * min(medians.values()), 3.0 * max(medians.values()))
-            ax.xaxis.set_major_formatter(LogFormatter())
-            slowest = np.max(list(case["ratio"].values()))
-            ax.set_title(f"{name}: tick {medians[TICK]:.1f} µs, slowest peer {slowest:.0f} ×")
-        save(figure, path.with_suffix(""))
+DEPTH = 2e-5  # m
+
+
+def constraint_dynamics(case: TickCase) -> Callable[[], object]:
+    """`pin.constraintDynamics`: forward dynamics of arms, object, loop and contacts.
+
+    The object is part of the first arm's last link, six-row constraints weld the other arms to it;
+    Pinocchio's point contacts have three rows (they do not slide). A proximal term of 1e-10 bears
+    the redundant rows of the loop.
+    """
+    chain = case.chain
+    assert chain.payload is not None
+    model = chain.model.copy()
+    tips = [model.frames[model.getFrameId(f"{a.name}/{a.tip}")] for a in chain.arms]
+    joints = [tip.parentJoint for tip in tips]
+    at = [tip.placement * grasp.X_TO for tip, grasp in zip(tips, chain.grasps, strict=True)]
+    model.appendBodyToJoint(joints[0], chain.payload.inertia, at[0])
+    data = model.createData()
+    q = case.measurement.q
+    v = case.measurement.v
+    pin.forwardKinematics(model, data, q)
+    constraints = [
+        pin.RigidConstraintModel(
+            pin.ContactType.CONTACT_6D, model, joints[0], at[0], joint, X, pin.LOCAL
+        )
+        for joint, X in zip(joints[1:], at[1:], strict=True)
+    ]
+    for pair in case.pairs:
+        here = at[0] * pin.SE3(np.eye(3), pair.vertex)
+        there = data.oMi[joints[0]] * here
+        constraints.append(
+            pin.RigidConstraintModel(
+                pin.ContactType.CONTACT_3D, model, joints[0], here, 0, there, pin.LOCAL
+            )
+        )
+    states = [constraint.createData() for constraint in constraints]
+    pin.initConstraintDynamics(model, data, constraints, states)
+    settings = pin.ProximalSettings(1e-12, 1e-10, 10)
+    tau = np.zeros(chain.nq)
+    tau[chain.actuated] = case.controller().tick(case.measurement, case.reference)
+    tau -= model.damping * v  # which `pin.constraintDynamics` does not know
+    return lambda: pin.constraintDynamics(model, data, q, v, tau, constraints, states, settings)
+
+
+def mujoco_inverse(case: TickCase) -> Callable[[], object]:
+    """`mj_inverse`: torques that explain q, v and q̈, with welds and soft contacts.
+
+    Raises:
+        PlantError: MuJoCo is missing or refuses the scene.
+    """
+    model, data = mujoco_state(case)
+    import mujoco
+
+    return lambda: mujoco.mj_inverse(model, data)
+
+
+def mujoco_state(case: TickCase) -> tuple[Any, Any]:
+    """MuJoCo's model and data of a case, under the torques of its tick; object: packaged rod.
+
+    The faces stand a little into the object, so that MuJoCo finds every contact.
+    """
+    pairs = [replace(pair, point=pair.point + DEPTH * pair.normal) for pair in case.pairs]
+    with TemporaryDirectory() as folder:
+        urdfs = [_without_shapes(arm.model.name, Path(folder)) for arm in case.chain.arms]
+        faces = [(robots.urdf_path("face"), pair.face_placement()) for pair in pairs]
+        plant = MujocoPlant(case.chain, urdfs, robots.urdf_path("rod"), pairs, faces)
+    for name, q, v in zip(
+        case.chain.joint_names, case.measurement.q, case.measurement.v, strict=True
+    ):
+        joint = plant.model.joint(name)
+        plant.data.qpos[joint.qposadr] = q
+        plant.data.qvel[joint.dofadr] = v
+    plant.hold(case.controller().tick(case.measurement, case.reference))
+    return plant.model, plant.data
+
+
+def _without_shapes(name: str, folder: Path) -> Path:
+    """The arm's URDF without shapes, which MuJoCo would have to read."""
+    packaged = name.startswith("scara")
+    tree = ElementTree.parse(robots.urdf_path(name) if packaged else robots.find_robot(name)[0])
+    for link in tree.getroot().findall("link"):
+        for kind in ("visual", "collision"):
+            for shape in link.findall(kind):
+                link.remove(shape)
+    path = folder / f"{name}.urdf"
+    tree.write(path)
+    return path

@@ -22,13 +22,10 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import product, repeat
 from multiprocessing import get_context
-from pathlib import Path
 
 import numpy as np
 
 import osc_contact as osc
-from osc_contact.control.safety import SafetyState
-from osc_contact.errors import PlantError
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.pushes import Push
 from osc_contact.runs.preflight import least_peak
@@ -36,18 +33,18 @@ from osc_contact.runs.rig import Rig
 from osc_contact.runs.run import Taring, start
 from osc_contact.scenarios.contact_schema import CartSpec
 
-__all__ = ["DIRECTIONS", "DURATIONS", "FORCES", "Pushed", "packaged", "push_arm"]
-
 FORCES = (5.0, 20.0, 60.0, 120.0, 200.0)  #: N
 DURATIONS = (0.05, 0.1)  #: s
 DIRECTIONS = ("off", "into", "along")
-BACK_WITHIN, SLOW_WITHIN = 2.0, 0.05  #: s after the push
+BACK_WITHIN = 2.0
+SLOW_WITHIN = 0.05  #: s after the push
 _STEADY = 0.1  #: s that forces have to be back for
 _NEAR = 0.3  #: share of its command that a force is back within; or `_LEAST` N
 _LEAST = 1.5
 _SETTLING = 1.0  #: s between contact and push
 _BRAKED = 1.0  #: s after a stop at which joints rest: they are held half a second after it
-_REST, _SINKING = 0.02, 0.1  #: shares of their speed limits below which joints rest, or sink
+_REST = 0.02
+_SINKING = 0.1  #: shares of their speed limits below which joints rest, or sink
 
 
 @dataclass
@@ -77,8 +74,7 @@ class Pushed:
 
 def packaged() -> list[str]:
     """The names of the packaged scenarios."""
-    folder = Path(osc.__file__).parent / "scenarios" / "files"
-    return sorted(path.stem for path in folder.glob("*.yaml"))
+    return sorted(osc.list_scenarios())
 
 
 def push_arm(
@@ -91,13 +87,18 @@ def push_arm(
     """
     rig = _rig(name, tuple(changes))
     plant, controller = start(rig, 0)
-    robot, truth = rig.robot(plant, controller), _inside(plant)
+    robot = rig.robot(plant, controller)
+    truth = _inside(plant)
     tick = controller.tick if rig.scenario.tare is None else Taring(rig, controller).tick
-    dt, act = controller.dt, np.array(rig.model.actuated)
+    dt = controller.dt
+    act = np.array(rig.model.actuated)
     fastest = rig.model.model.velocityLimit[act]
     truth.pushes = tuple(push for push in truth.pushes if push.every == 0.0)
     after = round((BACK_WITHIN + _STEADY) / dt)
-    begin, first, good, k = None, 0, 0, 0
+    begin = None
+    first = 0
+    good = 0
+    k = 0
     log = truth.log(1)
 
     def judge() -> np.ndarray:
@@ -112,11 +113,12 @@ def push_arm(
         reference = rig.references.at(k * dt)
         try:
             robot.command(tick(robot.measure(), reference), dt)
-        except PlantError as error:
+        except osc.PlantError as error:
             seen.wrong.append(f"{error}"[:80])
             return seen
         k += 1
-        now, wanted = judge(), np.asarray(reference.alpha_d)
+        now = judge()
+        wanted = np.asarray(reference.alpha_d)
         back = bool((np.abs(now - wanted) <= np.maximum(_NEAR * np.abs(wanted), _LEAST)).all())
         asked = not len(wanted) or bool((wanted > _LEAST).any())
         ended = good if begin is not None and not asked else 0  # the task has taken them away
@@ -135,10 +137,11 @@ def push_arm(
             continue
         since = (k - first) * dt
         speed = float((np.abs(truth.measure().v[act]) / fastest).max())
-        seen.speed, seen.largest = max(seen.speed, speed), max(seen.largest, *map(abs, now), 0.0)
+        seen.speed = max(seen.speed, speed)
+        seen.largest = max(seen.largest, *map(abs, now), 0.0)
         if speed > 1.0 and since > 0.0:
             seen.late = since
-        if seen.stopped is None and controller.state is SafetyState.SAFE_STOP:
+        if seen.stopped is None and controller.state is osc.SafetyState.SAFE_STOP:
             seen.stopped = since + duration
             last = max(last, k + round(_BRAKED / dt))
         if asked and not back:  # once they were back the task may take them away
@@ -197,7 +200,7 @@ def _direction(rig: Rig, word: str) -> np.ndarray:
     into = into / np.linalg.norm(into)
     if word == "along":
         across = np.cross(into, [0.3, 0.9, 0.4])
-        return np.asarray(across / np.linalg.norm(across))
+        return across / np.linalg.norm(across)
     return into if word == "into" else -into
 
 
@@ -229,12 +232,17 @@ def main(argv: list[str] | None = None) -> int:
     given = parser.parse_args(argv)
     print(table([]))
     wrong = count = 0
-    pushes = product(given.scenario or packaged(), given.direction or DIRECTIONS,
-                     given.force or FORCES, given.duration or DURATIONS)  # fmt: skip
+    pushes = product(
+        given.scenario or packaged(),
+        given.direction or DIRECTIONS,
+        given.force or FORCES,
+        given.duration or DURATIONS,
+    )
     with ProcessPoolExecutor(given.workers, get_context("spawn")) as pool:
         for found in pool.map(push_arm, *zip(*pushes, strict=True), repeat(given.set)):
             print(table([found]).split("\n")[1], flush=True)
-            wrong, count = wrong + bool(found.wrong), count + 1
+            wrong = wrong + bool(found.wrong)
+            count = count + 1
     print(f"{count} pushes, {wrong} of them wrong")
     return 1 if wrong else 0
 

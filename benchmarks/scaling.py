@@ -4,42 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from rich.table import Table
 
-from osc_contact.bench.cases import repeatable, require_status
-from osc_contact.bench.measuring import (
-    joined,
-    machine,
-    new_axes,
-    require_count,
-    take_turns,
-)
-from osc_contact.bench.random_arms import (
-    KINDS,
-    RandomRig,
-    contact_of,
-    faces_of,
-    random_rig,
-)
-from osc_contact.control.controller import Status
-from osc_contact.errors import InvalidInputError
+from benchmarks.cases import KINDS, RandomRig, faces_of, random_rig
+from benchmarks.measuring import joined, machine, require_count, take_turns
 from osc_contact.spatial import Array
-
-__all__ = ["draw", "measure", "tables"]
+from paper.study import Data, table_of
 
 ARMS = (1, 2, 3, 4, 5, 6, 7, 8)
 RANKS = (0, 1, 2, 3, 4, 5, 6)
 BLOCKS = 5
 CONTACTS = (1, 2, 4, 8, 16)
-COLUMNS = ("kind", "arms", "joints", "d", "contacts", "r", "tick_p50_us", "floor_p50_us")
 
 
-def measure(rounds: int = 300, seed: int = 0) -> dict[str, Any]:
+def measure(rounds: int = 300, seed: int = 0) -> Data:
     """{"machine": …, "arms": rows, "ranks": rows, "contacts": rows}.
 
     `arms`: 1 to 8 of each kind and mixed, two contacts. `ranks`: r from 0 to 6, each with as many
@@ -85,7 +65,7 @@ def _kinds(kind: str, count: int) -> list[str]:
 class _Timed:
     """One size: what it is, what is called, the times of each block."""
 
-    size: dict[str, Any]
+    size: Data
     calls: dict[str, Callable[[], object]]
     unwind: Callable[[], None]
     blocks: list[dict[str, Array]]
@@ -94,37 +74,20 @@ class _Timed:
     def of(
         cls, kind: str, rig: RandomRig, contacts: int, r: int, rng: np.random.Generator
     ) -> _Timed:
-        pairs = faces_of(rig, contacts, r, rng)
-        controller, measurement, reference = rig.controller(pairs)
-        controller = repeatable(controller)
-        chain, q, v = rig.chain, measurement.q, measurement.v
-        data = chain.model.createData()
-        controller.tick(measurement, reference)
-        if controller.status is not Status.OK:
-            raise InvalidInputError(f"{kind} × {len(chain.arms)}: {controller.reason}")
-
-        def unwind() -> None:
-            require_status(controller, kind)
-            controller.motion_law.integral = np.zeros(6)
-            controller.force_law.integral = np.zeros(0)
-
-        calls: dict[str, Callable[[], object]] = {
-            "tick": lambda: controller.tick(measurement, reference),
-            "floor": lambda: pin.computeAllTerms(chain.model, data, q, v),
-        }
+        case = rig.case(kind, faces_of(rig, contacts, r, rng))
+        tick, unwind = case.tick()
         size = {
             "kind": kind,
-            "arms": len(chain.arms),
-            "joints": chain.nq,
-            "d": chain.state(q, v).d,
+            "arms": len(case.chain.arms),
+            "joints": case.chain.nq,
+            "d": case.chain.state(rig.q, case.measurement.v).d,
             "contacts": contacts,
-            "r": contact_of(rig, pairs).r,
+            "r": r,
         }
-        return cls(size, calls, unwind, [])
+        return cls(size, {"tick": tick, "floor": case.floor()}, unwind, [])
 
-    def row(self) -> dict[str, Any]:
-        found = joined(self.blocks)
-        tick, floor = (float(np.median(found[name])) for name in ("tick", "floor"))
+    def row(self) -> Data:
+        tick, floor = (float(np.median(times)) for times in joined(self.blocks).values())
         return self.size | {
             "tick_p50_us": tick,
             "floor_p50_us": floor,
@@ -133,45 +96,18 @@ class _Timed:
         }
 
 
-def tables(result: dict[str, Any]) -> list[Table]:
+def tables(result: Data) -> list[Table]:
     """One table for each thing that grows."""
     titles = {"arms": "arms, two contacts", "ranks": "constraints", "contacts": "contacts"}
-    found = []
-    for what, title in titles.items():
-        table = Table(
-            "kind", "arms", "joints", "d", "contacts", "r", "tick p50 (µs)", "floor p50 (µs)",
-            "tick / floor", "tick / arm (µs)", title=f"{title}: {result['rounds']} rounds",
-        )  # fmt: skip
-        for row in result[what]:
-            sizes = (str(row[key]) for key in COLUMNS[:6])
-            times = (f"{row[key]:.1f}" for key in COLUMNS[6:])
-            table.add_row(*sizes, *times, f"{row['ratio']:.2f}", f"{row['tick_per_arm_us']:.1f}")
-        found.append(table)
-    return found
-
-
-def draw(result: dict[str, Any], path: Path) -> None:
-    """Tick over arms (by kind), over r, over contacts."""
-    from osc_contact.visual import OKABE_ITO
-    from osc_contact.visual.plots import save, style
-
-    with style():
-        figure, axes = new_axes(3)
-        colours = list(OKABE_ITO.values())
-        for kind, colour in zip((*KINDS, "mixed"), colours[1:], strict=False):
-            rows = [row for row in result["arms"] if row["kind"] == kind]
-            _line(axes[0], rows, "arms", kind, colour)
-        _line(axes[1], result["ranks"], "r", "independent contacts", colours[1])
-        rows = result["contacts"]
-        _line(axes[2], rows[: len(CONTACTS)], "contacts", "r = min(contacts, 6)", colours[1])
-        _line(axes[2], rows[len(CONTACTS) :], "contacts", "r = 1", colours[2])
-        for ax in axes:
-            ax.set_ylim(bottom=0.0)
-            ax.legend()
-        save(figure, path.with_suffix(""))
-
-
-def _line(ax: Any, rows: list[dict[str, Any]], over: str, label: str, colour: str) -> None:
-    times = [row["tick_p50_us"] for row in rows]
-    ax.plot([row[over] for row in rows], times, "o-", label=label, color=colour)
-    ax.set(xlabel=over, ylabel="median tick (µs)")
+    heads = "kind; arms; joints; d; contacts; r; tick p50 (µs); floor p50 (µs); tick / floor; "
+    return [
+        table_of(
+            f"{title}: {result['rounds']} rounds",
+            f"{heads}tick / arm (µs)",
+            (
+                [x if isinstance(x, str | int) else f"{x:.2f}" for x in row.values()]
+                for row in result[what]
+            ),
+        )
+        for what, title in titles.items()
+    ]

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 from rich.table import Table
 
-from osc_contact.bench.measuring import bars, machine, new_axes, require_count
-from osc_contact.control.controller import Controller
-from osc_contact.errors import PlantError
+import osc_contact as osc
+from benchmarks.measuring import machine, require_count
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.recorder import Recording
 from osc_contact.runs import recorder
@@ -21,10 +19,6 @@ from osc_contact.runs import run as runs
 from osc_contact.runs.driven import Drive
 from osc_contact.runs.log import Log
 from osc_contact.runs.references import References
-from osc_contact.runs.rig import build_rig
-from osc_contact.scenarios import Scenario, load_scenario
-
-__all__ = ["Ledger", "draw", "measure", "tables"]
 
 SCENARIO = "two_contact_rod"
 LOOP = "compiled loop: MuJoCo, rows of numbers"
@@ -40,7 +34,7 @@ class Ledger:
         self.spent: dict[str, float] = {}
         self._inner: list[float] = []
 
-    def begin(self, controller: Controller) -> Controller:
+    def begin(self, controller: osc.Controller) -> osc.Controller:
         """Forget what was spent before a run gets its controllers."""
         self.spent = dict.fromkeys(self.spent, 0.0)
         return controller
@@ -93,8 +87,8 @@ def measure(ticks: int = 10000) -> dict[str, Any]:
     try:
         import mujoco  # noqa: F401
     except ImportError as error:
-        raise PlantError("MuJoCo is missing: pip install osc_contact[sim]") from error
-    scenario = load_scenario(SCENARIO)
+        raise osc.PlantError("MuJoCo is missing: pip install osc_contact[sim]") from error
+    scenario = osc.load_scenario(SCENARIO)
     duration = ticks / scenario.control.rate
     runs.run(scenario, duration=10 / scenario.control.rate)  # everything loaded
     wall, cpu = min(_spent(_run(scenario, duration)) for _ in range(RUNS))
@@ -134,7 +128,7 @@ def measure(ticks: int = 10000) -> dict[str, Any]:
     }
 
 
-def _run(scenario: Scenario, duration: float, install: runs.Install | None = None) -> Recording:
+def _run(scenario: osc.Scenario, duration: float, install: runs.Install | None = None) -> Recording:
     return runs.run(scenario, duration=duration, install=install)
 
 
@@ -143,10 +137,10 @@ def _spent(recording: Recording) -> tuple[float, float]:
     return float(recording.meta["wall_s"]), float(recording.meta["cpu_s"])
 
 
-def _stepped(scenario: Scenario, recording: Recording) -> float:
+def _stepped(scenario: osc.Scenario, recording: Recording) -> float:
     """What MuJoCo alone takes for the steps of a run (s): the same torques once more."""
     ledger = Ledger()
-    plant, controller = runs.start(build_rig(scenario))
+    plant, controller = runs.start(osc.build_rig(scenario))
     assert isinstance(plant, MujocoPlant)
     with ledger.watching([("steps", plant._mj, "mj_step")]):
         for tau in recording["tau"]:
@@ -172,14 +166,3 @@ def tables(result: dict[str, Any]) -> list[Table]:
             f"{result['simulated_s'] / result['cpu_s']:.1f} × real time"
         )
     return [table]
-
-
-def draw(result: dict[str, Any], path: Path) -> None:
-    """The parts as bars."""
-    from osc_contact.visual.plots import save, style
-
-    with style():
-        figure, (ax,) = new_axes(1)
-        bars(ax, result["us_per_tick"], "µs per tick of the run", marked=(LOOP,))
-        ax.set_title(f"{result['scenario']}: {result['real_time_factor']:.1f} × real time")
-        save(figure, path.with_suffix(""))

@@ -15,26 +15,25 @@ import subprocess
 import sys
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 from rich.table import Table
 
-from osc_contact.bench.measuring import bars, machine, new_axes, require_count
+from benchmarks.measuring import machine, require_count
 from osc_contact.scenarios import load_scenario
-
-__all__ = ["draw", "measure", "soak", "tables"]
+from paper.study import Data, table_of
 
 SCENARIO = "two_contact_rod"
 RUNS = 2
 CLOCKED = "tick_s"  #: the only channel that differs from run to run
 
 
-def soak(ticks: int) -> dict[str, Any]:
+def soak(ticks: int) -> Data:
     """One run, in this process: memory (MB) and a hash of all channels that no clock made."""
     from osc_contact.runs.run import run
 
     scenario = load_scenario(SCENARIO)
-    duration, held = ticks / scenario.control.rate, []
+    duration = ticks / scenario.control.rate
+    held = []
 
     def progress(now: float) -> None:
         if now >= 0.1 * duration:
@@ -48,9 +47,13 @@ def soak(ticks: int) -> dict[str, Any]:
             found.update(piece[name].tobytes())
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     return {
-        "ticks": len(recording), "begin_MB": held[0], "grown_MB": max(held) - held[0],
-        "peak_MB": peak, "hash": found.hexdigest()[:16], "end": recording.meta["end_state"],
-    }  # fmt: skip
+        "ticks": len(recording),
+        "begin_MB": held[0],
+        "grown_MB": max(held) - held[0],
+        "peak_MB": peak,
+        "hash": found.hexdigest()[:16],
+        "end": recording.meta["end_state"],
+    }
 
 
 def resident() -> float:
@@ -59,7 +62,7 @@ def resident() -> float:
     return pages * resource.getpagesize() / 2**20
 
 
-def measure(ticks: int) -> dict[str, Any]:
+def measure(ticks: int) -> Data:
     """Both runs, one after the other."""
     require_count(ticks, "ticks")
     _run(1000)  # compiles, where that is still to be done
@@ -67,38 +70,27 @@ def measure(ticks: int) -> dict[str, Any]:
     return {"machine": machine(), "scenario": SCENARIO, "runs": runs}
 
 
-def _run(ticks: int) -> dict[str, Any]:
+def _run(ticks: int) -> Data:
     words = [sys.executable, "-m", "benchmarks.soak", str(ticks)]
     done = subprocess.run(words, check=True, stdout=subprocess.PIPE, text=True)
     return dict(json.loads(done.stdout))
 
 
-def tables(data: dict[str, Any]) -> list[Table]:
+def tables(data: Data) -> list[Table]:
     """Memory and hash of each run."""
-    table = Table(title=f"{data['scenario']}, {data['runs'][0]['ticks']} ticks")
-    for head in ("run", "memory", "grown by", "at most", "hash", "ended"):
-        table.add_column(head, justify="right")
-    for number, run in enumerate(data["runs"], 1):
-        table.add_row(
-            str(number), f"{run['begin_MB']:.1f} MB", f"{run['grown_MB']:.2f} MB",
-            f"{run['peak_MB']:.0f} MB", run["hash"], run["end"],
-        )  # fmt: skip
-    return [table]
-
-
-def draw(data: dict[str, Any], path: Path) -> None:
-    """Memory of the runs as bars."""
-    from osc_contact.visual.plots import save, style
-
-    found = {}
-    for number, run in enumerate(data["runs"], 1):
-        found[f"run {number}: in the loop"] = run["begin_MB"]
-        found[f"run {number}: at most"] = run["peak_MB"]
-    with style():
-        figure, (ax,) = new_axes(1)
-        bars(ax, found, "MB")
-        ax.set_title(f"{data['scenario']}, {data['runs'][0]['ticks']} ticks")
-        save(figure, path.with_suffix(""))
+    rows = (
+        (
+            number,
+            f"{run['begin_MB']:.1f} MB",
+            f"{run['grown_MB']:.2f} MB",
+            f"{run['peak_MB']:.0f} MB",
+            run["hash"],
+            run["end"],
+        )
+        for number, run in enumerate(data["runs"], 1)
+    )
+    title = f"{data['scenario']}, {data['runs'][0]['ticks']} ticks"
+    return [table_of(title, "run; memory; grown by; at most; hash; ended", rows)]
 
 
 if __name__ == "__main__":

@@ -11,12 +11,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.linalg import inv, lstsq, norm, pinv, svd
 
-from osc_contact.bench.cases import DT, TickCase
+from benchmarks.cases import DT, TickCase
 from osc_contact.spatial import Array
 
-__all__ = ["TextbookLaw"]
-
-STIFFNESS, DAMPING = 25.0, 10.0  # of the posture of redundant arms
+STIFFNESS = 25.0
+DAMPING = 10.0  # of the posture of redundant arms
 
 
 class TextbookLaw:
@@ -26,24 +25,31 @@ class TextbookLaw:
         """Copy what the law needs to know; each tick is computed at the case's instant."""
         chain = case.chain
         assert chain.payload is not None
-        self.case, self.model, self.data = case, chain.model, chain.model.createData()
+        self.case = case
+        self.model = chain.model
+        self.data = chain.model.createData()
         self.tips = [self.model.getFrameId(f"{a.name}/{a.tip}") for a in chain.arms]
         self.wrists = [self.model.getFrameId(f"{a.name}/{a.wrist_sensor}") for a in chain.arms]
         self.inertia = chain.payload.inertia.matrix()
         self.selected = np.eye(chain.nq)[:, chain.actuated]  # B: motor torques to joint torques
         self.limits = np.ones(chain.nq)
         self.limits[chain.actuated] = chain.tau_max
-        self.motion_sum, self.force_sum = np.zeros(6), np.zeros(len(case.pairs))
+        self.motion_sum = np.zeros(6)
+        self.force_sum = np.zeros(len(case.pairs))
 
     def tick(self) -> Array:
         """Motor torques (n_a,)."""
-        case, model, data = self.case, self.model, self.data
-        q, v = case.measurement.q, case.measurement.v
+        case = self.case
+        model = self.model
+        data = self.data
+        q = case.measurement.q
+        v = case.measurement.v
         pin.computeAllTerms(model, data, q, v)
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
         pin.updateFramePlacements(model, data)
         X = data.oMf[self.tips[0]] * case.chain.grasps[0].X_TO
-        O, R = X.translation, X.rotation  # noqa: E741 - the operational point
+        O = X.translation  # noqa: E741 - the operational point
+        R = X.rotation
 
         # each arm at O: Λ = (J M⁻¹Jᵀ)⁺, J̄ = M⁻¹JᵀΛ, μ + p = J̄ᵀh − Λγ
         arms = []
@@ -52,7 +58,9 @@ class TextbookLaw:
             shift = carried(O - data.oMf[tip].translation)
             J = shift @ pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)[:, s]
             drift = pin.getFrameAcceleration(model, data, tip, pin.LOCAL_WORLD_ALIGNED)
-            M, h, gamma = data.M[s, s], data.nle[s], shift @ drift.vector
+            M = data.M[s, s]
+            h = data.nle[s]
+            gamma = shift @ drift.vector
             h = h + model.damping[s] * v[s]  # viscous friction; dry friction is left out
             Minv = inv(M)
             Lambda = pinv(J @ Minv @ J.T, rcond=1e-9)
@@ -64,23 +72,30 @@ class TextbookLaw:
         # motions that all arms permit, a = S η̇ + σ
         left = [svd(J)[0] for _, J, *_ in arms]
         C = np.hstack([U[:, J.shape[1] :] for U, (_, J, *_) in zip(left, arms, strict=True)])
-        locked = np.concatenate([U[:, J.shape[1] :].T @ g for U, (_, J, _, _, g, _, _)
-                                 in zip(left, arms, strict=True)])  # fmt: skip
+        locked = np.concatenate(
+            [U[:, J.shape[1] :].T @ g for U, (_, J, _, _, g, _, _) in zip(left, arms, strict=True)]
+        )
         if C.shape[1]:
             U, values, _ = svd(C)
             S = U[:, int(np.sum(values > 1e-4)) :]
             sigma = lstsq(C.T, locked, rcond=1e-4)[0]
         else:
-            S, sigma = np.eye(6), np.zeros(6)
+            S = np.eye(6)
+            sigma = np.zeros(6)
 
         # the augmented object, eq. 13
         turn = np.kron(np.eye(2), R)
         Lambda_o = turn @ self.inertia @ turn.T
         momentum = Lambda_o @ V
-        bias_o = np.concatenate((
-            np.cross(w, momentum[:3]),
-            np.cross(w, momentum[3:]) + np.cross(V[:3], momentum[:3]),
-        )) - Lambda_o[:, :3] @ model.gravity.linear  # fmt: skip
+        bias_o = (
+            np.concatenate(
+                (
+                    np.cross(w, momentum[:3]),
+                    np.cross(w, momentum[3:]) + np.cross(V[:3], momentum[:3]),
+                )
+            )
+            - Lambda_o[:, :3] @ model.gravity.linear
+        )
         Lambda_S = S.T @ (sum(L for *_, L, _ in arms) + Lambda_o) @ S
         bias = bias_o + Lambda_o @ sigma
         G = np.zeros((S.shape[1], model.nv))
@@ -93,7 +108,8 @@ class TextbookLaw:
         N = np.zeros((6, len(case.pairs)))
         n_gamma = np.zeros(len(case.pairs))
         for i, pair in enumerate(case.pairs):
-            n, p = -pair.normal, R @ pair.vertex
+            n = -pair.normal
+            p = R @ pair.vertex
             N[:, i] = np.concatenate((n, np.cross(p, n)))
             n_gamma[i] = -np.cross(V[:3] + np.cross(w, p), n) @ w
 
@@ -113,16 +129,17 @@ class TextbookLaw:
 
         # motion loop
         g = case.gains.motion
-        e = np.concatenate((
-            case.reference.X_WD.translation - O, pin.log3(case.reference.X_WD.rotation @ R.T)
-        ))  # fmt: skip
+        e = np.concatenate(
+            (case.reference.X_WD.translation - O, pin.log3(case.reference.X_WD.rotation @ R.T))
+        )
         Omega_m = np.eye(6) - Phi_o @ N @ inv(N.T @ Phi_o @ N) @ N.T
         self.motion_sum = self.motion_sum + Omega_m @ e * DT
         a = case.reference.A_D + g.damping * (case.reference.V_D - V) + g.stiffness * e
         a = a + g.integral * self.motion_sum - np.concatenate((np.cross(w, V[:3]), np.zeros(3)))
 
         # filters and control structure, eqs. 21, 24, 25: η̇_u = P_T(a − σ), η̇_c = Ω_m η̇_u + …
-        H, N_S = S.T @ Lambda_o @ S, S.T @ N
+        H = S.T @ Lambda_o @ S
+        N_S = S.T @ N
         B_N = inv(H) @ N_S
         eta = inv(H) @ S.T @ Lambda_o @ (a - sigma)
         eta = eta + B_N @ inv(N_S.T @ B_N) @ (N.T @ (a - sigma) - N_S.T @ eta)
@@ -132,8 +149,10 @@ class TextbookLaw:
 
     def allocated(self, arms, G, f_S, acceleration, v, O) -> Array:  # type: ignore[no-untyped-def]  # noqa: E741
         """Least torques, weighted by 1/τ_max², for f_S and the squeeze of two arms."""
-        case, B = self.case, self.selected
-        weight, rest = np.zeros((len(v), len(v))), np.zeros(len(v))
+        case = self.case
+        B = self.selected
+        weight = np.zeros((len(v), len(v)))
+        rest = np.zeros(len(v))
         q = case.measurement.q
         for s, J, M, h, _, _, J_bar in arms:
             weight[s, s] = np.diag(self.limits[s] ** 2)
@@ -142,17 +161,20 @@ class TextbookLaw:
                 weight[s, s] = J.T @ inv(J @ R @ J.T) @ J
                 posture = h + M @ (STIFFNESS * (case.posture[s] - q[s]) - DAMPING * v[s])
                 rest[s] = (np.eye(J.shape[1]) - J.T @ J_bar.T) @ posture
-        A, b = G, f_S
+        A = G
+        b = f_S
         if len(arms) == 2:
             ends = [self.data.oMf[tip].translation for tip in self.tips]
             e = np.concatenate(((ends[1] - ends[0]) / norm(ends[1] - ends[0]), np.zeros(3)))
-            row, offset = np.zeros(len(v)), 0.0
+            row = np.zeros(len(v))
+            offset = 0.0
             for sign, (s, _, _, h, gamma, Lambda, J_bar) in zip((0.5, -0.5), arms, strict=True):
                 row[s] = sign * J_bar @ e
                 offset += sign * e @ (J_bar.T @ h + Lambda @ (acceleration - gamma))
             A = np.vstack((G, row @ B))
             b = np.concatenate((f_S, [float(case.reference.squeeze_d) + offset]))
-        W, tau_0 = B.T @ weight @ B, B.T @ rest
+        W = B.T @ weight @ B
+        tau_0 = B.T @ rest
         scale = np.diag(1.0 / np.sqrt(np.diag(A @ W @ A.T)))
         return tau_0 + W @ A.T @ scale @ inv(scale @ A @ W @ A.T @ scale) @ scale @ (b - A @ tau_0)
 

@@ -75,14 +75,18 @@ def main(urdf: str, rounds: int) -> None:
         if solution.status != 0 or not np.isfinite(tau).all():
             raise SystemExit(f"TSID found no solution: status {solution.status}")
     setup, solve, floor = times[WARM_UP:].T / 1e3
-    print(json.dumps({
-        "pin": pin.__version__,
-        "variables": law.nVar,
-        "total_us": _spread(setup + solve),
-        "problem_us": _spread(setup),
-        "solve_us": _spread(solve),
-        "floor_us": _spread(floor),
-    }))  # fmt: skip
+    print(
+        json.dumps(
+            {
+                "pin": pin.__version__,
+                "variables": law.nVar,
+                "total_us": _spread(setup + solve),
+                "problem_us": _spread(setup),
+                "solve_us": _spread(solve),
+                "floor_us": _spread(floor),
+            }
+        )
+    )
 
 
 def _spread(times: Any) -> dict[str, float]:

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from time import perf_counter, process_time
-from typing import Any
 
 import numpy as np
 from rich.table import Table
 
 import osc_contact as osc
+from benchmarks.measuring import machine, require_count
 from benchmarks.simulation import Ledger
-from osc_contact.bench.measuring import bars, machine, new_axes, require_count
 from osc_contact.sweeps.workers import available_cores
+from paper.study import Data
 
-__all__ = ["draw", "measure", "tables"]
-
-SCENARIO, ROWS = "panda_edge", 64
+SCENARIO = "panda_edge"
+ROWS = 64
 REST = "set points, observations, rewards"
 
 
-def measure(steps: int = 60) -> dict[str, Any]:
+def measure(steps: int = 60) -> Data:
     """{"cases": [{"threads", "ticks_per_s", "cpu_us_per_tick": {part: …}, "shares",
     "control_of_the_clock"}], …}.
 
@@ -41,13 +39,16 @@ def measure(steps: int = 60) -> dict[str, Any]:
     return {"machine": machine(), "scenario": SCENARIO, "rows": ROWS, "cases": cases}
 
 
-def _case(threads: int, steps: int) -> dict[str, Any]:
+def _case(threads: int, steps: int) -> Data:
     env = osc.make_vector_env(SCENARIO, ROWS, threads=threads)
     env.reset(seed=0)
     hold = np.zeros(env.action_space.shape)
-    ledger, watch = Ledger(process_time), Ledger()
+    ledger = Ledger(process_time)
+    watch = Ledger()
     parts_of = [("control", env.fleet.control, "tick"), ("MuJoCo", env.fleet._plants, "step")]
-    clock, control, parts = np.inf, 0.0, {REST: np.inf}
+    clock = np.inf
+    control = 0.0
+    parts = {REST: np.inf}
     with watch.watching(parts_of[:1]), ledger.watching([*parts_of, (REST, env, "step")]):
         for _ in range(steps):
             ledger.spent = dict.fromkeys(ledger.spent, 0.0)
@@ -56,7 +57,8 @@ def _case(threads: int, steps: int) -> dict[str, Any]:
             env.step(hold)
             took = perf_counter() - start
             if took < clock:
-                clock, control = took, watch.spent["control"]
+                clock = took
+                control = watch.spent["control"]
             parts = min(parts, dict(ledger.spent), key=lambda spent: sum(spent.values()))
     ticks = ROWS * round(1.0 / (50.0 * env.fleet.dt))
     whole = sum(parts.values())
@@ -70,7 +72,7 @@ def _case(threads: int, steps: int) -> dict[str, Any]:
     }
 
 
-def tables(result: dict[str, Any]) -> list[Table]:
+def tables(result: Data) -> list[Table]:
     """Rates, and the parts of a tick."""
     cases = result["cases"]
     title = f"{result['rows']} rows of {result['scenario']}, four plant steps a tick"
@@ -88,15 +90,3 @@ def tables(result: dict[str, Any]) -> list[Table]:
         table.add_row(name, *cells)
     table.caption = "parts: processor time of a tick, of all threads"
     return [table]
-
-
-def draw(result: dict[str, Any], path: Path) -> None:
-    """The parts as bars."""
-    from osc_contact.visual.plots import save, style
-
-    with style():
-        figure, axes = new_axes(len(result["cases"]))
-        for ax, case in zip(axes, result["cases"], strict=True):
-            bars(ax, case["cpu_us_per_tick"], "µs of processor time per tick", marked=("MuJoCo",))
-            ax.set_title(f"{case['threads']} threads: {case['ticks_per_s']:.0f} ticks a second")
-        save(figure, path.with_suffix(""))

@@ -14,7 +14,17 @@ release = version = osc_contact.__version__
 
 root_doc = "docs/index"
 include_patterns = ["*.md", "docs/*.md", "docs/api/*.rst", "notebooks/*.py"]
-exclude_patterns = [".*", "out", "build", "dist", "osc_contact", "tests", "urdf", "benchmarks"]
+exclude_patterns = [
+    ".*",
+    "out",
+    "build",
+    "dist",
+    "osc_contact",
+    "tests",
+    "urdf",
+    "paper",
+    "benchmarks",
+]
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",

@@ -20,7 +20,7 @@
 import numpy as np
 
 import osc_contact as osc
-from osc_contact.paper.figures import reproduce
+from paper.figures import reproduce
 
 np.set_printoptions(precision=4, suppress=True, linewidth=100)
 scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
@@ -55,9 +55,7 @@ print(f"the nearest frame misses N by {np.degrees(np.arcsin(rod.residual)):.1f}Â
 # and a motion command should not change a force. By how much do they?
 
 # %%
-from osc_contact.paper.baselines.coupling import Instant
-from osc_contact.paper.baselines.frames import best_selection
-from osc_contact.paper.baselines.laws import BASELINES, Ours
+from paper.selection_laws import BASELINES, Instant, Ours, best_selection
 
 instant = Instant(state, contact)
 laws = {"ours": Ours(), "selection": best_selection(instant, BASELINES["khatib"], restarts=0)}

@@ -52,7 +52,7 @@ found = inspect_rig(rig)
 print("\n".join(line for line in found.lines if "lines of force" in line))
 
 # %%
-from osc_contact.paper.figures import reproduce
+from paper.figures import reproduce
 
 reproduce("fig1", scenario)
 

@@ -24,9 +24,9 @@ from matplotlib import pyplot as plt
 
 import osc_contact as osc
 from osc_contact.control.own_laws import force_law
-from osc_contact.paper.figures import reproduce
 from osc_contact.visual import contact_colour, plots
 from osc_contact.visual.style import style
+from paper.figures import reproduce
 
 scenario = osc.load_scenario(
     "two_contact_rod",

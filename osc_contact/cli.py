@@ -4,28 +4,27 @@ from __future__ import annotations
 
 import atexit
 import gc
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from osc_contact import __version__, cli_robots, cli_start, cli_sweeps
-from osc_contact.bench.program import run_benchmark
 from osc_contact.console import (
     DurationOption,
     FolderOption,
     JsonOption,
+    PlantOption,
     ScenarioArgument,
     SeedOption,
     SetOption,
     err,
     exit_codes,
     forget_rows,
+    load_program,
     load_task,
     open_recording,
     out,
-    record,
     report_run,
     require,
     require_report,
@@ -36,10 +35,6 @@ from osc_contact.console import (
 from osc_contact.errors import Interrupted, InvalidInputError
 from osc_contact.files import sole_user
 from osc_contact.law import compiled
-from osc_contact.paper import figures as paper_figures
-from osc_contact.paper import reproduction
-from osc_contact.paper.report import write_paper_report
-from osc_contact.paper.studies import STUDIES, WITH_SAMPLES, Ask
 from osc_contact.runs import replay, tables
 from osc_contact.runs.calibration import calibrate as calibrate_wrists
 from osc_contact.runs.inspection import inspect_rig
@@ -66,18 +61,8 @@ for command in (
 ):  # fmt: skip
     app.command()(command)
 RECORDINGS = (".npz", ".mcap")
-REPRODUCIBLE = tuple(sorted((*paper_figures.FIGURES, *STUDIES), key=lambda n: (n[:3] != "fig", n)))
-LONG = ", ".join(name for name in REPRODUCIBLE if name not in reproduction.names_of("all"))
-
-
-class PlantName(StrEnum):
-    """Which plant judges the controller."""
-
-    mujoco = "mujoco"
-    rigid = "rigid"
-
-
-PlantOption = Annotated[PlantName | None, typer.Option(help="instead of the scenario's own")]
+#: of a command whose words another program reads
+PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
 
 
 def _show_version(wanted: bool) -> None:
@@ -149,57 +134,12 @@ def export(
         say(f"written: {loaded.export(file)}")
 
 
-@app.command()
-def reproduce(
-    figure: Annotated[
-        str,
-        typer.Argument(
-            help=f"{' | '.join(REPRODUCIBLE)} | all (with report.html; without {LONG}: minutes)",
-            metavar="FIGURE",
-        ),
-    ],
-    plant: PlantOption = None,
-    duration: DurationOption = None,
-    out_dir: Annotated[Path, typer.Option("--out", help="folder for the figures")] = Path(
-        "out/figures"
-    ),
-    seed: SeedOption = 0,
-    samples: Annotated[
-        int | None, typer.Option(min=1, help="of a study that varies something")
-    ] = None,
-    set_: SetOption = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Make the paper's figures from our own data, studies beside them, and a report on them all."""
+@app.command(context_settings=PASSED_ON)
+def reproduce(context: typer.Context) -> None:
+    """Make the paper's figures from our own data, with a report on them (needs a checkout)."""
     with exit_codes():
-        names = reproduction.names_of(figure)
-        require("matplotlib")
-        drawn = [name for name in names if name not in STUDIES]
-        if not drawn and plant is not None:
-            raise InvalidInputError(f"{figure} chooses its own plants; leave --plant out")
-        if samples is not None and not WITH_SAMPLES.issuperset(names):
-            raise InvalidInputError(f"nothing is sampled for {figure}; leave --samples out")
-        scenario = load_task(paper_figures.SCENARIO, set_ if drawn else None, plant, duration)
-        if any(name in paper_figures.needs_run for name in drawn):
-            require_report(scenario)
-        result = reproduction.make(
-            names,
-            out_dir,
-            scenario,
-            Ask(seed, duration, () if drawn else tuple(set_ or ()), samples),
-            record=lambda: record(scenario, seed, out_dir),
-            show=out.print,
-            waiting=err.status,
-            options=reproduction.typed(plant and plant.value, duration, seed, set_ or ()),
-        )
-        for one in result.made.values():
-            for path in one.files:
-                say(f"written: {path}")
-        if figure == "all":
-            out.print(tables.paper_table(result.verdicts()))
-            say(f"written: {write_paper_report(result, out_dir / 'report.html')}")
-        if json_file:
-            write_json(result.as_dict(), json_file)
+        program = load_program("paper")
+    program.app(context.args, prog_name="osc-contact reproduce")
 
 
 @app.command()
@@ -312,25 +252,18 @@ def calibrate(
 
 @app.command("list")
 def list_(json_file: JsonOption = None) -> None:
-    """List the packaged scenarios and the figures that can be reproduced."""
+    """List the packaged scenarios."""
     with exit_codes():
         scenarios = list_scenarios()
         out.print(tables.scenario_table(scenarios))
-        say(f"osc-contact reproduce {' | '.join(REPRODUCIBLE)} | all")
+        say("osc-contact reproduce --help lists the figures")
         if json_file:
-            write_json({"scenarios": scenarios, "figures": list(REPRODUCIBLE)}, json_file)
+            write_json({"scenarios": scenarios}, json_file)
 
 
-@app.command()
-def bench(
-    what: Annotated[str, typer.Argument(help="tick", metavar="WHAT")],
-    ticks: Annotated[int | None, typer.Option(min=1, help="timed ticks of each case")] = None,
-    figure: Annotated[Path | None, typer.Option(help="also draw it (PNG, SVG)")] = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Time the control tick beside its floor; `python -m benchmarks` in a checkout has more."""
+@app.command(context_settings=PASSED_ON)
+def bench(context: typer.Context) -> None:
+    """Time the control tick, and more: `python -m benchmarks` (needs a checkout)."""
     with exit_codes():
-        report = run_benchmark(what, ticks, json_file, figure)
-        say("\n".join(report.lines))
-        for table in report.tables:
-            out.print(table)
+        program = load_program("benchmarks")
+    program.app(context.args, prog_name="osc-contact bench")

@@ -5,15 +5,18 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import StrEnum
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from osc_contact.errors import OscContactError, PlantError
+from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.files import sole_user
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
@@ -26,13 +29,23 @@ from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.visual.live import Shows
 
 __all__ = [
-    "DurationOption", "FolderOption", "JsonOption", "PARTIAL", "ScenarioArgument", "SeedOption",
-    "SetOption", "UNFINISHED", "err", "exit_codes", "forget_rows", "load_task", "open_recording",
-    "out", "record", "report_run", "require", "require_report", "run_with_progress", "say",
-    "show_live",
+    "DurationOption", "FolderOption", "JsonOption", "PARTIAL", "PlantOption", "ScenarioArgument",
+    "SeedOption", "SetOption", "UNFINISHED", "err", "exit_codes", "forget_rows", "load_program",
+    "load_task", "open_recording", "out", "record", "report_run", "require", "require_report",
+    "run_with_progress", "say", "show_live",
 ]  # fmt: skip
 
 ScenarioArgument = Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")]
+
+
+class PlantName(StrEnum):
+    """Which plant judges the controller."""
+
+    mujoco = "mujoco"
+    rigid = "rigid"
+
+
+PlantOption = Annotated[PlantName | None, typer.Option(help="instead of the scenario's own")]
 DurationOption = Annotated[
     float | None, typer.Option(help="seconds, instead of the scenario's own", show_default=False)
 ]
@@ -74,6 +87,30 @@ def require(package: str) -> None:
     """Refuse what would fail later for want of a package."""
     if find_spec(package) is None:
         raise ModuleNotFoundError(f"No module named '{package}'", name=package)
+
+
+def load_program(name: str) -> ModuleType:
+    """The `__main__` of a package that stands beside `osc_contact` in a checkout and in the sdist.
+
+    The checkout's folder is put first on Python's path, so that this process and its workers find
+    this package and no other one of the name.
+
+    Args:
+        name: of the package.
+
+    Raises:
+        InvalidInputError: there is no checkout, as where the wheel is installed.
+    """
+    root = Path(__file__).resolve().parent.parent
+    needed = (root / "pyproject.toml", root / name / "__main__.py")
+    if not all(file.is_file() for file in needed):
+        raise InvalidInputError(
+            f"this command needs the folder {name}/ of a checkout or of the source archive: unpack "
+            "one, run `pip install -e '.[all]'` in it and repeat the command there"
+        )
+    if sys.path[0] != str(root):
+        sys.path.insert(0, str(root))
+    return import_module(f"{name}.__main__")
 
 
 @contextmanager

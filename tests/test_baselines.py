@@ -20,14 +20,18 @@ from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact.cli import app
-from osc_contact.paper.baselines.compare import PLANTS, compare
-from osc_contact.paper.baselines.coupling import Instant
-from osc_contact.paper.baselines.frames import best_selection, random_selection
-from osc_contact.paper.baselines.laws import BASELINES, Ours, SelectionLaw
-from osc_contact.paper.baselines.selection import Selection
-from osc_contact.paper.baselines.steps import measured_coupling, run_steps
 from osc_contact.runs.rig import build_rig
 from osc_contact.scenarios import Scenario
+from paper.baselines import PLANTS, compare, measured_coupling, run_steps
+from paper.selection_laws import (
+    BASELINES,
+    Instant,
+    Ours,
+    Selection,
+    SelectionLaw,
+    best_selection,
+    random_selection,
+)
 
 KHATIB, ISAAC = BASELINES["khatib"], BASELINES["isaac_lab"]
 

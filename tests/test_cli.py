@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -23,6 +25,7 @@ from osc_contact.recorder import Recording
 from osc_contact.scenarios import load_scenario
 from osc_contact.visual.style import PRINT
 
+ROOT = Path(__file__).parents[1]
 SHORT = ("--plant", "rigid", "--duration", "1.05", "--set", "plant.step=1 ms")
 
 
@@ -80,13 +83,11 @@ def test_examples_are_the_programs_of_the_docs(tmp_path: Path) -> None:
     assert "is there already" in refused("examples", folder)
 
 
-def test_list_names_scenarios_and_figures(tmp_path: Path) -> None:
+def test_list_names_scenarios(tmp_path: Path) -> None:
     result = call("list", "--json", tmp_path / "list.json")
     assert result.exit_code == 0 and "two_contact_rod" in result.stdout
     found = json.loads((tmp_path / "list.json").read_text())
     assert set(found["scenarios"]) == set(osc_contact.list_scenarios())
-    figures = {"fig1", "fig2", "fig3", "fig4", "fig5", "fig6", "fig8", "kinematic_stability"}
-    assert figures <= set(found["figures"])
 
 
 def test_inspect_says_what_the_contact_state_is(tmp_path: Path) -> None:
@@ -157,6 +158,40 @@ def test_recording_loads(done: tuple[Path, Result]) -> None:
     assert recording["tau"].shape == (1050, 8) and recording.meta["seed"] == 7
     assert recording.meta["scenario"]["plant"]["type"] == "rigid"
     assert osc_contact.metrics(recording)["ticks"] == 1050
+
+
+def elsewhere(path: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """A command of the package as Python finds it on a path."""
+    command = [sys.executable, "-m", "osc_contact", *words]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (path, ROOT)))}
+    return subprocess.run(
+        command, cwd=path, env=environment, capture_output=True, text=True, timeout=120
+    )
+
+
+@pytest.mark.parametrize(("command", "folder"), [("reproduce", "paper"), ("bench", "benchmarks")])
+def test_programs_of_the_checkout_are_missed_with_a_cure(
+    command: str, folder: str, tmp_path: Path
+) -> None:
+    """As installed: another package of the name may be there, a checkout is not."""
+    shutil.copytree(ROOT / "osc_contact", tmp_path / "osc_contact")
+    shutil.copytree(ROOT / "urdf", tmp_path / "urdf")
+    (tmp_path / folder).mkdir()
+    (tmp_path / folder / "__main__.py").write_text("print('another program')")
+    result = elsewhere(tmp_path, command, "fig1")
+    assert result.returncode == 2 and not result.stdout
+    message = " ".join(result.stderr.split())
+    assert f"needs the folder {folder}/ of a checkout" in message and "pip install -e" in message
+
+
+def test_programs_of_the_checkout_are_not_mistaken_for_others(tmp_path: Path) -> None:
+    for name in ("paper", "benchmarks"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise RuntimeError('another package')")
+    figures = elsewhere(tmp_path, "reproduce", "--help")
+    assert figures.returncode == 0 and "osc-contact reproduce" in figures.stdout, figures.stderr
+    assert "fig8" in figures.stdout and "kinematic_stability" in figures.stdout
+    assert elsewhere(tmp_path, "bench", "--help").returncode == 0
 
 
 def test_reproduce_figures_without_a_run(tmp_path: Path) -> None:
@@ -234,7 +269,7 @@ def test_bad_scenario_is_told_with_its_line(tmp_path: Path) -> None:
         (("inspect", "two_contact_rob"), "no packaged scenario 'two_contact_rob'"),
         (("reproduce", "fig9"), "no figure 'fig9'; there are fig1"),
         (("reproduce", "fig2", "--set", "squeeze=1 N"), "fig2 is not made from a scenario"),
-        (("bench", "tock"), "no benchmark 'tock'; there are tick (others: `python -m benchmarks`"),
+        (("bench", "tock"), "no benchmark 'tock'; there are tick, peers, "),
         (("run", "two_contact_rod", "--set", "squeeze"), "expected path.to.key=value"),
         (("run", "two_contact_rod", "--duration", "0.9"), "judged from t = 1 s"),
         (("run", "two_contact_rod", "--duration", "nan"), "duration"),

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact.cli import app
-from osc_contact.paper import cone_in_groove as cg
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.spatial import pose_error
+from paper import cone_in_groove as cg
 
 STEPS = (0.51, 0.53, 0.55, 0.57)
 

@@ -18,9 +18,15 @@ import osc_contact as osc
 from osc_contact.control.force import ForceGains
 from osc_contact.control.friction import Friction
 from osc_contact.control.phases import Phase, PhaseSettings
-from osc_contact.paper.contact_phases import answers, collisions, false_alarms, land
-from osc_contact.paper.contact_phases_pictures import draw_collisions, draw_landing
 from osc_contact.runs.run import start
+from paper.contact_phases import (
+    answers,
+    collisions,
+    draw_collisions,
+    draw_landing,
+    false_alarms,
+    land,
+)
 
 DT = 1e-3
 OPEN, APPROACHING, CLOSED = Phase

@@ -152,9 +152,9 @@ def test_pictures_are_small_and_all_shown() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_files_named_in_backticks_exist(page: Path) -> None:
     for name in TICKED.findall(FENCE.sub("", text_of(page))):
-        if re.fullmatch(r"(osc_contact|urdf|docs|tests|notebooks|benchmarks)/[\w./]*", name):
+        if re.fullmatch(r"(osc_contact|urdf|docs|tests|notebooks|paper|benchmarks)/[\w./]*", name):
             assert (ROOT / name).exists(), f"{page.name} names {name}, which is not there"
-        if re.fullmatch(r"(osc_contact|urdf)/[\w./]+::[\w.]+", name):
+        if re.fullmatch(r"(osc_contact|urdf|paper|benchmarks)/[\w./]+::[\w.]+", name):
             assert not complaint(name, test=False), f"{page.name}: {complaint(name, test=False)}"
 
 

@@ -15,7 +15,7 @@ from rigs import one_panda, panda_pair, scara_pair
 from test_decoupling import in_contact
 
 import osc_contact as osc
-from osc_contact.bench.cases import CASES
+from benchmarks.cases import CASES
 from osc_contact.control.controller import Controller
 from osc_contact.control.force import ForceGains
 from osc_contact.control.motion import MotionGains

@@ -11,9 +11,10 @@ from matplotlib.image import imread
 from scene_samples import read_commands
 
 from osc_contact import robots
-from osc_contact.paper import fig3
-from osc_contact.paper.studies import Ask, write_study
 from osc_contact.visual.browser import VARIABLE
+from paper import fig3
+from paper.studies import write_study
+from paper.study import Ask
 
 SOON = [
     f"contacts.{side}_end.face.motion.{kind}{key}=0.{what} s"

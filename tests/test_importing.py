@@ -12,7 +12,7 @@ from osc_contact.contacts.pairs import PAIRS
 
 LATER = (
     "matplotlib", "mujoco", "meshcat", "tornado", "PIL", "yourdfpy", "ruckig", "rich", "typer",
-    "urllib.request", "ssl", "osc_contact.paper", "osc_contact.bench", "osc_contact.cli",
+    "urllib.request", "ssl", "paper", "benchmarks", "osc_contact.cli",
     "osc_contact.visual.plots",
 )  # fmt: skip
 

@@ -431,13 +431,13 @@ import osc_contact as osc
 from numba.core.runtime import rtsys
 
 rig = osc.build_rig(osc.load_scenario("two_contact_rod_friction"))
-from osc_contact.bench.cases import repeatable
+from benchmarks.cases import repeatable
 controller, measurement = repeatable(rig.controller()), rig.plant().measure()
 reference = rig.references.at(0.0)
 for _ in range(100):
     controller.tick(measurement, reference)
 assert controller.status is osc.Status.OK, controller.reason
-from osc_contact.bench.timing import kernel_call
+from benchmarks.law import kernel_call
 call = kernel_call(controller, measurement, reference)
 start = rtsys.get_allocation_stats()
 call()

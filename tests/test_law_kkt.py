@@ -32,7 +32,7 @@ from rigs import random_state, scara_pair
 from test_decoupling import strong
 
 import osc_contact as osc
-from osc_contact.bench.random_arms import random_rig
+from benchmarks.cases import random_rig
 from osc_contact.control.friction import Friction
 
 K_P, K_D = 400.0, 40.0

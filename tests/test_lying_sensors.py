@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.bench.cases import CASES, TickCase
+from benchmarks.cases import CASES, TickCase
 from osc_contact.interface import Measurement, Stamps
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.sensing.velocity_estimate import VelocityEstimate

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import osc_contact as osc
-from osc_contact.paper import moving_face
 from osc_contact.runs.metrics import metrics
+from paper import moving_face
 
 FACES = {
     face: [change.replace("ramp: 2 s", "ramp: 0.1 s") for change in changes]

@@ -13,12 +13,12 @@ from typer.testing import CliRunner, Result
 
 import osc_contact as osc
 from osc_contact.cli import app
-from osc_contact.paper.statements import PAPER, Answer, Verdict, judge
 from osc_contact.recorder import Recording
 from osc_contact.robots import urdf_path
 from osc_contact.runs.outcome import RULES, Rule, judge_task
 from osc_contact.runs.tables import task_lines, verdict_table
 from osc_contact.scenarios.control_schema import VerdictSpec
+from paper.statements import PAPER, Answer, Verdict, judge
 
 RATE, TICKS = 1000, 3000
 

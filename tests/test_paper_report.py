@@ -14,16 +14,14 @@ from headless import Browser, near
 from rich.table import Table
 
 import osc_contact as osc
-from osc_contact.paper.answers import ANSWERS, Evidence
-from osc_contact.paper.figures import FIGURES
-from osc_contact.paper.report import write_paper_report
-from osc_contact.paper.reproduction import Made, Reproduction, names_of, typed
-from osc_contact.paper.statements import PAPER, Answer, Verdict, judge
-from osc_contact.paper.studies import STUDIES
 from osc_contact.recorder import Recording
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.viewing import write_scene_of
 from osc_contact.visual import contact_colour
+from paper.figures import ANSWERS, FIGURES, Evidence
+from paper.report import Made, Reproduction, names_of, typed, write_paper_report
+from paper.statements import PAPER, Answer, Verdict, judge
+from paper.studies import STUDIES
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {} 100"><path d="M0 0h9v9z"/></svg>'
 READY = "document.querySelector('main') !== null"

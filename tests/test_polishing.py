@@ -5,9 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.polishing.__main__ import FAST, KNOTS, LAWS, SLOW, judge, teach
-from benchmarks.polishing.learner import learn
-from benchmarks.polishing.task import EDGES, MEAN, best_forces, softness
+from benchmarks.polishing import (
+    EDGES,
+    FAST,
+    KNOTS,
+    LAWS,
+    MEAN,
+    SLOW,
+    best_forces,
+    judge,
+    learn,
+    softness,
+    teach,
+)
 
 
 def test_the_strategy_finds_what_it_is_not_told() -> None:

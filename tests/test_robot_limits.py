@@ -9,8 +9,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.bench.cases import CASES, TickCase, repeatable
-from osc_contact.bench.special_cases import SPECIAL_CASES
+from benchmarks.cases import CASES, SPECIAL_CASES, TickCase, repeatable
 from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant
 

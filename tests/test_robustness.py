@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact.cli import app
-from osc_contact.paper import robustness as study
 from osc_contact.sweeps.study import SweepStudy
+from paper import robustness as study
 
 CHANGES = ["control.rate=250 Hz", "plant.step=0.5 ms", "duration=1.1"]
 
@@ -123,12 +123,12 @@ def test_rows_that_are_done_are_not_run_again(tmp_path, monkeypatch) -> None:
         return [(study.SelectionLaw(family, chosen[0]), 1.0, 1.0)]
 
     monkeypatch.setattr(study, "_candidates", candidates)
-    how = {"changes": ["duration=1.02"], "folder": tmp_path, "workers": 1}
-    first, second = study.run(1, **how), study.run(1, **how)
+    how = {"changes": ["duration=1.02"], "workers": 1}
+    first, second = study.run(1, tmp_path, **how), study.run(1, tmp_path, **how)
     assert asked == [4, 0] and first.rows == second.rows
     del chosen[0]
     with pytest.raises(osc.InvalidInputError, match="seed or law"):  # rows of other laws
-        study.run(1, **how)
+        study.run(1, tmp_path, **how)
 
 
 def test_samples_of_what_has_none_are_refused() -> None:

@@ -13,11 +13,11 @@ import osc_contact as osc
 from osc_contact.contacts import pairs
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.control.monitor import ContactMonitor, watch_series
-from osc_contact.paper.moving_face import FACES
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs import driven
 from osc_contact.runs.free_motion import free_part, free_parts
 from osc_contact.spatial import Poses, rotated, rotations
+from paper.moving_face import FACES
 
 ON_SURFACE = {
     pairs.VertexOnFace: "point", pairs.SphereOnPlane: "point", pairs.FaceOnVertex: "vertex",

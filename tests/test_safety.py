@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.bench.cases import CASES, TickCase, repeatable
+from benchmarks.cases import CASES, TickCase, repeatable
 from osc_contact.control.safety import SafetySettings, SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant

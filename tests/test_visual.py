@@ -12,10 +12,10 @@ from scene_samples import make_recording
 
 from osc_contact.control.signals import SIGNALS
 from osc_contact.errors import InvalidInputError
-from osc_contact.paper.diagrams import BY_NAME, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
 from osc_contact.visual import plots
 from osc_contact.visual.contact_picture import draw_contact_state
 from osc_contact.visual.screws import common_perpendicular
+from paper.diagrams import BY_NAME, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
 
 
 def test_contact_force_figure() -> None:

@@ -9,10 +9,11 @@ import pytest
 
 import osc_contact as osc
 from osc_contact.dynamics.joint_modes import modes
-from osc_contact.paper import workcell
-from osc_contact.paper.studies import Ask, write_study
-from osc_contact.paper.workcell import STAGES, ladder
 from osc_contact.runs.hardware import flexible_joints
+from paper import workcell
+from paper.studies import write_study
+from paper.study import Ask
+from paper.workcell import STAGES, ladder
 
 
 def test_the_workcell_is_real_in_every_respect():

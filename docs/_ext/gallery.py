@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 from PIL import Image
 
 import osc_contact as osc
-from osc_contact.paper.statements import PAPER, judge
-from osc_contact.paper.studies import STUDIES, Ask, Study
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.viewing import write_scene_of
 from osc_contact.visual.movie import write_gif
+from paper.statements import PAPER, judge
+from paper.studies import STUDIES
+from paper.study import Ask, Study
 
 DOCS = Path(__file__).resolve().parents[1]
 PICTURES = DOCS / "images" / "gallery"

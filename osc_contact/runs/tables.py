@@ -17,11 +17,9 @@ from osc_contact.spatial import Array
 __all__ = [
     "basis_tables",
     "calibration_table",
-    "paper_table",
     "robot_tables",
     "scenario_table",
     "task_lines",
-    "tick_table",
     "verdict_table",
 ]
 
@@ -123,14 +121,6 @@ def _owner(force: str) -> str:
     return force.partition(".")[0]
 
 
-def paper_table(verdicts: Mapping[str, str]) -> Table:
-    """What became of each figure of the paper."""
-    table = Table("figure", "verdict", title="the paper's figures")
-    for name, verdict in verdicts.items():
-        table.add_row(name, str(verdict))
-    return table
-
-
 def basis_tables(inspection: Inspection) -> Iterator[Table]:
     """N with a column for each contact, T with a column for each motion."""
     where = "(at the object's origin, world axes)"
@@ -161,15 +151,6 @@ def scenario_table(scenarios: Mapping[str, str]) -> Table:
     table = Table("scenario", "what it is", title="osc-contact run SCENARIO")
     for name, words in scenarios.items():
         table.add_row(name, words.strip())
-    return table
-
-
-def tick_table(result: Mapping[str, Mapping[str, float]]) -> Table:
-    """Tick and floor of each case, µs."""
-    columns = ("tick_p50_us", "floor_p50_us", "ratio", "p99_9_us")
-    table = Table("case", "tick p50 (µs)", "floor p50 (µs)", "ratio", "tick p99.9 (µs)")
-    for case, row in result.items():
-        table.add_row(case, *(f"{row[key]:.1f}" for key in columns))
     return table
 
 

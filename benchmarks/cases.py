@@ -1,0 +1,544 @@
+"""The rigs that are timed, each in motion on its contacts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+import osc_contact as osc
+from osc_contact import robots
+from osc_contact.contacts.pairs import ContactPair, VertexOnFace
+from osc_contact.control.controller import Controller, Gains, Status
+from osc_contact.control.phases import PhaseSettings
+from osc_contact.dynamics.assembly import close, object_pose, reach
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Measurement, Reference
+from osc_contact.plants.rigid import RigidPlant
+from osc_contact.spatial import Array
+
+DT = 1e-3
+MOVING_TICKS = 40
+ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))
+END = np.array([0.29, 0.0, 0.0])
+RADIUS = 0.01  # the packaged rod's
+PANDA_Q = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78])
+GAINS = Gains(osc.MotionGains(900.0, 60.0), osc.ForceGains(30.0, 100.0))
+
+
+def require_status(controller: Controller, name: str, expected: Status = Status.OK) -> None:
+    """Refuse to time a tick that did not end as expected.
+
+    Args:
+        controller: after the tick. name: of the case. expected: how its ticks end.
+
+    Raises:
+        InvalidInputError: with the status and its reason.
+    """
+    if controller.status is not expected:
+        reason = f" ({controller.reason})" if controller.status is not Status.OK else ""
+        raise InvalidInputError(
+            f"{name}: a timed tick ended {controller.status.name}{reason}, expected {expected.name}"
+        )
+
+
+def repeatable(controller: Controller) -> Controller:
+    """The same controller, to be ticked with the very same readings again and again."""
+    endless = replace(
+        controller.settings.safety,
+        stuck_speed=np.inf,
+        frozen_time=np.inf,
+        speed_error=np.inf,
+        position_drift=np.inf,
+        wrist_error=np.inf,
+    )
+    return controller.with_safety(endless)
+
+
+@dataclass(frozen=True)
+class TickCase:
+    """A rig at one instant.
+
+    Attributes:
+        chain, pairs: arms, object and contacts. gains, posture: of the controller.
+        measurement, reference: in the middle of a motion along the faces, all contacts pressed.
+        status: how every tick at this instant ends. life: of the controller.
+    """
+
+    name: str
+    chain: ClosedChain
+    pairs: tuple[Any, ...]
+    gains: Gains
+    posture: Array
+    measurement: Measurement
+    reference: Reference
+    status: Status = Status.OK
+    life: PhaseSettings | None = None
+
+    def controller(self) -> Controller:
+        """A controller of this rig."""
+        return Controller(
+            self.chain,
+            self.pairs,
+            self.gains,
+            dt=DT,
+            posture=self.posture,
+            life=self.life,
+            reading="filter",  # the paper's
+        )
+
+    def tick(self) -> tuple[Callable[[], Array], Callable[[], None]]:
+        """A tick at this instant, and what is to be called after each.
+
+        That is: how the tick ended is checked, and its integrators are set back to zero.
+        """
+        return self.ticking(repeatable(self.controller()))
+
+    def ticking(self, controller: Controller) -> tuple[Callable[[], Array], Callable[[], None]]:
+        """The same with a given controller."""
+
+        def tick() -> Array:
+            return controller.tick(self.measurement, self.reference)
+
+        def unwind() -> None:
+            require_status(controller, self.name, self.status)
+            controller.motion_law.integral = np.zeros(6)
+            controller.force_law.integral = np.zeros(0)
+
+        return tick, unwind
+
+    def floor(self) -> Callable[[], object]:
+        """`pin.computeAllTerms` of the same arms at the same q and v."""
+        model = self.chain.model
+        data = self.chain.model.createData()
+        q = self.measurement.q
+        v = self.measurement.v
+        return lambda: pin.computeAllTerms(model, data, q, v)
+
+
+def in_motion(
+    name: str,
+    chain: ClosedChain,
+    pairs: tuple[VertexOnFace, ...],
+    q: Array,
+    gains: Gains,
+    reference: Callable[[float], Reference],
+    status: Status = Status.OK,
+) -> TickCase:
+    """Let the rigid plant follow a reference for a moment; there the case stands.
+
+    Args:
+        name: of the case. chain, pairs, gains: of its controller. q: (n,) start.
+        reference: by time (s). status: how its ticks end.
+    """
+    plant = RigidPlant(chain, pairs, DT)
+    plant.reset(q)
+    still = TickCase(name, chain, pairs, gains, q, plant.measure(), reference(0.0))
+    osc.run_loop(plant, still.controller(), (reference(k * DT) for k in range(MOVING_TICKS)))
+    end = reference(MOVING_TICKS * DT)
+    return TickCase(name, chain, pairs, gains, q, plant.measure(), end, status)
+
+
+def rod_rig() -> tuple[osc.Rig, Gains, tuple[VertexOnFace, ...]]:
+    """The packaged scenario's rig, its gains and its two contacts."""
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    return rig, rig.gains, tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace))
+
+
+def two_contact_rod() -> TickCase:
+    """Two SCARA arms with gripper hinges, a rod, two skew contacts: d = 5, r = 2."""
+    rig, gains, pairs = rod_rig()
+    at = rig.references.at
+    return in_motion("two_contact_rod", rig.chain, pairs, rig.q_contact, gains, at)
+
+
+def one_panda() -> TickCase:
+    """One Panda, its rod pressed on a face by one end: d = 6, r = 1, one redundant joint."""
+    arm = panda("arm", pin.SE3.Identity())
+    grasp = pin.SE3(np.eye(3), np.array([0.02, 0.01, 0.08]))
+    chain = ClosedChain([arm], [grasp], osc.RigidObject(ROD))
+    return _sliding("one_panda", chain, PANDA_Q, [END])
+
+
+def two_pandas() -> TickCase:
+    """Two Pandas hold a rod, each end on a face: d = 6, r = 2."""
+    down = pin.rpy.rpyToMatrix(np.pi, 0.0, 0.0)
+    turned = pin.rpy.rpyToMatrix(np.pi, 0.0, np.pi)
+    arms = [
+        panda("left", pin.SE3(np.eye(3), np.array([-0.55, 0.0, 0.0]))),
+        panda("right", pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi), np.array([0.55, 0.0, 0.0]))),
+    ]
+    grasps = [
+        pin.SE3(R, np.array([x, 0.0, 0.0])).inverse() for R, x in ((down, -0.15), (turned, 0.15))
+    ]
+    chain = ClosedChain(arms, grasps, osc.RigidObject(ROD))
+    X = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.45]))
+    q = close(chain, reach(chain, np.concatenate((PANDA_Q, PANDA_Q)), X))
+    return _sliding("two_pandas", chain, q, [-END, END])
+
+
+CASES: dict[str, Callable[[], TickCase]] = {
+    "two_contact_rod": two_contact_rod,
+    "one_panda": one_panda,
+    "two_pandas": two_pandas,
+}
+
+
+def panda(name: str, base: pin.SE3) -> osc.Arm:
+    """A Panda with its fingers locked and a force sensor where the hand is flanged on."""
+    urdf, _ = robots.find_robot("panda")
+    return osc.Arm.from_urdf(
+        urdf, name=name, tip="panda_hand_tcp", base=base, wrist_sensor="panda_hand"
+    )
+
+
+def _sliding(name: str, chain: ClosedChain, q: Array, vertices: list[Array]) -> TickCase:
+    """Faces that lean towards the rod, so that only its ends touch; the rod slides across."""
+    X = object_pose(chain, q)
+    up = np.array([0.0, 0.0, 1.0])
+    pairs = []
+    for i, vertex in enumerate(vertices):
+        outward = X.rotation @ vertex / np.linalg.norm(vertex)
+        normal = up - 0.5 * outward
+        normal = normal / np.linalg.norm(normal)
+        point = X.act(vertex) - RADIUS * normal
+        pairs.append(VertexOnFace(vertex, point, normal, RADIUS, name=f"contact{i}"))
+    across = np.cross(up, X.rotation[:, 0])
+    speed = 0.1 * across / np.linalg.norm(across)
+
+    def reference(t: float) -> Reference:
+        V = np.concatenate((speed, np.zeros(3)))
+        X_WD = pin.SE3(X.rotation, X.translation + speed * t)
+        return Reference(X_WD, V, np.zeros(6), np.full(len(pairs), 10.0))
+
+    return in_motion(name, chain, tuple(pairs), q, GAINS, reference)
+
+
+# --- Any number of arms around one object, with contacts, made up at random in code ---
+
+
+#: Degree of freedom of an object held by arms of a kind.
+KINDS = {"planar": 3, "scara": 4, "ur5": 6}
+BODY = pin.Inertia(4.0, np.array([0.01, -0.02, 0.015]), np.diag([0.09, 0.11, 0.14]))
+
+
+@dataclass(frozen=True)
+class RandomRig:
+    """Arms that hold an object, at rest, at positions q."""
+
+    chain: ClosedChain
+    q: Array
+    X_WO: pin.SE3
+
+    def case(self, name: str, pairs: Sequence[ContactPair]) -> TickCase:
+        """At rest, wrists that read zero, 1 N on each contact."""
+        count = sum(pair.contact(self.X_WO, np.zeros(6)).r for pair in pairs)
+        measurement = Measurement(
+            self.q, np.zeros_like(self.q), np.zeros((len(self.chain.arms), 6))
+        )
+        reference = Reference(self.X_WO, np.zeros(6), np.zeros(6), np.full(count, 1.0))
+        return TickCase(name, self.chain, tuple(pairs), GAINS, self.q, measurement, reference)
+
+
+def random_rig(kinds: list[str], rng: np.random.Generator) -> RandomRig:
+    """Arms of the given kinds around an object; hands and bases lie where they have to.
+
+    Planar arms turn in the horizontal plane and SCARAs stand upright, so that several of a kind
+    permit the same motions.
+
+    Raises:
+        InvalidInputError: an unknown kind.
+    """
+    X_WO = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.6]))
+    arms = []
+    grasps = []
+    positions = []
+    for i, kind in enumerate(kinds):
+        if kind not in KINDS:
+            raise InvalidInputError(f"no arm '{kind}'; there are {', '.join(KINDS)}")
+        model, q = _MAKE[kind](rng)
+        angle = 2.0 * np.pi * i / len(kinds)
+        grip = 0.2 * np.array([np.cos(angle), np.sin(angle), 0.0])
+        X_OT = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, rng.uniform(-3.0, 3.0)), grip)
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, q)
+        base = X_WO * X_OT * data.oMf[model.getFrameId("tip")].inverse()
+        name = f"arm{i}"
+        arms.append(osc.Arm.from_urdf(model, name=name, tip="tip", base=base, wrist_sensor="wrist"))
+        grasps.append(X_OT.inverse())
+        positions.append(q)
+    chain = ClosedChain(arms, grasps, osc.RigidObject(BODY))
+    return RandomRig(chain, np.concatenate(positions), X_WO)
+
+
+def faces_of(
+    rig: RandomRig, contacts: int, rank: int, rng: np.random.Generator
+) -> list[ContactPair]:
+    """Vertices on faces whose lines of force span `rank` dimensions of the object's forces.
+
+    Faces beyond the first `rank` are copies of these, moved along their lines of force.
+
+    Args:
+        rig: holds the object. contacts: how many. rank: of their forces. rng: random numbers.
+
+    Raises:
+        InvalidInputError: more dimensions than contacts, or than the object has motions.
+    """
+    state = rig.chain.state(rig.q, np.zeros(rig.chain.nq))
+    if not 0 <= rank <= min(contacts, state.d):
+        raise InvalidInputError(
+            f"{contacts} contacts on an object with d = {state.d} cannot have r = {rank}"
+        )
+    pairs: list[ContactPair] = []
+    for i in range(contacts):
+        if i < rank:
+            pairs.append(_another(rig, pairs, rng, state.S))
+        else:
+            first = pairs[i % rank]
+            assert isinstance(first, VertexOnFace)
+            inward = -0.02 * (i // rank) * (rig.X_WO.rotation.T @ first.normal)
+            vertex = first.vertex + inward
+            at = rig.X_WO.act(vertex)
+            pairs.append(VertexOnFace(vertex, at, first.normal, name=f"face{i}"))
+    return pairs
+
+
+def _another(
+    rig: RandomRig, pairs: list[ContactPair], rng: np.random.Generator, S: Array
+) -> VertexOnFace:
+    """The one of some random faces that depends least on the others."""
+    best = None
+    least = -1.0
+    for _ in range(30):
+        vertex = rng.uniform(-0.3, 0.3, 3)
+        normal = rng.normal(size=3)
+        pair = VertexOnFace(vertex, rig.X_WO.act(vertex), normal, name=f"face{len(pairs)}")
+        N = np.hstack([p.contact(rig.X_WO, np.zeros(6)).N for p in (*pairs, pair)])
+        felt = np.linalg.solve(np.linalg.cholesky(S.T @ BODY.matrix() @ S), S.T @ N)
+        apart = float(np.linalg.svd(felt / np.linalg.norm(felt, axis=0))[1][-1])
+        if apart > least:
+            best = pair
+            least = apart
+    assert best is not None
+    return best
+
+
+def _planar(rng: np.random.Generator) -> tuple[pin.Model, Array]:
+    lengths = rng.uniform(0.25, 0.4, 3)
+    turns = [(pin.JointModelRZ(), np.eye(3), np.array([a, 0.0, 0.0])) for a in (0.0, *lengths[:2])]
+    q = np.array([rng.uniform(-3, 3), *rng.uniform(1.0, 1.8, 2)])  # well bent
+    return _chain(turns, np.array([lengths[2], 0.0, 0.0]), rng), q
+
+
+def _scara(rng: np.random.Generator) -> tuple[pin.Model, Array]:
+    a, b = rng.uniform(0.25, 0.4, 2)
+    joints = [
+        (pin.JointModelRZ(), np.eye(3), np.array([0.0, 0.0, 0.4])),
+        (pin.JointModelRZ(), np.eye(3), np.array([a, 0.0, 0.0])),
+        (pin.JointModelPZ(), np.eye(3), np.array([b, 0.0, 0.0])),
+        (pin.JointModelRZ(), np.eye(3), np.array([0.0, 0.0, -0.2])),
+    ]
+    q = np.array([rng.uniform(-3, 3), rng.uniform(0.6, 2.0), -0.1, rng.uniform(-3, 3)])
+    return _chain(joints, np.array([0.05, 0.0, -0.1]), rng), q
+
+
+def _ur5(rng: np.random.Generator) -> tuple[pin.Model, Array]:
+    """Six revolute joints with the proportions of a UR5, lengths varied by a tenth."""
+    quarter = pin.rpy.rpyToMatrix(np.pi / 2, 0.0, 0.0)
+    k = rng.uniform(0.9, 1.1, 6)
+    joints = [
+        (pin.JointModelRZ(), np.eye(3), np.array([0.0, 0.0, 0.089 * k[0]])),
+        (pin.JointModelRZ(), quarter, np.zeros(3)),
+        (pin.JointModelRZ(), np.eye(3), np.array([0.425 * k[1], 0.0, 0.0])),
+        (pin.JointModelRZ(), np.eye(3), np.array([0.392 * k[2], 0.0, 0.109 * k[3]])),
+        (pin.JointModelRZ(), quarter, np.array([0.0, -0.095 * k[4], 0.0])),
+        (pin.JointModelRZ(), quarter.T, np.array([0.0, 0.082 * k[5], 0.0])),
+    ]
+    q = np.array([0.0, -1.2, 1.4, -1.0, -1.5, 0.3]) + rng.uniform(-0.3, 0.3, 6)
+    return _chain(joints, np.array([0.0, 0.0, 0.12]), rng), q
+
+
+_MAKE = {"planar": _planar, "scara": _scara, "ur5": _ur5}
+
+
+def _chain(
+    joints: list[tuple[object, Array, Array]], tip: Array, rng: np.random.Generator
+) -> pin.Model:
+    """A serial arm: joints with the placement of each in the one before; links of 1 to 3 kg."""
+    model = pin.Model()
+    last = 0
+    for i, (joint, R, p) in enumerate(joints):
+        last = model.addJoint(last, joint, pin.SE3(R, p), f"joint{i}")
+        body = pin.Inertia(rng.uniform(1.0, 3.0), rng.uniform(-0.1, 0.1, 3), 0.02 * np.eye(3))
+        model.appendBodyToJoint(last, body, pin.SE3.Identity())
+    model.upperEffortLimit[:] = 1e4
+    identity = pin.SE3.Identity()
+    to_tip = pin.SE3(np.eye(3), tip)
+    model.addFrame(pin.Frame("wrist", last, 0, identity, pin.FrameType.OP_FRAME))
+    model.addFrame(pin.Frame("tip", last, 0, to_tip, pin.FrameType.OP_FRAME))
+    return model
+
+
+# --- Rigs in trouble or with more switched on than usual, and many rigs at once ---
+
+
+ROWS = 4096
+NEAR_STRAIGHT = 0.217  #: m further out than the packaged pose: elbows at 0.13 rad
+TOO_MUCH = 1.25  #: of the limit of one motor is wanted
+
+
+class OwnFace(VertexOnFace):
+    """A pair written by a user: its N and n_γ come from Python in every tick."""
+
+    def contact(self, *args, **kwargs):  # type: ignore[no-untyped-def]
+        """Those of a vertex on a face."""
+        return super().contact(*args, **kwargs)
+
+
+def near_singular() -> TickCase:
+    """The rod rig with both elbows 0.13 rad from straight: motion commands are reduced."""
+    rig, gains, pairs = rod_rig()
+    shift = np.array([0.0, NEAR_STRAIGHT, 0.0])
+    X = object_pose(rig.chain, rig.q_contact)
+    q = close(rig.chain, reach(rig.chain, rig.q_contact, _shifted(X, shift)))
+    moved = tuple(replace(pair, point=pair.point + shift) for pair in pairs)
+
+    def reference(t: float) -> Reference:
+        at = rig.references.at(t)
+        return replace(at, X_WD=_shifted(at.X_WD, shift))
+
+    return in_motion("near_singular", rig.chain, moved, q, gains, reference, Status.DEGRADED)
+
+
+def _shifted(X: pin.SE3, shift: Array) -> pin.SE3:
+    return pin.SE3(X.rotation, X.translation + shift)
+
+
+def saturated() -> TickCase:
+    """The rod rig with motors too weak for what is commanded: a quadratic program in each tick."""
+    case = two_contact_rod()
+    tau = case.controller().tick(case.measurement, case.reference)
+    chain = ClosedChain(case.chain.arms, case.chain.grasps, case.chain.payload)
+    used = float(np.max(np.abs(tau) / case.chain.tau_max))
+    chain.tau_max = case.chain.tau_max * (used / TOO_MUCH)
+    return replace(case, name="saturated", chain=chain, status=Status.SATURATED)
+
+
+def three_arms() -> TickCase:
+    """Three arms like a UR5, a force commanded between each two grasps, two contacts."""
+    rng = np.random.default_rng(0)
+    rig = random_rig(["ur5"] * 3, rng)
+    case = rig.case("three_arms", faces_of(rig, 2, 2, rng))
+    squeezed = replace(case.reference, squeeze_d=np.array([10.0, 5.0, 8.0]))
+    return replace(case, reference=squeezed)
+
+
+def contact_phases() -> TickCase:
+    """The rod rig, its two contacts opened and closed one by one; here both are closed."""
+    return replace(two_contact_rod(), name="contact_phases", life=PhaseSettings())
+
+
+def own_pair() -> TickCase:
+    """The rod rig, one of its two contacts a pair written in Python."""
+    case = two_contact_rod()
+    first, second = case.pairs
+    own = OwnFace(first.vertex, first.point, first.normal, first.radius, name=first.name)
+    return replace(case, name="own_pair", pairs=(own, second))
+
+
+SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
+    "near_singular": near_singular,
+    "saturated": saturated,
+    "three_arms": three_arms,
+    "contact_phases": contact_phases,
+    "own_pair": own_pair,
+}
+
+
+@dataclass(frozen=True)
+class BatchCase:
+    """Rows of one rig, each at a state of its own.
+
+    Attributes:
+        case: the rig. rows, threads: of the batch.
+        inputs: of `BatchController.tick`, by name.
+    """
+
+    case: TickCase
+    rows: int
+    threads: int
+    inputs: dict[str, Array]
+
+    @classmethod
+    def around(cls, case: TickCase, rows: int, threads: int) -> BatchCase:
+        """Rows at random states close to the case's.
+
+        Args:
+            case: of the single tick. rows: how many. threads: of the batch.
+        """
+        rng = np.random.default_rng(0)
+        m = case.measurement
+        r = case.reference
+
+        def near(x: Array, spread: float) -> Array:
+            x = np.asarray(x, dtype=float)
+            return x + spread * rng.normal(size=(rows, *x.shape))
+
+        inputs = {
+            "q": near(m.q, 1e-3),
+            "v": near(m.v, 1e-3),
+            "wrenches": near(m.wrenches, 0.1),
+            "X_WD": np.tile(r.X_WD.homogeneous, (rows, 1, 1)),
+            "V_D": near(r.V_D, 1e-3),
+            "A_D": near(r.A_D, 0.0),
+            "alpha_d": near(r.alpha_d, 0.1),
+            "squeeze_d": np.full(rows, float(r.squeeze_d)),
+        }
+        return cls(case, rows, threads, inputs)
+
+    def tick(self) -> tuple[Callable[[], Array], Callable[[], None]]:
+        """A tick of all rows, and what is to be called after each, as in `TickCase.tick`."""
+        batch = osc.BatchController([self.case.controller()] * self.rows, self.threads)
+        expected = self.case.status
+
+        def tick() -> Array:
+            return batch.tick(**self.inputs)
+
+        def unwind() -> None:
+            wrong = np.flatnonzero(batch.status != expected)
+            if len(wrong):
+                ended = Status(int(batch.status[wrong[0]])).name
+                raise InvalidInputError(
+                    f"{self.case.name}: a timed tick ended {ended} in {len(wrong)} rows, the first "
+                    f"of them {wrong[0]}, expected {expected.name}"
+                )
+            batch.reset()
+
+        return tick, unwind
+
+    def floor(self) -> Callable[[], object]:
+        """`pin.computeAllTerms` of all rows, one after the other."""
+        model = self.case.chain.model
+        data = model.createData()
+
+        def floor() -> None:
+            for q, v in zip(self.inputs["q"], self.inputs["v"], strict=True):
+                pin.computeAllTerms(model, data, q, v)
+
+        return floor
+
+
+def _batch(case: Callable[[], TickCase], threads: int) -> Callable[[], BatchCase]:
+    return lambda: BatchCase.around(case(), ROWS, threads)
+
+
+BATCHES: dict[str, Callable[[], BatchCase]] = {
+    "batch_4096": _batch(one_panda, 1),
+    "batch_4096_two_threads": _batch(one_panda, 2),
+    "batch_4096_rods": _batch(two_contact_rod, 1),
+    "batch_4096_rods_two_threads": _batch(two_contact_rod, 2),
+}

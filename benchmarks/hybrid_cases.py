@@ -1,0 +1,240 @@
+"""Hybrid motion and force on walls: the cases of a learning framework's controller tests, rebuilt.
+
+The goals, walls and stiffnesses are those of `test_franka_hybrid_decoupled_motion`,
+`test_franka_hybrid_variable_kp_impedance` and `test_franka_taskframe_hybrid` of Isaac Lab's
+operational-space controller (isaac-sim/IsaacLab, source/isaaclab/test/controllers): the finger of a
+Panda presses on a wall and goes from goal to goal along it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import osc_contact as osc
+from osc_contact.spatial import Array
+from osc_contact.sweeps.rows import record_sample, without_doubts_told
+from osc_contact.sweeps.study import SweepStudy
+
+FOLDER = Path(__file__).parent
+UNKNOWN = (
+    "model_error.arm_mass=uniform(0.9, 1.1)",
+    "model_error.object_mass=uniform(0.8, 1.2)",
+    "plant.friction=uniform(0, 0.3)",
+)
+RADIUS = 0.01  #: m, of the finger tip
+MOVE_S = 2.0
+STAY_S = 0.5  #: from goal to goal, and there; theirs: 2.5 s or 7.5 s for both
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where the finger is to be, and the force there.
+
+    Attributes:
+        point: (3,) in the robot's base (m); what counts is where it is along the wall.
+        turn: about the world's y axis, from the hand pointing along the wall's normal (rad).
+        force: N.
+    """
+
+    point: tuple[float, float, float]
+    force: float
+    turn: float = 0.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """One test.
+
+    Attributes:
+        name: of theirs. wall: a point of its front; normal: out of it, towards the robot.
+        goals: one after the other. stiffness: 1/s². damping_ratio.
+        posture: (7,) rad, near which the arm reaches all goals away from its joints' limits.
+    """
+
+    name: str
+    wall: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    goals: tuple[Goal, ...]
+    stiffness: float
+    damping_ratio: float
+    posture: tuple[float, ...]
+
+
+_S = float(np.sqrt(0.5))
+_UPRIGHT = (
+    Goal((0.6, 0.2, 0.5), 10.0),
+    Goal((0.6, -0.29, 0.6), 10.0),
+    Goal((0.6, 0.1, 0.8), 4.0, turn=-0.3398),  # the quaternion (0.5774, 0, 0.8165, 0), xyzw
+)
+_TILTED = tuple(Goal(p, 10.0) for p in ((0.6, 0.15, 0.3), (0.6, -0.3, 0.3), (0.8, 0.0, 0.5)))
+_FORWARD = (-1.379, -1.426, 1.348, -2.041, 2.524, 2.806, -0.38)
+_DOWN = (1.663, 0.918, -1.432, -2.164, 1.646, 2.707, 0.0)
+CASES = (
+    Case("decoupled_motion", (0.645, 0.0, 0.7), (-1.0, 0.0, 0.0), _UPRIGHT, 300.0, 1.0, _FORWARD),
+    Case("variable_kp", (0.645, 0.0, 0.7), (-1.0, 0.0, 0.0), _UPRIGHT, 160.0, 0.8, _FORWARD),
+    Case(
+        "task_frame",
+        (0.685 - 0.005 * _S, 0.0, 0.3 + 0.005 * _S),
+        (-_S, 0.0, _S),
+        _TILTED,
+        400.0,
+        1.0,
+        _DOWN,
+    ),
+)
+
+
+def scenario_of(case: Case, **changes: Any) -> osc.Scenario:
+    """A Panda whose finger starts in contact at the first goal and moves on to the others.
+
+    Args:
+        case: one of `CASES`. changes: other keys.
+    """
+    n = np.array(case.normal)
+    first = _on_wall(case, case.goals[0])
+    pitch = float(np.arctan2(-n[0], -n[2]))  # of the hand's z axis, about the world's y axis
+    motion = []
+    force = [{"type": "constant", "value": case.goals[0].force}]
+    for i, (one, two) in enumerate(zip(case.goals, case.goals[1:], strict=False)):
+        start = (i + 1) * STAY_S + i * MOVE_S
+        rise = {"type": "minimum_jerk", "start": start, "duration": MOVE_S}
+        way = _on_wall(case, two) - _on_wall(case, one)
+        length = float(np.linalg.norm(way))
+        motion.append(
+            {
+                "kind": "linear",
+                "direction": (way / length).tolist(),
+                "signals": [{**rise, "value": length}],
+            }
+        )
+        if two.turn != one.turn:
+            motion.append(
+                {
+                    "kind": "angular",
+                    "direction": [0, 1, 0],
+                    "signals": [{**rise, "value": two.turn - one.turn}],
+                }
+            )
+        if two.force != one.force:
+            force.append({**rise, "value": two.force - one.force})
+    data = {
+        "name": f"hybrid_{case.name}",
+        "arms": [
+            {
+                "name": "panda",
+                "urdf": "example-robot-data:panda",
+                "tip": "panda_hand_tcp",
+                "wrist_sensor": "panda_hand",
+                "locked_joints": {"panda_finger_joint1": 0.01, "panda_finger_joint2": 0.01},
+                "posture": list(case.posture),
+            }
+        ],
+        "object": {
+            "urdf": str(FOLDER / "finger.urdf"),
+            "pose": {"xyz": first.tolist(), "rpy": [0.0, -pitch, np.pi]},
+        },
+        "grasps": {"panda": {"xyz": [0.0, 0.0, 0.02]}},
+        "environment": [
+            {
+                "name": "wall",
+                "urdf": str(FOLDER / "wall.urdf"),
+                "pose": {"xyz": list(case.wall), "rpy": [0.0, pitch + np.pi, 0.0]},
+            }
+        ],
+        "contacts": [
+            {
+                "name": "finger",
+                "type": "sphere_on_plane",
+                "body": "wall",
+                "centre": [0.0, 0.0, 0.0],
+                "radius": RADIUS,
+                "face_point": [0.0, 0.0, 0.0],
+                "face_normal": [0.0, 0.0, 1.0],
+            }
+        ],
+        "force": {"finger": force},
+        "motion": motion,
+        "gains": {
+            "motion": {
+                "stiffness": case.stiffness,
+                "damping": 2.0 * case.damping_ratio * case.stiffness**0.5,
+            },
+            "force": {"integral": 30.0, "damping": 400.0},
+        },
+        "control": {"rate": 1000.0},
+        "plant": {"type": "mujoco", "step": 2.5e-4},
+        "duration": len(case.goals) * STAY_S + (len(case.goals) - 1) * MOVE_S,
+    }
+    return osc.Scenario.from_dict({**data, **changes})
+
+
+def judge(case: Case, recording: osc.Recording) -> Array:
+    """(goals, 3) errors at the end of each: force (N), place along the wall (m), turn (rad)."""
+    rate = float(recording.meta["control_rate_hz"])
+    n = np.array(case.normal)
+    out = []
+    for i, goal in enumerate(case.goals):
+        k = min(round(((i + 1) * STAY_S + i * MOVE_S) * rate), len(recording)) - 1
+        force = float(np.asarray(recording["alpha_true"])[k, 0])
+        off = np.asarray(recording["pose"])[k, :3] - _on_wall(case, goal)
+        error = np.asarray(recording["motion_error"])[k]
+        out.append(
+            (
+                abs(force - goal.force),
+                np.linalg.norm(off - n * (n @ off)),
+                np.linalg.norm(error[3:]),
+            )
+        )
+    return np.array(out)
+
+
+def judge_samples(case: Case, count: int) -> Array:
+    """(count, goals, 3) the same of runs in which masses and friction are not what is believed."""
+    study = SweepStudy.of(scenario_of(case), UNKNOWN, count)
+    with without_doubts_told():
+        return np.array([judge(case, record_sample(study, study.sample(i))) for i in range(count)])
+
+
+def _on_wall(case: Case, goal: Goal) -> Array:
+    """(3,) where the middle of the finger tip is when it touches."""
+    n = np.array(case.normal)
+    p = np.array(goal.point)
+    return p + n * (RADIUS - n @ (p - np.array(case.wall)))
+
+
+# --- Errors at the goals of all cases: `python -m benchmarks.hybrid_cases` ---
+
+
+SAMPLES = 16
+
+
+def main() -> None:
+    """Run every case, alone and with what is not known; print the errors."""
+    columns = ("case", "goal", "force", "error", "along the wall", "turn")
+    alone = Table(*columns, title="exact model, no friction")
+    rough = Table(*columns, title=f"largest of {SAMPLES}: masses, friction")
+    for case in CASES:
+        one = judge(case, osc.run(scenario_of(case)))
+        for table, errors in ((alone, one), (rough, judge_samples(case, SAMPLES).max(axis=0))):
+            for i, (goal, (force, place, turn)) in enumerate(zip(case.goals, errors, strict=True)):
+                table.add_row(
+                    case.name,
+                    str(i + 1),
+                    f"{goal.force:g} N",
+                    f"{force:.2f} N",
+                    f"{1e3 * place:.1f} mm",
+                    f"{1e3 * turn:.1f} mrad",
+                )
+    console = Console()
+    console.print(alone)
+    console.print(rough)
+
+
+if __name__ == "__main__":
+    main()

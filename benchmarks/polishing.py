@@ -1,0 +1,404 @@
+"""The task: wear an edge of hidden hardness evenly, in one pass of a bar along it.
+
+A pass takes off dh = k(y) f |dy| at a place y (Preston's law): k says how soft the edge is there, f
+is the true contact force. No sensor reads k and no force law can know it. The depth is gauged after
+the pass, and a learner is told one number: how uneven it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+import typer
+from rich.console import Console
+
+import osc_contact as osc
+from osc_contact.spatial import Array
+from osc_contact.sweeps.vector_env import ContactVectorEnv
+from paper.study import table_of
+
+LENGTH = 0.1
+BEFORE = 0.2
+AFTER = 0.2  #: m, of the pass; s, in which the bar only presses
+EDGES = np.linspace(-0.04, 0.04, 21)  #: m; between them the depth is gauged
+MEAN = 15.0
+MOST = 40.0  #: N; where k is 1 the first takes off as much as is wanted
+TABLE = np.array([0.5, 0.0, 0.32])  #: a point of the table's edge, which runs along y
+LOW = np.array([0.0, 0.0, -0.0424264])  #: a point of the bar's edge, which runs along x, in the bar
+INTO = np.array([0.6, 0.0, -0.8])  #: the normal of both edges, into the table
+VARY = {"model_error.object_mass": "uniform(0.9, 1.1)", "model_error.arm_mass": "uniform(0.9, 1.1)"}
+
+
+class Passes(NamedTuple):
+    """What is gauged after the passes of all rows.
+
+    Attributes:
+        uneven: (B,) rms of depth − 1. depth: (B, 20) between `EDGES`, 1: as wanted; a contact that
+            is lost wears nothing. off: (B,) rms distance of the bar from its path (m).
+    """
+
+    uneven: Array
+    depth: Array
+    off: Array
+
+
+def softness(y: Array) -> Array:
+    """k at places y (m) along the edge; the softest is 2.4 times as soft as the hardest."""
+    return np.exp(0.4 * np.sin(63.0 * y + 1.0) + 0.2 * np.sin(140.0 * y))
+
+
+def best_forces(y: Array) -> Array:
+    """Forces (N) that wear evenly: what a learner should find."""
+    return MEAN / softness(y)
+
+
+def make_env(rows: int, seconds: float = 1.4, threads: int | None = None) -> ContactVectorEnv:
+    """Rows of `panda_edge`; the bar passes along the table's edge in so many seconds.
+
+    On its way it turns and slides along its own edge. Masses are not what the controller believes,
+    and differ from one pass to the next.
+    """
+    signal = f"{{type: minimum_jerk, start: {BEFORE} s, duration: {seconds} s, value: %s}}"
+    ways = (
+        ("linear", [0, 1, 0], f"{LENGTH} m"),
+        ("linear", [0.69282, 0.5, 0.519615], "-10 mm"),
+        ("angular", [0.6, 0, -0.8], "10 deg"),
+    )
+    motion = ", ".join(
+        f"{{kind: {kind}, direction: {line}, signals: [{signal % value}]}}"
+        for kind, line, value in ways
+    )
+    place = f"xyz: [0.4745, {-LENGTH / 2}, 0.3539]"
+    return osc.make_vector_env(
+        "panda_edge",
+        rows,
+        vary=VARY,
+        rate=100.0,
+        most_force=MOST,
+        episodes=64,
+        threads=threads,
+        overrides=(
+            f"motion=[{motion}]",
+            f"object.pose={{{place}, rpy: [-20.556 deg, -31.306 deg, 35.818 deg]}}",
+            f"force.edge=[{{type: constant, value: {MEAN} N}}]",
+            f"duration={BEFORE + seconds + AFTER} s",
+        ),
+    )
+
+
+def polish(env: ContactVectorEnv, policies: Array, seed: int) -> Passes:
+    """One pass of every row: a policy presses by the place that it observes; motion is as asked.
+
+    Args:
+        policies: (B, m) forces (N) at m places, evenly spread over the pass, linear in between.
+        seed: of the masses.
+    """
+    observed, _ = env.reset(seed=seed)
+    now, then = (
+        [env.names.index(f"{whose} {axis}") for axis in ("x", "y", "z", "rx", "ry", "rz")]
+        for whose in ("set point", "scenario")
+    )
+    action = np.zeros((env.num_envs, 7))
+    knots = np.linspace(EDGES[0], EDGES[-1], policies.shape[1])
+    start = env.fleet.objects()[0].copy()
+    place = touch(env)[0]
+    over = np.zeros(env.num_envs, bool)
+    places = [place]
+    wears = [np.zeros(env.num_envs)]
+    off = []
+    while not over.all():
+        way = observed[:, then] - observed[:, now]
+        goal = place + way[:, 1]
+        force = [np.interp(y, knots, policy) for y, policy in zip(goal, policies, strict=True)]
+        action[:, :6] = way / env.move
+        action[:, 6] = 2.0 * np.array(force) / MOST - 1.0
+        observed, _, ended, truncated, _ = env.step(action)
+        over |= ended | truncated
+        y, pressed = touch(env)
+        place = np.where(over, place, np.maximum(place, y))
+        places.append(place)
+        wears.append(np.where(over, 0.0, softness(y) * pressed))
+        error = observed[:, now[:3]] - (env.fleet.objects()[0] - start)
+        off.append(
+            np.where(over, np.nan, np.linalg.norm(error - np.outer(error @ INTO, INTO), axis=1))
+        )
+    at = np.array(places)
+    wear = np.array(wears)
+    taken = np.cumsum(0.5 * (wear[1:] + wear[:-1]) * np.diff(at, axis=0), axis=0)
+    depths = [np.diff(np.interp(EDGES, at[1:, i], taken[:, i])) for i in range(env.num_envs)]
+    depth = np.array(depths) / (np.diff(EDGES) * MEAN)
+    uneven = np.sqrt(np.mean((depth - 1.0) ** 2, axis=1))
+    return Passes(uneven, depth, np.sqrt(np.nanmean(np.square(off), axis=0)))
+
+
+def touch(env: ContactVectorEnv) -> tuple[Array, Array]:
+    """(B,) where the bar's edge meets the table's (y, m), and the true normal force there (N)."""
+    p, R = env.fleet.objects()
+    u = R[:, :, 0]
+    off = p + R @ LOW - TABLE
+    s = -(off[:, 0] * u[:, 0] + off[:, 2] * u[:, 2]) / (u[:, 0] ** 2 + u[:, 2] ** 2)
+    force = env.fleet._plants.bind("cfrc_ext")[:, env.fleet._object, 3:]
+    return off[:, 1] + s * u[:, 1], np.maximum(-(force @ INTO), 0.0)
+
+
+# --- The same task with a law of the Jacobian's transpose and a selection matrix ---
+
+
+@dataclass(frozen=True)
+class SpringGains:
+    """Gains of the law.
+
+    Attributes:
+        stiffness, damping: K, D along (N/m, N s/m) and about (N m, N m s) the axes.
+        integral: k_I (1/s). contact: d (N s/m). posture: stiffness and damping of τ_0 (N m, N m s).
+    """
+
+    stiffness: tuple[float, float] = (2000.0, 50.0)
+    damping: tuple[float, float] = (80.0, 2.0)
+    integral: float = 10.0
+    contact: float = 100.0
+    posture: tuple[float, float] = (10.0, 3.0)
+
+
+SOFT = SpringGains()  #: about as stiff as ours, which is 900 /s² times the mass that the bar feels
+#: the best of 42 sets (stiffness, damping, integral, contact), found under friction up to 0.1
+STIFF = SpringGains((16000.0, 320.0), (250.0, 5.4), 30.0, 600.0)
+
+
+class SelectionRows:
+    """Takes the place of the controllers of a vector environment."""
+
+    def __init__(self, env: ContactVectorEnv, gains: SpringGains) -> None:
+        """Rows of an environment, whose `fleet.control` it becomes."""
+        self._env = env
+        self._gains = gains
+        B = env.num_envs
+        self._K = np.repeat(gains.stiffness, 3)
+        self._D = np.repeat(gains.damping, 3)
+        self._chains = [one.chain for one in env.fleet.control._settings]
+        self._rest = env.fleet.measure()[0]
+        self._sum = np.zeros(B)
+        self._dt = env.fleet.dt
+        self.alpha_meas, self.normal_speed = np.zeros((2, B, 1))
+        self.state = np.full(B, int(osc.SafetyState.RUN))
+        env.fleet.control = self  # type: ignore[assignment]
+
+    def replace(self, row: int, controller: Any) -> None:
+        """A row begins anew, with the model of this controller."""
+        self._chains[row] = controller.settings.chain
+        self._sum[row] = 0.0
+
+    def tick(
+        self, q: Array, v: Array, wrenches: Array, X_WD: Array, V_D: Array, *rest: Array
+    ) -> Array:
+        """Torques (B, n_a); arguments as of `BatchController.tick`."""
+        k = self._gains
+        alpha_d = rest[1][:, 0]
+        B = len(q)
+        p, R = self._env.fleet.objects()
+        J = np.empty((B, 6, q.shape[1]))
+        tau = np.empty(q.shape)
+        alpha = np.empty(B)
+        e = np.concatenate((X_WD[:, :3, 3] - p, np.empty((B, 3))), axis=1)
+        for i in range(B):
+            J[i], tau[i], alpha[i] = self._look(i, q[i], p[i], R[i], wrenches[i, 0])
+            e[i, 3:] = pin.log3(X_WD[i, :3, :3] @ R[i].T)
+        V = np.einsum("bij,bj->bi", J, v)
+        force = self._K * e + self._D * (V_D - V)
+        force[:, :3] -= (force[:, :3] @ INTO)[:, None] * INTO
+        speed = V[:, :3] @ INTO
+        self._sum += self._dt * (alpha_d - alpha)
+        push = alpha_d + k.integral * self._sum - k.contact * speed
+        force[:, :3] += push[:, None] * INTO
+        idle = k.posture[0] * (self._rest - q) - k.posture[1] * v
+        seen = np.linalg.solve(
+            J @ J.transpose(0, 2, 1), np.einsum("bij,bj->bi", J, idle)[..., None]
+        )
+        force -= seen[..., 0]  # τ_0 = (1 − JᵀJᵀ⁺) idle
+        self.alpha_meas[:, 0] = alpha
+        self.normal_speed[:, 0] = speed
+        return tau + np.einsum("bij,bi->bj", J, force) + idle
+
+    def _look(
+        self, row: int, q: Array, p: Array, R: Array, wrench: Array
+    ) -> tuple[Array, Array, float]:
+        """J at the operational point, torques that carry arm and bar, the force that is read."""
+        chain = self._chains[row]
+        model = chain.model
+        data = chain.data
+        tip = chain.tips[0]
+        weight = np.array(pin.computeGeneralizedGravity(model, data, q))
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        J = pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)
+        J[:3] -= pin.skew(p - data.oMf[tip].translation) @ J[3:]
+        bar = chain.payload.inertia
+        g = model.gravity.linear
+        lift = np.concatenate((-bar.mass * g, np.cross(R @ bar.lever, -bar.mass * g)))
+        beyond = bar.mass + sum(link.inertia.mass for link in chain.outboard[0])
+        read = data.oMf[chain.sensors[0]].rotation @ wrench[:3] + beyond * g
+        return J, weight + J.T @ lift, float(INTO @ read)
+
+
+# --- An evolution strategy in plain NumPy: it sees what each policy is worth, and nothing else ---
+
+
+_BEST = 0.25  #: of a generation, from which the next is drawn
+_KEPT = 0.3  #: of the spread, at each generation
+
+
+def learn(
+    cost: Callable[[Array, int], Array],
+    start: Array,
+    spread: float,
+    rows: int,
+    generations: int,
+    seed: int,
+    told: Callable[[int, float], None] = lambda generation, cost: None,
+) -> tuple[Array, Array]:
+    """The cross-entropy method: draw policies, keep the best quarter, draw around them.
+
+    Args:
+        cost: of policies (rows, m), in episodes of a seed.
+        start: (m,) the first mean. spread: the first standard deviation of each number.
+        rows: policies of a generation; the first is the mean itself.
+        generations: how many. seed: of the draws and of the episodes.
+        told: called with the number of a generation and what its mean costs.
+
+    Returns:
+        (m,) the last mean; (generations,) what each mean cost.
+    """
+    draws = np.random.default_rng(seed)
+    mean = start.copy()
+    deviation = np.full(len(start), spread)
+    curve = []
+    for generation in range(generations):
+        policies = mean + deviation * draws.standard_normal((rows, len(start)))
+        policies[0] = mean
+        costs = cost(policies, int(draws.integers(2**31)))
+        curve.append(float(costs[0]))
+        told(generation, curve[-1])
+        best = policies[np.argsort(costs)[: max(2, round(_BEST * rows))]]
+        mean = best.mean(axis=0)
+        deviation = _KEPT * deviation + (1.0 - _KEPT) * best.std(axis=0)
+    return mean, np.array(curve)
+
+
+# --- Learn to polish, above our law and above another: `python -m benchmarks.polishing` ---
+
+
+KNOTS = np.linspace(EDGES[0], EDGES[-1], 12)  #: m, where a policy says its forces
+SLOW = 1.4
+FAST = 0.7  #: s, of a pass: while learning; and twice as fast, not seen while learning
+UNSEEN = 10**6
+JUDGED = 16  #: seed of passes that no learner has seen, and how many
+LAWS = {
+    "ours": lambda env: None,
+    "Jᵀ, soft": partial(SelectionRows, gains=SOFT),
+    "Jᵀ, stiff": partial(SelectionRows, gains=STIFF),
+}
+
+
+def teach(law: str, rows: int, generations: int, seed: int, say: Any = None) -> tuple[Array, Array]:
+    """Policy (12,) that is learnt above a law, and its unevenness at each generation."""
+    env = make_env(rows, SLOW)
+    LAWS[law](env)
+    return learn(
+        lambda policies, episodes: polish(env, policies, episodes).uneven,
+        np.full(len(KNOTS), MEAN),
+        4.0,
+        rows,
+        generations,
+        seed,
+        lambda k, cost: say and say(f"{law}, seed {seed}, generation {k}: {cost:.1%}"),
+    )
+
+
+def judge(law: str, policy: Array, seconds: float) -> Passes:
+    """Passes with masses that were not met while learning."""
+    env = make_env(JUDGED, seconds)
+    LAWS[law](env)
+    return polish(env, np.tile(policy, (JUDGED, 1)), UNSEEN)
+
+
+def main(
+    rows: Annotated[int, typer.Option(min=4, help="policies of a generation")] = 40,
+    generations: Annotated[int, typer.Option(min=1)] = 12,
+    seeds: Annotated[int, typer.Option(min=1, help="learners above our law")] = 2,
+    figure: Annotated[Path | None, typer.Option(help="also draw it (PNG)")] = None,
+) -> None:
+    """Learn, judge, print, draw."""
+    console = Console()
+    runs = [("ours", seed) for seed in range(seeds)] + [("Jᵀ, stiff", 0)]
+    learnt = {}
+    with console.status("learning") as status:
+        for law, seed in runs:
+            learnt[law, seed] = teach(law, rows, generations, seed, status.update)
+    depths = {}
+    rows_of = []
+    policies = {("ours", "15 N everywhere"): np.full(len(KNOTS), MEAN)}
+    policies |= {(law, f"learnt, seed {seed}"): found[0] for (law, seed), found in learnt.items()}
+    policies |= {(law, "best, hardness told"): best_forces(KNOTS) for law in LAWS}
+    for (law, name), policy in policies.items():
+        cells = []
+        for seconds in (SLOW, FAST):
+            seen = judge(law, policy, seconds)
+            depths[law, name, seconds] = seen.depth
+            cells += [f"{seen.uneven.mean():.1%}", f"{1e3 * seen.off.mean():.2f} mm"]
+        rows_of.append((law, name, *cells))
+    heads = "law; policy; slow: uneven; off the path; fast: uneven; off the path"
+    title = f"{JUDGED} passes with masses not met while learning"
+    console.print(table_of(title, heads, rows_of))
+    if figure is not None:
+        draw(learnt, depths, figure)
+
+
+def draw(
+    learnt: dict[tuple[str, int], tuple[Array, Array]],
+    depths: dict[tuple[str, str, float], Array],
+    path: Path,
+) -> None:
+    """Learning curves; forces found beside the best ones; depths before and after."""
+    from matplotlib.figure import Figure
+
+    from osc_contact.visual.style import save, style
+
+    with style():
+        figure = Figure(figsize=(10.0, 3.2))
+        curves, forces, depth = figure.subplots(1, 3)
+        colours = dict(zip(LAWS, ("#0072B2", "#E69F00", "#D55E00"), strict=True))
+        for (law, seed), (policy, curve) in learnt.items():
+            label = law if seed == 0 else None
+            curves.plot(100 * curve, color=colours[law], label=label)
+            if law == "ours":
+                forces.plot(
+                    1e3 * KNOTS, policy, color=colours[law], label="learnt" if seed == 0 else None
+                )
+        curves.set(
+            title="unevenness of the mean policy", xlabel="generation", ylabel="%", yscale="log"
+        )
+        forces.plot(1e3 * KNOTS, best_forces(KNOTS), "k--", lw=1.2, label="best, hardness told")
+        forces.set(title="force by place", xlabel="place (mm)", ylabel="N", ylim=(0, None))
+        middle = 500 * (EDGES[1:] + EDGES[:-1])
+        for name, colour, label in (
+            ("15 N everywhere", "#999999", "before"),
+            ("learnt, seed 0", "#0072B2", "after"),
+        ):
+            for i, one in enumerate(depths["ours", name, SLOW]):
+                depth.plot(middle, one, color=colour, lw=0.7, label=label if i == 0 else None)
+        depth.set(
+            title=f"depth of {JUDGED} passes, 1: as wanted", xlabel="place (mm)", ylim=(0, None)
+        )
+        for ax in (curves, forces, depth):
+            ax.legend()
+        save(figure, path.with_suffix(""), (".png",))
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,1 +1,0 @@
-"""What one control tick costs beside its floor (`osc-contact bench tick`)."""

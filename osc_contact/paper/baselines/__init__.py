@@ -1,1 +1,0 @@
-"""Selection-matrix control laws beside ours: what a constraint frame cannot do (`compare`)."""

@@ -1,0 +1,554 @@
+"""Fig. 2 of the paper: a Panda presses a cone into a V groove, turns it and slides it, all at once.
+
+T = [t₁ t₂] is known by inspection and no constraint frame describes it: the axes of t₁ and t₂ are
+neither parallel nor perpendicular. Four pushes on the walls and two motions are controlled, on the
+rigid plant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from textwrap import fill
+
+import numpy as np
+import pinocchio as pin
+from matplotlib.figure import Figure
+
+import osc_contact as osc
+from osc_contact.interface import Measurement, Reference
+from osc_contact.plants.rigid import RigidPlant
+from osc_contact.runs.loop import Witness, run_loop
+from osc_contact.runs.run import start
+from osc_contact.spatial import Array, cross
+from osc_contact.visual import contact_colour
+from osc_contact.visual.cone_picture import draw_cone_in_groove
+from osc_contact.visual.style import legend, panels, style
+from paper.statements import Answer
+from paper.study import Ask, Data, Study, table_of
+
+# --- A cone in a V groove: shapes, contact, and the forces with which it presses on the walls ---
+
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Groove:
+    """Two walls that meet in a horizontal line, opening upwards.
+
+    Attributes:
+        point: (3,) of the line, world (m). yaw: of the line, about the vertical (rad).
+        half_angle: between each wall and the vertical plane through the line (rad).
+    """
+
+    point: Array
+    yaw: float
+    half_angle: float
+
+    @property
+    def direction(self) -> Array:
+        """(3,) unit, along the line."""
+        return np.array([np.cos(self.yaw), np.sin(self.yaw), 0.0])
+
+    def normals(self) -> tuple[Array, Array]:
+        """Unit normals (3,) of the walls, out of the material."""
+        side = cross(_UP, self.direction)
+        s = np.sin(self.half_angle)
+        c = np.cos(self.half_angle)
+        return s * _UP + c * side, s * _UP - c * side
+
+
+@dataclass(frozen=True)
+class Cone:
+    """A cone in the object's frame; its inertia stands in `cone.urdf`.
+
+    Attributes:
+        apex, axis: (3,) m, and unit from apex to base.
+        height: m.
+    """
+
+    apex: Array
+    axis: Array
+    height: float
+
+
+@dataclass(frozen=True, eq=False)
+class Seat:
+    """A cone lying in a groove, its apex on the groove's line.
+
+    A cone whose axis is inclined by φ to the line touches both walls, of half angle β, along a
+    generator each if its own half angle θ has sin θ = sin φ sin β.
+
+    Attributes:
+        groove, cone: the shapes. inclination: φ (rad).
+        R_start: (3, 3) orientation of the object at the start.
+    """
+
+    groove: Groove
+    cone: Cone
+    inclination: float
+    R_start: Array
+
+    @property
+    def half_angle(self) -> float:
+        """θ of the cone (rad)."""
+        return float(np.arcsin(np.sin(self.inclination) * np.sin(self.groove.half_angle)))
+
+    @property
+    def axis(self) -> Array:
+        """(3,) direction of the cone's axis in the world."""
+        return np.cos(self.inclination) * self.groove.direction + np.sin(self.inclination) * _UP
+
+    @property
+    def X_start(self) -> pin.SE3:
+        """Pose of the object with the apex in the middle of the groove."""
+        return pin.SE3(self.R_start, self.groove.point - self.R_start @ self.cone.apex)
+
+    @cached_property
+    def pair(self) -> osc.ConeInGroove:
+        """The contact, r = 4."""
+        cone = self.cone
+        groove = self.groove
+        return osc.ConeInGroove(
+            cone.apex, cone.axis, groove.point, groove.direction, self.axis, name="cone"
+        )
+
+    def contact(self) -> osc.Contact:
+        """N, T and n_γ at the start."""
+        return self.pair.contact(self.X_start, np.zeros(6))
+
+    def generators(self) -> tuple[Array, Array]:
+        """Unit directions (3,) from the apex along which the cone touches the two walls."""
+        sin = np.sin(self.half_angle)
+        cos = np.cos(self.half_angle)
+        first, second = ((self.axis - sin * n) / cos for n in self.groove.normals())
+        return first, second
+
+    def wall_forces(self, X_WO: pin.SE3) -> tuple[Array, Array]:
+        """Where (3, 4) and along which directions (3, 4) the cone presses on the walls.
+
+        The lines of contact end where the cone has 35 % and 100 % of its height. Pushes on the two
+        ends of both lines are another basis of N, in which a real groove can only push (≥ 0).
+        """
+        length = self.cone.height / np.cos(self.half_angle)
+        apex = X_WO.act(self.cone.apex)
+        points = []
+        directions = []
+        for along, normal in zip(self.generators(), self.groove.normals(), strict=True):
+            points += [apex + 0.35 * length * along, apex + length * along]
+            directions += [-normal, -normal]
+        return np.column_stack(points), np.column_stack(directions)
+
+    @cached_property
+    def from_wall_forces(self) -> Array:
+        """R (4, 4): the pair's magnitudes from those at the ends of the lines of contact.
+
+        N R is the same space of forces seen through another basis. The groove carries both, so R
+        is constant.
+        """
+        points, directions = self.wall_forces(self.X_start)
+        arms = points - self.X_start.translation[:, None]
+        R, *_ = np.linalg.lstsq(
+            self.contact().N, np.vstack((directions, cross(arms, directions))), rcond=None
+        )
+        return R
+
+    def motion(self, X_WO: pin.SE3) -> Array:
+        """(2,) how far the cone has turned about its axis (rad) and slid along the groove (m)."""
+        turned = pin.log3(X_WO.rotation @ self.R_start.T) @ self.axis
+        slid = (X_WO.act(self.cone.apex) - self.groove.point) @ self.groove.direction
+        return np.array([turned, slid])
+
+
+def seated_cone() -> Seat:
+    """The cone gripped off its axis and obliquely, so that turning it moves the whole arm."""
+    yaw, inclination, grip = np.deg2rad([155.0, 32.0, 38.0])
+    groove = Groove(np.array([0.50, 0.05, 0.15]), float(yaw), float(np.deg2rad(60.0)))
+    axis = np.array([np.sin(grip), 0.0, -np.cos(grip)])
+    back = inclination + grip  # of the hand above the groove's line
+    x = np.sin(back) * groove.direction - np.cos(back) * _UP
+    z = -np.cos(back) * groove.direction - np.sin(back) * _UP
+    R = np.column_stack((x, cross(z, x), z))
+    return Seat(groove, Cone(np.array([0.02, 0.015, 0.12]), axis, 0.10), float(inclination), R)
+
+
+# --- Fig. 2 as a scenario made in Python: the pair is an object, no file could name it ---
+
+
+PERIOD = 1e-3  #: s
+STEP_TIMES = (2.0, 2.7, 3.4, 4.1)  #: s at which the pushes on the walls step, one after the other
+_REST = (9.0, 7.0, 8.0, 10.0)  # N, pushes on the walls
+_STEPS = (4.0, -3.0, 5.0, -4.0)  # N
+_TURN = {"type": "sine", "amplitude": 0.6, "frequency": 0.4, "ramp": 1.0}  # rad
+_SLIDE = {"type": "sine", "amplitude": 0.04, "frequency": 0.55, "ramp": 1.0}  # m
+
+
+def cone_scenario(
+    seat: Seat,
+    duration: float = 5.0,
+    step_times: tuple[float, ...] = STEP_TIMES,
+    moving: bool = True,
+) -> osc.Scenario:
+    """A Panda turns and slides the cone at once while its pushes on the walls step.
+
+    Args:
+        seat: where the cone lies.
+        duration: s.
+        step_times: of the wall forces, one after the other (s); at most four.
+        moving: whether the cone turns and slides.
+    """
+    groove = seat.groove
+    start = seat.X_start
+    apex = start.act(seat.cone.apex)
+    walls = seat.from_wall_forces  # α = R λ: every wall force is part of every magnitude
+    steps = list(zip(walls.T, _STEPS, step_times, strict=False))
+    force = {
+        f"cone.{i + 1}": [
+            {"type": "minimum_jerk", "value": float(walls[i] @ _REST), "duration": 0.3},
+            *(
+                {"type": "step", "value": float(column[i] * value), "start": at}
+                for column, value, at in steps
+            ),
+        ]
+        for i in range(4)
+    }
+    motion = [
+        {"kind": "linear", "direction": groove.direction, "signals": [_SLIDE]},
+        {"kind": "angular", "direction": seat.axis, "through": apex, "signals": [_TURN]},
+    ]
+    data = {
+        "name": "cone_in_groove",
+        "arms": [
+            {
+                "name": "panda",
+                "urdf": "example-robot-data:panda",
+                "tip": "panda_hand_tcp",
+                "wrist_sensor": "panda_hand",
+                "posture": [0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78],
+            }
+        ],
+        "object": {"urdf": "cone.urdf", "pose": _pose(start)},
+        "grasps": {"panda": {}},
+        "environment": [
+            {
+                "name": "groove",
+                "urdf": "groove.urdf",
+                "pose": {"xyz": groove.point, "rpy": [0, 0, groove.yaw]},
+            }
+        ],
+        "contacts": [{"pair": seat.pair, "body": "groove"}],
+        "force": force,
+        "motion": motion if moving else [],
+        "gains": {"motion": {"stiffness": 400, "damping": 40}, "force": {"integral": 20}},
+        "control": {"rate": 1.0 / PERIOD},
+        "plant": {"type": "rigid", "step": PERIOD},
+        "duration": duration,
+    }
+    return osc.Scenario.from_dict(data, Path(__file__))
+
+
+def _pose(X: pin.SE3) -> dict[str, object]:
+    return {"xyz": X.translation, "rpy": np.asarray(pin.rpy.matrixToRpy(X.rotation))}
+
+
+# --- The run of fig. 2, and how far steps of force and motion disturb each other ---
+
+
+SETTLE_S = 0.5  #: judged from here on
+
+
+@dataclass(frozen=True, eq=False)
+class ConeResult:
+    """What one run gave.
+
+    Attributes:
+        seat: where the cone lies. step_times: of the wall forces (s).
+        t: (k,) s.
+        wall_d, wall: (k, 4) desired and true pushes at the ends of the lines of contact (N), just
+            after the torques have changed: the difference is what the arm's motion makes of them
+            within a period (it halves with the period), and the integral action on it.
+        motion_d, motion: (k, 2) desired and true turn (rad) and slide (m).
+        power: (k,) of the contact force on the object's motion (W).
+        N: (k, 6, 4) as the controller had it.
+        force_to_motion, motion_to_force: (probes, 4) and (probes, 8), see `couplings`.
+        status: (k,) of the controller.
+    """
+
+    seat: Seat
+    step_times: tuple[float, ...]
+    t: Array
+    wall_d: Array
+    wall: Array
+    motion_d: Array
+    motion: Array
+    power: Array
+    N: Array
+    force_to_motion: Array
+    motion_to_force: Array
+    status: Array
+
+    @property
+    def raibert_craig(self) -> osc.RaibertCraig:
+        """The nearest constraint frame at the start, moments over the cone's height about O."""
+        return self.seat.contact().as_raibert_craig(self.seat.cone.height)
+
+    def as_dict(self) -> Data:
+        """The verdict, for JSON."""
+        judged = self.t >= SETTLE_S
+        force = (self.wall - self.wall_d)[judged]
+        motion = (self.motion - self.motion_d)[judged]
+        frame = self.raibert_craig
+        bend = self.N[2:] - 2 * self.N[1:-1] + self.N[:-2]
+        return {
+            "r": self.seat.contact().r,
+            "axes_deg": float(np.rad2deg(self.seat.inclination)),
+            "raibert_craig": {
+                "describes_it": bool(frame),
+                "reason": frame.reason,
+                "residual": frame.residual,
+            },
+            "duration_s": len(self.t) * PERIOD,
+            "wall_force_rms_N": np.sqrt((force**2).mean(axis=0)).tolist(),
+            "wall_force_peak_error_N": float(np.abs(force).max()),
+            "wall_force_least_N": float(self.wall[judged].min()),
+            "turn_rms_rad": float(np.sqrt((motion[:, 0] ** 2).mean())),
+            "slide_rms_m": float(np.sqrt((motion[:, 1] ** 2).mean())),
+            "turned_rad": float(np.ptp(self.motion[:, 0])),
+            "slid_m": float(np.ptp(self.motion[:, 1])),
+            "force_step_to_motion": float(self.force_to_motion.max()),
+            "motion_step_to_force": float(self.motion_to_force.max()),
+            "contact_power_W": float(np.abs(self.power[judged]).max()),
+            "N_change_per_tick": float(np.abs(np.diff(self.N, axis=0)).max()),
+            "N_second_difference": float(np.abs(bend).max()),
+            "ticks_not_ok": int(np.count_nonzero(self.status)),
+        }
+
+
+class _ConeWitness(Witness):
+    """Keeps N as the controller had it, too, and probes the coupling now and then."""
+
+    def __init__(self, plant: RigidPlant, controller: osc.Controller, R: Array, every: int) -> None:
+        super().__init__(plant, controller)
+        self.rigid = plant
+        self.R = R
+        self.every = every
+        self.N: list[Array] = []
+        self.probes: list[tuple[list[float], list[float]]] = []
+
+    def append(
+        self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
+    ) -> None:
+        self.N.append(self.controller.last_signals().contact.N)
+        if len(self.N) % self.every == 0:
+            probe = couplings(self.controller, self.rigid, measurement, reference, self.R)
+            self.probes.append(probe)
+        super().append(measurement, reference, tau, seconds)
+
+
+def run(
+    duration: float = 5.0,
+    step_times: tuple[float, ...] = STEP_TIMES,
+    moving: bool = True,
+    probe_s: float = 0.05,
+) -> ConeResult:
+    """Run the task on the rigid plant at 1 kHz, probing the coupling every `probe_s` seconds.
+
+    Args:
+        duration, step_times, moving: as in `cone_scenario`.
+        probe_s: s.
+
+    Raises:
+        InvalidInputError: too short to be judged, or probe_s not positive.
+    """
+    if not (np.isfinite(duration) and duration > SETTLE_S and probe_s >= PERIOD):
+        raise osc.InvalidInputError(
+            f"duration {duration} s, probe_s {probe_s} s: a run is judged from t = {SETTLE_S:g} s; "
+            f"run it longer, and probe not more often than every {PERIOD:g} s"
+        )
+    seat = seated_cone()
+    rig = osc.build_rig(cone_scenario(seat, duration, step_times, moving))
+    plant, controller = start(rig)
+    assert isinstance(plant, RigidPlant)
+    t = np.arange(round(duration / PERIOD)) * PERIOD
+    plan = rig.references.over(t)
+    witness = _ConeWitness(plant, controller, seat.from_wall_forces, round(probe_s / PERIOD))
+    run_loop(plant, controller, plan, recorder=witness)
+    to_walls = np.linalg.inv(seat.from_wall_forces).T
+    alpha = np.array([truth.alpha for truth in witness.truths])
+    N = np.array(witness.N)
+    V_O = np.array([truth.V_O for truth in witness.truths])
+    to_motion, to_force = (np.array(part) for part in zip(*witness.probes, strict=True))
+    return ConeResult(
+        seat,
+        step_times,
+        t,
+        wall_d=plan.alpha_d @ to_walls,
+        wall=alpha @ to_walls,
+        motion_d=np.array([seat.motion(reference.X_WD) for reference in plan]),
+        motion=np.array([seat.motion(truth.X_WO) for truth in witness.truths]),
+        power=np.einsum("kir,kr,ki->k", N, alpha, V_O),
+        N=N,
+        force_to_motion=to_motion,
+        motion_to_force=to_force,
+        status=np.array(witness.status),
+    )
+
+
+def couplings(
+    controller: osc.Controller,
+    plant: RigidPlant,
+    measurement: Measurement,
+    reference: Reference,
+    to_pair: Array,
+) -> tuple[list[float], list[float]]:
+    """How far a step of each wall force moves the cone, and steps of motion press on the walls.
+
+    Both are ratios of like quantities in the held object's energy metric Λ_o, so that metres and
+    radians never meet: the acceleration caused by a force step over the one that force would give
+    the free object, √(ΔaᵀΛ_oΔa / Δf_cᵀΛ_o⁻¹Δf_c); and the contact force caused by a step of the
+    acceleration command over the force that the command means, √(Δf_cᵀΛ_o⁻¹Δf_c / Δa_uᵀΛ_oΔa_u).
+    The steps of force are 5 N on each of the walls' magnitudes, α = `to_pair` λ; those of motion
+    are the two permitted ones and the six unit vectors, permitted or not.
+
+    Args:
+        controller, plant: in the state of the measurement.
+        measurement, reference: of the tick whose commands are changed.
+        to_pair: (4, 4) from the wall forces λ (N) to the pair's magnitudes α.
+
+    Returns:
+        The ratios of the four steps of force, and of the eight steps of motion.
+    """
+    controller = controller.with_safety(osc.SafetySettings.motors_only())  # the same readings again
+    before = (controller.motion_law.integral, controller.force_law.integral)
+
+    def answer(changed: Reference) -> tuple[Array, Array]:
+        tau = controller.tick(measurement, changed)
+        controller.motion_law.integral, controller.force_law.integral = before
+        _, a, alpha = plant.accelerations(tau)
+        return a, controller.last_signals().contact.N @ alpha
+
+    a_0, f_0 = answer(reference)
+    s = controller.last_signals()
+    Lambda = s.state.metric
+    T = s.contact.T
+
+    def size(motion: Array, force: Array) -> tuple[float, float]:
+        squares = motion @ Lambda @ motion, force @ np.linalg.solve(Lambda, force)
+        return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))
+
+    to_motion = []
+    to_force = []
+    for step in 5.0 * to_pair.T:
+        a, f = answer(replace(reference, alpha_d=reference.alpha_d + step))
+        moved, pressed = size(a - a_0, f - f_0)
+        to_motion.append(moved / pressed)
+    for step in np.hstack((T, np.eye(6))).T:
+        a, f = answer(replace(reference, A_D=reference.A_D + step))
+        to_force.append(size(step, f - f_0)[1] / size(step, f)[0])
+    return to_motion, to_force
+
+
+# --- The contact state of fig. 2, and a run in it ---
+
+
+def draw_state(seat: Seat) -> Figure:
+    """Cone, groove, t₁, t₂ and the four lines of force that span N."""
+    X = seat.X_start
+    cone = seat.cone
+    groove = seat.groove
+    points, directions = seat.wall_forces(X)
+    frame = seat.contact().as_raibert_craig(cone.height)
+    words = (
+        "$t_1$: rotation about the cone's axis",
+        "$t_2$: translation along the groove's axis",
+        r"$\mathbf{T} = [\,t_1\ t_2\,],\quad "
+        r"\mathbf{N} = [\,f_{c1}\ f_{c2}\ f_{c3}\ f_{c4}\,],\quad \mathbf{N}^T\mathbf{T} = 0$",
+        "",
+        "No constraint frame with selected axes describes it:",
+        fill(frame.reason, 52),
+        f"(nearest frame: {np.rad2deg(np.arcsin(frame.residual)):.0f}° off, moments per height)",
+    )
+    return draw_cone_in_groove(
+        apex=X.act(cone.apex),
+        axis=seat.axis,
+        height=cone.height,
+        half_angle=seat.half_angle,
+        groove=groove.direction,
+        normals=groove.normals(),
+        points=points,
+        directions=directions,
+        title="Fig. 2: a cone in a groove; its axes of motion are neither parallel nor "
+        "perpendicular",
+        words=words,
+    )
+
+
+def draw_run(result: ConeResult) -> Figure:
+    """Four forces and two motions controlled at once: desired, true and errors."""
+    t = result.t
+    black: Data = {"color": "black", "lw": 1.0, "ls": (0, (4, 3)), "zorder": 3}
+    with style():
+        figure, axes = panels(5, 1.55)
+        forces, force_errors, turn, slide, motion_errors = axes
+        for i in range(4):
+            colour = contact_colour(i)
+            name = rf"$f_{{c{i + 1}}}$"
+            forces.plot(t, result.wall[:, i], color=colour, lw=2.0, label=name)
+            forces.plot(t, result.wall_d[:, i], **black)
+            error = result.wall[:, i] - result.wall_d[:, i]
+            force_errors.plot(t, 1e3 * error, color=colour, lw=0.9)
+        forces.plot([], [], **black, label="desired")
+        forces.set(ylabel="force (N)", title="A Panda presses the cone on both walls …")
+        force_errors.set(ylabel="true − desired\n(mN)")
+        for k, (ax, scale, unit) in enumerate(((turn, 180 / np.pi, "°"), (slide, 1e3, "mm"))):
+            colour = contact_colour(4 + k)
+            ax.plot(t, scale * result.motion[:, k], color=colour, lw=2.0, label="true")
+            ax.plot(t, scale * result.motion_d[:, k], **black, label="desired")
+            ax.set(ylabel=f"{('turn $t_1$', 'slide $t_2$')[k]} ({unit})")
+            error = 1e3 * (result.motion[:, k] - result.motion_d[:, k])
+            motion_errors.plot(
+                t, 1e3 * error, color=colour, lw=1.1, label=("turn (µrad)", "slide (µm)")[k]
+            )
+        turn.set_title("… while it turns and slides", fontsize=10)
+        motion_errors.set(ylabel="true − desired\n(µrad, µm)", xlabel="time (s)")
+        for ax in axes:
+            for step in result.step_times:
+                ax.axvline(step, color="#999999", lw=0.8, ls=":", zorder=1)
+        for ax in (forces, turn, slide, motion_errors):
+            legend(ax)
+    return figure
+
+
+def study(ask: Ask) -> Study:
+    """Fig. 2: the run, its numbers, and what they say to the paper's statements."""
+    result = run(ask.lasting(5.0))
+    data = result.as_dict()
+    frame = data["raibert_craig"]
+    rms = ", ".join(f"{1e3 * value:.2g}" for value in data["wall_force_rms_N"])
+    turned = f"{np.rad2deg(data['turned_rad']):.1f}°"
+    slid = f"{1e3 * data['slid_m']:.1f} mm"
+    rows = {
+        "constraint frame": "describes it" if frame["describes_it"] else frame["reason"],
+        "force step → motion": f"{data['force_step_to_motion']:.2g} of the free object's answer",
+        "motion step → force": f"{data['motion_step_to_force']:.2g} of the force it means",
+        "forces": f"rms error {rms} mN; least push {data['wall_force_least_N']:.2f} N",
+        "turn": f"{turned}, rms error {1e6 * data['turn_rms_rad']:.2g} µrad",
+        "slide": f"{slid}, rms error {1e6 * data['slide_rms_m']:.2g} µm",
+        "contact power": f"at most {data['contact_power_W']:.2g} W",
+        "N per tick": f"changes by at most {data['N_change_per_tick']:.2g}, its change by "
+        f"{data['N_second_difference']:.2g} (1, m)",
+    }
+    answers = {
+        "freedoms": Answer(
+            f"T has {6 - data['r']} columns. A Panda turns the cone by {turned} and slides it by "
+            f"{slid} while all four wall forces push.",
+            data["r"] == 4 and data["wall_force_least_N"] > 0.0,
+        ),
+        "axes": Answer(f"They are {data['axes_deg']:.1f}° apart.", 1.0 < data["axes_deg"] < 89.0),
+        "frame": Answer(f"No frame: {frame['reason']}.", not frame["describes_it"]),
+    }
+    title = "fig. 2: a Panda turns a cone in its groove"
+    figures = {"fig2": draw_state(result.seat), "fig2_run": draw_run(result)}
+    return Study(figures, table_of(title, "quantity; value", rows.items()), data, answers)

@@ -1,0 +1,339 @@
+"""Contacts made and lost: collisions as the plant knows them, and landings from free motion.
+
+`collisions` knocks the rod off its faces again and again (fig. 7); `approach_and_slide` takes it
+from free motion to both contacts, slides, and takes it away again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import osc_contact as osc
+from osc_contact.spatial import Array
+from osc_contact.visual import OKABE_ITO, contact_colour
+from osc_contact.visual.style import legend, panels, style
+from paper.statements import Answer
+from paper.study import Ask, Data, Study, table_of, words_of
+
+KNOCKED = "collisions"
+QUIET = ("two_contact_rod", "workcell")
+SEEDS = 20  #: landings of `approach_and_slide`
+OPEN_S = 0.010  #: a contact re-made after less is one that chatters
+SPEED = 0.010  #: m/s; slower than that it is a touch
+WITHIN_S = 0.020  #: in which a collision is to be flagged
+
+
+@dataclass(frozen=True)
+class Collision:
+    """A contact re-made, as the plant knows it.
+
+    Attributes:
+        contact: its number. t: when it was made (s). open_for: s before.
+        speed: with which it was met (m/s). power: peak of |V_relᵀΩ_f f_meas| in the next 20 ms (W).
+        flagged: s from t to the flag `collision_seen`; None: not within 20 ms.
+    """
+
+    contact: int
+    t: float
+    open_for: float
+    speed: float
+    power: float
+    flagged: float | None
+
+
+def normal_speeds(recording: osc.Recording) -> Array:
+    """(T, r) NᵀV of the true object on faces at rest (m/s)."""
+    return np.einsum("tir,ti->tr", recording["N"], recording["twist"])
+
+
+def collisions(recording: osc.Recording) -> list[Collision]:
+    """Every contact that was open for 10 ms or more and re-made at 10 mm/s or more.
+
+    Contacts have one magnitude each, and their faces rest.
+    """
+    t = recording["t"]
+    speeds = normal_speeds(recording)
+    power = recording["power_projected"]
+    period = 1.0 / float(recording.meta["control_rate_hz"])
+    hits = []
+    for c, closed in enumerate(recording["closed"].T):
+        edges = np.flatnonzero(np.diff(closed.astype(int))) + 1
+        flags = t[recording["collision_seen"][:, c]]
+        for lost, made in pairwise(edges):
+            met = float(speeds[made - 2 : made + 1, c].max())
+            if not closed[made] or (made - lost) * period < OPEN_S or met < SPEED:
+                continue
+            late = flags[(flags >= t[made] - period) & (flags <= t[made] + WITHIN_S)]
+            peak = np.abs(power[made : made + round(WITHIN_S / period)]).max()
+            after = float(max(late[0] - t[made], 0.0)) if len(late) else None
+            away = float(t[made] - t[lost])
+            hits.append(Collision(c, float(t[made]), away, met, float(peak), after))
+    return sorted(hits, key=lambda hit: hit.t)
+
+
+def false_alarms(recording: osc.Recording) -> int:
+    """Flags of a collision at contacts that were not made in the 20 ms before."""
+    period = 1.0 / float(recording.meta["control_rate_hz"])
+    before = round(WITHIN_S / period) + 1
+    count = 0
+    for closed, flags in zip(recording["closed"].T, recording["collision_seen"].T, strict=True):
+        made = np.flatnonzero(np.diff(closed.astype(int)) > 0) + 1
+        for k in np.flatnonzero(flags):
+            count += not ((made <= k + 1) & (made >= k - before)).any()
+    return count
+
+
+def fig7(ask: Ask) -> tuple[osc.Recording, dict[str, osc.Recording]]:
+    """A run in which contacts are lost again and again, and long ones in which none is.
+
+    Args:
+        ask: duration of every run (s), else 10 s and 60 s of the quiet ones; changes of
+            `collisions`.
+    """
+
+    def run(name: str, duration: float | None, changes: Sequence[str] = ()) -> osc.Recording:
+        ask.tell(name)
+        return osc.run(osc.load_scenario(name, changes), duration=duration, seed=ask.seed)
+
+    knocked = run(KNOCKED, ask.duration, ask.changes)
+    return knocked, {name: run(name, ask.duration or 60.0) for name in QUIET}
+
+
+def answers(recording: osc.Recording) -> dict[str, Answer]:
+    """What a run of `collisions` says to the paper's statements on fig. 7."""
+    t = recording["t"]
+    power = np.abs(recording["power_projected"])
+    hits = collisions(recording)
+    kept = recording["closed"].all(axis=1) & (t > 0.2)
+    near = np.zeros(len(t), dtype=bool)
+    for hit in hits:
+        near |= (t >= hit.t - 0.005) & (t < hit.t + 0.1)
+    quiet = float(np.sqrt(np.mean(power[kept & ~near] ** 2)))
+    least = min((hit.power for hit in hits), default=0.0)
+    peaks = kept & (power > 8.0 * quiet)
+    return {
+        "violated": Answer(
+            f"Projected power reaches {power[~kept].max():.2g} W while a contact is open; while "
+            f"all are kept its rms is {1e3 * quiet:.2g} mW.",
+            bool(power[~kept].max() > 8.0 * quiet),
+            "8 times the rms",
+        ),
+        "peaks": Answer(
+            f"Each of {len(hits)} collisions has a peak, the least of {least:.2g} W. While all "
+            f"contacts are closed there are {int((peaks & ~near).sum())} peaks elsewhere; an open "
+            "one shows the inertia of the flight.",
+            least > 8.0 * quiet and not (peaks & ~near).any(),
+            "peaks above 8 times the rms, within 100 ms of a collision",
+        ),
+    }
+
+
+@dataclass(frozen=True)
+class Landing:
+    """One run of `approach_and_slide`.
+
+    Attributes:
+        seed: of the run. standoff: m off the faces at the start. tilt: rad about the y axis.
+        recording: of it.
+    """
+
+    seed: int
+    standoff: float
+    tilt: float
+    recording: osc.Recording
+
+    def as_dict(self) -> Data:
+        """JSON-able: what was found, and `success`.
+
+        A run succeeds if both contacts are made, stay closed from 50 ms after the later one was
+        made until the force is taken back, and are open at the end.
+        """
+        r = self.recording
+        t = r["t"]
+        closed = r["closed"]
+        force = r["alpha_true"]
+        command = r["alpha_cmd"]
+        leave = int(np.flatnonzero((command > 0.0).any(axis=1))[-1])
+        first = [int(np.argmax(c)) if c.any() else len(t) for c in closed.T]
+        settled = max(first) + round(0.05 * float(r.meta["control_rate_hz"]))
+        kept = settled < leave and bool(closed[settled:leave].all())
+        steps = np.abs(np.diff(r["tau"], axis=0)).max(axis=0)
+        rate = steps * float(r.meta["control_rate_hz"]) / effort_limits(r)
+        judged = slice(settled + 150, leave)
+        error = force[judged] - command[judged]
+        return {
+            "seed": self.seed,
+            "standoff_m": self.standoff,
+            "tilt_rad": self.tilt,
+            "success": kept and not bool(closed[-1].any()),
+            "made_s": [float(t[k]) if k < len(t) else None for k in first],
+            "peak_over_command": float(force.max() / command.max()),
+            "force_rms_rel": float(np.sqrt(np.mean(error**2)) / command.max()) if kept else None,
+            "torque_rate": float(rate.max()),
+            "torque_rate_limit": float(r.meta["scenario"]["control"]["life"]["torque_rate"]),
+        }
+
+
+def effort_limits(recording: osc.Recording) -> Array:
+    """(n_a,) effort limits."""
+    return np.array(list(recording.meta["effort_limits"].values()))
+
+
+def land(seed: int, changes: Sequence[str] = ()) -> Landing:
+    """Run `approach_and_slide` from a start of its own: another standoff, another tilt.
+
+    Args:
+        seed: of start, sensors and everything random. changes: "key=value" of the scenario.
+    """
+    rng = np.random.default_rng([seed, 7])
+    standoff = float(rng.uniform(0.003, 0.008))
+    tilt = float(rng.uniform(-0.01, 0.01))
+    shift = float(rng.uniform(-0.02, 0.02))
+    scenario = osc.load_scenario("approach_and_slide", [f"tare.standoff={standoff!r}", *changes])
+    slide, *rest = (move.model_dump() for move in scenario.motion)
+    begin, lean = ({"type": "constant", "value": value} for value in (shift, tilt))
+    slide["signals"] = [*slide["signals"], begin]
+    tilted = {"kind": "angular", "direction": [0.0, 1.0, 0.0], "signals": [lean]}
+    scenario = scenario.replaced(motion=[slide, *rest, tilted])
+    return Landing(seed, standoff, tilt, osc.run(scenario, seed=seed))
+
+
+def draw_collisions(recording: osc.Recording) -> Figure:
+    """Fig. 7: total and projected power on one scale; below, the true contact forces.
+
+    Triangles: collisions as the plant knows them; the monitor flagged the filled ones in 20 ms.
+    Shaded: a contact is open, and N assumes what is not there.
+    """
+    t = recording["t"]
+    hits = collisions(recording)
+    total = recording["power_total"]
+    projected = recording["power_projected"]
+    with style():
+        figure, axes = panels(3, 2.1)
+        low = min(total.min(), projected.min())
+        high = max(total.max(), projected.max())
+        axes[0].plot(t, total, lw=0.9)
+        axes[1].plot(t, projected, color=OKABE_ITO["vermillion"], lw=0.9)
+        axes[0].set(title=r"total $\vartheta^T f'_{meas}$")
+        axes[1].set(title=r"projected $\vartheta^T \Omega_f f'_{meas}$")
+        for ax in axes[:2]:
+            ax.set(ylabel="power (W)", ylim=(1.1 * low, 1.15 * high))
+        for ax in axes:  # the forces build up in the first tick
+            ax.fill_between(
+                t[1:],
+                0,
+                1,
+                where=~recording["closed"][1:].all(axis=1),
+                zorder=0.5,
+                transform=ax.get_xaxis_transform(),
+                color="#E3E5E8",
+                lw=0,
+                label="a contact is open",
+            )
+        for flagged, face in ((True, OKABE_ITO["black"]), (False, "white")):
+            at = [hit.t for hit in hits if (hit.flagged is not None) == flagged]
+            label = f"collision, {'' if flagged else 'not '}flagged ({len(at)})"
+            axes[1].plot(at, [1.08 * high] * len(at), "v", ms=5, mfc=face, mec="black", label=label)
+        legend(axes[1])
+        for i, name in enumerate(recording.magnitude_names):
+            label = name.replace("_", " ")
+            axes[2].plot(t, recording["alpha_true"][:, i], color=contact_colour(i), label=label)
+        axes[2].set(title="true contact forces", ylabel="force (N)", xlabel="time (s)")
+        legend(axes[2])
+    return figure
+
+
+def draw_landing(runs: Sequence[Landing]) -> Figure:
+    """Forces of all runs above; normal speed and torques of the first one below."""
+    first = runs[0].recording
+    t = first["t"]
+    with style():
+        figure, (forces, gap, phase, torques) = panels(4, 1.9)
+        forces.plot(t, first["alpha_cmd"][:, 0], color="#B4BAC2", lw=4, label="desired")
+        for i, name in enumerate(first.magnitude_names):
+            look: Any = {"color": contact_colour(i), "label": name.replace("_", " ")}
+            for one in runs:
+                forces.plot(t, one.recording["alpha_true"][:, i], color=look["color"], lw=0.8)
+            gaps = -np.cumsum(normal_speeds(first)[:, i]) * (t[1] - t[0])
+            made = int(np.argmax(first["closed"][:, i]))
+            gap.plot(t, 1e3 * (gaps - gaps[made]), **look)
+            phase.step(t, first["contact_phase"][:, i] + 0.04 * i, where="post", **look)
+        forces.set(title=f"true contact forces, {len(runs)} starts", ylabel="force (N)")
+        gap.set(title=f"gap, seed {runs[0].seed}", ylabel="gap (mm)")
+        phase.set(title="phase", yticks=(0, 1, 2), yticklabels=("open", "approaching", "closed"))
+        torques.plot(t, first["tau"] / effort_limits(first), lw=0.8)
+        torques.set(title="motor torques", ylabel="share of limit", xlabel="time (s)")
+        for ax in (forces, gap, phase):
+            legend(ax)
+    return figure
+
+
+def fig7_study(ask: Ask) -> Study:
+    """Fig. 7: collisions and what the monitor makes of them; false alarms of long quiet runs."""
+    knocked, quiet = fig7(ask)
+    hits = collisions(knocked)
+    flagged = [hit.flagged for hit in hits if hit.flagged is not None]
+    alarms = {
+        name: {"count": false_alarms(r), "duration_s": float(r["t"][-1])}
+        for name, r in {KNOCKED: knocked, **quiet}.items()
+    }
+    data: Data = {
+        "collisions": [vars(hit) for hit in hits],
+        "flagged": len(flagged),
+        "slowest_flag_s": max(flagged, default=None),
+        "false_alarms": alarms,
+    }
+    rows = {"collisions flagged within 20 ms": f"{len(flagged)} of {len(hits)}"}
+    if flagged:
+        rows["slowest flag"] = f"{1e3 * max(flagged):.0f} ms after the collision"
+    if hits:
+        met = [1e3 * hit.speed for hit in hits]
+        peaks = [hit.power for hit in hits]
+        rows["met at"] = f"{min(met):.0f} … {max(met):.0f} mm/s"
+        rows["peaks of projected power"] = f"{min(peaks):.3f} … {max(peaks):.3f} W"
+    for name, r in quiet.items():
+        rms = float(np.sqrt(np.mean(r["power_projected"][r["t"] >= 1.0] ** 2)))
+        rows[f"projected power of {name}, rms"] = f"{rms:.2g} W"
+    for name, one in alarms.items():
+        rows[f"false alarms in {one['duration_s']:.0f} s of {name}"] = str(one["count"])
+    title = "fig. 7: contacts lost and made again, on mujoco"
+    table = table_of(title, "quantity; value", rows.items())
+    return Study({"fig7": draw_collisions(knocked)}, table, data, answers(knocked))
+
+
+def landing_study(ask: Ask) -> Study:
+    """Landings from many starts, one for each seed."""
+    runs = []
+    for seed in range(ask.seed, ask.seed + SEEDS):
+        ask.tell(f"seed {seed} of {SEEDS}")
+        runs.append(land(seed, ask.all_changes()))
+    data = [run.as_dict() for run in runs]
+    rows = [
+        (
+            row["seed"],
+            f"{1e3 * row['standoff_m']:.1f} mm",
+            f"{1e3 * row['tilt_rad']:.1f} mrad",
+            ", ".join(words_of(t, "{:.2f}") for t in row["made_s"]) + " s",
+            f"{row['peak_over_command']:.3f}",
+            words_of(row["force_rms_rel"], "{:.2%}"),
+            f"{row['torque_rate']:.1f} of {row['torque_rate_limit']:g} 1/s",
+            "yes" if row["success"] else "no",
+        )
+        for row in data
+    ]
+    won = sum(row["success"] for row in data)
+    worst = max(row["peak_over_command"] for row in data)
+    rows.append(("all", "", "", "", f"≤ {worst:.3f}", "", "", f"{won} of {len(data)}"))
+    table = table_of(
+        "approach_and_slide on mujoco",
+        "seed; standoff; tilt; contacts made at; peak / command; force error, rms; "
+        "largest torque rate; success",
+        rows,
+    )
+    return Study({"approach_and_slide": draw_landing(runs)}, table, {"runs": data})

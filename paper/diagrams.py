@@ -1,0 +1,234 @@
+"""Figs. 4 and 5: the boxes of `signals.BLOCKS` at fixed places, and the connections between them.
+
+No signal gets lost: what a box reads and no connection brings is named below it, what it puts out
+and no connection takes is named beside it. Commands come from above.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch, Patch
+
+from osc_contact.control.signals import BLOCKS, Block
+from osc_contact.visual import OKABE_ITO
+from osc_contact.visual.style import style
+
+PLANT = Block("arms, object, environment", "plant", "", ("tau",), ("q", "v", "wrenches"))
+#: The control loop of fig. 4.
+LOOP = (*BLOCKS, PLANT)
+
+WIDTH = 1.9
+HEIGHT = 1.15
+PORT = 0.3  #: of a box; between two connections at one edge (in)
+#: Middle of each box (in): model and plant, motion, force.
+PLACES = {
+    "closed chain": (0.0, 6.4),
+    "contact geometry": (2.7, 6.1),
+    "environment": (5.4, 6.4),
+    PLANT.name: (8.9, 6.4),
+    "motion law": (2.7, 3.55),
+    "motion filter": (5.4, 3.4),
+    "dynamic control structure": (8.1, 3.25),
+    "torque allocation": (10.8, 3.4),
+    "sum of wrist sensors": (0.0, 0.0),
+    "force filter": (2.7, 0.0),
+    "generalised inverse": (5.4, 0.0),
+    "force law": (8.1, 0.0),
+    "to operational space": (10.8, 0.0),
+}
+#: Signal and reader of each connection, the upper ones of a box first, and where it turns (in):
+#: nowhere, at one x, or at x, y, x of the way around.
+CONNECTIONS: dict[tuple[str, str], tuple[float, ...]] = {
+    ("q", "closed chain"): (11.4, 7.45, -1.3),
+    ("parts", "environment"): (),
+    ("a_u", "motion filter"): (),
+    ("alpha_u", "motion filter"): (9.4, 1.4, 4.1),
+    ("f_meas", "force filter"): (),
+    ("f_c_meas", "generalised inverse"): (),
+    ("alpha_meas", "force law"): (),
+    ("alpha_u", "to operational space"): (),
+    ("eta_c", "dynamic control structure"): (),
+    ("f_ccomm", "dynamic control structure"): (12.45, 1.75, 6.8),
+    ("eta_c", "torque allocation"): (6.8, 4.3, 9.45),
+    ("f_S", "torque allocation"): (),
+    ("tau", PLANT.name): (12.2, 5.1, 7.6),
+    ("wrenches", "sum of wrist sensors"): (12.9, -1.55, -1.3),
+}
+COMMANDS = ("reference", "alpha_d", "squeeze_d")
+LABELS = {
+    "q": r"$q,\ v$",  # v goes where q goes
+    "wrenches": "wrist wrenches",
+    "touched": r"$X_{WE},\ V_E$",
+    "reference": r"$x_d,\ \dot x_d,\ \ddot x_d$",
+    "alpha_d": r"$\alpha_{\mathrm{d}}$",
+    "squeeze_d": "squeeze",
+    "state": "state",
+    "parts": r"$N_i$",
+    "contact": r"$N,\ T$",
+    "friction_wrenches": r"$N_\mu - N$",
+    "environment": r"$\Phi_e,\ b_e$",
+    "f_meas": r"$f_{\mathrm{meas}}$",
+    "f_c_meas": r"$f_{\mathrm{c\,meas}}$",
+    "alpha_meas": r"$\alpha_{\mathrm{meas}}$",
+    "alpha_u": r"$\alpha_{\mathrm{u}}$",
+    "f_ccomm": r"$f_{\mathrm{ccomm}}$",
+    "a_u": r"$a_{\mathrm{u}}$",
+    "eta_c": r"$\dot\eta_c$",
+    "f_S": r"$f_{\mathrm{S}}$",
+    "tau": r"$\tau$",
+}
+GROUPS = {
+    "force": (OKABE_ITO["vermillion"], "force control"),
+    "motion": (OKABE_ITO["blue"], "motion control"),
+    "filter": (OKABE_ITO["purple"], "projection and dynamics"),
+    "model": (OKABE_ITO["green"], "model"),
+    "plant": ("#555B63", "plant"),
+}
+INK = "#2B2F36"
+LINE = 1.1
+LABEL = 11.0  #: of connections and the names on them
+#: Look of signals without a connection.
+NAMED: Any = {"boxstyle": "round,pad=0.18", "fc": "#E9ECF0", "ec": "none"}
+BY_NAME = "taken up by name"
+Point = tuple[float, float]
+
+
+def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
+    """Draw boxes of the loop with every signal that they read and put out.
+
+    Args:
+        blocks: some of `LOOP`. title: heading.
+    """
+    names = [block.name for block in blocks]
+    connections = {key: turns for key, turns in CONNECTIONS.items() if key[1] in names}
+    starts: dict[str, Point] = {}
+    ends: dict[tuple[str, str], Point] = {}
+    for block in blocks:
+        x, y = PLACES[block.name]
+        connected = [signal for signal, reader in connections if reader == block.name]
+        ends |= {(s, block.name): (x - 0.5 * WIDTH, y + dy) for s, dy in _ports(connected)}
+        starts |= {s: (x + 0.5 * WIDTH, y + dy) for s, dy in _ports(_shown(block.outputs))}
+    with style():
+        figure, ax = _canvas([PLACES[name] for name in names], title)
+        for block in blocks:
+            _box(ax, block)
+            bare = [s for s in _shown(block.inputs) if (s, block.name) not in connections]
+            _name_inputs(ax, PLACES[block.name], bare)
+        for signal, (x, y) in starts.items():
+            if signal in [taken for taken, _ in connections]:
+                _write(ax, x + 0.05, y, LABELS[signal], "left")
+            else:
+                ax.text(x + 0.09, y, LABELS[signal], size=LABEL, va="center", bbox=NAMED)
+        for (signal, reader), turns in connections.items():
+            end = ends[signal, reader]
+            if signal in starts:
+                others = [
+                    t[0] if t else ends[k][0] for k, t in connections.items() if k[0] == signal
+                ]
+                _wire(ax, signal, starts[signal], turns, end, max(others))
+            else:
+                _arrow(ax, [(end[0] - 0.4, end[1]), end])
+                _write(ax, end[0] - 0.45, end[1] - 0.08, LABELS[signal], "right")
+        _legend(ax, [block.group for block in blocks])
+    return figure
+
+
+def _shown(signals: Sequence[str]) -> list[str]:
+    """v is drawn with q."""
+    return [signal for signal in signals if signal != "v"]
+
+
+def _ports(signals: Sequence[str]) -> Iterator[tuple[str, float]]:
+    """Each signal with its height above the middle of the edge."""
+    for k, signal in enumerate(signals):
+        yield signal, PORT * (0.5 * (len(signals) - 1) - k)
+
+
+def _canvas(places: Sequence[Point], title: str) -> tuple[Figure, Axes]:
+    """A page measured in inches around the boxes."""
+    xs, ys = zip(*places, strict=True)
+    left = min(xs) - 0.5 * WIDTH - 1.5
+    right = max(xs) + 0.5 * WIDTH + 1.4
+    low = min(ys) - 0.5 * HEIGHT - 1.6
+    high = max(ys) + 0.5 * HEIGHT + 1.2
+    figure = Figure(figsize=(right - left, high - low))
+    figure.set_layout_engine("none")
+    ax = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(left, right), ylim=(low, high))
+    ax.set_axis_off()
+    ax.text(left + 0.2, high - 0.2, title, size=15, weight="bold", va="top")
+    return figure, ax
+
+
+def _box(ax: Axes, block: Block) -> None:
+
+    (x, y) = PLACES[block.name]
+    (colour, _) = GROUPS[block.group]
+    corner = (x - 0.5 * WIDTH, y - 0.5 * HEIGHT)
+    look: Any = {"boxstyle": "round,pad=0,rounding_size=0.07", "lw": 1.4, "zorder": 3}
+    ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, fc="white", ec=colour, **look))
+    ax.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, fc=colour, ec="none", alpha=0.14, **look))
+    name = textwrap.fill(block.name, 16)
+    middle = 0.26 if block.equation else 0.0
+    centred: Any = {"ha": "center", "va": "center", "zorder": 5}
+    ax.text(x, y + middle, name, size=12, weight="bold", **centred)
+    ax.text(x, y - 0.27, block.equation, size=10.5, **centred)
+
+
+def _name_inputs(ax: Axes, place: Point, signals: Sequence[str]) -> None:
+    """Commands on an arrow from above, all else on an arrow from below."""
+    x, y = place
+    above = [LABELS[signal] for signal in signals if signal in COMMANDS]
+    below = [LABELS[signal] for signal in signals if signal not in COMMANDS]
+    for names, side, va in ((above, 1.0, "bottom"), (below, -1.0, "top")):
+        if names:
+            edge = y + side * 0.5 * HEIGHT
+            _arrow(ax, [(x, edge + 0.22 * side), (x, edge)])
+            rows = [" · ".join(names[k : k + 3]) for k in range(0, len(names), 3)]
+            ax.text(
+                x,
+                edge + 0.3 * side,
+                "\n".join(rows),
+                size=LABEL,
+                ha="center",
+                va=va,
+                bbox=NAMED if side < 0 else None,
+            )
+
+
+def _wire(
+    ax: Axes, signal: str, start: Point, turns: tuple[float, ...], end: Point, furthest: float
+) -> None:
+    """Wire by right angles; a dot where it leaves one that goes further (to x = furthest)."""
+    points = [start]
+    for k, at in enumerate(turns):
+        points.append((at, points[-1][1]) if k % 2 == 0 else (points[-1][0], at))
+    points += [(points[-1][0], end[1]), end]
+    _arrow(ax, points)
+    if turns and turns[0] < furthest:
+        ax.plot(*points[1], "o", ms=3.5, color=INK, zorder=4)
+    if len(turns) > 1:
+        _write(ax, 0.5 * (turns[0] + turns[2]), turns[1], LABELS[signal], "center")
+
+
+def _arrow(ax: Axes, points: Sequence[Point]) -> None:
+    look: Any = {"arrowstyle": "-|>", "color": INK, "lw": LINE, "shrinkA": 0, "shrinkB": 0}
+    ax.plot(*zip(*points[:-1], strict=True), color=INK, lw=LINE, solid_capstyle="round", zorder=2)
+    ax.annotate("", points[-1], points[-2], zorder=3, arrowprops=look)
+
+
+def _write(ax: Axes, x: float, y: float, text: str, side: Any) -> None:
+    ax.text(x, y + 0.03, text, size=LABEL, ha=side, va="bottom")
+
+
+def _legend(ax: Axes, groups: Sequence[str]) -> None:
+
+    shown = [GROUPS[group] for group in dict.fromkeys(groups)]
+    handles = [Patch(fc=colour, alpha=0.6, label=meaning) for colour, meaning in shown]
+    handles.append(Patch(fc=NAMED["fc"], label=BY_NAME))
+    look: Any = {"loc": "lower right", "borderaxespad": 0.8, "fontsize": 10}
+    ax.legend(handles=handles, ncols=len(handles), **look)

@@ -1,0 +1,382 @@
+"""Fig. 3: the workcell and the two-contact task, rendered from a run of the packaged scenario."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+import osc_contact as osc
+from osc_contact.runs.run import run as run_scenario
+from osc_contact.runs.viewing import content_of
+from osc_contact.scenarios.contact_schema import ConveyorSpec
+from osc_contact.spatial import Array
+from osc_contact.visual import contact_colour
+from osc_contact.visual.browser import write_png
+from osc_contact.visual.page import EMPTY, CommandSink, write_page
+from osc_contact.visual.parts import LegendEntry, State, changes
+from osc_contact.visual.scene import Scene, sample_at
+from osc_contact.visual.stage import set_view
+from osc_contact.visual.style import style
+from osc_contact.visual.subspaces import TwistAxes
+from osc_contact.visual.workcell_marks import (
+    JOINT_TORQUE,
+    VISION,
+    WRIST,
+    Callout,
+    OverheadCamera,
+    ring,
+    stand,
+)
+from paper.statements import Answer
+from paper.study import Ask, Data, Study, table_of
+
+SCENARIO = "workcell"
+#: An overhead camera above the middle of the rod; scenarios do not say where it hangs.
+EYE = np.array([0.0, -0.08, 1.12])
+POST = np.array([0.0, -0.66])
+SEEN = np.array([0.5, 0.4])
+#: Where sensors sit: frame, place in it (m), radius of the ring that marks them.
+JOINT_SENSORS = (
+    ("joint1", (0.0, 0.0, -0.012), 0.094),
+    ("joint2", (0.0, 0.0, -0.006), 0.064),
+    ("joint2", (0.3, 0.0, -0.036), 0.037),  # of the quill, which slides through the forearm
+    ("joint4", (0.0, 0.0, 0.014), 0.026),
+)
+WRIST_SENSOR = ((0.0, 0.0, -0.004), 0.037)
+FACE_THICKNESS = 0.02
+FACE_SIDE = 0.26
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One view of it.
+
+    Attributes:
+        title: what it shows. points: (k, 3) that fill it.
+        heading, elevation: of the eye (deg). size: of the picture (CSS pixels).
+        callouts: its labels. whole: with the camera and its view.
+    """
+
+    title: str
+    points: Array
+    heading: float
+    elevation: float
+    size: tuple[int, int]
+    callouts: Sequence[Callout]
+    whole: bool = False
+
+
+@dataclass(frozen=True)
+class Workcell:
+    """The rig and what it stood like at one tick of a run (channels of the recording)."""
+
+    rig: osc.Rig
+    sample: Data
+
+    @cached_property
+    def frames(self) -> dict[str, pin.SE3]:
+        """X of every frame of the arms, by "arm/frame"."""
+        model = self.rig.chain.model
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, np.asarray(self.sample["q"]))
+        return {f.name: X.copy() for f, X in zip(model.frames, data.oMf, strict=True)}
+
+    @cached_property
+    def camera(self) -> OverheadCamera:
+        """Above the rod."""
+        height = float(self.sample["pose"][2])
+        return OverheadCamera(EYE, POST, np.array([EYE[0], EYE[1], height]), SEEN)
+
+    def rings(self) -> dict[str, tuple[pin.SE3, float, str]]:
+        """By path: where a sensor's ring is, its radius and colour."""
+        rings = {}
+        for spec in self.rig.scenario.arms:
+            for k, (joint, place, radius) in enumerate(JOINT_SENSORS):
+                X = self.frames[f"{spec.name}/{joint}"] * _shifted(place)
+                rings[f"joint_torque/{spec.name}{k + 1}"] = (X, radius, JOINT_TORQUE)
+            place, radius = WRIST_SENSOR
+            X = self.frames[f"{spec.name}/{spec.wrist_sensor}"] * _shifted(place)
+            rings[f"wrist/{spec.name}"] = (X, radius, WRIST)
+        return rings
+
+    def faces(self) -> list[pin.SE3]:
+        """Where the faces are."""
+        return [pin.XYZQUATToSE3(np.asarray(x, dtype=float)) for x in self.sample["face_pose"]]
+
+    def page(self, shot: Shot, path: Path) -> Path:
+        """Write a still page of one view."""
+        picture = Scene(content_of(self.rig), self.sample)
+        picture.parts = [part for part in picture.parts if not isinstance(part, TwistAxes)]
+        sink = CommandSink()
+        scene = sink.visualizer()
+        picture.draw(scene)
+        frame = picture.states(self.sample)
+        for node in frame:
+            if node.endswith(("/commanded", "/measured")):
+                frame[node] = State(visible=False)
+        changes(scene, {}, frame)
+        if shot.whole:
+            self.camera.draw(scene, "vision")
+        for k, X in enumerate(self.faces()):
+            stand(scene[f"stands/{k}"], X, FACE_THICKNESS)
+        for node, (X, radius, colour) in self.rings().items():
+            ring(scene[f"sensors/{node}"], X, radius, colour, 0.0042)
+        heading, elevation = np.deg2rad([shot.heading, shot.elevation])
+        aspect = shot.size[0] / shot.size[1]
+        axes = set_view(scene, shot.points, heading, elevation, aspect)
+        labels = [c.draw(scene, f"callouts/{k}", axes) for k, c in enumerate(shot.callouts)]
+        legend = [
+            LegendEntry(VISION, "view of the overhead camera", "line", ("vision/view",)),
+            LegendEntry(JOINT_TORQUE, "joint torque sensors", "line", ("sensors/joint_torque",)),
+            LegendEntry(WRIST, "wrist force/torque sensors", "line", ("sensors/wrist",)),
+            LegendEntry("#15181C", "labels", "line", ("callouts",)),
+        ]
+        entries = [entry._asdict() for entry in legend]
+        config = EMPTY | {"legend": entries, "labels": labels, "aspect": aspect}
+        return write_page(sink, path, shot.title, config)
+
+    def as_dict(self) -> dict[str, str]:
+        """Its parts in words, from the scenario and the rig."""
+        scenario = self.rig.scenario
+        chain = self.rig.chain
+        sensors = scenario.sensors
+        wrist = scenario.sensors.wrist
+        names = [contact.name for contact in scenario.contacts]
+        forces = (f"{n} {a:.1f} N" for n, a in zip(names, self.sample["alpha_true"], strict=True))
+        passive = sum(len(arm.passive_joints) for arm in chain.arms)
+        parts = {
+            "arms": f"{len(chain.arms)}, with {chain.n_a} motors and {passive} free gripper hinges",
+            "object": f"moved in {self.rig.d} ways, {self.rig.d - len(names)} while in contact",
+            "contacts": ", ".join(forces),
+            "overhead vision": _vision_words(self),
+        }
+        if sensors.joint_torque is not None:
+            parts["joint torque sensors"] = f"{chain.n_a}, {sensors.joint_torque.rate:g} Hz"
+        if wrist is not None:
+            parts["wrist sensors"] = (
+                f"{len(chain.arms)}, {wrist.rate:g} Hz, {wrist.force.noise:g} N and "
+                f"{wrist.torque.noise:g} N m noise"
+            )
+        return parts
+
+    def answers(self) -> dict[str, Answer]:
+        """To what the paper states about fig. 3."""
+        scenario = self.rig.scenario
+        chain = self.rig.chain
+        d = self.rig.d
+        motors = [arm.model.nv - len(arm.passive_joints) for arm in chain.arms]
+        hinges = [len(arm.passive_joints) for arm in chain.arms]
+        length = float(np.linalg.norm(np.diff(self.sample["contact_point"], axis=0)))
+        closed = int(np.count_nonzero(self.sample["closed"]))
+        return {
+            "arms": Answer(
+                f"{len(motors)} arms with {motors} driven joints hold a rod whose ends touch "
+                f"{1e2 * length:.1f} cm apart.",
+                motors == [4, 4] and 0.55 < length < 0.65,
+            ),
+            "hinges": Answer(
+                f"{hinges} hinges; the closed chain of arms and rod has {d} freedoms.",
+                hinges == [1, 1] and d == 5,
+            ),
+            "vision": Answer(
+                f"Simulated: {_vision_words(self)}.", scenario.sensors.vision is not None
+            ),
+            "contacts": Answer(
+                f"{closed} of {len(scenario.contacts)} contacts are closed in the picture.",
+                closed == len(scenario.contacts) == 2,
+            ),
+        }
+
+    def shots(self) -> list[Shot]:
+        """The whole cell, the task, a gripper."""
+        return [_whole(self), _task(self), _gripper(self)]
+
+
+def run(duration: float = 1.4, seed: int = 0, changes: Sequence[str] = ()) -> Workcell:
+    """Run the workcell until both contacts are made; the last tick is what is drawn.
+
+    Args:
+        duration: simulated time (s).
+        seed: of everything random.
+        changes: "path.to.key=value" of the scenario.
+    """
+    scenario = osc.load_scenario(SCENARIO, changes)
+    recording = run_scenario(scenario, duration=duration, seed=seed)
+    tick = len(recording["t"]) - 1
+    return Workcell(osc.build_rig(scenario), sample_at(recording.channels, tick))
+
+
+def draw(cell: Workcell) -> Figure:
+    """The three views, rendered, side by side.
+
+    Raises:
+        ViewerError: no browser to render with.
+    """
+    pictures = []
+    with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
+        for k, shot in enumerate(cell.shots()):
+            page = cell.page(shot, Path(folder) / f"{k}.html")
+            png = page.with_suffix(".png")
+            pictures.append(imread(write_png(page, png, size=shot.size, bare=True, density=2.0)))
+    with style():
+        figure = Figure(figsize=(12.0, 6.6))
+        grid = figure.add_gridspec(
+            2,
+            2,
+            width_ratios=[1.22, 1.0],
+            left=0.005,
+            right=0.995,
+            top=0.95,
+            bottom=0.005,
+            wspace=0.02,
+            hspace=0.1,
+        )
+        places = [grid[:, 0], grid[0, 1], grid[1, 1]]
+        for place, shot, picture, letter in zip(places, cell.shots(), pictures, "abc", strict=True):
+            ax = figure.add_subplot(place)
+            ax.imshow(picture, interpolation="lanczos")
+            ax.set_title(f"({letter}) {shot.title}", loc="left", size=10.5)
+            ax.set_axis_off()
+    return figure
+
+
+def _whole(cell: Workcell) -> Shot:
+    at = cell.frames
+    camera = cell.camera
+    X = _pose(cell.sample)
+    rings = cell.rings()
+    left, right = (at[f"{name}/joint1"].translation for name in ("left", "right"))
+    feet = [
+        np.append(POST, 0.0),
+        *(p * [1, 1, 0] + [0.13 * np.sign(p[0]), 0, 0] for p in (left, right)),
+    ]
+    top = np.append(POST, camera.eye[2] + 0.17)
+    points = np.vstack((feet, [top, camera.eye + [0, 0, 0.17]], camera.corners))
+    corner = min(_corners(cell.faces()[0]), key=lambda p: float(p[2]))
+    callouts = [
+        Callout(
+            "overhead vision: " + _vision_words(cell),
+            camera.eye + [0, 0, 0.09],
+            (0.3, 0.05),
+            VISION,
+        ),
+        Callout("left arm", left + [0, 0, 0.13], (0.16, 0.1)),
+        Callout("right arm", right + [0, 0, 0.13], (-0.16, 0.14)),
+        Callout("rod", X.translation, (-0.03, -0.11)),
+        Callout(
+            "joint torque sensors",
+            _edge(rings["joint_torque/left2"], 1.0),
+            (0.06, -0.09),
+            JOINT_TORQUE,
+        ),
+        Callout("wrist sensor", _edge(rings["wrist/right"], 1.0), (0.11, 0.05), WRIST),
+        Callout(_face_words(cell), corner, (0.05, -0.09)),
+    ]
+    return Shot("dual-arm workcell", points, 76.0, 27.0, (760, 800), callouts, whole=True)
+
+
+def _task(cell: Workcell) -> Shot:
+    X = _pose(cell.sample)
+    corners = [corner for X_WF in cell.faces() for corner in _corners(X_WF)]
+    callouts = []
+    names = [contact.name.replace("_", " ") for contact in cell.rig.scenario.contacts]
+    for k, (name, side) in enumerate(zip(names, (1.0, -1.0), strict=True)):
+        point = np.asarray(cell.sample["contact_point"][k])
+        push = np.asarray(cell.sample["contact_direction"][k])
+        force = float(cell.sample["alpha_true"][k])
+        callouts.append(
+            Callout(
+                f"{name}: {force:.1f} N", point - 0.12 * push, (0.1 * side, 0.03), contact_colour(k)
+            )
+        )
+    points = np.vstack((corners, [X.translation + [0, 0, 0.12]]))
+    return Shot(
+        "two-contact task: the lines of force are skew", points, 84.0, 30.0, (620, 350), callouts
+    )
+
+
+def _gripper(cell: Workcell) -> Shot:
+    wrist = cell.frames["left/wrist_sensor"]
+    hinge = cell.frames["left/hinge"].translation
+    rings = cell.rings()
+    points = hinge + np.array([[-0.13, 0.0, -0.05], [0.13, 0.0, 0.125]])
+    callouts = [
+        Callout(
+            "joint torque sensor",
+            _edge(rings["joint_torque/left4"], -1.0),
+            (-0.1, 0.01),
+            JOINT_TORQUE,
+        ),
+        Callout(
+            "wrist force/torque sensor", _edge(rings["wrist/left"], -1.0), (-0.09, -0.015), WRIST
+        ),
+        Callout("free hinge", hinge + wrist.rotation @ [0, 0.03, 0], (-0.11, -0.03)),
+    ]
+    return Shot(
+        "gripper: a free hinge below the wrist sensor", points, 84.0, 20.0, (620, 350), callouts
+    )
+
+
+def _corners(X_WF: pin.SE3) -> list[Array]:
+    """Of a face's front."""
+    half = 0.5 * FACE_SIDE
+    return [X_WF.act(np.array([a, b, 0.0])) for a in (-half, half) for b in (-half, half)]
+
+
+def _edge(mark: tuple[pin.SE3, float, str], side: float) -> Array:
+    X, radius, _ = mark
+    return X.translation + [-side * radius, 0.0, 0.0]
+
+
+def _vision_words(cell: Workcell) -> str:
+    eyes = cell.rig.scenario.sensors.vision
+    if eyes is None:
+        return "ideal"
+    return (
+        f"{eyes.rate:g} Hz, {1e3 * eyes.delay:g} ms old, "
+        f"±{1e3 * eyes.position.noise:g} mm, ±{1e3 * eyes.orientation.noise:g} mrad"
+    )
+
+
+def _face_words(cell: Workcell) -> str:
+    """How far a driven face goes."""
+    motion = cell.rig.bodies[0].motion
+    if not isinstance(motion, ConveyorSpec):
+        return "face"
+    travel = motion.signals[0].at(np.inf)[0]
+    turn = 0.0
+    if motion.turn is not None:
+        turn = motion.turn.signals[0].at(np.inf)[0]
+    return f"face, moved by {1e3 * travel:.0f} mm and {np.rad2deg(abs(turn)):.0f}°"
+
+
+def _pose(sample: Data) -> pin.SE3:
+    return pin.XYZQUATToSE3(np.asarray(sample["pose"], dtype=float))
+
+
+def _shifted(place: tuple[float, float, float]) -> pin.SE3:
+    return pin.SE3(np.eye(3), np.array(place))
+
+
+def study(ask: Ask) -> Study:
+    """Fig. 3: the workcell in three views, and its parts in words."""
+    ask.tell("making contact")
+    cell = run(ask.lasting(1.4), ask.seed, ask.changes)
+    data = cell.as_dict()
+    table = table_of("fig. 3: the workcell", "part; what it is", data.items())
+    figures = {}
+    ask.tell("rendering")
+    try:
+        figures["fig3"] = draw(cell)
+    except osc.ViewerError as error:  # the page is there all the same
+        table.add_row("picture", f"not rendered: {error}")
+    pages = {"fig3": partial(cell.page, cell.shots()[0])}
+    return Study(figures, table, data, cell.answers(), pages)

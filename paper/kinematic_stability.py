@@ -1,0 +1,539 @@
+"""Kinematic stability: where the selection matrix of classic hybrid control makes an arm diverge.
+
+The classic scheme turns the filtered position error back into joint errors, τ = K_q J⁻¹S J q_e,
+with S picking the position-controlled axes of a frame. Its loop closes over M⁻¹K_q J⁻¹S J, a
+definite matrix times an *oblique* projection, whose eigenvalues can have negative real parts (An
+and Hollerbach, "Kinematic stability issues in force control of manipulators", 1987; Fisher and
+Mujtaba, "Hybrid position/force control: a correct formulation", 1992). Filtered by Ω_m(B), eq. 7,
+the error is seen through (TᵀB⁻¹T)⁻¹TᵀB⁻¹K T instead; with K = B K′, K′ symmetric positive definite
+(scalar gains are K′ = k B⁻¹), its eigenvalues are real and positive in every posture.
+
+As in those references the position part is judged alone: nothing holds the arm in the
+force-controlled direction. For ours this is no restriction: the eigenvalues of Ω_m(B)K that are
+not zero are those above.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import osc_contact as osc
+from osc_contact import robots
+from osc_contact.control.command_filter import command
+from osc_contact.errors import InvalidInputError
+from osc_contact.spans import left_inverse
+from osc_contact.spatial import Array, classical_to_spatial, pose_error
+from osc_contact.visual import contact_colour
+from osc_contact.visual.style import style
+from paper.study import Ask, Data, Study, table_of, words_of
+
+
+@dataclass(frozen=True)
+class Result:
+    """One arm: the posture found, the map through it and what happens there."""
+
+    worst: WorstPosture
+    map: PostureMap
+    histories: Histories
+
+    def as_dict(self) -> Data:
+        """For JSON; eigenvalues (1/s²) and poles (1/s) as [real, imaginary]."""
+        f = self.worst
+        h = self.histories
+        return {
+            "arm": f.arm.name,
+            "seed": f.seed,
+            "postures_drawn": f.drawn,
+            "postures": f.tried,
+            "classic_unstable": f.unstable,
+            "ours_unstable": f.ours_unstable,
+            "ours_least_eigenvalue": f.ours_least,
+            "posture_rad": f.q.tolist(),
+            "classic_eigenvalues": _pairs(f.classic),
+            "ours_eigenvalues": _pairs(f.ours),
+            "classic_poles": _pairs(poles(f.classic)),
+            "ours_poles": _pairs(poles(f.ours)),
+            "first_error_mrad": 1e3 * float(np.abs(h.ours[0]).max()),
+            "classic_left_after_s": h.left_after(),
+            "last_error_mrad": 1e3 * float(np.abs(h.ours[-1]).max()),
+            "duration_s": float(h.t[-1]),
+        }
+
+
+def study(ask: Ask) -> Study:
+    """Both schemes on a planar arm and on a UR5: searched, mapped, simulated."""
+    results = []
+    for arm, joints in ((planar_arm(), (0, 1)), (ur5_arm(), (1, 2))):
+        worst = search(arm, ask.seed)
+        after = simulate(worst, ask.lasting(1.0))
+        results.append(Result(worst, posture_map(worst, joints), after))
+    data = [result.as_dict() for result in results]
+    table = table_of(
+        "kinematic stability",
+        "arm; postures; classic unstable; classic least λ (1/s²); ours least λ (1/s²); "
+        "classic leaves the posture; ours: error first → last",
+        (
+            (
+                row["arm"],
+                row["postures"],
+                row["classic_unstable"],
+                f"{row['classic_eigenvalues'][0][0]:.4g}",
+                f"{row['ours_least_eigenvalue']:.4g}",
+                words_of(row["classic_left_after_s"], "after {:.3f} s", "not"),
+                f"{row['first_error_mrad']:.3g} → {row['last_error_mrad']:.3g} mrad",
+            )
+            for row in data
+        ),
+    )
+    return Study({"kinematic_stability": draw(results)}, table, {"arms": data})
+
+
+def _pairs(values: Array) -> list[list[float]]:
+    return [[float(z.real), float(z.imag)] for z in values]
+
+
+_WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+_HELD = pin.Inertia(1.2, np.array([0.03, 0.0, 0.02]), np.diag([4e-3, 6e-3, 5e-3]))
+_STIFFNESS = np.diag([300.0, 300.0, 300.0, 3.0, 3.0, 3.0])
+
+
+@dataclass(frozen=True, eq=False)
+class HybridArm:
+    """An arm of n joints that controls the force along one world axis and n − 1 motions.
+
+    Attributes:
+        name: in titles.
+        chain: one arm and the held object, whose frame is the tip.
+        rows: (n,) which rows of the tip's twist (world axes at the tip) are the task coordinates.
+        force: which of them is force-controlled.
+        K_q: (n, n) joint stiffness of the classic scheme (N m/rad).
+        K_prime: (6, 6) stiffness of ours, world axes (N/m, N m/rad).
+    """
+
+    name: str
+    chain: osc.ClosedChain
+    rows: tuple[int, ...]
+    force: int
+    K_q: Array
+    K_prime: Array
+
+    @cached_property
+    def plant(self) -> pin.Model:
+        """The arm with the object's inertia on its last joint."""
+        model = self.chain.model.copy()
+        frame = model.frames[self.tip]
+        model.appendBodyToJoint(frame.parentJoint, _HELD, frame.placement)
+        return model
+
+    @cached_property
+    def data(self) -> pin.Data:
+        """Scratch of `plant`; nothing read from it outlives the next call."""
+        return self.plant.createData()
+
+    @cached_property
+    def tip(self) -> int:
+        """Index of the tip frame in `plant`."""
+        arm = self.chain.arms[0]
+        return robots.frame_id(self.chain.model, f"{arm.name}/{arm.tip}")
+
+    @cached_property
+    def pair(self) -> osc.VertexOnFace:
+        """The contact: a face square to the force axis, touched at the tip."""
+        return osc.VertexOnFace(np.zeros(3), np.zeros(3), -np.eye(6)[self.force, :3])
+
+    @property
+    def selection(self) -> Array:
+        """(n,) 1 where the task coordinate is position-controlled, 0 where the force is."""
+        return np.array([float(row != self.force) for row in self.rows])
+
+    def terms(self, q: Array) -> tuple[Array, Array, pin.SE3]:
+        """M (n, n) with the object, the tip's Jacobian (6, n), world axes, and its pose."""
+        data = self.data
+        M = np.array(pin.crba(self.plant, data, q))
+        J = pin.computeFrameJacobian(self.plant, data, q, self.tip, _WORLD_AXES)
+        pin.updateFramePlacement(self.plant, data, self.tip)
+        return np.triu(M) + np.triu(M, 1).T, np.array(J), pin.SE3(data.oMf[self.tip])
+
+    def tangents(self, J: Array) -> Array:
+        """(6, n−1) what the contact permits and the arm can do, J (6, n) the tip's Jacobian."""
+        if len(self.rows) == 6:  # the arm can do everything
+            return np.delete(np.eye(6), self.force, axis=1)
+        return J @ np.linalg.svd(J[[self.force]])[2][1:].T
+
+    def metric(self, tip: pin.SE3) -> Array:
+        """B (6, 6) at the tip, world axes: the inverse inertia of the held object."""
+        return np.linalg.inv(pin.SE3(tip.rotation, np.zeros(3)).act(_HELD).matrix())
+
+
+def planar_arm() -> HybridArm:
+    """Two revolute joints in a horizontal plane; x of the tip is position-, y force-controlled."""
+    model = pin.Model()
+    parent = 0
+    placement = pin.SE3.Identity()
+    for name, length, mass in (("shoulder", 0.5, 6.0), ("elbow", 0.4, 4.0)):
+        parent = model.addJoint(parent, pin.JointModelRZ(), placement, name)
+        inertia = mass * length**2 / 12 * np.diag([0.02, 1.0, 1.0])
+        link = pin.Inertia(mass, np.array([0.5 * length, 0.0, 0.0]), inertia)
+        model.appendBodyToJoint(parent, link, pin.SE3.Identity())
+        placement = pin.SE3(np.eye(3), np.array([length, 0.0, 0.0]))
+    model.upperEffortLimit = np.full(2, 100.0)
+    model.lowerEffortLimit = -model.upperEffortLimit
+    model.addFrame(pin.Frame("tip", parent, placement, pin.FrameType.OP_FRAME))
+    chain = osc.ClosedChain(
+        [osc.Arm.from_urdf(model, name="planar", tip="tip")], payload=osc.RigidObject(_HELD)
+    )
+    return HybridArm("planar 2R arm", chain, (0, 1), 1, 120.0 * np.eye(2), _STIFFNESS)
+
+
+def ur5_arm() -> HybridArm:
+    """A UR5 that controls the force along z and all other motions of its tool."""
+    arm = osc.Arm.from_urdf(robots.find_robot("ur5")[0], name="ur5", tip="tool0")
+    chain = osc.ClosedChain([arm], payload=osc.RigidObject(_HELD))
+    K_q = np.diag([400.0, 400.0, 200.0, 20.0, 20.0, 20.0])
+    return HybridArm("UR5", chain, tuple(range(6)), 2, K_q, _STIFFNESS)
+
+
+#: s: damping = this times stiffness, in both laws.
+DAMPING_S = 0.08
+
+
+def classic_eigenvalues(M: Array, J: Array, selection: Array, K_q: Array) -> Array:
+    """The s eigenvalues of M⁻¹K_q J⁻¹S J that position control owns, s = number selected.
+
+    The n − s others are zero: nothing in this scheme stiffens the force-controlled directions.
+
+    Args:
+        M: (n, n) joint-space inertia. J: (n, n) Jacobian of the task coordinates.
+        selection: (n,) 1 where the coordinate is position-controlled, else 0.
+        K_q: (n, n) joint stiffness (N m/rad).
+
+    Returns:
+        (s,) complex (1/s²), by ascending real part.
+    """
+    S = np.diag(selection)
+    loop = np.linalg.solve(M, K_q @ np.linalg.solve(J, S @ J))
+    values = np.linalg.eigvals(loop).astype(complex)
+    owned = np.argsort(np.abs(values))[len(M) - int(np.count_nonzero(S)) :]
+    return np.sort_complex(values[owned])
+
+
+def our_eigenvalues(T: Array, B: Array, K_prime: Array) -> Array:
+    """Eigenvalues of the stiffness seen along T, (TᵀB⁻¹T)⁻¹TᵀB⁻¹K T with K = B K′.
+
+    Real and positive is what comes out, not what is put in: the matrix is not symmetric and is
+    not treated as if it were similar to one.
+
+    Args:
+        T: (6, s) permitted motions.
+        B: (6, 6) symmetric positive definite metric of eq. 24.
+        K_prime: (6, 6) symmetric positive definite stiffness (N/m, N m/rad); scalar gains k are
+            K′ = k B⁻¹.
+
+    Returns:
+        (s,) complex (1/s²), by ascending real part.
+    """
+    along = left_inverse(T, np.linalg.inv(B), "stiffness along T")
+    return np.sort_complex(np.linalg.eigvals(along @ (B @ K_prime) @ T)).astype(complex)
+
+
+def poles(eigenvalues: Array) -> Array:
+    """Roots (2s,) of z² + DAMPING_S λ z + λ: the poles (1/s) that the eigenvalues λ (s,) give.
+
+    The two roots of one λ add up to −DAMPING_S λ: Re λ < 0 is unstable for every such damping.
+    """
+    half = -0.5 * DAMPING_S * eigenvalues
+    root = np.sqrt(half**2 - eigenvalues.astype(complex))
+    return np.sort_complex(np.concatenate((half - root, half + root)))
+
+
+def classic_torque(arm: HybridArm, q: Array, v: Array, goal: pin.SE3) -> Array:
+    """τ = h − K_q J⁻¹S(x + DAMPING_S ẋ), x the tip's task coordinates from the goal, h exact.
+
+    Args:
+        arm: of the experiment.
+        q, v: (n,) joint positions (rad) and velocities (rad/s).
+        goal: pose that the tip is held at.
+
+    Returns:
+        (n,) joint torques (N m).
+    """
+    _, J_tip, tip = arm.terms(q)
+    J = J_tip[list(arm.rows)]
+    x = -pose_error(goal, tip)[list(arm.rows)]
+    q_e = np.linalg.solve(J, arm.selection * (x + DAMPING_S * (J @ v)))
+    bias = pin.nonLinearEffects(arm.plant, arm.data, q, v)
+    return bias - arm.K_q @ q_e
+
+
+def our_torque(arm: HybridArm, q: Array, v: Array, goal: pin.SE3) -> Array:
+    """The control law of this package (eqs. 21, 24), a_u = −B K′(x + DAMPING_S ẋ), force 0.
+
+    Args:
+        arm, q, v, goal: as of `classic_torque`.
+
+    Returns:
+        (n,) joint torques (N m).
+    """
+    state = arm.chain.state(q, v)
+    contact = arm.pair.contact(state.X_WO, state.V_O)
+    B = np.linalg.inv(state.metric)
+    x = -pose_error(goal, state.X_WO)
+    a_u = classical_to_spatial(-B @ arm.K_prime @ (x + DAMPING_S * state.V_O), state.V_O)
+    _, f_S = command(state, contact, a_u, np.zeros(1))
+    return np.linalg.solve(state.G, f_S)  # as many motors as motions
+
+
+@dataclass(frozen=True)
+class WorstPosture:
+    """The posture in which the classic scheme is least stable, and both schemes there.
+
+    Attributes:
+        arm: and its posture q (n,).
+        seed: of the search. drawn, tried: postures drawn, and examined.
+        classic, ours: (s,) complex eigenvalues of both (1/s²).
+        unstable, ours_unstable: how many had an eigenvalue with negative real part, in the classic
+            scheme and in ours.
+        ours_least: the smallest real part ours had in any posture examined (1/s²).
+    """
+
+    arm: HybridArm
+    q: Array
+    seed: int
+    drawn: int
+    tried: int
+    classic: Array
+    ours: Array
+    unstable: int
+    ours_unstable: int
+    ours_least: float
+
+
+def search(
+    arm: HybridArm, seed: int = 0, postures: int = 2000, regular: float = 0.5
+) -> WorstPosture:
+    """Draw uniformly random postures and examine the most regular of them.
+
+    Args:
+        arm: the joints go from −π to π.
+        seed: of the draw.
+        postures: how many to draw.
+        regular: share of them that is examined, the most regular first (`regularity`): an
+            instability next to a singularity would prove little.
+
+    Raises:
+        InvalidInputError: none of them is unstable.
+    """
+    drawn = np.random.default_rng(seed).uniform(-np.pi, np.pi, (postures, arm.chain.nq))
+    order = np.argsort([-regularity(arm, q) for q in drawn])
+    examined = drawn[order[: round(regular * postures)]]
+    values = [eigenvalues(arm, q) for q in examined]
+    classic = np.array([of_classic[0].real for of_classic, _ in values])
+    ours = np.array([of_ours[0].real for _, of_ours in values])
+    worst = int(classic.argmin())
+    if classic[worst] >= 0.0:
+        raise InvalidInputError(
+            f"{arm.name}: none of {len(examined)} postures examined is unstable; draw more "
+            "(postures=), or control the force along another axis"
+        )
+    return WorstPosture(
+        arm=arm,
+        q=examined[worst],
+        seed=seed,
+        drawn=postures,
+        tried=len(examined),
+        classic=values[worst][0],
+        ours=values[worst][1],
+        unstable=int((classic < 0.0).sum()),
+        ours_unstable=int((ours < 0.0).sum()),
+        ours_least=float(ours.min()),
+    )
+
+
+def eigenvalues(arm: HybridArm, q: Array) -> tuple[Array, Array]:
+    """`classic_eigenvalues` and `our_eigenvalues` in a posture (n,)."""
+    M, J, tip = arm.terms(q)
+    classic = classic_eigenvalues(M, J[list(arm.rows)], arm.selection, arm.K_q)
+    return classic, our_eigenvalues(arm.tangents(J), arm.metric(tip), arm.K_prime)
+
+
+def regularity(arm: HybridArm, q: Array) -> float:
+    """Least share of the object in the inertia met at the tip, over all directions (0: singular).
+
+    The least eigenvalue of LᵀJM⁻¹JᵀL with LLᵀ the object's inertia: no units, no frame.
+    """
+    M, J_tip, tip = arm.terms(q)
+    rows = list(arm.rows)
+    J = J_tip[rows]
+    L = np.linalg.cholesky(np.linalg.inv(arm.metric(tip)[np.ix_(rows, rows)]))
+    return float(np.linalg.eigvalsh(L.T @ J @ np.linalg.solve(M, J.T) @ L)[0])
+
+
+@dataclass(frozen=True)
+class PostureMap:
+    """Least real part of both schemes' eigenvalues over two joints, the others as found.
+
+    Attributes:
+        joints: the two indices. grid: (k,) positions of each (rad).
+        classic, ours: (k, k), second joint by first (1/s²); NaN where the arm is singular.
+    """
+
+    joints: tuple[int, int]
+    grid: Array
+    classic: Array
+    ours: Array
+
+
+def posture_map(worst: WorstPosture, joints: tuple[int, int], count: int = 48) -> PostureMap:
+    """Both schemes over a plane of the posture space through the posture found.
+
+    Args:
+        worst: arm and posture.
+        joints: indices of the two joints that are varied.
+        count: positions of each, over the whole turn.
+    """
+    grid = (np.arange(count) + 0.5) / count * 2 * np.pi - np.pi  # never exactly straight
+    least = np.full((2, count, count), np.nan)
+    q = worst.q.copy()
+    for j, i in np.ndindex(count, count):
+        q[list(joints)] = grid[[i, j]]
+        if regularity(worst.arm, q) > 1e-9:
+            least[:, j, i] = [values[0].real for values in eigenvalues(worst.arm, q)]
+    return PostureMap(joints, grid, *least)
+
+
+#: rad: a joint this far off has left the posture; what the arm does from there on is not judged.
+LEFT = 0.5
+
+Law = Callable[[HybridArm, Array, Array, pin.SE3], Array]
+
+
+@dataclass(frozen=True)
+class Histories:
+    """Joint errors (k, n) over time t (k,), rad from the posture; NaN once a joint has `LEFT`."""
+
+    t: Array
+    classic: Array
+    ours: Array
+
+    def left_after(self) -> float | None:
+        """When the classic scheme had left the posture (s); None: it did not."""
+        gone = np.isnan(self.classic[:, 0])
+        return float(self.t[gone.argmax()]) if gone.any() else None
+
+
+def simulate(
+    worst: WorstPosture, duration: float = 1.0, error: float = 1e-3, step: float = 2e-3
+) -> Histories:
+    """Both closed loops from rest, `error` (m, rad) off in every position-controlled coordinate.
+
+    Continuous-time control, forward dynamics by `pin.aba`, fourth-order Runge–Kutta.
+
+    Args:
+        worst: arm and posture.
+        duration: of both runs (s).
+        error: at the start (m, rad).
+        step: of the integration (s).
+    """
+    t = np.arange(round(duration / step) + 1) * step
+    goal = worst.arm.terms(worst.q)[2]
+    start = _reached(worst, error * worst.arm.selection, goal)
+    return Histories(
+        t,
+        _integrate(worst, classic_torque, goal, start, t),
+        _integrate(worst, our_torque, goal, start, t),
+    )
+
+
+def _integrate(worst: WorstPosture, law: Law, goal: pin.SE3, start: Array, t: Array) -> Array:
+    arm = worst.arm
+    n = len(start)
+    h = t[1] - t[0]
+    data = arm.plant.createData()
+
+    def rate(state: Array) -> Array:
+        q = state[:n]
+        v = state[n:]
+        return np.concatenate((v, pin.aba(arm.plant, data, q, v, law(arm, q, v, goal))))
+
+    state = np.concatenate((start, np.zeros(n)))
+    out = np.full((len(t), n), np.nan)
+    for k in range(len(t)):
+        if np.abs(state[:n] - worst.q).max() > LEFT:
+            break
+        out[k] = state[:n] - worst.q
+        a = rate(state)
+        b = rate(state + 0.5 * h * a)
+        c = rate(state + 0.5 * h * b)
+        state = state + h / 6 * (a + 2 * b + 2 * c + rate(state + h * c))
+    return out
+
+
+def _reached(worst: WorstPosture, offset: Array, goal: pin.SE3) -> Array:
+    """(n,) joint positions whose task coordinates are exactly `offset` from the posture's."""
+    rows = list(worst.arm.rows)
+    q = worst.q
+    for _ in range(10):
+        _, J, tip = worst.arm.terms(q)
+        q = q + np.linalg.solve(J[rows], offset + pose_error(goal, tip)[rows])
+    return q
+
+
+_LIMIT = 25.0  #: 1/s, where the colours of the maps end
+
+
+def draw(results: Sequence[Result]) -> Figure:
+    """A row per arm: both maps of least real parts (unstable hatched), and the joint errors."""
+    with style():
+        figure = Figure(figsize=(12.0, 4.2 * len(results) + 0.3))
+        rows = figure.subfigures(len(results), 1, squeeze=False)[:, 0]
+        for row, result in zip(rows, results, strict=True):
+            worst = result.worst
+            h = result.histories
+            row.suptitle(
+                f"{worst.arm.name}: of {worst.tried} random postures (the more regular of "
+                f"{worst.drawn}) the classic scheme is unstable in {worst.unstable}, "
+                f"ours in {worst.ours_unstable}"
+            )
+            classic, ours, above, below = row.subplot_mosaic("mna;mnb").values()
+            m = result.map
+            _map(classic, m, m.classic, worst, r"classic: $M^{-1}K_q J^{-1}SJ$")
+            shade = _map(ours, m, m.ours, worst, r"ours: $(T^TB^{-1}T)^{-1}T^TB^{-1}K\,T,\ K=BK'$")
+            bar = row.colorbar(shade, ax=[classic, ours], shrink=0.9, extend="both")
+            bar.set_label(r"least real part $\lambda$, as sign$(\lambda)\sqrt{|\lambda|}$ (1/s)")
+            left = words_of(h.left_after(), ": a joint is 0.5 rad off after {:.2f} s", "")
+            _errors(above, h.t, h.classic, f"classic, started off ×{left}")
+            _errors(below, h.t, h.ours, "ours, from the same start")
+            above.legend(loc="upper right", ncols=2)
+            below.set_xlabel("time (s)")
+    return figure
+
+
+def _map(ax: Axes, m: PostureMap, values: Array, worst: WorstPosture, title: str) -> Any:
+    rates = np.sign(values) * np.sqrt(np.abs(values))
+    degrees = np.rad2deg(m.grid)
+    shade = ax.pcolormesh(
+        degrees, degrees, rates, cmap="RdBu", vmin=-_LIMIT, vmax=_LIMIT, rasterized=True
+    )
+    ax.set_facecolor("#BBBBBB")  # singular: neither
+    if np.nanmin(values) < 0.0:
+        ax.contourf(degrees, degrees, values, [-1e30, 0.0], colors="none", hatches=["////"])
+    a, b = m.joints
+    ax.plot(*np.rad2deg(worst.q[[a, b]]), "X", color="black", mec="white", ms=11)
+    ax.grid(False)
+    ax.set(title=title, xlabel=rf"$q_{a + 1}$ (°)", ylabel=rf"$q_{b + 1}$ (°)", aspect="equal")
+    return shade
+
+
+def _errors(ax: Axes, t: Array, errors: Array, title: str) -> None:
+    """All joint errors, on the scale of what they reach."""
+    for i, error in enumerate(1e3 * errors.T):
+        ax.plot(t, error, color=contact_colour(i), lw=1.6, label=f"$q_{i + 1}$")
+    ax.set(title=title, ylabel="joint errors (mrad)", xlim=(0.0, t[-1]))

@@ -1,0 +1,156 @@
+"""A face that moves while it is pressed: what Φ_e and b_e in the law are worth (eqs. 14 to 25).
+
+The left face of `moving_face` is driven to and fro, without and with a turn, or rides on a free
+cart, on a cart with a return spring, or on a hinge with one. Each time the full law is compared
+with one that sees the face's pose and velocity but takes it as unyielding and unaccelerated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import osc_contact as osc
+from osc_contact.recorder.judged import SETTLE_S
+from osc_contact.runs.metrics import metrics
+from osc_contact.runs.run import run as run_scenario
+from osc_contact.spatial import Array
+from osc_contact.visual import OKABE_ITO
+from osc_contact.visual.style import style
+from paper.study import Ask, Data, Study, table_of
+
+_SWING = "[{type: sine, amplitude: 30 mm, frequency: 1 Hz, start: 0 s, ramp: 2 s}]"
+_TURN = (
+    "{axis: [-0.371390, 0.928477, 0], through: [-0.295, -0.002, 0.19], "
+    "signals: [{type: sine, amplitude: 5 deg, frequency: 0.7 Hz, start: 0 s, ramp: 2 s}]}"
+)
+_DRIVEN = "type: conveyor, direction: [-0.904196, -0.361677, 0.227199], signals: " + _SWING
+#: What is changed in the packaged scenario; the hinge is 0.1 m below the contact, along the face.
+FACES: dict[str, tuple[str, ...]] = {
+    "conveyor": (f"contacts.left_end.face.motion={{{_DRIVEN}}}",),
+    "turning conveyor": (f"contacts.left_end.face.motion={{{_DRIVEN}, turn: {_TURN}}}",),
+    "free cart": (),
+    "cart with spring": (
+        "contacts.left_end.face.motion.stiffness=100",
+        "contacts.left_end.face.motion.damping=5",
+    ),
+    "hinge with spring": (
+        "contacts.left_end.face.motion={type: hinge, axis: [-0.371390, 0.928477, 0], "
+        "through: [-0.216847, 0.029262, 0.137610], inertia: 0.02, stiffness: 10, damping: 0.3, "
+        "preload: 1 Nm}",
+    ),
+}
+LAWS = {"full law": "known", "without Φ_e, b_e": "ignored"}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run.
+
+    Attributes:
+        face, law: keys of `FACES` and `LAWS`.
+        recording: of the run. verdict: its `metrics`.
+    """
+
+    face: str
+    law: str
+    recording: osc.Recording
+    verdict: Data
+
+    @property
+    def row(self) -> Data:
+        """What is compared: errors of both contact forces, contact kept, travel of the face."""
+        force = self.verdict["force"]
+        return {
+            "face": self.face,
+            "law": self.law,
+            **{f"{name}_rms_error_rel": f["rms_error_rel"] for name, f in force.items()},
+            "left_end_peak_error_N": force["left_end"]["peak_error_N"],
+            "contact_fraction": min(self.verdict["contact_fraction"].values()),
+            "travel_m": float(np.ptp(_travel(self.recording))),
+        }
+
+
+def run(
+    plant: str = "mujoco",
+    duration: float = 10.0,
+    faces: Sequence[str] = tuple(FACES),
+    tell: Callable[[str], None] = lambda _: None,
+) -> list[Case]:
+    """Every face under both laws.
+
+    Args:
+        plant: "mujoco" or "rigid". duration: of each run (s), more than the 1 s it settles.
+        faces: keys of `FACES`.
+        tell: called with what runs next.
+    """
+    cases = []
+    for face in faces:
+        for law, knowledge in LAWS.items():
+            tell(f"{face}, {law}")
+            changes = [*FACES[face], f"model_error.environment={knowledge}"]
+            scenario = osc.load_scenario("moving_face", changes)
+            recording = run_scenario(scenario, plant=plant, duration=duration)
+            cases.append(Case(face, law, recording, metrics(recording)))
+    return cases
+
+
+def _travel(recording: osc.Recording) -> Array:
+    """(T,) how far the left face is from where it started, with the sign of its first axis (m)."""
+    path = recording["face_pose"][:, 0, :3] - recording["face_pose"][0, 0, :3]
+    return -np.sign(path[:, 0]) * np.linalg.norm(path, axis=1)
+
+
+def draw(cases: Sequence[Case]) -> Figure:
+    """Travel of the face on the left, error of the force on it on the right; a row each."""
+    faces = list(dict.fromkeys(case.face for case in cases))
+    colours = dict(zip(LAWS, ("blue", "vermillion"), strict=True))
+    with style():
+        figure = Figure(figsize=(9.6, 1.9 * len(faces) + 0.9))
+        axes = figure.subplots(len(faces), 2, sharex=True, sharey="col", squeeze=False)
+        largest = 0.0
+        for (travel, force), face in zip(axes, faces, strict=True):
+            for case in reversed([c for c in cases if c.face == face]):
+                t = case.recording["t"]
+                colour = OKABE_ITO[colours[case.law]]
+                error = case.recording["alpha_true"][:, 0] - case.recording["alpha_cmd"][:, 0]
+                rms = 100 * case.row["left_end_rms_error_rel"]
+                travel.plot(t, 1e3 * _travel(case.recording), color=colour, lw=1.4)
+                force.plot(t, error, color=colour, lw=1.1, label=f"{case.law}: {rms:.2g} % rms")
+                largest = max(largest, np.abs(error[t >= SETTLE_S]).max())
+            travel.set(title=face, ylabel="travel (mm)")
+            force.set(title="force on it, true − desired", ylabel="(N)")
+            force.legend(loc="upper right", ncols=2)
+            for ax in (travel, force):
+                ax.margins(x=0.01)
+        axes[0, 1].set_ylim(-1.2 * largest, 2.2 * largest)
+        for ax in axes[-1]:
+            ax.set_xlabel("time (s)")
+        figure.suptitle("Pressing on a moving face", x=0.01, ha="left", size=12, weight="bold")
+    return figure
+
+
+def study(ask: Ask) -> Study:
+    """All faces under both laws."""
+    cases = run(duration=ask.lasting(10.0), tell=ask.tell)
+    data = [case.row for case in cases]
+    table = table_of(
+        "moving_face on mujoco",
+        "left face; law; left force, rms; peak; right force, rms; closed; face travels",
+        (
+            (
+                row["face"],
+                row["law"],
+                f"{row['left_end_rms_error_rel']:.3%}",
+                f"{row['left_end_peak_error_N']:.3f} N",
+                f"{row['right_end_rms_error_rel']:.3%}",
+                f"{row['contact_fraction']:.2%}",
+                f"{1e3 * row['travel_m']:.1f} mm",
+            )
+            for row in data
+        ),
+    )
+    return Study({"moving_face": draw(cases)}, table, {"cases": data})

@@ -1,0 +1,365 @@
+"""One HTML page: what the paper's figures state, and beside it ours, with numbers and verdicts.
+
+The page holds everything it shows and fetches nothing. The scene of the run is folded into it and
+unpacked when it is opened.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+import shlex
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+import osc_contact as osc
+from osc_contact import __version__
+from osc_contact.console import err, out, record
+from osc_contact.runs.report import write_report
+from osc_contact.runs.tables import verdict_table
+from osc_contact.visual.page import POLICY, asset, filled, write_whole
+from osc_contact.visual.style import PRINT, save
+from paper import figures
+from paper.figures import ANSWERS, Evidence
+from paper.statements import PAPER, Answer, PaperFigure, Verdict, judge
+from paper.studies import SLOW, STUDIES, write_study
+from paper.study import Ask, Data
+
+_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}  #: shown: the first there is
+_SIZE = re.compile(r'viewBox="0 0 ([0-9.]+) ([0-9.]+)"')
+MOST_BYTES = 500_000  #: of a picture; a larger one is shown as PNG
+BROAD = 1.8  #: a figure wider than this, by its height, stands above its text
+_MARKS = {
+    Verdict.reproduced: ("yes", "✓"),
+    Verdict.partly: ("part", "…"),
+    Verdict.contradicted: ("no", "✗"),
+    Verdict.missing: ("none", "–"),
+}
+_RULES = (
+    (Verdict.reproduced, "every statement was put to the test and holds"),
+    (
+        Verdict.partly,
+        "statements that nothing answers yet are marked open, or no picture was drawn",
+    ),
+    (Verdict.contradicted, "a statement does not hold in ours"),
+    (Verdict.missing, "nothing here makes this figure yet"),
+)
+
+
+def write_paper_report(reproduction: Reproduction, path: Path) -> Path:
+    """Write the report, which appears complete or not at all; returns its path.
+
+    Args:
+        reproduction: what `reproduce all` made. Studies that are no figures of the paper come last.
+        path: of the page.
+    """
+    verdicts = reproduction.verdicts()
+    beside = {k: one for k, one in reproduction.made.items() if k not in verdicts}
+    parts = {
+        "policy": POLICY,
+        "style": asset("report.css"),
+        "script": asset("report.js"),
+        "about": _about(reproduction),
+        "overview": "".join(_row(figure, verdicts[figure.name]) for figure in PAPER),
+        "rules": "".join(f"<li>{_badge(v)} {escape(words)}</li>" for v, words in _RULES),
+        "figures": "".join(
+            _section(figure, reproduction, verdicts[figure.name]) for figure in PAPER
+        ),
+        "scene": _scene(
+            reproduction.scene, "Open the moving scene of the run, with slider and plots"
+        ),
+        "studies": "".join(_study(name, one, reproduction) for name, one in beside.items()),
+    }
+    return write_whole(filled("report.html", parts), path)
+
+
+def _about(reproduction: Reproduction) -> str:
+    run = "no run"
+    if reproduction.recording is not None:
+        meta = reproduction.recording.meta
+        ticks = len(reproduction.recording)
+        seconds = ticks / float(meta["control_rate_hz"])
+        run = (
+            f"a run of <b>{escape(reproduction.scenario.name)}</b> on the plant "
+            f"<b>{meta['plant']}</b>: {seconds:g} s, {ticks} ticks, seed {meta['seed']}"
+        )
+    command = f"osc-contact reproduce all {reproduction.options}".strip()
+    return (
+        f"<p>Made by {_code(command)}, osc_contact {escape(__version__)}, from {run}. Forces, "
+        "motion and power are judged by the plant's truth, from 1 s on, without the 50 ms after a "
+        "step of a desired force.</p>"
+    )
+
+
+def _row(figure: PaperFigure, verdict: Verdict) -> str:
+    return (
+        f'<tr><td><a href="#{figure.name}">Fig. {figure.number}</a></td>'
+        f"<td>{escape(figure.shows)}</td><td>{_badge(verdict)}</td></tr>"
+    )
+
+
+def _section(figure: PaperFigure, reproduction: Reproduction, verdict: Verdict) -> str:
+    made = reproduction.made.get(figure.name)
+    answers = {} if made is None else made.answers
+    states = "".join(
+        _statement(words, answers.get(key), made is not None)
+        for key, words in figure.states.items()
+    )
+    if made is None:
+        ours = '<div class="blank">Not reproduced: nothing here makes this figure yet.</div>'
+        command = broad = ""
+    else:
+        pages = [path for path in made.files if path.suffix == ".html"]
+        scenes = "".join(_scene(page, "Open the scene, to turn and look at") for page in pages)
+        ours = "".join(_pictures(made, figure.name)) + scenes + _table(made.table)
+        broad = " broad" if 'class="broad"' in ours else ""
+        command = _command(figure.name, reproduction)
+    return (
+        f'<section id="{figure.name}"><h2>Fig. {figure.number} {_badge(verdict)}</h2>'
+        f'<div class="pair{broad}"><div class="paper"><h3>The paper shows</h3>'
+        f"<p>{escape(figure.shows)}</p><h3>… states, and ours says</h3><ol>{states}</ol>{command}"
+        f'</div><div class="ours"><h3>Ours</h3>{ours}</div></div></section>'
+    )
+
+
+def _statement(words: str, answer: Answer | None, made: bool) -> str:
+    if answer is None:
+        verdict = Verdict.partly if made else Verdict.missing
+        said = "Open: this run does not answer it." if made else "Not reproduced."
+        limit = ""
+    else:
+        verdict = Verdict.reproduced if answer.holds else Verdict.contradicted
+        said = answer.found
+        limit = f' <span class="limit">Asked: {escape(answer.limit)}.</span>' * bool(answer.limit)
+    kind, mark = _MARKS[verdict]
+    return (
+        f'<li><p>{escape(words)}</p><p class="said"><span class="mark {kind}" title="{verdict}">'
+        f"{mark}</span> {escape(said)}{limit}</p></li>"
+    )
+
+
+def _study(name: str, made: Made, reproduction: Reproduction) -> str:
+    title = escape(name.replace("_", " "))
+    return (
+        f'<section id="{name}"><h2>{title[:1].upper() + title[1:]}</h2>{_table(made.table)}'
+        f"{''.join(_pictures(made, name))}{_command(name, reproduction)}</section>"
+    )
+
+
+def _pictures(made: Made, name: str) -> Iterator[str]:
+    """Each figure once, as vectors where there are, with its files to take away."""
+    for stem in dict.fromkeys(path.stem for path in made.files if path.suffix == ".png"):
+        files = {path.suffix: path for path in made.files if path.stem == stem}
+        small = [s for s in _TYPES if s in files and files[s].stat().st_size < MOST_BYTES]
+        suffix = small[0] if small else ".png"
+        broad = ' class="broad"' if _aspect(files) > BROAD else ""
+        source = f"data:{_TYPES[suffix]};base64,{_base64(files[suffix].read_bytes())}"
+        also = ", ".join(path.name for path in files.values() if path.suffix != ".json")
+        words = f"{escape(stem)}: our {escape(name)}"
+        yield (
+            f'<figure{broad}><div class="wide"><img src="{source}" alt="{words}" loading="lazy">'
+            f"</div><figcaption>Files beside this page: {escape(also)}</figcaption></figure>"
+        )
+
+
+def _aspect(files: Mapping[str, Path]) -> float:
+    """Width over height, as an SVG says it in its first lines; 1 without one."""
+    if ".svg" not in files:
+        return 1.0
+    size = _SIZE.search(files[".svg"].read_text(encoding="utf-8")[:2000])
+    return 1.0 if size is None else float(size[1]) / float(size[2])
+
+
+def _table(table: Table | None) -> str:
+    if table is None:
+        return ""
+    heads = "".join(f"<th>{escape(str(column.header))}</th>" for column in table.columns)
+    rows: Sequence[tuple[object, ...]] = list(
+        zip(*(column.cells for column in table.columns), strict=True)
+    )
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    title = f"<caption>{escape(str(table.title))}</caption>" if table.title else ""
+    return f'<div class="wide"><table>{title}<tr>{heads}</tr>{body}</table></div>'
+
+
+def _scene(scene: Path | None, words: str) -> str:
+    """A page folded into this one."""
+    if scene is None:
+        return ""
+    packed = _base64(zlib.compress(scene.read_bytes(), 9))
+    return (
+        f'<details class="scene"><summary>{escape(words)}</summary><div></div></details>'
+        f'<script type="text/plain">{packed}</script>'
+    )
+
+
+def _command(name: str, reproduction: Reproduction) -> str:
+    options = " ".join(filter(None, (reproduction.made[name].options, reproduction.options)))
+    return f'<p class="command">{_code(f"osc-contact reproduce {name} {options}".strip())}</p>'
+
+
+def _badge(verdict: Verdict) -> str:
+    kind, mark = _MARKS[verdict]
+    return f'<span class="badge {kind}">{mark} {verdict}</span>'
+
+
+def _code(text: str) -> str:
+    return f"<code>{escape(text)}</code>"
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode("ascii")
+
+
+# --- `osc-contact reproduce`: makes figures and studies one after the other, by their names ---
+
+
+REPRODUCIBLE = (*figures.FIGURES, *STUDIES)
+BRIEF_S = 10.0  #: of each run of a slow study that is one of several
+
+
+@dataclass(frozen=True)
+class Made:
+    """What came of one name.
+
+    Attributes:
+        files: figures in every format, and JSON.
+        answers: to what the paper states, by key; empty for studies beside the paper.
+        table: of a study. data: its numbers. options: that its command needs besides those typed.
+    """
+
+    files: Sequence[Path]
+    answers: Mapping[str, Answer] = field(default_factory=dict)
+    table: Table | None = None
+    data: Mapping[str, Any] | None = None
+    options: str = ""
+
+    @property
+    def drawn(self) -> bool:
+        """Whether there is a picture among the files; fig. 3 needs a browser for its own."""
+        return any(path.suffix in (".png", ".svg") for path in self.files)
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Everything that one command made.
+
+    Attributes:
+        made: by name. options: of the command, as typed. scene: the run's page.
+        scenario: behind the figures that are not studies, recording: of its run, if there was one.
+    """
+
+    made: Mapping[str, Made]
+    scenario: osc.Scenario
+    recording: osc.Recording | None
+    scene: Path | None
+    options: str = ""
+
+    def verdicts(self) -> dict[str, Verdict]:
+        """By the names of the paper's eight figures."""
+        found = {}
+        for figure in PAPER:
+            one = self.made.get(figure.name, Made(()))
+            made = figure.name in self.made
+            found[figure.name] = judge(figure, made, one.answers, one.drawn)
+        return found
+
+    def as_dict(self) -> Data:
+        """JSON-able: files, the run's metrics, the studies' numbers, the paper's statements."""
+        paper = {
+            name: {
+                "verdict": verdict.value,
+                "answers": {
+                    k: {"found": a.found, "holds": a.holds}
+                    for k, a in self.made[name].answers.items()
+                },
+            }
+            for name, verdict in self.verdicts().items()
+            if name in self.made
+        }
+        return {
+            "figures": [str(path) for one in self.made.values() for path in one.files],
+            "metrics": {} if self.recording is None else osc.metrics(self.recording),
+            "studies": {k: one.data for k, one in self.made.items() if one.data is not None},
+            "paper": paper,
+        }
+
+
+def names_of(figure: str) -> tuple[str, ...]:
+    """The names behind one word of the command line.
+
+    "all" are the paper's figures and the studies that take no minutes.
+
+    Raises:
+        InvalidInputError: unknown, with the names there are.
+    """
+    names: tuple[str, ...] = (figure,)
+    if figure == "all":
+        paper = {one.name for one in PAPER}
+        names = tuple(name for name in REPRODUCIBLE if name in paper or name not in SLOW)
+    if not set(REPRODUCIBLE).issuperset(names):
+        raise osc.InvalidInputError(f"no figure '{figure}'; there are {', '.join(REPRODUCIBLE)}")
+    return names
+
+
+def typed(plant: str | None, duration: float | None, seed: int, changes: Sequence[str]) -> str:
+    """The options of a command as they are typed.
+
+    Args:
+        plant: of `--plant`, None if it was not given.
+        duration: of `--duration` (s), None if it was not given.
+        seed: of `--seed`; 0 is left out.
+        changes: of `--set`.
+    """
+    words = [] if plant is None else ["--plant", plant]
+    words += [] if duration is None else ["--duration", f"{duration:g}"]
+    words += ["--seed", str(seed)] if seed else []
+    return shlex.join([*words, *(word for change in changes for word in ("--set", change))])
+
+
+def make(
+    names: Sequence[str], folder: Path, scenario: osc.Scenario, ask: Ask, options: str = ""
+) -> Reproduction:
+    """Make figures and studies; their tables are printed.
+
+    Args:
+        names: of `FIGURES` and `STUDIES`.
+        folder: for everything that is written.
+        scenario: behind the figures that are not studies; run if one of them needs it.
+        ask: of the studies, and the seed of that run.
+        options: of the command, as typed; shown in the report.
+    """
+    drawn = [name for name in names if name not in STUDIES]
+    recording = None
+    scene = None
+    if figures.NEED_RUN.intersection(drawn):
+        recording = record(scenario, ask.seed, folder)
+        of_run = folder / scenario.name
+        out.print(verdict_table(write_report(recording, scenario, of_run)))
+        scene = of_run / "scene.html"
+    made = {}
+    for name in drawn:
+        files = save(figures.reproduce(name, scenario, recording), folder / name, PRINT)
+        answers = {}
+        if recording is not None:
+            answers = ANSWERS[name](Evidence(osc.build_rig(scenario), recording))
+        made[name] = Made(files, answers)
+    for name in names:
+        if name in STUDIES:
+            brief = name in SLOW and len(names) > 1 and ask.duration is None
+            duration = BRIEF_S if brief else ask.duration
+            with err.status(name) as status:
+                asked = replace(ask, duration=duration, tell=status.update)
+                study, written = write_study(name, folder, asked)
+            out.print(study.table)
+            more = typed(None, duration, 0, ()) if brief else ""
+            made[name] = Made(written, study.answers, study.table, study.data, more)
+    return Reproduction(made, scenario, recording, scene, options)

@@ -1,0 +1,265 @@
+"""Ours and the best selection laws where plant and controller's model differ: the runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.table import Table
+
+import osc_contact as osc
+from osc_contact.spatial import Array
+from osc_contact.sweeps.rows import make_rows, scenario_of
+from osc_contact.sweeps.study import SweepStudy
+from osc_contact.sweeps.table import RowFile
+from osc_contact.sweeps.workers import make_all, workers_of
+from osc_contact.visual import OKABE_ITO
+from osc_contact.visual.style import style
+from paper.selection_laws import BASELINES, Baseline, Instant, Law, Ours, SelectionLaw, best_frames
+from paper.study import Ask, Data, Study, table_of
+
+SCENARIO = "two_contact_rod"
+SAMPLES = 1000  #: of each case, unless others are asked for
+#: What is not as the controllers believe, by case.
+VARIED: dict[str, tuple[str, ...]] = {
+    "masses": (
+        "model_error.object_mass=uniform(0.8, 1.2)",
+        "model_error.arm_mass=uniform(0.8, 1.2)",
+    ),
+    "friction": ("plant.friction=uniform(0, 0.2)",),
+    "delay": ("sensors.wrist.rate=choice(1 kHz)", "sensors.wrist.delay=uniform(0 ms, 10 ms)"),
+    "normals": (
+        "model_error.face_tilt=uniform(0 deg, 5 deg)",
+        "model_error.face_tilt_about=uniform(0 deg, 360 deg)",
+    ),
+}
+TITLES = {
+    "masses": "masses ± 20 %",
+    "friction": "friction up to 0.2",
+    "delay": "wrist delay up to 10 ms",
+    "normals": "faces turned by up to 5°",
+}
+LABELS = {"ours": "ours"} | {name: one.label for name, one in BASELINES.items()}
+LAWS = tuple(LABELS)
+QUANTITIES = {"force": "force error, rms (%)", "motion": "motion error, rms (mm)"}
+SHARES = (0.5, 0.9, 0.99)
+_SCALE = {"force": 100.0, "motion": 1e3}
+#: A control rate at which a row is cheap; the task's slow first part is over after 1 s.
+_AT = ("control.rate=250 Hz", "plant.step=0.5 ms", "duration=1.5 s")
+Candidate = tuple[SelectionLaw, float, float]
+_FIRST = 2  #: samples of each case by which the best selection laws are chosen
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """What the laws made of the same runs.
+
+    Attributes:
+        laws: the best of each family of selection laws, by the names of `BASELINES`.
+        candidates: of each family (law, force error, motion error) of all that do the task:
+            geometric means over the runs by which the best was chosen.
+        rows: by what varies: one a sample, with `LAW.word`, `LAW.failed`, `LAW.force` (relative
+            rms error of the worse contact) and `LAW.motion` (rms error of the position, m).
+        nominal: the row without anything varied. changes: key=value of all runs.
+    """
+
+    laws: dict[str, SelectionLaw]
+    candidates: dict[str, list[Candidate]]
+    rows: dict[str, list[Data]]
+    nominal: Data
+    changes: tuple[str, ...] = ()
+
+    def errors(self, varied: str, law: str, quantity: str) -> Array:
+        """(samples,) sorted, in the units of `QUANTITIES`; infinite where the task failed.
+
+        Args:
+            varied: of `VARIED`. law: of `LAWS`. quantity: of `QUANTITIES`.
+        """
+        rows = self.rows[varied]
+        found = [np.inf if r[f"{law}.failed"] else r[f"{law}.{quantity}"] for r in rows]
+        return np.sort(_SCALE[quantity] * np.array(found, dtype=float))
+
+    def as_dict(self) -> Data:
+        """JSON-able: how the laws were chosen, quantiles of every case and all rows."""
+        return {
+            "scenario": SCENARIO,
+            "set_in_all_runs": list(self.changes),
+            "selection": {
+                name: {
+                    "law": law.baseline.label,
+                    "equation": law.baseline.equation,
+                    "candidates": len(self.candidates[name]),
+                    **law.selection.as_dict(),
+                }
+                for name, law in self.laws.items()
+            },
+            "nominal": self.nominal,
+            "cases": {
+                varied: {
+                    "varied": list(VARIED[varied]),
+                    "samples": len(rows),
+                    **{law: self._told(varied, law) for law in LAWS},
+                }
+                for varied, rows in self.rows.items()
+            },
+            "rows": self.rows,
+        }
+
+    def _told(self, varied: str, law: str) -> Data:
+        rows = self.rows[varied]
+        found: Data = {"success_rate": sum(not row[f"{law}.failed"] for row in rows) / len(rows)}
+        for quantity in QUANTITIES:
+            errors = self.errors(varied, law, quantity)
+            values = np.quantile(errors, SHARES, method="inverted_cdf")
+            found[quantity] = [float(x) if np.isfinite(x) else None for x in values]
+        return found
+
+
+def run(
+    samples: int,
+    folder: Path,
+    seed: int = 0,
+    changes: Sequence[str] = (),
+    workers: int | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Robustness:
+    """Run every case: each sample once under each law, on the same plant with the same seed.
+
+    The best law of a family is the one with the least product of force error and motion error.
+
+    Args:
+        samples: of each case. seed: of the points, of the runs and of the search for frames.
+        changes: key=value of the scenario, in all runs.
+        folder: for the rows; those that are done there are not run again.
+        workers: see `sweep`. tell: called with what is done.
+
+    Raises:
+        ScenarioError, ContactError: the changes do not fit the comparison.
+    """
+    changes = (*_AT, *changes)
+    studies = [
+        SweepStudy.of(SCENARIO, vary, samples, seed=seed, overrides=changes)
+        for vary in VARIED.values()
+    ]
+    tell("best selection laws")
+    candidates = {name: _candidates(studies, family, seed) for name, family in BASELINES.items()}
+    best = {name: min(some, key=lambda x: x[1] * x[2])[0] for name, some in candidates.items()}
+    laws: dict[str, Law] = {"ours": Ours()} | best
+    frames = {name: law.selection.as_dict() for name, law in best.items()}
+    with ExitStack() as stack:
+        files = []
+        for name, study in zip(VARIED, studies, strict=True):
+            files.append(RowFile(folder / f"robustness_{name}.jsonl", study, frames))
+            stack.callback(files[-1].close)
+        done = [{k: row for k, row in file.done.items() if k < samples} for file in files]
+        jobs = [
+            (study, [number])
+            for number in range(samples)
+            for study, rows in zip(studies, done, strict=True)
+            if number not in rows
+        ]
+        crew = stack.enter_context(workers_of(workers, None, len(jobs)))
+        for study, row in make_all(crew, jobs, partial(_make, laws)):
+            case = studies.index(study)
+            done[case][row["row"]] = row
+            files[case].append([row])
+            tell(f"{sum(map(len, done))} of {samples * len(studies)} samples")
+    rows = {name: [one[k] for k in sorted(one)] for name, one in zip(VARIED, done, strict=True)}
+    nominal = _make(laws, _nominal(studies[0]), [0])[0]
+    return Robustness(best, candidates, rows, nominal, changes)
+
+
+def _candidates(studies: Sequence[SweepStudy], family: Baseline, seed: int) -> list[Candidate]:
+    """Every selection of axes of a family, each with its best frame, judged by first samples.
+
+    Those that fail one of them are left out.
+    """
+    nominal = _nominal(studies[0])
+    jobs = [(nominal, 0), *((one, k) for one in studies for k in range(min(_FIRST, one.rows)))]
+    rig = osc.build_rig(scenario_of(nominal, nominal.sample(0)))
+    instant = Instant(rig.state(), rig.contact())
+    found = []
+    for law in best_frames(instant, family, seed=seed):
+        rows = [_judge(law, *job) for job in jobs]
+        if not any(row["failed"] for row in rows):
+            errors = [(row["force"], row["motion"]) for row in rows]
+            force, motion = np.exp(np.mean(np.log(errors), axis=0))
+            found.append((law, float(force), float(motion)))
+    return found
+
+
+def _nominal(study: SweepStudy) -> SweepStudy:
+    """Where all is as the controllers believe."""
+    return replace(study, vary=(), samples=1)
+
+
+def _make(laws: Mapping[str, Law], study: SweepStudy, numbers: Sequence[int]) -> list[Data]:
+    """Rows of some samples: one run under each law."""
+    rows = []
+    for sample in map(study.sample, numbers):
+        row: Data = {"row": sample.number, "seed": sample.seed, **sample.shown}
+        for name, law in laws.items():
+            verdict = _judge(law, study, sample.number)
+            row |= {f"{name}.{key}": value for key, value in verdict.items()}
+        rows.append(row)
+    return rows
+
+
+def _judge(law: Law, study: SweepStudy, number: int) -> Data:
+    """One run: its word, whether the task failed, the force error of the worse contact, motion."""
+    (row,) = make_rows(study, [number], law.install)
+    forces = [x for key, x in row.items() if key.endswith(".rms_error_rel")]
+    return {
+        "word": row["word"],
+        "failed": row["failed"],
+        "force": max(forces, default=None),
+        "motion": row.get("motion.rms_error_m"),
+    }
+
+
+def tabulate(found: Robustness) -> Table:
+    """Tasks done and quantiles of both errors: a row for each case and law."""
+    cases = found.as_dict()["cases"]
+    samples = next(iter(cases.values()))["samples"]
+    shares = " / ".join(f"{100 * share:g} %" for share in SHARES)
+    rows = []
+    for name, case in cases.items():
+        for law in LAWS:
+            told = case[law]
+            errors = [
+                " / ".join("none" if x is None else f"{x:.3g}" for x in told[k]) for k in QUANTITIES
+            ]
+            rows.append((TITLES[name], LABELS[law], f"{told['success_rate']:.1%}", *errors))
+    title = f"two_contact_rod on mujoco, {samples} samples of each case: {shares} of runs below"
+    return table_of(
+        title, f"not as believed; law; tasks done; {'; '.join(QUANTITIES.values())}", rows
+    )
+
+
+def draw(found: Robustness) -> Figure:
+    """The share of runs below an error: a column for each case, forces above, motions below."""
+    colours = {"ours": "blue", "khatib": "vermillion", "isaac_lab": "orange"}
+    with style():
+        figure = Figure(figsize=(10.0, 5.2))
+        axes = figure.subplots(2, len(found.rows), sharex="row", sharey=True)
+        for row, (quantity, label) in zip(axes, QUANTITIES.items(), strict=True):
+            for ax, name in zip(row, found.rows, strict=True):
+                for law, label_of in LABELS.items():
+                    errors = found.errors(name, law, quantity)
+                    ax.ecdf(errors, color=OKABE_ITO[colours[law]], label=label_of)
+                ax.set(xscale="log", xlabel=label, title=TITLES[name])
+            row[0].set_ylabel("share of runs")
+        axes[0, 0].legend(loc="upper left")
+    return figure
+
+
+def study(ask: Ask) -> Study:
+    """All cases under all laws."""
+    samples = SAMPLES if ask.samples is None else ask.samples
+    found = run(samples, ask.folder, ask.seed, ask.all_changes(), tell=ask.tell)
+    return Study({"robustness": draw(found)}, tabulate(found), found.as_dict())

@@ -1,0 +1,490 @@
+"""Selection laws as their authors wrote them, beside ours: all that differs is how commands
+become the object force f_S.
+
+Ω̄ selects wrenches and Ω accelerations (`Selection`). For six motions the laws are, at O,
+
+    selected before Λ        F = Λ Ω a + Ω̄ f + μ + p       Khatib 1987, Newton, SAI
+    selected before and after   F = Ωᵀ Λ Ω a + Ω̄ f + μ + p      Isaac Lab
+
+What is not selection is the same for all of them and exact: the closed chain's Λ_S and b_S with
+gravity and velocity terms, force sensing, gains, references, torque allocation. f = Nα_u, so that
+Ω̄N∫(α_d − α_meas) is integral feedback on the selected components of the measured wrench.
+
+The chain need not move in all six directions. A selected acceleration x is then taken into its
+motions S the way ours is, with the law's own selected wrenches W in the place of N,
+
+    P_W x = argmin_e (x − S e)ᵀΛ_o(x − S e)   subject to   WᵀS e = Wᵀx,
+
+so that rounding x to what the chain can do spoils nothing the law has put into it, and a force of
+the chain is selected as the wrench P_∅ᵀΛ_S η̇ that gives it. For d = 6 both are S⁻¹.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+import osc_contact as osc
+from osc_contact.contacts.raibert_craig import Triple, as_raibert_craig, selection_columns
+from osc_contact.control.command_filter import command
+from osc_contact.control.controller import Controller
+from osc_contact.control.signals import Signals
+from osc_contact.dynamics.closed_chain import ChainState
+from osc_contact.spatial import Array, skew
+
+
+def coordinates(state: ChainState, W: Array) -> Array:
+    """P_W (d, 6), see above; W (6, 0) gives P_∅, the nearest motion in the object's metric."""
+    SM = state.S.T @ state.metric
+    H = SM @ state.S
+    P = np.linalg.solve(H, SM)
+    if W.shape[1] == 0:
+        return P
+    W_S = state.S.T @ W
+    lift = np.linalg.solve(H, W_S)
+    return P + lift @ np.linalg.solve(W_S.T @ lift, W.T - W_S.T @ P)
+
+
+def selected_before(state: ChainState, selection: Selection) -> tuple[Array, Array]:
+    """η̇ = X a − Y σ with X = P_W Ω, Y = P_W: F = ΛΩa + Ω̄f + μ + p."""
+    Y = coordinates(state, selection.wrenches)
+    return Y @ selection.motion, Y
+
+
+def selected_before_and_after(state: ChainState, selection: Selection) -> tuple[Array, Array]:
+    """The same with X = Λ_S⁻¹SᵀΩᵀP_∅ᵀΛ_S P_W Ω: F = ΩᵀΛΩa + Ω̄f + μ + p."""
+    X, Y = selected_before(state, selection)
+    again = state.S.T @ selection.motion.T @ coordinates(state, np.zeros((6, 0))).T
+    return np.linalg.solve(state.Lambda, again @ state.Lambda @ X), Y
+
+
+def structure(state: ChainState, eta_dot: Array, f: Array) -> Array:
+    """(d,) Λ_S η̇ + b_S + Sᵀf, the equation of motion that all of them cancel.
+
+    Args:
+        state: of the closed chain.
+        eta_dot: (d,) commanded acceleration, in the coordinates of S.
+        f: (6,) commanded contact wrench at O (N, N m).
+    """
+    return state.Lambda @ eta_dot + state.bias + state.S.T @ f
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A family of selection laws.
+
+    Attributes:
+        label: what figures and tables call it.
+        rule: (state, selection) → X, Y with η̇ = X a − Y σ.
+        triads: 1: forces and couples are selected on the axes of one frame; 2: each on its own.
+        equation: the law in words of `laws`.
+        source: where it was published or is in use, and what differs there.
+    """
+
+    label: str
+    rule: Callable[[ChainState, Selection], tuple[Array, Array]]
+    triads: int
+    equation: str
+    source: str
+
+
+BASELINES: dict[str, Baseline] = {
+    "khatib": Baseline(
+        "Khatib, Newton, SAI",
+        selected_before,
+        2,
+        "F = ΛΩa + Ω̄f + μ + p",
+        "Khatib 1987, IEEE J. Robotics and Automation 3(1): Ω from a force triad S_F and a couple "
+        "triad S_M. NVIDIA Newton, ControllerOperationalSpaceModelFree: the same Ω before Λ, "
+        "proportional force feedback, no velocity terms. Stanford sai-primitives, "
+        "MotionForceTask: the same from two projectors σ_force and σ_moment of any axis",
+    ),
+    "isaac_lab": Baseline(
+        "Isaac Lab",
+        selected_before_and_after,
+        1,
+        "F = ΩᵀΛΩa + Ω̄f + μ + p",
+        "Isaac Lab 2, isaaclab/controllers/operational_space.py: the gains are selected "
+        "and so is the force Λa they give, all on the axes of one task frame; there at the tool "
+        "point and without velocity terms",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class SelectionLaw:
+    """A baseline with its selection, which moves with the object but keeps its axes."""
+
+    baseline: Baseline
+    selection: Selection
+
+    def eta(self, state: ChainState, a: Array) -> Array:
+        """Commanded η̇ (d,) of an unfiltered object acceleration a (6,)."""
+        X, Y = self.baseline.rule(state, self.selection)
+        return X @ a - Y @ state.sigma
+
+    def f_S(self, state: ChainState, contact: osc.Contact, a: Array, alpha: Array) -> Array:
+        """Object force (d,) for a motion command a (6,) and a force command α (r,).
+
+        Args:
+            state: of the closed chain.
+            contact: the contacts in force.
+            a: (6,) commanded spatial acceleration at O.
+            alpha: (r,) commanded contact forces (N).
+        """
+        f = self.selection.force @ (contact.N @ alpha)
+        return structure(state, self.eta(state, a), f)
+
+    def install(self, controller: Controller) -> Controller:
+        """Put this law in the place of our filter and control structure; the rest stays."""
+
+        def command_structure(s: Signals) -> tuple[Array, Array]:
+            eta = self.eta(s.state, s.a_u)
+            f = self.selection.force @ s.f_ccomm
+            return eta, structure(s.state, eta, f + controller.f_bias)
+
+        return controller.with_laws(structure=command_structure)
+
+
+@dataclass(frozen=True)
+class Ours:
+    """Motion filter and dynamic control structure, eqs. 21 to 25, from the contact's N alone."""
+
+    def f_S(self, state: ChainState, contact: osc.Contact, a: Array, alpha: Array) -> Array:
+        """Object force (d,) for a motion command a (6,) and a force command α (r,).
+
+        Args:
+            state, contact, a, alpha: as of `SelectionLaw.f_S`.
+        """
+        return command(state, contact, a, alpha)[1]
+
+    def install(self, controller: Controller) -> Controller:
+        """Nothing to do: a controller is born with this law."""
+        return controller
+
+
+Law = Ours | SelectionLaw
+
+
+# --- What a selection matrix can say of a contact: axes, a point, and flags ---
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Force-controlled axes through one point p.
+
+    With F the selected force directions and C the selected couple axes, in 6-vectors at p
+
+        Ω̄ = diag(FFᵀ, CCᵀ),   Ω = 1 − Ω̄
+
+    are Khatib's generalised task specification matrices. As projectors at p they are meant, for
+    this is what the laws say; `force` and `motion` are the same carried to O.
+
+    Attributes:
+        linear: axes (columns of the rotation) along which forces are selected, and the point where
+            they act, as a translation from O; world axes (m).
+        angular: (3, 3) axes about which couples are selected.
+        forces, couples: which of these axes are force controlled.
+    """
+
+    linear: pin.SE3
+    angular: Array
+    forces: Triple
+    couples: Triple
+
+    @classmethod
+    def of_frame(cls, frame: pin.SE3, forces: Triple, couples: Triple) -> Selection:
+        """One constraint frame for forces and couples: the Raibert–Craig model.
+
+        Args:
+            frame: pose of the constraint frame.
+            forces, couples: which of its axes are force controlled.
+        """
+        return cls(frame, np.array(frame.rotation), forces, couples)
+
+    @cached_property
+    def wrenches(self) -> Array:
+        """W (6, r): unit forces and couples that are force controlled, at O."""
+        turned = pin.SE3(self.angular, self.linear.translation)
+        none = (False, False, False)
+        return np.hstack(
+            (
+                selection_columns(self.linear, self.forces, none),
+                selection_columns(turned, none, self.couples),
+            )
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able: point (m) and axes."""
+        return {
+            "point_m": self.linear.translation.tolist(),
+            "force_axes": self.linear.rotation[:, np.array(self.forces)].T.tolist(),
+            "couple_axes": self.angular[:, np.array(self.couples)].T.tolist(),
+        }
+
+    @cached_property
+    def force(self) -> Array:
+        """Ω̄ (6, 6) at O: the selected part of a wrench."""
+        F = np.array(self.linear.rotation)[:, np.array(self.forces)]
+        C = self.angular[:, np.array(self.couples)]
+        lever = skew(np.array(self.linear.translation))
+        upper = F @ F.T
+        lower = C @ C.T
+        return np.block([[upper, np.zeros((3, 3))], [lever @ upper - lower @ lever, lower]])
+
+    @cached_property
+    def motion(self) -> Array:
+        """Ω (6, 6) at O: the part of an acceleration left to motion control, WᵀΩ = 0."""
+        return np.eye(6) - self.force.T
+
+
+# --- What a law does at one instant: cross-talk between force and motion, from eqs. 17 and 18 ---
+
+
+_LEAST_GAIN = 0.1
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """The answer of a law to unit commands.
+
+    Attributes:
+        M: (r, r) N per N. K: (n, n) m/s² per m/s². G_f: (n, r) m/s² per N. G_m: (r, n) N per m/s².
+        inertia: m, kg.
+    """
+
+    M: Array
+    K: Array
+    G_f: Array
+    G_m: Array
+    inertia: float
+
+    @property
+    def usable(self) -> bool:
+        """Whether feedback can make up for M and K: real parts of the eigenvalues ≥ 0.1."""
+        gains = [np.linalg.eigvals(X).real.min(initial=1.0) for X in (self.M, self.K)]
+        return bool(min(gains) >= _LEAST_GAIN)
+
+    @property
+    def force_to_motion(self) -> Array:
+        """(n, r) m G_f M⁻¹: acceleration along the free motions per achieved force."""
+        return self.inertia * np.asarray(np.linalg.solve(self.M.T, self.G_f.T).T)
+
+    @property
+    def motion_to_force(self) -> Array:
+        """(r, n) G_m K⁻¹/m: contact force per achieved acceleration."""
+        return np.linalg.solve(self.K.T, self.G_m.T).T / self.inertia
+
+    @property
+    def norms(self) -> tuple[float, float]:
+        """Largest gain of `force_to_motion` and of `motion_to_force`."""
+        parts = (self.force_to_motion, self.motion_to_force)
+        f, m = (float(np.linalg.norm(x, 2)) if x.size else 0.0 for x in parts)
+        return f, m
+
+    @property
+    def residuals(self) -> Array:
+        """Both kinds of cross-talk in one vector, dimensionless."""
+        return np.concatenate((self.force_to_motion.ravel(), self.motion_to_force.ravel()))
+
+    @property
+    def cost(self) -> float:
+        """Root of the sum of squares of `residuals`; infinite where control would be lost."""
+        return float(np.linalg.norm(self.residuals)) if self.usable else np.inf
+
+
+class Instant:
+    """Chain and contact at one instant, and what a force f_S does there.
+
+    Attributes:
+        state, contact: at this instant.
+        size: largest radius of gyration of the object (m).
+        free: (6, n) free motions, orthonormal with angles counted in `size`: the principal ones of
+            the chain's inertia, lightest first.
+        along: (n, 6) coordinates of a motion that is free.
+        inertia: mean inertia of the free motions (kg).
+    """
+
+    def __init__(self, state: ChainState, contact: osc.Contact) -> None:
+        self.state = state
+        self.contact = contact
+        self.size = _radius_of_gyration(state.metric)
+        scale = np.array([1.0, 1.0, 1.0, self.size, self.size, self.size])
+        N_S = state.S.T @ contact.N
+        null = np.linalg.svd(N_S.T, full_matrices=True)[2][contact.r :].T
+        Q = np.linalg.qr(scale[:, None] * (state.S @ null))[0]
+        e = np.linalg.lstsq(state.S, Q / scale[:, None], rcond=None)[0]
+        inertias, principal = np.linalg.eigh(e.T @ state.Lambda @ e)
+        Q = Q @ (principal * np.sign(principal.sum(axis=0)))
+        self.free: Array = Q / scale[:, None]
+        self.along: Array = Q.T * scale
+        self.inertia = float(inertias.mean()) if len(inertias) else 1.0
+        base = osc.contact_response(state, contact, f_S=state.bias)
+        unit = [osc.contact_response(state, contact, f_S=state.bias + e) for e in np.eye(state.d)]
+        self._alpha: Array = np.column_stack([x.alpha - base.alpha for x in unit])
+        a = np.column_stack([x.acceleration - base.acceleration for x in unit])
+        self._motion: Array = self.along @ a
+
+    def coupling(self, law: Law) -> Coupling:
+        """Unit commands through the law and through `contact_response`."""
+        state = self.state
+        contact = self.contact
+        if isinstance(law, SelectionLaw):  # without what cancels: the search calls this often
+            X, _ = law.baseline.rule(state, law.selection)
+            of_a = state.Lambda @ X @ self.free
+            of_alpha = state.S.T @ (law.selection.force @ contact.N)
+        else:
+            none = np.zeros(contact.r)
+            rest = law.f_S(state, contact, np.zeros(6), none)
+            a = [law.f_S(state, contact, u, none) - rest for u in self.free.T]
+            alpha = [law.f_S(state, contact, np.zeros(6), e) - rest for e in np.eye(contact.r)]
+            of_a = np.column_stack(a)
+            of_alpha = np.column_stack(alpha)
+        return Coupling(
+            M=self._alpha @ of_alpha,
+            K=self._motion @ of_a,
+            G_f=self._motion @ of_alpha,
+            G_m=self._alpha @ of_a,
+            inertia=self.inertia,
+        )
+
+
+def _radius_of_gyration(inertia: Array) -> float:
+    """Of a body with this 6×6 inertia, about its centre of mass, largest axis (m)."""
+    mass = inertia[0, 0]
+    lever = inertia[3:, :3] / mass  # [c]×
+    about_centre = inertia[3:, 3:] + mass * lever @ lever
+    return float(np.sqrt(np.linalg.eigvalsh(about_centre)[-1] / mass))
+
+
+# --- The best constraint frame each selection law can be given, by the cross-talk it predicts ---
+
+
+_STEPS = 40
+
+
+def best_selection(
+    instant: Instant, baseline: Baseline, *, restarts: int = 4, seed: int = 0
+) -> SelectionLaw:
+    """The law with the selection of least cost.
+
+    Args:
+        instant, baseline, restarts, seed: see `best_frames`.
+
+    Raises:
+        ContactError: with no selection does the law keep control of forces and motions.
+    """
+    found = best_frames(instant, baseline, restarts=restarts, seed=seed)
+    return min(found, key=lambda law: instant.coupling(law).cost)
+
+
+def best_frames(
+    instant: Instant, baseline: Baseline, *, restarts: int = 4, seed: int = 0
+) -> list[SelectionLaw]:
+    """For each selection of r out of six axes with which control is kept, the law of least cost.
+
+    Args:
+        instant: for which it is optimal.
+        baseline: family of laws.
+        restarts: random starts for each selection of axes, besides that of `as_raibert_craig`.
+        seed: of the random starts.
+
+    Raises:
+        ContactError: there is none.
+    """
+    rng = np.random.default_rng(seed)
+    start = as_raibert_craig(instant.contact.N, instant.size).frame
+    best = []
+    for chosen in combinations(range(6), instant.contact.r):
+        forces, couples = _flags(chosen)
+        first = Selection.of_frame(start, forces, couples)
+        others = [
+            random_selection(instant, baseline, rng, forces, couples) for _ in range(restarts)
+        ]
+        found = [_descend(instant, SelectionLaw(baseline, one)) for one in (first, *others)]
+        law, cost = min(found, key=lambda one: one[1])
+        if np.isfinite(cost):
+            best.append(law)
+    if not best:
+        raise osc.ContactError("no constraint frame keeps control of all forces and motions")
+    return best
+
+
+def random_selection(
+    instant: Instant, baseline: Baseline, rng: np.random.Generator, forces: Triple, couples: Triple
+) -> Selection:
+    """A frame anywhere on the object: uniform axes, a point within twice its size of O.
+
+    Args:
+        instant: the state, for the object's size.
+        baseline: how many triads the frame has.
+        rng: source of the random numbers.
+        forces, couples: which of the frame's axes are force controlled.
+    """
+    triads = [pin.Quaternion(*_unit(rng.normal(size=4))).matrix() for _ in range(baseline.triads)]
+    frame = pin.SE3(triads[0], rng.uniform(-2.0, 2.0, 3) * instant.size)
+    return Selection(frame, triads[-1], forces, couples)
+
+
+def _descend(instant: Instant, law: SelectionLaw) -> tuple[SelectionLaw, float]:
+    """Levenberg–Marquardt on the residuals, finite differences of point and axes."""
+    at = instant.coupling(law)
+    cost = at.cost
+    damping = 1e-2
+    if not np.isfinite(cost):
+        return law, cost
+    small = 1e-6
+    count = 3 + 3 * law.baseline.triads
+    for _ in range(_STEPS):
+        r = at.residuals
+        beside = [_moved(law, small * e, instant.size) for e in np.eye(count)]
+        moved = [instant.coupling(x).residuals for x in beside]
+        J = (np.array(moved) - r) / small  # (count, residuals)
+        gradient = J @ r
+        normal = J @ J.T
+        if np.linalg.norm(gradient) <= 1e-9 * max(cost, 1e-12):
+            break
+        step = -np.linalg.solve(normal + damping * np.eye(count), gradient)
+        trial = _moved(law, step * min(1.0, 1.0 / float(np.linalg.norm(step))), instant.size)
+        coupling = instant.coupling(trial)
+        if coupling.cost < cost:
+            done = cost - coupling.cost < 1e-7 * cost
+            law = trial
+            at = coupling
+            cost = coupling.cost
+            damping = 0.2 * damping
+            if done:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e8:
+                break
+    return law, cost
+
+
+def _moved(law: SelectionLaw, step: Array, size: float) -> SelectionLaw:
+    """The point moved by step[:3] sizes, the triads turned by step[3:6] (and step[6:])."""
+    old = law.selection
+    linear = pin.SE3(
+        pin.exp3(step[3:6]) @ old.linear.rotation, old.linear.translation + size * step[:3]
+    )
+    if law.baseline.triads == 1:
+        angular = np.array(linear.rotation)
+    else:
+        angular = pin.exp3(step[6:]) @ old.angular
+    return SelectionLaw(law.baseline, Selection(linear, angular, old.forces, old.couples))
+
+
+def _flags(chosen: Sequence[int]) -> tuple[Triple, Triple]:
+    x, y, z, a, b, c = (i in chosen for i in range(6))
+    return (x, y, z), (a, b, c)
+
+
+def _unit(x: Array) -> Array:
+    return x / np.linalg.norm(x)

@@ -1,0 +1,90 @@
+"""What a study is given and what it hands back: figures, a table and its numbers by one name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from paper.statements import Answer
+
+Data = dict[str, Any]  #: numbers for JSON
+
+
+@dataclass(frozen=True)
+class Study:
+    """What an experiment found.
+
+    Attributes:
+        figures: by file name, without suffix.
+        table: to print.
+        data: the numbers, for JSON.
+        answers: of a study named as a figure of the paper, to what the paper states about it, by
+            the keys of `PAPER`.
+        pages: what writes a page to a path, by file name without suffix.
+    """
+
+    figures: Mapping[str, Figure]
+    table: Table
+    data: Data
+    answers: Mapping[str, Answer] = field(default_factory=dict)
+    pages: Mapping[str, Callable[[Path], Path]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Ask:
+    """Options of a study.
+
+    Attributes:
+        seed: of everything random.
+        duration: of simulated runs (s); default: the study's own.
+        changes: "key=value" of its scenario, where it has one.
+        samples: of what varies, where something does; default: the study's own.
+        folder: for what a study keeps while it runs.
+        tell: called with what it does next.
+    """
+
+    seed: int = 0
+    duration: float | None = None
+    changes: Sequence[str] = ()
+    samples: int | None = None
+    folder: Path = Path()
+    tell: Callable[[str], None] = lambda _: None
+
+    def lasting(self, usual: float) -> float:
+        """The duration of its runs (s).
+
+        Args:
+            usual: where none is given (s).
+        """
+        return usual if self.duration is None else self.duration
+
+    def all_changes(self) -> list[str]:
+        """The changes of its scenario, with the duration among them."""
+        lasts = [] if self.duration is None else [f"duration={self.duration!r}"]
+        return [*self.changes, *lasts]
+
+
+def table_of(title: str, heads: str, rows: Iterable[Iterable[object]]) -> Table:
+    """A table to print.
+
+    Args:
+        title: above it. heads: of its columns, separated by "; ". rows: with a cell for each.
+    """
+    table = Table(*heads.split("; "), title=title)
+    for row in rows:
+        table.add_row(*map(str, row))
+    return table
+
+
+def words_of(value: float | None, form: str, without: str = "–") -> str:
+    """A number in words, or what stands for none.
+
+    Args:
+        value: the number. form: for `str.format`. without: where there is none.
+    """
+    return without if value is None else form.format(value)
