@@ -20,6 +20,7 @@ from osc_contact.control.phases import Phase, PhaseSettings
 from osc_contact.control.reading import Reading
 from osc_contact.control.reasons import (
     convert_arrays,
+    converting,
     read_joints,
     require_shapes,
     require_sizes,
@@ -60,7 +61,7 @@ class Controller(ControllerCopies):
         motion_law, force_law: gains and integrals of the two loops.
     """
 
-    _converting: bool
+    _converting: bool  #: arrays of other types came: the law's call converts
     _freshness: Freshness
 
     def __init__(
@@ -211,8 +212,9 @@ class Controller(ControllerCopies):
 
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
         """The same with bodies that move, stamps, three arms and more, or code of the user's."""
-        if not self._converting:
-            self._freshness.require(measurement)
+        self._freshness.require(measurement)
+        if self._converting and self._in_parts:  # code of the user's takes arrays
+            measurement, reference = convert_arrays(measurement, reference)
         if measurement.wrench_valid is not None and not measurement.wrench_valid:
             self._records.memory.wrench_missing = 1
         touched, flags, table = measurement.touched, 0, self._still
@@ -241,20 +243,25 @@ class Controller(ControllerCopies):
         return self._end(tau, measurement, reference, error)
 
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
-        """A tick whose arrays are of other types: made what the law takes, or held."""
+        """A tick whose arrays are of other types, or one to be held.
+
+        That such arrays come is found out once: from then on every call of the law makes them what
+        it takes. numba's refusal costs as much as many ticks.
+        """
         try:
-            if self._converting or isinstance(error, SensorTimeout):
+            if isinstance(error, SensorTimeout):
                 raise error
             require_sizes(measurement, reference, self.settings)
-            self._converting = True
-            return self.tick(*convert_arrays(measurement, reference))
+            if self._converting:
+                raise error
+            self._converting, self._rows = True, converting(self._rows)
+            self._take_records(self._records)
+            return self.tick(replace(measurement, stamps=None, sequence=None), reference)
         except Exception as why:
             if not self._records.memory.ticked:
                 require_shapes(measurement, reference, self.settings)
             self._inputs, self._failure = (measurement, reference), why
             return self._hold(measurement)
-        finally:
-            self._converting = False
 
     def _hold(self, measurement: Measurement) -> Array:
         """Torques (n_a,) of a tick that failed outside of the law: one that is not computed."""
