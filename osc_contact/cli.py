@@ -13,6 +13,7 @@ import typer
 from osc_contact import __version__, cli_robots, cli_start, cli_sweeps
 from osc_contact.bench.program import run_benchmark
 from osc_contact.console import (
+    CompilationBar,
     DurationOption,
     JsonOption,
     ScenarioArgument,
@@ -94,7 +95,7 @@ def main(
     """Decoupled force and motion control of arms in contact."""
     if context.invoked_subcommand is None:
         say(cli_start.FIRST_STEPS)
-    compiled.tell(lambda text: err.print(text, style="dim", highlight=False))
+    compiled.tell(lambda text: err.print(text, style="dim", highlight=False), CompilationBar())
     atexit.register(gc.freeze)  # or Python looks through all of numba's objects before it ends
 
 
