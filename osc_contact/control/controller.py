@@ -37,7 +37,7 @@ from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows
-from osc_contact.law.tables import BODY, OBJECT_UNKNOWN
+from osc_contact.law.tables import BODY, DEGRADED, OBJECT_UNKNOWN
 from osc_contact.spatial import Array
 
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
@@ -282,7 +282,10 @@ class Controller(ControllerCopies):
         error: Exception | None = None,
     ) -> Array:
         """What is left to do after a tick that did not end OK; `error`: raised outside the law."""
-        code, self._given_up = int(self._codes[0]), None
+        code = int(self._codes[0])
+        if code == DEGRADED:  # the law did it all, and nothing of the controller's has changed
+            return tau
+        self._given_up = None
         self._inputs, self._failure = (measurement, reference), error
         if code == Status.HELD:
             if not self._records.memory.ticked:
