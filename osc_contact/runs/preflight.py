@@ -238,7 +238,7 @@ def _motors(rig: Rig) -> Iterator[Finding]:
     t, plan = rig.references.overview
     alpha = plan.alpha_d
     limits = np.minimum(rig.chain.tau_max, 1e12)
-    wanted = state.bias[:, None] + state.S.T @ rig.contact().N @ rig.contact().R @ alpha.T
+    wanted = state.b_S[:, None] + state.S.T @ rig.contact().N @ rig.contact().R @ alpha.T
     shares = np.linalg.pinv(state.G * limits) @ wanted  # of each motor's limit, least squares
     order = np.argsort(np.abs(shares).max(axis=0))
     most, usual = (

@@ -102,13 +102,13 @@ class Instant:
         null = np.linalg.svd(N_S.T, full_matrices=True)[2][contact.r :].T
         Q = np.linalg.qr(scale[:, None] * (state.S @ null))[0]
         e = np.linalg.lstsq(state.S, Q / scale[:, None], rcond=None)[0]
-        inertias, principal = np.linalg.eigh(e.T @ state.Lambda @ e)
+        inertias, principal = np.linalg.eigh(e.T @ state.Lambda_S @ e)
         Q = Q @ (principal * np.sign(principal.sum(axis=0)))
         self.free: Array = Q / scale[:, None]
         self.along: Array = Q.T * scale
         self.inertia = float(inertias.mean()) if len(inertias) else 1.0
-        base = contact_response(state, contact, f_S=state.bias)
-        unit = [contact_response(state, contact, f_S=state.bias + e) for e in np.eye(state.d)]
+        base = contact_response(state, contact, f_S=state.b_S)
+        unit = [contact_response(state, contact, f_S=state.b_S + e) for e in np.eye(state.d)]
         self._alpha: Array = np.column_stack([x.alpha - base.alpha for x in unit])
         a = np.column_stack([x.acceleration - base.acceleration for x in unit])
         self._motion: Array = self.along @ a
@@ -118,7 +118,7 @@ class Instant:
         state, contact = self.state, self.contact
         if isinstance(law, SelectionLaw):  # without what cancels: the search calls this often
             X, _ = law.baseline.rule(state, law.selection)
-            of_a = state.Lambda @ X @ self.free
+            of_a = state.Lambda_S @ X @ self.free
             of_alpha = state.S.T @ (law.selection.force @ contact.N)
         else:
             none = np.zeros(contact.r)

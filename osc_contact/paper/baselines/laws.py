@@ -63,7 +63,7 @@ def selected_before_and_after(
     """The same with X = Λ_S⁻¹SᵀΩᵀP_∅ᵀΛ_S P_W Ω: F = ΩᵀΛΩa + Ω̄f + μ + p."""
     X, Y = selected_before(state, selection)
     again = state.S.T @ selection.motion.T @ coordinates(state, np.zeros((6, 0))).T
-    return np.linalg.solve(state.Lambda, again @ state.Lambda @ X), Y
+    return np.linalg.solve(state.Lambda_S, again @ state.Lambda_S @ X), Y
 
 
 def structure(state: ChainState | _Motions, eta_dot: Array, f: Array) -> Array:
@@ -74,7 +74,7 @@ def structure(state: ChainState | _Motions, eta_dot: Array, f: Array) -> Array:
         eta_dot: (d,) commanded acceleration, in the coordinates of S.
         f: (6,) commanded contact wrench at O (N, N m).
     """
-    return np.asarray(state.Lambda @ eta_dot + state.bias + state.S.T @ f)
+    return np.asarray(state.Lambda_S @ eta_dot + state.b_S + state.S.T @ f)
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,8 @@ class _Motions:
 
     S: Array
     metric: Array
-    Lambda: Array
-    bias: Array
+    Lambda_S: Array
+    b_S: Array
     sigma: Array
 
     @classmethod
@@ -167,8 +167,8 @@ class _Motions:
         return cls(
             S=motion @ turn[m:].T,
             metric=wrench @ wrench.T,
-            Lambda=Lambda[m:, m:] + held * np.eye(6 - m),
-            bias=work["chain_bias"][m:] + Lambda[m:, :m] @ sigma,
+            Lambda_S=Lambda[m:, m:] + held * np.eye(6 - m),
+            b_S=work["chain_bias"][m:] + Lambda[m:, :m] @ sigma,
             sigma=motion @ (turn[:m].T @ sigma),
         )
 
