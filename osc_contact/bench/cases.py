@@ -125,7 +125,7 @@ class TickCase:
     def floor(self) -> Callable[[], object]:
         """`pin.computeAllTerms` of the same arms at the same q and v."""
         model, data = self.chain.model, self.chain.model.createData()
-        q, v = self.measurement.q, self.measurement.v
+        q, v = (np.array(x, dtype=float) for x in (self.measurement.q, self.measurement.v))
         return lambda: pin.computeAllTerms(model, data, q, v)
 
 

@@ -254,7 +254,8 @@ class Controller(ControllerCopies):
             require_sizes(measurement, reference, self.settings)
             if self._converting:
                 raise error
-            self._converting, self._rows = True, converting(self._rows)
+            self._rows = converting(self._rows, self.chain.nq, self._arms)
+            self._converting = True
             self._take_records(self._records)
             return self.tick(replace(measurement, stamps=None, sequence=None), reference)
         except Exception as why:

@@ -25,7 +25,8 @@ __all__ = [
     "require_sizes",
 ]
 
-_own = partial(np.array, dtype=np.dtype(float), order="C")
+_DOUBLE = np.dtype(float)
+_own = partial(np.array, dtype=_DOUBLE, order="C")
 
 
 def require_sizes(measurement: Measurement, reference: Reference, settings: Settings) -> None:
@@ -101,26 +102,35 @@ def convert_arrays(measurement: Measurement, reference: Reference) -> tuple[Meas
     )
 
 
-def converting(rows: Callable[..., int]) -> Callable[..., int]:
-    """The law's call for arrays of any type and order, and for lists."""
+def converting(rows: Callable[..., int], n: int, arms: int) -> Callable[..., int]:
+    """The law's call for arrays of any type and order, and for lists.
+
+    Args:
+        rows: the call that takes arrays of double precision. n: joints. arms: how many.
+    """
+    q_, v_, w_, V_, A_ = np.zeros(n), np.zeros(n), np.zeros((arms, 6)), np.zeros(6), np.zeros(6)
+    joints, wrists, six = q_.shape, w_.shape, V_.shape
 
     def call(
         model: Any, memory: Any, work: Any, q: Any, v: Any, wrenches: Any, X_WD: Any, V_D: Any,
         A_D: Any, alpha_d: Any, *rest: Any,
     ) -> int:  # fmt: skip
-        return rows(
-            model,
-            memory,
-            work,
-            _own(q),
-            _own(v),
-            _own(wrenches),
-            X_WD,
-            _own(V_D),
-            _own(A_D),
-            _own(alpha_d, ndmin=1),
-            *rest,
-        )
+        try:
+            fits = q.shape == v.shape == joints and wrenches.shape == wrists
+            fits = fits and V_D.shape == A_D.shape == six and alpha_d.ndim == 1
+        except AttributeError:  # of lists
+            fits = False
+        if not fits:
+            q, v, wrenches, V_D, A_D = _own(q), _own(v), _own(wrenches), _own(V_D), _own(A_D)
+            a = _own(alpha_d, ndmin=1)
+            return rows(model, memory, work, q, v, wrenches, X_WD, V_D, A_D, a, *rest)
+        q_[...] = q
+        v_[...] = v
+        w_[...] = wrenches
+        V_[...] = V_D
+        A_[...] = A_D
+        a = alpha_d.astype(_DOUBLE)
+        return rows(model, memory, work, q_, v_, w_, X_WD, V_, A_, a, *rest)
 
     return call
 
