@@ -115,8 +115,8 @@ class TickCase:
         """`pin.computeAllTerms` of the same arms at the same q and v."""
         model = self.chain.model
         data = self.chain.model.createData()
-        q = self.measurement.q
-        v = self.measurement.v
+        q = np.array(self.measurement.q, dtype=float)
+        v = np.array(self.measurement.v, dtype=float)
         return lambda: pin.computeAllTerms(model, data, q, v)
 
 
@@ -450,12 +450,43 @@ def own_pair() -> TickCase:
     return replace(case, name="own_pair", pairs=(own, second))
 
 
+def _in_other_arrays(name: str, make: Callable[[Array], Any]) -> TickCase:
+    """The rod rig, its measurement and reference in arrays of another kind."""
+    case = two_contact_rod()
+    m = case.measurement
+    r = case.reference
+    return replace(
+        case,
+        name=name,
+        measurement=replace(m, q=make(m.q), v=make(m.v), wrenches=make(m.wrenches)),
+        reference=replace(r, V_D=make(r.V_D), A_D=make(r.A_D), alpha_d=make(r.alpha_d)),
+    )
+
+
+def single_precision() -> TickCase:
+    """The rod rig, every array of single precision."""
+    return _in_other_arrays("single_precision", lambda x: x.astype(np.float32))
+
+
+def strided() -> TickCase:
+    """The rod rig, every array a view of every second element."""
+    return _in_other_arrays("strided", lambda x: np.repeat(x, 2, axis=-1)[..., ::2])
+
+
+def lists() -> TickCase:
+    """The rod rig, lists in the place of arrays."""
+    return _in_other_arrays("lists", lambda x: x.tolist())
+
+
 SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
     "near_singular": near_singular,
     "saturated": saturated,
     "three_arms": three_arms,
     "contact_phases": contact_phases,
     "own_pair": own_pair,
+    "single_precision": single_precision,
+    "strided": strided,
+    "lists": lists,
 }
 
 

@@ -172,7 +172,7 @@ def _leans(rig: Rig) -> bool:
 def _needed(rig: Rig) -> float:
     """What arms and object need of their motors' limits at least, held still off their faces."""
     state = rig.state()
-    return least_peak(state.G * np.minimum(rig.chain.tau_max, 1e12), state.bias)
+    return least_peak(state.G * np.minimum(rig.chain.tau_max, 1e12), state.b_S)
 
 
 @cache

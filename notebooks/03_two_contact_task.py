@@ -66,7 +66,7 @@ reproduce("fig1", scenario)
 
 # %%
 state = rig.state()
-print("d =", state.d, "  Λ_S", state.Lambda.shape, "  rank Φ₀ =",
+print("d =", state.d, "  Λ_S", state.Lambda_S.shape, "  rank Φ₀ =",
       np.linalg.matrix_rank(state.Phi, tol=1e-9 * np.linalg.norm(state.Phi)))  # fmt: skip
 print("carried by the structure:", state.C.ravel())
 print(f"free motions: d − r = {state.d} − {contact.r} = {state.d - contact.r}")

@@ -11,6 +11,7 @@ import typer
 
 from osc_contact import __version__, cli_robots, cli_start, cli_sweeps
 from osc_contact.console import (
+    CompilationBar,
     DurationOption,
     FolderOption,
     JsonOption,
@@ -81,7 +82,7 @@ def main(
     """Decoupled force and motion control of arms in contact."""
     if context.invoked_subcommand is None:
         say(cli_start.FIRST_STEPS)
-    compiled.tell(lambda text: err.print(text, style="dim", highlight=False))
+    compiled.tell(lambda text: err.print(text, style="dim", highlight=False), CompilationBar())
     atexit.register(gc.freeze)  # or Python looks through all of numba's objects before it ends
 
 
@@ -191,7 +192,7 @@ def view(
         if what.endswith(RECORDINGS):
             if set_ or plant or duration is not None:
                 raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
-            recording = open_recording(what)
+            recording = open_recording(what, folder)
             shown = shown_of(recording, Path(what), folder)
             require_drawable(recording, shown, what)
         else:

@@ -14,7 +14,13 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.files import sole_user
@@ -29,10 +35,10 @@ from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.visual.live import Shows
 
 __all__ = [
-    "DurationOption", "FolderOption", "JsonOption", "PARTIAL", "PlantOption", "ScenarioArgument",
-    "SeedOption", "SetOption", "UNFINISHED", "err", "exit_codes", "forget_rows", "load_program",
-    "load_task", "open_recording", "out", "record", "report_run", "require", "require_report",
-    "run_with_progress", "say", "show_live",
+    "CompilationBar", "DurationOption", "FolderOption", "JsonOption", "PARTIAL", "PlantOption",
+    "ScenarioArgument", "SeedOption", "SetOption", "UNFINISHED", "err", "exit_codes", "forget_rows",
+    "load_program", "load_task", "open_recording", "out", "record", "report_run", "require",
+    "require_report", "run_with_progress", "say", "show_live",
 ]  # fmt: skip
 
 ScenarioArgument = Annotated[str, typer.Argument(help="packaged name (see `list`) or a YAML file")]
@@ -76,6 +82,30 @@ EXTRAS = {
     "optuna": "tune",
     "distributed": "cluster",
 }
+
+
+class CompilationBar:
+    """How far the compilation of the law is, below the other output; on terminals only."""
+
+    def __init__(self) -> None:
+        self._bar: Progress | None = None
+
+    def __call__(self, share: float) -> None:
+        """Show it; take it away at 1.
+
+        Args:
+            share: of the work that is done, 0 … 1.
+        """
+        if self._bar is None and share < 1.0:
+            columns = (TextColumn("compiling"), BarColumn(), TimeElapsedColumn())
+            self._bar = Progress(*columns, console=err, transient=True, disable=not err.is_terminal)
+            self._bar.add_task("compiling", total=1.0)
+            self._bar.start()
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], completed=share)
+        if self._bar is not None and share >= 1.0:
+            self._bar.stop()
+            self._bar = None
 
 
 def say(text: str) -> None:

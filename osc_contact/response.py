@@ -67,13 +67,13 @@ def contact_response(
         force = as_array("f_S", f_S, (state.d,))
     env = Environment.fixed() if environment is None else environment
     N = contact.N
-    free = np.linalg.solve(state.Lambda, force - state.bias)
+    free = np.linalg.solve(state.Lambda_S, force - state.b_S)
     require_reachable(state, contact, env.Phi_e if env.Phi_e.any() else None)
     _, _, G = orthonormal(N, state.Phi + env.Phi_e, "contact force")  # D⁻¹ = GGᵀ
     drive = N.T @ (state.S @ free + state.sigma - env.b_e) - contact.n_gamma
     alpha = G @ (G.T @ drive)
     f_c = N @ alpha
-    eta_dot = free - np.linalg.solve(state.Lambda, state.S.T @ f_c)
+    eta_dot = free - np.linalg.solve(state.Lambda_S, state.S.T @ f_c)
     return ContactResponse(
         acceleration=state.S @ eta_dot + state.sigma,
         eta_dot=eta_dot,

@@ -52,6 +52,8 @@ __all__ = [
 def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     """Return `value` as a finite float64 array of `shape` (None: any size along that axis).
 
+    Where a vector of any size is wanted, (None,), a plain number is one of one element.
+
     Args:
         name: of the argument, for the message. value: anything NumPy reads. shape: wanted.
 
@@ -59,7 +61,7 @@ def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
         InvalidInputError: wrong number of axes, wrong size or a NaN/inf, with what was found.
     """
     try:
-        array = np.array(value, dtype=np.float64)
+        array = np.array(value, dtype=np.float64, ndmin=shape == (None,))
     except (TypeError, ValueError) as error:
         raise InvalidInputError(f"{name}: expected numbers of shape {shape}: {error}") from error
     fits = array.ndim == len(shape) and all(

@@ -61,7 +61,7 @@ def selected_before_and_after(state: ChainState, selection: Selection) -> tuple[
     """The same with X = Λ_S⁻¹SᵀΩᵀP_∅ᵀΛ_S P_W Ω: F = ΩᵀΛΩa + Ω̄f + μ + p."""
     X, Y = selected_before(state, selection)
     again = state.S.T @ selection.motion.T @ coordinates(state, np.zeros((6, 0))).T
-    return np.linalg.solve(state.Lambda, again @ state.Lambda @ X), Y
+    return np.linalg.solve(state.Lambda_S, again @ state.Lambda_S @ X), Y
 
 
 def structure(state: ChainState, eta_dot: Array, f: Array) -> Array:
@@ -72,7 +72,7 @@ def structure(state: ChainState, eta_dot: Array, f: Array) -> Array:
         eta_dot: (d,) commanded acceleration, in the coordinates of S.
         f: (6,) commanded contact wrench at O (N, N m).
     """
-    return state.Lambda @ eta_dot + state.bias + state.S.T @ f
+    return state.Lambda_S @ eta_dot + state.b_S + state.S.T @ f
 
 
 @dataclass(frozen=True)
@@ -320,13 +320,13 @@ class Instant:
         null = np.linalg.svd(N_S.T, full_matrices=True)[2][contact.r :].T
         Q = np.linalg.qr(scale[:, None] * (state.S @ null))[0]
         e = np.linalg.lstsq(state.S, Q / scale[:, None], rcond=None)[0]
-        inertias, principal = np.linalg.eigh(e.T @ state.Lambda @ e)
+        inertias, principal = np.linalg.eigh(e.T @ state.Lambda_S @ e)
         Q = Q @ (principal * np.sign(principal.sum(axis=0)))
         self.free: Array = Q / scale[:, None]
         self.along: Array = Q.T * scale
         self.inertia = float(inertias.mean()) if len(inertias) else 1.0
-        base = osc.contact_response(state, contact, f_S=state.bias)
-        unit = [osc.contact_response(state, contact, f_S=state.bias + e) for e in np.eye(state.d)]
+        base = osc.contact_response(state, contact, f_S=state.b_S)
+        unit = [osc.contact_response(state, contact, f_S=state.b_S + e) for e in np.eye(state.d)]
         self._alpha: Array = np.column_stack([x.alpha - base.alpha for x in unit])
         a = np.column_stack([x.acceleration - base.acceleration for x in unit])
         self._motion: Array = self.along @ a
@@ -337,7 +337,7 @@ class Instant:
         contact = self.contact
         if isinstance(law, SelectionLaw):  # without what cancels: the search calls this often
             X, _ = law.baseline.rule(state, law.selection)
-            of_a = state.Lambda @ X @ self.free
+            of_a = state.Lambda_S @ X @ self.free
             of_alpha = state.S.T @ (law.selection.force @ contact.N)
         else:
             none = np.zeros(contact.r)

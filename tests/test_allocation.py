@@ -56,7 +56,7 @@ def test_redundant_arms_return_to_their_posture_without_moving_the_object(alloca
     q, _ = random_state(chain, rng)
     v = np.zeros(14)
     state = chain.state(q, v)
-    f_S = state.bias  # hold still
+    f_S = state.b_S  # hold still
     nowhere = allocated(chain, q, v, f_S, np.zeros(6), 0.0, q)
     posture = np.concatenate((PANDA_Q, PANDA_Q)) + 0.3
     pulled = allocated(chain, q, v, f_S, np.zeros(6), 0.0, posture)

@@ -57,7 +57,7 @@ def panda(rng, r=2):
     v = consistent(chain, q, v, contact_of(pairs, free).N)
     state = chain.state(q, v)
     Lambda = np.linalg.inv(state.Phi)
-    bias = np.linalg.solve(state.S.T, state.bias) - Lambda @ state.sigma  # μ + p with −Λγ
+    bias = np.linalg.solve(state.S.T, state.b_S) - Lambda @ state.sigma  # μ + p with −Λγ
     return state, contact_of(pairs, state), Lambda, bias
 
 
@@ -251,8 +251,8 @@ def test_a_law_does_not_depend_on_the_basis_of_the_five_motions():
     state = chain.state(*random_state(chain, rng))
     contact = contact_of(random_faces(state.X_WO, 2, rng), state)
     Q = np.linalg.qr(rng.normal(size=(5, 5)))[0] * rng.uniform(0.2, 5, 5)
-    other = replace(state, S=state.S @ Q, Lambda=Q.T @ state.Lambda @ Q, mu=Q.T @ state.mu,
-                    p=Q.T @ state.p)  # fmt: skip
+    other = replace(state, S=state.S @ Q, Lambda_S=Q.T @ state.Lambda_S @ Q, mu_S=Q.T @ state.mu_S,
+                    p_S=Q.T @ state.p_S)  # fmt: skip
     for baseline in BASELINES.values():
         law = random_law(baseline, rng)
         a, alpha = rng.normal(size=6), np.array([10.0, 5.0])

@@ -208,7 +208,8 @@ def test_special_cases_are_what_they_are_called() -> None:
     statuses = {name: case.status.name for name, case in found.items()}
     assert statuses == {
         "near_singular": "DEGRADED", "saturated": "SATURATED", "three_arms": "OK",
-        "contact_phases": "OK", "own_pair": "OK",
+        "contact_phases": "OK", "own_pair": "OK", "single_precision": "OK", "strided": "OK",
+        "lists": "OK",
     }  # fmt: skip
     last = {name: case.controller() for name, case in found.items()}
     for name, controller in last.items():

@@ -16,7 +16,7 @@ from test_live import CONTENT, MODULE, TICKS
 from test_scene import find
 
 from osc_contact.errors import ViewerError
-from osc_contact.visual import contact_colour
+from osc_contact.visual import contact_colour, devtools
 from osc_contact.visual.browser import write_png
 from osc_contact.visual.live import Viewer
 from osc_contact.visual.scene import write_scene
@@ -250,3 +250,18 @@ def test_png_of_a_moment(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
         monkeypatch.setenv("OSC_CONTACT_BROWSER", "/no/browser/here")
         write_png(page, tmp_path / "none.png")
     assert not (tmp_path / "none.png").exists()
+
+
+def test_without_webgl_there_is_a_still_picture_and_a_sentence(
+    page: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Browsers with WebGL off, such as those of many remote desktops."""
+    monkeypatch.setattr(devtools, "FLAGS", (*devtools.FLAGS, "--disable-3d-apis"))
+    with Browser(f"{page.as_uri()}#t=1") as browser:
+        assert browser.run("document.createElement('canvas').getContext('2d') !== null")
+        assert "no WebGL" in browser.run("document.body.innerText")
+        picture = slide(browser, 1.0)
+        assert near(picture[:600], BLUE) > 200 and near(picture[:600], VERMILLION) > 200
+        assert near(picture[640:], BLUE) > 100, "curves"
+        assert np.abs(slide(browser, 0.2)[:600] - picture[:600]).max() > 50, "another instant"
+        assert browser.errors == []

@@ -97,7 +97,7 @@ def test_accelerations_inertia_and_G_agree_with_pinocchio_constraint_dynamics(ri
             assert close_to(still.Phi, np.column_stack(pushed)) < RTOL
             driven = [oracle.acceleration(*where, motor) - base for motor in np.eye(chain.n_a)]
             SG = np.column_stack(driven)
-            mine = still.S @ np.linalg.solve(still.Lambda, still.G)
+            mine = still.S @ np.linalg.solve(still.Lambda_S, still.G)
             assert close_to(mine, SG) < RTOL
 
 
@@ -111,9 +111,9 @@ def test_lambda0_is_the_sum_of_arms_and_object_for_full_rank_arms():
     S_inv = np.linalg.inv(state.S)
     mu = state.payload.mu + sum(arm.mu for arm in state.arms)
     mu = mu + total @ state.sigma  # σ = 0 would be a valid choice for d = 6
-    np.testing.assert_allclose(S_inv.T @ state.mu, mu, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(S_inv.T @ state.mu_S, mu, rtol=1e-8, atol=1e-8)
     p = state.payload.p + sum(arm.p for arm in state.arms)
-    np.testing.assert_allclose(S_inv.T @ state.p, p, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(S_inv.T @ state.p_S, p, rtol=1e-9, atol=1e-9)
 
 
 def test_the_locked_direction_of_the_scara_pair_is_the_couple_about_the_rods_heading():

@@ -39,8 +39,9 @@ def assert_same(got, want, tolerance=1e-9):
     if got.d:
         B = np.linalg.lstsq(want.S, got.S, rcond=None)[0]
         for name, mine, theirs in (
-            ("S", got.S, want.S @ B), ("Lambda", got.Lambda, B.T @ want.Lambda @ B),
-            ("mu", got.mu, B.T @ want.mu), ("p", got.p, B.T @ want.p), ("W", got.W, want.W @ B),
+            ("S", got.S, want.S @ B), ("Lambda_S", got.Lambda_S, B.T @ want.Lambda_S @ B),
+            ("mu_S", got.mu_S, B.T @ want.mu_S), ("p_S", got.p_S, B.T @ want.p_S),
+            ("W", got.W, want.W @ B),
             ("G", got.G, B.T @ want.G),
         ):  # fmt: skip
             assert_close(name, mine, theirs, tolerance)

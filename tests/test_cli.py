@@ -313,16 +313,12 @@ def test_failed_run_exits_with_1_and_keeps_what_was_recorded(
     assert 20 <= len(Recording.load(tmp_path / PARTIAL)["t"]) <= 21
 
 
-SET_POINTS = Path(__file__).parent / "scenarios" / "set_points.yaml"
-
-
 @pytest.mark.parametrize(
     ("package", "extra", "words"),
     [
         ("matplotlib", "plot", ("reproduce", "fig4")),
         ("matplotlib", "plot", ("run", "two_contact_rod", *SHORT)),
         ("mujoco", "sim", ("run", "two_contact_rod", "--duration", "1.05")),
-        ("ruckig", "sim", ("run", SET_POINTS, "--set", "motion.0.signals.0.value=21 mm")),
     ],
 )
 def test_missing_extra_is_named(

@@ -57,7 +57,11 @@ def test_commands_follow_the_basis_of_the_state():
     state, contact, *_ = in_contact(chain, rng)
     Q = rng.normal(size=(5, 5)) + 3 * np.eye(5)
     other = replace(
-        state, S=state.S @ Q, Lambda=Q.T @ state.Lambda @ Q, mu=Q.T @ state.mu, p=Q.T @ state.p
+        state,
+        S=state.S @ Q,
+        Lambda_S=Q.T @ state.Lambda_S @ Q,
+        mu_S=Q.T @ state.mu_S,
+        p_S=Q.T @ state.p_S,
     )
     asked = contact, rng.normal(size=6), rng.uniform(1, 20, contact.r)
     eta, f_S = command(state, *asked)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import importlib.util
+import io
 import os
 import subprocess
 import sys
@@ -13,10 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numba import config  # type: ignore[attr-defined]
+from rich.console import Console
 
 import osc_contact as osc
+from osc_contact import console
 from osc_contact.law import jit, tables
-from osc_contact.law.compiled import announced, rows, tell
+from osc_contact.law import tick as law
+from osc_contact.law.compiled import announced, parts_of, rows, tell
 
 PLAIN = jit.PLAIN_PYTHON
 
@@ -275,3 +279,43 @@ def test_flags_of_the_law_say_and_compare_as_numbas_own() -> None:
         for other in kinds:
             alike = [fast == _Flags(other), fast == other, other == fast]
             assert alike == [one == other] * 3
+
+
+def test_progress_rises_with_the_functions_compiled(tmp_path: Path) -> None:
+    """From 0 to 1, whatever is compiled, and nothing where it comes from the cache."""
+    path, shares = tmp_path / "kernel.py", []
+    path.write_text(SOURCE)
+    tell(lambda text: None, shares.append)
+    try:
+        first, second = load(path), load(path)
+        with announced(first.kernel):
+            assert first.kernel(3) == 7
+        if getattr(config, "DISABLE_JIT"):  # noqa: B009 - set at run time
+            assert not shares
+            return
+        assert shares == sorted(shares) and len(shares) >= 2
+        assert 0.0 < shares[0] < 1.0 and shares[-1] == 1.0
+        shares.clear()
+        with announced(second.kernel):
+            assert second.kernel(3) == 7
+        assert not shares
+    finally:
+        tell(lambda text: None)
+
+
+def test_the_functions_counted_are_those_of_the_law() -> None:
+    parts = {part.__qualname__ for part in parts_of(law.rows)}
+    assert {"_row", "cholesky", "find_lost", "advance_phases", "guard"} <= parts
+    assert not any(name.startswith("test") for name in parts)
+
+
+def test_the_bar_of_the_commands_ends_with_the_compilation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    text = io.StringIO()
+    monkeypatch.setattr(console, "err", Console(file=text, force_terminal=True, width=80))
+    bar = console.CompilationBar()
+    for share in (0.1, 0.5, 1.0):
+        bar(share)
+    assert "compiling" in text.getvalue() and bar._bar is None
+    bar(1.0)

@@ -170,7 +170,7 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig):
     controller.tick(measurement, reference)
     s = controller.signals
     force = s.f_S.copy()
-    learnt = s.state.Lambda @ s.eta_c
+    learnt = s.state.Lambda_S @ s.eta_c
     controller.engage()
     assert controller.engaged and not controller.motion_law.integral.any()
     np.testing.assert_allclose(s.state.S.T @ controller.f_bias, learnt, rtol=1e-6, atol=1e-9)
@@ -310,7 +310,7 @@ def test_two_threads_on_one_chain_do_not_disturb_one_another(rig):
     def run(story):
         controller = rig.controller()
         return [
-            (controller.tick(x, reference), controller.signals.state.Lambda if i % 50 == 0 else 0)
+            (controller.tick(x, reference), controller.signals.state.Lambda_S if i % 50 == 0 else 0)
             for i, x in enumerate(story)
         ]
 

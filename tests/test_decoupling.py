@@ -223,12 +223,12 @@ def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair(al
         f_S = generalised_force(state, eta + offset, F)
         tau = allocated(chain, q, v, f_S, eta, 0.0)
         got = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
-        Phi_S = np.linalg.inv(state.Lambda)
+        Phi_S = np.linalg.inv(state.Lambda_S)
         D = N_S.T @ Phi_S @ N_S
         Omega_f = N_S @ np.linalg.solve(D, N_S.T @ Phi_S)
         Omega_m_bar = Phi_S @ N_S @ np.linalg.solve(D, N_S.T)
         want = eta - Omega_m_bar @ eta + Phi_S @ (force - Omega_f @ force)
-        f_c = Omega_f @ force + state.Lambda @ Omega_m_bar @ eta
+        f_c = Omega_f @ force + state.Lambda_S @ Omega_m_bar @ eta
         a = state.S @ (want + offset) + state.sigma
         np.testing.assert_allclose(got.a_object, a, atol=1e-9 * np.abs(a).max())
         np.testing.assert_allclose(N_S @ got.alpha, f_c, atol=1e-9 * np.abs(f_c).max())
@@ -257,9 +257,9 @@ def test_the_filter_does_not_depend_on_frame_units_or_bases(rig):
             sigma=X @ state.sigma,
             metric=X_force @ state.metric @ X_force.T,
             Phi=X @ state.Phi @ X.T,
-            Lambda=Q.T @ state.Lambda @ Q,
-            mu=Q.T @ state.mu,
-            p=Q.T @ state.p,
+            Lambda_S=Q.T @ state.Lambda_S @ Q,
+            mu_S=Q.T @ state.mu_S,
+            p_S=Q.T @ state.p_S,
         )
         touched = osc.Contact(X_force @ contact.N @ R, R.T @ contact.n_gamma)
         alpha_R = np.linalg.solve(R, alpha)

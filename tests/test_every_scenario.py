@@ -165,7 +165,7 @@ def test_rigid_plant_decouples_exactly(rigs, name, allocated):
     rng = np.random.default_rng(5)
 
     def answer(eta, alpha):
-        f_S = s.state.Lambda @ eta + s.state.bias + N_S @ alpha
+        f_S = s.state.Lambda_S @ eta + s.state.b_S + N_S @ alpha
         tau = allocated(rig.chain, s.q, s.v, f_S, eta, s.squeeze_d, rig.q_contact, s.state)
         _, a, forces = plant.accelerations(tau)
         return a, forces
@@ -180,7 +180,7 @@ def test_rigid_plant_decouples_exactly(rigs, name, allocated):
     size = np.abs(s.state.S @ kick).max()
     assert np.abs(a1 - a0).max() < 1e-9 * max(size, np.abs(a0).max(), 1.0)
     np.testing.assert_allclose(a2 - a0, s.state.S @ kick, atol=1e-8 * size)
-    assert np.abs(f2 - f0).max() < 1e-9 * max(np.abs(f0).max(), s.state.Lambda.max() * size)
+    assert np.abs(f2 - f0).max() < 1e-9 * max(np.abs(f0).max(), s.state.Lambda_S.max() * size)
 
 
 @pytest.mark.parametrize("name", ["ur5_wipe", "scara_peg"])

@@ -63,7 +63,7 @@ def test_with_held_motors_mujoco_swings_at_the_frequencies_of_the_closed_chain()
     K = plant.drives.flexible.stiffness
     assert modes(state, rig.chain.actuated, K)[0] == pytest.approx(4.0, rel=1e-9)
     W = state.W[rig.chain.actuated]
-    L = np.linalg.cholesky(state.Lambda)
+    L = np.linalg.cholesky(state.Lambda_S)
     _, shapes = np.linalg.eigh(np.linalg.solve(L, np.linalg.solve(L, W.T @ (K[:, None] * W)).T))
     velocity = state.W @ np.linalg.solve(L.T, shapes[:, 0])
     velocity *= 0.02 / np.abs(velocity).max()

@@ -79,7 +79,7 @@ def answers(allocated, case, state, contact, v, V, commands, rng):
     want = contact.n_gamma - contact.N.T @ state.sigma
     eta += np.linalg.pinv(lever.T) @ want
     alpha = rng.uniform(5, 20, contact.r)
-    f_S = state.Lambda @ eta + state.bias + lever @ alpha
+    f_S = state.Lambda_S @ eta + state.b_S + lever @ alpha
     for command in commands:
         tau = allocated(case.chain, case.q, v, f_S, eta, command, posture, state)
         got = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
@@ -159,7 +159,7 @@ def test_what_cannot_be_set_is_left_alone(arms, kinds, bends, settable, allocate
             continue  # a wrist is nearly straight, too
         assert linkage.basis.shape == (3, settable)
         eta = rng.normal(size=state.d)
-        f_S = state.Lambda @ eta + state.bias
+        f_S = state.Lambda_S @ eta + state.b_S
         E, e0 = linkage.rows(state, case.chain, eta)
         seen = []
         for squeeze in (0.0, 30.0):
@@ -195,7 +195,7 @@ def test_an_arm_without_motors_leaves_two_of_three_combinations(allocated):
         assert linkage.basis.shape == (3, 2)
         seen, where = [], (case.chain, case.q, still)
         for squeeze in (0.0, 30.0):
-            tau = allocated(*where, state.bias, np.zeros(6), squeeze, case.q, state)
+            tau = allocated(*where, state.b_S, np.zeros(6), squeeze, case.q, state)
             assert np.abs(tau).max() < 1e4
             system = case.system(still, np.zeros(6))
             got = system.solve(forces(case, tau), np.zeros((6, 0)), np.zeros(0))

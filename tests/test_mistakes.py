@@ -73,12 +73,12 @@ def test_mistakes_of_an_install_are_its_own():
         osc.run(osc.load_scenario("panda_edge"), install=install)
 
 
-def test_a_force_that_is_no_vector():
+def test_one_force_for_two_contacts():
     rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
     controller, at = rig.controller(), rig.references.at(0.0)
     controller.tick(rig.plant().measure(), osc.Reference(at.X_WD, alpha_d=10.0))
     assert controller.status is osc.Status.HELD
-    assert "10.0 is no vector; give an array with one force" in controller.reason
+    assert "1 forces for 2 columns of N; give one for each degree" in controller.reason
 
 
 def test_robots_that_are_nearly_called_so():

@@ -80,7 +80,7 @@ def test_several_bodies_have_one_relative_acceleration_but_no_common_velocity_pr
 def six_dimensional(state, f_S):
     """f, μ₀ + p₀ and Λ₀ of eq. 13 for d = 6."""
     up = np.linalg.inv(state.S).T
-    return up @ f_S, up @ (state.bias - state.Lambda @ np.linalg.solve(state.S, state.sigma))
+    return up @ f_S, up @ (state.b_S - state.Lambda_S @ np.linalg.solve(state.S, state.sigma))
 
 
 @cases(panda_pair, one_panda)
@@ -125,7 +125,7 @@ def test_five_motions_and_a_free_body_have_a_relative_inertia_too():
         T, Tdot_beta = velocity_product(s, rng)
         relative = Lambda_rel(state, env)
         np.testing.assert_allclose(relative @ (state.Phi + env.Phi_e), np.eye(6), atol=1e-8)
-        free = state.S @ np.linalg.solve(state.Lambda, state.G @ tau - state.bias)
+        free = state.S @ np.linalg.solve(state.Lambda_S, state.G @ tau - state.b_S)
         drive = free + state.sigma - Tdot_beta - env.b_e  # Λ₀⁻¹f′
         beta_dot = np.linalg.solve(T.T @ relative @ T, T.T @ relative @ drive)
         alpha = np.linalg.solve(N.T @ np.linalg.inv(relative) @ N, N.T @ drive)

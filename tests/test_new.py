@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 import osc_contact as osc
+from osc_contact import robots
 from osc_contact.cli import app
-from osc_contact.runs.drafts import Press
+from osc_contact.runs.drafts import Press, _text
 
 ARMS = {
     "ur10": ("tool0", "Z=15"),
@@ -82,3 +84,16 @@ def test_what_cannot_be_is_told_and_nothing_is_written(words, said, tmp_path):
     result = new(*words, "--out", tmp_path / "x.yaml")
     assert result.exit_code == 2 and said in result.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_a_plane_wall_has_an_exact_normal():
+    """Six digits of the posture turn the tip by 1e-6; on such a wall motions would be screws."""
+    urdf, _ = robots.find_robot("ur10")
+    arm = osc.Arm.from_urdf(urdf, name="ur10", tip="tool0")
+    q = np.round(np.deg2rad([0.0, -30.0, -30.0, -30.0, -90.0, 0.0]), 6)
+    data = yaml.safe_load(_text("ur10", arm, Press.parse("Z=15"), q))
+    normal = data["contacts"][0]["face"]["normal"]
+    assert sorted(np.abs(normal)) == [0.0, 0.0, 1.0]
+    slanted = yaml.safe_load(_text("ur10", arm, Press.parse("Z=15"), q + 0.3))
+    normal = np.array(slanted["contacts"][0]["face"]["normal"])
+    assert np.linalg.norm(normal) == pytest.approx(1.0, abs=1e-6) and np.abs(normal).min() > 1e-3

@@ -164,7 +164,7 @@ def test_a_reference_leaves_out_what_is_zero():
         assert len(reference.alpha_d) == 0 and reference.squeeze_d == 0.0
     assert long.X_WD == X and short.V_D is not osc.Reference(X).V_D
     for wrong in ({"velocity": [0, 0]}, {"angular_acceleration": [0, np.nan, 0]},
-                  {"rotation": 2 * np.eye(3)}, {"alpha_d": 5.0}):  # fmt: skip
+                  {"rotation": 2 * np.eye(3)}, {"alpha_d": [[5.0]]}):  # fmt: skip
         with pytest.raises(osc.InvalidInputError):
             osc.pose_reference(**({"position": np.zeros(3)} | wrong))
 

@@ -238,6 +238,6 @@ def test_contacts_accelerate_with_their_environment() -> None:
         answer = contact_response(state, contact, Environment(Phi_e, rng.normal(size=6)), f_S=f_S)
         relative = contact.N.T @ (answer.acceleration - answer.a_e)
         np.testing.assert_allclose(relative, contact.n_gamma, atol=1e-8)
-        moved = state.Lambda @ answer.eta_dot + state.bias + state.S.T @ answer.f_c
+        moved = state.Lambda_S @ answer.eta_dot + state.b_S + state.S.T @ answer.f_c
         np.testing.assert_allclose(moved, f_S, atol=1e-8)
         np.testing.assert_allclose(answer.f_c, contact.N @ answer.alpha, atol=1e-9)

@@ -56,7 +56,7 @@ def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
     rig = osc.build_rig(circle(hertz))
     state = rig.state()
     N = rig.pairs[0].contact(state.X_WO, np.zeros(6)).N
-    M = 1.0 / (N.T @ state.S @ np.linalg.solve(state.Lambda, state.S.T) @ N).item()
+    M = 1.0 / (N.T @ state.S @ np.linalg.solve(state.Lambda_S, state.S.T) @ N).item()
     w, K = 2 * np.pi * hertz, 10 * np.pi
     leak = M * np.deg2rad(5) * 0.04 * w**2 / np.sqrt(2) / 10
     want = leak * abs(1 + 1.4 * K / (K / 6 + 1j * w)) * w / np.hypot(w, K)

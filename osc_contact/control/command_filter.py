@@ -75,8 +75,8 @@ def command(
     w.n_gamma[:r] = contact.n_gamma - w.N_t[:r, m:] @ w.sigma[m:]
     w.b_N[:r], w.Phi_mu[:r, :r] = N.T @ env.b_e, env.yielding(N, friction_wrenches)
     inverse = np.linalg.inv(R)
-    w.Lambda[m:, m:] = inverse.T @ state.Lambda @ inverse
-    w.chain_bias[m:] = inverse.T @ state.bias
+    w.Lambda[m:, m:] = inverse.T @ state.Lambda_S @ inverse
+    w.chain_bias[m:] = inverse.T @ state.b_S
     chain = SimpleNamespace(metric=BY_OBJECT, held=0)
     if not (isinstance(B, str) and B == "object"):
         weight = (

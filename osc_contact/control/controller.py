@@ -20,6 +20,7 @@ from osc_contact.control.phases import Phase, PhaseSettings
 from osc_contact.control.reading import Reading
 from osc_contact.control.reasons import (
     convert_arrays,
+    converting,
     read_joints,
     require_shapes,
     require_sizes,
@@ -37,7 +38,7 @@ from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows
-from osc_contact.law.tables import BODY, JOINTS, OBJECT_UNKNOWN, WRISTS
+from osc_contact.law.tables import BODY, DEGRADED, JOINTS, OBJECT_UNKNOWN, WRISTS
 from osc_contact.spatial import Array
 
 __all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
@@ -61,7 +62,7 @@ class Controller(ControllerCopies):
         motion_law, force_law: gains and integrals of the two loops.
     """
 
-    _converting: bool
+    _converting: bool  #: arrays of other types came: the law's call converts
     _freshness: Freshness
 
     def __init__(
@@ -219,8 +220,10 @@ class Controller(ControllerCopies):
 
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
         """At the start; with bodies that move, stamps, three arms, or code of the user's."""
-        if not self._converting:
+        if measurement.stamps is not None or measurement.sequence is not None:
             self._records.memory.repeated = self._freshness.require(measurement)
+        if self._converting and self._in_parts:  # code of the user's takes arrays
+            measurement, reference = convert_arrays(measurement, reference)
         if self._starting and self._start.is_done(self, measurement):
             self._begin_start(self._start, False)
         if measurement.wrench_valid is not None and not measurement.wrench_valid:
@@ -251,13 +254,21 @@ class Controller(ControllerCopies):
         return self._end(tau, measurement, reference, error)
 
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
-        """A tick whose arrays are of other types: made what the law takes, or held."""
+        """A tick whose arrays are of other types, or one to be held.
+
+        That such arrays come is found out once: from then on every call of the law makes them what
+        it takes. numba's refusal costs as much as many ticks.
+        """
         try:
-            if self._converting or isinstance(error, SensorTimeout):
+            if isinstance(error, SensorTimeout):
                 raise error
             require_sizes(measurement, reference, self.settings)
+            if self._converting:
+                raise error
+            self._rows = converting(self._rows, self.chain.nq, self._arms)
             self._converting = True
-            return self.tick(*convert_arrays(measurement, reference))
+            self._take_records(self._records)
+            return self.tick(replace(measurement, stamps=None, sequence=None), reference)
         except Exception as why:
             if isinstance(why, SensorTimeout):
                 self._records.memory.repeated = JOINTS | WRISTS
@@ -265,8 +276,6 @@ class Controller(ControllerCopies):
                 require_shapes(measurement, reference, self.settings)
             self._inputs, self._failure = (measurement, reference), why
             return self._hold(measurement)
-        finally:
-            self._converting = False
 
     def _hold(self, measurement: Measurement) -> Array:
         """Torques (n_a,) of a tick that failed outside of the law: one that is not computed."""
@@ -287,7 +296,10 @@ class Controller(ControllerCopies):
         error: Exception | None = None,
     ) -> Array:
         """What is left to do after a tick that did not end OK; `error`: raised outside the law."""
-        code, self._given_up = int(self._codes[0]), None
+        code = int(self._codes[0])
+        if code == DEGRADED:  # the law did it all, and nothing of the controller's has changed
+            return tau
+        self._given_up = None
         self._inputs, self._failure = (measurement, reference), error
         if code == Status.HELD:
             if not self._records.memory.ticked:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,17 @@ from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
 from osc_contact.law import tables as at
 from osc_contact.spatial import Array, as_array
 
-__all__ = ["convert_arrays", "explain", "read_joints", "require_shapes", "require_sizes"]
+__all__ = [
+    "convert_arrays",
+    "converting",
+    "explain",
+    "read_joints",
+    "require_shapes",
+    "require_sizes",
+]
+
+_DOUBLE = np.dtype(float)
+_own = partial(np.array, dtype=_DOUBLE, order="C")
 
 
 def require_sizes(measurement: Measurement, reference: Reference, settings: Settings) -> None:
@@ -36,11 +48,6 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
         as_array("touched X_WE", touched.X_WE, (c, 4, 4))
         as_array("touched V_E", touched.V_E, (c, 6))
         as_array("touched A_E", touched.A_E, (c, 6))
-    if np.ndim(reference.alpha_d) == 0:
-        raise InvalidInputError(
-            f"reference alpha_d: {reference.alpha_d!r} is no vector; give an array with one force "
-            "for each column of N, such as np.array([10.0])"
-        )
     as_array("reference alpha_d", reference.alpha_d, (None,))
     if k < 3 and np.ndim(reference.squeeze_d):
         raise InvalidInputError(f"reference squeeze_d: {k} arms take a number, got an array")
@@ -75,27 +82,57 @@ def require_shapes(measurement: Any, reference: Any, settings: Settings) -> None
 def convert_arrays(measurement: Measurement, reference: Reference) -> tuple[Measurement, Reference]:
     """Both with arrays of their own, contiguous and of double precision."""
 
-    def array(x: Any) -> Array:
-        return np.array(x, dtype=float, order="C")
-
     touched = measurement.touched
     if touched is not None:
-        touched = Touched(array(touched.X_WE), array(touched.V_E), array(touched.A_E))
+        touched = Touched(_own(touched.X_WE), _own(touched.V_E), _own(touched.A_E))
     return (
         replace(
             measurement,
-            q=array(measurement.q),
-            v=array(measurement.v),
-            wrenches=array(measurement.wrenches),
+            q=_own(measurement.q),
+            v=_own(measurement.v),
+            wrenches=_own(measurement.wrenches),
             touched=touched,
         ),
         replace(
             reference,
-            V_D=array(reference.V_D),
-            A_D=array(reference.A_D),
-            alpha_d=array(reference.alpha_d),
+            V_D=_own(reference.V_D),
+            A_D=_own(reference.A_D),
+            alpha_d=_own(reference.alpha_d, ndmin=1),
         ),
     )
+
+
+def converting(rows: Callable[..., int], n: int, arms: int) -> Callable[..., int]:
+    """The law's call for arrays of any type and order, and for lists.
+
+    Args:
+        rows: the call that takes arrays of double precision. n: joints. arms: how many.
+    """
+    q_, v_, w_, V_, A_ = np.zeros(n), np.zeros(n), np.zeros((arms, 6)), np.zeros(6), np.zeros(6)
+    joints, wrists, six = q_.shape, w_.shape, V_.shape
+
+    def call(
+        model: Any, memory: Any, work: Any, q: Any, v: Any, wrenches: Any, X_WD: Any, V_D: Any,
+        A_D: Any, alpha_d: Any, *rest: Any,
+    ) -> int:  # fmt: skip
+        try:
+            fits = q.shape == v.shape == joints and wrenches.shape == wrists
+            fits = fits and V_D.shape == A_D.shape == six and alpha_d.ndim == 1
+        except AttributeError:  # of lists
+            fits = False
+        if not fits:
+            q, v, wrenches, V_D, A_D = _own(q), _own(v), _own(wrenches), _own(V_D), _own(A_D)
+            a = _own(alpha_d, ndmin=1)
+            return rows(model, memory, work, q, v, wrenches, X_WD, V_D, A_D, a, *rest)
+        q_[...] = q
+        v_[...] = v
+        w_[...] = wrenches
+        V_[...] = V_D
+        A_[...] = A_D
+        a = alpha_d.astype(_DOUBLE)
+        return rows(model, memory, work, q_, v_, w_, X_WD, V_, A_, a, *rest)
+
+    return call
 
 
 def read_joints(x: Any, n: int) -> Array:

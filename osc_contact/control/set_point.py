@@ -58,8 +58,8 @@ class SetPoint:
         """The state one period later, on the way to `goal`; None: to the former goal.
 
         Raises:
-            InvalidInputError: the goal is not finite or of the wrong shape.
-            SolverError: no way was found. After either the former goal is kept and no time passed.
+            InvalidInputError: the goal is not finite or of the wrong shape; the former one is kept
+                and no time passed.
         """
         if goal is not None:
             wanted = self._numbers("goal", goal)
@@ -122,8 +122,8 @@ class PoseSetPoint:
             goal: pose of the object. alpha_d, squeeze_d: passed on, see `Reference`.
 
         Raises:
-            InvalidInputError: goal or forces are not finite, of the wrong shape, or no pose.
-            SolverError: no way was found. After either the former goal is kept and no time passed.
+            InvalidInputError: goal or forces are not finite, of the wrong shape, or no pose; the
+                former goal is kept and no time passed.
         """
         forces = as_array("alpha_d", alpha_d, (None,))
         squeeze = as_squeeze("squeeze_d", squeeze_d)

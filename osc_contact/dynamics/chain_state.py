@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import pinocchio as pin
 
 from osc_contact.dynamics.payload import ObjectTerms
@@ -72,18 +73,20 @@ class SingularDirection:
 class ChainState:
     """The closed chain at one (q, v), at the operational point O in world axes.
 
-    d motions of the object, n joints (passive ones included), n_a motors. Which basis S of its
-    motions is taken is arbitrary; every quantity that does not name it is the same for all.
+    d motions of the object, n joints (passive ones included), n_a motors. Λ, μ, p and Φ are in
+    world axes. Λ_S, μ_S, p_S, G and W have coordinates η of the motions S, an arbitrary basis.
+
+        Sᵀ(Λ a + μ + p + f_c) = Λ_S η̇ + μ_S + p_S + Sᵀf_c = G τ,    a = S η̇ + σ
     """
 
     X_WO: pin.SE3  #: pose of the object
     V_O: Array  #: (6,) its twist
     S: Array  #: (6, d) basis of the motions every arm permits
     C: Array  #: (6, 6−d) the wrenches they resist, CᵀS = 0
-    Lambda: Array  #: (d, d) Λ_S = Sᵀ(ΣΛ_i + Λ_o)S
+    Lambda_S: Array  #: (d, d) inertia along S: Sᵀ Λ S
     Phi: Array  #: (6, 6) Φ₀ = S Λ_S⁻¹ Sᵀ, eq. 13's Λ₀⁻¹
-    mu: Array  #: (d,) velocity-product terms, σ included
-    p: Array  #: (d,) gravity terms
+    mu_S: Array  #: (d,) velocity-product terms along S: Sᵀ(μ + Λ σ)
+    p_S: Array  #: (d,) gravity terms along S: Sᵀ p
     sigma: Array  #: (6,) structural velocity product: a = S η̇ + σ
     G: Array  #: (d, n_a) what the motors do to the object
     W: Array  #: (n, d) joint accelerations q̈ = W η̇ + w
@@ -111,6 +114,35 @@ class ChainState:
         return int(self.S.shape[1])
 
     @property
-    def bias(self) -> Array:
+    def b_S(self) -> Array:
         """(d,) b_S = μ_S + p_S."""
-        return self.mu + self.p
+        return self.mu_S + self.p_S
+
+    @property
+    def Lambda(self) -> Array:
+        """(6, 6) Λ = ΣΛ_i + Λ_o, the paper's Λ₀: all arms and the object, world axes.
+
+        Λ a + μ + p is the wrench that moves arms and object with a permitted a = S η̇ + σ. With
+        d = 6 it is unique, and Λ = Φ⁻¹. With d < 6 the structure of the arms carries the wrenches C
+        without motors, and the wrench is known up to these only: the sum of what each `ArmTerms`
+        says is one of them. Then Φ is not the inverse of Λ, and Λ of a motion that is not permitted
+        means nothing.
+        """
+        return self._sum("Lambda")
+
+    @property
+    def mu(self) -> Array:
+        """(6,) velocity-product wrench μ = Σμ_i + μ_o, world axes; it goes with `Lambda`."""
+        return self._sum("mu")
+
+    @property
+    def p(self) -> Array:
+        """(6,) gravity wrench p = Σp_i + p_o, world axes: it holds arms and object at rest.
+
+        With d < 6 it is known up to the wrenches C, see `Lambda`.
+        """
+        return self._sum("p")
+
+    def _sum(self, name: str) -> Array:
+        """Of the object and all arms."""
+        return np.asarray(sum(getattr(part, name) for part in (self.payload, *self.arms)))

@@ -32,7 +32,7 @@ def modes(state: ChainState, actuated: Array, stiffness: Array) -> Array:
         state: where. actuated: (n_a,) motor joints. stiffness: (n_a,) of their springs.
     """
     W = state.W[actuated]
-    L = np.linalg.cholesky(state.Lambda)
+    L = np.linalg.cholesky(state.Lambda_S)
     whitened = np.linalg.solve(L, np.linalg.solve(L, W.T @ (stiffness[:, None] * W)).T)
     return np.sqrt(np.maximum(np.linalg.eigvalsh(whitened), 0.0)) / (2 * np.pi)
 

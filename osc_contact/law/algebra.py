@@ -227,21 +227,25 @@ def one_sided_jacobi(X, count, length, carried):
     for _ in range(30):
         turned = False
         for p in range(count - 1):
+            a = 0.0
+            for i in range(length):
+                a += X[p, i] * X[p, i]
             for q in range(p + 1, count):
-                a = b = c = 0.0
+                b = c = 0.0
                 for i in range(length):
-                    a += X[p, i] * X[p, i]
                     b += X[q, i] * X[q, i]
                     c += X[p, i] * X[q, i]
                 if abs(c) <= 2e-16 * max(a, b):
                     continue
+                d = b - a
+                h = sqrt(d * d + 4.0 * c * c)
+                if h == 0.0:  # c² is below what numbers can say
+                    continue
                 turned = True
-                zeta = (b - a) / (2.0 * c)
-                t = 1.0 / (abs(zeta) + sqrt(1.0 + zeta * zeta))
-                if zeta < 0.0:
-                    t = -t
-                cosine = 1.0 / sqrt(1.0 + t * t)
+                t = 2.0 * c / (d + h if d >= 0.0 else d - h)
+                cosine = sqrt(0.5 + 0.5 * abs(d) / h)
                 sine = cosine * t
+                a -= t * c
                 for i in range(length + carried):
                     x, y = X[p, i], X[q, i]
                     X[p, i] = cosine * x - sine * y

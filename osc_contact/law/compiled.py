@@ -1,6 +1,6 @@
 """The compiled functions of the law, made or loaded from the cache when first asked for.
 
-Compiling takes most of a minute, once on a machine; listeners get a message.
+Compiling takes one to three minutes, once on a machine; listeners get a message and the progress.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from time import perf_counter
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -19,20 +20,28 @@ from osc_contact.law import tables as at
 from osc_contact.law import tick as law
 from osc_contact.law.jit import PLAIN_PYTHON, forget_code
 
-__all__ = ["announced", "rows", "tell"]
+__all__ = ["announced", "parts_of", "rows", "tell"]
 
 _log = logging.getLogger(__name__)
 _usual: list[tuple[int, int, int]] = []  #: thresholds that `announced` has met
+_PARTS = 2.0 / 3.0  #: of the time is over when all parts are translated; the rest is machine code
+
+
+def _nowhere(share: float) -> None:
+    """Where progress goes as long as nobody wants to see it."""
+
+
+_shown: list[Callable[[float], None]] = [_nowhere]
 
 
 @cache
 def rows() -> Any:
     """The tick over rows, see `law.tick.build`; other types than its own are a TypeError."""
-    call = law.build(0)  # `jit.entry` marks what is cached with the sources
+    call = law.rows
     if PLAIN_PYTHON:
         return call
     none, raw = np.zeros(0), np.zeros(at.CHAIN_BYTES, np.uint8)
-    with announced():
+    with announced(call):
         call(
             raw, raw, raw, none, none, np.zeros((0, 6)), np.zeros((0, 4)), none, none, none, none,
             np.zeros((0, 28)), 0, none, np.zeros(0, np.int64), law.LOOK, law.END, 0, 0,
@@ -42,33 +51,58 @@ def rows() -> Any:
     return call
 
 
+def parts_of(call: Any) -> set[Any]:
+    """The functions of the law that an entry calls, directly or not."""
+    found: set[Any] = set()
+    left = [getattr(call, "py_func", call)]
+    while left:
+        function = left.pop()
+        names, space = function.__code__.co_names, function.__globals__
+        modules = [space[name] for name in names if isinstance(space.get(name), ModuleType)]
+        called = [space.get(name) for name in names]
+        called += [getattr(module, name, None) for module in modules for name in names]
+        parts = {getattr(one, "py_func", None) for one in called} - {None} - found
+        found |= parts
+        left += parts
+    return found
+
+
 @contextmanager
-def announced() -> Iterator[None]:
+def announced(call: Any = None) -> Iterator[None]:
     """Log (INFO) when numba begins to compile inside the block, and how long it took.
 
-    Python looks through its objects for those to give back less often meanwhile: numba makes
-    millions that stay, and a tenth of the time would go there.
+    What `tell` was given to show progress gets the share of the work that is done. Python looks
+    through its objects for those to give back less often meanwhile: numba makes millions that stay,
+    and a tenth of the time would go there.
+
+    Args:
+        call: the entry that may be compiled, whose functions are counted.
     """
     from numba.core import event
 
     began: list[float] = []
+    left = set() if call is None else parts_of(call)
+    count = len(left)
     _usual.append(gc.get_threshold())
 
-    class Begun(event.Listener):
+    class Compiling(event.Listener):
         def on_start(self, event: Any) -> None:
             if not began:
                 began.append(perf_counter())
                 gc.set_threshold(50_000, 20, 100)
-                _log.info("compiling the control tick: about a minute, then it is cached …")
+                _log.info("compiling the control tick: one to three minutes, then it is cached …")
 
         def on_end(self, event: Any) -> None:
-            pass
+            left.discard(event.data["dispatcher"].py_func)
+            _shown[-1](_PARTS * (1.0 - len(left) / max(1, count)))
 
     try:
-        with event.install_listener("numba:compile", Begun()):
+        with event.install_listener("numba:compile", Compiling()):
             yield
     finally:
         gc.set_threshold(*_usual.pop())  # of another thread's, if one has begun meanwhile
+        if began:
+            _shown[-1](1.0)
     if began:
         _log.info("compiled in %.0f s", perf_counter() - began[0])
 
@@ -82,7 +116,12 @@ class _Teller(logging.Handler):
         self.say(record.getMessage())
 
 
-def tell(say: Callable[[str], None]) -> None:
-    """Hand these messages to `say`, in place of the former listener."""
+def tell(say: Callable[[str], None], show: Callable[[float], None] = _nowhere) -> None:
+    """Hand these messages to `say`, and progress to `show`, in place of the former listeners.
+
+    Args:
+        say: takes a line. show: takes the share that is done, 0 … 1; 1 at the end in any case.
+    """
     _log.handlers = [_Teller(say)]
     _log.setLevel(logging.INFO)
+    _shown[:] = [show]

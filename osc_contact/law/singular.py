@@ -68,18 +68,14 @@ def find_lost(chain, arm, own, joints, work):
             for k in range(j):
                 s -= K[j, k] * Z[k, i]
             Z[j, i] = s * K[j, j]
-    for a in range(m):  # wrenches that the grasp passes on, orthonormal in Λ_ref
-        for i in range(6):
-            work.A[a, i] = (1.0 if i == a else 0.0) if m == 6 else own.passed[a, i] / root[i]
-    orthonormalise(work.A, m, 0, work.B, work.D)
-    for a in range(m):
-        for j in range(n):
-            s = 0.0
+    if m == 6:  # all wrenches: the axes themselves are orthonormal
+        for a in range(6):
+            for j in range(n):
+                X[a, j] = root[a] * Z[j, a]
             for i in range(6):
-                s += work.B[a, i] * root[i] * Z[j, i]
-            X[a, j] = s
-        for i in range(6):
-            X[a, n + i] = work.B[a, i]
+                X[a, n + i] = 1.0 if i == a else 0.0
+    else:
+        _passed_rows(own, Z, root, m, n, work)
     one_sided_jacobi(X, m, n, 6)
     _sort_rows(X, m, n)
     for k in range(arm.full_rank):
@@ -103,6 +99,24 @@ def find_lost(chain, arm, own, joints, work):
             mode[j] = s * K[j, j]
         own.n_lost += 1
         work.n_lost += 1
+
+
+@inner
+def _passed_rows(own, Z, root, m, n, work):
+    """Rows of X for the wrenches that a grasp passes on, orthonormal in Λ_ref."""
+    X = work.X
+    for a in range(m):
+        for i in range(6):
+            work.A[a, i] = own.passed[a, i] / root[i]
+    orthonormalise(work.A, m, 0, work.B, work.D)
+    for a in range(m):
+        for j in range(n):
+            s = 0.0
+            for i in range(6):
+                s += work.B[a, i] * root[i] * Z[j, i]
+            X[a, j] = s
+        for i in range(6):
+            X[a, n + i] = work.B[a, i]
 
 
 @inner

@@ -14,8 +14,6 @@ HAND_OVER by itself turns what the motion integral has learnt into a constant wr
 
 from __future__ import annotations
 
-from typing import Any
-
 from osc_contact.law.allocation import allocate_torques, predict_joints
 from osc_contact.law.chain import solve_chain
 from osc_contact.law.columns import choose_columns
@@ -79,7 +77,7 @@ __all__ = [
     "OWN_FORCE",
     "OWN_MOTION",
     "PARTIAL",
-    "build",
+    "rows",
 ]
 
 LOOK, MEASURE, COMMAND, ALLOCATE, END, HAND_OVER = range(6)
@@ -211,60 +209,53 @@ def _row(
     return work.status
 
 
-def build(stamp: int) -> Any:
-    """The tick, to be compiled at its first call; `stamp` tells the cache of changed sources."""
+@entry
+def rows(model, memory, work, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, touched,
+         flags, tau, codes, begin, stop, lo, hi):  # fmt: skip
+    """Controllers lo … hi − 1, each from part `begin` to before part `stop`.
 
-    @entry
-    def rows(model, memory, work, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, touched,
-             flags, tau, codes, begin, stop, lo, hi):  # fmt: skip
-        """Controllers lo … hi − 1, each from part `begin` to before part `stop`.
+    Returns after a tick that ends SATURATED: its `work` says what motor limits must know.
 
-        Returns after a tick that ends SATURATED: its `work` says what motor limits must know.
+    Args:
+        model, memory: bytes of all rows (one row of `model` serves all of them). work: bytes,
+            scratch and what the last row worked out.
+        q, v, V_D, A_D, alpha_d, squeeze: of all rows, one behind the other; wrenches
+            (rows · arms, 6), X_WD (rows · 4, 4), touched (rows · contacts, 28).
+        flags: MOVING, COMMANDED, OWN_FORCE, OWN_MOTION.
+        tau: (rows · motors,), codes: (rows,) status; filled.
 
-        Args:
-            model, memory: bytes of all rows (one row of `model` serves all of them). work: bytes,
-                scratch and what the last row worked out.
-            q, v, V_D, A_D, alpha_d, squeeze: of all rows, one behind the other; wrenches
-                (rows · arms, 6), X_WD (rows · 4, 4), touched (rows · contacts, 28).
-            flags: MOVING, COMMANDED, OWN_FORCE, OWN_MOTION.
-            tau: (rows · motors,), codes: (rows,) status; filled.
-
-        Returns:
-            Twice the row to go on with (hi when all are done), plus 1 if some row did not end OK.
-        """
-        amiss = 0
-        if stamp < 0:
-            return 2 * hi
-        head = read_chain(model, 0, 1)[0]
-        step = head.row_bytes if model.size > head.row_bytes else 0
-        n, k, c, r = head.n_joints, head.n_arms, head.n_contacts, head.n_columns
-        s, a = max(head.n_bars, 1), head.n_motors
-        count = codes.size
-        fits = q.size == count * n and v.size == count * n and V_D.size == 6 * count
-        fits = fits and wrenches.shape[0] == count * k and wrenches.shape[1] == 6
-        fits = fits and X_WD.shape[0] == 4 * count and X_WD.shape[1] == 4
-        fits = fits and A_D.size == 6 * count and squeeze.size == count * s
-        fits = fits and touched.shape[0] == count * c and touched.shape[1] == 28
-        n_q, n_v = n if q.size == count * n else 0, n if v.size == count * n else 0
-        if not fits:
-            flags |= MISFIT
-        elif alpha_d.size != count * r:
-            flags |= NO_WISHES
-        for i in range(lo, hi):
-            if i + 1 < hi:
-                prefetch(model, (i + 1) * step, step)
-                prefetch(memory, (i + 1) * head.memory_bytes, head.memory_bytes)
-            codes[i] = _row(
-                model, i * step, memory, i * head.memory_bytes, work,
-                q[i * n_q : (i + 1) * n_q], v[i * n_v : (i + 1) * n_v],
-                wrenches[i * k : (i + 1) * k],
-                X_WD[4 * i : 4 * i + 4], V_D[6 * i : 6 * i + 6], A_D[6 * i : 6 * i + 6],
-                alpha_d[i * r : (i + 1) * r], squeeze[i * s : (i + 1) * s],
-                touched[i * c : (i + 1) * c], flags, tau, i * a, begin, stop,
-            )  # fmt: skip
-            amiss |= codes[i] != OK
-            if codes[i] == SATURATED:
-                return 2 * (i + 1) + 1
-        return 2 * hi + amiss
-
-    return rows
+    Returns:
+        Twice the row to go on with (hi when all are done), plus 1 if some row did not end OK.
+    """
+    amiss = 0
+    head = read_chain(model, 0, 1)[0]
+    step = head.row_bytes if model.size > head.row_bytes else 0
+    n, k, c, r = head.n_joints, head.n_arms, head.n_contacts, head.n_columns
+    s, a = max(head.n_bars, 1), head.n_motors
+    count = codes.size
+    fits = q.size == count * n and v.size == count * n and V_D.size == 6 * count
+    fits = fits and wrenches.shape[0] == count * k and wrenches.shape[1] == 6
+    fits = fits and X_WD.shape[0] == 4 * count and X_WD.shape[1] == 4
+    fits = fits and A_D.size == 6 * count and squeeze.size == count * s
+    fits = fits and touched.shape[0] == count * c and touched.shape[1] == 28
+    n_q, n_v = n if q.size == count * n else 0, n if v.size == count * n else 0
+    if not fits:
+        flags |= MISFIT
+    elif alpha_d.size != count * r:
+        flags |= NO_WISHES
+    for i in range(lo, hi):
+        if i + 1 < hi:
+            prefetch(model, (i + 1) * step, step)
+            prefetch(memory, (i + 1) * head.memory_bytes, head.memory_bytes)
+        codes[i] = _row(
+            model, i * step, memory, i * head.memory_bytes, work,
+            q[i * n_q : (i + 1) * n_q], v[i * n_v : (i + 1) * n_v],
+            wrenches[i * k : (i + 1) * k],
+            X_WD[4 * i : 4 * i + 4], V_D[6 * i : 6 * i + 6], A_D[6 * i : 6 * i + 6],
+            alpha_d[i * r : (i + 1) * r], squeeze[i * s : (i + 1) * s],
+            touched[i * c : (i + 1) * c], flags, tau, i * a, begin, stop,
+        )  # fmt: skip
+        amiss |= codes[i] != OK
+        if codes[i] == SATURATED:
+            return 2 * (i + 1) + 1
+    return 2 * hi + amiss

@@ -187,7 +187,7 @@ contacts:
     face:                             # the plate: a point of it, and the normal that points out
       urdf: face.urdf
       point: [{", ".join(f"{x:.6f}" for x in point)}]
-      normal: [{", ".join(f"{x:.6f}" for x in -down)}]
+      normal: [{", ".join(f"{x:.6f}" for x in _unnoisy(-down))}]
 
 force:                                # what the ball presses with
   ball:
@@ -196,7 +196,7 @@ force:                                # what the ball presses with
 
 motion:                               # to and fro along the plate
   - kind: linear
-    direction: [{", ".join(f"{x:.6f}" for x in along)}]
+    direction: [{", ".join(f"{x:.6f}" for x in _unnoisy(along))}]
     signals: [{{type: sine, amplitude: {travel:.3g} mm, frequency: 0.25 Hz, ramp: 1 s}}]
 
 gains:                                # they serve every mass
@@ -207,6 +207,12 @@ control: {{rate: 1 kHz}}
 plant: {{type: mujoco, step: 0.25 ms}}
 duration: 4 s
 """
+
+
+def _unnoisy(direction: Array) -> Array:
+    """The unit vector (3,) without components that the rounding of the posture makes."""
+    kept = np.where(np.abs(direction) < 1e-5, 0.0, direction)
+    return np.asarray(kept / np.linalg.norm(kept))
 
 
 def _reference(robot: str) -> str:

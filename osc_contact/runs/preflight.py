@@ -284,7 +284,7 @@ def _motors(task: Task) -> Iterator[Finding]:
         return
     t, alpha = task.times, task.plan.alpha_d
     limits = np.minimum(task.chain.tau_max, 1e12)
-    wanted = state.bias[:, None] + state.S.T @ contact.N @ contact.R @ alpha.T
+    wanted = state.b_S[:, None] + state.S.T @ contact.N @ contact.R @ alpha.T
     shares = np.linalg.pinv(state.G * limits) @ wanted  # of each motor's limit, least squares
     order = np.argsort(np.abs(shares).max(axis=0))
     most, usual = (

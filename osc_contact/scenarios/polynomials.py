@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, field_validator
 
-from ..jerk_limits import solve
+from ..jerk_limits import follow, from_rest_to_rest
 from .quantities import OfQuantity, Time, refuse
 
 __all__ = ["JerkLimited", "Polynomials", "Points", "Values", "jerk_limited", "least_jerk"]
@@ -124,8 +124,6 @@ def jerk_limited(
 ) -> Polynomials:
     """The fastest way from rest at each of `points` to rest at the next one, from `start` on.
 
-    Each is solved in units in which distance and jerk are 1, whatever its size.
-
     Args:
         points: to rest at. start: where it begins.
         velocity, acceleration, jerk: limits, in units of the points per s, s², s³.
@@ -134,17 +132,14 @@ def jerk_limited(
     for here, there in pairwise(points):
         if (way := there - here) == 0.0:
             continue
-        T = (abs(way) / jerk) ** (1.0 / 3.0)
-        bounds = velocity * T / abs(way), acceleration * T * T / abs(way), 1.0
-        few = [[min(bound, 10.0)] for bound in bounds]  # a jerk of 1 does not reach 1 within way 1
-        profile = solve([0.0], [0.0], [0.0], [1.0], (few[0], few[1], few[2])).profiles[0][0]
-        for duration, p, v, a, j in zip(
-            profile.t, profile.p, profile.v, profile.a, profile.j, strict=False
-        ):
-            if knots[-1] + duration * T > knots[-1]:
-                columns.append((here + way * p, way * v / T, way * a / (2 * T**2),
-                                way * j / (6 * T**3)))  # fmt: skip
-                knots.append(knots[-1] + duration * T)
+        state = here, 0.0, 0.0
+        sign = 1.0 if way > 0.0 else -1.0
+        for duration, size in from_rest_to_rest(abs(way), velocity, acceleration, jerk):
+            if knots[-1] + duration > knots[-1]:
+                x, v, a = state
+                columns.append((x, v, a / 2.0, sign * size / 6.0))
+                knots.append(knots[-1] + duration)
+                state = follow(((duration, sign * size),), duration, x, v, a)
         now = there
     if not columns:  # nowhere to go
         knots, columns = [start, start + 1.0], [(now, 0.0, 0.0, 0.0)]

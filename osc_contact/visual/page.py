@@ -125,7 +125,7 @@ def page_text(sink: CommandSink, title: str, config: dict[str, Any]) -> str:
                     "it as #RRGGBB"
                 )
     viewer = Path(_meshcat().viewer_assets_path()) / "dist" / "main.min.js"
-    scripts = ("plot.js", "player.js", *(("live.js",) if config["live"] else ()))
+    scripts = ("plot.js", "flat.js", "player.js", *(("live.js",) if config["live"] else ()))
     parts = {
         "policy": POLICY + (" 'self'" if config["live"] else ""),
         "title": html.escape(title),

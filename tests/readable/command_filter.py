@@ -128,4 +128,4 @@ def generalised_force(state: ChainState, eta_c: Array, f_c: Array) -> Array:
     With a filtered η̇_c and f_c = N α_u the chain answers with exactly these (eqs. 24, 25); with
     unfiltered commands they couple as eqs. 22 and 23 say.
     """
-    return np.asarray(state.Lambda @ eta_c + state.bias + state.S.T @ f_c)
+    return np.asarray(state.Lambda_S @ eta_c + state.b_S + state.S.T @ f_c)

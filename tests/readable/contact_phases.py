@@ -101,7 +101,7 @@ def hand_over(controller: Controller) -> None:
     """
     s, motion = controller.last_signals(), controller.motion_law
     learnt = motion.gains.integral * motion.integral
-    force = s.state.Lambda @ object_coordinates(s.state, s.contact, learnt + s.state.sigma)
+    force = s.state.Lambda_S @ object_coordinates(s.state, s.contact, learnt + s.state.sigma)
     H = s.state.S.T @ s.state.metric @ s.state.S
     wrench = s.state.metric @ s.state.S @ np.linalg.solve(H, force)  # Sᵀ wrench = force
     controller.f_bias = controller.f_bias + wrench

@@ -204,7 +204,7 @@ class EffortLimits:
             tau=s.tau,
             tau_max=self.chain.tau_max,
             G=state.G,
-            Lambda=state.Lambda,
+            Lambda=state.Lambda_S,
             metric=state.S.T @ state.metric @ state.S,
             N=state.S.T @ contact.N,
             pushed=state.S.T @ (contact.N + s.friction_wrenches),

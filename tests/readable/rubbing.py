@@ -29,4 +29,4 @@ def with_friction(chain: ClosedChain, state: ChainState, v: Array, V_D: Array) -
         replace(arm, mu=arm.mu + arm.J_bar.T @ torques[s])
         for arm, s in zip(state.arms, chain.slices, strict=True)
     )
-    return replace(state, h=state.h + torques, mu=state.mu + state.W.T @ torques, arms=arms)
+    return replace(state, h=state.h + torques, mu_S=state.mu_S + state.W.T @ torques, arms=arms)

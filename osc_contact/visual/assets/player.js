@@ -2,7 +2,7 @@
 // The page around meshcat's viewer: legend with check boxes, labels, time slider, plots.
 
 const element = (id) => document.getElementById(id);
-const viewer = new MeshCat.Viewer(element("scene"));
+const viewer = new MeshCat.Viewer(element("scene"), true, hasWebGL() ? undefined : new FlatRenderer(element("scene")));
 viewer.renderer.setPixelRatio(window.devicePixelRatio || 1);
 const resize = viewer.set_3d_pane_size.bind(viewer);
 viewer.set_3d_pane_size = () => {

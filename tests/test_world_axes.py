@@ -1,0 +1,137 @@
+"""Λ, μ and p of a chain in world axes: power, equation of motion, another frame, the basis S."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from grasp_rigs import KINDS, random_case
+from rigs import one_panda, panda_pair, random_state, scara_pair
+
+import osc_contact as osc
+
+ARMS = ["scara", "ur5", "panda", "2R", "3R"]
+CHAINS = {"one_panda": one_panda, "panda_pair": panda_pair, "scara_pair": scara_pair}
+
+
+def close(got, want, digits=1e-9):
+    size = max(1.0, np.abs(want).max(initial=0.0))
+    np.testing.assert_allclose(got, want, rtol=0, atol=digits * size)
+
+
+def some_states(count=40):
+    """Chains of 1–3 arms with any grasps, at random states that their loops permit."""
+    rng = np.random.default_rng(16)
+    for _ in range(count):
+        n = rng.integers(1, 4)
+        case = random_case(list(rng.choice(ARMS, n)), list(rng.choice(KINDS, n)), rng)
+        v, V = case.moving(rng)
+        yield case.chain.state(case.q, v, case.X_WO, V), rng
+
+
+def test_along_S_they_are_the_reduced_ones():
+    """SᵀΛS = Λ_S, Sᵀ(μ + Λσ) = μ_S, Sᵀp = p_S, whatever the rank d."""
+    ranks = set()
+    for state, _ in some_states():
+        S = state.S
+        close(S.T @ state.Lambda @ S, state.Lambda_S)
+        close(S.T @ (state.mu + state.Lambda @ state.sigma), state.mu_S, 1e-8)
+        close(S.T @ state.p, state.p_S)
+        close(state.b_S, state.mu_S + state.p_S)
+        ranks.add(state.d)
+    assert {4, 5, 6} <= ranks
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_the_wrench_has_the_power_of_all_that_moves(name):
+    """Vᵀ(Λa + μ + p): what Newton and Euler (Pinocchio) give joints and object together."""
+    chain, rng = CHAINS[name](), np.random.default_rng(17)
+    for _ in range(10):
+        q, v = random_state(chain, rng)
+        state = chain.state(q, v)
+        eta = np.linalg.lstsq(state.S, state.V_O, rcond=None)[0]
+        v = state.W @ eta  # without what redundant arms do by themselves
+        state = chain.state(q, v)
+        eta_dot = rng.normal(size=state.d)
+        a, a_q = state.S @ eta_dot + state.sigma, state.W @ eta_dot + state.w
+        model = chain.model
+        power = v @ pin.rnea(model, model.createData(), q, v, a_q)
+        weight = chain.payload.terms(state.X_WO, state.V_O, model.gravity.linear)
+        power += state.V_O @ (weight.Lambda @ a + weight.mu + weight.p)
+        wrench = state.Lambda @ a + state.mu + state.p
+        assert wrench @ state.V_O == pytest.approx(power, rel=1e-8, abs=1e-8)
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_the_equation_of_motion_in_world_axes(name):
+    """Sᵀ(Λa + μ + p + f_c) = Gτ for the acceleration that `contact_response` predicts."""
+    chain, rng = CHAINS[name](), np.random.default_rng(18)
+    q, v = random_state(chain, rng)
+    state = chain.state(q, v)
+    tau = 20.0 * rng.normal(size=chain.n_a)
+    free = osc.contact_response(state, osc.Contact(np.zeros((6, 0))), tau=tau)
+    moved = state.Lambda @ free.acceleration + state.mu + state.p
+    close(state.S.T @ moved, state.G @ tau, 1e-8)
+
+
+def test_gravity_has_the_sign_that_it_has_for_each_arm():
+    """p carries arms and object upwards, as `arm.p` does; p_S depends on the basis."""
+    chain = one_panda()
+    state = chain.state(pin.neutral(chain.model) + 0.3, np.zeros(chain.nq))
+    assert state.p[2] > 0.0 and state.arms[0].p[2] > 0.0
+    close(state.p, state.arms[0].p + state.payload.p)
+
+
+def test_another_basis_changes_the_reduced_ones_only():
+    chain, rng = scara_pair(), np.random.default_rng(19)
+    state = chain.state(*random_state(chain, rng))
+    Q = rng.normal(size=(5, 5)) + 3.0 * np.eye(5)
+    other = replace(
+        state,
+        S=state.S @ Q,
+        Lambda_S=Q.T @ state.Lambda_S @ Q,
+        mu_S=Q.T @ state.mu_S,
+        p_S=Q.T @ state.p_S,
+    )
+    for name in ("Lambda", "mu", "p"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(state, name))
+    close(other.S.T @ other.p, other.p_S)
+
+
+def test_another_operational_point_carries_them_as_wrenches():
+    """The object's frame 0.2 m on and turned: Λ a + μ + p of the same motion, carried."""
+    chain, rng = one_panda(), np.random.default_rng(20)
+    q, v = random_state(chain, rng)
+    shift = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.2])), np.array([0.1, -0.15, 0.1]))
+    body = chain.payload
+    inertia = shift.actInv(body.inertia)
+    moved = osc.ClosedChain(
+        chain.arms, [X.X_TO * shift for X in chain.grasps], osc.RigidObject(inertia)
+    )
+    here, there = chain.state(q, v), moved.state(q, v)
+    r = there.X_WO.translation - here.X_WO.translation
+    spin = np.linalg.norm(here.V_O[3:])
+    assert np.linalg.norm(r) > 0.1 and spin > 0.1
+    carry = np.eye(6)
+    carry[:3, 3:] = -pin.skew(r)  # twists, and spatial accelerations, from O to the new point
+    a = rng.normal(size=6)
+    close(there.V_O, carry @ here.V_O)
+    want = here.Lambda @ a + here.mu + here.p
+    got = there.Lambda @ (carry @ a) + there.mu + there.p
+    close(carry.T @ got, want, 1e-8)
+    close(carry.T @ there.p, here.p, 1e-8)
+    close(carry.T @ there.Lambda @ carry, here.Lambda, 1e-8)
+
+
+@pytest.mark.parametrize("name", ["one_panda", "panda_pair"])
+def test_with_six_motions_the_inertia_is_the_inverse_of_the_mobility(name):
+    """Λ₀ = Φ⁻¹ where d = 6; the SCARA pair's Φ has rank five and no inverse."""
+    chain = CHAINS[name]()
+    state = chain.state(*random_state(chain, np.random.default_rng(21)))
+    close(state.Lambda @ state.Phi, np.eye(6), 1e-7)
+    pair = scara_pair()
+    state = pair.state(*random_state(pair, np.random.default_rng(22)))
+    assert state.d == 5 and np.abs(state.Lambda @ state.Phi - np.eye(6)).max() > 0.1
+    close(state.Phi @ state.Lambda @ state.Phi, state.Phi, 1e-8)
