@@ -36,7 +36,7 @@ _shown: list[Callable[[float], None]] = [_nowhere]
 
 @cache
 def rows() -> Any:
-    """The tick over rows, see `law.tick.build`; other types than its own are a TypeError."""
+    """The tick over rows, see `law.tick.rows`; other types than its own are a TypeError."""
     call = law.rows
     if PLAIN_PYTHON:
         return call
