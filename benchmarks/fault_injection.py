@@ -54,7 +54,8 @@ RUN, DEGRADED, HOLD, SAFE_STOP = SafetyState
 STOP_WITHIN = 0.3  #: s
 FAULT_FOR = 0.6  #: s that a lasting fault is looked at
 REST_AFTER = 0.5  #: s after a stop, when the arms are at rest
-REST_SPEED, REST_TRAVEL = 0.1, 0.1  #: rad/s or m/s; rad or m since the stop
+#: rad/s or m/s; rad or m since the stop, beside what braking from the speed at the stop takes
+REST_SPEED, REST_TRAVEL = 0.1, 0.1
 LOSSES = (0, 2, 3, 10)  #: every so many-th tick is lost; 0: none
 NAN = float("nan")
 
@@ -409,7 +410,8 @@ class Run:
         model = chain.model
         low, high = model.lowerPositionLimit[act], model.upperPositionLimit[act]
         beyond = outside = 0
-        highest, end, stop_q = 0.0, self.first + round(FAULT_FOR / dt), np.zeros(0)
+        highest, end = 0.0, self.first + round(FAULT_FOR / dt)
+        stop_q = braking = np.zeros(0)
         while self.k < end and not verdict.wrong:
             k = self.k
             active = trial if k <= last else None
@@ -417,12 +419,13 @@ class Run:
             true, truth = _inside(self.plant).measure(), self.plant.truth()
             if verdict.stopped is None and self.controller.state is SAFE_STOP:
                 verdict.stopped, stop_q = (k - self.first) * dt, true.q[act]
+                braking = np.abs(true.v[act]) * self.controller.settings.safety.reaction
                 end = max(end, k + round(REST_AFTER / dt))
             verdict.unbraked = verdict.unbraked or self.controller.unbraked is not None
             speeds = np.abs(true.v[act])
             verdict.rest_speed = float(speeds.max())
             if verdict.stopped is not None:
-                verdict.travel = float(np.abs(true.q[act] - stop_q).max())
+                verdict.travel = float((np.abs(true.q[act] - stop_q) - braking).max())
             share = speeds / model.velocityLimit[act]
             verdict.speed = max(verdict.speed, float(share.max()))
             beyond = beyond + 1 if (share > 1.0).any() else 0

@@ -112,10 +112,10 @@ def _hold_posture(
     """τ = h + M(−2ω q̇ − ω²(q − q_hold)) + Jᵀw, h and M with the arms' shares of the object in w.
 
     While joints are braked, q_hold moves with them; what moves on for longer creeps under a weight
-    that is not quite known. Where motors cannot exert it the second part is
-    scaled down as a whole, and still takes energy from the joints. Torques move in a straight
+    that is not quite known. Where motors cannot exert it the second part is scaled down as a whole;
+    q_hold follows there, too, so that it takes energy from the joints. Torques move in a straight
     line from the last ones, no motor faster than `BRAKE_RATE` allows, or a joint that is above its
-    speed limit makes necessary.
+    speed limit, or needs all of its motor, makes necessary.
     """
     n = chain.n_joints
     q, speed = estimate[:n], estimate[n:]
@@ -133,21 +133,24 @@ def _hold_posture(
         place_arm(table, joints, arm.first, arm.end, q)
         move_arm(arm, table, joints, speed, origin, chain.gravity, work.s, work.t, V, gamma, bias)
     mass = _carry_weight(chain, arms, memory, joints, work)
-    rate, fastest = chain.hold_rate, min(BRAKE_RATE, chain.torque_rate)
+    omega, fastest = chain.hold_rate, min(BRAKE_RATE, chain.torque_rate)
     for j in range(n):
         if abs(speed[j]) > table[j].speed_max:
             fastest = min(_HASTE * BRAKE_RATE, chain.torque_rate)
-        back = rate * (q[j] - joint_memory[j].hold)
-        joints[j].acceleration = -rate * (2.0 * speed[j] + back)
+        back = omega * (q[j] - joint_memory[j].hold)
+        joints[j].acceleration = -omega * (2.0 * speed[j] + back)
     for k in range(chain.n_arms):
         share = _split_torques(chain, arms[k], table, joints, work, mass)
+        rate = fastest if share == 1.0 else min(_HASTE * BRAKE_RATE, chain.torque_rate)
         for j in range(arms[k].first, arms[k].end):
             joint_memory[j].acceleration = share * joints[j].acceleration
+            if share < 1.0:
+                joint_memory[j].hold = q[j]
             motor, most = table[j].motor, table[j].tau_max
             if motor >= 0:
                 s = min(max(joints[j].tau + share * joints[j].rest, -most), most)
                 tau[first + motor] = s if isfinite(s) else last[motor]
-                step[motor] = fastest * chain.period * most
+                step[motor] = rate * chain.period * most
     out = tau[first : first + chain.n_motors]
     if memory.ticked != 0:
         slew(out, last, step, chain.n_motors)

@@ -60,6 +60,7 @@ _SLOPE = 0.005  #: s, of the filter of a speed that only positions show
 _BALANCE = 0.05  #: s, of the low-pass of torques that nothing explains
 _USUAL = 1.0  #: s in which an unexplained torque becomes the usual one
 _UNBALANCED = 0.1  #: s for which torques may be unexplained
+_OUTLIER = 10.0  #: times their bound; no more of unexplained torques counts in one tick
 _APART = 0.01  #: s for which arms may hold the object at different places
 _BLIND = 0.01  #: s without a sound reading from which on a joint cannot be braked
 
@@ -218,12 +219,14 @@ def _balance_arm(chain, arm, table, work, own, joints, joint_memory, last, dt):
         known, motor = joint_memory[j], table[j].motor
         if motor < 0:
             continue
+        most = chain.wrist_error * table[j].tau_max
         excess = last[motor] - joints[j].h - dot6(joints[j].column, load)
+        excess = min(max(excess, -_OUTLIER * most), _OUTLIER * most)
         inertial = -dot6(joints[j].column, moved)
         for i in range(arm.first, arm.end):
             inertial += joints[j].M[i - arm.first] * joint_memory[i].rate
         known.excess += k * (excess - known.excess)
-        rest, most = known.excess - inertial, chain.wrist_error * table[j].tau_max
+        rest = known.excess - inertial
         known.usual += dt / (_USUAL + dt) * (rest - known.usual)
         too_much = abs(rest - known.usual) > most or abs(rest) > 2.0 * most
         known.unbalanced = max(known.unbalanced + (dt if too_much else -dt), 0.0)
