@@ -139,7 +139,8 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
 
     Args:
         chain: CHAIN. bodies: (contacts,) BODY. columns: (n,) COLUMN.
-        contacts: (contacts,) CONTACT_MEMORY; phase and since are changed, not yet `active`.
+        contacts: (contacts,) CONTACT_MEMORY; phase and since are changed, not yet `active`, and
+            held: whether it has pressed for the time of a rise. One that never did is not lost.
         column_memory: (n,) COLUMN_MEMORY after `low_pass`; changed as by `monitor`, and gap (m):
             how far it has gone since contact was lost, or is not known to hold again; astray: how
             long ago that was.
@@ -174,7 +175,7 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
             )  # fmt: skip
             if before == OPEN:
                 row.closed, row.collision, contact.held = 0, 0, 0
-            elif row.high_for > chain.dwell:
+            elif row.high_for > chain.rise:
                 contact.held = 1
             desired = desired or wanted[j] > 0.0
             some_closed = some_closed or row.closed != 0

@@ -34,6 +34,7 @@ from osc_contact.law.tables import (
     NO_ROTATION,
     OTHER,
     OUT_OF_RANGE,
+    SAFE_STOP,
     STUCK,
     UNBALANCED,
     WRENCH_TIMEOUT,
@@ -309,7 +310,7 @@ def check_sensors(
         for j in range(n if memory.still > chain.frozen_time else 0):
             if abs(joint_memory[j].v) * memory.still > _GONE * chain.position_drift:
                 reason, memory.culprit = DISAGREE, j
-        if memory.frozen > chain.frozen_time:
+        if memory.frozen > chain.frozen_time and memory.state != SAFE_STOP:  # then they may rest
             reason = FROZEN
         joints = reason in (STUCK, DISAGREE, FROZEN)
         for j in range(n if joints and memory.still > _DEAD else 0):  # a dead packet
