@@ -167,15 +167,10 @@ def explain(
                 or _not_believed(rows, settings, cause)
                 or _SENTENCES.get(cause, "")
             )
-        joint = int(rows.memory.unbraked)
-        if joint >= 0:
-            why = (
-                f"{why}. No sound reading of joint {settings.chain.joint_names[joint]} is left: it "
-                "cannot be braked by its motor, engage the mechanical brakes"
-            )
-        return f"stopped, until reset() is called. Cause: {why or 'code called in the tick failed'}"
+        why = why or "code called in the tick failed"
+        return f"stopped, until reset() is called. Cause: {why}{_unbraked(rows, settings)}"
     if failure is not None:
-        return str(failure)
+        return f"{failure}{_unbraked(rows, settings)}"
     if code in (at.OUT_OF_RANGE, at.JUMPED, at.WRENCH_TIMEOUT):
         return _not_believed(rows, settings, code)
     if code >= at.OVERSPEED:
@@ -250,6 +245,17 @@ _SENTENCES = {
         "Check mass and inertia of gripper and object"
     ),
 }
+
+
+def _unbraked(rows: TickRecords, settings: Settings) -> str:
+    """A sentence about a stopped joint without any sound reading; empty: there is none."""
+    joint = int(rows.memory.unbraked)
+    if joint < 0 or rows.memory.state != at.SAFE_STOP:
+        return ""
+    return (
+        f". No sound reading of joint {settings.chain.joint_names[joint]} is left: its motor cannot "
+        "brake it reliably, engage the mechanical brakes"
+    )
 
 
 def _not_believed(rows: TickRecords, settings: Settings, code: int) -> str:

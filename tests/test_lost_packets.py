@@ -1,0 +1,105 @@
+"""Packets that are lost, repeated or late, in closed loop with MuJoCo."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import osc_contact as osc
+from benchmarks.fault_injection import FAULTS, NAN, Case, Run, Verdict
+from osc_contact.interface import Measurement
+
+RUN, DEGRADED, HOLD, SAFE_STOP = osc.SafetyState
+
+
+def driven(change: Callable[[Measurement, int], Measurement], ticks: int) -> tuple[Run, list[int]]:
+    """Main job's rod with changed measurements, and the status of each tick."""
+    run, status = Run(Case()), []
+    seen, measure = Verdict("no fault", run.case), run.robot.measure
+    run.robot.measure = lambda: change(measure(), run.k)  # type: ignore[method-assign]
+    for _ in range(ticks):
+        run.step(seen, None, FAULTS["no fault"])
+        status.append(int(run.controller.status))
+    assert not seen.wrong, seen.wrong
+    return run, status
+
+
+def lost(m: Measurement) -> Measurement:
+    return replace(m, q=m.q * NAN, v=m.v * NAN, wrenches=m.wrenches * NAN)
+
+
+def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault() -> None:
+    kept: dict[str, Measurement] = {}
+
+    def half_rate(m: Measurement, k: int) -> Measurement:
+        if k % 2 == 0:
+            kept["packet"] = replace(m, sequence=k // 2)
+        return kept["packet"]
+
+    run, status = driven(half_rate, 1500)
+    assert set(status) == {int(osc.Status.OK)}
+    assert run.controller.state is RUN and run.controller.state_age == 1500
+    assert run.controller.repeated == 1, "the last packet came twice"
+    alpha = run.plant.truth().alpha
+    wanted = run.rig.references.at(1.5).alpha_d
+    np.testing.assert_allclose(alpha, wanted, rtol=0.05)
+
+
+def test_a_packet_that_repeats_for_longer_than_a_wrench_may_is_a_fault() -> None:
+    kept: dict[str, Measurement] = {}
+
+    def stands(m: Measurement, k: int) -> Measurement:
+        if k <= 300:
+            kept["packet"] = replace(m, sequence=k)
+        return kept["packet"]
+
+    run, status = driven(stands, 345)
+    assert status.index(int(osc.Status.HELD)) == 321  # wrench_timeout = 20 ms
+    assert run.controller.state is SAFE_STOP
+    assert run.controller.unbraked is not None
+    assert "engage the mechanical brakes" in run.controller.reason
+
+
+@pytest.mark.parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])
+def test_more_than_half_of_the_ticks_must_not_be_lost_for_long(
+    lost_of: tuple[int, int], stops: bool
+) -> None:
+    n, m = lost_of
+
+    def change(measurement: Measurement, k: int) -> Measurement:
+        return lost(measurement) if k >= 100 and k % m < n else measurement
+
+    run, _ = driven(change, 500)
+    assert (run.controller.state is SAFE_STOP) == stops, run.controller.reason
+
+
+def test_arms_whose_wrist_is_frozen_are_held_where_they_are() -> None:
+    """Gravity is 5° off what the controller knows, so that without their encoders arms creep."""
+    run, seen = Run(Case()), Verdict("no fault", Case())
+    down = run.plant.model.opt.gravity
+    down[:] = 9.81 * np.array([np.sin(np.deg2rad(5.0)), 0.0, -np.cos(np.deg2rad(5.0))])
+    measure, kept = run.robot.measure, {}
+
+    def frozen() -> Measurement:
+        m = measure()
+        if run.k >= 300:
+            return replace(m, wrenches=kept["wrenches"])
+        kept["wrenches"] = m.wrenches
+        return m
+
+    run.robot.measure = frozen  # type: ignore[method-assign]
+    where = {}
+    for _ in range(2100):
+        run.step(seen, None, FAULTS["no fault"])
+        where[run.k] = run.plant.measure().q
+    assert run.controller.state is SAFE_STOP
+    assert "reads the very same" in run.controller.reason
+    assert np.abs(where[2100] - where[1100]).max() < 5e-3, "held, while the load settles"
+    assert np.abs(where[2100] - where[1900]).max() < 2e-4, "and not creeping"
