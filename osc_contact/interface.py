@@ -77,8 +77,10 @@ class Measurement:
         seen: object and arms as a camera sees them; None: there is none.
         wrench_valid: False: this tick has no new wrenches, whatever stands in them; the controller
             goes on with the last ones for a while. None: they are as good as they look.
-        sequence: number of the packet; one that is no larger than the last is not read. None:
-            packets have none.
+        sequence: number of the packet. One that came before is a reading of a known age, which is
+            used for `wrench_timeout`; one older than the last is not used. None: packets have none.
+        estimated: whether v was estimated from q: then it is no second reading of the joints, with
+            which faults of encoders could be found.
     """
 
     q: Array
@@ -90,6 +92,7 @@ class Measurement:
     seen: Seen | None = None
     wrench_valid: bool | None = None
     sequence: int | None = None
+    estimated: bool = False
 
 
 class Robot(Protocol):

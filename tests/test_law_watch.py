@@ -391,7 +391,7 @@ def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
 
 MEMORY = dict.fromkeys(
     ("compared", "faults", "culprit", "has_wrench", "wrench_missing", "repeated", "ticked",
-     "apart", "unbraked"), 0,
+     "apart", "unbraked", "derived"), 0,
 ) | {"frozen": 0.0, "still": 0.0, "engaged": 1, "force_rank": 1, "state": at.RUN}  # fmt: skip
 
 

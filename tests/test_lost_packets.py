@@ -103,3 +103,19 @@ def test_arms_whose_wrist_is_frozen_are_held_where_they_are() -> None:
     assert "reads the very same" in run.controller.reason
     assert np.abs(where[2100] - where[1100]).max() < 5e-3, "held, while the load settles"
     assert np.abs(where[2100] - where[1900]).max() < 2e-4, "and not creeping"
+
+
+def test_speeds_estimated_from_encoders_are_no_second_reading_of_them() -> None:
+    """Masses × 0.8 bias an estimate that trusts the model; no sensor is faulty."""
+    scenario = osc.load_scenario(
+        "panda_edge",
+        [
+            "control.estimate.joint_angular=0.5",
+            "model_error.arm_mass=0.8",
+            "model_error.object_mass=0.8",
+            "sensors.encoder={rate: 500 Hz, angle: {noise: 0.02 mrad}, length: {noise: 10 um}}",
+            "tare={}",
+        ],
+    )
+    recording = osc.run(scenario, duration=1.0)
+    assert recording.meta["end_state"] != "SAFE_STOP", recording.meta["end_reason"]

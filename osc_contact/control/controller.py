@@ -205,6 +205,7 @@ class Controller(ControllerCopies):
             if (
                 plain and measurement.touched is None and measurement.stamps is None
                 and measurement.wrench_valid is None and measurement.sequence is None
+                and not measurement.estimated
             ):  # fmt: skip
                 squeeze[0] = reference.squeeze_d
                 tau = np.empty(n_a)
@@ -222,6 +223,7 @@ class Controller(ControllerCopies):
         """At the start; with bodies that move, stamps, three arms, or code of the user's."""
         if measurement.stamps is not None or measurement.sequence is not None:
             self._records.memory.repeated = self._freshness.require(measurement)
+        self._records.memory.derived = measurement.estimated
         if self._converting and self._in_parts:  # code of the user's takes arrays
             measurement, reference = convert_arrays(measurement, reference)
         if self._starting and self._start.is_done(self, measurement):

@@ -262,7 +262,7 @@ def check_sensors(
 
     A joint whose encoder reads the very same while it is commanded to gain more than a share of
     its speed limit is stuck. Speeds disagree with positions where q̇ − Δq/Δt, low-passed, is more
-    than a share of the limit. Wrists in contact that read the same for too long are frozen; where
+    than a share of the limit; not where they are estimated from them. Wrists in contact that read the same for too long are frozen; where
     all readings do, a packet repeats itself. What both add up to drifts apart,
 
         d ← d + (q̇ − Δq/Δt − d/T) Δt,
@@ -292,10 +292,10 @@ def check_sensors(
             step, elapsed = q[j] - known.q, chain.period * (1 + known.unread_q)
             same_joints = same_joints and step == 0.0 and credible and v[j] == known.v
             if compared and credible:
-                found = _check_joint(chain, known, limit, step, v[j], elapsed)
+                found = _check_joint(chain, memory, known, limit, step, v[j], elapsed)
                 if found != NO_REASON:
                     reason, memory.culprit = found, j
-                    _isolate(chain, joint_memory, j)
+                    _isolate(chain, memory, joint_memory, j)
             known.q = q[j]
         if credible:
             known.v = v[j]
@@ -343,7 +343,7 @@ def _check_wrists(chain, arms, memory, arm_memory, last_wrenches, wrenches):
 
 
 @leaf
-def _check_joint(chain, known, limit, step, v, dt):
+def _check_joint(chain, memory, known, limit, step, v, dt):
     """Evidence from one reading of a joint; a reason.
 
     Args:
@@ -372,6 +372,8 @@ def _check_joint(chain, known, limit, step, v, dt):
     known.stuck = 1 if known.gained > chain.stuck_speed * limit else 0
     if known.stuck != 0:
         return STUCK
+    if memory.derived != 0:
+        return NO_REASON
     if abs(known.error) > chain.speed_error * limit:
         return DISAGREE
     if abs(drift) > chain.position_drift + _LATE * abs(v):
@@ -380,7 +382,7 @@ def _check_joint(chain, known, limit, step, v, dt):
 
 
 @inner
-def _isolate(chain, joint_memory, j):
+def _isolate(chain, memory, joint_memory, j):
     """Note which reading of joint j is faulty, where they were found to contradict one another.
 
     It is one that stands still while the other moves, or the one whose changes the commanded
@@ -392,7 +394,7 @@ def _isolate(chain, joint_memory, j):
     dead = known.same_speed > _DEAD and (stuck or abs(known.moved) > most)
     if stuck:
         known.faulty |= FAULTY_POSITION
-        if dead:
+        if dead or memory.derived != 0:
             known.faulty |= FAULTY_SPEED
     elif known.faulty == 0:
         if dead or abs(known.surprise_v) > abs(known.surprise_q):

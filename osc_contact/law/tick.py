@@ -202,7 +202,7 @@ def _row(
             chain, arms, table, work, memory, joints, joint_memory, arm_memory, estimate,
             last_wrenches, flat[5 * r_all :], q, v, wrenches, last, tau, first, reason,
         )  # fmt: skip
-        memory.wrench_missing = memory.repeated = 0
+        memory.wrench_missing = memory.repeated = memory.derived = 0
     work.reason = memory.reason = reason
     if reason != NO_REASON:
         work.status, memory.fresh = HELD, 0

@@ -282,7 +282,7 @@ class Observer:
                 return measurement
             q, v = self._joints.update(np.where(bad, np.nan, measurement.q), known, fresh)
             q = np.where(bad, np.nan, q + float(self._spec.encoder.delay) * v)
-            measurement = replace(measurement, q=q, v=v)
+            measurement = replace(measurement, q=q, v=v, estimated=True)
         if self.vision is not None and measurement.touched is not None:
             now = self._ticks * self.dt
             touched = self.vision.update(
