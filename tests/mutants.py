@@ -59,7 +59,7 @@ OWN = {
     "contact_kinds": ("contact.py",), "pairs": ("contact.py",),
     "chain_oracles": ("arm_motion.py", "chain.py", "arm_terms.py", "energy.py", "grasps.py"),
     "chain_state": ("arm_motion.py", "chain.py", "arm_terms.py"), "grasps": ("held_object.py",),
-    "law_watch": ("watch.py", "plausibility.py"), "safety": ("safety.py",),
+    "law_watch": ("watch.py", "sensors.py"), "safety": ("safety.py",),
     "law_phases": ("phases.py",), "law_steps": ("steps.py",), "law_linkage": ("linkage.py",),
     "law_limits": ("limits.py", "saturation.py", "refinement.py"), "monitor": ("monitor.py",),
 }  # fmt: skip

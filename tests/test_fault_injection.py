@@ -5,11 +5,21 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.fault_injection import FAULTS, PHASES, table, try_fault
+from benchmarks.fault_injection import (
+    FAULTS,
+    PHASES,
+    Case,
+    cases,
+    stay_quiet,
+    table,
+    try_fault,
+    try_faults,
+)
 
 #: those of other phases than contact that once went wrong
 ELSEWHERE = (
@@ -39,6 +49,25 @@ def test_faults_in_other_phases(name: str, phase: str) -> None:
     assert phase in PHASES
     verdict = try_fault(name, phase)
     assert not verdict.wrong, table([verdict])
+
+
+def _drawn(count: int, seed: int) -> list[tuple[Case, list[str]]]:
+    """Cases with lost ticks, and three faults for each, of all packaged scenarios."""
+    rng = np.random.default_rng(seed)
+    some = [case for case in cases(1) if case.every and case.phase == "contact"]
+    chosen = rng.choice(len(some), count, replace=False)
+    return [(some[i], sorted(rng.choice(sorted(FAULTS), 3, replace=False))) for i in chosen]
+
+
+@pytest.mark.parametrize(("case", "names"), _drawn(8, 25), ids=lambda x: str(x)[:60])
+def test_faults_while_ticks_are_lost_in_packaged_scenarios(case: Case, names: list[str]) -> None:
+    verdicts = try_faults(case, names)
+    assert not [v.wrong for v in verdicts if v.wrong], table(verdicts)
+
+
+@pytest.mark.parametrize("scenario", ["two_contact_rod", "panda_edge"])
+def test_noise_and_delay_stop_nothing(scenario: str) -> None:
+    assert stay_quiet(scenario, 3.0) == ""
 
 
 def test_a_fault_is_found_wrong_where_the_limits_are_off(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -253,8 +253,8 @@ def _unbraked(rows: TickRecords, settings: Settings) -> str:
     if joint < 0 or rows.memory.state != at.SAFE_STOP:
         return ""
     return (
-        f". No sound reading of joint {settings.chain.joint_names[joint]} is left: its motor cannot "
-        "brake it reliably, engage the mechanical brakes"
+        f". No sound reading of joint {settings.chain.joint_names[joint]} is left: its motor "
+        "cannot brake it reliably, engage the mechanical brakes"
     )
 
 

@@ -42,7 +42,7 @@ class SafetySettings:
     Attributes:
         repeats: ticks in a row that repeat the last torques; later ones hold the posture. None
             repeats those of a tick whose motors were at their limits.
-        stop_after: ticks in a row after which the controller stops.
+        stop_after: how many more such ticks than computed ones stop the controller.
         overspeed_time: s; a motor joint above its speed limit for longer stops the controller (time
             below it is taken off).
         hold_rate: ω, 1/s, of q̈ = −2ω q̇ − ω²(q − q_hold) in a hold and a stop.

@@ -262,8 +262,9 @@ def check_sensors(
 
     A joint whose encoder reads the very same while it is commanded to gain more than a share of
     its speed limit is stuck. Speeds disagree with positions where q̇ − Δq/Δt, low-passed, is more
-    than a share of the limit; not where they are estimated from them. Wrists in contact that read the same for too long are frozen; where
-    all readings do, a packet repeats itself. What both add up to drifts apart,
+    than a share of the limit; not where they are estimated from them. Wrists in contact that read
+    the same for too long are frozen; where all readings do, a packet repeats itself. What both
+    add up to drifts apart,
 
         d ← d + (q̇ − Δq/Δt − d/T) Δt,
 
