@@ -14,7 +14,8 @@ import osc_contact as osc
 from osc_contact.control.phases import PhaseSettings
 
 DEGREES = np.degrees(START)
-OUT = [0.3, 3.0, -1.2]  # the elbow is limited to ±2
+# the elbow is limited to ±2; the posture is a goal, which only wrong units bring this far out
+OUT = {"reset": 3.0, "touching": 3.0, "posture": 200.0}
 
 
 def limited(**how):
@@ -33,11 +34,21 @@ def test_postures_outside_the_limits_are_refused_with_numbers_and_cure(door):
         "touching": robot.touching,
         "posture": lambda q: osc.Controller(robot.chain, [WALL], posture=q),
     }
-    with pytest.raises(osc.InvalidInputError, match=r"arm/elbow at 3 \(limits -2 … 2\).* file"):
-        doors[door](np.array(OUT))
+    words = rf"arm/elbow at {OUT[door]:g} \(limits -2 … 2\).* file"
+    with pytest.raises(osc.InvalidInputError, match=words):
+        doors[door](np.array([0.3, OUT[door], -1.2]))
     with pytest.raises(osc.InvalidInputError, match=r"look like degrees: give np.radians"):
         doors[door](np.array(DEGREES))
     doors[door](np.array(START))
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_posture_may_be_a_goal_beyond_the_limits_by_less_than_one_and_a_half_ranges(sign):
+    chain = limited().chain
+    near, far = np.array([0.3, sign * 7.9, -1.2]), np.array([0.3, sign * 8.1, -1.2])
+    assert osc.Controller(chain, [WALL], posture=near).settings.posture[1] == near[1]
+    with pytest.raises(osc.InvalidInputError, match=r"posture: outside the limits.* arm/elbow at"):
+        osc.Controller(chain, [WALL], posture=far)
 
 
 def test_a_touching_posture_outside_the_limits_is_refused():

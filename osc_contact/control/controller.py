@@ -95,7 +95,8 @@ class Controller(ControllerCopies):
                 ((ΣΛ_i + Λ_o)⁻¹ within the chain's motions) or a positive definite (6, 6).
             bodies: how the body at each contact answers forces; None: it does not, though it may
                 be seen to move. The same object twice: both contacts are on one body.
-            posture: (n,) where redundant arms return to (default: neutral).
+            posture: (n,) where redundant arms return to (default: neutral). A goal, which may lie
+                somewhat outside the joints' limits: the posture task keeps the joints inside.
             engaged: start in contact.
             friction: what is believed of the contacts' friction; None: nothing.
             reading: how contact forces are read off the wrists, 'filter' (fig. 5) or

@@ -23,6 +23,11 @@ from osc_contact.spatial import Array, as_array
 
 __all__ = ["PostureTask", "Settings"]
 
+#: Of a joint's range; how far beyond its limits `posture` may lie. It is a goal that the push away
+#: from the limits keeps the joint from reaching, so a goal just outside does no harm; one that is
+#: further out than this is given in other units (degrees, mm).
+GOAL_BEYOND = 1.5
+
 
 @dataclass(frozen=True)
 class PostureTask:
@@ -58,7 +63,8 @@ class Settings:
     """Everything a controller is given; see `Controller`. `reading` None becomes what it chooses.
 
     Raises:
-        InvalidInputError: dt not positive, unknown metric, or an arm without a wrist sensor
+        InvalidInputError: dt not positive, unknown metric, a posture far outside the joints'
+            limits, or an arm without a wrist sensor
             although there are contacts: their forces could not be measured.
         ModelError: a redundant arm with passive joints.
     """
@@ -103,7 +109,9 @@ class Settings:
         object.__setattr__(self, "bodies", bodies)
         if len(self.posture):
             posture = as_array("posture", self.posture, (chain.nq,))
-            require_in_range("posture", chain, posture)
+            lower = np.array(chain.model.lowerPositionLimit)
+            upper = np.array(chain.model.upperPositionLimit)
+            require_in_range("posture", chain, posture, GOAL_BEYOND * (upper - lower))
         else:
             posture = np.zeros(chain.nq)
         object.__setattr__(self, "posture", posture)
