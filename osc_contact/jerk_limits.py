@@ -108,7 +108,12 @@ def _to_rest(v0: float, a0: float, a: float, j: float) -> Pieces:
 def follow(
     pieces: Pieces, t: float, x: float = 0.0, v: float = 0.0, a: float = 0.0
 ) -> tuple[float, float, float]:
-    """The state a time t after (x, v, a)."""
+    """The state a time t after (x, v, a).
+
+    Args:
+        pieces: durations (s) and jerks, one after the other. t: s since the first one began.
+        x, v, a: position, speed and acceleration there.
+    """
     for duration, jerk in pieces:
         h = min(t, duration)
         x += h * (v + h * (a / 2.0 + h * jerk / 6.0))

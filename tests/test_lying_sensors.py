@@ -114,18 +114,18 @@ def test_ticks_without_a_wrench_go_on_with_the_last_one_for_a_while(case: TickCa
     assert first.status is osc.Status.HELD  # there is no last one
 
 
-def test_packets_that_repeat_or_come_late_are_not_read(case: TickCase) -> None:
+def test_packets_that_repeat_are_used_for_a_while_and_late_ones_are_not(case: TickCase) -> None:
     def number(k: int) -> Measurement:
         return replace(case.measurement, sequence=k)
 
     controller = case.controller()
     controller.tick(number(4), case.reference)
-    for k, status in ((5, "OK"), (5, "HELD"), (3, "HELD"), (6, "OK"), (60, "OK")):
+    for k, status in ((5, "OK"), (5, "OK"), (3, "HELD"), (6, "OK"), (60, "OK")):
         controller.tick(number(k), case.reference)
         assert controller.status is osc.Status[status], (k, controller.reason)
         if status == "HELD":
             assert f"packet {k} came" in controller.reason
-    for _ in range(20):
+    for _ in range(45):
         controller.tick(number(60), case.reference)
     assert controller.state is SAFE_STOP
     controller.reset()
@@ -188,7 +188,7 @@ def test_an_encoder_that_slips_slowly_stops_the_arms(case: TickCase, rate: float
 
 def test_wrists_that_read_the_very_same_stop_the_arms_and_so_do_packets(case: TickCase) -> None:
     zero = driven(case, lambda m, k: replace(m, wrenches=0.0 * m.wrenches), 249)
-    assert zero.state is RUN or "fifth" in zero.reason
+    assert zero.state is RUN or "fifth" in zero.reason or "contradict" in zero.reason
     zero = driven(case, lambda m, k: replace(m, wrenches=0.0 * m.wrenches), 255)
     assert zero.state is SAFE_STOP
     free = osc.Controller(case.chain, (), case.gains, posture=case.posture)
@@ -199,7 +199,7 @@ def test_wrists_that_read_the_very_same_stop_the_arms_and_so_do_packets(case: Ti
         free.tick(still, osc.Reference(X))
         ticks += 1
     free.tick(still, osc.Reference(X))
-    assert ticks in (252, 253) and "a packet repeats itself" in free.reason
+    assert ticks == 251 and "a packet repeats itself" in free.reason
 
 
 def test_rows_of_a_batch_judge_their_own_sensors(case: TickCase) -> None:

@@ -87,7 +87,11 @@ def test_unreadable_joints_leave_the_last_posture() -> None:
     for _ in range(12):
         a, b = controller.tick(gone, case.reference), plain.tick(still, case.reference)
     assert controller.state is HOLD
-    np.testing.assert_allclose(a, b, rtol=0, atol=1e-9)
+    # speeds are predicted from what was commanded: braked, they are gone in some 1/(2 ω) = 25 ms
+    for _ in range(300):
+        a, b = controller.tick(gone, case.reference), plain.tick(still, case.reference)
+    np.testing.assert_allclose(a, b, rtol=0, atol=0.02 * case.chain.tau_max.max())
+    assert controller.unbraked is not None and plain.unbraked is None
 
 
 @pytest.mark.parametrize(("name", "pace"), [("one_panda", 0.15), ("two_contact_rod", 1.0)])

@@ -110,7 +110,7 @@ class ControllerState:
         memory.state = SafetyState.RUN
         for name in (
             "age", "faults", "lost", "overspeed", "powered", "ending", "compared", "frozen",
-            "still", "wrench_age",
+            "still", "wrench_age", "balanced", "apart",
         ):  # fmt: skip
             setattr(memory, name, 0)
         for rows in (self._records.joint_memory, self._records.arm_memory):

@@ -52,8 +52,9 @@ def add_reading(reading, joint, sensor, C, scratch, total):
     """Add one wrist's reading (6,), rotated to world axes and carried to C.
 
     Args:
-        joint: JOINT_WORK record of the sensor's. sensor: (12,) rotation (row by row) and position
-            of the sensor in it. scratch: (≥ 9,).
+        reading: (6,) of the wrist. joint: JOINT_WORK record of the sensor's. sensor: (12,) rotation
+            (row by row) and position of the sensor in it. C: (3,) point (m). scratch: (≥ 9,).
+        total: (6,) wrench at C, added to.
     """
     point, world, R = scratch[6:9], scratch[:6], joint.R
     place_point(joint, sensor, 9, point)

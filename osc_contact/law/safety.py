@@ -73,11 +73,11 @@ def guard(
             memory.cause = cause
             _enter(memory, SAFE_STOP)
         return NO_REASON
-    memory.faults += 1
-    memory.lost += 1
     if memory.state == SAFE_STOP:
         _enter(memory, SAFE_STOP)
     else:
+        memory.faults += 1
+        memory.lost += 1
         memory.cause = reason if cause == NO_REASON else cause
         if memory.lost >= chain.fault_ticks or memory.cause >= OVERSPEED:
             _enter(memory, SAFE_STOP)

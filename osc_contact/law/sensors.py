@@ -181,11 +181,12 @@ def check_arms(chain, arms, table, memory, work, arm_work, joints, joint_memory,
         return APART
     if memory.wrench_missing != 0 or memory.ticked == 0:
         return NO_REASON
+    memory.balanced += 1
     for k in range(chain.n_arms):
         if arms[k].sensor_joint < 0:
             continue
         found = _balance_arm(
-            chain, arms[k], table, work, arm_work[k], joints, joint_memory, last, dt
+            chain, arms[k], table, memory, work, arm_work[k], joints, joint_memory, last, dt
         )
         if found:
             memory.culprit = k
@@ -194,17 +195,16 @@ def check_arms(chain, arms, table, memory, work, arm_work, joints, joint_memory,
 
 
 @inner
-def _balance_arm(chain, arm, table, work, own, joints, joint_memory, last, dt):
+def _balance_arm(chain, arm, table, memory, work, own, joints, joint_memory, last, dt):
     """Whether unexplained torques of an arm have been too large for too long, see `check_arms`."""
     load, moved, found = work.y, work.z, False
-    k = dt / (_BALANCE + dt)
+    first = 1.0 / memory.balanced  # low-passes begin as plain means
+    k, slow = max(dt / (_BALANCE + dt), first), max(dt / (_USUAL + dt), first)
     for i in range(6):
         load[i] = -own.bias[i]
         moved[i] = 0.0
     for j in range(arm.first, arm.end):
         known, v = joint_memory[j], joints[j].v
-        if known.mean_v == 0.0:
-            known.mean_v = v
         known.mean_v += k * (v - known.mean_v)
         known.rate = (v - known.mean_v) / _BALANCE
         if arm.outer_joint >= 0:  # of what is beyond the wrist, in energy coordinates
@@ -228,7 +228,7 @@ def _balance_arm(chain, arm, table, work, own, joints, joint_memory, last, dt):
             inertial += joints[j].M[i - arm.first] * joint_memory[i].rate
         known.excess += k * (excess - known.excess)
         rest = known.excess - inertial
-        known.usual += dt / (_USUAL + dt) * (rest - known.usual)
+        known.usual += slow * (rest - known.usual)
         too_much = abs(rest - known.usual) > most or abs(rest) > 2.0 * most
         known.unbalanced = max(known.unbalanced + (dt if too_much else -dt), 0.0)
         found = found or known.unbalanced > _UNBALANCED
@@ -278,9 +278,10 @@ def check_sensors(
         q, v: (n,) positions and speeds, as far as they were read. wrenches: (arms, 6) (N, N m).
     """
     n, reason, compared = chain.n_joints, NO_REASON, memory.compared != 0
+    culprit = memory.culprit
     dead, same_wrenches = _check_wrists(chain, arms, memory, arm_memory, last_wrenches, wrenches)
     if dead >= 0:
-        reason, memory.culprit = WRIST_FROZEN, dead
+        reason, culprit = WRIST_FROZEN, dead
     fresh = memory.repeated & JOINTS == 0 and len(q) == n
     complete, same_joints, elapsed = fresh, compared, 0.0
     for j in range(n):
@@ -295,7 +296,7 @@ def check_sensors(
             if compared and credible:
                 found = _check_joint(chain, memory, known, limit, step, v[j], elapsed)
                 if found != NO_REASON:
-                    reason, memory.culprit = found, j
+                    reason, culprit = found, j
                     _isolate(chain, memory, joint_memory, j)
             known.q = q[j]
         if credible:
@@ -310,12 +311,14 @@ def check_sensors(
         memory.frozen = memory.frozen + elapsed if same_joints and same_wrenches else 0.0
         for j in range(n if memory.still > chain.frozen_time else 0):
             if abs(joint_memory[j].v) * memory.still > _GONE * chain.position_drift:
-                reason, memory.culprit = DISAGREE, j
+                reason, culprit = DISAGREE, j
         if memory.frozen > chain.frozen_time and memory.state != SAFE_STOP:  # then they may rest
             reason = FROZEN
         joints = reason in (STUCK, DISAGREE, FROZEN)
         for j in range(n if joints and memory.still > _DEAD else 0):  # a dead packet
             joint_memory[j].faulty = FAULTY_POSITION | FAULTY_SPEED
+    if memory.state != SAFE_STOP:  # the cause of a stop keeps what it is about
+        memory.culprit = culprit
     return reason
 
 

@@ -148,6 +148,7 @@ MEMORY = _record(
         # was ever read, whether joints were
         "wrench_missing", "wrench_age", "has_wrench", "compared",
         "repeated",  # which readings of this tick are those of the last one: JOINTS, WRISTS
+        "balanced",  # ticks in which wrists were compared with motor torques
         "derived",  # whether speeds are estimated from positions: no second reading of a joint
         "given",  # GIVEN_POSE, GIVEN_TWIST: the object's pose, its twist too, need not be found
     ),

@@ -217,12 +217,14 @@ def rows(model, memory, work, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, 
     Returns after a tick that ends SATURATED: its `work` says what motor limits must know.
 
     Args:
-        model, memory: bytes of all rows (one row of `model` serves all of them). work: bytes,
-            scratch and what the last row worked out.
-        q, v, V_D, A_D, alpha_d, squeeze: of all rows, one behind the other; wrenches
-            (rows · arms, 6), X_WD (rows · 4, 4), touched (rows · contacts, 28).
+        model, memory: bytes of all rows (one row of `model` serves all of them).
+        work: bytes, scratch and what the last row worked out.
+        q, v, V_D, A_D, alpha_d, squeeze: of all rows, one behind the other.
+        wrenches: (rows · arms, 6). X_WD: (rows · 4, 4). touched: (rows · contacts, 28).
         flags: MOVING, COMMANDED, OWN_FORCE, OWN_MOTION.
-        tau: (rows · motors,), codes: (rows,) status; filled.
+        tau: (rows · motors,), filled. codes: (rows,) status, filled.
+        begin, stop: the first part, and the one behind the last.
+        lo, hi: the first row, and the one behind the last.
 
     Returns:
         Twice the row to go on with (hi when all are done), plus 1 if some row did not end OK.
