@@ -40,6 +40,7 @@ class PhaseState:
         seen: the monitor's state of each magnitude (r_all,). heard: what it listens to.
         expected: (r_all,) N that should be read. gap, astray: (r_all,) m moved away, and s, since
             contact was lost.
+        held: (contacts,) whether it has pressed for the time of a rise since it was open last.
     """
 
     phase: Array
@@ -49,6 +50,7 @@ class PhaseState:
     expected: Array
     gap: Array
     astray: Array
+    held: Array
 
     @property
     def active(self) -> Flags:
@@ -108,22 +110,28 @@ def lived(
         state.seen, np.where(open_, clear, force), speed, dt, settings.limits, more,
         np.where(flies, np.inf, settings.limits.dwell),
     )  # fmt: skip
-    held = seen.closed & state.active[columns.owners]
-    seen = replace(seen, closed=held, collision=seen.collision & held)
+    seen = replace(
+        seen,
+        closed=seen.closed & state.active[columns.owners],
+        collision=seen.collision & state.active[columns.owners],
+    )
+    held = state.active & (
+        np.asarray(state.held, bool) | columns.any(seen.high_for > settings.rise)
+    )
     light = wanted <= settings.limits.force_on  # too little to be told from nothing
-    made = columns.all(held | light) & columns.any(held)
+    made = columns.all(seen.closed | light) & columns.any(seen.closed)
     closed = np.where(made, Phase.CLOSED, Phase.APPROACHING)
     closed = np.where(state.phase == Phase.OPEN, Phase.APPROACHING, closed)
     phase = np.where(columns.any(wanted > 0.0), closed, Phase.OPEN)
     phase = np.where(columns.pushing, phase, Phase.CLOSED)
     since = np.where(phase == state.phase, state.since + dt, 0.0)
-    held = (phase == Phase.CLOSED) & (since > settings.rise)
-    astray = ((phase != Phase.OPEN) & (state.phase != Phase.OPEN) & ~held)[columns.owners]
+    steady = (phase == Phase.CLOSED) & (since > settings.rise)
+    astray = ((phase != Phase.OPEN) & (state.phase != Phase.OPEN) & ~steady)[columns.owners]
     gap = np.where(astray, np.maximum(state.gap - dt * speed, 0.0), 0.0)
-    lost = (state.phase == Phase.CLOSED) & (phase == Phase.APPROACHING)
+    lost = (state.phase == Phase.CLOSED) & (phase == Phase.APPROACHING) & held
     lost = lost[columns.owners] | (state.astray > 0.0)
     late = np.where(astray & lost, state.astray + dt, 0.0)
-    return PhaseState(phase, since, seen, audible, state.expected, gap, late)
+    return PhaseState(phase, since, seen, audible, state.expected, gap, late, held)
 
 
 def expected(before: Array, asked: Array, limited: bool, dt: float, k: PhaseSettings) -> Array:
@@ -205,7 +213,9 @@ class ContactPhases:
         since = np.full(len(pushing), np.inf)
         seen = MonitorState.of((phase == Phase.CLOSED)[self.columns.owners])
         n = len(self.columns.owners)
-        self.state = PhaseState(phase, since, seen, FilteredForce.nothing(n), *np.zeros((3, n)))
+        held = np.zeros(len(pushing), dtype=bool)
+        heard, zeros = FilteredForce.nothing(n), np.zeros((3, n))
+        self.state = PhaseState(phase, since, seen, heard, *zeros, held)
         self.asked = np.zeros(n)
 
     def expect(self, limited: bool, here: Flags) -> None:
