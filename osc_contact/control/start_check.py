@@ -78,7 +78,7 @@ class StartCheck:
         return self._end(controller)
 
     def _end(self, controller: Any) -> bool:
-        """All readings are there; those of free objects are judged by `engage`, after a tare."""
+        """All readings are there; those of free objects are judged by `engage`, without a tare."""
         if controller.engaged:
             self.judge(controller)
         if self.refused:
@@ -86,9 +86,12 @@ class StartCheck:
         return True
 
     def judge(self, controller: Any) -> None:
-        """Compare the median of the readings, less the tare, with the limit."""
-        if self.readings:
-            error = np.median(self.readings, axis=0) - controller.f_tare
+        """Compare the median of the readings with the limit.
+
+        Not where there is a tare: it takes away what would be compared, as of another moment.
+        """
+        if self.readings and not controller.f_tare.any():
+            error = np.median(self.readings, axis=0)
             self.refused = judge_load(controller.settings, error, self.expected)
 
 
