@@ -220,7 +220,8 @@ def test_impossible_friction_is_refused(bad):
 def test_the_numpy_law_gives_up_the_same_on_a_cart_that_friction_drags_along():
     """Motors at their limits, a yielding face, friction, every tick."""
     weak = [f"arms.{name}.effort_factor=0.04" for name in ("left", "right")]
-    changes = ["control.friction={mu: 0.3}", "plant.friction=0.3", *weak]
+    at_once = "gains.force.rise=0 s"  # as in the NumPy law
+    changes = ["control.friction={mu: 0.3}", "plant.friction=0.3", at_once, *weak]
     rig = build_rig(osc.load_scenario("moving_face", changes))
     fast = rig.controller().with_safety(osc.SafetySettings.motors_only())
     slow, plant = readable_of(fast), rig.plant(0)
