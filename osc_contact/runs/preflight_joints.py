@@ -43,11 +43,30 @@ def rehearse(task: Task) -> tuple[float, str] | None:
             controller.tick(Measurement(q.copy(), v.copy(), still), motion)
             if controller.state is SafetyState.SAFE_STOP:
                 return k * dt, controller.reason.removesuffix(". See why, then call reset()")
-            v = v + controller.joint_acceleration() * dt
+            v = v + _acceleration(controller) * dt
             q = q + v * dt
     except OscContactError:  # what cannot be gone through without its contacts
         return None
     return None
+
+
+def _acceleration(controller: Controller) -> Array:
+    """(n,) q̈ of the last tick: J̄a + offset, and what redundant arms do beside their task.
+
+    Their torques τ₀ move them by (1 − J̄J)M⁻¹(τ₀ − h). Without it nothing holds their posture, and
+    they drift until a joint comes near its limit.
+    """
+    settings, joints = controller.settings, controller._records.joints
+    a = controller.joint_acceleration()
+    for arm, s, grasp in zip(
+        settings.chain.arms, settings.chain.slices, settings.chain.grasps, strict=True
+    ):
+        n = arm.model.nv
+        if n > grasp.N.shape[1]:
+            J_bar, rows = np.asarray(joints.J_bar[s]), joints.M[s, :n]
+            own = np.linalg.solve(rows, joints.rest[s] - joints.h[s])
+            a[s] += own - J_bar @ (np.asarray(joints.J[s]).T @ own)
+    return a
 
 
 def _slow_down(task: Task) -> Iterator[tuple[float, dict[str, Any]]]:
