@@ -95,7 +95,9 @@ def test_object_and_contact_forces_do_not_feel_it(rig):
 
 def limits_near(chain, q, rng):
     """The chain with limits so close to q that some joints are in their margins, some beyond."""
-    lower, upper = q - rng.uniform(-0.05, 0.3, len(q)), q + rng.uniform(0.3, 1.5, len(q))
+    width = rng.uniform(0.3, 1.8, len(q))
+    lower = q - width * rng.uniform(-0.045, 0.3, len(q))  # controllers start up to 0.05 beyond
+    upper = lower + width
     arms = []
     for arm, s in zip(chain.arms, chain.slices, strict=True):
         model = arm.model.copy()

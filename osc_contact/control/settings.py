@@ -111,7 +111,9 @@ class Settings:
             posture = as_array("posture", self.posture, (chain.nq,))
             lower = np.array(chain.model.lowerPositionLimit)
             upper = np.array(chain.model.upperPositionLimit)
-            require_in_range("posture", chain, posture, GOAL_BEYOND * (upper - lower))
+            with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
+                beyond = GOAL_BEYOND * (upper - lower)
+            require_in_range("posture", chain, posture, beyond)
         else:
             posture = np.zeros(chain.nq)
         object.__setattr__(self, "posture", posture)
