@@ -262,13 +262,13 @@ def check_sensors(
 
     A joint whose encoder reads the very same while it is commanded to gain more than a share of
     its speed limit is stuck. Speeds disagree with positions where q̇ − Δq/Δt, low-passed, is more
-    than a share of the limit; not where they are estimated from them. Wrists in contact that read
-    the same for too long are frozen; where all readings do, a packet repeats itself. What both
-    add up to drifts apart,
+    than a share of the limit. Wrists in contact that read the same for too long are frozen; where
+    all readings do, a packet repeats itself. What both add up to drifts apart,
 
         d ← d + (q̇ − Δq/Δt − d/T) Δt,
 
-    where |d| is more than `position_drift` and what a small error of scale and delay of q̇ explain.
+    where |d| is more than `position_drift` and what a small error of scale and delay of q̇ explain;
+    not where speeds are estimated from positions, whose errors last as long as those of the model.
     Δt is the time since the position was read last; readings that are not there, repeated or not
     credible leave the evidence as it is.
 
@@ -376,11 +376,9 @@ def _check_joint(chain, memory, known, limit, step, v, dt):
     known.stuck = 1 if known.gained > chain.stuck_speed * limit else 0
     if known.stuck != 0:
         return STUCK
-    if memory.derived != 0:
-        return NO_REASON
     if abs(known.error) > chain.speed_error * limit:
         return DISAGREE
-    if abs(drift) > chain.position_drift + _LATE * abs(v):
+    if memory.derived == 0 and abs(drift) > chain.position_drift + _LATE * abs(v):
         return DISAGREE
     return NO_REASON
 
