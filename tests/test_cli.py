@@ -132,7 +132,7 @@ def test_metrics_have_the_documented_keys(done: tuple[Path, Result]) -> None:
     assert set(verdict) == {
         "scenario", "plant", "seed", "duration_s", "ticks", "real_time_factor", "force", "motion",
         "contact_fraction", "power", "tick_us", "status", "at_limit", "first_contact_s", "steps",
-        "judged_ticks", "task",
+        "judged_ticks", "task", "joint_losses",
     }  # fmt: skip
     assert (verdict["scenario"], verdict["plant"], verdict["seed"]) == (
         "two_contact_rod",
@@ -144,12 +144,15 @@ def test_metrics_have_the_documented_keys(done: tuple[Path, Result]) -> None:
     for force in verdict["force"].values():
         assert set(force) == {
             "rms_error_N", "rms_error_rel", "peak_error_N", "peak_error_rel", "mean_command_N",
-            "sensing_rms_rel",
+            "sensing_rms_rel", "limit_cycle_N", "limit_cycle_Hz", "limit_cycle_rel",
         }  # fmt: skip
         assert force["rms_error_rel"] < 1e-3
     assert set(verdict["motion"]) == {"rms_error_m", "rms_error_rad"}
     assert set(verdict["power"]) == {"total_rms_W", "projected_rms_W", "ratio"}
     assert set(verdict["tick_us"]) == {"p50", "p99", "p99_9", "max"}
+    for joint in verdict["joint_losses"]:
+        assert set(joint) == {"joint", "friction", "damping", "armature", "slides"}
+    assert len(verdict["joint_losses"]) == 10  # passive ones too
     assert json.loads((folder / "deep" / "again.json").read_text()) == verdict
 
 

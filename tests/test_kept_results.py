@@ -168,10 +168,10 @@ def test_two_programs_do_not_write_rows_to_one_file(tmp_path):
 def test_metrics_of_a_recording_without_meta_name_what_is_missing():
     channels = {"t": np.arange(2000) * 1e-3, "alpha_true": np.zeros((2000, 2))}
     recording = osc.Recording({}, channels)
-    with pytest.raises(osc.RecordingError, match="meta has no 'force_steps_s', but nothing"):
+    with pytest.raises(osc.RecordingError, match="meta has no 'contact_names', but nothing"):
         osc.metrics(recording)
-    recording.meta["force_steps_s"] = []
-    with pytest.raises(osc.RecordingError, match=r"has no '.*', but force_steps_s"):
+    recording.meta["contact_names"] = ["left", "right"]
+    with pytest.raises(osc.RecordingError, match=r"has no 'control_rate_hz', but contact_names;"):
         osc.metrics(recording)
     assert recording.meta.get("plant") is None and json.dumps(recording.meta)
 

@@ -242,11 +242,11 @@ def test_a_recording_of_a_scenario_with_files_of_its_own_can_be_viewed(tmp_path,
     monkeypatch.chdir(tmp_path)
     short = ("--plant", "rigid", "--duration", "1.05", "--set", "plant.step=1 ms")
     assert call("run", "mine/task.yaml", *short, "--out", out).exit_code == 0
-    result = call("view", out / "recording.npz", "--html", page)
+    lost = call("view", out / "recording.npz", "--html", page)  # a recording holds no folders
+    assert lost.exit_code == 2 and "copy them beside the recording" in lost.stderr
+    assert "(--folder, or folder= in Python)" in lost.stderr and not page.exists()
+    result = call("view", out / "recording.npz", "--html", page, "--folder", mine)
     assert result.exit_code == 0 and page.is_file(), result.output
-    (out / "recording.times.npz").unlink()  # what says where the files were
-    lost = call("view", out / "recording.npz", "--html", page)
-    assert lost.exit_code == 2 and "Copy them beside the recording" in lost.stderr
     for name in ("my_arm.urdf", "my_rod.urdf"):
         shutil.copy(mine / name, out / name)
     assert call("view", out / "recording.npz", "--html", page).exit_code == 0
