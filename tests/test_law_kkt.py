@@ -194,6 +194,7 @@ def tick(state, contacts, i, rng):
         bodies=[None if c.on is None else c.on.known for c in contacts],
         friction=Friction(state.mu, slip=1e-9) if state.mu else None,
         posture=case.q + 0.1 * rng.normal(size=case.chain.nq),
+        safety=osc.SafetySettings.motors_only(),  # random speeds are above the joints' limits
     )  # fmt: skip
     touched = None
     if state.bodies:
