@@ -144,8 +144,11 @@ def in_motion(
 
 
 def rod_rig() -> tuple[osc.Rig, Gains, tuple[VertexOnFace, ...]]:
-    """The packaged scenario's rig, its gains and its two contacts."""
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+    """The packaged scenario's rig, its gains and its two contacts; steps of force are not shaped.
+
+    A step that fades within the rise time would make each tick at the same instant another one.
+    """
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["gains.force.rise=0 s"]))
     return rig, rig.gains, tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace))
 
 
