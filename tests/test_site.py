@@ -133,7 +133,7 @@ def test_equations_are_drawn_without_a_script(site: Path) -> None:
 def test_first_uses_of_symbols_lead_to_the_glossary(site: Path) -> None:
     """Each once on a page, in its text; not in tables of keys, where N is a newton."""
     wanted = {
-        "theory": "N T r d S C G O n_γ α_u η̇_u Ψ Φ Ω_f",
+        "theory": "N T r d S C G O n_γ α_u η̇ Ψ Φ Ω_f",
         "inspect": "d r C N T",
         "scenario": "r",
     }

@@ -120,7 +120,7 @@ class ChainState:
 
     @property
     def Lambda(self) -> Array:
-        """(6, 6) Λ = ΣΛ_i + Λ_o, the paper's Λ₀: all arms and the object, world axes.
+        """(6, 6) Λ = ΣΛ_i + Λ_o of all arms and the object, the paper's Λ₀, world axes.
 
         Λ a + μ + p is the wrench that moves arms and object with a permitted a = S η̇ + σ. With
         d = 6 it is unique, and Λ = Φ⁻¹. With d < 6 the structure of the arms carries the wrenches C
@@ -137,7 +137,7 @@ class ChainState:
 
     @property
     def p(self) -> Array:
-        """(6,) gravity wrench p = Σp_i + p_o, world axes: it holds arms and object at rest.
+        """(6,) gravity wrench p = Σp_i + p_o, world axes; it holds arms and object at rest.
 
         With d < 6 it is known up to the wrenches C, see `Lambda`.
         """
