@@ -268,6 +268,8 @@ def run_steps(
 def measured_coupling(rig: osc.Rig, law: Law, instant: Instant) -> Coupling:
     """The same matrices as `Instant.coupling`, from whole ticks and the rigid plant's answer.
 
+    Steps of force come at once, whatever the scenario's rise time: one tick would not see them.
+
     Args:
         rig: with the rigid plant's chain. law: to be installed. instant: the start.
     """
@@ -277,9 +279,10 @@ def measured_coupling(rig: osc.Rig, law: Law, instant: Instant) -> Coupling:
     at_rest = rig.references.at(0.0)
     r = instant.contact.r
     n = instant.free.shape[1]
+    gains = replace(rig.gains, force=replace(rig.gains.force, rise=0.0))
 
     def answer(reference: Reference) -> Array:
-        controller = law.install(rig.controller())
+        controller = law.install(rig.controller().with_gains(gains))
         _, a, alpha = plant.accelerations(controller.tick(measurement, reference))
         return np.concatenate((alpha, instant.along @ a))
 
