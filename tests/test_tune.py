@@ -25,13 +25,15 @@ def errors(changes) -> tuple[float, float, float]:
 
 
 def test_found_gains_beat_the_shipped_ones_in_a_run_of_their_own() -> None:
-    found = tune("two_contact_rod", overrides=SHORT, trials=14, workers=1, seed=1)
+    sudden = "gains.force.rise=0 s"  # or the shipped overshoot is too small for a limit of it
+    found = tune("two_contact_rod", overrides=(*SHORT, sudden), trials=14, workers=1, seed=1)
     assert found.better and found.trials == 14
-    shipped, best = errors([]), errors([f"{k}={v}" for k, v in found.values.items()])
+    changes = [f"{k}={v}" for k, v in found.values.items()]
+    shipped, best = errors([sudden]), errors([sudden, *changes])
     assert found.shipped == pytest.approx(1.0)
     assert found.best == pytest.approx(0.5 * (best[0] / shipped[0] + best[1] / shipped[1]))
     assert found.best < 0.9
-    assert best[2] <= 1.05 * shipped[2] + 1e-12
+    assert shipped[2] > 0.05 and best[2] <= 1.05 * shipped[2] + 1e-12
     assert found.numbers["overshoot_rel"] == pytest.approx((shipped[2], best[2]))
     assert set(found.values) == {one.partition("=")[0] for one in tuning.GAINS[:4]}
 
