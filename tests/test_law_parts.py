@@ -253,6 +253,15 @@ def test_rows_rotated_until_they_are_orthogonal(count, length):
         np.testing.assert_array_equal(X, before)
 
 
+@pytest.mark.parametrize("size", [1e-70, 1e-77, 1e-78, 1e-79, 1e-80, 1e-81, 1e-150, 1e-300])
+def test_rows_of_next_to_nothing_turn_what_they_carry_without_stretching_it(size):
+    """Squares of their products have few digits, or none. More rows than directions get there."""
+    X = rng_of(7).normal(size=(5, 8)) * size
+    X[:, 3:] = np.eye(5)
+    as_python(algebra.one_sided_jacobi)(X, 5, 3, 5)
+    close(X[:, 3:] @ X[:, 3:].T, np.eye(5), atol=1e-14)
+
+
 @pytest.mark.parametrize(("m", "r"), [(0, 1), (0, 3), (0, 6), (2, 3), (2, 4), (5, 1)])
 def test_lower_factor_and_orthonormal_rows(m, r):
     rng = rng_of(10 * m + r)

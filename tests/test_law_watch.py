@@ -35,7 +35,8 @@ BOTH = pytest.mark.parametrize("sign", [1.0, -1.0])
 
 def joint(**more):
     """A joint between ∓1 rad, at most 2 rad/s, which brakes with 5 rad/s²."""
-    return Record(**{"speed_max": 2.0, "lower": -1.0, "upper": 1.0, "brake": 0.1} | more)
+    given = {"speed_max": 2.0, "lower": -1.0, "upper": 1.0, "brake": 0.1} | more
+    return Record(**{"rated": given["speed_max"]} | given)
 
 
 def joints_memory():

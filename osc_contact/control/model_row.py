@@ -126,8 +126,8 @@ class ModelRow:
         rows.effort[chain.actuated], rows.tau_max[chain.actuated] = effort**2, chain.tau_max
         rows.ease[chain.actuated] = 1.0 / effort**2
         speed = chain.model.velocityLimit
-        rows.speed_max[:] = np.where(np.isfinite(speed) & (speed > 0.0), speed, np.inf)
-        rows.speed_max[rows.motor < 0] = np.inf
+        rows.rated[:] = np.where(np.isfinite(speed) & (speed > 0.0), speed, np.inf)
+        rows.speed_max[:] = np.where(rows.motor < 0, np.inf, rows.rated)
         rows.posture[:] = settings.posture
         for name in ("low", "high", "width", "most"):
             rows[name][:] = getattr(limits, name)

@@ -48,7 +48,9 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
         as_array("touched X_WE", touched.X_WE, (c, 4, 4))
         as_array("touched V_E", touched.V_E, (c, 6))
         as_array("touched A_E", touched.A_E, (c, 6))
-    as_array("reference alpha_d", reference.alpha_d, (None,))
+    alpha_d = as_array("reference alpha_d", reference.alpha_d, (None,))
+    if np.abs(alpha_d).max(initial=0.0) > 1e6:  # the law takes in no more than 1.8e6
+        raise InvalidInputError(f"reference alpha_d: {alpha_d} N; no robot presses with 1e6 N")
     if k < 3 and np.ndim(reference.squeeze_d):
         raise InvalidInputError(f"reference squeeze_d: {k} arms take a number, got an array")
     as_squeeze("reference squeeze_d", reference.squeeze_d, k * (k - 1) // 2)

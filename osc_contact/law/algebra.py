@@ -20,6 +20,7 @@ __all__ = [
 ]
 
 _SINGULAR = 1e-10
+_NOTHING = 1e-280  #: below, numbers have fewer digits soon
 
 
 @leaf
@@ -238,9 +239,10 @@ def one_sided_jacobi(X, count, length, carried):
                 if abs(c) <= 2e-16 * max(a, b):
                     continue
                 d = b - a
-                h = sqrt(d * d + 4.0 * c * c)
-                if h == 0.0:  # c² is below what numbers can say
+                h = d * d + 4.0 * c * c
+                if h < _NOTHING:  # rows that are zero: their squares have lost digits
                     continue
+                h = sqrt(h)
                 turned = True
                 t = 2.0 * c / (d + h if d >= 0.0 else d - h)
                 cosine = sqrt(0.5 + 0.5 * abs(d) / h)

@@ -62,6 +62,7 @@ _BALANCE = 0.05  #: s, of the low-pass of torques that nothing explains
 _USUAL = 1.0  #: s in which an unexplained torque becomes the usual one
 _UNBALANCED = 0.1  #: s for which torques may be unexplained
 _OUTLIER = 10.0  #: times their bound; no more of unexplained torques counts in one tick
+_STRONGEST = 2.0  #: times the motor's, or this: what it accelerates with is not cut off
 _APART = 0.01  #: s for which arms may hold the object at different places
 _BLIND = 0.01  #: s without a sound reading from which on a joint cannot be braked
 
@@ -85,7 +86,7 @@ def check_readings(chain, arms, table, memory, joint_memory, q, v, wrenches, X_W
                 memory.culprit = k
                 return OUT_OF_RANGE
     for j in range(chain.n_joints):
-        fast = abs(v[j]) > chain.plausible_speed * table[j].speed_max
+        fast = abs(v[j]) > chain.plausible_speed * table[j].rated
         if fast or (memory.compared != 0 and jumped(chain, table[j], joint_memory[j], q[j])):
             memory.culprit = j
             return JUMPED
@@ -99,7 +100,7 @@ def jumped(chain, row, known, now):
     Args:
         row: JOINT row. known: its JOINT_MEMORY. now: its position as read at this tick (m, rad).
     """
-    room = chain.plausible_speed * row.speed_max * chain.period
+    room = chain.plausible_speed * row.rated * chain.period
     return abs(now - known.q) > _NOISE + room * (1 + known.unread_q)
 
 
@@ -166,8 +167,7 @@ def check_arms(chain, arms, table, memory, work, arm_work, joints, joint_memory,
     Inboard of its wrist an arm needs τ = h + M q̈ + Jᵀ(w − w_out), with w the wrist's reading and
     w_out what moves the bodies beyond it. No contact force is left in what remains, see
     `docs/theory.md`. It must stay within `wrist_error` of the torque limit, as far as it is not
-    the usual one, and within twice that. All terms pass the same low-pass, which makes
-    q̈ = (q̇ − LP(q̇))/T.
+    the usual one, and within twice that. All terms pass the same low-pass.
 
     Args:
         work, arm_work, joints: of this tick's chain. joint_memory: JOINT_MEMORY rows; the torques
@@ -205,8 +205,9 @@ def _balance_arm(chain, arm, table, memory, work, own, joints, joint_memory, las
         moved[i] = 0.0
     for j in range(arm.first, arm.end):
         known, v = joint_memory[j], joints[j].v
-        known.mean_v += k * (v - known.mean_v)
-        known.rate = (v - known.mean_v) / _BALANCE
+        if memory.balanced > 1:  # the same low-pass as that of torques, also while it begins
+            known.rate += k * ((v - known.past_v) / dt - known.rate)
+        known.past_v = v
         if arm.outer_joint >= 0:  # of what is beyond the wrist, in energy coordinates
             along = dot6(joints[j].J_bar, own.gamma) if arm.filtered != 0 else 0.0
             for i in range(6):
@@ -222,7 +223,8 @@ def _balance_arm(chain, arm, table, memory, work, own, joints, joint_memory, las
             continue
         most = chain.wrist_error * table[j].tau_max
         excess = last[motor] - joints[j].h - dot6(joints[j].column, load)
-        excess = min(max(excess, -_OUTLIER * most), _OUTLIER * most)
+        bound = max(_OUTLIER * most, _STRONGEST * table[j].tau_max)
+        excess = min(max(excess, -bound), bound)
         inertial = -dot6(joints[j].column, moved)
         for i in range(arm.first, arm.end):
             inertial += joints[j].M[i - arm.first] * joint_memory[i].rate
@@ -288,7 +290,7 @@ def check_sensors(
         known, limit = joint_memory[j], table[j].speed_max
         read = fresh and isfinite(q[j])
         read = read and not (compared and jumped(chain, table[j], known, q[j]))
-        credible = fresh and len(v) == n and abs(v[j]) <= chain.plausible_speed * limit
+        credible = fresh and len(v) == n and abs(v[j]) <= chain.plausible_speed * table[j].rated
         complete = complete and read
         if read:
             step, elapsed = q[j] - known.q, chain.period * (1 + known.unread_q)
@@ -433,7 +435,7 @@ def estimate_joints(chain, table, memory, joint_memory, estimate):
         elif seen_q:
             slope = (known.q - estimate[j]) / dt
             v += (slope - v) * dt / (_SLOPE + dt)
-        most = chain.plausible_speed * table[j].speed_max
+        most = chain.plausible_speed * table[j].rated
         v = min(max(v, -most), most)
         estimate[j] = known.q if seen_q else estimate[j] + v * dt
         estimate[n + j] = v

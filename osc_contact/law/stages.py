@@ -55,6 +55,7 @@ __all__ = [
 
 #: flags of a tick: α_u, a_u are given
 OWN_FORCE, OWN_MOTION = 4, 8
+_BEYOND = 1e302  #: overflows with forces above 2 MN: a step back from there would leave rounding
 
 
 @leaf
@@ -78,7 +79,7 @@ def is_finite(chain, q, v, wrenches, X_WD, V_D, A_D, alpha_d, squeeze, touched, 
     for i in range(6):
         e += V_D[i] * 0.0 + A_D[i] * 0.0
     for i in range(chain.n_columns if engaged else 0):
-        e += alpha_d[i] * 0.0
+        e += alpha_d[i] * _BEYOND * 0.0
     for i in range(max(chain.n_bars, 1)):
         e += squeeze[i] * 0.0
     for k in range(chain.n_contacts if moving else 0):

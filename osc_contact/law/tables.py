@@ -117,6 +117,7 @@ JOINT = _record(
     whole=("slides", "motor"),  # motor: number or −1
     number=(
         "tau_max", "speed_max", "lower", "upper",
+        "rated",  # speed limit of joints without a motor, too: none is watched above it
         "brake",  # s²/rad: 1/(2a), a the deceleration of a stop
         "effort", "ease",  # τ_max², 1/τ_max²; 0 without motor
         "armature", "posture", "low", "high", "width", "most",  # see `control.joint_limits`
@@ -203,9 +204,9 @@ JOINT_MEMORY = _record(
         "same_speed", "moved", "due",
         "model_v", "model_q",  # speeds predicted from those read, and from those of positions
         "surprise_v", "surprise_q",  # what of either was not predicted, low-passed
-        # motor torques less those that model and wrist explain, low-passed, and their mean; mean
-        # and rate of the speed over the same time; s for which they have been too large
-        "excess", "usual", "mean_v", "rate", "unbalanced",
+        # motor torques less those that model and wrist explain, low-passed, and their mean; speed
+        # of the last tick, and its rate, low-passed; s for which they have been too large
+        "excess", "usual", "past_v", "rate", "unbalanced",
     ),
 )  # fmt: skip
 #: ticks since a wrist was read, s for which it has read the very same
