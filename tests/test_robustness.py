@@ -48,7 +48,8 @@ def sample_of(case: str, number: int):
 
 def errors(scenario, seed, **how):
     verdict = osc.metrics(osc.run(scenario, seed=seed, **how))
-    force = max(one["rms_error_rel"] for one in verdict["force"].values())
+    errors = [one["rms_error_rel"] for one in verdict["force"].values()]
+    force = max(np.inf if error is None else error for error in errors)  # None: never in contact
     return force, verdict["motion"]["rms_error_m"]
 
 
