@@ -98,8 +98,8 @@ def test_what_python_has_a_part_in_runs_as_ever(name, monkeypatch) -> None:
 @compares
 def test_ticks_at_a_motor_limit_are_those_of_the_quadratic_program(monkeypatch) -> None:
     """Weak motors: a good part of the ticks saturates, in Python, and the rest goes on from it."""
-    weak = ["arms.left.effort_factor=0.09", "arms.right.effort_factor=0.09", "duration=0.3 s"]
-    scenario = osc.load_scenario("two_contact_rod", weak)
+    weak = ["arms.left.effort_factor=0.09", "arms.right.effort_factor=0.09", "gains.force.rise=0"]
+    scenario = osc.load_scenario("two_contact_rod", [*weak, "duration=0.3 s"])
     one, by_hand, other = python_run(scenario), spy(monkeypatch), osc.run(scenario)
     saturated = int(np.count_nonzero(np.asarray(one["status"]) == 1))
     assert 5 <= saturated <= len(by_hand) < 300
