@@ -1,0 +1,76 @@
+"""Whether a change of the code leaves the recordings of the packaged scenarios what they were.
+
+    python benchmarks/same_recordings.py keep FOLDER [NAME ...]       # before the change
+    python benchmarks/same_recordings.py compare FOLDER [NAME ...]    # after it
+
+Compared are all channels but the tick's time. A difference is the largest of a channel, over the
+largest magnitude that the channel has (or 1e-9, whichever is more). The exit code of `compare` is 1
+where a difference is above 1e-12, or where a channel, a state or the verdict of a run is another.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import osc_contact as osc
+
+DURATION = 1.5  #: s of each run; a longer one amplifies rounding wherever contacts open
+TOLERANCE = 1e-12
+
+
+def record(name: str) -> dict[str, np.ndarray]:
+    """Channels of a run, and the verdict of it."""
+    recording = osc.run(osc.load_scenario(name), duration=DURATION, seed=1)
+    channels = {key: np.asarray(recording[key]) for key in recording.channels if key != "tick_s"}
+    return {**channels, "task": np.array(osc.metrics(recording)["task"]["word"])}
+
+
+def difference(one: np.ndarray, other: np.ndarray) -> float:
+    """The largest difference over the largest magnitude; inf where they cannot be compared."""
+    if one.shape != other.shape or one.dtype.kind != other.dtype.kind:
+        return np.inf
+    if one.dtype.kind not in "fc":
+        return 0.0 if np.array_equal(one, other) else np.inf
+    if not np.array_equal(np.isfinite(one), np.isfinite(other)):
+        return np.inf
+    known = np.isfinite(one)
+    size = np.abs(one[known]).max(initial=1e-9)
+    return float(np.abs(one[known] - other[known]).max(initial=0.0) / size)
+
+
+def compare(kept: Path, name: str) -> bool:
+    """Print how far a run is from the one that was kept; whether it is the same."""
+    now = record(name)
+    with np.load(kept / f"{name}.npz") as before:
+        one_sided = sorted(set(now) ^ set(before))
+        found = {key: difference(before[key], now[key]) for key in set(now) & set(before)}
+    worst = max(found, key=lambda key: found[key])
+    same = not one_sided and found[worst] <= TOLERANCE
+    others = f"; only on one side: {', '.join(one_sided)}" if one_sided else ""
+    print(
+        f"{'same' if same else 'DIFFERS':8}{name}: {found[worst]:.1e} ({worst}){others}", flush=True
+    )
+    return same
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("what", choices=["keep", "compare"])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("names", nargs="*", default=osc.list_scenarios())
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    if options.what == "keep":
+        for name in options.names:
+            np.savez(options.folder / f"{name}.npz", **record(name))
+            print(f"kept    {name}", flush=True)
+        return 0
+    return 0 if all([compare(options.folder, name) for name in options.names]) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
