@@ -8,9 +8,9 @@ lost beside it and with every 2nd, 3rd and 10th one.
 Printed is, for each kind, how the runs ended and the largest of all figures; the exit code is 1 if
 a torque was not finite or beyond its limit or its rate, if a joint stayed beyond its speed limit or
 outside its range for 0.3 s without a stop, if the true contact force went beyond three times its
-command (or 30 N, whichever is more) where a sensor was faulty, if arms that were stopped are not at
-rest 0.5 s later (without `Controller.unbraked`), or if a state is not one that the kind is to end
-in. With `--kept` each run is a line of that file, and the same command continues where it was.
+command (or 30 N, whichever is more), and the pushes of the scenario, where a sensor was faulty, if
+arms that were stopped are not at rest 0.5 s later, or if a state is not one that the kind is to end
+in. Arms with `Controller.unbraked` are left to the brakes of the driver, which are not simulated. With `--kept` each run is a line of that file, and the same command continues where it was.
 """
 
 from __future__ import annotations
@@ -57,6 +57,7 @@ REST_AFTER = 0.5  #: s after a stop, when the arms are at rest
 #: rad/s or m/s; rad or m since the stop, beside what braking from the speed at the stop takes
 REST_SPEED, REST_TRAVEL = 0.1, 0.1
 TRUTH_EVERY = 3  #: ticks from one look at true forces to the next: contacts take 10 ms to form
+LOST_SHARE = 0.2  #: of its command: with less a contact is lost
 LOSSES = (0, 2, 3, 10)  #: every so many-th tick is lost; 0: none
 NAN = float("nan")
 
@@ -411,7 +412,7 @@ class Run:
         model = chain.model
         low, high = model.lowerPositionLimit[act], model.upperPositionLimit[act]
         beyond = outside = 0
-        highest, end = 0.0, self.first + round(FAULT_FOR / dt)
+        highest, lost, end = 0.0, False, self.first + round(FAULT_FOR / dt)
         stop_q = braking = np.zeros(0)
         while self.k < end and not verdict.wrong:
             k = self.k
@@ -420,6 +421,9 @@ class Run:
             true = _inside(self.plant).measure()
             if verdict.stopped is None and self.controller.state is SAFE_STOP:
                 verdict.stopped, stop_q = (k - self.first) * dt, true.q[act]
+                verdict.reason = self.controller.reason
+                alpha, wanted = np.abs(self.plant.truth().alpha), np.abs(reference.alpha_d)
+                lost = bool((alpha < LOST_SHARE * wanted).any())
                 braking = np.abs(true.v[act]) * self.controller.settings.safety.reaction
                 end = max(end, k + round(REST_AFTER / dt))
             verdict.unbraked = verdict.unbraked or self.controller.unbraked is not None
@@ -433,24 +437,30 @@ class Run:
             out = (true.q[act] < low) | (true.q[act] > high)
             outside = outside + 1 if out.any() else 0
             highest = max(highest, float(np.max(np.abs(reference.alpha_d), initial=0.0)))
-            if k % TRUTH_EVERY == 0:
+            if k % TRUTH_EVERY == 0 and not verdict.unbraked:  # else the driver's brakes hold it
                 alpha = np.abs(self.plant.truth().alpha)
                 verdict.force = max(verdict.force, float(np.max(alpha, initial=0.0)))
             if self.controller.state is not SAFE_STOP and max(beyond, outside) * dt > STOP_WITHIN:
                 verdict.wrong.append(f"tick {k}: joints beyond their limits and no stop")
         verdict.ticks, verdict.state = self.k, self.controller.state
-        verdict.reason = self.controller.reason
-        self._judge_end(verdict, fault, max(3.0 * highest, 30.0))
+        verdict.reason = verdict.reason or self.controller.reason
+        pushes = sum(np.linalg.norm(push.force) for push in self.rig.scenario.plant.pushes)
+        self._judge_end(verdict, fault, max(3.0 * highest, 30.0) + pushes, lost)
         return verdict
 
-    def _judge_end(self, verdict: Verdict, fault: Fault, most: float) -> None:
+    def _judge_end(self, verdict: Verdict, fault: Fault, most: float, lost: bool) -> None:
+        """Add what is wrong. most: N of force. lost: whether contact was, at the stop."""
         wrong = verdict.wrong
         if fault.lies and verdict.force > most:
             wrong.append(f"contact force {verdict.force:.1f} N, at most {most:.1f} N are allowed")
         if verdict.rate > self.controller.settings.safety.torque_rate * (1 + 1e-6):
             wrong.append(f"torque rate {verdict.rate:.0f} 1/s")
-        stops = (SAFE_STOP,) if self.case.every and verdict.fault != "no fault" else ()
-        if verdict.state not in fault.ends + stops:
+        ends = fault.ends
+        if (
+            self.case.every
+        ):  # the last tick may be a lost one; contact may be lost for lack of ticks
+            ends += (HOLD, SAFE_STOP) if lost or verdict.fault != "no fault" else (HOLD,)
+        if verdict.state not in ends:
             wrong.append(f"ended in {verdict.state.name}: {verdict.reason[:60]}")
         if verdict.stopped is None or verdict.unbraked or not fault.lies:
             return

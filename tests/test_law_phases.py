@@ -54,7 +54,9 @@ def begin_tick(
 ):
     chain, memory, changed = chains[0], memories[0], False
     if judge:
-        changed = advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept)
+        changed = advance_phases(
+            chain, bodies, columns, contacts, column_memory, wanted, kept, chain.period
+        )
         remap_force_sums(chain, memory, columns, contacts, kept, goal)
     set_goals(chain, bodies, columns, contacts, column_memory, wanted, goal)
     return changed

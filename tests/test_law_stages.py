@@ -359,7 +359,13 @@ def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
             want = min(max(room, 0.1), 1.0) if motors[2 + j] >= 0 else 1.0
             close(share, want, rtol=1e-9)
             close([j.tau for j in stop.joints[2:]], carry, atol=1e-12)
-            close([j.rest for j in stop.joints[2:]], brake, atol=1e-10)
+            sent = share * np.array([j.rest for j in stop.joints[2:]])
+            driven = np.array(motors[2:]) >= 0
+            least = brake * [min(max(room, 0.0), 1.0) if k == j else 1.0 for k in range(2)]
+            powers = [(torques @ (driven * q_dd)) for torques in (share * brake, least)]
+            close(
+                sent[driven], (least if powers[1] > powers[0] else share * brake)[driven], atol=1e-9
+            )
     for j in stop.joints:
         j.acceleration = 0.0
     assert as_python(safety._split_torques)(

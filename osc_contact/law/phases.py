@@ -14,7 +14,7 @@ known. So N does not change at the moment of impact, and every magnitude of a co
 measured by the filter of fig. 5.
 
 A tick ends with `low_pass`; the next begins with `advance_phases`, which judges what that left,
-`remap_force_sums` and `set_goals`. After a tick that was held only `set_goals` is called.
+`remap_force_sums` and `set_goals`; where no tick was computed since, only `set_goals` is called.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ __all__ = [
 
 #: Out of N; in N and dragged towards the face; in N under force control.
 OPEN, APPROACHING, CLOSED = range(3)
+GAP = 3  #: lost ticks that count as time for which a contact was seen or not; more are a hold
 _CHANGES = 0.1  #: s after a change of phase for which torques go gently
 APPROACH_GAIN = 10.0  #: 1/s; of the integral of an approach
 _SLOW = 0.25  #: share of their speed limits below which joints are not fast
@@ -134,7 +135,7 @@ def monitor(
 
 
 @inner
-def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept):
+def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept, dt):
     """The phases of a tick, from what the last one measured and what is wanted now.
 
     Args:
@@ -147,11 +148,12 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
         wanted: (n,) desired magnitudes (N); a contact that can only push is left if none is > 0.
         kept: (n,) filled: 1 for columns whose integral goes on: they were in N, and contact was
             not lost; 0 for others.
+        dt: s since the tick that was measured, lost ticks included.
 
     Returns:
         Whether other contacts than in the last tick are in N.
     """
-    dt, changed = chain.period, False
+    changed = False
     push = chain.approach_damping * chain.approach_speed
     for c in range(chain.n_contacts):
         contact, pushes = contacts[c], bodies[c].pushes

@@ -15,7 +15,7 @@ from math import isfinite
 from osc_contact.law.algebra import cross
 from osc_contact.law.arm_motion import move_arm, place_arm, place_point
 from osc_contact.law.energy import carry_wrench
-from osc_contact.law.jit import inner
+from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import slew
 from osc_contact.law.sensors import check_sensors, estimate_joints
 from osc_contact.law.tables import (
@@ -32,7 +32,7 @@ from osc_contact.law.tables import (
 __all__ = ["BRAKE_RATE", "guard"]
 
 _AT_REST = 0.02  #: rad/s, m/s: below it a braked joint is held where it is
-_BRAKING = 0.5  #: s; a joint that still moves then is held all the same
+_BRAKING = 0.3  #: s; a joint that still moves then is held all the same
 _LEAST = 0.1  #: share of the brakes that is left where motors can hardly carry the arm
 BRAKE_RATE = 40.0  #: 1/s: torques of a hold move from the last ones by their limit times this
 _HASTE = 4.0  #: times that, where a joint is above its speed limit
@@ -163,6 +163,10 @@ def _split_torques(chain, arm, table, joints, work, mass):
     """`tau`: what carries a resting arm and its share of the object; `rest`: what accelerates both
     by q̈; how much of this the motors bear.
 
+    Where they do not bear it all, `rest` is scaled as a whole, or cut off joint by joint if this
+    takes more power, −restᵀq̇, from the joints: a motor that hardly carries its part of the weight
+    then leaves the brakes of the others alone. q̈ is along −q̇ there: q_hold follows q.
+
     Args:
         mass: kg, the arm's share of the object's. work.y: (6,) wrench that carries it, work.A: its
             principal axes as columns, work.u: (3,) its centre.
@@ -181,7 +185,21 @@ def _split_torques(chain, arm, table, joints, work, mass):
             most = table[j].tau_max
             room = most - s if brake > 0.0 else most + s
             share = min(share, max(room, 0.0) / abs(brake))
-    return max(share, _LEAST)
+    share, gain = max(share, _LEAST), 0.0
+    for j in range(lo, arm.end if share < 1.0 else lo):
+        if table[j].motor >= 0:
+            change = _clip_brake(joints[j], table[j].tau_max) - share * joints[j].rest
+            gain += change * joints[j].acceleration
+    for j in range(lo, arm.end if gain > 0.0 else lo):
+        joints[j].rest = _clip_brake(joints[j], table[j].tau_max) / share
+    return share
+
+
+@leaf
+def _clip_brake(joint, most):
+    """As much of `rest` as a motor of `most` N m (N) bears beside `tau`."""
+    low, high = min(-most - joint.tau, 0.0), max(most - joint.tau, 0.0)
+    return min(max(joint.rest, low), high)
 
 
 @inner

@@ -53,7 +53,8 @@ _NOISE = 0.02  #: rad, m: joints may jump by as much, whatever their speed limit
 _FORGET = 0.5  #: s in which a drift between positions and speeds is forgotten
 _SCALE = 0.05  #: share of a speed by which it may be wrong
 _LATE = 0.01  #: s by which speeds may be late
-_GONE = 0.25  #: of `position_drift`; joints must show so much of a speed that lasts
+_GONE = 0.25  #: of `position_drift`; a joint must show so much of a speed that lasts
+_RESOLUTION = 4e-4  #: rad, m: of a coarse encoder (14 bits); joints that read the same move less
 _AGREE = 0.2  #: of the speed of an approach, by which speeds may read less than positions show
 _MODEL = 0.1  #: s for which a speed is predicted from accelerations, to see what reading is wrong
 _DEAD = 0.01  #: s of the very same readings after which a stuck joint is one of a dead packet
@@ -288,6 +289,7 @@ def check_sensors(
     complete, same_joints, elapsed = fresh, compared, 0.0
     for j in range(n):
         known, limit = joint_memory[j], table[j].speed_max
+        known.pending += known.acceleration * chain.period
         read = fresh and isfinite(q[j])
         read = read and not (compared and jumped(chain, table[j], known, q[j]))
         credible = fresh and len(v) == n and abs(v[j]) <= chain.plausible_speed * table[j].rated
@@ -300,7 +302,7 @@ def check_sensors(
                 if found != NO_REASON:
                     reason, culprit = found, j
                     _isolate(chain, memory, joint_memory, j)
-            known.q = q[j]
+            known.q, known.pending = q[j], 0.0
         if credible:
             known.v = v[j]
             if not compared:
@@ -312,7 +314,7 @@ def check_sensors(
         memory.still = memory.still + elapsed if same_joints else 0.0
         memory.frozen = memory.frozen + elapsed if same_joints and same_wrenches else 0.0
         for j in range(n if memory.still > chain.frozen_time else 0):
-            if abs(joint_memory[j].v) * memory.still > _GONE * chain.position_drift:
+            if abs(joint_memory[j].v) * memory.still > _RESOLUTION:
                 reason, culprit = DISAGREE, j
         if memory.frozen > chain.frozen_time and memory.state != SAFE_STOP:  # then they may rest
             reason = FROZEN
@@ -356,11 +358,11 @@ def _check_joint(chain, memory, known, limit, step, v, dt):
         known: JOINT_MEMORY. limit: of its speed. step: by how much the position differs from the
             last one read. v: speed read. dt: s since the position was read last.
     """
-    a, slope, same = known.acceleration, step / dt, v == known.v
+    slope, same = step / dt, v == known.v
     known.same_speed = known.same_speed + dt if same else 0.0
     known.moved = known.moved + step if same else 0.0
     known.due = known.due + v * dt if step == 0.0 else 0.0
-    gained = min(abs(a) * dt, _GAIN * chain.stuck_speed * limit)
+    gained = min(abs(known.pending), _GAIN * chain.stuck_speed * limit)
     known.gained = known.gained + gained if step == 0.0 else 0.0
     error = min(max(v - slope, -2.0 * limit), 2.0 * limit)
     known.error += (error - known.error) * dt / (_LAG + dt)
@@ -369,8 +371,8 @@ def _check_joint(chain, memory, known, limit, step, v, dt):
     drift = max(drift - explained, 0.0) if drift > 0.0 else min(drift + explained, 0.0)
     known.drift = drift
     k, lag = dt / (_MODEL + dt), dt / (_LAG + dt)
-    known.model_v += a * dt
-    known.model_q += a * dt
+    known.model_v += known.pending
+    known.model_q += known.pending
     known.surprise_v += lag * (v - known.model_v - known.surprise_v)
     known.surprise_q += lag * (slope - known.model_q - known.surprise_q)
     known.model_v += k * (v - known.model_v)

@@ -117,14 +117,18 @@ def take_in(chain, work, arm_work, joints, columns, body_work, q, v, wrenches, X
 def advance_contacts(chain, bodies, table, memory, contacts, column_memory, flat, alpha_d):
     """Open, approach and close contacts; the goals of their forces go to flat[:n].
 
+    What a tick measured is judged once, by the next tick that is computed.
+
     Args:
         flat: (r_all,) for the goals (N). alpha_d: (r_all,) desired forces (N).
     """
     n = chain.n_columns
     goal, kept, scratch = flat[:n], flat[n : 2 * n], flat[2 * n : 3 * n]
     if memory.fresh != 0:
+        dt = chain.period * (1 + min(memory.faults, phases.GAP))
+        memory.fresh = 0
         changed = phases.advance_phases(
-            chain, bodies, table, contacts, column_memory, alpha_d, kept
+            chain, bodies, table, contacts, column_memory, alpha_d, kept, dt
         )
         if changed:
             memory.hand_over = 1

@@ -197,6 +197,7 @@ JOINT_MEMORY = _record(
     number=(
         "q", "v",  # last read
         "hold", "acceleration",
+        "pending",  # speed commanded since the position was last read, over lost ticks too
         "gained",  # speed commanded while the position stood still
         "error", "drift",  # of speeds from positions, low-passed; and summed
         # s for which the speed has been the very same, and how far the joint was seen to move

@@ -205,7 +205,7 @@ def _row(
         memory.wrench_missing = memory.repeated = memory.derived = 0
     work.reason = memory.reason = reason
     if reason != NO_REASON:
-        work.status, memory.fresh = HELD, 0
+        work.status = HELD
     return work.status
 
 
