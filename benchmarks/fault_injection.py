@@ -10,7 +10,8 @@ a torque was not finite or beyond its limit or its rate, if a joint stayed beyon
 outside its range for 0.3 s without a stop, if the true contact force went beyond three times its
 command (or 30 N, whichever is more), and the pushes of the scenario, where a sensor was faulty, if
 arms that were stopped are not at rest 0.5 s later, or if a state is not one that the kind is to end
-in. Arms with `Controller.unbraked` are left to the brakes of the driver, which are not simulated. With `--kept` each run is a line of that file, and the same command continues where it was.
+in. Arms with `Controller.unbraked` are left to the brakes of the driver, which are not simulated.
+With `--kept` each run is a line of that file, and the same command continues where it was.
 """
 
 from __future__ import annotations

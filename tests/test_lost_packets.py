@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import osc_contact as osc
 from benchmarks.fault_injection import FAULTS, NAN, Case, Run, Verdict
 from osc_contact.interface import Measurement
+from osc_contact.law.phases import CLOSED
 
 RUN, DEGRADED, HOLD, SAFE_STOP = osc.SafetyState
 
@@ -119,3 +120,29 @@ def test_speeds_estimated_from_encoders_are_no_second_reading_of_them() -> None:
     )
     recording = osc.run(scenario, duration=1.0)
     assert recording.meta["end_state"] != "SAFE_STOP", recording.meta["end_reason"]
+
+
+def test_contact_is_made_although_every_second_tick_is_lost() -> None:
+    """Phases advance with what the last computed tick measured."""
+    run, seen = Run(Case("approach", "approach_and_slide", every=2)), Verdict("no fault", Case())
+    while run.k < 1500:
+        run.step(seen, None, FAULTS["no fault"])
+    assert not seen.wrong, seen.wrong
+    assert set(run.controller.phases()) == {CLOSED}
+    np.testing.assert_allclose(run.plant.truth().alpha, 10.0, rtol=0.2)
+
+
+@pytest.mark.parametrize(
+    ("fault", "scenario", "every"),
+    [
+        ("speeds mirrored", "limited_rod", 0),  # hardly carries its weight, and brakes all the same
+        ("encoder stuck", "hinge_ball_rod", 0),  # held 0.3 s after the stop, not creeping
+        ("encoders stuck, speeds too", "panda_wrist", 0),  # at 2 mrad/s
+        ("encoders stuck, speeds zero", "limited_rod", 2),  # commanded between two readings
+    ],
+)
+def test_arms_rest_after_a_fault_that_is_hard_to_find(fault, scenario, every) -> None:
+    run = Run(Case("contact", scenario, every))
+    run.lead_in()
+    verdict = run.judge(fault)
+    assert verdict.state is SAFE_STOP and not verdict.wrong, verdict
