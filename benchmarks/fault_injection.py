@@ -57,6 +57,7 @@ FAULT_FOR = 0.6  #: s that a lasting fault is looked at
 REST_AFTER = 0.5  #: s after a stop, when the arms are at rest
 #: rad/s or m/s; rad or m since the stop, beside what braking from the speed at the stop takes
 REST_SPEED, REST_TRAVEL = 0.1, 0.1
+BLOCK = 1024  #: ticks whose references are computed together
 TRUTH_EVERY = 3  #: ticks from one look at true forces to the next: contacts take 10 ms to form
 LOST_SHARE = 0.2  #: of its command: with less a contact is lost
 LOSSES = (0, 2, 3, 10)  #: every so many-th tick is lost; 0: none
@@ -363,6 +364,15 @@ class Run:
         if self.controller._records.ticked[0]:
             self.before = self.controller.last_torques()
         self.first = round(case.begin / self.dt)
+        self.ahead: list[Reference] = []  # those of the ticks from the last multiple of BLOCK on
+
+    def reference(self) -> Reference:
+        """That of this tick."""
+        at = self.k % BLOCK
+        if at == 0:
+            times = np.arange(self.k, self.k + BLOCK) * self.dt
+            self.ahead = list(self.rig.references.over(times))
+        return self.ahead[at]
 
     def step(self, verdict: Verdict, trial: Trial | None, fault: Fault) -> Reference:
         """One tick.
@@ -371,7 +381,7 @@ class Run:
             verdict: what is seen and wrong is noted there. trial: of a fault that lasts now.
         """
         k, case = self.k, self.case
-        reference, measurement = self.rig.references.at(k * self.dt), self.robot.measure()
+        reference, measurement = self.reference(), self.robot.measure()
         if self.hold and 8 < self.first - k <= 16:
             measurement = replace(measurement, wrenches=np.full_like(measurement.wrenches, NAN))
         if trial is not None:
