@@ -135,7 +135,7 @@ def learn_friction(chain, table, bodies, columns, work, goal):
         share = (_ALONG**2 - _ACROSS**2) * (s[0] ** 2 + s[1] ** 2 + s[2] ** 2) + _ACROSS**2
         found += w**3 * share * dot6(f, y)
         whole += w * w
-    more = work.more_friction + chain.learning * chain.period * found / whole
+    more = work.more_friction + chain.learning * work.dt * found / whole
     work.more_friction = min(max(more, -chain.mu), _MOST_FRICTION - chain.mu)
 
 

@@ -31,7 +31,6 @@ __all__ = [
 
 #: Out of N; in N and dragged towards the face; in N under force control.
 OPEN, APPROACHING, CLOSED = range(3)
-GAP = 3  #: lost ticks that count as time for which a contact was seen or not; more are a hold
 _CHANGES = 0.1  #: s after a change of phase for which torques go gently
 APPROACH_GAIN = 10.0  #: 1/s; of the integral of an approach
 _SLOW = 0.25  #: share of their speed limits below which joints are not fast
@@ -85,14 +84,15 @@ def low_pass(column_memory, n, here, alpha, speed, D, chosen, r, independent, dt
 
 
 @inner
-def expect(chain, row, asked, limited):
+def expect(chain, row, asked, limited, dt):
     """What a contact should read: the force asked of it `rise` ago, or now where that is less.
 
     Args:
         row: COLUMN_MEMORY of a column in N. asked: the force command α_s of this tick (N).
         limited: whether motors were at their limits: then no more than an approach is expected.
+        dt: s since the last tick.
     """
-    late = row.expected + chain.period / (chain.rise + chain.period) * (asked - row.expected)
+    late = row.expected + dt / (chain.rise + dt) * (asked - row.expected)
     row.expected = min(asked, late)
     if limited:
         row.expected = min(row.expected, chain.approach_damping * chain.approach_speed)

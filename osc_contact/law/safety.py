@@ -61,6 +61,7 @@ def guard(
     )
     estimate_joints(chain, table, memory, joint_memory, estimate)
     if reason == NO_REASON:
+        memory.gap = 0
         for j in range(chain.n_joints):
             joint_memory[j].acceleration = joints[j].acceleration
         memory.has_wrench = 1
@@ -73,6 +74,7 @@ def guard(
             memory.cause = cause
             _enter(memory, SAFE_STOP)
         return NO_REASON
+    memory.gap += 1
     if memory.state == SAFE_STOP:
         _enter(memory, SAFE_STOP)
     else:

@@ -186,7 +186,7 @@ def settle(model, raw, memory_bytes, found, lost_force, lost_squeeze, tau):
     for i in range(chain.n_motors):
         last[i] = tau[i]
     for a in range(work.rank):
-        memory.force_sum[a] = work.force_next[a] - work.gain[a] * chain.period * lost_force[a]
+        memory.force_sum[a] = work.force_next[a] - work.gain[a] * work.dt * lost_force[a]
     memory.force_rank = work.rank
     if work.n_internal > 0 and chain.n_arms == 2:
         work.internal[0] -= lost_squeeze[0]

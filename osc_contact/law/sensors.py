@@ -141,7 +141,7 @@ def compare_speeds(chain, memory, owners, contacts, columns, column_memory, work
             COLUMN_MEMORY; shown and told follow NᵀV_rel of positions and of speeds.
     """
     V, X, last = work.y, work.X_WO, memory.X_WO
-    dt = chain.period * (1 + memory.faults)
+    dt = chain.period * (1 + memory.gap)
     k = dt / (_LAG + dt)
     for i in range(3):
         V[i], V[3 + i] = (X[i, 3] - last[i, 3]) / dt, 0.0
@@ -174,7 +174,7 @@ def check_arms(chain, arms, table, memory, work, arm_work, joints, joint_memory,
         work, arm_work, joints: of this tick's chain. joint_memory: JOINT_MEMORY rows; the torques
             nobody explains are kept there. last: (motors,) torques that have acted (N m, N).
     """
-    dt = chain.period * (1 + memory.faults)
+    dt = chain.period * (1 + memory.gap)
     apart = _find_apart(chain, arms, work, joints)
     memory.apart = max(memory.apart + (dt if apart >= 0 else -dt), 0.0)
     if apart >= 0 and memory.apart > _APART:

@@ -114,7 +114,7 @@ def take_in(chain, work, arm_work, joints, columns, body_work, q, v, wrenches, X
 
 
 @inner
-def advance_contacts(chain, bodies, table, memory, contacts, column_memory, flat, alpha_d):
+def advance_contacts(chain, bodies, table, memory, contacts, column_memory, work, flat, alpha_d):
     """Open, approach and close contacts; the goals of their forces go to flat[:n].
 
     What a tick measured is judged once, by the next tick that is computed.
@@ -125,10 +125,9 @@ def advance_contacts(chain, bodies, table, memory, contacts, column_memory, flat
     n = chain.n_columns
     goal, kept, scratch = flat[:n], flat[n : 2 * n], flat[2 * n : 3 * n]
     if memory.fresh != 0:
-        dt = chain.period * (1 + min(memory.faults, phases.GAP))
         memory.fresh = 0
         changed = phases.advance_phases(
-            chain, bodies, table, contacts, column_memory, alpha_d, kept, dt
+            chain, bodies, table, contacts, column_memory, alpha_d, kept, work.dt
         )
         if changed:
             memory.hand_over = 1
@@ -290,7 +289,7 @@ def command(chain, arms, table, work, arm_work, joints, memory, q, v, V_D, A_D, 
         q, v: (n,) positions and speeds. V_D, A_D: (6,) desired twist and classical acceleration.
         flags: which laws are the user's own.
     """
-    r, dt = work.rank, chain.period
+    r, dt = work.rank, work.dt
     if flags & OWN_FORCE == 0:
         for a in range(r if memory.wrench_missing != 0 else 0):
             work.gain[a] = 0.0

@@ -37,7 +37,7 @@ def shape_steps(chain, owners, contacts, memory, column_memory, columns, work, g
     Args:
         owners: (n,) COLUMN. goal, measured: (n,) desired and measured magnitudes (N).
     """
-    dt, largest, sudden = chain.period, 0.0, False
+    dt, largest, sudden = work.dt, 0.0, False
     left, T, time = memory.step_left, memory.step_time, chain.step_time
     if left > 0.0:
         left = max(left - dt / T, 0.0)
@@ -118,7 +118,7 @@ def keep_steps(chain, memory, column_memory, columns, work, goal, here, alpha, s
             row.to_come[0] = row.to_come[1] = row.to_come[2] = row.expected = 0.0
             row.turn[0] = row.turn[1] = row.turn[2] = 0.0
             continue
-        expect(chain, row, columns[j].goal, work.status == SATURATED)
+        expect(chain, row, columns[j].goal, work.status == SATURATED, work.dt)
         row.wished, row.wish, row.scale = columns[j].shaped, goal[j], columns[j].scale
         presses = columns[j].shaped != 0 and alpha[j] > _PRESSES * goal[j] > 0.0
         lasting = speed[j] * (1.0 - columns[j].slides if presses else 1.0)

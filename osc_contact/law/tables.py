@@ -30,6 +30,7 @@ from osc_contact.law.jit import reader
 __all__: list[str] = []
 
 MAX_JOINTS = 16  #: of one arm
+MOST_LOST = 3  #: lost ticks over which integrals and phases advance at once; more are a hold
 
 _INT, _FLOAT = np.int64, np.float64
 
@@ -139,7 +140,7 @@ FAULTY_POSITION, FAULTY_SPEED = 1, 2  #: of a joint
 
 MEMORY = _record(
     whole=(
-        "force_rank", "located", "ticked", "fresh", "engaged", "hand_over", "reason",
+        "force_rank", "located", "ticked", "fresh", "gap", "engaged", "hand_over", "reason",
         # see `safety`: ticks in this state, ticks in a row that were not computed, how many more of
         # those than of computed ones, ticks too fast, ticks that may repeat
         "state", "age", "faults", "lost", "overspeed", "repeats", "cause", "settled",
@@ -221,7 +222,7 @@ WORK = _record(
     whole=("rank", "locked", "count", "status", "reason", "where", "n_lost", "n_internal",
            "commanded", "moving",
            "weightless"),
-    number=("amount", "mu", "more_friction", "step_left", "step_time", "heed"),
+    number=("amount", "dt", "mu", "more_friction", "step_left", "step_time", "heed"),
     # what recordings keep, side by side
     f_meas=6, bias_out=6, V_O=6, X_WO=(4, 4), f_c=6, error=6, free_error=6, internal=1,
     C=3, O=3, R=(3, 3), axes=(4, 3, 3),

@@ -37,6 +37,7 @@ from osc_contact.law.stages import (
 from osc_contact.law.tables import (
     BAD_INPUT,
     HELD,
+    MOST_LOST,
     NO_REASON,
     OBJECT_UNKNOWN,
     OK,
@@ -127,6 +128,7 @@ def _row(
         work.status, work.commanded = OK, 1 if flags & COMMANDED != 0 else 0
         work.moving = 1 if moving else 0
         work.rank, work.count = 0, 0
+        work.dt = chain.period * (1 + min(memory.gap, MOST_LOST))
         engaged = memory.engaged != 0 and c > 0
         misfit = engaged and flags & NO_WISHES != 0
         engaged = engaged and not misfit
@@ -149,7 +151,7 @@ def _row(
             )  # fmt: skip
             if chain.phased != 0 and engaged:
                 advance_contacts(
-                    chain, bodies, owners, memory, contacts, column_memory, flat, alpha_d
+                    chain, bodies, owners, memory, contacts, column_memory, work, flat, alpha_d
                 )
             else:
                 for j in range(r_all):

@@ -86,5 +86,5 @@ def remember(chain, work, memory, columns, column_memory, table, contacts, flat)
     phases.low_pass(
         column_memory, n, here, alpha, speed, work.mobility, chosen, r,
         r == work.count and work.weightless == 0,
-        chain.period, chain.lag, work.D, work.E,
+        work.dt, chain.lag, work.D, work.E,
     )  # fmt: skip

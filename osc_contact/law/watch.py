@@ -50,7 +50,7 @@ def watch_joints(chain, table, memory, q, v):
         if (rest > row.upper and x <= row.upper) or (rest < row.lower and x >= row.lower):
             near = j
     weight = 1 + int(_HASTE * min(times - 1.0, _MOST))
-    ticks = 1 + memory.faults
+    ticks = 1 + memory.gap
     memory.overspeed = max(memory.overspeed + ticks * (weight if fast >= 0 else -1), 0)
     memory.ending = collect(memory.ending, ticks * chain.period, near >= 0)
     if memory.ending > max(SURE, 1.5 * chain.period):
@@ -71,7 +71,7 @@ def watch_contacts(chain, work, memory, columns, column_memory):
     but it must be held again in time), or its force integral stands at its bound. It is overloaded
     above three times its command, or above `contact_force`, whichever is more.
     """
-    power, reason, dt = 0.0, NO_REASON, chain.period * (1 + memory.faults)
+    power, reason, dt = 0.0, NO_REASON, chain.period * (1 + memory.gap)
     for a in range(work.rank):
         alpha, wanted, speed = work.alpha_meas[a], work.alpha_d[a], work.speed[a]
         if alpha > 0.0 and speed > 0.0:
