@@ -59,7 +59,6 @@ REST_AFTER = 0.5  #: s after a stop, when the arms are at rest
 REST_SPEED, REST_TRAVEL = 0.1, 0.1
 BLOCK = 1024  #: ticks whose references are computed together
 TRUTH_EVERY = 3  #: ticks from one look at true forces to the next: contacts take 10 ms to form
-LOST_SHARE = 0.2  #: of its command: with less a contact is lost
 LOSSES = (0, 2, 3, 10)  #: every so many-th tick is lost; 0: none
 NAN = float("nan")
 
@@ -423,7 +422,7 @@ class Run:
         model = chain.model
         low, high = model.lowerPositionLimit[act], model.upperPositionLimit[act]
         beyond = outside = 0
-        highest, lost, end = 0.0, False, self.first + round(FAULT_FOR / dt)
+        highest, end = 0.0, self.first + round(FAULT_FOR / dt)
         stop_q = braking = np.zeros(0)
         while self.k < end and not verdict.wrong:
             k = self.k
@@ -433,8 +432,6 @@ class Run:
             if verdict.stopped is None and self.controller.state is SAFE_STOP:
                 verdict.stopped, stop_q = (k - self.first) * dt, true.q[act]
                 verdict.reason = self.controller.reason
-                alpha, wanted = np.abs(self.plant.truth().alpha), np.abs(reference.alpha_d)
-                lost = bool((alpha < LOST_SHARE * wanted).any())
                 braking = np.abs(true.v[act]) * self.controller.settings.safety.reaction
                 end = max(end, k + round(REST_AFTER / dt))
             verdict.unbraked = verdict.unbraked or self.controller.unbraked is not None
@@ -456,21 +453,19 @@ class Run:
         verdict.ticks, verdict.state = self.k, self.controller.state
         verdict.reason = verdict.reason or self.controller.reason
         pushes = sum(np.linalg.norm(push.force) for push in self.rig.scenario.plant.pushes)
-        self._judge_end(verdict, fault, max(3.0 * highest, 30.0) + pushes, lost)
+        self._judge_end(verdict, fault, max(3.0 * highest, 30.0) + pushes)
         return verdict
 
-    def _judge_end(self, verdict: Verdict, fault: Fault, most: float, lost: bool) -> None:
-        """Add what is wrong. most: N of force. lost: whether contact was, at the stop."""
+    def _judge_end(self, verdict: Verdict, fault: Fault, most: float) -> None:
+        """Add what is wrong. most: N of force."""
         wrong = verdict.wrong
         if fault.lies and verdict.force > most:
             wrong.append(f"contact force {verdict.force:.1f} N, at most {most:.1f} N are allowed")
         if verdict.rate > self.controller.settings.safety.torque_rate * (1 + 1e-6):
             wrong.append(f"torque rate {verdict.rate:.0f} 1/s")
         ends = fault.ends
-        if (
-            self.case.every
-        ):  # the last tick may be a lost one; contact may be lost for lack of ticks
-            ends += (HOLD, SAFE_STOP) if lost or verdict.fault != "no fault" else (HOLD,)
+        if self.case.every:  # the last tick may be a lost one
+            ends += (HOLD,) if verdict.fault == "no fault" else (HOLD, SAFE_STOP)
         if verdict.state not in ends:
             wrong.append(f"ended in {verdict.state.name}: {verdict.reason[:60]}")
         if verdict.stopped is None or verdict.unbraked or not fault.lies:
