@@ -38,7 +38,7 @@ test: venv browser
 
 # Branches that the tests run. The law is compiled, which coverage cannot look into: its own tests run
 # without compilation first.
-PLAIN := $(addprefix tests/test_,$(addsuffix .py,law_once law_watch law_phases law_limits law_linkage))
+PLAIN := $(addprefix tests/test_,$(addsuffix .py,law_kkt law_watch law_phases law_limits law_linkage))
 coverage: venv browser
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -k "not checked_bounds" --cov --cov-report= \
 		--cov-fail-under=0 $(PLAIN)

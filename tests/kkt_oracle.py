@@ -9,6 +9,7 @@ S, no Φ_e of the package takes part. Accelerations of the object are classical.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -152,6 +153,19 @@ class Contact:
         far = self.X_WO.translation + arm - X_WE.translation
         return V[:3] + np.cross(V[3:], arm) - V_E[:3] - np.cross(V_E[3:], far), arm, far, J
 
+    def n_gamma(self, V):
+        """(r,) Nᵀ of the spatial acceleration of the object less that of the body."""
+        object_only = np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
+        out = self.bend(V) + self.along_object @ object_only
+        if self.on is None:
+            return out
+        b, data = self.on.body, self.on.body.model.createData()
+        pin.forwardKinematics(b.model, data, b.q, b.v, np.zeros(b.model.nv))
+        pin.updateFramePlacements(b.model, data)
+        drift = pin.getFrameAcceleration(b.model, data, b.id, LWA).vector
+        drift[:3] += np.cross(drift[3:], self.X_WO.translation - self.on.X.translation)
+        return out + self.along_object @ drift
+
     def friction(self, V, mu):
         """Coulomb's force on the object (6,) and on the joints of the body, for one newton."""
         slip, arm, far, J = self.slip(V)
@@ -160,6 +174,16 @@ class Contact:
 
 
 # Everything at once -------------------------------------------------------------------------------
+
+
+@dataclass
+class Answer:
+    """Accelerations of joints and object, contact forces, wrench (6,) of each arm at O."""
+
+    qdd: np.ndarray
+    a: np.ndarray
+    alpha: np.ndarray
+    loops: list
 
 
 @dataclass
@@ -204,7 +228,7 @@ class State:
         self._at(x[: self.n], x[self.n :])
 
     def answer(self, tau):
-        """Acceleration of the object (6,) and contact forces (r,) under motor torques."""
+        """What motor torques (n_a,) make of all that is connected."""
         s, n, end, parts = self.system, self.n + 6, self.n + 6, {}
         for one in self.bodies:
             parts[id(one)] = slice(end, end + one.body.model.nv)
@@ -244,7 +268,26 @@ class State:
         y = np.concatenate((force, right))
         x = _solve(K, y)
         assert np.abs(K @ x - y).max() < 1e-9 * max(1.0, np.abs(y).max())
-        return x[self.n : n], x[end + first :]
+        pulls = P[: self.system.ends[-1], self.n : n] * x[end : end + self.system.ends[-1], None]
+        loops = [pulls[a:b].sum(axis=0) for a, b in pairwise(self.system.ends)]
+        return Answer(x[: self.n], x[self.n : n], x[end + first :], loops)
+
+    def readings(self, answer):
+        """(arms, 6) of the wrist sensors: what moves the object and the links beyond them."""
+        chain, out = self.case.chain, []
+        model, data = chain.model, chain.model.createData()
+        pin.forwardKinematics(model, data, self.case.q, self.v, answer.qdd)
+        pin.updateFramePlacements(model, data)
+        at_O = pin.SE3(np.eye(3), self.case.X_WO.translation)
+        for arm, links, pull in zip(chain.arms, chain.outboard, answer.loops, strict=True):
+            total = at_O.act(pin.Force(pull))
+            for link in links:
+                X, V = data.oMi[link.joint], data.v[link.joint]
+                a = data.a[link.joint] - X.actInv(model.gravity)
+                total += X.act(link.inertia * a + V.cross(link.inertia * V))
+            sensor = data.oMf[model.getFrameId(f"{arm.name}/{arm.wrist_sensor}")]
+            out.append(sensor.actInv(total).vector)
+        return np.array(out)
 
     def nearest(self, W, target, value):
         """The acceleration that the grasps permit nearest to target (6,) in W, N a = value (r,)."""

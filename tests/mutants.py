@@ -45,13 +45,12 @@ ROOT = Path(__file__).resolve().parent.parent
 LEFT_OUT = ("__init__.py", "accelerator.py", "compiled.py", "jit.py", "tables.py", "layout.py")
 MODULES = ("projections.py", "spans.py", "response.py", "control/monitor.py")
 JUDGES = (
-    "law_parts", "law_stages", "law_once", "law_watch", "contact_kinds", "pairs",
+    "law_parts", "law_stages", "law_kkt", "law_watch", "contact_kinds", "pairs",
     "chain_oracles", "chain_state", "grasps", "projections", "spans", "monitor", "law_limits",
     "law_phases", "law_linkage", "law_steps", "safety", "friction", "reading", "environment",
     "singular",
 )  # fmt: skip
-#: Whose tests come first. The NumPy law of `law_once` takes contacts and arms from the law itself,
-#: so that faults in these are noticed by the tests that differentiate poses, and ask Pinocchio.
+#: Whose tests come first: those of the part itself. `law_kkt` judges whole ticks after them.
 OWN = {
     "law_parts": ("six.py", "algebra.py", "motion.py", "held_object.py", "contact.py", "tilt.py"),
     "law_stages": ("force.py", "least_squares.py", "safety.py", "singular.py", "command_filter.py",

@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from grasp_oracle import kkt
-from readable.allocation import squeeze_rows
 from rigs import PANDA_Q, panda_pair, random_state, scara_pair
-from test_decoupling import both_allocations, both_laws, in_contact
+from test_decoupling import in_contact, law_torques, structured
 
 import osc_contact as osc
 
 
-@both_laws
 @pytest.mark.parametrize("rig", [scara_pair, panda_pair])
-def test_squeeze_arises_between_the_grasps_and_disturbs_nothing(rig, torques):
+def test_squeeze_arises_between_the_grasps_and_disturbs_nothing(rig):
     """Judged by the wrenches of the KKT oracle: ½ eᵀ(λ₁ − λ₂) along the grasp line."""
     chain, rng = rig(), np.random.default_rng(30)
     for _ in range(30):
@@ -24,7 +22,7 @@ def test_squeeze_arises_between_the_grasps_and_disturbs_nothing(rig, torques):
         a_u, alpha, B = rng.normal(size=6), rng.uniform(5, 20, 2), np.linalg.inv(state.metric)
         seen = []
         for squeeze in (-15.0, 25.0):
-            tau, _ = torques(chain, state, contact, pairs, q, v, a_u, alpha, B, squeeze)
+            tau, _ = law_torques(chain, state, contact, pairs, q, v, a_u, alpha, B, squeeze)
             got = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
             force = got.loops[:, :3]
             assert 0.5 * e @ (force[0] - force[1]) == pytest.approx(squeeze, abs=1e-6)
@@ -34,32 +32,15 @@ def test_squeeze_arises_between_the_grasps_and_disturbs_nothing(rig, torques):
         np.testing.assert_allclose(seen[0].alpha, seen[1].alpha, atol=1e-7)
 
 
-@both_allocations
-def test_torques_are_the_least_that_do_it(allocated):
-    """The equality-constrained quadratic program, solved through its own KKT system."""
-    chain, rng = scara_pair(), np.random.default_rng(31)
-    state, _, _, q, v = in_contact(chain, rng)
-    f_S, eta = rng.normal(size=5) * 10, rng.normal(size=5)
-    tau = allocated(chain, q, v, f_S, eta, 12.0)
-    E, e0 = squeeze_rows(state, chain, eta)
-    A, b = np.vstack((state.G, E)), np.concatenate((f_S, 12.0 + e0))
-    R = np.diag(1.0 / chain.tau_max**2)
-    K = np.block([[R, A.T], [A, np.zeros((6, 6))]])
-    want = np.linalg.solve(K, np.concatenate((np.zeros(8), b)))[:8]
-    np.testing.assert_allclose(tau, want, rtol=1e-8)
-    np.testing.assert_allclose(A @ tau, b, rtol=1e-9)
-
-
-@both_allocations
-def test_redundant_arms_return_to_their_posture_without_moving_the_object(allocated):
+def test_redundant_arms_return_to_their_posture_without_moving_the_object():
     chain, rng = panda_pair(), np.random.default_rng(32)
     q, _ = random_state(chain, rng)
     v = np.zeros(14)
     state = chain.state(q, v)
     f_S = state.b_S  # hold still
-    nowhere = allocated(chain, q, v, f_S, np.zeros(6), 0.0, q)
+    nowhere = structured(chain, q, v, f_S, np.zeros(6), 0.0, q)
     posture = np.concatenate((PANDA_Q, PANDA_Q)) + 0.3
-    pulled = allocated(chain, q, v, f_S, np.zeros(6), 0.0, posture)
+    pulled = structured(chain, q, v, f_S, np.zeros(6), 0.0, posture)
     rest, moving = kkt(chain, q, v, nowhere), kkt(chain, q, v, pulled)
     np.testing.assert_allclose(rest.a_object, 0, atol=1e-8)
     np.testing.assert_allclose(rest.qdd, 0, atol=1e-6)

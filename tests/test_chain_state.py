@@ -1,4 +1,7 @@
-"""`ClosedChain.state`, which the law computes, against the same terms in NumPy."""
+"""Every term of `ClosedChain.state` by what defines it: constraints, energy, wrist readings.
+
+Pinocchio gives M, h, J and drifts, `kkt_oracle` what grasps permit.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +10,18 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from grasp_rigs import KINDS, random_case
-from readable.chain import state as numpy_state
+from grasp_rigs import KINDS, Case, random_case
+from kkt_oracle import State
 from rigs import SCARA_Q, one_panda, random_state, scara_pair
 from test_singular import straight_panda, stretched_scaras
 
 import osc_contact as osc
 
 ARMS = ["scara", "ur5", "panda", "2R", "3R"]
-TERMS = ("V_O", "Phi", "sigma", "w", "h", "M", "metric", "grasp_points", "Lambda_out", "bias_out",
-         "reference")  # fmt: skip
-ARM_TERMS = ("J", "gamma", "M", "Phi", "Lambda", "J_bar", "mu", "p")
+LWA = pin.LOCAL_WORLD_ALIGNED
 
 
-def assert_close(name, got, want, tolerance):
+def assert_close(name, got, want, tolerance=1e-8):
     size = max(1.0, np.abs(want).max(initial=0.0))
     np.testing.assert_allclose(got, want, rtol=0, atol=tolerance * size, err_msg=name)
 
@@ -30,72 +31,127 @@ def onto(columns):
     return columns @ np.linalg.pinv(columns) if columns.size else np.zeros((6, 6))
 
 
-def assert_same(got, want, tolerance=1e-9):
-    """All that does not name a basis; what does, in the basis of `want`."""
-    np.testing.assert_allclose(got.X_WO.homogeneous, want.X_WO.homogeneous, atol=1e-12)
-    for name in TERMS:
-        assert_close(name, getattr(got, name), getattr(want, name), tolerance)
-    assert got.d == want.d and got.unactuated.shape == want.unactuated.shape
-    if got.d:
-        B = np.linalg.lstsq(want.S, got.S, rcond=None)[0]
-        for name, mine, theirs in (
-            ("S", got.S, want.S @ B), ("Lambda_S", got.Lambda_S, B.T @ want.Lambda_S @ B),
-            ("mu_S", got.mu_S, B.T @ want.mu_S), ("p_S", got.p_S, B.T @ want.p_S),
-            ("W", got.W, want.W @ B),
-            ("G", got.G, B.T @ want.G),
-        ):  # fmt: skip
-            assert_close(name, mine, theirs, tolerance)
-    assert_close("C", onto(got.C), onto(want.C), tolerance)
-    for mine, theirs in zip(got.arms, want.arms, strict=True):
-        assert mine.rank == theirs.rank
-        for name in ARM_TERMS:
-            assert_close(name, getattr(mine, name), getattr(theirs, name), tolerance)
-        assert_close("C of an arm", onto(mine.C), onto(theirs.C), tolerance)
-        assert_close("N of an arm", onto(mine.N), onto(theirs.N), tolerance)
-    for mine, theirs in zip(got.filters, want.filters, strict=True):
-        if theirs is not None:
-            assert_close("filter", np.eye(6) if mine is None else mine, theirs, tolerance)
-    for mine, theirs in zip(got.sensors, want.sensors, strict=True):
-        assert (mine is None) == (theirs is None)
-        if mine is not None:
-            assert mine.isApprox(theirs, 1e-12)
+def assert_arms(chain, s, q, v, tolerance=1e-8):
+    """Φ, Λ, J̄, γ, μ, p, ranks, C and N of each arm; N = 1 where the grasp is rigid."""
+    model, data = chain.model, chain.model.createData()
+    pin.computeAllTerms(model, data, q, v)
+    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+    pin.updateFramePlacements(model, data)
+    assert_close("M", s.M, data.M)
+    assert_close("h", s.h, data.nle)
+    O, X = s.X_WO.translation, chain.tip_poses(data)  # noqa: E741
+    np.testing.assert_allclose(s.grasp_points, [one.translation for one in X], atol=1e-12)
+    root = np.linalg.cholesky(s.metric)
+    for i, (arm, part, grasp) in enumerate(zip(s.arms, chain.slices, chain.grasps, strict=True)):
+        to_O = pin.SE3(np.eye(3), X[i].translation - O).action
+        J = to_O @ pin.getFrameJacobian(model, data, chain.tips[i], LWA)[:, part]
+        gamma = to_O @ pin.getFrameAcceleration(model, data, chain.tips[i], LWA).vector
+        N = np.eye(6)
+        if not grasp.is_rigid:  # the object slips while the tip carries N along
+            V = J @ v[part]
+            gamma = gamma + pin.Motion(V).cross(pin.Motion(s.V_O)).vector
+            N = grasp.wrenches_at(X[i], O)
+        M, h, g = data.M[part, part], data.nle[part], data.g[part]
+        passed = np.linalg.qr(np.linalg.solve(root, N))[0]
+        seen = passed.T @ root.T @ J @ np.linalg.inv(np.linalg.cholesky(M)).T
+        U, sizes, Vh = np.linalg.svd(seen)
+        rank = np.count_nonzero(sizes > chain.rank_tolerance)
+        inverse = (Vh[:rank].T / sizes[:rank]) @ U[:, :rank].T
+        J_bar = np.linalg.inv(np.linalg.cholesky(M)).T @ inverse @ passed.T @ root.T
+        assert arm.rank == rank
+        Lambda = J_bar.T @ M @ J_bar
+        for name, want in {
+            "J": J, "gamma": gamma, "M": M, "Phi": J @ np.linalg.solve(M, J.T), "J_bar": J_bar,
+            "Lambda": Lambda, "mu": J_bar.T @ (h - g) - Lambda @ gamma, "p": J_bar.T @ g,
+        }.items():  # fmt: skip
+            assert_close(name, getattr(arm, name), want, tolerance)
+        blocked = root @ passed @ U[:, rank:]
+        assert_close("C of an arm", onto(arm.C), onto(blocked), tolerance)
+        if not grasp.is_rigid:
+            assert_close("N of an arm", onto(arm.N), onto(root @ passed @ U[:, :rank]), tolerance)
+
+
+def assert_chain(case, v, V, s, rng):
+    """S, σ, W, w, Λ_S, b_S, G by the rows of the grasps; Λ_out and its bias by wrist readings."""
+    oracle, chain = State(case, []), case.chain
+    oracle._at(v, V)
+    product = np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))  # classical less spatial
+    assert_close("S", onto(s.S), onto(oracle.S), 1e-7)
+    assert_close("C", s.C.T @ s.S, 0.0)
+    assert s.C.shape[1] == 6 - s.d == 6 - oracle.S.shape[1]
+    assert_close("least σ", s.S.T @ s.metric @ s.sigma, 0.0)
+    rows, right = oracle.grasps, np.array([row.right for row in oracle.system.rows])
+    assert_close("W", rows @ np.vstack((s.W, s.S)), 0.0)
+    still = np.concatenate((s.w, s.sigma + product))
+    assert_close("w", rows @ still, right, 1e-7)
+    inertia = s.W.T @ s.M @ s.W + s.S.T @ s.payload.Lambda @ s.S
+    assert_close("Λ_S", s.Lambda_S, inertia)
+    assert_close("payload", s.payload.Lambda, oracle.system.I)
+    bias = s.W.T @ (s.h + s.M @ s.w) + s.S.T @ (
+        s.payload.mu + s.payload.p + s.payload.Lambda @ s.sigma
+    )
+    assert_close("b_S", s.b_S, bias)
+    assert_close("bias of the object", s.payload.mu + s.payload.p,
+                 oracle.system.I @ product - oracle.system.pull)  # fmt: skip
+    assert_close("G", s.G, s.W.T[:, chain.actuated])
+    assert_close("Φ", s.Phi, s.S @ np.linalg.solve(s.Lambda_S, s.S.T))
+    undriven = np.linalg.matrix_rank(s.S, 1e-9) - np.linalg.matrix_rank(s.G, 1e-6)
+    assert s.unactuated.shape[1] == undriven
+    answer = oracle.answer(20.0 * rng.normal(size=chain.n_a))
+    at_O = pin.SE3(np.eye(3), s.X_WO.translation).inverse()
+    total = np.zeros(6)
+    for reading, X, F in zip(oracle.readings(answer), s.sensors, s.filters, strict=True):
+        wrench = (at_O * X).act(pin.Force(reading)).vector
+        total += wrench if F is None else F @ wrench
+    want = s.Lambda_out @ (answer.a - product) + s.bias_out
+    assert_close("Λ_out", total, want, 1e-7)
 
 
 def test_random_chains_with_every_grasp():
-    """1–4 arms; pose and twist given, and told by the joints."""
-    rng, told = np.random.default_rng(70), 0
+    """1–4 arms; pose and twist given, and found from the joints."""
+    rng, found = np.random.default_rng(70), 0
     for _ in range(60):
         n = rng.integers(1, 5)
         case = random_case(list(rng.choice(ARMS, n)), list(rng.choice(KINDS, n)), rng)
         v, V = case.moving(rng)
-        here = case.X_WO, V
-        assert_same(case.chain.state(case.q, v, *here), numpy_state(case.chain, case.q, v, *here))
+        s = case.chain.state(case.q, v, case.X_WO, V)
+        assert_arms(case.chain, s, case.q, v)
+        assert_chain(case, v, V, s, rng)
         try:
-            got = case.chain.state(case.q, v)
+            s = case.chain.state(case.q, v)
         except osc.ModelError as error:
             assert "do not tell where the object is" in str(error)
             continue
-        told += 1
-        assert_same(got, numpy_state(case.chain, case.q, v))
-    assert told > 30
-
-
-@pytest.mark.parametrize("rig", [scara_pair, one_panda])
-def test_a_pose_that_is_given_counts_more_than_what_the_joints_say(rig):
-    """O somewhere else: everything is said there, and the twist is the tip's."""
-    chain, rng = rig(), np.random.default_rng(71)
-    q, v = random_state(chain, rng)
-    X = chain.state(q, v).X_WO * pin.exp6(pin.Motion(0.05 * rng.normal(size=6)))
-    assert_same(chain.state(q, v, X), numpy_state(chain, q, v, X))
+        found += 1
+        np.testing.assert_allclose(s.X_WO.homogeneous, case.X_WO.homogeneous, atol=1e-10)
+        assert_close("V_O", s.V_O, V)
+        assert_arms(case.chain, s, case.q, v)
+    assert found > 30
 
 
 def test_nothing_held_and_gravity_that_changes():
+    """The tip has no inertia of its own: metric and ranks are those of a small ball."""
     panda, rng = one_panda(), np.random.default_rng(72)
     chain = osc.ClosedChain(panda.arms, panda.grasps, None)
     for gravity in ([0.0, 0.0, -9.81], [1.0, -3.0, 2.0]):
         chain.model.gravity.linear = np.array(gravity)
         q, v = straight_panda(-1.5) + 0.3 * rng.normal(size=7), rng.normal(size=7)
-        assert_same(chain.state(q, v), numpy_state(chain, q, v))
+        s = chain.state(q, v)
+        case = Case(chain, q, s.X_WO, [("rigid", grasp.X_TO, None) for grasp in chain.grasps])
+        assert_arms(chain, s, q, v)
+        assert_chain(case, v, s.V_O, s, rng)
+
+
+@pytest.mark.parametrize("rig", [scara_pair, one_panda])
+def test_a_pose_that_is_given_counts_more_than_what_the_joints_say(rig):
+    """O somewhere else: everything is expressed there, and the twist is the tip's."""
+    chain, rng = rig(), np.random.default_rng(71)
+    q, v = random_state(chain, rng)
+    X = chain.state(q, v).X_WO * pin.exp6(pin.Motion(0.05 * rng.normal(size=6)))
+    s = chain.state(q, v, X)
+    np.testing.assert_array_equal(s.X_WO.homogeneous, X.homogeneous)
+    assert_arms(chain, s, q, v)
+    assert_close("V_O", s.V_O, s.arms[0].J @ v[chain.slices[0]])
 
 
 def test_what_singular_postures_lose():
@@ -104,18 +160,26 @@ def test_what_singular_postures_lose():
     rigs += [(one_panda(), straight_panda(bend)) for bend in (0.3, 0.1, 0.02, 0.004)]
     seen = 0
     for chain, q in rigs:
-        v = 0.1 * np.ones(chain.nq)
-        got, want = chain.state(q, v), numpy_state(chain, q, v)
-        assert_same(got, want, 1e-8)
-        assert len(got.singular_directions) == len(want.singular_directions)
-        for mine, theirs in zip(got.singular_directions, want.singular_directions, strict=True):
-            assert (mine.arm, mine.locked) == (theirs.arm, theirs.locked)
-            sign = np.sign(mine.mode @ got.arms[mine.arm].M @ theirs.mode)
-            for name in ("chi", "share"):
-                assert getattr(mine, name) == pytest.approx(getattr(theirs, name), rel=1e-7)
-            for name in ("wrench", "twist", "mode"):
-                assert_close(name, sign * getattr(mine, name), getattr(theirs, name), 1e-7)
-            seen += 1
+        s = chain.state(q, 0.1 * np.ones(chain.nq))
+        c = pin.skew(s.X_WO.rotation @ chain.reference.inertia.lever)
+        ball = np.block([[np.eye(3), -c], [c, 0.1**2 * np.eye(3) - c @ c]])
+        assert_close("Λ_ref", s.reference, s.metric + chain.arm_mass * ball)
+        L = np.linalg.cholesky(s.reference)
+        lost = list(s.singular_directions)
+        for i, arm in enumerate(s.arms):
+            K = np.linalg.cholesky(arm.M)
+            sizes = np.linalg.svd(L.T @ np.linalg.solve(K, arm.J.T).T, compute_uv=False)
+            chis = sizes[: chain.full_ranks[i]]
+            mine = [one for one in lost if one.arm == i]
+            np.testing.assert_allclose(
+                sorted(one.chi for one in mine), sorted(chis[chis < 0.3]), rtol=1e-6, atol=1e-9
+            )
+            for one in mine:
+                assert one.mode @ arm.M @ one.mode == pytest.approx(1.0)
+                assert one.twist @ s.reference @ one.twist == pytest.approx(1.0)
+                assert_close("J ν = χ u", arm.J @ one.mode, one.chi * one.twist, 1e-7)
+                assert_close("wrench", one.wrench, s.reference @ one.twist, 1e-7)
+                seen += 1
     assert seen > 10
 
 

@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from grasp_oracle import kkt
-from readable.motion import MotionLaw
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
@@ -209,19 +208,6 @@ def test_bad_settings_are_refused(rig, kwargs, words):
 def test_an_unstable_integral_gain_is_refused():
     with pytest.raises(osc.InvalidInputError, match="Routh"):
         MotionGains(100, 10, 2000)
-
-
-def test_motion_law_is_pid_on_the_pose_error_in_classical_terms(rig):
-    """A circling reference is followed without error when the state is on it."""
-    state = rig.state()
-    V = np.array([0.1, 0.2, 0.0, 0.0, 0.0, 0.5])
-    moving = replace(state, V_O=V)
-    law = MotionLaw(MotionGains(100, 20, 0), 1e-3)
-    A = np.array([0.3, -0.1, 0.2, 0.0, 0.1, 0.0])
-    on_it = osc.Reference(state.X_WO, V, A, np.zeros(2))
-    got = law.command(on_it, moving, np.eye(6))
-    spatial = A - np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
-    np.testing.assert_allclose(got, spatial, atol=1e-12)
 
 
 def test_arms_without_wrist_sensors_cannot_control_contact_forces():

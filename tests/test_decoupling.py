@@ -2,18 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio as pin
 import pytest
 from grasp_oracle import kkt
-from readable.allocation import Allocation
-from readable.command_filter import (
-    filtered_motion,
-    generalised_force,
-    object_coordinates,
-)
 from rigs import (
     consistent,
     contact_of,
@@ -30,8 +22,6 @@ from osc_contact import projections
 from osc_contact.control.laws import Laws
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.response import require_reachable
-
-FIXED = osc.Environment.fixed()
 
 
 def metrics_B(state, rng):
@@ -100,15 +90,6 @@ def law_torques(chain, state, contact, pairs, q, v, a_u, alpha_u, B, squeeze=5.0
     return tau, controller.signals.eta_c
 
 
-def numpy_torques(chain, state, contact, pairs, q, v, a_u, alpha_u, B, squeeze=5.0):
-    """The same from eqs. 24 and 21 in NumPy and the allocation that the law is held to."""
-    eta_u = object_coordinates(state, contact, a_u)
-    eta_c = filtered_motion(state, contact, eta_u, alpha_u, B, FIXED)
-    f_S = generalised_force(state, eta_c, contact.N @ alpha_u)
-    tau = Allocation(chain, np.zeros(chain.nq)).torques(state, q, v, f_S, eta_c, squeeze)
-    return tau, eta_c
-
-
 def structured(chain, q, v, f_S, eta, squeeze, posture=None, state=None, **how):
     """Torques of the law's allocation for any f_S (d,) and η̇ (d,), in the basis S of a state."""
 
@@ -124,20 +105,8 @@ def structured(chain, q, v, f_S, eta, squeeze, posture=None, state=None, **how):
     return tick_with(laws, chain, [], q, v, squeeze, posture=posture, **how)[1]
 
 
-def numpy_allocated(chain, q, v, f_S, eta, squeeze, posture=None, state=None):
-    """The same of the allocation that the law is held to."""
-    posture = np.zeros(chain.nq) if posture is None else posture
-    state = chain.state(q, v) if state is None else state
-    return Allocation(chain, posture).torques(state, q, v, f_S, eta, squeeze)
-
-
-both_laws = pytest.mark.parametrize("torques", [law_torques, numpy_torques])
-both_allocations = pytest.mark.parametrize("allocated", [structured, numpy_allocated])
-
-
-@both_laws
 @pytest.mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
-def test_force_steps_leave_the_motion_and_motion_steps_leave_the_force(rig, torques):
+def test_force_steps_leave_the_motion_and_motion_steps_leave_the_force(rig):
     """Eqs. 24 and 25 on the full KKT system, for three metrics B: coupling ≤ 1e-9."""
     chain, rng = rig(), np.random.default_rng(10)
     for _ in range(60):
@@ -146,24 +115,23 @@ def test_force_steps_leave_the_motion_and_motion_steps_leave_the_force(rig, torq
         alpha = rng.uniform(5, 20, 2)
         a_u = rng.normal(size=6) * 3
         for B in metrics_B(state, rng).values():
-            tau, eta_c = torques(*where, a_u, alpha, B)
+            tau, eta_c = law_torques(*where, a_u, alpha, B)
             base = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
             size_a, size_f = np.abs(base.a_object).max(), np.abs(base.alpha).max()
             np.testing.assert_allclose(base.alpha, alpha, atol=1e-9 * size_f)
             want = state.S @ eta_c + state.sigma
             np.testing.assert_allclose(base.a_object, want, atol=1e-9 * size_a)
-            tau, _ = torques(*where, a_u, alpha + [5.0, -3.0], B)
+            tau, _ = law_torques(*where, a_u, alpha + [5.0, -3.0], B)
             stepped = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
             assert np.abs(stepped.a_object - base.a_object).max() <= 1e-9 * size_a
             np.testing.assert_allclose(stepped.alpha - base.alpha, [5, -3], rtol=1e-8)
-            tau, _ = torques(*where, a_u + rng.normal(size=6), alpha, B)
+            tau, _ = law_torques(*where, a_u + rng.normal(size=6), alpha, B)
             pushed = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
             assert np.abs(pushed.alpha - base.alpha).max() <= 1e-9 * size_f
             assert np.abs(pushed.a_object - base.a_object).max() > 1e-2
 
 
-@both_laws
-def test_steps_do_not_couple_on_the_rigid_plant(torques):
+def test_steps_do_not_couple_on_the_rigid_plant():
     """The same through the plant of a run: joint-space multipliers, its own wrist and contacts."""
     chain, rng = scara_pair(), np.random.default_rng(11)
     for _ in range(20):
@@ -174,7 +142,9 @@ def test_steps_do_not_couple_on_the_rigid_plant(torques):
             a_u, alpha = rng.normal(size=6) * 3, rng.uniform(5, 20, 2)
             steps = (a_u, alpha), (a_u, alpha + 5.0), (a_u + 1.0, alpha)
             (a0, f0), (a1, f1), (a2, f2) = (
-                plant.accelerations(torques(chain, state, contact, pairs, q, v, *step, B)[0])[1:]
+                plant.accelerations(law_torques(chain, state, contact, pairs, q, v, *step, B)[0])[
+                    1:
+                ]
                 for step in steps
             )
             assert np.abs(a1 - a0).max() <= 1e-9 * np.abs(a0).max()
@@ -183,8 +153,7 @@ def test_steps_do_not_couple_on_the_rigid_plant(torques):
             assert np.abs(a2 - a0).max() > 1e-3
 
 
-@both_allocations
-def test_unfiltered_commands_couple_as_equations_22_and_23_say(allocated):
+def test_unfiltered_commands_couple_as_equations_22_and_23_say():
     """Six motions (d = 6): eqs. 21–23 written out with 6×6 projections."""
     chain, rng = panda_pair(), np.random.default_rng(12)
     for _ in range(60):
@@ -194,8 +163,8 @@ def test_unfiltered_commands_couple_as_equations_22_and_23_say(allocated):
         Tdot_beta = N @ np.linalg.solve(N.T @ N, contact.n_gamma)  # one of many: NᵀṪβ = n_γ
         accel, force = rng.normal(size=6) * 2, rng.normal(size=6) * 10
         eta = np.linalg.solve(state.S, accel + Tdot_beta - state.sigma)
-        f_S = generalised_force(state, eta, force)
-        tau = allocated(chain, q, v, f_S, eta, 0.0)
+        f_S = state.Lambda_S @ eta + state.b_S + state.S.T @ force
+        tau = structured(chain, q, v, f_S, eta, 0.0)
         got = kkt(chain, q, v, tau, N, contact.n_gamma)
         Omega_f = projections.Omega_f(N, state.Phi)
         Omega_m_bar = projections.Omega_m_bar(N, state.Phi)
@@ -208,8 +177,7 @@ def test_unfiltered_commands_couple_as_equations_22_and_23_say(allocated):
         assert np.abs(f_c - Omega_f @ force).max() > 1e-3  # and it does couple
 
 
-@both_allocations
-def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair(allocated):
+def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair():
     """Eqs. 22 and 23 in the coordinates of S, where Λ_S takes the place of Λ₀."""
     chain, rng = scara_pair(), np.random.default_rng(13)
     for _ in range(60):
@@ -217,11 +185,8 @@ def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair(al
         N_S = state.S.T @ contact.N
         offset = N_S @ np.linalg.solve(N_S.T @ N_S, contact.n_gamma - contact.N.T @ state.sigma)
         eta, force = rng.normal(size=5), rng.normal(size=5) * 10
-        F = (
-            state.metric @ state.S @ np.linalg.solve(state.S.T @ state.metric @ state.S, force)
-        )  # any 6-vector with SᵀF = force
-        f_S = generalised_force(state, eta + offset, F)
-        tau = allocated(chain, q, v, f_S, eta, 0.0)
+        f_S = state.Lambda_S @ (eta + offset) + state.b_S + force
+        tau = structured(chain, q, v, f_S, eta, 0.0)
         got = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
         Phi_S = np.linalg.inv(state.Lambda_S)
         D = N_S.T @ Phi_S @ N_S
@@ -232,50 +197,6 @@ def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair(al
         a = state.S @ (want + offset) + state.sigma
         np.testing.assert_allclose(got.a_object, a, atol=1e-9 * np.abs(a).max())
         np.testing.assert_allclose(N_S @ got.alpha, f_c, atol=1e-9 * np.abs(f_c).max())
-
-
-@pytest.mark.parametrize("rig", [scara_pair, panda_pair])
-def test_the_filter_does_not_depend_on_frame_units_or_bases(rig):
-    """200 random frames, units (m → mm) and bases of S and N: the same η̇_c and f_S."""
-    chain, rng = rig(), np.random.default_rng(14)
-    state, contact, *_ = in_contact(chain, rng)
-    B = metrics_B(state, rng)["random"]
-    a_u, alpha = rng.normal(size=6), rng.uniform(5, 20, 2)
-    eta_u = object_coordinates(state, contact, a_u)
-    eta = filtered_motion(state, contact, eta_u, alpha, B, FIXED)
-    f_S = generalised_force(state, eta, contact.N @ alpha)
-    for _ in range(200):
-        X = pin.SE3.Random().action  # motions; forces go with X⁻ᵀ
-        if rng.random() < 0.5:
-            X = np.diag([1e3, 1e3, 1e3, 1, 1, 1]) @ X
-        X_force = np.linalg.inv(X).T
-        Q = np.linalg.qr(rng.normal(size=(state.d, state.d)))[0] * rng.uniform(0.2, 5, state.d)
-        R = np.linalg.qr(rng.normal(size=(2, 2)))[0] * rng.uniform(0.2, 5, 2)
-        moved = replace(
-            state,
-            S=X @ state.S @ Q,
-            sigma=X @ state.sigma,
-            metric=X_force @ state.metric @ X_force.T,
-            Phi=X @ state.Phi @ X.T,
-            Lambda_S=Q.T @ state.Lambda_S @ Q,
-            mu_S=Q.T @ state.mu_S,
-            p_S=Q.T @ state.p_S,
-        )
-        touched = osc.Contact(X_force @ contact.N @ R, R.T @ contact.n_gamma)
-        alpha_R = np.linalg.solve(R, alpha)
-        eta_Q = filtered_motion(
-            moved,
-            touched,
-            object_coordinates(moved, touched, X @ a_u),
-            alpha_R,
-            X @ B @ X.T,
-            FIXED,
-        )
-        np.testing.assert_allclose(Q @ eta_Q, eta, rtol=0, atol=1e-9 * np.abs(eta).max())
-        f_Q = generalised_force(moved, eta_Q, touched.N @ alpha_R)
-        np.testing.assert_allclose(
-            np.linalg.solve(Q.T, f_Q), f_S, rtol=0, atol=1e-9 * np.abs(f_S).max()
-        )
 
 
 def test_response_under_no_freedom_and_full_contact():

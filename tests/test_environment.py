@@ -20,10 +20,10 @@ from environment_scenes import (
     scene,
     twist_at,
 )
-from readable.command_filter import object_coordinates
 from rigs import panda_pair, random_state, scara_pair
 
 import osc_contact as osc
+from osc_contact.control.command_filter import command
 from osc_contact.dynamics.environment import Environment
 from osc_contact.response import contact_response
 
@@ -299,4 +299,4 @@ def test_a_contact_where_nobody_yields_is_refused_and_one_where_the_environment_
     with pytest.raises(osc.ContactError, match="the arms and the environment cannot push"):
         contact_response(state, locked, across, tau=np.zeros(8))
     with pytest.raises(osc.ContactError, match="the arms cannot push"):
-        object_coordinates(state, locked, np.zeros(6))
+        command(state, locked, np.zeros(6), np.zeros(1))

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pinocchio as pin
 import pytest
-from test_decoupling import both_allocations
+from test_decoupling import structured
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import pushes_only
@@ -147,9 +147,8 @@ def test_every_packaged_scenario_has_a_verdict_in_a_test():
     assert {*WORDS, *NAMES, *elsewhere} == set(osc.scenarios.list_scenarios())
 
 
-@both_allocations
 @pytest.mark.parametrize("name", NAMES)
-def test_rigid_plant_decouples_exactly(rigs, name, allocated):
+def test_rigid_plant_decouples_exactly(rigs, name):
     """Steps of one command, ≤ 1e-9 of what they cause in their own space, felt in the other."""
     rig = rigs[name]
     scenario = osc.load_scenario(name, ["plant.type=rigid", "plant.step=1 ms"])
@@ -166,7 +165,7 @@ def test_rigid_plant_decouples_exactly(rigs, name, allocated):
 
     def answer(eta, alpha):
         f_S = s.state.Lambda_S @ eta + s.state.b_S + N_S @ alpha
-        tau = allocated(rig.chain, s.q, s.v, f_S, eta, s.squeeze_d, rig.q_contact, s.state)
+        tau = structured(rig.chain, s.q, s.v, f_S, eta, s.squeeze_d, rig.q_contact, s.state)
         _, a, forces = plant.accelerations(tau)
         return a, forces
 

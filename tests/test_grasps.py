@@ -9,9 +9,6 @@ import pinocchio as pin
 import pytest
 from grasp_oracle import ClosedLoop
 from grasp_rigs import KINDS, grasp_of, random_case, slip_of
-from readable.allocation import Allocation
-from readable.command_filter import filtered_motion, generalised_force
-from readable.force import contact_force, magnitudes, sum_of_wrenches
 from rigs import contact_of, random_faces
 from test_decoupling import commanded
 
@@ -24,7 +21,6 @@ from osc_contact.scenarios.geometry import GRASP_TYPES
 
 ARMS = ("scara", "ur5", "panda", "2R", "3R")
 NOTHING = osc.Contact(np.zeros((6, 0)))
-FIXED = osc.Environment.fixed()
 RTOL = 1e-9
 
 
@@ -135,25 +131,15 @@ def law_knows(case):
     return True
 
 
-def numpy_torques(case, pairs, v, state, contact, a_u, alpha_u, B, posture):
-    """τ and Sη̇_c + σ by eqs. 24 and 21 in NumPy and the allocation that the law is held to."""
-    eta_u = np.linalg.lstsq(state.S, a_u - state.sigma, rcond=None)[0]
-    eta_c = filtered_motion(state, contact, eta_u, alpha_u, B, FIXED)
-    f_S = generalised_force(state, eta_c, contact.N @ alpha_u)
-    tau = Allocation(case.chain, posture).torques(state, case.q, v, f_S, eta_c, 0.0)
-    return tau, state.S @ eta_c + state.sigma
-
-
 def law_torques(case, pairs, v, state, contact, a_u, alpha_u, B, posture):
-    """The same by the law; near singular postures it fades the motion command."""
+    """τ and Sη̇_c + σ of the law; near singular postures it fades the motion command."""
     asked = case.chain, pairs, case.q, v, a_u, alpha_u, B, 0.0
     controller, tau = commanded(*asked, posture=posture)
     s = controller.signals
     return tau, s.state.S @ s.eta_c + s.state.sigma
 
 
-@pytest.mark.parametrize("torques", [numpy_torques, law_torques])
-def test_commands_come_out_on_the_true_rig(torques):
+def test_commands_come_out_on_the_true_rig():
     """Eqs. 21–25: commanded forces and filtered motion are what the full system answers."""
     rng = np.random.default_rng(3)
     pressed = 0
@@ -164,10 +150,10 @@ def test_commands_come_out_on_the_true_rig(torques):
         alpha_u, eta_u = rng.normal(size=contact.r) * 10.0, rng.normal(size=state.d)
         A, a_u = rng.normal(size=(6, 6)), state.S @ eta_u + state.sigma
         B = A @ A.T + np.eye(6)
-        if torques is law_torques and not law_knows(case):
+        if not law_knows(case):
             continue
         try:
-            tau, a_c = torques(case, pairs, v, state, contact, a_u, alpha_u, B, posture)
+            tau, a_c = law_torques(case, pairs, v, state, contact, a_u, alpha_u, B, posture)
         except np.linalg.LinAlgError:  # two arms whose grasps cannot squeeze along their line
             continue
         oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
@@ -211,10 +197,7 @@ def test_exact_plant_agrees_and_wrists_tell_the_contact_force():
         assert miss(a, oracle.a_object) < RTOL
         assert miss(alpha, oracle.alpha) < RTOL
         wrenches = plant.measure().wrenches
-        f_meas = sum_of_wrenches(wrenches, state)
-        got = magnitudes(contact_force(f_meas, state, contact, FIXED), contact)
         size = max(np.abs(alpha).max(initial=0), 1.0)
-        np.testing.assert_allclose(got, alpha, atol=1e-8 * size)
         if law_knows(case):
             asked = case.chain, pairs, case.q, v, np.zeros(6), alpha, "object", 0.0
             found = commanded(*asked, wrenches=wrenches)[0].result()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from grasp_rigs import random_case
-from readable.controller import ReadableController
 from test_grasps import NOTHING, forces
 
 import osc_contact as osc
@@ -25,16 +24,15 @@ def cases():
             yield pytest.param(arms, kinds, which, seed, id=f"{name}-{seed}")
 
 
-@pytest.mark.parametrize("law", [Controller, ReadableController])
 @pytest.mark.parametrize("arms, kinds, which, seed", list(cases()))
-def test_idle_motions_obey_the_posture_task(arms, kinds, which, seed, law):
+def test_idle_motions_obey_the_posture_task(arms, kinds, which, seed):
     """Accelerations by the full system of equations; gravity acts on idle joints too."""
     rng = np.random.default_rng(seed)
     case = random_case(arms, kinds, rng)
     chain = osc.ClosedChain(case.chain.arms, case.chain.grasps, case.chain.payload)
     v, V = (0.1 * x for x in case.moving(rng))
     rest = case.q + 0.05 * rng.normal(size=chain.nq)
-    controller = law(chain, [], posture=rest)
+    controller = Controller(chain, [], posture=rest)
     reference = osc.Reference(case.X_WO, V)
     tau = controller.tick(osc.Measurement(case.q, v, np.zeros((len(arms), 6))), reference)
     assert controller.status in (osc.Status.OK, osc.Status.DEGRADED), controller.reason

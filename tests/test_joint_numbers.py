@@ -6,11 +6,12 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from readable.controller import ReadableController
-from rigs import ROD, one_panda, placed, random_faces, random_state, scara_pair
+from rigs import ROD, one_panda, placed, random_state, scara_pair
+from test_decoupling import strong
 
 import osc_contact as osc
 from osc_contact import robots
+from osc_contact.control.model_row import TURNING_SLIP
 from osc_contact.dynamics.front_end import require_pinocchio_agrees
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.layout import records
@@ -117,20 +118,26 @@ def test_wrong_numbers_of_joints_are_refused_with_their_name(key, value):
 
 
 @pytest.mark.parametrize("joints", [{}, {"armature": ROTORS}])
-def test_torques_are_those_of_the_numpy_law(joints):
-    """h and M with rotors and friction, against the law in NumPy, redundant arm."""
-    chain = panda(**joints, damping=VISCOUS, friction=DRY)
+def test_friction_is_that_of_the_speeds_wanted_two_ticks_ahead(joints):
+    """D v + F s/√(s² + s₀²), s = v + J̄ (V_D + 2 dt A_D − V), on top of what a smooth arm takes."""
     rng = np.random.default_rng(1)
     for _ in range(5):
         q, v = random_state(one_panda(), rng)
-        state = chain.state(q, v)
-        pairs = random_faces(state.X_WO, 2, rng)
-        read = Measurement(q, v, 10 * rng.normal(size=(1, 6)))
-        X_WD = state.X_WO * pin.exp6(pin.Motion(0.02 * rng.normal(size=6)))
-        wanted = Reference(X_WD, 0.1 * rng.normal(size=6), rng.normal(size=6), np.full(2, 9.0))
-        ours = osc.Controller(chain, pairs, GAINS).tick(read, wanted)
-        theirs = ReadableController(chain, pairs, GAINS).tick(read, wanted)
-        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+        tau = []
+        for friction in ({"damping": 0.0, "friction": 0.0}, {"damping": VISCOUS, "friction": DRY}):
+            chain = strong(panda(**joints, **friction))
+            state = chain.state(q, v)
+            wanted = Reference(state.X_WO, 0.1 * np.arange(6.0), np.ones(6))
+            safety = osc.SafetySettings.motors_only()
+            controller = osc.Controller(chain, [], GAINS, safety=safety)
+            tau.append(controller.tick(Measurement(q, v, np.zeros((1, 6))), wanted))
+            assert controller.status is osc.Status.OK, controller.reason
+        J = state.arms[0].J
+        weighed = np.linalg.solve(state.M, J.T)
+        ahead = wanted.V_D + 2e-3 * wanted.A_D - state.V_O
+        s = v + weighed @ np.linalg.solve(J @ weighed, ahead)
+        want = VISCOUS * v + DRY * s / np.hypot(s, TURNING_SLIP)
+        np.testing.assert_allclose(tau[1] - tau[0], want, rtol=1e-9, atol=1e-9)
 
 
 def test_known_friction_and_rotors_leave_the_wanted_acceleration():

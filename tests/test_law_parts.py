@@ -13,11 +13,10 @@ from types import SimpleNamespace as Record
 import numpy as np
 import pinocchio as pin
 import pytest
+from law_calls import algebra, contact, held_object, motion, six, tilt
+from law_calls import columns as columns_of_N
 
-from osc_contact.law import algebra, contact, held_object, motion, six, tilt
-from osc_contact.law import columns as columns_of_N
 from osc_contact.law import tables as at
-from osc_contact.law.jit import as_python
 
 SEEDS = pytest.mark.parametrize("seed", range(6))
 close = np.testing.assert_allclose
@@ -52,21 +51,21 @@ def test_vectors_of_six_and_turned_points(seed):
     rng = rng_of(seed)
     A, a, b, s = rng.normal(size=(6, 6)), rng.normal(size=6), rng.normal(size=6), rng.normal()
     R, (x, y, z) = rng.normal(size=(4, 4)), rng.normal(size=3)
-    close(as_python(six.dot6)(a, b), a @ b, atol=1e-13)
-    assert as_python(six.six)(a) == tuple(a)
-    as_python(six.fill)(out := np.zeros(6), a)
+    close(six.dot6(a, b), a @ b, atol=1e-13)
+    assert six.six(a) == tuple(a)
+    six.fill(out := np.zeros(6), a)
     np.testing.assert_array_equal(out, a)
-    close(as_python(six.add)(a, s, b), a + s * b, atol=1e-13)
-    close(as_python(six.scaled)(s, a), s * a, atol=1e-13)
-    close(as_python(six.times6)(A, a), A @ a, atol=1e-13)
-    close(as_python(six.rotated)(R, x, y, z), R[:3, :3] @ [x, y, z], atol=1e-13)
-    close(as_python(six.rotated_back)(R, x, y, z), R[:3, :3].T @ [x, y, z], atol=1e-13)
+    close(six.add(a, s, b), a + s * b, atol=1e-13)
+    close(six.scaled(s, a), s * a, atol=1e-13)
+    close(six.times6(A, a), A @ a, atol=1e-13)
+    close(six.rotated(R, x, y, z), R[:3, :3] @ [x, y, z], atol=1e-13)
+    close(six.rotated_back(R, x, y, z), R[:3, :3].T @ [x, y, z], atol=1e-13)
     there = pin.SE3(np.eye(3), np.array([x, y, z])).actInv(pin.Motion(a))
-    close(as_python(six.velocity_at)(a, x, y, z), there.linear, atol=1e-13)
+    close(six.velocity_at(a, x, y, z), there.linear, atol=1e-13)
     lower = np.tril(A)
-    as_python(six.mirror)(A)
+    six.mirror(A)
     np.testing.assert_array_equal(A, lower + np.tril(lower, -1).T)
-    close(as_python(algebra.cross)(*a), np.cross(a[:3], a[3:]), atol=1e-13)
+    close(algebra.cross(*a), np.cross(a[:3], a[3:]), atol=1e-13)
 
 
 def test_a_reflector_takes_a_vector_to_an_axis_without_cancellation():
@@ -74,7 +73,7 @@ def test_a_reflector_takes_a_vector_to_an_axis_without_cancellation():
     for head in (2.0, -2.0, 0.0, 1e-9, -1e-9):
         x = rng.normal(size=6)
         x[2] = head
-        alpha, beta = as_python(six.reflector)(x @ x, head)
+        alpha, beta = six.reflector(x @ x, head)
         e = np.eye(6)[2]
         v = x - alpha * e
         H = np.eye(6) - beta * np.outer(v, v)
@@ -93,11 +92,11 @@ def test_reflections_and_their_inverse(m):
     for k in range(m):
         beta[k] = 2.0 / (V[k] @ V[k])
         H = (np.eye(6) - beta[k] * np.outer(V[k], V[k])) @ H
-    as_python(six.reflect)(V, beta, m, y := x.copy())
+    six.reflect(V, beta, m, y := x.copy())
     close(y, H @ x, atol=1e-12)
-    as_python(six.reflect_back)(V, beta, m, y := x.copy())
+    six.reflect_back(V, beta, m, y := x.copy())
     close(y, H.T @ x, atol=1e-12)
-    as_python(six.reflect_sides)(V, beta, m, B := A.copy())
+    six.reflect_sides(V, beta, m, B := A.copy())
     close(B, H @ A @ H.T, atol=1e-12)
 
 
@@ -107,9 +106,9 @@ def test_qr_of_columns_of_six(rows):
     X = rng.normal(size=(8, 6))
     before, R, Q = X[:rows].T.copy(), rng.normal(size=(8, 8)), rng.normal(size=(7, 7))
     diagonal, beta = rng.normal(size=8), rng.normal(size=8)
-    assert as_python(six.qr6)(X, rows, R, diagonal, beta)
+    assert six.qr6(X, rows, R, diagonal, beta)
     assert not np.tril(X[:rows, :rows], -1).any(), "reflectors begin with zeros"
-    as_python(six.form_q6)(X, rows, beta, Q)
+    six.form_q6(X, rows, beta, Q)
     Q = Q[:6, :6].T
     close(Q.T @ Q, np.eye(6), atol=1e-12)
     upper = np.triu(R[:rows, :rows], 1) + np.diag(diagonal[:rows])
@@ -117,7 +116,7 @@ def test_qr_of_columns_of_six(rows):
     for k in range(rows):
         X = rng.normal(size=(8, 6))
         X[k] = 0.0
-        assert not as_python(six.qr6)(X, rows, R, diagonal, beta)
+        assert not six.qr6(X, rows, R, diagonal, beta)
 
 
 # --- dense algebra --------------------------------------------------------------------------------
@@ -131,7 +130,7 @@ def test_cholesky_and_what_it_solves(n, first):
     A = root @ root.T + 0.1 * np.eye(n)
     whole, L = around(rng, A, first), rng.normal(size=(n + 1, n + 1))
     whole[np.triu_indices(len(whole), 1)] = np.nan
-    least = as_python(algebra.cholesky)(whole, first, n, L)
+    least = algebra.cholesky(whole, first, n, L)
     want = np.linalg.cholesky(A)
     close(np.tril(L[:n, :n], -1), np.tril(want, -1), atol=1e-10)
     close(1.0 / np.diag(L)[:n], np.diag(want), rtol=1e-10)
@@ -139,7 +138,7 @@ def test_cholesky_and_what_it_solves(n, first):
     x, b = rng.normal(size=n + first + 2), rng.normal(size=n)
     x[first : first + n] = b
     y = x.copy()
-    as_python(algebra.cholesky_solve)(L, n, y, first)
+    algebra.cholesky_solve(L, n, y, first)
     close(A @ y[first : first + n], b, atol=1e-9)
     y[first : first + n] = b
     np.testing.assert_array_equal(y, x)
@@ -147,10 +146,10 @@ def test_cholesky_and_what_it_solves(n, first):
         for bad in (0.0, -1.0, np.nan):
             broken = A.copy()
             broken[k, k] = bad
-            assert as_python(algebra.cholesky)(broken, 0, n, L) == 0.0
+            assert algebra.cholesky(broken, 0, n, L) == 0.0
     if n > 1:  # positive elements, not definite
         broken = np.ones((n, n)) + np.diag([0.0] + [0.5] * (n - 2) + [-0.1])
-        assert as_python(algebra.cholesky)(broken, 0, n, L) == 0.0
+        assert algebra.cholesky(broken, 0, n, L) == 0.0
 
 
 @SEEDS
@@ -159,11 +158,11 @@ def test_inverse_of_an_inertia(seed):
     root = rng.normal(size=(6, 6))
     A, L, out = root @ root.T + 0.1 * np.eye(6), rng.normal(size=(6, 6)), rng.normal(size=(6, 6))
     pivots = np.diag(np.linalg.cholesky(A)) ** 2
-    least = as_python(algebra.invert_spd6)(np.tril(A), L, out)
+    least = algebra.invert_spd6(np.tril(A), L, out)
     close(out, np.linalg.inv(A), atol=1e-8)
     close(least, min(pivots / np.diag(A)), rtol=1e-9)
     A[seed, seed] = -1.0
-    assert as_python(algebra.invert_spd6)(A, L, out) == 0.0
+    assert algebra.invert_spd6(A, L, out) == 0.0
 
 
 @pytest.mark.parametrize("n", range(1, 8))
@@ -174,14 +173,14 @@ def test_elimination_with_pivots(n):
         A[0, 0] = 0.0 if n > 1 else -2.0
         B = rng.normal(size=(n + columns, n + 1))[: columns + 2]
         rows, behind = B[:columns, :n].copy(), B[columns:].copy()
-        assert as_python(algebra.lu_solve)(around(rng, A) if n != 6 else A.copy(), n, B, columns)
+        assert algebra.lu_solve(around(rng, A) if n != 6 else A.copy(), n, B, columns)
         close(B[:columns, :n] @ A.T, rows, atol=1e-9)
         np.testing.assert_array_equal(B[columns:], behind)
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 6, 7])
 def test_a_matrix_is_singular_where_a_pivot_is_next_to_nothing(n):
-    rng, solve = rng_of(n), as_python(algebra.lu_solve)
+    rng, solve = rng_of(n), algebra.lu_solve
     for k in range(n):
         order = rng.permutation(n)
         for share in (0.0, 0.5e-10, np.nan, 2e-10):
@@ -205,24 +204,24 @@ def test_qr_of_rows_of_any_length(rows, length):
     rng = rng_of(rows + length)
     X = rng.normal(size=(length + 2, length + 2))
     before, diagonal, beta = X[:rows, :length].T.copy(), *rng.normal(size=(2, length + 2))
-    assert as_python(algebra.qr_rows)(X, rows, length, diagonal, beta)
+    assert algebra.qr_rows(X, rows, length, diagonal, beta)
     R = np.triu(X[:rows, :rows].T, 1) + np.diag(diagonal[:rows])
     for count in (rows, length):
         Q = rng.normal(size=(length + 1, length + 1))
-        as_python(algebra.form_q)(X, rows, length, beta, count, Q)
+        algebra.form_q(X, rows, length, beta, count, Q)
         Q = Q[:count, :length].T
         close(Q.T @ Q, np.eye(count), atol=1e-12)
         close(Q[:, :rows] @ R, before, atol=1e-12)
     Z = rng.normal(size=(rows + 1, 5))
     wanted = Z[:rows, :4].copy()
     rest = Z.copy()
-    as_python(algebra.back_substitute)(X, rows, 4, diagonal, Z)
+    algebra.back_substitute(X, rows, 4, diagonal, Z)
     close(R @ Z[:rows, :4], wanted, atol=1e-9)
     Z[:rows, :4] = wanted
     np.testing.assert_array_equal(Z, rest)
     X = rng.normal(size=(rows, length))
     X[rows - 1] = 0.0
-    assert not as_python(algebra.qr_rows)(X, rows, length, diagonal, beta)
+    assert not algebra.qr_rows(X, rows, length, diagonal, beta)
 
 
 @pytest.mark.parametrize(("count", "length"), [(1, 3), (2, 2), (3, 7), (5, 6), (6, 6), (6, 3)])
@@ -239,7 +238,7 @@ def test_rows_rotated_until_they_are_orthogonal(count, length):
             X[:count] *= 10.0 ** -np.arange(count)[:, None]
         X[:count, length : length + count] = np.eye(count)
         before = X.copy()
-        as_python(algebra.one_sided_jacobi)(X, count, length, count)
+        algebra.one_sided_jacobi(X, count, length, count)
         U, rows = X[:count, length : length + count], X[:count, :length]
         close(U @ U.T, np.eye(count), atol=1e-12)
         close(U @ before[:count, :length], rows, atol=1e-12)
@@ -258,7 +257,7 @@ def test_rows_of_next_to_nothing_turn_what_they_carry_without_stretching_it(size
     """Squares of their products have few digits, or none. More rows than directions get there."""
     X = rng_of(7).normal(size=(5, 8)) * size
     X[:, 3:] = np.eye(5)
-    as_python(algebra.one_sided_jacobi)(X, 5, 3, 5)
+    algebra.one_sided_jacobi(X, 5, 3, 5)
     close(X[:, 3:] @ X[:, 3:].T, np.eye(5), atol=1e-14)
 
 
@@ -269,7 +268,7 @@ def test_lower_factor_and_orthonormal_rows(m, r):
         X, Q, L = rng.normal(size=(7, 6)), rng.normal(size=(7, 6)), rng.normal(size=(7, 7))
         X[r - 1] = X[0] + near * X[r - 1]
         before = X.copy()
-        least = as_python(algebra.orthonormalise)(X, r, m, Q, L)
+        least = algebra.orthonormalise(X, r, m, Q, L)
         np.testing.assert_array_equal(X, before)
         Q, L = Q[:r].copy(), L[:r, :r]
         assert not Q[:, :m].any()
@@ -277,16 +276,16 @@ def test_lower_factor_and_orthonormal_rows(m, r):
         close(np.tril(L) @ Q[:, m:], X[:r, m:], atol=1e-13)
         close(least, min(np.diag(L) / np.linalg.norm(X[:r, m:], axis=1)), rtol=1e-9)
     X[r - 1, m:] = 0.0
-    assert as_python(algebra.orthonormalise)(X, r, m, np.zeros((7, 6)), np.zeros((7, 7))) == 0.0
+    assert algebra.orthonormalise(X, r, m, np.zeros((7, 6)), np.zeros((7, 7))) == 0.0
     L, b = rng.normal(size=(r + 1, r + 1)), rng.normal(size=r + 1)
     for solve, A in (("solve_lower", np.tril(L[:r, :r])),
                      ("solve_lower_transposed", np.tril(L[:r, :r]).T)):  # fmt: skip
         x = b.copy()
-        as_python(getattr(algebra, solve))(L, r, x)
+        getattr(algebra, solve)(L, r, x)
         close(A @ x[:r], b[:r], atol=1e-9)
         assert x[r] == b[r]
     x, wanted = rng.normal(size=6), rng.normal(size=r)
-    as_python(algebra.meet)(Q, r, y := x.copy(), wanted)
+    algebra.meet(Q, r, y := x.copy(), wanted)
     close(y, x + Q.T @ (wanted - Q @ x), atol=1e-12)
 
 
@@ -305,7 +304,7 @@ def test_rotation_vectors_of_all_angles_and_axes():
         for angle in angles:
             R = np.full((6, 6), 7.0)
             R[:3, :3] = pin.exp3(angle * w)
-            as_python(motion.rotation_vector)(R, out)
+            motion.rotation_vector(R, out)
             close(out[:3], angle * w, rtol=1e-6, atol=1e-9 if angle > 2.9 else 1e-14)
             assert out[3] == 0.0
 
@@ -315,9 +314,9 @@ def test_exactly_half_a_turn_leaves_the_sign_open_but_not_the_axis():
     out = np.zeros(3)
     for signs in SIGNS:
         w = np.array(signs) / np.linalg.norm(signs)
-        as_python(motion.rotation_vector)(2.0 * np.outer(w, w) - np.eye(3), out)
+        motion.rotation_vector(2.0 * np.outer(w, w) - np.eye(3), out)
         close(np.pi * w, out * np.sign(out @ w), atol=1e-9)
-    as_python(motion.rotation_vector)(np.diag([1.0, -1.0 - 1e-9, -1.0 - 1e-9]), out)  # rounded
+    motion.rotation_vector(np.diag([1.0, -1.0 - 1e-9, -1.0 - 1e-9]), out)  # rounded
     close(abs(out), [np.pi, 0.0, 0.0], atol=1e-8)
 
 
@@ -327,12 +326,12 @@ def test_pose_errors_and_the_motion_law(seed):
     D, B, out = pose(rng), pose(rng), np.zeros(6)
     if seed == 5:  # near a half turn
         D = pin.SE3(turn(rng, 3.13) @ B.rotation, D.translation)
-    as_python(motion.pose_error)(D.homogeneous, B.homogeneous, out)
+    motion.pose_error(D.homogeneous, B.homogeneous, out)
     close(out[:3], D.translation - B.translation, atol=1e-13)
     close(out[3:], pin.log3(D.rotation @ B.rotation.T), atol=1e-7)
     error, integral, V_D, A_D, V_O = rng.normal(size=(5, 6))
     K, k_d, k_i = rng.uniform(1.0, 9.0, 3)
-    as_python(motion.command_motion)(error, integral, V_D, A_D, V_O, K, k_d, k_i, out)
+    motion.command_motion(error, integral, V_D, A_D, V_O, K, k_d, k_i, out)
     wanted = A_D + k_d * (V_D - V_O) + K * error + k_i * integral
     wanted[:3] -= np.cross(V_O[3:], V_O[:3])
     close(out, wanted, atol=1e-12)
@@ -346,7 +345,7 @@ def test_a_rotation_goes_on_and_is_squared_up(seed):
         w = rng.normal(size=3)
         w *= angle / np.linalg.norm(w)
         Y = X.copy()
-        as_python(held_object.rotate)(Y, *w)
+        held_object.rotate(Y, *w)
         close(Y[:3, :3], pin.exp3(w) @ X[:3, :3], atol=1e-11)
         Y[:3, :3] = X[:3, :3]
         np.testing.assert_array_equal(Y, X)
@@ -354,7 +353,7 @@ def test_a_rotation_goes_on_and_is_squared_up(seed):
     X[:3, :3] = turn(rng) + 0.05 * rng.normal(size=(3, 3))
     Q, R = np.linalg.qr(X[:3, :2])
     Q *= np.sign(np.diag(R))
-    as_python(held_object._square_up)(X)
+    held_object._square_up(X)
     close(X[:3, :2], Q, atol=1e-12)
     close(X[:3, 2], np.cross(Q[:, 0], Q[:, 1]), atol=1e-12)
     np.testing.assert_array_equal(X[3], 1.0)
@@ -368,13 +367,13 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         w, p, B = rng.normal(size=3), rng.normal(size=3), np.full((6, 6), 7.0)
         w *= angle / np.linalg.norm(w)
         M = pin.SE3(pin.exp3(w), p)
-        as_python(held_object._remaining)(p, w, B)
+        held_object._remaining(p, w, B)
         close(B[0], pin.log6(M).vector, atol=1e-9)
         twist = np.concatenate((rng.normal(size=3), w))
         M = pose(rng)
         R, point = np.full((6, 6), 7.0), np.append(M.translation, 7.0)
         R[:3, :3], B[1] = M.rotation, twist
-        as_python(held_object._take_off)(R, point, B)
+        held_object._take_off(R, point, B)
         want = M * pin.exp6(-twist)
         close(R[:3, :3], want.rotation, atol=1e-9)
         close(point[:3], want.translation, atol=1e-9)
@@ -404,7 +403,7 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
         frame = np.vstack((tip.rotation, tip.translation))
         out = np.full(6, 7.0)
         scratch = np.zeros((2, 6, 6))
-        as_python(held_object._miss_of_group)(arm, frame, X.homogeneous, *scratch, out * 0.0, out)
+        held_object._miss_of_group(arm, frame, X.homogeneous, *scratch, out * 0.0, out)
         close(out[: len(N)], n, atol=1e-9)
 
 
@@ -421,12 +420,12 @@ def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
     ]
     arm = Record(point=point, axis=axis, tip_axis=tip_axis, grasp=rows, kind=at.HINGE)
     frame = np.vstack((tip.rotation, tip.translation))
-    as_python(held_object._miss)(arm, frame, X.homogeneous, out := np.full(6, 7.0))
+    held_object._miss(arm, frame, X.homogeneous, out := np.full(6, 7.0))
     between = pin.Quaternion.FromTwoVectors(tip_axis, tip.rotation.T @ X.rotation @ axis)
     close(out[:3], tip.actInv(X.act(point)), atol=1e-12)
     close(out[3:5], rows[3:5, 3:] @ pin.log3(between.toRotationMatrix()), atol=1e-9)
     arm.kind = at.BALL
-    as_python(held_object._miss)(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
+    held_object._miss(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
     np.testing.assert_array_equal(ball, [*out[:3], 7.0, 7.0, 7.0])
 
 
@@ -460,7 +459,7 @@ def test_a_believed_face_turns_to_what_slides_on_it(kind, seed):
     want = want / np.linalg.norm(want) - n
     for most in (9.0, 0.5 * np.linalg.norm(want)):
         column = Record(N=N, turn=turned, drift=drift, turned=np.zeros(3), slides=9.0)
-        as_python(tilt.follow_face)(
+        tilt.follow_face(
             Record(drift_share=0.3, tilt=most), kind, row, X.homogeneous, E.homogeneous, V_rel,
             V_goal, column,
         )  # fmt: skip
@@ -472,7 +471,7 @@ def test_turns_are_taken_from_the_last_tick():
     memory = [Record(drift=0.1 * j, turn=np.arange(3.0) + j) for j in range(3)]
     columns = [Record(drift=9.0, slides=9.0, turn=np.full(3, 9.0), turned=np.full(3, 9.0))
                for _ in range(3)]  # fmt: skip
-    as_python(tilt.take_turns)(Record(n_columns=2), memory, columns)
+    tilt.take_turns(Record(n_columns=2), memory, columns)
     for j in range(2):
         assert (columns[j].drift, columns[j].slides) == (memory[j].drift, 0.0)
         np.testing.assert_array_equal(columns[j].turn, memory[j].turn)
@@ -518,7 +517,7 @@ def test_lines_of_force_their_points_and_their_rates(kind, seed):
     turned = 0.1 * rng.normal(size=3) * (kind != at.EDGES)
     column = Record(N=np.zeros(6), turn=turned, n_gamma_all=0.0)
     pair, shapes = Record(kind=kind, first=1, count=1, shape_at=2), [None, None, Record(row=row)]
-    sine = as_python(contact.place_pair)(
+    sine = contact.place_pair(
         pair, shapes, [None, column], X.homogeneous, V_O, E.homogeneous, V_E, V_O - V_E, True,
         np.zeros(6),
     )  # fmt: skip
@@ -540,7 +539,7 @@ def test_lines_of_force_their_points_and_their_rates(kind, seed):
         close(sine, np.linalg.norm(np.cross(*edges)), rtol=1e-9)
     else:
         assert sine == 1.0
-    point = as_python(contact.point_of_contact)(kind, row, X.homogeneous, E.homogeneous, column.N)
+    point = contact.point_of_contact(kind, row, X.homogeneous, E.homogeneous, column.N)
     close(point, line_of(kind, row, X, E, turned)[2] - X.translation, atol=1e-8)
 
 
@@ -549,7 +548,7 @@ def test_motions_that_a_body_carries(seed):
     rng = rng_of(seed)
     V, t, out = rng.normal(size=(3, 6))
     want = out + 0.3 * pin.Motion(V).cross(pin.Motion(t)).vector
-    as_python(contact._add_carried)(V, t, 0.3, out)
+    contact._add_carried(V, t, 0.3, out)
     close(out, want, atol=1e-12)
 
 
@@ -565,7 +564,7 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
                   A_D=A_D, V_D=np.zeros(6), mu=mu)  # fmt: skip
     chain = Record(n_pairs=1, tilt=0.0, reading=at.LEAST_SQUARES, period=dt, slip=slip)
     motion_of = np.concatenate((E.homogeneous.ravel(), V_W, np.zeros(6)))[None]
-    assert as_python(contact.place_contacts)(
+    assert contact.place_contacts(
         chain, [pair], [Record(row=row)], [column], X.homogeneous, V_O, motion_of, moving, work
     )
     if not moving:
@@ -582,7 +581,7 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     close(column.slip, s, atol=1e-10)
     close(column.friction_wrench, mu * np.append(s, np.cross(p, s)), atol=1e-10)
     chain.reading, column.slip[:] = at.FILTER, 9.0
-    as_python(contact.place_contacts)(
+    contact.place_contacts(
         chain, [pair], [Record(row=row)], [column], X.homogeneous, V_O, motion_of, moving, work
     )
     assert (column.slip[0] == 9.0) == (mu == 0.0), "nobody asks"
@@ -603,7 +602,7 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
                 Record(n_gamma=n_gamma[1], share=[0.0, 1.0], extent=1.0, chosen=2),
                 Record(n_gamma=implied, share=share, extent=1.0, chosen=7)]  # fmt: skip
         work = Record(keep=[0.0, 1.0], where=-1, amount=0.0)
-        check = as_python(columns_of_N._consistent)
+        check = columns_of_N._consistent
         assert check(rows, 3, 2, work)
         most = max(summands, 2.0 * np.abs(n_gamma).max())
         for off, fine in ((0.5e-5, True), (-0.5e-5, True), (2e-5, False), (-2e-5, False)):

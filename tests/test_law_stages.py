@@ -11,28 +11,28 @@ from types import SimpleNamespace as Record
 import numpy as np
 import pinocchio as pin
 import pytest
-from rigs import random_faces, random_state, scara_pair
-from test_law import inputs, motion_of, twins
-from test_law_parts import SEEDS, close, pose, rng_of, turn
-
-from osc_contact.law import (
+from law_calls import (
     allocation,
+    arm_terms,
     energy,
     force,
     least_squares,
     phases,
     safety,
+    saturation,
     singular,
     stages,
     verdict,
 )
-from osc_contact.law import command_filter as command
+from law_calls import command_filter as command
+from rigs import random_faces, random_state, scara_pair
+from test_law import UNLIMITED, inputs, motion_of
+from test_law_parts import SEEDS, close, pose, rng_of, turn
+
+import osc_contact as osc
 from osc_contact.law import tables as at
-from osc_contact.law.arm_terms import arm_terms
-from osc_contact.law.jit import as_python
 from osc_contact.law.layout import records
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
-from osc_contact.law.saturation import settle
 
 
 def wrench_at(p):
@@ -47,7 +47,7 @@ class Energy:
         self.R, self.C, self.O = turn(rng), rng.normal(size=3), rng.normal(size=3)
         self.roots = np.sqrt([2.0, 0.03, 0.05, 0.07])
         self.axes = np.zeros((4, 3, 3))
-        as_python(energy.set_axes)(self.R, self.roots, self.axes)
+        energy.set_axes(self.R, self.roots, self.axes)
         L = np.diag(np.repeat(self.roots, [3, 1, 1, 1])) @ np.kron(np.eye(2), self.R.T)
         self.wrench = np.linalg.inv(L.T) @ wrench_at(self.O - self.C)  # of one at O
         self.motion = np.linalg.inv(self.wrench).T
@@ -61,21 +61,21 @@ def test_energy_coordinates(seed):
     rng = rng_of(seed)
     e = Energy(rng)
     f, V, out = rng.normal(size=6), rng.normal(size=6), np.zeros(6)
-    as_python(energy.carry_wrench)(f, e.O, e.C, out)
-    as_python(energy.energy_wrench)(e.axes, out, out)
+    energy.carry_wrench(f, e.O, e.C, out)
+    energy.energy_wrench(e.axes, out, out)
     close(out, e.wrench @ f, atol=1e-10)
-    as_python(energy.world_wrench)(e.axes, out, out)
-    as_python(energy.carry_wrench)(out, e.C, e.O, out)
+    energy.world_wrench(e.axes, out, out)
+    energy.carry_wrench(out, e.C, e.O, out)
     close(out, f, atol=1e-10)
-    as_python(energy.carry_motion)(V, e.O, e.C, out)
-    as_python(energy.energy_motion)(e.axes, out, out)
+    energy.carry_motion(V, e.O, e.C, out)
+    energy.energy_motion(e.axes, out, out)
     close(out, e.motion @ V, atol=1e-10)
-    as_python(energy.world_motion)(e.axes, out, out)
-    as_python(energy.carry_motion)(out, e.C, e.O, out)
+    energy.world_motion(e.axes, out, out)
+    energy.carry_motion(out, e.C, e.O, out)
     close(out, V, atol=1e-10)
     inertia = pin.Inertia(2.0, e.C - e.O, e.R @ np.diag(e.roots[1:] ** 2) @ e.R.T)
     close((e.motion @ V) @ (e.motion @ V), inertia.vtiv(pin.Motion(V)), rtol=1e-9)
-    as_python(allocation._energy_of)(Record(**e.given()), f, out)
+    allocation._energy_of(Record(**e.given()), f, out)
     close(out, e.wrench @ f, atol=1e-10)
 
 
@@ -101,7 +101,7 @@ def test_readings_of_the_wrists_add_up(seed):
             total += at_O.act(pin.Force(wrenches[k])).vector
     work = Record(**e.given(), reading_e=np.ones(6), f_meas=np.ones(6), y=np.zeros(6),
                   s=np.zeros(16), u=np.zeros(6), bias_e=bias)  # fmt: skip
-    as_python(force.sum_readings)(Record(n_arms=3), arms, [None] * 3, joints, work, wrenches, tare)
+    force.sum_readings(Record(n_arms=3), arms, [None] * 3, joints, work, wrenches, tare)
     close(work.f_meas, total - tare, atol=1e-10)
     close(work.reading_e, e.wrench @ (total - tare) - bias, atol=1e-9)
 
@@ -118,7 +118,7 @@ def test_friction_goes_with_the_magnitudes(dependent):
     for mu in (0.0, 0.4):
         work = Record(**e.given(), rank=r, count=3, mu=mu, N=N, u=np.zeros(6),
                       pushed=np.ones((6, 6)), friction_wrenches=np.ones((6, 6)))  # fmt: skip
-        as_python(force.add_friction)(columns, work)
+        force.add_friction(columns, work)
         close(work.friction_wrenches[:r], (mu > 0.0) * D, atol=1e-10)
         close(work.pushed[:r], N[:r] + (mu > 0.0) * D @ e.wrench.T, atol=1e-9)
 
@@ -153,7 +153,7 @@ class Filter:
         self.work.pushed[:r], self.work.Phi_mu[:r, :r] = self.pushed, self.Phi
 
     def measure(self):
-        assert as_python(force.measure_magnitudes)(self.chain, self.work)
+        assert force.measure_magnitudes(self.chain, self.work)
         assert self.work.alpha_meas[self.r :].tolist() == [7.0] * (6 - self.r)
         return self.work.alpha_meas[: self.r]
 
@@ -176,10 +176,10 @@ def test_magnitudes_with_what_the_object_takes(r):
     close(case.work.mobility[:r, :r], mobility, atol=1e-8)
     assert case.work.weightless == 0
     case.work.out_T[:, 2] = case.work.out_T[:, 4]
-    assert not as_python(force.measure_magnitudes)(case.chain, case.work)
+    assert not force.measure_magnitudes(case.chain, case.work)
     case = Filter(r, r)
     case.work.pushed[:r] = case.work.Phi_mu[:r, :r] = 0.0  # nobody pushes and nobody yields
-    assert not as_python(force.measure_magnitudes)(case.chain, case.work)
+    assert not force.measure_magnitudes(case.chain, case.work)
 
 
 @pytest.mark.parametrize(("r", "m"), [(1, 0), (3, 0), (2, 1), (1, 3), (2, 3), (3, 2), (1, 5)])
@@ -195,7 +195,7 @@ def test_magnitudes_at_a_tip_that_has_inertia(r, m):
         P = case.S @ case.S.T  # of no inertia along one of the tip's motions
         P -= np.outer(case.S[:, 0], case.S[:, 0])
         case.work.out_T = (case.Lambda @ P).T
-        assert not as_python(force.measure_magnitudes)(case.chain, case.work)
+        assert not force.measure_magnitudes(case.chain, case.work)
 
 
 @pytest.mark.parametrize("r", [1, 3, 6])
@@ -215,7 +215,7 @@ def ask_force(alpha_d, alpha_meas, speed, integral, least=-inf, gain=20.0, dampi
     full = [np.array([1.0, x, 2.0]) for x in
             (alpha_d, alpha_meas, speed, integral, gain, damping, least)]  # fmt: skip
     a_d, a_m, s, i, g, d, floor = full
-    as_python(force.command_force)(2, a_d, a_m, s, i, g, d, floor, most, 1e-3, after, out)
+    force.command_force(2, a_d, a_m, s, i, g, d, floor, most, 1e-3, after, out)
     assert after[2] == out[2] == 0.0 and after[0] == 1.0
     return out[1], after[1]
 
@@ -228,8 +228,8 @@ def test_the_force_law():
     close(ask_force(8.0, -990.0, 0.0, 0.0), (20.0, 12.0), rtol=1e-12)
     close(ask_force(-8.0, 990.0, 0.0, 0.0), (-20.0, -12.0), rtol=1e-12)
     close(ask_force(1.0, 900.0, 0.0, 0.0), (-4.0, -5.0), rtol=1e-12)
-    assert as_python(force.integral_room)(5.0, -8.0) == 12.0
-    assert as_python(force.integral_room)(5.0, 3.0) == 5.0
+    assert force.integral_room(5.0, -8.0) == 12.0
+    assert force.integral_room(5.0, 3.0) == 5.0
     # no less than α_min, or a tenth of the command; the integral does not go on then
     close(ask_force(8.0, 9.0, 0.1, -1.0, 0.5), (0.5, -1.0), rtol=1e-12)
     close(ask_force(8.0, 7.0, 0.1, -1.0, 0.5), (0.5, -0.98), rtol=1e-12)
@@ -247,7 +247,7 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     columns = [Record(chosen=c) for c in (2, 0, 1)]
     laws = {name: np.full(3, 7.0) for name in ("gain", "damping", "brake", "least")}
     work = Record(rank=2, count=3 if dependent else 2, keep=[1.0, 0.0], **laws)
-    as_python(force.contact_laws)(table, contacts, columns, work)
+    force.contact_laws(table, contacts, columns, work)
     found = np.array([work.gain, work.damping, work.least, work.brake])
     want = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]]
     if not dependent:
@@ -263,7 +263,7 @@ def test_bodies_yield_to_forces_on_themselves(seed):
     columns = [Record(chosen=c) for c in (1, 2, 0)]
     work = Record(rank=3, keep=[2.0, 0.0, 1.0], yields=yields, s=np.full(6, 7.0))
     for body in (0, 1):
-        as_python(least_squares._yield_to)(table, bodies, columns, work, f, body)
+        least_squares._yield_to(table, bodies, columns, work, f, body)
         owners = [same[table[columns[int(a)].chosen].contact] for a in work.keep]
         want = [yields[a] @ f if owners[a] == body else 0.0 for a in range(3)]
         close(work.s[:3], want, atol=1e-12)
@@ -278,14 +278,14 @@ def test_the_least_squares_know_departures_and_tangents(seed):
     R, r = np.zeros((6, 6)), 2
     work = Record(**e.given(), rank=r, count=2, out_T=Lambda.T.copy(), Q=Q, moving=0,
                   z=np.zeros(6), w=np.zeros(6))  # fmt: skip
-    as_python(least_squares._weigh_departure)(mass, work, R)
+    least_squares._weigh_departure(mass, work, R)
     P = np.eye(6) - Q[:r].T @ Q[:r]
     want = 0.01 * mass * Lambda @ P @ Lambda.T + 1e-4 / mass * np.eye(6)
     close(R, want, atol=1e-10)
     columns = [Record(chosen=c, N=rng.normal(size=6), point=rng.normal(size=3),
                       slip=0.7 * turn(rng)[0]) for c in (2, 0, 1)]  # fmt: skip
     goal = np.array([0.3, 9.0, -4.0])
-    largest = as_python(least_squares._weigh_tangents)(None, None, columns, work, goal, R)
+    largest = least_squares._weigh_tangents(None, None, columns, work, goal, R)
     assert largest == 4.0
     for c, w in ((2, 4.0), (0, 1.0)):  # no less than 1 N
         n = columns[c].N[:3] / np.linalg.norm(columns[c].N[:3])
@@ -333,9 +333,7 @@ class Stop:
 def test_a_share_of_the_object_follows_the_joints(seed):
     stop, out = Stop(seed), np.full(6, 7.0)
     for mass in (2.0, 0.0):
-        as_python(safety._accelerate_object)(
-            stop.chain, stop.arms[1], stop.joints, stop.work, mass, out
-        )
+        safety._accelerate_object(stop.chain, stop.arms[1], stop.joints, stop.work, mass, out)
         close(out, stop.pull(mass), atol=1e-10)
 
 
@@ -353,7 +351,7 @@ def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
             stop.table[2 + j].tau_max = carry[j] * np.sign(brake[j]) + room * abs(brake[j])
             other = stop.table[3 - j]
             other.tau_max = abs(carry[1 - j]) + 5.0 * abs(brake[1 - j])
-            share = as_python(safety._split_torques)(
+            share = safety._split_torques(
                 stop.chain, stop.arms[1], stop.table, stop.joints, stop.work, 2.0
             )
             want = min(max(room, 0.1), 1.0) if motors[2 + j] >= 0 else 1.0
@@ -368,7 +366,7 @@ def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
             )
     for j in stop.joints:
         j.acceleration = 0.0
-    assert as_python(safety._split_torques)(
+    assert safety._split_torques(
         stop.chain, stop.arms[1], stop.table, stop.joints, stop.work, 0.0
     ) == 1.0  # fmt: skip
 
@@ -383,9 +381,7 @@ def test_each_arm_carries_its_share_of_the_weight(seed, how):
         X = pin.SE3(stop.memory.X_WO) * stop.own
     stop.memory.located = int(how == "located")
     stop.chain.held = int(how != "nothing")
-    mass = as_python(safety._carry_weight)(
-        stop.chain, stop.arms, stop.memory, stop.joints, stop.work
-    )
+    mass = safety._carry_weight(stop.chain, stop.arms, stop.memory, stop.joints, stop.work)
     if how in ("lost", "nothing"):
         assert mass == 0.0 and not stop.work.y.any() and not stop.work.u[:3].any()
         return
@@ -409,14 +405,14 @@ def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_lar
     chain, arm = Record(lightness=1.0 / reference), Record(full_rank=5)
     for factor, kept, want in ((0.999, 5, False), (1.001, 5, True), (1e-9, 4, True)):
         own = Record(Lambda=factor * Lambda, n_kept=kept)
-        assert as_python(singular.may_be_singular)(chain, arm, own) == want
+        assert singular.may_be_singular(chain, arm, own) == want
 
 
 @pytest.mark.parametrize("chi", [0.0, 1e-10])
 @pytest.mark.parametrize("n", [2, 4, 7])
 def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
     """The axes before it are spanned already: only the last ones are new."""
-    rng, small = rng_of(n), as_python(singular._unit_row)
+    rng, small = rng_of(n), singular._unit_row
     for k in range(n):
         X = np.zeros((n + 1, n + 2))
         X[:k, :k] = np.linalg.qr(rng.normal(size=(k, k)))[0]
@@ -438,15 +434,15 @@ def test_rows_in_order_shares_and_the_way_back():
     X = rng.normal(size=(5, 3 + 6 + 1)) * np.array([0.1, 5.0, 0.01, 2.0, 9.0])[:, None]
     X[1, 3:] *= 1e-6  # what stands behind does not count
     before = X.copy()
-    as_python(singular._sort_rows)(X, 4, 3)
+    singular._sort_rows(X, 4, 3)
     order = [*np.argsort(-np.linalg.norm(before[:4, :3], axis=1)), 4]
     np.testing.assert_array_equal(X[:, :9], before[order, :9])
     np.testing.assert_array_equal(X[:, 9], before[:, 9])
-    share = as_python(singular._share_left)
+    share = singular._share_left
     for s, want in ((-1.0, 0.0), (0.0, 0.0), (0.25, 0.15625), (0.5, 0.5), (1.0, 1.0), (9.0, 1.0)):
         close(share(0.05 + 0.25 * s), want, atol=1e-12)
     chain = Record(posture_stiffness=3.0, retreat_damping=7.0)
-    close(as_python(singular.retreat)(chain, Record(posture=0.5), 0.2, 0.1), 0.9 - 0.7)
+    close(singular.retreat(chain, Record(posture=0.5), 0.2, 0.1), 0.9 - 0.7)
 
 
 @SEEDS
@@ -460,7 +456,7 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     modes = np.linalg.inv(np.linalg.cholesky(M)).T[:, :2].T
     joints = [None] * lo + [Record(M=M[j], h=h[j], tau=tau[j], rest=rest[j]) for j in range(n)]
     own = Record(n_lost=2, mode=modes, gone=[gone, gone], share=[0.3, 0.8])
-    as_python(allocation._retreat_from_lost)(
+    allocation._retreat_from_lost(
         Record(posture_stiffness=3.0, retreat_damping=7.0), Record(first=lo, end=lo + n),
         [Record(posture=p) for p in posture], own, joints, q, v,
     )  # fmt: skip
@@ -483,7 +479,7 @@ def test_terms_of_an_arm_that_holds_rigidly(n):
                   **{name: rng.normal(size=(6, 6)) for name in "ABDE"}, y=np.zeros(6))  # fmt: skip
     arm = Record(Lambda=np.zeros((6, 6)), kept=np.zeros((6, 6)), n_kept=0, n_locked=0)
     locked, row = np.full((12, 7), 7.0), 3
-    count = as_python(arm_terms)(lo, n, 6, True, 1e-6, joints, arm, work, locked, row)
+    count = arm_terms.arm_terms(lo, n, 6, True, 1e-6, joints, arm, work, locked, row)
     weighed = np.linalg.solve(M, J.T)
     J_bar = np.linalg.pinv(J) if n <= 6 else weighed @ np.linalg.inv(J @ weighed)
     close([j.J_bar for j in joints[lo:]], J_bar, rtol=1e-7, atol=1e-8)
@@ -506,7 +502,7 @@ def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
         ((0.0, 0.0, -inf), False, False), ((0.0, np.nan, 0.0), False, True),
     ):  # fmt: skip
         tau, joints = np.full(4, 7.0), [Record(tau=t) for t in torques]
-        found = as_python(allocation.limit_torques)(Record(n_joints=3), table, joints, tau, 1)
+        found = allocation.limit_torques(Record(n_joints=3), table, joints, tau, 1)
         assert found == (excess, finite)
         given = finite and not excess
         assert tau.tolist() == ([7.0, torques[2], torques[0], 7.0] if given else [7.0] * 4)
@@ -518,7 +514,7 @@ def test_joints_are_pushed_away_from_their_limits():
         (0.0, 0.0), (2.0, 0.0), (2.1, -6.0 * 0.15625), (2.2, -3.0), (2.4, -6.0), (3.0, -6.0),
         (-1.0, 0.0), (-1.1, 6.0 * 0.15625), (-1.4, 6.0), (-9.0, 6.0),
     ):  # fmt: skip
-        close(as_python(push)(joint, q), want, atol=1e-12)
+        close(push(joint, q), want, atol=1e-12)
 
 
 @SEEDS
@@ -530,7 +526,7 @@ def test_torques_of_one_arm_for_a_multiplier(seed, wide):
     joints = [Record(rest=0.1 * j, J=J[j], J_bar=J_bar[j], tau=0.0) for j in range(3)]
     table = [Record(effort=x) for x in effort]
     own = Record(wide=wide, effort=metric)
-    as_python(allocation._add_torques)(Record(first=1, end=3), table, own, joints, y)
+    allocation._add_torques(Record(first=1, end=3), table, own, joints, y)
     want = np.array([0.0, 0.1, 0.2])
     want += J @ metric @ y if wide else effort[:3] * (J_bar @ y)
     assert joints[0].tau == 0.0
@@ -548,7 +544,7 @@ def test_the_force_that_the_object_is_to_get(seed, held):
     work = Record(**e.given(), rank=r, locked=m, x=x, u=np.zeros(6), reflectors=V, beta=beta,
                   chain_bias=bias, Lambda=Lambda, pushed_t=pushed, alpha_u=alpha,
                   f_S=np.zeros(6))  # fmt: skip
-    as_python(allocation.command_object)(Record(held=held), work, f)
+    allocation.command_object(Record(held=held), work, f)
     H = [np.eye(6) - beta[k] * np.outer(V[k], V[k]) for k in range(m)]
     want = Lambda @ x + held * x + bias + H[1] @ H[0] @ e.wrench @ f + alpha[:r] @ pushed[:r]
     close(work.f_S, want, atol=1e-9)
@@ -563,7 +559,7 @@ def judged(N, Lambda, held, m=0):
     rows = np.full((6, 6), 7.0)
     rows[: len(N)] = N
     work = Record(rank=len(N), locked=m, N_t=rows, Lambda=Lambda, where=-1, amount=-1.0, **scratch)
-    return as_python(command.require_reachable)(Record(held=held), work), work
+    return command.require_reachable(Record(held=held), work), work
 
 
 @pytest.mark.parametrize("held", [0, 1])
@@ -602,7 +598,7 @@ def test_how_far_columns_are_apart_as_seen_through_the_arms(held, m):
     root, N = rng.normal(size=(6, 6)), rng.normal(size=(3, 6))
     Lambda = root @ root.T
     _, work = judged(N, Lambda, held, m)
-    assert as_python(command._judge_reach)(Record(held=held), work) == at.NO_REASON
+    assert command._judge_reach(Record(held=held), work) == at.NO_REASON
     L = np.linalg.cholesky((Lambda + held * np.eye(6))[m:, m:])
     seen = np.linalg.solve(L, N[:, m:].T)
     pivots = np.abs(np.diag(np.linalg.qr(seen)[1]))
@@ -648,7 +644,7 @@ class Commanded:
         Q, R = np.linalg.qr(self.N_t[:, m:].T)
         self.work.Q_t[:r, m:], self.work.L_t[:r, :r] = Q.T, R.T
         self.work.Q[:r] = np.linalg.qr(self.N.T)[0].T
-        as_python(command.set_metric)(self.chain, self.work)
+        command.set_metric(self.chain, self.work)
 
     def metric_t(self):
         """B⁻¹ in turned coordinates."""
@@ -670,7 +666,7 @@ def test_commands_meet_the_contacts_at_least_cost(metric, r, m):
     work, B = case.work, case.metric_t()
     if metric != at.BY_OBJECT:
         close(work.B_inv_t, B, rtol=1e-9, atol=1e-9)
-    assert as_python(command.filter_motion)(case.chain, work) == at.NO_REASON
+    assert command.filter_motion(case.chain, work) == at.NO_REASON
     free = case.H @ case.e.motion @ work.a_u - case.sigma
     seen, free = case.N_t[:, :m] @ free[:m], free[m:]  # what contacts see of it is not lost
     free = free + np.linalg.pinv(case.N_t[:, m:]) @ seen
@@ -683,14 +679,14 @@ def test_commands_meet_the_contacts_at_least_cost(metric, r, m):
     close(work.x, np.append(case.sigma[:m], want), rtol=1e-6, atol=1e-7)
     if metric != at.BY_OBJECT and r:
         work.B_inv_t[m, m] = -1.0
-        assert as_python(command.filter_motion)(case.chain, work) == at.BAD_METRIC
+        assert command.filter_motion(case.chain, work) == at.BAD_METRIC
 
 
 @METRICS
 def test_errors_that_the_contacts_permit(metric):
     case, error, out = Commanded(3, metric), np.arange(6.0) - 2.0, np.zeros(6)
     by_object = metric == at.BY_OBJECT
-    assert as_python(command.permit_error)(case.chain, case.work, error, out, by_object)
+    assert command.permit_error(case.chain, case.work, error, out, by_object)
     B, N = case.metric_t(), case.N_t
     x = case.H @ case.e.motion @ error
     KKT = np.block([[B, N.T], [N, np.zeros((2, 2))]])
@@ -698,7 +694,7 @@ def test_errors_that_the_contacts_permit(metric):
     close(out, np.linalg.solve(case.H @ case.e.motion, want), rtol=1e-6, atol=1e-7)
     if not by_object:
         case.work.B_inv_t[0, 0] = -1.0
-        assert not as_python(command.permit_error)(case.chain, case.work, error, out, False)
+        assert not command.permit_error(case.chain, case.work, error, out, False)
 
 
 # --- stages ---------------------------------------------------------------------------------------
@@ -711,7 +707,7 @@ def test_every_number_that_comes_in_is_looked_at():
     counts = {"q": 2, "v": 2, "wrenches": 12, "X_WD": 16, "V_D": 6, "A_D": 6, "alpha_d": 3,
               "squeeze": 2, "touched": 56}  # fmt: skip
     given = {name: np.ones(shape) for name, shape in shapes.items()}
-    look = as_python(stages.is_finite)
+    look = stages.is_finite
     for engaged in (False, True):
         for moving in (False, True):
             assert look(chain, *given.values(), engaged, moving)
@@ -735,7 +731,7 @@ def test_friction_that_is_learnt_is_never_negative():
                   reading_e=np.ones(6), y=np.ones(6), u=np.ones(6), bias_e=np.zeros(6))  # fmt: skip
     for more, want in ((0.1, 0.4), (-0.1, 0.2), (-0.5, 0.0)):
         memory = Record(more_friction=more, f_tare=np.zeros(6))
-        reason = as_python(stages.measure)(
+        reason = stages.measure(
             Record(mu=0.3, n_arms=0), [], [], [], [], [], [], work, [], [], [], [], [], memory,
             np.zeros((0, 6)), np.zeros((0, 28)), False, np.zeros(0),
         )  # fmt: skip
@@ -762,7 +758,7 @@ def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase, step_tim
                   brake=np.array([7.0, 8.0]), speed=np.array([0.3, 0.4]), felt=np.zeros(2),
                   alpha_meas=np.array([1.0, 2.0]))  # fmt: skip
     flat = np.array([11.0, 12.0, 0.0, 0.0, 0.0, 0.0])
-    as_python(stages.set_wishes)(chain, owners, contacts, memory, kept, columns, work, flat, own)
+    stages.set_wishes(chain, owners, contacts, memory, kept, columns, work, flat, own)
     near = phase == APPROACHING
     steps = step_time > 0.0 and not own  # from what is measured, and the integral rests
     close(work.alpha_d, [1.0 if steps and not near else 11.0, 2.0 if steps else 12.0])
@@ -783,7 +779,8 @@ def a_tick():
     """A controller of two contacts after a tick, and what the law was given."""
     chain, rng = scara_pair(), rng_of(0)
     q, v = random_state(chain, rng)
-    controller, _ = twins(chain, random_faces(chain.state(q, v).X_WO, 2, rng))
+    pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
+    controller = osc.Controller(chain, pairs, safety=UNLIMITED)
     tick, seen = controller._rows, []
     controller._rows = lambda *given: seen.append(given) or tick(*given)
     controller.tick(*inputs(chain, q, v, rng, 2, motion_of(rng, 2)))
@@ -828,7 +825,7 @@ def test_the_motion_integral_is_handed_over_as_a_wrench(r, m, held):
     case = Commanded(10 * r + m, at.BY_OBJECT, r, m)
     work, total, before = case.work, np.arange(6.0) - 2.0, np.full(6, 0.5)
     memory = Record(motion_sum=total.copy(), f_bias=before.copy())
-    as_python(stages.hand_over)(Record(integral=3.0, held=held), work, memory)
+    stages.hand_over(Record(integral=3.0, held=held), work, memory)
     to_energy = case.H @ case.e.motion
     x = to_energy @ (3.0 * total)
     # what contacts see of a locked motion is not lost
@@ -841,8 +838,8 @@ def test_the_motion_integral_is_handed_over_as_a_wrench(r, m, held):
 def ask_command(flags=0, rank=2, missing=0, integral=2.0, **more):
     """α_u, the integrals and a_u of one tick whose columns and motions are alone."""
     seen = {}
-    decide = as_python(
-        stages.command,
+    decide = stages.altered(
+        "command",
         filter_motion=lambda chain, work: seen.get("reason", at.NO_REASON),
         command_object=lambda chain, work, f_bias: seen.update(bias=f_bias),
         hand_over=lambda chain, work, memory: seen.update(handed=True),
@@ -895,7 +892,7 @@ def test_contacts_take_part_as_their_phase_says():
     cases = [(phase, pushes) for phase in (OPEN, APPROACHING, CLOSED) for pushes in (0, 1)]
     contacts = [Record(phase=phase) for phase, _ in cases]
     bodies = [Record(pushes=pushes) for _, pushes in cases]
-    as_python(phases.set_goals)(chain, bodies, [], contacts, [], [], [])
+    phases.set_goals(chain, bodies, [], contacts, [], [], [])
     for contact, (phase, pushes) in zip(contacts, cases, strict=True):
         near = phase == APPROACHING
         found = contact.active, contact.gain, contact.damping, contact.brake, contact.least
@@ -919,7 +916,7 @@ def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
     for slow, fast in ((pace, -9.0), (9.0, pace), (pace, pace)):  # the slower one counts
         contact, goal = Record(phase=phase, since=since), np.zeros(1)
         column = Record(gap=gap, pace=slow, speed=fast)
-        as_python(phases.set_goals)(chain, [Record(pushes=pushes)], [Record(contact=0)], [contact],
+        phases.set_goals(chain, [Record(pushes=pushes)], [Record(contact=0)], [contact],
                                     [column], np.array([8.0]), goal)  # fmt: skip
         close(goal[0], want)
 
@@ -933,7 +930,7 @@ def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():
 
     def remapped(kept):
         memory = Record(force_rank=2, force_sum=np.array([1.5, -2.5, 0.0, 0.0, 0.0, 0.0]))
-        as_python(phases.remap_force_sums)(chain, memory, owners, contacts, kept, np.zeros(4))
+        phases.remap_force_sums(chain, memory, owners, contacts, kept, np.zeros(4))
         return memory.force_rank, memory.force_sum[:2].tolist()
 
     assert remapped([1, 1, 1, 0]) == (2, [1.5, -2.5])
@@ -944,7 +941,7 @@ def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():
 
 def test_what_is_remembered_of_columns_in_force():
     n, seen = 3, {}
-    remember = as_python(verdict.remember, integers=lambda x, start, count: np.zeros(count, int))
+    remember = verdict.altered("remember", integers=lambda x, start, count: np.zeros(count, int))
     names = remember.__globals__
     names["keep_steps"] = lambda *given: seen.update(steps=[x.copy() for x in given[7:9]])
     names["phases"] = Record(low_pass=lambda *given: seen.update(
@@ -997,7 +994,7 @@ def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
     work.internal[0], work.force_next[0], work.gain[0] = 8.0, 3.0, 20.0
     tau = np.zeros(2)
     found, lost, squeeze = np.array([6.0, -1.0]), np.array([50.0]), np.array([5.0])
-    settle(model, work_bytes, memory_bytes, found, lost, squeeze, tau)
+    saturation.settle(model, work_bytes, memory_bytes, found, lost, squeeze, tau)
     close(memory_bytes[at.MEMORY_BYTES :].view(float), tau)
     close(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
     assert memory.force_rank == 1

@@ -6,14 +6,13 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pytest
+from law_calls import steps
 
-from osc_contact.law import steps
 from osc_contact.law import tables as at
-from osc_contact.law.jit import as_python
 from osc_contact.law.phases import APPROACHING, CLOSED
 
 DT, RISE = 1e-3, 0.05
-shape, keep, brake = map(as_python, (steps.shape_steps, steps.keep_steps, steps.brake_contacts))
+shape, keep, brake = steps.shape_steps, steps.keep_steps, steps.brake_contacts
 
 
 def eased(x):

@@ -12,24 +12,12 @@ from types import SimpleNamespace as Record
 import numpy as np
 import pinocchio as pin
 import pytest
+from law_calls import safety, sensors, watch
 
-from osc_contact.law import safety, sensors, watch
 from osc_contact.law import tables as at
-from osc_contact.law.jit import as_python
 from osc_contact.law.phases import APPROACHING, CLOSED
 
 DT = 1e-3
-watch_joints, watch_contacts, collect = map(
-    as_python, (watch.watch_joints, watch.watch_contacts, watch.collect)
-)
-check_readings, check_sensors, compare_speeds, estimate_joints, jumped = map(
-    as_python,
-    (
-        sensors.check_readings, sensors.check_sensors, sensors.compare_speeds,
-        sensors.estimate_joints, sensors.jumped,
-    ),
-)  # fmt: skip
-enter = as_python(safety._enter)
 BOTH = pytest.mark.parametrize("sign", [1.0, -1.0])
 
 
@@ -52,7 +40,9 @@ def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
     table, memory = [joint(lower=-9.0, upper=9.0)] * 2, joints_memory()
 
     def after(speeds):
-        return [watch_joints(chain, table, memory, [0.0, 0.0], [0.1, sign * v]) for v in speeds]
+        return [
+            watch.watch_joints(chain, table, memory, [0.0, 0.0], [0.1, sign * v]) for v in speeds
+        ]
 
     assert set(after([2.0] * 50)) == {at.NO_REASON}, "at the limit is not above it"
     assert after([2.001] * 5) == [at.NO_REASON] * 4 + [at.OVERSPEED]
@@ -70,13 +60,13 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
             memory, v = joints_memory(), [0.0, 0.0]
             chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=21)
             v[j] = sign * speed * table[j].speed_max
-            found = [watch_joints(chain, table, memory, [0.0, 0.0], v) for _ in range(ticks)]
+            found = [watch.watch_joints(chain, table, memory, [0.0, 0.0], v) for _ in range(ticks)]
             assert found == [at.NO_REASON] * (ticks - 1) + [at.OVERSPEED]
             assert memory.culprit == j
     memory = joints_memory()
-    assert watch_joints(chain, table, memory, [0.0, 0.0], [1e300, 0.0]) == at.OVERSPEED
+    assert watch.watch_joints(chain, table, memory, [0.0, 0.0], [1e300, 0.0]) == at.OVERSPEED
     memory, chain = joints_memory(), Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=4)
-    assert watch_joints(chain, table, memory, [0.0, 0.0], [2.4, 1.6]) == at.OVERSPEED
+    assert watch.watch_joints(chain, table, memory, [0.0, 0.0], [2.4, 1.6]) == at.OVERSPEED
     assert memory.culprit == 1, "the one that is further beyond its limit"
 
 
@@ -91,15 +81,17 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
     chain = Record(n_joints=1, reaction=reaction, period=DT, fast_ticks=99)
     for gap, stops in ((way + 1e-3, False), (way - 1e-3, True), (-1e-3, False)):
         memory, q = joints_memory(), [sign * (1.0 - gap)]
-        found = [watch_joints(chain, [joint()], memory, q, [sign * speed]) for _ in range(4)]
+        found = [watch.watch_joints(chain, [joint()], memory, q, [sign * speed]) for _ in range(4)]
         wanted = at.NEAR_END if stops else at.NO_REASON  # braking does not help beyond the end
         assert found == [at.NO_REASON] * 2 + [wanted] * 2
         assert memory.culprit == (0 if stops else -1)
-        back = watch_joints(chain, [joint()], joints_memory(), q, [-sign * 0.01])
+        back = watch.watch_joints(chain, [joint()], joints_memory(), q, [-sign * 0.01])
         assert back == at.NO_REASON
     at_the_end = [sign * 1.0]
     memory = joints_memory()
-    found = [watch_joints(chain, [joint()], memory, at_the_end, [sign * 0.1]) for _ in range(3)]
+    found = [
+        watch.watch_joints(chain, [joint()], memory, at_the_end, [sign * 0.1]) for _ in range(3)
+    ]
     assert found[-1] == at.NEAR_END, "it still is within its range"
 
 
@@ -108,14 +100,14 @@ def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     """2.5 ms of evidence, and more than one tick."""
     chain = Record(n_joints=1, reaction=0.0, period=period, fast_ticks=99)
     memory = joints_memory()
-    found = [watch_joints(chain, [joint()], memory, [0.99], [1.0]) for _ in range(ticks)]
+    found = [watch.watch_joints(chain, [joint()], memory, [0.99], [1.0]) for _ in range(ticks)]
     assert found == [at.NO_REASON] * (ticks - 1) + [at.NEAR_END]
 
 
 def test_evidence_comes_and_goes_at_the_same_pace():
-    assert collect(0.002, DT, True) == pytest.approx(0.003)
-    assert collect(0.002, DT, False) == pytest.approx(0.001)
-    assert collect(0.0005, DT, False) == 0.0
+    assert watch.collect(0.002, DT, True) == pytest.approx(0.003)
+    assert watch.collect(0.002, DT, False) == pytest.approx(0.001)
+    assert watch.collect(0.0005, DT, False) == 0.0
 
 
 # --- contacts -------------------------------------------------------------------------------------
@@ -138,7 +130,7 @@ class Contacts:
 
     def tick(self, alpha, wanted, speed=(0.0, 0.0)):
         work = Record(rank=2, alpha_meas=alpha, alpha_d=wanted, speed=speed, keep=[0.0, 2.0])
-        return watch_contacts(self.chain, work, self.memory, self.columns, self.kept)
+        return watch.watch_contacts(self.chain, work, self.memory, self.columns, self.kept)
 
     def until(self, reason, *given, most=40):
         """The first tick that ends with this reason; 0: none does."""
@@ -236,7 +228,7 @@ def readings(**more):
 
 
 def judged(given):
-    return check_readings(*vars(given).values())
+    return sensors.check_readings(*vars(given).values())
 
 
 def test_a_rotation_is_one_but_for_a_ten_thousandth():
@@ -336,7 +328,7 @@ class Approach:
         self.work.X_WO[:3, 3] = X[:3, 3] + V[:3] * DT
         self.work.X_WO[:3, :3] = pin.exp3(V[3:] * DT) @ X[:3, :3]
         self.work.speed[:] = speed
-        compare_speeds(self.chain, self.memory, self.owners, self.contacts, self.columns,
+        sensors.compare_speeds(self.chain, self.memory, self.owners, self.contacts, self.columns,
                        self.kept, self.work)  # fmt: skip
         self.memory.X_WO = self.work.X_WO.copy()
         return self.work.speed.copy()
@@ -421,12 +413,12 @@ class Sensors:
         self.count += 1
         wrench = np.full((1, 6), float(self.count)) if wrench is None else wrench
         v = np.array(v) + (1e-9 * self.count if q is None else 0.0)
-        reason = check_sensors(
+        reason = sensors.check_sensors(
             self.chain, self.arms, self.table, self.memory, self.joints, self.wrists, self.last,
             self.q, v, wrench,
         )  # fmt: skip
         self.memory.has_wrench = 1
-        estimate_joints(self.chain, self.table, self.memory, self.joints, self.estimate)
+        sensors.estimate_joints(self.chain, self.table, self.memory, self.joints, self.estimate)
         self.memory.ticked += 1
         return reason
 
@@ -434,11 +426,11 @@ class Sensors:
         """A tick in which nothing was read."""
         nothing = np.full(2, np.nan)
         self.q = self.q + DT * np.array((0.3, -0.4))
-        reason = check_sensors(
+        reason = sensors.check_sensors(
             self.chain, self.arms, self.table, self.memory, self.joints, self.wrists, self.last,
             nothing, nothing, np.full((1, 6), np.nan),
         )  # fmt: skip
-        estimate_joints(self.chain, self.table, self.memory, self.joints, self.estimate)
+        sensors.estimate_joints(self.chain, self.table, self.memory, self.joints, self.estimate)
         return reason
 
     def until(self, most=400, **given):
@@ -663,7 +655,7 @@ def test_a_state_counts_its_ticks_and_a_hold_begins_unsettled():
     for before in range(4):
         for after in range(4):
             memory = Record(state=before, age=7, settled=1)
-            enter(memory, after)
+            safety._enter(memory, after)
             assert (memory.state, memory.age) == (after, 8 if before == after else 1)
             begins = after >= at.HOLD > before
             assert memory.settled == (0 if begins else 1)

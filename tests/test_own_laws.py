@@ -8,11 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 import pytest
-from readable.command_filter import (
-    filtered_motion,
-    generalised_force,
-    object_coordinates,
-)
+from test_commands import by_definition
 
 import osc_contact as osc
 from osc_contact.control.friction import Friction
@@ -76,12 +72,8 @@ def test_a_law_that_returns_nonsense_holds_the_torques(rig: osc.Rig, bad: list[f
 
 def paper(s: Signals) -> tuple[np.ndarray, np.ndarray]:
     """Motion filter and control structure, eqs. 24 and 21, in NumPy."""
-    eta_u = object_coordinates(s.state, s.contact, s.a_u)
-    B = np.linalg.inv(s.state.metric)
-    eta = filtered_motion(
-        s.state, s.contact, eta_u, s.alpha_u, B, s.environment, s.friction_wrenches
-    )
-    return eta, generalised_force(s.state, eta, s.f_ccomm)
+    commands = s.state, s.contact, s.a_u, s.alpha_u, "object"
+    return by_definition(*commands, s.environment, s.friction_wrenches)
 
 
 class BuiltIn:

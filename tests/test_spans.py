@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from readable.command_filter import filtered_motion, object_coordinates
 from test_projections import SIZE, close, frame_change, millimetres, vanishes, well_mixing
 
 import osc_contact as osc
 from osc_contact import projections as P
 from osc_contact import spans
 from osc_contact.contacts.contact import Contact
+from osc_contact.control.command_filter import command
 from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import ContactError
 from osc_contact.response import contact_response
@@ -215,11 +215,9 @@ def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns() -> None:
 
         def solve(contact: Contact, share: np.ndarray, **given: object) -> list[np.ndarray]:
             a, f_S, environment = given["a"], given["f_S"], given["environment"]
-            eta = object_coordinates(state, contact, a)
             answer = contact_response(state, contact, environment, f_S=f_S)
-            B = np.linalg.inv(state.metric)
-            filtered = filtered_motion(state, contact, f_S, share, B, environment)
-            return [eta, filtered, answer.f_c, answer.acceleration]
+            commands = command(state, contact, a, share, "object", environment)
+            return [*commands, answer.f_c, answer.acceleration]
 
         given = {"a": a, "f_S": f_S, "environment": environment}
         found = solve(near, share, **given)
