@@ -154,7 +154,8 @@ def exact_optimum(case, tau):
     forces = share @ force
     unit = fractions(np.sqrt((forces.astype(float) ** 2).sum(axis=1)))
     A = np.vstack((fractions(np.eye(n)), forces / unit[:, None]))
-    wanted, tau_max = fractions(case.wanted), fractions(case.tau_max)
+    wanted = fractions(case.wanted)
+    tau_max = fractions(np.minimum(case.tau_max, 1e12))  # of motors without a limit
     ends = np.hstack(((tau_max - wanted) / scale, fractions(np.zeros(k))))
     least = np.minimum((floor - share @ fractions(case.alpha)) / unit, 0)
     starts = np.hstack(((-tau_max - wanted) / scale, least))

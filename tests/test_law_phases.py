@@ -59,7 +59,7 @@ def end_tick(chains, column_memory, here, alpha, speed, D, chosen, r, independen
     chain = chains[0]
     for j in range(len(here)):
         if here[j]:
-            expect(chain, column_memory[j], goal[j], hot)
+            expect(chain, column_memory[j], goal[j], hot, chain.period)
         else:
             column_memory[j].expected = 0.0
     low_pass(

@@ -19,7 +19,6 @@ from law_calls import (
     least_squares,
     phases,
     safety,
-    saturation,
     singular,
     stages,
     verdict,
@@ -33,6 +32,7 @@ import osc_contact as osc
 from osc_contact.law import tables as at
 from osc_contact.law.layout import records
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
+from osc_contact.law.saturation import settle
 
 
 def wrench_at(p):
@@ -753,7 +753,7 @@ def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase, step_tim
     kept = [Record(drift=0.1, wished=0, wish=0.0, scale=0.0, to_come=np.zeros(3)) for _ in range(2)]
     columns = [Record(chosen=j, goal=9.0, scale=9.0, shaped=9, to_come=np.ones(3))
                for j in range(2)]  # fmt: skip
-    work = Record(rank=2, count=2, keep=[0.0, 1.0], step_left=9.0, step_time=9.0, heed=9.0,
+    work = Record(rank=2, count=2, dt=1e-3, keep=[0.0, 1.0], step_left=9.0, step_time=9.0, heed=9.0,
                   alpha_d=np.zeros(2), gain=np.array([3.0, 4.0]), damping=np.array([5.0, 6.0]),
                   brake=np.array([7.0, 8.0]), speed=np.array([0.3, 0.4]), felt=np.zeros(2),
                   alpha_meas=np.array([1.0, 2.0]))  # fmt: skip
@@ -847,7 +847,7 @@ def ask_command(flags=0, rank=2, missing=0, integral=2.0, **more):
     )
     chain = Record(period=1e-3, integral_force=5.0, integral_motion=0.8, integral=integral,
                    stiffness=3.0, damping=4.0)  # fmt: skip
-    work = Record(rank=2, n_lost=0, locked=0, gain=np.array([20.0, 30.0]), w=np.zeros(6),
+    work = Record(rank=2, dt=1e-3, n_lost=0, locked=0, gain=np.array([20.0, 30.0]), w=np.zeros(6),
                   alpha_d=np.array([8.0, 9.0]), felt=np.array([6.0, 10.0]),
                   speed=np.array([0.01, 0.02]), damping=np.array([100.0, 0.0]),
                   least=np.full(2, -inf), force_next=np.zeros(2), alpha_u=np.full(2, 7.0),
@@ -950,7 +950,7 @@ def test_what_is_remembered_of_columns_in_force():
     for phased in (0, 1):
         seen.clear()
         chain = Record(n_columns=n, phased=phased, period=1e-3, lag=0.01)
-        work = Record(rank=2, count=2, status=at.OK, more_friction=0.2, X_WO=np.ones((4, 4)),
+        work = Record(rank=2, count=2, dt=1e-3, status=at.OK, more_friction=0.2, X_WO=np.ones((4, 4)),
                       force_next=np.array([1.0, 2.0]), motion_next=np.arange(6.0), weightless=0,
                       alpha_meas=np.array([5.0, 6.0]), speed=np.array([0.3, 0.4]),
                       mobility=None, D=None, E=None)  # fmt: skip
@@ -992,9 +992,10 @@ def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
     work = records(work_bytes, 0, 1, at.WORK)[0]
     memory.ticked, work.n_internal, work.rank = ticked, n_internal, 1
     work.internal[0], work.force_next[0], work.gain[0] = 8.0, 3.0, 20.0
+    work.dt = 1e-3
     tau = np.zeros(2)
     found, lost, squeeze = np.array([6.0, -1.0]), np.array([50.0]), np.array([5.0])
-    saturation.settle(model, work_bytes, memory_bytes, found, lost, squeeze, tau)
+    settle(model, work_bytes, memory_bytes, found, lost, squeeze, tau)
     close(memory_bytes[at.MEMORY_BYTES :].view(float), tau)
     close(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
     assert memory.force_rank == 1

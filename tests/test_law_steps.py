@@ -50,7 +50,7 @@ class Forces:
         for place, j in enumerate(self.chosen):
             self.columns[place].chosen = j
         self.work = Record(
-            count=len(self.chosen), step_left=0.0, step_time=RISE, heed=0.0, status=at.OK
+            count=len(self.chosen), dt=DT, step_left=0.0, step_time=RISE, heed=0.0, status=at.OK
         )
 
     def tick(self, goal, measured=None, speed=None):

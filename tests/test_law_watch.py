@@ -28,7 +28,7 @@ def joint(**more):
 
 
 def joints_memory():
-    return Record(overspeed=0, ending=0.0, culprit=-1, faults=0)
+    return Record(overspeed=0, ending=0.0, culprit=-1, faults=0, gap=0)
 
 
 # --- joints ---------------------------------------------------------------------------------------
@@ -123,7 +123,13 @@ class Contacts:
             "regain_time": 0.0305,
         } | more)  # fmt: skip
         self.memory = Record(
-            faults=0, force_rank=2, force_sum=np.zeros(2), state=at.RUN, powered=0.0, culprit=-1
+            faults=0,
+            gap=0,
+            force_rank=2,
+            force_sum=np.zeros(2),
+            state=at.RUN,
+            powered=0.0,
+            culprit=-1,
         )
         self.columns = [Record(chosen=k) for k in (2, 9, 0, 9)]
         self.kept = [Record(underforce=0.0, overforce=0.0, astray=0.0) for _ in range(3)]
@@ -306,7 +312,7 @@ class Approach:
     def __init__(self, seed=0, phase=APPROACHING):
         rng = np.random.default_rng(seed)
         self.chain = Record(period=DT, approach_speed=0.02)
-        self.memory = Record(compared=1, faults=0, X_WO=np.eye(4))
+        self.memory = Record(compared=1, gap=0, X_WO=np.eye(4))
         self.work = Record(
             rank=2, keep=[0.0, 2.0], V_N=0.01 * rng.normal(size=2), speed=np.zeros(2),
             X_WO=np.eye(4), y=np.zeros(6),
@@ -383,7 +389,7 @@ def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
 
 
 MEMORY = dict.fromkeys(
-    ("compared", "faults", "culprit", "has_wrench", "wrench_missing", "repeated", "ticked",
+    ("compared", "faults", "gap", "culprit", "has_wrench", "wrench_missing", "repeated", "ticked",
      "apart", "unbraked", "derived"), 0,
 ) | {"frozen": 0.0, "still": 0.0, "engaged": 1, "force_rank": 1, "state": at.RUN}  # fmt: skip
 
@@ -500,7 +506,7 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
     """Wrists are live: an encoder's card repeats itself."""
     still = np.ones(2)
     for j in range(2):
-        for speed, ticks in ((1.3, 11), (0.7, 18)):  # rad/s; more than 12.5 mrad, after 10.5 ms
+        for speed, ticks in ((1.3, 11), (0.03, 14)):  # rad/s; more than 0.4 mrad, after 10.5 ms
             sensors, v = Sensors(speed_error=inf, position_drift=0.05), np.zeros(2)
             v[j] = sign * speed
             sensors.tick(v=v, q=still)
@@ -521,7 +527,7 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
 def test_an_encoder_is_stuck_when_its_joint_should_have_gained_a_tenth_of_its_limit(sign, every):
     """Also with every 2nd or 3rd tick lost: the evidence counts time."""
     for j in range(2):
-        sensors = Sensors(speed_error=inf, position_drift=inf)
+        sensors = Sensors(speed_error=inf, position_drift=inf, frozen_time=inf)
         ticks, reason = 0, at.NO_REASON
         sensors.tick(q=np.zeros(2))
         sensors.joints[j].acceleration = sign * 10.3  # rad/s²; a tenth is 0.2 rad/s

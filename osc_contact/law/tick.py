@@ -128,7 +128,8 @@ def _row(
         work.status, work.commanded = OK, 1 if flags & COMMANDED != 0 else 0
         work.moving = 1 if moving else 0
         work.rank, work.count = 0, 0
-        work.dt = chain.period * (1 + min(memory.gap, MOST_LOST))
+        lost = memory.gap if memory.ticked != 0 else 0  # nothing passes before the first tick
+        work.dt = chain.period * (1 + min(lost, MOST_LOST))
         engaged = memory.engaged != 0 and c > 0
         misfit = engaged and flags & NO_WISHES != 0
         engaged = engaged and not misfit
