@@ -366,6 +366,9 @@ def same_in_a_batch(t):
 def judge(t):
     """Count a tick by its kind after everything that the oracle says of it has been compared."""
     state, status, names = t.state, t.controller.status, {c.name for c in t.contacts}
+    if status is osc.Status.HELD and "are dependent" in t.controller.reason:
+        assert state.apart() < APART, state.apart()  # all but, through arms near a singular posture
+        return "held"
     if status is osc.Status.HELD:
         assert "motors cannot drive" in t.controller.reason, t.controller.reason
         assert len(state.case.grasps) == 2

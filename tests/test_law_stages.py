@@ -950,7 +950,8 @@ def test_what_is_remembered_of_columns_in_force():
     for phased in (0, 1):
         seen.clear()
         chain = Record(n_columns=n, phased=phased, period=1e-3, lag=0.01)
-        work = Record(rank=2, count=2, dt=1e-3, status=at.OK, more_friction=0.2, X_WO=np.ones((4, 4)),
+        work = Record(rank=2, count=2, dt=1e-3, status=at.OK, more_friction=0.2,
+                      X_WO=np.ones((4, 4)),
                       force_next=np.array([1.0, 2.0]), motion_next=np.arange(6.0), weightless=0,
                       alpha_meas=np.array([5.0, 6.0]), speed=np.array([0.3, 0.4]),
                       mobility=None, D=None, E=None)  # fmt: skip
