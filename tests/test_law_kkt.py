@@ -203,9 +203,7 @@ def tick(state, contacts, i, rng):
         B=B,
         bodies=[None if c.on is None else c.on.known for c in contacts],
         friction=Friction(state.mu, slip=1e-9) if state.mu else None,
-        reading="filter"
-        if len(contacts) > len(state.contacts)
-        else ("filter", "filter", None)[i // 2 % 3],
+        reading=("filter", "filter", None)[i // 2 % 3],
         posture=case.q + 0.1 * rng.normal(size=case.chain.nq),
         safety=osc.SafetySettings.motors_only(),  # random speeds are above the joints' limits
     )
@@ -215,7 +213,9 @@ def tick(state, contacts, i, rng):
         seen = np.array([rest if c.on is None else c.on.seen() for c in contacts])
         X_WE, V_E, A_E = np.split(seen, (16, 22), axis=1)
         touched = osc.interface.Touched(X_WE.reshape(-1, 4, 4), V_E, A_E)
-    truth = state.answer(20.0 * rng.normal(size=case.chain.n_a))
+    # six numbers an arm whatever its motors: the states that follow are the same for every rig
+    torques = np.resize(20.0 * rng.normal(size=(k, 6)), case.chain.n_a)
+    truth = state.answer(torques)
     measured = osc.Measurement(case.q, state.v, state.readings(truth), touched)
     squeeze = rng.uniform(0.0, 5.0, k * (k - 1) // 2) * rigid
     reference = osc.Reference(
@@ -368,9 +368,6 @@ def same_in_a_batch(t):
 def judge(t):
     """Count a tick by its kind after everything that the oracle says of it has been compared."""
     state, status, names = t.state, t.controller.status, {c.name for c in t.contacts}
-    if status is osc.Status.HELD and "seen through the arms" in t.controller.reason:
-        assert len(t.contacts) > len(state.contacts) and len(state.N) == 6, "nothing is free"
-        return "held"
     if status is osc.Status.HELD:
         assert "motors cannot drive" in t.controller.reason, t.controller.reason
         assert len(state.case.grasps) == 2
@@ -386,8 +383,6 @@ def judge(t):
         "force": miss_of_forces(t, answer.alpha, forces_asked_for(t)),
     }
     kind = "rough" if names & ROUGH else "near" if apart < APART else "well apart"
-    if misses["reading"] > RTOL:  # near a singular posture readings lose digits, and so do forces
-        rtol, kind = max(rtol, 1e5 * misses["reading"]), "near"
     if status is osc.Status.DEGRADED:
         rtol, kind = max(rtol, FADED_RTOL * looser), "faded"
     else:
@@ -433,7 +428,7 @@ def test_torques_bring_the_forces_and_the_motion_asked_for(rig, surroundings):
     assert seen["bodies"] == (set() if where.on is in_the_world else set(BODIES))
     assert seen["pairs"] >= {name for name in where.pairs if rig == "ur5" or COLUMNS[name] < 2}
     assert max(count["near"], count["rough"]) < 2 * STATES
-    assert max(count["held"], count["faded"]) < (4 * STATES if mixed else STATES // 4)
+    assert max(count["held"], count["faded"]) < 4 * STATES * mixed + 1
 
 
 def test_there_are_two_thousand_states_on_every_pair():
