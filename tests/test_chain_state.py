@@ -130,7 +130,7 @@ def test_random_chains_with_every_grasp():
 
 
 def test_nothing_held_and_gravity_that_changes():
-    """The tip has no inertia of its own: metric and ranks are those of a small ball."""
+    """The tip has no inertia: metric and ranks are those of a small ball."""
     panda, rng = one_panda(), np.random.default_rng(72)
     chain = osc.ClosedChain(panda.arms, panda.grasps, None)
     for gravity in ([0.0, 0.0, -9.81], [1.0, -3.0, 2.0]):

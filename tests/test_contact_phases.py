@@ -56,7 +56,7 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
     """
     chain, rng = chain(), np.random.default_rng(51)
     seen = set()
-    for k in range(16):
+    for k in range(32):
         q, v = random_state(chain, rng)
         X = chain.state(q, v).X_WO
         pairs = random_faces(X, 2, rng)

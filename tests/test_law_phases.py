@@ -478,7 +478,7 @@ def random_ticks(rng, n, ticks):
     return out
 
 
-def tell(seed, ticks=400):
+def run_story(seed, ticks=400):
     """A random story; returns the transitions that happened, and all that was remembered."""
     rng = np.random.default_rng(seed)
     owners, pushing, k, dt = random_contacts(rng)
@@ -509,7 +509,7 @@ def tell(seed, ticks=400):
 
 def test_random_stories_make_every_transition_but_from_open_to_closed():
     """Held ticks, dependent columns and integrals of other ranks among them."""
-    happened = set().union(*(tell(seed)[0] for seed in range(24)))
+    happened = set().union(*(run_story(seed)[0] for seed in range(24)))
     both = {(a, b) for a in range(3) for b in range(3)} - {(OPEN, CLOSED)}
     assert happened == both | {"collision"}
 
@@ -574,7 +574,7 @@ PLAIN = "import sys, numpy, test_law_phases as t; numpy.save(sys.argv[1], t.tell
 
 
 def tell_some():
-    return np.concatenate([tell(seed, 120)[1].ravel() for seed in range(6)])
+    return np.concatenate([run_story(seed, 120)[1].ravel() for seed in range(6)])
 
 
 def test_compiled_and_plain_python_remember_the_same(tmp_path):

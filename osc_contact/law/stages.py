@@ -114,25 +114,25 @@ def take_in(chain, work, arm_work, joints, columns, body_work, q, v, wrenches, X
 
 
 @inner
-def advance_contacts(chain, bodies, table, memory, contacts, column_memory, work, flat, alpha_d):
-    """Open, approach and close contacts; the goals of their forces go to flat[:n].
+def advance_contacts(chain, bodies, table, memory, contacts, column_memory, work, flat):
+    """Open, approach and close contacts; desired forces become the goals of this tick.
 
     What a tick measured is judged once, by the next tick that is computed.
 
     Args:
-        flat: (r_all,) for the goals (N). alpha_d: (r_all,) desired forces (N).
+        flat: flat[:n] are the desired forces (N), then the goals.
     """
     n = chain.n_columns
     goal, kept, scratch = flat[:n], flat[n : 2 * n], flat[2 * n : 3 * n]
     if memory.fresh != 0:
         memory.fresh = 0
         changed = phases.advance_phases(
-            chain, bodies, table, contacts, column_memory, alpha_d, kept, work.dt
+            chain, bodies, table, contacts, column_memory, goal, kept, work.dt
         )
         if changed:
             memory.hand_over = 1
         phases.remap_force_sums(chain, memory, table, contacts, kept, scratch)
-    phases.set_goals(chain, bodies, table, contacts, column_memory, alpha_d, goal)
+    phases.set_goals(chain, bodies, table, contacts, column_memory, goal, goal)
 
 
 @inner

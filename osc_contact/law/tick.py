@@ -150,13 +150,10 @@ def _row(
                 chain, work, arm_work, joints, columns, body_work, q, v, wrenches, X_WD, V_D, A_D,
                 alpha_d, touched, engaged, moving,
             )  # fmt: skip
+            for j in range(r_all):
+                flat[j] = alpha_d[j] if engaged else 0.0
             if chain.phased != 0 and engaged:
-                advance_contacts(
-                    chain, bodies, owners, memory, contacts, column_memory, work, flat, alpha_d
-                )
-            else:
-                for j in range(r_all):
-                    flat[j] = alpha_d[j] if engaged else 0.0
+                advance_contacts(chain, bodies, owners, memory, contacts, column_memory, work, flat)
             choose_columns(chain, owners, contacts, columns, work)
             reason = solve_chain(chain, arms, table, memory, work, arm_work, joints, locked, q, v)
             for i in range(3):
