@@ -224,7 +224,8 @@ class Controller(ControllerCopies):
         """At the start; with bodies that move, stamps, three arms, or code of the user's."""
         if measurement.stamps is not None or measurement.sequence is not None:
             self._records.memory.repeated = self._freshness.require(measurement)
-        self._records.memory.derived = measurement.estimated
+        if measurement.estimated:
+            self._records.memory.derived = 1
         if self._converting and self._in_parts:  # code of the user's takes arrays
             measurement, reference = convert_arrays(measurement, reference)
         if self._starting and self._start.is_done(self, measurement):

@@ -59,7 +59,6 @@ class MotorLimits:
         if len(rows.bars) > 1:
             s = int(self._sizes[3])
             rows.bars[:] -= rows.bar_basis()[:, :s] @ program.lost_squeeze[:s]
-        _count_computed(rows)
         if not self._warm:
             self._fill, self._settle, self._warm = direct(self._fill), direct(self._settle), True
 
@@ -99,17 +98,12 @@ def scale_torques(rows: TickRecords, chain: ClosedChain, tau: Array) -> LimitLos
             1.0, np.max(np.abs(tau - rows.torques) / step)
         )
     rows.torques[:] = tau
-    _count_computed(rows)
+    rows.memory.faults = 0  # computed after all
+    rows.memory.lost = max(int(rows.memory.lost) - 1, 0)
     return LimitLoss(
         (chain.joint_names[chain.actuated[motor]],), wanted[[motor]], chain.tau_max[[motor]],
         np.zeros(0), np.zeros(6), np.zeros(0), False,
     )  # fmt: skip
-
-
-def _count_computed(rows: TickRecords) -> None:
-    """Note that this tick was computed after all, as `law.safety` does of others."""
-    rows.memory.faults = 0
-    rows.memory.lost = max(int(rows.memory.lost) - 1, 0)
 
 
 def _count_idle(chain: ClosedChain) -> int:

@@ -29,7 +29,7 @@ from osc_contact.law.tables import (
     SATURATED,
 )
 
-__all__ = ["BRAKE_RATE", "guard"]
+__all__ = ["BRAKE_RATE", "count_computed", "guard"]
 
 _AT_REST = 0.02  #: rad/s, m/s: below it a braked joint is held where it is
 _BRAKING = 0.3  #: s; a joint that still moves then is held all the same
@@ -66,7 +66,7 @@ def guard(
             joint_memory[j].acceleration = joints[j].acceleration
         memory.has_wrench = 1
         if work.status != SATURATED:  # then the motor limits still have to be met
-            memory.faults, memory.lost = 0, max(memory.lost - 1, 0)
+            count_computed(memory)
         memory.repeats = chain.repeats if work.status != SATURATED else 0
         fine = work.status == OK and memory.wrench_missing == 0
         _enter(memory, RUN if fine else DEGRADED_STATE)
@@ -95,6 +95,12 @@ def guard(
             chain, arms, table, work, memory, joints, joint_memory, estimate, step, last, tau, first
         )
     return reason
+
+
+@leaf
+def count_computed(memory):
+    """Note that a tick was computed: no faults in a row, one less among the last ones."""
+    memory.faults, memory.lost = 0, max(memory.lost - 1, 0)
 
 
 @inner

@@ -8,6 +8,7 @@ from osc_contact.law.algebra import cholesky, cholesky_solve
 from osc_contact.law.arm_terms import factor_inertia
 from osc_contact.law.jit import entry, inner, matrix, numbers
 from osc_contact.law.phases import haste, slew, torque_rate
+from osc_contact.law.safety import count_computed
 from osc_contact.law.six import dot6, reflect
 from osc_contact.law.tables import (
     read_arm_work,
@@ -171,6 +172,7 @@ def settle(model, raw, memory_bytes, found, lost_force, lost_squeeze, tau):
     chain, work = read_chain(model, 0, 1)[0], read_work(raw, 0, 1)[0]
     memory = read_memory(memory_bytes, 0, 1)[0]
     last = numbers(memory_bytes, chain.torque_memory_at, chain.n_motors)
+    count_computed(memory)
     for i in range(chain.n_motors):
         tau[i] = found[i]
     if memory.ticked > 1:

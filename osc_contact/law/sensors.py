@@ -21,7 +21,7 @@ from osc_contact.law.energy import world_wrench
 from osc_contact.law.force import add_reading
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import APPROACHING
-from osc_contact.law.six import dot6
+from osc_contact.law.six import add, dot6, fill, scaled
 from osc_contact.law.tables import (
     APART,
     DISAGREE,
@@ -198,22 +198,22 @@ def check_arms(chain, arms, table, memory, work, arm_work, joints, joint_memory,
 @inner
 def _balance_arm(chain, arm, table, memory, work, own, joints, joint_memory, last, dt):
     """Whether unexplained torques of an arm have been too large for too long, see `check_arms`."""
-    load, moved, found = work.y, work.z, False
+    found = False
     first = 1.0 / memory.balanced  # low-passes begin as plain means
     k, slow = max(dt / (_BALANCE + dt), first), max(dt / (_USUAL + dt), first)
-    for i in range(6):
-        load[i] = -own.bias[i]
-        moved[i] = 0.0
+    weight, moving = scaled(-1.0, own.bias), scaled(0.0, own.bias)
     for j in range(arm.first, arm.end):
         known, v = joint_memory[j], joints[j].v
         if memory.balanced > 1:  # the same low-pass as that of torques, also while it begins
             known.rate += k * ((v - known.past_v) / dt - known.rate)
         known.past_v = v
         if arm.outer_joint >= 0:  # of what is beyond the wrist, in energy coordinates
-            along = dot6(joints[j].J_bar, own.gamma) if arm.filtered != 0 else 0.0
-            for i in range(6):
-                moved[i] += joints[j].outboard[i] * known.rate
-                load[i] -= joints[j].outboard[i] * along
+            moving = add(moving, known.rate, joints[j].outboard)
+            if arm.filtered != 0:
+                weight = add(weight, joints[j].offset, joints[j].outboard)
+    load, moved = work.y, work.z
+    fill(load, weight)
+    fill(moved, moving)
     world_wrench(work.axes, moved, moved)
     if arm.outer_joint >= 0 and arm.filtered != 0:
         world_wrench(work.axes, load, load)
@@ -365,12 +365,12 @@ def _check_joint(chain, memory, known, limit, step, v, dt):
     gained = min(abs(known.pending), _GAIN * chain.stuck_speed * limit)
     known.gained = known.gained + gained if step == 0.0 else 0.0
     error = min(max(v - slope, -2.0 * limit), 2.0 * limit)
-    known.error += (error - known.error) * dt / (_LAG + dt)
+    k, lag = dt / (_MODEL + dt), dt / (_LAG + dt)
+    known.error += lag * (error - known.error)
     drift = (known.drift + error * dt) * (1.0 - min(dt / _FORGET, 1.0))
     explained = _SCALE * dt * abs(v)
     drift = max(drift - explained, 0.0) if drift > 0.0 else min(drift + explained, 0.0)
     known.drift = drift
-    k, lag = dt / (_MODEL + dt), dt / (_LAG + dt)
     known.model_v += known.pending
     known.model_q += known.pending
     known.surprise_v += lag * (v - known.model_v - known.surprise_v)
