@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import ModelError
-from osc_contact.robots.joint_losses import rotors, slides
+from osc_contact.robots.model import rotors, slides
 from osc_contact.spatial import Array
 
 __all__ = [
