@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -110,25 +110,17 @@ def load_model(
 
 
 def load_robot(
-    path: Path | str,
-    tip: str | None = None,
-    *,
-    limits: Mapping[str, JointLimits] | None = None,
-    inertias: Inertias = "possible",
-    package_dirs: Sequence[Path | str] = (),
+    path: Path | str, tip: str | None = None, package_dirs: Sequence[Path | str] = ()
 ) -> pin.Model:
     """The model of a URDF or of an MJCF file, whichever it is.
 
     Args:
-        path: the file. tip: of MJCF, see `load_mjcf`. limits: see there and `load_model`.
-        inertias, package_dirs: of a URDF, see `load_model`.
+        path: the file. tip: of MJCF, see `load_mjcf`. package_dirs: of a URDF, see `load_model`.
 
     Raises:
-        ModelError, InvalidInputError: see there.
+        ModelError: see there.
     """
-    if is_mjcf(path):
-        return load_mjcf(path, tip, limits=limits)
-    return load_model(path, limits=limits, inertias=inertias, package_dirs=package_dirs)
+    return load_mjcf(path, tip) if is_mjcf(path) else load_model(path, package_dirs=package_dirs)
 
 
 def load_coupled(path: Path | str, tip: str) -> tuple[pin.Model, dict[str, str]]:
@@ -254,23 +246,17 @@ def _difference(model: pin.Model, other: Any) -> tuple[float, str]:
     return worst, where
 
 
-_KEPT = 32  #: files whose models are kept
-_kept: OrderedDict[tuple[Path, bytes, Inertias], Loaded] = OrderedDict()
-
-
 def _judged(file: Path, inertias: Inertias) -> Loaded:
     """As `load`; a file with the bytes of one that passed is not judged again.
 
     Studies build thousands of rigs from the same files. Nobody may change what is returned.
     """
-    require_level(inertias)
-    key = file.absolute(), sha256(read_bytes(file)).digest(), inertias
-    if key not in _kept:
-        loaded = load(file, inertias=inertias)
-        while len(_kept) >= _KEPT:
-            _kept.popitem(last=False)
-        _kept[key] = loaded
-    return _kept[key]
+    return _loaded(file, file.absolute(), sha256(read_bytes(file)).digest(), inertias)
+
+
+@lru_cache(maxsize=32)
+def _loaded(file: Path, place: Path, digest: bytes, inertias: Inertias) -> Loaded:
+    return load(file, inertias=inertias)
 
 
 def _sound(file: Path, package_dirs: Sequence[Path]) -> Document:

@@ -340,9 +340,10 @@ def _joint(document: Document, element: Element) -> Joint:
             for key in LIMITS
             if key in limit.attributes and kind != "fixed"
         },
-        **losses,
-        mimic=None if mimic is None else mimic.get("joint"),
-        element=element,
+        losses["damping"],
+        losses["friction"],
+        None if mimic is None else mimic.get("joint"),
+        element,
     )
 
 
