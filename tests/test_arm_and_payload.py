@@ -8,20 +8,20 @@ function is asked, on random numbers and within `ClosedChain.state`.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from arm_door import terms_of
+from urdf_numbers import element, written_inertia
 
 from osc_contact import robots
 from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.chain_model import columns_at, outboard_links
 from osc_contact.dynamics.chain_state import ArmTerms, ChainState
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Environment
-from osc_contact.dynamics.outboard import columns_at, outboard_links
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import InvalidInputError, ModelError
 
@@ -59,9 +59,7 @@ class Numbers:
 
     @property
     def terms(self) -> ArmTerms:
-        return terms_of(
-            self.J, self.gamma, self.M, self.h, self.g, self.Lambda_o, self.tolerance
-        )  # fmt: skip
+        return terms_of(self.J, self.gamma, self.M, self.h, self.g, self.Lambda_o, self.tolerance)
 
     def moved(self, X: np.ndarray, X_f: np.ndarray) -> Numbers:
         """The same arm and object in other coordinates: motions by X, forces by X_f."""
@@ -422,33 +420,21 @@ def test_impossible_arms_are_refused(options: dict[str, object], message: str) -
 # What hangs beyond the wrist sensor ---------------------------------------------------------------
 
 
-def written(file: object, link: str) -> pin.Inertia:
-    """Inertia of a link in its own frame, from the text of the URDF."""
-    inertial = ElementTree.parse(str(file)).find(f"link[@name='{link}']/inertial")
-    assert inertial is not None
-    origin, mass, tensor = (inertial.find(key) for key in ("origin", "mass", "inertia"))
-    assert origin is not None and mass is not None and tensor is not None
-    xyz, rpy = (np.array(origin.get(k, "0 0 0").split(), dtype=float) for k in ("xyz", "rpy"))
-    xx, xy, xz, yy, yz, zz = (
-        float(tensor.get(k, "nan")) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    )
-    about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    at_com = pin.Inertia(float(mass.get("value", "nan")), np.zeros(3), about_com)
-    return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz).act(at_com)
-
-
 @pytest.mark.parametrize("sensor", ["wrist_sensor", "wrist_sensor_joint"])
 def test_outboard_links_of_the_scara(sensor: str) -> None:
     """Gripper base with joint 4, finger with the hinge; the flange is inboard of the sensor."""
-    arm, file = scara(), robots.urdf_path("scara_left.urdf")
+    arm = scara()
     base, finger = outboard_links(
         arm.model, arm.model.getFrameId(sensor), arm.model.getFrameId("tool")
     )
     assert [arm.model.names[link.joint] for link in (base, finger)] == ["joint4", "hinge"]
     assert (base.inertia.mass, finger.inertia.mass) == pytest.approx((0.35, 0.15))
-    mounted = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.02])).act(written(file, "wrist_sensor"))
+    mounted = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.02])).act(
+        written_inertia(element("scara_left", "wrist_sensor"))
+    )
     close(base.inertia.matrix(), mounted.matrix(), 1e-12)
-    close(finger.inertia.matrix(), written(file, "finger").matrix(), 1e-12)
+    own = written_inertia(element("scara_left", "finger"))
+    close(finger.inertia.matrix(), own.matrix(), 1e-12)
 
 
 @pytest.mark.parametrize("sensor", ["panda_link8", "panda_hand"])
@@ -460,7 +446,7 @@ def test_outboard_links_of_the_panda(sensor: str) -> None:
     assert model.names[hand.joint] == "panda_joint7"
     assert hand.inertia.mass == pytest.approx(0.73 + 2 * 0.015)
     rest = model.inertias[hand.joint].matrix() - hand.inertia.matrix()
-    close(rest, written(file, "panda_link7").matrix(), 1e-12)
+    close(rest, written_inertia(element(file, "panda_link7")).matrix(), 1e-12)
 
 
 def test_outboard_links_survive_the_merging_of_arms() -> None:
@@ -535,21 +521,6 @@ def test_object_terms_are_newton_euler_of_a_free_body(seed: int) -> None:
     close(terms.mu, wrench(V, zero, still), 1e-12)
     close(terms.p, wrench(zero, zero, GRAVITY), 1e-12)
     close(terms.Lambda @ a + terms.mu + terms.p, wrench(V, a, GRAVITY), 1e-12)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_object_terms_are_pinocchios_inertia_formulas(seed: int) -> None:
-    pin.seed(seed)
-    inertia, X_WO = body(seed), pin.SE3.Random()
-    V = np.random.default_rng([seed, 10]).normal(size=6)
-    terms = RigidObject(inertia).terms(X_WO, V, GRAVITY)
-    at_O = inertia.se3Action(pin.SE3(X_WO.rotation, np.zeros(3)))
-    close(terms.Lambda, at_O.matrix(), 1e-13)
-    close(terms.mu, at_O.vxiv(pin.Motion(V)), 1e-12)
-    assert 0.5 * V @ terms.Lambda @ V == pytest.approx(at_O.vtiv(pin.Motion(V)) / 2)
-    weight = -inertia.mass * GRAVITY
-    com = X_WO.rotation @ inertia.lever
-    close(terms.p, np.concatenate((weight, np.cross(com, weight))), 1e-12)
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])

@@ -14,8 +14,7 @@ from test_decoupling import commanded
 
 import osc_contact as osc
 from osc_contact.dynamics.assembly import close, object_pose, reach
-from osc_contact.dynamics.grasp import GRASPS, register_grasp
-from osc_contact.dynamics.held_object import moved
+from osc_contact.dynamics.grasp import GRASPS, moved, register_grasp
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.scenarios.geometry import GRASP_TYPES
 

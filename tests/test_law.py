@@ -18,7 +18,7 @@ from grasp_rigs import random_case
 from rigs import panda_pair, placed, random_faces, random_state
 
 import osc_contact as osc
-from osc_contact.dynamics.front_end import require_pinocchio_agrees
+from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law.layout import records
 from osc_contact.law.tables import CHAIN, JOINT

@@ -18,7 +18,7 @@ from test_linkage import bars_of, cut, mobility
 from test_linkage import settable_bars as by_svd
 
 import osc_contact as osc
-from osc_contact.dynamics.motors import effort_scale
+from osc_contact.dynamics.arm import effort_scale
 from osc_contact.law.jit import PLAIN_PYTHON
 from osc_contact.law.linkage import scratch_size, settable_bars
 

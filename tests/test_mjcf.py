@@ -150,5 +150,5 @@ def test_what_the_law_does_not_know_is_refused(tmp_path, old, new, says):
 def test_names_that_are_not_there_are_told(mj):
     with pytest.raises(osc.ModelError, match="no body or site 'tipp'"):
         osc.Arm.from_mjcf(mj, name="a", tip="tipp")
-    with pytest.raises(osc.InvalidInputError, match="no such joint"):
+    with pytest.raises(osc.InvalidInputError, match="no moving joint matches"):
         robots.load_mjcf(mj, "tip", limits={"nobody": robots.JointLimits(effort=1.0)})

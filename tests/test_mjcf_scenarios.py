@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.cli import app
-from osc_contact.robots.mjcf_parts import mjcf_geometry
+from osc_contact.robots.pictures import mjcf_geometry
 
 TASK = """
 name: from_mjcf

@@ -163,7 +163,7 @@ def test_check_takes_limits_inertias_tip_and_package_folders(tmp_path: Path) -> 
 def test_a_robot_that_the_second_reader_sees_otherwise_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("osc_contact.robots.second_reader.CROSS_CHECK_TOLERANCE", -1.0)
+    monkeypatch.setattr("osc_contact.robots.loading.CROSS_CHECK_TOLERANCE", -1.0)
     result = call(write(tmp_path, GOOD))
     assert result.exit_code == 1 and "two URDF readers place link" in result.stdout
 

@@ -221,11 +221,17 @@ CORPUS: dict[str, Bad] = {
     "effort 0": spoil('effort="40"', 'effort="0"', "limit", "effort limit 0 N m must be > 0"),
     "effort negative": spoil('effort="200"', 'effort="-1"', "limit", "effort limit -1 N must be"),
     "velocity 0": spoil('velocity="6"', 'velocity="0"', "limit", "velocity limit 0 rad/s must be"),
+    "upper inf": spoil('upper="2.5"', 'upper="inf"', "number", "upper = 'inf' is not a finite"),
+    "effort inf": spoil('effort="40"', 'effort="inf"', "number", "effort = 'inf' is not a finite"),
     "velocity nan": spoil('velocity="6"', 'velocity="nan"', "number", "'nan' is not a finite"),
     # inertias
     "mass negative": _mass("-1.5", "mass -1.5 kg is negative", "inertia"),
     "mass 0": spoil('value="1.5"', 'value="0"', "inertia", "mass 0 kg with principal", up=-1),
     "inertial without mass": spoil('<mass value="1.5"/>', "", "inertia", "without <mass>", up=2),
+    "inertial without inertia": spoil(
+        '<inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/>', "", "inertia",
+        "<inertial> without <inertia>", "link 'finger'", 2),
+    "inertia nan": spoil('ixx="0.002"', 'ixx="nan"', "number", "ixx = 'nan' is not a finite"),
     "inertia negative": spoil('izz="0.001"', 'izz="-0.001"', "inertia", "inertia is not positive"),
     "inertia indefinite": spoil('ixy="0.001"', 'ixy="0.06"', "inertia", "is not positive"),
     "triangle violated": spoil('izz="0.001"', 'izz="0.005"', "inertia", "exceeds the sum of"),

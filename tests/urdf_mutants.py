@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 from urdf_corpus import GOOD
+from urdf_numbers import numbers, placement, written_inertia
 
 from osc_contact import robots
 from osc_contact.errors import ModelError
@@ -78,70 +79,42 @@ def _exchange(rng: random.Random, text: str, pattern: re.Pattern[str], by) -> st
 # The second opinion -----------------------------------------------------------------------------
 
 
-def numbers(element: ElementTree.Element | None, key: str, default: str) -> np.ndarray:
-    return np.array((default if element is None else element.get(key, default)).split(), float)
-
-
-def placement(owner: ElementTree.Element) -> tuple[np.ndarray, np.ndarray]:
-    origin = owner.find("origin")
-    (a, b, c), p = numbers(origin, "rpy", "0 0 0"), numbers(origin, "xyz", "0 0 0")
-    return turn(np.array([0, 0, 1.0]), c) @ turn(np.array([0, 1.0, 0]), b) @ turn(
-        np.array([1.0, 0, 0]), a
-    ), p
-
-
-def turn(axis: np.ndarray, angle: float) -> np.ndarray:
-    x, y, z = axis
-    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
-
-
 def mass_matrix(text: bytes, names: list[str], q: np.ndarray) -> np.ndarray:
-    """M(q) = Σ m JᵥᵀJᵥ + JωᵀIJω over the links, from the file itself."""
+    """M(q) = Σ JᵀIJ over the links, from the file itself."""
     root = ElementTree.fromstring(text)
     links = {link.get("name"): link for link in root.findall("link")}
     above = {joint.find("child").get("link"): joint for joint in root.findall("joint")}
     pending = [name for name in links if name not in above]
-    poses = {pending[0]: (np.eye(3), np.zeros(3), [])}
+    poses = {pending[0]: (pin.SE3.Identity(), [])}
     M = np.zeros((len(names), len(names)))
     while pending:
         parent = pending.pop()
-        R, p, screws = poses[parent]
-        inertial = links[parent].find("inertial")
-        if inertial is not None and screws:
-            M += _share(inertial, R, p, screws, len(names))
+        X, screws = poses[parent]
+        if links[parent].find("inertial") is not None:
+            J = np.zeros((6, len(names)))
+            for i, X_joint, S in screws:
+                J[:, i] = X.actInv(X_joint).act(S).vector
+            M += J.T @ written_inertia(links[parent]).matrix() @ J
         for child, joint in above.items():
             if joint.find("parent").get("link") != parent:
                 continue
-            R_j, p_j = placement(joint)
-            R_c, p_c, way = R @ R_j, p + R @ p_j, list(screws)
+            X_child = X * placement(joint)
+            way = list(screws)
             kind = joint.get("type")
             if kind != "fixed":
-                axis = numbers(joint.find("axis"), "xyz", "1 0 0")
-                axis, i = axis / np.linalg.norm(axis), names.index(joint.get("name"))
-                way.append((i, kind == "prismatic", R_c @ axis, p_c))
+                given = joint.find("axis")
+                axis = numbers("1 0 0" if given is None else given.get("xyz"))
+                S = pin.Motion.Zero()
                 if kind == "prismatic":
-                    p_c = p_c + R_c @ axis * q[i]
+                    S.linear = axis / np.linalg.norm(axis)
                 else:
-                    R_c = R_c @ turn(axis, q[i])
-            poses[child] = (R_c, p_c, way)
+                    S.angular = axis / np.linalg.norm(axis)
+                i = names.index(joint.get("name"))
+                way.append((i, X_child, S))
+                X_child = X_child * pin.exp6(S * q[i])
+            poses[child] = (X_child, way)
             pending.append(child)
     return M
-
-
-def _share(inertial: ElementTree.Element, R: np.ndarray, p: np.ndarray, screws: list, n: int):
-    R_i, p_i = placement(inertial)
-    mass = float(inertial.find("mass").get("value"))
-    xx, xy, xz, yy, yz, zz = (
-        float(inertial.find("inertia").get(k)) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    )
-    tensor = R @ R_i @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ (R @ R_i).T
-    centre = p + R @ p_i
-    J = np.zeros((6, n))
-    for i, slides, axis, at in screws:
-        J[:3, i] = axis if slides else np.cross(axis, centre - at)
-        J[3:, i] = 0 if slides else axis
-    return mass * J[:3].T @ J[:3] + J[3:].T @ tensor @ J[3:]
 
 
 def judge(text: bytes, model: pin.Model, rng: np.random.Generator) -> tuple[float, float]:

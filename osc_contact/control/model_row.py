@@ -9,8 +9,8 @@ import numpy as np
 
 from osc_contact.control.friction import Friction
 from osc_contact.control.pair_rows import PairRows
+from osc_contact.dynamics.arm import effort_scale
 from osc_contact.dynamics.chain_rows import pack_chain
-from osc_contact.dynamics.motors import effort_scale
 from osc_contact.dynamics.rail import Body, Cart, Conveyor
 from osc_contact.law import tables as at
 from osc_contact.law.layout import Bytes, new_model, records

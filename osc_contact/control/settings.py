@@ -15,8 +15,8 @@ from osc_contact.control.joint_limits import JointLimitAvoidance
 from osc_contact.control.phases import PhaseSettings
 from osc_contact.control.reading import Reading, choose_reading
 from osc_contact.control.safety import SafetySettings
+from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.dynamics.joint_range import require_in_range
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array, as_array

@@ -13,8 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.control.settings import Settings
+from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.dynamics.joint_range import require_in_range
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement
 from osc_contact.spatial import Array

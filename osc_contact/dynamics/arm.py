@@ -1,4 +1,4 @@
-"""One arm: where it comes from."""
+"""One arm: where it comes from, what its motors can do and what they carry with them."""
 
 from __future__ import annotations
 
@@ -8,13 +8,99 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
-from osc_contact.dynamics.motors import PerJoint, with_joints
 from osc_contact.errors import ModelError
+from osc_contact.robots.model import rotors, sliding
+from osc_contact.spatial import Array
 
-__all__ = ["Arm"]
+PerJoint = float | Sequence[float] | Array  #: a number for all joints, or one for each
+
+_UNLIMITED = 1e12  # N m or N: an effort limit that is none
+_PER_JOINT = {"armature": "armature", "damping": "damping", "friction": "upperDryFrictionLimit"}
+
+
+def effort_limits(model: pin.Model, actuated: Array) -> Array:
+    """(n_a,) effort limits (N m, N), inf where there is none: models built in code leave DBL_MAX.
+
+    Raises:
+        ModelError: a limit that is not positive.
+    """
+    given = np.array(model.upperEffortLimit)[actuated]
+    for j, limit in zip(actuated, given, strict=True):
+        if not limit > 0.0:
+            name = model.names[int(j) + 1]
+            raise ModelError(
+                f"joint '{name}' has an effort limit of {limit:g}: such a motor does "
+                "nothing. Give its largest torque (N m) or force (N), or list it among the passive "
+                "joints"
+            )
+    return np.where(given < _UNLIMITED, given, np.inf)
+
+
+def effort_scale(tau_max: Array) -> Array:
+    """(n_a,) what torques are measured by: τ_max, for motors without limit the largest of them."""
+    finite = np.isfinite(tau_max)
+    return np.where(finite, tau_max, tau_max[finite].max(initial=0.0) or 1.0)
+
+
+def rotor_inertia(model: pin.Model) -> Array:
+    """(n,) rotor inertia as felt at each joint (kg m²; kg of a sliding one), added to M's diagonal.
+
+    The model's armature; where that is zero, its rotorInertia · rotorGearRatio².
+
+    Raises:
+        ModelError: one that is negative or not finite.
+    """
+    inertia = rotors(model)
+    for name, value in zip(list(model.names)[1:], inertia, strict=True):
+        if not 0.0 <= value < np.inf:
+            raise ModelError(
+                f"joint '{name}' has a rotor inertia of {value:g}; give armature (kg m², kg) ≥ 0"
+            )
+    return np.asarray(inertia)
+
+
+def heaviest_rotor(model: pin.Model, gyration: float) -> float:
+    """Mass (kg) that has, at the radius `gyration` (m), the largest rotor inertia of the joints."""
+    masses = rotor_inertia(model) / np.where(sliding(model), 1.0, gyration**2)
+    return float(masses.max(initial=0.0))
+
+
+def with_joints(
+    model: pin.Model, given: Mapping[str, PerJoint], friction_factor: float = 1.0
+) -> pin.Model:
+    """The model with other numbers of its joints; itself if there are none.
+
+    Args:
+        model: of one arm. given: "armature", "damping" and "friction", see `Arm.from_urdf`.
+        friction_factor: on damping and friction, given or not.
+
+    Raises:
+        ModelError: not one number for each joint, or one that is negative or not finite.
+    """
+    if not given and friction_factor == 1.0:
+        return model
+    model = model.copy()
+    for key, value in given.items():
+        numbers = np.asarray(value, dtype=float)
+        if numbers.shape not in ((), (model.nv,)):
+            raise ModelError(
+                f"{key}: {numbers.size} numbers for {model.nv} joints {list(model.names)[1:]}; "
+                "give one for each, or a single one for all"
+            )
+        if not (np.isfinite(numbers).all() and (numbers >= 0.0).all()):
+            raise ModelError(f"{key} = {numbers.tolist()}; give finite numbers ≥ 0")
+        setattr(model, _PER_JOINT[key], np.full(model.nv, numbers))
+        if key == "armature":
+            model.rotorInertia = np.zeros(model.nv)
+    model.damping = model.damping * friction_factor
+    model.upperDryFrictionLimit = model.upperDryFrictionLimit * friction_factor
+    model.lowerDryFrictionLimit = -model.upperDryFrictionLimit
+    return model
+
 
 _logger = logging.getLogger("osc_contact.robots")
 
@@ -85,7 +171,8 @@ class Arm:
         """
         if isinstance(urdf, pin.Model):
             pairs = zip(urdf.mimicking_joints, urdf.mimicked_joints, strict=True)
-            model, follows = urdf, {urdf.names[a]: urdf.names[b] for a, b in pairs}
+            model = urdf
+            follows = {urdf.names[a]: urdf.names[b] for a, b in pairs}
         else:
             model, follows = robots.load_coupled(Path(urdf), tip)
         held = dict(locked or {})
@@ -102,15 +189,16 @@ class Arm:
             model = _with_masses_scaled(model, mass_factor)
         if effort_factor != 1.0:
             model = model.copy()
-            model.upperEffortLimit = model.upperEffortLimit * effort_factor
-            model.lowerEffortLimit = model.lowerEffortLimit * effort_factor
+            model.upperEffortLimit *= effort_factor
+            model.lowerEffortLimit *= effort_factor
         given = {"armature": armature, "damping": damping, "friction": friction}
         joints = {key: x for key, x in given.items() if x is not None}
         model = with_joints(model, joints, friction_factor)
-        X_WB = pin.SE3.Identity() if base is None else base
+        X_WB = base or pin.SE3.Identity()
         still = {j: held.get(j, 0.0) for j in every_joint if j not in list(model.names)}
-        _tell_followers(list(model.names), follows, still)
-        return cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor, still)
+        arm = cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor, still)
+        _warn_of_followers(arm, follows)
+        return arm
 
     @classmethod
     def from_mjcf(
@@ -141,7 +229,7 @@ class Arm:
         arm = cls.from_urdf(model, name=name, tip=tip, **how)
         follows = robots.couplings(mj)
         _require_uncoupled(arm.model, follows)
-        _tell_followers(list(arm.model.names), follows, arm.locked)
+        _warn_of_followers(arm, follows)
         return arm
 
 
@@ -167,18 +255,19 @@ def _require_uncoupled(model: pin.Model, follows: Mapping[str, str]) -> None:
             )
 
 
-def _tell_followers(
-    moving: Sequence[str], follows: Mapping[str, str], still: Mapping[str, float]
-) -> None:
+def _warn_of_followers(arm: Arm, follows: Mapping[str, str]) -> None:
     """Joints beside the way to the tip that follow one on the way, and are held all the same."""
     for name, master in follows.items():
-        if master in moving and name in still:
+        if master in list(arm.model.names) and name in arm.locked:
             _logger.warning(
                 "joint %r follows %r, which moves the tip; it is taken as held at %g: what moves "
                 "with it is not reckoned with. Lock %r too (locked=, arms.locked_joints), or leave "
                 "the coupling out",
-                name, master, still[name], master,
-            )  # fmt: skip
+                name,
+                master,
+                arm.locked[name],
+                master,
+            )
 
 
 def _require_sound(model: pin.Model) -> None:
@@ -197,23 +286,16 @@ def _path_to(model: pin.Model, tip: int, held: Mapping[str, float]) -> pin.Model
     """The model with every joint locked that does not move the tip."""
     on_path = set(model.supports[model.frames[tip].parentJoint])
     q = pin.neutral(model)
-    lock = []
-    for j in range(1, model.njoints):
-        if model.names[j] in held:
-            q[model.joints[j].idx_q] = held[model.names[j]]
-            lock.append(j)
-        elif j not in on_path:
-            lock.append(j)
+    for name, position in held.items():
+        q[model.joints[model.getJointId(name)].idx_q] = position
+    every = range(1, model.njoints)
+    lock = [j for j in every if model.names[j] in held or j not in on_path]
     if not lock:
         return model
     if len(lock) == model.njoints - 1:
         raise ModelError(f"no joint moves the tip frame '{model.frames[tip].name}'")
-    joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
-    names = {f.name if f.type in joints else f"{f.name}#{i}": f.name
-             for i, f in enumerate(model.frames)}  # fmt: skip
     model = model.copy()
-    for frame, name in zip(model.frames, names, strict=True):
-        frame.name = name  # a link may be called as a joint: Pinocchio looks for names alone
+    names = with_distinct_frames(model)
     reduced = pin.buildReducedModel(model, lock, q)
     for frame in reduced.frames:  # Pinocchio 4.1 leaves some frames their own parents
         original = model.frames[model.getFrameId(frame.name)]
@@ -221,6 +303,20 @@ def _path_to(model: pin.Model, tip: int, held: Mapping[str, float]) -> pin.Model
     for frame in reduced.frames:
         frame.name = names[frame.name]
     return reduced
+
+
+def with_distinct_frames(model: pin.Model) -> dict[str, str]:
+    """Number the names of a model's links, which may be called as joints; returns the old names.
+
+    Pinocchio's own functions look for names alone.
+    """
+    joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    names = {}
+    for i, frame in enumerate(model.frames):
+        mark = "" if i == 0 or frame.type in joints else f"#{i}"
+        names[frame.name + mark] = frame.name
+        frame.name += mark
+    return names
 
 
 def _with_masses_scaled(model: pin.Model, factor: float) -> pin.Model:

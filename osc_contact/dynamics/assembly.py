@@ -1,4 +1,4 @@
-"""Joint positions at which the loops are closed and the contacts touch: `reach`, then `close`."""
+"""Joint positions: within their limits, or at which the loops are closed and the contacts touch."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.dynamics.chain_model import columns_at
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.dynamics.held_object import moved
-from osc_contact.dynamics.outboard import columns_at
-from osc_contact.errors import ModelError
+from osc_contact.dynamics.grasp import moved
+from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array, pose_error
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "object_columns",
     "object_pose",
     "reach",
+    "require_in_range",
     "row_groups",
 ]
 
@@ -63,11 +64,13 @@ def reach(chain: ClosedChain, q: Array, X_WO: pin.SE3, tolerance: float = 1e-6) 
         there = np.clip(q + step, *limits)
         next_cost, next_step = _reach_step(chain, there, X_WO, L, 0.3 * damping)
         if next_cost <= cost:
-            moved_by, q = np.abs(there - q).max(), there
+            moved_by = np.abs(there - q).max()
+            q = there
             if moved_by < tolerance:
                 return q
             damping = max(0.3 * damping, 1e-12)
-            cost, step = next_cost, next_step
+            cost = next_cost
+            step = next_step
         else:
             damping *= 10.0
             cost, step = _reach_step(chain, q, X_WO, L, damping)
@@ -115,7 +118,8 @@ def closed(
     Raises:
         ModelError: as `close`; or the joints do not tell the pose, and it is not given.
     """
-    q, X = np.array(q, dtype=float), X_WO
+    q = np.array(q, dtype=float)
+    X = X_WO
     error = np.zeros(0)
     for _ in range(max_steps):
         pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
@@ -157,7 +161,8 @@ def object_columns(chain: ClosedChain, J: Array) -> Array:
     """
     if chain.leader is None:
         return np.hstack((np.zeros((6, chain.nq)), np.eye(6)))
-    first, s = np.zeros((6, chain.nq)), chain.slices[chain.leader]
+    first = np.zeros((6, chain.nq))
+    s = chain.slices[chain.leader]
     first[:, s] = J[:, s]
     return first
 
@@ -168,7 +173,8 @@ def inertia_of(chain: ClosedChain, X_WO: pin.SE3) -> Array:
     if chain.leader is not None:
         return np.asarray(chain.data.M)
     M = np.zeros((n + 6, n + 6))
-    M[:n, :n], M[n:, n:] = chain.data.M, chain.reference_inertia(X_WO)
+    M[:n, :n] = chain.data.M
+    M[n:, n:] = chain.reference_inertia(X_WO)
     return M
 
 
@@ -218,7 +224,8 @@ def inverse_rows(A: Array, M: Array, groups: Sequence[int]) -> tuple[Array, Arra
         (n, m) right inverse that solves A x = b with least xᵀM x, and the (m, m) map from b to
         multipliers λ with M x = Aᵀλ; of redundant rows the split is not unique, M x is.
     """
-    whitened = np.linalg.solve(np.linalg.cholesky(M), A.T).T
+    K = np.linalg.cholesky(M)
+    whitened = np.linalg.solve(K, A.T).T
     size = np.linalg.norm(whitened, axis=1)
     # the three rows of a vector share one scale: a locked direction has a zero row of its own
     start = 0
@@ -227,16 +234,17 @@ def inverse_rows(A: Array, M: Array, groups: Sequence[int]) -> tuple[Array, Arra
         start += count
     U, s, Vh = np.linalg.svd(whitened / size[:, None], full_matrices=False)
     keep = s > 1e-8 * s.max(initial=0.0)
-    U, s, Vh = U[:, keep] / size[:, None], s[keep], Vh[keep]
-    right = np.linalg.solve(np.linalg.cholesky(M).T, (Vh.T / s) @ U.T)
-    return right, (U / s**2) @ U.T
+    s = s[keep]
+    U = U[:, keep] / size[:, None]
+    return np.linalg.solve(K.T, (Vh[keep].T / s) @ U.T), (U / s**2) @ U.T
 
 
 def _reach_step(
     chain: ClosedChain, q: Array, X_WO: pin.SE3, L: Array, damping: float
 ) -> tuple[float, Array]:
     pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
-    cost, step = 0.0, np.zeros(chain.nq)
+    cost = 0.0
+    step = np.zeros(chain.nq)
     for tip, grasp, s in zip(chain.tip_poses(), chain.grasps, chain.slices, strict=True):
         if grasp.is_rigid:
             X = tip * grasp.X_TO
@@ -244,14 +252,47 @@ def _reach_step(
             J = L.T @ columns_at(chain.data.J[:, s], X.translation)
         else:  # the rows of N alone, made orthonormal in the object's metric
             O = X_WO.translation  # noqa: E741
-            Q, R = np.linalg.qr(np.linalg.solve(L, grasp.wrenches_at(tip, O)))
-            miss = np.linalg.solve(R.T, grasp.miss(tip, X_WO))
+            Q, miss = grasp.whitened(tip, X_WO, L)
             J = Q.T @ L.T @ columns_at(chain.data.J[:, s], O)
         cost += 0.5 * float(miss @ miss)
         slope = J.T @ miss
-        low, high = chain.model.lowerPositionLimit[s], chain.model.upperPositionLimit[s]
+        low = chain.model.lowerPositionLimit[s]
+        high = chain.model.upperPositionLimit[s]
         stopped = ((q[s] <= low) & (slope < 0.0)) | ((q[s] >= high) & (slope > 0.0))
         H = J.T @ J + damping * chain.data.M[s, s]
         free = np.flatnonzero(~stopped)
         step[s][free] = np.linalg.solve(H[np.ix_(free, free)], slope[free])
     return cost, step
+
+
+ROUNDING = 1e-6  #: m, rad; what a number may lose on its way through a file
+
+
+def require_in_range(name: str, chain: ClosedChain, q: Array, beyond: Array | float = 0.0) -> None:
+    """Refuse joint positions outside the joints' limits.
+
+    Args:
+        name: of the argument, for the message.
+        chain: whose joints they are.
+        q: (n,) positions (rad, m). Numbers that are not finite are not compared.
+        beyond: (n,) or one number: how far past its limits a joint may stand (rad, m).
+
+    Raises:
+        InvalidInputError: one stands further out; with all that do, and whether they look like
+            degrees.
+    """
+    lower = np.array(chain.model.lowerPositionLimit)
+    upper = np.array(chain.model.upperPositionLimit)
+    out = np.maximum(lower - q, q - upper) > beyond + ROUNDING
+    if not out.any():
+        return
+    found = [
+        f"{chain.joint_names[j]} at {q[j]:.4g} (limits {lower[j]:.4g} … {upper[j]:.4g})"
+        for j in np.flatnonzero(out)
+    ]
+    turned = np.radians(q)
+    cure = "give positions within the limits, or correct the limits in the robot's file"
+    if np.abs(q).max() > np.pi and ((lower <= turned) & (turned <= upper)).all():
+        cure = f"the numbers look like degrees: give np.radians({np.round(q, 4).tolist()})"
+    listed = ", ".join(found)
+    raise InvalidInputError(f"{name}: outside the limits of its joint (rad or m): {listed}; {cure}")

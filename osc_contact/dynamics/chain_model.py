@@ -3,21 +3,73 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
-from osc_contact.dynamics.arm import Arm
-from osc_contact.dynamics.grasp import Grasp
-from osc_contact.dynamics.held_object import locate
-from osc_contact.dynamics.motors import effort_limits, heaviest_rotor, rotor_inertia
-from osc_contact.dynamics.outboard import OutboardLink, outboard_links
+from osc_contact.dynamics.arm import (
+    Arm,
+    effort_limits,
+    heaviest_rotor,
+    rotor_inertia,
+    with_distinct_frames,
+)
+from osc_contact.dynamics.grasp import Grasp, locate
 from osc_contact.dynamics.payload import RigidObject
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, carry_twist
 
-__all__ = ["GYRATION", "ChainModel"]
+
+@dataclass(frozen=True)
+class OutboardLink:
+    """A rigid part beyond the sensor: the joint it moves with, its inertia in that frame."""
+
+    joint: int
+    inertia: pin.Inertia
+
+
+def outboard_links(model: pin.Model, sensor: int, tip: int) -> list[OutboardLink]:
+    """The parts between the sensor frame and the object, from the model's own link inertias.
+
+    Links welded to the sensor's link share its joint; links beyond further joints carry the
+    inertia of those joints.
+
+    Args:
+        model: merged model.
+        sensor: frame index of the wrist sensor (the first link outboard of the sensing element).
+        tip: frame index of the grasping frame, which tells the chain.
+    """
+    links = []
+    joint = model.frames[sensor].parentJoint
+    above = model.frames[sensor].parentFrame
+    if model.frames[above].type == pin.FrameType.FIXED_JOINT:
+        sensor = above  # Pinocchio stores a welded link's inertia with its fixed joint
+    if model.frames[above].type == pin.FrameType.JOINT:
+        own = model.inertias[joint].copy()  # the sensor sits at the joint: the whole link is beyond
+    else:
+        own = pin.Inertia.Zero()
+        for f, frame in enumerate(model.frames):
+            if frame.parentJoint == joint and _hangs_on(model, f, sensor):
+                own = own + frame.placement.act(frame.inertia)
+    if own.mass > 0.0:
+        links.append(OutboardLink(joint, own))
+    path = list(model.supports[model.frames[tip].parentJoint])
+    beyond = [j for j in path if j > joint and joint in model.supports[j]]
+    return links + [OutboardLink(j, model.inertias[j].copy()) for j in beyond]
+
+
+def _hangs_on(model: pin.Model, frame: int, ancestor: int) -> bool:
+    while frame not in (0, ancestor):
+        frame = model.frames[frame].parentFrame
+    return frame == ancestor
+
+
+def columns_at(J_world: Array, O: Array) -> Array:  # noqa: E741 - the operational point
+    """Jacobian columns carried from the world origin to O."""
+    return carry_twist(J_world, np.zeros(3), O)
+
 
 GYRATION = 0.1  #: m, of the ball that stands for the heaviest arm, see `law.singular`
 #: Stands in for the object's inertia in rank decisions when the arms hold nothing:
@@ -93,15 +145,8 @@ class ChainModel:
             slice(end - arm.model.nv, end)
             for arm, end in zip(arms, np.cumsum([a.model.nv for a in arms]), strict=True)
         )
-        passive = {f"{arm.name}/{joint}" for arm in arms for joint in arm.passive_joints}
-        self.actuated = np.array(
-            [
-                self.model.joints[j].idx_v
-                for j in range(1, self.model.njoints)
-                if self.model.names[j] not in passive
-            ],
-            dtype=int,
-        )
+        passive = [f"{arm.name}/{joint}" for arm in arms for joint in arm.passive_joints]
+        self.actuated = np.flatnonzero(~np.isin(self.joint_names, passive))
         self.tau_max = effort_limits(self.model, self.actuated)
         self.full_ranks = tuple(
             _full_rank(arm.model, arm.tip, grasp)
@@ -192,28 +237,25 @@ def _full_rank(model: pin.Model, tip: str, grasp: Grasp) -> int:
 
     The largest rank of NᵀJ in a few random postures.
     """
-    rng, data = np.random.default_rng(0), model.createData()
+    data = model.createData()
     frame = robots.frame_id(model, tip)
-    ranks = []
-    for _ in range(4):
-        q = rng.uniform(-1.0, 1.0, model.nq)
-        J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
-        ranks.append(int(np.linalg.matrix_rank(grasp.N.T @ J, tol=1e-6)))
-    return max(ranks)
+    postures = np.random.default_rng(0).uniform(-1.0, 1.0, (4, model.nq))
+    jacobians = (pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL) for q in postures)
+    return max(int(np.linalg.matrix_rank(grasp.N.T @ J, tol=1e-6)) for J in jacobians)
 
 
 def _merge(arms: Sequence[Arm]) -> pin.Model:
-    merged, carried, names = pin.Model(), [], {"universe": "universe"}
+    merged = pin.Model()
+    carried = []
+    names: dict[str, str] = {}
     merged.gravity = arms[0].model.gravity
     for arm in arms:
         model = arm.model.copy()
         for j in range(1, model.njoints):
             model.names[j] = f"{arm.name}/{model.names[j]}"
-        joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
-        for i, frame in enumerate(list(model.frames)[1:]):
-            mark = "" if frame.type in joints else f"#{i}"  # a link may be called as a joint
-            name = f"{arm.name}/{frame.name}"
-            frame.name, names[name + mark] = name + mark, name
+        for frame in list(model.frames)[1:]:
+            frame.name = f"{arm.name}/{frame.name}"
+        names |= with_distinct_frames(model)
         merged = pin.appendModel(merged, model, 0, arm.base)
         carried.append(rotor_inertia(model))
     for frame in merged.frames:

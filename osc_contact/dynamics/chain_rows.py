@@ -13,8 +13,6 @@ from osc_contact.law import tables as at
 from osc_contact.law.layout import Bytes, new_model, records
 from osc_contact.spatial import Array, cross
 
-__all__ = ["chain_row", "pack_chain"]
-
 _UPPER = np.triu_indices(3)
 _KINDS = {"rigid": at.RIGID, "hinge": at.HINGE, "ball": at.BALL, "other": at.OTHER}
 
@@ -44,7 +42,8 @@ def pack_chain(chain: ChainModel, raw: Bytes, leader: int | None) -> None:
 
 
 def _pack_object(chain: ChainModel, head: Any, leader: int | None) -> None:
-    head.held, head.tolerance = chain.payload is not None, chain.rank_tolerance
+    head.held = chain.payload is not None
+    head.tolerance = chain.rank_tolerance
     head.slipping = not all(grasp.is_rigid for grasp in chain.grasps)
     head.leader = -1 if leader is None else leader
     head.gravity[:] = chain.model.gravity.linear
@@ -72,9 +71,13 @@ def _pack_arms(chain: ChainModel, rows: Any) -> None:
                 f"arm '{chain.arms[i].name}' has {part.stop - part.start} joints; the control "
                 f"law takes {at.MAX_JOINTS} at most. Lock those that need not move (locked=)"
             )
-        row.first, row.end, row.full_rank = part.start, part.stop, chain.full_ranks[i]
-        tip, sensor = model.frames[chain.tips[i]], chain.sensors[i]
-        row.tip_joint, row.tip[:] = tip.parentJoint - 1, _flat_pose(_in_joint(model, tip))
+        row.first = part.start
+        row.end = part.stop
+        row.full_rank = chain.full_ranks[i]
+        tip = model.frames[chain.tips[i]]
+        sensor = chain.sensors[i]
+        row.tip_joint = tip.parentJoint - 1
+        row.tip[:] = _flat_pose(_in_joint(model, tip))
         row.sensor_joint = row.outer_joint = -1
         if sensor is not None:
             frame = model.frames[sensor]
@@ -84,19 +87,22 @@ def _pack_arms(chain: ChainModel, rows: Any) -> None:
             link = chain.outboard[i][0]
             row.outer_joint = link.joint - 1
             row.outer[:] = _flat_inertia(_z_frame(model, link.joint).actInv(link.inertia))
-        row.m, row.kind = grasp.N.shape[1], _KINDS[grasp.kind]
+        row.m = grasp.N.shape[1]
+        row.kind = _KINDS[grasp.kind]
         row.filtered = not grasp.is_rigid and len(chain.outboard[i]) > 0
         basis = np.linalg.qr(grasp.T)[0] if grasp.kind == "other" else grasp.T
         row.grasp[:] = np.hstack((grasp.N, basis)).T
         X_OT = grasp.X_TO.inverse()
         axis = grasp.T[3:, 0] if grasp.kind == "hinge" else np.zeros(3)
-        row.point[:], row.tip_axis[:] = X_OT.translation, axis
+        row.point[:] = X_OT.translation
+        row.tip_axis[:] = axis
         row.axis[:] = X_OT.rotation @ axis
         row.X_TO[:] = _flat_pose(grasp.X_TO)
 
 
 def _pack_joints(chain: ChainModel, rows: Any) -> None:
-    model, firsts = chain.model, {part.start for part in chain.slices}
+    model = chain.model
+    firsts = {part.start for part in chain.slices}
     rows.motor[:] = -1
     rows.armature[:] = model.armature
     frames = [_z_frame(model, j + 1) for j in range(len(rows))]

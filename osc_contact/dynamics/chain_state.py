@@ -10,8 +10,6 @@ import pinocchio as pin
 from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.spatial import Array
 
-__all__ = ["ArmTerms", "ChainState", "SingularDirection"]
-
 
 @dataclass(frozen=True)
 class ArmTerms:

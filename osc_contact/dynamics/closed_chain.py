@@ -10,22 +10,261 @@ Grasps may permit motions of their own (`Grasp`); these have no mass and no moto
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from osc_contact.dynamics.chain_look import Look, read_state
 from osc_contact.dynamics.chain_model import ChainModel
 from osc_contact.dynamics.chain_rows import chain_row
-from osc_contact.dynamics.chain_state import ChainState
-from osc_contact.dynamics.front_end import require_pinocchio_agrees
-from osc_contact.law.layout import Bytes
-from osc_contact.law.tables import CHAIN, CHAIN_BYTES
+from osc_contact.dynamics.chain_state import ArmTerms, ChainState, SingularDirection
+from osc_contact.dynamics.payload import ObjectTerms
+from osc_contact.errors import ModelError
+from osc_contact.law import tables as at
+from osc_contact.law import tick as law
+from osc_contact.law.compiled import rows
+from osc_contact.law.frames import motions, reflection, wrenches
+from osc_contact.law.layout import Bytes, records
 from osc_contact.spatial import Array, as_array, carry_twist
 
-__all__ = ["ClosedChain", "ChainState"]
+_NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
+__all__ = ["ChainState", "ClosedChain"]
+
+_NONE = np.zeros(0)
+_WHY = {
+    at.BAD_INERTIA: "the joint-space inertia of an arm is not positive definite; check the masses "
+    "and inertias of its links",
+    at.OBJECT_UNKNOWN: "the joints do not tell where the object is, or how it moves: its grasps "
+    "let it move while every arm stands still. Grasp it so that this is blocked, or give the "
+    "measured pose and twist: state(q, v, X_WO, V_O)",
+}
+
+
+class Look:
+    """What the law makes of the arms at (q, v), before any contact: WORK after its first part.
+
+    Attributes:
+        head: CHAIN record. work: WORK record. arms, joints: ARM_WORK and JOINT_WORK rows.
+        jacobian: (n, 6) columns at the world's origin.
+    """
+
+    def __init__(
+        self, row: Bytes, q: Array, v: Array, X_WO: Array | None = None, V_O: Array | None = None
+    ) -> None:
+        """Run it in memory of its own.
+
+        Args:
+            row: from `chain_rows.chain_row`; led, if no pose is given.
+            q, v: (n,). X_WO: (4, 4), V_O: (6,) of the object, if they are given.
+        """
+        self.head = head = row[: at.CHAIN_BYTES].view(at.CHAIN)[0]
+        k = int(head["n_arms"])
+        n = int(head["n_joints"])
+        memory = np.zeros(int(head["memory_bytes"]), dtype=np.uint8)
+        if X_WO is not None:
+            given = memory[: at.MEMORY_BYTES].view(at.MEMORY)[0]
+            given["located"] = 1
+            given["X_WO"] = X_WO
+            given["given"] = at.GIVEN_POSE if V_O is None else at.GIVEN_TWIST
+            given["V_O"] = 0.0 if V_O is None else V_O
+        floats = np.zeros(int(head["work_bytes"]) // 8)
+        raw = floats.view(np.uint8)
+        rows()(
+            row,
+            memory,
+            raw,
+            q,
+            v,
+            np.zeros((k, 6)),
+            np.eye(4),
+            np.zeros(6),
+            np.zeros(6),
+            _NONE,
+            np.zeros(max(1, int(head["n_bars"]))),
+            np.zeros((0, 28)),
+            0,
+            _NONE,
+            np.zeros(1, np.int64),
+            law.LOOK,
+            law.MEASURE,
+            0,
+            1,
+        )
+        self.work = raw[: at.WORK_BYTES].view(at.WORK)[0]
+        self.arms = records(raw, int(head["arm_work_at"]), k, at.ARM_WORK)
+        self.joints = records(raw, int(head["joint_work_at"]), n, at.JOINT_WORK)
+        start = int(head["jacobian_at"]) // 8
+        self.jacobian = floats[start : start + 6 * n].reshape(n, 6)
+
+    def inertia(self, arms: Sequence[slice]) -> Array:
+        """M (n, n) of all arms, given each one's part of the joints."""
+        n = len(self.joints)
+        M = np.zeros((n, n))
+        for s in arms:
+            M[s, s] = self.joints["M"][s, : s.stop - s.start]
+        return M
+
+    def require_done(self) -> None:
+        """Refuse what the law could not take.
+
+        Raises:
+            ModelError: an arm without inertia, or joints that do not tell where the object is.
+        """
+        reason = int(self.work["reason"])
+        if reason != at.NO_REASON:
+            raise ModelError(_WHY[reason])
+
+
+def read_state(chain: ChainModel, now: Look, rest: Look, data: pin.Data) -> ChainState:
+    """The state of a chain.
+
+    Args:
+        now: at (q, v). rest: at the same q and v = 0, where all forces are gravity's.
+        data: with the placements at q.
+
+    Raises:
+        ModelError: the motors cannot drive every motion, and the chain does not allow that.
+    """
+    work = now.work
+    joints = now.joints
+    motion = motions(work)
+    wrench = wrenches(work)
+    m = int(work["locked"])
+    locked, free = np.split(reflection(work).T, [m], axis=1)  # what η̇ moves, in energy coordinates
+    S = motion @ free
+    sigma = work["sigma"][:m]
+    sigma_e = locked @ sigma
+    Lambda = work["Lambda"][m:, m:] + (chain.payload is not None) * np.eye(6 - m)
+    p = rest.work["chain_bias"][m:].copy()
+    mu = work["chain_bias"][m:] + work["Lambda"][m:, :m] @ sigma - p
+    W = joints["J_bar"] @ free
+    G = W.T[:, chain.actuated]
+    M = now.inertia(chain.slices)
+    X_WO = pin.SE3(work["X_WO"])
+    V_O = work["V_O"].copy()
+    payload = _NOTHING
+    if chain.payload is not None:
+        payload = chain.payload.terms(X_WO, V_O, chain.model.gravity.linear)
+    return ChainState(
+        X_WO=X_WO,
+        V_O=V_O,
+        S=S,
+        C=wrench @ locked,
+        Lambda_S=Lambda,
+        Phi=S @ np.linalg.solve(Lambda, S.T),
+        mu_S=mu,
+        p_S=p,
+        sigma=motion @ sigma_e,
+        G=G,
+        W=W,
+        w=joints["offset"] + joints["J_bar"] @ sigma_e,
+        h=joints["h"].copy(),
+        M=M,
+        arms=tuple(
+            _arm_terms(now, rest, i, s, M[s, s], motion, wrench) for i, s in enumerate(chain.slices)
+        ),
+        payload=payload,
+        metric=wrench @ wrench.T,
+        grasp_points=np.array([tip.translation for tip in chain.tip_poses(data)]),
+        sensors=chain.sensor_poses(data),
+        filters=tuple(_filters(chain, now, motion, wrench)),
+        Lambda_out=wrench @ work["out_T"].T @ wrench.T,
+        bias_out=work["bias_out"].copy(),
+        unactuated=chain.unactuated_motions(G, S),
+        reference=(wrench * now.head["reference"]) @ wrench.T,
+        full_ranks=chain.full_ranks,
+        singular_directions=tuple(_singular_directions(chain, now, motion, wrench)),
+    )
+
+
+def _arm_terms(
+    now: Look, rest: Look, number: int, s: slice, M: Array, motion: Array, wrench: Array
+) -> ArmTerms:
+    own = now.arms[number]
+    joints = now.joints[s]
+    J = motion @ joints["J"].T
+    J_bar = joints["J_bar"] @ wrench.T
+    gamma = motion @ own["gamma"]
+    Lambda = wrench @ own["Lambda"] @ wrench.T
+    p = J_bar.T @ rest.joints["h"][s]
+    rank = int(own["n_kept"])
+    return ArmTerms(
+        J=J,
+        gamma=gamma,
+        M=M,
+        Phi=J @ np.linalg.solve(M, J.T),
+        Lambda=Lambda,
+        J_bar=J_bar,
+        mu=J_bar.T @ joints["h"] - p - Lambda @ gamma,
+        p=p,
+        C=wrench @ own["resisted"][: int(own["n_locked"])].T,
+        N=wrench @ own["kept"][:rank].T if own["passed"].any() else np.eye(6),
+        rank=rank,
+    )
+
+
+def _filters(chain: ChainModel, now: Look, motion: Array, wrench: Array) -> Any:
+    """Of each wrist's reading, as matrices at O."""
+    for grasp, links, own in zip(chain.grasps, chain.outboard, now.arms, strict=True):
+        filtered = links and not grasp.is_rigid
+        yield wrench @ own["filter"] @ motion.T if filtered else None
+
+
+def _singular_directions(chain: ChainModel, now: Look, motion: Array, wrench: Array) -> Any:
+    """Every direction that the law found an arm to be losing."""
+    reference = now.head["reference"]
+    for i, (own, s) in enumerate(zip(now.arms, chain.slices, strict=True)):
+        for e in range(int(own["n_lost"])):
+            lost = own["lost"][e]
+            yield SingularDirection(
+                i,
+                float(own["chi"][e]),
+                float(own["share"][e]),
+                wrench @ lost,
+                motion @ (lost / reference),
+                own["mode"][e, : s.stop - s.start].copy(),
+                bool(own["gone"][e]),
+            )
+
+
+STATES = 3
+TOLERANCE = 1e-9
+
+
+def require_pinocchio_agrees(chain: ChainModel, row: Bytes) -> None:
+    """Compare J, M and h = C v + g on a few random states.
+
+    Args:
+        chain: the arms. row: from `chain_row`, not led: where the object is does not matter.
+
+    Raises:
+        ModelError: a difference above 1e-9 of the largest element: a kind of joint or a property of
+            the model that the law does not know.
+    """
+    rng = np.random.default_rng(0)
+    data = chain.model.createData()
+    n = chain.nq
+    for _ in range(STATES):
+        q = rng.uniform(-1.0, 1.0, n)
+        v = rng.normal(size=n)
+        look = Look(row, q, v, np.eye(4), np.zeros(6))
+        pin.computeAllTerms(chain.model, data, q, v)
+        for name, ours, theirs in (
+            ("J", look.jacobian, data.J.T),
+            ("M", look.inertia(chain.slices), data.M),
+            ("h", look.joints["h"], data.nle),
+        ):
+            worst = float(np.abs(ours - theirs).max(initial=0.0))
+            if not worst <= TOLERANCE * np.abs(theirs).max(initial=1.0):
+                raise ModelError(
+                    f"the control law's {name} differs from Pinocchio's by {worst:.3g} on a random "
+                    "state: the model has a joint or a property that the law does not know. Please "
+                    "report it with the model; a chain of plain revolute and prismatic joints is "
+                    "known"
+                )
 
 
 class ClosedChain(ChainModel):
@@ -60,12 +299,13 @@ class ClosedChain(ChainModel):
         v = as_array("v", v, (self.nq,))
         data = self.data if data is None else data
         pin.forwardKinematics(self.model, data, q, v)
-        if X_WO is None and V_O is None and self.leader is not None:
-            row = self.law_row(led=True)
-            now, rest = Look(row, q, v), Look(row, q, np.zeros(self.nq))
+        led = X_WO is None and V_O is None and self.leader is not None
+        row = self.law_row(led)
+        if led:
+            now = Look(row, q, v)
+            rest = Look(row, q, np.zeros(self.nq))
         else:
-            row = self.law_row(led=False)
-            X_WO = self.object_pose(data) if X_WO is None else X_WO
+            X_WO = X_WO or self.object_pose(data)
             V_O = self._twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
             now = Look(row, q, v, X_WO.homogeneous, V_O)
             rest = Look(row, q, np.zeros(self.nq), X_WO.homogeneous, np.zeros(6))
@@ -87,7 +327,9 @@ class ClosedChain(ChainModel):
             ModelError: arms that the law does not know.
         """
         row = self._rows[led]
-        row[:CHAIN_BYTES].view(CHAIN)[0]["gravity"] = self.model.gravity.linear  # may have changed
+        row[: at.CHAIN_BYTES].view(at.CHAIN)[0]["gravity"] = (
+            self.model.gravity.linear
+        )  # may have changed
         return row
 
     @cached_property

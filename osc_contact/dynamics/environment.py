@@ -16,24 +16,104 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact import robots
-from osc_contact.dynamics.definite import (
-    element_sizes,
-    inverse,
-    require_inverse_inertia,
-    symmetric,
-)
-from osc_contact.dynamics.guided_body import guided_body
 from osc_contact.dynamics.payload import RigidObject
-from osc_contact.errors import InvalidInputError
+from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spans import left_inverse
 from osc_contact.spatial import (
     Array,
     as_array,
     carry_twist,
     classical_to_spatial,
+    cross_wrench,
 )
 
-__all__ = ["Environment"]
+
+def symmetric(matrix: Array) -> Array:
+    """½ (A + Aᵀ), without the rounding errors that make a symmetric matrix none."""
+    return 0.5 * (matrix + matrix.T)
+
+
+def inverse(matrix: Array, what: str) -> Array:
+    """Inverse of a positive definite matrix, judged and inverted with unit diagonal.
+
+    Raises:
+        ModelError: it is none (singular up to rounding, asymmetric, not finite).
+    """
+    diagonal = np.diag(matrix)
+    if np.isfinite(matrix).all() and diagonal.min(initial=1.0) > 0.0:
+        scale = np.sqrt(np.outer(diagonal, diagonal))
+        scaled = matrix / scale
+        skewed = np.abs(scaled - scaled.T).max(initial=0.0)
+        if skewed < 1e-9 and np.linalg.eigvalsh(scaled).min(initial=1.0) > 1e-13:
+            return np.linalg.inv(symmetric(scaled)) / scale
+    raise ModelError(
+        f"{what} is not symmetric positive definite (diagonal {np.round(diagonal, 9)}); give every "
+        "body a mass and inertia, and independent axes"
+    )
+
+
+def require_inverse_inertia(name: str, scaled: Array) -> None:
+    """Refuse what no passive mechanism can have; `scaled` is free of units, its largest near 1."""
+    if np.abs(scaled - scaled.T).max(initial=0.0) > 1e-9:
+        raise InvalidInputError(f"{name} is not symmetric; an inverse inertia is")
+    smallest = np.linalg.eigvalsh(scaled).min(initial=0.0)
+    if smallest < -1e-9:
+        raise InvalidInputError(
+            f"{name} is not positive semidefinite (scaled eigenvalue {smallest:.3g}); "
+            "no passive body accelerates against the force on it"
+        )
+
+
+def element_sizes(Phi: Array) -> Array:
+    """(6, 6) what the elements of Φ_e are measured against: its most mobile axis of each kind.
+
+    One scale for the linear and one for the angular axes, so that rounding errors in a locked
+    direction (of an inverse inertia carried from another point, say) are not blown up. An axis
+    through O leaves linear noise only: mobilities below 1 mm/rad count as noise too.
+    """
+    largest = np.sqrt(np.diag(Phi).reshape(2, 3).max(axis=1, initial=0.0))
+    largest = np.maximum(largest, 1e-3 * largest[::-1])
+    largest[largest == 0.0] = 1.0
+    scale = np.repeat(largest, 3)
+    return np.outer(scale, scale)
+
+
+def guided_body(
+    inertia: pin.Inertia,
+    X_WE: pin.SE3,
+    A: Array,
+    rates: Array,
+    O: npt.ArrayLike,  # noqa: E741 - the operational point
+    gravity: npt.ArrayLike,
+    Q: Array,
+) -> tuple[Array, Array, Array]:
+    """Φ_e (6, 6), b_e (6,) and V_e (6,) at O: AᵀIA s̈ = Q + Aᵀ(weight − V ×* IV) at its origin.
+
+    No drift: a space of motions fixed in the world has none, and one fixed in the body V × V.
+
+    Args:
+        inertia: in the body's own frame (kg, m). X_WE: its pose in the world.
+        A: (6, k) twists per unit rate at its origin. rates: (k,) how fast it moves along each.
+        O: (3,) operational point in the world (m). gravity: (3,) m/s².
+        Q: (k,) what else acts along each twist (N, N m).
+
+    Raises:
+        InvalidInputError: wrong shapes or non-finite numbers.
+        ModelError: no inertia along one of the twists.
+    """
+    p = X_WE.translation
+    point = as_array("O", O, (3,))
+    I: Array = pin.SE3(X_WE.rotation, np.zeros(3)).act(inertia).matrix()  # noqa: E741
+    V = A @ rates
+    acting = I[:, :3] @ as_array("gravity", gravity, (3,)) - cross_wrench(V, I @ V)
+    M_inv = inverse(A.T @ I @ A, "the body's inertia along its axes")
+    at_O = carry_twist(A, p, point)
+    return (
+        symmetric(at_O @ M_inv @ at_O.T),
+        at_O @ (M_inv @ (Q + A.T @ acting)),
+        carry_twist(V, p, point),
+    )
+
 
 _ZERO = np.zeros(3)
 
@@ -65,9 +145,8 @@ class Environment:
     Phi_friction: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "Phi_e", as_array("Phi_e", self.Phi_e, (6, 6)))
-        object.__setattr__(self, "b_e", as_array("b_e", self.b_e, (6,)))
-        object.__setattr__(self, "V_e", as_array("V_e", self.V_e, (6,)))
+        for name, shape in (("Phi_e", (6, 6)), ("b_e", (6,)), ("V_e", (6,))):
+            object.__setattr__(self, name, as_array(name, getattr(self, name), shape))
         require_inverse_inertia("Phi_e", self.Phi_e / element_sizes(self.Phi_e))
 
     def yielding(self, N: Array, friction_wrenches: Array | float = 0.0) -> Array:
@@ -107,7 +186,8 @@ class Environment:
         """
         V = as_array("V_E", V_E, (6,))
         A = classical_to_spatial(as_array("A_E", A_E, (6,)), V)
-        p, point = X_WE.translation, as_array("O", O, (3,))
+        p = X_WE.translation
+        point = as_array("O", O, (3,))
         return cls(b_e=carry_twist(A, p, point), V_e=carry_twist(V, p, point))
 
     @classmethod
@@ -207,7 +287,8 @@ class Environment:
             InvalidInputError: wrong shapes or non-finite numbers.
             ModelError: no such frame, or links without inertia.
         """
-        q, v = as_array("q", q, (model.nq,)), as_array("v", v, (model.nv,))
+        q = as_array("q", q, (model.nq,))
+        v = as_array("v", v, (model.nv,))
         tau = as_array("tau", tau, (model.nv,))
         point = as_array("O", O, (3,))
         if model.existJointName(frame):
@@ -260,7 +341,8 @@ class Environment:
         """
         N = as_array("N", N, (6, None))
         r = N.shape[1]
-        Phi_N, b_N = as_array("Phi_N", Phi_N, (r, r)), as_array("b_N", b_N, (r,))
+        Phi_N = as_array("Phi_N", Phi_N, (r, r))
+        b_N = as_array("b_N", b_N, (r,))
         V_N = as_array("V_N", V_N, (r,))
         mobility = inverse(as_array("metric", metric, (6, 6)), "the metric (object inertia)")
         K = left_inverse(N, mobility, "environment of several contacts").T
@@ -305,18 +387,13 @@ class Environment:
             return cls.fixed()
         if all(_move_as_one(env, environments[0]) for env in environments):
             return environments[0]
-        pairs = list(zip((c.N for c in contacts), environments, strict=True))
-        N = [n for n, _ in pairs]
+        N = [contact.N for contact in contacts]
+        pairs = list(zip(N, environments, strict=True))
 
         def between(forces: Sequence[Array]) -> Array:
             """Blocks nᵀΦ_e × force where both contacts are on one body."""
-            return np.block(
-                [
-                    [n.T @ e.Phi_e @ f if e is g else np.zeros((n.shape[1], f.shape[1]))
-                     for f, (_, g) in zip(forces, pairs, strict=True)]
-                    for n, e in pairs
-                ]
-            )  # fmt: skip
+            acting = list(zip(forces, environments, strict=True))
+            return np.block([[(e is g) * (n.T @ e.Phi_e @ f) for f, g in acting] for n, e in pairs])
 
         together = cls.of_contacts(
             np.hstack(N),
@@ -332,7 +409,5 @@ class Environment:
 
 
 def _move_as_one(a: Environment, b: Environment) -> bool:
-    if a is b:
-        return True
     rigid = not (a.Phi_e.any() or b.Phi_e.any())
-    return rigid and np.array_equal(a.b_e, b.b_e) and np.array_equal(a.V_e, b.V_e)
+    return a is b or (rigid and np.array_equal([a.b_e, a.V_e], [b.b_e, b.V_e]))

@@ -7,7 +7,7 @@ carried by the tip, and by the object too, for the motions that a grasp permits 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -15,11 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from osc_contact.errors import InvalidInputError
+from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.scenarios.geometry import GRASP_TYPES
 from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist
-
-__all__ = ["GRASPS", "Grasp", "register_grasp"]
 
 _SAME = 1e-9  #: columns of unit size nearer to dependence than this are dependent
 
@@ -103,13 +101,11 @@ class Grasp:
 
     def wrenches_at(self, X_WT: pin.SE3, O: Array) -> Array:  # noqa: E741 - operational point
         """N (6, 6−k) in world axes at O, the tip standing at X_WT."""
-        R = X_WT.rotation
-        return carry_wrench(np.vstack((R @ self.N[:3], R @ self.N[3:])), X_WT.translation, O)
+        return carry_wrench(_turned(X_WT, self.N), X_WT.translation, O)
 
     def motions_at(self, X_WT: pin.SE3, O: Array) -> Array:  # noqa: E741
         """T (6, k) in world axes at O, the tip standing at X_WT."""
-        R = X_WT.rotation
-        return carry_twist(np.vstack((R @ self.T[:3], R @ self.T[3:])), X_WT.translation, O)
+        return carry_twist(_turned(X_WT, self.T), X_WT.translation, O)
 
     def miss(self, X_WT: pin.SE3, X_WO: pin.SE3) -> Array:
         """How far the object is from where the grasp can hold it, (6−k,) along N (m, rad).
@@ -128,6 +124,15 @@ class Grasp:
                 break
         return np.asarray(self.N.T @ left)
 
+    def whitened(self, X_WT: pin.SE3, X_WO: pin.SE3, L: Array) -> tuple[Array, Array]:
+        """L⁻¹N (6, 6−k) made orthonormal, and the miss (6−k,) along it.
+
+        Args:
+            X_WT, X_WO: poses of tip and object. L: (6, 6) Cholesky factor of the object's inertia.
+        """
+        Q, R = np.linalg.qr(np.linalg.solve(L, self.wrenches_at(X_WT, X_WO.translation)))
+        return Q, np.linalg.solve(R.T, self.miss(X_WT, X_WO))
+
     def _displacement(self, X: pin.SE3) -> Array:
         """(6,) of a relative pose: point and rotation by themselves, where T only turns."""
         if self.T[:3].any():
@@ -135,17 +140,20 @@ class Grasp:
         return np.concatenate((X.translation, pin.log3(X.rotation)))
 
 
+def _turned(X: pin.SE3, columns: Array) -> Array:
+    """Twists or wrenches (6, k) in the axes that X turns them into, at the same point."""
+    return (X.rotation @ columns.reshape(2, 3, -1)).reshape(6, -1)
+
+
 def _wrenches(T: Array) -> Array:
     """N with NᵀT = 0: forces first, then couples, where T turns only."""
-    if T.shape[1] == 0:
+    k = T.shape[1]
+    if k == 0:
         return np.eye(6)
     if T[:3].any():
-        U, _, _ = np.linalg.svd(T / np.linalg.norm(T, axis=0), full_matrices=True)
-        return U[:, T.shape[1] :]
-    U, _, _ = np.linalg.svd(T[3:], full_matrices=True)
-    N = np.zeros((6, 6 - T.shape[1]))
-    N[:3, :3] = np.eye(3)
-    N[3:, 3:] = U[:, T.shape[1] :]
+        return np.linalg.svd(T / np.linalg.norm(T, axis=0))[0][:, k:]
+    N = np.eye(6)[:, : 6 - k]
+    N[3:, 3:] = np.linalg.svd(T[3:])[0][:, k:]
     return N
 
 
@@ -160,9 +168,99 @@ def register_grasp(name: str, make: Callable[..., Grasp], *, axis: bool) -> None
         name: its `type`. make: X_TO, and an axis (3,) if it has one → Grasp.
         axis: whether it has one.
     """
-    GRASPS[name], GRASP_TYPES[name] = make, axis
+    GRASPS[name] = make
+    GRASP_TYPES[name] = axis
 
 
 register_grasp("rigid", Grasp.rigid, axis=False)
 register_grasp("hinge", Grasp.hinge, axis=True)
 register_grasp("ball", Grasp.ball, axis=False)
+
+
+def locate(
+    grasps: Sequence[Grasp],
+    tips: Sequence[pin.SE3],
+    inertia: Callable[[pin.SE3], Array],
+    tolerance: float,
+) -> pin.SE3:
+    """The pose at which all grasps fit the tips; where none does, the nearest in energy.
+
+    Begins with the rotation that best aligns points and axes (Kabsch 1976), then Gauss–Newton on
+    the grasps' misses, weighted by the object's inertia.
+
+    Args:
+        grasps, tips: of each arm, and where its tip is in the world.
+        inertia: (6, 6) of the object at its origin, in world axes, at a pose.
+        tolerance: the object counts as free to move while the tips stand still when the grasps'
+            wrenches come this near to leaving one of its motions (rad, in its energy metric).
+
+    Raises:
+        ModelError: the tips do not tell it: the object can move while they stand still.
+    """
+    X = _aligned(grasps, tips)
+    for _ in range(50):
+        L = np.linalg.cholesky(inertia(X))
+        step = -_solved(grasps, tips, X, L, tolerance)
+        X = moved(X, step)
+        if np.abs(step).max() < 1e-15:
+            break
+    return X
+
+
+def moved(X: pin.SE3, displacement: Array) -> pin.SE3:
+    """A pose displaced by (6,) at its own origin, world axes (m, rad)."""
+    return pin.SE3(pin.exp3(displacement[3:]) @ X.rotation, X.translation + displacement[:3])
+
+
+def _solved(
+    grasps: Sequence[Grasp], tips: Sequence[pin.SE3], X: pin.SE3, L: Array, tolerance: float
+) -> Array:
+    """x (6,) with N_iᵀx = miss_i, each grasp's rows made orthonormal in the metric LLᵀ."""
+    rows = []
+    right = []
+    for grasp, tip in zip(grasps, tips, strict=True):
+        N, miss = grasp.whitened(tip, X, L)
+        rows.append(N.T)
+        right.append(miss)
+    U, s, Vh = np.linalg.svd(np.vstack(rows), full_matrices=False)
+    if len(s) < 6 or s[5] < tolerance:
+        motion = np.linalg.solve(L.T, np.linalg.svd(np.vstack(rows))[2][5])
+        motion /= np.abs(motion).max()
+        raise ModelError(
+            "the joints do not tell where the object is: its grasps let it make the motion "
+            f"{np.array2string(motion, precision=3, suppress_small=True)} (linear, angular; world "
+            "axes at the object) while every arm stands still. Grasp it so that this is blocked, "
+            "or give the measured pose and twist: state(q, v, X_WO, V_O)."
+        )
+    return np.asarray(np.linalg.solve(L.T, Vh.T @ ((U.T @ np.concatenate(right)) / s)))
+
+
+def _aligned(grasps: Sequence[Grasp], tips: Sequence[pin.SE3]) -> pin.SE3:
+    """A start: the pose that best brings grasp points together and axes parallel."""
+    own, seen = [], []  # pairs of points, in the object and in the world
+    turns = np.zeros((3, 3))
+    radius = 0.1  # a metre of axis counts as this much distance between points
+    for grasp, tip in zip(grasps, tips, strict=True):
+        T = grasp.T
+        X_OT = grasp.X_TO.inverse()
+        if not T[:3].any():
+            own.append(X_OT.translation)
+            seen.append(tip.translation)
+        axes = _fixed_axes(T[3:])
+        turns += radius**2 * (tip.rotation @ axes) @ (X_OT.rotation @ axes).T
+    if own:
+        p = np.array(own)
+        x = np.array(seen)
+        turns += (x - x.mean(axis=0)).T @ (p - p.mean(axis=0))
+    U, _, Vh = np.linalg.svd(turns)
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vh)]) @ Vh
+    if own:
+        return pin.SE3(R, x.mean(axis=0) - R @ p.mean(axis=0))
+    return pin.SE3(R, (tips[0] * grasps[0].X_TO).translation)
+
+
+def _fixed_axes(turning: Array) -> Array:
+    """(3, k) directions that the permitted rotations (3, m) leave as they are."""
+    U, s, _ = np.linalg.svd(np.hstack((turning, np.zeros((3, 1)))))
+    rank = int(np.count_nonzero(s > 1e-9))
+    return np.eye(3) if rank == 0 else U[:, :1] if rank == 1 else np.zeros((3, 0))

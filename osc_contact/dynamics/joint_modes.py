@@ -8,8 +8,6 @@ from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.errors import ModelError
 from osc_contact.spatial import Array
 
-__all__ = ["joint_inertias", "modes", "stiffness_for"]
-
 
 def joint_inertias(state: ChainState, actuated: Array) -> Array:
     """(n_a,) inertia each motor moves: of its own arm, with an equal share of the object.

@@ -10,8 +10,6 @@ import pinocchio as pin
 from osc_contact.errors import ModelError
 from osc_contact.spatial import Array, cross_wrench
 
-__all__ = ["RigidObject", "ObjectTerms"]
-
 
 @dataclass(frozen=True)
 class ObjectTerms:

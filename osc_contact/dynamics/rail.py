@@ -12,8 +12,6 @@ from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array, as_array, cross
 
-__all__ = ["Body", "Cart", "Conveyor", "Hinge"]
-
 
 class Body(Protocol):
     """Anything that answers contact forces: it says how, each tick, at the operational point."""
@@ -74,7 +72,8 @@ class Cart:
             X_WE, V_E, A_E, O: as of `Body.environment`.
         """
         u = self.direction
-        travel, speed = float(u @ X_WE.translation), float(u @ V_E[:3])
+        travel = float(u @ X_WE.translation)
+        speed = float(u @ V_E[:3])
         force = self.preload - self.stiffness * travel - self.damping * speed
         axis = np.concatenate((u, np.zeros(3)))
         return Environment.rail(
@@ -123,7 +122,8 @@ class Hinge:
             X_WE, V_E, A_E, O: as of `Body.environment`.
         """
         a = self.axis
-        angle, rate = float(a @ pin.log3(X_WE.rotation)), float(a @ V_E[3:])
+        angle = float(a @ pin.log3(X_WE.rotation))
+        rate = float(a @ V_E[3:])
         moment = self.preload - self.stiffness * angle - self.damping * rate
         return Environment.rail(
             pin.Inertia(0.0, np.zeros(3), self.inertia * np.eye(3)),

@@ -24,7 +24,7 @@ from osc_contact.dynamics.grasp import Grasp
 from osc_contact.errors import PlantError
 from osc_contact.plants.faces import Rail
 from osc_contact.robots import is_mjcf
-from osc_contact.robots.mjcf_parts import mjcf_skeleton
+from osc_contact.robots.mjcf import mjcf_skeleton
 from osc_contact.spatial import Array
 
 __all__ = ["DRIVE_MASS", "GRASP_JOINT", "GUIDES", "MujocoOptions", "scene"]

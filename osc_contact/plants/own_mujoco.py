@@ -12,9 +12,8 @@ import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.dynamics.arm import Arm
-from osc_contact.dynamics.assembly import close
+from osc_contact.dynamics.assembly import close, require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.dynamics.joint_range import require_in_range
 from osc_contact.errors import InvalidInputError, ModelError, PlantError
 from osc_contact.plants.joint_drives import JointDrives
 from osc_contact.plants.mujoco import MujocoPlant, quieten

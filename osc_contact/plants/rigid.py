@@ -26,7 +26,7 @@ from osc_contact.dynamics.assembly import (
     row_groups,
 )
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.dynamics.held_object import moved
+from osc_contact.dynamics.grasp import moved
 from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError, PlantError
 from osc_contact.interface import Measurement

@@ -1,15 +1,13 @@
 """Robots: where their files are, and how a file becomes a model that can be trusted.
 
-A URDF passes, in this order: strict XML with line numbers (`xml_tree`), words and numbers
-(`words`, `document`), tree (`tree`), shapes and mesh addresses (`geometry`), limits (`limits`),
-inertias (`inertias`), Pinocchio and its mass matrix (`model`); on demand a second reader
-(`second_reader`). docs/robots.md says what is refused and why.
+A URDF passes, in this order: strict XML with line numbers (`xml_tree`), words, numbers and tree
+(`urdf`), shapes and mesh addresses, limits, inertias (`checks`), Pinocchio and its mass matrix
+(`model`); on demand a second reader (`loading`). docs/robots.md says what is refused and why.
 """
 
+from osc_contact.robots.checks import Inertias, JointLimits
 from osc_contact.robots.findings import ModelFinding, suggest
-from osc_contact.robots.inertias import Inertias
 from osc_contact.robots.library import ROBOT_DATA, find_robot, locate, resolve_urdf, urdf_path
-from osc_contact.robots.limits import JointLimits
 from osc_contact.robots.loading import (
     Loaded,
     cross_check,
@@ -22,8 +20,7 @@ from osc_contact.robots.loading import (
 )
 from osc_contact.robots.mjcf import compile_mjcf, couplings, is_mjcf, load_mjcf
 from osc_contact.robots.model import check_mass_matrix, ends_of, frame_id, random_configurations
-from osc_contact.robots.report import RobotReport, check_robot
-from osc_contact.robots.summary import RobotSummary, summarise
+from osc_contact.robots.summary import RobotReport, RobotSummary, check_robot, summarise
 
 __all__ = [
     "ROBOT_DATA",

@@ -10,10 +10,8 @@ from typing import NoReturn
 
 from osc_contact.errors import ModelError
 
-__all__ = ["ModelFinding", "refuse", "suggest"]
-
-_SHOWN = 12
-"""So many findings go into the text of an error; the rest is counted."""
+SHOWN = 12
+"""So many findings, or names, go into the text of an error; the rest is counted."""
 
 
 @dataclass(frozen=True)
@@ -44,23 +42,31 @@ class ModelFinding:
 
 
 def refuse(findings: Sequence[ModelFinding]) -> NoReturn:
-    """Raise a `ModelError` that tells all findings and carries them as `findings`."""
-    lines = [str(finding) for finding in findings[:_SHOWN]]
-    if len(findings) > _SHOWN:
-        lines.append(f"… and {len(findings) - _SHOWN} more")
+    """Raise a `ModelError` with the text of all findings, which carries them as `findings`."""
+    lines = [str(finding) for finding in findings[:SHOWN]]
+    if len(findings) > SHOWN:
+        lines.append(f"… and {len(findings) - SHOWN} more")
     error = ModelError("\n".join(lines))
     error.findings = tuple(findings)
     raise error
 
 
-SHOWN = 12  #: names at most, where none is near
+def refuse_file(
+    check: str, file: Path, reason: str, cure: str = "", line: int = 0, column: int = 0
+) -> NoReturn:
+    """Raise a `ModelError` with one finding about a file, or about a place in it.
+
+    Args:
+        check, file, reason, cure, line, column: of the `ModelFinding`.
+    """
+    refuse([ModelFinding(check, file, line, column, "", reason, cure)])
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
-    """Say "Did you mean x?" for a name that is not among `known`, or what there is."""
+    """ "Did you mean x?" for a name that is not among `known`, or the list of those there are."""
     names = sorted(set(known))
     near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     more = f", … ({len(names)} in all)" if len(names) > SHOWN else ""
     listed = f"There is: {', '.join(names[:SHOWN]) or 'nothing'}{more}"
     guess = f"Did you mean {' or '.join(near)}?"
-    return (guess if len(names) > SHOWN else f"{guess} {listed}") if near else listed
+    return (guess if more else f"{guess} {listed}") if near else listed

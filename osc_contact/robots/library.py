@@ -11,8 +11,6 @@ import pinocchio as pin
 from osc_contact.errors import ModelError
 from osc_contact.robots.findings import suggest
 
-__all__ = ["ROBOT_DATA", "urdf_path", "find_robot", "resolve_urdf", "locate"]
-
 ROBOT_DATA = "example-robot-data"
 _PACKAGE = Path(__file__).resolve().parent.parent
 

@@ -2,42 +2,40 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import ModelError
-from osc_contact.robots.document import Document
-from osc_contact.robots.findings import ModelFinding, refuse
-from osc_contact.robots.geometry import check_geometry, check_mesh_files
-from osc_contact.robots.inertias import (
+from osc_contact.robots.checks import (
     Inertias,
+    JointLimits,
+    check_geometry,
     check_inertias,
+    check_limits,
+    check_mesh_files,
     check_moving_bodies,
+    matching_limits,
     require_level,
 )
-from osc_contact.robots.limits import JointLimits, check_limits, give_limits
+from osc_contact.robots.findings import refuse_file
 from osc_contact.robots.mjcf import compile_mjcf, couplings, is_mjcf, load_mjcf
-from osc_contact.robots.model import build_model, check_mass_matrix
-from osc_contact.robots.reading import read_document
-from osc_contact.robots.second_reader import compare
-from osc_contact.robots.tree import check_mimics, check_tree
+from osc_contact.robots.model import (
+    build_model,
+    check_mass_matrix,
+    frame_id,
+    random_configurations,
+)
+from osc_contact.robots.urdf import Document, check_mimics, check_tree, read_document
 from osc_contact.robots.xml_tree import read_bytes
 
-__all__ = [
-    "Loaded",
-    "cross_check",
-    "load",
-    "load_body",
-    "load_coupled",
-    "load_geometry",
-    "load_model",
-    "load_robot",
-]
+CROSS_CHECK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ class Loaded:
 
     model: pin.Model
     document: Document
-    package_dirs: tuple[Path, ...] = field(default=())
+    package_dirs: tuple[Path, ...] = ()
 
 
 def load(
@@ -69,7 +67,9 @@ def load(
     require_level(inertias)
     folders = tuple(Path(folder) for folder in package_dirs)
     document = _sound(Path(path), folders)
-    give_limits(document, limits or {})
+    moving = [joint.name for joint in document.joints.values() if joint.kind != "fixed"]
+    for name, given in matching_limits(moving, limits or {}).items():
+        document.joints[name].limits.update(given)
     check_limits(document)
     check_inertias(document, inertias)
     document.require()
@@ -110,25 +110,17 @@ def load_model(
 
 
 def load_robot(
-    path: Path | str,
-    tip: str | None = None,
-    *,
-    limits: Mapping[str, JointLimits] | None = None,
-    inertias: Inertias = "possible",
-    package_dirs: Sequence[Path | str] = (),
+    path: Path | str, tip: str | None = None, package_dirs: Sequence[Path | str] = ()
 ) -> pin.Model:
     """The model of a URDF or of an MJCF file, whichever it is.
 
     Args:
-        path: the file. tip: of MJCF, see `load_mjcf`. limits: see there and `load_model`.
-        inertias, package_dirs: of a URDF, see `load_model`.
+        path: the file. tip: of MJCF, see `load_mjcf`. package_dirs: of a URDF, see `load_model`.
 
     Raises:
-        ModelError, InvalidInputError: see there.
+        ModelError: see there.
     """
-    if is_mjcf(path):
-        return load_mjcf(path, tip, limits=limits)
-    return load_model(path, limits=limits, inertias=inertias, package_dirs=package_dirs)
+    return load_mjcf(path, tip) if is_mjcf(path) else load_model(path, package_dirs=package_dirs)
 
 
 def load_coupled(path: Path | str, tip: str) -> tuple[pin.Model, dict[str, str]]:
@@ -142,9 +134,8 @@ def load_coupled(path: Path | str, tip: str) -> tuple[pin.Model, dict[str, str]]
         return load_mjcf(mj, tip), couplings(mj)
     loaded = _judged(Path(path), "possible")
     joints = loaded.document.joints.values()
-    return loaded.model.copy(), {
-        joint.name: joint.mimic for joint in joints if joint.mimic is not None
-    }
+    followed = {joint.name: joint.mimic for joint in joints if joint.mimic is not None}
+    return loaded.model.copy(), followed
 
 
 def load_body(path: Path | str) -> pin.Inertia:
@@ -155,17 +146,17 @@ def load_body(path: Path | str) -> pin.Inertia:
     """
     file = Path(path)
     loaded = _judged(file, "possible")
-    model = loaded.model
-    heavy = [k.name for k in loaded.document.links.values() if k.inertial and k.inertial.mass > 0]
-    if model.nv > 0:
-        moving = ", ".join(list(model.names)[1:])
+    links = loaded.document.links.values()
+    heavy = [link.name for link in links if link.inertial and link.inertial.mass > 0]
+    if loaded.model.nv > 0:
+        moving = ", ".join(list(loaded.model.names)[1:])
         raise ModelError(f"{file}: one rigid body is wanted, but these joints move: {moving}")
     if len(heavy) != 1:
         raise ModelError(
             f"{file}: exactly one link with mass is wanted, found {len(heavy)} "
             f"({', '.join(heavy) or 'none'}); merge them into one <inertial>"
         )
-    return pin.Inertia(model.inertias[0])
+    return pin.Inertia(loaded.model.inertias[0])
 
 
 def load_geometry(
@@ -181,7 +172,8 @@ def load_geometry(
     Raises:
         ModelError: as :func:`load_model` but for limits and inertias; or a mesh cannot be read.
     """
-    file, folders = Path(path), [Path(folder) for folder in package_dirs]
+    file = Path(path)
+    folders = [Path(folder) for folder in package_dirs]
     document = _sound(file, folders)
     document.findings.extend(check_mesh_files(document, folders))
     document.require()
@@ -191,9 +183,7 @@ def load_geometry(
             model, str(file), kind, package_dirs=[str(f) for f in (*folders, file.parent)]
         )
     except (ValueError, RuntimeError) as error:
-        refuse(
-            [ModelFinding("mesh", file, 0, 0, "", f"Pinocchio cannot read the shapes: {error}", "")]
-        )
+        refuse_file("mesh", file, f"Pinocchio cannot read the shapes: {error}")
     return model, geometry, document
 
 
@@ -210,8 +200,50 @@ def cross_check(path: Path | str) -> float:
     return compare(build_model(_sound(file, ())), file)
 
 
-_KEPT = 32  #: files whose models are kept
-_kept: OrderedDict[tuple[Path, bytes, Inertias], Loaded] = OrderedDict()
+def compare(model: pin.Model, file: Path) -> float:
+    """Largest difference of a link placement between the model and yourdfpy, see `cross_check`.
+
+    Raises:
+        ModelError: yourdfpy fails, or the difference exceeds 1e-9, with link and size.
+    """
+    import yourdfpy
+
+    try:
+        other = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
+        worst, link = _difference(model, other)
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
+        reason = f"the second reader (yourdfpy) fails: {type(error).__name__}: {error}"
+        refuse_file("second reader", file, reason)
+    if not worst <= CROSS_CHECK_TOLERANCE:
+        reason = f"link {link!r}: two URDF readers place link {link!r} {worst:.3g} apart "
+        cure = "look at the origins and axes of the joints above it"
+        refuse_file("second reader", file, f"{reason}(allowed {CROSS_CHECK_TOLERANCE:g})", cure)
+    return worst
+
+
+def _difference(model: pin.Model, other: Any) -> tuple[float, str]:
+    """The largest difference between both readers, and the link that has it."""
+    data = model.createData()
+    root = other.base_link
+    names = list(model.names)[1:]
+    worst = 0.0
+    where = root
+    for q in (pin.neutral(model), *random_configurations(model, 5)):
+        joints = dict(zip(names, q, strict=True))
+        for name in names:
+            if mimic := other.joint_map[name].mimic:
+                joints[name] = mimic.multiplier * joints[mimic.joint] + mimic.offset
+        if joints:
+            other.update_cfg({name: joints[name] for name in other.actuated_joint_names})
+        pin.framesForwardKinematics(model, data, np.array([joints[name] for name in names]))
+        X_WR = data.oMf[frame_id(model, root)]
+        for link in other.link_map:
+            ours = X_WR.actInv(data.oMf[frame_id(model, link)]).homogeneous
+            difference = float(np.abs(ours - other.get_transform(link, root)).max())
+            if not difference <= worst:
+                worst = difference
+                where = link
+    return worst, where
 
 
 def _judged(file: Path, inertias: Inertias) -> Loaded:
@@ -219,14 +251,12 @@ def _judged(file: Path, inertias: Inertias) -> Loaded:
 
     Studies build thousands of rigs from the same files. Nobody may change what is returned.
     """
-    require_level(inertias)
-    key = file.absolute(), sha256(read_bytes(file)).digest(), inertias
-    if key not in _kept:
-        loaded = load(file, inertias=inertias)
-        while len(_kept) >= _KEPT:
-            _kept.popitem(last=False)
-        _kept[key] = loaded
-    return _kept[key]
+    return _loaded(file, file.absolute(), sha256(read_bytes(file)).digest(), inertias)
+
+
+@lru_cache(maxsize=32)
+def _loaded(file: Path, place: Path, digest: bytes, inertias: Inertias) -> Loaded:
+    return load(file, inertias=inertias)
 
 
 def _sound(file: Path, package_dirs: Sequence[Path]) -> Document:

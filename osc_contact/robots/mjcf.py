@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.errors import ModelError
+from osc_contact.robots.checks import JointLimits, matching_limits
 from osc_contact.robots.findings import suggest
-from osc_contact.robots.limits import JointLimits
-from osc_contact.robots.model import check_mass_matrix
+from osc_contact.robots.model import check_mass_matrix, random_configurations
 from osc_contact.spatial import Array
 
-__all__ = ["compile_mjcf", "couplings", "is_mjcf", "load_mjcf", "motors_of", "place", "trees_of"]
-
 _NONE = 1e30  #: a limit that is none (N m, N, rad/s, m/s)
+_FREE, _BALL, _SLIDE = 0, 1, 2  #: MuJoCo's numbers of joint types
+_POSTURES = 6  #: at which placements are compared
 
 
 def is_mjcf(path: Path | str) -> bool:
@@ -57,6 +56,85 @@ def compile_mjcf(mjcf: Path | str | Any) -> Any:
         raise ModelError(f"{mjcf}: MuJoCo refuses it: {error}") from error
 
 
+# What a compiled model says -----------------------------------------------------------------------
+
+
+def joint_name(mj: Any, joint: int) -> str:
+    """Name of a joint by its number."""
+    return mj.joint(joint).name or f"joint{joint}"
+
+
+def body_name(mj: Any, body: int) -> str:
+    """Name of a body by its number."""
+    return mj.body(body).name or f"body{body}"
+
+
+def joints_of(mj: Any, body: int) -> range:
+    """Numbers of the joints that move a body in its parent."""
+    first = int(mj.body_jntadr[body])
+    return range(first, first + int(mj.body_jntnum[body]))
+
+
+def motors_of(mj: Any, joint: int) -> list[int]:
+    """Numbers of the actuators that act on a joint directly."""
+    direct = (0, 1)  # mjTRN_JOINT, mjTRN_JOINTINPARENT
+    pairs = zip(mj.actuator_trntype, mj.actuator_trnid[:, 0], strict=True)
+    return [a for a, (kind, driven) in enumerate(pairs) if kind in direct and driven == joint]
+
+
+def couplings(mj: Any) -> dict[str, str]:
+    """Joint → the joint that it follows by an <equality> of the file, "" where it is held."""
+    found = {}
+    for e in np.flatnonzero((mj.eq_type == 2) & (mj.eq_active0 != 0)):  # mjEQ_JOINT
+        master = int(mj.eq_obj2id[e])
+        follower = joint_name(mj, int(mj.eq_obj1id[e]))
+        found[follower] = "" if master < 0 else joint_name(mj, master)
+    return found
+
+
+def bodies_of(mj: Any, tip: str | None) -> list[int]:
+    """Bodies of the tip's kinematic tree; None: of all trees that do not begin with a free joint.
+
+    Raises:
+        ModelError: there is no such body or site, or no joint moves it.
+    """
+    root = mj.body_rootid
+    if tip is None:
+        free = {root[mj.jnt_bodyid[j]] for j in np.flatnonzero(mj.jnt_type == _FREE)}
+        found = [b for b in range(1, mj.nbody) if root[b] not in free]
+        if mj.nbody > 1 and not found:
+            raise ModelError("every body hangs on a free joint, which is not supported; fix a base")
+        return found
+    sites = {mj.site(s).name: int(mj.site_bodyid[s]) for s in range(mj.nsite)}
+    places = sites | {mj.body(b).name: b for b in range(mj.nbody)}
+    if tip not in places:
+        known = filter(None, places)
+        raise ModelError(f"the MuJoCo model has no body or site {tip!r}. {suggest(tip, known)}")
+    if places[tip] == 0:
+        raise ModelError(f"no joint moves {tip!r}: it is fixed to the world")
+    return [b for b in range(1, mj.nbody) if root[b] == root[places[tip]]]
+
+
+def pose(position: Array, quaternion: Array) -> pin.SE3:
+    """From MuJoCo's w, x, y, z."""
+    return pin.SE3(pin.Quaternion(*quaternion).toRotationMatrix(), np.array(position))
+
+
+def _anchor(mj: Any, joint: int) -> pin.SE3:
+    return pin.SE3(np.eye(3), np.array(mj.jnt_pos[joint]))
+
+
+def _motion(mj: Any, joint: int, position: float) -> pin.SE3:
+    """What a joint does to what is behind it, from `ref` to a position."""
+    by = (position - mj.qpos0[mj.jnt_qposadr[joint]]) * np.array(mj.jnt_axis[joint])
+    if mj.jnt_type[joint] == _SLIDE:
+        return pin.SE3(np.eye(3), by)
+    return pin.SE3(pin.exp3(by), np.zeros(3))
+
+
+# The Pinocchio model ------------------------------------------------------------------------------
+
+
 def load_mjcf(
     mjcf: Path | str | Any,
     tip: str | None = None,
@@ -81,191 +159,221 @@ def load_mjcf(
         InvalidInputError: limits for joints that do not exist.
     """
     mj = compile_mjcf(mjcf)
-    reader = _Reader(mj)
-    reader.read(trees_of(mj, tip))
-    _give_limits(reader.model, limits or {})
-    check_mass_matrix(reader.model)
-    return reader.model
+    model = pin.Model()
+    model.name = "mjcf"
+    model.gravity.linear = np.array(mj.opt.gravity)
+    places = {0: _Place(0, pin.SE3.Identity(), 0)}
+    for b in bodies_of(mj, tip):
+        places[b] = _add_body(mj, model, b, places[int(mj.body_parentid[b])])
+    for s in range(mj.nsite):
+        place = places.get(int(mj.site_bodyid[s]))
+        if place is not None and mj.site(s).name:
+            X = place.X * pose(mj.site_pos[s], mj.site_quat[s])
+            # beside its body, behind the same joint: a force sensor cuts before its body
+            _add_frame(model, mj.site(s).name, place._replace(X=X), pin.FrameType.OP_FRAME)
+    names = list(model.names)[1:]
+    for name, given in matching_limits(names, limits or {}).items():
+        for key, value in given.items():
+            _set_limit(model, key, names.index(name), value)
+    check_mass_matrix(model)
+    return model
 
 
-def motors_of(mj: Any, joint: int) -> list[int]:
-    """Numbers of the actuators that act on a joint directly."""
-    direct = (0, 1)  # mjTRN_JOINT, mjTRN_JOINTINPARENT
-    return [
-        a for a in range(mj.nu)
-        if int(mj.actuator_trntype[a]) in direct and int(mj.actuator_trnid[a, 0]) == joint
-    ]  # fmt: skip
+class _Place(NamedTuple):
+    """Where a body is: the joint it moves with, its pose there, the frame that carries it."""
+
+    joint: int
+    X: pin.SE3
+    frame: int
 
 
-def couplings(mj: Any) -> dict[str, str]:
-    """Joint → the joint that it follows by an <equality> of the file, "" where it is held."""
-    found = {}
-    for e in range(mj.neq):
-        if int(mj.eq_type[e]) != 2 or not mj.eq_active0[e]:  # mjEQ_JOINT
-            continue
-        first, second = int(mj.eq_obj1id[e]), int(mj.eq_obj2id[e])
-        name = mj.joint(first).name or f"joint{first}"
-        found[name] = "" if second < 0 else mj.joint(second).name or f"joint{second}"
-    return found
+def _add_body(mj: Any, model: pin.Model, b: int, parent: _Place) -> _Place:
+    name = body_name(mj, b)
+    if mj.body_gravcomp[b] != 0.0:
+        raise ModelError(
+            f"body {name!r} has gravcomp {mj.body_gravcomp[b]:g}: MuJoCo carries its weight, "
+            "and so would the control law; set gravcomp to 0"
+        )
+    place = parent._replace(X=parent.X * pose(mj.body_pos[b], mj.body_quat[b]))
+    for j in joints_of(mj, b):
+        place = _add_joint(mj, model, j, place)
+    R = pin.Quaternion(*mj.body_iquat[b]).toRotationMatrix()
+    about_centre: Array = R @ np.diag(mj.body_inertia[b]) @ R.T
+    inertia = pin.Inertia(float(mj.body_mass[b]), np.array(mj.body_ipos[b]), about_centre)
+    if mj.body_jntnum[b]:
+        model.appendBodyToJoint(place.joint, inertia, place.X)
+    else:
+        kind = pin.FrameType.FIXED_JOINT
+        place = place._replace(frame=_add_frame(model, f"{name}_weld", place, kind, inertia))
+    _add_frame(model, name, place, pin.FrameType.BODY)
+    return place
 
 
-def trees_of(mj: Any, tip: str | None) -> set[int]:
-    """First bodies of the trees to read."""
-    if tip is None:
-        tops = {int(mj.body_rootid[b]) for b in range(1, mj.nbody)}
-        free = {int(mj.body_rootid[mj.jnt_bodyid[j]]) for j in range(mj.njnt)
-                if int(mj.jnt_type[j]) == 0}  # fmt: skip
-        if tops and not tops - free:
-            raise ModelError("every body hangs on a free joint, which is not supported; fix a base")
-        return tops - free
-    names = {mj.body(b).name: b for b in range(mj.nbody)}
-    sites = {mj.site(s).name: int(mj.site_bodyid[s]) for s in range(mj.nsite)}
-    if tip not in names and tip not in sites:
-        known = [name for name in (*names, *sites) if name]
-        raise ModelError(f"the MuJoCo model has no body or site {tip!r}. {suggest(tip, known)}")
-    body = names.get(tip, sites.get(tip, 0))
-    if body == 0:
-        raise ModelError(f"no joint moves {tip!r}: it is fixed to the world")
-    return {int(mj.body_rootid[body])}
+def _add_frame(
+    model: pin.Model, name: str, place: _Place, kind: Any, inertia: pin.Inertia | None = None
+) -> int:
+    carried = inertia or pin.Inertia.Zero()
+    return model.addFrame(pin.Frame(name, place.joint, place.frame, place.X, kind, carried))
 
 
-def _give_limits(model: pin.Model, limits: Mapping[str, JointLimits]) -> None:
-    names, given = list(model.names)[1:], set()
-    low, high = model.lowerPositionLimit, model.upperPositionLimit
-    for j, name in enumerate(names):
-        key = next((key for key in limits if name == key or fnmatchcase(name, key)), None)
-        if key is None:
-            continue
-        given.add(key)
-        one = limits[key]
-        low[j] = low[j] if one.lower is None else one.lower
-        high[j] = high[j] if one.upper is None else one.upper
-        if one.effort is not None:
-            model.upperEffortLimit[j], model.lowerEffortLimit[j] = one.effort, -one.effort
-        if one.velocity is not None:
-            model.upperVelocityLimit[j], model.lowerVelocityLimit[j] = one.velocity, -one.velocity
-    model.lowerPositionLimit, model.upperPositionLimit = low, high
-    for key in limits:
-        if key not in given:
-            raise InvalidInputError(f"limits for {key!r}: no such joint; there are {names}")
+def _add_joint(mj: Any, model: pin.Model, j: int, body: _Place) -> _Place:
+    """A joint where `body` stands; returns the place of the body behind it."""
+    name = joint_name(mj, j)
+    kind = int(mj.jnt_type[j])
+    if kind in (_FREE, _BALL):
+        raise ModelError(
+            f"joint {name!r} is a {('free', 'ball')[kind]} joint (nq ≠ nv), which is not "
+            "supported; build it from hinges and slides, or fix it"
+        )
+    if mj.jnt_stiffness[j] != 0.0:
+        raise ModelError(
+            f"joint {name!r} has a spring of {mj.jnt_stiffness[j]:g}, which the control law "
+            "does not know; set its stiffness to 0"
+        )
+    make = pin.JointModelPrismaticUnaligned if kind == _SLIDE else pin.JointModelRevoluteUnaligned
+    anchor = _anchor(mj, j)
+    X = body.X * anchor * _motion(mj, j, 0.0)
+    number = model.addJoint(body.joint, make(np.array(mj.jnt_axis[j])), X, name)
+    frame = model.addJointFrame(number, body.frame)
+    v = model.joints[number].idx_v
+    dof = mj.jnt_dofadr[j]
+    model.armature[v] = mj.dof_armature[dof]
+    model.damping[v] = mj.dof_damping[dof]
+    ends = mj.jnt_range[j] if mj.jnt_limited[j] else (-np.inf, np.inf)
+    _set_limit(model, "lower", v, ends[0])
+    _set_limit(model, "upper", v, ends[1])
+    _set_limit(model, "effort", v, _effort(mj, j))
+    _set_limit(model, "velocity", v, _NONE)
+    _set_limit(model, "dryFriction", v, mj.dof_frictionloss[dof])
+    return _Place(number, anchor.inverse(), frame)
 
 
-class _Reader:
-    """Bodies one by one into a Pinocchio model."""
-
-    def __init__(self, mj: Any) -> None:
-        self.mj, self.model = mj, pin.Model()
-        self.model.name = "mjcf"
-        self.model.gravity.linear = np.array(mj.opt.gravity)
-        self._joint = {0: 0}  # of each body: number of the joint it moves with
-        self._inside = {0: pin.SE3.Identity()}  # and where it is in that joint's frame
-        self._above = {0: 0}  # the joint frame that carries it
-
-    def read(self, roots: set[int]) -> None:
-        """Bodies of the trees, sites behind them, then what MuJoCo says of the joints."""
-        mj = self.mj
-        bodies = [b for b in range(1, mj.nbody) if int(mj.body_rootid[b]) in roots]
-        for b in bodies:
-            self._body(b)
-        for s in range(mj.nsite):
-            b = int(mj.site_bodyid[s])
-            if b in self._joint and mj.site(s).name:
-                X = self._inside[b] * place(mj.site_pos[s], mj.site_quat[s])
-                # beside its body, behind the same joint: a force sensor cuts before its body
-                self._frame(mj.site(s).name, b, X, pin.FrameType.OP_FRAME, pin.Inertia.Zero())
-
-    def _body(self, b: int) -> None:
-        mj, model = self.mj, self.model
-        parent, name = int(mj.body_parentid[b]), mj.body(b).name or f"body{b}"
-        if mj.body_gravcomp[b] != 0.0:
-            raise ModelError(
-                f"body {name!r} has gravcomp {mj.body_gravcomp[b]:g}: MuJoCo carries its weight, "
-                "and so would the control law; set gravcomp to 0"
-            )
-        joint, above = self._joint[parent], self._above[parent]
-        X = self._inside[parent] * place(mj.body_pos[b], mj.body_quat[b])
-        first = int(mj.body_jntadr[b])
-        inertia = _inertia(mj, b)
-        for j in range(first, first + int(mj.body_jntnum[b])):
-            joint, X = self._moving(j, joint, X, above)
-            above = model.getFrameId(model.names[joint], pin.FrameType.JOINT)
-        self._joint[b], self._inside[b] = joint, X
-        if mj.body_jntnum[b]:
-            self._above[b] = above
-            model.appendBodyToJoint(joint, inertia, X)
-            self._frame(name, b, X, pin.FrameType.BODY, pin.Inertia.Zero())
-            return
-        weld = pin.Frame(f"{name}_weld", joint, above, X, pin.FrameType.FIXED_JOINT, inertia)
-        self._above[b] = model.addFrame(weld)
-        self._frame(name, b, X, pin.FrameType.BODY, pin.Inertia.Zero())
-
-    def _frame(self, name: str, b: int, X: pin.SE3, kind: Any, inertia: pin.Inertia) -> None:
-        frame = pin.Frame(name, self._joint[b], self._above[b], X, kind, inertia)
-        self.model.addFrame(frame)
-
-    def _moving(self, j: int, parent: int, X: pin.SE3, above: int) -> tuple[int, pin.SE3]:
-        """A joint behind `parent` and the frame `above`, X where its body stands in `parent`.
-
-        Returns its number, and the body in it.
-        """
-        mj, model = self.mj, self.model
-        name = mj.joint(j).name or f"joint{j}"
-        kind, dof, q = int(mj.jnt_type[j]), int(mj.jnt_dofadr[j]), int(mj.jnt_qposadr[j])
-        if kind not in (2, 3):
-            raise ModelError(
-                f"joint {name!r} is a {('free', 'ball')[kind]} joint (nq ≠ nv), which is not "
-                "supported; build it from hinges and slides, or fix it"
-            )
-        if mj.jnt_stiffness[j] != 0.0:
-            raise ModelError(
-                f"joint {name!r} has a spring of {mj.jnt_stiffness[j]:g}, which the control law "
-                "does not know; set its stiffness to 0"
-            )
-        axis, at = np.array(mj.jnt_axis[j]), np.array(mj.jnt_pos[j])
-        ref = float(mj.qpos0[q])
-        make = pin.JointModelPrismaticUnaligned if kind == 2 else pin.JointModelRevoluteUnaligned
-        back = pin.SE3(np.eye(3), -ref * axis) if kind == 2 else pin.SE3(
-            pin.exp3(-ref * axis), np.zeros(3)
-        )  # fmt: skip
-        anchor = pin.SE3(np.eye(3), at)
-        number = model.addJoint(parent, make(axis), X * anchor * back, name)
-        model.addJointFrame(number, above)
-        v = model.joints[number].idx_v
-        model.armature[v], model.damping[v] = mj.dof_armature[dof], mj.dof_damping[dof]
-        dry = float(mj.dof_frictionloss[dof])
-        model.upperDryFrictionLimit[v], model.lowerDryFrictionLimit[v] = dry, -dry
-        limited = bool(mj.jnt_limited[j])
-        model.lowerPositionLimit[v] = mj.jnt_range[j, 0] if limited else -np.inf
-        model.upperPositionLimit[v] = mj.jnt_range[j, 1] if limited else np.inf
-        effort = _effort(mj, j)
-        model.upperEffortLimit[v], model.lowerEffortLimit[v] = effort, -effort
-        model.upperVelocityLimit[v], model.lowerVelocityLimit[v] = _NONE, -_NONE
-        return number, anchor.inverse()
+def _set_limit(model: pin.Model, key: str, v: int, value: float) -> None:
+    """Set a position limit, or both limits ± of another quantity."""
+    if key in ("lower", "upper"):
+        getattr(model, f"{key}PositionLimit")[v] = value
+        return
+    quantity = f"{key[0].upper()}{key[1:]}Limit"
+    getattr(model, f"upper{quantity}")[v] = value
+    getattr(model, f"lower{quantity}")[v] = -value
 
 
 def _effort(mj: Any, joint: int) -> float:
     """Largest torque (N m, N): what joint and actuators permit; without a limit a huge number."""
-    limits = [_NONE]
-    if mj.jnt_actfrclimited[joint]:
-        limits.append(float(np.abs(mj.jnt_actfrcrange[joint]).min()))
+
+    def least(limits: Any) -> float:
+        return float(np.abs(limits).min())
+
+    most = least(mj.jnt_actfrcrange[joint]) if mj.jnt_actfrclimited[joint] else _NONE
     strong = 0.0
     for a in motors_of(mj, joint):
-        gear, most = abs(float(mj.actuator_gear[a, 0])), [_NONE]
-        if mj.actuator_forcelimited[a]:
-            most.append(float(np.abs(mj.actuator_forcerange[a]).min()))
-        if mj.actuator_ctrllimited[a] and int(mj.actuator_biastype[a]) == 0:
+        force = least(mj.actuator_forcerange[a]) if mj.actuator_forcelimited[a] else _NONE
+        if mj.actuator_ctrllimited[a] and mj.actuator_biastype[a] == 0:
             gain = abs(float(mj.actuator_gainprm[a, 0]))
-            most.append(gain * float(np.abs(mj.actuator_ctrlrange[a]).min()))
-        strong += gear * min(most) if min(most) < _NONE else _NONE
-    return min(*limits, strong) if strong > 0.0 else min(limits)
+            force = min(force, gain * least(mj.actuator_ctrlrange[a]))
+        strong += abs(float(mj.actuator_gear[a, 0])) * force if force < _NONE else _NONE
+    return min(most, strong) if strong > 0.0 else most
 
 
-def _inertia(mj: Any, b: int) -> pin.Inertia:
-    R = pin.Quaternion(*mj.body_iquat[b]).toRotationMatrix()
-    about_centre: Array = R @ np.diag(mj.body_inertia[b]) @ R.T
-    return pin.Inertia(float(mj.body_mass[b]), np.array(mj.body_ipos[b]), about_centre)
+def placement_difference(mj: Any, model: pin.Model) -> float:
+    """Largest difference of all body placements between Pinocchio and MuJoCo (m or without unit).
+
+    At seeded random postures between the limits.
+    """
+    import mujoco
+
+    data = model.createData()
+    sim = mujoco.MjData(mj)
+    worst = 0.0
+    joints = {joint_name(mj, j): int(mj.jnt_qposadr[j]) for j in range(mj.njnt)}
+    at = [joints[name] for name in list(model.names)[1:]]
+    bodies = [b for b in range(1, mj.nbody) if model.existBodyName(body_name(mj, b))]
+    for q in random_configurations(model, _POSTURES):
+        sim.qpos[at] = q
+        mujoco.mj_kinematics(mj, sim)
+        pin.framesForwardKinematics(model, data, q)
+        for b in bodies:
+            X = data.oMf[model.getFrameId(body_name(mj, b), pin.FrameType.BODY)]
+            theirs = pin.SE3(np.array(sim.xmat[b]).reshape(3, 3), np.array(sim.xpos[b]))
+            worst = max(worst, float(np.abs(X.homogeneous - theirs.homogeneous).max()))
+    return worst
 
 
-def place(position: Array, quaternion: Array) -> pin.SE3:
-    """From MuJoCo's w, x, y, z."""
-    return pin.SE3(pin.Quaternion(*quaternion).toRotationMatrix(), np.array(position))
+# The arm without shapes, for MuJoCo ---------------------------------------------------------------
+
+
+def mjcf_skeleton(
+    mujoco: Any, path: Path, tip: str, sensor: str | None, locked: Mapping[str, float]
+) -> Any:
+    """A `MjSpec` of the tip's kinematic tree: bodies, inertias and joints, nothing else.
+
+    Joints carry neither losses nor springs; those in `locked` are welded where they are held. A
+    tip that is a site becomes a body without mass; a sensor's site is called `wrist`, as is one in
+    the body of that name.
+
+    Args:
+        mujoco: the module.
+        path: the MJCF file.
+        tip: body or site at the arm's end.
+        sensor: site of the wrist sensor, if there is one.
+        locked: positions (m, rad) of the joints that are held.
+
+    Raises:
+        ModelError: a locked joint moves its body after one that is not locked.
+    """
+    mj = compile_mjcf(path)
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.compiler.fusestatic = False
+    made: dict[int, Any] = {0: spec.worldbody}
+    for b in bodies_of(mj, tip):
+        X, joints = _held(mj, b, locked)
+        x, y, z, w = pin.Quaternion(X.rotation).coeffs()
+        body = made[int(mj.body_parentid[b])].add_body(
+            name=body_name(mj, b), pos=X.translation, quat=[w, x, y, z]
+        )
+        body.explicitinertial = True
+        body.mass = float(mj.body_mass[b])
+        body.ipos = mj.body_ipos[b]
+        body.iquat = mj.body_iquat[b]
+        body.inertia = mj.body_inertia[b]
+        for j in joints:
+            body.add_joint(
+                name=joint_name(mj, j),
+                type=mujoco.mjtJoint(int(mj.jnt_type[j])),
+                pos=mj.jnt_pos[j],
+                axis=mj.jnt_axis[j],
+                ref=float(mj.qpos0[mj.jnt_qposadr[j]]),
+                range=mj.jnt_range[j],
+                limited=int(bool(mj.jnt_limited[j])),
+            )
+        made[b] = body
+    bodies = [mj.body(b).name for b in made]
+    if tip not in bodies:
+        at = mj.site(tip)
+        made[int(at.bodyid[0])].add_body(name=tip, pos=at.pos, quat=at.quat)
+    if sensor in bodies:
+        spec.body(sensor).add_site(name="wrist")
+    elif sensor is not None:
+        at = mj.site(sensor)
+        made[int(at.bodyid[0])].add_site(name="wrist", pos=at.pos, quat=at.quat)
+    return spec
+
+
+def _held(mj: Any, b: int, locked: Mapping[str, float]) -> tuple[pin.SE3, list[int]]:
+    """Where a body stands in its parent, locked joints held, and its other joints."""
+    X = pose(mj.body_pos[b], mj.body_quat[b])
+    free: list[int] = []
+    for j in joints_of(mj, b):
+        name = joint_name(mj, j)
+        if name not in locked:
+            free.append(j)
+            continue
+        if free:
+            raise ModelError(
+                f"joint {name!r} is locked, and moves its body after {mj.joint(free[-1]).name!r}, "
+                "which is not: give each a body of its own"
+            )
+        anchor = _anchor(mj, j)
+        X = X * anchor * _motion(mj, j, locked[name]) * anchor.inverse()
+    return X, free

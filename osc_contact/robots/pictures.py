@@ -1,6 +1,7 @@
-"""An arm and what stands about it as data: what a recording carries so that it can be drawn.
+"""Shapes to draw: of an MJCF arm, and of a MuJoCo scene as data that a recording carries.
 
-Joints, shapes and colours, and neither names of files nor anything that is executed.
+A picture holds joints, shapes and colours, and neither names of files nor anything that is
+executed.
 """
 
 from __future__ import annotations
@@ -8,19 +9,105 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.robots.mjcf_parts import mesh_of, mesh_rows, mjcf_shape
+from osc_contact.robots.mjcf import bodies_of, body_name, compile_mjcf, load_mjcf, pose
+from osc_contact.robots.model import slides
 from osc_contact.spatial import Array
 
-__all__ = ["read_picture", "scene_picture"]
-
 MOST_CORNERS = 200_000  #: of one mesh; of a larger one its box is drawn
-_MESH, _BOX = 7, 6  #: MuJoCo's numbers of these types
+_MESH = 7  #: MuJoCo's number of the type
+_BOX = 6
+
+
+def mjcf_geometry(path: Path | str, tip: str | None) -> tuple[pin.Model, pin.GeometryModel]:
+    """(kinematics, shapes to draw) of the tip's tree: what touches nothing, or else everything.
+
+    Planes, height fields, ellipsoids and signed distance fields are left out.
+    """
+    mj = compile_mjcf(path)
+    model = load_mjcf(mj, tip)
+    geometry = pin.GeometryModel()
+    bodies = bodies_of(mj, tip)
+    seen = [g for g in range(mj.ngeom) if mj.geom_bodyid[g] in bodies]
+    for g in [g for g in seen if _touches_nothing(mj, g)] or seen:
+        kind = int(mj.geom_type[g])
+        shape = mesh_of(*_mesh_rows(mj, g)) if kind == _MESH else _solid(kind, mj.geom_size[g])
+        if shape is not None:
+            name = body_name(mj, int(mj.geom_bodyid[g]))
+            frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+            X = frame.placement * pose(mj.geom_pos[g], mj.geom_quat[g])
+            _add(geometry, f"geom{g}", frame.parentJoint, X, shape, _colour(mj, g))
+    return model, geometry
+
+
+def _touches_nothing(mj: Any, g: int) -> bool:
+    return not (mj.geom_contype[g] or mj.geom_conaffinity[g])
+
+
+def _colour(mj: Any, g: int) -> Array:
+    """(4,) of a geom's material, or its own."""
+    material = int(mj.geom_matid[g])
+    return np.array(mj.mat_rgba[material] if material >= 0 else mj.geom_rgba[g], dtype=float)
+
+
+def _add(
+    geometry: pin.GeometryModel, name: str, joint: int, X: pin.SE3, shape: Any, rgba: Array
+) -> None:
+    one = pin.GeometryObject(name, joint, X, shape)
+    one.meshColor = rgba
+    one.overrideMaterial = True
+    geometry.addGeometryObject(one)
+
+
+def _mesh_rows(mj: Any, g: int) -> tuple[Any, Any]:
+    """Corners (k, 3) in m and faces (m, 3) of the mesh of a geom."""
+    mesh = mj.mesh(int(mj.geom_dataid[g]))
+    v = int(mesh.vertadr[0])
+    f = int(mesh.faceadr[0])
+    corners = mj.mesh_vert[v : v + int(mesh.vertnum[0])]
+    return corners, mj.mesh_face[f : f + int(mesh.facenum[0])]
+
+
+def _solid(kind: int, size: Any) -> Any:
+    """The coal shape of a type of geom other than a mesh, None if it has none.
+
+    Args:
+        kind: MuJoCo's number of it. size: (3,) as MuJoCo means it.
+    """
+    radius, half, _ = map(float, size)
+    makers = {
+        2: lambda: coal.Sphere(radius),
+        3: lambda: coal.Capsule(radius, 2.0 * half),
+        5: lambda: coal.Cylinder(radius, 2.0 * half),
+        _BOX: lambda: coal.Box(*(2.0 * np.array(size, dtype=float))),
+    }
+    return makers[kind]() if kind in makers else None
+
+
+def mesh_of(corners: Any, faces: Any) -> coal.BVHModelOBBRSS:
+    """A mesh.
+
+    Args:
+        corners: (k, 3) m. faces: (m, 3) numbers of corners.
+    """
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(corners):
+        raise ValueError(f"faces name corners beyond {len(corners)}")
+    mesh = coal.BVHModelOBBRSS()
+    triangles = coal.StdVec_Triangle()
+    points = coal.StdVec_Vec3s()
+    points.extend([np.array(corner, dtype=float) for corner in corners])
+    triangles.extend([coal.Triangle(*(int(k) for k in face)) for face in faces])
+    mesh.beginModel(len(faces), len(corners))
+    mesh.addSubModel(points, triangles)
+    mesh.endModel()
+    return mesh
 
 
 def scene_picture(
@@ -43,21 +130,18 @@ def scene_picture(
     owner = [0] * mj.nbody
     for b in range(1, mj.nbody):
         owner[b] = moves.get(b, owner[int(mj.body_parentid[b])])
-    of = [owner[int(b)] for b in mj.geom_bodyid]
-    plain = [not (mj.geom_contype[g] or mj.geom_conaffinity[g]) for g in range(mj.ngeom)]
-    dressed = {int(b) for b, only_seen in zip(mj.geom_bodyid, plain, strict=True) if only_seen}
+    dressed = {int(mj.geom_bodyid[g]) for g in range(mj.ngeom) if _touches_nothing(mj, g)}
     shapes = []
-    for g, joint in enumerate(of):
-        material = int(mj.geom_matid[g])
-        rgba = np.array(mj.mat_rgba[material] if material >= 0 else mj.geom_rgba[g], dtype=float)
-        hidden = joint and int(mj.geom_bodyid[g]) in dressed and not plain[g]
+    for g in range(mj.ngeom):
+        body = int(mj.geom_bodyid[g])
+        joint = owner[body]
+        rgba = _colour(mj, g)
+        hidden = joint and body in dressed and not _touches_nothing(mj, g)
         shape = None if hidden or not rgba[3] else _describe(mj, g)
         if shape is not None:
             X = pin.SE3(np.array(data.geom_xmat[g]).reshape(3, 3), np.array(data.geom_xpos[g]))
-            shapes.append(
-                {"joint": joint, "place": _place(at.oMi[joint].actInv(X)), "rgba": _round(rgba)}
-                | shape
-            )
+            place = _place(at.oMi[joint].actInv(X))
+            shapes.append({"joint": joint, "place": place, "rgba": _round(rgba)} | shape)
     return {"joints": [_joint(model, j) for j in range(1, model.njoints)], "shapes": shapes}
 
 
@@ -65,22 +149,23 @@ def _joint(model: pin.Model, j: int) -> dict[str, Any]:
     joint = model.joints[j]
     state = joint.createData()
     joint.calc(state, pin.neutral(model)[joint.idx_q : joint.idx_q + 1])
-    S = np.asarray(state.S).ravel()
-    slides = bool(np.abs(S[:3]).max() > 0.5)
+    S = np.asarray(state.S).reshape(2, 3)
+    along = slides(model, j)
     return {
         "name": model.names[j].split("/")[-1],
         "parent": int(model.parents[j]),
         "place": _place(model.jointPlacements[j]),
-        "axis": _round(S[:3] if slides else S[3:]),
-        "slides": slides,
+        "axis": _round(S[0 if along else 1]),
+        "slides": along,
     }
 
 
 def _describe(mj: Any, g: int) -> dict[str, Any] | None:
-    kind, size = int(mj.geom_type[g]), _round(mj.geom_size[g])
+    kind = int(mj.geom_type[g])
+    size = _round(mj.geom_size[g])
     if kind != _MESH:
-        return {"kind": kind, "size": size} if mjcf_shape(kind, np.array(size)) else None
-    corners, faces = mesh_rows(mj, g)
+        return {"kind": kind, "size": size} if _solid(kind, size) else None
+    corners, faces = _mesh_rows(mj, g)
     if max(len(corners), len(faces)) > MOST_CORNERS:
         return {"kind": _BOX, "size": _round(np.abs(corners).max(axis=0))}
     return {"kind": _MESH, "corners": _packed(corners, "<f4"), "faces": _packed(faces, "<i4")}
@@ -117,27 +202,25 @@ def read_picture(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryMod
 
 
 def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
-    model, geometry = pin.Model(), pin.GeometryModel()
+    model = pin.Model()
+    geometry = pin.GeometryModel()
     for joint in picture["joints"]:
-        kind = pin.JointModelPrismaticUnaligned if joint["slides"] else (
-            pin.JointModelRevoluteUnaligned
-        )  # fmt: skip
+        turning = pin.JointModelRevoluteUnaligned
+        make = pin.JointModelPrismaticUnaligned if joint["slides"] else turning
         axis = np.array(joint["axis"], dtype=float)
-        model.addJoint(
-            int(joint["parent"]), kind(axis / np.linalg.norm(axis)), _pose(joint["place"]),
-            str(joint["name"]),
-        )  # fmt: skip
+        moving = make(axis / np.linalg.norm(axis))
+        model.addJoint(int(joint["parent"]), moving, _pose(joint["place"]), str(joint["name"]))
     for i, shape in enumerate(picture["shapes"]):
-        if not 0 <= int(shape["joint"]) < model.njoints:
-            raise IndexError(f"shape {i} is on joint {shape['joint']} of {model.njoints - 1}")
+        joint = int(shape["joint"])
+        if not 0 <= joint < model.njoints:
+            raise IndexError(f"shape {i} is on joint {joint} of {model.njoints - 1}")
         kind = int(shape["kind"])
         if kind == _MESH:
             made = mesh_of(_unpacked(shape["corners"], "<f4"), _unpacked(shape["faces"], "<i4"))
         else:
-            made = mjcf_shape(kind, np.array(shape["size"], dtype=float))
-        one = pin.GeometryObject(f"shape{i}", int(shape["joint"]), _pose(shape["place"]), made)
-        one.meshColor, one.overrideMaterial = np.array(shape["rgba"], dtype=float), True
-        geometry.addGeometryObject(one)
+            made = _solid(kind, shape["size"])
+        rgba = np.array(shape["rgba"], dtype=float)
+        _add(geometry, f"shape{i}", joint, _pose(shape["place"]), made, rgba)
     return model, geometry
 
 

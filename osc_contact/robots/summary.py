@@ -1,25 +1,95 @@
-"""What a robot is, in numbers: joints, masses, limits, and what its tips can do."""
+"""What a robot is, in numbers and in words: joints, masses, limits, losses, tips, and a verdict."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import ModelError
-from osc_contact.robots.document import Document
-from osc_contact.robots.joint_losses import UNITS, joint_losses, loss_words
-from osc_contact.robots.model import ends_of, frame_id, random_configurations
+from osc_contact.robots.checks import Inertias, JointLimits, check_mesh_files
+from osc_contact.robots.findings import ModelFinding
+from osc_contact.robots.loading import compare, load
+from osc_contact.robots.mjcf import compile_mjcf, is_mjcf, load_mjcf, placement_difference
+from osc_contact.robots.model import (
+    SAMPLES,
+    ends_of,
+    frame_id,
+    random_configurations,
+    rotors,
+    slides,
+)
+from osc_contact.robots.urdf import Document
 from osc_contact.spatial import Array
-
-__all__ = ["JointSummary", "RobotSummary", "TipSummary", "summarise", "summarise_mjcf"]
 
 POSTURES = 200
 NO_LIMIT = 1e30  #: N m, N, rad/s, m/s: as large as none
 _SHOWN_TIPS = 12
+_UNITS = {
+    "friction": ("N m", "N"),
+    "damping": ("N m s/rad", "N s/m"),
+    "armature": ("kg m²", "kg"),
+}
+"""What a joint loses and carries; units of a turning and of a sliding joint."""
+
+
+def joint_losses(model: pin.Model, prefix: str = "") -> list[dict[str, Any]]:
+    """What each joint of a model loses and carries.
+
+    Args:
+        model: of one arm, or of a robot. prefix: of the joints' names.
+
+    Returns:
+        Of each joint its name, friction (N m, N), damping (N m s/rad, N s/m), armature (kg m²,
+        kg), and whether it slides.
+    """
+    quantities = {
+        "friction": model.upperDryFrictionLimit,
+        "damping": model.damping,
+        "armature": rotors(model),
+    }
+    return [
+        {"joint": f"{prefix}{model.names[j]}"}
+        | {key: float(values[model.joints[j].idx_v]) for key, values in quantities.items()}
+        | {"slides": slides(model, j)}
+        for j in range(1, model.njoints)
+    ]
+
+
+def losses_by_arm(losses: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    """Each arm's name and its joints in words.
+
+    Args:
+        losses: of `joint_losses`, their names ARM/JOINT.
+    """
+    arms: dict[str, list[Mapping[str, Any]]] = {}
+    for values in losses:
+        arm, _, joint = values["joint"].rpartition("/")
+        arms.setdefault(arm, []).append({**values, "joint": joint})
+    for arm, joints in arms.items():
+        yield arm, loss_words(joints)
+
+
+def loss_words(joints: Sequence[Mapping[str, Any]]) -> str:
+    """Friction, damping and armature of some joints, those that are not zero, in one line."""
+    words = []
+    for key, units in _UNITS.items():
+        groups: dict[tuple[float, str], list[str]] = {}
+        for values in joints:
+            if values[key]:
+                group = (values[key], units[values["slides"]])
+                groups.setdefault(group, []).append(values["joint"])
+        parts = []
+        for (value, unit), names in groups.items():
+            where = "every joint" if len(names) == len(joints) else ", ".join(names)
+            parts.append(f"{value:.3g} {unit} ({where})")
+        words.append(f"{key} {', '.join(parts)}" if parts else f"no {key}")
+    return "; ".join(words)
 
 
 @dataclass(frozen=True)
@@ -80,11 +150,9 @@ class RobotSummary:
     @property
     def loss_words(self) -> str:
         """Friction, damping and armature of the joints in one line."""
+        slide = "prismatic"
         return loss_words(
-            [
-                {**asdict(one), "joint": one.name, "slides": one.kind == "prismatic"}
-                for one in self.joints
-            ]
+            [asdict(one) | {"joint": one.name, "slides": one.kind == slide} for one in self.joints]
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -103,57 +171,36 @@ def summarise(model: pin.Model, document: Document, tip: str | None = None) -> R
     """
     kinds = {name: joint.kind for name, joint in document.joints.items()}
     mass = sum(link.inertial.mass for link in document.links.values() if link.inertial)
-    ends = _ends(model, document)
-    return _summary(model, document.name, kinds, len(document.links), mass, ends, tip)
-
-
-def summarise_mjcf(model: pin.Model, name: str, mass: float, tip: str | None) -> RobotSummary:
-    """The same of a robot from MJCF.
-
-    Args:
-        model: as loaded. name, mass: of all of it (kg). tip: see `summarise`.
-
-    Raises:
-        ModelError: no such frame, or no joint moves it.
-    """
-    joints = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
-    kinds = {
-        joint: "prismatic" if form.shortname().startswith("JointModelP") else "revolute"
-        for joint, form in joints
-    }
-    links = sum(frame.type == pin.FrameType.BODY for frame in model.frames)
-    ends = [frame_id(model, end) for end in ends_of(model)]
-    return _summary(model, name, kinds, links, mass, ends, tip)
+    return _summary(model, document.name, kinds, mass, tip)
 
 
 def _summary(
-    model: pin.Model,
-    robot: str,
-    kinds: Mapping[str, str],
-    links: int,
-    mass: float,
-    ends: list[int],
-    tip: str | None,
+    model: pin.Model, robot: str, kinds: Mapping[str, str], mass: float, tip: str | None
 ) -> RobotSummary:
     data = model.createData()
     pin.crba(model, data, pin.neutral(model))
-    joints, losses = [], {one["joint"]: one for one in joint_losses(model)}
-    for j in range(1, model.njoints):
-        joint, name = model.joints[j], model.names[j]
-        q, v = joint.idx_q, joint.idx_v
-        joints.append(JointSummary(
-            name, kinds[name],
-            float(model.lowerPositionLimit[q]), float(model.upperPositionLimit[q]),
-            _limit(model.upperEffortLimit[v]), _limit(model.upperVelocityLimit[v]),
-            float(data.Ycrb[j].mass), *(losses[name][key] for key in UNITS),
-        ))  # fmt: skip
-    frames = ends if tip is None else [frame_id(model, tip)]
+    joints = []
+    for j, losses in enumerate(joint_losses(model)):
+        name = losses["joint"]
+        joints.append(
+            JointSummary(
+                name,
+                kinds.get(name, "prismatic" if losses["slides"] else "revolute"),
+                float(model.lowerPositionLimit[j]),
+                float(model.upperPositionLimit[j]),
+                _limit(model.upperEffortLimit[j]),
+                _limit(model.upperVelocityLimit[j]),
+                float(data.Ycrb[j + 1].mass),
+                **{key: losses[key] for key in _UNITS},
+            )
+        )
+    frames = [frame_id(model, name) for name in (ends_of(model) if tip is None else [tip])]
     if tip is not None and model.frames[frames[0]].parentJoint == 0:
         raise ModelError(f"{robot}: no joint moves the frame {tip!r}")
     return RobotSummary(
         robot,
         model.nv,
-        links,
+        sum(frame.type == pin.FrameType.BODY for frame in model.frames),
         mass,
         sum(float(inertia.mass) for inertia in list(model.inertias)[1:]),
         tuple(joints),
@@ -162,25 +209,17 @@ def _summary(
     )
 
 
-def _ends(model: pin.Model, document: Document) -> list[int]:
-    """A link without children on every moving body that has one, in the order of the file."""
-    parents = {joint.parent for joint in document.joints.values()}
-    ends: dict[int, int] = {}
-    for name in document.links:
-        if name not in parents:
-            index = frame_id(model, name)
-            ends.setdefault(model.frames[index].parentJoint, index)
-    return [index for joint, index in ends.items() if joint > 0]
-
-
 def _tip(model: pin.Model, frame: int) -> TipSummary:
-    data, placed = model.createData(), model.frames[frame]
+    data = model.createData()
+    placed = model.frames[frame]
     used = [model.joints[j].idx_v for j in list(model.supports[placed.parentJoint])[1:]]
     body = placed.placement.inverse().act(model.inertias[placed.parentJoint])
     moments = np.linalg.eigvalsh(body.inertia)
     solid = body.mass > 0 and moments[0] > 1e-9 * moments[2]
     L = np.linalg.cholesky(body.matrix()) if solid else np.zeros((6, 6))
-    linear, angular, mobility = [], [], []
+    linear = []
+    angular = []
+    mobility = []
     for q in random_configurations(model, POSTURES):
         M = np.array(pin.crba(model, data, q))
         J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
@@ -189,8 +228,8 @@ def _tip(model: pin.Model, frame: int) -> TipSummary:
         linear.append(np.linalg.eigvalsh(A[:3] @ A[:3].T))
         angular.append(np.linalg.eigvalsh(A[3:] @ A[3:].T))
         mobility.append(np.linalg.svd(L.T @ A, compute_uv=False)[: len(used)])
-    low, high = np.min(mobility, axis=0), np.max(mobility, axis=0)
-    sigma = tuple((float(a), float(b)) for a, b in zip(low, high, strict=True)) if solid else ()
+    extremes = np.column_stack((np.min(mobility, axis=0), np.max(mobility, axis=0)))
+    sigma = tuple(map(tuple, extremes.tolist())) if solid else ()
     return TipSummary(placed.name, len(used), _inverse(linear), _inverse(angular), sigma)
 
 
@@ -215,3 +254,111 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+@dataclass(frozen=True)
+class RobotReport:
+    """The verdict on a URDF.
+
+    Attributes:
+        file: the URDF. findings: what is wrong with it, empty for a sound robot.
+        load_ms: time of the checked load. reader_difference: largest difference of a link
+            placement from the second reader (m or without unit).
+        meshes_missing: mesh files that were not found (they are not needed for the dynamics).
+        summary: the robot, None if it was refused.
+    """
+
+    file: Path
+    findings: tuple[ModelFinding, ...]
+    load_ms: float = 0.0
+    reader_difference: float = 0.0
+    meshes_missing: int = 0
+    summary: RobotSummary | None = None
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.findings
+
+    def lines(self) -> list[str]:
+        """The verdict in plain words."""
+        if self.summary is None:
+            count = f"{len(self.findings)} finding{'s' if len(self.findings) > 1 else ''}"
+            return [*map(str, self.findings), f"{self.file}: refused, {count}"]
+        robot = self.summary
+        lines = [
+            f"{self.file}: sound, loaded in {self.load_ms:.1f} ms",
+            f"{robot.dof} joints move, {robot.links} links, {robot.mass:.4g} kg of which "
+            f"{robot.moving_mass:.4g} kg move; mass matrix positive definite at {SAMPLES + 1} "
+            f"configurations; a second reader differs by {self.reader_difference:.1g} at most",
+        ]
+        if robot.joints:
+            lines.append(f"joints: {robot.loss_words}")
+        if self.meshes_missing:
+            lines.append(f"{self.meshes_missing} mesh files were not found (not needed here)")
+        if robot.more_tips:
+            lines.append(f"{robot.more_tips} more tips are not shown: name one with --tip")
+        return lines
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able form."""
+        whole: dict[str, Any] = _finite(asdict(self))
+        robot = whole.pop("summary")
+        for finding in whole["findings"]:
+            del finding["file"]
+        return whole | {"file": str(self.file), "sound": self.sound, "robot": robot}
+
+
+def check_robot(
+    path: Path | str,
+    *,
+    limits: Mapping[str, JointLimits] | None = None,
+    inertias: Inertias = "possible",
+    package_dirs: Sequence[Path | str] = (),
+    tip: str | None = None,
+) -> RobotReport:
+    """Load a URDF with all checks, mesh files and the second reader included, and describe it.
+
+    An MJCF file is compiled by MuJoCo, whose kinematics are the second reader.
+
+    Args:
+        path, limits: as for `load_model`, or `load_mjcf`. inertias, package_dirs: of a URDF.
+        tip: the frame to describe; default: one at each end of the tree.
+
+    Raises:
+        ModelError: there is no such file, or no such frame.
+        InvalidInputError: limits for joints that do not exist.
+    """
+    file = Path(path)
+    if is_mjcf(file):
+        return _check_mjcf(file, limits, tip)
+    start = time.perf_counter()
+    try:
+        loaded = load(file, limits=limits, inertias=inertias, package_dirs=package_dirs)
+        load_ms = 1e3 * (time.perf_counter() - start)
+        missing = check_mesh_files(loaded.document, loaded.package_dirs)
+        loaded.document.require()
+        difference = compare(loaded.model, file)
+    except ModelError as error:
+        if not error.findings or not file.is_file():
+            raise
+        return RobotReport(file, error.findings)
+    summary = summarise(loaded.model, loaded.document, tip)
+    return RobotReport(file, (), load_ms, difference, len(missing), summary)
+
+
+def _check_mjcf(
+    file: Path, limits: Mapping[str, JointLimits] | None, tip: str | None
+) -> RobotReport:
+    start = time.perf_counter()
+    try:
+        mj = compile_mjcf(file)
+        model = load_mjcf(mj, tip, limits=limits)
+        load_ms = 1e3 * (time.perf_counter() - start)
+        difference = placement_difference(mj, model)
+    except ModelError as error:
+        if isinstance(error.__cause__, ImportError):
+            raise
+        return RobotReport(file, (ModelFinding("mjcf", file, 0, 0, "", str(error), ""),))
+    mass = float(mj.body_subtreemass[0])
+    return RobotReport(file, (), load_ms, difference, 0, _summary(model, file.stem, {}, mass, tip))

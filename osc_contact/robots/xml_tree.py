@@ -10,14 +10,14 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 from xml.parsers import expat
 
-from osc_contact.robots.findings import ModelFinding, refuse
+from osc_contact.robots.findings import refuse_file
 
-__all__ = ["MAX_BYTES", "MAX_DEPTH", "MAX_ELEMENTS", "MAX_LINKS", "Element", "read_bytes", "parse"]
-
-MAX_BYTES, MAX_DEPTH, MAX_ELEMENTS = 8 * 2**20, 64, 100_000
+MAX_BYTES = 8 * 2**20
+MAX_DEPTH = 64
+MAX_ELEMENTS = 100_000
 MAX_LINKS = 512
 """Most links (joints) of a robot; Pinocchio's reader dies of a few thousand."""
 _ENCODING = re.compile(rb"""^\s*<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""")
@@ -37,17 +37,21 @@ class Element:
     children: list[Element] = field(default_factory=list)
     text: str = ""
 
-    def get(self, key: str, default: str | None = None) -> str | None:
-        """An attribute."""
-        return self.attributes.get(key, default)
+    def get(self, key: str) -> str:
+        """An attribute, "" where there is none."""
+        return self.attributes.get(key, "")
+
+    def findall(self, *tags: str) -> list[Element]:
+        """The children of those tags."""
+        return [child for child in self.children if child.tag in tags]
 
     def find(self, tag: str) -> Element | None:
         """The first child of that tag."""
-        return next((child for child in self.children if child.tag == tag), None)
+        return next(iter(self.findall(tag)), None)
 
-    def findall(self, tag: str) -> list[Element]:
-        """The children of that tag."""
-        return [child for child in self.children if child.tag == tag]
+    def part(self, tag: str) -> Element:
+        """The first child of that tag; without one, the element itself."""
+        return self.find(tag) or self
 
     def iter(self, tag: str) -> Iterator[Element]:
         """Descendants of that tag, in the order of the file."""
@@ -61,7 +65,7 @@ class Element:
         owner = self
         while owner.tag not in ("link", "joint") and owner.parent is not None:
             owner = owner.parent
-        named = f"{owner.tag} {_short(owner.get('name', ''))}" if owner.get("name") else ""
+        named = f"{owner.tag} {_short(owner.get('name'))}" if owner.get("name") else ""
         if owner is self and not key:
             return named or f"<{self.tag}>"
         value = f" {key}={_short(self.get(key))}" if key in self.attributes else ""
@@ -72,16 +76,15 @@ class Element:
 def read_bytes(file: Path) -> bytes:
     """The content of a regular file that is not too large; anything else is refused."""
     if not file.is_file():
-        words = "is not a file" if file.exists() else "does not exist"
-        refuse([ModelFinding("file", file, 0, 0, "", words, "")])
+        refuse_file("file", file, "is not a file" if file.exists() else "does not exist")
     try:
         with file.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except OSError as error:
-        refuse([ModelFinding("file", file, 0, 0, "", f"cannot be read: {error.strerror}", "")])
+        refuse_file("file", file, f"cannot be read: {error.strerror}")
     if len(data) > MAX_BYTES:
-        _stop(file, "file", 0, 0, f"is larger than {MAX_BYTES // 2**20} MiB",
-              "keep meshes in files of their own")  # fmt: skip
+        reason = f"is larger than {MAX_BYTES // 2**20} MiB"
+        refuse_file("file", file, reason, "keep meshes in files of their own")
     return data
 
 
@@ -95,91 +98,85 @@ def parse(file: Path, data: bytes) -> Element:
     _check_text(file, data)
     stack: list[Element] = []
     roots: list[Element] = []
-    count, parts = 0, {"link": 0, "joint": 0}
+    counts = {"link": 0, "joint": 0, "": 0}
     parser = expat.ParserCreate()
 
+    def place() -> tuple[int, int]:
+        return parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
+
+    def stop(reason: str, cure: str) -> NoReturn:
+        refuse_file("xml", file, reason, cure, *place())
+
     def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal count
-        count += 1
-        line, column = parser.CurrentLineNumber, parser.CurrentColumnNumber + 1
+        counts[""] += 1
         if len(stack) >= MAX_DEPTH:
-            _stop(file, "xml", line, column, f"<{tag}> is nested more than {MAX_DEPTH} deep",
-                  "a URDF needs about 6 levels")  # fmt: skip
-        if count > MAX_ELEMENTS:
-            _stop(file, "xml", line, column, f"more than {MAX_ELEMENTS} elements", "split the file")
-        if len(stack) == 1 and tag in parts:
-            parts[tag] += 1
-            if parts[tag] > MAX_LINKS:
-                _stop(file, "xml", line, column, f"more than {MAX_LINKS} {tag}s",
-                      "split the robot or drop what does not move")  # fmt: skip
+            stop(f"<{tag}> is nested more than {MAX_DEPTH} deep", "a URDF needs about 6 levels")
+        if counts[""] > MAX_ELEMENTS:
+            stop(f"more than {MAX_ELEMENTS} elements", "split the file")
+        if len(stack) == 1 and tag in counts:
+            counts[tag] += 1
+            if counts[tag] > MAX_LINKS:
+                stop(f"more than {MAX_LINKS} {tag}s", "split the robot or drop what does not move")
         prefix, colon, name = tag.partition(":")
         if colon and (prefix == "xacro" or name == "include"):
-            _stop(file, "xml", line, column, f"<{tag}> is not URDF",
-                  "expand macros and includes first (xacro in.xacro > out.urdf)")  # fmt: skip
-        element = Element(tag, attributes, line, column, stack[-1] if stack else None)
+            cure = "expand macros and includes first (xacro in.xacro > out.urdf)"
+            stop(f"<{tag}> is not URDF", cure)
+        element = Element(tag, attributes, *place(), stack[-1] if stack else None)
         (stack[-1].children if stack else roots).append(element)
         stack.append(element)
-
-    def end(tag: str) -> None:
-        stack.pop()
 
     def text(data: str) -> None:
         if stack:
             stack[-1].text += data
 
-    def doctype(name: str, system: str | None, public: str | None, internal: int) -> None:
-        _stop(file, "xml", parser.CurrentLineNumber, parser.CurrentColumnNumber + 1,
-              "<!DOCTYPE> is refused: a robot needs no document type and no entities",
-              "delete it and write entities out")  # fmt: skip
+    def doctype(*declared: Any) -> None:
+        reason = "<!DOCTYPE> is refused: a robot needs no document type and no entities"
+        stop(reason, "delete it and write entities out")
 
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.StartDoctypeDeclHandler, parser.CharacterDataHandler = doctype, text
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: stack.pop()
+    parser.StartDoctypeDeclHandler = doctype
+    parser.CharacterDataHandler = text
     parser.buffer_text = True
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
         reason = f"not well-formed XML: {expat.ErrorString(error.code)}"
-        opened = stack[-1] if stack else None
-        if opened is not None:
-            reason += f" inside <{opened.tag}> of line {opened.line}"
-        cut = data.count(b"\n") + 1 <= error.lineno and bool(stack or not roots)
+        if stack:
+            reason += f" inside <{stack[-1].tag}> of line {stack[-1].line}"
+        cut = data.count(b"\n") + 1 <= error.lineno and (stack or not roots)
         cure = "the file seems to be cut off" if cut else "repair it; nothing is guessed"
-        _stop(file, "xml", error.lineno, error.offset + 1, reason, cure)
+        refuse_file("xml", file, reason, cure, error.lineno, error.offset + 1)
     root = roots[0]
     if root.tag != "robot":
-        _stop(file, "xml", root.line, root.column,
-              f"the root element is <{root.tag}>, a URDF begins with <robot>",
-              "convert SDF or MJCF files to URDF")  # fmt: skip
+        reason = f"the root element is <{root.tag}>, a URDF begins with <robot>"
+        refuse_file(
+            "xml", file, reason, "convert SDF or MJCF files to URDF", root.line, root.column
+        )
     return root
 
 
 def _check_text(file: Path, data: bytes) -> None:
+    """Refuse what is not UTF-8 text."""
+
+    def stop(reason: str, at: int, cure: str = "save it as UTF-8") -> NoReturn:
+        line = data.count(b"\n", 0, at) + 1
+        refuse_file("xml", file, reason, cure, line, at - data.rfind(b"\n", 0, at))
+
     if not data.strip():
-        _stop(file, "xml", 0, 0, "is empty", "")
-    wide = _WIDE_MARKS.get(data[:2])
-    if wide:
-        _stop(file, "xml", 1, 1, f"is encoded in {wide}", "save it as UTF-8")
+        refuse_file("xml", file, "is empty")
+    if wide := _WIDE_MARKS.get(data[:2]):
+        stop(f"is encoded in {wide}", 0)
     if (at := data.find(b"\0")) >= 0:
-        _stop(file, "xml", *_place(data, at), "NUL byte: this is not text", "is it the right file?")
-    declared = _ENCODING.match(data[3:] if data.startswith(b"\xef\xbb\xbf") else data)
+        stop("NUL byte: this is not text", at, "is it the right file?")
+    declared = _ENCODING.match(data.removeprefix(b"\xef\xbb\xbf"))
     if declared and declared[1].lower() not in _KNOWN_ENCODINGS:
-        name = declared[1].decode("ascii", "replace")
-        _stop(file, "xml", 1, 1, f"declares the encoding {_short(name)}", "save it as UTF-8")
+        stop(f"declares the encoding {_short(declared[1].decode('ascii', 'replace'))}", 0)
     try:
-        data.decode("utf-8")
+        data.decode()
     except UnicodeDecodeError as error:
-        _stop(file, "xml", *_place(data, error.start),
-              f"byte 0x{data[error.start]:02x} is not UTF-8", "save it as UTF-8")  # fmt: skip
+        stop(f"byte 0x{data[error.start]:02x} is not UTF-8", error.start)
 
 
-def _place(data: bytes, at: int) -> tuple[int, int]:
-    return data.count(b"\n", 0, at) + 1, at - data.rfind(b"\n", 0, at)
-
-
-def _short(text: str | None, length: int = 60) -> str:
-    text = text or ""
-    return repr(text if len(text) <= length else text[:length] + "…")
-
-
-def _stop(file: Path, check: str, line: int, column: int, reason: str, cure: str) -> NoReturn:
-    refuse([ModelFinding(check, file, line, column, "", reason, cure)])
+def _short(text: str) -> str:
+    return repr(text if len(text) <= 60 else f"{text[:60]}…")

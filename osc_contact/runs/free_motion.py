@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from osc_contact.dynamics.chain_model import columns_at
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.dynamics.outboard import columns_at
 from osc_contact.spatial import Array, Poses, cross
 
 __all__ = ["free_part", "free_parts"]

@@ -13,7 +13,7 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.contacts.pairs.vertex_on_face import VertexOnFace
 from osc_contact.dynamics.closed_chain import ChainState
-from osc_contact.robots.joint_losses import joint_losses, loss_words
+from osc_contact.robots.summary import joint_losses, loss_words
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.contact_types import magnitude_names

@@ -22,7 +22,7 @@ from osc_contact.recorder import Recording
 from osc_contact.recorder.columns import gather
 from osc_contact.recorder.journal import Journal, JournalFile
 from osc_contact.recorder.memory import MemoryJournal
-from osc_contact.robots.joint_losses import joint_losses
+from osc_contact.robots.summary import joint_losses
 from osc_contact.runs.channels import Tick, channels, work_out
 from osc_contact.runs.driven_log import DrivenLog
 from osc_contact.runs.log import Subject

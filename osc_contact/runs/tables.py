@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from osc_contact.robots import RobotSummary
-from osc_contact.robots.joint_losses import losses_by_arm
+from osc_contact.robots.summary import losses_by_arm
 from osc_contact.runs.calibration import WristCalibration
 from osc_contact.runs.inspection import Inspection
 from osc_contact.spatial import Array

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.robots import is_mjcf, load_geometry
-from osc_contact.robots.mjcf_parts import mjcf_geometry
-from osc_contact.robots.pictures import read_picture
+from osc_contact.robots.pictures import mjcf_geometry, read_picture
 from osc_contact.visual.parts import Frame, LegendEntry, Sample, State
 from osc_contact.visual.primitives import urdf_geometry
 

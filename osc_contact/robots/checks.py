@@ -1,0 +1,353 @@
+"""What a URDF must have so that its robot can be controlled: limits, inertias, shapes, meshes."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Literal, get_args
+from urllib.parse import unquote
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.errors import InvalidInputError
+from osc_contact.robots.findings import ModelFinding, suggest
+from osc_contact.robots.urdf import LIMITS, Document, Inertial, Joint
+from osc_contact.robots.xml_tree import Element
+from osc_contact.spatial import Array
+
+# Limits -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of a joint given by hand; None leaves what the file says.
+
+    Attributes:
+        lower, upper: positions in rad (revolute) or m (prismatic); ∓inf: no end stop.
+        effort: largest |torque| in N m, or |force| in N. velocity: rad/s or m/s.
+
+    Raises:
+        InvalidInputError: NaN; lower > upper; effort or velocity not finite or not > 0.
+    """
+
+    lower: float | None = None
+    upper: float | None = None
+    effort: float | None = None
+    velocity: float | None = None
+
+    def __post_init__(self) -> None:
+        for key in ("effort", "velocity"):
+            value = getattr(self, key)
+            if value is not None and not 0 < value < math.inf:
+                raise InvalidInputError(f"JointLimits: {key} {value} must be finite and > 0")
+        low = -math.inf if self.lower is None else self.lower
+        high = math.inf if self.upper is None else self.upper
+        if not low <= high or low == math.inf or high == -math.inf:
+            raise InvalidInputError(f"JointLimits: no position lies in [{low}, {high}]")
+
+    @classmethod
+    def parse(cls, text: str) -> tuple[str, JointLimits]:
+        """(joint pattern, limits) of "joint1:effort=5,velocity=3".
+
+        Raises:
+            InvalidInputError: with the form that is wanted.
+        """
+        name, colon, rest = text.rpartition(":")
+        pairs = [part.partition("=") for part in rest.split(",")]
+        given = {key.strip(): value for key, _, value in pairs}
+        if not colon or not given.keys() <= set(LIMITS):
+            raise InvalidInputError(
+                f"{text!r}: expected JOINT:key=number,… with the keys {', '.join(LIMITS)}"
+            )
+        try:
+            return name, cls(**{key: float(value) for key, value in given.items()})
+        except ValueError as error:
+            raise InvalidInputError(f"{text!r}: {error}") from error
+
+
+def matching_limits(
+    names: Iterable[str], limits: Mapping[str, JointLimits]
+) -> dict[str, dict[str, float]]:
+    """By joint, the limits whose key is its name or matches it ("finger*"); the first key wins.
+
+    Raises:
+        InvalidInputError: a key that no moving joint matches.
+    """
+    known = list(names)
+    matches = {
+        name: [key for key in limits if name == key or fnmatchcase(name, key)] for name in known
+    }
+    for key in limits:
+        if not any(key in keys for keys in matches.values()):
+            raise InvalidInputError(
+                f"limits: no moving joint matches {key!r}. {suggest(key, known)}"
+            )
+    return {
+        name: {key: x for key, x in asdict(limits[keys[0]]).items() if x is not None}
+        for name, keys in matches.items()
+        if keys
+    }
+
+
+def check_limits(document: Document) -> None:
+    """Note limits that are missing, ≤ 0 (effort, velocity) or empty (lower > upper).
+
+    A continuous joint needs effort and velocity; its positions are unbounded whatever is written.
+    """
+    for joint in document.joints.values():
+        if joint.kind == "fixed":
+            continue
+        by_hand = f", or give limits={{{joint.name!r}: JointLimits(…)}} when loading"
+        element = joint.element.part("limit")
+        wanted = LIMITS[2:] if joint.kind == "continuous" else LIMITS
+        missing = [key for key in wanted if key not in joint.limits]
+        if element is joint.element and len(missing) == len(wanted):
+            keys = " ".join(f'{key}="…"' for key in wanted)
+            document.add("limit", element, "has no <limit>", f"add <limit {keys}/>{by_hand}")
+            continue
+        for key in missing:
+            reason = f"{key} is missing: a reader would take 0"
+            document.add("limit", element, reason, f'write {key}="…"{by_hand}')
+        _check_values(document, joint, element, by_hand)
+
+
+def _check_values(document: Document, joint: Joint, element: Element, by_hand: str) -> None:
+    limits = joint.limits
+    units = ("N", "m/s") if joint.kind == "prismatic" else ("N m", "rad/s")
+    for key, unit in zip(LIMITS[2:], units, strict=True):
+        if key in limits and not limits[key] > 0:
+            reason = f"{key} limit {limits[key]:g} {unit} must be > 0"
+            cure = f"write what the joint can bear, passive joints too{by_hand}"
+            document.add("limit", element, reason, cure, key)
+    if joint.kind == "continuous" or not {"lower", "upper"} <= limits.keys():
+        return
+    low = limits["lower"]
+    high = limits["upper"]
+    if low >= high:
+        word = "is above" if low > high else "equals"
+        cure = "exchange them" if low > high else 'make the joint fixed or "continuous"'
+        reason = f"lower limit {low:g} {word} the upper limit {high:g}"
+        document.add("limit", element, reason, f"{cure}{by_hand}", "lower")
+
+
+# Inertias -----------------------------------------------------------------------------------------
+
+Inertias = Literal["possible", "positive"]
+"""What is required of inertias.
+
+"possible": every link is a body: mass ≥ 0, principal moments ≥ 0, none larger than the sum of the
+others. "positive": only the rigid bodies that move (links joined by fixed joints taken together)
+are looked at, and only their kinetic energy must not be negative. Then the mass matrix still is
+positive definite, but no distribution of mass need have those moments.
+"""
+
+_SLACK = 1e-6
+"""Relative slack of the link's own moments: the digits a URDF carries."""
+_DUST = 1e-12
+"""Relative slack of the robot's largest moment."""
+
+
+def require_level(inertias: str) -> None:
+    """Refuse a level that does not exist."""
+    levels = get_args(Inertias)
+    if inertias not in levels:
+        raise InvalidInputError(f"inertias={inertias!r}; there is: {', '.join(levels)}")
+
+
+def _principal(tensors: Sequence[Array]) -> tuple[Array, Array]:
+    """(k, 3) principal moments, ascending, and (k,) what rounding may make of each."""
+    moments = np.linalg.eigvalsh(np.reshape(tensors, (-1, 3, 3)))
+    sizes = np.abs(moments).max(axis=1, initial=0.0)
+    return moments, _SLACK * sizes + _DUST * sizes.max(initial=0.0)
+
+
+def check_inertias(document: Document, inertias: Inertias) -> None:
+    """Note negative masses, and, for "possible", links whose inertia no body has."""
+    bodies = [link.inertial for link in document.links.values() if link.inertial is not None]
+    for body in bodies:
+        if body.mass < 0:
+            reason = f"mass {body.mass:g} kg is negative"
+            document.add("inertia", body.element.part("mass"), reason, "weigh the link", "value")
+    if inertias == "positive":
+        return
+    for body, moments, slack in zip(bodies, *_principal([_tensor(b) for b in bodies]), strict=True):
+        if body.mass >= 0:
+            _check_body(document, body, moments, slack)
+
+
+def _check_body(document: Document, body: Inertial, moments: Array, slack: float) -> None:
+    listed = f"principal moments {_listed(moments)} kg m²"
+    excess = moments[2] - moments[0] - moments[1]
+    if body.mass == 0 and np.abs(moments).max() > slack:
+        reason = f"mass 0 kg with {listed}"
+        cure = "give it a mass"
+    elif moments[0] < -slack:
+        reason = f"the inertia is not positive: {listed}"
+        cure = "check the signs of ixy, ixz, iyz"
+    elif excess > slack:
+        reason = f"no body has the {listed}: the largest exceeds the sum of the others by "
+        reason += f"{excess:.3g}"
+        cure = "check the units (kg m², about the centre of mass)"
+    else:
+        return
+    relax = ', or load with inertias="positive" if the other links make up for it'
+    document.add("inertia", body.element.part("inertia"), reason, cure + relax)
+
+
+def check_moving_bodies(document: Document, model: pin.Model) -> None:
+    """Note moving bodies whose kinetic energy can be negative."""
+    bodies = list(model.inertias)[1:]
+    rows = _principal([body.inertia for body in bodies])
+    for name, body, moments, slack in zip(list(model.names)[1:], bodies, *rows, strict=True):
+        if body.mass < 0 or moments[0] < -slack:
+            reason = f"the body that it moves has mass {body.mass:g} kg and principal moments "
+            reason += f"{_listed(moments)} kg m²: its energy can be negative"
+            cure = "correct the <inertial> of its links"
+            document.add("inertia", document.joints[name].element, reason, cure)
+
+
+def _tensor(inertial: Inertial) -> Array:
+    upper = np.zeros((3, 3))
+    upper[np.triu_indices(3)] = inertial.moments
+    return upper + np.triu(upper, 1).T
+
+
+def _listed(moments: Array) -> str:
+    return ", ".join(f"{moment:.4g}" for moment in moments)
+
+
+# Shapes and mesh addresses ------------------------------------------------------------------------
+
+MESH_TYPES = (".stl", ".obj", ".dae")
+MAX_MESH_BYTES = 256 * 2**20
+_SIZES = {"cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",)}
+_TEXTURE = re.compile(rb"<init_from>\s*(?:<ref>)?\s*([^<]*?)\s*<")
+_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:")
+_PACKAGE = "package://"
+
+
+def check_geometry(document: Document, package_dirs: Sequence[Path]) -> None:
+    """Note shapes without size, poses that are no numbers, and mesh addresses that lead outside.
+
+    No mesh is opened. ``package://name/...`` and paths relative to the URDF must stay below the
+    package and the URDF's folder; absolute paths must lie in that folder or in `package_dirs`.
+    """
+    for link in document.links.values():
+        for part in link.element.findall("visual", "collision"):
+            document.pose(part)
+            shapes = [shape for one in part.findall("geometry") for shape in one.children]
+            if len(shapes) != 1:
+                document.add("geometry", part, f"<{part.tag}> needs one <geometry> with one shape")
+            else:
+                _check_shape(document, shapes[0], package_dirs)
+
+
+def check_mesh_files(document: Document, package_dirs: Sequence[Path]) -> list[ModelFinding]:
+    """Note mesh files that lead outside through a link, are huge, or are Collada files whose
+    textures lie elsewhere. Returns, without noting them, those that are not there."""
+    addresses: dict[str, Element] = {}
+    for mesh in document.root.iter("mesh"):
+        addresses.setdefault(mesh.get("filename"), mesh)
+    roots = [root.resolve() for root in _roots(document, package_dirs)]
+    missing = []
+    for address, mesh in addresses.items():
+        places = [_plain(document, address)]
+        if address.startswith(_PACKAGE):
+            places = [folder / address.removeprefix(_PACKAGE) for folder in package_dirs]
+        file = next((path for path in places if path.is_file()), None)
+        if file is None:
+            looked = f"the mesh is not there; looked for {', '.join(map(str, places)) or 'nothing'}"
+            missing.append(document.finding("mesh", mesh, looked, "pass package_dirs", "filename"))
+        elif problem := _file_problem(file, roots):
+            document.add("mesh", mesh, *problem, "filename")
+    return missing
+
+
+def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
+    """(what is wrong with a mesh file, cure)."""
+    real = file.resolve()
+    if not _inside(real, roots):
+        return f"leads to {real}, outside of the robot's folders", "copy the file"
+    size = real.stat().st_size / 2**20
+    limit = MAX_MESH_BYTES / 2**20
+    if size > limit:
+        return f"has {size:.0f} MiB", f"simplify it to at most {limit:.0f} MiB"
+    for found in _TEXTURE.findall(real.read_bytes()) if file.suffix.lower() == ".dae" else ():
+        texture = unquote(found.decode("utf-8", "replace"))
+        if _leads_out(texture):
+            cure = "keep textures beside the mesh, or convert it to STL or OBJ"
+            return f"{file.name} takes a texture from {texture!r}", cure
+    return None
+
+
+def _check_shape(document: Document, shape: Element, package_dirs: Sequence[Path]) -> None:
+    if shape.tag == "mesh":
+        document.vector(shape, "scale", (1.0, 1.0, 1.0))
+        if problem := _address_problem(document, shape.get("filename"), package_dirs):
+            document.add("mesh", shape, *problem, "filename")
+        return
+    if shape.tag == "box":
+        sizes = dict(zip("xyz", document.vector(shape, "size", None), strict=True))
+    elif shape.tag in _SIZES:
+        sizes = {key: document.number(shape, key) for key in _SIZES[shape.tag]}
+    else:
+        cure = "use box, cylinder, capsule, sphere or mesh"
+        document.add("geometry", shape, f"unknown shape <{shape.tag}>", cure)
+        return
+    listed = ", ".join(f"{key} {size:g} m" for key, size in sizes.items() if size < 0)
+    if listed:
+        document.add("geometry", shape, f"negative size: {listed}", "sizes are lengths")
+
+
+def _address_problem(
+    document: Document, address: str, package_dirs: Sequence[Path]
+) -> tuple[str, str] | None:
+    """(what is wrong with a mesh address, cure)."""
+    cure = "keep meshes below the URDF's folder, or pass the folder in package_dirs"
+    suffix = os.path.splitext(address)[1].lower()
+    scheme = _SCHEME.match(address)
+    if not address:
+        return "a mesh without filename", 'write filename="…"'
+    if suffix not in MESH_TYPES:
+        types = ", ".join(MESH_TYPES)
+        return (
+            f"meshes of the type {suffix or 'without suffix'} are not read",
+            f"convert it to {types}",
+        )
+    if scheme and scheme[0] not in ("package:", "file:"):
+        return f"the address has the scheme {scheme[0]!r}: only local files are read", cure
+    if address.startswith(_PACKAGE):
+        inside = address.removeprefix(_PACKAGE).lstrip("/")
+        package, slash, rest = inside.partition("/")
+        if package in ("", ".", "..") or not slash or _leads_out(rest):
+            return "the address leads out of its package", cure
+        return None
+    roots = [Path(os.path.normpath(root)) for root in _roots(document, package_dirs)]
+    if _inside(Path(os.path.normpath(_plain(document, address))), roots):
+        return None
+    return "the mesh lies outside of the robot's folders", cure
+
+
+def _plain(document: Document, address: str) -> Path:
+    return document.file.absolute().parent / address.removeprefix("file://")
+
+
+def _roots(document: Document, package_dirs: Sequence[Path]) -> list[Path]:
+    return [document.file.absolute().parent, *(folder.absolute() for folder in package_dirs)]
+
+
+def _inside(place: Path, roots: Sequence[Path]) -> bool:
+    return any(place.is_relative_to(root) for root in roots)
+
+
+def _leads_out(path: str) -> bool:
+    """Whether a relative path climbs out of where it starts (or is absolute or an address)."""
+    plain = path.replace("\\", "/")
+    up = os.path.normpath(plain).split("/")[0] == ".."
+    return plain.startswith("/") or up or bool(_SCHEME.match(plain))
