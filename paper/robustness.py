@@ -19,7 +19,7 @@ from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.table import RowFile
 from osc_contact.sweeps.workers import make_all, workers_of
 from osc_contact.visual import OKABE_ITO
-from osc_contact.visual.style import style
+from osc_contact.visual.plots import style
 from paper.selection_laws import BASELINES, Baseline, Instant, Law, Ours, SelectionLaw, best_frames
 from paper.study import Ask, Data, Study, table_of
 

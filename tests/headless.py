@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from osc_contact.visual import devtools
+from osc_contact.visual import browser
 
 
-class Browser(devtools.Browser):
+class Browser(browser.Browser):
     """One page; `with Browser(address) as page: page.run("1 + 1")`."""
 
     def picture(self, file: Path | None = None) -> np.ndarray:

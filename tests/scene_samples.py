@@ -13,7 +13,7 @@ import pinocchio as pin
 import umsgpack
 
 from osc_contact.recorder import Recording
-from osc_contact.visual.bodies import ArmVisual, BodyVisual
+from osc_contact.visual.parts import ArmVisual, BodyVisual
 
 URDF = Path(__file__).parents[1] / "urdf"
 BASE = pin.SE3(np.eye(3), np.array([-0.35, -0.4, 0.0]))

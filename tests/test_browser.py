@@ -16,11 +16,12 @@ from test_live import CONTENT, MODULE, TICKS
 from test_scene import find
 
 from osc_contact.errors import ViewerError
-from osc_contact.visual import contact_colour, devtools
+from osc_contact.visual import browser as pages
+from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
 from osc_contact.visual.live import Viewer
+from osc_contact.visual.marks import T_COLOUR
 from osc_contact.visual.scene import write_scene
-from osc_contact.visual.subspaces import T_COLOUR
 
 BLUE, VERMILLION = contact_colour(0), contact_colour(1)
 PLACE = "nodeAt('{}').object.getWorldPosition(new MeshCat.THREE.Vector3()).toArray()"
@@ -243,7 +244,7 @@ def test_png_of_a_moment(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     scene = pixels[1.0][:430]
     assert scene.std() > 20 and near(scene, BLUE) > near(pixels[0.1][:430], BLUE) + 50
     assert sorted(p.name for p in (tmp_path / "deep").iterdir()) == ["0.1.png", "1.0.png"]
-    with pytest.raises(ViewerError, match="gave no picture"):
+    with pytest.raises(ViewerError, match="gave no answer"):
         monkeypatch.setenv("OSC_CONTACT_BROWSER", "/bin/false")
         write_png(page, tmp_path / "none.png")
     with pytest.raises(ViewerError, match=r"no browser .*apt-get install chromium"):
@@ -256,7 +257,7 @@ def test_without_webgl_there_is_a_still_picture_and_a_sentence(
     page: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Browsers with WebGL off, such as those of many remote desktops."""
-    monkeypatch.setattr(devtools, "FLAGS", (*devtools.FLAGS, "--disable-3d-apis"))
+    monkeypatch.setattr(pages, "FLAGS", (*pages.FLAGS, "--disable-3d-apis"))
     with Browser(f"{page.as_uri()}#t=1") as browser:
         assert browser.run("document.createElement('canvas').getContext('2d') !== null")
         assert "no WebGL" in browser.run("document.body.innerText")

@@ -29,8 +29,8 @@ from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 import osc_contact as osc
 from osc_contact.errors import InvalidInputError, ViewerError
-from osc_contact.visual.bodies import Content
 from osc_contact.visual.live import Viewer
+from osc_contact.visual.parts import Content
 
 MODULE = "osc_contact.runs.live_page"
 CONTENT = Content("test", ARMS, BODIES, ("left_end", "right_end"))
@@ -327,7 +327,7 @@ def test_nothing_that_is_shown_can_raise(viewer: Viewer, caplog: pytest.LogCaptu
     viewer.show(TICKS[0])
     viewer._due = 0.0
     viewer.show({"t": 0.0, "q": "no numbers"})
-    assert "does not fit the first one" in str(viewer.error) and len(caplog.records) == 1
+    assert "does not hold numbers" in str(viewer.error) and len(caplog.records) == 1
     viewer.show(TICKS[1])
     assert len(caplog.records) == 1
 

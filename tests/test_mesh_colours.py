@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from osc_contact import robots
-from osc_contact.visual.mesh_colours import triangle_colours, vertex_colours
+from osc_contact.visual.shapes import triangle_colours, vertex_colours
 
 DAE = """<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">

@@ -13,10 +13,9 @@ from scene_samples import ARMS, BODIES, make_recording
 
 from osc_contact.errors import ViewerError
 from osc_contact.visual import contact_colour
-from osc_contact.visual.devtools import FRAMES
-from osc_contact.visual.movie import moments, one_palette, write_gif, write_mp4
+from osc_contact.visual.browser import FRAMES, moments, one_palette, write_gif, write_mp4
+from osc_contact.visual.marks import T_COLOUR
 from osc_contact.visual.scene import write_scene
-from osc_contact.visual.subspaces import T_COLOUR
 
 SIZE = (320, 300)
 

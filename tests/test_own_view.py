@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import osc_contact as osc
 from osc_contact.cli import app
 from osc_contact.robots.pictures import read_picture
-from osc_contact.visual.bodies import MovingArm
+from osc_contact.visual.parts import MovingArm
 
 
 @pytest.fixture(scope="module")

@@ -25,13 +25,21 @@ from scene_samples import (
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording
-from osc_contact.visual import contact_colour, curves
-from osc_contact.visual.page import EMPTY, CommandSink, unfolded, write_page
+from osc_contact.visual import contact_colour
+from osc_contact.visual.browser import write_png
+from osc_contact.visual.marks import BestFrame
+from osc_contact.visual.page import EMPTY, CommandSink, write_page
 from osc_contact.visual.parts import State, changes, track
-from osc_contact.visual.primitives import along, arrow_lengths, tube, urdf_geometry
-from osc_contact.visual.scene import MOST_FRAMES, write_scene
-from osc_contact.visual.stage import ASPECT, FIELD_OF_VIEW_DEG, _fitted
-from osc_contact.visual.subspaces import BestFrame
+from osc_contact.visual.scene import (
+    ASPECT,
+    FIELD_OF_VIEW_DEG,
+    MOST_FRAMES,
+    fitted,
+    panels_of,
+    thinned,
+    write_scene,
+)
+from osc_contact.visual.shapes import along, arrow_lengths, tube, urdf_geometry
 
 FRAME = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([0.01, 0.02, 0.25]))
 
@@ -290,8 +298,8 @@ def test_thinning_keeps_short_peaks_in_their_place() -> None:
     y = np.sin(t)
     y[31_415], y[20_000] = 7.0, -5.0
     channels = {"t": t, "power_total": y}
-    panels = curves.layout({"power_total": 0.0}, [])
-    thin = curves.thinned(panels, channels)
+    (panel,) = panels_of({"power_total": 0.0})
+    thin = thinned(panel["lines"], channels)
     times, values = np.array(thin["t"]), np.array(thin["y"][0])
     assert len(times) <= 900 and np.all(np.diff(times) >= 0.0)
     assert values.max() == 7.0 and abs(times[values.argmax()] - 31.415) < 0.12
@@ -317,7 +325,7 @@ def test_the_camera_sees_everything_and_stands_no_further_than_needed() -> None:
         points = rng.standard_normal((30, 3)) * rng.uniform(0.1, 2.0, 3)
         view = rng.standard_normal(3) + [0.0, 0.0, 0.5]
         view /= np.linalg.norm(view)
-        target, distance = _fitted(points, view)
+        target, distance = fitted(points, view)
         right = np.cross([0.0, 0.0, 1.0], view) / np.linalg.norm(np.cross([0.0, 0.0, 1.0], view))
         eye = target + distance * view
         depth = (eye - points) @ view
@@ -410,8 +418,9 @@ def test_page_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(OSError):
         write_page(CommandSink(), tmp_path / "taken", "title")
     assert [p.name for p in tmp_path.iterdir()] == ["taken"]
+    (tmp_path / "empty.html").write_text("<html></html>")
     with pytest.raises(InvalidInputError, match="no drawing commands"):
-        unfolded("<html></html>")
+        write_png(tmp_path / "empty.html", tmp_path / "empty.png")
 
 
 def test_urdf_shapes_lie_as_in_the_urdf(tmp_path: Path) -> None:

@@ -13,8 +13,8 @@ from scene_samples import make_recording
 from osc_contact.control.signals import SIGNALS
 from osc_contact.errors import InvalidInputError
 from osc_contact.visual import plots
-from osc_contact.visual.contact_picture import draw_contact_state
 from osc_contact.visual.screws import common_perpendicular
+from paper.contact_pictures import draw_contact_state
 from paper.diagrams import BY_NAME, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
 
 

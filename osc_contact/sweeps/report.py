@@ -119,7 +119,7 @@ def _draw(table: Any, study: SweepStudy, summary: Mapping[str, Any], folder: Pat
     """How errors are distributed, and over what they depend on; PNG and SVG."""
     from matplotlib.figure import Figure
 
-    from osc_contact.visual.style import save, style
+    from osc_contact.visual.plots import save, style
 
     shown = list(summary["quantiles"])[:_SHOWN]
     if not shown:
