@@ -60,15 +60,36 @@ def draw_contact_state(
         ax.plot(*rod.T, color="#4A4F57", lw=5.0, solid_capstyle="round", zorder=4, label="body")
         for i, (point, direction) in enumerate(lines):
             colour, name = contact_colour(i), rf"$f_{{c{i + 1}}}$"
-            ax.plot(*_inside(point, direction, middle, reach), color=colour, lw=1.4, zorder=5,
-                    label=f"line of force of {name}")  # fmt: skip
+            ax.plot(
+                *_inside(point, direction, middle, reach),
+                color=colour,
+                lw=1.4,
+                zorder=5,
+                label=f"line of force of {name}",
+            )
             tail = point - 0.3 * reach * direction
             arrow(ax, tail, point, colour, 0.02 * reach)
-            ax.text(*(tail - 0.07 * reach * direction), name, color=colour, size=13, zorder=7,
-                    ha="center", va="center", bbox=HALO)  # fmt: skip
+            ax.text(
+                *(tail - 0.07 * reach * direction),
+                name,
+                color=colour,
+                size=13,
+                zorder=7,
+                ha="center",
+                va="center",
+                bbox=HALO,
+            )
         for (i, j), pair in pairs.items():
-            ax.plot(*np.array([pair.first, pair.second]).T, color="black", lw=1.6, ls=(0, (2, 1)),
-                    marker="o", ms=4.0, zorder=6, label=_relation(i, j, pair))  # fmt: skip
+            ax.plot(
+                *np.array([pair.first, pair.second]).T,
+                color="black",
+                lw=1.6,
+                ls=(0, (2, 1)),
+                marker="o",
+                ms=4.0,
+                zorder=6,
+                label=_relation(i, j, pair),
+            )
         figure.suptitle(title, x=0.03, y=0.97, ha="left", size=12, weight="bold")
         ax.legend(
             loc="upper right", bbox_to_anchor=(0.995, 0.94), bbox_transform=figure.transFigure
@@ -220,13 +241,31 @@ def draw_cone_in_groove(
         for i, (p, d) in enumerate(zip(points.T, directions.T, strict=True)):
             colour, name = contact_colour(i), rf"$f_{{c{i + 1}}}$"
             if i % 2 == 0:
-                ax.plot(*np.array([apex, points[:, i + 1]]).T, color="#22262B", lw=3.0, zorder=4,
-                        label="lines of contact" if i == 0 else None)  # fmt: skip
-            ax.plot(*np.array([p - 0.48 * h * d, p + 0.26 * h * d]).T, color=colour, lw=1.2,
-                    zorder=5, label=f"line of force of {name}")  # fmt: skip
+                ax.plot(
+                    *np.array([apex, points[:, i + 1]]).T,
+                    color="#22262B",
+                    lw=3.0,
+                    zorder=4,
+                    label="lines of contact" if i == 0 else None,
+                )
+            ax.plot(
+                *np.array([p - 0.48 * h * d, p + 0.26 * h * d]).T,
+                color=colour,
+                lw=1.2,
+                zorder=5,
+                label=f"line of force of {name}",
+            )
             arrow(ax, p - 0.36 * h * d, p, colour, 0.018 * h)
-            ax.text(*(p + 0.34 * h * d), name, color=colour, size=13, zorder=8, ha="center",
-                    va="center", bbox=HALO)  # fmt: skip
+            ax.text(
+                *(p + 0.34 * h * d),
+                name,
+                color=colour,
+                size=13,
+                zorder=8,
+                ha="center",
+                va="center",
+                bbox=HALO,
+            )
         _axes(ax, apex, axis, groove, h)
         figure.suptitle(title, x=0.03, y=0.97, ha="left", size=12, weight="bold")
         figure.legend(loc="upper left", bbox_to_anchor=(0.65, 0.88))
@@ -249,17 +288,31 @@ def _axes(ax: Any, apex: Array, axis: Array, groove: Array, h: float) -> None:
     ax.text(*(apex + 2.1 * h * axis), "$t_1$", color=_TURN, size=15, zorder=8, ha="center")
     start = apex + 1.6 * h * groove
     arrow(ax, start, start + 0.42 * h * groove, _SLIDE, 0.02 * h)
-    ax.text(*(apex + 2.2 * h * groove), "$t_2$", color=_SLIDE, size=15, zorder=8, ha="center",
-            va="center")  # fmt: skip
+    ax.text(
+        *(apex + 2.2 * h * groove),
+        "$t_2$",
+        color=_SLIDE,
+        size=15,
+        zorder=8,
+        ha="center",
+        va="center",
+    )
     across = axis - (axis @ groove) * groove
     across /= np.linalg.norm(across)
     angle = float(np.arccos(axis @ groove))
     arc = np.linspace(0.0, angle, 30)[:, None]
     bow = apex + 1.28 * h * (np.cos(arc) * groove + np.sin(arc) * across)
     ax.plot(*bow.T, color="#555555", lw=1.3, zorder=6)
-    ax.text(*(apex + 1.43 * h * (np.cos(angle / 2) * groove + np.sin(angle / 2) * across)),
-            f"{np.rad2deg(angle):.0f}°", color="#333333", size=11, zorder=8, ha="center",
-            va="center", bbox=HALO)  # fmt: skip
+    ax.text(
+        *(apex + 1.43 * h * (np.cos(angle / 2) * groove + np.sin(angle / 2) * across)),
+        f"{np.rad2deg(angle):.0f}°",
+        color="#333333",
+        size=11,
+        zorder=8,
+        ha="center",
+        va="center",
+        bbox=HALO,
+    )
 
 
 def _cone(apex: Array, axis: Array, h: float, half_angle: float) -> tuple[Array, Array]:

@@ -154,7 +154,8 @@ def changes(scene: Visualizer, before: Frame, after: Frame) -> None:
     """
     for path, state in after.items():
         old = before.get(path, State())
-        matrix, last = state.matrix, old.matrix
+        matrix = state.matrix
+        last = old.matrix
         if matrix is not None and (last is None or not np.array_equal(matrix, last)):
             scene[path].set_transform(matrix)
         if state.visible is not None and state.visible != old.visible:
