@@ -47,7 +47,7 @@ def sweep(
 
     Args:
         scenario: packaged name, file, or a scenario made in Python, without Python laws and pairs.
-        vary: {"path.to.key": "uniform(0.8, 1.2)"}, see `sweeps.distributions.WORDS`; the path
+        vary: {"path.to.key": "uniform(0.8, 1.2)"}, see `sweeps.study.WORDS`; the path
             "seed" is the seed of each run.
         samples: how many points; on a grid, how many values of each key that can have any.
         design: "halton" or "sobol" (quasi-random), "latin", "random" or "grid"; "saltelli" for
