@@ -18,7 +18,7 @@ from rich.table import Table
 
 import osc_contact as osc
 from osc_contact.spatial import Array
-from osc_contact.sweeps.rows import record_sample, without_doubts_told
+from osc_contact.sweeps.rows import record_sample, without_logged_doubts
 from osc_contact.sweeps.study import SweepStudy
 
 FOLDER = Path(__file__).parent
@@ -197,7 +197,7 @@ def judge(case: Case, recording: osc.Recording) -> Array:
 def judge_samples(case: Case, count: int) -> Array:
     """(count, goals, 3) the same of runs in which masses and friction are not what is believed."""
     study = SweepStudy.of(scenario_of(case), UNKNOWN, count)
-    with without_doubts_told():
+    with without_logged_doubts():
         return np.array([judge(case, record_sample(study, study.sample(i))) for i in range(count)])
 
 

@@ -16,7 +16,7 @@ from rich.table import Table
 
 import osc_contact as osc
 from benchmarks.measuring import machine, require_count
-from osc_contact.sweeps.rows import make_rows, scenario_of, without_doubts_told
+from osc_contact.sweeps.rows import make_rows, scenario_of, without_logged_doubts
 from osc_contact.sweeps.study import SweepStudy
 from paper.study import Data, table_of
 
@@ -69,7 +69,7 @@ def time_rows(runs: int, duration: float) -> tuple[float, float]:
         start = thread_time()
         make_rows(those, [number])
         middle = thread_time()
-        with without_doubts_told():
+        with without_logged_doubts():
             changes = [*those.overrides, *(f"{k}={v}" for k, v in sample.overrides.items())]
             scenario = osc.load_scenario("two_contact_rod", changes)
             osc.metrics(osc.run(scenario, seed=sample.seed))

@@ -368,7 +368,7 @@ def draw(
     """Learning curves; forces found beside the best ones; depths before and after."""
     from matplotlib.figure import Figure
 
-    from osc_contact.visual.style import save, style
+    from osc_contact.visual.plots import save, style
 
     with style():
         figure = Figure(figsize=(10.0, 3.2))

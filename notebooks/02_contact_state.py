@@ -101,7 +101,7 @@ plots.contact_forces(runs["ours"], judged)
 from pathlib import Path
 
 from osc_contact.runs.viewing import write_scene_of
-from osc_contact.visual.embed import embed
+from osc_contact.visual.page import embed
 
 embed(write_scene_of(runs["ours"], osc.build_rig(moving), Path("scene.html")))
 

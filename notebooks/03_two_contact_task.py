@@ -159,7 +159,7 @@ plots.contact_forces(recording)
 from pathlib import Path
 
 from osc_contact.runs.viewing import write_scene_of
-from osc_contact.visual.embed import embed
+from osc_contact.visual.page import embed
 
 embed(write_scene_of(recording, rig, Path("scene.html")))
 

@@ -147,7 +147,7 @@ plots.torques(recording)
 
 # %%
 from osc_contact.runs.viewing import write_scene_of
-from osc_contact.visual.embed import embed
+from osc_contact.visual.page import embed
 
 embed(write_scene_of(recording, rig, Path("scene.html")))
 

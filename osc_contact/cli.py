@@ -45,8 +45,7 @@ from osc_contact.runs.report import write_json
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.viewing import Shown, require_drawable, write_scene_of
 from osc_contact.scenarios import list_scenarios
-from osc_contact.visual.browser import find_browser
-from osc_contact.visual.movie import write_gif, write_mp4
+from osc_contact.visual.browser import find_browser, write_gif, write_mp4
 
 __all__ = ["app"]
 

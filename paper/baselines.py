@@ -25,7 +25,7 @@ from osc_contact.runs.run import run, start
 from osc_contact.scenarios import Scenario
 from osc_contact.spatial import Array, pose_error
 from osc_contact.visual import OKABE_ITO
-from osc_contact.visual.style import style
+from osc_contact.visual.plots import style
 from paper.selection_laws import (
     BASELINES,
     Coupling,

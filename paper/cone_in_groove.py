@@ -23,8 +23,8 @@ from osc_contact.runs.loop import Witness, run_loop
 from osc_contact.runs.run import start
 from osc_contact.spatial import Array, cross
 from osc_contact.visual import contact_colour
-from osc_contact.visual.cone_picture import draw_cone_in_groove
-from osc_contact.visual.style import legend, panels, style
+from osc_contact.visual.plots import legend, panels, style
+from paper.contact_pictures import draw_cone_in_groove
 from paper.statements import Answer
 from paper.study import Ask, Data, Study, table_of
 

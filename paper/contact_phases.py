@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 import osc_contact as osc
 from osc_contact.spatial import Array
 from osc_contact.visual import OKABE_ITO, contact_colour
-from osc_contact.visual.style import legend, panels, style
+from osc_contact.visual.plots import legend, panels, style
 from paper.statements import Answer
 from paper.study import Ask, Data, Study, table_of, words_of
 

@@ -16,7 +16,7 @@ from matplotlib.patches import FancyBboxPatch, Patch
 
 from osc_contact.control.signals import BLOCKS, Block
 from osc_contact.visual import OKABE_ITO
-from osc_contact.visual.style import style
+from osc_contact.visual.plots import style
 
 PLANT = Block("arms, object, environment", "plant", "", ("tau",), ("q", "v", "wrenches"))
 #: The control loop of fig. 4.

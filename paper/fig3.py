@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -20,23 +21,149 @@ from osc_contact.scenarios.contact_schema import ConveyorSpec
 from osc_contact.spatial import Array
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png
+from osc_contact.visual.marks import TwistAxes
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
 from osc_contact.visual.parts import LegendEntry, State, changes
-from osc_contact.visual.scene import Scene, sample_at
-from osc_contact.visual.stage import set_view
-from osc_contact.visual.style import style
-from osc_contact.visual.subspaces import TwistAxes
-from osc_contact.visual.workcell_marks import (
-    JOINT_TORQUE,
-    VISION,
-    WRIST,
-    Callout,
-    OverheadCamera,
-    ring,
-    stand,
-)
+from osc_contact.visual.plots import style
+from osc_contact.visual.scene import Scene, eye, label, picture_axes, sample_at, set_stage
+from osc_contact.visual.shapes import along, at, material, plain, tube
 from paper.statements import Answer
 from paper.study import Ask, Data, Study, table_of
+
+if TYPE_CHECKING:
+    from meshcat import Visualizer
+
+# --- Marks: an overhead camera, sensor rings, labels ---------------------------------------------
+
+INK = "#2A3038"
+VISION = "#2B7CAE"
+JOINT_TORQUE = "#B04E82"
+WRIST = "#008763"
+_DARK = "#2E3338"
+_METAL = "#AEB6BF"
+
+
+@dataclass(frozen=True)
+class Callout:
+    """A label beside what it names, joined to it by a thin line.
+
+    Attributes:
+        text: of the label. feature: (3,) what it names.
+        beside: to the right and up in the picture, where the label is (m).
+    """
+
+    text: str
+    feature: Array
+    beside: tuple[float, float] = (0.0, 0.0)
+    colour: str = INK
+
+    def draw(self, scene: Visualizer, path: str, axes: Array) -> dict[str, Any]:
+        """Make the nodes; axes: (2, 3) right and up. Returns the label for the page's scripts.
+
+        Args:
+            scene: of the page.
+            path: under which the nodes stand.
+            axes: (2, 3) directions of the picture: right and up.
+        """
+        from meshcat.geometry import Sphere
+
+        spot = self.feature + np.asarray(self.beside) @ axes
+        scene[f"{path}/label"].set_transform(at(spot).homogeneous)
+        if any(self.beside):
+            size = 0.004 * float(np.hypot(*self.beside)) ** 0.5
+            _bar(scene[f"{path}/line"], self.feature, spot, 0.4 * size, plain(self.colour))
+            scene[f"{path}/dot"].set_object(Sphere(1.4 * size), plain(self.colour))
+            scene[f"{path}/dot"].set_transform(at(self.feature).homogeneous)
+        return label(f"{path}/label", self.text, self.colour)
+
+
+@dataclass(frozen=True)
+class OverheadCamera:
+    """A camera on a boom, and the pyramid that it sees.
+
+    Attributes:
+        eye: (3,) of the lens. post: (2,) where the boom's post stands on the floor.
+        middle: (3,) of the rectangle that is seen, in a horizontal plane.
+        half: (2,) half its sides (m).
+    """
+
+    eye: Array
+    post: Array
+    middle: Array
+    half: Array
+
+    @property
+    def corners(self) -> Array:
+        """(4, 3) of the rectangle that is seen, in order."""
+        signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+        return self.middle + np.column_stack((signs * self.half, np.zeros(4)))
+
+    def draw(self, scene: Visualizer, path: str) -> None:
+        """Make the nodes."""
+        from meshcat.geometry import Box, Cylinder, TriangularMeshGeometry
+
+        dark, metal = material(_DARK), material(_METAL)
+        eye, foot = np.asarray(self.eye, dtype=float), np.append(self.post, 0.0)
+        body, top = eye + [0.0, 0.0, 0.065], np.append(self.post, eye[2] + 0.14)
+        _bar(scene[f"{path}/post"], foot, top, 0.022, metal)
+        _bar(scene[f"{path}/boom"], top, body + [0.0, 0.0, 0.075], 0.018, metal)
+        _bar(scene[f"{path}/hanger"], body + [0.0, 0.0, 0.075], body, 0.012, metal)
+        scene[f"{path}/foot"].set_object(Cylinder(0.02, 0.1), metal)
+        scene[f"{path}/foot"].set_transform(along(foot + [0, 0, 0.01], [0, 0, 1]).homogeneous)
+        scene[f"{path}/body"].set_object(Box([0.11, 0.075, 0.075]), dark)
+        scene[f"{path}/body"].set_transform(at(body).homogeneous)
+        _bar(scene[f"{path}/lens"], body - [0, 0, 0.03], eye, 0.027, material("#15181C"))
+        _bar(scene[f"{path}/glass"], eye, eye - [0, 0, 0.004], 0.021, material(VISION))
+        ends = self.corners
+        sides = np.array([[0, k + 1, (k + 1) % 4 + 1] for k in range(4)], dtype=np.uint32)
+        seen = TriangularMeshGeometry(np.vstack((eye, ends)).astype(np.float32), sides)
+        scene[f"{path}/view/sides"].set_object(seen, plain(VISION, 0.075))
+        for k, end in enumerate(ends):
+            _bar(scene[f"{path}/view/edge{k}"], eye, end, 0.0014, plain(VISION, 0.8))
+            _bar(scene[f"{path}/view/rim{k}"], end, ends[(k + 1) % 4], 0.0022, plain(VISION))
+
+
+def stand(node: Visualizer, X: pin.SE3, thickness: float) -> None:
+    """What carries a plate whose front is the xy-plane of X: a post from the floor to its back.
+
+    Args:
+        node: that gets the post.
+        X: pose of the plate's front, the xy-plane.
+        thickness: of the plate (m).
+    """
+    back = X.act(np.array([0.0, 0.0, -thickness]))
+    paint = material(_METAL)
+    foot = np.array([back[0], back[1], 0.0])
+    _bar(node["post"], foot, back - [0.0, 0.0, 0.02], 0.014, paint)
+    _bar(node["foot"], foot, foot + [0.0, 0.0, 0.012], 0.06, paint)
+    _bar(node["clamp"], back, back - 0.035 * X.rotation[:, 2], 0.022, material(_DARK))
+
+
+def ring(node: Visualizer, X: pin.SE3, radius: float, colour: str, thickness: float) -> None:
+    """A ring about the z-axis of X.
+
+    Args:
+        node: that gets the ring.
+        X: its pose; the ring turns about z.
+        radius: of the ring (m).
+        colour: ``#RRGGBB``.
+        thickness: of its tube (m).
+    """
+    turn = np.linspace(0.0, 2.0 * np.pi, 65)
+    circle = radius * np.column_stack((np.cos(turn), np.sin(turn), np.zeros_like(turn)))
+    node.set_object(tube(circle, thickness, sides=10), material(colour, glow=0.35))
+    node.set_transform(X.homogeneous)
+
+
+def _bar(node: Visualizer, start: Sequence[float] | Array, end: Array, r: float, how: Any) -> None:
+    from meshcat.geometry import Cylinder
+
+    start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
+    node.set_object(Cylinder(float(np.linalg.norm(end - start)), r), how)
+    node.set_transform(along(0.5 * (start + end), end - start).homogeneous)
+
+
+# --- The workcell --------------------------------------------------------------------------------
 
 SCENARIO = "workcell"
 #: An overhead camera above the middle of the rod; scenarios do not say where it hangs.
@@ -100,10 +227,10 @@ class Workcell:
         rings = {}
         for spec in self.rig.scenario.arms:
             for k, (joint, place, radius) in enumerate(JOINT_SENSORS):
-                X = self.frames[f"{spec.name}/{joint}"] * _shifted(place)
+                X = self.frames[f"{spec.name}/{joint}"] * at(place)
                 rings[f"joint_torque/{spec.name}{k + 1}"] = (X, radius, JOINT_TORQUE)
             place, radius = WRIST_SENSOR
-            X = self.frames[f"{spec.name}/{spec.wrist_sensor}"] * _shifted(place)
+            X = self.frames[f"{spec.name}/{spec.wrist_sensor}"] * at(place)
             rings[f"wrist/{spec.name}"] = (X, radius, WRIST)
         return rings
 
@@ -131,7 +258,9 @@ class Workcell:
             ring(scene[f"sensors/{node}"], X, radius, colour, 0.0042)
         heading, elevation = np.deg2rad([shot.heading, shot.elevation])
         aspect = shot.size[0] / shot.size[1]
-        axes = set_view(scene, shot.points, heading, elevation, aspect)
+        view = eye(heading, elevation)
+        set_stage(scene, shot.points, view, aspect)
+        axes = picture_axes(view)
         labels = [c.draw(scene, f"callouts/{k}", axes) for k, c in enumerate(shot.callouts)]
         legend = [
             LegendEntry(VISION, "view of the overhead camera", "line", ("vision/view",)),
@@ -360,10 +489,6 @@ def _face_words(cell: Workcell) -> str:
 
 def _pose(sample: Data) -> pin.SE3:
     return pin.XYZQUATToSE3(np.asarray(sample["pose"], dtype=float))
-
-
-def _shifted(place: tuple[float, float, float]) -> pin.SE3:
-    return pin.SE3(np.eye(3), np.array(place))
 
 
 def study(ask: Ask) -> Study:

@@ -17,8 +17,8 @@ from osc_contact.recorder.judged import SETTLE_S, STEP_BLANK_S, judged_ticks
 from osc_contact.runs.viewing import object_size
 from osc_contact.spatial import Array, cross
 from osc_contact.visual import plots
-from osc_contact.visual.contact_picture import draw_contact_state
 from osc_contact.visual.screws import common_perpendicular
+from paper.contact_pictures import draw_contact_state
 from paper.diagrams import LOOP, draw_blocks
 from paper.statements import Answer
 

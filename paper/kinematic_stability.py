@@ -32,7 +32,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.spans import left_inverse
 from osc_contact.spatial import Array, classical_to_spatial, pose_error
 from osc_contact.visual import contact_colour
-from osc_contact.visual.style import style
+from osc_contact.visual.plots import style
 from paper.study import Ask, Data, Study, table_of, words_of
 
 

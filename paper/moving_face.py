@@ -19,7 +19,7 @@ from osc_contact.runs.metrics import metrics
 from osc_contact.runs.run import run as run_scenario
 from osc_contact.spatial import Array
 from osc_contact.visual import OKABE_ITO
-from osc_contact.visual.style import style
+from osc_contact.visual.plots import style
 from paper.study import Ask, Data, Study, table_of
 
 _SWING = "[{type: sine, amplitude: 30 mm, frequency: 1 Hz, start: 0 s, ramp: 2 s}]"

@@ -24,7 +24,7 @@ from osc_contact.console import err, out, record
 from osc_contact.runs.report import write_report
 from osc_contact.runs.tables import verdict_table
 from osc_contact.visual.page import POLICY, asset, filled, write_whole
-from osc_contact.visual.style import PRINT, save
+from osc_contact.visual.plots import PRINT, save
 from paper import figures
 from paper.figures import ANSWERS, Evidence
 from paper.statements import PAPER, Answer, PaperFigure, Verdict, judge

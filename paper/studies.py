@@ -8,7 +8,7 @@ from pathlib import Path
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.runs.report import write_json
-from osc_contact.visual.style import PRINT, save
+from osc_contact.visual.plots import PRINT, save
 from paper import (
     baselines,
     cone_in_groove,

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 import osc_contact as osc
 from osc_contact.visual import OKABE_ITO
-from osc_contact.visual.style import style
+from osc_contact.visual.plots import style
 from paper.study import Ask, Data, Study, table_of, words_of
 
 SCENARIO = "workcell"

@@ -1,19 +1,16 @@
 """A headless Chromium whose pictures are arrays of pixels."""
 
-from __future__ import annotations
-
 import io
-from pathlib import Path
 
 import numpy as np
 
-from osc_contact.visual import devtools
+from osc_contact.visual import browser
 
 
-class Browser(devtools.Browser):
+class Browser(browser.Browser):
     """One page; `with Browser(address) as page: page.run("1 + 1")`."""
 
-    def picture(self, file: Path | None = None) -> np.ndarray:
+    def picture(self, file=None):
         """Pixels (height, width, 3) of the page, after two more of its frames."""
         from PIL import Image
 
@@ -22,11 +19,11 @@ class Browser(devtools.Browser):
             file.write_bytes(png)
         return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
 
-    def __enter__(self) -> Browser:
+    def __enter__(self):
         return self
 
 
-def near(pixels: np.ndarray, colour: str, tolerance: int = 24) -> int:
+def near(pixels, colour, tolerance=24):
     """How many pixels have about this colour ``#RRGGBB``."""
     wanted = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
     return int((np.abs(pixels - wanted).max(axis=2) <= tolerance).sum())

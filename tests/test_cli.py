@@ -23,7 +23,7 @@ from osc_contact.errors import PlantError
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.recorder import Recording
 from osc_contact.scenarios import load_scenario
-from osc_contact.visual.style import PRINT
+from osc_contact.visual.plots import PRINT
 
 ROOT = Path(__file__).parents[1]
 SHORT = ("--plant", "rigid", "--duration", "1.05", "--set", "plant.step=1 ms")

@@ -1,7 +1,5 @@
 """Sweeps on a dask cluster: the same table as here, whatever becomes of its workers."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal
@@ -46,7 +44,7 @@ def alone():
     return osc.sweep("two_contact_rod", [MASSES], 10, overrides=SHORT, workers=1)
 
 
-def listening() -> list[tuple[str, int]]:
+def listening():
     """(host, port) on which this process and its children wait for others."""
     me = psutil.Process()
     return [
@@ -57,7 +55,7 @@ def listening() -> list[tuple[str, int]]:
     ]
 
 
-def test_a_cluster_of_this_machine_is_reached_by_itself_only_and_shows_no_pages(client) -> None:
+def test_a_cluster_of_this_machine_is_reached_by_itself_only_and_shows_no_pages(client):
     client.wait_for_workers(2)
     client.run(os.getpid)
     ports = listening()
@@ -67,29 +65,42 @@ def test_a_cluster_of_this_machine_is_reached_by_itself_only_and_shows_no_pages(
             urllib.request.urlopen(f"http://{host}:{port}/health", timeout=1.0)
 
 
-def test_a_killed_worker_loses_nothing_and_the_table_is_that_of_one_process(client, alone) -> None:
+def test_a_killed_worker_loses_nothing_and_the_table_is_that_of_one_process(client, alone):
     killed = []
 
-    def kill_one(done: int, total: int) -> None:
+    def kill_one(done, total):
         if not killed:
             killed.append(next(iter(client.run(os.getpid).values())))
             os.kill(killed[0], signal.SIGKILL)
 
-    table = osc.sweep("two_contact_rod", [MASSES], 10, overrides=SHORT, scheduler=client,
-                      progress=kill_one)  # fmt: skip
+    table = osc.sweep(
+        "two_contact_rod", [MASSES], 10, overrides=SHORT, scheduler=client, progress=kill_one
+    )
     assert killed and table.equals(alone)
 
 
-def test_by_command_and_address_too(client, alone, tmp_path) -> None:
-    words = ["sweep", "two_contact_rod", "--vary", MASSES, "--samples", "10", "--set", *SHORT,
-             "--scheduler", client.scheduler.address, "--out", str(tmp_path)]  # fmt: skip
+def test_by_command_and_address_too(client, alone, tmp_path):
+    words = [
+        "sweep",
+        "two_contact_rod",
+        "--vary",
+        MASSES,
+        "--samples",
+        "10",
+        "--set",
+        *SHORT,
+        "--scheduler",
+        client.scheduler.address,
+        "--out",
+        str(tmp_path),
+    ]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert parquet.read_table(tmp_path / TABLE).equals(alone)
 
 
 @pytest.mark.parametrize("where", ["processes", "cluster"])
-def test_a_run_that_ends_its_worker_twice_is_a_row_that_says_so(where, client) -> None:
+def test_a_run_that_ends_its_worker_twice_is_a_row_that_says_so(where, client):
     # one death may be that of a neighbour: dask charges all that a worker was given
     client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 1))
     tilt = "model_error.face_tilt=uniform(0 deg, 2 deg)"  # no doubts before a run, as of masses
@@ -102,14 +113,14 @@ def test_a_run_that_ends_its_worker_twice_is_a_row_that_says_so(where, client) -
     assert rows == wanted
 
 
-def test_tuning_finds_the_same_on_a_cluster(client) -> None:
+def test_tuning_finds_the_same_on_a_cluster(client):
     how = {"overrides": SHORT, "trials": 4, "over": [MASSES], "samples": 2}
     assert tune("two_contact_rod", **how, scheduler=client) == tune(
         "two_contact_rod", **how, workers=2
     )
 
 
-def test_what_cannot_be_used_is_refused_with_what_to_do(client, monkeypatch) -> None:
+def test_what_cannot_be_used_is_refused_with_what_to_do(client, monkeypatch):
     monkeypatch.setattr(cluster, "_PATIENCE_S", 0.5)
 
     def refused(scheduler, complaint, **how):

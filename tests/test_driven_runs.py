@@ -16,7 +16,7 @@ from osc_contact.runs.compiled_loop import compiled_loop
 from osc_contact.runs.driven_log import DrivenLog
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.run import run_rig, start
-from osc_contact.sweeps.workshop import Workshop
+from osc_contact.sweeps.rows import Workshop
 
 compares = pytest.mark.skipif(PLAIN_PYTHON, reason="no compiled run to compare with")
 

@@ -22,8 +22,8 @@ from osc_contact import robots
 from osc_contact.cli import app
 from osc_contact.files import sole_user
 from osc_contact.recorder.journal import Journal, JournalFile
+from osc_contact.sweeps.rows import RowFile
 from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.table import RowFile
 
 COMMAND = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
 PATIENCE = 300.0  #: s

@@ -1,46 +1,40 @@
 """The live view: what its browsers get, what is open to whom, and that the loop never waits."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc
 import json
 import logging
 import os
-import pickle
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import umsgpack
-from scene_samples import ARMS, BASE, BODIES, URDF, make_recording
-from tornado.websocket import WebSocketClientConnection, websocket_connect
+from scene_samples import ARMS, BODIES, ENDS, RECORDING, URDF, links
+from tornado.websocket import websocket_connect
 
 import osc_contact as osc
 from osc_contact.errors import InvalidInputError, ViewerError
-from osc_contact.visual.bodies import Content
 from osc_contact.visual.live import Viewer
+from osc_contact.visual.parts import Content
 
 MODULE = "osc_contact.runs.live_page"
-CONTENT = Content("test", ARMS, BODIES, ("left_end", "right_end"))
-RECORDING = make_recording()
+CONTENT = Content("test", ARMS, BODIES, ENDS)
 TICKS = [{k: v[i] for k, v in RECORDING.channels.items()} for i in range(len(RECORDING))]
 TICK_S = 1e-3
 
 
 @pytest.fixture(scope="module")
-def lasting() -> Iterator[Viewer]:
+def lasting():
     """For tests that leave it as it was."""
     with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as opened:
         assert "has not begun" in get(opened)[1], "the page before the first tick"
@@ -49,16 +43,16 @@ def lasting() -> Iterator[Viewer]:
 
 
 @pytest.fixture
-def viewer() -> Iterator[Viewer]:
+def viewer():
     with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as opened:
         yield opened
 
 
-def port(viewer: Viewer) -> int:
+def port(viewer):
     return int(viewer.url.rsplit(":", 1)[1].strip("/"))
 
 
-def get(viewer: Viewer, path: str = "/", **headers: str) -> tuple[int, str]:
+def get(viewer, path="/", **headers):
     connection = HTTPConnection("127.0.0.1", port(viewer), timeout=20)
     connection.request("GET", path, headers=headers)
     answer = connection.getresponse()
@@ -67,7 +61,7 @@ def get(viewer: Viewer, path: str = "/", **headers: str) -> tuple[int, str]:
     return answer.status, text
 
 
-def feed(viewer: Viewer, seconds: float, ticks: list[dict[str, Any]] = TICKS) -> np.ndarray:
+def feed(viewer, seconds, ticks=TICKS):
     """Show ticks at about 1 kHz; wall and CPU seconds (n, 2) of each call.
 
     Without the garbage collector, which clears up after the other tests in whichever call it likes.
@@ -84,7 +78,7 @@ def feed(viewer: Viewer, seconds: float, ticks: list[dict[str, Any]] = TICKS) ->
     return np.array(spent)
 
 
-def assert_no_tick_lost(spent: np.ndarray) -> None:
+def assert_no_tick_lost(spent):
     """At most one call computes for as long as a tick, and none waits.
 
     Wall times have slack: the operating system may pause any program for a while.
@@ -98,13 +92,13 @@ def assert_no_tick_lost(spent: np.ndarray) -> None:
 class Client:
     """A browser without a screen: takes messages, says when it has drawn them."""
 
-    def __init__(self, socket: WebSocketClientConnection) -> None:
+    def __init__(self, socket):
         self.socket = socket
-        self.matrices: dict[str, np.ndarray] = {}
-        self.visible: dict[str, bool] = {}
-        self.drawn: set[str] = set()
+        self.matrices = {}
+        self.visible = {}
+        self.drawn = set()
 
-    async def picture(self, timeout: float = 10.0) -> dict[str, Any]:
+    async def picture(self, timeout=10.0):
         """Everything up to the numbers that end a picture."""
         while True:
             message = await asyncio.wait_for(self.socket.read_message(), timeout)
@@ -120,37 +114,31 @@ class Client:
                 assert command["property"] == "visible"
                 self.visible[command["path"]] = command["value"]
 
-    async def ready(self) -> None:
+    async def ready(self):
         await self.socket.write_message(".")
 
-    async def leave(self) -> None:
+    async def leave(self):
         self.socket.close()
         while await self.socket.read_message() is not None:
             continue
 
 
-async def connect(viewer: Viewer) -> Client:
+async def connect(viewer):
     return Client(await websocket_connect(viewer.url.replace("http", "ws") + "frames"))
 
 
-def expected(tick: dict[str, Any]) -> dict[str, np.ndarray]:
+def expected(tick):
     """Placements that the picture of a tick must have, by Pinocchio alone."""
-    model = pin.buildModelFromUrdf(str(URDF / "scara_left.urdf"))
-    data = model.createData()
-    pin.forwardKinematics(model, data, tick["q"])
-    joints = ("joint1", "joint2", "joint3", "hinge")
-    return {
-        f"/meshcat/arms/left/{name}": (BASE * data.oMi[model.getJointId(name)]).homogeneous
-        for name in joints
-    } | {"/meshcat/bodies/rod": pin.XYZQUATToSE3(tick["pose"]).homogeneous}
+    arm = {f"/meshcat/arms/left/{name}": X.homogeneous for name, X in links(tick["q"]).items()}
+    return arm | {"/meshcat/bodies/rod": pin.XYZQUATToSE3(tick["pose"]).homogeneous}
 
 
 def test_browsers_get_the_newest_tick_and_only_when_they_have_drawn_the_last(
-    lasting: Viewer,
-) -> None:
+    lasting,
+):
     lasting.show(TICKS[0])
 
-    async def watch() -> None:
+    async def watch():
         client = await connect(lasting)
         picture = await client.picture()
         for tick in (30, 45, 100):
@@ -191,7 +179,7 @@ def test_browsers_get_the_newest_tick_and_only_when_they_have_drawn_the_last(
         time.sleep(0.02)
 
 
-def test_the_page_holds_the_scene_after_the_first_tick(lasting: Viewer) -> None:
+def test_the_page_holds_the_scene_after_the_first_tick(lasting):
     status, text = get(lasting)
     end = time.monotonic() + 20.0
     while "CONFIG" not in text:
@@ -202,7 +190,7 @@ def test_the_page_holds_the_scene_after_the_first_tick(lasting: Viewer) -> None:
     assert "connect-src data: blob: 'self'" in text
 
 
-def sockets(pid: int) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+def sockets(pid):
     """(family, address) of a process's network sockets: all that are open, those that listen."""
     own = set()
     for fd in os.listdir(f"/proc/{pid}/fd"):
@@ -218,19 +206,24 @@ def sockets(pid: int) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
     return opened, listening
 
 
-def test_the_runs_own_process_opens_no_network_socket() -> None:
-    script = (
-        "import os, sys; sys.path.insert(0, 'tests'); import test_live as t\n"
+def python(lines):
+    """Run lines of Python in a process of its own, beside this file."""
+    head = "import os, sys; sys.path.insert(0, 'tests'); import test_live as t\n"
+    return subprocess.run(
+        [sys.executable, "-c", head + lines], capture_output=True, text=True, cwd=URDF.parent
+    )
+
+
+def test_the_runs_own_process_opens_no_network_socket():
+    done = python(
         "with t.Viewer(t.MODULE, (t.CONTENT, 0.6)) as viewer:\n"
         "    t.feed(viewer, 0.3)\n"
         "    print(t.sockets(os.getpid()), len(t.sockets(viewer._process.pid)[1]))"
     )
-    root = Path(__file__).parents[1]
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=root)
     assert done.stdout.strip() == "([], []) 1", done.stdout + done.stderr
 
 
-def test_only_a_loopback_socket_is_open(lasting: Viewer) -> None:
+def test_only_a_loopback_socket_is_open(lasting):
     opened, listening = sockets(lasting._process.pid)
     loopback = socket.inet_aton("127.0.0.1")[::-1].hex().upper()
     assert all(family == "tcp" and where.startswith(loopback) for family, where in opened)
@@ -241,7 +234,7 @@ def test_only_a_loopback_socket_is_open(lasting: Viewer) -> None:
             socket.create_connection((address, port(lasting)), timeout=2.0).close()
 
 
-def test_foreign_names_and_foreign_pages_get_nothing(lasting: Viewer) -> None:
+def test_foreign_names_and_foreign_pages_get_nothing(lasting):
     lasting.show(TICKS[0])
     assert get(lasting, Host="evil.example")[0] == 404
     assert get(lasting, Host=f"localhost:{port(lasting)}")[0] == 200
@@ -249,15 +242,17 @@ def test_foreign_names_and_foreign_pages_get_nothing(lasting: Viewer) -> None:
         assert get(lasting, path)[0] in (400, 404)
 
     upgrade = {
-        "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Version": "13",
         "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
-    }  # fmt: skip
+    }
     assert get(lasting, "/frames", **upgrade, Origin="http://evil.example")[0] == 403
     named = {"Host": "evil.example", "Origin": "http://evil.example"}
     assert get(lasting, "/frames", **upgrade, **named)[0] == 404
 
 
-def test_a_flood_of_bad_requests_costs_the_loop_nothing(lasting: Viewer) -> None:
+def test_a_flood_of_bad_requests_costs_the_loop_nothing(lasting):
     feed(lasting, 0.2)
     script = f"""
 import socket
@@ -280,7 +275,7 @@ for i in range(20):
     assert_no_tick_lost(np.concatenate(spent))
     assert lasting.error is None and get(lasting)[0] == 200
 
-    async def watch() -> None:
+    async def watch():
         client = await connect(lasting)
         first = await client.picture()
         await client.ready()
@@ -292,9 +287,7 @@ for i in range(20):
 
 
 @pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "stopped"])
-def test_a_dead_or_frozen_viewer_is_reported_once_and_never_waited_for(
-    viewer: Viewer, blow: signal.Signals, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_dead_or_frozen_viewer_is_reported_once_and_never_waited_for(viewer, blow, caplog):
     with caplog.at_level(logging.INFO, "osc_contact.viewer"):
         assert_no_tick_lost(feed(viewer, 0.5))
         viewer._process.send_signal(blow)
@@ -307,7 +300,7 @@ def test_a_dead_or_frozen_viewer_is_reported_once_and_never_waited_for(
     assert viewer._process.poll() is not None
 
 
-def test_a_run_is_the_same_with_a_viewer_that_dies_in_it(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_run_is_the_same_with_a_viewer_that_dies_in_it(caplog):
     scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
     plain = osc.run(scenario, duration=0.15)
     with osc.open_viewer(scenario, rate=60.0) as viewer:
@@ -323,16 +316,16 @@ def test_a_run_is_the_same_with_a_viewer_that_dies_in_it(caplog: pytest.LogCaptu
             assert np.array_equal(values, watched[name]), name
 
 
-def test_nothing_that_is_shown_can_raise(viewer: Viewer, caplog: pytest.LogCaptureFixture) -> None:
+def test_nothing_that_is_shown_can_raise(viewer, caplog):
     viewer.show(TICKS[0])
     viewer._due = 0.0
     viewer.show({"t": 0.0, "q": "no numbers"})
-    assert "does not fit the first one" in str(viewer.error) and len(caplog.records) == 1
+    assert "does not hold numbers" in str(viewer.error) and len(caplog.records) == 1
     viewer.show(TICKS[1])
     assert len(caplog.records) == 1
 
 
-def test_at_most_so_many_ticks_per_second_are_sent() -> None:
+def test_at_most_so_many_ticks_per_second_are_sent():
     with Viewer(MODULE, (CONTENT, 0.6), rate=20.0) as viewer:
         sent = 0
         end = time.monotonic() + 1.0
@@ -347,14 +340,11 @@ def test_at_most_so_many_ticks_per_second_are_sent() -> None:
             Viewer(MODULE, (), rate=rate)
 
 
-def test_the_server_ends_with_the_program_however_that_ends() -> None:
-    script = (
-        "import os, sys; sys.path.insert(0, 'tests'); import test_live as t\n"
+def test_the_server_ends_with_the_program_however_that_ends():
+    done = python(
         "viewer = t.Viewer(t.MODULE, (t.CONTENT, 0.6))\n"
         "print(viewer._process.pid, flush=True); os._exit(7)"
     )
-    root = Path(__file__).parents[1]
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=root)
     assert done.returncode == 7, done.stderr
     pid, end = int(done.stdout), time.monotonic() + 10.0
     while Path(f"/proc/{pid}").exists():
@@ -365,20 +355,14 @@ def test_the_server_ends_with_the_program_however_that_ends() -> None:
         time.sleep(0.05)
 
 
-def test_a_viewer_that_cannot_start_says_why() -> None:
+def test_a_viewer_that_cannot_start_says_why():
     with pytest.raises(ViewerError, match=r"does not start: .*no_such_module"):
         Viewer("osc_contact.no_such_module", ())
     with pytest.raises(ViewerError, match="does not start: ValueError: not enough values"):
         Viewer(MODULE, (CONTENT,))
 
 
-def test_content_survives_the_way_to_another_process() -> None:
-    again = pickle.loads(pickle.dumps(CONTENT))
-    assert again.arms[0].q_slice == ARMS[0].q_slice and again.arms[0].base.isApprox(BASE)
-    assert again.bodies[0].placement is None and again.bodies[1].face == 0
-
-
-def test_no_part_of_meshcat_that_opens_sockets_is_imported() -> None:
+def test_no_part_of_meshcat_that_opens_sockets_is_imported():
     script = (
         "import sys, osc_contact.runs.live_page\n"
         "from osc_contact.visual.page import CommandSink\n"
@@ -389,7 +373,7 @@ def test_no_part_of_meshcat_that_opens_sockets_is_imported() -> None:
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
 
 
-def test_a_viewer_that_cannot_draw_ends_and_is_reported(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_viewer_that_cannot_draw_ends_and_is_reported(caplog):
     missing = BODIES[0]._replace(urdf="/no/such/file.urdf")
     broken = replace(CONTENT, bodies=(missing, *BODIES[1:]))
     with Viewer(MODULE, (broken, 0.6), rate=60.0) as viewer:

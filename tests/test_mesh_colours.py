@@ -1,15 +1,11 @@
 """Colours of COLLADA meshes: by material, in the order of the file's triangles."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from osc_contact import robots
-from osc_contact.visual.mesh_colours import triangle_colours, vertex_colours
+from osc_contact.visual.shapes import triangle_colours, vertex_colours
 
 DAE = """<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
@@ -38,7 +34,7 @@ DAE = """<?xml version="1.0"?>
 RED, BLUE = (0.88, 0.14, 0.14), (0.14, 0.14, 0.88)
 
 
-def test_triangles_have_the_colours_of_their_materials(tmp_path: Path) -> None:
+def test_triangles_have_the_colours_of_their_materials(tmp_path):
     file = tmp_path / "two.dae"
     file.write_text(DAE)
     np.testing.assert_allclose(triangle_colours(file, 3), [RED, RED, BLUE], atol=1e-12)
@@ -56,12 +52,12 @@ def test_triangles_have_the_colours_of_their_materials(tmp_path: Path) -> None:
         ("two.dae", '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema"/>', 0),
     ],
 )
-def test_what_is_not_told_is_not_guessed(name: str, text: str, count: int, tmp_path: Path) -> None:
+def test_what_is_not_told_is_not_guessed(name, text, count, tmp_path):
     (tmp_path / name).write_text(text)
     assert triangle_colours(tmp_path / name, count) is None
 
 
-def test_the_pandas_hand_is_white_with_dark_parts() -> None:
+def test_the_pandas_hand_is_white_with_dark_parts():
     """Its DAE tells 1 1 1 and 0.25 0.25 0.25 among others; read with Pinocchio's triangles."""
     path, folders = robots.locate("panda")
     _, geometry, _ = robots.load_geometry(path, pin.GeometryType.VISUAL, folders)

@@ -1,33 +1,27 @@
 """Moving pictures: frames of a page at the times that are asked for, and the page's cameras."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import av
 import numpy as np
 import pytest
 from headless import Browser, near
 from PIL import Image, ImageSequence
-from scene_samples import ARMS, BODIES, make_recording
+from scene_samples import ENDS, write
 
 from osc_contact.errors import ViewerError
 from osc_contact.visual import contact_colour
-from osc_contact.visual.devtools import FRAMES
-from osc_contact.visual.movie import moments, one_palette, write_gif, write_mp4
-from osc_contact.visual.scene import write_scene
-from osc_contact.visual.subspaces import T_COLOUR
+from osc_contact.visual.browser import FRAMES, moments, one_palette, write_gif, write_mp4
+from osc_contact.visual.marks import T_COLOUR
 
 SIZE = (320, 300)
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_scene(make_recording(), ARMS, BODIES, tmp_path_factory.mktemp("m") / "s.html")
+def page(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("m"), fps=30)
 
 
 @pytest.fixture(scope="module")
-def gif(page: Path) -> list[np.ndarray]:
+def gif(page):
     path = write_gif(page, page.with_suffix(".gif"), 0.0, 1.0, SIZE, most=6)
     with Image.open(path) as picture:
         assert picture.format == "GIF" and picture.info["loop"] == 0
@@ -35,7 +29,7 @@ def gif(page: Path) -> list[np.ndarray]:
         return [np.asarray(f.convert("RGB")).astype(int) for f in ImageSequence.Iterator(picture)]
 
 
-def test_frames_are_of_equal_steps_and_play_in_real_time() -> None:
+def test_frames_are_of_equal_steps_and_play_in_real_time():
     times, shown = moments(2.0, 4.0)
     assert len(times) == 24 and shown == 80
     np.testing.assert_allclose(times, 2.0 + np.arange(24) / 12.0)
@@ -43,7 +37,7 @@ def test_frames_are_of_equal_steps_and_play_in_real_time() -> None:
     assert len(times) * shown == pytest.approx(10_000, rel=0.1), "faster, in 10 s"
 
 
-def test_a_gif_shows_arm_arrows_curves_and_the_marker_at_its_times(gif: list[np.ndarray]) -> None:
+def test_a_gif_shows_arm_arrows_curves_and_the_marker_at_its_times(gif):
     assert len(gif) == 6 and gif[0].shape == (300, 320, 3)
     for number, frame in enumerate(gif):
         dock = frame[210:260]
@@ -55,7 +49,7 @@ def test_a_gif_shows_arm_arrows_curves_and_the_marker_at_its_times(gif: list[np.
     assert moved.sum() > 500, "the arm has moved"
 
 
-def test_a_video_decodes_to_the_frames_of_the_gif(page: Path, gif: list[np.ndarray]) -> None:
+def test_a_video_decodes_to_the_frames_of_the_gif(page, gif):
     path = write_mp4(page, page.with_suffix(".mp4"), 0.0, 1.0, SIZE)
     with av.open(str(path)) as video:
         (stream,) = video.streams
@@ -69,7 +63,7 @@ def test_a_video_decodes_to_the_frames_of_the_gif(page: Path, gif: list[np.ndarr
     assert near(frames[12][:180], contact_colour(0), 40) > 20, "its colours"
 
 
-def test_pixels_that_hardly_change_keep_their_colour() -> None:
+def test_pixels_that_hardly_change_keep_their_colour():
     rng = np.random.default_rng(3)
     still = rng.integers(0, 255, (40, 40, 3))
     other = np.clip(still + rng.integers(-4, 5, still.shape), 0, 255)
@@ -83,12 +77,12 @@ def test_pixels_that_hardly_change_keep_their_colour() -> None:
 EYE = "[...viewer.camera.position.toArray(), ...nodeAt('').object.position.toArray()]"
 
 
-def test_a_page_opens_with_the_camera_of_its_address(page: Path) -> None:
+def test_a_page_opens_with_the_camera_of_its_address(page):
     with Browser(f"{page.as_uri()}#t=0.5&camera=from%20above", SIZE) as browser:
         assert browser.run("element('camera').value") == "from above"
 
 
-def test_cameras_look_from_where_they_say(page: Path) -> None:
+def test_cameras_look_from_where_they_say(page):
     with Browser(f"{page.as_uri()}#t=0.5") as browser:
         names = browser.run("[...element('camera').options].map(o => o.textContent)")
         assert names == ["whole", "contacts", "from above", "other side"]
@@ -108,7 +102,7 @@ def test_cameras_look_from_where_they_say(page: Path) -> None:
                     f"nodeAt('contacts/{end}').object.getWorldPosition(new MeshCat.THREE.Vector3())"
                     ".project(viewer.camera).toArray()"
                 )
-                for end in ("left_end", "right_end")
+                for end in ENDS
             ]
             assert np.abs(np.array(ends)[:, :2]).max() < 1, f"{name} sees both contacts"
         assert browser.errors == []
@@ -119,7 +113,7 @@ def test_cameras_look_from_where_they_say(page: Path) -> None:
     np.testing.assert_allclose(flat[3], -flat[0], atol=1e-6)
 
 
-def test_a_page_whose_script_fails_gives_no_gif(page: Path, tmp_path: Path) -> None:
+def test_a_page_whose_script_fails_gives_no_gif(page, tmp_path):
     broken = tmp_path / "broken.html"
     text = page.read_text(encoding="utf-8")
     broken.write_text(

@@ -10,7 +10,7 @@ import nbclient
 import nbformat
 import pytest
 
-from osc_contact.visual.embed import embed
+from osc_contact.visual.page import embed
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
 

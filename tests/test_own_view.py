@@ -1,7 +1,5 @@
 """Pictures of a robot in a MuJoCo scene of one's own, and of recordings that it leaves."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -16,7 +14,7 @@ from typer.testing import CliRunner
 import osc_contact as osc
 from osc_contact.cli import app
 from osc_contact.robots.pictures import read_picture
-from osc_contact.visual.bodies import MovingArm
+from osc_contact.visual.parts import MovingArm
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +51,13 @@ def test_the_picture_stands_where_mujoco_puts_the_shapes(recorded):
     robot.data.qpos[robot.model.joint("grip").qposadr[0]] = 0.02
     mujoco.mj_forward(robot.model, robot.data)
     pin.forwardKinematics(model, data, np.array([0.7, -0.4, 1.1]))
-    drawn = np.array([
-        (data.oMi[one.parentJoint] * one.placement).translation
-        for one in shapes.geometryObjects if one.parentJoint
-    ])  # fmt: skip
+    drawn = np.array(
+        [
+            (data.oMi[one.parentJoint] * one.placement).translation
+            for one in shapes.geometryObjects
+            if one.parentJoint
+        ]
+    )
     names = ["upper", "lower", "tool"]
     for name in names:
         at = robot.data.geom(name).xpos

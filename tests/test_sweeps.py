@@ -1,7 +1,5 @@
 """Sweeps: points, rows equal to single runs, one table however it came about."""
 
-from __future__ import annotations
-
 import html
 import json
 import multiprocessing
@@ -24,11 +22,9 @@ from typer.testing import CliRunner
 import osc_contact as osc
 from osc_contact.cli import app
 from osc_contact.runs.preflight import require_ready
-from osc_contact.sweeps.distributions import parse_distribution
-from osc_contact.sweeps.report import write_report
+from osc_contact.sweeps.report import variances, write_report
 from osc_contact.sweeps.rows import make_rows, scenario_of
-from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.summary import variances
+from osc_contact.sweeps.study import SweepStudy, parse_distribution
 from osc_contact.sweeps.sweep import ROWS, TABLE, run_study
 
 U = np.linspace(0.01, 0.99, 7)
@@ -37,7 +33,7 @@ MASSES = "model_error.object_mass=uniform(0.8, 1.2)"
 NORMALS = "contacts.left_end.face.normal=tilt(5 deg)"
 
 
-def rod(samples: int, *vary: str, **how) -> SweepStudy:
+def rod(samples, *vary, **how):
     return SweepStudy.of("two_contact_rod", vary, samples, overrides=SHORT, **how)
 
 
@@ -52,17 +48,17 @@ def rod(samples: int, *vary: str, **how) -> SweepStudy:
         ("loguniform(1e-3, 10)", stats.loguniform(1e-3, 10)),
     ],
 )
-def test_numbers_are_those_of_scipys_distributions(words, oracle) -> None:
+def test_numbers_are_those_of_scipys_distributions(words, oracle):
     found = [float(parse_distribution(words).draw(np.array([u]), None)[0]) for u in U]
     np.testing.assert_allclose(found, oracle.ppf(U), rtol=1e-9)
 
 
-def test_units_stay_with_their_numbers() -> None:
+def test_units_stay_with_their_numbers():
     text, shown = parse_distribution("uniform(5 mm, 10 mm)").draw(np.array([0.5]), None)
     assert text == "7.5 mm" and shown == {" [mm]": 7.5}
 
 
-def test_choices_and_integers_are_all_as_likely() -> None:
+def test_choices_and_integers_are_all_as_likely():
     u = (np.arange(3000) + 0.5) / 3000
     for words, values in (
         ("choice(filter, least_squares, [1, 2])", {"filter", "least_squares", "[1, 2]"}),
@@ -72,16 +68,18 @@ def test_choices_and_integers_are_all_as_likely() -> None:
         assert {v: drawn.count(v) for v in values} == dict.fromkeys(values, 1000)
 
 
-def test_factors_multiply_what_the_scenario_says() -> None:
+def test_factors_multiply_what_the_scenario_says():
     factor = parse_distribution("factor(0.5, 1.5)")
     assert [factor.draw(np.array([0.75]), said)[0] for said in (4, "10 mm", [1, "2 N"])] == [
-        "5.0", "12.5 mm", "[1.25, 2.5 N]",
-    ]  # fmt: skip
+        "5.0",
+        "12.5 mm",
+        "[1.25, 2.5 N]",
+    ]
     with pytest.raises(osc.InvalidInputError, match="multiplies a number"):
         factor.draw(np.array([0.5]), "filter")
 
 
-def test_tilted_directions_fill_their_cap_evenly() -> None:
+def test_tilted_directions_fill_their_cap_evenly():
     """On a sphere the height above the rim of a cap is uniform (Archimedes)."""
     normal = np.array([0.5, 0.2, 0.84]) / np.linalg.norm([0.5, 0.2, 0.84])
     u = np.random.default_rng(0).random((4000, 2))
@@ -97,11 +95,23 @@ def test_tilted_directions_fill_their_cap_evenly() -> None:
 
 @pytest.mark.parametrize(
     "words",
-    ["0.8", "gauss(0, 1)", "uniform(1, 0)", "uniform(1 mm, 2 m)", "uniform(1)", "uniform(a, b)",
-     "normal(1, 0)", "loguniform(0, 1)", "integers(1.5, 2)", "choice(a, )", "tilt(200 deg)",
-     "tilt(5 N)", "factor(1 m, 2 m)"],
-)  # fmt: skip
-def test_what_is_not_understood_is_refused_with_how_it_is_written(words) -> None:
+    [
+        "0.8",
+        "gauss(0, 1)",
+        "uniform(1, 0)",
+        "uniform(1 mm, 2 m)",
+        "uniform(1)",
+        "uniform(a, b)",
+        "normal(1, 0)",
+        "loguniform(0, 1)",
+        "integers(1.5, 2)",
+        "choice(a, )",
+        "tilt(200 deg)",
+        "tilt(5 N)",
+        "factor(1 m, 2 m)",
+    ],
+)
+def test_what_is_not_understood_is_refused_with_how_it_is_written(words):
     with pytest.raises(osc.InvalidInputError, match=r"written|write one of"):
         parse_distribution(words)
 
@@ -110,7 +120,7 @@ def test_what_is_not_understood_is_refused_with_how_it_is_written(words) -> None
 
 
 @pytest.mark.parametrize(("design", "points"), [("halton", qmc.Halton), ("sobol", qmc.Sobol)])
-def test_points_are_scipys_and_those_behind_a_block_go_on(design, points) -> None:
+def test_points_are_scipys_and_those_behind_a_block_go_on(design, points):
     study = rod(3000, "squeeze=uniform(0, 1)", "seed=integers(0, 9)", design=design, seed=4)
     oracle = points(2, scramble=True, rng=4).random(2048)
     for i in (0, 5, 1023, 1024, 2047):
@@ -118,7 +128,7 @@ def test_points_are_scipys_and_those_behind_a_block_go_on(design, points) -> Non
         assert study.sample(i).seed == int(oracle[i, 1] * 10)
 
 
-def test_a_sample_does_not_depend_on_how_many_there_are() -> None:
+def test_a_sample_does_not_depend_on_how_many_there_are():
     for design in ("halton", "sobol", "random"):
         few, many = (rod(n, MASSES, NORMALS, design=design) for n in (10, 5000))
         assert few.fingerprint == many.fingerprint
@@ -126,11 +136,13 @@ def test_a_sample_does_not_depend_on_how_many_there_are() -> None:
     assert rod(4, MASSES).fingerprint != rod(4, MASSES, seed=1).fingerprint
 
 
-def test_a_grid_has_every_combination_and_both_ends() -> None:
+def test_a_grid_has_every_combination_and_both_ends():
     study = rod(
-        3, "squeeze=uniform(5 N, 15 N)", "control.force.reading=choice(filter, least_squares)",
+        3,
+        "squeeze=uniform(5 N, 15 N)",
+        "control.force.reading=choice(filter, least_squares)",
         design="grid",
-    )  # fmt: skip
+    )
     assert study.rows == 6
     found = [study.sample(i).overrides for i in range(6)]
     assert {one["squeeze"] for one in found} == {"5.0 N", "10.0 N", "15.0 N"}
@@ -147,12 +159,12 @@ def test_a_grid_has_every_combination_and_both_ends() -> None:
         (["duration=factor(1, 2)", "control.nothing.at.all=factor(1, 2)"], "multiplies a number"),
     ],
 )
-def test_a_study_that_cannot_be_made_is_refused_before_its_runs(vary, complaint) -> None:
+def test_a_study_that_cannot_be_made_is_refused_before_its_runs(vary, complaint):
     with pytest.raises((osc.InvalidInputError, osc.ScenarioError), match=complaint):
         SweepStudy.of("two_contact_rod", vary, 3)
 
 
-def test_sobol_indices_are_those_of_ishigamis_function() -> None:
+def test_sobol_indices_are_those_of_ishigamis_function():
     """sin x + 7 sin² y + 0.1 z⁴ sin x on (−π, π)³, indices by Ishigami and Homma 1990."""
     keys = [f"model_error.{name}" for name in ("face_tilt", "face_tilt_about", "face_offset")]
     study = rod(1024, *(f"{key}=uniform({-np.pi}, {np.pi})" for key in keys), design="saltelli")
@@ -170,7 +182,7 @@ def test_sobol_indices_are_those_of_ishigamis_function() -> None:
         rod(1000, MASSES, design="saltelli")
 
 
-def test_a_key_with_two_numbers_is_exchanged_as_one() -> None:
+def test_a_key_with_two_numbers_is_exchanged_as_one():
     study = rod(2, MASSES, NORMALS, "squeeze=uniform(0, 1)", design="saltelli")
     A, B, *exchanged = (study.sample(5 + i).shown for i in range(5))
     tilt = [name for name in A if "normal" in name]
@@ -189,8 +201,8 @@ def test_a_key_with_two_numbers_is_exchanged_as_one() -> None:
         ("panda_edge", ["gains.force.integral=factor(0.5, 1.5)", "plant.friction=uniform(0, 0.1)"]),
         ("workcell", ["seed=integers(0, 99)", "sensors.wrist.delay=uniform(1 ms, 3 ms)"]),
     ],
-)  # fmt: skip
-def test_every_row_equals_its_single_run(name, vary) -> None:
+)
+def test_every_row_equals_its_single_run(name, vary):
     study = SweepStudy.of(name, vary, 2, overrides=SHORT)
     for row in make_rows(study, [0, 1]):
         sample = study.sample(row["row"])
@@ -211,7 +223,7 @@ def test_every_row_equals_its_single_run(name, vary) -> None:
             assert row[key] == close, key
 
 
-def test_runs_that_fail_keep_their_reason() -> None:
+def test_runs_that_fail_keep_their_reason():
     study = rod(2, "object.pose.xyz=choice([0, 0, 0.2], [0, 5, 0.2])", design="grid")
     fine, lost = make_rows(study, [0, 1])
     assert fine["word"] == "OK" and not fine["failed"]
@@ -221,7 +233,7 @@ def test_runs_that_fail_keep_their_reason() -> None:
     assert table.column("motion.rms_error_m").to_pylist()[1] is None
 
 
-def test_doubts_stand_in_the_rows_and_are_not_logged(caplog) -> None:
+def test_doubts_stand_in_the_rows_and_are_not_logged(caplog):
     study = rod(1, "model_error.object_mass=uniform(1.1, 1.2)")
     require_ready(osc.build_rig(scenario_of(study, study.sample(0))))
     assert "model_error" in caplog.text  # a single run tells them
@@ -230,7 +242,7 @@ def test_doubts_stand_in_the_rows_and_are_not_logged(caplog) -> None:
     assert "model_error" in row["doubts"] and not caplog.records
 
 
-def test_runs_too_short_to_be_judged_are_refused() -> None:
+def test_runs_too_short_to_be_judged_are_refused():
     with pytest.raises(osc.InvalidInputError, match="judged"):
         osc.sweep("two_contact_rod", [MASSES], 3, overrides=["duration=1 s"])
 
@@ -238,13 +250,15 @@ def test_runs_too_short_to_be_judged_are_refused() -> None:
 # --- one table ------------------------------------------------------------------------------------
 
 
-def test_table_is_the_same_in_one_process_in_two_and_where_a_worker_is_killed(tmp_path) -> None:
-    vary = {"model_error.object_mass": "uniform(0.8, 1.2)",
-            "contacts.left_end.face.normal": "tilt(5 deg)"}  # fmt: skip
+def test_table_is_the_same_in_one_process_in_two_and_where_a_worker_is_killed(tmp_path):
+    vary = {
+        "model_error.object_mass": "uniform(0.8, 1.2)",
+        "contacts.left_end.face.normal": "tilt(5 deg)",
+    }
     alone = osc.sweep("two_contact_rod", vary, 10, overrides=SHORT, workers=1)
     killed = []
 
-    def kill_one(done: int, total: int) -> None:
+    def kill_one(done, total):
         if not killed:
             killed.append(multiprocessing.active_children()[0])
             os.kill(killed[0].pid, signal.SIGKILL)
@@ -260,12 +274,24 @@ def test_table_is_the_same_in_one_process_in_two_and_where_a_worker_is_killed(tm
         osc.sweep("two_contact_rod", vary, 12, overrides=SHORT, out=tmp_path, seed=1)
 
 
-def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path) -> None:
+def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path):
     command = [
-        sys.executable, "-c", "from osc_contact.cli import app; app()", "sweep",
-        "two_contact_rod", "--vary", MASSES, "--samples", "16", "--duration", "1.02",
-        "--workers", "1", "--out", str(tmp_path),
-    ]  # fmt: skip
+        sys.executable,
+        "-c",
+        "from osc_contact.cli import app; app()",
+        "sweep",
+        "two_contact_rod",
+        "--vary",
+        MASSES,
+        "--samples",
+        "16",
+        "--duration",
+        "1.02",
+        "--workers",
+        "1",
+        "--out",
+        str(tmp_path),
+    ]
     rows = tmp_path / ROWS
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         while not (rows.exists() and rows.read_bytes().count(b"\n") > 3):
@@ -277,20 +303,34 @@ def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path
     assert 3 <= count < 16 and not (tmp_path / TABLE).exists()
     rows.write_bytes(kept + b'{"row": 15, "seed"')  # killed while it wrote
     study = SweepStudy.of("two_contact_rod", [MASSES], 16, overrides=["duration=1.02"])
-    begun: list[int] = []
+    begun = []
     resumed = run_study(study, out=tmp_path, workers=1, progress=lambda n, _: begun.append(n))
     assert len(begun) == 16 - count
     assert resumed.equals(run_study(study, workers=1))
 
 
-def test_command_tells_what_became_of_the_runs(tmp_path) -> None:
+def test_command_tells_what_became_of_the_runs(tmp_path):
     json_file = tmp_path / "summary.json"
     tilt = "model_error.face_tilt=uniform(0 deg, 2 deg)"  # no doubts before a run, as of masses
     done = CliRunner().invoke(
         app,
-        ["sweep", "two_contact_rod", "--vary", tilt, "--samples", "6", "--duration", "1.02",
-         "--workers", "1", "--out", str(tmp_path / "out"), "--json", str(json_file)],
-    )  # fmt: skip
+        [
+            "sweep",
+            "two_contact_rod",
+            "--vary",
+            tilt,
+            "--samples",
+            "6",
+            "--duration",
+            "1.02",
+            "--workers",
+            "1",
+            "--out",
+            str(tmp_path / "out"),
+            "--json",
+            str(json_file),
+        ],
+    )
     assert done.exit_code == 0, done.output
     assert "6 runs, 100.0% without a failed task: 6 OK" in done.output
     summary = json.loads(json_file.read_text())
@@ -307,7 +347,7 @@ def test_command_tells_what_became_of_the_runs(tmp_path) -> None:
     )
 
 
-def test_report_shows_everything_in_one_page(tmp_path) -> None:
+def test_report_shows_everything_in_one_page(tmp_path):
     study = rod(5, MASSES, "object.pose.xyz=choice([0, 0, 0.2], [0, 5, 0.2])", design="random")
     table = run_study(study, workers=1)
     summary = write_report(table, study, tmp_path)
@@ -324,7 +364,7 @@ def test_report_shows_everything_in_one_page(tmp_path) -> None:
     assert "Sobol" not in page
 
 
-def test_report_shows_the_shares_of_a_saltelli_design(tmp_path) -> None:
+def test_report_shows_the_shares_of_a_saltelli_design(tmp_path):
     study = rod(2, MASSES, "squeeze=uniform(0, 1)", design="saltelli")
     found = write_report(run_study(study, workers=1), study, tmp_path)["variances"]
     shares = [share for keys in found.values() for share in keys.values()]
@@ -336,7 +376,7 @@ def test_report_shows_the_shares_of_a_saltelli_design(tmp_path) -> None:
     assert len(shares) == 2 * len(found) > 0 and "<th>squeeze</th>" in table
 
 
-def test_the_command_of_a_row_runs_that_row() -> None:
+def test_the_command_of_a_row_runs_that_row():
     study = rod(3, MASSES, NORMALS, "seed=integers(0, 99)")
     _, _, name, *options = shlex.split(study.command(2))
     changes = [options[i + 1] for i, word in enumerate(options) if word == "--set"]
@@ -346,7 +386,7 @@ def test_the_command_of_a_row_runs_that_row() -> None:
     assert row["seed"] == seed and row["motion.rms_error_m"] == verdict["motion"]["rms_error_m"]
 
 
-def test_scenarios_made_in_python_are_swept_and_their_laws_refused() -> None:
+def test_scenarios_made_in_python_are_swept_and_their_laws_refused():
     scenario = osc.load_scenario("two_contact_rod", SHORT)
     study = SweepStudy.of(scenario, [MASSES], 1)
     assert study.command(0) is None

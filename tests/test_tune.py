@@ -1,7 +1,5 @@
 """Tuning: found values are better where they are run by themselves, limits hold, trials go on."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -14,9 +12,10 @@ from osc_contact.sweeps import tune as tuning
 from osc_contact.sweeps.tune import tune
 
 SHORT = ("duration=1.1 s",)
+ONE = {"overrides": SHORT, "workers": 1}
 
 
-def errors(changes) -> tuple[float, float, float]:
+def errors(changes):
     """Largest relative force error, position error, largest overshoot of one run."""
     verdict = osc.metrics(osc.run(osc.load_scenario("two_contact_rod", [*SHORT, *changes])))
     force = max(one["rms_error_rel"] for one in verdict["force"].values())
@@ -24,7 +23,7 @@ def errors(changes) -> tuple[float, float, float]:
     return force, verdict["motion"]["rms_error_m"], max(steps)
 
 
-def test_found_gains_beat_the_shipped_ones_in_a_run_of_their_own() -> None:
+def test_found_gains_beat_the_shipped_ones_in_a_run_of_their_own():
     sudden = "gains.force.rise=0 s"  # or the shipped overshoot is too small for a limit of it
     found = tune("two_contact_rod", overrides=(*SHORT, sudden), trials=14, workers=1, seed=1)
     assert found.better and found.trials == 14
@@ -38,7 +37,7 @@ def test_found_gains_beat_the_shipped_ones_in_a_run_of_their_own() -> None:
     assert set(found.values) == {one.partition("=")[0] for one in tuning.GAINS[:4]}
 
 
-def test_what_is_not_known_counts_by_its_mean_and_limits_by_the_worst(monkeypatch) -> None:
+def test_what_is_not_known_counts_by_its_mean_and_limits_by_the_worst(monkeypatch):
     seen = []
     inner = tuning.make_rows
 
@@ -49,10 +48,15 @@ def test_what_is_not_known_counts_by_its_mean_and_limits_by_the_worst(monkeypatc
 
     monkeypatch.setattr(tuning, "make_rows", make_rows)
     found = tune(
-        "two_contact_rod", ["gains.force.integral=uniform(10, 60)"], objective="force",
-        over=["model_error.object_mass=uniform(0.9, 1.1)"], samples=2, overrides=SHORT,
-        trials=3, workers=1,
-    )  # fmt: skip
+        "two_contact_rod",
+        ["gains.force.integral=uniform(10, 60)"],
+        objective="force",
+        over=["model_error.object_mass=uniform(0.9, 1.1)"],
+        samples=2,
+        overrides=SHORT,
+        trials=3,
+        workers=1,
+    )
     force = [
         [max(r["force.left_end.rms_error_rel"], r["force.right_end.rms_error_rel"]) for r in rows]
         for rows in zip(seen[::2], seen[1::2], strict=True)
@@ -63,33 +67,44 @@ def test_what_is_not_known_counts_by_its_mean_and_limits_by_the_worst(monkeypatc
     assert found.numbers["force"][0] == pytest.approx(max(force[0]))
 
 
-def test_limits_that_no_trial_keeps_are_told() -> None:
-    found = tune("two_contact_rod", limits={"overshoot_rel": 0.001}, overrides=SHORT, trials=3,
-                 workers=1)  # fmt: skip
-    assert not found.better and found.broken == ("overshoot_rel > 0.001",)
-    loose = tune("two_contact_rod", limits={"overshoot_rel": 9.0}, overrides=SHORT, trials=3,
-                 workers=1)  # fmt: skip
-    assert loose.broken == ()
+@pytest.mark.parametrize(("most", "broken"), [(0.001, ("overshoot_rel > 0.001",)), (9.0, ())])
+def test_limits_that_no_trial_keeps_are_named(most, broken):
+    found = tune("two_contact_rod", limits={"overshoot_rel": most}, trials=3, **ONE)
+    assert found.broken == broken and not (broken and found.better)
 
 
-def test_trials_in_a_folder_are_gone_on_with(tmp_path) -> None:
-    counts: list[int] = []
-    how = {"overrides": SHORT, "out": tmp_path, "workers": 1,
-           "progress": lambda done, _: counts.append(done)}  # fmt: skip
+def test_trials_in_a_folder_are_gone_on_with(tmp_path):
+    counts = []
+    how = {"out": tmp_path, "progress": lambda done, _: counts.append(done)} | ONE
     first = tune("two_contact_rod", trials=3, **how)
     second = tune("two_contact_rod", trials=5, **how)
     assert counts == [1, 2, 3, 4, 5]
     assert second.trials == 5 and second.best <= first.best
 
 
-def test_command_prints_the_keys_to_paste(tmp_path) -> None:
+def test_command_prints_the_keys_to_paste(tmp_path):
     json_file = tmp_path / "tuned.json"
     done = CliRunner().invoke(
         app,
-        ["tune", "two_contact_rod", "--duration", "1.1", "--trials", "12", "--workers", "1",
-         "--vary", "gains.motion.stiffness=factor(1, 4)", "--objective", "motion",
-         "--limit", "overshoot_rel=2", "--json", str(json_file)],
-    )  # fmt: skip
+        [
+            "tune",
+            "two_contact_rod",
+            "--duration",
+            "1.1",
+            "--trials",
+            "12",
+            "--workers",
+            "1",
+            "--vary",
+            "gains.motion.stiffness=factor(1, 4)",
+            "--objective",
+            "motion",
+            "--limit",
+            "overshoot_rel=2",
+            "--json",
+            str(json_file),
+        ],
+    )
     found = json.loads(json_file.read_text())
     assert done.exit_code == 0 and found["better"], done.output
     assert f"gains.motion.stiffness: {found['values']['gains.motion.stiffness']}" in done.output
@@ -107,6 +122,6 @@ def test_command_prints_the_keys_to_paste(tmp_path) -> None:
         ({"overrides": [*SHORT, "gains.force.integral=3000"]}, "integral"),
     ],
 )
-def test_what_cannot_be_tuned_is_refused(how, complaint) -> None:
+def test_what_cannot_be_tuned_is_refused(how, complaint):
     with pytest.raises(osc.OscContactError, match=complaint):
-        tune("two_contact_rod", **({"overrides": SHORT, "trials": 1, "workers": 1} | how))
+        tune("two_contact_rod", **(ONE | {"trials": 1} | how))

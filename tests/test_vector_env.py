@@ -1,7 +1,5 @@
 """Vector environments: gymnasium's own checks, its autoreset, and rows that are single runs."""
 
-from __future__ import annotations
-
 import warnings
 
 import gymnasium
@@ -23,7 +21,7 @@ MASS = {"model_error.object_mass": "uniform(0.8, 1.2)"}
 class One(gymnasium.Env):
     """A row as an environment of its own, which nobody resets but its caller."""
 
-    def __init__(self, **how) -> None:
+    def __init__(self, **how):
         self.rows = make_vector_env("panda_edge", 1, threads=1, autoreset="disabled", **how)
         self.observation_space = self.rows.single_observation_space
         self.action_space = self.rows.single_action_space
@@ -45,7 +43,7 @@ def part(env, observation, name):
 
 
 @pytest.mark.parametrize("vary", [{}, MASS])
-def test_gymnasium_finds_nothing_wrong(vary) -> None:
+def test_gymnasium_finds_nothing_wrong(vary):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         check_env(One(vary=vary, overrides=SHORT, episodes=3), skip_render_check=True)
@@ -54,7 +52,7 @@ def test_gymnasium_finds_nothing_wrong(vary) -> None:
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_rows_are_reset_as_gymnasium_resets_environments(mode) -> None:
+def test_rows_are_reset_as_gymnasium_resets_environments(mode):
     """Two of three rows: random actions; the third runs away, which ends it earlier."""
     how = {"overrides": ("duration=0.3 s",), "move": (0.02, 0.01)}
     ours = make_vector_env("panda_edge", 3, autoreset=mode.name, threads=1, **how)
@@ -84,7 +82,7 @@ def test_rows_are_reset_as_gymnasium_resets_environments(mode) -> None:
 
 
 @pytest.mark.parametrize("name", ["panda_edge", "two_contact_rod", "hinge_ball_rod"])
-def test_rows_of_a_fleet_are_single_runs(name) -> None:
+def test_rows_of_a_fleet_are_single_runs(name):
     """Each row with its own masses, two of them alike, on two threads."""
     scenarios = [
         osc.load_scenario(name, [f"model_error.object_mass={m}", "duration=0.2 s"])
@@ -98,8 +96,9 @@ def test_rows_of_a_fleet_are_single_runs(name) -> None:
     for k in range(200):
         q, v, _ = fleet.measure()
         X = np.array([pin.XYZQUATToSE3(plans[i].X_WD[k]).homogeneous for i in rows])
-        fields = (np.array([getattr(plans[i], f)[k] for i in rows])
-                  for f in ("V_D", "A_D", "alpha_d"))  # fmt: skip
+        fields = (
+            np.array([getattr(plans[i], f)[k] for i in rows]) for f in ("V_D", "A_D", "alpha_d")
+        )
         tau = fleet.tick(X, *fields, np.array([plans[i].squeeze_d for i in rows]))
         for row, i in enumerate(rows):
             for one, channel in ((q, "q"), (v, "v"), (tau, "tau")):
@@ -107,7 +106,7 @@ def test_rows_of_a_fleet_are_single_runs(name) -> None:
     assert not fleet.diverged().any()
 
 
-def test_a_row_does_what_its_neighbours_would_do_alone() -> None:
+def test_a_row_does_what_its_neighbours_would_do_alone():
     how = {"vary": MASS, "overrides": SHORT, "episodes": 4}
     many, few = (make_vector_env("panda_edge", n, threads=2, **how) for n in (5, 2))
     first, infos = many.reset(seed=3)
@@ -121,7 +120,7 @@ def test_a_row_does_what_its_neighbours_would_do_alone() -> None:
         np.testing.assert_array_equal(few.step(action[[4, 1]])[0], many.step(action)[0][[4, 1]])
 
 
-def test_actions_move_the_set_point_and_set_the_force() -> None:
+def test_actions_move_the_set_point_and_set_the_force():
     """Along the table's edge, which the contact permits: the object follows, the force too."""
     still = ("motion=[]", "force.edge=[{type: constant, value: 10 N}]", "duration=3 s")
     how = {"move": (2e-3, 1e-2), "most_force": 20.0}
@@ -143,7 +142,7 @@ def test_actions_move_the_set_point_and_set_the_force() -> None:
     np.testing.assert_allclose(part(env, observation, "set point y")[:, 0], [0.04, -0.02])
 
 
-def test_following_the_scenario_is_rewarded_and_leaving_it_is_not() -> None:
+def test_following_the_scenario_is_rewarded_and_leaving_it_is_not():
     env = make_vector_env("panda_edge", 2, overrides=("duration=1.5 s",), threads=1)
     observation, _ = env.reset(seed=0)
     for _ in range(60):
@@ -157,14 +156,14 @@ def test_following_the_scenario_is_rewarded_and_leaving_it_is_not() -> None:
     assert rewards[0] > 0.9 and rewards[1] < 0.0
 
 
-def test_seeds_draw_the_same_episodes_again_and_others_draw_others() -> None:
+def test_seeds_draw_the_same_episodes_again_and_others_draw_others():
     env = make_vector_env("panda_edge", 6, vary=MASS, overrides=SHORT, episodes=5, threads=1)
     one, two, other = (env.reset(seed=s)[1]["sample"] for s in (7, 7, 8))
     np.testing.assert_array_equal(one, two)
     assert (one != other).any() and set(one) <= set(range(5))
 
 
-def test_what_cannot_be_batched_is_refused_with_the_reason() -> None:
+def test_what_cannot_be_batched_is_refused_with_the_reason():
     with pytest.raises(osc.InvalidInputError, match="sensors have errors"):
         make_vector_env("workcell", 2)
     with pytest.raises(osc.InvalidInputError, match="divides that of control"):
@@ -175,9 +174,11 @@ def test_what_cannot_be_batched_is_refused_with_the_reason() -> None:
         env.step(np.zeros((2, 6)))
 
 
-def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given() -> None:
-    rigs = [osc.build_rig(osc.load_scenario("panda_edge", [f"model_error.arm_mass={m}"]))
-            for m in (1.0, 1.3)]  # fmt: skip
+def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given():
+    rigs = [
+        osc.build_rig(osc.load_scenario("panda_edge", [f"model_error.arm_mass={m}"]))
+        for m in (1.0, 1.3)
+    ]
     starts = [Start.of(rig) for rig in rigs]
     batch = BatchController([starts[0].controller] * 2)
     batch.replace(1, starts[1].controller)
@@ -186,9 +187,11 @@ def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given() -> N
     wanted = [one.tick(measurement, reference) for one in single]
     tau = batch.tick(
         *([x, x] for x in (measurement.q, measurement.v, measurement.wrenches)),
-        [reference.X_WD.homogeneous] * 2, [reference.V_D] * 2, [reference.A_D] * 2,
+        [reference.X_WD.homogeneous] * 2,
+        [reference.V_D] * 2,
+        [reference.A_D] * 2,
         [reference.alpha_d] * 2,
-    )  # fmt: skip
+    )
     np.testing.assert_array_equal(tau, wanted)
     assert np.abs(tau[0] - tau[1]).max() > 0.1
     rod = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()

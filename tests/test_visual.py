@@ -1,9 +1,6 @@
 """Plots, diagrams and contact pictures, measured."""
 
-from __future__ import annotations
-
 from itertools import combinations, pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,12 +10,12 @@ from scene_samples import make_recording
 from osc_contact.control.signals import SIGNALS
 from osc_contact.errors import InvalidInputError
 from osc_contact.visual import plots
-from osc_contact.visual.contact_picture import draw_contact_state
 from osc_contact.visual.screws import common_perpendicular
+from paper.contact_pictures import draw_contact_state
 from paper.diagrams import BY_NAME, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
 
 
-def test_contact_force_figure() -> None:
+def test_contact_force_figure():
     figure = plots.contact_forces(make_recording())
     left, right, error = figure.axes
     assert [line.get_label() for line in left.lines] == ["desired", "true", "measured"]
@@ -34,7 +31,7 @@ def test_contact_force_figure() -> None:
     assert [text.get_text() for text in empty.texts] == ["no contacts"]
 
 
-def test_force_error_is_scaled_by_what_counts() -> None:
+def test_force_error_is_scaled_by_what_counts():
     recording = make_recording()
     recording.channels["alpha_true"] = recording["alpha_cmd"] + 1e-3
     recording.channels["alpha_true"][:20] += 7.0  # touching down
@@ -55,7 +52,7 @@ def test_force_error_is_scaled_by_what_counts() -> None:
     assert nothing.get_ylim()[1] > 7.0, "if nothing counts, everything does"
 
 
-def test_power_figure_leaves_steps_out_of_the_rms() -> None:
+def test_power_figure_leaves_steps_out_of_the_rms():
     recording = make_recording()
     plain, blanked = (
         plots.power(recording),
@@ -70,7 +67,7 @@ def test_power_figure_leaves_steps_out_of_the_rms() -> None:
     assert blanked.axes[2].get_ylim()[1] < 0.02 < plain.axes[2].get_ylim()[1]
 
 
-def test_tracking_and_torque_figures() -> None:
+def test_tracking_and_torque_figures():
     linear, angular, way = plots.tracking(make_recording()).axes
     assert np.allclose(linear.lines[2].get_ydata()[-1], 4.0), "mm"
     assert np.allclose(angular.lines[1].get_ydata()[-1], 5.0), "mrad"
@@ -90,7 +87,7 @@ def test_tracking_and_torque_figures() -> None:
         plots.torques(make_recording(without=("tau",)))
 
 
-def test_save_writes_png_and_svg(tmp_path: Path) -> None:
+def test_save_writes_png_and_svg(tmp_path):
     paths = plots.save(plots.torques(make_recording()), tmp_path / "run.1" / "torques")
     assert [p.name for p in paths] == ["torques.png", "torques.svg"]
     assert sorted(p.name for p in (tmp_path / "run.1").iterdir()) == ["torques.png", "torques.svg"]
@@ -110,7 +107,7 @@ def diagram(request):
     return list(zip(blocks, [p.get_window_extent() for p in rooms], strict=True)), ax
 
 
-def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram) -> None:
+def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram):
     """A line's tip at the left edge, a name above, below or beside the right edge for each."""
     boxes, ax = diagram
     assert {*LABELS, "v"} == set(SIGNALS)
@@ -132,18 +129,19 @@ def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram) -> Non
         connected = sum(abs(x - box.x0) < 2 and box.y0 < y < box.y1 for x, y in tips)
         assert set(named) <= set(wanted), block.name
         assert len(named) + connected == len(wanted), block.name
-        beside = {text for text, room in texts
-                  if 0 < room.x0 - box.x1 < 12 and box.y0 < room.y0 < box.y1}  # fmt: skip
+        beside = {
+            text for text, room in texts if 0 < room.x0 - box.x1 < 12 and box.y0 < room.y0 < box.y1
+        }
         assert beside == {LABELS[s] for s in block.outputs if s != "v"}, block.name
     for signal, reader in CONNECTIONS:
         assert signal in next(block.inputs for block in LOOP if block.name == reader)
 
 
-def _apart(a, b) -> float:
+def _apart(a, b):
     return max(a.y0 - b.y1, b.y0 - a.y1)
 
 
-def test_diagrams_are_legible(diagram) -> None:
+def test_diagrams_are_legible(diagram):
     """No name covers another, no connection crosses a box or a name, the colours are explained."""
     boxes, ax = diagram
     shown = [(t.get_text(), t.get_window_extent()) for t in ax.texts if t.get_text()]
@@ -161,7 +159,7 @@ def test_diagrams_are_legible(diagram) -> None:
     assert {text.get_text() for text in ax.get_legend().get_texts()} == groups | {BY_NAME}
 
 
-def test_common_perpendicular_of_known_lines() -> None:
+def test_common_perpendicular_of_known_lines():
     pair = common_perpendicular([1, 0, 0], [2, 0, 0], [5, 4, 0.3], [0.0, 1.0, 0.0])
     assert np.allclose(pair.first, [5, 0, 0]) and np.allclose(pair.second, [5, 0, 0.3])
     assert pair.distance == pytest.approx(0.3) and pair.angle == pytest.approx(np.pi / 2)
@@ -174,7 +172,7 @@ def test_common_perpendicular_of_known_lines() -> None:
     assert parallel.distance == pytest.approx(2.0) and parallel.angle == 0.0
 
 
-def test_contact_picture_projects_no_uninitialised_numbers() -> None:
+def test_contact_picture_projects_no_uninitialised_numbers():
     rod = np.array([[-0.3, 0, 0], [0.3, 0, 0]])
     figure = draw_contact_state(rod, np.array([[0, 0, -1.0], [0, 1, 0]]), rod, [], "arrows")
     solids = [c for c in figure.axes[0].collections if hasattr(c, "_faces")]
@@ -184,7 +182,7 @@ def test_contact_picture_projects_no_uninitialised_numbers() -> None:
         assert np.abs(cone._faces).max() < 1.0
 
 
-def test_contact_picture_tells_how_the_lines_lie() -> None:
+def test_contact_picture_tells_how_the_lines_lie():
     rod = np.array([[-0.3, 0, 0], [0.3, 0, 0]])
     face = np.array([[-0.4, -0.1, 0], [-0.2, -0.1, 0], [-0.2, 0.1, 0], [-0.4, 0.1, 0]])
     directions = np.array([[0, 0, -1], [0, 1, 0]])

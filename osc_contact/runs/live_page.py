@@ -7,16 +7,15 @@ import socket
 import sys
 
 from osc_contact.runs.viewing import best_frame
-from osc_contact.visual.live import receive
 from osc_contact.visual.server import serve
 
 __all__ = ["main"]
 
 
 def main() -> None:
-    """Serve the scene that comes over the inherited socket, until its other end closes."""
+    """Serve the scene that stands on the standard input, until the inherited socket closes."""
     link = socket.socket(fileno=int(sys.argv[1]))
-    content, size = pickle.loads(receive(link))
+    content, size = pickle.load(sys.stdin.buffer)
     serve(link, content, lambda N: best_frame(N, size))
 
 

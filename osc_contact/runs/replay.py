@@ -12,9 +12,8 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.viewing import Shown, write_scene_of
-from osc_contact.visual.browser import find_browser, write_png
+from osc_contact.visual.browser import find_browser, write_gif, write_png
 from osc_contact.visual.live import Viewer
-from osc_contact.visual.movie import write_gif
 
 __all__ = ["RealTime", "moving_picture", "picture", "replay", "wait_for"]
 

@@ -22,10 +22,10 @@ from osc_contact.runs.references import force_owners
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
-from osc_contact.visual.bodies import ArmVisual, BodyVisual, Content
 from osc_contact.visual.live import Viewer
+from osc_contact.visual.marks import BestFrame
+from osc_contact.visual.parts import ArmVisual, BodyVisual, Content
 from osc_contact.visual.scene import Scene, write_scene
-from osc_contact.visual.subspaces import BestFrame
 
 __all__ = [
     "DRAWN", "Shown", "best_frame", "content_of", "object_size", "open_viewer", "require_drawable",

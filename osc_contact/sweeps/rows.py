@@ -1,44 +1,89 @@
-"""Rows of a study's table: each run's numbers, verdict and errors."""
+"""Rows of a study: each run's numbers, verdict and errors; the file and the table they go to."""
 
 from __future__ import annotations
 
 import json
 import logging
+import os
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import Interrupted, InvalidInputError, OscContactError, PlantError
+from osc_contact.files import hold, whole_file
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.recorder.memory import MemoryJournal
 from osc_contact.runs.metrics import metrics
+from osc_contact.runs.rig import Rig, build_chain, build_rig
 from osc_contact.runs.run import Install, run_rig
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sweeps.study import Sample, SweepStudy
-from osc_contact.sweeps.workshop import Workshop
 
-__all__ = [
-    "CRASHED",
-    "DIVERGED",
-    "REFUSED",
-    "crashed_row",
-    "make_rows",
-    "record_sample",
-    "require_long_enough",
-    "scenario_of",
-    "without_doubts_told",
-]
+__all__ = ["RowFile", "make_rows", "record_sample", "scenario_of"]
 
 #: Words beside those of `runs.outcome`: it could not be built or is not possible; the simulation
 #: diverged; the process that ran it died.
-REFUSED, DIVERGED, CRASHED = "REFUSED", "DIVERGED", "CRASHED"
-#: Of a verdict: what a clock measured, and what the row says elsewhere.
-_LEFT_OUT = frozenset({"scenario", "plant", "seed", "real_time_factor", "tick_us", "task", "steps",
-                       "at_limit", "joint_losses"})  # fmt: skip
+REFUSED = "REFUSED"
+DIVERGED = "DIVERGED"
+CRASHED = "CRASHED"
+#: Of a verdict: what a clock measured, and what stands elsewhere in the row.
+_LEFT_OUT = {
+    "scenario",
+    "plant",
+    "seed",
+    "real_time_factor",
+    "tick_us",
+    "task",
+    "steps",
+    "at_limit",
+    "joint_losses",
+}
 
 Row = dict[str, Any]
+
+# --- Making rows --------------------------------------------------------------------------------
+
+_KEPT = 8  #: chains; where each run has masses of its own they are not needed again
+
+
+class Workshop:
+    """Builds rigs; chains of the same arms, object and factors are the same chain.
+
+    Not for use in several threads: chains hold scratch memory.
+    """
+
+    def __init__(self) -> None:
+        """No chains."""
+        self._chains: OrderedDict[str, ClosedChain] = OrderedDict()
+
+    def rig(self, scenario: Scenario) -> Rig:
+        """See `build_rig`."""
+        return build_rig(scenario, self._chain)
+
+    def _chain(
+        self,
+        scenario: Scenario,
+        arm_mass: float = 1.0,
+        object_mass: float = 1.0,
+        joint_friction: float = 1.0,
+        hidden_mass: float = 0.0,
+    ) -> ClosedChain:
+        content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
+        factors = arm_mass, object_mass, joint_friction, hidden_mass
+        key = json.dumps([content, factors, str(scenario.source)], sort_keys=True)
+        if key not in self._chains:
+            while len(self._chains) >= _KEPT:
+                self._chains.popitem(last=False)
+            self._chains[key] = build_chain(scenario, *factors)
+        self._chains.move_to_end(key)
+        return self._chains[key]
+
+
 _mine = threading.local()  # workshops are not shared between threads
 
 
@@ -52,17 +97,19 @@ def make_rows(
     Args:
         study: of the rows. numbers: of them. install: puts another law into each controller.
     """
-    if getattr(_mine, "fingerprint", None) != study.fingerprint:
-        _mine.study, _mine.fingerprint = study, study.fingerprint
-        _mine.workshop = getattr(_mine, "workshop", None) or Workshop()
-    with without_doubts_told():
+    if not hasattr(_mine, "study"):
+        _mine.workshop = Workshop()
+        _mine.study = study
+    if _mine.study.fingerprint != study.fingerprint:
+        _mine.study = study
+    with without_logged_doubts():
         rows = [_row(_mine.study, _mine.workshop, number, install) for number in numbers]
     return json.loads(json.dumps(rows))  # as they come out of a file
 
 
 @contextmanager
-def without_doubts_told() -> Iterator[None]:
-    """Doubts that stand in rows are not told a thousand times."""
+def without_logged_doubts() -> Iterator[None]:
+    """Doubts that stand in rows are not logged a thousand times."""
     logger = logging.getLogger("osc_contact.preflight")
     before = logger.level
     logger.setLevel(logging.ERROR)
@@ -152,3 +199,127 @@ def _flat(path: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield from _flat(name, value)
         else:
             yield name, value
+
+
+# --- File and table -----------------------------------------------------------------------------
+
+
+class RowFile:
+    """Rows that are done, one a line; what is written survives a kill, also amid a line.
+
+    Attributes:
+        path: of the file. done: rows by number.
+    """
+
+    def __init__(self, path: Path, study: SweepStudy, laws: Any = None) -> None:
+        """Continue a file, or begin one.
+
+        Args:
+            path: of the file. study: that the rows belong to; its first line names it.
+            laws: JSON-able, of the controllers that make the rows where they are not the study's.
+
+        Raises:
+            InvalidInputError: another program writes to it, it is damaged, or it holds another
+                study.
+        """
+        self.path = path
+        self.done: dict[int, Row] = {}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = path.open("ab")
+        try:
+            hold(self._file.fileno(), path)
+            self._continue(path.read_bytes(), study, laws)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _continue(self, text: bytes, study: SweepStudy, laws: Any) -> None:
+        """Read the rows that the file holds, and make it end with a whole line."""
+        whole = text[: text.rfind(b"\n") + 1]
+        lines = whole.splitlines()
+        head = self._read(1, lines[0], "study", str) if lines else {}
+        if lines and (head.get("study"), head.get("laws")) != (study.fingerprint, laws):
+            raise InvalidInputError(
+                f"{self.path} holds the rows of another study: another scenario, other "
+                "distributions, another design, seed or law; give another folder, or remove it"
+            )
+        for number, line in enumerate(lines[1:], 2):
+            row = self._read(number, line, "row", int)
+            self.done[row["row"]] = row
+        self._file.truncate(len(whole))
+        if not lines:
+            named = {"study": study.fingerprint, "vary": study.vary, "design": study.design}
+            self._write(named if laws is None else named | {"laws": laws})
+
+    def _read(self, number: int, line: bytes, key: str, kind: type) -> Row:
+        """A line as an object with a key of a kind.
+
+        Raises:
+            InvalidInputError: it is damaged.
+        """
+        try:
+            row = json.loads(line)
+            if type(row[key]) is kind:
+                return row
+            cause = f"its {key!r} is {row[key]!r}"
+        except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
+            cause = f"{type(error).__name__}: {error}"
+        cure = (
+            "remove it: its run is done again" if number > 1 else "remove the file, and begin anew"
+        )
+        raise InvalidInputError(f"{self.path}: line {number} is damaged ({cause}); {cure}")
+
+    def append(self, rows: Iterable[Row]) -> None:
+        """Keep rows, now."""
+        for row in rows:
+            self.done[row["row"]] = row
+            self._write(row)
+
+    def _write(self, row: Row) -> None:
+        self._file.write(json.dumps(row).encode() + b"\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        """Nothing more comes."""
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+
+def make_table(rows: Sequence[Row], study: SweepStudy) -> Any:
+    """A `pyarrow.Table`, sorted by row, columns in the order in which they first appear.
+
+    Args:
+        rows: of the study, in any order. study: kept in the table's metadata.
+    """
+    import pyarrow as pa
+
+    ordered = sorted(rows, key=lambda row: int(row["row"]))
+    names = list(dict.fromkeys(name for row in ordered for name in row))
+    columns = {}
+    for name in names:
+        values = [row.get(name) for row in ordered]
+        try:
+            columns[name] = pa.array(
+                [json.dumps(x) if isinstance(x, list | dict) else x for x in values]
+            )
+        except pa.ArrowException as error:
+            raise InvalidInputError(
+                f"the values of {name!r} are of several kinds ({error}): rows are damaged; remove "
+                "their file, and run the study again"
+            ) from error
+    about = {
+        "study": study.fingerprint,
+        "scenario": study.text,
+        "vary": json.dumps(study.vary),
+        "overrides": json.dumps(study.overrides),
+        "design": json.dumps([study.design, study.samples, study.seed]),
+    }
+    return pa.table(columns).replace_schema_metadata(about)
+
+
+def write_table(table: Any, path: Path) -> None:
+    """Write it as Parquet."""
+    from pyarrow import parquet
+
+    with whole_file(path) as unfinished:
+        parquet.write_table(table, unfinished)

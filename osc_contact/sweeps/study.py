@@ -1,15 +1,22 @@
-"""A study: one scenario, what varies in it, and which numbers each of its runs has."""
+"""A study: one scenario, what varies in it, and which numbers each of its runs has.
+
+A key of the scenario may be a distribution, in words such as `uniform(5 mm, 10 mm)`. Every word
+maps numbers between 0 and 1 to values, so that grids, random and quasi-random points are all the
+same to it.
+"""
 
 from __future__ import annotations
 
 import json
+import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from hashlib import sha256
 from math import prod
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -18,9 +25,211 @@ from osc_contact.errors import InvalidInputError, ScenarioError
 from osc_contact.scenarios.loader import Template, read_text
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
-from osc_contact.sweeps.distributions import Distribution, parse_distribution
 
-__all__ = ["SEED", "Design", "Sample", "SweepStudy"]
+__all__ = ["WORDS", "Design", "Sample", "SweepStudy"]
+
+# --- What a key may be --------------------------------------------------------------------------
+
+_CALL = re.compile(r"\s*([a-z]+)\s*\((.*)\)\s*")
+_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+
+Drawn = tuple[str, dict[str, Any]]  #: the text of an override; what stands in the table, by suffix
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """Values of one key.
+
+    Attributes:
+        text: of the study. dims: how many numbers between 0 and 1 make a value.
+        draw: (numbers (dims,), the scenario's own value of the key) → value.
+        levels: how many different values there are; 0: any number.
+        ends: whether a grid takes both ends of it; else it takes the middles of equal parts.
+    """
+
+    text: str
+    dims: int
+    draw: Callable[[Array, Any], Drawn]
+    levels: int = 0
+    ends: bool = False
+
+
+def parse_distribution(text: str) -> Distribution:
+    """A distribution from its words, see `WORDS`.
+
+    Raises:
+        InvalidInputError: unknown words, or numbers that do not fit them.
+    """
+    match = _CALL.fullmatch(text)
+    if match is None or match[1] not in WORDS:
+        raise InvalidInputError(
+            f"{text!r} is no distribution; write one of {', '.join(WORDS)} with its values, such "
+            "as uniform(5 mm, 10 mm) or choice(filter, least_squares)"
+        )
+    make, written = WORDS[match[1]]
+    try:
+        return make(text.strip(), _split(match[2]))
+    except (ValueError, IndexError) as error:
+        raise InvalidInputError(f"{text!r}: {error}; it is written {written}") from error
+
+
+def _split(text: str) -> list[str]:
+    """Parts between the commas that stand outside of brackets."""
+    parts, depth = [""], 0
+    for letter in text:
+        depth += (letter in "[{(") - (letter in "]})")
+        if letter == "," and not depth:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return [part.strip() for part in parts]
+
+
+def _quantities(parts: Sequence[str], count: int) -> tuple[list[float], str]:
+    """So many numbers with one unit."""
+    if len(parts) != count:
+        raise ValueError(f"{len(parts)} values given, {count} needed")
+    found = [_NUMBER.fullmatch(part) for part in parts]
+    if None in found:
+        raise ValueError(f"{parts[found.index(None)]!r} is no number with or without a unit")
+    units = {match[2] for match in found if match}
+    if len(units) > 1:
+        raise ValueError(f"the units {sorted(units)} differ")
+    return [float(match[1]) for match in found if match], units.pop()
+
+
+def _scalar(
+    at: Callable[[float, float, float], float],
+    fits: Callable[[float, float], bool],
+    complaint: str,
+    of_scenario: bool = False,
+    ends: bool = True,
+) -> Callable[[str, list[str]], Distribution]:
+    """Words with two numbers in one unit.
+
+    Args:
+        at: (u, first, second) → value. fits: which numbers make sense. complaint: about others.
+        of_scenario: whether the value multiplies that of the scenario. ends: see `Distribution`.
+    """
+
+    def make(text: str, parts: list[str]) -> Distribution:
+        (first, second), unit = _quantities(parts, 2)
+        if not fits(first, second) or (of_scenario and unit):
+            raise ValueError(complaint)
+
+        def draw(u: Array, value: Any) -> Drawn:
+            x = at(float(u[0]), first, second)
+            if of_scenario:
+                return _times(value, x), {" [factor]": x}
+            return f"{x!r} {unit}".strip(), {f" [{unit}]" if unit else "": x}
+
+        return Distribution(text, 1, draw, ends=ends)
+
+    return make
+
+
+def _linear(u: float, low: float, high: float) -> float:
+    return low + u * (high - low)
+
+
+def _below(low: float, high: float) -> bool:
+    return low < high
+
+
+def _choice(text: str, parts: Sequence[str], values: Sequence[Any] = ()) -> Distribution:
+    """One of the texts; the table shows the values, by default numbers if all texts are."""
+    if not all(parts):
+        raise ValueError("a value is missing")
+    try:
+        values = values or [float(part) for part in parts]
+    except ValueError:
+        values = parts
+
+    def draw(u: Array, _: Any) -> Drawn:
+        i = min(int(u[0] * len(parts)), len(parts) - 1)
+        return parts[i], {"": values[i]}
+
+    return Distribution(text, 1, draw, len(parts))
+
+
+def _integers(text: str, parts: list[str]) -> Distribution:
+    low, high = map(int, parts)
+    if low > high:
+        raise ValueError(f"{low} is above {high}")
+    values = range(low, high + 1)
+    return _choice(text, [str(value) for value in values], values)
+
+
+def _times(value: Any, factor: float) -> str:
+    """The text of a number, a quantity or a list of them, times a factor."""
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_times(one, factor) for one in value) + "]"
+    match = None if isinstance(value, bool) else _NUMBER.fullmatch(str(value))
+    if match is None:
+        raise InvalidInputError(f"factor(…) multiplies a number; the scenario has {value!r}")
+    return f"{float(match[1]) * factor!r} {match[2]}".strip()
+
+
+def _tilt(text: str, parts: list[str]) -> Distribution:
+    (most,), unit = _quantities(parts, 1)
+    most = np.deg2rad(most) if unit == "deg" else most
+    if unit not in ("deg", "rad", "") or not 0.0 < most <= np.pi:
+        raise ValueError("give the largest angle in deg or rad, at most 180 deg")
+
+    def draw(u: Array, value: Any) -> Drawn:
+        n = np.array(value, dtype=float)
+        n /= np.linalg.norm(n)
+        angle = float(np.arccos(1.0 - float(u[0]) * (1.0 - np.cos(most))))
+        heading = 2.0 * np.pi * float(u[1])
+        a = np.cross(np.eye(3)[int(np.abs(n).argmin())], n)
+        a /= np.linalg.norm(a)
+        side = np.cos(heading) * a + np.sin(heading) * np.cross(n, a)
+        tilted = np.cos(angle) * n + np.sin(angle) * side
+        shown = ", ".join(repr(float(x)) for x in tilted)
+        return f"[{shown}]", {".tilt [rad]": angle, ".heading [rad]": heading}
+
+    return Distribution(text, 2, draw)
+
+
+#: Words, what makes distributions of them, and how they are written.
+WORDS: dict[str, tuple[Callable[[str, list[str]], Distribution], str]] = {
+    "uniform": (
+        _scalar(_linear, _below, "the first number must be below the second"),
+        "uniform(LOW, HIGH), in one unit",
+    ),
+    "loguniform": (
+        _scalar(
+            lambda u, low, high: low * (high / low) ** u,
+            lambda low, high: 0.0 < low < high,
+            "both ends must be positive, the lower one first",
+        ),
+        "loguniform(LOW, HIGH), both positive, in one unit",
+    ),
+    "normal": (
+        _scalar(
+            lambda u, mean, spread: NormalDist(mean, spread).inv_cdf(min(max(u, 1e-9), 1 - 1e-9)),
+            lambda mean, spread: spread > 0.0,
+            "the standard deviation must be positive",
+            ends=False,
+        ),
+        "normal(MEAN, STANDARD DEVIATION), in one unit",
+    ),
+    "factor": (
+        _scalar(
+            _linear,
+            _below,
+            "give two factors without a unit, the smaller one first",
+            of_scenario=True,
+        ),
+        "factor(LOW, HIGH) of the scenario's own value",
+    ),
+    "tilt": (_tilt, "tilt(ANGLE): a direction of the scenario turned by at most so much"),
+    "choice": (_choice, "choice(A, B, …), any values"),
+    "integers": (_integers, "integers(LOW, HIGH), both included"),
+}
+
+
+# --- Which numbers each run has -----------------------------------------------------------------
 
 Design = Literal["halton", "sobol", "latin", "random", "grid", "saltelli"]
 SEED = "seed"  #: a path that is no key of the scenario: the seed of a run
@@ -110,7 +319,7 @@ class SweepStudy:
         return type(self), tuple(getattr(self, one.name) for one in fields(self))
 
     def require_sound(self) -> None:
-        """Whether all of it can be understood, as far as the first row tells.
+        """Whether all of it can be understood, as far as the first row shows.
 
         Raises:
             InvalidInputError, ScenarioError: with what is wrong.
@@ -138,13 +347,11 @@ class SweepStudy:
     @cached_property
     def variations(self) -> tuple[tuple[str, Distribution], ...]:
         """(path, distribution) of each key that varies."""
-        found = []
-        for text in self.vary:
-            path, equals, words = text.partition("=")
+        found = [text.partition("=") for text in self.vary]
+        for path, equals, _ in found:
             if not equals:
-                raise InvalidInputError(f"{text!r}: write path.to.key=distribution")
-            found.append((path.strip(), parse_distribution(words)))
-        return tuple(found)
+                raise InvalidInputError(f"{path!r}: write path.to.key=distribution")
+        return tuple((path.strip(), parse_distribution(words)) for path, _, words in found)
 
     @cached_property
     def template(self) -> Template:
@@ -153,7 +360,7 @@ class SweepStudy:
 
     @cached_property
     def fingerprint(self) -> str:
-        """What tells this study from others; how many samples it has does not."""
+        """Identifies this study; how many samples it has does not matter."""
         content = asdict(self) | {"samples": self.samples if self.design in _WHOLE else None}
         del content["name"]
         return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
@@ -178,7 +385,7 @@ class SweepStudy:
         overrides: dict[str, str] = {}
         shown: dict[str, Any] = {}
         for path, text, values in self._drawn(self._point(number)):
-            shown.update({path + suffix: value for suffix, value in values.items()})
+            shown |= {path + suffix: value for suffix, value in values.items()}
             overrides[path] = text
         seed = int(overrides.pop(SEED, self.seed))
         return Sample(number, seed, overrides, shown)
@@ -191,7 +398,7 @@ class SweepStudy:
         end = 0
         for path, distribution in self.variations:
             begin, end = end, end + distribution.dims
-            text, values = distribution.draw(u[begin:end], self._said.get(path))
+            text, values = distribution.draw(u[begin:end], self._stated.get(path))
             yield path, text, values
 
     def command(self, number: int) -> str | None:
@@ -205,8 +412,8 @@ class SweepStudy:
         return shlex.join([*words, "--seed", str(sample.seed)])
 
     @cached_property
-    def _said(self) -> dict[str, Any]:
-        """What the scenario says of the keys that vary."""
+    def _stated(self) -> dict[str, Any]:
+        """The scenario's own values of keys that vary relative to them."""
         return {
             path: self.template.value(path, self.overrides)
             for path, words in self.variations
@@ -217,11 +424,13 @@ class SweepStudy:
         """(dims,) numbers between 0 and 1."""
         if self.design == "grid":
             place = np.unravel_index(number, self._levels)
-            ends = [d.ends for _, d in self.variations for _ in range(d.dims)]
-            return np.array([
-                int(i) / (n - 1) if end and n > 1 else (int(i) + 0.5) / n
-                for i, n, end in zip(place, self._levels, ends, strict=True)
-            ])  # fmt: skip
+            count = np.array(self._levels)
+            ends = np.array([d.ends for _, d in self.variations for _ in range(d.dims)])
+            return np.where(
+                ends & (count > 1),
+                place / np.maximum(count - 1, 1),
+                (np.array(place) + 0.5) / count,
+            )
         if self.design == "saltelli":
             return self._exchanged(*divmod(number, len(self.variations) + 2))
         return self._in_block(number)

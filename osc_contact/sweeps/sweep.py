@@ -1,4 +1,4 @@
-"""A sweep: every run of a study, on all cores, gone on with where it was interrupted."""
+"""A sweep: every run of a study, on all cores, continued where it was interrupted."""
 
 from __future__ import annotations
 
@@ -7,14 +7,21 @@ from pathlib import Path
 from typing import Any
 
 from osc_contact.scenarios.schema import Scenario
-from osc_contact.sweeps.rows import make_rows, require_long_enough, scenario_of
+from osc_contact.sweeps.rows import (
+    RowFile,
+    make_rows,
+    make_table,
+    require_long_enough,
+    scenario_of,
+    write_table,
+)
 from osc_contact.sweeps.study import Design, SweepStudy
-from osc_contact.sweeps.table import RowFile, make_table, write_table
 from osc_contact.sweeps.workers import make_all, workers_of
 
 __all__ = ["ROWS", "TABLE", "run_study", "sweep"]
 
-ROWS, TABLE = "rows.jsonl", "table.parquet"  #: files of a sweep's folder
+ROWS = "rows.jsonl"  #: file of a sweep's folder
+TABLE = "table.parquet"  #: file of a sweep's folder
 _CHUNK = 4  #: runs that a worker is handed at once
 
 Progress = Callable[[int, int], None]
@@ -40,7 +47,7 @@ def sweep(
 
     Args:
         scenario: packaged name, file, or a scenario made in Python, without Python laws and pairs.
-        vary: {"path.to.key": "uniform(0.8, 1.2)"}, see `sweeps.distributions.WORDS`; the path
+        vary: {"path.to.key": "uniform(0.8, 1.2)"}, see `sweeps.study.WORDS`; the path
             "seed" is the seed of each run.
         samples: how many points; on a grid, how many values of each key that can have any.
         design: "halton" or "sobol" (quasi-random), "latin", "random" or "grid"; "saltelli" for
@@ -83,10 +90,10 @@ def run_study(
 
     require_long_enough(scenario_of(study, study.sample(0)))
     rows = None if out is None else RowFile(Path(out) / ROWS, study)
-    done = {} if rows is None else rows.done
-    done = {number: row for number, row in done.items() if number in range(study.rows)}
-    wanted = [number for number in range(study.rows) if number not in done]
-    jobs = [(study, wanted[i : i + _CHUNK]) for i in range(0, len(wanted), _CHUNK)]
+    kept = {} if rows is None else rows.done
+    done = {number: kept[number] for number in range(study.rows) if number in kept}
+    left = [number for number in range(study.rows) if number not in done]
+    jobs = [(study, left[i : i + _CHUNK]) for i in range(0, len(left), _CHUNK)]
     try:
         with workers_of(workers, scheduler, len(jobs)) as crew:
             for _, row in make_all(crew, jobs, make_rows):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,17 +18,20 @@ from osc_contact.sweeps.workers import make_all, workers_of
 __all__ = ["GAINS", "Tuned", "tune"]
 
 #: Keys that are tuned if none are named, where the scenario states them.
-GAINS = tuple(
-    f"gains.{loop}={words}"
-    for loop, words in (
-        ("motion.stiffness", "factor(0.25, 4)"), ("motion.damping", "factor(0.4, 2.5)"),
-        ("force.integral", "factor(0.25, 4)"), ("force.damping", "factor(0.25, 4)"),
-        ("motion.frequency", "factor(0.5, 2)"), ("motion.damping_ratio", "factor(0.4, 2.5)"),
-        ("force.bandwidth", "factor(0.25, 4)"), ("force.damping_ratio", "factor(0.25, 4)"),
-    )
-)  # fmt: skip
+GAINS = (
+    "gains.motion.stiffness=factor(0.25, 4)",
+    "gains.motion.damping=factor(0.4, 2.5)",
+    "gains.force.integral=factor(0.25, 4)",
+    "gains.force.damping=factor(0.25, 4)",
+    "gains.motion.frequency=factor(0.5, 2)",
+    "gains.motion.damping_ratio=factor(0.4, 2.5)",
+    "gains.force.bandwidth=factor(0.25, 4)",
+    "gains.force.damping_ratio=factor(0.25, 4)",
+)
+_LIMITED = {"overshoot_rel": 0.05, "status.saturated": 0.0}
+"""Columns that are limited if no limits are given, and what is permitted in any case."""
 _SLACK = 1.05  #: limits that are not given are the shipped values times this
-_LEAST = 0.05  #: … and overshoots up to this are no matter
+_WORST = 1e3  #: of a run that was refused or diverged: worse than all that ran
 
 Row = dict[str, Any]
 
@@ -90,13 +94,12 @@ def tune(
         progress: called with the trials done and all of them.
 
     Raises:
-        ScenarioError, InvalidInputError: what is asked is not understood, or the shipped values
-            fail.
+        ScenarioError, InvalidInputError: the study is not understood, or the shipped values fail.
     """
     import optuna
 
-    keys = SweepStudy.of(scenario, tuple(vary) or _stated(scenario, overrides), 1, "halton", seed,
-                    overrides)  # fmt: skip
+    tuned = tuple(vary) or _stated(scenario, overrides)
+    keys = SweepStudy.of(scenario, tuned, 1, "halton", seed, overrides)
     require_long_enough(scenario_of(keys, keys.sample(0)))
     base = replace(keys, vary=tuple(over), samples=samples)
     shipped = make_rows(base, range(samples))
@@ -107,11 +110,12 @@ def tune(
         )
     judge = _Judge(objective, shipped, limits)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True)
     study = optuna.create_study(
-        study_name=f"{base.fingerprint}-{keys.fingerprint}-{objective}", storage=_storage(out),
-        sampler=sampler, load_if_exists=True,
-    )  # fmt: skip
+        study_name=f"{base.fingerprint}-{keys.fingerprint}-{objective}",
+        storage=_storage(out),
+        sampler=optuna.samplers.TPESampler(seed=seed, multivariate=True),
+        load_if_exists=True,
+    )
     names = [f"{path}:{i}" for path, d in keys.variations for i in range(d.dims)]
 
     def ask() -> tuple[Any, SweepStudy]:
@@ -122,7 +126,10 @@ def tune(
         changes = tuple(f"{path}={value}" for path, value in values.items())
         return trial, replace(base, overrides=(*base.overrides, *changes))
 
-    done = len(study.get_trials(states=(optuna.trial.TrialState.COMPLETE,)))
+    def ended() -> list[Any]:
+        return study.get_trials(states=(optuna.trial.TrialState.COMPLETE,))
+
+    done = len(ended())
     with workers_of(workers, scheduler, trials) as crew:
         while done < trials:
             count = 1 if crew is None else crew.count()
@@ -134,28 +141,31 @@ def tune(
             for trial, one in asked:
                 rows = sorted(found[id(one)], key=lambda row: int(row["row"]))
                 broken = judge.excess(rows)
-                for name, excess in enumerate(broken):
-                    trial.set_constraint(str(name), excess)
+                for number, excess in enumerate(broken):
+                    trial.set_constraint(str(number), excess)
                 trial.set_user_attr("broken", broken)
                 trial.set_user_attr("numbers", judge.worst(rows))
                 study.tell(trial, judge.value(rows))
             done += len(asked)
             if progress is not None:
                 progress(done, trials)
-    ended = study.get_trials(states=(optuna.trial.TrialState.COMPLETE,))
-    best = min(ended, key=lambda t: (sum(max(0.0, x) for x in t.user_attrs["broken"]), t.value))
-    before, after = judge.worst(shipped), best.user_attrs["numbers"]
+    every = ended()
+    best = min(every, key=lambda t: (sum(max(0.0, x) for x in t.user_attrs["broken"]), t.value))
+    after = best.user_attrs["numbers"]
     return Tuned(
-        judge.value(shipped), float(best.value or 0.0), judge.words(best.user_attrs["broken"]),
-        dict(best.user_attrs["values"]), len(ended), {k: (before[k], after[k]) for k in before},
-    )  # fmt: skip
+        shipped=judge.value(shipped),
+        best=float(best.value or 0.0),
+        broken=judge.words(best.user_attrs["broken"]),
+        values=dict(best.user_attrs["values"]),
+        trials=len(every),
+        numbers={name: (before, after[name]) for name, before in judge.worst(shipped).items()},
+    )
 
 
 def _stated(scenario: str | Path, overrides: Sequence[str]) -> tuple[str, ...]:
     """The gains that a scenario states and that are not 0."""
     probe = SweepStudy.of(scenario, ["seed=integers(0, 1)"], 1, overrides=overrides)
-    said = {one: probe.template.value(one.partition("=")[0], overrides) for one in GAINS}
-    return tuple(one for one, value in said.items() if value not in (None, 0, 0.0))
+    return tuple(gain for gain in GAINS if probe.template.value(gain.partition("=")[0], overrides))
 
 
 def _storage(out: str | Path | None) -> Any:
@@ -174,12 +184,13 @@ class _Judge:
     def __init__(
         self, objective: str, shipped: Sequence[Row], limits: Mapping[str, float] | None
     ) -> None:
-        self._objective, self._limits = objective, dict(limits or {})
-        self._forces = [n for n in shipped[0] if n.startswith("force.") and n.endswith("error_rel")
-                        and ".rms_" in n]  # fmt: skip
-        self._shipped = {"force": 1.0, "motion": 1.0}
+        self._objective = objective
+        self._limits = dict(limits or {})
+        self._forces = [
+            name for name in shipped[0] if re.fullmatch(r"force\..*\.rms_.*error_rel", name)
+        ]
         self._shipped = {name: self._mean(shipped, name) for name in ("force", "motion")}
-        if objective not in ("force", "motion", "both") and objective not in shipped[0]:
+        if objective not in (*self._shipped, "both", *shipped[0]):
             known = [n for n, value in shipped[0].items() if isinstance(value, float)]
             raise InvalidInputError(
                 f"objective {objective!r}: give force, motion, both, or a column: {known}"
@@ -189,26 +200,21 @@ class _Judge:
             raise InvalidInputError(f"limits of {unknown}: no such columns")
         if not self._limits:
             now = self.worst(shipped)
-            self._limits = {
-                "overshoot_rel": max(_LEAST, _SLACK * now["overshoot_rel"]),
-                "status.saturated": _SLACK * now["status.saturated"],
-            }
+            self._limits = {n: max(least, _SLACK * now[n]) for n, least in _LIMITED.items()}
 
     def _mean(self, rows: Sequence[Row], name: str) -> float:
-        values = [self._one(row, name) for row in rows]
-        return float(np.mean(values))
+        return float(np.mean([self._one(row, name) for row in rows]))
 
     def _one(self, row: Row, name: str) -> float:
         if row.get("motion.rms_error_m") is None:
-            return 1e3  # refused or diverged: worse than all that ran
+            return _WORST
         if name == "force":
             return max((row[n] or 0.0 for n in self._forces), default=0.0)
-        if name == "motion":
-            return float(row["motion.rms_error_m"])
         if name == "both":
             parts = [self._one(row, n) / s for n, s in self._shipped.items() if s > 0.0]
             return float(np.mean(parts))
-        return float(row[name] if row[name] is not None else 1e3)
+        value = row["motion.rms_error_m" if name == "motion" else name]
+        return _WORST if value is None else float(value)
 
     def value(self, rows: Sequence[Row]) -> float:
         """The objective: its mean over the samples."""
@@ -218,16 +224,17 @@ class _Judge:
         """By how much of itself each limit is broken, > 0: it is; tasks that failed first."""
         worst = self.worst(rows)
         failed = float(np.mean([bool(row["failed"]) for row in rows]))
-        return [failed, *((worst[n] - most) / max(abs(most), 1.0) if worst[n] > most else 0.0
-                          for n, most in self._limits.items())]  # fmt: skip
+        over = (max(0.0, (worst[n] - x) / max(abs(x), 1.0)) for n, x in self._limits.items())
+        return [failed, *over]
 
     def worst(self, rows: Sequence[Row]) -> dict[str, float]:
         """Objective's parts and limited columns, the worst over the samples."""
-        names = ("overshoot_rel", "status.saturated", *self._limits)
-        found = {n: max(float(row.get(n) or 0.0) for row in rows) for n in dict.fromkeys(names)}
-        return {n: max(self._one(row, n) for row in rows) for n in ("force", "motion")} | found
+        found = {name: max(self._one(row, name) for row in rows) for name in ("force", "motion")}
+        for name in (*_LIMITED, *self._limits):
+            found[name] = max(float(row.get(name) or 0.0) for row in rows)
+        return found
 
     def words(self, excess: Sequence[float]) -> tuple[str, ...]:
-        """What is broken."""
+        """The limits that are broken."""
         names = ["a task fails", *(f"{n} > {most:g}" for n, most in self._limits.items())]
         return tuple(name for name, x in zip(names, excess, strict=True) if x > 0.0)

@@ -1,4 +1,7 @@
-"""A gymnasium vector environment: actions are pose increments and contact forces."""
+"""A gymnasium vector environment: actions are pose increments and contact forces.
+
+Its episodes begin at the starts of a scenario, with other numbers each, as samples of a study.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,89 @@ from gymnasium.vector.utils import batch_space
 
 from osc_contact.control.safety import SafetyState
 from osc_contact.errors import InvalidInputError
+from osc_contact.scenarios.loader import Template, read_text
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array, rotations
-from osc_contact.sweeps.episodes import Episode, Episodes
-from osc_contact.sweeps.fleet import Fleet
+from osc_contact.sweeps.fleet import Fleet, Start
+from osc_contact.sweeps.rows import Workshop, scenario_of, without_logged_doubts
+from osc_contact.sweeps.study import SweepStudy
 from osc_contact.sweeps.workers import available_cores
 
 __all__ = ["ContactVectorEnv", "SensedRows", "make_vector_env", "tracking_reward"]
+
+# --- Episodes -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One of them.
+
+    Attributes:
+        number: of the sample. start: of plant and controller.
+        places: (steps + 1, 4, 4) poses that the scenario specifies, at the ends of the steps.
+        forces: (steps + 1, r) contact forces (N) likewise. squeeze: internal force (N).
+    """
+
+    number: int
+    start: Start
+    places: Array
+    forces: Array
+    squeeze: float
+
+
+class Episodes:
+    """Makes episodes of a scenario, with other numbers each, and keeps them.
+
+    Attributes:
+        scenario: of the episodes. count: how many different ones there are.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario,
+        vary: Mapping[str, str] | Sequence[str],
+        overrides: Sequence[str],
+        period: float,
+        count: int,
+    ) -> None:
+        """Look at the first.
+
+        Args:
+            scenario, vary, overrides: see `sweep`; without `vary` all episodes are the same.
+            period: of the steps (s). count: how many different episodes there are.
+        """
+        self._study = SweepStudy.of(scenario, vary, count, overrides=overrides) if vary else None
+        if not isinstance(scenario, Scenario):
+            scenario = Template(*read_text(scenario)).make(overrides)
+        elif overrides:
+            raise TypeError(
+                "overrides change a scenario's file; change a scenario made in Python itself"
+            )
+        self.scenario = scenario
+        self.count = count if vary else 1
+        self._workshop = Workshop()
+        self._period = period
+        self._made: dict[int, Episode] = {}
+
+    def __getitem__(self, number: int) -> Episode:
+        if number not in self._made:
+            self._made[number] = self._make(number)
+        return self._made[number]
+
+    def _make(self, number: int) -> Episode:
+        scenario = self.scenario
+        if self._study is not None:
+            scenario = scenario_of(self._study, self._study.sample(number))
+        rig = self._workshop.rig(scenario)
+        steps = int(np.floor(scenario.duration / self._period + 1e-9))
+        plan = rig.references.over(np.arange(steps + 1) * self._period)
+        places = np.array([pin.XYZQUATToSE3(x).homogeneous for x in plan.X_WD])
+        with without_logged_doubts():
+            start = Start.of(rig)
+        return Episode(number, start, places, plan.alpha_d, plan.squeeze_d)
+
+
+# --- The environment ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -90,10 +169,15 @@ def make_vector_env(
         autoreset: "next_step", "same_step" or "disabled", see gymnasium.
     """
     return ContactVectorEnv(
-        Episodes(scenario, vary, overrides, 1.0 / rate, episodes), num_envs, rate, move,
-        most_force, reward, available_cores() if threads is None else threads,
+        Episodes(scenario, vary, overrides, 1.0 / rate, episodes),
+        num_envs,
+        rate,
+        move,
+        most_force,
+        reward,
+        available_cores() if threads is None else threads,
         AutoresetMode[autoreset.upper()],
-    )  # fmt: skip
+    )
 
 
 class ContactVectorEnv(VectorEnv[Any, Any, Any]):
@@ -136,7 +220,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             )
         self.num_envs, self.metadata = num_envs, {"autoreset_mode": autoreset, "render_modes": []}
         self._episodes, self._reward = episodes, reward
-        self._away = (episodes.limits.distance, episodes.limits.angle)
+        self._away = (episodes.scenario.verdict.distance, episodes.scenario.verdict.angle)
         self._mode, self._r = autoreset, first.forces.shape[1]
         self.move = np.repeat(_needed(first.places) if move is None else move, 3)
         largest = 2.0 * float(np.abs(first.forces).max(initial=0.0))
@@ -213,8 +297,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         rewards = np.where(going, self._reward(seen), 0.0)
         away = np.linalg.norm(seen.error.reshape(-1, 2, 3), axis=2) > self._away
         terminated = going & (seen.diverged | away.any(axis=1))
-        last = np.array([len(episode.places) - 1 for episode in self._now])
-        truncated = going & ~terminated & (self._step >= last)
+        truncated = going & ~terminated & (self._step >= self._last)
         self._over = terminated | truncated
         observation, infos = self._observe(), self._infos()
         if self._mode is AutoresetMode.SAME_STEP and self._over.any():
@@ -250,7 +333,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return tau
 
     def _see(self, actions: Array, tau: Array) -> SensedRows:
-        places, forces = self._wanted()
+        places, forces = self._desired()
         p, R = self.fleet.objects()
         error = np.concatenate(
             (places[:, :3, 3] - p, _turns(places[:, :3, :3] @ R.transpose(0, 2, 1))), axis=1
@@ -260,22 +343,36 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         force = self.fleet.control.alpha_meas
         return SensedRows(force, forces, error, tau, actions, diverged)
 
-    def _wanted(self, ahead: int = 0) -> tuple[Array, Array]:
-        """(B, 4, 4), (B, r): what the scenario asks for so many actions from now."""
-        at = [(episode, int(k) + ahead) for episode, k in zip(self._now, self._step, strict=True)]
-        places = np.array([episode.places[min(k, len(episode.places) - 1)] for episode, k in at])
-        forces = np.array([episode.forces[min(k, len(episode.forces) - 1)] for episode, k in at])
-        return places, forces.reshape(self.num_envs, self._r)
+    def _desired(self, ahead: int = 0) -> tuple[Array, Array]:
+        """(B, 4, 4), (B, r): what the scenario specifies so many actions from now."""
+        steps = np.minimum(self._step + ahead, self._last)
+        at = list(zip(self._now, steps, strict=True))
+        forces = np.array([episode.forces[k] for episode, k in at])
+        return np.array([episode.places[k] for episode, k in at]), forces.reshape(
+            self.num_envs, self._r
+        )
+
+    @property
+    def _last(self) -> Array:
+        """(B,) the last step of each row's episode."""
+        return np.array([len(episode.places) - 1 for episode in self._now])
 
     def _observe(self) -> Array:
         q, v, wrenches = self.fleet.measure()
         control = self.fleet.control
-        places, forces = self._wanted(1)
+        places, forces = self._desired(1)
         first = np.array([episode.places[0] for episode in self._now])
         parts = (
-            q, v, wrenches.reshape(self.num_envs, -1), control.alpha_meas, control.normal_speed,
-            _displacement(first, self._target), _displacement(first, places), self._asked, forces,
-        )  # fmt: skip
+            q,
+            v,
+            wrenches.reshape(self.num_envs, -1),
+            control.alpha_meas,
+            control.normal_speed,
+            _displacement(first, self._target),
+            _displacement(first, places),
+            self._asked,
+            forces,
+        )
         return np.nan_to_num(np.concatenate(parts, axis=1))
 
     def _infos(self) -> dict[str, Any]:

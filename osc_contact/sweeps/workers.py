@@ -26,20 +26,21 @@ from osc_contact.law import compiled
 from osc_contact.sweeps.rows import crashed_row
 from osc_contact.sweeps.study import SweepStudy
 
-__all__ = ["Job", "Workers", "available_cores", "make_all", "workers_of"]
+__all__ = ["make_all", "workers_of"]
 
 _AHEAD = 2  #: jobs that wait for each worker
 
 Row = dict[str, Any]
-Job = tuple[SweepStudy, Sequence[int]]  #: a study, and the numbers of the rows that are wanted
+Job = tuple[SweepStudy, Sequence[int]]  #: a study, and the numbers of the rows to make
 MakesRows = Callable[[SweepStudy, Sequence[int]], list[Row]]
 
 
 class Workers:
     """Workers in other processes.
 
-    Attributes:
-        count: how many there are now.
+    Args:
+        executor: makes one, and another one where a worker's death broke the first.
+        count: how many workers there are now.
         deaths: what a job raises that has ended its worker.
     """
 
@@ -49,36 +50,23 @@ class Workers:
         count: Callable[[], int],
         deaths: type[Exception] = BrokenExecutor,
     ) -> None:
-        """Have an executor made.
+        self._make = executor
+        self._executor = executor()
+        self.count = count
+        self.deaths = deaths
 
-        Args:
-            executor: makes one, and another one where a worker's death broke the first.
-            count, deaths: see above.
-        """
-        self._executor, self._made = executor, executor()
-        self.count, self.deaths = count, deaths
-
-    def submit(self, make: MakesRows, job: Job) -> Future[list[Row]]:
-        """Have a job done.
-
-        Args:
-            make: makes its rows. job: what it is given.
-        """
-        return self._made.submit(make, *job)
-
-    def wake(self, count: int) -> None:
-        """Have processes start and import this package while their work is prepared."""
-        for _ in range(count):
-            self._made.submit(available_cores)
-
-    def renew(self) -> None:
-        """Go on after a worker's death."""
-        self.close()
-        self._made = self._executor()
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Have a function called, by a new executor where a worker's death broke the last one."""
+        try:
+            return self._executor.submit(function, *arguments)
+        except BrokenExecutor:
+            self.close()
+            self._executor = self._make()
+            return self._executor.submit(function, *arguments)
 
     def close(self) -> None:
         """Wait for what is under way."""
-        self._made.shutdown()
+        self._executor.shutdown()
 
 
 @contextmanager
@@ -100,7 +88,8 @@ def workers_of(workers: int | None, scheduler: Any, most: int) -> Iterator[Worke
         if scheduler is None:
             context = get_context("spawn")  # threads of this process would not survive a fork
             made = Workers(lambda: ProcessPoolExecutor(count, context, _begin_work), lambda: count)
-            made.wake(count)
+            for _ in range(count):  # they import this package while their work is prepared
+                made.submit(available_cores)
         else:
             from osc_contact.sweeps.cluster import KilledWorker, connect
 
@@ -119,7 +108,7 @@ def make_all(
     """All rows of all jobs, in the order in which they are done.
 
     Where a worker dies its jobs are done again, row by row; a row that ends its worker then too is
-    a row that says so.
+    a row that states it.
 
     Args:
         workers: see `workers_of`; None: this process. jobs: what is to be done.
@@ -131,13 +120,14 @@ def make_all(
                 yield study, make(study, [number])[0]
         return
     lost: list[Job] = []
-    yield from _hand_out(workers, jobs, make, lost)
-    for study, numbers in lost:
-        for number in numbers:  # it may have ended a worker: now alone
-            died: list[Job] = []
-            yield from _hand_out(workers, [(study, [number])], make, died)
-            if died:
-                yield study, crashed_row(study, number)
+    for (study, numbers), rows in _hand_out(workers, jobs, make):
+        if rows is None:
+            lost += [(study, [number]) for number in numbers]
+        else:
+            yield from ((study, row) for row in rows)
+    for job in lost:  # it may have ended a worker: now alone
+        for (study, numbers), rows in _hand_out(workers, [job], make):
+            yield study, rows[0] if rows else crashed_row(study, numbers[0])
 
 
 def available_cores() -> int:
@@ -146,41 +136,27 @@ def available_cores() -> int:
 
 
 def _hand_out(
-    workers: Workers, jobs: Iterable[Job], make: MakesRows, lost: list[Job]
-) -> Iterator[tuple[SweepStudy, Row]]:
-    """Rows as they come; `lost`: jobs that were under way when a worker died."""
+    workers: Workers, jobs: Iterable[Job], make: MakesRows
+) -> Iterator[tuple[Job, list[Row] | None]]:
+    """Jobs with their rows as they come; None: a worker died while the job was under way."""
     waiting = iter(jobs)
     under_way: dict[Future[list[Row]], Job] = {}
-    broken = False
     try:
         while True:
-            ahead = 0 if broken else workers.count() * _AHEAD - len(under_way)
-            for job in islice(waiting, max(0, ahead)):
-                try:
-                    under_way[workers.submit(make, job)] = job
-                except workers.deaths:
-                    broken = True
-                    lost.append(job)
-            if under_way:
-                ended, _ = wait(under_way, return_when=FIRST_COMPLETED)
-            elif broken:
-                workers.renew()
-                broken = False
-                continue
-            else:
+            for job in islice(waiting, max(0, workers.count() * _AHEAD - len(under_way))):
+                under_way[workers.submit(make, *job)] = job
+            if not under_way:
                 return
-            for future in ended:
+            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
                 job = under_way.pop(future)
                 try:
                     rows = future.result()
                 except workers.deaths:
-                    broken = True
-                    lost.append(job)
-                else:
-                    yield from ((job[0], row) for row in rows)
+                    rows = None
+                yield job, rows
     except CancelledError as error:
         raise OscContactError(
-            "the cluster has gone; start it again, and the same call goes on with what is done"
+            "the cluster has gone; start it again, and the same call continues with what is done"
         ) from error
     finally:
         for future in under_way:

@@ -21,28 +21,38 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from time import monotonic
-from types import TracebackType
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError, ViewerError
 
-__all__ = ["Shows", "Ticks", "Viewer"]
+__all__ = ["Viewer"]
 
 LOG = logging.getLogger("osc_contact.viewer")
 CHANNELS = (
-    "t", "q", "pose", "face_pose", "N", "closed", "contact_point", "contact_direction",
-    "alpha_cmd", "alpha_true", "alpha_meas", "power_total", "power_projected",
-)  # fmt: skip
+    "t",
+    "q",
+    "pose",
+    "face_pose",
+    "N",
+    "closed",
+    "contact_point",
+    "contact_direction",
+    "alpha_cmd",
+    "alpha_true",
+    "alpha_meas",
+    "power_total",
+    "power_projected",
+)
 """What a scene draws from; everything else stays in the loop's process."""
-START_S, STALLED_S = 30.0, 1.0
+START_S = 30.0
+STALLED_S = 1.0
 ROOM = 1 << 15
 
 
 class Shows(Protocol):
-    """What a run asks of a viewer."""
+    """What a run needs of a viewer."""
 
     def show(self, tick: Mapping[str, Any]) -> None:
         """Take the channels of one tick; must return at once and never raise."""
@@ -68,23 +78,25 @@ class Viewer:
         if not 1.0 <= rate <= 60.0:
             raise InvalidInputError(f"rate = {rate}; give 1 to 60 pictures per second")
         self.error: ViewerError | None = None
-        self.browsers, self._said = 0, ""
-        self._period, self._due, self._stalled = 1.0 / rate, 0.0, float("inf")
-        self._parts: list[tuple[str, slice]] = []
-        self._numbers = np.empty(0)
+        self.browsers = 0
+        self._reason = ""
+        self._period = 1.0 / rate
+        self._due = 0.0
+        self._stalled = float("inf")
         self._link, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with tempfile.TemporaryFile() as complaints:
             with other:  # closed here, so that the end of the process closes the link
                 self._process = _started(module, other, complaints)
             try:
-                send(self._link, pickle.dumps(about))
+                with self._process.stdin as scene:  # type: ignore[union-attr]
+                    pickle.dump(about, scene)
                 self.url = self._answer()
             except (OSError, ValueError, KeyError) as error:
                 self.close()
                 complaints.seek(0)
-                said = complaints.read().decode(errors="replace").strip().splitlines()
+                lines = complaints.read().decode(errors="replace").strip().splitlines()
                 raise ViewerError(
-                    f"the live view does not start: {said[-1] if said else error}"
+                    f"the live view does not start: {lines[-1] if lines else error}"
                 ) from error
         self._link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, ROOM)
         self._link.setblocking(False)
@@ -98,19 +110,15 @@ class Viewer:
     def show(self, tick: Mapping[str, Any]) -> None:
         """Hand over the channels of one control tick; returns at once and never raises.
 
-        Most calls only look at the clock: at most `rate` ticks per second are sent. The first call
-        fixes which channels there are.
+        Most calls only look at the clock: at most `rate` ticks per second are sent.
         """
         now = monotonic()
         if now < self._due or self.error is not None:
             return
         self._due = now + self._period
         try:
-            if not self._parts:
-                self._begin(tick)
-            for name, part in self._parts:
-                self._numbers[part] = np.ravel(tick[name])
-            self._link.send(self._numbers.tobytes())
+            sample = {name: np.array(tick[name], dtype=float) for name in CHANNELS if name in tick}
+            self._link.send(pickle.dumps(sample))
             self._stalled = float("inf")
         except BlockingIOError:
             self._stalled = min(self._stalled, now)
@@ -118,19 +126,10 @@ class Viewer:
                 self._fail(f"its process has taken nothing for {STALLED_S:g} s")
         except OSError:
             self._read_news()
-            why = f": {self._said}" if self._said else ""
+            why = f": {self._reason}" if self._reason else ""
             self._fail(f"its process has ended (exit code {self._process.poll()}){why}")
-        except (KeyError, TypeError, ValueError) as error:
-            self._fail(f"a tick does not fit the first one: {error!r}")
-
-    def _begin(self, tick: Mapping[str, Any]) -> None:
-        layout = {name: np.shape(tick[name]) for name in CHANNELS if name in tick}
-        ends = np.cumsum([0, *(int(np.prod(shape)) for shape in layout.values())])
-        self._link.send(json.dumps(layout).encode())
-        self._numbers = np.zeros(ends[-1])
-        self._parts = [
-            (name, slice(a, b)) for name, a, b in zip(layout, ends[:-1], ends[1:], strict=True)
-        ]
+        except (TypeError, ValueError) as error:
+            self._fail(f"a tick does not hold numbers: {error!r}")
 
     def _fail(self, reason: str) -> None:
         """Report once; the loop goes on."""
@@ -143,12 +142,12 @@ class Viewer:
         return self.browsers
 
     def _read_news(self) -> None:
-        """Take in what the other process has said: how many browsers there are, why it ends."""
+        """Read what the other process has sent: how many browsers there are, why it ends."""
         with contextlib.suppress(OSError, ValueError):  # nothing more to read, or half a message
             while news := self._link.recv(4096):
                 message = json.loads(news)
                 self.browsers = int(message.get("browsers", self.browsers))
-                self._said = str(message.get("error", self._said))
+                self._reason = str(message.get("error", self._reason))
 
     def close(self) -> None:
         """End the process and free its port; may be called again."""
@@ -164,76 +163,16 @@ class Viewer:
     def __enter__(self) -> Viewer:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
-def send(link: socket.socket, message: bytes) -> None:
-    """Hand over a message of any length, in pieces that the socket takes."""
-    link.sendall(str(len(message)).encode())
-    for start in range(0, len(message), ROOM):
-        link.sendall(message[start : start + ROOM])
-
-
-def receive(link: socket.socket) -> bytes:
-    """Take in what `send` hands over; less where the other end is closed before."""
-    message, length = b"", int(link.recv(32))
-    while len(message) < length and (piece := link.recv(ROOM)):
-        message += piece
-    return message
-
-
-class Ticks:
-    """A mailbox that holds one tick.
-
-    Attributes:
-        newest: the channels of the last tick that came, until it is taken.
-    """
-
-    def __init__(self, link: socket.socket) -> None:
-        self.link = link
-        self.link.setblocking(False)
-        self.shapes: dict[str, tuple[int, ...]] = {}
-        self.newest: dict[str, Any] | None = None
-
-    def drain(self) -> bool:
-        """Take everything in; False once the other end is closed."""
-        numbers = None
-        try:
-            while message := self.link.recv(1 << 20):
-                if not self.shapes:
-                    self.shapes = {k: tuple(v) for k, v in json.loads(message).items()}
-                else:
-                    numbers = message
-        except BlockingIOError:
-            if numbers is not None:
-                self.newest = self._sample(np.frombuffer(numbers))
-            return True
-        except OSError:
-            return False
-        return False
-
-    def _sample(self, numbers: NDArray[np.float64]) -> dict[str, Any]:
-        sample, start = {}, 0
-        for name, shape in self.shapes.items():
-            size = int(np.prod(shape))
-            sample[name] = numbers[start : start + size].reshape(shape)
-            start += size
-        return sample
-
-
 def _started(module: str, link: socket.socket, complaints: Any) -> subprocess.Popen[bytes]:
-    """A process that inherits one descriptor and does not hear the Ctrl-C of this terminal."""
-    root = str(Path(__file__).parents[2])
-    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    """A process that inherits one descriptor and does not get the Ctrl-C of this terminal."""
+    paths = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.Popen(
         [sys.executable, "-m", module, str(link.fileno())],
-        stdin=subprocess.DEVNULL,
+        stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=complaints,
         pass_fds=[link.fileno()],

@@ -14,12 +14,10 @@ import json
 import re
 import warnings
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import ArrayLike
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.files import whole_file
@@ -27,10 +25,7 @@ from osc_contact.files import whole_file
 if TYPE_CHECKING:
     from meshcat import Visualizer
 
-__all__ = [
-    "EMPTY", "POLICY", "CommandSink", "asset", "filled", "packed", "page_text", "set_background",
-    "set_camera", "unfolded", "write_page", "write_whole",
-]  # fmt: skip
+__all__ = ["embed"]
 
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
@@ -38,15 +33,21 @@ POLICY = (
 )
 
 _SLOT = re.compile(r"\{\{(\w+)\}\}")
-_DRAW = re.compile(r'^unfold\("([A-Za-z0-9+/=]*)"\)\..*;$', re.MULTILINE)
 _COLOUR = re.compile(r"^#[0-9A-Fa-f]{6}$")
 
-
 EMPTY: dict[str, Any] = {
-    "live": False, "legend": [], "labels": [], "panels": [], "curves": {"t": [], "y": []},
-    "begin": 0.0, "length": 0.0, "window": 0.0, "still": None, "aspect": 1.5,
+    "live": False,
+    "legend": [],
+    "labels": [],
+    "panels": [],
+    "curves": {"t": [], "y": []},
+    "begin": 0.0,
+    "length": 0.0,
+    "window": 0.0,
+    "still": None,
+    "aspect": 1.5,
     "cameras": [],
-}  # fmt: skip
+}
 """Configuration of a page without legend, labels and plots; aspect: width over height that the
 camera was placed for, a narrower window shows everything smaller."""
 
@@ -70,49 +71,13 @@ class CommandSink:
         return _meshcat().Visualizer(window=self)
 
 
-def set_camera(
-    scene: Visualizer, target: ArrayLike, offset: ArrayLike, field_of_view: float
-) -> None:
-    """Look at the target (m, world) from target + offset (m, world), field of view in degrees.
-
-    meshcat 0.3.2 has no camera methods and its orbit controls always turn about the viewer's
-    origin: the whole scene is moved so that the target lies there, and the camera sits at the
-    offset in three.js axes (y up).
-
-    Args:
-        scene: of the page.
-        target: (3,) what is looked at (m, world).
-        offset: (3,) from there to the camera (m, world).
-        field_of_view: vertical (degrees).
-    """
-    x, y, z = np.asarray(offset, dtype=float).tolist()
-    shift = (-np.asarray(target, dtype=float)).tolist()
-    scene.set_transform(_meshcat().transformations.translation_matrix(shift))
-    camera = scene["/Cameras/default/rotated/<object>"]
-    camera.set_property("position", [x, z, -y])
-    camera.set_property("fov", field_of_view)
-
-
-def set_background(scene: Visualizer, top: Sequence[float], bottom: Sequence[float]) -> None:
-    """Background from the top to the bottom colour (r, g, b in 0..1), without grid and axes.
-
-    Args:
-        scene: of the page.
-        top, bottom: colours (r, g, b in 0..1).
-    """
-    scene["/Background"].set_property("top_color", list(top))
-    scene["/Background"].set_property("bottom_color", list(bottom))
-    for helper in ("/Grid", "/Axes"):
-        scene[helper].set_property("visible", False)
-
-
 def page_text(sink: CommandSink, title: str, config: dict[str, Any]) -> str:
     """The page that draws the sink's commands, with everything it needs inside.
 
     Args:
         sink: the drawing commands.
         title: heading of the page.
-        config: what the page's scripts want to know (see `Scene.config`); JSON-able.
+        config: what the page's scripts need (see `Scene.config`); JSON-able.
 
     Raises:
         InvalidInputError: a colour is not of the form ``#RRGGBB``.
@@ -126,6 +91,8 @@ def page_text(sink: CommandSink, title: str, config: dict[str, Any]) -> str:
                 )
     viewer = Path(_meshcat().viewer_assets_path()) / "dist" / "main.min.js"
     scripts = ("plot.js", "flat.js", "player.js", *(("live.js",) if config["live"] else ()))
+    messages = [packed(command) for command in sink.commands]
+    commands = b"".join(len(one).to_bytes(4, "little") + one for one in messages)
     parts = {
         "policy": POLICY + (" 'self'" if config["live"] else ""),
         "title": html.escape(title),
@@ -133,7 +100,7 @@ def page_text(sink: CommandSink, title: str, config: dict[str, Any]) -> str:
         "viewer": viewer.read_text(encoding="utf-8"),
         "config": json.dumps(config, allow_nan=False).replace("<", "\\u003c"),
         "scripts": "\n".join(asset(name).replace('"use strict";\n', "", 1) for name in scripts),
-        "commands": _folded(sink.commands),
+        "commands": base64.b64encode(zlib.compress(commands, 9)).decode("ascii"),
     }
     return filled("page.html", parts)
 
@@ -162,33 +129,11 @@ def write_whole(page: str, path: str | Path) -> Path:
     return Path(path)
 
 
-def _folded(commands: Sequence[dict[str, Any]]) -> str:
-    """All commands, each after its length (4 bytes, little end first), zlib and base64."""
-    parts = [packed(command) for command in commands]
-    whole = b"".join(len(part).to_bytes(4, "little") + part for part in parts)
-    return base64.b64encode(zlib.compress(whole, 9)).decode("ascii")
-
-
 def packed(command: dict[str, Any]) -> bytes:
     """One command as meshcat's viewer reads it; numbers in single precision, as it keeps them."""
     import umsgpack
 
     return bytes(umsgpack.packb(command, force_float_precision="single"))
-
-
-def unfolded(page: str) -> str:
-    """The same page with its commands uncompressed, drawn before it counts as loaded.
-
-    For renderers with a clock of their own, which a stream may stall (`write_png`).
-
-    Raises:
-        InvalidInputError: the page holds no drawing commands.
-    """
-    found = _DRAW.search(page)
-    if not found:
-        raise InvalidInputError("holds no drawing commands: it was not made by write_page")
-    commands = base64.b64encode(zlib.decompress(base64.b64decode(found[1]))).decode("ascii")
-    return _DRAW.sub(lambda _: f'drawAll(bytesOf("{commands}")); start();', page)
 
 
 def filled(template: str, parts: Mapping[str, str]) -> str:
@@ -199,6 +144,30 @@ def filled(template: str, parts: Mapping[str, str]) -> str:
 def asset(name: str) -> str:
     """Text of one of the package's page parts."""
     return (Path(__file__).parent / "assets" / name).read_text(encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """What a notebook shows for a page; the page travels with the notebook."""
+
+    page: str = field(repr=False)
+    height: int
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe srcdoc="{html.escape(self.page)}" loading="lazy" '
+            f'style="width: 100%; height: {self.height}px; border: 0"></iframe>'
+        )
+
+
+def embed(path: str | Path, height: int = 640) -> Embedded:
+    """Show a page of `write_scene` as the value of a notebook's cell.
+
+    Args:
+        path: the page, such as scene.html of a run.
+        height: pixels.
+    """
+    return Embedded(Path(path).read_text(encoding="utf-8"), height)
 
 
 def _meshcat() -> Any:

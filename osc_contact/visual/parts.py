@@ -1,30 +1,41 @@
 """What a scene is made of: parts that are drawn once and then only move, grow, appear, vanish.
 
-A part says where its nodes are at one recorded tick. The same answer becomes key frames of a page
-that plays by itself, and drawing commands of a live view.
+A part gives the states of its nodes at one recorded tick. The same states become key frames of a
+page that plays by itself, and drawing commands of a live view. Arms, the held object and faces are
+the parts drawn from URDFs; those that mark contacts are in `visual.marks`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from osc_contact.errors import InvalidInputError
+from osc_contact.robots import is_mjcf, load_geometry
+from osc_contact.robots.pictures import mjcf_geometry, read_picture
+from osc_contact.visual.shapes import urdf_geometry
+
 if TYPE_CHECKING:
     from meshcat import Visualizer
     from meshcat.animation import Animation
 
-__all__ = ["Frame", "LegendEntry", "Part", "Sample", "State", "animate", "changes", "track"]
+__all__ = ["ArmVisual", "BodyVisual", "Content"]
+
+Array = NDArray[np.float64]
 
 Sample = Mapping[str, Any]
 """The channels of a recording at one tick."""
 
 
 class State(NamedTuple):
-    """Where a node is in its parent: None leaves a thing as it was drawn.
+    """State of a node in its parent: None leaves a property at what it was drawn with.
 
     Attributes:
         pose: placement in the parent node.
@@ -35,6 +46,14 @@ class State(NamedTuple):
     pose: pin.SE3 | None = None
     scale: tuple[float, float, float] | None = None
     visible: bool | None = None
+
+    @property
+    def matrix(self) -> Array | None:
+        """(4, 4) scaled, then placed; None where neither is given."""
+        if self.pose is None and self.scale is None:
+            return None
+        placed: Array = np.eye(4) if self.pose is None else self.pose.homogeneous
+        return placed * np.array([*(self.scale or (1.0, 1.0, 1.0)), 1.0])
 
 
 Frame = dict[str, State]
@@ -59,17 +78,23 @@ class LegendEntry(NamedTuple):
     shown: bool = True
 
 
-class Part(Protocol):
+class Part:
     """One part of a scene."""
 
     def draw(self, scene: Visualizer) -> None:
         """Make the nodes."""
+        raise NotImplementedError
 
     def states(self, sample: Sample) -> Frame:
-        """Where they are at one tick."""
+        """States of the nodes at one tick."""
+        raise NotImplementedError
 
     def legend(self) -> Iterable[LegendEntry]:
-        """What the legend says about them."""
+        """Its lines of the legend; none where a part explains itself."""
+        return ()
+
+
+# --- From states to pages -----------------------------------------------------------------------
 
 
 def animate(scene: Visualizer, animation: Animation, frames: Sequence[Frame]) -> None:
@@ -80,19 +105,18 @@ def animate(scene: Visualizer, animation: Animation, frames: Sequence[Frame]) ->
         animation: that takes the key frames.
         frames: where everything is, one entry a frame.
     """
-    for path, first in frames[0].items():
-        node, states = scene[path], [frame[path] for frame in frames]
-        if first.pose is not None:
-            node.set_transform(first.pose.homogeneous)
-            poses = np.array([pin.SE3ToXYZQUAT(state.pose) for state in states])
-            track(node, animation, "position", "vector3", poses[:, :3])
-            track(node, animation, "quaternion", "quaternion", poses[:, 3:])
-        if first.scale is not None:
-            node.set_property("scale", list(first.scale))
-            track(node, animation, "scale", "vector3", np.array([s.scale for s in states]))
-        if first.visible is not None:
-            node.set_property("visible", bool(first.visible))
-            track(node, animation, "visible", "boolean", np.array([s.visible for s in states]))
+    for path in frames[0]:
+        node = scene[path]
+        poses, scales, seen = zip(*(frame[path] for frame in frames), strict=True)
+        if poses[0] is not None:
+            node.set_transform(poses[0].homogeneous)
+            numbers = np.array([pin.SE3ToXYZQUAT(pose) for pose in poses])
+            track(node, animation, "position", "vector3", numbers[:, :3])
+            track(node, animation, "quaternion", "quaternion", numbers[:, 3:])
+        for name, kind, values in (("scale", "vector3", scales), ("visible", "boolean", seen)):
+            if values[0] is not None:
+                node.set_property(name, values[0])
+                track(node, animation, name, kind, np.array(values))
 
 
 def track(
@@ -111,13 +135,11 @@ def track(
     """
     from meshcat.animation import AnimationClip, AnimationTrack
 
-    changed = values[1:] != values[:-1]
-    same = ~changed.any(axis=tuple(range(1, values.ndim)))
-    if same.all():
+    changed = (values[1:] != values[:-1]).reshape(len(values) - 1, -1).any(axis=1)
+    if not changed.any():
         return
-    inner = np.zeros(len(values), dtype=bool)
-    inner[1:-1] = same[:-1] & same[1:]
-    frames = np.flatnonzero(~inner)
+    kept = np.concatenate(([True], changed)) | np.concatenate((changed, [True]))
+    frames = np.flatnonzero(kept)
     clip = animation.clips.setdefault(node.path, AnimationClip(fps=animation.default_framerate))
     clip.tracks[name] = AnimationTrack(name, kind, frames.tolist(), values[frames].tolist())
 
@@ -131,16 +153,202 @@ def changes(scene: Visualizer, before: Frame, after: Frame) -> None:
     """
     for path, state in after.items():
         old = before.get(path, State())
-        if state.pose is not None or state.scale is not None:
-            matrix = _matrix(state)
-            if path not in before or not np.array_equal(matrix, _matrix(old)):
-                scene[path].set_transform(matrix)
+        matrix = state.matrix
+        last = old.matrix
+        if matrix is not None and (last is None or not np.array_equal(matrix, last)):
+            scene[path].set_transform(matrix)
         if state.visible is not None and state.visible != old.visible:
-            scene[path].set_property("visible", bool(state.visible))
+            scene[path].set_property("visible", state.visible)
 
 
-def _matrix(state: State) -> NDArray[np.float64]:
-    matrix: NDArray[np.float64] = np.eye(4) if state.pose is None else state.pose.homogeneous
-    if state.scale is not None:
-        matrix = matrix * np.array([*state.scale, 1.0])
-    return matrix
+# --- Arms, object and faces ---------------------------------------------------------------------
+
+
+class ArmVisual(NamedTuple):
+    """An arm to draw: its URDF, MJCF or picture (`robots.pictures`), where its base stands (X_WB),
+    where its joints are in q.
+
+    Joints that q does not have are in `locked`, with their positions (m, rad). Of an MJCF file the
+    tree is drawn that `tip` belongs to.
+    """
+
+    name: str
+    urdf: str | Path | Mapping[str, Any]
+    package_dirs: Sequence[str | Path]
+    base: pin.SE3
+    q_slice: slice
+    locked: Mapping[str, float] = {}
+    tip: str | None = None
+
+
+class BodyVisual(NamedTuple):
+    """A body to draw: fixed at the placement (X_WB), or moving with the object when None.
+
+    A body that is the face of contact number `face` moves by the channel ``face_pose`` (pose of
+    its URDF's frame in the world) if the recording has one, and stays at the placement otherwise.
+    """
+
+    name: str
+    urdf: str | Path
+    package_dirs: Sequence[str | Path]
+    placement: pin.SE3 | None
+    face: int | None = None
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a scene shows.
+
+    Attributes:
+        title: heading.
+        arms: moved by the channel ``q``.
+        bodies: faces, and the object, moved by ``pose``.
+        contacts: names of the contacts.
+        columns: which contact each column of N belongs to; empty: one column per contact.
+        frame_words: what the legend says about the best single frame.
+    """
+
+    title: str
+    arms: Sequence[ArmVisual]
+    bodies: Sequence[BodyVisual]
+    contacts: Sequence[str] = ()
+    columns: Sequence[int] = ()
+    frame_words: str = "best single frame (Raibert–Craig)"
+
+
+class _Drawn(Part):
+    """Shapes of a file, on nodes that move.
+
+    Attributes:
+        shapes: of the file. paths: the node of each joint that carries shapes.
+    """
+
+    shapes: Sequence[pin.GeometryObject]
+    paths: Mapping[int, str]
+
+    def draw(self, scene: Visualizer) -> None:
+        """Make the nodes."""
+        for number, shape in enumerate(self.shapes):
+            node = scene[self.paths[shape.parentJoint]]
+            urdf_geometry(node[f"{number}_{shape.name}"], shape)
+
+    def states(self, sample: Sample) -> Frame:
+        """Placement of every moving node."""
+        return {path: State(pose) for path, pose in self.placements(sample).items()}
+
+    def placements(self, sample: Sample) -> dict[str, pin.SE3]:
+        """Pose of every node at one tick."""
+        raise NotImplementedError
+
+    def corners(self, sample: Sample) -> Array:
+        """(k, 3) corners of the bounding boxes, or points of meshes, at one tick."""
+        poses = self.placements(sample)
+        points = [
+            poses[self.paths[shape.parentJoint]] * corner
+            for shape in self.shapes
+            for corner in _corners(shape)
+        ]
+        return np.reshape(points, (-1, 3))
+
+
+class MovingArm(_Drawn):
+    """An arm that moves by its joint positions."""
+
+    def __init__(self, arm: ArmVisual) -> None:
+        self.arm = arm
+        self.model, geometry = _shapes(arm)
+        self.data = self.model.createData()
+        self.shapes = list(geometry.geometryObjects)
+        names = ["base", *list(self.model.names)[1:]]
+        self.q = np.array([arm.locked.get(name, 0.0) for name in names[1:]])
+        self.moving = [j for j, name in enumerate(names[1:]) if name not in arm.locked]
+        joints = sorted({shape.parentJoint for shape in self.shapes})
+        self.paths = {joint: f"arms/{arm.name}/{names[joint]}" for joint in joints}
+
+    def placements(self, sample: Sample) -> dict[str, pin.SE3]:
+        """Placement of every link; where q is not known (NaN) it stays where it was.
+
+        Raises:
+            InvalidInputError: q is not recorded, or its slice does not fit the URDF.
+        """
+        q = _channel(sample, "q", f"arm {self.arm.name!r}")[self.arm.q_slice]
+        if self.model.nq != self.model.nv or q.shape != (len(self.moving),):
+            raise InvalidInputError(
+                f"arm {self.arm.name!r}: {self.arm.q_slice} takes {q.size} numbers of q, "
+                f"but its model has nq = {self.model.nq}, {len(self.arm.locked)} locked"
+            )
+        if np.isfinite(q).all():
+            self.q[self.moving] = q
+        pin.forwardKinematics(self.model, self.data, self.q)
+        return {path: self.arm.base * self.data.oMi[joint] for joint, path in self.paths.items()}
+
+    def corners(self, sample: Sample) -> Array:
+        """The same, and the base."""
+        return np.vstack((self.arm.base.translation, super().corners(sample)))
+
+
+class MovingBody(_Drawn):
+    """The held object, or a face at rest or in motion."""
+
+    def __init__(self, body: BodyVisual) -> None:
+        self.body = body
+        _, geometry, _ = load_geometry(body.urdf, pin.GeometryType.VISUAL, body.package_dirs)
+        self.shapes = list(geometry.geometryObjects)
+        self.path = f"bodies/{body.name}"
+        self.paths = {shape.parentJoint: self.path for shape in self.shapes}
+        self.last = pin.SE3.Identity() if body.placement is None else body.placement
+
+    def draw(self, scene: Visualizer) -> None:
+        """Make the nodes."""
+        super().draw(scene)
+        if self.body.placement is not None:
+            scene[self.path].set_transform(self.body.placement.homogeneous)
+
+    def states(self, sample: Sample) -> Frame:
+        """Its placement, if it moves."""
+        placement = self._placement(sample)
+        return {} if placement is self.body.placement else {self.path: State(placement)}
+
+    def placements(self, sample: Sample) -> dict[str, pin.SE3]:
+        """Its placement."""
+        return {self.path: self._placement(sample)}
+
+    def _placement(self, sample: Sample) -> pin.SE3:
+        if self.body.face is not None and "face_pose" in sample:
+            pose = np.asarray(sample["face_pose"], dtype=float)[self.body.face]
+        elif self.body.placement is None:
+            pose = _channel(sample, "pose", f"body {self.body.name!r}")
+        else:
+            return self.body.placement
+        if np.isfinite(pose).all():  # else it is not known, and stays where it was
+            self.last = pin.XYZQUATToSE3(pose)
+        return self.last
+
+
+def _shapes(arm: ArmVisual) -> tuple[pin.Model, pin.GeometryModel]:
+    """Kinematics and shapes of an arm's file."""
+    if isinstance(arm.urdf, Mapping):
+        return read_picture(arm.urdf)
+    if is_mjcf(arm.urdf):
+        return mjcf_geometry(arm.urdf, arm.tip)
+    return load_geometry(arm.urdf, pin.GeometryType.VISUAL, arm.package_dirs)[:2]
+
+
+def _channel(sample: Sample, key: str, needed_by: str) -> Array:
+    if key not in sample:
+        raise InvalidInputError(f"{needed_by} moves with the channel {key!r}: it is not recorded")
+    return np.asarray(sample[key], dtype=float)
+
+
+def _corners(shape: Any) -> list[Array]:
+    """Corners of the shape's bounding box, or points of its mesh, in its parent joint."""
+    import coal
+
+    if isinstance(shape.geometry, coal.BVHModelBase):
+        vertices = np.asarray(shape.geometry.vertices(), dtype=float).reshape(-1, 3)
+        return [shape.placement * vertex for vertex in vertices[:: len(vertices) // 50 + 1]]
+    shape.geometry.computeLocalAABB()
+    box = shape.geometry.aabb_local
+    return [
+        shape.placement * np.where(pick, box.max_, box.min_) for pick in product((0, 1), repeat=3)
+    ]

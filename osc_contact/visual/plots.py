@@ -1,29 +1,108 @@
 """Plots of a recording: contact forces (fig. 8), power (figs. 6, 7), tracking, torques.
 
-Each function returns a matplotlib figure and shows nothing; `save` writes it as PNG and SVG.
+Each function returns a matplotlib figure and shows nothing; `save` writes it as PNG and SVG. All
+figures have one look: `style`, and stacked `panels` with one time axis.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
-from matplotlib.artist import Artist
+from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.files import whole_file
 from osc_contact.recorder import Recording
-from osc_contact.visual import OKABE_ITO, contact_colour
-from osc_contact.visual.style import legend, panels, save, style
+from osc_contact.visual import CONTACT_COLOURS, OKABE_ITO, contact_colour
 
-__all__ = ["style", "contact_forces", "power", "tracking", "torques", "save"]
+__all__ = ["contact_forces", "power", "save", "style", "torques", "tracking"]
 
-_AXES = ("x", "y", "z")
-_TRIPLE = tuple(OKABE_ITO[name] for name in ("blue", "vermillion", "green"))
 Array = NDArray[np.float64]
+Judged = NDArray[np.bool_]
+PRINT = (".png", ".svg", ".pdf")  #: of a figure of the paper or of a study
 NEAR_LIMIT = 60.0  # %: from there on the limits are drawn
+
+# --- The one look of all figures ----------------------------------------------------------------
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """The one look of all figures: Okabe-Ito colours, light grid, no box, constrained layout."""
+    look: Any = {
+        "axes.prop_cycle": cycler(color=[*CONTACT_COLOURS, OKABE_ITO["black"], "#999999"]),
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "axes.titlesize": 10,
+        "axes.titlelocation": "left",
+        "axes.labelsize": 9.5,
+        "grid.color": "#E3E5E8",
+        "grid.linewidth": 0.6,
+        "xtick.labelsize": 9,
+        "ytick.labelsize": 9,
+        "legend.fontsize": 8.5,
+        "legend.frameon": False,
+        "lines.linewidth": 1.1,
+        "mathtext.fontset": "dejavusans",
+        "figure.constrained_layout.use": True,
+        "figure.facecolor": "white",
+        "svg.fonttype": "path",
+        "pdf.fonttype": 42,
+        "svg.hashsalt": "osc_contact",
+    }
+    with matplotlib.rc_context(look):
+        yield
+
+
+def panels(count: int, height: float) -> tuple[Figure, Sequence[Axes]]:
+    """Panels below one another with one time axis; Agg canvas, no global state."""
+    figure = Figure(figsize=(8.0, height * count + 0.4))
+    axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+    for ax in axes:
+        ax.margins(x=0.01)  # the first moments do not hide in the axis
+    figure.align_ylabels(axes)
+    return figure, list(axes)
+
+
+def legend(ax: Axes) -> None:
+    """Legend right of the panel, where it covers nothing."""
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+
+
+def save(
+    figure: Figure, path_without_suffix: str | Path, suffixes: Sequence[str] = (".png", ".svg")
+) -> tuple[Path, ...]:
+    """Write the figure as PNG (150 dpi), SVG, PDF; each file appears complete or not at all.
+
+    Args:
+        figure: to write.
+        path_without_suffix: the suffixes are appended to it.
+        suffixes: one file each.
+
+    Returns:
+        The paths, one for each suffix.
+    """
+    base = Path(path_without_suffix)
+    written = []
+    undated: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    for suffix in suffixes:
+        written.append(base.with_name(base.name + suffix))
+        with whole_file(written[-1]) as unfinished:
+            figure.savefig(unfinished, dpi=150, format=suffix[1:], metadata=undated.get(suffix))
+        figure.set_layout_engine("none")  # laid out once, alike in all files
+    return tuple(written)
+
+
+# --- Plots ---------------------------------------------------------------------------------------
 
 
 def contact_forces(recording: Recording, judged: NDArray[np.bool_] | None = None) -> Figure:
@@ -41,35 +120,34 @@ def contact_forces(recording: Recording, judged: NDArray[np.bool_] | None = None
         InvalidInputError: a channel is missing.
     """
     t = _get(recording, "t")
-    names = recording.magnitude_names
+    names = [name.replace("_", " ") for name in recording.magnitude_names]
     with style():
         figure, axes = panels(len(names) + 1, 2.0)
+        below = axes[-1]
+        below.set(xlabel="time (s)", ylabel="error (N)" if names else "force (N)")
         if not names:
-            axes[0].text(0.5, 0.5, "no contacts", transform=axes[0].transAxes, ha="center")
-            axes[0].set(xlabel="time (s)", ylabel="force (N)")
+            below.text(0.5, 0.5, "no contacts", transform=below.transAxes, ha="center")
             return figure
         desired, measured, true = (
             _get(recording, key) for key in ("alpha_cmd", "alpha_meas", "alpha_true")
         )
+        error = true - desired
         counted = _counted(true.shape, judged)
         for i, (name, ax) in enumerate(zip(names, axes, strict=False)):
-            colour, here = contact_colour(i), counted[:, i]
+            here = counted[:, i]
             ax.plot(t, desired[:, i], color="#B4BAC2", lw=5.0, label="desired")
-            ax.plot(t, true[:, i], color=colour, lw=1.8, label="true")
+            ax.plot(t, true[:, i], color=contact_colour(i), lw=1.8, label="true")
             ax.plot(t, measured[:, i], color="black", lw=0.9, ls=(0, (4, 6)), label="measured")
-            ax.set(title=name.replace("_", " "), ylabel=rf"$\alpha_{{{i + 1}}}$ (N)")
+            ax.set(title=name, ylabel=rf"$\alpha_{{{i + 1}}}$ (N)")
             _shade(ax, t, here)
             legend(ax)
-            error = true[:, i] - desired[:, i]
-            rms, peak = _rms(error[here]), float(np.nanmax(np.abs(error[here]), initial=0.0))
-            label = f"{name.replace('_', ' ')}\nrms {_si(rms, 'N')}, peak {_si(peak, 'N')}"
-            axes[-1].plot(t, error, color=colour, lw=0.9, label=label)
-        _shade(axes[-1], t, np.logical_or.reduce(counted, axis=1))
-        _scale_errors(axes[-1], true - desired, counted)
-        note = " (shaded: not in rms and peak)" if not counted.all() else ""
-        title = f"error: true − desired{note}"
-        axes[-1].set(title=title, ylabel="error (N)", xlabel="time (s)")
-        legend(axes[-1])
+            label = f"{name}\nrms {_si(_rms(error[here, i]))}N, peak {_si(_peak(error[here, i]))}N"
+            below.plot(t, error[:, i], color=contact_colour(i), lw=0.9, label=label)
+        _shade(below, t, np.asarray(counted.any(axis=1)))
+        _scale_errors(below, error, counted)
+        note = "" if counted.all() else " (shaded: not in rms and peak)"
+        below.set_title(f"error: true − desired{note}")
+        legend(below)
     return figure
 
 
@@ -85,34 +163,32 @@ def power(recording: Recording, judged: NDArray[np.bool_] | None = None) -> Figu
         InvalidInputError: a channel is missing.
     """
     t = _get(recording, "t")
-    total, projected = _get(recording, "power_total"), _get(recording, "power_projected")
+    total = _get(recording, "power_total")
+    projected = _get(recording, "power_projected")
     counted = _counted(total.shape, judged)
-    rms = [_rms(series[counted]) for series in (total, projected)]
+    of_total, of_projected = (f"rms {_si(_rms(x[counted]))}W" for x in (total, projected))
+    whole = _limits(np.concatenate([total, projected]))
+    contents = (
+        (total, rf"total $\vartheta^T f'_{{meas}}$: {of_total}", "blue", whole),
+        (
+            projected,
+            rf"projected $\vartheta^T \Omega_f f'_{{meas}}$: {of_projected}",
+            "vermillion",
+            whole,
+        ),
+        (projected, "projected, enlarged", "vermillion", _limits(projected[counted])),
+    )
     with style():
         figure, axes = panels(3, 2.1)
-        contents = (
-            (total, rf"total $\vartheta^T f'_{{meas}}$: rms {_si(rms[0], 'W')}", "blue"),
-            (
-                projected,
-                rf"projected $\vartheta^T \Omega_f f'_{{meas}}$: rms {_si(rms[1], 'W')}",
-                "vermillion",
-            ),
-            (projected, "projected, enlarged", "vermillion"),
-        )
-        for ax, (series, title, colour) in zip(axes, contents, strict=True):
+        for ax, (series, title, colour, limits) in zip(axes, contents, strict=True):
             ax.plot(t, series, color=OKABE_ITO[colour], lw=0.9)
-            ax.set(title=title, ylabel="power (W)")
-            shade = _shade(ax, t, counted)
-        both = np.concatenate([total, projected])
-        for ax in axes[:2]:
-            ax.set_ylim(_limits(both))
-        axes[2].set_ylim(_limits(projected[counted]))
+            ax.set(title=title, ylabel="power (W)", ylim=limits)
+            _shade(ax, t, counted)
         axes[2].set_xlabel("time (s)")
-        if shade is not None:
-            axes[0].legend(
-                [shade], ["not in the rms: settling, landings, force steps"], loc="lower right",
-                bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1,
-            )  # fmt: skip
+        if axes[0].patches:
+            words = "not in the rms: settling, landings, force steps"
+            place: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+            axes[0].legend([axes[0].patches[0]], [words], **place)
     return figure
 
 
@@ -126,23 +202,35 @@ def tracking(recording: Recording, judged_from: float = 0.0) -> Figure:
     Raises:
         InvalidInputError: a channel is missing.
     """
-    t, error = _get(recording, "t"), 1e3 * _get(recording, "motion_error")
-    way = 1e3 * (_get(recording, "pose")[:, :3] - _get(recording, "pose")[0, :3])
+    t = _get(recording, "t")
+    error = 1e3 * _get(recording, "motion_error")
+    position = 1e3 * _get(recording, "pose")[:, :3]
+    counted = _counted(t.shape, t >= judged_from - 1e-9)
+    linear, angular = (
+        f"{_rms(np.linalg.norm(part[counted], axis=1)):.3g}" for part in np.split(error, 2, axis=1)
+    )
+    contents = (
+        (
+            error[:, :3],
+            f"motion error along the free directions: rms {linear} mm",
+            "linear error (mm)",
+            "",
+        ),
+        (
+            error[:, 3:],
+            f"rotation error along the free directions: rms {angular} mrad",
+            "angular error (mrad)",
+            "about ",
+        ),
+        (position - position[0], "object position, from its start", "position (mm)", ""),
+    )
     with style():
         figure, axes = panels(3, 2.1)
-        counted = _counted(t.shape, t >= judged_from - 1e-9)
-        judged = error[counted]
-        linear, angular = (_rms(np.linalg.norm(e, axis=1)) for e in (judged[:, :3], judged[:, 3:]))
-        contents = (
-            (error[:, :3], f"motion error along the free directions: rms {linear:.3g} mm",
-             "linear error (mm)", _AXES),
-            (error[:, 3:], f"rotation error along the free directions: rms {angular:.3g} mrad",
-             "angular error (mrad)", tuple(rf"about {a}" for a in _AXES)),
-            (way, "object position, from its start", "position (mm)", _AXES),
-        )  # fmt: skip
-        for ax, (series, title, unit, labels) in zip(axes, contents, strict=True):
-            for column, label, colour in zip(series.T, labels, _TRIPLE, strict=True):
-                ax.plot(t, column, color=colour, label=label)
+        for ax, (series, title, unit, about) in zip(axes, contents, strict=True):
+            for column, axis, colour in zip(
+                series.T, "xyz", ("blue", "vermillion", "green"), strict=True
+            ):
+                ax.plot(t, column, color=OKABE_ITO[colour], label=about + axis)
             ax.set(title=title, ylabel=unit)
             _shade(ax, t, counted)
             legend(ax)
@@ -158,7 +246,8 @@ def torques(recording: Recording) -> Figure:
     Raises:
         InvalidInputError: a channel is missing.
     """
-    t, tau = _get(recording, "t"), _get(recording, "tau")
+    t = _get(recording, "t")
+    tau = _get(recording, "tau")
     names = _actuated_names(recording.meta, tau.shape[1])
     arms = [str(name) for name in recording.meta.get("arm_names", [])]
     groups = {arm: [i for i, n in enumerate(names) if n.startswith(arm)] for arm in arms}
@@ -168,16 +257,16 @@ def torques(recording: Recording) -> Figure:
     limits = [recorded.get(name) for name in names]
     known = all(limits)
     shown = 100.0 * tau / np.array(limits, dtype=float) if known else tau
-    unit = "effort (% of its limit)" if known else "effort (N m; sliding joints: N)"
     with style():
         figure, axes = panels(len(groups), 2.6)
         for ax, (title, columns) in zip(axes, groups.items(), strict=True):
-            for i in columns:
+            peaks = [_peak(shown[:, i]) for i in columns]
+            for i, peak in zip(columns, peaks, strict=True):
                 name = names[i].removeprefix(title).lstrip("/_. ")
-                peak = f", peak {np.nanmax(np.abs(shown[:, i])):.0f} %" if known else ""
-                ax.plot(t, shown[:, i], lw=0.9, label=name + peak)
-            ax.set(title=title.replace("_", " "), ylabel=unit)
-            if known and np.nanmax(np.abs(shown[:, columns])) > NEAR_LIMIT:
+                ax.plot(t, shown[:, i], lw=0.9, label=name + f", peak {peak:.0f} %" * known)
+            unit = "% of its limit" if known else "N m; sliding joints: N"
+            ax.set(title=title.replace("_", " "), ylabel=f"effort ({unit})")
+            if known and max(peaks, default=0.0) > NEAR_LIMIT:
                 for limit in (-100.0, 100.0):
                     ax.axhline(limit, color="black", lw=0.9, ls="--")
             legend(ax)
@@ -193,7 +282,7 @@ def _get(recording: Recording, key: str) -> Array:
     return np.asarray(recording.channels[key], dtype=float)
 
 
-def _actuated_names(meta: dict[str, Any], count: int) -> list[str]:
+def _actuated_names(meta: Mapping[str, Any], count: int) -> list[str]:
     """Names of the actuated joints: the recorded names, without the scenario's passive joints."""
     names = [str(name) for name in meta.get("joint_names", [])]
     scenario = meta.get("scenario", {})
@@ -204,37 +293,37 @@ def _actuated_names(meta: dict[str, Any], count: int) -> list[str]:
         for name in names
         if not any(name.startswith(arm) and name.endswith(joint) for arm, joint in passive)
     ]
-    for candidate in (names, driven):
-        if len(candidate) == count:
-            return candidate
-    return [f"actuator {i + 1}" for i in range(count)]
+    unnamed = [f"actuator {i + 1}" for i in range(count)]
+    return next(found for found in (names, driven, unnamed) if len(found) == count)
 
 
-def _counted(shape: tuple[int, ...], judged: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+def _counted(shape: tuple[int, ...], judged: Judged | None) -> Judged:
     """The values that count: those judged; all of them if none is."""
     every = np.ones(shape, dtype=bool)
     return every if judged is None or not judged.any() else judged & every
 
 
-def _shade(ax: Axes, t: Array, counted: NDArray[np.bool_]) -> Artist | None:
-    """Shade the ticks that do not count; returns one of the patches for a legend."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], ~counted, [False])).astype(int)))
-    patch = None
+def _shade(ax: Axes, t: Array, counted: Judged) -> None:
+    """Shade the ticks that do not count."""
+    edges = np.flatnonzero(np.diff(~counted, prepend=False, append=False))
     for start, stop in edges.reshape(-1, 2):
         end = t[min(stop, len(t) - 1)]
-        patch = ax.axvspan(float(t[start]), float(end), color="#B8BDC4", alpha=0.6, lw=0)
-    return patch
+        ax.axvspan(float(t[start]), float(end), color="#B8BDC4", alpha=0.6, lw=0)
 
 
-def _scale_errors(ax: Axes, error: Array, counted: NDArray[np.bool_]) -> None:
+def _scale_errors(ax: Axes, error: Array, counted: Judged) -> None:
     """Errors as far as they are judged to scale, larger ones by their logarithm."""
-    largest = float(np.nanmax(np.abs(error), initial=0.0))
-    linear = float(np.nanmax(np.abs(error[counted]), initial=0.0))
+    largest = _peak(error)
+    linear = _peak(error[counted])
     if largest > 3.0 * linear > 0.0:
         ax.set_yscale("symlog", linthresh=linear, linscale=3.0)
         ax.set_ylim(-2.0 * largest, 2.0 * largest)
     else:
         ax.set_ylim(_limits(error))
+
+
+def _peak(values: Array) -> float:
+    return float(np.nanmax(np.abs(values), initial=0.0))
 
 
 def _rms(values: Array) -> float:
@@ -249,9 +338,9 @@ def _limits(values: Array) -> tuple[float, float]:
     return low - air, high + air
 
 
-def _si(value: float, unit: str) -> str:
-    """Value with three digits and the prefix m or µ where it helps."""
+def _si(value: float) -> str:
+    """Value with three digits and the prefix m or µ where it helps; the unit follows it."""
     for factor, prefix in ((1.0, ""), (1e-3, "m"), (1e-6, "µ")):
         if value >= 0.9995 * factor:
-            return f"{value / factor:.3g} {prefix}{unit}"
-    return f"{value:.2g} {unit}"
+            return f"{value / factor:.3g} {prefix}"
+    return f"{value:.2g} "

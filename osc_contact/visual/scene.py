@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,14 +11,31 @@ from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.recorder import Recording, column_names
-from osc_contact.visual import contact_colour, curves
-from osc_contact.visual.bodies import ArmVisual, BodyVisual, Content, MovingArm, MovingBody
-from osc_contact.visual.contact_marks import ContactForce, toggles
+from osc_contact.visual import OKABE_ITO, contact_colour
+from osc_contact.visual.marks import (
+    T_COLOUR,
+    ConstraintFrame,
+    ContactForce,
+    FindFrame,
+    Trails,
+    TwistAxes,
+    toggles,
+)
 from osc_contact.visual.page import EMPTY, CommandSink, write_page
-from osc_contact.visual.parts import Frame, LegendEntry, Part, Sample, animate
-from osc_contact.visual.stage import set_stage
-from osc_contact.visual.subspaces import T_COLOUR, ConstraintFrame, FindFrame, TwistAxes
-from osc_contact.visual.trails import Trails
+from osc_contact.visual.parts import (
+    ArmVisual,
+    Array,
+    BodyVisual,
+    Content,
+    Frame,
+    LegendEntry,
+    MovingArm,
+    MovingBody,
+    Part,
+    Sample,
+    animate,
+)
+from osc_contact.visual.shapes import at, plain, rgb
 
 if TYPE_CHECKING:
     from meshcat import Visualizer
@@ -27,7 +44,6 @@ __all__ = ["Scene", "write_scene"]
 
 MOST_FRAMES = 360
 """Key frames of a page; a longer recording gets fewer per second, and motion in between."""
-Array = NDArray[np.float64]
 
 
 class Scene:
@@ -40,23 +56,28 @@ class Scene:
     """
 
     def __init__(self, content: Content, first: Sample, find: FindFrame | None = None) -> None:
-        self.content = content
         self.arms = [MovingArm(arm) for arm in content.arms]
         self.bodies = [MovingBody(body) for body in content.bodies]
-        self.parts: list[Part] = [*self.arms, *self.bodies]
-        self.forces: list[ContactForce] = []
         located = {"contact_point", "contact_direction", "pose"} <= first.keys()
         contacts = list(content.contacts) if located else []
+        owners = list(content.columns or range(len(contacts))) if contacts else []
+        names = column_names(contacts, owners)
+        self.forces = [
+            ContactForce(name, column, owners[column], owners, first)
+            for column, name in enumerate(names)
+        ]
+        self.parts: list[Part] = [*self.arms, *self.bodies, *self.forces]
         if contacts:
-            owners = list(content.columns) or list(range(len(contacts)))
-            for column, name in enumerate(column_names(contacts, owners)):
-                self.forces.append(ContactForce(name, column, owners[column], owners, first))
-            axes = TwistAxes(first, owners)
-            self.parts += [*self.forces, axes]
-            if find is not None:
-                self.parts.append(ConstraintFrame(find, owners, content.frame_words))
+            self.parts.append(TwistAxes(first, owners))
+        if contacts and find is not None:
+            self.parts.append(ConstraintFrame(find, owners, content.frame_words))
         self.trails = Trails(contacts)
-        self.panels = curves.layout(first, contacts, content.columns)
+        self.panels = panels_of(first, names, owners)
+
+    @property
+    def lines(self) -> list[dict[str, Any]]:
+        """The plotted lines of all panels."""
+        return [line for panel in self.panels for line in panel["lines"]]
 
     def draw(self, scene: Visualizer) -> None:
         """Make all nodes."""
@@ -68,44 +89,80 @@ class Scene:
         return {path: state for part in self.parts for path, state in part.states(sample).items()}
 
     def look(self, scene: Visualizer, samples: Sequence[Sample]) -> list[dict[str, Any]]:
-        """Floor, background, and cameras that see what the samples show (see `set_stage`)."""
+        """Floor, background, and cameras that see what the samples show.
+
+        Args:
+            scene: where to draw.
+            samples: some ticks of the recording, the first one first.
+
+        Returns:
+            The cameras that the page offers, the first of which is set: name, where it looks and
+            from where, seen from there (m, world).
+        """
+        nothing = np.zeros((0, 3))
         near = [body.corners(sample) for body in self.bodies for sample in samples]
         near += [force.ends(sample) for force in self.forces for sample in samples]
-        points = [arm.corners(samples[0]) for arm in self.arms] + near
-        bases = np.array([arm.base.translation for arm in self.content.arms]).reshape(-1, 3)
-        pushes = samples[0].get("contact_direction")
-        empty = np.zeros((0, 3))
-        return set_stage(
-            scene, np.vstack([empty, *points]), bases, pushes, np.vstack([empty, *near])
-        )
+        near_points = np.vstack([nothing, *near])
+        points = np.vstack([near_points, *(arm.corners(samples[0]) for arm in self.arms)])
+        bases = np.vstack([nothing, *(arm.arm.base.translation for arm in self.arms)])
+        directions = np.asarray(samples[0].get("contact_direction", nothing), dtype=float)
+        floor = float(np.min(bases[:, 2], initial=0.0))
+        lowest = float(points[:, 2].min())
+        if lowest <= floor - 0.05:
+            floor = lowest - 0.1
+        front, side = _headings(points, bases, np.nan_to_num(directions.reshape(-1, 3)))
+        if not len(near_points):
+            near_points = points
+        views = {
+            "whole": (points, eye(side)),
+            "contacts": (near_points, eye(side)),
+            "from above": (near_points, eye(front, np.deg2rad(85.0))),
+            "other side": (points, eye(side + np.pi)),
+        }
+        set_stage(scene, points, views["whole"][1], floor=floor)
+        cameras = []
+        for name, (seen, view) in views.items():
+            target, distance = fitted(seen, view)
+            offset = distance * view
+            cameras.append({"name": name, "target": target.tolist(), "offset": offset.tolist()})
+        return cameras
 
     def config(self, **more: Any) -> dict[str, Any]:
-        """What the page's scripts want to know: legend, labels and plots."""
+        """What the page's scripts need: legend, labels and plots."""
         entries: list[LegendEntry] = [e for force in self.forces for e in force.legend()]
         entries += toggles(self.forces)
-        entries += [e for part in self.parts[len(self.arms) :] for e in part.legend() if e.paths]
+        entries += [entry for part in self.parts for entry in part.legend() if entry.paths]
         entries += self.trails.legend()
-        lines = [line for panel in self.panels for line in panel["lines"]]
-        keys = [(line["key"], line["index"]) for line in lines]
+        keys = [(line["key"], line["index"]) for line in self.lines]
         labels = [
-            {
-                "path": f"{force.path}/label",
-                "text": force.name.replace("_", " "),
-                "colour": contact_colour(force.contact),
-                "line": _place_in(keys, ("alpha_true", force.column)),
-                "unit": "N m" if force.couple else "N",
-                "lost": f"{force.path}/lost",
-            }
+            label(
+                f"{force.path}/label",
+                force.words,
+                force.colour,
+                line=keys.index(key) if (key := ("alpha_true", force.column)) in keys else None,
+                unit="N m" if force.couple else "N",
+                lost=f"{force.path}/lost",
+            )
             for force in self.forces
         ]
         if self.forces:
-            labels += [
-                {"path": f"twists/{i}/label", "text": f"t{'₁₂₃₄₅₆'[i]}", "colour": T_COLOUR,
-                 "line": None, "unit": "", "lost": None}
-                for i in range(6)
-            ]  # fmt: skip
+            labels += [label(f"twists/{i}/label", f"t{'₁₂₃₄₅₆'[i]}", T_COLOUR) for i in range(6)]
         legend = [entry._asdict() for entry in entries]
         return EMPTY | {"legend": legend, "labels": labels, "panels": self.panels} | more
+
+
+def label(path: str, text: str, colour: str, **more: Any) -> dict[str, Any]:
+    """A label for the page's scripts.
+
+    Args:
+        path: of the node that it stands at.
+        text: of the label.
+        colour: ``#RRGGBB``.
+        more: the plotted line (its number) and the unit of the value beside it; the node that is
+            visible while the contact is lost.
+    """
+    empty = {"line": None, "unit": "", "lost": None}
+    return {"path": path, "text": text, "colour": colour} | empty | more
 
 
 def write_scene(
@@ -145,12 +202,13 @@ def write_scene(
     times = np.arange(int(np.floor(length * fps + 1e-9)) + 1) / fps
     ticks = np.minimum(np.searchsorted(t - t[0], times - 1e-9), t.size - 1)
     samples = [sample_at(recording.channels, int(tick)) for tick in ticks]
-    content = Content(
-        _title(recording), arms, bodies, tuple(recording.meta.get("contact_names", ())),
-        tuple(recording.meta.get("columns", ())), frame_words,
-    )  # fmt: skip
+    meta = recording.meta
+    scenario = meta.get("scenario")
+    named = scenario.get("name", "recording") if isinstance(scenario, dict) else "recording"
+    title = str(named).replace("_", " ")
+    contacts = meta.get("contact_names", ())
+    content = Content(title, arms, bodies, contacts, meta.get("columns", ()), frame_words)
     picture = Scene(content, samples[0], find)
-    frames = [picture.states(sample) for sample in samples]
     sink = CommandSink()
     scene = sink.visualizer()
     from meshcat.animation import Animation
@@ -160,17 +218,17 @@ def write_scene(
     for sample in samples:
         picture.trails.extend(sample)
     picture.trails.draw(scene)
-    animate(scene, animation, frames)
+    animate(scene, animation, [picture.states(sample) for sample in samples])
     cameras = picture.look(scene, samples[:: max(len(samples) // 20, 1)])
     scene.set_animation(animation, play=True, repetitions=float("inf"))
     config = picture.config(
-        curves=curves.thinned(picture.panels, recording.channels),
+        curves=thinned(picture.lines, recording.channels),
         begin=float(t[0]),
         length=float(times[-1]),
         still=still,
         cameras=cameras,
     )
-    return write_page(sink, path, content.title, config)
+    return write_page(sink, path, title, config)
 
 
 def sample_at(channels: Mapping[str, Any], tick: int) -> dict[str, Any]:
@@ -178,11 +236,186 @@ def sample_at(channels: Mapping[str, Any], tick: int) -> dict[str, Any]:
     return {key: np.asarray(value)[tick] for key, value in channels.items()}
 
 
-def _title(recording: Recording) -> str:
-    scenario = recording.meta.get("scenario", {})
-    title = scenario.get("name", "recording") if isinstance(scenario, dict) else "recording"
-    return str(title).replace("_", " ")
+# --- The stage: floor, background, and a camera that sees the forces from the side --------------
+
+BACKGROUND = [0.93, 0.945, 0.96]
+FLOOR_COLOUR = "#E3E7EC"
+GRID_COLOUR = "#C9D0D9"
+FLOOR_SIDE = 16.0
+GRID_STEP = 0.25
+GRID_LINES = 16
+FIELD_OF_VIEW_DEG = 30.0
+ELEVATION = np.deg2rad(28.0)
+ASPECT = float(EMPTY["aspect"])
+"""Width / height that the scene is fitted to; a wider window shows more floor."""
+FILLED = 0.9
 
 
-def _place_in(keys: Sequence[tuple[str, int]], key: tuple[str, int]) -> int | None:
-    return keys.index(key) if key in keys else None
+def set_stage(
+    scene: Visualizer, points: Array, view: Array, aspect: float = ASPECT, floor: float = 0.0
+) -> None:
+    """Floor with lines every 0.25 m, background, and a camera that sees the points.
+
+    meshcat 0.3.2 has no camera methods and its orbit controls always turn about the viewer's
+    origin: the whole scene is moved so that the target lies there, and the camera sits at the
+    offset in three.js axes (y up).
+
+    Args:
+        scene: where to draw. points: (k, 3) what fills the picture (m).
+        view: (3,) unit, from what is looked at to the eye. aspect: width / height of the picture.
+        floor: its height (m).
+    """
+    from meshcat.geometry import Box, LineBasicMaterial, LineSegments, PointsGeometry
+
+    ground = scene["floor"]
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    ground.set_transform(at([*middle[:2], floor - 0.0025]).homogeneous)
+    ground["plane"].set_object(Box([FLOOR_SIDE, FLOOR_SIDE, 0.01]), plain(FLOOR_COLOUR))
+    ground["plane"].set_transform(at([0.0, 0.0, -0.007]).homogeneous)
+    steps = np.arange(-GRID_LINES, GRID_LINES + 1) * GRID_STEP
+    end = steps[-1]
+    lines = [[(s, -end, 0.0), (s, end, 0.0), (-end, s, 0.0), (end, s, 0.0)] for s in steps]
+    ends = np.array(lines, dtype=np.float32).reshape(-1, 3).T
+    ground["grid"].set_object(
+        LineSegments(PointsGeometry(ends), LineBasicMaterial(color=rgb(GRID_COLOUR)))
+    )
+    target, distance = fitted(points, view, aspect)
+    scene.set_transform(at(-target).homogeneous)
+    x, y, z = (distance * view).tolist()
+    camera = scene["/Cameras/default/rotated/<object>"]
+    camera.set_property("position", [x, z, -y])
+    camera.set_property("fov", FIELD_OF_VIEW_DEG)
+    for place in ("top_color", "bottom_color"):
+        scene["/Background"].set_property(place, BACKGROUND)
+    for helper in ("/Grid", "/Axes"):
+        scene[helper].set_property("visible", False)
+
+
+def _headings(points: Array, bases: Array, pushes: Array) -> tuple[float, float]:
+    """Headings (rad) of the object's side, and near it of where forces are seen from the side."""
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))[:2]
+    away = middle - bases[:, :2].mean(axis=0) if len(bases) else middle
+    front = float(np.arctan2(away[1], away[0])) if np.linalg.norm(away) > 0.02 else -np.pi / 3
+    turns = np.deg2rad([0, 15, -15, 30, -30, 45, -45, 60, -60])
+    along = [np.abs(pushes @ eye(front + turn)).max(initial=0.0) for turn in turns]
+    return front, front + float(turns[np.argmin(np.round(along, 1))])
+
+
+def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, float]:
+    """Where to look (m) and from how far away, so that the points (k, 3) fill the picture.
+
+    Args:
+        points: (k, 3) m.
+        view: (3,) unit, from what is looked at to the eye.
+        aspect: width / height of the picture.
+    """
+    axes = np.vstack((picture_axes(view), view))
+    half = np.tan(np.deg2rad(0.5 * FIELD_OF_VIEW_DEG)) * np.array([aspect, 1.0]) * FILLED
+    across = points @ axes.T
+    target = axes.T @ (0.5 * (across.min(axis=0) + across.max(axis=0)))
+    for _ in range(20):  # perspective: centre the picture at the distance that just fits
+        seen = (points - target) @ axes.T
+        distance = float((np.abs(seen[:, :2]) / half + seen[:, 2:]).max()) + 0.05
+        image = seen[:, :2] / (distance - seen[:, 2:])
+        shift = 0.5 * (image.min(axis=0) + image.max(axis=0)) * distance
+        target = target + axes[:2].T @ shift
+    return target, max(distance, 0.3)
+
+
+def picture_axes(view: Array) -> Array:
+    """(2, 3) right and up of a picture that is looked at against the view."""
+    right = np.cross([0.0, 0.0, 1.0], view)
+    right /= np.linalg.norm(right)
+    return np.array([right, np.cross(view, right)])
+
+
+def eye(heading: float, elevation: float = ELEVATION) -> Array:
+    """Unit vector (3,) from what is looked at to the eye; heading from x about z (rad)."""
+    flat = np.array([np.cos(heading), np.sin(heading), 0.0])
+    return np.cos(elevation) * flat + [0.0, 0.0, np.sin(elevation)]
+
+
+# --- Plots below the scene: contact forces and power over time ----------------------------------
+
+_FORCES = (("alpha_cmd", "pale"), ("alpha_true", "solid"), ("alpha_meas", "dashed"))
+_POWERS = (
+    ("power_total", "#8A919C", "total"),
+    ("power_projected", OKABE_ITO["purple"], "projected by Ω_f"),
+)
+
+
+def panels_of(
+    sample: Sample, names: Sequence[str] = (), owners: Sequence[int] = ()
+) -> list[dict[str, Any]]:
+    """The panels and their lines, for what was recorded; JSON-able.
+
+    Args:
+        sample: the channels at one tick; what is missing has no panel.
+        names: of the contact forces.
+        owners: the contact of each force.
+    """
+    forces = [
+        {
+            "key": key,
+            "index": i,
+            "look": look,
+            "colour": contact_colour(owners[i]) if look != "dashed" else "#15181C",
+            "name": name.replace("_", " ") if look == "solid" else "",
+        }
+        for key, look in _FORCES
+        if key in sample
+        for i, name in enumerate(names[: np.size(sample[key])])
+    ]
+    powers = [
+        {"key": key, "index": -1, "look": "solid", "colour": colour, "name": name}
+        for key, colour, name in _POWERS
+        if key in sample
+    ]
+    looks = "wide: commanded, solid: true, dashed: measured"
+    what = "of the measured wrench, in the motion relative to the faces"
+    panels = [
+        {"title": "contact force", "unit": "N", "lines": forces, "note": looks},
+        {"title": "power", "unit": "W", "lines": powers, "note": what},
+    ]
+    return [panel for panel in panels if panel["lines"]]
+
+
+def values(lines: Sequence[dict[str, Any]], channels: Mapping[str, Any]) -> Array:
+    """(lines,) at one tick, or (lines, T): the numbers of all lines."""
+    found = [
+        channels[line["key"]] if line["index"] < 0 else channels[line["key"]][..., line["index"]]
+        for line in lines
+    ]
+    return np.array(found, dtype=float)
+
+
+def rounded(numbers: Array) -> list[float | None]:
+    """Four significant digits; JSON knows no NaN."""
+    return [float(f"{x:.4g}") if np.isfinite(x) else None for x in numbers.tolist()]
+
+
+def thinned(
+    lines: Sequence[dict[str, Any]], channels: Mapping[str, Any], bins: int = 450
+) -> dict[str, Any]:
+    """Times and values of all lines: the smallest and largest value of each of `bins` stretches.
+
+    Short peaks stay visible this way, however long the recording is.
+
+    Args:
+        lines: of the panels.
+        channels: (T, …) of each channel, and the times `t` (T,).
+        bins: stretches of equally many ticks.
+    """
+    t = np.asarray(channels["t"], dtype=float)
+    rows: Iterable[Array] = values(lines, channels)
+    if len(t) > 2 * bins:
+        stretches = np.array_split(np.arange(len(t)), bins)
+        t = np.array([t[part[k]] for part in stretches for k in (0, -1)])
+        rows = [row[_extremes(row, stretches)] for row in np.nan_to_num(values(lines, channels))]
+    return {"t": np.round(t, 4).tolist(), "y": [rounded(row) for row in rows]}
+
+
+def _extremes(row: Array, stretches: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
+    """Places of the smallest and largest value of each stretch, in order of time."""
+    found = [part[sorted((row[part].argmin(), row[part].argmax()))] for part in stretches]
+    return np.concatenate(found)

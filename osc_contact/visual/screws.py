@@ -17,11 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from osc_contact.errors import InvalidInputError
 
-__all__ = [
-    "CommonPerpendicular", "Normals", "ScrewAxis", "common_perpendicular", "contact_normals",
-    "echelon", "helix", "tangents", "twist_screw", "wrench_screw",
-]  # fmt: skip
-
 Array = NDArray[np.float64]
 FAR = 100.0
 """m: an axis or a pitch beyond this is drawn as infinitely far, or infinite."""

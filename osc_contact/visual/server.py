@@ -10,7 +10,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import pickle
 import socket
+from collections.abc import Iterable
 from typing import Any
 
 from tornado.httpserver import HTTPServer
@@ -19,15 +21,10 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from osc_contact.visual import curves
-from osc_contact.visual.bodies import Content
-from osc_contact.visual.live import Ticks
+from osc_contact.visual.marks import FindFrame
 from osc_contact.visual.page import CommandSink, packed, page_text
-from osc_contact.visual.parts import Frame, changes
-from osc_contact.visual.scene import Scene
-from osc_contact.visual.subspaces import FindFrame
-
-__all__ = ["serve"]
+from osc_contact.visual.parts import Content, Frame, Sample, changes
+from osc_contact.visual.scene import Scene, rounded, values
 
 LOOPBACK = "127.0.0.1"
 PICTURES_MS = 1000.0 / 60.0
@@ -43,47 +40,56 @@ WAITING = (
 class LivePage:
     """The scene as it is now, and the browsers that show it."""
 
-    def __init__(self, ticks: Ticks, content: Content, find: FindFrame) -> None:
-        self.ticks, self.content, self.find = ticks, content, find
+    def __init__(self, link: socket.socket, content: Content, find: FindFrame) -> None:
+        self.link = link
+        self.content = content
+        self.find = find
         self.scene: Scene | None = None
         self.drawn = CommandSink()
         self.trails: dict[str, dict[str, Any]] = {}
         self.browsers: set[BrowserLink] = set()
         self.frame: Frame = {}
         self.numbers = ""
-        self.pictures, self.parent = 0, os.getppid()
+        self.pictures = 0
+        self.parent = os.getppid()
         self.error: Exception | None = None
 
     def text(self) -> str:
-        """The page, as long as there is no tick one that asks again."""
+        """The page, as long as there is no tick one that loads itself again."""
         if self.scene is None:
             return WAITING
-        empty: dict[str, Any] = {
-            "t": [],
-            "y": [[] for panel in self.scene.panels for _ in panel["lines"]],
-        }
+        empty: dict[str, Any] = {"t": [], "y": [[] for _ in self.scene.lines]}
         config = self.scene.config(live=True, window=WINDOW_S, curves=empty)
         return page_text(self.drawn, self.content.title, config)
 
     def update(self) -> None:
         """Draw the newest tick; an error ends the process, and is reported to the run's process.
 
-        tornado would log whatever a callback raises and go on: `serve` raises it after the loop.
+        tornado would log whatever a callback raises and continue: `serve` raises it after the loop.
         """
         try:
-            self._update()
+            sample = self._newest()
+            if sample is not None:
+                self._show(sample)
         except Exception as error:
             self.error = error
-            self._say({"error": f"{type(error).__name__}: {error}"[:1000]})
+            self._report({"error": f"{type(error).__name__}: {error}"[:1000]})
             IOLoop.current().stop()
 
-    def _update(self) -> None:
-        if not self.ticks.drain() or os.getppid() != self.parent:
-            IOLoop.current().stop()
-            return
-        sample, self.ticks.newest = self.ticks.newest, None
-        if sample is None:
-            return
+    def _newest(self) -> Sample | None:
+        """The last tick that came, if any has; the loop ends with the run's process."""
+        newest = None
+        with contextlib.suppress(ConnectionError):
+            try:
+                while message := self.link.recv(1 << 20):
+                    newest = message
+            except BlockingIOError:
+                if os.getppid() == self.parent:
+                    return None if newest is None else pickle.loads(newest)
+        IOLoop.current().stop()
+        return None
+
+    def _show(self, sample: Sample) -> None:
         if self.scene is None:
             self.scene = Scene(self.content, sample, self.find)
             self.scene.draw(self.drawn.visualizer())
@@ -95,18 +101,18 @@ class LivePage:
             self.scene.trails.draw(fresh.visualizer())
             self.trails |= {command["path"]: command for command in fresh.commands}
         self.pictures += 1
-        values = {"t": float(sample["t"]), "y": curves.values(self.scene.panels, sample)}
-        self.numbers = json.dumps(values)
+        curves = rounded(values(self.scene.lines, sample))
+        self.numbers = json.dumps({"t": float(sample["t"]), "y": curves})
         for browser in list(self.browsers):
-            browser.send(self, fresh.commands, self.numbers)
+            browser.send(fresh.commands)
 
-    def tell(self) -> None:
-        """Let the run's process know how many browsers there are."""
-        self._say({"browsers": len(self.browsers)})
+    def count(self) -> None:
+        """Report to the run's process how many browsers there are."""
+        self._report({"browsers": len(self.browsers)})
 
-    def _say(self, news: dict[str, Any]) -> None:
+    def _report(self, news: dict[str, Any]) -> None:
         with contextlib.suppress(OSError):  # the run has ended, or does not read: it need not know
-            self.ticks.link.send(json.dumps(news).encode())
+            self.link.send(json.dumps(news).encode())
 
 
 class BrowserLink(WebSocketHandler):
@@ -114,7 +120,8 @@ class BrowserLink(WebSocketHandler):
 
     def initialize(self, page: LivePage) -> None:
         """Called by tornado for every request."""
-        self.page, self.busy = page, False
+        self.page = page
+        self.busy = False
         self.shown: Frame = {}
         self.late: dict[str, dict[str, Any]] = {}
 
@@ -123,43 +130,36 @@ class BrowserLink(WebSocketHandler):
         if len(self.page.browsers) >= MOST_BROWSERS:
             self.close(1013, "too many browsers")
             return
-        self.late = dict(self.page.trails)
         self.page.browsers.add(self)
-        self.page.tell()
-        self.send(self.page, [], self.page.numbers)
+        self.page.count()
+        self.send(self.page.trails.values())
 
     def on_message(self, message: str | bytes) -> None:
-        """Whatever it says means that the last picture is on its screen."""
+        """Whatever it contains means that the last picture is on its screen."""
         self.busy = False
         if self.shown is not self.page.frame:
-            self.send(self.page, [], self.page.numbers)
+            self.send()
 
     def on_close(self) -> None:
         """The browser has gone."""
         self.page.browsers.discard(self)
-        self.page.tell()
+        self.page.count()
 
-    def send(self, page: LivePage, trails: list[dict[str, Any]], numbers: str) -> None:
-        """Send what this browser does not show yet, unless it is still drawing.
-
-        Args:
-            page: what is shown now.
-            trails: of the contact points, for the page's scripts.
-            numbers: the curves' new values, as JSON.
-        """
+    def send(self, trails: Iterable[dict[str, Any]] = ()) -> None:
+        """Send what this browser does not show yet, unless it is still drawing."""
         self.late |= {command["path"]: command for command in trails}
-        if self.busy or not page.frame:
+        if self.busy or not self.page.frame:
             return
         sink = CommandSink()
-        changes(sink.visualizer(), self.shown, page.frame)
+        changes(sink.visualizer(), self.shown, self.page.frame)
         try:
             for command in (*sink.commands, *self.late.values()):
                 self.write_message(packed(command), binary=True)
-            self.write_message(numbers)  # last: the browser answers it when all is drawn
+            self.write_message(self.page.numbers)  # last: the browser answers when all is drawn
         except WebSocketClosedError:
-            page.browsers.discard(self)
+            self.page.browsers.discard(self)
             return
-        self.shown, self.late, self.busy = page.frame, {}, True
+        self.shown, self.late, self.busy = self.page.frame, {}, True
 
 
 class Page(RequestHandler):
@@ -187,7 +187,8 @@ def serve(link: socket.socket, content: Content, find: FindFrame) -> None:
         content: what the page shows.
         find: the best single frame for N.
     """
-    page = LivePage(Ticks(link), content, find)
+    link.setblocking(False)
+    page = LivePage(link, content, find)
     application = Application(websocket_max_message_size=1024, log_function=lambda _: None)
     given = {"page": page}
     application.add_handlers(

@@ -1,0 +1,284 @@
+"""Shapes for meshcat: arrows of changing length, rods, tubes, URDF geometry with its colours.
+
+three.js draws its cylinders along y; every shape here that has a direction therefore lies along
+the y-axis of its node, and `along` gives the pose that turns y into the desired direction.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from osc_contact.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from meshcat import Visualizer
+
+Array = NDArray[np.float64]
+Triple = tuple[float, float, float]
+HEAD_LENGTH = 0.035
+"""Length of an arrow's head in m; shorter arrows are all head, shrunk."""
+_SHORTEST = 1e-6
+_Y_TO_Z = pin.SE3(pin.utils.rotate("x", np.pi / 2), np.zeros(3))
+
+
+def at(point: ArrayLike) -> pin.SE3:
+    """Pose at a point (m), not turned."""
+    return pin.SE3(np.eye(3), np.asarray(point, dtype=float))
+
+
+def along(point: ArrayLike, direction: ArrayLike) -> pin.SE3:
+    """Pose whose origin is the point (m) and whose y-axis is the direction (any length > 0).
+
+    Raises:
+        InvalidInputError: the direction is zero or not finite.
+    """
+    direction = np.asarray(direction, dtype=float)
+    length = float(np.linalg.norm(direction))
+    if not np.isfinite(length) or length == 0.0:
+        raise InvalidInputError(f"direction {direction.tolist()} has no finite length > 0")
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 1.0, 0.0]), direction / length)
+    return pin.SE3(turn.matrix(), np.asarray(point, dtype=float))
+
+
+# --- Paint ------------------------------------------------------------------------------------
+
+
+def rgb(colour: str | ArrayLike, share: float = 1.0) -> int:
+    """A share of the colour ``#RRGGBB`` or (r, g, b, ...) in 0..1 as the number of three.js."""
+    if isinstance(colour, str):
+        channels = np.frombuffer(bytes.fromhex(colour[1:]), np.uint8) / 255
+    else:
+        channels = np.clip(np.asarray(colour)[:3], 0.0, 1.0)
+    return int(np.round(255 * share * channels) @ [1 << 16, 1 << 8, 1])
+
+
+def plain(colour: str | ArrayLike, opacity: float = 1.0) -> Any:
+    """Material of exactly this colour, whatever the light."""
+    from meshcat.geometry import MeshBasicMaterial
+
+    return MeshBasicMaterial(color=rgb(colour), opacity=opacity, depthWrite=opacity == 1.0)
+
+
+def material(colour: str | ArrayLike, opacity: float = 1.0, glow: float = 0.0) -> Any:
+    """Lit material.
+
+    Args:
+        colour: ``#RRGGBB`` or (r, g, b, ...) in 0..1.
+        opacity: 0 (invisible) … 1.
+        glow: share of the colour that is seen in the dark (0 … 1).
+    """
+    from meshcat.geometry import MeshLambertMaterial
+
+    return MeshLambertMaterial(
+        color=rgb(colour), opacity=opacity, emissive=rgb(colour, glow), depthWrite=opacity == 1.0
+    )
+
+
+# --- Shapes along y ---------------------------------------------------------------------------
+
+
+def cylinder(
+    node: Visualizer, paint: Any, ends: tuple[float, float], radius: float, top: float | None = None
+) -> None:
+    """Cylinder or cone along the node's y-axis; the node itself moves to its middle.
+
+    Args:
+        node: that gets the cylinder.
+        paint: its material.
+        ends: where it begins and ends on the y-axis of the parent node (m).
+        radius: at its beginning (m).
+        top: radius at its end (m), default the same; 0 makes a cone.
+    """
+    from meshcat.geometry import Cylinder
+
+    begin, end = ends
+    length = abs(end - begin)
+    radii = (radius, radius if top is None else top)
+    bottom, upper = radii if begin < end else radii[::-1]
+    node.set_object(Cylinder(length, radiusTop=upper, radiusBottom=bottom), paint)
+    if begin + end:
+        node.set_transform(at([0.0, 0.5 * (begin + end), 0.0]).homogeneous)
+
+
+def arrow(
+    node: Visualizer, colour: str, radius: float = 0.006, opacity: float = 1.0, heads: int = 1
+) -> None:
+    """Arrow whose TIP is the node's origin and that points along the node's y-axis.
+
+    Its length is changed by the scales of the children ``shaft`` and ``head`` (see
+    `arrow_lengths`), which an animation can do; freshly made it is 1 m + head long.
+
+    Args:
+        node: that gets the arrow.
+        colour: ``#RRGGBB``.
+        radius: of the shaft (m).
+        opacity: 0 (invisible) … 1.
+        heads: one, or two behind one another for a couple.
+    """
+    paint = material(colour, opacity, glow=0.12)
+    for name, tip in (("cone", 0.0), ("second", -0.025))[:heads]:
+        cylinder(node[f"head/{name}"], paint, (tip - HEAD_LENGTH, tip), 2.4 * radius, top=0.0)
+    cylinder(node["shaft/rod"], paint, (-1.0, 0.0), radius)
+
+
+def arrow_lengths(length: float) -> tuple[Triple, float, Triple]:
+    """What makes an arrow ``length`` m long: scale of the shaft, its y, scale of the head.
+
+    The head keeps its size; an arrow shorter than its head is a smaller head without shaft.
+    """
+    length = max(length, _SHORTEST) if np.isfinite(length) else _SHORTEST
+    head = min(1.0, length / HEAD_LENGTH)
+    stretch = max(length - HEAD_LENGTH, _SHORTEST)
+    return (head, stretch, head), -HEAD_LENGTH * head, (head, head, head)
+
+
+def tube(points: ArrayLike, radius: float, sides: int = 6) -> Any:
+    """Mesh of a tube around a path (k, 3), k >= 2; repeated points are left out.
+
+    Args:
+        points: (k, 3) the path (m).
+        radius: of the tube (m).
+        sides: of its cross section.
+    """
+    from meshcat.geometry import TriangularMeshGeometry
+
+    path = np.asarray(points, dtype=float)
+    far = np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9
+    path = path[np.concatenate([[True], far])]
+    if len(path) < 2:
+        path = np.vstack([path, path[-1] + [0.0, 0.0, 1e-4]])
+    forward = np.gradient(path, axis=0)
+    forward /= np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-12)
+    side = np.cross(forward[0], np.eye(3)[np.argmin(np.abs(forward[0]))])
+    angles = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
+    rings = []
+    for point, ahead in zip(path, forward, strict=True):
+        side = side - (side @ ahead) * ahead  # carried along without twisting
+        side /= max(float(np.linalg.norm(side)), 1e-12)
+        circle = np.outer(np.cos(angles), side) + np.outer(np.sin(angles), np.cross(ahead, side))
+        rings.append(point + radius * circle)
+    first = np.arange((len(path) - 1) * sides).reshape(-1, sides)
+    second = np.roll(first, -1, axis=1)
+    faces = [(first, second, first + sides), (second, second + sides, first + sides)]
+    triangles = np.concatenate([np.stack(f, axis=-1).reshape(-1, 3) for f in faces])
+    return TriangularMeshGeometry(np.vstack(rings).astype(np.float32), triangles.astype(np.uint32))
+
+
+# --- Shapes of a URDF -------------------------------------------------------------------------
+
+
+def urdf_geometry(node: Visualizer, shape: pin.GeometryObject) -> None:
+    """Draw one geometry of a URDF (box, cylinder, sphere, capsule or mesh) at the node.
+
+    The node's transform becomes the shape's placement in its parent joint.
+
+    Raises:
+        InvalidInputError: a kind of geometry that cannot be drawn.
+    """
+    import coal
+    from meshcat import geometry as mc
+
+    colour = np.asarray(shape.meshColor, dtype=float)
+    paint = material(colour, float(colour[3]))
+    form = shape.geometry
+    body = node["shape"]
+    if isinstance(form, coal.Box):
+        body.set_object(mc.Box((2.0 * np.asarray(form.halfSide)).tolist()), paint)
+    elif isinstance(form, coal.Sphere):
+        body.set_object(mc.Sphere(form.radius), paint)
+    elif isinstance(form, coal.Cylinder | coal.Capsule):
+        side = body if isinstance(form, coal.Cylinder) else body["side"]
+        side.set_object(mc.Cylinder(2.0 * form.halfLength, form.radius), paint)
+        side.set_transform(_Y_TO_Z.homogeneous)
+        if isinstance(form, coal.Capsule):
+            for name, z in (("top", form.halfLength), ("bottom", -form.halfLength)):
+                body[name].set_object(mc.Sphere(form.radius), paint)
+                body[name].set_transform(at([0.0, 0.0, z]).homogeneous)
+    elif isinstance(form, coal.BVHModelBase):
+        corners = np.asarray(form.vertices(), dtype=np.float32).reshape(-1, 3)
+        faces = map(form.tri_indices, range(form.num_tris))
+        triangles = np.array([[face[k] for k in range(3)] for face in faces])
+        colours = None
+        if not shape.overrideMaterial:
+            colours = vertex_colours(shape.meshPath, triangles, len(corners))
+        if colours is not None:
+            paint = mc.MeshLambertMaterial(color=0xFFFFFF, vertexColors=True)
+        body.set_object(mc.TriangularMeshGeometry(corners, triangles, colours), paint)
+    else:
+        raise InvalidInputError(
+            f"geometry {shape.name!r} is a {type(form).__name__}, which cannot be drawn: "
+            "use a box, cylinder, sphere, capsule or mesh"
+        )
+    node.set_transform(shape.placement.homogeneous)
+
+
+SPACE = {"c": "http://www.collada.org/2005/11/COLLADASchema"}
+GROUPS = ("triangles", "polylist", "polygons")
+LOST_SHARE = 0.005
+"""Readers drop triangles without area: a few may be missing."""
+
+
+def vertex_colours(
+    file: str | Path, triangles: NDArray[np.integer], vertices: int
+) -> NDArray[np.float32] | None:
+    """(vertices, 3) colours in 0..1 of a mesh as it was read, None if its file has none.
+
+    Readers of collision libraries leave the colours out.
+
+    Args:
+        file: of the mesh.
+        triangles: (k, 3) indices, in the order of the file.
+        vertices: how many there are.
+    """
+    of_triangles = triangle_colours(file, len(triangles))
+    if of_triangles is None:
+        return None
+    colours = np.ones((vertices, 3), dtype=np.float32)
+    colours[np.asarray(triangles)] = of_triangles[:, None]
+    return colours
+
+
+def triangle_colours(file: str | Path, count: int) -> Array | None:
+    """(count, 3) colours in 0..1, None if the file is no COLLADA or has no colours.
+
+    White is drawn at 0.88 and black at 0.14: their shapes are seen by light and shade.
+    """
+    if Path(file).suffix.lower() != ".dae":
+        return None
+    try:
+        groups = list(_groups(ET.parse(file).getroot()))
+    except (OSError, ET.ParseError, ValueError):
+        return None
+    colours = np.repeat([g[0] for g in groups], [g[1] for g in groups], axis=0) if groups else ()
+    if not len(colours) or abs(len(colours) - count) > LOST_SHARE * len(colours):
+        return None
+    places = np.linspace(0, len(colours) - 1, count).round().astype(int)
+    return np.asarray(0.14 + 0.74 * np.clip(colours[places], 0.0, 1.0))
+
+
+def _groups(root: ET.Element) -> Iterator[tuple[list[float], int]]:
+    """Colour and number of the triangles of one material, in the order of the file."""
+    geometries = {g.get("id"): g for g in root.findall(".//c:geometry", SPACE)}
+    for instance in root.findall(".//c:visual_scene//c:instance_geometry", SPACE):
+        bound = {
+            one.get("symbol"): one.get("target", "")[1:]
+            for one in instance.findall(".//c:instance_material", SPACE)
+        }
+        for part in geometries[instance.get("url", "")[1:]].findall("c:mesh/*", SPACE):
+            if part.tag.split("}")[-1] in GROUPS:
+                yield _colour(root, bound.get(part.get("material"), "")), int(part.get("count", 0))
+
+
+def _colour(root: ET.Element, material: str) -> list[float]:
+    """Diffuse colour of a material."""
+    effect = root.find(f".//c:material[@id='{material}']/c:instance_effect", SPACE)
+    url = "" if effect is None else effect.get("url", "")[1:]
+    diffuse = root.findtext(f".//c:effect[@id='{url}']//c:diffuse/c:color", None, SPACE)
+    return [float(word) for word in diffuse.split()[:3]] if diffuse else [0.8, 0.8, 0.8]
