@@ -144,7 +144,7 @@ def touch(env: ContactVectorEnv) -> tuple[Array, Array]:
     u = R[:, :, 0]
     off = p + R @ LOW - TABLE
     s = -(off[:, 0] * u[:, 0] + off[:, 2] * u[:, 2]) / (u[:, 0] ** 2 + u[:, 2] ** 2)
-    force = env.fleet._plants.bind("cfrc_ext")[:, env.fleet._object, 3:]
+    force = env.fleet._plants.bind("cfrc_ext")[:, env.fleet._plant.object_body, 3:]
     return off[:, 1] + s * u[:, 1], np.maximum(-(force @ INTO), 0.0)
 
 

@@ -134,7 +134,7 @@ def test_simulation_program(tmp_path: Path) -> None:
     assert result["real_time_factor"] == pytest.approx(0.03 / result["wall_s"])
     assert sum(result["shares"].values()) == pytest.approx(1.0)
     assert min(result["us_per_tick"].values()) > 0.0
-    assert {simulation.LOOP, "tick", "references", simulation.REST} <= set(result["shares"])
+    assert {simulation.STEPS, "tick", "references", simulation.REST} <= set(result["shares"])
     assert 0.0 < result["steps_us_per_tick"] < 1e4
 
 

@@ -257,7 +257,7 @@ def test_a_numba_whose_libraries_have_other_methods_is_told_at_once(name: str) -
 
 
 def test_the_compiled_tick_keeps_no_intermediate_code() -> None:
-    """Which takes 19 MB: compiled runs call it by its address (tests/test_driven_runs.py)."""
+    """Which takes 19 MB."""
     compiled = list(getattr(rows(), "overloads", {}).values())
     assert PLAIN or compiled
     assert all(one.library._shared_module is None for one in compiled)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import osc_contact as osc
-from osc_contact.runs import driven
 
 OTHERS = sorted((Path(__file__).parent / "scenarios").glob("*.yaml"))
 
@@ -186,7 +185,6 @@ def test_what_was_recorded_before_a_divergence_is_kept(monkeypatch):
             self.data.qvel[:] = np.inf
         command(self, tau, duration)
 
-    monkeypatch.setattr(driven, "compiled_loop", lambda: None)  # in Python
     monkeypatch.setattr(MujocoPlant, "command", fails_at_50_ms)
     with pytest.raises(osc.PlantError) as caught:
         osc.run(osc.load_scenario("two_contact_rod"), duration=0.2)

@@ -14,7 +14,6 @@ from osc_contact.contacts import pairs
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.plants.mujoco import MujocoPlant
-from osc_contact.runs import driven
 from osc_contact.runs.free_motion import free_part, free_parts
 from osc_contact.spatial import Poses, rotated, rotations
 from paper.moving_face import FACES
@@ -243,7 +242,6 @@ def test_a_run_that_fails_leaves_all_channels_of_what_came_before(monkeypatch):
         if plant.time > 0.0115:
             raise osc.PlantError("enough")
 
-    monkeypatch.setattr(driven, "compiled_loop", lambda: None)  # in Python
     monkeypatch.setattr(MujocoPlant, "command", failing)
     with pytest.raises(osc.PlantError, match="enough") as failure:
         osc.run(scenario)

@@ -5,7 +5,6 @@ Nothing of the toolkit's dynamics is used here: the URDFs are read by MuJoCo's o
 
 from __future__ import annotations
 
-import copy
 import logging
 from collections.abc import Sequence
 from functools import cache
@@ -199,11 +198,27 @@ class MujocoPlant:
             tau = self.drives.motors.torque(tau, self.data.qpos[self._q[self.chain.actuated]])
         self._ctrl[:] = tau
 
+    def readings(self, qpos: Array, qvel: Array, sensed: Array) -> tuple[Array, Array, Array]:
+        """What encoders and wrists read, of one plant or of the rows of a batch.
+
+        Args:
+            qpos, qvel, sensed: (…, m) MuJoCo's positions, velocities and sensor data.
+
+        Returns:
+            q, v (…, n) and wrenches (…, arms, 6), zero where an arm has no sensor.
+        """
+        wrenches = sensed.take(self._readings, axis=-1)
+        if len(self._readings) < len(self.chain.arms):
+            known, wrenches = wrenches, np.zeros((*sensed.shape[:-1], len(self.chain.arms), 6))
+            wrenches[..., self._sensed, :] = known
+        q = self._joints(qpos, self._q, self._springs)
+        return q, self._joints(qvel, self._v, self._spring_v), wrenches
+
     def _joints(self, x: Array, joints: Array, springs: Array) -> Array:
-        """Positions or velocities (n,) of the links: what the motors do, plus the springs."""
-        links: Array = x[joints]
+        """Positions or velocities (…, n) of the links: what the motors do, plus the springs."""
+        links: Array = x.take(joints, axis=-1)
         if len(springs):
-            links[self.chain.actuated] += x[springs]
+            links[..., self.chain.actuated] += x[..., springs]
         return links
 
     def _joint_torques(self) -> Array:
@@ -216,12 +231,7 @@ class MujocoPlant:
 
     def measure(self) -> Measurement:
         """Encoders after the last step, wrist wrenches as of its beginning (one step old)."""
-        wrenches = self._sensordata[self._readings]
-        if len(wrenches) < len(self.chain.arms):
-            sensed, wrenches = wrenches, np.zeros((len(self.chain.arms), 6))
-            wrenches[self._sensed] = sensed
-        q = self._joints(self._qpos, self._q, self._springs)
-        v = self._joints(self._qvel, self._v, self._spring_v)
+        q, v, wrenches = self.readings(self._qpos, self._qvel, self._sensordata)
         return Measurement(q, v, wrenches, self._touched(), self._joint_torques())
 
     def _touched(self) -> Touched | None:
@@ -272,7 +282,7 @@ class MujocoPlant:
             self.data.xfrc_applied[:] = 0.0
             for push in self.pushes:
                 self._push(push, push.at(self.time))
-        steps = round(duration / self._step) or 1
+        steps = self.steps_in(duration)
         if not self._driven:
             if steps > 1:  # readings in between are not used
                 self._option.disableflags = self._flags | self._blind
@@ -308,30 +318,14 @@ class MujocoPlant:
         """The number of the object's body in `model`."""
         return self._object
 
-    def memory(self, period: float) -> tuple[Any, ...] | None:
-        """What compiled code needs to measure and step in this plant's place.
+    @property
+    def steps_alone(self) -> bool:
+        """Whether MuJoCo's steps are all there is to a period: no driven faces, errors, pushes."""
+        return not (self._moved or self.pushes or self.drives.motors is not None)
 
-        qpos, qvel, sensordata, ctrl; places of q and v, motor joints with springs and places of
-        these; (arms, 6) places of the wrist readings, −1: none; addresses of `mjData`, `mjModel`
-        and a model without sensors; steps in a period; the counts of warnings.
-
-        Returns:
-            None where Python has a part in every step: faces that move, motors with errors, pushes.
-        """
-        if self._moved or self.pushes or self.drives.motors is not None:
-            return None
-        blind = copy.copy(self.model)
-        blind.opt.disableflags = self._flags | self._blind
-        self._kept = blind  # compiled code knows its address only
-        readings = np.full((len(self.chain.arms), 6), -1)
-        readings[self._sensed] = self._readings
-        driven = np.array(self.chain.actuated if len(self._springs) else [], dtype=int)
-        return (
-            self._qpos, self._qvel, self._sensordata, self._ctrl, self._q, self._v, driven,
-            self._springs, self._spring_v, readings, int(self.data._address),
-            int(self.model._address), int(blind._address), round(period / self._step) or 1,
-            self._warnings,
-        )  # fmt: skip
+    def steps_in(self, period: float) -> int:
+        """How many of MuJoCo's steps a control period (s) has."""
+        return round(period / self._step) or 1
 
     def _push(self, push: Push, force: Array) -> None:
         sensor = self.model.site(f"{push.arm}/wrist")

@@ -138,15 +138,6 @@ class MujocoTruth:
         """Forget the instants noted so far."""
         self._count = 0
 
-    def tables(self) -> tuple[Array, ...]:
-        """What compiled code fills in place of `note`, a row for each instant: how many contacts;
-        of each its geoms, address, place and frame; the constraint forces by address."""
-        return self._points, self._geom, self._address, self._force, self._place, self._frame
-
-    def noted_to(self, count: int) -> None:
-        """Take over instants that were noted in the tables from outside."""
-        self._count = count
-
     def truths(self, parts: Array, noted: Array) -> Truths:
         """k instants: `parts` (k, 21), and what was `noted` (k, m)."""
         k, rails = len(parts), len(self._travel)

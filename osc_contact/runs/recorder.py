@@ -24,8 +24,7 @@ from osc_contact.recorder.journal import Journal, JournalFile
 from osc_contact.recorder.memory import MemoryJournal
 from osc_contact.robots.summary import joint_losses
 from osc_contact.runs.channels import Tick, channels, work_out
-from osc_contact.runs.driven_log import DrivenLog
-from osc_contact.runs.log import Subject
+from osc_contact.runs.log import Log, Subject
 from osc_contact.spatial import Array
 
 __all__ = ["Recorder", "describe_subject", "recording_of"]
@@ -77,7 +76,7 @@ class Recorder:
         if isinstance(judge, MujocoRobot):
             self._meta["picture"] = judge.picture()
         to = journal if isinstance(journal, MemoryJournal) else JournalFile(journal, self._meta)
-        self.log = DrivenLog(of, judge, to)
+        self.log = Log(of, judge, to)
 
     @property
     def error(self) -> RecordingError | None:

@@ -137,13 +137,8 @@ class References:
 
     def each(self, ticks: int, period: float) -> Iterator[Reference]:
         """The references of so many ticks, one after the other."""
-        for plan in self.plans(ticks, period):
-            yield from plan
-
-    def plans(self, ticks: int, period: float) -> Iterator[Plan]:
-        """The same in tables, some hundred ticks at a time."""
         for start in range(0, ticks, _AT_ONCE):
-            yield self.over(np.arange(start, min(start + _AT_ONCE, ticks)) * period)
+            yield from self.over(np.arange(start, min(start + _AT_ONCE, ticks)) * period)
 
     def forces(self, t: Array) -> Array:
         """(r, k) desired magnitudes at times t (k,)."""

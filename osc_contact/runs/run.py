@@ -15,7 +15,6 @@ from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Plant
 from osc_contact.recorder import Recording
 from osc_contact.recorder.memory import MemoryJournal
-from osc_contact.runs.driven import is_plain, run_compiled
 from osc_contact.runs.ending import asked_to_end, until
 from osc_contact.runs.loop import run_loop
 from osc_contact.runs.preflight import require_ready
@@ -86,9 +85,6 @@ def run_rig(
 ) -> Recording:
     """Run a rig and record it.
 
-    Ticks and steps run compiled where nothing in them needs Python, see `is_plain`; the recording
-    is the same but for the times of ticks, which are those of the law alone.
-
     Args:
         rig: see `build_rig`. seed, progress, viewer, install: see `run`.
         journal: see `run`; a `MemoryJournal` for runs that need not survive a kill.
@@ -108,14 +104,10 @@ def run_rig(
     )
     with asked_to_end() as asked:
         try:
-            if viewer is None and is_plain(plant, controller, scenario):
-                plans = rig.references.plans(ticks, controller.dt)
-                run_compiled(plant, controller, plans, recorder, asked, progress)
-            else:
-                robot = rig.robot(plant, controller)
-                taring = controller if scenario.tare is None else Taring(rig, controller)
-                plan = until(asked, rig.references.each(ticks, controller.dt))
-                run_loop(robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress)
+            robot = rig.robot(plant, controller)
+            taring = controller if scenario.tare is None else Taring(rig, controller)
+            plan = until(asked, rig.references.each(ticks, controller.dt))
+            run_loop(robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress)
         except PlantError as error:
             error.recording = recorder.recording()
             raise

@@ -49,7 +49,7 @@ class Start:
         obstacles = {
             "plant.type is not mujoco, or sensors have errors": type(plant) is not MujocoPlant,
             "faces move, motors have errors, or arms are pushed": (
-                isinstance(plant, MujocoPlant) and plant.memory(controller.dt) is None
+                isinstance(plant, MujocoPlant) and not plant.steps_alone
             ),
             "a tare": scenario.tare is not None,
             "a joint torque loop": scenario.control.joint_torque is not None,
@@ -93,13 +93,8 @@ class Fleet:
                 "'osc_contact[sim]'"
             ) from error
         first = starts[0]
-        memory = first.plant.memory(first.controller.dt)
-        assert memory is not None
         self.rows, self.dt = len(starts), first.controller.dt
-        _, _, _, _, *places, readings, _, _, _, self._steps, _ = memory
-        self._q, self._v, self._driven, self._springs, self._spring_v = places
-        self._readings = np.maximum(readings, 0)
-        self._blind = readings < 0
+        self._plant, self._steps = first.plant, first.plant.steps_in(self.dt)
         self.control = BatchController([one.controller for one in starts], threads)
         self._models = [one.plant.model for one in starts]
         self._plants: Any = Batch(first.plant.model, self.rows, nthread=threads)
@@ -107,7 +102,6 @@ class Fleet:
         bind = self._plants.bind
         self._qpos, self._qvel, self._ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self._sensed, self._xpos, self._xmat = (bind(n) for n in ("sensordata", "xpos", "xmat"))
-        self._object = first.plant.object_body
         self._plants.state[:] = [one.state for one in starts]
         self._plants.forward()
 
@@ -124,14 +118,7 @@ class Fleet:
 
     def measure(self) -> tuple[Array, Array, Array]:
         """q, v (B, n) and wrist wrenches (B, arms, 6), as `MujocoPlant.measure` gives them."""
-        q, v = self._qpos[:, self._q], self._qvel[:, self._v]
-        if self._springs.size:
-            q[:, self._driven] += self._qpos[:, self._springs]
-            v[:, self._driven] += self._qvel[:, self._spring_v]
-        wrenches = self._sensed[:, self._readings]
-        if self._blind.any():
-            wrenches[:, self._blind] = 0.0
-        return q, v, wrenches
+        return self._plant.readings(self._qpos, self._qvel, self._sensed)
 
     def tick(
         self, X_WD: Array, V_D: Array, A_D: Array, alpha_d: Array, squeeze_d: Array | None = None
@@ -148,7 +135,7 @@ class Fleet:
 
     def objects(self) -> tuple[Array, Array]:
         """Positions (B, 3) and rotations (B, 3, 3) of the objects, a plant step ago."""
-        body = self._object
+        body = self._plant.object_body
         return self._xpos[:, body], self._xmat[:, body].reshape(-1, 3, 3)
 
     def diverged(self) -> Array:
