@@ -99,13 +99,12 @@ def push_arm(
     first = 0
     good = 0
     k = 0
-    log = truth.log(1)
+    log = truth.log()
 
     def judge() -> np.ndarray:
         log.clear()
         log.note()
-        parts = np.concatenate([np.zeros(0), *log.parts])[None]
-        return log.truths(parts, log.noted(0, 1)).alpha[0]
+        return log.truths(log.noted()).alpha[0]
 
     seen = Pushed(name, direction, force, duration, None, None, 0.0, 0.0, 0.0, [])
     last = 0

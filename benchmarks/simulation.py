@@ -16,7 +16,6 @@ from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.recorder import Recording
 from osc_contact.runs import recorder
 from osc_contact.runs import run as runs
-from osc_contact.runs.log import Log
 from osc_contact.runs.recorder import Recorder
 from osc_contact.runs.references import References
 
@@ -97,7 +96,7 @@ def measure(ticks: int = 10000) -> dict[str, Any]:
         ("plant: measurement", MujocoPlant, "measure"),
         ("references", References, "over"),
         ("recorder: a row of numbers", Recorder, "append"),
-        ("recorder: rows to the file", Log, "flush"),
+        ("recorder: rows to the file", Recorder, "flush"),
         ("recorder: channels, at the end", recorder, "recording_of"),
     ]
     watched = []

@@ -16,7 +16,7 @@ import pytest
 from mcap.reader import make_reader
 
 import osc_contact as osc
-from osc_contact.runs import log as rows_of_runs
+from osc_contact.runs import recorder as rows_of_runs
 
 RUN = [sys.executable, str(Path(__file__).with_name("recorded_run.py"))]
 COMMAND = [sys.executable, "-c", "from osc_contact.cli import app; app()"]

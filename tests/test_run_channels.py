@@ -208,7 +208,7 @@ def test_a_wall_that_bears_nothing_is_open_whatever_rounding_gives_it():
     N = np.concatenate((n, 0.1 * rng.normal(size=n.shape)))
     for bears in (0, 1):
         pushed = rng.uniform(1.0, 10.0, k) * N[:, bears]
-        truth, touched = plant.log(1), np.ones((1, k), dtype=bool)
+        truth, touched = plant.log(), np.ones((1, k), dtype=bool)
         alpha, closed = truth._shares(
             random_poses(rng, k)[0], [N[:, :1], N[:, 1:]], pushed[None], touched
         )

@@ -28,6 +28,7 @@ from osc_contact.spatial import Array, as_array
 __all__ = ["ControllerState"]
 
 _STATUS = tuple(Status)
+_STATES = tuple(SafetyState)
 
 
 class ControllerState:
@@ -74,7 +75,7 @@ class ControllerState:
     @property
     def state(self) -> SafetyState:
         """Whether the controller runs, holds a posture or has stopped; see `SafetyState`."""
-        return SafetyState(int(self._records.memory.state))
+        return _STATES[self._records.state[0]]
 
     @property
     def state_age(self) -> int:

@@ -31,7 +31,7 @@ class TickRecords:
         work, arms, joints, columns, bodies: views of WORK.
         given_columns: N (r_all, 6), n_γ and N_μ − N, where pairs in Python put them.
         floats: WORK as numbers; what recordings keep are slices of it.
-        rank, engaged, ticked: (1,) of WORK and MEMORY. X_WO, V_O: of WORK.
+        rank, engaged, ticked, state: (1,) of WORK and MEMORY. X_WO, V_O: of WORK.
         active, phase: (contacts,), closed, collision: (r_all,) of MEMORY.
     """
 
@@ -62,8 +62,8 @@ class TickRecords:
         self.phase: Array = self.contacts["phase"]
         self.closed: Array = self.column_memory["closed"]
         self.collision: Array = self.column_memory["collision"]
-        self.engaged, self.ticked = (
-            _cell(self.memory_bytes, at.MEMORY, name) for name in ("engaged", "ticked")
+        self.engaged, self.ticked, self.state = (
+            _cell(self.memory_bytes, at.MEMORY, name) for name in ("engaged", "ticked", "state")
         )
         self.arms = records(raw, int(head.arm_work_at), int(head.n_arms), at.ARM_WORK)
         self.joints = records(raw, int(head.joint_work_at), n, at.JOINT_WORK)

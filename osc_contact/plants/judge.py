@@ -62,24 +62,19 @@ class Truths:
 
 
 class TruthLog(Protocol):
-    """Notes what a plant knows, cheaply; it is worked out when it is asked for."""
-
-    parts: Sequence[Array]  #: vectors whose numbers at every instant the caller keeps
+    """Notes what a plant knows, cheaply; the truth is computed from the notes of many instants."""
 
     def note(self) -> None:
-        """Keep everything else about this instant."""
+        """Keep this instant."""
 
-    def noted(self, start: int, stop: int) -> Array:
-        """(stop − start, m) numbers that say what was kept of instants since `clear`.
-
-        m may grow; zeros behind fewer numbers say nothing more.
-        """
+    def noted(self, start: int = 0) -> Array:
+        """(k, m) numbers of the instants since `clear`, from one of them on; m is constant."""
 
     def clear(self) -> None:
         """Forget the instants noted so far."""
 
-    def truths(self, parts: Array, noted: Array) -> Truths:
-        """k instants, of which `parts` (k, …) and what was `noted` (k, m) are given."""
+    def truths(self, noted: Array) -> Truths:
+        """The truth at k instants, from what was `noted` (k, m)."""
 
 
 class Watched:
@@ -88,22 +83,21 @@ class Watched:
     def __init__(self, judge: Judge, contacts: Sequence[ContactPair]) -> None:
         """Watch a judge of these contacts."""
         self._judge, self._contacts = judge, contacts
-        self.parts: Sequence[Array] = ()
         self._noted: list[Array] = []
 
     def note(self) -> None:
         """Keep the truth of this instant."""
         self._noted.append(_numbers(self._judge.truth(), len(self._contacts)))
 
-    def noted(self, start: int, stop: int) -> Array:
-        """(stop − start, m): X_WO, V_O, 1 if faces move, closed, X_WE, alpha."""
-        return np.array(self._noted[start:stop])
+    def noted(self, start: int = 0) -> Array:
+        """(k, m): X_WO, V_O, 1 if faces move, closed, X_WE, alpha."""
+        return np.array(self._noted[start:])
 
     def clear(self) -> None:
         """Forget the instants noted so far."""
         self._noted.clear()
 
-    def truths(self, parts: Array, noted: Array) -> Truths:
+    def truths(self, noted: Array) -> Truths:
         """See `TruthLog.truths`."""
         c = len(self._contacts)
         X, V_O, moving, closed, faces, alpha = np.split(
@@ -142,8 +136,8 @@ class Judge(Protocol):
     def poses(self) -> Array:
         """(1 + arms, 4, 4) of the object and of the arms' tips, as they really are."""
 
-    def log(self, capacity: int) -> TruthLog:
-        """A log of the truth with room for `capacity` instants; more is made for more."""
+    def log(self) -> TruthLog:
+        """A log of the truth, nothing noted yet."""
 
 
 def require_duration(duration: float) -> None:

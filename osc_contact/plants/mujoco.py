@@ -255,9 +255,9 @@ class MujocoPlant:
 
     def truth(self) -> Truth:
         """As of the last step's beginning, like the wrenches; see `MujocoTruth`."""
-        log = self.log(1)
+        log = self.log()
         log.note()
-        return log.truths(np.concatenate(log.parts)[None], log.noted(0, 1))[0]
+        return log.truths(log.noted())[0]
 
     def poses(self) -> Array:
         """See `Judge.poses`; as of the last step's beginning."""
@@ -266,12 +266,12 @@ class MujocoPlant:
         X[:, :3, 3] = self.data.xpos[self._seen]
         return X
 
-    def log(self, capacity: int) -> MujocoTruth:
-        """A log of the truth with room for `capacity` instants."""
+    def log(self) -> MujocoTruth:
+        """A log of the truth."""
         inertia = self.chain.reference_inertia(pin.SE3.Identity())
         return MujocoTruth(
             (self.model, self.data), self._object, self._body_of, self.rails,
-            (self._face_q, self._guided), self.contacts, self.on, inertia, capacity,
+            (self._face_q, self._guided), self.contacts, self.on, inertia,
         )  # fmt: skip
 
     def command(self, tau: Array, duration: float) -> None:

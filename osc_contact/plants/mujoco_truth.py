@@ -16,7 +16,6 @@ from osc_contact.spatial import Array, Poses, cross
 
 __all__ = ["MujocoTruth"]
 
-_POINTS = 4  #: of contact that have room at first; more are made room for
 #: Of what the body takes. One that only seems to touch gets 1e-17 … 1e-7, by rounding and by the
 #: places of the points; one that does, 1e-3 and more.
 _PRESSES = 1e-5
@@ -39,7 +38,6 @@ class MujocoTruth:
         contacts: Sequence[ContactPair],
         on: Sequence[int],
         inertia: Array,
-        capacity: int,
     ) -> None:
         """Watch a plant.
 
@@ -52,107 +50,94 @@ class MujocoTruth:
                 each joint and whether it is the travel (0) or the angle (1).
             contacts: the pairs. on: the body of each.
             inertia: (6, 6) of the object at its origin, in its own axes.
-            capacity: instants there is room for; more is made for more.
         """
         model, self._data = plant
         self._rails, self._on, self._contacts = rails, on, tuple(contacts)
         self._travel, self._guided = guided
         d, root = self._data, int(model.body_rootid[body])
         self.place: pin.SE3 | None = None  #: of the object in that body
-        self.parts: Sequence[Array] = (
-            d.xpos[body], d.xmat[body], d.cvel[body], d.subtree_com[root],
-        )  # fmt: skip
-        self._travelled = np.zeros((capacity, len(self._travel)))
+        self._parts: tuple[Array, ...] = (
+            d.xpos[body],
+            d.xmat[body],
+            d.cvel[body],
+            d.subtree_com[root],
+        )
         self._body_of = np.full(model.ngeom, -1)
         self._body_of[list(body_of)] = list(body_of.values())
         self._Phi = np.linalg.inv(inertia)
-        self._count = self._seen = 0
-        self._contact: list[tuple[Array, Array]] = []
-        self._points = np.zeros(capacity, dtype=int)
-        self._geom = np.zeros((capacity, _POINTS, 2), dtype=np.int32)
-        self._address = np.zeros((capacity, _POINTS), dtype=np.int32)
-        self._force = np.zeros((capacity, 6 * _POINTS))  # of all constraints
-        self._place = np.zeros((capacity, _POINTS, 3))
-        self._frame = np.zeros((capacity, _POINTS, 9))
+        self._seen = -1
+        self._states: list[Array] = []
+        self._points: list[Array] = []
+        self._forces: list[Array] = []
 
     def note(self) -> None:
-        """Keep what moves about in memory: contacts, and where bodies on rails are."""
-        k, data = self._count, self._data
-        if k == len(self._points):
-            self._make_room()
+        """Keep where the object and bodies on rails are, and each contact with its force."""
+        data = self._data
+        parts = self._parts
         if len(self._travel):
-            self._travelled[k] = data.qpos[self._travel]
-        self._points[k] = n = data.ncon
-        if n:
-            if n != self._seen:
-                self._look(n)
-            force = data.efc_force
-            if len(force) > self._force.shape[1]:
-                self._force = _widened(self._force, len(force))
-            for rows, view in self._contact:
-                rows[k, :n] = view
-            self._force[k, : len(force)] = force
-        self._count = k + 1
+            parts = (*parts, data.qpos[self._travel])
+        self._states.append(np.concatenate(parts))
+        if data.ncon != self._seen:  # contacts stand at the start of MuJoCo's arena at every step
+            contact = data.contact
+            self._seen, self._address = data.ncon, contact.efc_address
+            self._contact = contact.geom, self._address[:, None], contact.pos, contact.frame[:, :3]
+        self._points.append(np.concatenate(self._contact, axis=1))
+        force = data.efc_force
+        self._forces.append(force.take(self._address) if len(force) else np.zeros(self._seen))
 
-    def _make_room(self) -> None:
-        """For twice as many instants."""
-        for name in ("_travelled", "_points", "_geom", "_address", "_force", "_place", "_frame"):
-            rows = getattr(self, name)
-            setattr(self, name, np.concatenate((rows, np.zeros_like(rows))))
-        self._seen = 0  # look for the contacts again, to write into the new rows
+    def noted(self, start: int = 0) -> Array:
+        """(k, m): R, p and twist of the object, where bodies on rails are, and of each body
 
-    def _look(self, n: int) -> None:
-        """Find n contacts in memory; they lie at the start of MuJoCo's arena at every step."""
-        if n > self._place.shape[1]:
-            for name in ("_geom", "_address", "_place", "_frame"):
-                setattr(self, name, _widened(getattr(self, name), n))
-        contact, self._seen = self._data.contact, n
-        self._contact = [
-            (self._geom, contact.geom), (self._address, contact.efc_address),
-            (self._place, contact.pos), (self._frame, contact.frame),
-        ]  # fmt: skip
-
-    def noted(self, start: int, stop: int) -> Array:
-        """(stop − start, m): where bodies on rails are; of each point where the object touches
-
-        the number of its body, from 1, 0 for no point; 1 if it presses; its place; its force.
+        the wrench into it at O and whether it is touched.
         """
-        rows = slice(start, stop)
-        count = self._points[rows]
-        points = np.zeros((stop - start, int(count.max(initial=0)), 8))
-        for i in range(points.shape[1]):
-            first, second = self._body_of[self._geom[rows, i]].T
-            address = self._address[rows, i]
-            presses = address >= 0
-            normal = self._frame[rows, i, :3]  # from the first geom to the second
-            force = np.where(presses, self._force[np.arange(start, stop), address], 0.0)
-            out = points[:, i]
-            touches = np.minimum(first, second) == -1  # the object is one of the two
-            out[:, 0] = np.where(touches, 1 + np.maximum(first, second), 0)
-            out[:, 1], out[:, 2:5] = presses, self._place[rows, i]
-            out[:, 5:] = force[:, None] * np.where(first < 0, normal.T, -normal.T).T
-            out[i >= count] = 0.0
-        return np.concatenate((self._travelled[rows], points.reshape(stop - start, -1)), axis=1)
-
-    def clear(self) -> None:
-        """Forget the instants noted so far."""
-        self._count = 0
-
-    def truths(self, parts: Array, noted: Array) -> Truths:
-        """k instants: `parts` (k, 21), and what was `noted` (k, m)."""
-        k, rails = len(parts), len(self._travel)
-        p, R, velocity, centre = np.split(parts.T.copy(), [3, 12, 18])
+        p, R, velocity, centre, travelled = np.split(
+            np.array(self._states[start:]).T, [3, 12, 18, 21]
+        )
+        k = p.shape[1]
         R = R.reshape(3, 3, k)
         if self.place is not None:
             p = p + np.einsum("ijk,j->ik", R, self.place.translation)
             R = np.einsum("ijk,jl->ilk", R, self.place.rotation)
-        X_WO = Poses(R, p)
-        v, omega = velocity[3:] + cross(velocity[:3], p - centre), velocity[:3]
-        X_WE = self._faces(noted[:, :rails])
+        omega = velocity[:3]
+        v = velocity[3:] + cross(omega, p - centre)
+        parts = (R.reshape(9, k), p, v, omega, travelled, *self._wrenches(p, start))
+        return np.concatenate(parts).T
+
+    def _wrenches(self, O: Array, start: int) -> tuple[Array, Array]:  # noqa: E741
+        """Into each body: (6 bodies, k) at O (3, k), and whether it is touched (bodies, k)."""
+        k, bodies = O.shape[1], len(self._rails)
+        pushed = np.zeros((bodies, k, 6))
+        touched = np.zeros((bodies, k))
+        points = np.concatenate(self._points[start:])
+        first, second = self._body_of[points[:, :2].astype(int)].T
+        body = np.maximum(first, second)
+        here = (np.minimum(first, second) == -1) & (body >= 0)  # the object is one of the two
+        tick = np.repeat(np.arange(k), [len(one) for one in self._points[start:]])
+        presses = points[:, 2] >= 0.0
+        size = np.where(presses, np.concatenate(self._forces[start:]), 0.0)
+        # the normal points from the first geom to the second
+        f = np.where(first < 0, size, -size) * points[:, 6:].T
+        wrench = np.concatenate((f, cross(points[:, 3:6].T - O[:, tick], f)))
+        body, tick = body[here], tick[here]
+        np.add.at(pushed, (body, tick), wrench[:, here].T)
+        np.logical_or.at(touched, (body, tick), presses[here])
+        return pushed.transpose(0, 2, 1).reshape(-1, k), touched
+
+    def clear(self) -> None:
+        """Forget the instants noted so far."""
+        for notes in (self._states, self._points, self._forces):
+            notes.clear()
+
+    def truths(self, noted: Array) -> Truths:
+        """See `TruthLog.truths`."""
+        k, bodies = len(noted), len(self._rails)
+        sizes = [9, 3, 6, len(self._travel), 6 * bodies]
+        R, p, V_O, travelled, pushed, touched = np.split(noted.T.copy(), np.cumsum(sizes))
+        X_WO = Poses(R.reshape(3, 3, k), p)
+        X_WE = self._faces(travelled.T)
         N = tuple(normals_over(q, X_WO, X) for q, X in zip(self._contacts, X_WE, strict=True))
-        pushed, touched = self._wrenches(p, noted[:, rails:].reshape(k, -1, 8))
-        alpha, closed = self._shares(X_WO, N, pushed, touched)
-        return Truths(alpha, closed, X_WO, np.concatenate((v, omega)).T.copy(), X_WE, N)
+        alpha, closed = self._shares(X_WO, N, pushed.reshape(bodies, 6, k), touched > 0.0)
+        return Truths(alpha, closed, X_WO, V_O.T.copy(), X_WE, N)
 
     def _faces(self, travelled: Array) -> tuple[Poses | None, ...]:
         """Of each contact the poses of its body; None for all where no body can move."""
@@ -167,20 +152,6 @@ class MujocoTruth:
             for rail, path in zip(self._rails, s, strict=True)
         ]
         return tuple(poses[body] for body in self._on)
-
-    def _wrenches(self, O: Array, points: Array) -> tuple[Array, Array]:  # noqa: E741
-        """Into each body: (bodies, 6, k) at O, and whether it is touched (bodies, k)."""
-        k = len(points)
-        pushed = np.zeros((len(self._rails), 6, k))
-        touched = np.zeros((len(self._rails), k), dtype=bool)
-        for body_from_1, presses, *place, fx, fy, fz in points.transpose(1, 2, 0):
-            f = np.array((fx, fy, fz))
-            wrench = np.concatenate((f, cross(np.array(place) - O, f)))
-            for body in range(len(pushed)):
-                here = body_from_1 == body + 1
-                pushed[body] += np.where(here, wrench, 0.0)
-                touched[body] |= here & (presses > 0.0)
-        return pushed, touched
 
     def _shares(
         self, X_WO: Poses, N: Sequence[Array], pushed: Array, touched: Array
@@ -212,11 +183,6 @@ class MujocoTruth:
     def _mobility(self, wrenches: Array) -> Array:
         """√(fᵀΦf) (m, k), what the object alone would feel of wrenches (6, m, k) in its axes."""
         return np.sqrt((wrenches * np.tensordot(self._Phi, wrenches, 1)).sum(axis=0))
-
-
-def _widened(rows: Array, wanted: int) -> Array:
-    """Room for twice as many as wanted along the second axis."""
-    return np.pad(rows, [(0, 0), (0, 2 * wanted - rows.shape[1]), (0, 0)][: rows.ndim])
 
 
 def _in_axes_of(X: Poses, wrenches: Array) -> Array:

@@ -283,9 +283,9 @@ class MujocoRobot(MujocoPlant):
         tip: Array = self._tip.homogeneous
         return super().poses() @ tip
 
-    def log(self, capacity: int) -> MujocoTruth:
-        """A log of the truth of up to `capacity` instants."""
-        log = super().log(capacity)
+    def log(self) -> MujocoTruth:
+        """A log of the truth."""
+        log = super().log()
         log.place = self._tip
         return log
 

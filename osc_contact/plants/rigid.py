@@ -132,8 +132,8 @@ class RigidPlant:
         faces = tuple(bodies[body] for body in self.on)
         return Truth(solution.alpha, np.ones(len(self.contacts), dtype=bool), X, V, faces)
 
-    def log(self, capacity: int) -> Watched:
-        """A log of the truth with room for `capacity` instants."""
+    def log(self) -> Watched:
+        """A log of the truth."""
         return Watched(self, self.contacts)
 
     def _now(self) -> tuple[Solution, tuple[pin.SE3, Array]]:

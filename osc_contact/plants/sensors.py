@@ -186,9 +186,9 @@ class SensedPlant:
         """Of the plant inside."""
         return self.plant.poses()
 
-    def log(self, capacity: int) -> TruthLog:
+    def log(self) -> TruthLog:
         """Of the plant inside."""
-        return self.plant.log(capacity)
+        return self.plant.log()
 
     def measure(self) -> Measurement:
         """What has arrived by now, and when it was sampled."""

@@ -3,21 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
 from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
+from osc_contact.control.controller import Controller
 from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.control.phases import Phase
 from osc_contact.plants.judge import TruthLog, Truths
 from osc_contact.runs.contacts import feet_over
 from osc_contact.runs.free_motion import free_parts
-from osc_contact.runs.log import Subject, blocks
 from osc_contact.spatial import Array, Poses, cross
 
-__all__ = ["Monitor", "Tick", "channels", "work_out"]
+__all__ = ["Monitor", "Subject", "Tick", "channels", "work_out"]
+
+_TOGETHER = 1000  #: rows whose channels are worked out together
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is recorded.
+
+    Attributes:
+        controller: whose ticks are noted.
+        pairs: the true contacts. placements: X_WB of the body of each at the start.
+        owners: (r,) the contact of each force magnitude.
+        free: whether the arms can move the object in all six directions.
+    """
+
+    controller: Controller
+    pairs: tuple[ContactPair, ...]
+    placements: tuple[pin.SE3, ...]
+    owners: Array
+    free: bool
+
+    @cached_property
+    def pushing(self) -> NDArray[np.bool_]:
+        """(r,) whether each force magnitude must not become negative."""
+        return np.array([pushes_only(self.pairs[i]) for i in self.owners], dtype=bool)
 
 
 def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict[str, Array]:
@@ -30,7 +60,7 @@ def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict
     k, controller = len(rows), of.controller
     alpha, speed = rows["alpha"], rows["speed"]
     phase = _phases(of, rows)
-    truth = _believed(of, rows, phase) if log is None else _judged(log, rows)
+    truth = _believed(of, rows, phase) if log is None else log.truths(rows["truth"])
     N, points, directions = _lines(of, truth, k)
     wrench = rows["f_meas"] - rows["bias_out"]
     projected = (speed * alpha).sum(axis=1)  # V_relᵀNα, whatever the faces do
@@ -100,8 +130,30 @@ def work_out(
         parts: of the journal: index of the first row, and (rows, columns) numbers.
     """
     monitor = Monitor(of)
-    for first, rows in blocks(parts):
+    for first, rows in _blocks(parts):
         yield channels(of, log, first, rows) | monitor.channels(rows)
+
+
+def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
+    """Rows of a journal cut at every 1,000 ticks, wherever its chunks end.
+
+    Args:
+        parts: number of the first row, rows; in order.
+    """
+    begin, waiting = 0, np.zeros(0)
+    for first, rows in parts:
+        if len(waiting) and first != begin + len(waiting):
+            yield begin, waiting
+            waiting = np.zeros(0)
+        if not len(waiting):
+            begin, waiting = first, rows
+        else:
+            waiting = np.concatenate((waiting, rows))
+        while (cut := _TOGETHER - begin % _TOGETHER) <= len(waiting):
+            yield begin, waiting[:cut]
+            begin, waiting = begin + cut, waiting[cut:]
+    if len(waiting):
+        yield begin, waiting
 
 
 class Tick(Mapping[str, Any]):
@@ -130,17 +182,13 @@ class Tick(Mapping[str, Any]):
 def _phases(of: Subject, rows: Array) -> Array:
     """(k, contacts)"""
     if "phase" in (rows.dtype.names or ()):
-        return rows["phase"].astype(np.int64)
+        return (rows["phase"] * rows["active"]).astype(np.int64)  # OPEN is 0
     all_of_them = np.where(rows["engaged"] > 0.0, Phase.CLOSED, Phase.OPEN)
     return np.repeat(all_of_them, len(of.pairs), axis=1).astype(np.int64)
 
 
 def _squeeze_cmd(wanted: Array) -> Array:
     return wanted[:, 0] if np.isnan(wanted[:, 1:]).all() else wanted
-
-
-def _judged(log: TruthLog, rows: Array) -> Truths:
-    return log.truths(rows["truth"], rows["noted"])
 
 
 def _believed(of: Subject, rows: Array, phase: Array) -> Truths:

@@ -37,7 +37,7 @@ def recover(
     journal = Journal(source)
     rig = build_rig(scenario_of(journal.about, source, folder))
     plant, controller = rig.plant(int(journal.about.get("seed", 0))), rig.controller()
-    recording = recording_of(rig.subject(controller), plant.log(1), journal, journal.about)
+    recording = recording_of(rig.subject(controller), plant.log(), journal, journal.about)
     ticks = round(rig.scenario.duration * rig.scenario.control.rate)
     missing = list(journal.missing)
     if len(recording) < ticks:

@@ -30,6 +30,7 @@ from osc_contact.plants.judge import Plant
 from osc_contact.plants.sensors import SensedPlant
 from osc_contact.response import require_reachable
 from osc_contact.runs import faces, hardware
+from osc_contact.runs.channels import Subject
 from osc_contact.runs.contacts import (
     EnvironmentBody,
     build_pairs,
@@ -38,7 +39,6 @@ from osc_contact.runs.contacts import (
     pose_of,
     require_own_pairs,
 )
-from osc_contact.runs.log import Subject
 from osc_contact.runs.plants import Parts, make_plant
 from osc_contact.runs.references import References, force_owners
 from osc_contact.runs.start import asked_pose, posture_of, standoff_of, touching

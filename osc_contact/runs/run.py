@@ -111,8 +111,8 @@ def run_rig(
         except PlantError as error:
             error.recording = recorder.recording()
             raise
-    if asked() and recorder.log.count < ticks:
-        ended = recorder.log.count * controller.dt
+    if asked() and recorder.count < ticks:
+        ended = recorder.count * controller.dt
         interrupted = Interrupted(f"ended on request at t = {ended:g} s")
         interrupted.recording = recorder.recording({"ended_s": ended})
         raise interrupted
