@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import mmap
 import os
 import struct
 import zipfile
@@ -10,7 +11,7 @@ import zlib
 from collections.abc import Mapping
 from math import prod
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,7 @@ from numpy.lib import format as npy
 
 from osc_contact.errors import RecordingError
 from osc_contact.files import whole_file
-from osc_contact.recorder.columns import IN_MEMORY, Column, OpenFile, pieces
+from osc_contact.recorder.columns import IN_MEMORY
 
 __all__ = ["TEXT", "checksum", "read_archive", "write_archive"]
 
@@ -35,7 +36,7 @@ _UNREADABLE = (
 )  # fmt: skip
 
 
-def write_archive(target: Path, text: str, arrays: Mapping[str, Array | Column]) -> None:
+def write_archive(target: Path, text: str, arrays: Mapping[str, Array]) -> None:
     """Write one .npz file: complete under its final name, or not there at all.
 
     Args:
@@ -55,22 +56,12 @@ def write_archive(target: Path, text: str, arrays: Mapping[str, Array | Column])
         raise RecordingError(f"cannot write the recording {target}: {error}") from error
 
 
-def _write_entry(archive: zipfile.ZipFile, name: str, values: Array | Column) -> None:
-    header = {
-        "descr": npy.dtype_to_descr(values.dtype),
-        "fortran_order": False,
-        "shape": values.shape,
-    }
+def _write_entry(archive: zipfile.ZipFile, name: str, values: Array) -> None:
     with archive.open(zipfile.ZipInfo(f"{name}.npy", _DATE), "w", force_zip64=True) as entry:
-        npy.write_array_header_1_0(entry, header)
-        if len(values.shape):
-            for piece in pieces(values):
-                entry.write(piece.tobytes())
-        else:
-            entry.write(np.asarray(values).tobytes())
+        npy.write_array(entry, np.asarray(values, order="C"), allow_pickle=False)
 
 
-def read_archive(source: Path) -> tuple[str, dict[str, Array | Column]]:
+def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
     """The text and the arrays of an .npz file; large arrays stay in the file until they are read.
 
     Sizes are judged by the headers before anything is unpacked; all checksums are verified.
@@ -82,17 +73,16 @@ def read_archive(source: Path) -> tuple[str, dict[str, Array | Column]]:
         raise RecordingError(f"no recording {source}: there is no such file")
     try:
         with open(source, "rb") as file, zipfile.ZipFile(file) as archive:
-            kept = OpenFile(file.fileno())
             entries = {info.filename: info for info in archive.infolist()}
             _require_size(source, list(entries.values()), os.fstat(file.fileno()).st_size)
             large = sum(info.file_size for info in entries.values()) > IN_MEMORY
-            arrays: dict[str, Array | Column] = {}
+            arrays: dict[str, Array] = {}
             for name, info in entries.items():
                 stays = large and info.compress_type == zipfile.ZIP_STORED
-                array = _column(archive, info, kept) if stays else _array(archive, info)
+                array = _mapped(archive, info, file) if stays else _array(archive, info)
                 arrays[name.removesuffix(".npy")] = array
         text = arrays.pop(TEXT)
-        return str(np.asarray(text.read() if isinstance(text, Column) else text)[()]), arrays
+        return str(np.asarray(text)[()]), arrays
     except zipfile.BadZipFile as error:
         name = str(error).partition("'")[2].rstrip("'")
         damage = f"the checksum of {name} is wrong" if "CRC" in str(error) else str(error)
@@ -135,15 +125,16 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Array:
     return np.frombuffer(data, dtype, offset=start).reshape(shape, order=order).copy()
 
 
-def _column(archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: OpenFile) -> Array | Column:
+def _mapped(archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: IO[bytes]) -> Array:
     with archive.open(info) as entry:
         dtype, shape, start, order = _header(info, entry)
         while entry.read(1 << 20):  # verifies the checksum
             pass
     if not shape or order == "F":
         return _array(archive, info)
-    names = struct.unpack("<HH", os.pread(file.number, 4, info.header_offset + 26))
-    return Column(file, info.header_offset + 30 + sum(names) + start, dtype, shape)
+    whole = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    names = struct.unpack_from("<HH", whole, info.header_offset + 26)
+    return np.ndarray(shape, dtype, whole, info.header_offset + 30 + sum(names) + start)
 
 
 def _header(

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from osc_contact.errors import RecordingError
 from osc_contact.recorder.archive import TEXT, checksum, read_archive, write_archive
-from osc_contact.recorder.columns import Column
+from osc_contact.recorder.columns import is_mapped, read_column
 from osc_contact.recorder.exports import write_csv, write_mcap
 
 __all__ = ["Recording"]
@@ -29,14 +29,13 @@ Array = npt.NDArray[Any]
 
 
 class Channels(Mapping[str, Array]):
-    """Channels that may stay on disk; such a one is read whole each time it is asked for."""
+    """Channels that may stay on disk; such a one is read whole at each access."""
 
-    def __init__(self, columns: dict[str, Array | Column]) -> None:
+    def __init__(self, columns: dict[str, Array]) -> None:
         self.columns = columns
 
     def __getitem__(self, name: str) -> Array:
-        column = self.columns[name]
-        return column.read() if isinstance(column, Column) else column
+        return read_column(self.columns[name])
 
     def __setitem__(self, name: str, values: Array) -> None:
         self.columns[name] = values
@@ -75,13 +74,11 @@ class Recording:
     Raises:
         RecordingError: meta is not JSON-able, or the channels do not fit together."""
 
-    def __init__(
-        self, meta: Mapping[str, Any], channels: Mapping[str, npt.ArrayLike | Column]
-    ) -> None:
+    def __init__(self, meta: Mapping[str, Any], channels: Mapping[str, npt.ArrayLike]) -> None:
         self.meta: dict[str, Any] = Meta(_plain(meta))
-        columns: dict[str, Array | Column] = {}
+        columns: dict[str, Array] = {}
         for name, values in channels.items():
-            array = values if isinstance(values, Column) else np.asarray(values)
+            array = np.asarray(values)
             _check_name(name)
             if array.dtype.kind not in "biuf" or len(array.shape) < 1:
                 raise RecordingError(
@@ -122,16 +119,12 @@ class Recording:
         rows = {}
         for name in names or self.channels:
             self._require(name)
-            column = self.channels.columns[name]
-            if isinstance(column, Column):
-                rows[name] = column.read(start, stop)
-            else:
-                rows[name] = column[start:stop]
+            rows[name] = read_column(self.channels.columns[name], start, stop)
         return rows
 
     def pieces(self, *names: str) -> Iterator[dict[str, Array]]:
         """All ticks of some channels, some thousand at a time."""
-        stays = any(isinstance(column, Column) for column in self.channels.columns.values())
+        stays = any(map(is_mapped, self.channels.columns.values()))
         many = _FROM_DISK if stays else _PIECE
         for start in range(0, len(self), many):
             yield self.rows(start, start + many, *names)
@@ -231,7 +224,7 @@ def _text(**content: Any) -> str:
     return json.dumps({"format": _FORMAT, **content}, allow_nan=False)
 
 
-def _read(source: Path) -> tuple[dict[str, Any], dict[str, Array | Column]]:
+def _read(source: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     text, columns = read_archive(source)
     try:
         content = json.loads(text)

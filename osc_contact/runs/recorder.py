@@ -171,8 +171,9 @@ class Recorder:
             cost = self.of.controller.given_up
             if cost is not None and len(cost.force) == len(self._given_up):
                 self._given_up[:] = cost.force
-        plain = status is Status.OK and isinstance(squeeze, float)
-        self._squeeze = squeeze if plain else None
+        self._squeeze = None
+        if status is Status.OK and isinstance(squeeze, float):
+            self._squeeze = squeeze
 
     def _found(self, measurement: Measurement) -> list[Array]:
         """What the last tick found: views of the controller's records."""
