@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import os
 import tempfile
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -60,12 +61,13 @@ def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]
                     file.seek(offsets[name] + start * values[0].nbytes)
                     file.write(values.tobytes())
                 start += len(values)
+            file.write(bytes(size - file.seek(0, os.SEEK_END)))  # channels without numbers
             file.seek(0)
             whole: Any = bytearray()
             if size > IN_MEMORY:
                 file.flush()
                 whole = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
-            elif size:
+            else:
                 whole = bytearray(file.read())
     except OSError as error:
         raise RecordingError(f"no room for a recording's channels: {error}") from error
