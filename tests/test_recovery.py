@@ -112,7 +112,7 @@ def test_a_run_goes_on_when_the_disk_is_full(tmp_path, whole):
     *loop, last = said.splitlines()
     assert loop[-1] == "1.2", "the loop went on"
     assert complaints.startswith("recording stops after") and "File too large" in complaints
-    assert complaints.endswith("; the loop goes on\n") and complaints.count("\n") == 1
+    assert complaints.endswith("; the loop continues\n") and complaints.count("\n") == 1
     found = osc.recover(tmp_path / "unfinished.mcap")
     assert 200 < len(found) < 1000
     same(found, whole)

@@ -26,7 +26,11 @@ def is_mapped(column: Array) -> bool:
 
 
 def read_column(column: Array, start: int = 0, stop: int | None = None) -> Array:
-    """The rows start to stop − 1: of a mapped file a copy, and its pages are given back."""
+    """Rows of a column: of a mapped file a copy, and its pages are given back.
+
+    Args:
+        column: of a recording. start, stop: the rows start to stop − 1.
+    """
     if not is_mapped(column):
         return column[start:stop]
     rows = np.array(column[start:stop])
