@@ -11,7 +11,7 @@ from osc_contact.contacts.detection import collision_shapes
 from osc_contact.recorder.memory import MemoryJournal
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.run import run_rig, start
-from osc_contact.sweeps.workshop import Workshop
+from osc_contact.sweeps.rows import Workshop
 
 
 def compare(one: osc.Recording, other: osc.Recording) -> None:
