@@ -12,13 +12,13 @@ import pinocchio as pin
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.pairs import ContactPair, VertexOnFace
-from osc_contact.control.controller import Controller, Gains, Status
-from osc_contact.control.phases import PhaseSettings
+from osc_contact.control.controller import Controller, Status
 from osc_contact.dynamics.assembly import close, object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.rigid import RigidPlant
+from osc_contact.scenarios.control_schema import Gains, PhaseSettings
 from osc_contact.spatial import Array
 
 DT = 1e-3
@@ -48,8 +48,7 @@ def require_status(controller: Controller, name: str, expected: Status = Status.
 
 def repeatable(controller: Controller) -> Controller:
     """The same controller, to be ticked with the very same readings again and again."""
-    endless = replace(
-        controller.settings.safety,
+    endless = controller.settings.safety.replaced(
         stuck_speed=np.inf,
         frozen_time=np.inf,
         speed_error=np.inf,

@@ -27,11 +27,11 @@ import numpy as np
 
 import osc_contact as osc
 from osc_contact.plants.mujoco import MujocoPlant
-from osc_contact.plants.pushes import Push
 from osc_contact.runs.preflight import least_peak
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.run import Taring, start
 from osc_contact.scenarios.contact_schema import CartSpec
+from osc_contact.scenarios.hardware import Push
 
 FORCES = (5.0, 20.0, 60.0, 120.0, 200.0)  #: N
 DURATIONS = (0.05, 0.1)  #: s
@@ -126,7 +126,7 @@ def push_arm(
             if good * dt >= _SETTLING:
                 begin = k * dt
                 arm = next(a.name for a in rig.model.arms if a.wrist_sensor is not None)
-                push = Push(arm, force * _direction(rig, direction), begin, duration)
+                push = Push(arm, (force * _direction(rig, direction)).tolist(), begin, duration)
                 truth.pushes = (*truth.pushes, push)
                 first = k + round(duration / dt)
                 last = first + after

@@ -34,6 +34,7 @@ extensions = [
     "mathml",
     "notebooks",
     "pairs",
+    "scenario_keys",
     "typesetting",
 ]
 nitpicky = True

@@ -34,11 +34,9 @@ if TYPE_CHECKING:  # each is imported when it is first asked for, see __getattr_
     )
     from osc_contact.contacts.raibert_craig import RaibertCraig
     from osc_contact.control.batch import BatchController
-    from osc_contact.control.controller import Controller, Gains, Status
-    from osc_contact.control.force import ForceGains
+    from osc_contact.control.controller import Controller, Status
     from osc_contact.control.laws import Laws
-    from osc_contact.control.motion import MotionGains
-    from osc_contact.control.safety import SafetySettings, SafetyState
+    from osc_contact.control.safety import SafetyState
     from osc_contact.control.set_point import PoseSetPoint, SetPoint, SetPointState
     from osc_contact.dynamics.arm import Arm
     from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
@@ -75,6 +73,14 @@ if TYPE_CHECKING:  # each is imported when it is first asked for, see __getattr_
     from osc_contact.runs.run import run
     from osc_contact.runs.viewing import open_viewer
     from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
+    from osc_contact.scenarios.control_schema import (
+        ForceGains,
+        Friction,
+        Gains,
+        MotionGains,
+        PhaseSettings,
+        SafetySettings,
+    )
     from osc_contact.sweeps.sweep import sweep
     from osc_contact.sweeps.vector_env import make_vector_env
     from osc_contact.visual.live import Viewer
@@ -110,6 +116,8 @@ __all__ = [
     "Gains",
     "MotionGains",
     "ForceGains",
+    "PhaseSettings",
+    "Friction",
     "Laws",
     "Status",
     "SafetySettings",

@@ -279,7 +279,7 @@ def measured_coupling(rig: osc.Rig, law: Law, instant: Instant) -> Coupling:
     at_rest = rig.references.at(0.0)
     r = instant.contact.r
     n = instant.free.shape[1]
-    gains = replace(rig.gains, force=replace(rig.gains.force, rise=0.0))
+    gains = rig.gains.replaced(force=rig.gains.force.replaced(rise=0.0))
 
     def answer(reference: Reference) -> Array:
         controller = law.install(rig.controller().with_gains(gains))

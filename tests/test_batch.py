@@ -14,7 +14,7 @@ from grasp_rigs import random_case
 from rigs import one_panda, random_faces, random_state, scara_pair
 
 import osc_contact as osc
-from osc_contact.control.phases import PhaseSettings
+from osc_contact.scenarios.control_schema import PhaseSettings
 
 GAINS = osc.Gains(osc.MotionGains(400, 40, 2000), osc.ForceGains(30, 5))
 

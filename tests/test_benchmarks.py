@@ -250,10 +250,9 @@ def test_a_timed_batch_is_its_single_ticks_and_every_row_is_checked(threads: int
 def test_textbook_law_gives_our_torques(name: str) -> None:
     """Without force integral: what the textbook's Ω_f(Λ_o) leaves out changes no torque then."""
     case = (CASES | SPECIAL_CASES)[name]()
-    gains = replace(
-        case.gains,
-        force=replace(case.gains.force, integral=0.0, rise=0.0),
-        motion=replace(case.gains.motion, integral=2000.0),
+    gains = case.gains.replaced(
+        force=case.gains.force.replaced(integral=0.0, rise=0.0),
+        motion=case.gains.motion.replaced(integral=2000.0),
     )
     rng = np.random.default_rng(50)
     for _ in range(5):  # what is wanted varies

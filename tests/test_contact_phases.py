@@ -13,10 +13,9 @@ from rigs import panda_pair, random_faces, random_state, scara_pair
 from test_law import UNLIMITED, inputs
 
 import osc_contact as osc
-from osc_contact.control.force import ForceGains
-from osc_contact.control.friction import Friction
-from osc_contact.control.phases import Phase, PhaseSettings
+from osc_contact.control.phases import Phase
 from osc_contact.runs.run import start
+from osc_contact.scenarios.control_schema import ForceGains, Friction, PhaseSettings
 from paper.contact_phases import (
     answers,
     collisions,

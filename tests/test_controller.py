@@ -14,9 +14,9 @@ from grasp_oracle import kkt
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
-from osc_contact.control.motion import MotionGains
 from osc_contact.control.safety import SafetyState
 from osc_contact.control.signals import SIGNALS
+from osc_contact.scenarios.control_schema import MotionGains
 
 
 @pytest.fixture(scope="module")

@@ -15,10 +15,9 @@ from test_decoupling import in_contact
 import osc_contact as osc
 from benchmarks.cases import CASES
 from osc_contact.control.controller import Controller
-from osc_contact.control.force import ForceGains
-from osc_contact.control.motion import MotionGains
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.rigid import RigidPlant
+from osc_contact.scenarios.control_schema import ForceGains, MotionGains
 
 GAINS = osc.Gains(MotionGains(400, 40, 2000), ForceGains(30, 5))
 FORCE, SQUEEZE, TORQUE, POSTURE, FLOOR = 1e-3, 1e-5, 1e-7, 0.1, 1.0

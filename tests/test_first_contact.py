@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import osc_contact as osc
-from osc_contact.control.phases import PhaseSettings
+from osc_contact.scenarios.control_schema import PhaseSettings
 
 PAGE = (Path(__file__).parents[1] / "docs" / "own_loop.md").read_text(encoding="utf-8")
 MJCF = re.search(r'MJCF = """\n(.*?)"""', PAGE, re.DOTALL)

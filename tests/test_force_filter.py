@@ -138,7 +138,7 @@ def test_the_force_law_integrates_and_damps_and_has_no_proportional_part():
 
 @pytest.mark.parametrize("bad", [{"integral": -1.0}, {"damping": float("nan")}])
 def test_bad_force_gains_are_refused(bad):
-    with pytest.raises(osc.InvalidInputError, match="gain"):
+    with pytest.raises(osc.InvalidInputError, match="ForceGains"):
         osc.ForceGains(**bad)
 
 

@@ -12,8 +12,9 @@ from test_effort_limits import weakened
 from test_moving_environment import hardware, object_acceleration, seen, squeeze_of
 
 import osc_contact as osc
-from osc_contact.control.friction import Friction
+from osc_contact.control.friction import friction_wrenches
 from osc_contact.dynamics.environment import Environment
+from osc_contact.scenarios.control_schema import Friction
 
 
 def by_hand(pair, X_WO, V_O, mu):
@@ -31,7 +32,7 @@ def test_the_drag_is_coulombs_law():
     friction = Friction(0.3, slip=1e-9)
     for _ in range(50):
         state, _, pairs, *_ = in_contact(scara_pair(), rng)
-        got = friction.wrenches(pairs, state.X_WO, state.V_O, None)
+        got = friction_wrenches(friction, pairs, state.X_WO, state.V_O, None)
         for column, pair in zip(got.T, pairs, strict=True):
             np.testing.assert_allclose(column, by_hand(pair, state.X_WO, state.V_O, 0.3), atol=1e-9)
             assert column[:3] @ pair.normal == pytest.approx(0.0, abs=1e-12)
@@ -43,9 +44,9 @@ def test_friction_takes_power_from_the_object_and_fades_at_rest():
     V = state.V_O
     friction = Friction(0.2, slip=1e-3)
     assert (
-        V @ friction.wrenches(pairs, state.X_WO, V, None)
+        V @ friction_wrenches(friction, pairs, state.X_WO, V, None)
     ).min() > 0.0  # given to the environment
-    slow = friction.wrenches(pairs, state.X_WO, 1e-6 * V / np.abs(V).max(), None)
+    slow = friction_wrenches(friction, pairs, state.X_WO, 1e-6 * V / np.abs(V).max(), None)
     assert np.abs(slow).max() < 1e-3
 
 
@@ -58,7 +59,7 @@ def test_only_motion_relative_to_a_moving_face_counts():
     V_E[:, :3] += np.cross(state.V_O[3:], -state.X_WO.translation)
     touched = osc.interface.Touched(X_WE, V_E, np.zeros_like(V_E))
     np.testing.assert_allclose(
-        Friction(0.3).wrenches(pairs, state.X_WO, state.V_O, touched), 0.0, atol=1e-9
+        friction_wrenches(Friction(0.3), pairs, state.X_WO, state.V_O, touched), 0.0, atol=1e-9
     )
 
 
@@ -69,10 +70,10 @@ def test_the_filter_is_exact_for_sliding_contacts_and_errs_without():
     for _ in range(50):
         state, contact, pairs, q, v = in_contact(scara_pair(), rng)
         alpha = rng.uniform(5, 15, contact.N.shape[1])
-        friction_wrenches = friction.wrenches(pairs, state.X_WO, state.V_O, None)
+        wrenches = friction_wrenches(friction, pairs, state.X_WO, state.V_O, None)
         a = np.linalg.lstsq(contact.N.T, contact.n_gamma, rcond=None)[0]
         a = a + contact.T @ rng.normal(size=contact.T.shape[1])
-        f_meas = state.Lambda_out @ a + state.bias_out + (contact.N + friction_wrenches) @ alpha
+        f_meas = state.Lambda_out @ a + state.bias_out + (contact.N + wrenches) @ alpha
         for believed in (friction, None):
             controller = osc.Controller(scara_pair(), pairs, friction=believed)
             controller.f_tare = -f_meas  # the wrists themselves say nothing
@@ -89,7 +90,12 @@ def test_the_filter_is_exact_for_sliding_contacts_and_errs_without():
 def sliding(s, mu):
     """What a controller of the scene is given, friction, and (6, r) wrenches: all slide."""
     (pairs, how), friction = seen(s), Friction(mu, slip=1e-9)
-    return pairs, how, friction, friction.wrenches(pairs, s.state.X_WO, s.state.V_O, how["touched"])
+    return (
+        pairs,
+        how,
+        friction,
+        friction_wrenches(friction, pairs, s.state.X_WO, s.state.V_O, how["touched"]),
+    )
 
 
 YIELDING = ("prescribed", "rail", "hinge", "free body", "rail and free body", "hinged face",
@@ -165,7 +171,7 @@ def test_without_compensation_friction_costs_twice_as_much():
 def test_friction_on_contacts_without_known_points_is_refused():
     chain = scara_pair()
     pair = osc.Revolute(np.zeros(3), np.array([0.0, 0.0, 1.0]), name="hinge")
-    with pytest.raises(osc.InvalidInputError, match=r"hinge.*where it touches"):
+    with pytest.raises(osc.InvalidInputError, match=r"hinge.*points of contact"):
         osc.Controller(chain, [pair], friction=Friction(0.1))
 
 

@@ -13,8 +13,8 @@ from test_grasps import in_millimetres
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.control.safety import SafetySettings
 from osc_contact.dynamics import chain_rows
+from osc_contact.scenarios.control_schema import SafetySettings
 
 DT = 1e-3
 K = 10 * np.pi  # 1/s: 5 Hz
@@ -37,8 +37,8 @@ def test_gains_in_words_and_the_numbers_they_stand_for():
     assert osc.ForceGains() == osc.ForceGains(bandwidth=5.0, damping_ratio=0.7, rise=0.25)
     plain = osc.ForceGains(30, 100)
     assert (plain.integral, plain.damping, plain.brake, plain.rise) == (30, 100, 0, 0)
-    assert replace(force, rise=0.0).brake == force.brake
-    assert replace(motion, integral=0.0).stiffness == motion.stiffness
+    assert force.replaced(rise=0.0).brake == force.brake
+    assert motion.replaced(integral_time=None).stiffness == motion.stiffness
 
 
 @pytest.mark.parametrize(
@@ -46,10 +46,10 @@ def test_gains_in_words_and_the_numbers_they_stand_for():
     [
         (lambda: osc.ForceGains(integral=30, bandwidth=5), "bandwidth beside integral"),
         (lambda: osc.ForceGains(damping=3, damping_ratio=1), "damping_ratio beside damping"),
-        (lambda: osc.ForceGains(bandwidth=-1), "bandwidth = -1"),
-        (lambda: osc.ForceGains(rise=np.inf), "rise = inf"),
+        (lambda: osc.ForceGains(bandwidth=-1), "bandwidth: must be > 0; got -1"),
+        (lambda: osc.ForceGains(rise=np.inf), "rise: expected a time.*got inf"),
         (lambda: osc.MotionGains(stiffness=30, frequency=5), "frequency beside stiffness"),
-        (lambda: osc.MotionGains(frequency=0), "frequency = 0"),
+        (lambda: osc.MotionGains(frequency=0), "frequency: must be > 0; got 0"),
         (lambda: osc.MotionGains(frequency=5, integral_time=0.01), "raise integral_time"),
     ],
 )

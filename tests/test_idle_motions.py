@@ -9,7 +9,7 @@ from test_grasps import NOTHING, forces
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
-from osc_contact.control.settings import PostureTask
+from osc_contact.scenarios.control_schema import PostureTask
 
 RIGS = {
     "SCARA on a slide": (["scara", "ur5"], ["slide", "rigid"], 0, [1, 12, 14]),

@@ -11,6 +11,7 @@ from osc_contact.dynamics.joint_modes import joint_inertias, modes, stiffness_fo
 from osc_contact.plants.joint_drives import FlexibleJoints, Motors
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.hardware import drives
+from osc_contact.scenarios.control_schema import JointTorqueSpec
 
 FLEXIBLE = "plant.flexible_joints={frequency: 5 Hz}"
 LOOP = "control.joint_torque={rate: 4 kHz}"
@@ -187,7 +188,9 @@ def test_impossible_springs_are_refused():
 
 
 def loop_of(gain, dt=2.5e-4, K=1700.0, J=0.45):
-    return JointTorqueLoop(np.array([K]), np.array([J]), np.array([1e9]), dt, gain)
+    return JointTorqueLoop(
+        np.array([K]), np.array([J]), np.array([1e9]), JointTorqueSpec(1 / dt, gain)
+    )
 
 
 def simulated(loop, steps, bias=0.0, substeps=50):
@@ -231,7 +234,9 @@ def test_errors_of_the_motor_shrink_by_one_plus_gain():
 
 
 def test_motor_limits_are_kept():
-    loop = JointTorqueLoop(np.array([1e3]), np.array([0.4]), np.array([10.0]), 2.5e-4)
+    loop = JointTorqueLoop(
+        np.array([1e3]), np.array([0.4]), np.array([10.0]), JointTorqueSpec("4 kHz")
+    )
     assert loop.command(np.array([5.0]), np.array([-5.0]))[0] == 10.0
 
 

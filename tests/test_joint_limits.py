@@ -14,8 +14,8 @@ from test_decoupling import commanded, in_contact, structured
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.control.joint_limits import JointLimitAvoidance
-from osc_contact.control.settings import PostureTask
 from osc_contact.plants.rigid import RigidPlant
+from osc_contact.scenarios.control_schema import PostureTask
 
 CALM, PUSHING = PostureTask(limit_stiffness=0.0), PostureTask(limit_margin=0.2)
 
@@ -73,7 +73,9 @@ def test_object_and_contact_forces_do_not_feel_it(rig):
         state, contact, pairs, q, v = in_contact(chain, rng)
         a_u, alpha = rng.normal(size=6), rng.uniform(5, 20, 2)
         close = limits_near(chain, q, rng)
-        push = PUSHING.limits(close.model).push(q)
+        push = JointLimitAvoidance.of(
+            close.model, PUSHING.limit_stiffness, PUSHING.limit_margin
+        ).push(q)
         B = np.linalg.inv(state.metric)
         one, two = (
             commanded(close, pairs, q, v, a_u, alpha, B, posture=q, posture_task=task)[1]
@@ -161,7 +163,7 @@ def test_idle_motions_are_pushed_away_from_their_limits(past):
         ends |= {f"joint{j}": (q[j - 1] + past, q[j - 1] + 3.0) for j in (3, 6)}
         chain, posture = panda(**ends), q + 0.1 * rng.normal(size=7)
         task = PostureTask()
-        push = task.limits(chain.model).push(q)
+        push = JointLimitAvoidance.of(chain.model, task.limit_stiffness, task.limit_margin).push(q)
         assert push.any() == (past > -0.15)
         state = chain.state(q, v)
         safety = osc.SafetySettings.motors_only()
@@ -178,5 +180,5 @@ def test_idle_motions_are_pushed_away_from_their_limits(past):
 def test_gains_out_of_range_are_refused():
     for bad in ({"limit_margin": 0.5}, {"limit_margin": 0.0}, {"limit_stiffness": -1.0},
                 {"limit_stiffness": np.nan}):  # fmt: skip
-        with pytest.raises(osc.InvalidInputError, match="limit_margin"):
+        with pytest.raises(osc.InvalidInputError, match=next(iter(bad))):
             PostureTask(**bad)

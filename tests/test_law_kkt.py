@@ -37,8 +37,7 @@ from test_linkage import bars_of
 
 import osc_contact as osc
 from benchmarks.cases import random_rig
-from osc_contact.control.friction import Friction
-from osc_contact.control.settings import PostureTask
+from osc_contact.scenarios.control_schema import Friction, PostureTask
 
 K_P, K_D, K_I, K_F, DT = 400.0, 40.0, 2000.0, 30.0, 1e-3
 STATES = 84  # of each rig and surroundings, well apart and in ordinary postures

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,9 +14,6 @@ from hypothesis import strategies as st
 from law_calls import phases as law
 from numba import njit
 
-from osc_contact.control.force import ForceGains
-from osc_contact.control.monitor import MonitorLimits
-from osc_contact.control.phases import PhaseSettings
 from osc_contact.law import tables
 from osc_contact.law.phases import (
     APPROACHING,
@@ -31,6 +27,7 @@ from osc_contact.law.phases import (
     set_goals,
     slew,
 )
+from osc_contact.scenarios.control_schema import ForceGains, MonitorLimits, PhaseSettings
 
 DT = 1e-3
 GAINS = ForceGains(30.0, 100.0)
@@ -110,8 +107,9 @@ class Phases:
             "force_gain": GAINS.integral, "force_damping": GAINS.damping,
             "approach_speed": k.speed, "approach_damping": k.damping, "travel": k.travel,
             "rise": k.rise, "least_force": k.least, "torque_rate": k.torque_rate,
-            "lost_share": k.share, "lag": k.lag, **vars(k.limits),
+            "lost_share": k.share, "lag": k.lag,
         }  # fmt: skip
+        values |= {key: getattr(k, key) for key in MonitorLimits.model_fields}
         for name, value in values.items():
             setattr(self.chain, name, value)
         bodies.pushes, columns.contact = pushing, owners
@@ -182,8 +180,8 @@ def test_whatever_happens_the_phases_keep_their_rules(story):
         alpha, speed, wanted = np.array(alpha), np.array(speed), np.array(wanted)
         for _ in range(count):
             before, here, net = phases.contacts.phase.copy(), phases.here, phases.columns.net
-            loud = np.where(here & (net > k.limits.force_on), loud + 1, 0)
-            felt = here & (felt | (loud * DT > k.limits.dwell))
+            loud = np.where(here & (net > k.force_on), loud + 1, 0)
+            felt = here & (felt | (loud * DT > k.dwell))
             changed, goal = phases.begin(wanted)
             rows = phases.contacts
             assert changed == ((before != OPEN) != (rows.phase != OPEN)).any()
@@ -203,7 +201,7 @@ def test_whatever_happens_the_phases_keep_their_rules(story):
                     assert now != OPEN
                 if was == APPROACHING and now == CLOSED and PUSHING[c]:
                     assert felt[mine].any()
-                    heavy = mine & (wanted > k.limits.force_on)
+                    heavy = mine & (wanted > k.force_on)
                     assert (phases.columns.closed[heavy] != 0).all()  # several are one contact
                 if was != now:
                     assert row.since == 0.0
@@ -245,7 +243,7 @@ def test_a_story_approach_contact_loss_and_contact_again():
 def test_an_approach_that_finds_nothing_stands_still():
     k = PhaseSettings(speed=0.01, travel=0.02)
     phases = Phases(OWNERS, PUSHING, k, phase=(APPROACHING, OPEN, CLOSED))
-    gentle = 0.5 * k.limits.force_on
+    gentle = 0.5 * k.force_on
     for t, pace, speed, push in (
         (1.9, k.speed, k.speed, k.damping * k.speed),
         (1.9, 0.001, 0.002, gentle + 0.001 * k.damping),  # gains speed gently
@@ -449,14 +447,20 @@ def random_contacts(rng):
     if rng.random() < 0.3:
         rng.shuffle(owners)
     off = rng.uniform(0.1, 0.5)
-    limits = MonitorLimits(
-        off + rng.uniform(0.1, 0.6), off, 10 ** rng.uniform(-3, -1), rng.choice([0.0, 5e-3, 1e-2]),
-        rng.choice([0.0, 0.02]), rng.choice([0.0, 2e-3]), rng.choice([0.03, np.inf]),
-    )  # fmt: skip
     k = PhaseSettings(
-        speed=rng.uniform(0.01, 0.02), travel=rng.uniform(2e-4, 2e-3), rise=rng.uniform(0.01, 0.1),
-        share=rng.uniform(0.05, 0.4), lag=rng.uniform(1e-4, 1e-2), limits=limits,
-    )  # fmt: skip
+        force_on=off + rng.uniform(0.1, 0.6),
+        force_off=off,
+        power=10 ** rng.uniform(-3, -1),
+        patience=rng.choice([0.0, 5e-3, 1e-2]),
+        window=rng.choice([0.0, 0.02]),
+        dwell=rng.choice([0.0, 2e-3]),
+        leaving=rng.choice([0.03, np.inf]),
+        speed=rng.uniform(0.01, 0.02),
+        travel=rng.uniform(2e-4, 2e-3),
+        rise=rng.uniform(0.01, 0.1),
+        share=rng.uniform(0.05, 0.4),
+        lag=rng.uniform(1e-4, 1e-2),
+    )
     return owners, rng.random(count) < 0.75, k, rng.choice([1e-3, 5e-4])
 
 
@@ -518,9 +522,9 @@ def test_random_stories_make_every_transition_but_from_open_to_closed():
 @given(st.integers(0, 2**32 - 1))
 def test_one_magnitude_is_judged_by_its_rules(seed):
     rng = np.random.default_rng(seed)
-    limits = random_contacts(rng)[2].limits
+    limits = random_contacts(rng)[2]
     if rng.random() < 0.2:
-        limits = replace(limits, patience=0.0, leaving=0.0)
+        limits = limits.replaced(patience=0.0, leaving=1e-12)
     rows = rows_of(tables.COLUMN_MEMORY, 4)
     rows.closed = rng.integers(0, 2, 4)
     states = [(bool(closed), 0.0, 0.0, 0.0, 0.0, False) for closed in rows.closed]
@@ -541,7 +545,7 @@ def test_measurements_are_low_passed_and_freed_of_inertia(seed):
     """α − D⁻¹ d(NᵀV)/dt, each by the same low-pass of first order; pulls count as noise."""
     rng = np.random.default_rng(seed)
     n, lag = rng.integers(1, 7), rng.choice([1e-9, 1e-3, 1e-2])
-    phases = Phases(np.arange(n), [True] * n, replace(PhaseSettings(), lag=lag))
+    phases = Phases(np.arange(n), [True] * n, PhaseSettings(lag=lag))
     known, share = np.zeros(n, bool), DT / (lag + DT)
     force, pace, noise = np.zeros((3, n))
     for _ in range(60):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import osc_contact as osc
-from osc_contact.control.monitor import ContactMonitor, MonitorLimits, watch_series
+from osc_contact.control.monitor import ContactMonitor, watch_series
+from osc_contact.scenarios.control_schema import MonitorLimits
 
 DT = 1e-3
 
@@ -84,7 +85,7 @@ def test_thresholds_without_hysteresis_are_refused():
 
 @pytest.mark.parametrize("power", [0.0, -0.05])
 def test_a_power_that_is_no_threshold_is_refused(power):
-    with pytest.raises(osc.InvalidInputError, match="power above 0"):
+    with pytest.raises(osc.InvalidInputError, match="power: must be > 0"):
         MonitorLimits(power=power)
 
 

@@ -11,13 +11,14 @@ import pytest
 from test_commands import by_definition
 
 import osc_contact as osc
-from osc_contact.control.friction import Friction
+from osc_contact.control.friction import friction_wrenches
 from osc_contact.control.laws import Laws
 from osc_contact.control.own_laws import force_law, motion_law
 from osc_contact.control.signals import Signals
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Touched
 from osc_contact.plants.rigid import RigidPlant
+from osc_contact.scenarios.control_schema import Friction
 from osc_contact.spatial import classical_to_spatial, pose_error
 
 
@@ -89,7 +90,7 @@ class BuiltIn:
 
 def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig: osc.Rig) -> None:
     """One after the other and together, while the plant moves."""
-    own = replace(rig.controller().gains.motion, integral=0.0)
+    own = rig.controller().gains.motion.replaced(integral=0.0)
     gains = osc.Gains(own, osc.ForceGains(30.0, 0.0))
     plain = rig.controller().with_gains(gains)
 
@@ -151,7 +152,7 @@ def test_laws_stay_when_gains_change_and_can_be_taken_out_again(rig: osc.Rig) ->
     measurement = plant.measure()
     plain = rig.controller()
     own = force_law(Seen)(plain)
-    changed = own.with_gains(replace(plain.gains, force=osc.ForceGains(10.0, 5.0)))
+    changed = own.with_gains(plain.gains.replaced(force=osc.ForceGains(10.0, 5.0)))
     changed.tick(measurement, reference)
     np.testing.assert_allclose(
         changed.signals.alpha_u, np.asarray(reference.alpha_d) + [1.0, -2.0], atol=1e-12
@@ -239,7 +240,9 @@ def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(
         if friction is None:
             assert not signals.friction_wrenches.any()
         else:
-            want = friction.wrenches(controller.contacts, X, signals.state.V_O, measurement.touched)
+            want = friction_wrenches(
+                friction, controller.contacts, X, signals.state.V_O, measurement.touched
+            )
             np.testing.assert_allclose(signals.friction_wrenches, want, rtol=0, atol=1e-12)
         if kind is not Lifted or friction is None:
             for other in torques[1:]:

@@ -73,7 +73,7 @@ WRONG = {
     "step of MuJoCo": (lambda: {"model": scene(step=0.0007)}, "no whole number of MuJoCo's steps"),
     "end of a joint": (lambda: {"model": short(0.05), "guess": NEAR}, "arm/elbow"),
     "tool of another size": (lambda: {"model": tool_radius(0.005)}, "the tool is 10 mm away"),
-    "slow loop": (lambda: {"gains": osc.Gains(osc.MotionGains(damping=900.0))}, "control.rate"),
+    "slow loop": (lambda: {"gains": osc.Gains(osc.MotionGains(400.0, 900.0))}, "control.rate"),
 }  # fmt: skip
 
 

@@ -15,11 +15,11 @@ from test_law import inputs, motion_of, off_their_faces
 import osc_contact as osc
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, pushes_only, velocity
-from osc_contact.control.friction import Friction
-from osc_contact.control.phases import PhaseSettings
+from osc_contact.control.friction import friction_wrenches
 from osc_contact.dynamics.environment import Environment
 from osc_contact.dynamics.rail import Cart, Conveyor
 from osc_contact.scenarios import list_scenarios
+from osc_contact.scenarios.control_schema import Friction, PhaseSettings
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 
@@ -316,17 +316,13 @@ def test_every_pair_that_pushes_rubs_where_it_touches():
             points = pair.points_of_contact(X, X_WE) - X.translation[:, None]
             np.testing.assert_allclose(np.cross(points.T, N[:3].T).T, N[3:], atol=1e-12)
             V_rel = Bodies.at_O(X, V, X_WE, V_E).V_rel
-            wrenches = friction.wrenches([pair], X, V, touched)
-            for p, column, friction_wrenches in zip(points.T, N.T, wrenches.T, strict=True):
+            wrenches = friction_wrenches(friction, [pair], X, V, touched)
+            for p, column, rubbing in zip(points.T, N.T, wrenches.T, strict=True):
                 v = velocity(V_rel, p)
                 v = v - (v @ column[:3]) * column[:3]
-                np.testing.assert_allclose(
-                    friction_wrenches[:3], 0.3 * v / np.linalg.norm(v), atol=1e-8
-                )
-                np.testing.assert_allclose(
-                    friction_wrenches[3:], np.cross(p, friction_wrenches[:3]), atol=1e-9
-                )
-                assert friction_wrenches @ V_rel > 0.0  # into the environment
+                np.testing.assert_allclose(rubbing[:3], 0.3 * v / np.linalg.norm(v), atol=1e-8)
+                np.testing.assert_allclose(rubbing[3:], np.cross(p, rubbing[:3]), atol=1e-9)
+                assert rubbing @ V_rel > 0.0  # into the environment
 
 
 def test_least_squares_is_chosen_where_its_answer_is_unique():

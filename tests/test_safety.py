@@ -12,9 +12,10 @@ import pytest
 
 import osc_contact as osc
 from benchmarks.cases import CASES, TickCase, repeatable
-from osc_contact.control.safety import SafetySettings, SafetyState
+from osc_contact.control.safety import SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant
+from osc_contact.scenarios.control_schema import SafetySettings
 
 RUN, DEGRADED, HOLD, SAFE_STOP = SafetyState
 NAN = float("nan")
@@ -211,5 +212,5 @@ def test_copies_stay_stopped(case: TickCase) -> None:
 def test_settings_are_checked() -> None:
     with pytest.raises(InvalidInputError, match="repeats = 20, stop_after = 20"):
         SafetySettings(repeats=20)
-    with pytest.raises(InvalidInputError, match="hold_rate = nan"):
+    with pytest.raises(InvalidInputError, match="hold_rate: expected a plain number; got nan"):
         SafetySettings(hold_rate=NAN)

@@ -57,7 +57,7 @@ def test_good_file():
     assert scenario.contacts[0].radius == 0.01
     assert scenario.contacts[0].face.normal == (0.0, 0.0, 1.0)
     assert scenario.grasps["left"].xyz == (0.15, 0.0, 0.0)
-    assert scenario.gains.force.integral == 30.0 and scenario.gains.motion.integral is None
+    assert scenario.gains.force.integral == 30.0 and scenario.gains.motion.integral == 0.0
     assert scenario.control.metric == "object" and scenario.tare is None
     assert scenario.source == Path("some/f.yaml")
     assert parse_scenario(GOOD).source is None

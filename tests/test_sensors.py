@@ -11,8 +11,9 @@ import pytest
 
 import osc_contact as osc
 from osc_contact.interface import Measurement, Touched
-from osc_contact.plants.sensors import Clock, Eyes, SensedPlant, SensorErrors, Sensors
+from osc_contact.plants.sensors import SensedPlant, SensorErrors, Sensors
 from osc_contact.runs.hardware import Observer
+from osc_contact.scenarios.hardware import Clock, VisionSpec
 
 STEP = 1e-3
 
@@ -116,8 +117,8 @@ def test_lost_samples_keep_the_old_reading():
 
 
 def test_encoders_give_no_velocity_and_vision_no_twist():
-    eyes = Eyes(Clock(60, 0.03), SensorErrors(1e-3), SensorErrors(5e-3))
-    got = readings(Sensors(encoders=(Clock(1e3), SensorErrors()), vision=eyes), 100)[-1]
+    vision = VisionSpec(60, 0.03, position={"noise": 1e-3}, orientation={"noise": 5e-3})
+    got = readings(Sensors(encoders=(Clock(1e3), SensorErrors()), vision=vision), 100)[-1]
     assert np.isnan(got.v).all() and np.isnan(got.touched.V_E).all()
     assert not np.isnan(got.q).any() and got.joint_torques[0] == 7.0
 
@@ -131,8 +132,8 @@ def test_a_controller_holds_its_torques_rather_than_take_velocities_that_are_not
 
 
 def test_vision_errs_in_millimetres_and_milliradians():
-    eyes = Eyes(Clock(1e3), SensorErrors(1e-3), SensorErrors(5e-3))
-    out = readings(Sensors(vision=eyes), 3000)
+    vision = VisionSpec(1e3, position={"noise": 1e-3}, orientation={"noise": 5e-3})
+    out = readings(Sensors(vision=vision), 3000)
     X = np.array([m.touched.X_WE[0] for m in out])
     t = np.arange(len(X)) * STEP
     shift = X[:, :3, 3] - np.outer(0.02 * t, [1, 0, 0])
@@ -160,7 +161,7 @@ def test_one_seed_one_run_and_a_reset_begins_it_again():
 
 @pytest.mark.parametrize("bad", [(0.0, 0, 0), (1.0, -1, 0), (1.0, 0, 1.0)])
 def test_impossible_clocks_are_refused(bad):
-    with pytest.raises(osc.PlantError, match="rate"):
+    with pytest.raises(osc.InvalidInputError, match="Clock"):
         Clock(*bad)
 
 

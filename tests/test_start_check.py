@@ -11,7 +11,7 @@ import pytest
 from test_own_mujoco import MOTORS, START, WALL, robot_of, scene
 
 import osc_contact as osc
-from osc_contact.control.phases import PhaseSettings
+from osc_contact.scenarios.control_schema import PhaseSettings
 
 DEGREES = np.degrees(START)
 # the elbow is limited to ±2; the posture is a goal, which only wrong units bring this far out
@@ -143,7 +143,7 @@ def test_a_tare_answers_an_offset_and_a_limit_can_be_set():
     assert ticks == 299 and controller.status is not osc.Status.HELD
     loose = osc.SafetySettings(load_error=5.0)
     assert free_run(offset, ticks=80, safety=loose)[1] == 79
-    with pytest.raises(osc.InvalidInputError, match="load_error = 0"):
+    with pytest.raises(osc.InvalidInputError, match="load_error: must be > 0"):
         osc.SafetySettings(load_error=0.0)
 
 

@@ -11,12 +11,10 @@ import numpy as np
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.control.controller_copies import ControllerCopies
 from osc_contact.control.freshness import Freshness
-from osc_contact.control.friction import Friction
-from osc_contact.control.gains import Gains
 from osc_contact.control.laws import Laws
 from osc_contact.control.loops import ForceLoop, MotionLoop, refuse
 from osc_contact.control.outside import Outside
-from osc_contact.control.phases import Phase, PhaseSettings
+from osc_contact.control.phases import Phase
 from osc_contact.control.reading import Reading
 from osc_contact.control.reasons import (
     convert_arrays,
@@ -26,8 +24,7 @@ from osc_contact.control.reasons import (
     require_sizes,
 )
 from osc_contact.control.reports import Status
-from osc_contact.control.safety import SafetySettings
-from osc_contact.control.settings import PostureTask, Settings
+from osc_contact.control.settings import Settings
 from osc_contact.control.signals import Block, Signals
 from osc_contact.control.start_check import StartCheck
 from osc_contact.control.tick_records import TickRecords
@@ -39,9 +36,16 @@ from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows
 from osc_contact.law.tables import BODY, DEGRADED, JOINTS, OBJECT_UNKNOWN, WRISTS
+from osc_contact.scenarios.control_schema import (
+    Friction,
+    Gains,
+    PhaseSettings,
+    PostureTask,
+    SafetySettings,
+)
 from osc_contact.spatial import Array
 
-__all__ = ["Block", "Controller", "Gains", "Signals", "Status"]
+__all__ = ["Block", "Controller", "Signals", "Status"]
 
 _SETTABLE = ("f_tare", "f_bias", "engaged", "motion_law.integral", "force_law.integral")
 

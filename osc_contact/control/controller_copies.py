@@ -10,14 +10,13 @@ from typing import Any, Self
 import numpy as np
 
 from osc_contact.control.controller_state import ControllerState
-from osc_contact.control.gains import Gains
 from osc_contact.control.laws import Laws
 from osc_contact.control.outside import Outside
-from osc_contact.control.safety import SafetySettings
 from osc_contact.control.settings import Settings
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.errors import OscContactError
 from osc_contact.law import tick as law
+from osc_contact.scenarios.control_schema import Gains, SafetySettings
 from osc_contact.spatial import Array
 
 __all__ = ["ControllerCopies"]

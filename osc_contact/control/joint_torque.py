@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.scenarios.control_schema import JointTorqueSpec
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.spatial import Array, as_array
 
@@ -34,8 +35,7 @@ class JointTorqueLoop:
         stiffness: (n_a,) K of the springs (N m/rad; N/m).
         motor_inertia: (n_a,) J_m (kg m²; kg).
         tau_max: (n_a,) limits of the motors.
-        dt: period of the loop (s).
-        gain: k_p. damping_ratio: of the closed loop.
+        settings: rate, gain k_p and damping ratio of the closed loop.
 
     Raises:
         InvalidInputError: impossible numbers, or the sampled loop would be unstable.
@@ -44,9 +44,9 @@ class JointTorqueLoop:
     stiffness: Array
     motor_inertia: Array
     tau_max: Array
-    dt: float
-    gain: float = 60.0
-    damping_ratio: float = 0.7
+    settings: JointTorqueSpec
+    dt: float = field(init=False)  #: period of the loop (s)
+    gain: float = field(init=False)  #: k_p
     rate_gain: Array = field(init=False)  #: (n_a,) k_d (s)
     bandwidth: Array = field(init=False)  #: (n_a,) ω√(1 + k_p) (rad/s)
 
@@ -54,13 +54,13 @@ class JointTorqueLoop:
         n = len(self.tau_max)
         K = as_array("stiffness", self.stiffness, (n,))
         J = as_array("motor_inertia", self.motor_inertia, (n,))
-        if min(K.min(), J.min(), self.dt, self.gain, self.damping_ratio) <= 0.0:
+        if min(K.min(), J.min()) <= 0.0:
             raise InvalidInputError(
-                "joint torque loop: stiffness, motor inertia, period, gain and damping ratio must "
-                f"be > 0; got {K}, {J}, {self.dt}, {self.gain}, {self.damping_ratio}"
+                f"joint torque loop: stiffness and motor inertia must be > 0; got {K}, {J}"
             )
+        self.dt, self.gain = 1.0 / self.settings.rate, self.settings.gain
         self.bandwidth = np.sqrt(K * (1.0 + self.gain) / J)
-        self.rate_gain = 2.0 * self.damping_ratio * (1.0 + self.gain) / self.bandwidth
+        self.rate_gain = 2.0 * self.settings.damping_ratio * (1.0 + self.gain) / self.bandwidth
         self._rate = VelocityEstimate.with_bandwidth(RATE_BANDWIDTH * self.bandwidth, self.dt)
         radius = float(self.spectral_radius().max())
         if radius >= 1.0:

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.control.force import ForceGains
-from osc_contact.control.motion import MotionGains
 from osc_contact.errors import InvalidInputError
+from osc_contact.scenarios.control_schema import ForceGains, MotionGains
 from osc_contact.spatial import Array, as_array
 
 __all__ = ["ForceLoop", "MotionLoop", "refuse"]

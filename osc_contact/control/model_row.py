@@ -7,13 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from osc_contact.control.friction import Friction
+from osc_contact.control.joint_limits import JointLimitAvoidance
 from osc_contact.control.pair_rows import PairRows
 from osc_contact.dynamics.arm import effort_scale
 from osc_contact.dynamics.chain_rows import pack_chain
 from osc_contact.dynamics.rail import Body, Cart, Conveyor
 from osc_contact.law import tables as at
 from osc_contact.law.layout import Bytes, new_model, records
+from osc_contact.law.safety import BRAKE_RATE
+from osc_contact.law.watch import SURE
+from osc_contact.scenarios.control_schema import Friction
+from osc_contact.scenarios.spec import Spec
 
 if TYPE_CHECKING:
     from osc_contact.control.settings import Settings
@@ -64,47 +68,47 @@ class ModelRow:
 
     def set_gains(self, settings: Settings) -> None:
         """What may differ between controllers of one structure."""
-        head, gains = self.head, settings.gains
-        head.stiffness, head.damping = gains.motion.stiffness, gains.motion.damping
-        head.integral, head.period = gains.motion.integral, settings.dt
-        force, dt = gains.force, settings.dt
-        head.force_gain, head.force_damping = force.integral, force.damping
-        head.force_brake, head.step_time = force.brake, force.rise
-        wanted = force.brake > 0.0 or force.tilt > 0.0
-        head.drift_share = -np.expm1(-force.drift * dt) if wanted else 0.0
+        head, dt = self.head, settings.dt
+        motion, force = settings.gains.motion, settings.gains.force
+        _copy(motion, head)
+        head.period = dt
+        _copy(
+            force,
+            head,
+            integral="force_gain",
+            damping="force_damping",
+            brake="force_brake",
+            rise="step_time",
+        )
+        drifts = force.brake > 0.0 or force.tilt > 0.0
+        head.drift_share = -np.expm1(-force.drift * dt) if drifts else 0.0
         head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # of a chord
-        posture = settings.posture_task
-        head.posture_stiffness, head.posture_damping = posture.stiffness, posture.damping
-        head.retreat_damping = posture.retreat_damping
-        friction = Friction(0.0) if settings.friction is None else settings.friction
-        head.mu, head.slip, head.learning = friction.mu, friction.slip, friction.learning
+        _copy(settings.posture_task, head, stiffness="posture_stiffness", damping="posture_damping")
+        _copy(settings.friction or Friction(mu=0.0), head)
         head.reading = at.LEAST_SQUARES if settings.reading == "least_squares" else at.FILTER
         B = settings.B
         kinds = {"object": at.BY_OBJECT, "chain": at.BY_CHAIN}
         head.metric = kinds[B] if isinstance(B, str) else at.BY_MATRIX
         head.B_inv[:] = np.eye(6) if isinstance(B, str) else np.linalg.inv(B)
-        phases = settings.phases
-        head.phased = phases is not None
-        if phases is not None:
-            limits = phases.limits
-            head.approach_speed, head.approach_damping = phases.speed, phases.damping
-            head.travel, head.rise, head.least_force = phases.travel, phases.rise, phases.least
-            head.lost_share, head.lag = phases.share, phases.lag
-            head.phase_rate = phases.torque_rate
-            for name in ("force_on", "force_off", "power", "patience", "window", "dwell"):
-                setattr(head, name, getattr(limits, name))
-            head.leaving = limits.leaving
+        head.phased = settings.phases is not None
+        if settings.phases is not None:
+            _copy(
+                settings.phases,
+                head,
+                speed="approach_speed",
+                damping="approach_damping",
+                least="least_force",
+                share="lost_share",
+                torque_rate="phase_rate",
+            )
 
     def set_safety(self, settings: Settings) -> None:
         """Limits of the robot, and what becomes of ticks that cannot be computed."""
         head, safety = self.head, settings.safety
-        for name in ("repeats", "hold_rate", "torque_rate", "reaction", "contact_power",
-                     "contact_force", "contact_loss_time", "regain_time", "overforce_time",
-                     "integral_force", "integral_motion", "plausible_speed", "wrench_timeout",
-                     "stuck_speed", "frozen_time", "speed_error", "position_drift",
-                     "wrist_error", "closure_error"):  # fmt: skip
-            setattr(head, name, getattr(safety, name))
-        head.guarded, head.fault_ticks = 1, safety.stop_after
+        _copy(safety, head, stop_after="fault_ticks")
+        # s from the decision to stop until the brakes are on, as far as stopping ways are concerned
+        head.reaction = 0.5 / safety.hold_rate + 0.5 / BRAKE_RATE + SURE
+        head.guarded = 1
         head.fast_ticks = round(min(safety.overspeed_time / settings.dt, _NEVER))
         weight = 9.81 * settings.chain.reference.inertia.mass
         head.force_range = max(safety.force_range, 3.0 * weight)
@@ -119,7 +123,7 @@ class ModelRow:
     def _pack_joints(self, settings: Settings) -> None:
         chain, posture = settings.chain, settings.posture_task
         rows = self.table("joints", chain.nq, at.JOINT)
-        limits = posture.limits(chain.model)
+        limits = JointLimitAvoidance.of(chain.model, posture.limit_stiffness, posture.limit_margin)
         effort = effort_scale(chain.tau_max)
         rows.motor[:] = -1
         rows.motor[chain.actuated] = np.arange(chain.n_a)
@@ -153,6 +157,13 @@ class ModelRow:
         ):
             row.pushes = pushes_only(pair)
             row.kind, row.same, row.parameters[: len(kind[2])] = kind
+
+
+def _copy(settings: Spec, head: Any, **names: str) -> None:
+    """Copy settings into the fields of their names, or of `names` where these differ."""
+    for key in type(settings).model_fields:
+        if (name := names.get(key, key)) in head.dtype.names:
+            setattr(head, name, getattr(settings, key))
 
 
 def _body_kinds(bodies: Sequence[Body | None]) -> list[tuple[int, int, list[float]]]:

@@ -13,48 +13,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from osc_contact.errors import InvalidInputError
 from osc_contact.law import phases
 from osc_contact.law.jit import as_python
+from osc_contact.scenarios.control_schema import MonitorLimits
 from osc_contact.spatial import Array
 
-__all__ = ["ContactMonitor", "MonitorLimits", "MonitorState", "watch_series"]
+__all__ = ["ContactMonitor", "MonitorState", "watch_series"]
 
 _monitor = as_python(phases.monitor)  # one number at a time, in Python
-
-
-@dataclass(frozen=True)
-class MonitorLimits:
-    """When contact counts as made, as lost, and as a collision.
-
-    Attributes:
-        force_on, force_off: N; made above the first, lost below the second.
-        power: W; more than this (in size) is a collision.
-        patience: s that the force must stay low before contact counts as lost.
-        window: s after contact is made in which a collision is looked for.
-        dwell: s that the force must stay high before contact counts as made (sensor noise).
-        leaving: m/s; an object that leaves its face faster has no contact, whatever the force
-            says: a face does not push on what moves away from it.
-    """
-
-    force_on: float = 1.0
-    force_off: float = 0.4
-    power: float = 0.05
-    patience: float = 0.005
-    window: float = 0.02
-    dwell: float = 0.0
-    leaving: float = np.inf
-
-    def __post_init__(self) -> None:
-        if not (
-            self.force_on > self.force_off > 0.0
-            and self.power > 0.0
-            and min(self.patience, self.window, self.dwell, self.leaving) >= 0.0
-        ):
-            raise InvalidInputError(
-                f"contact monitor: {self}; force_on must lie above force_off, force_off and power "
-                "above 0, times and leaving must be ≥ 0"
-            )
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
+from osc_contact.control.friction import friction_wrenches
 from osc_contact.control.laws import Laws
 from osc_contact.control.model_row import ModelRow
 from osc_contact.control.settings import Settings
@@ -165,21 +166,21 @@ class Outside:
         if touched is not None:
             here = slice(number, number + 1)
             touched = Touched(touched.X_WE[here], touched.V_E[here], touched.A_E[here])
-        friction_wrenches = self.settings.friction.wrenches([pair], X_WO, V_O, touched)
-        if friction_wrenches.shape[1] != r:
+        wrenches = friction_wrenches(self.settings.friction, [pair], X_WO, V_O, touched)
+        if wrenches.shape[1] != r:
             raise ContactError(
-                f"{pair.name}: {friction_wrenches.shape[1]} points of contact, {r} independent "
+                f"{pair.name}: {wrenches.shape[1]} points of contact, {r} independent "
                 "forces; friction needs one for each"
             )
-        return friction_wrenches
+        return wrenches
 
     def _put(self, rows: TickRecords, evaluated: dict[int, Any]) -> None:
         for number, _, first in rows.row.pairs.elsewhere:
             if number in evaluated:
-                N, n_gamma, friction_wrenches = evaluated[number]
+                N, n_gamma, wrenches = evaluated[number]
                 part = slice(first, first + N.shape[1])
                 rows.given_columns[0][part], rows.given_columns[1][part] = N.T, n_gamma
-                rows.given_columns[2][part] = friction_wrenches.T
+                rows.given_columns[2][part] = wrenches.T
 
     def _answer(self, rows: TickRecords, measurement: Measurement) -> None:
         touched, O = measurement.touched, rows.work.O.copy()  # noqa: E741

@@ -6,56 +6,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.control.friction import Friction
-from osc_contact.control.gains import Gains
-from osc_contact.control.joint_limits import JointLimitAvoidance
-from osc_contact.control.phases import PhaseSettings
+from osc_contact.control.friction import require_known_points
 from osc_contact.control.reading import Reading, choose_reading
-from osc_contact.control.safety import SafetySettings
 from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
 from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.scenarios.control_schema import (
+    Friction,
+    Gains,
+    PhaseSettings,
+    PostureTask,
+    SafetySettings,
+)
 from osc_contact.spatial import Array, as_array
 
-__all__ = ["PostureTask", "Settings"]
+__all__ = ["Settings"]
 
 #: Of a joint's range; how far beyond its limits `posture` may lie. It is a goal that the push away
 #: from the limits keeps the joint from reaching, so a goal just outside does no harm; one that is
 #: further out than this is given in other units (degrees, mm).
 GOAL_BEYOND = 1.5
-
-
-@dataclass(frozen=True)
-class PostureTask:
-    """What redundant arms do with joints they do not need.
-
-    Attributes:
-        stiffness: 1/s². damping: 1/s. retreat_damping: 1/s, instead of damping, of joint motions
-            that a singular posture takes from the task.
-        limit_stiffness: 1/s², of the push away from joint limits; 0: none. limit_margin: where it
-            begins, as a share of the joint's range (see `JointLimitAvoidance`).
-    """
-
-    stiffness: float = 25.0
-    damping: float = 10.0
-    retreat_damping: float = 50.0
-    limit_stiffness: float = 400.0
-    limit_margin: float = 0.05
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.limit_margin < 0.5 or not 0.0 <= self.limit_stiffness < np.inf:
-            raise InvalidInputError(
-                f"limit_margin {self.limit_margin}, limit_stiffness {self.limit_stiffness} 1/s²: "
-                "expected a share of the joint's range below 0.5, and a finite number ≥ 0"
-            )
-
-    def limits(self, model: pin.Model) -> JointLimitAvoidance:
-        """What pushes redundant arms away from joint limits."""
-        return JointLimitAvoidance.of(model, self.limit_stiffness, self.limit_margin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +91,7 @@ class Settings:
             posture = np.zeros(chain.nq)
         object.__setattr__(self, "posture", posture)
         if self.friction is not None:
-            self.friction.require_known_points(self.contacts)
+            require_known_points(self.contacts)
         reading = choose_reading(self.reading, self.contacts, bodies)
         object.__setattr__(self, "reading", reading)
         if self.gains.force.integral * self.dt >= 1.0:

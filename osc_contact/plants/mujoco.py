@@ -27,14 +27,13 @@ from osc_contact.plants.mujoco_scene import (
     DRIVE_MASS,
     GRASP_JOINT,
     GUIDES,
-    MujocoOptions,
     scene,
 )
 from osc_contact.plants.mujoco_truth import MujocoTruth
-from osc_contact.plants.pushes import Push
+from osc_contact.scenarios.hardware import PlantSpec, Push
 from osc_contact.spatial import Array, as_array, cross
 
-__all__ = ["MujocoOptions", "MujocoPlant"]
+__all__ = ["MujocoPlant"]
 
 _log = logging.getLogger(__name__)
 
@@ -68,11 +67,10 @@ class MujocoPlant:
         object_urdf: Path,
         contacts: Sequence[ContactPair],
         bodies: Sequence[tuple[Path, pin.SE3]],
-        options: MujocoOptions | None = None,
+        options: PlantSpec | None = None,
         rails: Sequence[Rail | None] | None = None,
         on: Sequence[int] | None = None,
         drives: JointDrives | None = None,
-        pushes: Sequence[Push] = (),
     ) -> None:
         """Compile the scene.
 
@@ -82,11 +80,10 @@ class MujocoPlant:
             arm_urdfs: one file for each arm. object_urdf: the held object.
             contacts: what true forces are expressed in; what touches is the geometry's business.
             bodies: URDF and pose in the world of each body of the environment.
-            options: step, softness, friction.
+            options: step, softness, friction and pushes on the arms; default: a step of 0.25 ms.
             rails: how each body moves; default: all are fixed.
             on: the body of each contact; default: each has its own.
             drives: springs, motor errors and friction of the joints; default: ideal drives.
-            pushes: on the arms, from outside.
 
         Raises:
             PlantError: MuJoCo is missing or refuses the scene.
@@ -101,10 +98,10 @@ class MujocoPlant:
         quieten(mujoco)
         self.chain = chain
         self.contacts = tuple(contacts)
-        options = MujocoOptions() if options is None else options
+        options = PlantSpec(step=2.5e-4) if options is None else options
         self.on = tuple(range(len(self.contacts)) if on is None else on)
         self.rails: list[Rail | None] = list(rails or [None] * len(bodies))
-        self.pushes = tuple(pushes)
+        self.pushes = options.pushes
         self.drives = JointDrives() if drives is None else drives
         driven = [chain.joint_names[j] for j in chain.actuated]
         try:

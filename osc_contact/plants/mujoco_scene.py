@@ -9,7 +9,6 @@ soft enough not to chatter. Rotor inertia, damping and friction of the joints ar
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,9 +24,10 @@ from osc_contact.errors import PlantError
 from osc_contact.plants.faces import Rail
 from osc_contact.robots import is_mjcf
 from osc_contact.robots.mjcf import mjcf_skeleton
+from osc_contact.scenarios.hardware import PlantSpec
 from osc_contact.spatial import Array
 
-__all__ = ["DRIVE_MASS", "GRASP_JOINT", "GUIDES", "MujocoOptions", "scene"]
+__all__ = ["DRIVE_MASS", "GRASP_JOINT", "GUIDES", "scene"]
 
 #: The joint between the first arm's tip and the object, if its grasp is a hinge or a ball.
 GRASP_JOINT = "object/grasp"
@@ -36,31 +36,8 @@ HINGE_SPAN = 0.05
 
 #: Heavy enough that no contact force moves a driven face between two steps (kg, kg m²).
 DRIVE_MASS = 1e6
-#: Time constant of friction (s) with which points keep contact that slide at 0.15 m/s or so.
-LEAST_SLIDING = 0.015
 GUIDES = ("slide", "hinge")  #: joints of a body that moves
 _NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo wants mass in what moves
-
-
-@dataclass(frozen=True)
-class MujocoOptions:
-    """Integration step (s), contact softness and Coulomb friction of the environment.
-
-    `friction_solref`: of friction alone, see `_let_slide`; None: that of `solref`, but with at
-    least 15 ms, so that points which slide do not lose contact.
-    """
-
-    step: float = 2.5e-4
-    solref: tuple[float, float] = (0.01, 1.0)
-    solimp: tuple[float, float, float] = (0.2, 0.9, 0.0005)
-    friction: float = 0.0
-    friction_solref: tuple[float, float] | None = None
-
-    @property
-    def own_friction(self) -> tuple[float, float]:
-        """The solref of friction."""
-        time, ratio = self.solref
-        return self.friction_solref or (max(time, LEAST_SLIDING), ratio)
 
 
 def scene(
@@ -69,7 +46,7 @@ def scene(
     arm_urdfs: Sequence[Path],
     object_urdf: Path,
     bodies: Sequence[tuple[Path, pin.SE3]],
-    options: MujocoOptions,
+    options: PlantSpec,
     rails: Sequence[Rail | None],
 ) -> Any:
     """The uncompiled specification, see `MujocoPlant`.
@@ -265,7 +242,7 @@ def _body(
     i: int,
     urdf: Path,
     placement: pin.SE3,
-    options: MujocoOptions,
+    options: PlantSpec,
     rail: Rail | None,
 ) -> None:
     part = mujoco.MjSpec.from_file(str(urdf))
@@ -284,7 +261,7 @@ def _body(
     spec.attach(part, prefix=f"face{i}/", frame=_frame(spec.worldbody, placement))
 
 
-def _let_slide(spec: Any, options: MujocoOptions, own: tuple[float, float]) -> None:
+def _let_slide(spec: Any, options: PlantSpec, own: tuple[float, float]) -> None:
     """Friction with a solref of its own, between the object's geometries and those of all bodies.
 
     MuJoCo's cone lifts what slides: the depth that carries a force shrinks by 2 μ v τ d, v the

@@ -14,30 +14,14 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Seen, Stamps, Touched
 from osc_contact.plants.judge import Plant, Truth, TruthLog
+from osc_contact.scenarios.hardware import Clock, Errors, VisionSpec
 from osc_contact.spatial import Array
 
-__all__ = ["Clock", "SensorErrors", "Eyes", "SensedPlant", "Sensor", "Sensors"]
+__all__ = ["SensorErrors", "SensedPlant", "Sensor", "Sensors"]
 
 _ON_TIME = 1e-9  # s, rounding of sums of steps
-
-
-@dataclass(frozen=True)
-class Clock:
-    """When a sensor samples: rate (Hz), delay until a sample arrives (s), probability of loss."""
-
-    rate: float
-    delay: float = 0.0
-    dropout: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (self.rate > 0.0 and self.delay >= 0.0 and 0.0 <= self.dropout < 1.0):
-            raise PlantError(
-                f"sensor: rate = {self.rate} Hz, delay = {self.delay} s, dropout = {self.dropout}; "
-                "give rate > 0, delay ≥ 0 and 0 ≤ dropout < 1"
-            )
 
 
 @dataclass(frozen=True)
@@ -52,14 +36,6 @@ class SensorErrors:
     noise: Array | float = 0.0
     bias: Array | float = 0.0
     resolution: Array | float = 0.0
-
-    def drawn(self, shape: tuple[int, ...], rng: np.random.Generator) -> _Drawn:
-        """The errors of one sensor, its bias fixed."""
-        return _Drawn(
-            np.broadcast_to(self.noise, shape),
-            np.broadcast_to(self.bias, shape) * rng.uniform(-1.0, 1.0, shape),
-            np.broadcast_to(self.resolution, shape),
-        )
 
 
 @dataclass(frozen=True)
@@ -109,36 +85,21 @@ class Sensor:
 
 
 @dataclass(frozen=True)
-class Eyes:
-    """Overhead vision of the object, the arms' tips and the touched bodies.
-
-    Attributes:
-        clock: when. position, orientation: errors of each pose (m; rad about world axes) at the
-            origin of the frame that is seen.
-        frame: ± (m, rad) how far the camera's frame may be from the world: one displacement, drawn
-            for all that is seen.
-        markers: (contacts, 4, 4) in E, what is seen of each touched body; None: E itself.
-    """
-
-    clock: Clock
-    position: SensorErrors = SensorErrors()
-    orientation: SensorErrors = SensorErrors()
-    frame: tuple[float, float] = (0.0, 0.0)
-    markers: Array | None = None
-
-
-@dataclass(frozen=True)
 class Sensors:
     """What each kind of sensor does to its readings; None: it is ideal.
 
     Attributes:
-        encoders: joint positions (n,). joint_torques: (n_a,). wrists: (arms, 6). vision: poses.
+        encoders: joint positions (n,). joint_torques: (n_a,). wrists: (arms, 6).
+        vision: poses of the object, the arms' tips and the touched bodies, each with its errors at
+            the origin of its frame, about world axes.
+        markers: (contacts, 4, 4) in E, the frame of each touched body that is seen; None: E itself.
     """
 
     encoders: tuple[Clock, SensorErrors] | None = None
     joint_torques: tuple[Clock, SensorErrors] | None = None
     wrists: tuple[Clock, SensorErrors] | None = None
-    vision: Eyes | None = None
+    vision: VisionSpec | None = None
+    markers: Array | None = None
 
 
 class SensedPlant:
@@ -218,11 +179,11 @@ class SensedPlant:
             if spec is not None and value is not None:
                 clock, errors = spec
                 self._sensor[name] = Sensor(clock, _noisy(errors, value.shape, rng), rng)
-        rng, eyes = next(streams), self.sensors.vision
-        if eyes is not None:
+        rng, vision = next(streams), self.sensors.vision
+        if vision is not None:
             poses = self._value("vision", ideal)
             self._robots = len(self.plant.poses())  # object and arms come before the bodies
-            self._sensor["vision"] = Sensor(eyes.clock, _pictures(eyes, len(poses), rng), rng)
+            self._sensor["vision"] = Sensor(vision, _pictures(vision, len(poses), rng), rng)
         for name, sensor in self._sensor.items():
             sensor.begin(self.time, self._value(name, ideal))
 
@@ -232,7 +193,7 @@ class SensedPlant:
             poses, touched = self.plant.poses(), ideal.touched
             if touched is None:
                 return poses
-            markers = self.sensors.vision.markers if self.sensors.vision else None
+            markers = self.sensors.markers
             bodies = touched.X_WE if markers is None else touched.X_WE @ markers
             return np.concatenate((poses, bodies))
         attribute = {"encoders": "q", "joint_torques": "joint_torques", "wrists": "wrenches"}[name]
@@ -241,9 +202,8 @@ class SensedPlant:
 
     def _pictured(self, measurement: Measurement, poses: Array) -> Measurement:
         """The measurement with what a picture shows."""
-        assert self.sensors.vision is not None
         measurement = replace(measurement, seen=Seen(poses[0], poses[1 : self._robots]))
-        bodies, markers = poses[self._robots :], self.sensors.vision.markers
+        bodies, markers = poses[self._robots :], self.sensors.markers
         if not len(bodies):
             return measurement
         if markers is not None:
@@ -252,18 +212,29 @@ class SensedPlant:
         return replace(measurement, touched=Touched(bodies, unknown, np.zeros_like(unknown)))
 
 
+def _draw(
+    errors: SensorErrors | Errors[float], shape: tuple[int, ...], rng: np.random.Generator
+) -> _Drawn:
+    """The errors of one sensor, its bias fixed."""
+    return _Drawn(
+        np.broadcast_to(errors.noise, shape),
+        np.broadcast_to(errors.bias, shape) * rng.uniform(-1.0, 1.0, shape),
+        np.broadcast_to(errors.resolution, shape),
+    )
+
+
 def _noisy(
     errors: SensorErrors, shape: tuple[int, ...], rng: np.random.Generator
 ) -> Callable[[Array], Array]:
-    drawn = errors.drawn(shape, rng)
+    drawn = _draw(errors, shape, rng)
     return lambda value: drawn.applied(value, rng)
 
 
-def _pictures(eyes: Eyes, n: int, rng: np.random.Generator) -> Callable[[Array], Array]:
+def _pictures(vision: VisionSpec, n: int, rng: np.random.Generator) -> Callable[[Array], Array]:
     """All poses displaced alike by the camera's frame, each by its own bias and noise."""
-    shift, turn = eyes.position.drawn((n, 3), rng), eyes.orientation.drawn((n, 3), rng)
-    offset, angle = (size * rng.uniform(-1.0, 1.0, 3) for size in eyes.frame)
-    R_CW = pin.exp3(angle)
+    shift, turn = _draw(vision.position, (n, 3), rng), _draw(vision.orientation, (n, 3), rng)
+    offset = vision.frame_position * rng.uniform(-1.0, 1.0, 3)
+    R_CW = pin.exp3(vision.frame_orientation * rng.uniform(-1.0, 1.0, 3))
 
     def corrupt(X: Array) -> Array:
         read = X.copy()

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,9 +21,9 @@ from osc_contact.errors import ScenarioError
 from osc_contact.interface import Measurement, Robot, Stamps
 from osc_contact.plants.joint_drives import FlexibleJoints, JointDrives, Motors
 from osc_contact.plants.judge import Plant
-from osc_contact.plants.sensors import Clock, Eyes, SensorErrors, Sensors
+from osc_contact.plants.sensors import SensorErrors, Sensors
 from osc_contact.runs.contacts import EnvironmentBody
-from osc_contact.scenarios.hardware import EncoderSpec, SensorsSpec
+from osc_contact.scenarios.hardware import Clock, EncoderSpec, SensorsSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.sensing.vision_fusion import Registration, VisionFusion
@@ -62,15 +64,15 @@ def flexible_joints(
         )
     own = joint_inertias(state, chain.actuated)
     if spec.frequency is not None:
-        K = stiffness_for(state, chain.actuated, float(spec.frequency))
+        K = stiffness_for(state, chain.actuated, spec.frequency)
     else:
         K = _per_motor(chain, "stiffness", spec.stiffness or {})
     if isinstance(spec.motor_inertia, dict):
         J = _per_motor(chain, "motor_inertia", spec.motor_inertia)
     else:
-        J = float(spec.motor_inertia) * own
+        J = spec.motor_inertia * own
     # motor and link swing against each other with the reduced inertia
-    D = 2.0 * float(spec.damping_ratio) * np.sqrt(K * J * own / (J + own))
+    D = 2.0 * spec.damping_ratio * np.sqrt(K * J * own / (J + own))
     return FlexibleJoints(K, D, J)
 
 
@@ -83,9 +85,9 @@ def drives(scenario: Scenario, chain: ClosedChain, state: ChainState, seed: int)
     spec, motors = scenario.plant, None
     if spec.motors is not None:
         sliding = _sliding(chain)[chain.actuated]
-        errors = float(spec.motors.bias), float(spec.motors.ripple)
+        errors = spec.motors.bias, spec.motors.ripple
         motors = Motors.drawn(chain.tau_max, sliding, *errors, np.random.default_rng([seed, 2]))
-    friction = float(spec.joint_friction) * chain.tau_max if spec.joint_friction else None
+    friction = spec.joint_friction * chain.tau_max if spec.joint_friction else None
     return JointDrives(flexible_joints(scenario, chain, state), motors, friction)
 
 
@@ -115,27 +117,21 @@ def sensors(
     Args:
         spec: `plant.sensors`. chain: of the arms. bodies: that cameras track.
     """
-    made = Sensors()
-    if (encoder := spec.encoder) is not None:
-        noise, bias, resolution = (_joint_errors(encoder, chain, key) for key in _ERRORS)
-        made = replace(made, encoders=(_clock(encoder), SensorErrors(noise, bias, resolution)))
-    if (torque := spec.joint_torque) is not None:
-        share = [float(getattr(torque, key)) * chain.tau_max for key in _ERRORS]
-        made = replace(made, joint_torques=(_clock(torque), SensorErrors(*share)))
-    if (wrist := spec.wrist) is not None:
-        both = [
-            np.repeat([getattr(wrist.force, key), getattr(wrist.torque, key)], 3) for key in _ERRORS
-        ]
-        made = replace(made, wrists=(_clock(wrist), SensorErrors(*both)))
-    if (eyes := spec.vision) is not None:
-        position, orientation = (
-            SensorErrors(*[float(getattr(of, key)) for key in _ERRORS])
-            for of in (eyes.position, eyes.orientation)
-        )
-        frame = float(eyes.frame_position), float(eyes.frame_orientation)
-        seen = Eyes(_clock(eyes), position, orientation, frame, _markers(bodies))
-        made = replace(made, vision=seen)
+    encoder, torque, wrist = spec.encoder, spec.joint_torque, spec.wrist
+    made = Sensors(vision=spec.vision, markers=_markers(bodies))
+    if encoder is not None:
+        made = replace(made, encoders=_sensor(encoder, lambda e: _joint_errors(encoder, chain, e)))
+    if torque is not None:
+        made = replace(made, joint_torques=_sensor(torque, lambda e: e(torque) * chain.tau_max))
+    if wrist is not None:
+        six = _sensor(wrist, lambda e: np.repeat([e(wrist.force), e(wrist.torque)], 3))
+        made = replace(made, wrists=six)
     return made
+
+
+def _sensor(clock: Clock, size: Callable[[Any], Array]) -> tuple[Clock, SensorErrors]:
+    """A clock, and `size` of noise, bias and resolution."""
+    return clock, SensorErrors(*[size(attrgetter(e)) for e in ("noise", "bias", "resolution")])
 
 
 def _markers(bodies: Sequence[EnvironmentBody]) -> Array | None:
@@ -144,18 +140,9 @@ def _markers(bodies: Sequence[EnvironmentBody]) -> Array | None:
     return np.array([of[i] for i in sorted(of)]) if of else None
 
 
-_ERRORS = ("noise", "bias", "resolution")
-
-
-def _clock(spec: object) -> Clock:
-    return Clock(*[float(getattr(spec, key)) for key in ("rate", "delay", "dropout")])
-
-
-def _joint_errors(spec: EncoderSpec, chain: ClosedChain, key: str) -> Array:
+def _joint_errors(spec: EncoderSpec, chain: ClosedChain, error: Callable[[Any], float]) -> Array:
     """(n,) an error of the encoders, by whether the joint turns or slides."""
-    return np.where(
-        _sliding(chain), float(getattr(spec.length, key)), float(getattr(spec.angle, key))
-    )
+    return np.where(_sliding(chain), error(spec.length), error(spec.angle))
 
 
 def _sliding(chain: ClosedChain) -> Array:
@@ -175,14 +162,7 @@ def torque_loop(
     spec = scenario.control.joint_torque
     if spec is None or joints is None:
         return None
-    return JointTorqueLoop(
-        joints.stiffness,
-        joints.motor_inertia,
-        chain.tau_max,
-        dt=1.0 / float(spec.rate),
-        gain=float(spec.gain),
-        damping_ratio=float(spec.damping_ratio),
-    )
+    return JointTorqueLoop(joints.stiffness, joints.motor_inertia, chain.tau_max, spec)
 
 
 class TorqueLoopRobot:
@@ -217,37 +197,35 @@ class Observer:
         self, scenario: Scenario, chain: ClosedChain, bodies: Sequence[EnvironmentBody] = ()
     ) -> None:
         """Set up the estimates from the errors the scenario gives the sensors."""
-        self.dt = 1.0 / float(scenario.control.rate)
+        self.dt = 1.0 / scenario.control.rate
         self._seen, self._ticks = Stamps(-1.0, -1.0, -1.0, -1.0), 0
         spec, believed = scenario.sensors, scenario.control.estimate
         self._joints: VelocityEstimate | None = None
         self._spec = spec
         if spec.encoder is not None:
             noise = np.hypot(
-                _joint_errors(spec.encoder, chain, "noise"),
-                _joint_errors(spec.encoder, chain, "resolution") / np.sqrt(12.0),
+                _joint_errors(spec.encoder, chain, attrgetter("noise")),
+                _joint_errors(spec.encoder, chain, attrgetter("resolution")) / np.sqrt(12.0),
             )
-            unknown = np.where(
-                _sliding(chain), float(believed.joint_linear), float(believed.joint_angular)
-            )
+            unknown = np.where(_sliding(chain), believed.joint_linear, believed.joint_angular)
             limit = np.array(chain.model.velocityLimit)
             limit = np.where(limit > 0.0, limit, np.inf)
-            period = max(self.dt, 1.0 / float(spec.encoder.rate))
-            self._reach = float(scenario.control.safety.plausible_speed) * limit * period
+            period = max(self.dt, 1.0 / spec.encoder.rate)
+            self._reach = scenario.control.safety.plausible_speed * limit * period
             self._believed, self._missed = np.full(chain.nq, np.nan), np.zeros(chain.nq)
             self._joints = VelocityEstimate.optimal(
-                np.maximum(noise, 1e-9), unknown, self.dt, 1.0 / float(spec.encoder.rate)
+                np.maximum(noise, 1e-9), unknown, self.dt, 1.0 / spec.encoder.rate
             )
         self.vision: VisionFusion | None = None
         if (eyes := spec.vision) is not None:
-            noise = [max(float(of.noise), 1e-9) for of in (eyes.position, eyes.orientation)]
+            noise = [max(of.noise, 1e-9) for of in (eyes.position, eyes.orientation)]
             self.vision = VisionFusion(
                 _robots(chain),
                 Registration(noise[0], noise[1]),
-                (float(believed.body_linear), float(believed.body_angular)),
+                (believed.body_linear, believed.body_angular),
                 dt=self.dt,
-                period=1.0 / float(eyes.rate),
-                delay=float(eyes.delay),
+                period=1.0 / eyes.rate,
+                delay=eyes.delay,
                 markers=_markers(bodies),
             )
 
@@ -281,7 +259,7 @@ class Observer:
             if bad.any() and self._joints.x is None:
                 return measurement
             q, v = self._joints.update(np.where(bad, np.nan, measurement.q), known, fresh)
-            q = np.where(bad, np.nan, q + float(self._spec.encoder.delay) * v)
+            q = np.where(bad, np.nan, q + self._spec.encoder.delay * v)
             measurement = replace(measurement, q=q, v=v, estimated=True)
         if self.vision is not None and measurement.touched is not None:
             now = self._ticks * self.dt

@@ -10,12 +10,11 @@ from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.errors import ScenarioError
 from osc_contact.plants.judge import Plant
-from osc_contact.plants.mujoco import MujocoOptions, MujocoPlant
-from osc_contact.plants.pushes import Push
+from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.runs import faces, hardware
 from osc_contact.runs.contacts import EnvironmentBody
-from osc_contact.scenarios.control_schema import PLANT_TYPES
+from osc_contact.scenarios.hardware import PLANT_TYPES
 from osc_contact.scenarios.schema import Scenario
 
 __all__ = ["PLANTS", "Parts", "make_plant", "register_plant"]
@@ -92,9 +91,8 @@ def _mujoco(parts: Parts) -> Plant:
         robots.resolve_urdf(scenario.object.urdf, scenario.folder)[0],
         parts.pairs,
         [(body.urdf[0], body.placement) for body in parts.bodies],
-        MujocoOptions(spec.step, spec.solref, spec.solimp, spec.friction, spec.friction_solref),
+        spec,
         faces.rails(parts.bodies),
         parts.on,
         drives=hardware.drives(scenario, parts.chain, parts.state, parts.seed),
-        pushes=[Push(**push.model_dump()) for push in spec.pushes],
     )

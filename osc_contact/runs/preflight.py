@@ -184,15 +184,14 @@ def _springs(rig: Rig) -> Iterator[Finding]:
 
 
 def _rate(task: Task) -> Iterator[Finding]:
-    rate, given, gains = task.rate, task.given, task.gains
-    motion, force = gains.motion, gains.force
+    rate, motion, force = task.rate, task.gains.motion, task.gains.force
     name = "motion.damping"
-    if given.motion.damping is None:
+    if "damping" not in motion.model_fields_set:
         name = f"motion.frequency {motion.frequency:g} Hz, damping"
     limits = [(name, motion.damping)]
     if task.pairs:
         name = "force.integral"
-        if given.force.integral is None:
+        if "integral" not in force.model_fields_set:
             name = f"force.bandwidth {force.bandwidth:g} Hz, integral"
         limits += [(name, force.integral), (name.replace("integral", "brake"), force.brake)]
     for name, gain in limits:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from osc_contact.control.controller import Controller
-from osc_contact.control.safety import SafetySettings, SafetyState
+from osc_contact.control.safety import SafetyState
 from osc_contact.errors import OscContactError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.runs.task import Rule, Task
+from osc_contact.scenarios.control_schema import SafetySettings
 from osc_contact.spatial import Array
 
 __all__ = ["JOINT_RULES", "rehearse"]
@@ -25,8 +25,7 @@ def rehearse(task: Task) -> tuple[float, str] | None:
 
     The joints follow what the controller commands, without contacts, errors and motor limits.
     """
-    safety = replace(
-        SafetySettings.motors_only(),
+    safety = SafetySettings.motors_only(
         overspeed_time=task.safety.overspeed_time,
         brake_time=task.safety.brake_time,
         hold_rate=task.safety.hold_rate,

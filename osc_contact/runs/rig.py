@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
-from osc_contact.control.controller import Controller, Gains
-from osc_contact.control.force import ForceGains
-from osc_contact.control.friction import Friction
-from osc_contact.control.motion import MotionGains
-from osc_contact.control.phases import PhaseSettings
-from osc_contact.control.safety import SafetySettings
+from osc_contact.control.controller import Controller
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, reach
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
@@ -42,6 +37,7 @@ from osc_contact.runs.contacts import (
 from osc_contact.runs.plants import Parts, make_plant
 from osc_contact.runs.references import References, force_owners
 from osc_contact.runs.start import asked_pose, posture_of, standoff_of, touching
+from osc_contact.scenarios.control_schema import Gains, PhaseSettings
 from osc_contact.scenarios.geometry import GraspSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
@@ -142,10 +138,11 @@ class Rig:
         Off the contacts nothing but the motion integral holds what the model takes wrongly for
         weight, so a tare brings one unless the scenario gives the law's own gains.
         """
-        motion, force = self.scenario.gains.motion.model_dump(), self.scenario.gains.force
-        if self.scenario.tare is not None and motion["stiffness"] is None:
-            motion["integral_time"] = motion["integral_time"] or TARE_INTEGRAL_S
-        return Gains(MotionGains(**motion), ForceGains(**force.model_dump()))
+        gains = self.scenario.gains
+        given = gains.motion.model_fields_set
+        if self.scenario.tare is None or {"stiffness", "integral_time"} & given:
+            return gains
+        return gains.replaced(motion=gains.motion.replaced(integral_time=TARE_INTEGRAL_S))
 
     def controller(self) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
@@ -160,10 +157,10 @@ class Rig:
             ),
             posture=self.q_contact,
             engaged=self.scenario.tare is None,
-            friction=self._friction(),
+            friction=self.scenario.control.friction,
             reading=self.scenario.control.force.reading,
             life=self.life,
-            safety=SafetySettings(**self.scenario.control.safety.model_dump()),
+            safety=self.scenario.control.safety,
             laws=self.scenario.laws() if callable(self.scenario.laws) else self.scenario.laws,
             joint_friction=self.scenario.control.joint_friction,
         )
@@ -171,16 +168,7 @@ class Rig:
     @property
     def life(self) -> PhaseSettings | None:
         """How contacts are made and kept; None: they do not open, or cannot on an exact plant."""
-        spec = self.scenario.control.life
-        if spec is None or self.scenario.plant.exact:
-            return None
-        keys = spec.model_dump()
-        limits = {key: keys.pop(key) for key in ("force_on", "force_off", "power")}
-        return PhaseSettings(**keys, limits=replace(PhaseSettings().limits, **limits))
-
-    def _friction(self) -> Friction | None:
-        spec = self.scenario.control.friction
-        return None if spec is None else Friction(**spec.model_dump())
+        return None if self.scenario.plant.exact else self.scenario.control.life
 
     def controlled_pairs(self) -> tuple[ContactPair, ...]:
         """The controller's contacts: as declared, or read off the geometry while it moves."""

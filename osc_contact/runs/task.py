@@ -13,8 +13,7 @@ import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs.pair import ContactPair, count_forces
-from osc_contact.control.controller import Controller, Gains
-from osc_contact.control.safety import SafetySettings
+from osc_contact.control.controller import Controller
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
@@ -22,6 +21,7 @@ from osc_contact.recorder.recording import column_names
 from osc_contact.runs.finding import Finding
 from osc_contact.runs.references import Plan, force_names
 from osc_contact.runs.rig import Rig
+from osc_contact.scenarios.control_schema import Gains, SafetySettings
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 
@@ -41,7 +41,6 @@ class Task:
         q: (n,) where the run starts. q_contact: (n,) the same in contact.
         times: (k,) s. plan: the references there. every: of all ticks, by the period.
         force_names: (r,) in messages. owners: (r,) the contact of each.
-        given: gains as they were given.
         rests: of each contact, whether its body does. kept_from: s, when contacts are to be kept.
         bound: whether all contacts are kept, also those whose force is zero.
         robot: that will run, with what it measures now; None: the scenario's plant.
@@ -60,7 +59,6 @@ class Task:
     every: Callable[[float], Iterator[Reference]]
     force_names: Sequence[str]
     owners: Array
-    given: Any
     rests: Sequence[bool] = ()
     kept_from: float = 0.0
     bound: bool = True
@@ -74,12 +72,12 @@ class Task:
         scenario: Scenario = rig.scenario
         times, plan = rig.references.overview
         tare, duration = scenario.tare, scenario.duration
-        safety = SafetySettings(**scenario.control.safety.model_dump())
         return cls(
-            rig.chain, rig.pairs, rig.gains, 1.0 / scenario.control.rate, rig.q_contact, safety,
+            rig.chain, rig.pairs, rig.gains, 1.0 / scenario.control.rate, rig.q_contact,
+            scenario.control.safety,
             rig.q_start, rig.q_contact, times, plan,
             lambda period: rig.references.each(int(duration / period), period),
-            [f"force.{name}" for name in force_names(scenario)], rig.owners, scenario.gains,
+            [f"force.{name}" for name in force_names(scenario)], rig.owners,
             [rig.bodies[body].motion is None for body in rig.on],
             0.0 if tare is None else tare.duration + tare.approach, rig.life is None,
         )  # fmt: skip
@@ -127,7 +125,6 @@ class Task:
             every,
             [f"alpha_d of {name}" for name in names],
             np.array(owners, dtype=int),
-            settings.gains,
             [body is None for body in settings.bodies],
             bound=settings.phases is None,
             controller=controller,

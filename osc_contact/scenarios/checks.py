@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from typing import Any
 
 from pydantic import ValidationError
 
 from .contact_types import magnitude_names, raw_magnitudes
-from .control_schema import ControlSpec, PlantSpec
+from .control_schema import ControlSpec
+from .hardware import PlantSpec
+from .spec import did_you_mean
 
 __all__ = [
     "Problem",
     "body_problems",
-    "did_you_mean",
     "name_problems",
     "sound_problems",
     "timing_problems",
@@ -23,24 +23,6 @@ __all__ = [
 
 Problem = tuple[tuple[str | int, ...], str]
 """Where (keys and list indices) and what is wrong."""
-
-
-MANY, SHOWN = 8, 12  # names beside a guess; without one
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return "did you mean 'x'? known: ..." for a word that is not among `known`.
-
-    Long lists are left out where there is a guess, and cut where there is none.
-    """
-    names = list(known)
-    near = get_close_matches(word, names, n=2, cutoff=0.6)
-    hint = f"did you mean {' or '.join(map(repr, near))}?" if near else ""
-    if near and len(names) > MANY:
-        return hint
-    more = f", … ({len(names)} in all)" if len(names) > SHOWN else ""
-    listed = ", ".join(names[:SHOWN]) or "none"
-    return f"{hint} known: {listed}{more}".lstrip()
 
 
 def name_problems(

@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, WrapSerializer, WrapValidator
 
 from .geometry import Name, PoseSpec, Text
-from .quantities import Force, Mass, Number, Spec, Torque, UnitVec3, Vec3
+from .quantities import Force, Mass, Number, Torque, UnitVec3, Vec3
 from .signals import AngleSignal, LengthSignal
+from .spec import Spec
 
 __all__ = [
     "BodySpec",
@@ -44,6 +45,7 @@ class ConveyorSpec(Spec):
     signals: Annotated[tuple[LengthSignal, ...], Field(min_length=1)]
     """a list of signals in lengths, 0 at the start"""
     turn: TurnSpec | None = None
+    """turn of a conveyor while it travels; the axis travels with it"""
 
 
 class CartSpec(Spec):
@@ -55,8 +57,11 @@ class CartSpec(Spec):
     mass: Annotated[Mass, Field(gt=0)]
     """the mass of the cart, such as 3 kg"""
     stiffness: Annotated[Number, Field(ge=0)] = 0.0
+    """of the spring that pulls it back to its start"""
     damping: Annotated[Number, Field(ge=0)] = 0.0
+    """of its motion"""
     preload: Force = 0.0
+    """constant force along the direction"""
 
 
 class HingeSpec(Spec):
@@ -70,8 +75,11 @@ class HingeSpec(Spec):
     inertia: Annotated[Number, Field(gt=0)]
     """the moment of inertia about the axis, kg m², such as 0.02"""
     stiffness: Annotated[Number, Field(ge=0)] = 0.0
+    """of the spring that pulls it back to its start"""
     damping: Annotated[Number, Field(ge=0)] = 0.0
+    """of its motion"""
     preload: Torque = 0.0
+    """constant moment about the axis"""
 
 
 def _take_own(value: Any, read: Callable[[Any], Any]) -> Any:
@@ -99,7 +107,9 @@ class BodySpec(Spec):
     urdf: Text
     """the URDF of one rigid body, with visual and collision geometry"""
     pose: PoseSpec = PoseSpec()
+    """of its frame in the world"""
     motion: FaceMotion | None = None
+    """how it moves; without it the body is fixed"""
 
 
 class FaceSpec(Spec):
@@ -112,3 +122,4 @@ class FaceSpec(Spec):
     normal: UnitVec3
     """the outward normal [x, y, z] in world"""
     motion: FaceMotion | None = None
+    """how the face moves; without it the face is fixed"""

@@ -27,7 +27,8 @@ from pydantic import (
 
 from .contact_schema import FaceSpec
 from .geometry import Name
-from .quantities import Spec, UnitVec3, Vec3, refuse
+from .quantities import UnitVec3, Vec3
+from .spec import Spec, refuse
 
 __all__ = [
     "CONTACT_TYPES",

@@ -1,173 +1,445 @@
-"""How it is controlled and simulated: gains, tick, model error, tare and plant."""
+"""Settings of the controller: gains, phases of contacts, limits of the robot, friction, estimates.
+
+Each class is a group of keys of a scenario and the value that a program gives a controller; keys
+that have a field of the same name in the law's record are copied there by name.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Iterator
+from math import inf, pi, radians, sqrt
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
-
-from .hardware import (
-    EstimateSpec,
-    FlexibleJointsSpec,
-    FrictionSpec,
-    JointTorqueSpec,
-    MotorsSpec,
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
 )
+
 from .quantities import (
     Angle,
     Force,
-    ForceVec3,
+    ForceLimit,
     Frequency,
     Length,
+    LengthLimit,
+    Limit,
     Mass,
     NotNegative,
     Number,
     Positive,
-    Spec,
     Time,
-    refuse,
+    TimeLimit,
+    Velocity,
+    VelocityLimit,
 )
+from .spec import Spec, refuse
 
 __all__ = [
-    "PLANT_TYPES",
     "ControlSpec",
-    "ForceGainsSpec",
+    "EstimateSpec",
+    "ForceGains",
     "ForceReadingSpec",
-    "GainsSpec",
-    "PhasesSpec",
+    "Friction",
+    "Gains",
+    "JointTorqueSpec",
     "ModelErrorSpec",
-    "MotionGainsSpec",
-    "PlantSpec",
-    "PushSpec",
-    "SafetySpec",
+    "MonitorLimits",
+    "MotionGains",
+    "PhaseSettings",
+    "PostureTask",
+    "SafetySettings",
     "TareSpec",
     "VerdictSpec",
 ]
 
-#: What `plant.type` may be, and whether that plant is exact: ideal joints, contacts that neither
-#: open nor end. `runs.plants.register_plant` adds to it.
-PLANT_TYPES: dict[str, bool] = {"mujoco": False, "rigid": True}
-
-Fraction = Annotated[Number, Field(gt=0, lt=1)]
+_UNBRAKED = 6.0  #: a speed of the contact that lasts longer than this / K_i is not braked
+_DERIVED: Any = Field(default=None)  #: follows from the other gains
 
 
-class MotionGainsSpec(Spec):
-    """The motion loop: natural frequency (Hz) and damping ratio, or the gains themselves."""
+class _GainsOfOneLoop(Spec):
+    """Gains that serve every mass, or the numbers themselves; those not given follow from them."""
 
-    frequency: Annotated[Frequency, Field(gt=0)] | None = None
-    damping_ratio: NotNegative | None = None
-    integral_time: Annotated[Time, Field(gt=0)] | None = None
-    stiffness: NotNegative | None = None
-    """a number in 1/s²"""
-    damping: NotNegative | None = None
-    """a number in 1/s"""
-    integral: NotNegative | None = None
+    serving: ClassVar[tuple[str, ...]]
+    numbers: ClassVar[tuple[str, ...]]
+    example: ClassVar[str]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _leave_out_nulls(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            return {key: value for key, value in data.items() if value is not None}
+        return data
 
     @model_validator(mode="after")
-    def _of_one_kind(self) -> MotionGainsSpec:
-        _require_one_kind(
-            self, ("frequency", "damping_ratio", "integral_time"),
-            ("stiffness", "damping", "integral"), "gains.motion={frequency: 5 Hz}",
-        )  # fmt: skip
-        if (self.stiffness is None) != (self.damping is None) or (
-            self.integral is not None and self.stiffness is None
-        ):
-            raise refuse("give stiffness (1/s²) and damping (1/s) together, or frequency (Hz)")
+    def _complete(self) -> Self:
+        given = self.model_fields_set
+        chosen = [key for key in self.serving if key in given]
+        beside = [key for key in self.numbers if key in given]
+        if chosen and beside:
+            raise refuse(
+                f"{', '.join(chosen)} beside {', '.join(beside)}: give {', '.join(self.serving)}, "
+                f"or {', '.join(self.numbers)}; to replace them with --set, set the group: "
+                f"--set '{self.example}'"
+            )
+        values = {key: getattr(self, key) for key in given}
+        self.__dict__.update(self._values(not beside, values) | values)
+        return self
+
+    def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
+        """All gains; those that are given may be missing."""
+        raise NotImplementedError
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in write(self).items() if key in self.model_fields_set}
+
+
+class MotionGains(_GainsOfOneLoop):
+    """Gains of the motion law p̈_u = p̈_d + K_d ė + K_p e + K_i ∫e.
+
+    Scalars, the same for positions and angles, so that no metre meets a radian. They are gains of
+    accelerations: the model's inertia makes forces of them, so they serve every mass.
+    """
+
+    serving = ("frequency", "damping_ratio", "integral_time")
+    numbers = ("stiffness", "damping", "integral")
+    example = "gains.motion={frequency: 5 Hz}"
+
+    stiffness: Annotated[NotNegative, "1/s²"] = _DERIVED
+    """K_p = (2π `frequency`)²; 400 1/s² if no gain of the loop is given"""
+    damping: Annotated[NotNegative, "1/s"] = _DERIVED
+    """K_d = 4π `frequency` `damping_ratio`; beside `stiffness`"""
+    integral: Annotated[NotNegative, "1/s³"] = _DERIVED
+    """K_i = K_p / `integral_time`; beside `stiffness`, below `stiffness` × `damping`"""
+    frequency: Annotated[Frequency, Field(gt=0)] = _DERIVED
+    """natural frequency of the motion loop, the same for positions and angles; 3.2 Hz"""
+    damping_ratio: NotNegative = _DERIVED
+    """of the motion loop; 1"""
+    integral_time: Annotated[Time, Field(gt=0)] = _DERIVED
+    """time in which the integral does as much as the stiffness; no integral, 0.2 s with a tare"""
+
+    @model_validator(mode="after")
+    def _is_stable(self) -> Self:
+        if self.integral > 0.0 and self.integral >= self.stiffness * self.damping:
+            raise refuse(
+                f"integral = {self.integral:g} 1/s³ is not below stiffness × damping = "
+                f"{self.stiffness * self.damping:g}: the loop would be unstable (Routh); lower it, "
+                "or raise integral_time"
+            )
+        return self
+
+    def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
+        if not serves_every_mass:
+            if not {"stiffness", "damping"} <= given.keys():
+                raise refuse("give stiffness (1/s²) and damping (1/s) together, or frequency (Hz)")
+            K, D, K_i = given["stiffness"], given["damping"], given.get("integral", 0.0)
+            return {
+                "integral": 0.0,
+                "frequency": sqrt(K) / (2.0 * pi),
+                "damping_ratio": D / (2.0 * sqrt(K)) if K > 0.0 else 0.0,
+                "integral_time": K / K_i if K_i > 0.0 else inf,
+            }
+        omega = 2.0 * pi * given["frequency"] if "frequency" in given else 20.0
+        ratio, time = given.get("damping_ratio", 1.0), given.get("integral_time", inf)
+        return {
+            "stiffness": omega**2,
+            "damping": 2.0 * omega * ratio,
+            "integral": omega**2 / time,
+            "frequency": omega / (2.0 * pi),
+            "damping_ratio": ratio,
+            "integral_time": time,
+        }
+
+
+class ForceGains(_GainsOfOneLoop):
+    """Gains of the force law α_u = α_s + K_i ∫(α_s − α_meas) dt − K_v NᵀV_rel (fig. 5).
+
+    There is no proportional gain: a rigid contact answers a command within the same instant, so a
+    proportional loop with gain ≥ 1 is unstable in discrete time at any rate.
+    """
+
+    serving = ("bandwidth", "damping_ratio")
+    numbers = ("integral", "damping", "brake")
+    example = "gains.force={bandwidth: 5 Hz}"
+
+    integral: Annotated[NotNegative, "1/s"] = _DERIVED
+    """K_i = 2π `bandwidth`, at which errors of the force fade; below 1 / period"""
+    damping: Annotated[NotNegative, "N s/m"] = _DERIVED
+    """K_v of the normal velocity, for one mass; beside `integral`, 0"""
+    bandwidth: Annotated[Frequency, Field(gt=0)] = _DERIVED
+    """at which errors of the force fade; 5 Hz if no gain of the loop is given"""
+    damping_ratio: NotNegative = _DERIVED
+    """brakes a contact that swings, by the mass behind it; 0.7; above ½ none swings up"""
+    rise: Annotated[Time, Field(ge=0)] = _DERIVED
+    """time that a step of a desired force takes; 0.25 s, 0 beside `integral`"""
+    tilt: Annotated[Angle, Field(ge=0, le=0.8)] = _DERIVED
+    """a face on which one point slides is taken to be turned to the measured motion, by so much at
+    most ([tuning](tuning.md#why)); 10 deg, 0 beside `integral`"""
+    brake: Annotated[NotNegative, "1/s"] = _DERIVED
+    """κ = 2 `damping_ratio` K_i of the normal velocity, a force of κ(NᵀΦN)⁻¹; beside `integral`"""
+
+    @property
+    def drift(self) -> float:
+        """1/s; a normal velocity that changes more slowly belongs to a tilted face: no brake."""
+        return self.integral / _UNBRAKED
+
+    def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
+        if not serves_every_mass:
+            if "integral" not in given:
+                raise refuse(
+                    "damping (N s/m) goes with integral (1/s); give both, or damping_ratio"
+                )
+            K_i, brake = given["integral"], given.get("brake", 0.0)
+            return {
+                "damping": 0.0,
+                "bandwidth": K_i / (2.0 * pi),
+                "damping_ratio": brake / (2.0 * K_i) if K_i > 0.0 else 0.0,
+                "rise": 0.0,
+                "tilt": 0.0,
+                "brake": 0.0,
+            }
+        bandwidth, ratio = given.get("bandwidth", 5.0), given.get("damping_ratio", 0.7)
+        K_i = 2.0 * pi * bandwidth
+        return {
+            "integral": K_i,
+            "damping": 0.0,
+            "bandwidth": bandwidth,
+            "damping_ratio": ratio,
+            "rise": 0.25,
+            "tilt": radians(10.0),
+            "brake": 2.0 * ratio * K_i,
+        }
+
+
+class Gains(Spec):
+    """Gains of the two loops; left out, they serve every mass ([tuning](tuning.md))."""
+
+    motion: MotionGains = MotionGains()
+    """the motion loop: `frequency` and `damping_ratio`, or `stiffness` and `damping`"""
+    force: ForceGains = ForceGains()
+    """the force loop: `bandwidth`, `damping_ratio` and `rise`, or `integral` and `damping`"""
+
+
+class MonitorLimits(Spec):
+    """When contact counts as made, as lost, and as a collision."""
+
+    force_on: Annotated[Force, Field(gt=0)] = 1.0
+    """contact is made above that force"""
+    force_off: Annotated[Force, Field(gt=0)] = 0.4
+    """and lost below that, plus a fifth of the force commanded"""
+    power: Annotated[Positive, "W"] = 0.05
+    """a contact made with more projected power (in size) is a collision"""
+    patience: Annotated[Time, Field(ge=0)] = 0.005
+    """the force must stay low for so long before contact counts as lost"""
+    window: Annotated[Time, Field(ge=0)] = 0.02
+    """after contact is made, in which a collision is looked for"""
+    dwell: Annotated[Time, Field(ge=0)] = 0.0
+    """the force must stay high for so long before contact counts as made (sensor noise)"""
+    leaving: VelocityLimit = inf
+    """an object that leaves its face faster has no contact, whatever the force: a face does not
+    push on what moves away from it"""
+
+    @model_validator(mode="after")
+    def _has_hysteresis(self) -> Self:
+        if not self.force_on > self.force_off:
+            raise refuse(
+                f"force_on = {self.force_on:g} N, force_off = {self.force_off:g} N; give force_on "
+                "above force_off"
+            )
         return self
 
 
-class ForceGainsSpec(Spec):
-    """The force loop (fig. 5): bandwidth (Hz) and damping ratio, or gains for one mass."""
+class PhaseSettings(MonitorLimits):
+    """How contacts are made and kept: opened, approached and closed one by one."""
 
-    bandwidth: Annotated[Frequency, Field(gt=0)] | None = None
-    damping_ratio: NotNegative | None = None
-    rise: Annotated[Time, Field(ge=0)] | None = None
-    tilt: Annotated[Angle, Field(ge=0, le=0.8)] | None = None
-    integral: NotNegative | None = None
-    """a number in 1/s"""
-    damping: NotNegative | None = None
-
-    @model_validator(mode="after")
-    def _of_one_kind(self) -> ForceGainsSpec:
-        _require_one_kind(
-            self, ("bandwidth", "damping_ratio"), ("integral", "damping"),
-            "gains.force={bandwidth: 5 Hz}",
-        )  # fmt: skip
-        if self.damping is not None and self.integral is None:
-            raise refuse("damping (N s/m) goes with integral (1/s); give both, or damping_ratio")
-        return self
-
-
-def _require_one_kind(
-    spec: Spec, words: tuple[str, ...], plain: tuple[str, ...], cure: str
-) -> None:
-    """Refuse gains that serve every mass beside gains that they replace."""
-    chosen, beside = (
-        [key for key in keys if getattr(spec, key) is not None] for keys in (words, plain)
-    )
-    if chosen and beside:
-        raise refuse(
-            f"{', '.join(chosen)} beside {', '.join(beside)}: give {', '.join(words)}, or "
-            f"{', '.join(plain)}; to replace them with --set, set the group: --set '{cure}'"
-        )
-
-
-class GainsSpec(Spec):
-    """Gains of both loops; what is left out serves every mass."""
-
-    motion: MotionGainsSpec = MotionGainsSpec()
-    """frequency and damping_ratio, or stiffness and damping, of the motion loop"""
-    force: ForceGainsSpec = ForceGainsSpec()
-    """bandwidth, damping_ratio and rise, or integral and damping, of the force loop"""
-
-
-class PhasesSpec(Spec):
-    """Contacts opened, approached and closed one by one (`control.life`)."""
-
-    speed: Positive = 0.01
-    damping: Positive = 200.0
+    speed: Annotated[Velocity, Field(gt=0)] = 0.01
+    """v_a of the approach, along −N"""
+    damping: Annotated[Positive, "N s/m"] = 200.0
+    """K_a of the approach; K_a v_a is the force with which it meets the face"""
     travel: Annotated[Length, Field(gt=0)] = 0.05
+    """an approach that has covered more at its speed stands still"""
     rise: Annotated[Time, Field(gt=0)] = 0.05
+    """from contact made, with K_a v_a, to the full force"""
     least: Annotated[Force, Field(gt=0)] = 0.2
-    torque_rate: Positive = 20.0
+    """α_min, least force command of a closed contact that can only push"""
+    torque_rate: Annotated[Positive, "1/s"] = 20.0
+    """after a change of phase no motor torque changes faster than its limit times this"""
+    share: Positive = 0.2
+    """of the desired force; a closed contact with less is lost"""
+    lag: Annotated[Time, Field(gt=0)] = 0.006
+    """of the low-pass before the monitor"""
     force_on: Annotated[Force, Field(gt=0)] = 0.6
+    """contact is made above that force"""
     force_off: Annotated[Force, Field(gt=0)] = 0.3
-    power: Positive = 0.004
+    """and lost below that, plus `share` of the force commanded"""
+    power: Annotated[Positive, "W"] = 0.004
+    """a contact made with more projected power is a collision"""
+    dwell: Annotated[Time, Field(ge=0)] = 0.002
+    """the force must stay high for so long before contact counts as made (sensor noise)"""
+    leaving: VelocityLimit = 0.03
+    """an object that leaves its face faster has no contact, whatever the force"""
+
+    @property
+    def push(self) -> float:
+        """K_a v_a (N)."""
+        return self.damping * self.speed
+
+    @model_validator(mode="after")
+    def _pushes_enough(self) -> Self:
+        if not self.push > self.force_on:
+            raise refuse(
+                f"an approach at {self.speed:g} m/s with {self.damping:g} N s/m pushes with "
+                f"{self.push:g} N, which does not count as contact below force_on = "
+                f"{self.force_on:g} N; raise speed or damping, or lower force_on"
+            )
+        return self
 
 
-class SafetySpec(Spec):
-    """What happens to ticks that cannot be computed, and to joints too fast (`control.safety`)."""
+class SafetySettings(Spec):
+    """Ticks that cannot be computed, and limits of the robot beside its motors'."""
 
     repeats: Annotated[int, Field(ge=0)] = 2
+    """ticks in a row that cannot be computed and repeat the last torques; later ones
+    [hold the posture](reliability.md)"""
     stop_after: Annotated[int, Field(gt=0)] = 20
-    overspeed_time: Annotated[Time, Field(gt=0)] = 0.02
-    hold_rate: Positive = 20.0
-    torque_rate: Positive = 200.0
+    """how many more such ticks than computed ones stop the controller: 20 in a row, or more than
+    half of them for longer"""
+    overspeed_time: TimeLimit = 0.02
+    """a motor joint above its speed limit for longer stops the controller; time below it is taken
+    off"""
+    hold_rate: Annotated[Positive, "1/s"] = 20.0
+    """ω of q̈ = −2ω q̇ − ω²(q − q_hold) in a hold and a stop"""
+    torque_rate: Annotated[Limit, "1/s"] = 200.0
+    """no motor torque changes faster than its limit times this"""
     brake_time: Annotated[Time, Field(ge=0)] = 0.1
-    contact_power: Positive = 20.0
-    contact_force: Annotated[Force, Field(gt=0)] = 30.0
-    overforce_time: Annotated[Time, Field(gt=0)] = 0.15
-    contact_loss_time: Annotated[Time, Field(gt=0)] = 0.2
-    regain_time: Annotated[Time, Field(gt=0)] = 1.0
-    integral_force: Annotated[Force, Field(gt=0)] = 15.0
-    integral_motion: Positive = 50.0
-    force_range: Annotated[Force, Field(gt=0)] = 1000.0
-    torque_range: Positive = 200.0
-    load_error: Annotated[Force, Field(gt=0)] = 2.0
-    plausible_speed: Positive = 3.0
-    wrench_timeout: Annotated[Time, Field(gt=0)] = 0.02
-    stuck_speed: Positive = 0.1
-    frozen_time: Annotated[Time, Field(gt=0)] = 0.25
-    speed_error: Positive = 0.1
-    position_drift: Positive = 0.02
-    wrist_error: Positive = 0.05
-    closure_error: Annotated[Length, Field(gt=0)] = 0.02
+    """in which joints can be braked from their speed limit: they are stopped before their ends; 0:
+    ends are not watched"""
+    contact_power: Annotated[Limit, "W"] = 20.0
+    """more power into the contacts stops the controller"""
+    contact_force: ForceLimit = 30.0
+    """a contact that reads more, and more than three times its command, for `overforce_time` stops
+    it"""
+    overforce_time: TimeLimit = 0.15
+    """see `contact_force`"""
+    contact_loss_time: TimeLimit = 0.2
+    """a contact that reads less than a fifth of its command for longer stops it, unless
+    `control.life` handles losses"""
+    regain_time: TimeLimit = 1.0
+    """so does one that was lost and is not held again for longer"""
+    integral_force: ForceLimit = 15.0
+    """the force integral stays within that, or within 1.5 times the command where that is more"""
+    integral_motion: Annotated[Limit, "m/s², rad/s²"] = 50.0
+    """what the motion integral commands stays within that"""
+    force_range: ForceLimit = 1000.0
+    """wrist readings beyond that, and beyond three times the object's weight, are rejected"""
+    torque_range: Annotated[Limit, "N m"] = 200.0
+    """the same of torques, the weight on a lever of 1 m"""
+    load_error: ForceLimit = 2.0
+    """before any contact is made, wrists that read more than that beside the weight they carry stop
+    the controller (with that force on a lever of 0.2 m, or of the tool's length, as a torque)"""
+    plausible_speed: Limit = 3.0
+    """times a joint's speed limit: faster ones, and positions that jump further, are rejected"""
+    wrench_timeout: TimeLimit = 0.02
+    """ticks continue with the last wrenches for so long; stamps may stand still for so long"""
+    stuck_speed: Limit = 0.1
+    """times a joint's speed limit: a joint that is commanded to gain more while its encoder repeats
+    one reading stops the controller"""
+    frozen_time: TimeLimit = 0.25
+    """a wrist in contact, or a whole packet, that repeats one reading for longer stops it"""
+    speed_error: Limit = 0.1
+    """times a joint's speed limit: speeds that differ from those of the positions by more, for
+    20 ms or so, stop it"""
+    position_drift: Annotated[Limit, "rad, m"] = 0.02
+    """positions that drift by more from the integral of the speeds, within half a second, stop
+    it"""
+    wrist_error: Limit = 0.05
+    """times a motor's torque limit: torques that the model and the wrist's reading leave
+    unexplained by more than is usual, or by twice that in all, stop the arms: a wrist that is
+    mirrored, scaled, offset or of another arm"""
+    closure_error: LengthLimit = 0.02
+    """arms whose encoders place the object they hold further apart stop"""
+
+    @classmethod
+    def motors_only(cls, **keys: Any) -> SafetySettings:
+        """No limits but those of the motors and of `keys`: for ticks that are not one motion."""
+        return cls(**{"brake_time": 0.0} | dict.fromkeys(cls._limits(), inf) | keys)
+
+    @classmethod
+    def _limits(cls) -> Iterator[str]:
+        for key, field in cls.model_fields.items():
+            if any(getattr(mark, "open", False) for mark in field.metadata):
+                yield key
+
+    @model_validator(mode="after")
+    def _stops_after_repeats(self) -> Self:
+        if self.repeats >= self.stop_after:
+            raise refuse(
+                f"repeats = {self.repeats}, stop_after = {self.stop_after}; give repeats < "
+                "stop_after"
+            )
+        return self
+
+
+class Friction(Spec):
+    """Friction at the contacts that the controller takes into account."""
+
+    mu: NotNegative
+    """the Coulomb coefficient, the same at all contacts, such as 0.1"""
+    slip: Annotated[Velocity, Field(gt=0)] = 0.002
+    """v_0, the slip speed from which on friction counts as fully developed; below it the direction
+    is not known well enough to push against"""
+    learning: Annotated[NotNegative, "1/s"] = 5.0
+    """how fast μ follows what `least_squares` reads while contacts slide; 0: not at all; `filter`
+    learns nothing"""
+
+
+class PostureTask(Spec):
+    """What redundant arms do with joints they do not need."""
+
+    stiffness: Annotated[NotNegative, "1/s²"] = 25.0
+    """of the pull towards the posture"""
+    damping: Annotated[NotNegative, "1/s"] = 10.0
+    """of joint motions beside the task"""
+    retreat_damping: Annotated[NotNegative, "1/s"] = 50.0
+    """instead of `damping`, of joint motions that a singular posture takes from the task"""
+    limit_stiffness: Annotated[NotNegative, "1/s²"] = 400.0
+    """of the push away from joint limits; 0: none"""
+    limit_margin: Annotated[Number, Field(gt=0, lt=0.5)] = 0.05
+    """where that push begins, as a share of the joint's range (see `JointLimitAvoidance`)"""
+
+
+class JointTorqueSpec(Spec):
+    """The joint torque loop: its rate (Hz), gain and damping ratio."""
+
+    rate: Annotated[Frequency, Field(gt=0)]
+    """the rate of the loop, a whole multiple of `control.rate`, such as 4 kHz"""
+    gain: Positive = 60.0
+    """k_p: errors of motor and spring seem 1 + gain times smaller"""
+    damping_ratio: Positive = 0.7
+    """of the closed loop"""
 
 
 class ForceReadingSpec(Spec):
     """How contact forces are read off the wrists; null: as `Controller` chooses."""
 
     reading: Literal["filter", "least_squares"] | None = None
+    """`filter` (fig. 5) or `least_squares`; null: the latter where its answer is unique"""
+
+
+class EstimateSpec(Spec):
+    """Accelerations that the estimates of velocities do not know of: joints, tracked bodies."""
+
+    joint_angular: Annotated[Positive, "rad/s²"] = 2.0
+    """of turning joints"""
+    joint_linear: Annotated[Positive, "m/s²"] = 0.5
+    """of sliding joints"""
+    body_angular: Annotated[Positive, "rad/s²"] = 0.1
+    """of tracked bodies"""
+    body_linear: Annotated[Positive, "m/s²"] = 0.05
+    """of tracked bodies"""
 
 
 class ControlSpec(Spec):
@@ -176,14 +448,26 @@ class ControlSpec(Spec):
     rate: Annotated[Frequency, Field(gt=0)]
     """the tick rate, such as 1 kHz"""
     metric: Literal["object", "chain"] = "object"
+    """B of eq. 24: `object` (Λ_o⁻¹) or `chain` ((ΣΛ_i + Λ_o)⁻¹)"""
     contacts: Literal["declared", "detected"] = "declared"
+    """`detected`: the controller finds them from the collision geometry as it moves"""
     joint_torque: JointTorqueSpec | None = None
+    """the joint torque loop; needs `plant.flexible_joints`"""
     force: ForceReadingSpec = ForceReadingSpec()
-    friction: FrictionSpec | None = None
+    """[how contact forces are read off the wrists](friction.md)"""
+    friction: Friction | None = None
+    """friction at the contacts that the controller takes into account"""
     joint_friction: bool = True
-    life: PhasesSpec | None = PhasesSpec()
-    safety: SafetySpec = SafetySpec()
+    """whether the controller makes up for the
+    [friction of the joints](robots.md#rotors-and-friction-of-the-joints) that its model knows"""
+    life: PhaseSettings | None = PhaseSettings()
+    """[contacts opened, approached and closed](contact_phases.md) one by one, as their forces are
+    > 0 or not; `off`: all at once, by `tare` (and the default beside one)"""
+    safety: SafetySettings = SafetySettings()
+    """ticks that cannot be computed, [limits of the robot](reliability.md#limits-of-the-robot):
+    [safety states](reliability.md); `.inf`: no limit"""
     estimate: EstimateSpec = EstimateSpec()
+    """accelerations that the velocity estimates do not know of"""
 
     @field_validator("life", mode="before")
     @classmethod
@@ -192,75 +476,53 @@ class ControlSpec(Spec):
 
 
 class ModelErrorSpec(Spec):
-    """What the controller believes wrongly of masses, friction and faces."""
+    """What the controller's model has wrong: masses, friction and faces."""
 
     object_mass: Positive = 1.0
+    """factor on the controller's object mass and inertia"""
     arm_mass: Positive = 1.0
+    """factor on the controller's link masses and inertias"""
     hidden_mass: Annotated[Mass, Field(ge=0)] = 0.0
+    """a mass that the controller does not know of, in the object where the first arm grasps it"""
     joint_friction: NotNegative = 1.0
+    """factor on the joint friction and damping of the controller's model"""
     environment: Literal["known", "ignored"] = "known"
+    """`ignored`: the law takes every face as unyielding and unaccelerated (Φ_e = 0, b_e = 0)"""
     face_offset: Length = 0.0
+    """the controller takes each body touched to stand so much nearer, along its first line of
+    force"""
     face_tilt: Angle = 0.0
+    """and to be turned by this angle, about where that line meets it"""
     face_tilt_about: Angle = 0.0
+    """the axis of that turn: the horizontal direction across the line, turned about the line by
+    this angle"""
 
 
 class TareSpec(Spec):
     """Zeroing of the wrist sensors in free space before contact is made."""
 
     duration: Annotated[Time, Field(gt=0)] = 0.4
+    """at rest off the faces; the last third is averaged"""
     standoff: Annotated[Length, Field(gt=0)] = 0.01
+    """gap during that time"""
     approach: Annotated[Time, Field(gt=0)] = 0.3
+    """time from there to contact; where contacts have phases these meet it at their own speed"""
 
 
 class VerdictSpec(Spec):
     """Beyond these limits a run's task has failed (`verdict`), see `runs.outcome`."""
 
     force_rms: Positive = 0.1
+    """rms error of a force, of its mean command"""
     limit_cycle: Positive = 0.05
+    """amplitude of a [limit cycle](metrics.md#limit-cycles), of the mean command"""
     open_share: NotNegative = 0.01
+    """of its judged time that a contact is open"""
     lost_time: Annotated[Time, Field(gt=0)] = 0.05
+    """that a contact is open in a row while the controller takes it as closed"""
     distance: Annotated[Length, Field(gt=0)] = 0.1
+    """of the object from its reference, along the free directions"""
     angle: Annotated[Angle, Field(gt=0)] = 0.3
+    """of the object from its reference, along the free directions"""
     held_share: NotNegative = 0.01
-
-
-class PushSpec(Spec):
-    """A half sine of force on the wrist of an arm from outside, once or again and again."""
-
-    arm: str
-    """the name of an arm with a wrist sensor"""
-    force: ForceVec3
-    """its peak [x, y, z] in world"""
-    start: Annotated[Time, Field(ge=0)] = 0.0
-    duration: Annotated[Time, Field(gt=0)]
-    """how long it acts, such as 20 ms"""
-    every: Annotated[Time, Field(ge=0)] = 0.0
-
-
-class PlantSpec(Spec):
-    """The simulated workcell: step (s) and the contact parameters of the MuJoCo plant."""
-
-    type: str = "mujoco"
-    step: Annotated[Time, Field(gt=0)]
-    """the simulation step, such as 0.25 ms"""
-    solref: tuple[Positive, Positive] = (0.01, 1.0)
-    solimp: tuple[Fraction, Fraction, Positive] = (0.2, 0.9, 0.0005)
-    friction: NotNegative = 0.0
-    friction_solref: tuple[Positive, Positive] | None = None
-    flexible_joints: FlexibleJointsSpec | None = None
-    motors: MotorsSpec | None = None
-    joint_friction: NotNegative = 0.0
-    pushes: tuple[PushSpec, ...] = ()
-
-    @field_validator("type")
-    @classmethod
-    def _is_registered(cls, value: str) -> str:
-        if value not in PLANT_TYPES:
-            *names, last = map(repr, PLANT_TYPES)
-            raise refuse(f"expected {', '.join(names)} or {last}; got {value!r}")
-        return value
-
-    @property
-    def exact(self) -> bool:
-        """Whether joints are ideal and contacts bilateral, without ends: see `PLANT_TYPES`."""
-        return PLANT_TYPES[self.type]
+    """of the ticks that could not be computed"""

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from ..errors import ScenarioError
-from .checks import did_you_mean
+from .spec import did_you_mean
 from .yaml_nodes import Problems, compose, scalar
 
 __all__ = ["ScenarioDocument", "Key"]

@@ -6,7 +6,8 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from .quantities import AngleVec3, JointForce, JointValue, Number, Spec, UnitVec3, Vec3, refuse
+from .quantities import AngleVec3, JointForce, JointValue, Number, UnitVec3, Vec3
+from .spec import Spec, refuse
 
 __all__ = [
     "GRASP_TYPES",
@@ -39,7 +40,9 @@ class PoseSpec(Spec):
     """A pose: translation (m) and roll-pitch-yaw (rad) about fixed axes; default identity."""
 
     xyz: Vec3 = (0.0, 0.0, 0.0)
+    """translation [x, y, z]"""
     rpy: AngleVec3 = (0.0, 0.0, 0.0)
+    """roll, pitch and yaw about fixed axes"""
 
 
 #: Grasps that a scenario may name, and whether they have an axis; `dynamics.grasp` fills it.
@@ -50,6 +53,8 @@ class GraspSpec(PoseSpec):
     """X_TO: pose of the object in the tip frame of the arm that holds it, and how it does so."""
 
     type: str = "rigid"
+    """`rigid`; `hinge`: the object also turns about an axis of the tip frame; `ball`: about its
+    origin"""
     axis: UnitVec3 | None = None
     """the axis of a hinge [x, y, z], in the tip frame, through its origin"""
 
@@ -79,12 +84,17 @@ class ArmSpec(Spec):
     urdf: Text
     """a packaged URDF, a path beside the file (URDF or MJCF), or example-robot-data:NAME"""
     base: PoseSpec = PoseSpec()
+    """of the base in the world"""
     tip: Text
     """the frame of the URDF that holds the object"""
     wrist_sensor: Text | None = None
+    """frame of the wrist force/torque sensor; the force loop needs one on every arm"""
     passive_joints: tuple[Text, ...] = ()
+    """joints without a motor"""
     locked_joints: dict[str, JointValue] = Field(default_factory=dict)
+    """by name, joints held where given; those that do not move the tip hold at 0 if not named"""
     effort_factor: Annotated[Number, Field(gt=0)] = 1.0
+    """multiplies the effort limits of the URDF: weaker or stronger motors"""
     armature: PerJoint | None = None
     """rotor inertia as felt at the joints (kg m², kg), one for all or one for each"""
     damping: PerJoint | None = None

@@ -1,41 +1,51 @@
-"""What makes a rig real: flexible joints, imperfect motors, sensors and their errors."""
+"""What makes a rig real: the plant, flexible joints, imperfect motors, sensors and their errors."""
 
 from __future__ import annotations
 
-from typing import Annotated, Generic, TypeVar
+import math
+from typing import Annotated, Generic, Self, TypeVar
 
-from pydantic import Field, model_validator
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, field_validator, model_validator
 
 from .quantities import (
     Angle,
     Force,
+    ForceVec3,
     Frequency,
     Length,
     NotNegative,
     Number,
     OfQuantity,
     Positive,
-    Spec,
     Time,
     Torque,
-    Velocity,
-    refuse,
 )
+from .spec import Spec, refuse
 
 __all__ = [
+    "PLANT_TYPES",
+    "Clock",
     "EncoderSpec",
-    "EstimateSpec",
+    "Errors",
     "FlexibleJointsSpec",
-    "FrictionSpec",
-    "JointTorqueSpec",
     "MotorsSpec",
+    "PlantSpec",
+    "Push",
     "SensorsSpec",
     "TorqueSensorSpec",
     "VisionSpec",
     "WristSpec",
 ]
 
+#: What `plant.type` may be, and whether that plant is exact: ideal joints, contacts that neither
+#: open nor end. `runs.plants.register_plant` adds to it.
+PLANT_TYPES: dict[str, bool] = {"mujoco": False, "rigid": True}
+_LEAST_SLIDING = 0.015  #: s, of the friction of points that slide: with less they lose contact
+
 Q = TypeVar("Q", bound=float)
+Fraction = Annotated[Number, Field(gt=0, lt=1)]
 Probability = Annotated[Number, Field(ge=0, lt=1)]
 PerMotor = Annotated[tuple[Positive, ...], Field(min_length=1)]
 
@@ -44,15 +54,17 @@ class FlexibleJointsSpec(Spec):
     """Springs between motors and links, by the rig's first mode or by number."""
 
     frequency: Annotated[Frequency, Field(gt=0)] | None = None
-    """the first mode of the rig with its motors held, such as 5 Hz"""
-    stiffness: dict[str, PerMotor] | None = None
-    """by arm, one number for each motor (N m/rad, N/m)"""
+    """first mode of the rig out of contact, motors held, loops closed, such as 5 Hz; springs are
+    proportional to the joints' inertias"""
+    stiffness: Annotated[dict[str, PerMotor], "N m/rad, N/m"] | None = None
+    """instead: by arm name, one number for each motor"""
     damping_ratio: NotNegative = 0.02
-    motor_inertia: Positive | dict[str, PerMotor] = 0.5
-    """a share of each joint's own inertia, or by arm one number for each motor (kg m², kg)"""
+    """of motor against link"""
+    motor_inertia: Annotated[Positive | dict[str, PerMotor], "–, kg m², kg"] = 0.5
+    """a share of each joint's own inertia, or by arm name one number for each motor"""
 
     @model_validator(mode="after")
-    def _one_of_two(self) -> FlexibleJointsSpec:
+    def _one_of_two(self) -> Self:
         if (self.frequency is None) == (self.stiffness is None):
             raise refuse(
                 "expected either frequency, such as 5 Hz, or stiffness, by arm and motor; "
@@ -65,91 +77,161 @@ class MotorsSpec(Spec):
     """Errors of the motors as shares of each one's limit; signs and phases are drawn."""
 
     bias: NotNegative = 0.0
+    """share of each motor's limit"""
     ripple: NotNegative = 0.0
+    """amplitude, share of each motor's limit: a sine of motor travel, 24 per rad or one in 10 mm"""
 
 
-class JointTorqueSpec(Spec):
-    """The joint torque loop: its rate (Hz), gain and damping ratio."""
+class Push(Spec):
+    """A half sine of force from outside on an arm, where its wrist sensor is fastened.
 
-    rate: Annotated[Frequency, Field(gt=0)]
-    """the rate of the loop, such as 4 kHz"""
-    gain: Positive = 60.0
-    damping_ratio: Positive = 0.7
+    The force comes from the arm's side: the sensor feels what it does, not the force itself.
+    """
+
+    arm: str
+    """the name of an arm with a wrist sensor, which does not feel the force"""
+    force: ForceVec3
+    """its peak [x, y, z] in world"""
+    start: Annotated[Time, Field(ge=0)] = 0.0
+    """when it first acts"""
+    duration: Annotated[Time, Field(gt=0)]
+    """how long it acts, such as 20 ms"""
+    every: Annotated[Time, Field(ge=0)] = 0.0
+    """after which it comes again, longer than `duration`; 0: never"""
+
+    @model_validator(mode="after")
+    def _ends_before_the_next(self) -> Self:
+        if 0.0 < self.every <= self.duration:
+            raise refuse(
+                f"duration = {self.duration:g} s, every = {self.every:g} s; give every longer than "
+                "the duration, or 0"
+            )
+        return self
+
+    def at(self, t: float) -> npt.NDArray[np.float64]:
+        """(3,) the force at time t (s)."""
+        since = t - self.start
+        if self.every > 0.0 and since >= 0.0:
+            since %= self.every
+        acts = 0.0 <= since < self.duration
+        return np.array(self.force) * (math.sin(math.pi * since / self.duration) if acts else 0.0)
 
 
-class FrictionSpec(Spec):
-    """What the controller believes of the contacts' friction, and from which slip speed on."""
+class PlantSpec(Spec):
+    """The simulated workcell: step (s) and the contact parameters of the MuJoCo plant."""
 
-    mu: NotNegative
-    """the Coulomb coefficient, such as 0.1"""
-    slip: Annotated[Velocity, Field(gt=0)] = 0.002
-    learning: NotNegative = 5.0
+    type: str = "mujoco"
+    """`mujoco` or `rigid`, or the name of a plant that a program has registered"""
+    step: Annotated[Time, Field(gt=0)]
+    """the simulation step, such as 0.25 ms; the control period is a whole multiple"""
+    solref: Annotated[tuple[Positive, Positive], "s, –"] = (0.01, 1.0)
+    """MuJoCo: time constant and damping ratio of the faces"""
+    solimp: Annotated[tuple[Fraction, Fraction, Positive], "–, –, m"] = (0.2, 0.9, 0.0005)
+    """MuJoCo: impedance at zero depth, at width, width"""
+    friction: NotNegative = 0.0
+    """MuJoCo: Coulomb coefficient of the faces"""
+    friction_solref: Annotated[tuple[Positive, Positive], "s, –"] | None = None
+    """MuJoCo: `solref` of friction alone, longer where [faces slide](friction.md#mujoco); null: as
+    `solref`, but at least 15 ms"""
+    flexible_joints: FlexibleJointsSpec | None = None
+    """MuJoCo: a spring between each motor and its link"""
+    motors: MotorsSpec | None = None
+    """MuJoCo: what the motors add to the torque commanded"""
+    joint_friction: NotNegative = 0.0
+    """MuJoCo: Coulomb friction at each motor, share of its limit, that the controller does not know
+    of"""
+    pushes: tuple[Push, ...] = ()
+    """MuJoCo: half sines of force from outside on the wrists of arms"""
+
+    @field_validator("type")
+    @classmethod
+    def _is_registered(cls, value: str) -> str:
+        if value not in PLANT_TYPES:
+            *names, last = map(repr, PLANT_TYPES)
+            raise refuse(f"expected {', '.join(names)} or {last}; got {value!r}")
+        return value
+
+    @property
+    def exact(self) -> bool:
+        """Whether joints are ideal and contacts bilateral, without ends: see `PLANT_TYPES`."""
+        return PLANT_TYPES[self.type]
+
+    @property
+    def own_friction(self) -> tuple[float, float]:
+        """The solref of friction."""
+        time, ratio = self.solref
+        return self.friction_solref or (max(time, _LEAST_SLIDING), ratio)
 
 
-class EstimateSpec(Spec):
-    """Accelerations that the estimates of velocities do not know of: joints, tracked bodies."""
-
-    joint_angular: Positive = 2.0
-    joint_linear: Positive = 0.5
-    body_angular: Positive = 0.1
-    body_linear: Positive = 0.05
-
-
-class _Clock(Spec):
+class Clock(Spec):
     """When a sensor samples and how its readings arrive."""
 
     rate: Annotated[Frequency, Field(gt=0)]
     """samples per second, such as 1 kHz"""
     delay: Annotated[Time, Field(ge=0)] = 0.0
+    """until a sample arrives"""
     dropout: Probability = 0.0
+    """probability that a sample is lost"""
 
 
 class Errors(OfQuantity[Q], Generic[Q]):
     """Errors of a measured quantity."""
 
     noise: Annotated[Q, Field(ge=0)] = 0.0  # type: ignore[assignment]
+    """standard deviation of a sample"""
     bias: Annotated[Q, Field(ge=0)] = 0.0  # type: ignore[assignment]
+    """constant over the run, drawn uniform within ± the number given"""
     resolution: Annotated[Q, Field(ge=0)] = 0.0  # type: ignore[assignment]
+    """step of the reading"""
 
 
-class EncoderSpec(_Clock):
+class EncoderSpec(Clock):
     """Joint positions; an encoder gives no velocity."""
 
     angle: Errors[Angle] = Errors[Angle]()
+    """errors of turning joints"""
     length: Errors[Length] = Errors[Length]()
+    """errors of sliding joints"""
 
 
-class TorqueSensorSpec(_Clock):
+class TorqueSensorSpec(Clock, Errors[Number]):
     """Joint torques; errors are shares of each motor's limit."""
 
-    noise: NotNegative = 0.0
-    bias: NotNegative = 0.0
-    resolution: NotNegative = 0.0
 
-
-class WristSpec(_Clock):
+class WristSpec(Clock):
     """Wrist forces and torques."""
 
     force: Errors[Force] = Errors[Force]()
+    """errors of each component of the force"""
     torque: Errors[Torque] = Errors[Torque]()
+    """errors of each component of the torque"""
 
 
-class VisionSpec(_Clock):
+class VisionSpec(Clock):
     """Overhead vision: poses of faces, object and arms, in the camera's frame."""
 
     position: Errors[Length] = Errors[Length]()
+    """errors of each coordinate of a pose"""
     orientation: Errors[Angle] = Errors[Angle]()
+    """errors of the rotation of a pose, about each axis"""
     frame_position: Annotated[Length, Field(ge=0)] = 0.0
+    """± displacement of the camera's frame against the robots', drawn once; found from the pictures
+    of object and arms"""
     frame_orientation: Annotated[Angle, Field(ge=0)] = 0.0
+    """± rotation of the camera's frame, likewise"""
 
 
 class SensorsSpec(Spec):
     """The sensors; one that is left out is ideal. Biases are drawn once, uniform within ±bias."""
 
     encoder: EncoderSpec | None = None
+    """joint positions; velocities are then estimated"""
     joint_torque: TorqueSensorSpec | None = None
+    """joint torques; errors are shares of each motor's limit"""
     wrist: WristSpec | None = None
+    """wrist wrenches"""
     vision: VisionSpec | None = None
+    """poses of object, arms and the faces that move; twists are then estimated"""
 
     @property
     def ideal(self) -> bool:

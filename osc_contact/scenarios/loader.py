@@ -12,10 +12,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import ScenarioError
-from .checks import did_you_mean
 from .document import ScenarioDocument
 from .messages import complaints
 from .schema import Scenario
+from .spec import did_you_mean
 from .yaml_nodes import Problems
 
 __all__ = ["Template", "list_scenarios", "load_scenario", "parse_scenario", "read_text"]

@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
-import reprlib
-import textwrap
 import types
-from collections.abc import Iterable, Iterator, Mapping
-from itertools import pairwise
+from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from .checks import Problem, did_you_mean, sound_problems
+from .checks import Problem, sound_problems
 from .contact_types import CONTACT_TYPES, ContactSpec
 from .document import Key
+from .spec import sentence
 
 __all__ = ["complaints"]
 
-_SHAPES = {
-    "tuple_type": "a list", "list_type": "a list", "string_type": "text",
-    "model_type": "a group of keys", "dict_type": "a group of keys",
-    "model_attributes_type": "a group of keys",
-}  # fmt: skip
-_SIGNS = {
-    "greater_than": (">", "gt"), "greater_than_equal": (">=", "ge"), "less_than": ("<", "lt"),
-}  # fmt: skip
 _TAGS = (
     "constant, step, sine, minimum_jerk, jerk_limited or points for a signal; linear or angular "
     "for a move; for a contact "
@@ -44,15 +32,7 @@ def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iter
         context = item.get("ctx", {})
         if item["type"] == "too_short" and len(item["input"]) >= context["min_length"]:
             continue  # long enough but for items that are refused themselves
-        if item["type"] == "missing" and isinstance(place[-1], int):
-            yield place[:-1], f"the list is too short: its item {place[-1]} is missing"
-        elif item["type"] == "missing":
-            hint = told_of(owner, str(place[-1])) if owner else None
-            yield place[:-1], f"the key {place[-1]!r} is missing" + (f": {hint}" if hint else "")
-        elif item["type"] == "extra_forbidden":
-            known = owner.model_fields if owner else {}
-            yield place, f"unknown key; {did_you_mean(str(place[-1]), known)}"
-        elif item["type"] == "union_tag_not_found":
+        if item["type"] == "union_tag_not_found":
             yield (
                 place,
                 f"the key {context['discriminator']} is missing: {_TAGS}"
@@ -63,43 +43,8 @@ def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iter
             wanted = context["expected_tags"]
             yield (*place, tag), f"expected one of {wanted}; got {context['tag']!r}"
         else:
-            yield place, _wording(item["type"], item["msg"], item["input"], context)
+            yield place[:-1] if item["type"] == "missing" else place, sentence(item, owner)
     yield from sound_problems(data)
-
-
-def told_of(owner: type, key: str) -> str | None:
-    """The docstring of a model's key, read from its source when it is asked for."""
-    for base in owner.__mro__:
-        if key not in inspect.get_annotations(base):
-            continue
-        try:
-            (tree,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
-        except (OSError, TypeError, SyntaxError):
-            continue  # made without a file, or for a quantity: an ancestor has the source
-        for line, after in pairwise(getattr(tree, "body", [])):
-            named = isinstance(line, ast.AnnAssign) and getattr(line.target, "id", None) == key
-            if named and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
-                return inspect.cleandoc(str(after.value.value))
-    return None
-
-
-def _wording(kind: str, message: str, value: Any, context: Mapping[str, Any]) -> str:
-    """Return our wording of one of pydantic's complaints."""
-    got = f"got {reprlib.repr(value)}"
-    if kind in _SHAPES:
-        return f"expected {_SHAPES[kind]}; {got}"
-    if kind in _SIGNS:
-        sign, limit = _SIGNS[kind]
-        return f"must be {sign} {context[limit]:g}; {got}"
-    if kind == "literal_error":
-        return f"expected {context['expected']}; {got}"
-    if kind == "string_pattern_mismatch":
-        return f"expected a name of letters, digits, _ and -, beginning with a letter or _; {got}"
-    if kind in ("too_short", "too_long", "string_too_short"):
-        least, most = context.get("min_length"), context.get("max_length")
-        unit = "characters" if kind.startswith("string") else "items"
-        return f"expected at {f'least {least}' if most is None else f'most {most}'} {unit}; {got}"
-    return message
 
 
 def _locate(loc: Iterable[str | int], root: type[BaseModel]) -> tuple[Key, type[BaseModel] | None]:

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from pydantic import Field, field_validator
 
 from ..jerk_limits import follow, from_rest_to_rest
-from .quantities import OfQuantity, Time, refuse
+from .quantities import OfQuantity, Time
+from .spec import refuse
 
 __all__ = ["JerkLimited", "Polynomials", "Points", "Values", "jerk_limited", "least_jerk"]
 
@@ -61,7 +62,9 @@ class JerkLimited(OfQuantity[Q], Generic[Q, V, A, J]):
     value: Q
     """the final value, with its unit"""
     via: tuple[Q, ...] = ()
+    """way points before `value`, at rest at each"""
     start: Time = 0.0
+    """when it begins, at 0"""
     velocity: Annotated[V, Field(gt=0)]
     """the greatest rate, such as 0.1 m/s"""
     acceleration: Annotated[A, Field(gt=0)]

@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from numbers import Real
 from typing import Annotated, Any, Generic, TypeVar
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     GetCoreSchemaHandler,
 )
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic_core import CoreSchema, core_schema
+
+from .spec import Spec, refuse
 
 __all__ = [
     "Acceleration",
@@ -31,35 +31,32 @@ __all__ = [
     "Force",
     "ForceRate",
     "ForceRate2",
+    "ForceLimit",
     "ForceRate3",
     "Frequency",
     "Jerk",
     "JointForce",
     "JointValue",
     "Length",
+    "LengthLimit",
+    "Limit",
     "Mass",
     "NotNegative",
     "Number",
     "OfQuantity",
     "Positive",
-    "Spec",
     "Time",
+    "TimeLimit",
     "Torque",
     "UnitVec3",
     "Vec3",
     "Velocity",
-    "refuse",
+    "VelocityLimit",
     "unit_vector",
 ]
 
 _SPELLINGS = re.compile(r"(μ|u)[ms]\b.*|.*s(\^?[23])")  # Greek mu, ASCII beside µ and s²
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
-
-
-class Spec(BaseModel):
-    """Base of every scenario model: frozen, finite, no unknown keys, built when first used."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 Q = TypeVar("Q", bound=float)
@@ -76,11 +73,6 @@ class OfQuantity(Spec, Generic[Q]):
         return super().model_parametrized_name(params)
 
 
-def refuse(text: str) -> PydanticCustomError:
-    """Build the error of a refused value; `text` says what is wrong and what would be right."""
-    return PydanticCustomError("refused", "{text}", {"text": text})
-
-
 @dataclass(frozen=True)
 class Dimension:
     """One physical dimension: its article and name, and its units with their size in SI.
@@ -89,6 +81,7 @@ class Dimension:
 
     kind: str
     units: dict[str, Decimal]
+    open: bool = False  #: whether it may be infinite: no limit
 
     def __hash__(self) -> int:
         return hash(self.kind)
@@ -113,7 +106,7 @@ class Dimension:
                 number = math.inf
         else:
             raise refuse(f"expected {self.expected}; got {value!r}")
-        if not math.isfinite(number):
+        if not (math.isfinite(number) or (self.open and number == math.inf)):
             raise refuse(f"expected {self.expected}; got {value!r}, which is not finite")
         return number
 
@@ -136,7 +129,8 @@ class Dimension:
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(self.parse, handler(source))
+        number = core_schema.float_schema(allow_inf_nan=self.open)
+        return core_schema.no_info_before_validator_function(self.parse, number)
 
 
 def _units(sizes: str) -> dict[str, Decimal]:
@@ -188,10 +182,18 @@ ForceRate = Annotated[float, _FORCE_RATES[0]]
 ForceRate2 = Annotated[float, _FORCE_RATES[1]]
 ForceRate3 = Annotated[float, _FORCE_RATES[2]]
 Number = Annotated[float, _NUMBER]
-JointForce = Annotated[float, _JOINT_FORCE]
-JointValue = Annotated[float, _JOINT_VALUE]
+JointForce = Annotated[float, _JOINT_FORCE, "N m, N"]
+JointValue = Annotated[float, _JOINT_VALUE, "m, rad"]
 Positive = Annotated[Number, Field(gt=0)]
 NotNegative = Annotated[Number, Field(ge=0)]
+
+# What is limited up to there; .inf in a file: no limit.
+_LIMIT = Field(gt=0)
+Limit = Annotated[float, replace(_NUMBER, open=True), _LIMIT]
+ForceLimit = Annotated[float, replace(_FORCE, open=True), _LIMIT]
+LengthLimit = Annotated[float, replace(_LENGTH, open=True), _LIMIT]
+TimeLimit = Annotated[float, replace(_TIME, open=True), _LIMIT]
+VelocityLimit = Annotated[float, replace(_LENGTH_RATES[0], open=True), _LIMIT]
 
 
 def _three(what: str) -> Callable[[Any], Any]:

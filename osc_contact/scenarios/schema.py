@@ -26,17 +26,17 @@ from .contact_schema import BodySpec
 from .contact_types import AnyContact, forces_of
 from .control_schema import (
     ControlSpec,
-    GainsSpec,
+    Gains,
     ModelErrorSpec,
-    PlantSpec,
     TareSpec,
     VerdictSpec,
 )
 from .geometry import ArmSpec, GraspSpec, Name, ObjectSpec
-from .hardware import SensorsSpec
+from .hardware import PlantSpec, SensorsSpec
 from .messages import complaints
-from .quantities import Force, Spec, Time, UnitVec3, Vec3, refuse
+from .quantities import Force, Time, UnitVec3, Vec3
 from .signals import AngleSignal, ForceSignal, LengthSignal
+from .spec import Spec, refuse
 
 __all__ = ["AngularMove", "LinearMove", "MotionSpec", "Scenario"]
 
@@ -102,6 +102,7 @@ class AngularMove(Spec):
     direction: Annotated[UnitVec3, BeforeValidator(_no_common_tangent)]
     """a world axis [x, y, z]"""
     through: Vec3 | None = None
+    """point of the axis, world, which linear moves carry along; null: the object's origin"""
     signals: Annotated[tuple[AngleSignal, ...], Field(min_length=1)]
     """a list of signals in angles"""
 
@@ -115,6 +116,7 @@ class Scenario(Spec):
     name: Name
     """a name of letters, digits, _ and -"""
     description: str = ""
+    """free text"""
     arms: Annotated[tuple[ArmSpec, ...], Field(min_length=1, max_length=8)]
     """a list of 1 to 8 arms"""
     object: ObjectSpec
@@ -122,25 +124,37 @@ class Scenario(Spec):
     grasps: dict[str, GraspSpec]
     """by arm name, the pose of the object in the tip frame"""
     environment: tuple[BodySpec, ...] = ()
+    """bodies that contacts are on, any number of contacts each"""
     contacts: tuple[AnyContact, ...] = ()
+    """the [contact pairs](contacts.md#pairs)"""
     force: dict[str, Annotated[tuple[ForceSignal, ...], Field(min_length=1)]] = Field(
         default_factory=dict
     )
+    """by contact name, a list of signals that are summed; a contact with several forces has an
+    entry for each: `pad.1`, `pad.2`, …"""
     motion: tuple[MotionSpec, ...] = ()
+    """moves away from the start pose"""
     squeeze: Force = 0.0
-    gains: GainsSpec = GainsSpec()
+    """internal force along the line between two grasps, > 0 compresses; with three arms or more
+    along every such line, 0 for [least effort](theory.md#torques)"""
+    gains: Gains = Gains()
     """the gains of the motion and the force loop"""
     control: ControlSpec
     """the tick rate and the metric"""
     model_error: ModelErrorSpec = ModelErrorSpec()
+    """what the controller's model has wrong"""
     tare: TareSpec | None = None
+    """start off the faces, zero the wrist sensors, approach, engage"""
     sensors: SensorsSpec = SensorsSpec()
+    """the sensors of the rig; one that is left out is ideal"""
     plant: PlantSpec
     """the plant: type and step"""
     duration: Annotated[Time, Field(gt=0, le=1e6)]
     """the simulated time, such as 10 s"""
     verdict: VerdictSpec = VerdictSpec()
+    """[limits of the verdict](scenario.md#limits-of-the-verdict)"""
     laws: Annotated[Any, PlainValidator(_take_laws), Field(exclude=True)] = None
+    """laws of your own, in [scenarios made in Python](guide.md#a-scenario-made-in-python) only"""
 
     _source: Path | None = PrivateAttr(default=None)
 

@@ -112,8 +112,11 @@ class Sine(OfQuantity[Q], Generic[Q]):
     frequency: Annotated[Frequency, Field(gt=0)]
     """the frequency, such as 0.5 Hz"""
     phase: Angle = 0.0
+    """at `start`"""
     start: Time = 0.0
+    """when it begins"""
     ramp: Annotated[Time, Field(ge=0)] = 0.0
+    """time in which the amplitude rises, minimum jerk"""
 
     def at(self, t: Any) -> Values:
         """Return the enveloped sine and its exact derivatives (product rule); 0 before start."""
@@ -136,6 +139,7 @@ class MinimumJerk(OfQuantity[Q], Generic[Q]):
     value: Q
     """the final value, with its unit"""
     start: Time = 0.0
+    """when it begins"""
     duration: Annotated[Time, Field(gt=0)]
     """the time the rise takes, such as 0.3 s"""
 

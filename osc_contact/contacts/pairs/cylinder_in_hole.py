@@ -32,6 +32,7 @@ class CylinderInHoleSpec(OnBodySpec):
     hole_direction: BodyDirection
     """along the hole's axis [x, y, z] in the body frame"""
     length: Annotated[Length, Field(gt=0)] = 0.1
+    """between the two points of the axis at which forces are commanded"""
 
 
 @register_pair(CylinderInHoleSpec)

@@ -30,6 +30,7 @@ class CylinderInVGrooveSpec(OnBodySpec):
     direction: UnitVec3
     """along the axis [x, y, z] in the object frame"""
     radius: Annotated[Length, Field(ge=0)] = 0.0
+    """of the cylinder"""
     groove_point: BodyPoint
     """a point of the line in which the walls meet [x, y, z] in the body frame"""
     groove_direction: BodyDirection
@@ -37,7 +38,9 @@ class CylinderInVGrooveSpec(OnBodySpec):
     groove_outward: BodyDirection
     """roughly out of the groove, midway between its walls [x, y, z] in the body frame"""
     groove_angle: Annotated[Angle, Field(gt=0, lt=pi)] = pi / 2
+    """from wall to wall"""
     length: Annotated[Length, Field(gt=0)] = 0.1
+    """between the two points of the axis at which forces are commanded"""
 
 
 @register_pair(CylinderInVGrooveSpec)

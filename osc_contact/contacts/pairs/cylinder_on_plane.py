@@ -28,7 +28,9 @@ class CylinderOnPlaneSpec(OnPlaneSpec):
     direction: UnitVec3
     """along the axis [x, y, z] in the object frame"""
     radius: Annotated[Length, Field(ge=0)] = 0.0
+    """of the cylinder"""
     length: Annotated[Length, Field(gt=0)] = 0.1
+    """between the two points of the axis at which forces are commanded"""
 
 
 @register_pair(CylinderOnPlaneSpec)

@@ -28,6 +28,7 @@ class EdgeOnFaceSpec(OnPlaneSpec):
     direction: UnitVec3
     """along the edge [x, y, z] in the object frame"""
     length: Annotated[Length, Field(gt=0)] = 0.1
+    """between the two points of the edge at which forces are commanded"""
 
 
 @register_pair(EdgeOnFaceSpec)

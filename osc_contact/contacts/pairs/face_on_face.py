@@ -30,6 +30,7 @@ class FaceOnFaceSpec(OnPlaneSpec):
     normal: UnitVec3
     """the outward normal of the object's face [x, y, z] in the object frame"""
     size: Annotated[Length, Field(gt=0)] = 0.1
+    """from the middle of the face to the three corners at which forces are commanded"""
 
 
 @register_pair(FaceOnFaceSpec)

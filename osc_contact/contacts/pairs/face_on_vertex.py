@@ -31,6 +31,7 @@ class FaceOnVertexSpec(OnBodySpec):
     body_vertex: BodyPoint
     """the centre of the rounded vertex [x, y, z] in the body frame"""
     radius: Annotated[Length, Field(ge=0)] = 0.0
+    """of the rounding"""
 
 
 @register_pair(FaceOnVertexSpec, body_vertex="vertex")

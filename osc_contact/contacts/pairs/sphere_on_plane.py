@@ -25,6 +25,7 @@ class SphereOnPlaneSpec(OnPlaneSpec):
     centre: Vec3
     """the centre of the sphere [x, y, z] in the object frame"""
     radius: Annotated[Length, Field(ge=0)] = 0.0
+    """of the sphere"""
 
 
 @register_pair(SphereOnPlaneSpec, face_point="point", face_normal="normal")

@@ -27,6 +27,7 @@ class VertexOnFaceSpec(OnFaceSpec):
     vertex: Vec3
     """the centre of the rounded vertex [x, y, z] in the object frame"""
     radius: Annotated[Length, Field(ge=0)] = 0.0
+    """of the rounding"""
 
 
 @register_pair(VertexOnFaceSpec)
