@@ -129,7 +129,7 @@ class WithoutGravity:
 def test_a_wrist_without_gravity_is_refused_at_the_door():
     robot = WithoutGravity()
     q = robot.measure().q
-    life = osc.control.phases.PhaseSettings()
+    life = osc.PhaseSettings()
     controller = osc.Controller(robot.chain, [WALL], posture=q, life=life)
     X = robot.chain.state(q, np.zeros(3)).X_WO
     (one,) = osc.preflight(robot, controller, [osc.Reference(X, alpha_d=np.array([5.0]))])
