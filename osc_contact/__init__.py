@@ -62,15 +62,13 @@ if TYPE_CHECKING:  # each is imported when it is first asked for, see __getattr_
     from osc_contact.plants.own_mujoco import MujocoRobot
     from osc_contact.recorder import Recording
     from osc_contact.response import ContactResponse, contact_response
-    from osc_contact.runs.faces import OwnMotion
+    from osc_contact.runs.contacts import OwnMotion
     from osc_contact.runs.loop import run_loop
-    from osc_contact.runs.metrics import metrics
-    from osc_contact.runs.plants import register_plant
     from osc_contact.runs.preflight import Finding, preflight
     from osc_contact.runs.recorder import Recorder
-    from osc_contact.runs.recovery import recover
-    from osc_contact.runs.rig import Rig, build_rig
-    from osc_contact.runs.run import run
+    from osc_contact.runs.rig import Rig, build_rig, register_plant
+    from osc_contact.runs.run import recover, run
+    from osc_contact.runs.verdict import metrics
     from osc_contact.runs.viewing import open_viewer
     from osc_contact.scenarios import Scenario, list_scenarios, load_scenario
     from osc_contact.scenarios.control_schema import (

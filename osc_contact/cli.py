@@ -36,13 +36,13 @@ from osc_contact.console import (
 from osc_contact.errors import Interrupted, InvalidInputError
 from osc_contact.files import sole_user
 from osc_contact.law import compiled
-from osc_contact.runs import replay, tables
+from osc_contact.runs import report, viewing
 from osc_contact.runs.calibration import calibrate as calibrate_wrists
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.preflight import require_ready
-from osc_contact.runs.recovery import shown_of
 from osc_contact.runs.report import write_json
 from osc_contact.runs.rig import build_rig
+from osc_contact.runs.run import shown_of
 from osc_contact.runs.viewing import Shown, require_drawable, write_scene_of
 from osc_contact.scenarios import list_scenarios
 from osc_contact.visual.browser import find_browser, write_gif, write_mp4
@@ -204,11 +204,11 @@ def view(
             recording = run_with_progress(scenario, seed, None)
         assert recording is not None
         if png is not None:
-            say(f"written: {replay.picture(recording, shown, png, time)}")
+            say(f"written: {viewing.picture(recording, shown, png, time)}")
             return
         if film is not None:
             write = write_gif if gif is not None else write_mp4
-            say(f"written: {replay.moving_picture(recording, shown, film, write)}")
+            say(f"written: {viewing.moving_picture(recording, shown, film, write)}")
             return
         name = Path(what).stem if scenario is None else scenario.file_stem
         page = html or Path("out") / f"{name}.html"
@@ -226,7 +226,7 @@ def inspect(
         inspection = inspect_rig(rig)
         for line in inspection.lines:
             say(line)
-        for table in tables.basis_tables(inspection):
+        for table in report.basis_tables(inspection):
             out.print(table)
         if json_file:
             write_json(inspection.as_dict(), json_file)
@@ -245,7 +245,7 @@ def calibrate(
     """Find mass, centre of mass and bias at each wrist sensor from static postures."""
     with exit_codes():
         loads = calibrate_wrists(load_task(scenario, set_), postures, seed=seed)
-        out.print(tables.calibration_table(loads))
+        out.print(report.calibration_table(loads))
         if json_file:
             write_json({one.arm: one.as_dict() for one in loads}, json_file)
 
@@ -255,7 +255,7 @@ def list_(json_file: JsonOption = None) -> None:
     """List the packaged scenarios."""
     with exit_codes():
         scenarios = list_scenarios()
-        out.print(tables.scenario_table(scenarios))
+        out.print(report.scenario_table(scenarios))
         say("osc-contact reproduce --help lists the figures")
         if json_file:
             write_json({"scenarios": scenarios}, json_file)

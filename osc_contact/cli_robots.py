@@ -14,9 +14,9 @@ from osc_contact import robots
 from osc_contact.console import JsonOption, exit_codes, load_task, out, say
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
-from osc_contact.runs import poses, tables
+from osc_contact.runs import poses
 from osc_contact.runs.drafts import Press, draft
-from osc_contact.runs.report import write_json
+from osc_contact.runs.report import robot_tables, write_json
 from osc_contact.scenarios import list_scenarios
 
 __all__ = ["check", "new", "pose"]
@@ -58,7 +58,7 @@ def check(
         )
         for line in report.lines():
             say(line)
-        for table in tables.robot_tables(report.summary) if report.summary else ():
+        for table in robot_tables(report.summary) if report.summary else ():
             out.print(table)
         if json_file:
             write_json(report.as_dict(), json_file)

@@ -26,10 +26,9 @@ from osc_contact.errors import InvalidInputError, OscContactError, PlantError
 from osc_contact.files import sole_user
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
-from osc_contact.runs import replay, tables
-from osc_contact.runs.recovery import recover
+from osc_contact.runs import report, viewing
 from osc_contact.runs.report import require_judgeable, write_json, write_report
-from osc_contact.runs.run import run
+from osc_contact.runs.run import recover, run
 from osc_contact.runs.viewing import Shown, open_viewer
 from osc_contact.scenarios import Scenario, load_scenario
 from osc_contact.visual.live import Shows
@@ -227,8 +226,8 @@ def report_run(
         recording.save(folder / "recording.npz")
         return "recording.npz; the run was too short to be judged", False
     verdict = write_report(recording, scenario, folder)
-    out.print(tables.verdict_table(verdict))
-    for line in tables.task_lines(verdict):
+    out.print(report.verdict_table(verdict))
+    for line in report.task_lines(verdict):
         say(line)
     if json_file:
         write_json(verdict, json_file)
@@ -253,14 +252,14 @@ def show_live(
     with open_viewer(shown) as viewer:
         say(f"open {viewer.url}" + ("   (Ctrl-C ends it)" if at_terminal else ""))
         patience = hold if hold is not None else 15.0 * at_terminal
-        replay.wait_for(lambda: viewer.count_browsers() > 0, patience)
+        viewing.wait_for(lambda: viewer.count_browsers() > 0, patience)
         try:
             if recording is None and scenario is not None:
-                run_with_progress(scenario, seed, None, replay.RealTime(viewer))
+                run_with_progress(scenario, seed, None, viewing.RealTime(viewer))
             elif recording is not None:
-                replay.replay(recording, viewer)
+                viewing.replay(recording, viewer)
             stay = hold if hold is not None else (float("inf") if at_terminal else 0.0)
-            replay.wait_for(lambda: viewer.error is not None, stay)
+            viewing.wait_for(lambda: viewer.error is not None, stay)
         except KeyboardInterrupt:
             return
         if viewer.error is not None:

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 
 import osc_contact as osc
 from osc_contact.recorder.judged import SETTLE_S
-from osc_contact.runs.metrics import metrics
 from osc_contact.runs.run import run as run_scenario
+from osc_contact.runs.verdict import metrics
 from osc_contact.spatial import Array
 from osc_contact.visual import OKABE_ITO
 from osc_contact.visual.plots import style

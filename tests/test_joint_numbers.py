@@ -18,7 +18,7 @@ from osc_contact.law.layout import records
 from osc_contact.law.tables import CHAIN, JOINT
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.runs.inspection import inspect_rig
-from osc_contact.runs.tables import verdict_table
+from osc_contact.runs.report import verdict_table
 
 ROTORS = np.array([0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05])
 DRY = np.array([2.0, 1.5, 1.0, 1.0, 0.5, 0.4, 0.3])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import osc_contact as osc
-from osc_contact.runs.metrics import metrics
+from osc_contact.runs.verdict import metrics
 from paper import moving_face
 
 FACES = {

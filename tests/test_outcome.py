@@ -15,8 +15,8 @@ import osc_contact as osc
 from osc_contact.cli import app
 from osc_contact.recorder import Recording
 from osc_contact.robots import urdf_path
-from osc_contact.runs.outcome import RULES, Rule, judge_task
-from osc_contact.runs.tables import task_lines, verdict_table
+from osc_contact.runs.report import task_lines, verdict_table
+from osc_contact.runs.verdict import RULES, Rule, judge_task
 from osc_contact.scenarios.control_schema import VerdictSpec
 from paper.statements import PAPER, Answer, Verdict, judge
 

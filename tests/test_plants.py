@@ -13,7 +13,7 @@ import osc_contact as osc
 from osc_contact.contacts.contact import Contact
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.plants.rigid import RigidPlant
-from osc_contact.runs import plants
+from osc_contact.runs import rig as plants
 
 
 @pytest.fixture(scope="module")

@@ -13,11 +13,11 @@ from osc_contact import robots
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.dynamics.arm import Arm
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
-from osc_contact.runs.metrics import metrics
 from osc_contact.runs.poses import pose_text
 from osc_contact.runs.preflight import preflight
 from osc_contact.runs.rig import build_rig
 from osc_contact.runs.run import run
+from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios import Scenario, parse_scenario
 from osc_contact.spatial import Array
 

@@ -9,7 +9,6 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from osc_contact.control.controller import Controller
@@ -28,17 +27,6 @@ from osc_contact.scenarios.schema import Scenario
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.sensing.vision_fusion import Registration, VisionFusion
 from osc_contact.spatial import Array
-
-__all__ = [
-    "ObservedRobot",
-    "Observer",
-    "TorqueLoopRobot",
-    "drives",
-    "flexible_joints",
-    "sensors",
-    "torque_loop",
-]
-
 
 _NOISE = 0.02  #: rad, m; encoders may jump by as much
 
@@ -62,18 +50,14 @@ def flexible_joints(
             "the rotors of joints with springs are plant.flexible_joints.motor_inertia; set "
             "arms.armature to 0, or leave plant.flexible_joints out"
         )
-    own = joint_inertias(state, chain.actuated)
-    if spec.frequency is not None:
-        K = stiffness_for(state, chain.actuated, spec.frequency)
-    else:
+    own, rotors = joint_inertias(state, chain.actuated), spec.motor_inertia
+    J = _per_motor(chain, "motor_inertia", rotors) if isinstance(rotors, dict) else rotors * own
+    if spec.frequency is None:
         K = _per_motor(chain, "stiffness", spec.stiffness or {})
-    if isinstance(spec.motor_inertia, dict):
-        J = _per_motor(chain, "motor_inertia", spec.motor_inertia)
     else:
-        J = spec.motor_inertia * own
+        K = stiffness_for(state, chain.actuated, spec.frequency)
     # motor and link swing against each other with the reduced inertia
-    D = 2.0 * spec.damping_ratio * np.sqrt(K * J * own / (J + own))
-    return FlexibleJoints(K, D, J)
+    return FlexibleJoints(K, 2.0 * spec.damping_ratio * np.sqrt(K * J * own / (J + own)), J)
 
 
 def drives(scenario: Scenario, chain: ClosedChain, state: ChainState, seed: int) -> JointDrives:
@@ -94,19 +78,17 @@ def drives(scenario: Scenario, chain: ClosedChain, state: ChainState, seed: int)
 def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]]) -> Array:
     """(n_a,) numbers of all arms, in the order of the motors."""
     names = [arm.name for arm in chain.arms]
-    numbers: list[float] = []
+    extra = sorted(set(given) - set(names))
+    if extra:
+        raise ScenarioError(f"plant.flexible_joints.{key}: no arm {extra}; there are {names}")
     for arm in chain.arms:
         motors = arm.model.nv - len(arm.passive_joints)
-        if arm.name not in given or len(given[arm.name]) != motors:
+        if len(given.get(arm.name, ())) != motors:
             raise ScenarioError(
                 f"plant.flexible_joints.{key}: give {motors} numbers for arm '{arm.name}', one for "
                 f"each motor; got {list(given.get(arm.name, ()))}"
             )
-        numbers.extend(given[arm.name])
-    extra = sorted(set(given) - set(names))
-    if extra:
-        raise ScenarioError(f"plant.flexible_joints.{key}: no arm {extra}; there are {names}")
-    return np.array(numbers, dtype=float)
+    return np.concatenate([given[name] for name in names])
 
 
 def sensors(
@@ -220,7 +202,7 @@ class Observer:
         if (eyes := spec.vision) is not None:
             noise = [max(of.noise, 1e-9) for of in (eyes.position, eyes.orientation)]
             self.vision = VisionFusion(
-                _robots(chain),
+                lambda q: [object_pose(chain, q), *chain.tip_poses()],
                 Registration(noise[0], noise[1]),
                 (believed.body_linear, believed.body_angular),
                 dt=self.dt,
@@ -290,11 +272,3 @@ class ObservedRobot:
             self._acceleration = self.controller.joint_acceleration()
         self.robot.command(tau, duration)
 
-
-def _robots(chain: ClosedChain) -> Callable[[Array], list[pin.SE3]]:
-    """Joint positions → poses of the object and of the arms' tips, as the controller knows them."""
-
-    def known(q: Array) -> list[pin.SE3]:
-        return [object_pose(chain, q), *chain.tip_poses()]
-
-    return known

@@ -1,23 +1,133 @@
-"""The control loop: a robot and its controller, tick by tick."""
+"""The control loop: a robot and its controller, tick by tick, and how signals end it."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Mapping
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from inspect import signature
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol, TypeVar
 
 from osc_contact.control.controller import Controller
 from osc_contact.control.safety import SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference, Robot
 from osc_contact.plants.judge import Plant, Truth
-from osc_contact.runs.ending import RaisedSignals, raised_signals
 from osc_contact.spatial import Array
 from osc_contact.visual.live import Shows
 
-__all__ = ["NEWS", "Controls", "Records", "Witness", "run_loop"]
+#: What ends a program, where the system has it: signal → what is called by default.
+_USUAL: dict[int, Any] = {
+    getattr(signal, name): signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
+    for name in ("SIGINT", "SIGTERM", "SIGHUP")
+    if hasattr(signal, name)
+}
+T = TypeVar("T")
+Handler = Callable[[int, Any], None]
+
+
+class RaisedSignals:
+    """Signals that end a block by an exception, as Ctrl-C always does, but not amid some calls.
+
+    Attributes:
+        seen: signals that came. busy: they are kept until later; the third one is not.
+    """
+
+    def __init__(self) -> None:
+        """None came yet."""
+        self.seen: list[int] = []
+        self.busy = False
+
+    @property
+    def name(self) -> str:
+        """Of the first, such as SIGTERM; empty: none came."""
+        return signal.Signals(self.seen[0]).name if self.seen else ""
+
+    def note(self, number: int, frame: Any) -> None:
+        """Take a signal in: as a handler is called."""
+        self.seen.append(number)
+        if not self.busy or len(self.seen) > 2:
+            self.end()
+
+    def whole(self, call: Callable[..., Any], *given: Any) -> None:
+        """Call something that no signal interrupts; one that came meanwhile ends the block then.
+
+        Args:
+            call, given: a function and its arguments.
+        """
+        self.busy = True
+        call(*given)
+        self.busy = False
+        if self.seen:
+            self.end()
+
+    def end(self) -> NoReturn:
+        """End the block.
+
+        Raises:
+            KeyboardInterrupt: by Ctrl-C.
+            SystemExit: by another signal, with 128 + its number, as a shell reports it.
+        """
+        if self.seen[0] == signal.SIGINT:
+            raise KeyboardInterrupt
+        raise SystemExit(128 + self.seen[0])
+
+
+@contextmanager
+def raised_signals() -> Iterator[RaisedSignals]:
+    """Let signals end a block by an exception; those kept until its end are raised then."""
+    signals = RaisedSignals()
+    with _handled(signals.note):
+        yield signals
+    if signals.seen:
+        signals.end()
+
+
+@contextmanager
+def asked_to_end() -> Iterator[Callable[[], bool]]:
+    """Whether a signal asked for the end since the block began.
+
+    The first is only noted; the second ends the program as always.
+    """
+    seen: list[int] = []
+
+    def note(number: int, frame: Any) -> None:
+        seen.append(number)
+        _restore(note)
+
+    with _handled(note):
+        yield lambda: bool(seen)
+
+
+@contextmanager
+def _handled(note: Handler) -> Iterator[None]:
+    """Have signals handled that would end the program."""
+    if threading.current_thread() is threading.main_thread():
+        for number, usual in _USUAL.items():
+            if signal.getsignal(number) == usual:
+                signal.signal(number, note)
+    try:
+        yield
+    finally:
+        _restore(note)
+
+
+def _restore(note: Handler) -> None:
+    for number, usual in _USUAL.items():
+        if signal.getsignal(number) == note:
+            signal.signal(number, usual)
+
+
+def until(asked: Callable[[], bool], items: Iterable[T]) -> Iterator[T]:
+    """Items until the end is asked for."""
+    for item in items:
+        if asked():
+            return
+        yield item
+
 
 _log = logging.getLogger(__name__)
 

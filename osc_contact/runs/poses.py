@@ -16,8 +16,7 @@ from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.runs.rig import build_chain
-from osc_contact.runs.start import asked_pose, posture_of
+from osc_contact.runs.rig import asked_pose, build_chain, posture_of
 from osc_contact.scenarios.quantities import AngleVec3, JointValue, Vec3
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array

@@ -1,42 +1,43 @@
-"""What is wrong with a task before it runs: where faces and robot are, what is asked of both."""
+"""What is wrong with a task before it runs: a table of rules on what can be compared beforehand.
+
+A rule is one function that gives a quantity, under the limits from which it is doubtful and
+refused, and the sentence that says so.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator
-from itertools import chain
+from collections.abc import Iterable
+from copy import copy
 
 import daqp
 import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
-from osc_contact.contacts.pairs.pair import knows_where_it_slides
+from osc_contact.contacts.pairs.pair import knows_where_it_slides, pushes_only
 from osc_contact.control.controller import Controller
 from osc_contact.control.reading import choose_reading
+from osc_contact.control.reports import Status
+from osc_contact.control.safety import SafetyState
+from osc_contact.control.start_check import is_clear, judge_load
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.dynamics.joint_modes import modes
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
-from osc_contact.interface import Reference, Robot
-from osc_contact.runs import faces, hardware
-from osc_contact.runs import preflight_contacts as at
-from osc_contact.runs.contacts import feet
-from osc_contact.runs.finding import Finding
-from osc_contact.runs.preflight_joints import JOINT_RULES
-from osc_contact.runs.preflight_robot import ROBOT_RULES, SCENE_RULES
+from osc_contact.interface import Measurement, Reference, Robot
+from osc_contact.runs import hardware, placement
+from osc_contact.runs.contacts import feet, known_bodies
+from osc_contact.runs.placement import rounded
 from osc_contact.runs.rig import Rig
-from osc_contact.runs.task import Task, findings
+from osc_contact.runs.task import Finding, Task, Values, findings, rule
 from osc_contact.scenarios.contact_schema import CartSpec
+from osc_contact.scenarios.control_schema import SafetySettings
 from osc_contact.spatial import Array
 
 __all__ = ["Finding", "preflight", "require_ready"]
 
-CART_M = 0.2  #: a free cart that runs further is doubtful
-SLOW, TOO_SLOW = 0.7, 2.0  #: gain × control period: doubtful, refused (a sampled loop diverges)
-SOFT_HZ = 100.0  #: joints whose springs swing slower want a joint torque loop
-OVERLOAD = 3.0  #: forces that ever need more than so many times the motors' limits are refused
-FAR_M = 0.02  #: m; a motion that misses more, for want of a posture, is doubtful
+PERIOD_S, GAIN = 4e-3, 0.3  #: of rehearsals: the longest tick, its largest product with the gains
 _logger = logging.getLogger("osc_contact.preflight")
 
 
@@ -65,31 +66,19 @@ def preflight(
         InvalidInputError: a robot without controller or references, or forces that do not fit the
             contacts.
     """
-    if not isinstance(task, Rig):
-        return _preflight_robot(task, controller, references)
-    rig, of = task, Task.of_rig(task)
-    checks: tuple[Iterator[Finding], ...] = (
-        _sensors(of), _tare(rig), _rate(of), _springs(rig), at.normals(rig), at.inverted(rig),
-        at.inside(rig), at.start(rig), at.beside(rig), _motion(of), _reading(rig), _motors(of),
-        _carts(rig),
-    )  # fmt: skip
-    return tuple(chain.from_iterable(checks))
-
-
-def _preflight_robot(
-    robot: Robot, controller: Controller | None, references: Iterable[Reference]
-) -> tuple[Finding, ...]:
-    if controller is None:
+    if isinstance(task, Rig):
+        of, found = Task.of_rig(task), findings(RIG_RULES, task)
+    elif controller is None:
         raise InvalidInputError(
             "preflight takes the rig of a scenario, or a robot with its controller and references"
         )
-    of = Task.of_robot(robot, controller, references)
-    if of.chain.nq != len(of.q):
-        raise InvalidInputError(f"the robot measures {len(of.q)} joints of {of.chain.nq}")
-    found = list(findings((*ROBOT_RULES, *SCENE_RULES), of))
-    if any(one.refused for one in found):  # what follows from it is no news
-        return tuple(found)
-    return (*found, *_rate(of), *_motion(of), *_motors(of))
+    else:
+        of = Task.of_robot(task, controller, references)
+        found = findings(ROBOT_RULES, of)
+        if any(one.refused for one in found):  # what follows from it is no news
+            return tuple(found)
+    motion = findings(MOTION_RULES, of) or findings((joints,), of)
+    return (*found, *findings((rate,), of), *motion, *findings((motors,), of))
 
 
 def require_ready(rig: Rig) -> list[str]:
@@ -107,199 +96,292 @@ def require_ready(rig: Rig) -> list[str]:
     return [one.text for one in found]
 
 
-def _sensors(task: Task) -> Iterator[Finding]:
-    for arm in task.chain.arms if task.pairs else ():
-        if arm.wrist_sensor is None:
-            yield Finding(
-                True,
-                f"arm '{arm.name}' has no wrist sensor, and contact forces are controlled by what "
-                "wrist sensors read; name a frame of its URDF as wrist_sensor",
-            )
+# --- a scenario ---------------------------------------------------------------------------------
 
 
-def _tare(rig: Rig) -> Iterator[Finding]:
+@rule(
+    0.0,
+    0.0,
+    "arm '{name}' has no wrist sensor, and contact forces are controlled by what wrist sensors "
+    "read; name a frame of its URDF as wrist_sensor",
+)
+def sensors(rig: Rig) -> Values:
+    """Arms that measure no force."""
+    for arm in rig.chain.arms if rig.pairs else ():
+        yield float(arm.wrist_sensor is None), {"name": arm.name}
+
+
+@rule(
+    0.0,
+    np.inf,
+    "{wrong}, and nothing zeroes the wrist sensors: what they read wrongly is taken for contact "
+    "force; set tare={{}} to zero them in free space before contact",
+)
+def tare(rig: Rig) -> Values:
     """Weights that the wrists read and the model does not know; the exact plant has no tare."""
     scenario = rig.scenario
     if not rig.pairs or scenario.tare is not None or scenario.plant.exact:
         return
     error, wrist = scenario.model_error, scenario.sensors.wrist
     wrong = [
-        f"model_error.{key} is {value:g}"
-        for key, value, right in (
-            ("object_mass", error.object_mass, 1.0),
-            ("arm_mass", error.arm_mass, 1.0),
-            ("hidden_mass", error.hidden_mass, 0.0),
-        )
-        if value != right
+        f"model_error.{key} is {getattr(error, key):g}"
+        for key in ("object_mass", "arm_mass", "hidden_mass")
+        if getattr(error, key) != type(error).model_fields[key].default
     ]
-    if wrist is not None:
-        wrong += [
-            f"sensors.wrist.{key} has a bias of {of.bias:g} {unit}"
-            for key, of, unit in (("force", wrist.force, "N"), ("torque", wrist.torque, "N m"))
-            if of.bias > 0.0
-        ]
-    if wrong:
-        yield Finding(
-            False,
-            f"{' and '.join(wrong)}, and nothing zeroes the wrist sensors: what they read wrongly "
-            "is taken for contact force; set tare={} to zero them in free space before contact",
-        )
+    for key, unit in {} if wrist is None else {"force": "N", "torque": "N m"}.items():
+        bias = getattr(wrist, key).bias
+        if bias > 0.0:
+            wrong.append(f"sensors.wrist.{key} has a bias of {bias:g} {unit}")
+    yield len(wrong), {"wrong": " and ".join(wrong)}
 
 
-def _reading(rig: Rig) -> Iterator[Finding]:
+@rule(
+    0.0,
+    np.inf,
+    "plant.friction is {value:g}, the controller knows of none, and the filter that reads forces "
+    "takes it for normal force; {other}give control.friction={{mu: …}}",
+)
+def friction(rig: Rig) -> Values:
     """Friction that the filter of fig. 5 takes for normal force."""
-    control, mu = rig.scenario.control, rig.scenario.plant.friction
-    if rig.scenario.plant.exact or mu == 0.0 or control.friction is not None or not rig.pairs:
+    control = rig.scenario.control
+    if rig.scenario.plant.exact or control.friction is not None or not rig.pairs:
         return
-    of = faces.known_bodies(rig.bodies, len(rig.pairs), False)
-    if choose_reading(control.force.reading, rig.pairs, of) == "filter":
-        cure = "give control.friction={mu: …}"
-        if all(map(knows_where_it_slides, rig.pairs)):
-            cure = f"set control.force.reading=least_squares, or {cure}"
-        yield Finding(
-            False,
-            f"plant.friction is {mu:g}, the controller knows of none, and the filter that reads "
-            f"forces takes it for normal force; {cure}",
-        )
+    bodies = known_bodies(rig.bodies, len(rig.pairs), False)
+    if choose_reading(control.force.reading, rig.pairs, bodies) == "filter":
+        slides = all(map(knows_where_it_slides, rig.pairs))
+        other = "set control.force.reading=least_squares, or " if slides else ""
+        yield rig.scenario.plant.friction, {"other": other}
 
 
-def _springs(rig: Rig) -> Iterator[Finding]:
+@rule(0.0, 0.0, "{why}")
+def springs(rig: Rig) -> Values:
+    """Springs, or a joint torque loop, that cannot be."""
     try:
         joints = hardware.flexible_joints(rig.scenario, rig.chain, rig.state())
         hardware.torque_loop(rig.scenario, rig.chain, joints)
     except OscContactError as error:
-        yield Finding(True, str(error))
+        yield 1.0, {"why": error}
+
+
+@rule(
+    -100.0,
+    np.inf,
+    "the springs in the joints swing at {first:.3g} Hz (first mode, motors held), and no joint "
+    "torque loop makes them carry what is commanded: below 100 Hz contact is lost; set "
+    "control.joint_torque={{rate: {rate:g} kHz}}",
+)
+def swinging(rig: Rig) -> Values:
+    """Frequency of joints without a torque loop (−Hz)."""
+    if any(springs.findings(rig)) or rig.scenario.control.joint_torque is not None:
         return
-    if joints is None or rig.scenario.control.joint_torque is not None:
-        return
-    swing = modes(rig.state(), rig.chain.actuated, joints.stiffness)
-    first = float(swing[swing > 0.0].min(initial=np.inf))
-    if first < SOFT_HZ:
-        yield Finding(
-            False,
-            f"the springs in the joints swing at {first:.3g} Hz (first mode, motors held), and no "
-            f"joint torque loop makes them carry what is commanded: below {SOFT_HZ:g} Hz contact "
-            f"is lost; set control.joint_torque={{rate: {1e-3 / rig.scenario.plant.step:g} kHz}}",
+    joints = hardware.flexible_joints(rig.scenario, rig.chain, rig.state())
+    if joints is not None:
+        found = modes(rig.state(), rig.chain.actuated, joints.stiffness)
+        first = float(found[found > 0.0].min(initial=np.inf))
+        yield -first, {"first": first, "rate": 1e-3 / rig.scenario.plant.step}
+
+
+@rule(
+    0.2,
+    np.inf,
+    "nothing balances the cart of '{name}': weight, preload and contact forces leave {left:.3g} N "
+    "along its rail at the end, which moves it by {value:.3g} m in {duration:g} s; give it a "
+    "preload of {preload:.3g} N, or a stiffness",
+)
+def carts(rig: Rig) -> Values:
+    """How far free carts run (m)."""
+    t, plan = rig.references.overview
+    dt = t[1] - t[0]
+    for body in rig.bodies:
+        cart = body.motion
+        if not isinstance(cart, CartSpec):
+            continue
+        m, c, k = cart.mass, cart.damping, cart.stiffness
+        u = np.array(cart.direction)
+        push = np.full(len(t), cart.preload - 9.81 * m * u[2])
+        for i in body.contacts:
+            along = feet(rig.pairs[i], rig.state().X_WO)[1] @ u
+            push += plan.alpha_d[:, rig.owners == i] @ along
+        s = speed = most = 0.0
+        for force in push:  # implicit in spring and damper: stable for any of them
+            speed = (m * speed + dt * (force - k * s)) / (m + dt * c + dt**2 * k)
+            s += dt * speed
+            most = max(most, abs(s))
+        preload = cart.preload - float(push.mean())
+        words = {"left": push[-1], "duration": rig.scenario.duration, "preload": preload}
+        yield most, {"name": body.name, **words}
+
+
+# --- every task ---------------------------------------------------------------------------------
+
+
+@rule(
+    0.7,
+    2.0,
+    "control.rate {rate:g} Hz is too slow for gains.{name} {gain:g} 1/s: their ratio is "
+    "{value:.2g}, and a sampled loop diverges from 2 on; raise the rate to {enough:.0f} Hz, or "
+    "lower the gain",
+)
+def rate(task: Task) -> Values:
+    """Gain × control period."""
+    motion, force = task.gains.motion, task.gains.force
+    name = (
+        f"motion.frequency {motion.frequency:g} Hz, " if "damping" not in motion.model_fields_set else "motion."
+    )
+    limits = {f"{name}damping": motion.damping}
+    if task.pairs:
+        name = (
+            f"force.bandwidth {force.bandwidth:g} Hz, "
+            if "integral" not in force.model_fields_set
+            else "force."
+        )
+        limits |= {f"{name}integral": force.integral, f"{name}brake": force.brake}
+    for name, gain in limits.items():
+        yield (
+            gain * task.dt,
+            {"name": name, "gain": gain, "rate": 1.0 / task.dt, "enough": 10 * gain},
         )
 
 
-def _rate(task: Task) -> Iterator[Finding]:
-    rate, motion, force = task.rate, task.gains.motion, task.gains.force
-    name = "motion.damping"
-    if "damping" not in motion.model_fields_set:
-        name = f"motion.frequency {motion.frequency:g} Hz, damping"
-    limits = [(name, motion.damping)]
-    if task.pairs:
-        name = "force.integral"
-        if "integral" not in force.model_fields_set:
-            name = f"force.bandwidth {force.bandwidth:g} Hz, integral"
-        limits += [(name, force.integral), (name.replace("integral", "brake"), force.brake)]
-    for name, gain in limits:
-        if gain / rate >= SLOW:
-            refused = gain / rate >= TOO_SLOW
-            yield Finding(
-                refused,
-                f"control.rate {rate:g} Hz is too slow for gains.{name} {gain:g} 1/s: their ratio "
-                f"is {gain / rate:.2g}, and a sampled loop diverges from {TOO_SLOW:g} on; raise "
-                f"the rate to {10 * gain:.0f} Hz, or lower the gain",
-            )
-
-
-def _motion(task: Task) -> Iterator[Finding]:
-    """What is wrong with the motion; one that is possible is gone through."""
-    found = [*_reach(task), *_postures(task), *at.lifted(task)]
-    yield from found or findings(JOINT_RULES, task)
-
-
-def _reach(task: Task) -> Iterator[Finding]:
-    times, plan = task.times, task.plan
-    poses = plan.X_WD[:, :3]
+@rule(
+    1.0,
+    1.0,
+    "the motion leads the object to {far:.3g} m from the base of arm '{name}' at t = {t:.3g} s, "
+    "and the stretched arm reaches {most:.3g} m; ask for a smaller motion (are its signals in the "
+    "right unit?)",
+)
+def stretched(task: Task) -> Values:
+    """Distance from the base, over what the stretched arm reaches."""
     for arm, grasp in zip(task.chain.arms, task.chain.grasps, strict=True):
         most = _length(arm) + float(np.linalg.norm(grasp.X_TO.translation))
-        far = np.linalg.norm(poses - arm.base.translation, axis=1)
-        if far.max() > most:
-            k = int(far.argmax())
-            yield Finding(
-                True,
-                f"the motion leads the object to {far[k]:.3g} m from the base of arm "
-                f"'{arm.name}' at t = {times[k]:.3g} s, and the stretched arm reaches "
-                f"{most:.3g} m; ask for a smaller motion (are its signals in the right unit?)",
-            )
-
-
-def _postures(task: Task) -> Iterator[Finding]:
-    """Places to which no posture within the joints' limits leads, from the start on."""
-    if any(True for _ in _reach(task)):
-        return
-    chain, times, plan = task.chain, task.times, task.plan
-    poses = plan.X_WD
-    ways = poses[:, :3] - poses[0, :3]
-    turns = np.abs(poses[:, 3:] @ poses[0, 3:])  # cosine of half the angle
-    ends = {int(k) for k in (*ways.argmax(axis=0), *ways.argmin(axis=0), turns.argmin())}
-    for k in sorted(ends):
-        X = pin.XYZQUATToSE3(poses[k])
-        try:
-            q = reach(chain, task.q_contact, X, 1e-3)
-            left = float(np.linalg.norm(object_pose(chain, q).translation - X.translation))
-        except ModelError:  # it circles about a pose out of reach
-            q, left = task.q_contact, np.inf
-        if left > FAR_M:
-            at = [
-                name for name, x, low, high in zip(
-                    chain.joint_names, q, chain.model.lowerPositionLimit,
-                    chain.model.upperPositionLimit, strict=True,
-                ) if min(x - low, high - x) < 1e-6
-            ]  # fmt: skip
-            yield Finding(
-                False,
-                f"at t = {times[k]:.3g} s the motion wants the object where no posture near the "
-                f"start puts it ({np.round(X.translation, 3).tolist()} m)"
-                + (f": {1e3 * left:.0f} mm are left" if np.isfinite(left) else "")
-                + (f" with {', '.join(at)} at the end stop" if at else "")
-                + "; ask for a smaller motion, or begin in another posture",
-            )
-            return
+        far = np.linalg.norm(task.poses[:, :3] - arm.base.translation, axis=1)
+        k = int(far.argmax())
+        words = {"far": far[k], "name": arm.name, "t": task.times[k], "most": most}
+        yield float(far[k]) / most, words
 
 
 def _length(arm: Arm) -> float:
     """No point of the tip is further from the base: all links stretched out (m)."""
     model = arm.model
-    links = sum(float(np.linalg.norm(X.translation)) for X in model.jointPlacements)
     frame = model.frames[robots.frame_id(model, arm.tip)]
-    slides = 0.0
-    for joint in list(model.joints)[1:]:
-        if joint.shortname().startswith("JointModelP"):
-            ends = (model.lowerPositionLimit, model.upperPositionLimit)
-            slides += max(abs(float(end[joint.idx_q])) for end in ends)
-    return links + float(np.linalg.norm(frame.placement.translation)) + slides
+    links = [X.translation for X in (*model.jointPlacements, frame.placement)]
+    low, high = model.lowerPositionLimit, model.upperPositionLimit
+    slides = [
+        max(abs(low[joint.idx_q]), abs(high[joint.idx_q]))
+        for joint in list(model.joints)[1:]
+        if joint.shortname().startswith("JointModelP")
+    ]
+    return float(sum(map(np.linalg.norm, links)) + sum(slides))
 
 
-def _motors(task: Task) -> Iterator[Finding]:
+@rule(
+    0.02,
+    np.inf,
+    "at t = {t:.3g} s the motion wants the object where no posture near the start puts it "
+    "({where} m){left}; ask for a smaller motion, or begin in another posture",
+)
+def postures(task: Task) -> Values:
+    """By how much no posture within the joints' limits, from the start on, gets there (m)."""
+    if any(stretched.findings(task)):
+        return
+    chain, poses = task.chain, task.poses
+    low, high = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    ways = poses[:, :3] - poses[0, :3]
+    turns = np.abs(poses[:, 3:] @ poses[0, 3:])  # cosine of half the angle
+    for k in sorted({int(k) for k in (*ways.argmax(axis=0), *ways.argmin(axis=0), turns.argmin())}):
+        X = pin.XYZQUATToSE3(poses[k])
+        away, left = np.inf, ""
+        try:
+            q = reach(chain, task.q_contact, X, 1e-3)
+        except ModelError:  # it circles about a pose out of reach
+            pass
+        else:
+            away = float(np.linalg.norm(object_pose(chain, q).translation - X.translation))
+            ends = np.flatnonzero(np.minimum(q - low, high - q) < 1e-6)
+            names = ", ".join(chain.joint_names[j] for j in ends)
+            left = f": {1e3 * away:.0f} mm are left" + f" with {names} at the end stop" * bool(
+                names
+            )
+        yield away, {"t": task.times[k], "where": rounded(X.translation, 3), "left": left}
+        if away > postures.doubtful:
+            return
+
+
+@rule(
+    0.0,
+    0.0,
+    "at t = {at:.3g} s the motion would end in a stop: {why}; ask for a smaller or slower motion, "
+    "or begin in another posture",
+)
+def joints(task: Task) -> Values:
+    """Whether the controller would stop for its joints' limits: the motion is gone through.
+
+    The joints follow what the controller commands, without contacts, errors and motor limits.
+    """
+    chain = task.chain
+    moves = np.ptp(task.poses, axis=0).max() > 0.0
+    if not moves or not all(grasp.is_rigid for grasp in chain.grasps):
+        return  # a loose object needs its contacts
+    kept = ("overspeed_time", "brake_time", "hold_rate")
+    safety = SafetySettings.motors_only(**{key: getattr(task.safety, key) for key in kept})
+    dt = max(task.dt, min(PERIOD_S, GAIN / max(task.gains.motion.damping, 1.0)))
+    dt = task.dt * round(dt / task.dt)
+    q, v, still = task.q.copy(), np.zeros(chain.nq), np.zeros((len(chain.arms), 6))
+    try:
+        controller = Controller(chain, (), task.gains, dt=dt, posture=task.posture, safety=safety)
+        for k, wanted in enumerate(task.every(dt)):
+            motion = Reference(wanted.X_WD, wanted.V_D, wanted.A_D)
+            controller.tick(Measurement(q.copy(), v.copy(), still), motion)
+            if controller.state is SafetyState.SAFE_STOP:
+                why = controller.reason.removesuffix(". See why, then call reset()")
+                yield 1.0, {"at": k * dt, "why": why}
+                return
+            v = v + _acceleration(controller) * dt
+            q = q + v * dt
+    except OscContactError:  # what cannot be gone through without its contacts
+        return
+
+
+def _acceleration(controller: Controller) -> Array:
+    """(n,) q̈ of the last tick: J̄a + offset, and what redundant arms do beside their task.
+
+    Their torques τ₀ move them by (1 − J̄J)M⁻¹(τ₀ − h). Without it nothing holds their posture, and
+    they drift until a joint comes near its limit.
+    """
+    chain, joints = controller.settings.chain, controller._records.joints
+    a = controller.joint_acceleration()
+    for arm, s, grasp in zip(chain.arms, chain.slices, chain.grasps, strict=True):
+        n = arm.model.nv
+        if n > grasp.N.shape[1]:
+            own = np.linalg.solve(joints.M[s, :n], joints.rest[s] - joints.h[s])
+            a[s] += own - np.asarray(joints.J_bar[s]) @ (np.asarray(joints.J[s]).T @ own)
+    return a
+
+
+@rule(
+    0.0,
+    3.0,
+    "{name} asks for {force:.4g} N at t = {t:.3g} s, for which motors would need {value:.2g} times "
+    "their limits at least (most of all {joint}, {most:.3g} N m or N); ask for less force, or "
+    "choose another posture",
+)
+def motors(task: Task) -> Values:
     """Forces that no torques within the limits make, whatever the internal forces are."""
-    if not task.pairs:
+    if not task.pairs or not task.contact.r or not task.state.d:
         return
-    state, contact = task.state, task.contact
-    if not contact.r or not state.d:
-        return
-    t, alpha = task.times, task.plan.alpha_d
-    limits = np.minimum(task.chain.tau_max, 1e12)
-    wanted = state.b_S[:, None] + state.S.T @ contact.N @ contact.R @ alpha.T
+    state, contact, chain = task.state, task.contact, task.chain
+    limits = np.minimum(chain.tau_max, 1e12)
+    wanted = state.b_S[:, None] + state.S.T @ contact.N @ contact.R @ task.forces.T
     shares = np.linalg.pinv(state.G * limits) @ wanted  # of each motor's limit, least squares
     order = np.argsort(np.abs(shares).max(axis=0))
-    most, usual = (
-        least_peak(state.G * limits, wanted[:, k]) for k in (order[-1], order[len(t) // 2])
-    )
-    if most > OVERLOAD or usual > 1.0:  # a peak that is a little too high saturates for a while
-        k = int(order[-1])
-        motor = int(np.abs(shares[:, k]).argmax())
-        name = task.force_names[int(alpha[k].argmax())]
-        yield Finding(
-            most > OVERLOAD,
-            f"{name} asks for {alpha[k].max():.4g} N at t = {t[k]:.3g} s, for which motors "
-            f"would need {most:.2g} times their limits at least (most of all "
-            f"{task.chain.joint_names[task.chain.actuated[motor]]}, {limits[motor]:.3g} N m or N); "
-            "ask for less force, or choose another posture",
-        )
+    k, usual = (int(order[i]) for i in (-1, len(order) // 2))
+    most = least_peak(state.G * limits, wanted[:, k])
+    # a peak that is a little too high saturates for a while
+    if most > motors.refused or least_peak(state.G * limits, wanted[:, usual]) > 1.0:
+        j, motor = int(task.forces[k].argmax()), int(np.abs(shares[:, k]).argmax())
+        joint = chain.joint_names[chain.actuated[motor]]
+        words = {"name": task.force_names[j], "force": task.forces[k, j], "t": task.times[k]}
+        yield most, {**words, "joint": joint, "most": limits[motor]}
 
 
 def least_peak(A: Array, b: Array) -> float:
@@ -322,30 +404,83 @@ def least_peak(A: Array, b: Array) -> float:
     return high
 
 
-def _carts(rig: Rig) -> Iterator[Finding]:
-    t, plan = rig.references.overview
-    alpha = plan.alpha_d
-    X, dt = rig.state().X_WO, t[1] - t[0]
-    for body in rig.bodies:
-        cart = body.motion
-        if not isinstance(cart, CartSpec):
-            continue
-        u = np.array(cart.direction)
-        push = np.zeros(len(t))
-        for i in body.contacts:
-            push += alpha[:, rig.owners == i] @ (feet(rig.pairs[i], X)[1] @ u)
-        constant = cart.preload - 9.81 * cart.mass * u[2]
-        s = speed = most = 0.0
-        for force in push + constant:  # implicit in spring and damper: stable for any of them
-            m, c, k = cart.mass, cart.damping, cart.stiffness
-            speed = (m * speed + dt * (force - k * s)) / (m + dt * c + dt**2 * k)
-            s += dt * speed
-            most = max(most, abs(s))
-        if most > CART_M:
-            yield Finding(
-                False,
-                f"nothing balances the cart of '{body.name}': weight, preload and contact forces "
-                f"leave {push[-1] + constant:.3g} N along its rail at the end, which moves it by "
-                f"{most:.3g} m in {rig.scenario.duration:g} s; give it a preload of "
-                f"{cart.preload - float(np.mean(push + constant)):.3g} N, or a stiffness",
-            )
+# --- a robot ------------------------------------------------------------------------------------
+
+
+@rule(0.0, 0.9, "{why}")
+def first_tick(task: Task) -> Values:
+    """A copy of the controller is given what is measured and the first reference."""
+    assert task.controller is not None and task.measured is not None
+    trial = copy(task.controller)
+    trial.tick(task.measured, next(task.every(task.dt)))
+    if trial.status is Status.HELD:
+        yield 1.0, {"why": trial.reason}
+    elif task.pairs and is_clear(trial.settings, trial._records):
+        error = trial.residual_wrench() - trial.f_tare
+        why = judge_load(trial.settings, error, trial.result().bias_out)
+        if why:  # a controller that has not engaged may still be tared
+            yield 1.0 if trial.engaged else 0.5, {"why": why}
+
+
+@rule(
+    0.005,
+    0.1,
+    "the first reference puts the object {value:.3g} m away from where it is, at {first} m instead "
+    "of {now} m; begin the motion at chain.state(q, v).X_WO",
+)
+def jump(task: Task) -> Values:
+    """From the pose to the first reference (m)."""
+    first, now = task.poses[0, :3], task.state.X_WO.translation
+    yield float(np.linalg.norm(first - now)), {"first": rounded(first), "now": rounded(now)}
+
+
+@rule(
+    0.9,
+    1.0,
+    "to hold the arm, {joint} needs {torque:.4g} N m (or N), {value:.2g} times its limit of "
+    "{most:.4g}; all that moves weighs {mass:.4g} kg: are masses in kg and lengths in m?",
+)
+def weights(task: Task) -> Values:
+    """Torques that hold the arm, as shares of the motors' limits."""
+    chain = task.chain
+    bias = pin.computeGeneralizedGravity(chain.model, chain.model.createData(), task.q)
+    bias = bias[chain.actuated]
+    share = np.abs(bias) / np.minimum(chain.tau_max, 1e12)
+    worst = int(share.argmax())
+    joint = chain.joint_names[chain.actuated[worst]]
+    words = {"torque": bias[worst], "most": chain.tau_max[worst]}
+    yield float(share[worst]), {"joint": joint, **words, "mass": placement.mass_of(chain)}
+
+
+@rule(
+    0.0, 0.0, "{name} is −{value:.3g} N at t = {t:.3g} s; this contact cannot pull: give forces ≥ 0"
+)
+def pulls(task: Task) -> Values:
+    """Forces below zero (−N)."""
+    for name, owner, force in zip(task.force_names, task.owners, task.forces.T, strict=True):
+        if pushes_only(task.pairs[owner]):
+            least = int(force.argmin())
+            yield -float(force[least]), {"name": name, "t": task.times[least]}
+
+
+@rule(
+    1.0,
+    1.0,
+    "{name} is {force:.4g} N at t = {t:.3g} s, and readings beyond safety.force_range = "
+    "{range:.4g} N are not believed; ask for less force, or raise force_range to what the wrist "
+    "sensor measures",
+)
+def measured_range(task: Task) -> Values:
+    """Forces, over what a wrist sensor may read."""
+    most = task.safety.force_range
+    for name, force in zip(task.force_names, np.abs(task.forces).T, strict=True):
+        k = int(force.argmax())
+        words = {"name": name, "t": task.times[k], "force": force[k], "range": most}
+        yield float(force[k]) / most, words
+
+
+#: What a task has to follow; a new rule is entered in one of these rows. `joints` go through a
+#: motion that none of `MOTION_RULES` finds fault with.
+RIG_RULES = (sensors, tare, springs, swinging, *placement.RIG_RULES, friction, carts)
+ROBOT_RULES = (first_tick, jump, weights, pulls, measured_range, *placement.SCENE_RULES)
+MOTION_RULES = (stretched, postures, placement.lifted)

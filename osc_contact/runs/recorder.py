@@ -3,32 +3,261 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import pairwise
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from osc_contact.contacts.pairs.pair import count_forces
+from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.contacts.pairs.pair import ContactPair, count_forces, pushes_only
 from osc_contact.control.controller import Controller
+from osc_contact.control.monitor import ContactMonitor, watch_series
+from osc_contact.control.phases import Phase
 from osc_contact.control.reports import Status
 from osc_contact.control.result import TickResult, internal_forces
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.interface import Measurement, Reference
-from osc_contact.plants.judge import Judge, TruthLog
+from osc_contact.plants.judge import Judge, TruthLog, Truths
 from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
 from osc_contact.recorder.columns import gather
 from osc_contact.recorder.journal import Journal, JournalFile
 from osc_contact.recorder.memory import MemoryJournal
 from osc_contact.robots.summary import joint_losses
-from osc_contact.runs.channels import Subject, Tick, channels, work_out
-from osc_contact.spatial import Array
+from osc_contact.runs.contacts import feet_over
+from osc_contact.runs.free_motion import free_parts
+from osc_contact.spatial import Array, Poses, cross
 
-__all__ = ["Recorder", "describe_subject", "recording_of"]
+_TOGETHER = 1000  #: rows whose channels are worked out together
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is recorded.
+
+    Attributes:
+        controller: whose ticks are noted.
+        pairs: the true contacts. placements: X_WB of the body of each at the start.
+        owners: (r,) the contact of each force magnitude.
+        free: whether the arms can move the object in all six directions.
+    """
+
+    controller: Controller
+    pairs: tuple[ContactPair, ...]
+    placements: tuple[pin.SE3, ...]
+    owners: Array
+    free: bool
+
+    @cached_property
+    def pushing(self) -> NDArray[np.bool_]:
+        """(r,) whether each force magnitude must not become negative."""
+        return np.array([pushes_only(self.pairs[i]) for i in self.owners], dtype=bool)
+
+
+def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict[str, Array]:
+    """The channels of some ticks, but for what the contact monitor remembers.
+
+    Args:
+        of: what was recorded. log: of the judge, which knows what its notes mean; None: no judge.
+        first: number of the first tick. rows: (k,) as the run's log noted them.
+    """
+    k, controller = len(rows), of.controller
+    alpha, squeeze = rows["alpha"], rows["squeeze_d"]
+    phase = _phases(of, rows)
+    truth = _believed(of, rows, phase) if log is None else log.truths(rows["truth"])
+    N, points, directions = _lines(of, truth, k)
+    wrench = rows["f_meas"] - rows["bias_out"]
+    projected = (rows["speed"] * alpha).sum(axis=1)  # V_relᵀNα, whatever the faces do
+    total = (rows["V_O"] * (wrench - rows["f_c"])).sum(axis=1) + projected
+    made = {
+        "t": np.arange(first, first + k) * controller.dt,
+        **{name: rows[name] for name in ("q", "v", "tau")},
+        "tick_s": rows["tick_s"][:, 0],
+        "pose": truth.X_WO.coordinates(k),
+        "twist": truth.V_O,
+        "alpha_cmd": rows["alpha_d"],
+        "alpha_meas": alpha,
+        "alpha_true": truth.alpha,
+        "closed": truth.closed,
+        "N": N.transpose(2, 0, 1),
+        "contact_point": points,
+        "contact_direction": directions,
+        "face_pose": _face_poses(of, truth, k),
+        "wrench_meas": wrench,
+        "power_total": total,
+        "power_projected": projected,
+        "motion_error": _motion_error(of, rows, N, phase),
+        "squeeze_cmd": squeeze[:, 0] if np.isnan(squeeze[:, 1:]).all() else squeeze,
+        "squeeze": rows["squeeze"][:, 0] if len(controller.chain.arms) < 3 else rows["squeeze"],
+        "alpha_given_up": rows["given_up"],
+        "status": rows["status"][:, 0].astype(np.int64),
+        "contact_phase": phase,
+    }
+    if log is None:
+        del made["alpha_true"]
+    return {name: np.ascontiguousarray(values) for name, values in made.items()}
+
+
+class Monitor:
+    """What the contact monitor tells of each magnitude, from projected force and power.
+
+    Where a magnitude may have either sign its size counts.
+    """
+
+    def __init__(self, of: Subject) -> None:
+        """Begin at the first tick."""
+        self._of = of
+        self._monitor = ContactMonitor(len(of.owners), of.controller.dt)
+
+    def channels(self, rows: Array) -> dict[str, Array]:
+        """Of the ticks that follow those it was told of before."""
+        if self._of.controller.life is not None:  # the controller had one listening
+            pushing = self._of.pushing  # what can pull stays in contact
+            closed, collision = rows["closed"] > 0.0, rows["collision"] > 0.0
+            return {"contact_seen": closed | ~pushing, "collision_seen": collision & pushing}
+        alpha = np.where(self._of.pushing, rows["alpha"], np.abs(rows["alpha"]))
+        closed, collision = watch_series(self._monitor, alpha, rows["speed"])
+        return {"contact_seen": closed, "collision_seen": collision}
+
+
+def work_out(
+    of: Subject, log: TruthLog | None, parts: Iterable[tuple[int, Array]]
+) -> Iterator[dict[str, Array]]:
+    """All channels of a journal's rows, block after block.
+
+    The blocks are the same however the rows came, and so is every bit of the channels.
+
+    Args:
+        of: what was run. log: the judge's; None: there is none.
+        parts: of the journal: index of the first row, and (rows, columns) numbers.
+    """
+    monitor = Monitor(of)
+    for first, rows in _blocks(parts):
+        yield channels(of, log, first, rows) | monitor.channels(rows)
+
+
+def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
+    """Rows of a journal cut at every 1,000 ticks, wherever its chunks end.
+
+    Args:
+        parts: number of the first row, rows; in order.
+    """
+    begin = 0
+    waiting: list[Array] = []
+    for first, rows in parts:
+        while len(rows):
+            count = sum(map(len, waiting))
+            if count and (first != begin + count or first % _TOGETHER == 0):
+                yield begin, np.concatenate(waiting)
+                waiting = []
+            if not waiting:
+                begin = first
+            cut = _TOGETHER - first % _TOGETHER
+            waiting.append(rows[:cut])
+            first, rows = first + len(waiting[-1]), rows[cut:]
+    if waiting:
+        yield begin, np.concatenate(waiting)
+
+
+class Tick(Mapping[str, Any]):
+    """The channels of one tick, worked out when they are read."""
+
+    def __init__(self, made: Callable[[], dict[str, Array]]) -> None:
+        """`made` gives channels of one row each."""
+        self._made = made
+
+    @cached_property
+    def _rows(self) -> dict[str, Array]:
+        return self._made()
+
+    def __getitem__(self, name: str) -> Any:
+        return self._rows[name][0]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+
+def _phases(of: Subject, rows: Array) -> Array:
+    """(k, contacts)"""
+    if of.controller.life is not None:
+        phase = rows["phase"] * rows["active"]  # OPEN is 0
+    else:  # all of them at once
+        phase = np.repeat(rows["engaged"] * Phase.CLOSED, len(of.pairs), axis=1)
+    return phase.astype(np.int64)
+
+
+def _believed(of: Subject, rows: Array, phase: Array) -> Truths:
+    """What the controller takes for the truth, where no judge knows better."""
+    pairs, k = of.pairs, len(rows)
+    X_WO = _poses(rows["X_WO"].reshape(k, 4, 4))
+    X_WE = rows["X_WE"].reshape(k, len(pairs), 4, 4)
+    faces = tuple(_poses(X_WE[:, i]) for i in range(len(pairs)))
+    N = tuple(normals_over(pair, X_WO, X) for pair, X in zip(pairs, faces, strict=True))
+    return Truths(rows["alpha"], phase == Phase.CLOSED, X_WO, rows["V_O"], faces, N)
+
+
+def _poses(X: Array) -> Poses:
+    """Of k homogeneous matrices (k, 4, 4)."""
+    return Poses(X[:, :3, :3].transpose(1, 2, 0), X[:, :3, 3].T)
+
+
+def _lines(of: Subject, truth: Truths, k: int) -> tuple[Array, Array, Array]:
+    """Unit lines of force (6, r, k), and of each contact where they meet the surface, their mean,
+    and the direction of the first: (k, contacts, 3) both."""
+    N, points, directions = [np.zeros((6, 0, k))], [], []
+    for pair, own, X_WE in zip(of.pairs, truth.N, truth.X_WE, strict=True):
+        p, n = feet_over(pair, own, truth.X_WO, X_WE)
+        N.append(np.concatenate((n, cross(p - truth.X_WO.p[:, None], n))))
+        points.append(p.mean(axis=1).T)
+        directions.append(n[:, 0].T)
+    shape = (len(of.pairs), k, 3)
+    first, second = (np.reshape(x, shape).transpose(1, 0, 2) for x in (points, directions))
+    return np.concatenate(N, axis=1), first, second
+
+
+def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
+    out = np.zeros((k, len(of.pairs), 7))
+    for i, X_WE in enumerate(truth.X_WE):
+        body = of.placements[i]
+        R, p = body.rotation[:, :, None], body.translation[:, None]
+        if X_WE is not None:
+            moved = np.stack([X_WE.rotate(R[:, j]) for j in range(3)], axis=1)
+            R, p = moved, X_WE.p + X_WE.rotate(p)
+        out[:, i] = Poses(R, p).coordinates(k)
+    return out
+
+
+def _motion_error(of: Subject, rows: Array, N: Array, phase: Array) -> Array:
+    """What the arms can make of the pose error and the contact forces in the model permit."""
+    if of.free:
+        return rows["free_error"]
+    q, error, k = rows["q"], rows["error"], len(rows)
+    J = np.ascontiguousarray(rows["J"].T).reshape(-1, 6, k).swapaxes(0, 1)
+    X = _poses(rows["X_WO"].reshape(k, 4, 4))
+    held = phase[:, of.owners] != Phase.OPEN
+    changes = np.flatnonzero((held[1:] != held[:-1]).any(axis=1)) + 1
+    known = np.isfinite(np.concatenate((q, error), axis=1)).all(axis=1)  # others were held
+    out = np.full((k, 6), np.nan)
+    for a, b in pairwise([0, *changes, k]):
+        i = a + np.flatnonzero(known[a:b])
+        if not len(i):
+            continue
+        poses, lines = Poses(X.R[..., i], X.p[:, i]), N[:, held[a]][..., i]
+        chain = of.controller.chain
+        out[i] = free_parts(chain, q[i], J[:, :, i], poses, lines, error[i].T).T
+    return out
+
 
 _logger = logging.getLogger("osc_contact.recorder")
 _BLOCK = 500  #: rows that the journal is handed at once, at most
@@ -96,29 +325,29 @@ class Recorder:
 
     def _lay_out(self, of: Subject) -> None:
         """Name the numbers of a row: what is NaN where a tick has no result, and the others."""
-        chain = self.of.controller.chain
+        chain = of.controller.chain
         contacts, r = len(of.pairs), len(of.owners)
         squeezes = internal_forces(len(chain.arms))
         found = {**_FOUND, "squeeze": squeezes}
         if not of.free:  # what the arms can make of an error is recorded
             found["J"] = 6 * chain.nq
-        sizes = {"q": chain.nq, "v": chain.nq, "alpha_d": r, "alpha": r, "speed": r, **found}
+        unknown = {"q": chain.nq, "v": chain.nq, "alpha_d": r, "alpha": r, "speed": r, **found}
         if self.truth is None:
-            sizes["X_WE"] = 16 * contacts
-        self._names = tuple(found)
-        self._still = np.tile(np.eye(4), (contacts, 1, 1)).ravel()
-        self._unknown = np.full(sum(sizes.values()), np.nan)
-        sizes |= {"tau": chain.n_a, "tick_s": 1, "status": 1, "squeeze_d": squeezes}
-        sizes |= {"given_up": r, "engaged": 1}
+            unknown["X_WE"] = 16 * contacts
+        numbers = {"tick_s": 1, "status": 1, "squeeze_d": squeezes, "given_up": r}
+        flags = {"engaged": 1}
         if of.controller.life is not None:
-            sizes |= {"phase": contacts, "active": contacts, "closed": r, "collision": r}
+            flags |= {"phase": contacts, "active": contacts, "closed": r, "collision": r}
+        sizes = {**unknown, "tau": chain.n_a, **numbers, **flags}
+        self._names = tuple(found)
         self._fields = [(name, "<f8", (size,)) for name, size in sizes.items()]
         self._rows = np.zeros((_BLOCK, sum(sizes.values())))
-        self._numbers = np.zeros(2 + squeezes + r)  #: from tick_s to given_up
+        self._still = np.tile(np.eye(4), (contacts, 1, 1)).ravel()
+        self._unknown = np.full(sum(unknown.values()), np.nan)
+        self._numbers = np.zeros(sum(numbers.values()))
         self._squeezes, self._given_up = np.split(self._numbers[2:], [squeezes])
         self._squeeze: float | None = None  #: commanded in the last tick, if nothing else changed
-        rest = self._rows.shape[1] - len(self._unknown) - chain.n_a - len(self._numbers)
-        self._flags: list[Array] = [np.zeros(rest)]  #: from engaged on
+        self._flags: list[Array] = [np.zeros(sum(flags.values()))]
 
     @property
     def error(self) -> RecordingError | None:
@@ -162,15 +391,12 @@ class Recorder:
         A single squeeze is followed by NaNs: that distinguishes it from several.
         """
         self._squeezes[:] = np.nan
-        try:
-            self._squeezes[: np.size(squeeze)] = squeeze
-        except (TypeError, ValueError):  # the tick was held
-            self._squeezes[:] = np.nan
         self._given_up[:] = 0.0
-        if status is Status.SATURATED:
-            cost = self.of.controller.given_up
-            if cost is not None and len(cost.force) == len(self._given_up):
-                self._given_up[:] = cost.force
+        with suppress(TypeError, ValueError):  # the tick was held
+            self._squeezes[: np.size(squeeze)] = squeeze
+        cost = self.of.controller.given_up if status is Status.SATURATED else None
+        if cost is not None and len(cost.force) == len(self._given_up):
+            self._given_up[:] = cost.force
         self._squeeze = None
         if status is Status.OK and isinstance(squeeze, float):
             self._squeeze = squeeze
@@ -182,9 +408,9 @@ class Recorder:
             self._last = result
             self._parts = [np.ravel(getattr(result, name)) for name in self._names]
             records = result.records
-            self._flags = [records.engaged]
-            if self.of.controller.life is not None:
-                self._flags += [records.phase, records.active, records.closed, records.collision]
+            flags = ["engaged", "phase", "active", "closed", "collision"]
+            kept = flags[: None if self.of.controller.life is not None else 1]
+            self._flags = [getattr(records, name) for name in kept]
             self._parts[:0] = [result.magnitudes[:r], result.speeds[:r]]
         parts = self._parts
         if result.rank != r:
@@ -235,12 +461,13 @@ class Recorder:
         recording = recording_of(self.of, self.truth, self.journal.read(), about)
         if self.error is not None:
             recording.meta["missing"] = [str(self.error)]
-        controller = self.of.controller
-        recording.meta["end_state"] = controller.state.name
-        recording.meta["end_reason"] = controller.reason
-        recording.meta["first_reason"] = self._first_reason
-        recording.meta["wall_s"] = perf_counter() - self._began[0]
-        recording.meta["cpu_s"] = process_time() - self._began[1]
+        recording.meta |= {
+            "end_state": self.of.controller.state.name,
+            "end_reason": self.of.controller.reason,
+            "first_reason": self._first_reason,
+            "wall_s": perf_counter() - self._began[0],
+            "cpu_s": process_time() - self._began[1],
+        }
         return recording
 
 

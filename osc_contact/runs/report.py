@@ -1,21 +1,201 @@
-"""Everything a run leaves behind: metrics.json, the recording, figures and the scene."""
+"""What people read: tables of the command line, and the files that a run leaves behind."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from rich.table import Table
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.files import whole_file
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S, judged_ticks
-from osc_contact.runs.metrics import metrics
+from osc_contact.robots import RobotSummary
+from osc_contact.robots.summary import losses_by_arm
+from osc_contact.runs.calibration import WristCalibration
+from osc_contact.runs.inspection import Inspection
 from osc_contact.runs.rig import build_rig
+from osc_contact.runs.verdict import metrics
 from osc_contact.runs.viewing import DRAWN, write_scene_of
 from osc_contact.scenarios.schema import Scenario
+from osc_contact.spatial import Array
 
-__all__ = ["require_judgeable", "write_json", "write_report"]
+MOST_PROJECTED = 0.1  #: of the total power; a larger share is explained
+
+
+def verdict_table(verdict: Mapping[str, Any]) -> Table:
+    """metrics.json of a run, for people."""
+    title = (
+        f"{verdict['scenario']} on {verdict['plant']}, {verdict['duration_s']:g} s, "
+        f"{verdict['real_time_factor']:.2f} × real time"
+    )
+    table = Table("quantity", "value", title=title)
+    for name, force in verdict["force"].items():
+        table.add_row(
+            f"force {name}",
+            f"rms {_percent(force['rms_error_rel'])}, peak {_percent(force['peak_error_rel'])} "
+            f"of {force['mean_command_N'] or 0.0:.2f} N; sensed within "
+            f"{_percent(force['sensing_rms_rel'])}; closed "
+            f"{100 * verdict['contact_fraction'][_owner(name)]:.2f} %",
+        )
+    for contact, first in verdict["first_contact_s"].items():
+        words = "never" if first is None else _first(first, contact, verdict["steps"])
+        table.add_row(f"first contact {contact}", words)
+    for name, words in _steps(verdict["steps"]):
+        table.add_row(name, words)
+    motion, power, tick = verdict["motion"], verdict["power"], verdict["tick_us"]
+    if motion["rms_error_m"] is not None:
+        linear, angular = 1e3 * motion["rms_error_m"], 1e3 * motion["rms_error_rad"]
+        table.add_row("free motion", f"rms {linear:.4f} mm, {angular:.4f} mrad")
+    if power["total_rms_W"] is not None:
+        table.add_row(
+            "power",
+            f"total {power['total_rms_W']:.4g} W, projected {power['projected_rms_W']:.3g} W"
+            + _share(power["ratio"]),
+        )
+    for arm, words in losses_by_arm(verdict["joint_losses"]):
+        table.add_row(f"joints {arm}, in the model", words)
+    table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
+    table.add_row("ticks", ", ".join(f"{n} {name}" for name, n in verdict["status"].items() if n))
+    if verdict["at_limit"]:
+        motors = ", ".join(f"{joint} {n}" for joint, n in verdict["at_limit"])
+        table.add_row("ticks at a motor limit", motors)
+    return table
+
+
+def task_lines(verdict: Mapping[str, Any]) -> Iterator[str]:
+    """How the task went, in a word, and why."""
+    task = verdict["task"]
+    yield f"verdict: {task['word']}" + (", the task failed" if task["failed"] else "")
+    yield from (f"  {why}" for why in task["why"])
+
+
+def _first(t: float, contact: str, steps: Sequence[Mapping[str, Any]]) -> str:
+    """When a contact closed and how far its forces overshot."""
+    own = [s for s in steps if s["what"] == "first contact" and _owner(s["force"]) == contact]
+    return f"at {t:.3f} s" + "".join(f"; {_over(s)}" for s in own)
+
+
+def _steps(steps: Sequence[Mapping[str, Any]], most: int = 3) -> Iterator[tuple[str, str]]:
+    """Rows of the steps of a force: all of them, or of many the worst."""
+    by_force: dict[str, list[Mapping[str, Any]]] = {}
+    for step in steps:
+        if step["what"] == "step":
+            by_force.setdefault(step["force"], []).append(step)
+    for name, some in by_force.items():
+        shown = some if len(some) <= most else [max(some, key=lambda s: s["overshoot_rel"])]
+        for s in shown:
+            label = f"step {name}" if len(some) <= most else f"worst of {len(some)} steps {name}"
+            yield (
+                label,
+                (f"at {s['t_s']:.3f} s from {s['from_N']:.3g} N to {s['to_N']:.3g} N; {_over(s)}"),
+            )
+
+
+def _share(ratio: float | None) -> str:
+    """The ratio of powers, and what it says where it is large."""
+    if ratio is None:
+        return ""
+    if ratio <= MOST_PROJECTED:
+        return f", ratio {_percent(ratio)}"
+    return (
+        f"; the projected part (ratio {_percent(ratio)}) is what the contacts took up themselves: "
+        "they gave way, or the object hardly moved along them"
+    )
+
+
+def _over(step: Mapping[str, Any]) -> str:
+    if not step["overshoot_N"]:
+        return "no overshoot"
+    return (
+        f"reaches {step['peak_N']:.3g} N of {step['asked_N']:.3g} N, "
+        f"overshoot {_percent(step['overshoot_rel'])}"
+    )
+
+
+def _owner(force: str) -> str:
+    return force.partition(".")[0]
+
+
+def basis_tables(inspection: Inspection) -> Iterator[Table]:
+    """N with a column for each contact, T with a column for each motion."""
+    where = "(at the object's origin, world axes)"
+    yield _basis(f"N: forces the contacts transmit {where}", inspection.N, inspection.contacts,
+                 ("force", "moment"), ("", "m"))  # fmt: skip
+    names = [f"t{i + 1}" for i in range(inspection.T.shape[1])]
+    largest = np.abs(inspection.T).max(axis=0, initial=1e-300)
+    yield _basis(f"T: motions they permit {where}", inspection.T / largest, names,
+                 ("linear", "angular"), ("m/s", "rad/s"))  # fmt: skip
+
+
+def calibration_table(found: Sequence[WristCalibration]) -> Table:
+    """What hangs on each wrist sensor, found and true."""
+    table = Table("wrist", "mass", "centre of mass (mm)", "bias (N, N m)", title="wrist sensors")
+    for one in found:
+        for kind, mass, com in (
+            ("found", one.found.mass, one.found.com),
+            ("true", one.mass, one.com),
+        ):
+            bias = np.array2string(one.found.bias, precision=3) if kind == "found" else ""
+            centre = np.array2string(1e3 * com, precision=2, suppress_small=True)
+            table.add_row(f"{one.arm}, {kind}", f"{mass:.4f} kg", centre, bias)
+    return table
+
+
+def scenario_table(scenarios: Mapping[str, str]) -> Table:
+    """Names and descriptions of the packaged scenarios."""
+    table = Table("scenario", "what it is", title="osc-contact run SCENARIO")
+    for name, words in scenarios.items():
+        table.add_row(name, words.strip())
+    return table
+
+
+def robot_tables(robot: RobotSummary) -> Iterator[Table]:
+    """The joints, and what the tips can do."""
+    joints = Table("joint", "type", "positions", "effort", "velocity", "moves (kg)",
+                   title=f"{robot.name}: joints")  # fmt: skip
+    for joint in robot.joints:
+        angle, effort, speed = (
+            ("m", "N", "m/s") if joint.kind == "prismatic" else ("rad", "N m", "rad/s")
+        )
+        joints.add_row(
+            joint.name, joint.kind, f"{_range(joint.lower, joint.upper)} {angle}",
+            f"{joint.effort:g} {effort}", f"{joint.velocity:g} {speed}", f"{joint.moved_mass:.4g}",
+        )  # fmt: skip
+    if robot.joints:
+        yield joints
+    tips = Table("tip", "joints", "apparent mass (kg)", "apparent inertia (kg m²)",
+                 "mobility σ₁, σ₂, … (unit-free)", title="reachable at the tips")  # fmt: skip
+    for tip in robot.tips:
+        sigma = ", ".join(_range(low, high, 2) for low, high in tip.mobility)
+        tips.add_row(tip.tip, str(tip.joints), _range(*tip.mass, 3), _range(*tip.inertia, 3),
+                     sigma or "the tip's body is no solid")  # fmt: skip
+    if robot.tips:
+        yield tips
+
+
+def _range(low: float, high: float, digits: int = 4) -> str:
+    words = (f"{value:.{digits}g}".replace("inf", "∞") for value in (low, high))
+    return " … ".join(words)
+
+
+def _basis(
+    title: str, basis: Array, names: Sequence[str], kinds: Sequence[str], units: Sequence[str]
+) -> Table:
+    table = Table("", *names, title=title)
+    for i, row in enumerate(basis):
+        unit = f" ({units[i // 3]})" if units[i // 3] else ""
+        label = f"{kinds[i // 3]} {'xyz'[i % 3]}{unit}"
+        table.add_row(label, *(f"{round(float(value), 4) + 0.0:.4f}" for value in row))
+    return table
+
+
+def _percent(ratio: float | None) -> str:
+    return "–" if ratio is None else f"{100 * ratio:.3g} %"
 
 
 def require_judgeable(scenario: Scenario) -> None:

@@ -2,63 +2,212 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.control.controller import Controller
 from osc_contact.dynamics.arm import Arm
-from osc_contact.dynamics.assembly import close, reach
+from osc_contact.dynamics.assembly import close, object_pose, reach
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
 from osc_contact.dynamics.payload import RigidObject
+from osc_contact.errors import ModelError, ScenarioError
 from osc_contact.interface import Measurement, Robot
 from osc_contact.plants.judge import Plant
+from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.plants.rigid import RigidPlant
 from osc_contact.plants.sensors import SensedPlant
 from osc_contact.response import require_reachable
-from osc_contact.runs import faces, hardware
-from osc_contact.runs.channels import Subject
+from osc_contact.runs import hardware
 from osc_contact.runs.contacts import (
     EnvironmentBody,
     build_pairs,
     environment_bodies,
+    known_bodies,
     misplaced,
     pose_of,
+    rails,
     require_own_pairs,
+    tracked,
 )
-from osc_contact.runs.plants import Parts, make_plant
+from osc_contact.runs.recorder import Subject
 from osc_contact.runs.references import References, force_owners
-from osc_contact.runs.start import asked_pose, posture_of, standoff_of, touching
 from osc_contact.scenarios.control_schema import Gains, PhaseSettings
+from osc_contact.scenarios.hardware import PLANT_TYPES
 from osc_contact.scenarios.geometry import GraspSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 
-__all__ = ["MakesChains", "Rig", "build_chain", "build_rig"]
+FAR_M = 0.02  #: a contact further from what it touches is named where the start is not found
+
+
+def posture_of(scenario: Scenario, chain: ClosedChain) -> Array:
+    """(n,) the postures of all arms.
+
+    Raises:
+        ScenarioError: not one number for each joint on the way to a tip.
+    """
+    q = np.concatenate([arm.posture for arm in scenario.arms])
+    if q.shape != (chain.nq,):
+        counts = ", ".join(f"{arm.name} {arm.model.nv}" for arm in chain.arms)
+        raise ScenarioError(
+            f"posture: {len(q)} joint positions given; on the way to their tips the arms "
+            f"have: {counts}"
+        )
+    return q
+
+
+def asked_pose(scenario: Scenario, chain: ClosedChain, posture: Array) -> pin.SE3:
+    """`object.pose`, or where the posture puts what the first arm with a rigid grasp holds.
+
+    Args:
+        scenario: with or without `object.pose`.
+        chain: arms and grasps.
+        posture: (n,) joint positions (m, rad).
+
+    Raises:
+        ModelError: it is left out, and the joints do not tell the pose.
+    """
+    given = scenario.object.pose
+    return object_pose(chain, posture) if given is None else pose_of(given)
+
+
+def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: pin.SE3) -> Array:
+    """(n,) joint positions near q that put the object onto its contacts, from near X_WO.
+
+    Args:
+        chain: arms and grasps.
+        pairs: that shall be in contact.
+        q: (n,) joint positions to begin from (m, rad).
+        X_WO: pose of the object to begin from.
+
+    Raises:
+        ModelError: arms, grasps and contacts cannot be met together. ScenarioError: only outside
+            the joints' limits. Both name the contact that is furthest away.
+    """
+
+    def gaps(X: pin.SE3) -> tuple[Array, Array]:
+        rest = np.zeros(6)
+        N = [pair.contact(X, rest).N for pair in pairs]
+        gap = np.concatenate([np.zeros(0), *(pair.gaps(X) for pair in pairs)])
+        return gap, np.hstack([np.zeros((6, 0)), *N])
+
+    q_near = reach(chain, q, X_WO)
+    try:
+        q_contact = close(chain, q_near, gaps)
+        _require_within_limits(chain, q_contact)
+    except (ModelError, ScenarioError) as error:
+        raise type(error)(f"{error}{_away(pairs, X_WO)}") from error
+    return q_contact
+
+
+def standoff_of(state: ChainState, contact: Contact, distance: float) -> Array:
+    """The displacement (6,) of least kinetic energy that opens every gap by `distance`.
+
+    Args:
+        state: of the chain, in contact.
+        contact: the contacts that open.
+        distance: of every gap (m).
+    """
+    N_S = state.S.T @ contact.N
+    H_inv_N = np.linalg.solve(state.S.T @ state.metric @ state.S, N_S)
+    away = np.full(contact.r, -distance)  # a gap opens against N
+    return np.asarray(state.S @ (H_inv_N @ np.linalg.solve(N_S.T @ H_inv_N, away)))
+
+
+def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
+    """Which contact is furthest from its face at the pose that is asked for, in words."""
+    gaps = [float(np.abs(pair.gaps(X_WO)).max(initial=0.0)) for pair in pairs]
+    if max(gaps, default=0.0) < FAR_M:
+        return ""
+    name = pairs[int(np.argmax(gaps))].name
+    return (
+        f". At object.pose contact '{name}' is {1e3 * max(gaps):.0f} mm away from what it touches: "
+        "move that to the object, or object.pose and posture to it"
+    )
+
+
+def _require_within_limits(chain: ClosedChain, q: Array) -> None:
+    limits = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    for name, x, low, high in zip(chain.joint_names, q, *limits, strict=True):
+        if not low <= x <= high:
+            raise ScenarioError(
+                f"to touch the contacts joint {name} would stand at {x:.4g}, outside its limits "
+                f"[{low:.4g}, {high:.4g}]; move object, faces or base, or change the posture"
+            )
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a plant is made of.
+
+    Attributes:
+        scenario: that is run; its `plant` has the options.
+        chain: the true arms and object. state: of the chain at rest, in contact.
+        pairs: the contacts. bodies: of the environment. on: the body of each contact, by number.
+        seed: of everything random.
+    """
+
+    scenario: Scenario
+    chain: ClosedChain
+    pairs: tuple[ContactPair, ...]
+    bodies: tuple[EnvironmentBody, ...]
+    on: tuple[int, ...]
+    state: ChainState
+    seed: int
+
+
+MakesPlant = Callable[[Parts], Plant]
+#: Every registered plant by its name in scenarios.
+PLANTS: dict[str, MakesPlant] = {}
+
+
+def register_plant(name: str, *, exact: bool = False) -> Callable[[MakesPlant], MakesPlant]:
+    """Function decorator: enter a plant in the register, for `plant.type` of scenarios.
+
+    Args:
+        name: in scenarios.
+        exact: its joints are ideal and its contacts neither open nor end: then no tare, motor
+            error, push or edge of a face is asked of it.
+    """
+
+    def enter(make: MakesPlant) -> MakesPlant:
+        PLANTS[name], PLANT_TYPES[name] = make, exact
+        return make
+
+    return enter
+
+
+@register_plant("rigid", exact=True)
+def _rigid(parts: Parts) -> Plant:
+    step = parts.scenario.plant.step
+    return RigidPlant(parts.chain, parts.pairs, step, rails(parts.bodies), parts.on)
+
+
+@register_plant("mujoco")
+def _mujoco(parts: Parts) -> Plant:
+    scenario, spec = parts.scenario, parts.scenario.plant
+    return MujocoPlant(
+        parts.chain,
+        [robots.resolve_urdf(arm.urdf, scenario.folder)[0] for arm in scenario.arms],
+        robots.resolve_urdf(scenario.object.urdf, scenario.folder)[0],
+        parts.pairs,
+        [(body.urdf[0], body.placement) for body in parts.bodies],
+        spec,
+        rails(parts.bodies),
+        parts.on,
+        drives=hardware.drives(scenario, parts.chain, parts.state, parts.seed),
+    )
+
 
 TARE_INTEGRAL_S = 0.2  #: integral_time of the motion where there is a tare
-
-
-class MakesChains(Protocol):
-    """What `build_chain` does."""
-
-    def __call__(
-        self,
-        scenario: Scenario,
-        arm_mass: float = 1.0,
-        object_mass: float = 1.0,
-        joint_friction: float = 1.0,
-        hidden_mass: float = 0.0,
-    ) -> ClosedChain:
-        """Arms and object of a scenario, see `build_chain`."""
 
 
 @dataclass(frozen=True)
@@ -94,15 +243,18 @@ class Rig:
         Raises:
             ScenarioError: a tare on an exact plant, whose contacts cannot open.
         """
-        plant = make_plant(
-            Parts(self.scenario, self.chain, self.pairs, self.bodies, self.on, self.state(), seed)
-        )
+        scenario, spec = self.scenario, self.scenario.plant
+        if spec.exact and scenario.tare is not None:
+            raise ScenarioError(
+                f"a tare needs contacts that open; the {spec.type} plant's are bilateral. "
+                "Use plant.type=mujoco, or set tare: null"
+            )
+        parts = Parts(scenario, self.chain, self.pairs, self.bodies, self.on, self.state(), seed)
+        plant = PLANTS[spec.type](parts)
         plant.reset(self.q_start)
-        if self.scenario.sensors.ideal:
+        if scenario.sensors.ideal:
             return plant
-        return SensedPlant(
-            plant, hardware.sensors(self.scenario.sensors, self.chain, self.bodies), seed
-        )
+        return SensedPlant(plant, hardware.sensors(scenario.sensors, self.chain, self.bodies), seed)
 
     def at_start(self, read: Measurement) -> Measurement:
         """What ideal encoders and trackers would have read at the start, where all is at rest."""
@@ -146,23 +298,23 @@ class Rig:
 
     def controller(self) -> Controller:
         """The controller with the scenario's gains, knowing only `model`."""
+        scenario, control = self.scenario, self.scenario.control
+        ignored = scenario.model_error.environment == "ignored"
         return Controller(
             self.model,
             self.controlled_pairs(),
             self.gains,
-            dt=1.0 / self.scenario.control.rate,
-            B=self.scenario.control.metric,
-            bodies=faces.known_bodies(
-                self.bodies, len(self.pairs), self.scenario.model_error.environment == "ignored"
-            ),
+            dt=1.0 / control.rate,
+            B=control.metric,
+            bodies=known_bodies(self.bodies, len(self.pairs), ignored),
             posture=self.q_contact,
-            engaged=self.scenario.tare is None,
-            friction=self.scenario.control.friction,
-            reading=self.scenario.control.force.reading,
+            engaged=scenario.tare is None,
+            friction=control.friction,
+            reading=control.force.reading,
             life=self.life,
-            safety=self.scenario.control.safety,
-            laws=self.scenario.laws() if callable(self.scenario.laws) else self.scenario.laws,
-            joint_friction=self.scenario.control.joint_friction,
+            safety=control.safety,
+            laws=scenario.laws() if callable(scenario.laws) else scenario.laws,
+            joint_friction=control.joint_friction,
         )
 
     @property
@@ -175,7 +327,7 @@ class Rig:
         if self.scenario.control.contacts == "declared":
             return misplaced(self.scenario, self.pairs, self.bodies, self.state().X_WO)
         urdf = robots.resolve_urdf(self.scenario.object.urdf, self.scenario.folder)[0]
-        return faces.tracked(self.pairs, urdf, self.bodies)
+        return tracked(self.pairs, urdf, self.bodies)
 
     @cached_property
     def on(self) -> tuple[int, ...]:
@@ -187,11 +339,6 @@ class Rig:
     def owners(self) -> Array:
         """(r,) the contact of each force magnitude."""
         return np.array(force_owners(self.scenario), dtype=int)
-
-    @cached_property
-    def pushing(self) -> NDArray[np.bool_]:
-        """(r,) whether each force magnitude must not become negative."""
-        return np.array([pushes_only(self.pairs[i]) for i in self.owners], dtype=bool)
 
     @cached_property
     def d(self) -> int:
@@ -212,7 +359,7 @@ class Rig:
         return Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in self.pairs])
 
 
-def build_rig(scenario: Scenario, chains: MakesChains | None = None) -> Rig:
+def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = None) -> Rig:
     """Load the parts, close the loops, put the object onto the faces.
 
     Args:
@@ -223,7 +370,7 @@ def build_rig(scenario: Scenario, chains: MakesChains | None = None) -> Rig:
         ScenarioError, ModelError, ContactError: with what does not fit together.
     """
     error = scenario.model_error
-    make = build_chain if chains is None else chains
+    make = chains or build_chain
     chain = make(scenario, hidden_mass=error.hidden_mass)
     factors = error.arm_mass, error.object_mass, error.joint_friction
     known = set(factors) == {1.0} and error.hidden_mass == 0.0

@@ -1,8 +1,8 @@
-"""What preflight knows of every task, given by a file or in Python, and the rows of its rules."""
+"""What preflight knows of a task, given by a file or in Python, and how its rules are written."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -18,20 +18,76 @@ from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.recorder.recording import column_names
-from osc_contact.runs.finding import Finding
-from osc_contact.runs.references import Plan, force_names
+from osc_contact.runs.references import force_names
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.control_schema import Gains, SafetySettings
-from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
-
-__all__ = ["MOST_TICKS", "Rule", "Task", "findings", "plan_of"]
 
 MOST_TICKS = 100_000  #: references that are looked at
 _LOOKS = 400  #: of them, at which places and forces are compared
 
+Values = Iterator[tuple[float, dict[str, Any]]]
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong, or doubtful.
+
+    Attributes:
+        refused: whether it cannot run; else it is doubtful.
+        text: a sentence with the numbers and the cure.
+    """
+
+    refused: bool
+    text: str
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A quantity that is doubtful above one limit, and refused above another.
+
+    Attributes:
+        quantity: gives values, each with the words of the sentence.
+        doubtful, refused: limits, in the quantity's unit.
+        sentence: format of the finding's text; {value} is the quantity, {limit} what it is above.
+    """
+
+    quantity: Callable[[Any], Values]
+    doubtful: float
+    refused: float
+    sentence: str
+
+    def findings(self, task: Any) -> Iterator[Finding]:
+        """What is above a limit; a quantity that is not a number is refused.
+
+        Args:
+            task: the `Task`, or the `Rig`, that the quantity is of.
+        """
+        for value, words in self.quantity(task):
+            refused = not value <= self.refused
+            if refused or value > self.doubtful:
+                limit = self.refused if refused else self.doubtful
+                words = {"value": value, "limit": limit, **words}
+                yield Finding(refused, self.sentence.format(**words))
+
+
+def rule(
+    doubtful: float, refused: float, sentence: str
+) -> Callable[[Callable[[Any], Values]], Rule]:
+    """Function decorator: makes a quantity a rule.
+
+    Args:
+        doubtful, refused, sentence: see `Rule`; a refused of inf is never reached.
+    """
+    return lambda quantity: Rule(quantity, doubtful, refused, sentence)
+
+
+def findings(rules: Iterable[Rule], task: Any) -> list[Finding]:
+    """Of all rules, one after the other."""
+    return [one for rule in rules for one in rule.findings(task)]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
     """A chain, its contacts and what they are to do.
 
@@ -39,7 +95,8 @@ class Task:
         chain: the true one, as far as it is known. pairs: the true contacts.
         gains, dt, posture, safety: of the controller.
         q: (n,) where the run starts. q_contact: (n,) the same in contact.
-        times: (k,) s. plan: the references there. every: of all ticks, by the period.
+        times: (k,) s. poses, forces: (k, 7) and (k, r) the references there.
+        every: references of all ticks, by the period.
         force_names: (r,) in messages. owners: (r,) the contact of each.
         rests: of each contact, whether its body does. kept_from: s, when contacts are to be kept.
         bound: whether all contacts are kept, also those whose force is zero.
@@ -55,13 +112,14 @@ class Task:
     q: Array
     q_contact: Array
     times: Array
-    plan: Plan
+    poses: Array
+    forces: Array
     every: Callable[[float], Iterator[Reference]]
     force_names: Sequence[str]
     owners: Array
-    rests: Sequence[bool] = ()
+    rests: Sequence[bool]
+    bound: bool
     kept_from: float = 0.0
-    bound: bool = True
     controller: Controller | None = None
     robot: Any = None
     measured: Measurement | None = None
@@ -69,31 +127,42 @@ class Task:
     @classmethod
     def of_rig(cls, rig: Rig) -> Task:
         """Of a scenario."""
-        scenario: Scenario = rig.scenario
-        times, plan = rig.references.overview
-        tare, duration = scenario.tare, scenario.duration
+        scenario, references = rig.scenario, rig.references
+        times, plan = references.overview
+        tare = scenario.tare
         return cls(
-            rig.chain, rig.pairs, rig.gains, 1.0 / scenario.control.rate, rig.q_contact,
-            scenario.control.safety,
-            rig.q_start, rig.q_contact, times, plan,
-            lambda period: rig.references.each(int(duration / period), period),
-            [f"force.{name}" for name in force_names(scenario)], rig.owners,
-            [rig.bodies[body].motion is None for body in rig.on],
-            0.0 if tare is None else tare.duration + tare.approach, rig.life is None,
-        )  # fmt: skip
+            chain=rig.chain,
+            pairs=rig.pairs,
+            gains=rig.gains,
+            dt=1.0 / scenario.control.rate,
+            posture=rig.q_contact,
+            safety=scenario.control.safety,
+            q=rig.q_start,
+            q_contact=rig.q_contact,
+            times=times,
+            poses=plan.X_WD,
+            forces=plan.alpha_d,
+            every=lambda period: references.each(int(scenario.duration / period), period),
+            force_names=[f"force.{name}" for name in force_names(scenario)],
+            owners=rig.owners,
+            rests=[rig.bodies[body].motion is None for body in rig.on],
+            bound=rig.life is None,
+            kept_from=0.0 if tare is None else tare.duration + tare.approach,
+        )
 
     @classmethod
-    def of_robot(cls, robot: Any, controller: Controller, references: Any) -> Task:
+    def of_robot(cls, robot: Any, controller: Controller, references: Iterable[Reference]) -> Task:
         """Of a robot at rest where the run will start.
 
         Args:
             robot: is measured once. controller: of it. references: one for each tick.
 
         Raises:
-            InvalidInputError: no references, or not all of them have a force for each column.
+            InvalidInputError: no references, not all of them have a force for each column, or the
+                robot has other joints.
         """
         settings, measured = controller.settings, robot.measure()
-        pairs = settings.contacts
+        pairs, chain = settings.contacts, getattr(robot, "chain", settings.chain)
         owners = [i for i, pair in enumerate(pairs) for _ in range(count_forces(pair))]
         wanted = list(islice(references, MOST_TICKS))
         for k, one in enumerate(wanted):
@@ -105,37 +174,31 @@ class Task:
         if not wanted:
             raise InvalidInputError("there are no references; give one for each tick")
         q = np.asarray(measured.q, dtype=float)
+        if chain.nq != len(q):
+            raise InvalidInputError(f"the robot measures {len(q)} joints of {chain.nq}")
         looks = np.unique(np.linspace(0, len(wanted) - 1, _LOOKS).astype(int))
         names = column_names([pair.name for pair in pairs], owners)
-
-        def every(period: float) -> Iterator[Reference]:
-            return iter(wanted[:: max(1, round(period / settings.dt))])
-
         return cls(
-            getattr(robot, "chain", settings.chain),
-            pairs,
-            settings.gains,
-            settings.dt,
-            settings.posture,
-            settings.safety,
-            q,
-            q,
-            looks * settings.dt,
-            plan_of([wanted[k] for k in looks]),
-            every,
-            [f"alpha_d of {name}" for name in names],
-            np.array(owners, dtype=int),
-            [body is None for body in settings.bodies],
+            chain=chain,
+            pairs=pairs,
+            gains=settings.gains,
+            dt=settings.dt,
+            posture=settings.posture,
+            safety=settings.safety,
+            q=q,
+            q_contact=q,
+            times=looks * settings.dt,
+            poses=np.array([pin.SE3ToXYZQUAT(wanted[k].X_WD) for k in looks]),
+            forces=np.array([wanted[k].alpha_d for k in looks]),
+            every=lambda period: iter(wanted[:: max(1, round(period / settings.dt))]),
+            force_names=[f"alpha_d of {name}" for name in names],
+            owners=np.array(owners, dtype=int),
+            rests=[body is None for body in settings.bodies],
             bound=settings.phases is None,
             controller=controller,
             robot=robot,
             measured=measured,
         )
-
-    @property
-    def rate(self) -> float:
-        """Hz, of the control loop."""
-        return 1.0 / self.dt
 
     @cached_property
     def state(self) -> ChainState:
@@ -147,45 +210,3 @@ class Task:
         """All contacts there."""
         X, V = self.state.X_WO, self.state.V_O
         return Contact.stack([pair.contact(X, V) for pair in self.pairs])
-
-
-@dataclass(frozen=True)
-class Rule:
-    """A quantity that is doubtful above one limit, and refused above another.
-
-    Attributes:
-        quantity: gives values, each with the words of the sentence.
-        doubtful, refused: limits, in the quantity's unit.
-        sentence: format of what is said; `value` is the quantity, `limit` what it is above.
-    """
-
-    quantity: Callable[[Task], Iterator[tuple[float, dict[str, Any]]]]
-    doubtful: float
-    refused: float
-    sentence: str
-
-    def findings(self, task: Task) -> Iterator[Finding]:
-        """What is above a limit; a quantity that is not a number is refused."""
-        for value, words in self.quantity(task):
-            refused = not value <= self.refused
-            if refused or value > self.doubtful:
-                limit = self.refused if refused else self.doubtful
-                text = self.sentence.format(value=value, limit=limit, **words)
-                yield Finding(refused, text)
-
-
-def findings(rules: Sequence[Rule], task: Task) -> Iterator[Finding]:
-    """Of all rules, one after the other."""
-    for rule in rules:
-        yield from rule.findings(task)
-
-
-def plan_of(references: Sequence[Reference]) -> Plan:
-    """References as tables."""
-    return Plan(
-        X_WD=np.array([pin.SE3ToXYZQUAT(one.X_WD) for one in references]),
-        V_D=np.array([one.V_D for one in references]),
-        A_D=np.array([one.A_D for one in references]),
-        alpha_d=np.array([one.alpha_d for one in references]),
-        squeeze_d=0.0,
-    )

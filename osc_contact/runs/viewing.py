@@ -1,10 +1,12 @@
-"""Scenes of scenarios and recordings: which bodies, contacts and frames a picture shows."""
+"""Scenes of scenarios and recordings, live, replayed, as pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic, sleep
 from typing import Any
 
 import numpy as np
@@ -22,15 +24,11 @@ from osc_contact.runs.references import force_owners
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
+from osc_contact.visual.browser import find_browser, write_gif, write_png
 from osc_contact.visual.live import Viewer
 from osc_contact.visual.marks import BestFrame
 from osc_contact.visual.parts import ArmVisual, BodyVisual, Content
 from osc_contact.visual.scene import Scene, write_scene
-
-__all__ = [
-    "DRAWN", "Shown", "best_frame", "content_of", "object_size", "open_viewer", "require_drawable",
-    "write_scene_of",
-]  # fmt: skip
 
 DRAWN = 50_000  #: ticks; of longer recordings every second, third, … one is drawn
 _LARGEST = 1e9  #: m, rad, N, W; no run comes near it
@@ -226,3 +224,81 @@ def object_size(pairs: Sequence[ContactPair], X: pin.SE3 | None) -> float:
     vertices = np.vstack([feet(pair, X)[0] for pair in pairs]) - X.translation
     apart = np.linalg.norm(vertices[:, None] - vertices[None], axis=2).max()
     return max(float(apart), float(np.linalg.norm(vertices, axis=1).max()), 0.1)
+
+
+class RealTime:
+    """A viewer for watching: passes ticks on, and holds up whatever runs faster than real time."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self.viewer = viewer
+        self.begin: float | None = None
+
+    def show(self, tick: Mapping[str, Any]) -> None:
+        """Pass the tick on, then wait until its time has come."""
+        self.viewer.show(tick)
+        t = float(tick["t"])
+        if self.begin is None:
+            self.begin = monotonic() - t
+        sleep(max(0.0, self.begin + t - monotonic()))
+
+
+def replay(recording: Recording, viewer: Viewer) -> None:
+    """Show a recording in real time, until its end or the viewer's."""
+    pace = RealTime(viewer)
+    for tick in range(len(recording)):
+        if viewer.error is not None:
+            return
+        pace.show(recording.at(tick))
+
+
+def wait_for(condition: Callable[[], bool], seconds: float) -> bool:
+    """Look ten times per second whether the condition has come true; False after `seconds`."""
+    end = monotonic() + seconds
+    while not condition():
+        if monotonic() >= end:
+            return False
+        sleep(0.1)
+    return True
+
+
+def picture(recording: Recording, rig: Rig | Shown, path: Path, time: float | None) -> Path:
+    """A PNG of the recording's page at a time (s), default the middle.
+
+    Args:
+        recording: to draw. rig: it was made on. path: of the PNG. time: s.
+
+    Raises:
+        ViewerError: there is no browser to render it.
+        InvalidInputError: the time is not in the recording.
+    """
+    find_browser()
+    t = recording["t"]
+    moment = 0.5 * float(t[0] + t[-1]) if time is None else time
+    if not t[0] <= moment <= t[-1] + 1e-3:
+        raise InvalidInputError(
+            f"time {moment:g} s is not in the recording, which spans {t[0]:g} to {t[-1]:g} s"
+        )
+    with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
+        page = write_scene_of(recording, rig, Path(folder) / "scene.html")
+        return write_png(page, path, moment)
+
+
+def moving_picture(
+    recording: Recording, rig: Rig | Shown, path: Path, write: Callable[..., Path] = write_gif
+) -> Path:
+    """The whole recording, moving.
+
+    Args:
+        recording: what is shown.
+        rig: the parts of its scenario.
+        path: to write.
+        write: write_gif or write_mp4.
+
+    Raises:
+        ViewerError: there is no browser to render it.
+    """
+    find_browser()
+    t = recording["t"]
+    with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
+        page = write_scene_of(recording, rig, Path(folder) / "scene.html")
+        return write(page, path, float(t[0]), float(t[-1]))

@@ -510,7 +510,7 @@ class TareSpec(Spec):
 
 
 class VerdictSpec(Spec):
-    """Beyond these limits a run's task has failed (`verdict`), see `runs.outcome`."""
+    """Beyond these limits a run's task has failed (`verdict`), see `runs.verdict`."""
 
     force_rms: Positive = 0.1
     """rms error of a force, of its mean command"""

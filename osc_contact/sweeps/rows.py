@@ -18,15 +18,15 @@ from osc_contact.files import hold, whole_file
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.recorder.memory import MemoryJournal
-from osc_contact.runs.metrics import metrics
 from osc_contact.runs.rig import Rig, build_chain, build_rig
 from osc_contact.runs.run import Install, run_rig
+from osc_contact.runs.verdict import metrics
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.sweeps.study import Sample, SweepStudy
 
 __all__ = ["RowFile", "make_rows", "record_sample", "scenario_of"]
 
-#: Words beside those of `runs.outcome`: it could not be built or is not possible; the simulation
+#: Words beside those of `runs.verdict`: it could not be built or is not possible; the simulation
 #: diverged; the process that ran it died.
 REFUSED = "REFUSED"
 DIVERGED = "DIVERGED"
