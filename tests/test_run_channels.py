@@ -12,9 +12,11 @@ from pair_kinds import KINDS, PLAIN, pose_of
 import osc_contact as osc
 from osc_contact.contacts import pairs
 from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.contacts.pairs.pair import pushes_only
 from osc_contact.control.monitor import ContactMonitor, watch_series
+from osc_contact.dynamics.chain_model import columns_at
 from osc_contact.plants.mujoco import MujocoPlant
-from osc_contact.runs.free_motion import free_part, free_parts
+from osc_contact.runs.free_motion import free_parts
 from osc_contact.spatial import Poses, rotated, rotations
 from paper.moving_face import FACES
 
@@ -30,7 +32,8 @@ def run_plainly(rig):
     plant, controller, first = rig.plant(3), rig.controller(), rig.controller()
     plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
     robot, period = rig.robot(plant, controller), 1.0 / rig.scenario.control.rate
-    monitor, ticks, samples = ContactMonitor(len(rig.pushing), period), [], []
+    pushing = np.array([pushes_only(rig.pairs[i]) for i in rig.owners])
+    monitor, ticks, samples = ContactMonitor(len(pushing), period), [], []
     plan = rig.references.over(np.arange(round(rig.scenario.duration / period)) * period)
     for k, wanted in enumerate(plan):
         read, truth = plant.measure(), judged(plant)
@@ -44,11 +47,11 @@ def run_plainly(rig):
             if k * period >= tare.duration + tare.approach:
                 controller.engage()
         found = controller.result()
-        alpha = speed = np.zeros(len(rig.pushing))
+        alpha = speed = np.zeros(len(pushing))
         if len(found.alpha_meas):
             contact = controller.last_signals().contact
             alpha, speed = contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
-        seen = monitor.update(np.where(rig.pushing, alpha, np.abs(alpha)), speed)
+        seen = monitor.update(np.where(pushing, alpha, np.abs(alpha)), speed)
         ticks.append({
             "t": k * period, "q": read.q, "v": read.v, "tau": tau, "alpha_cmd": wanted.alpha_d,
             "alpha_meas": alpha, "contact_seen": seen.closed, "collision_seen": seen.collision,
@@ -58,7 +61,7 @@ def run_plainly(rig):
             "power_total": found.V_O @ (found.f_meas - found.bias_out - found.f_c) + alpha @ speed,
             "power_projected": alpha @ speed, **truth, **lines(rig, truth),
             "motion_error": error(rig, controller, read, truth),
-            "alpha_given_up": np.zeros(len(rig.pushing)) if controller.given_up is None
+            "alpha_given_up": np.zeros(len(pushing)) if controller.given_up is None
             else controller.given_up.force,
         })  # fmt: skip
         robot.command(tau, period)
@@ -148,6 +151,30 @@ def lines(rig, truth):
         poses.append(pin.SE3ToXYZQUAT(E * rig.bodies[on].placement))
     return {"N": np.hstack(N), "contact_point": points, "contact_direction": directions,
             "face_pose": poses}  # fmt: skip
+
+
+def free_part(chain, q, X_WO, N, x):
+    """Of one instant, by singular values: x in range(S) ∩ T, cut in the object's metric."""
+    L = np.linalg.cholesky(chain.reference_inertia(X_WO))
+    pin.computeJointJacobians(chain.model, chain.data, q)
+    J = L.T @ columns_at(chain.data.J, X_WO.translation)
+    slips = [
+        L.T @ grasp.motions_at(X_WT, X_WO.translation)
+        for grasp, X_WT in zip(chain.grasps, chain.tip_poses(), strict=True)
+    ]
+    locked = np.hstack(
+        [outside(np.hstack((J[:, arm], T))) for arm, T in zip(chain.slices, slips, strict=True)]
+    )
+    S = outside(locked) if locked.shape[1] else np.eye(6)
+    e, N_S = S.T @ (L.T @ x), S.T @ np.linalg.solve(L, N)
+    e = e - N_S @ np.linalg.lstsq(N_S, e, rcond=None)[0]
+    return np.asarray(np.linalg.solve(L.T, S @ e))
+
+
+def outside(columns):
+    """Orthonormal complement of the range of (6, k)."""
+    U, s, _ = np.linalg.svd(columns)
+    return U[:, int(np.count_nonzero(s > 1e-6 * s[0])) :]
 
 
 def error(rig, controller, read, truth):
