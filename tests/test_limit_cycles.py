@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import osc_contact as osc
-from osc_contact.runs.limit_cycles import CycleSearch, find_cycle
+from osc_contact.runs.limit_cycles import find_cycle, worst_cycles
 
 DT = 1e-3
 T = np.arange(4000) * DT
@@ -86,26 +86,21 @@ def test_what_is_commanded_is_none():
 
 
 def test_stretches_that_are_not_judged_are_not_joined():
-    """Pieces of a recording may end anywhere; a gap ends a window."""
-    meta = {"control_rate_hz": 1000.0, "scenario": {}}
+    """A gap ends a window."""
     command = np.full((4000, 1), 10.0)
-    piece = {"alpha_cmd": command, "alpha_true": command + sine(9.0)[:, None]}
+    channels = {"alpha_cmd": command, "alpha_true": command + sine(9.0)[:, None]}
+    recording = osc.Recording({"control_rate_hz": 1000.0, "scenario": {}}, channels)
     judged = np.ones((4000, 1), dtype=bool)
-
-    def search(cuts: list[int], judged: np.ndarray, least: float = 0.05) -> CycleSearch:
-        found = CycleSearch(meta, np.zeros(1, int), least)
-        for a, b in zip([0, *cuts], [*cuts, 4000], strict=True):
-            found.add({key: values[a:b] for key, values in piece.items()}, judged[a:b])
-        found.finish()
-        return found
-
-    whole, parts = (search(cuts, judged).worst[0] for cuts in ([], [700, 1900]))
-    assert whole == parts and whole is not None
-    assert whole.relative == pytest.approx(0.1, rel=0.05)
+    (whole,) = worst_cycles(recording, judged, 0.05)
+    assert whole is not None and whole.relative == pytest.approx(0.1, rel=0.05)
     gaps = judged.copy()
     gaps[500::900] = False
-    assert search([], gaps).worst[0] is None  # less than a second each
-    assert search([], judged, least=0.2).worst[0] is None  # smaller than is looked for
+    assert worst_cycles(recording, gaps, 0.05) == [None]  # less than a second each
+    assert worst_cycles(recording, judged, 0.2) == [None]  # smaller than is looked for
+    last = judged.copy()
+    last[:2900] = False
+    (late,) = worst_cycles(recording, last, 0.05)
+    assert late is not None and late.frequency == pytest.approx(9.0, abs=1.0)
 
 
 #: A part in a soft jig: 10 kN/m along the normal, seen to move, its spring not known.

@@ -23,10 +23,9 @@ from typing import Any
 
 import numpy as np
 
+from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import stretches
 from osc_contact.spatial import Array
-
-__all__ = ["Cycle", "CycleSearch", "WINDOW_S", "find_cycle"]
 
 WINDOW_S = 4.0
 _SHORTEST_S = 1.0  #: of judged time that is looked at
@@ -142,111 +141,62 @@ def _levelled(signal: Array) -> Array:
     return left
 
 
-class CycleSearch:
-    """Looks for limit cycles in a recording's forces, piece after piece.
+def worst_cycles(recording: Recording, judged: Array, least: float) -> list[Cycle | None]:
+    """Of each force magnitude the largest limit cycle; None: none is large enough.
 
-    Attributes:
-        worst: of each force magnitude, the largest cycle so far; None: none large enough.
+    Args:
+        recording: with a judge. judged: (T, r) which ticks count.
+        least: amplitude over mean command, below which nothing is looked for.
     """
-
-    def __init__(self, meta: Mapping[str, Any], columns: Array, least: float) -> None:
-        """Begin before the first tick.
-
-        Args:
-            meta: of the recording. columns: (r,) the contact of each force magnitude.
-            least: amplitude over mean command, below which nothing is looked for.
-        """
-        self._dt, self._least = 1.0 / float(meta["control_rate_hz"]), least
-        self._driven = tuple(_frequencies(meta.get("scenario", {})))
-        self.worst: list[Cycle | None] = [None] * len(columns)
-        self._kept: list[list[Array]] = [[] for _ in columns]
-
-    def add(self, piece: Mapping[str, Array], judged: Array) -> None:
-        """Ticks that follow those before.
-
-        Args:
-            piece: `alpha_cmd`, `alpha_true`, and where there are such `twist` and `N`.
-            judged: (k, r) which of them count.
-        """
-        command, moving = piece["alpha_cmd"], None
-        error = piece["alpha_true"] - command
-        for j in range(len(self.worst)):
-            counts = judged[:, j] & np.isfinite(error[:, j])
-            level = 0.5 * self._least * np.abs(command[counts, j]).mean() if counts.any() else 0.0
-            if not (np.abs(error[counts, j]) > level).any():  # no cycle reaches into this piece
-                self._end(j)
-                continue
-            moving = _speeds(piece) if moving is None else moving
-            rows = np.column_stack((error[:, j], command[:, j], command, moving))
-            counts &= np.isfinite(rows).all(axis=1)
-            for start, stop in stretches(counts):
-                if counts[start]:
-                    self._extend(j, rows[start:stop])
-                else:
-                    self._end(j)
-
-    def finish(self) -> None:
-        """What is left after the last tick is looked at, too."""
-        for j in range(len(self.worst)):
-            self._end(j)
-
-    def _extend(self, j: int, rows: Array) -> None:
-        """More rows of force j in the same stretch of judged ticks."""
-        kept = np.concatenate([*self._kept[j], rows]) if self._kept[j] else rows
-        size = round(WINDOW_S / self._dt)
-        while len(kept) >= size:
-            self._look(j, kept[:size])
-            kept = kept[size // 2 :]
-        self._kept[j] = [kept]
-
-    def _end(self, j: int) -> None:
-        for kept in self._kept[j]:
-            if len(kept) >= _SHORTEST_S / self._dt - 0.5:
-                self._look(j, kept)
-        self._kept[j] = []
-
-    def _look(self, j: int, rows: Array) -> None:
-        """One window of force j: error, command, commands, speeds along, speeds across."""
-        r, error, mean = len(self.worst), rows[:, 0], float(np.abs(rows[:, 1]).mean())
-        if not np.sqrt(2.0) * error.std() > self._least * mean > 0.0:
-            return
-        speeds = rows[:, 2 + r :]
-        along, across = (speeds[:, :6], speeds[:, 6 + j]) if speeds.size else (None, None)
-        commands = list(rows[:, 2 : 2 + r].T)
-        found = find_cycle(error, self._dt, commands, self._driven, along, across)
-        before = self.worst[j]
-        if found and (before is None or found[0] / mean > before.relative):
-            self.worst[j] = Cycle(*found, found[0] / mean)
+    dt = 1.0 / float(recording.meta["control_rate_hz"])
+    driven = tuple(_frequencies(recording.meta.get("scenario", {})))
+    names = ("alpha_cmd", "alpha_true", *(name for name in ("twist", "N") if name in recording))
+    size = round(WINDOW_S / dt)
+    worst: list[Cycle | None] = [None] * judged.shape[1]
+    for j in range(len(worst)):
+        for start, stop in stretches(judged[:, j]):
+            while judged[start, j] and stop - start >= _SHORTEST_S / dt - 0.5:
+                window = recording.rows(start, min(start + size, stop), *names)
+                found, before = _cycle_in(window, j, dt, driven, least), worst[j]
+                if found and (before is None or found.relative > before.relative):
+                    worst[j] = found
+                if stop - start < size:
+                    break
+                start += size // 2
+    return worst
 
 
-def _speeds(piece: Mapping[str, Array]) -> Array:
-    """(k, 6 + r) speeds of the object along its contacts and into each; (k, 0): not recorded."""
-    if "twist" not in piece or "N" not in piece:
-        return np.zeros((len(piece["alpha_cmd"]), 0))
+def _cycle_in(
+    window: Mapping[str, Array], j: int, dt: float, driven_Hz: Sequence[float], least: float
+) -> Cycle | None:
+    """The limit cycle of force j in some ticks of a recording."""
+    commands = window["alpha_cmd"]
+    error = window["alpha_true"][:, j] - commands[:, j]
+    mean = float(np.abs(commands[:, j]).mean())
+    if not np.sqrt(2.0) * error.std() > least * mean > 0.0:
+        return None
+    along, across = _speeds(window, j) if "N" in window else (None, None)
+    found = find_cycle(error, dt, list(commands.T), driven_Hz, along, across)
+    return found and Cycle(*found, found[0] / mean)
+
+
+def _speeds(window: Mapping[str, Array], j: int) -> tuple[Array, Array]:
+    """Speeds of the object along its contacts (k, 6), and into that of force j (k,)."""
     scale = np.array([1.0, 1.0, 1.0, _ARM, _ARM, _ARM])
-    V = piece["twist"] * scale
-    N = piece["N"] / scale[:, None]
+    V = window["twist"] * scale
+    N = window["N"] / scale[:, None]
     into = np.einsum("kij,ki->kj", N, V)
     mobility = N.transpose(0, 2, 1) @ N + 1e-9 * np.eye(N.shape[2])  # columns may depend
-    along = V - (N @ np.linalg.solve(mobility, into[:, :, None]))[:, :, 0]
-    return np.column_stack((along, into))
+    return V - (N @ np.linalg.solve(mobility, into[:, :, None]))[:, :, 0], into[:, j]
 
 
-def _frequencies(scenario: Any) -> Iterator[float]:
+def _frequencies(scenario: Any, of_faces: bool = False) -> Iterator[float]:
     """Of the sines that faces and bodies are driven by."""
-    if not isinstance(scenario, Mapping):
-        return
-    for key in ("contacts", "environment"):
-        yield from _named(scenario.get(key), "frequency")
-
-
-def _named(data: Any, name: str) -> Iterator[float]:
-    if isinstance(data, Mapping):
-        for key, value in data.items():
-            if key == name and isinstance(value, float | int):
-                yield float(value)
-            else:
-                yield from _named(value, name)
-    elif isinstance(data, list | tuple):
-        for value in data:
-            yield from _named(value, name)
+    items = scenario.items() if isinstance(scenario, Mapping) else ()
+    for key, value in items:
+        if of_faces and key == "frequency" and isinstance(value, float | int):
+            yield float(value)
+        elif of_faces or key in ("contacts", "environment"):
+            yield from _frequencies(value, True)
+    for value in scenario if isinstance(scenario, list | tuple) else ():
+        yield from _frequencies(value, of_faces)

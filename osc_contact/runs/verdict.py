@@ -11,7 +11,7 @@ import numpy as np
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import CLOSED, SETTLE_S, JudgedTicks
-from osc_contact.runs.limit_cycles import CycleSearch
+from osc_contact.runs.limit_cycles import worst_cycles
 from osc_contact.scenarios.control_schema import VerdictSpec
 from osc_contact.spatial import Array
 
@@ -31,7 +31,6 @@ _READ = (
     "status",
     "tau",
 )
-_MOVING = ("twist", "N")  #: read where they are recorded
 _STATUS = ("ok", "saturated", "held", "degraded")
 
 
@@ -211,7 +210,7 @@ class _Sums:
 
     Attributes:
         ticks: which are judged. count: how many are, but for contacts.
-        openings: of contacts. cycles: of forces.
+        openings: of contacts. cycles: the worst of each force.
         status, at_limit: ticks by status, and by motor.
     """
 
@@ -219,12 +218,11 @@ class _Sums:
         """Go through a recording, piece after piece.
 
         Args:
-            recording: with a judge. least_cycle: see `CycleSearch`.
+            recording: with a judge. least_cycle: see `worst_cycles`.
         """
         meta = recording.meta
         self.ticks = JudgedTicks(meta, len(recording.magnitude_names))
         self.openings = _Openings(len(meta["contact_names"]))
-        self.cycles = CycleSearch(meta, self.ticks.columns, least_cycle)
         self.command, self.error, self.sensing = (_Series() for _ in range(3))
         self.total, self.projected, self.away, self.closed = (_Series() for _ in range(4))
         limits = meta.get("effort_limits", {}).values()
@@ -232,7 +230,8 @@ class _Sums:
         self.at_limit = np.zeros(len(effort), dtype=int)
         self.status = np.zeros(len(_STATUS), dtype=int)
         self.count = 0
-        for piece in recording.pieces(*_READ, *(name for name in _MOVING if name in recording)):
+        judged_forces = [np.zeros((0, len(self.ticks.columns)), dtype=bool)]
+        for piece in recording.pieces(*_READ):
             judged = piece["t"] >= SETTLE_S - 1e-9
             self.count += int(judged.sum())
             settled, counted, quiet = self.ticks.add(piece)
@@ -247,11 +246,12 @@ class _Sums:
             self.away.add(np.linalg.norm(piece["motion_error"][judged].reshape(-1, 2, 3), axis=2))
             self.closed.add(piece["closed"][judged])
             self.openings.add(piece["closed"], piece["contact_phase"] == CLOSED, settled)
-            self.cycles.add(piece, counted)
+            judged_forces.append(counted & np.isfinite(truth - command))
             self.status += np.bincount(piece["status"], minlength=len(_STATUS))
             tau = np.abs(piece["tau"][:, : len(effort)])
             self.at_limit += (tau >= effort * (1.0 - 1e-9)).sum(axis=0)
-        self.cycles.finish()
+        judged = np.concatenate(judged_forces)
+        self.cycles = worst_cycles(recording, judged, least_cycle)
 
 
 def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
@@ -297,7 +297,7 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
         names: of them. sums: of the ticks.
     """
     found, error = {}, sums.error
-    means, cycles = sums.command.mean(), sums.cycles.worst
+    means, cycles = sums.command.mean(), sums.cycles
     columns = (means, error.rms(), error.peak(), sums.sensing.rms(), cycles)
     for name, mean, rms, peak, sensed, cycle in zip(names, *columns, strict=True):
         found[name] = {
