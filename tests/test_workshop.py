@@ -8,7 +8,7 @@ import pytest
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.detection import collision_shapes
-from osc_contact.recorder.memory import MemoryJournal
+from osc_contact.recorder.journal import MemoryJournal
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.run import run_rig, start
 from osc_contact.sweeps.rows import Workshop

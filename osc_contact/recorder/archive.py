@@ -1,14 +1,17 @@
-"""Named arrays and a text in one .npz file: same content, same bytes; read without surprises."""
+"""Named arrays and a text in one .npz file: same content, same bytes; read without surprises.
+
+Arrays of long recordings stay in a file, mapped into memory where they are read.
+"""
 
 from __future__ import annotations
 
-import io
 import mmap
 import os
 import struct
+import tempfile
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from math import prod
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -19,11 +22,73 @@ from numpy.lib import format as npy
 
 from osc_contact.errors import RecordingError
 from osc_contact.files import whole_file
-from osc_contact.recorder.columns import IN_MEMORY
-
-__all__ = ["TEXT", "checksum", "read_archive", "write_archive"]
 
 Array = npt.NDArray[Any]
+IN_MEMORY = 32 << 20  #: bytes; recordings up to this size are kept in memory
+_ALIGNED = 64  #: bytes between which columns begin
+
+
+def is_mapped(column: Array) -> bool:
+    """Whether a column is that of a file, which nothing can be written to."""
+    return not column.flags.writeable
+
+
+def read_column(column: Array, start: int = 0, stop: int | None = None) -> Array:
+    """Rows of a column: of a mapped file a copy, and its pages are given back.
+
+    Args:
+        column: of a recording. start, stop: the rows start to stop − 1.
+    """
+    if not is_mapped(column):
+        return column[start:stop]
+    rows = np.array(column[start:stop])
+    base: Any = column
+    while isinstance(base, np.ndarray):
+        base = base.base
+    if isinstance(base, mmap.mmap):
+        base.madvise(mmap.MADV_DONTNEED)
+    return rows
+
+
+def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]:
+    """Columns of rows that come part after part: in memory, or in a file if they are large.
+
+    Args:
+        ticks: of all parts together. parts: the same names in each.
+
+    Raises:
+        RecordingError: the disk is full, or fails.
+    """
+    offsets: dict[str, int] = {}
+    part: Mapping[str, Array] = {}
+    size = start = 0
+    try:
+        with tempfile.SpooledTemporaryFile(max_size=IN_MEMORY) as file:
+            for part in parts:
+                if not offsets:
+                    for name, values in part.items():
+                        offsets[name] = -(-size // _ALIGNED) * _ALIGNED
+                        size = offsets[name] + ticks * values[0].nbytes
+                for name, values in part.items():
+                    file.seek(offsets[name] + start * values[0].nbytes)
+                    file.write(values.tobytes())
+                start += len(values)
+            file.write(bytes(size - file.seek(0, os.SEEK_END)))  # channels without numbers
+            file.seek(0)
+            whole: Any = bytearray()
+            if size > IN_MEMORY:
+                file.flush()
+                whole = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+            else:
+                whole = bytearray(file.read())
+    except OSError as error:
+        raise RecordingError(f"no room for a recording's channels: {error}") from error
+    return {
+        name: np.ndarray((ticks, *values.shape[1:]), values.dtype, whole, offsets[name])
+        for name, values in part.items()
+    }
+
+
 TEXT = "meta"  #: the entry that holds the text
 _DATE = (1980, 1, 1, 0, 0, 0)  #: of every entry: archives of the same content are the same
 _MOST_UNPACKED = 256 << 20  #: bytes that packed entries may grow to
@@ -31,9 +96,18 @@ _MOST_ENTRIES = 1000
 #: What reading a file that is none of ours, or damaged, ends in. zipfile answers encryption, and
 #: compression that it does not know, with kinds of RuntimeError.
 _UNREADABLE = (
-    OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, OverflowError,
-    zipfile.BadZipFile, zlib.error, struct.error,
-)  # fmt: skip
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    EOFError,
+    RuntimeError,
+    MemoryError,
+    OverflowError,
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+)
 
 
 def write_archive(target: Path, text: str, arrays: Mapping[str, Array]) -> None:
@@ -49,16 +123,14 @@ def write_archive(target: Path, text: str, arrays: Mapping[str, Array]) -> None:
         with whole_file(target) as unfinished, open(unfinished, "xb") as file:
             with zipfile.ZipFile(file, "w") as archive:
                 for name, values in {**arrays, TEXT: np.array(text)}.items():
-                    _write_entry(archive, name, values)
+                    info = zipfile.ZipInfo(f"{name}.npy", _DATE)
+                    with archive.open(info, "w", force_zip64=True) as entry:
+                        numbers = np.asarray(values, order="C")
+                        npy.write_array(entry, numbers, allow_pickle=False)
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
         raise RecordingError(f"cannot write the recording {target}: {error}") from error
-
-
-def _write_entry(archive: zipfile.ZipFile, name: str, values: Array) -> None:
-    with archive.open(zipfile.ZipInfo(f"{name}.npy", _DATE), "w", force_zip64=True) as entry:
-        npy.write_array(entry, np.asarray(values, order="C"), allow_pickle=False)
 
 
 def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
@@ -79,7 +151,7 @@ def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
             arrays: dict[str, Array] = {}
             for name, info in entries.items():
                 stays = large and info.compress_type == zipfile.ZIP_STORED
-                array = _mapped(archive, info, file) if stays else _array(archive, info)
+                array = _array(archive, info, file if stays else None)
                 arrays[name.removesuffix(".npy")] = array
         text = arrays.pop(TEXT)
         return str(np.asarray(text)[()]), arrays
@@ -107,7 +179,7 @@ def _require_size(source: Path, entries: list[zipfile.ZipInfo], size: int) -> No
             f"{source} has {len(entries)} entries; at most {_MOST_ENTRIES} are read"
         )
     stored = sum(e.file_size for e in entries if e.compress_type == zipfile.ZIP_STORED)
-    packed = sum(e.file_size for e in entries if e.compress_type != zipfile.ZIP_STORED)
+    packed = sum(e.file_size for e in entries) - stored
     if stored > size:
         raise RecordingError(
             f"{source} is damaged: its entries claim {stored} bytes, the file has {size}"
@@ -119,19 +191,14 @@ def _require_size(source: Path, entries: list[zipfile.ZipInfo], size: int) -> No
         )
 
 
-def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Array:
-    data = archive.read(info)  # to the end, so that its checksum is verified
-    dtype, shape, start, order = _header(info, io.BytesIO(data))
-    return np.frombuffer(data, dtype, offset=start).reshape(shape, order=order).copy()
-
-
-def _mapped(archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: IO[bytes]) -> Array:
+def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: IO[bytes] | None) -> Array:
+    """The numbers of an entry, mapped where there is a file; its checksum is verified."""
     with archive.open(info) as entry:
         dtype, shape, start, order = _header(info, entry)
-        while entry.read(1 << 20):  # verifies the checksum
+        if file is None or not shape or order == "F":
+            return np.frombuffer(entry.read(), dtype).reshape(shape, order=order).copy()
+        while entry.read(1 << 20):
             pass
-    if not shape or order == "F":
-        return _array(archive, info)
     whole = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     names = struct.unpack_from("<HH", whole, info.header_offset + 26)
     return np.ndarray(shape, dtype, whole, info.header_offset + 30 + sum(names) + start)

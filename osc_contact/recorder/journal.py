@@ -26,8 +26,6 @@ from mcap.writer import MCAP0_MAGIC
 
 from osc_contact.errors import RecordingError
 
-__all__ = ["Journal", "JournalFile"]
-
 Array = npt.NDArray[Any]
 _ABOUT, _ROWS = 1, 2  #: MCAP channels
 _CHANNELS = {
@@ -252,3 +250,32 @@ def _chunk(channel: int, number: int, data: bytes) -> bytes:
 _SIGN = _bytes(_CHANNELS[_ROWS])  #: what every chunk of rows holds
 _INSIDE = _chunk(_ROWS, 0, b"").index(_SIGN)  #: bytes of a chunk before it
 _SEARCHED = 1 << 20
+
+
+class MemoryJournal:
+    """Rows kept in memory, for runs that are short and need not survive a kill.
+
+    Attributes:
+        error: None, memory does not fail.
+    """
+
+    error = None
+
+    def __init__(self) -> None:
+        """Begin with no rows."""
+        self._kept: list[tuple[int, Array]] = []
+
+    def append(self, first: int, rows: Array) -> None:
+        """Keep rows, of which the first has this number."""
+        self._kept.append((first, rows.copy()))
+
+    def rows(self) -> Iterator[tuple[int, Array]]:
+        """(number of the first row, rows), in order."""
+        return iter(self._kept)
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+    def read(self) -> MemoryJournal:
+        """The rows are in memory: the journal itself."""
+        return self

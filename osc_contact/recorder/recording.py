@@ -12,8 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from osc_contact.errors import RecordingError
-from osc_contact.recorder.archive import TEXT, checksum, read_archive, write_archive
-from osc_contact.recorder.columns import is_mapped, read_column
+from osc_contact.recorder.archive import (
+    TEXT,
+    checksum,
+    is_mapped,
+    read_archive,
+    read_column,
+    write_archive,
+)
 from osc_contact.recorder.exports import write_csv, write_mcap
 
 __all__ = ["Recording"]

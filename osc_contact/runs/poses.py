@@ -215,5 +215,7 @@ def _degrees(X: pin.SE3) -> Array:
 
 
 def _listed(values: Sequence[float] | Array, digits: int, unit: str = "") -> str:
-    return ", ".join(f"{round(float(x), digits) + 0.0:g}{unit}" if abs(x) < 1e-9
-                     else f"{x:.{digits}f}{unit}" for x in values)  # fmt: skip
+    return ", ".join(
+        f"{round(float(x), digits) + 0.0:g}{unit}" if abs(x) < 1e-9 else f"{x:.{digits}f}{unit}"
+        for x in values
+    )

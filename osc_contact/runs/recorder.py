@@ -28,9 +28,8 @@ from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Judge, TruthLog, Truths
 from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
-from osc_contact.recorder.columns import gather
-from osc_contact.recorder.journal import Journal, JournalFile
-from osc_contact.recorder.memory import MemoryJournal
+from osc_contact.recorder.archive import gather
+from osc_contact.recorder.journal import Journal, JournalFile, MemoryJournal
 from osc_contact.robots.summary import joint_losses
 from osc_contact.runs.contacts import feet_over
 from osc_contact.runs.free_motion import free_parts

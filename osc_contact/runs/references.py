@@ -103,15 +103,19 @@ class References:
             ScenarioError: see `common_tangent`; or a desired force is negative at some time.
         """
         directions = tuple(
-            common_tangent(pairs, X_start) if move.direction == "common_tangent"
+            common_tangent(pairs, X_start)
+            if move.direction == "common_tangent"
             else np.array(move.direction, dtype=float)
             for move in scenario.motion
-        )  # fmt: skip
+        )
         references = cls(scenario, X_start, directions, standoff)
         t = np.linspace(0.0, scenario.duration, 2000)
         wanted = references.forces(t).T
-        pushes = [pushes_only(p) for p, c in zip(pairs, scenario.contacts, strict=True)
-                  for _ in range(c.forces)]  # fmt: skip
+        pushes = [
+            pushes_only(p)
+            for p, c in zip(pairs, scenario.contacts, strict=True)
+            for _ in range(c.forces)
+        ]
         for name, pushing, force in zip(force_names(scenario), pushes, wanted.T, strict=True):
             if pushing and (force < 0.0).any():
                 first = int(np.argmax(force < 0.0))

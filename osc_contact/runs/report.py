@@ -124,12 +124,22 @@ def _owner(force: str) -> str:
 def basis_tables(inspection: Inspection) -> Iterator[Table]:
     """N with a column for each contact, T with a column for each motion."""
     where = "(at the object's origin, world axes)"
-    yield _basis(f"N: forces the contacts transmit {where}", inspection.N, inspection.contacts,
-                 ("force", "moment"), ("", "m"))  # fmt: skip
+    yield _basis(
+        f"N: forces the contacts transmit {where}",
+        inspection.N,
+        inspection.contacts,
+        ("force", "moment"),
+        ("", "m"),
+    )
     names = [f"t{i + 1}" for i in range(inspection.T.shape[1])]
     largest = np.abs(inspection.T).max(axis=0, initial=1e-300)
-    yield _basis(f"T: motions they permit {where}", inspection.T / largest, names,
-                 ("linear", "angular"), ("m/s", "rad/s"))  # fmt: skip
+    yield _basis(
+        f"T: motions they permit {where}",
+        inspection.T / largest,
+        names,
+        ("linear", "angular"),
+        ("m/s", "rad/s"),
+    )
 
 
 def calibration_table(found: Sequence[WristCalibration]) -> Table:
@@ -156,24 +166,46 @@ def scenario_table(scenarios: Mapping[str, str]) -> Table:
 
 def robot_tables(robot: RobotSummary) -> Iterator[Table]:
     """The joints, and what the tips can do."""
-    joints = Table("joint", "type", "positions", "effort", "velocity", "moves (kg)",
-                   title=f"{robot.name}: joints")  # fmt: skip
+    joints = Table(
+        "joint",
+        "type",
+        "positions",
+        "effort",
+        "velocity",
+        "moves (kg)",
+        title=f"{robot.name}: joints",
+    )
     for joint in robot.joints:
         angle, effort, speed = (
             ("m", "N", "m/s") if joint.kind == "prismatic" else ("rad", "N m", "rad/s")
         )
         joints.add_row(
-            joint.name, joint.kind, f"{_range(joint.lower, joint.upper)} {angle}",
-            f"{joint.effort:g} {effort}", f"{joint.velocity:g} {speed}", f"{joint.moved_mass:.4g}",
-        )  # fmt: skip
+            joint.name,
+            joint.kind,
+            f"{_range(joint.lower, joint.upper)} {angle}",
+            f"{joint.effort:g} {effort}",
+            f"{joint.velocity:g} {speed}",
+            f"{joint.moved_mass:.4g}",
+        )
     if robot.joints:
         yield joints
-    tips = Table("tip", "joints", "apparent mass (kg)", "apparent inertia (kg m²)",
-                 "mobility σ₁, σ₂, … (unit-free)", title="reachable at the tips")  # fmt: skip
+    tips = Table(
+        "tip",
+        "joints",
+        "apparent mass (kg)",
+        "apparent inertia (kg m²)",
+        "mobility σ₁, σ₂, … (unit-free)",
+        title="reachable at the tips",
+    )
     for tip in robot.tips:
         sigma = ", ".join(_range(low, high, 2) for low, high in tip.mobility)
-        tips.add_row(tip.tip, str(tip.joints), _range(*tip.mass, 3), _range(*tip.inertia, 3),
-                     sigma or "the tip's body is no solid")  # fmt: skip
+        tips.add_row(
+            tip.tip,
+            str(tip.joints),
+            _range(*tip.mass, 3),
+            _range(*tip.inertia, 3),
+            sigma or "the tip's body is no solid",
+        )
     if robot.tips:
         yield tips
 

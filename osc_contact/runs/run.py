@@ -22,8 +22,7 @@ from osc_contact.errors import (
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Plant
 from osc_contact.recorder import Recording
-from osc_contact.recorder.journal import Journal
-from osc_contact.recorder.memory import MemoryJournal
+from osc_contact.recorder.journal import Journal, MemoryJournal
 from osc_contact.robots import resolve_urdf
 from osc_contact.runs.contacts import environment_bodies
 from osc_contact.runs.loop import asked_to_end, run_loop, until

@@ -61,8 +61,13 @@ class Shown:
         X = what.chain.state(q, np.zeros(len(q))).X_WO if what.contacts else None
         owners = [i for i, pair in enumerate(what.contacts) for _ in range(count_forces(pair))]
         names = [pair.name for pair in what.contacts]
-        return _of_picture(what.picture(), what.chain.arms[0].name, (names, owners),
-                           object_size(what.contacts, X), len(q))  # fmt: skip
+        return _of_picture(
+            what.picture(),
+            what.chain.arms[0].name,
+            (names, owners),
+            object_size(what.contacts, X),
+            len(q),
+        )
 
     @classmethod
     def of_recording(cls, recording: Recording) -> Shown:
@@ -137,11 +142,20 @@ def require_drawable(recording: Recording, shown: Shown, source: str) -> None:
     r, contacts = len(owners), len(names)
     one: tuple[int, ...] = ()
     shapes = {
-        "t": one, "q": (shown.joints,), "pose": (7,), "face_pose": (contacts, 7), "N": (6, r),
-        "contact_point": (contacts, 3), "contact_direction": (contacts, 3), "closed": (r,),
-        "alpha_cmd": (r,), "alpha_meas": (r,), "alpha_true": (r,), "power_total": one,
+        "t": one,
+        "q": (shown.joints,),
+        "pose": (7,),
+        "face_pose": (contacts, 7),
+        "N": (6, r),
+        "contact_point": (contacts, 3),
+        "contact_direction": (contacts, 3),
+        "closed": (r,),
+        "alpha_cmd": (r,),
+        "alpha_meas": (r,),
+        "alpha_true": (r,),
+        "power_total": one,
         "power_projected": one,
-    }  # fmt: skip
+    }
     recording = recording.thinned(DRAWN)
     for name, shape in shapes.items():
         if name not in recording and name != "t":

@@ -16,8 +16,8 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import Interrupted, InvalidInputError, OscContactError, PlantError
 from osc_contact.files import hold, whole_file
 from osc_contact.recorder import Recording
+from osc_contact.recorder.journal import MemoryJournal
 from osc_contact.recorder.judged import SETTLE_S
-from osc_contact.recorder.memory import MemoryJournal
 from osc_contact.runs.rig import Rig, build_chain, build_rig
 from osc_contact.runs.run import Install, run_rig
 from osc_contact.runs.verdict import metrics
