@@ -204,5 +204,5 @@ def test_only_contacts_that_push_are_kept_from_pulling():
         if pulls:
             References.of(scenario, pin.SE3.Identity(), pairs, np.zeros(6))
             continue
-        with pytest.raises(ScenarioError, match=r"force\.pad\.2 asks for -1 N.*cannot pull"):
+        with pytest.raises(ScenarioError, match=r"force\.pad\.2 is -1 N.*cannot pull"):
             References.of(scenario, pin.SE3.Identity(), pairs, np.zeros(6))

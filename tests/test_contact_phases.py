@@ -129,10 +129,9 @@ def test_phases_change_nothing_while_contacts_stay_closed(name):
     plant, controller = start(rig)
     other = start(bare)[1]
     assert controller.life is not None and other.life is None
-    plan = rig.references.over(np.arange(2300) * DT)
-    for k in range(2300 if name == "limited_rod" else 700):
+    for reference in rig.references.each(2300 if name == "limited_rod" else 700, DT):
         measurement = plant.measure()
-        tau, want = (c.tick(measurement, plan[k]) for c in (controller, other))
+        tau, want = (c.tick(measurement, reference) for c in (controller, other))
         np.testing.assert_array_equal(tau, want)
         plant.command(tau, DT)
     assert (controller.phases() == CLOSED).all()

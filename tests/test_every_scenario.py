@@ -117,7 +117,7 @@ def test_forces_do_not_overshoot_on_mujoco(runs, name):
     steps = osc.metrics(runs[name])["steps"]
     assert len([s for s in steps if s["what"] == "first contact"]) == ROBOTS[name][1]
     for step in steps:
-        assert step["overshoot_N"] <= 0.05 * abs(step["asked_N"]), step
+        assert step["overshoot_N"] <= 0.05 * abs(step["commanded_N"]), step
 
 
 #: The other packaged scenarios: words of their first 3.3 s; whether no force overshoots.
@@ -139,7 +139,7 @@ def test_verdicts_of_the_other_scenarios(name):
     verdict = osc.metrics(osc.run(osc.load_scenario(name), duration=3.3))
     assert verdict["task"]["word"] == word, verdict["task"]
     for step in verdict["steps"] if gentle else ():
-        assert step["overshoot_N"] <= 0.05 * max(abs(step["asked_N"]), 1.0), step
+        assert step["overshoot_N"] <= 0.05 * max(abs(step["commanded_N"]), 1.0), step
 
 
 def test_every_packaged_scenario_has_a_verdict_in_a_test():

@@ -121,7 +121,7 @@ def test_forces_are_told_where_the_motors_end(name, force, told):
     change = f"force.{contact}=[{{type: constant, value: {force} N}}]"
     scenario = osc.load_scenario(name, [change, "motion=[]", "duration=1 s"])
     found = osc.preflight(osc.build_rig(scenario))
-    assert [one.text.startswith(f"force.{contact} asks") for one in found] == [True] * told
+    assert [one.text.startswith(f"force.{contact} is") for one in found] == [True] * told
     recording = osc.run(scenario)
     lost = (recording["alpha_cmd"] - recording["alpha_true"])[-200:, 0].mean() / force
     assert (lost > 0.05) == told

@@ -36,7 +36,7 @@ def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
     tip = data.oMf[one.model.getFrameId(arm.tip)]
     grasp = scenario.grasps[arm.name]
     held = pin.SE3(pin.rpy.rpyToMatrix(*grasp.rpy), np.array(grasp.xyz))
-    np.testing.assert_allclose((one.base * tip * held).homogeneous, rig.X_asked, atol=1e-12)
+    np.testing.assert_allclose((one.base * tip * held).homogeneous, rig.X_given, atol=1e-12)
 
 
 def test_a_scenario_whose_posture_says_where_it_starts_runs_without_a_word():

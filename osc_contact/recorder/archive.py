@@ -166,7 +166,7 @@ def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
 
 
 def checksum(path: Path) -> int:
-    """A number that tells archives of different content apart, from the checksums inside."""
+    """A number that differs between archives of different content, from the checksums inside."""
     with zipfile.ZipFile(path) as archive:
         words = "".join(f"{info.filename}:{info.CRC};" for info in archive.infolist())
     return zlib.crc32(words.encode())

@@ -66,7 +66,7 @@ class JournalFile:
                     self._number = os.dup(made.fileno())
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                path.unlink(missing_ok=True)  # readers of the older file go on reading it
+                path.unlink(missing_ok=True)  # the older file stays open for its readers
                 self._number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
         except OSError as error:
             raise RecordingError(f"cannot begin the recording {path}: {error}") from error
@@ -224,7 +224,7 @@ class Journal:
 
 
 class _From:
-    """Reads an open file from a byte on, with a place of its own."""
+    """Reads an open file from a byte on, by itself."""
 
     def __init__(self, number: int, at: int, size: int) -> None:
         self.number, self.at, self.size = number, at, size

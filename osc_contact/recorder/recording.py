@@ -57,7 +57,7 @@ class Channels(Mapping[str, Array]):
 
 
 class Meta(dict[str, Any]):
-    """What a recording says of itself; a key that is not there is a `RecordingError`."""
+    """Meta data of a recording; a key that is not there is a `RecordingError`."""
 
     def __missing__(self, key: str) -> Any:
         known = ", ".join(self) or "nothing"
@@ -157,7 +157,7 @@ class Recording:
         """Write one .npz file: complete under its final name, or not there at all.
 
         Two runs of the same seed make the same bytes. What a clock measured (`tick_s`; `wall_s`
-        and `cpu_s` of the meta) goes to a file of its own beside it, run.times.npz for run.npz.
+        and `cpu_s` of the meta) goes to another file beside it, run.times.npz for run.npz.
 
         Raises:
             RecordingError: the file cannot be written; an older file of the name is kept."""

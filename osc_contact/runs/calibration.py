@@ -24,7 +24,7 @@ __all__ = ["WristCalibration", "calibrate"]
 
 STEP = 1e-3
 SETTLE = 0.05  #: s, left out of each average: the readings in it may be older than the posture
-SPREAD = 0.6  #: rad, how far postures lie from the scenario's
+SPREAD = 0.6  #: rad, the largest distance of a joint from the scenario's posture
 LEAST_NOISE = (1e-6, 1e-8)  # N, N m: weighs forces against torques where the sensors are ideal
 
 
@@ -64,7 +64,7 @@ def calibrate(
 
     Raises:
         InvalidInputError: no arm has a wrist sensor, or nothing to average.
-        ModelError: these postures do not tell weight from bias (arms that never tilt the wrist).
+        ModelError: weight and bias are the same in these postures (arms that never tilt the wrist).
     """
     if not average > 0.0:
         raise InvalidInputError(f"average = {average} s; give a time > 0 for each posture")
@@ -106,7 +106,7 @@ def _averages(
     """Mean joint positions (n,) and wrist reading (6,) at rest at q."""
     now = plant.time
     plant.reset(q)
-    plant.time = now  # the sensors' clocks go on
+    plant.time = now  # the sensors' clocks continue
     gravity = pin.computeGeneralizedGravity(plant.model, plant.data, plant.q)
     tau = gravity[plant.chain.actuated]
     encoders, wrenches = [], []

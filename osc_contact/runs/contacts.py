@@ -10,20 +10,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from osc_contact import robots
 from osc_contact.contacts.detection import CollisionShape, TrackedContact, collision_shapes
 from osc_contact.contacts.pairs.law_pair import normals_over
-from osc_contact.contacts.pairs.pair import ContactPair, triad
+from osc_contact.contacts.pairs.pair import ContactPair, count_forces, triad
 from osc_contact.contacts.pairs.registry import make_pair
 from osc_contact.dynamics.rail import Body, Cart, Conveyor, Hinge
 from osc_contact.errors import ScenarioError
 from osc_contact.plants.faces import Rail
-from osc_contact.scenarios.contact_schema import CartSpec, ConveyorSpec, FaceMotion, HingeSpec
+from osc_contact.scenarios.contact_schema import CartSpec, ConveyorSpec, FaceMotion
 from osc_contact.scenarios.contact_types import OnFaceSpec, OwnContactSpec
 from osc_contact.scenarios.geometry import PoseSpec
 from osc_contact.scenarios.schema import Scenario
@@ -59,7 +59,7 @@ def pose_of(spec: PoseSpec) -> pin.SE3:
 
 def build_pairs(scenario: Scenario) -> tuple[ContactPair, ...]:
     """The contact pairs of a scenario, in its order."""
-    poses = {body.name: pose_of(body.pose) for body in scenario.environment}
+    poses = _body_poses(scenario)
     world = pin.SE3.Identity()
     return tuple(
         spec.pair
@@ -127,16 +127,12 @@ def misplaced(
         points, directions = feet(pairs[body.contacts[0]], X_WO)
         outward, foot = -directions[0], points[0]
         across = np.cross([0.0, 0.0, 1.0], outward)
-        across = (
-            triad(outward)[:, 0]
-            if np.linalg.norm(across) < 1e-3
-            else across / np.linalg.norm(across)
-        )
+        size = float(np.linalg.norm(across))
+        across = triad(outward)[:, 0] if size < 1e-3 else across / size
         about = pin.exp3(error.face_tilt_about * outward) @ across
         turn = pin.SE3(pin.exp3(error.face_tilt * about), foot + error.face_offset * outward)
-        wrong = turn * pin.SE3(np.eye(3), -foot)
         for i in body.contacts:
-            found[i] = _displaced(scenario, i, wrong)
+            found[i] = _displaced(scenario, i, turn * pin.SE3(np.eye(3), -foot))
     return tuple(found)
 
 
@@ -152,8 +148,11 @@ def _displaced(scenario: Scenario, i: int, X: pin.SE3) -> ContactPair:
         point, normal = X.act(np.array(spec.face.point)), X.rotation @ np.array(spec.face.normal)
         face = spec.face.model_copy(update={"point": point, "normal": normal})
         return make_pair(spec.model_copy(update={"face": face}), X)
-    poses = {body.name: pose_of(body.pose) for body in scenario.environment}
-    return make_pair(spec, X * poses[getattr(spec, "body", "")])
+    return make_pair(spec, X * _body_poses(scenario)[getattr(spec, "body", "")])
+
+
+def _body_poses(scenario: Scenario) -> dict[str, pin.SE3]:
+    return {body.name: pose_of(body.pose) for body in scenario.environment}
 
 
 def environment_bodies(scenario: Scenario) -> tuple[EnvironmentBody, ...]:
@@ -175,6 +174,11 @@ def environment_bodies(scenario: Scenario) -> tuple[EnvironmentBody, ...]:
         urdf = robots.resolve_urdf(body.urdf, source)
         bodies.append(EnvironmentBody(body.name, urdf, pose_of(body.pose), body.motion, tuple(on)))
     return tuple(bodies)
+
+
+def force_owners(pairs: Sequence[ContactPair]) -> NDArray[np.intp]:
+    """(r,) the contact of each force magnitude."""
+    return np.repeat(np.arange(len(pairs)), [count_forces(pair) for pair in pairs])
 
 
 def feet(pair: ContactPair, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> tuple[Array, Array]:
@@ -224,38 +228,23 @@ class OwnMotion:
     body: Body | None = None
 
 
-def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail | None]:
-    """How each body of the plant moves; None: not at all.
-
-    Raises:
-        ScenarioError: a driven body does not start where the contacts touch.
-    """
-    return [None if body.motion is None else _rail(body.name, body.motion) for body in bodies]
-
-
-def _rail(name: str, motion: FaceMotion | OwnMotion) -> Rail:
-    rail = motion.rail if isinstance(motion, OwnMotion) else _described(motion)
-    if rail.motion is not None:
-        (travel, angle), (speed, rate), _ = rail.motion(0.0)
-        if max(map(abs, (travel, angle, speed, rate))) > 1e-9:
-            raise ScenarioError(
-                f"the motion of '{name}' starts at {travel:g} m with {speed:g} m/s and "
-                f"{angle:g} rad with {rate:g} rad/s, away from where the contacts touch; give "
-                "sines a ramp, or use minimum_jerk"
-            )
-    return rail
-
-
-def _described(motion: FaceMotion) -> Rail:
+def _own_motion(motion: FaceMotion | OwnMotion) -> OwnMotion:
+    """What a scenario describes, as objects."""
+    if isinstance(motion, OwnMotion):
+        return motion
+    if isinstance(motion, ConveyorSpec):
+        direction, turn = np.array(motion.direction), motion.turn
+        axis = through = np.zeros(3)
+        if turn is not None:
+            axis, through = np.array(turn.axis), np.array(turn.through)
+        return OwnMotion(Rail(direction, axis, through, partial(_commanded, motion)), Conveyor())
+    freely = {key: getattr(motion, key) for key in ("stiffness", "damping", "preload")}
     if isinstance(motion, CartSpec):
-        return Rail(np.array(motion.direction), inertia=motion.mass, **_freely(motion))
-    if isinstance(motion, HingeSpec):
-        axis, through = np.array(motion.axis), np.array(motion.through)
-        return Rail(axis=axis, through=through, inertia=motion.inertia, **_freely(motion))
-    turn = motion.turn
-    still = np.zeros(3)
-    axis, through = (still, still) if turn is None else map(np.array, (turn.axis, turn.through))
-    return Rail(np.array(motion.direction), axis, through, partial(_commanded, motion))
+        direction, m = np.array(motion.direction), motion.mass
+        return OwnMotion(Rail(direction, inertia=m, **freely), Cart(direction, m, **freely))
+    line, inertia = (np.array(motion.axis), np.array(motion.through)), motion.inertia
+    rail = Rail(axis=line[0], through=line[1], inertia=inertia, **freely)
+    return OwnMotion(rail, Hinge(*line, inertia, **freely))
 
 
 def _commanded(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
@@ -265,8 +254,23 @@ def _commanded(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
     return s, rates, second
 
 
-def _freely(motion: CartSpec | HingeSpec) -> dict[str, Any]:
-    return {key: getattr(motion, key) for key in ("stiffness", "damping", "preload")}
+def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail | None]:
+    """How each body of the plant moves; None: not at all.
+
+    Raises:
+        ScenarioError: a driven body does not start where the contacts touch.
+    """
+    found = [None if body.motion is None else _own_motion(body.motion).rail for body in bodies]
+    for body, rail in zip(bodies, found, strict=True):
+        if rail is not None and rail.motion is not None:
+            (travel, angle), (speed, rate), _ = rail.motion(0.0)
+            if max(map(abs, (travel, angle, speed, rate))) > 1e-9:
+                raise ScenarioError(
+                    f"the motion of '{body.name}' starts at {travel:g} m with {speed:g} m/s and "
+                    f"{angle:g} rad with {rate:g} rad/s, away from where the contacts touch; give "
+                    "sines a ramp, or use minimum_jerk"
+                )
+    return found
 
 
 def known_bodies(
@@ -279,19 +283,10 @@ def known_bodies(
     """
     known: list[Body | None] = [None] * contacts
     for body in () if ignored else bodies:
-        motion = body.motion
-        answer: Body | None = None
-        if isinstance(motion, OwnMotion):
-            answer = motion.body
-        elif isinstance(motion, CartSpec):
-            answer = Cart(np.array(motion.direction), motion.mass, **_freely(motion))
-        elif isinstance(motion, HingeSpec):
-            axis, through = np.array(motion.axis), np.array(motion.through)
-            answer = Hinge(axis, through, motion.inertia, **_freely(motion))
-        elif motion is not None:
-            answer = Conveyor()
-        for i in body.contacts:
-            known[i] = answer
+        if body.motion is not None:
+            answer = _own_motion(body.motion).body
+            for i in body.contacts:
+                known[i] = answer
     return known
 
 

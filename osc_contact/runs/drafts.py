@@ -47,7 +47,7 @@ class Press:
         """From "Z=15" or "-X=5".
 
         Raises:
-            InvalidInputError: with the form that is wanted.
+            InvalidInputError: with the expected form.
         """
         name, _, number = text.replace(" ", "").partition("=")
         letter = name.lstrip("+-").upper()
@@ -71,7 +71,7 @@ def draft(robot: str, arm: Arm, press: Press, posture: Array | None, target: Pat
         robot: as the user called it. arm: the same. press: how.
         posture: (n,) where it starts; None: a posture away from limits and singular ones, with
             the stylus pointing down as far as the arm lets it.
-        target: where the text will lie, which relative paths begin from.
+        target: file of the text, which relative paths begin from.
 
     Raises:
         ScenarioError: no posture is found, or the one given is refused; with the reason.

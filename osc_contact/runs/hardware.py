@@ -271,4 +271,3 @@ class ObservedRobot:
         if self.observer.estimates:
             self._acceleration = self.controller.joint_acceleration()
         self.robot.command(tau, duration)
-

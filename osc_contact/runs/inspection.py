@@ -168,7 +168,7 @@ def _body(rig: Rig, contact: int) -> str:
 
 
 def _skew(rig: Rig) -> list[str]:
-    """How the lines of force lie to each other, two contacts with one line each at a time."""
+    """The distance and angle of lines of force, two contacts with one line each at a time."""
     X = rig.state().X_WO
     all_lines = [(pair, *feet(pair, X)) for pair in rig.pairs]
     lines = []

@@ -87,8 +87,8 @@ def raised_signals() -> Iterator[RaisedSignals]:
 
 
 @contextmanager
-def asked_to_end() -> Iterator[Callable[[], bool]]:
-    """Whether a signal asked for the end since the block began.
+def end_requested() -> Iterator[Callable[[], bool]]:
+    """Whether a signal that ends programs came since the block began.
 
     The first is only noted; the second ends the program as always.
     """
@@ -121,10 +121,10 @@ def _restore(note: Handler) -> None:
             signal.signal(number, usual)
 
 
-def until(asked: Callable[[], bool], items: Iterable[T]) -> Iterator[T]:
-    """Items until the end is asked for."""
+def until(requested: Callable[[], bool], items: Iterable[T]) -> Iterator[T]:
+    """Items until the end is requested."""
     for item in items:
-        if asked():
+        if requested():
             return
         yield item
 
@@ -135,7 +135,7 @@ NEWS = 100  #: ticks from one call of `progress` to the next
 
 
 class Controls(Protocol):
-    """What the loop asks of a controller."""
+    """What the loop needs of a controller."""
 
     @property
     def dt(self) -> float:
@@ -146,7 +146,7 @@ class Controls(Protocol):
 
 
 class Records(Protocol):
-    """What the loop asks of a recorder."""
+    """What the loop needs of a recorder."""
 
     def append(
         self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
@@ -213,10 +213,10 @@ def run_loop(
         robot: hardware, or a plant.
         controller: a `Controller`, or anything with its `tick` and `dt`; its `state` and `reason`
             are looked at if there are any.
-        references: one for each tick, of any length; a generator may go on for ever.
-        recorder: notes every tick; a `Recorder` makes a recording of them, and asks the judge if
-            it was given one.
-        viewer: shows the run while it goes on; needs a recorder that gives it channels.
+        references: one for each tick, of any length; a generator may have no end.
+        recorder: notes every tick; a `Recorder` makes a recording of them, with the truth if it
+            was given a judge.
+        viewer: shows the run while it lasts; needs a recorder that gives it channels.
         progress: called with the time (s) now and then.
 
     Raises:
@@ -289,5 +289,5 @@ def _require_stop(robot: Robot) -> None:
             f"stop() of {type(robot).__name__} takes no reason ({error}); "
             'define it as stop(self, reason="")'
         ) from error
-    except ValueError:  # compiled drivers do not say what they take
+    except ValueError:  # the signature of compiled drivers is not known
         pass

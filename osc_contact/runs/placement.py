@@ -43,7 +43,7 @@ def rounded(x: Array, digits: int = 4) -> list[float]:
     0.0,
     0.0,
     "the normal of the face of contact '{name}' looks away from the robot: the object and all arm "
-    "tips lie {mm:.0f} mm or more behind it; the normal points out of the face, towards the "
+    "tips are {mm:.0f} mm or more behind it; the normal points out of the face, towards the "
     "object: reverse contacts.{name}.face.normal",
 )
 def normals(rig: Rig) -> Values:
@@ -61,22 +61,22 @@ def normals(rig: Rig) -> Values:
     0.02,
     0.1,
     "to touch its contacts the object starts {mm:.0f} mm away from object.pose, at {where} m, "
-    "turned by {turned:.1f} deg, instead of {asked} m; move the faces to the object, or "
+    "turned by {turned:.1f} deg, instead of {given} m; move the faces to the object, or "
     "object.pose and posture to the faces",
 )
 def start(rig: Rig) -> Values:
     """A start pose that moved, at the object's origin or at a contact (m)."""
-    asked, now = rig.X_asked, rig.state().X_WO
+    given, now = rig.X_given, rig.state().X_WO
     points = [now.translation]
     for pair in rig.pairs:
         if getattr(pair, "surface_point", None) is not None:
             points.extend(feet(pair, now)[0])
-    moved = max(float(np.linalg.norm(p - asked.act(now.actInv(p)))) for p in points)
+    moved = max(float(np.linalg.norm(p - given.act(now.actInv(p)))) for p in points)
     words = {
         "mm": 1e3 * moved,
         "where": rounded(now.translation),
-        "turned": np.rad2deg(np.linalg.norm(pin.log3(asked.rotation.T @ now.rotation))),
-        "asked": rounded(asked.translation),
+        "turned": np.rad2deg(np.linalg.norm(pin.log3(given.rotation.T @ now.rotation))),
+        "given": rounded(given.translation),
     }
     yield moved, words
 
@@ -144,7 +144,7 @@ def beside(rig: Rig) -> Values:
 @rule(
     PROBE_M,
     PROBE_M,
-    "the force of contact '{name}' would push out of {solid.name}, whose collision geometry lies "
+    "the force of contact '{name}' would push out of {solid.name}, whose collision geometry is "
     "on the side that {key} points to; it must point out of it: reverse contacts.{name}.{key}",
 )
 def inverted(rig: Rig) -> Values:
@@ -170,7 +170,7 @@ def inverted(rig: Rig) -> Values:
     0.005,
     0.005,
     "the object starts {mm:.0f} mm inside {name}, with its contacts just touching: a normal is "
-    "reversed, or the collision geometry is larger than the contacts say; reverse the normals of "
+    "reversed, or the collision geometry is larger than the contacts state; reverse the normals of "
     "its contacts, or mend the geometry",
 )
 def inside(rig: Rig) -> Values:
@@ -191,7 +191,7 @@ def inside(rig: Rig) -> Values:
 @rule(
     0.005,
     np.inf,
-    "the motion asks the object to go {mm:.0f} mm {way} the surface of contact '{name}', which "
+    "the motion leads the object {mm:.0f} mm {way} the surface of contact '{name}', which "
     "does not permit it: that part is not followed; give a direction along the surface, such as "
     "common_tangent, and press with force",
 )
@@ -336,7 +336,7 @@ def penetration(task: Task) -> Values:
 @rule(
     PLACE_DOUBTFUL,
     PLACE_REFUSED,
-    "the tool is {away:.3g} mm away from '{geom}', and the contacts say {gap:.3g} mm; correct the "
+    "the tool is {away:.3g} mm away from '{geom}', and by the contacts {gap:.3g} mm; correct the "
     "contact's vertex and radius, or the tip",
 )
 def tool(task: Task) -> Values:

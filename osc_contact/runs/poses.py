@@ -16,7 +16,7 @@ from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.runs.rig import asked_pose, build_chain, posture_of
+from osc_contact.runs.rig import build_chain, given_pose, posture_of
 from osc_contact.scenarios.quantities import AngleVec3, JointValue, Vec3
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
@@ -46,7 +46,7 @@ VECTORS: dict[str, TypeAdapter[Any]] = {
 
 @dataclass(frozen=True)
 class Posture:
-    """Joint positions, and how far the object, or the tip, is from where it was wanted.
+    """Joint positions, and how far the object, or the tip, is from the desired pose.
 
     Attributes:
         q: (n,) rad, m. miss: (m, rad), of the arm that is furthest.
@@ -89,7 +89,7 @@ def chain_of(scenario: Scenario) -> tuple[ClosedChain, Array, pin.SE3]:
     """Chain, posture (n,) and object pose of a scenario, before contacts move any of it."""
     chain = build_chain(scenario)
     posture = posture_of(scenario, chain)
-    return chain, posture, asked_pose(scenario, chain, posture)
+    return chain, posture, given_pose(scenario, chain, posture)
 
 
 def numbers(kind: str, text: str) -> Array:
@@ -111,10 +111,10 @@ def numbers(kind: str, text: str) -> Array:
 
 
 def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = None) -> Posture:
-    """Joint positions within limits that put the object where it is wanted, or nearest to it.
+    """Joint positions within limits that put the object at the desired pose, or nearest to it.
 
     Args:
-        chain: the arms; without an object their tip. X_WO: the wanted pose.
+        chain: the arms; without an object their tip. X_WO: the desired pose.
         start: (n,) where to look first, before random postures between the limits.
         seed: of these; None: 0. If it is given they come first, and may find other postures.
     """

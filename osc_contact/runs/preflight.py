@@ -1,7 +1,7 @@
 """What is wrong with a task before it runs: a table of rules on what can be compared beforehand.
 
 A rule is one function that gives a quantity, under the limits from which it is doubtful and
-refused, and the sentence that says so.
+refused, and the sentence of the finding.
 """
 
 from __future__ import annotations
@@ -225,16 +225,12 @@ def carts(rig: Rig) -> Values:
 def rate(task: Task) -> Values:
     """Gain × control period."""
     motion, force = task.gains.motion, task.gains.force
-    name = (
-        f"motion.frequency {motion.frequency:g} Hz, " if "damping" not in motion.model_fields_set else "motion."
-    )
+    given = "damping" in motion.model_fields_set
+    name = "motion." if given else f"motion.frequency {motion.frequency:g} Hz, "
     limits = {f"{name}damping": motion.damping}
     if task.pairs:
-        name = (
-            f"force.bandwidth {force.bandwidth:g} Hz, "
-            if "integral" not in force.model_fields_set
-            else "force."
-        )
+        given = "integral" in force.model_fields_set
+        name = "force." if given else f"force.bandwidth {force.bandwidth:g} Hz, "
         limits |= {f"{name}integral": force.integral, f"{name}brake": force.brake}
     for name, gain in limits.items():
         yield (
@@ -247,7 +243,7 @@ def rate(task: Task) -> Values:
     1.0,
     1.0,
     "the motion leads the object to {far:.3g} m from the base of arm '{name}' at t = {t:.3g} s, "
-    "and the stretched arm reaches {most:.3g} m; ask for a smaller motion (are its signals in the "
+    "and the stretched arm reaches {most:.3g} m; command a smaller motion (are its signals in the "
     "right unit?)",
 )
 def stretched(task: Task) -> Values:
@@ -277,8 +273,8 @@ def _length(arm: Arm) -> float:
 @rule(
     0.02,
     np.inf,
-    "at t = {t:.3g} s the motion wants the object where no posture near the start puts it "
-    "({where} m){left}; ask for a smaller motion, or begin in another posture",
+    "at t = {t:.3g} s the motion leads the object to where no posture near the start puts it "
+    "({where} m){left}; command a smaller motion, or begin in another posture",
 )
 def postures(task: Task) -> Values:
     """By how much no posture within the joints' limits, from the start on, gets there (m)."""
@@ -310,7 +306,7 @@ def postures(task: Task) -> Values:
 @rule(
     0.0,
     0.0,
-    "at t = {at:.3g} s the motion would end in a stop: {why}; ask for a smaller or slower motion, "
+    "at t = {at:.3g} s the motion would end in a stop: {why}; command a smaller or slower motion, "
     "or begin in another posture",
 )
 def joints(task: Task) -> Values:
@@ -329,8 +325,8 @@ def joints(task: Task) -> Values:
     q, v, still = task.q.copy(), np.zeros(chain.nq), np.zeros((len(chain.arms), 6))
     try:
         controller = Controller(chain, (), task.gains, dt=dt, posture=task.posture, safety=safety)
-        for k, wanted in enumerate(task.every(dt)):
-            motion = Reference(wanted.X_WD, wanted.V_D, wanted.A_D)
+        for k, desired in enumerate(task.every(dt)):
+            motion = Reference(desired.X_WD, desired.V_D, desired.A_D)
             controller.tick(Measurement(q.copy(), v.copy(), still), motion)
             if controller.state is SafetyState.SAFE_STOP:
                 why = controller.reason.removesuffix(". See why, then call reset()")
@@ -361,8 +357,8 @@ def _acceleration(controller: Controller) -> Array:
 @rule(
     0.0,
     3.0,
-    "{name} asks for {force:.4g} N at t = {t:.3g} s, for which motors would need {value:.2g} times "
-    "their limits at least (most of all {joint}, {most:.3g} N m or N); ask for less force, or "
+    "{name} is {force:.4g} N at t = {t:.3g} s, for which motors would need {value:.2g} times "
+    "their limits at least (most of all {joint}, {most:.3g} N m or N); command less force, or "
     "choose another posture",
 )
 def motors(task: Task) -> Values:
@@ -371,13 +367,13 @@ def motors(task: Task) -> Values:
         return
     state, contact, chain = task.state, task.contact, task.chain
     limits = np.minimum(chain.tau_max, 1e12)
-    wanted = state.b_S[:, None] + state.S.T @ contact.N @ contact.R @ task.forces.T
-    shares = np.linalg.pinv(state.G * limits) @ wanted  # of each motor's limit, least squares
+    needed = state.b_S[:, None] + state.S.T @ contact.N @ contact.R @ task.forces.T
+    shares = np.linalg.pinv(state.G * limits) @ needed  # of each motor's limit, least squares
     order = np.argsort(np.abs(shares).max(axis=0))
     k, usual = (int(order[i]) for i in (-1, len(order) // 2))
-    most = least_peak(state.G * limits, wanted[:, k])
+    most = least_peak(state.G * limits, needed[:, k])
     # a peak that is a little too high saturates for a while
-    if most > motors.refused or least_peak(state.G * limits, wanted[:, usual]) > 1.0:
+    if most > motors.refused or least_peak(state.G * limits, needed[:, usual]) > 1.0:
         j, motor = int(task.forces[k].argmax()), int(np.abs(shares[:, k]).argmax())
         joint = chain.joint_names[chain.actuated[motor]]
         words = {"name": task.force_names[j], "force": task.forces[k, j], "t": task.times[k]}
@@ -467,7 +463,7 @@ def pulls(task: Task) -> Values:
     1.0,
     1.0,
     "{name} is {force:.4g} N at t = {t:.3g} s, and readings beyond safety.force_range = "
-    "{range:.4g} N are not believed; ask for less force, or raise force_range to what the wrist "
+    "{range:.4g} N are not believed; command less force, or raise force_range to what the wrist "
     "sensor measures",
 )
 def measured_range(task: Task) -> Values:

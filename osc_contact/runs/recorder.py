@@ -17,7 +17,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from osc_contact.contacts.pairs.law_pair import normals_over
-from osc_contact.contacts.pairs.pair import ContactPair, count_forces, pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.control.controller import Controller
 from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.control.phases import Phase
@@ -31,7 +31,7 @@ from osc_contact.recorder import Recording
 from osc_contact.recorder.archive import gather
 from osc_contact.recorder.journal import Journal, JournalFile, MemoryJournal
 from osc_contact.robots.summary import joint_losses
-from osc_contact.runs.contacts import feet_over
+from osc_contact.runs.contacts import feet_over, force_owners
 from osc_contact.runs.free_motion import free_parts
 from osc_contact.spatial import Array, Poses, cross
 
@@ -106,7 +106,7 @@ def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict
 
 
 class Monitor:
-    """What the contact monitor tells of each magnitude, from projected force and power.
+    """What the contact monitor finds for each magnitude, from projected force and power.
 
     Where a magnitude may have either sign its size counts.
     """
@@ -117,8 +117,8 @@ class Monitor:
         self._monitor = ContactMonitor(len(of.owners), of.controller.dt)
 
     def channels(self, rows: Array) -> dict[str, Array]:
-        """Of the ticks that follow those it was told of before."""
-        if self._of.controller.life is not None:  # the controller had one listening
+        """Of the ticks that follow those before."""
+        if self._of.controller.life is not None:  # the controller had a monitor
             pushing = self._of.pushing  # what can pull stays in contact
             closed, collision = rows["closed"] > 0.0, rows["collision"] > 0.0
             return {"contact_seen": closed | ~pushing, "collision_seen": collision & pushing}
@@ -300,7 +300,7 @@ class Recorder:
             subject: the true contacts, where they are not the controller's.
             journal: the file of the rows, such as unfinished.mcap; None: a temporary one, which
                 goes with the process; or where rows are kept in memory.
-            meta: what the recording is to say of itself beside names, rate and times.
+            meta: more meta data beside names, rate and times.
 
         Raises:
             RecordingError: there can be no such file.
@@ -449,7 +449,7 @@ class Recorder:
         """All ticks so far; a long recording stays on disk.
 
         Args:
-            meta: more that the recording is to say of itself.
+            meta: more meta data.
 
         Raises:
             RecordingError: there is no room for its channels.
@@ -486,15 +486,14 @@ def recording_of(
 def _subject(controller: Controller) -> Subject:
     """What a controller by itself knows of its contacts."""
     chain, pairs = controller.chain, tuple(controller.contacts)
-    owners = [i for i, pair in enumerate(pairs) for _ in range(count_forces(pair))]
     rigid = all(grasp.is_rigid for grasp in chain.grasps)
     free = rigid and min(arm.model.nv for arm in chain.arms) >= 6
     world = (pin.SE3.Identity(),) * len(pairs)
-    return Subject(controller, pairs, world, np.array(owners, dtype=int), free)
+    return Subject(controller, pairs, world, force_owners(pairs), free)
 
 
 def describe_subject(of: Subject) -> dict[str, Any]:
-    """What a recording says of who and what is in it."""
+    """Meta data on what is recorded."""
     chain = of.controller.chain
     return {
         "arm_names": [arm.name for arm in chain.arms],

@@ -1,4 +1,4 @@
-"""What the controller is asked to do at time t, from a scenario's signals."""
+"""What is desired at time t, from a scenario's signals."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ import pinocchio as pin
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.errors import ScenarioError
 from osc_contact.interface import Reference
+from osc_contact.runs.contacts import force_owners
 from osc_contact.scenarios.contact_types import forces_of, magnitude_names
 from osc_contact.scenarios.control_schema import TareSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.signals import MinimumJerk, Step, total_over
 from osc_contact.spatial import Array, Poses, cross, rotated, rotations
-
-__all__ = ["Plan", "References", "common_tangent", "force_names", "force_owners", "force_steps"]
 
 
 def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
@@ -44,12 +43,6 @@ def force_names(scenario: Scenario) -> list[str]:
     return magnitude_names(forces_of(scenario.contacts))
 
 
-def force_owners(scenario: Scenario) -> tuple[int, ...]:
-    """The contact of each force magnitude."""
-    owners = [i for i, c in enumerate(scenario.contacts) for _ in range(c.forces)]
-    return tuple(owners)
-
-
 def force_steps(scenario: Scenario) -> list[float]:
     """Times at which a desired contact force jumps (s); forces are not judged just after them.
 
@@ -66,7 +59,7 @@ def force_steps(scenario: Scenario) -> list[float]:
     return sorted(steps)
 
 
-_AT_ONCE = 1000  #: references made in a row, which takes half the time of making them one by one
+_AT_ONCE = 1000  #: references that are worked out together
 
 
 @dataclass(frozen=True)
@@ -93,10 +86,10 @@ class References:
         pairs: Sequence[ContactPair],
         standoff: Array,
     ) -> References:
-        """Resolve `common_tangent` and check that no face is asked to pull.
+        """Resolve `common_tangent` and check that no face is to pull.
 
         Args:
-            scenario: what is wanted. X_start: pose of the object at the start.
+            scenario: with the signals. X_start: pose of the object at the start.
             pairs: the contacts. standoff: (contacts,) gaps at the start (m).
 
         Raises:
@@ -110,17 +103,12 @@ class References:
         )
         references = cls(scenario, X_start, directions, standoff)
         t = np.linspace(0.0, scenario.duration, 2000)
-        wanted = references.forces(t).T
-        pushes = [
-            pushes_only(p)
-            for p, c in zip(pairs, scenario.contacts, strict=True)
-            for _ in range(c.forces)
-        ]
-        for name, pushing, force in zip(force_names(scenario), pushes, wanted.T, strict=True):
-            if pushing and (force < 0.0).any():
+        owners = force_owners(pairs)
+        for name, i, force in zip(force_names(scenario), owners, references.forces(t), strict=True):
+            if pushes_only(pairs[i]) and (force < 0.0).any():
                 first = int(np.argmax(force < 0.0))
                 raise ScenarioError(
-                    f"force.{name} asks for {force[first]:.3g} N at t = {t[first]:.3g} s; this "
+                    f"force.{name} is {force[first]:.3g} N at t = {t[first]:.3g} s; this "
                     "contact cannot pull. Raise the constant part or lower the amplitude."
                 )
         return references
@@ -137,7 +125,7 @@ class References:
 
     def at(self, t: float) -> Reference:
         """The reference at time t (s); accelerations are classical."""
-        return self.over(np.array([t]))[0]
+        return next(iter(self.over(np.array([t]))))
 
     def each(self, ticks: int, period: float) -> Iterator[Reference]:
         """The references of so many ticks, one after the other."""
@@ -190,7 +178,7 @@ class References:
 
 @dataclass(frozen=True)
 class Plan:
-    """References at k times, one after the other; `plan[i]` is one of them.
+    """References at k times, one after the other.
 
     Attributes:
         X_WD: (k, 7) desired poses: position and quaternion x, y, z, w.
@@ -204,24 +192,10 @@ class Plan:
     alpha_d: Array
     squeeze_d: float
 
-    def __len__(self) -> int:
-        return len(self.X_WD)
-
-    def __getitem__(self, i: int) -> Reference:
-        return self.part(i, i + 1)[0]
-
     def __iter__(self) -> Iterator[Reference]:
-        for start in range(0, len(self), _AT_ONCE):
-            yield from self.part(start, start + _AT_ONCE)
-
-    def part(self, start: int, stop: int) -> list[Reference]:
-        """The references start to stop − 1."""
         fields = (self.X_WD, self.V_D, self.A_D, self.alpha_d)
-        place, squeeze = pin.XYZQUATToSE3, self.squeeze_d
-        return [
-            Reference(place(X), V, A, alpha, squeeze)
-            for X, V, A, alpha in zip(*(x[start:stop] for x in fields), strict=True)
-        ]
+        for X, V, A, alpha in zip(*fields, strict=True):
+            yield Reference(pin.XYZQUATToSE3(X), V, A, alpha, self.squeeze_d)
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,7 @@ def _steps(steps: Sequence[Mapping[str, Any]], most: int = 3) -> Iterator[tuple[
 
 
 def _share(ratio: float | None) -> str:
-    """The ratio of powers, and what it says where it is large."""
+    """The ratio of powers, and its cause where it is large."""
     if ratio is None:
         return ""
     if ratio <= MOST_PROJECTED:
@@ -112,7 +112,7 @@ def _over(step: Mapping[str, Any]) -> str:
     if not step["overshoot_N"]:
         return "no overshoot"
     return (
-        f"reaches {step['peak_N']:.3g} N of {step['asked_N']:.3g} N, "
+        f"reaches {step['peak_N']:.3g} N of {step['commanded_N']:.3g} N, "
         f"overshoot {_percent(step['overshoot_rel'])}"
     )
 

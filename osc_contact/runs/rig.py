@@ -30,6 +30,7 @@ from osc_contact.runs.contacts import (
     EnvironmentBody,
     build_pairs,
     environment_bodies,
+    force_owners,
     known_bodies,
     misplaced,
     pose_of,
@@ -38,10 +39,10 @@ from osc_contact.runs.contacts import (
     tracked,
 )
 from osc_contact.runs.recorder import Subject
-from osc_contact.runs.references import References, force_owners
+from osc_contact.runs.references import References
 from osc_contact.scenarios.control_schema import Gains, PhaseSettings
-from osc_contact.scenarios.hardware import PLANT_TYPES
 from osc_contact.scenarios.geometry import GraspSpec
+from osc_contact.scenarios.hardware import PLANT_TYPES
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
 
@@ -64,7 +65,7 @@ def posture_of(scenario: Scenario, chain: ClosedChain) -> Array:
     return q
 
 
-def asked_pose(scenario: Scenario, chain: ClosedChain, posture: Array) -> pin.SE3:
+def given_pose(scenario: Scenario, chain: ClosedChain, posture: Array) -> pin.SE3:
     """`object.pose`, or where the posture puts what the first arm with a rigid grasp holds.
 
     Args:
@@ -73,7 +74,7 @@ def asked_pose(scenario: Scenario, chain: ClosedChain, posture: Array) -> pin.SE
         posture: (n,) joint positions (m, rad).
 
     Raises:
-        ModelError: it is left out, and the joints do not tell the pose.
+        ModelError: it is left out, and the joints do not determine the pose.
     """
     given = scenario.object.pose
     return object_pose(chain, posture) if given is None else pose_of(given)
@@ -123,7 +124,7 @@ def standoff_of(state: ChainState, contact: Contact, distance: float) -> Array:
 
 
 def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
-    """Which contact is furthest from its face at the pose that is asked for, in words."""
+    """Which contact is furthest from its face at the given pose, in words."""
     gaps = [float(np.abs(pair.gaps(X_WO)).max(initial=0.0)) for pair in pairs]
     if max(gaps, default=0.0) < FAR_M:
         return ""
@@ -175,7 +176,7 @@ def register_plant(name: str, *, exact: bool = False) -> Callable[[MakesPlant], 
     Args:
         name: in scenarios.
         exact: its joints are ideal and its contacts neither open nor end: then no tare, motor
-            error, push or edge of a face is asked of it.
+            error, push or edge of a face.
     """
 
     def enter(make: MakesPlant) -> MakesPlant:
@@ -221,7 +222,7 @@ class Rig:
         q_contact: (n,) joint positions with loops closed and contacts touching.
         q_start: (n,) where the run starts: the same, or off the contacts if it begins with a tare.
         references: of the run.
-        X_asked: the pose of the object that the scenario asks for.
+        X_given: the pose of the object that the scenario gives.
     """
 
     scenario: Scenario
@@ -232,7 +233,7 @@ class Rig:
     q_contact: Array
     q_start: Array
     references: References
-    X_asked: pin.SE3
+    X_given: pin.SE3
 
     def plant(self, seed: int = 0) -> Plant:
         """The plant the scenario names, at its start, seen through its sensors.
@@ -338,7 +339,7 @@ class Rig:
     @cached_property
     def owners(self) -> Array:
         """(r,) the contact of each force magnitude."""
-        return np.array(force_owners(self.scenario), dtype=int)
+        return force_owners(self.pairs)
 
     @cached_property
     def d(self) -> int:
@@ -377,9 +378,9 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     model = chain if known else make(scenario, *factors)
     pairs = build_pairs(scenario)
     posture = posture_of(scenario, chain)
-    X_asked = asked_pose(scenario, chain, posture)
-    require_own_pairs(scenario, X_asked)
-    q_contact = touching(chain, pairs, posture, X_asked)
+    X_given = given_pose(scenario, chain, posture)
+    require_own_pairs(scenario, X_given)
+    q_contact = touching(chain, pairs, posture, X_given)
     state = chain.state(q_contact, np.zeros(chain.nq))
     contact = Contact.stack([pair.contact(state.X_WO, np.zeros(6)) for pair in pairs])
     require_reachable(state, contact)
@@ -390,7 +391,7 @@ def build_rig(scenario: Scenario, chains: Callable[..., ClosedChain] | None = No
     if scenario.tare is not None:
         q_start = close(chain, reach(chain, q_contact, references.at(0.0).X_WD))
     bodies = environment_bodies(scenario)
-    return Rig(scenario, chain, model, pairs, bodies, q_contact, q_start, references, X_asked)
+    return Rig(scenario, chain, model, pairs, bodies, q_contact, q_start, references, X_given)
 
 
 def build_chain(

@@ -25,7 +25,7 @@ from osc_contact.recorder import Recording
 from osc_contact.recorder.journal import Journal, MemoryJournal
 from osc_contact.robots import resolve_urdf
 from osc_contact.runs.contacts import environment_bodies
-from osc_contact.runs.loop import asked_to_end, run_loop, until
+from osc_contact.runs.loop import end_requested, run_loop, until
 from osc_contact.runs.preflight import require_ready
 from osc_contact.runs.recorder import Recorder, recording_of
 from osc_contact.runs.references import force_steps
@@ -61,7 +61,7 @@ def run(
         duration: s, instead of the scenario's own.
         seed: of everything random in the run (sensors and plants without noise use none).
         progress: called with the simulated time now and then.
-        viewer: shows the run while it goes on (see `open_viewer`); it cannot hold the loop up.
+        viewer: shows the run while it lasts (see `open_viewer`); it cannot hold the loop up.
         install: puts another control law into each controller of the run.
         journal: the file that the run's rows go to while it lasts, such as unfinished.mcap, for
             `recover` if the process is killed; None: a temporary one.
@@ -110,16 +110,16 @@ def run_rig(
         journal=journal,
         meta=describe_run(rig, seed, doubts),
     )
-    with asked_to_end() as asked:
+    with end_requested() as requested:
         try:
             robot = rig.robot(plant, controller)
             taring = controller if scenario.tare is None else Taring(rig, controller)
-            plan = until(asked, rig.references.each(ticks, controller.dt))
+            plan = until(requested, rig.references.each(ticks, controller.dt))
             run_loop(robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress)
         except PlantError as error:
             error.recording = recorder.recording()
             raise
-    if asked() and recorder.count < ticks:
+    if requested() and recorder.count < ticks:
         ended = recorder.count * controller.dt
         interrupted = Interrupted(f"ended on request at t = {ended:g} s")
         interrupted.recording = recorder.recording({"ended_s": ended})
@@ -128,12 +128,12 @@ def run_rig(
 
 
 def describe_run(rig: Rig, seed: int, doubts: Sequence[str]) -> dict[str, Any]:
-    """What the recording of a rig's run says of itself.
+    """Meta data of the recording of a rig's run.
 
     Args:
         rig: what ran.
         seed: of everything random.
-        doubts: what the preflight said.
+        doubts: found by the preflight.
     """
     scenario = rig.scenario
     return {
@@ -273,7 +273,7 @@ def scenario_of(
     try:
         scenario = Scenario.model_validate(meta.get("scenario"))
     except (ScenarioError, ValueError) as error:
-        raise RecordingError(f"{path} does not say which scenario was run: {error}") from error
+        raise RecordingError(f"{path} does not hold the scenario that was run: {error}") from error
     given = [] if folder is None else [Path(folder).resolve()]
     places = list(dict.fromkeys([*given, path.resolve().parent, Path.cwd()]))
     missing = ModelError()

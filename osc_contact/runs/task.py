@@ -12,12 +12,13 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import ContactPair, count_forces
+from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.control.controller import Controller
 from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.recorder.recording import column_names
+from osc_contact.runs.contacts import force_owners
 from osc_contact.runs.references import force_names
 from osc_contact.runs.rig import Rig
 from osc_contact.scenarios.control_schema import Gains, SafetySettings
@@ -163,21 +164,21 @@ class Task:
         """
         settings, measured = controller.settings, robot.measure()
         pairs, chain = settings.contacts, getattr(robot, "chain", settings.chain)
-        owners = [i for i, pair in enumerate(pairs) for _ in range(count_forces(pair))]
-        wanted = list(islice(references, MOST_TICKS))
-        for k, one in enumerate(wanted):
+        owners = force_owners(pairs)
+        given = list(islice(references, MOST_TICKS))
+        for k, one in enumerate(given):
             if np.shape(one.alpha_d) != (len(owners),):
                 raise InvalidInputError(
                     f"reference {k}: alpha_d has shape {np.shape(one.alpha_d)}, and the contacts "
                     f"have {len(owners)} columns of N; give one force for each (N)"
                 )
-        if not wanted:
+        if not given:
             raise InvalidInputError("there are no references; give one for each tick")
         q = np.asarray(measured.q, dtype=float)
         if chain.nq != len(q):
             raise InvalidInputError(f"the robot measures {len(q)} joints of {chain.nq}")
-        looks = np.unique(np.linspace(0, len(wanted) - 1, _LOOKS).astype(int))
-        names = column_names([pair.name for pair in pairs], owners)
+        looks = np.unique(np.linspace(0, len(given) - 1, _LOOKS).astype(int))
+        names = column_names([pair.name for pair in pairs], owners.tolist())
         return cls(
             chain=chain,
             pairs=pairs,
@@ -188,11 +189,11 @@ class Task:
             q=q,
             q_contact=q,
             times=looks * settings.dt,
-            poses=np.array([pin.SE3ToXYZQUAT(wanted[k].X_WD) for k in looks]),
-            forces=np.array([wanted[k].alpha_d for k in looks]),
-            every=lambda period: iter(wanted[:: max(1, round(period / settings.dt))]),
+            poses=np.array([pin.SE3ToXYZQUAT(given[k].X_WD) for k in looks]),
+            forces=np.array([given[k].alpha_d for k in looks]),
+            every=lambda period: iter(given[:: max(1, round(period / settings.dt))]),
             force_names=[f"alpha_d of {name}" for name in names],
-            owners=np.array(owners, dtype=int),
+            owners=owners,
             rests=[body is None for body in settings.bodies],
             bound=settings.phases is None,
             controller=controller,

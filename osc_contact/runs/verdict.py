@@ -42,7 +42,7 @@ class Rule:
         word: for the run. fails: whether its task has failed.
         subject: "run", "force", "contact" or "doubt": of what the quantity is.
         quantity: name of the number that is compared.
-        limit: key of `VerdictSpec`; a number: this one, whatever the scenario says.
+        limit: key of `VerdictSpec`; a number: this one, in every scenario.
         sentence: with the numbers of its subject, {limit} among them.
     """
 
@@ -71,7 +71,7 @@ RULES = (
         "distance",
         "distance",
         "the object was {distance_mm:.0f} mm away from its reference (limit {limit_mm:.0f} mm); "
-        "ask for a slower or smaller motion, or look at gains, model and friction",
+        "command a slower or smaller motion, or look at gains, model and friction",
     ),
     Rule(
         "RUN AWAY",
@@ -97,7 +97,7 @@ RULES = (
         "longest_loss",
         "lost_time",
         "contact '{name}' was lost: open for up to {longest_loss:.3g} s in a row (limit "
-        "{limit:g} s), while the controller took it as closed; ask for more force or a slower "
+        "{limit:g} s), while the controller took it as closed; command more force or a slower "
         "motion, or close contacts again with control.life",
     ),
     Rule(
@@ -107,7 +107,7 @@ RULES = (
         "open_share",
         "open_share",
         "contact '{name}' was open in {open_share:.1%} of its judged time (limit {limit:.1%}), "
-        "though a force was commanded; ask for more force or a slower motion",
+        "though a force was commanded; command more force or a slower motion",
     ),
     Rule(
         "POOR",
@@ -291,7 +291,7 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
 
 
 def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | None]]:
-    """What `metrics` says of each force magnitude.
+    """What `metrics` has of each force magnitude.
 
     Args:
         names: of them. sums: of the ticks.
@@ -444,7 +444,7 @@ def step_answers(recording: Recording, landings: Sequence[float | None]) -> list
     Returns:
         In order of time, of each magnitude that stepped: t_s, force, what ("first contact" or
         "step"), from_N, to_N, overshoot_N, overshoot_rel (of the step), and where it is largest the
-        true and the desired force, peak_N and asked_N.
+        true and the desired force, peak_N and commanded_N.
     """
     rate = float(recording.meta["control_rate_hz"])
     owners = list(recording.meta.get("columns", range(len(recording.magnitude_names))))
@@ -463,7 +463,7 @@ def step_answers(recording: Recording, landings: Sequence[float | None]) -> list
 def _answer(
     recording: Recording, rate: float, steps: Sequence[int], k: int, column: int, first: bool
 ) -> dict[str, Any] | None:
-    """What one magnitude does after tick k; None if it was not asked to step there."""
+    """What one magnitude does after tick k; None if it is not commanded to step there."""
     later = [step for step in steps if step > k]
     stop = min([k + max(2, round(STEP_WINDOW_S * rate)), *later, len(recording)])
     some = recording.rows(max(0, k - 3), stop, "alpha_cmd", "alpha_true")
@@ -491,7 +491,7 @@ def _answer(
         "from_N": start,
         "to_N": goal,
         "peak_N": float(truth[worst]),
-        "asked_N": float(command[worst]),
+        "commanded_N": float(command[worst]),
         "overshoot_N": over,
         "overshoot_rel": over / abs(goal - start),
     }

@@ -14,13 +14,12 @@ import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import ContactPair, count_forces
+from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.contacts.raibert_craig import as_raibert_craig
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.plants.own_mujoco import MujocoRobot
 from osc_contact.recorder import Recording
-from osc_contact.runs.contacts import feet
-from osc_contact.runs.references import force_owners
+from osc_contact.runs.contacts import feet, force_owners
 from osc_contact.runs.rig import Rig, build_rig
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array
@@ -40,7 +39,7 @@ class Shown:
 
     Attributes:
         name: in messages. content: of the scene.
-        size: m, of the object as far as its contacts tell.
+        size: m, of the object as far as its contacts reach.
         joints: how many q has.
     """
 
@@ -57,17 +56,11 @@ class Shown:
             return cls(what.scenario.name, content_of(what), size, what.chain.nq)
         if isinstance(what, Shown):
             return what
-        q = np.asarray(what.measure().q)
-        X = what.chain.state(q, np.zeros(len(q))).X_WO if what.contacts else None
-        owners = [i for i, pair in enumerate(what.contacts) for _ in range(count_forces(pair))]
-        names = [pair.name for pair in what.contacts]
-        return _of_picture(
-            what.picture(),
-            what.chain.arms[0].name,
-            (names, owners),
-            object_size(what.contacts, X),
-            len(q),
-        )
+        q, pairs = np.asarray(what.measure().q), what.contacts
+        X = what.chain.state(q, np.zeros(len(q))).X_WO if pairs else None
+        contacts = [pair.name for pair in pairs], force_owners(pairs).tolist()
+        name, size = what.chain.arms[0].name, object_size(pairs, X)
+        return _of_picture(what.picture(), name, contacts, size, len(q))
 
     @classmethod
     def of_recording(cls, recording: Recording) -> Shown:
@@ -187,7 +180,9 @@ def content_of(rig: Rig) -> Content:
     for body in rig.bodies:
         bodies.append(BodyVisual(body.name, *body.urdf, body.placement, face=body.contacts[0]))
     names = tuple(pair.name for pair in rig.pairs)
-    return Content(title(scenario), arms, bodies, names, force_owners(scenario), frame_words(rig))
+    return Content(
+        title(scenario), arms, bodies, names, tuple(rig.owners.tolist()), frame_words(rig)
+    )
 
 
 def open_viewer(what: Scenario | MujocoRobot | Shown, rate: float = 30.0) -> Viewer:
@@ -221,7 +216,7 @@ def best_frame(N: Array, size: float) -> BestFrame:
 
 
 def frame_words(rig: Rig) -> str:
-    """What the legend says about the best single frame, judged at the start."""
+    """Words of the legend about the best single frame, judged at the start."""
     contact: Contact = rig.contact()
     if not contact.r:
         return "best single frame (Raibert–Craig)"
@@ -232,7 +227,7 @@ def frame_words(rig: Rig) -> str:
 
 
 def object_size(pairs: Sequence[ContactPair], X: pin.SE3 | None) -> float:
-    """Length (m) of the object at X as far as its contacts tell, at least 0.1 m."""
+    """Length (m) of the object at X as far as its contacts reach, at least 0.1 m."""
     if not pairs or X is None:
         return 0.1
     vertices = np.vstack([feet(pair, X)[0] for pair in pairs]) - X.translation

@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 #: What `plant.type` may be, and whether that plant is exact: ideal joints, contacts that neither
-#: open nor end. `runs.plants.register_plant` adds to it.
+#: open nor end. `runs.rig.register_plant` adds to it.
 PLANT_TYPES: dict[str, bool] = {"mujoco": False, "rigid": True}
 _LEAST_SLIDING = 0.015  #: s, of the friction of points that slide: with less they lose contact
 
