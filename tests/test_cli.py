@@ -398,7 +398,7 @@ def test_view_refuses_times_that_do_not_grow(
 
 def test_view_refuses_the_wrong_meta(brief: Recording, tmp_path: Path) -> None:
     for key, words in (("contact_names", "its contact_names are"), ("columns", "its columns are"),
-                       ("scenario", "does not say which scenario")):  # fmt: skip
+                       ("scenario", "does not hold the scenario")):  # fmt: skip
         for junk in (5, "x", [], {}, ["a"], [7], {"a": 1}):
             path = view_of(brief, tmp_path, {}, {key: junk})
             assert words in refused("view", path, "--html", tmp_path / "page.html")
@@ -496,7 +496,7 @@ def test_view_refuses_what_it_cannot_show(
     words = refused("view", recording, "--png", tmp_path / "x.png", "--time", "7")
     assert "time 7 s is not in the recording, which spans 0 to 1.04" in words
     Recording({"contact_names": []}, {"t": np.zeros(1)}).save(tmp_path / "bare.npz")
-    assert "does not say which scenario" in refused("view", tmp_path / "bare.npz")
+    assert "does not hold the scenario" in refused("view", tmp_path / "bare.npz")
     with monkeypatch.context() as without:
         without.setitem(sys.modules, "av", None)
         words = refused("view", recording, "--mp4", tmp_path / "x.mp4")
