@@ -135,7 +135,7 @@ def track(
     """
     from meshcat.animation import AnimationClip, AnimationTrack
 
-    changed = (values[1:] != values[:-1]).reshape(len(values) - 1, -1).any(axis=1)
+    changed = np.any(values[1:] != values[:-1], axis=tuple(range(1, values.ndim)))
     if not changed.any():
         return
     kept = np.concatenate(([True], changed)) | np.concatenate((changed, [True]))
