@@ -432,7 +432,7 @@ class Run:
             if verdict.stopped is None and self.controller.state is SAFE_STOP:
                 verdict.stopped, stop_q = (k - self.first) * dt, true.q[act]
                 verdict.reason = self.controller.reason
-                braking = np.abs(true.v[act]) * self.controller.settings.safety.reaction
+                braking = np.abs(true.v[act]) * self.controller._records.row.head.reaction
                 end = max(end, k + round(REST_AFTER / dt))
             verdict.unbraked = verdict.unbraked or self.controller.unbraked is not None
             speeds = np.abs(true.v[act])

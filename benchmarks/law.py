@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from rich.table import Table
 
 from benchmarks.cases import CASES, repeatable
 from benchmarks.measuring import machine, spread, take_turns
 from osc_contact import Controller, Measurement, Reference
-from osc_contact.law import tick as law
 from paper.study import Data, table_of
 
 
@@ -24,11 +22,9 @@ def kernel_call(
         controller: whose tick is timed. measurement, reference: of the tick.
     """
     controller.tick(measurement, reference)
-    r = controller._records
     args = (
-        r.row.raw,
-        r.memory_bytes,
-        r.work_bytes,
+        controller._records.rows.raw,
+        0,
         measurement.q,
         measurement.v,
         measurement.wrenches,
@@ -36,15 +32,7 @@ def kernel_call(
         reference.V_D,
         reference.A_D,
         reference.alpha_d,
-        controller._squeeze,
         controller._still,
-        0,
-        np.empty(controller._n_a),
-        controller._codes,
-        0,
-        law.END,
-        0,
-        1,
     )
     return lambda: controller._rows(*args)
 

@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 
 from osc_contact.dynamics.chain_state import ArmTerms
-from osc_contact.law import tables as at
 from osc_contact.law.arm_terms import arm_terms
 from osc_contact.law.jit import PLAIN_PYTHON
+from osc_contact.law.layout import Rows, new_model, row_of, views
 
 
 def compiled(function):
@@ -16,21 +16,20 @@ def compiled(function):
 
 
 @compiled
-def call(n, tolerance, raw_joints, raw_arm, raw_work, locked):
-    joints, arm = at.read_joint_work(raw_joints, 0, n), at.read_arm_work(raw_arm, 0, 1)[0]
-    return arm_terms(0, n, 6, True, tolerance, joints, arm, at.read_work(raw_work, 0, 1)[0],
-                     locked, 0)  # fmt: skip
+def call(raw, n):
+    t = row_of(raw, 0, 0)
+    return arm_terms(t, 0, n, 6, True, t.work.arms[0], 0)
 
 
 def terms_of(J, gamma, M, h, g, Lambda_o, tolerance):
     """`ArmTerms` of a rigid grasp: J (6, n), γ (6,), M (n, n), h, g (n,), Λ_o (6, 6)."""
     n, L = len(M), np.linalg.cholesky(Lambda_o)  # motions x̃ = Lᵀx, wrenches f̃ = L⁻¹f
-    raw = [np.zeros(size, np.uint8)
-           for size in (n * at.JOINT_WORK_BYTES, at.ARM_WORK_BYTES, at.WORK_BYTES)]  # fmt: skip
-    joints, locked = raw[0].view(at.JOINT_WORK), np.zeros((6, 7))
+    rows = Rows(new_model(1, n, 0))
+    model, _, work, _ = views(rows)
+    model.tolerance, joints, locked = tolerance, work.joints, work.locked_rows
     joints["J"], joints["M"][:, :n] = (L.T @ J).T, M
-    count = call(n, tolerance, *raw, locked)
-    own = raw[1].view(at.ARM_WORK)[0]
+    count = call(rows.raw, n)
+    own = work.arms[0]
     J_bar, Lambda = joints["J_bar"] @ L.T, L @ own["Lambda"] @ L.T
     assert count == own["n_locked"] == 6 - own["n_kept"]
     return ArmTerms(

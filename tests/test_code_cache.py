@@ -158,7 +158,7 @@ def test_an_edit_of_any_source_of_the_law_has_its_entries_compiled_anew(tmp_path
 def test_all_entries_of_the_law_are_cached_in_this_way() -> None:
     from osc_contact.law.code_cache import CodeCache
 
-    entries = limits.prepare, limits.finish, saturation.fill, saturation.settle, rows()
+    entries = limits.prepare, limits.finish, saturation.fill_program, saturation.settle, rows()
     assert [type(entry._cache) for entry in entries] == 5 * [CodeCache]
 
 

@@ -18,7 +18,7 @@ from rich.console import Console
 
 import osc_contact as osc
 from osc_contact import console
-from osc_contact.law import jit, tables
+from osc_contact.law import jit, nested, tables
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import announced, parts_of, rows, tell
 
@@ -38,13 +38,17 @@ def kernel(x):
 
 READERS = """
 import numpy as np
-from osc_contact.law.jit import entry, inner, integers, leaf, matrix, numbers, reader
+from osc_contact.law.jit import entry, inner, leaf
+from osc_contact.law.nested import Nested
 
 HEAD = np.dtype(
     [("count", np.int64), ("mass", np.float64), ("axes", np.float64, (2, 3))], align=True
 )
 ROW = np.dtype([("motor", np.int64), ("force", np.float64, (3,))], align=True)
-read_head, read_rows = reader(HEAD), reader(ROW)
+RECORD = Nested(
+    HEAD, rows=(ROW, "n"), chosen=(np.int64, 2), flat=(np.float64, 6), A=(np.float64, "n", "m"),
+)
+record_at = RECORD.at
 
 
 @leaf
@@ -77,18 +81,15 @@ def walk(count):
 
 @entry
 def work(raw, at, out):
-    head = read_head(raw, 0, 1)[0]
-    rows = read_rows(raw, at, head.count)
+    head = record_at(raw, at)
+    rows, flat, A = head.rows, head.flat, head.A
     for i in range(head.count):
         rows[i].force[1] += total(rows[i].force) * head.mass
         rows[i].motor += 10
     scale(head.axes, 2.0)
     head.axes[1, 2] = rows.shape[0]
-    flat = numbers(raw, at + rows.shape[0] * 32, 8)
-    A = matrix(flat, 2, 2, 2)
-    A[1, 0] = -flat[7]
-    chosen = integers(flat, 0, 2)
-    chosen[1] = walk(4) + chosen[0]
+    A[A.shape[0] - 1, A.shape[1] - 1] = -flat[5]
+    head.chosen[1] = walk(4) + head.chosen[0]
     out[0] = 1.0 / (head.mass - head.mass)  # as C does it, not as Python
     return A[0, 1]
 """
@@ -161,29 +162,30 @@ def parts(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mo
     path.write_text(READERS)
     if request.param == "plain":
         monkeypatch.setattr(config, "DISABLE_JIT", 1)
-        monkeypatch.setitem(sys.modules, "osc_contact.law.jit", load(Path(jit.__file__)))
+        for module in (jit, nested):
+            monkeypatch.setitem(sys.modules, module.__name__, load(Path(module.__file__)))
     module = load(path)
     assert hasattr(module.work, "signatures") == (request.param == "compiled" and not PLAIN)
     return module
 
 
 def test_parts_of_the_law_read_bytes_as_records_without_a_copy(parts: Any) -> None:
-    head, rows, flat = np.zeros(1, parts.HEAD), np.zeros(3, parts.ROW), np.arange(8.0)
-    head["count"], head["mass"], head["axes"] = 3, 0.5, np.arange(6.0).reshape(2, 3)
-    rows["motor"], rows["force"] = [0, 1, 2], np.arange(9.0).reshape(3, 3)
-    flat[:2].view(np.int64)[:] = [5, 0]
-    gap = np.full(8, 255, np.uint8)
-    raw = np.concatenate([head.view(np.uint8), gap, *(x.view(np.uint8) for x in (rows, flat))])
-    first, out, at = raw.copy(), np.zeros(1), head.nbytes + len(gap)
-    assert parts.work(raw, at, out) == 3.0
+    record = parts.RECORD.new({"n": 3, "m": 2})
+    gap = np.full(64, 255, np.uint8)
+    raw, out, at = np.concatenate([gap, record, gap]), np.zeros(1), len(gap)
+    view = parts.RECORD.view(raw[at : at + len(record)])
+    view.count, view.mass, view.axes = 3, 0.5, np.arange(6.0).reshape(2, 3)
+    view.rows["motor"], view.rows["force"] = [0, 1, 2], np.arange(9.0).reshape(3, 3)
+    view.chosen[:], view.flat[:], view.A[:] = [5, 0], np.arange(6.0), np.arange(6.0).reshape(3, 2)
+    first = raw.copy()
+    assert parts.work(raw, at, out) == 1.0
     assert out[0] == np.inf
-    head, after = raw[: head.nbytes].view(parts.HEAD)[0], raw[at:]
-    assert head["axes"].tolist() == [[0, 2, 4], [6, 8, 3]] and (raw[at - 8 : at] == 255).all()
-    rows, flat = after[: rows.nbytes].view(parts.ROW), after[rows.nbytes :].view(np.float64)
-    assert rows["motor"].tolist() == [10, 11, 12]
-    assert rows["force"].tolist() == [[0, 1 + 1.5, 2], [3, 4 + 6.0, 5], [6, 7 + 10.5, 8]]
-    assert flat[2:].tolist() == [2, 3, -7, 5, 6, 7]
-    assert flat[:2].view(np.int64).tolist() == [5, 12]
+    assert (raw[:at] == 255).all() and (raw[at + len(record) :] == 255).all()
+    assert view.axes.tolist() == [[0, 2, 4], [6, 8, 3]]
+    assert view.rows.motor.tolist() == [10, 11, 12]
+    assert view.rows.force.tolist() == [[0, 1 + 1.5, 2], [3, 4 + 6.0, 5], [6, 7 + 10.5, 8]]
+    assert view.flat.tolist() == [0, 1, 2, 3, 4, 5] and view.chosen.tolist() == [5, 12]
+    assert view.A.tolist() == [[0, 1], [2, 3], [4, -5]]
     parts.work(first, np.int64(at), out)
     assert (first == raw).all()
     if hasattr(parts.work, "signatures"):
@@ -191,7 +193,11 @@ def test_parts_of_the_law_read_bytes_as_records_without_a_copy(parts: Any) -> No
         assert jit._INNER is jit._PLAIN or len(parts.step.signatures) == 1, "and all constants"
 
 
-RECORDS = {name: x for name, x in vars(tables).items() if isinstance(x, np.dtype)}
+RECORDS = {
+    name: x if isinstance(x, np.dtype) else x.dtype
+    for name, x in vars(tables).items()
+    if isinstance(x, np.dtype | nested.Nested)
+}
 
 
 @pytest.mark.parametrize("name", RECORDS)

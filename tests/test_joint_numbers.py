@@ -14,8 +14,7 @@ from osc_contact import robots
 from osc_contact.control.model_row import TURNING_SLIP
 from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
 from osc_contact.interface import Measurement, Reference
-from osc_contact.law.layout import records
-from osc_contact.law.tables import CHAIN, JOINT
+from osc_contact.law.tables import MODEL
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.report import verdict_table
@@ -261,8 +260,7 @@ def test_the_constructor_judges_rotors_too():
     chain = panda(armature=ROTORS)
     row = chain.law_row(led=False).copy()
     require_pinocchio_agrees(chain, row)
-    head = records(row, 0, 1, CHAIN)[0]
-    records(row, int(head.joints_at), 7, JOINT).armature[3] = 0.0
+    MODEL.view(row).joints.armature[3] = 0.0
     with pytest.raises(osc.ModelError, match="law's M differs"):
         require_pinocchio_agrees(chain, row)
 

@@ -20,8 +20,7 @@ from rigs import panda_pair, placed, random_faces, random_state
 import osc_contact as osc
 from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
 from osc_contact.interface import Measurement, Reference, Touched
-from osc_contact.law.layout import records
-from osc_contact.law.tables import CHAIN, JOINT
+from osc_contact.law.tables import MODEL
 
 UNLIMITED = osc.SafetySettings.motors_only()  # states that follow one another are no motion
 
@@ -186,8 +185,7 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
         np.testing.assert_allclose(state.h, data.nle, rtol=0, atol=1e-10 * np.abs(data.nle).max())
     row = chain.law_row(led=False).copy()
     require_pinocchio_agrees(chain, row)
-    head = records(row, 0, 1, CHAIN)[0]
-    records(row, int(head.joints_at), 7, JOINT).link[3][0] *= 1.0 + 1e-6
+    MODEL.view(row).joints.link[3][0] *= 1.0 + 1e-6
     with pytest.raises(osc.ModelError, match="differs from Pinocchio"):
         require_pinocchio_agrees(chain, row)
 

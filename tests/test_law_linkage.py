@@ -20,7 +20,8 @@ from test_linkage import settable_bars as by_svd
 import osc_contact as osc
 from osc_contact.dynamics.arm import effort_scale
 from osc_contact.law.jit import PLAIN_PYTHON
-from osc_contact.law.linkage import scratch_size, settable_bars
+from osc_contact.law.layout import Rows, new_model, row_of, views
+from osc_contact.law.linkage import settable_bars
 
 
 def compiled(function):
@@ -28,14 +29,14 @@ def compiled(function):
 
 
 @compiled
-def call(*given):
-    return settable_bars(*given)
+def call(raw, n_locked):
+    return settable_bars(row_of(raw, 0, 0), n_locked)
 
 
 @compiled
-def often(times, *given):
+def often(times, raw, n_locked):
     for _ in range(times):
-        settable_bars(*given)
+        settable_bars(row_of(raw, 0, 0), n_locked)
 
 
 def given(state, chain):
@@ -53,19 +54,25 @@ def given(state, chain):
     )  # fmt: skip
 
 
-def outputs(k, n):
-    """levers, basis, scratch, as small as they may be and filled with NaN."""
-    bars = k * (k - 1) // 2
-    return (
-        np.full((bars, n), np.nan), np.full((bars, min(bars, 3 * k - 6)), np.nan),
-        np.full(scratch_size(k, n), np.nan),
-    )  # fmt: skip
+def placed(what):
+    """What is given in the records of a tick, and NaN where answers and scratch stand."""
+    k, n, points, first, end, force_levers, G, effort, locked, owners, n_locked, tolerance = what
+    rows = Rows(new_model(k, n, 0))
+    model, _, work, _ = views(rows)
+    model.tolerance, model.arms.first, model.arms.end = tolerance, first, end
+    work.points[:], work.force_levers[:], work.efforts[:] = points, force_levers, effort
+    work.driven[:, : G.shape[1]] = G
+    work.carried[:n_locked], work.owners[:n_locked] = locked, owners
+    for out in (work.levers, work.basis, work.scratch):
+        out[:] = np.nan
+    return rows, n_locked
 
 
 def answer(what):
     """(levers, basis (bars, s))."""
-    levers, basis, scratch = outputs(*what[:2])
-    s, bars = call(*what, levers, basis, scratch), len(levers)
+    rows, n_locked = placed(what)
+    s, work = call(rows.raw, n_locked), views(rows).work
+    levers, basis, bars = work.levers, work.basis, len(work.levers)
     np.testing.assert_allclose(basis[:, :s].T @ basis[:, :s], np.eye(s), atol=1e-12)
     assert s < bars or (basis == np.eye(bars)).all()
     return levers, basis[:, :s]
@@ -273,10 +280,10 @@ def replay(source, target):
     np.savez(target, **out)
     if PLAIN_PYTHON:
         return
-    made, before = outputs(*what[:2]), []
+    (rows, n_locked), before = placed(what), []
     for times in (1, 1, 1000, 0):
         before.append(rtsys.get_allocation_stats().alloc)
-        often(times, *what, *made)
+        often(times, rows.raw, n_locked)
     assert before[3] - before[2] == before[2] - before[1], before
 
 

@@ -13,10 +13,11 @@ from types import SimpleNamespace as Record
 import numpy as np
 import pinocchio as pin
 import pytest
-from law_calls import algebra, contact, held_object, motion, six, tilt
+from law_calls import algebra, contact, held_object, motion, six, tick_of, tilt
 from law_calls import columns as columns_of_N
 
 from osc_contact.law import tables as at
+from osc_contact.law.contact import Motion
 
 SEEDS = pytest.mark.parametrize("seed", range(6))
 close = np.testing.assert_allclose
@@ -285,7 +286,7 @@ def test_lower_factor_and_orthonormal_rows(m, r):
         close(A @ x[:r], b[:r], atol=1e-9)
         assert x[r] == b[r]
     x, wanted = rng.normal(size=6), rng.normal(size=r)
-    algebra.meet(Q, r, y := x.copy(), wanted)
+    algebra.project_onto_constraint(Q, r, y := x.copy(), wanted)
     close(y, x + Q.T @ (wanted - Q @ x), atol=1e-12)
 
 
@@ -331,7 +332,13 @@ def test_pose_errors_and_the_motion_law(seed):
     close(out[3:], pin.log3(D.rotation @ B.rotation.T), atol=1e-7)
     error, integral, V_D, A_D, V_O = rng.normal(size=(5, 6))
     K, k_d, k_i = rng.uniform(1.0, 9.0, 3)
-    motion.command_motion(error, integral, V_D, A_D, V_O, K, k_d, k_i, out)
+    motion.command_motion(
+        tick_of(
+            work=Record(error=error, motion_next=integral, V_O=V_O, a_u=out),
+            input=Record(V_D=V_D, A_D=A_D),
+            model=Record(stiffness=K, damping=k_d, integral=k_i),
+        )
+    )
     wanted = A_D + k_d * (V_D - V_O) + K * error + k_i * integral
     wanted[:3] -= np.cross(V_O[3:], V_O[:3])
     close(out, wanted, atol=1e-12)
@@ -460,9 +467,15 @@ def test_a_believed_face_turns_to_what_slides_on_it(kind, seed):
     for most in (9.0, 0.5 * np.linalg.norm(want)):
         column = Record(N=N, turn=turned, drift=drift, turned=np.zeros(3), slides=9.0)
         tilt.follow_face(
-            Record(drift_share=0.3, tilt=most), kind, row, X.homogeneous, E.homogeneous, V_rel,
-            V_goal, column,
-        )  # fmt: skip
+            tick_of(model=Record(drift_share=0.3, tilt=most)),
+            kind,
+            row,
+            X.homogeneous,
+            E.homogeneous,
+            V_rel,
+            V_goal,
+            column,
+        )
         close(column.turned, want * min(1.0, most / np.linalg.norm(want)), atol=1e-10)
         close(column.slides, sigma if most == 9.0 else 0.0, rtol=1e-9)
 
@@ -471,7 +484,7 @@ def test_turns_are_taken_from_the_last_tick():
     memory = [Record(drift=0.1 * j, turn=np.arange(3.0) + j) for j in range(3)]
     columns = [Record(drift=9.0, slides=9.0, turn=np.full(3, 9.0), turned=np.full(3, 9.0))
                for _ in range(3)]  # fmt: skip
-    tilt.take_turns(Record(n_columns=2), memory, columns)
+    tilt.take_turns(tick_of(model=Record(n_columns=2), memory_columns=memory, work_columns=columns))
     for j in range(2):
         assert (columns[j].drift, columns[j].slides) == (memory[j].drift, 0.0)
         np.testing.assert_array_equal(columns[j].turn, memory[j].turn)
@@ -517,10 +530,8 @@ def test_lines_of_force_their_points_and_their_rates(kind, seed):
     turned = 0.1 * rng.normal(size=3) * (kind != at.EDGES)
     column = Record(N=np.zeros(6), turn=turned, n_gamma_all=0.0)
     pair, shapes = Record(kind=kind, first=1, count=1, shape_at=2), [None, None, Record(row=row)]
-    sine = contact.place_pair(
-        pair, shapes, [None, column], X.homogeneous, V_O, E.homogeneous, V_E, V_O - V_E, True,
-        np.zeros(6),
-    )  # fmt: skip
+    motion = Motion(X.homogeneous, V_O, E.homogeneous, V_E, V_O - V_E, True)
+    sine = contact.place_pair(pair, shapes, [None, column], motion, np.zeros(6))
     at_O = pin.SE3(np.eye(3), X.translation)
 
     def moved(B, V, t):
@@ -560,12 +571,30 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     pair = Record(kind=at.POINTS, first=0, count=1, shape_at=0, has_friction=1)
     column = Record(N=np.zeros(6), turn=np.zeros(3), n_gamma_all=0.0, slip=np.zeros(3),
                     point=np.zeros(3), friction_wrench=np.zeros(6))  # fmt: skip
-    work = Record(A=np.zeros((6, 6)), u=np.zeros(6), w=np.zeros(6), y=np.zeros(6), z=np.zeros(6),
-                  A_D=A_D, V_D=np.zeros(6), mu=mu)  # fmt: skip
+    work = Record(
+        A=np.zeros((6, 6)),
+        u=np.zeros(6),
+        w=np.zeros(6),
+        y=np.zeros(6),
+        z=np.zeros(6),
+        A_D=A_D,
+        V_D=np.zeros(6),
+        mu=mu,
+        X_WO=X.homogeneous,
+        V_O=V_O,
+        moving=moving,
+    )
     chain = Record(n_pairs=1, tilt=0.0, reading=at.LEAST_SQUARES, period=dt, slip=slip)
     motion_of = np.concatenate((E.homogeneous.ravel(), V_W, np.zeros(6)))[None]
     assert contact.place_contacts(
-        chain, [pair], [Record(row=row)], [column], X.homogeneous, V_O, motion_of, moving, work
+        tick_of(
+            model=chain,
+            model_pairs=[pair],
+            model_shapes=[Record(row=row)],
+            work_columns=[column],
+            input_touched=motion_of,
+            work=work,
+        )
     )
     if not moving:
         E, V_W = pin.SE3.Identity(), np.zeros(6)
@@ -582,7 +611,14 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     close(column.friction_wrench, mu * np.append(s, np.cross(p, s)), atol=1e-10)
     chain.reading, column.slip[:] = at.FILTER, 9.0
     contact.place_contacts(
-        chain, [pair], [Record(row=row)], [column], X.homogeneous, V_O, motion_of, moving, work
+        tick_of(
+            model=chain,
+            model_pairs=[pair],
+            model_shapes=[Record(row=row)],
+            work_columns=[column],
+            input_touched=motion_of,
+            work=work,
+        )
     )
     assert (column.slip[0] == 9.0) == (mu == 0.0), "nobody asks"
 
@@ -602,7 +638,10 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
                 Record(n_gamma=n_gamma[1], share=[0.0, 1.0], extent=1.0, chosen=2),
                 Record(n_gamma=implied, share=share, extent=1.0, chosen=7)]  # fmt: skip
         work = Record(keep=[0.0, 1.0], where=-1, amount=0.0)
-        check = columns_of_N._consistent
+
+        def check(rows, count, rank, work):
+            return columns_of_N._consistent(tick_of(work_columns=rows, work=work), count, rank)
+
         assert check(rows, 3, 2, work)
         most = max(summands, 2.0 * np.abs(n_gamma).max())
         for off, fine in ((0.5e-5, True), (-0.5e-5, True), (2e-5, False), (-2e-5, False)):

@@ -12,17 +12,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from law_calls import phases as law
+from law_calls import tick_of
 from numba import njit
 
-from osc_contact.law import tables
+from osc_contact.law.layout import Rows, new_model, row_of, views
 from osc_contact.law.phases import (
     APPROACHING,
     CLOSED,
     OPEN,
     advance_phases,
-    expect,
     low_pass,
     monitor,
+    predict_force,
     remap_force_sums,
     set_goals,
     slew,
@@ -38,55 +39,36 @@ compiled = njit(error_model="numpy")  # not `entry`: what is cached would not no
 
 
 @compiled
-def begin_tick(
-    chains, bodies, columns, contacts, column_memory, memories, wanted, judge, kept, goal
-):
-    chain, memory, changed = chains[0], memories[0], False
+def begin_tick(raw, judge):
+    t, changed = row_of(raw, 0, 0), False
     if judge:
-        changed = advance_phases(
-            chain, bodies, columns, contacts, column_memory, wanted, kept, chain.period
-        )
-        remap_force_sums(chain, memory, columns, contacts, kept, goal)
-    set_goals(chain, bodies, columns, contacts, column_memory, wanted, goal)
+        changed = advance_phases(t)
+        remap_force_sums(t)
+    set_goals(t)
     return changed
 
 
 @compiled
-def end_tick(chains, column_memory, here, alpha, speed, D, chosen, r, independent, A, b, goal, hot):
-    chain = chains[0]
-    for j in range(len(here)):
-        if here[j]:
-            expect(chain, column_memory[j], goal[j], hot, chain.period)
+def end_tick(raw, independent, hot):
+    t = row_of(raw, 0, 0)
+    for j in range(t.model.n_columns):
+        if t.work.here[j]:
+            predict_force(t, t.memory.columns[j], t.work.goal[j], hot, t.model.period)
         else:
-            column_memory[j].expected = 0.0
-    low_pass(
-        column_memory, len(here), here, alpha, speed, D, chosen, r, independent, chain.period,
-        chain.lag, A, b,
-    )  # fmt: skip
+            t.memory.columns[j].predicted = 0.0
+    low_pass(t, independent)
 
 
 @compiled
-def judge_all(column_memory, force, speed, dt, limits, more):
+def judge_all(raw, force, speed, dt, dwell, more):
+    t = row_of(raw, 0, 0)
     for j in range(len(force)):
-        monitor(
-            column_memory[j], force[j], speed[j], dt, limits[0], limits[1], limits[2], limits[3],
-            limits[4], limits[5], limits[6], more[j],
-        )  # fmt: skip
+        monitor(t.model, t.memory.columns[j], force[j], speed[j], dt, dwell, more[j])
 
 
 @compiled
 def slew_all(tau, last, step):
     slew(tau, last, step, len(tau))
-
-
-def rows_of(dtype, count=1):
-    """Records, all zero."""
-    return np.zeros(count, dtype).view(np.recarray)
-
-
-def limit_values(limits):
-    names = ("force_on", "force_off", "power", "patience", "window", "dwell", "leaving")
-    return np.array([getattr(limits, name) for name in names])
 
 
 class Phases:
@@ -96,14 +78,12 @@ class Phases:
         k = PhaseSettings() if k is None else k
         owners, pushing = np.asarray(owners), np.asarray(pushing, dtype=bool)
         self.owners, self.n, count = owners, len(owners), len(pushing)
-        chains, memories = rows_of(tables.CHAIN), rows_of(tables.MEMORY)
-        bodies, columns = rows_of(tables.BODY, count), rows_of(tables.COLUMN, self.n)
-        self.contacts = rows_of(tables.CONTACT_MEMORY, count)
-        self.columns = rows_of(tables.COLUMN_MEMORY, self.n)
-        self.chain, self.memory = chains[0], memories[0]
-        self.tables = chains, bodies, columns, self.contacts, self.columns, memories
+        self.rows = Rows(new_model(1, 1, 1, count, 0, self.n))
+        self.chain, self.memory, self.work, _ = views(self.rows)
+        self.contacts, self.columns = self.memory.contacts, self.memory.columns
+        self.kept, self.work.dt = self.work.here, dt
         values = {
-            "n_columns": self.n, "n_contacts": count, "period": dt,
+            "period": dt,
             "force_gain": GAINS.integral, "force_damping": GAINS.damping,
             "approach_speed": k.speed, "approach_damping": k.damping, "travel": k.travel,
             "rise": k.rise, "least_force": k.least, "torque_rate": k.torque_rate,
@@ -112,13 +92,11 @@ class Phases:
         values |= {key: getattr(k, key) for key in MonitorLimits.model_fields}
         for name, value in values.items():
             setattr(self.chain, name, value)
-        bodies.pushes, columns.contact = pushing, owners
+        self.chain.bodies.pushes, self.chain.columns.contact = pushing, owners
         self.contacts.phase = np.where(pushing, OPEN, CLOSED) if phase is None else phase
         self.contacts.active = self.contacts.phase != OPEN
         self.contacts.since = np.inf
         self.columns.closed = (self.contacts.phase == CLOSED)[owners]
-        self.kept, self.A, self.b = np.zeros(self.n), np.zeros((9, 9)), np.zeros((1, 9))
-        self.goal = np.zeros(self.n)
 
     @property
     def here(self):
@@ -127,19 +105,18 @@ class Phases:
 
     def begin(self, wanted, judge=True):
         """Start a tick; returns whether N has changed, and the goals."""
-        wanted, self.goal = np.array(wanted, dtype=float), np.full(self.n, np.nan)
-        changed = begin_tick(*self.tables, wanted, judge, self.kept, self.goal)
-        return changed, self.goal.copy()
+        self.work.goal[:] = wanted
+        changed = begin_tick(self.rows.raw, judge)
+        return changed, self.work.goal.copy()
 
     def end(self, alpha, speed, D=None, independent=False, chosen=None, limited=False):
         """End a tick with what was measured; D (r, r) is of the columns chosen, or all in N."""
         chosen = np.flatnonzero(self.here) if chosen is None else chosen
         D = np.eye(len(chosen)) if D is None else D
-        end_tick(
-            self.tables[0], self.columns, self.here, np.asarray(alpha, float),
-            np.asarray(speed, float), D, chosen, len(chosen), independent, self.A, self.b,
-            self.goal, limited,
-        )  # fmt: skip
+        self.work.rank = r = len(chosen)
+        self.work.chosen[:r], self.work.mobility[:r, :r] = chosen, D
+        self.work.here[:], self.work.alpha[:], self.work.speeds[:] = self.here, alpha, speed
+        end_tick(self.rows.raw, independent, limited)
 
     @property
     def sums(self):
@@ -148,7 +125,7 @@ class Phases:
 
     def image(self):
         """All that is remembered, as bytes."""
-        return np.frombuffer(b"".join(rows.tobytes() for rows in self.tables[3:]), np.uint8)
+        return self.rows.memory[0].copy()
 
 
 # --- rules, whatever happens ----------------------------------------------------------------------
@@ -253,7 +230,7 @@ def test_an_approach_that_finds_nothing_stands_still():
         (2.1, k.speed, k.speed, 0.0),
     ):
         phases.contacts[0].since = t
-        phases.columns[0].pace, phases.columns[0].speed = pace, speed
+        phases.columns[0].filtered_speed, phases.columns[0].speed = pace, speed
         assert phases.begin(np.full(4, 10.0), judge=False)[1][0] == pytest.approx(push)
 
 
@@ -275,7 +252,7 @@ def test_torques_go_gently_around_a_change_but_for_fast_joints():
     def rate(since, share=0.0, phased=1):
         chain = SimpleNamespace(torque_rate=200.0, phase_rate=20.0, phased=phased, n_contacts=2)
         rows = [SimpleNamespace(since=9.0), SimpleNamespace(since=since)]
-        return law.torque_rate(chain, rows, share)
+        return law.torque_rate(tick_of(model=chain, memory_contacts=rows), share)
 
     assert rate(0.099) == 20.0 and rate(0.101) == 200.0 and rate(0.0, phased=0) == 200.0
     assert rate(0.0, 0.5) == pytest.approx(45.0) and rate(0.101, 0.5) == 200.0
@@ -285,7 +262,9 @@ def test_torques_go_gently_around_a_change_but_for_fast_joints():
     table = [SimpleNamespace(speed_max=s) for s in (2.0, 0.5, np.inf)]
     for v, most in (((1.0, 0.1, 9.0), 0.5), ((-1.0, 0.4, 0.0), 0.8), ((0.1, -0.4, 0.0), 0.8)):
         joints = [SimpleNamespace(v=x) for x in v]
-        assert law.haste(chain, table, joints) == pytest.approx(most)
+        assert law.max_speed_ratio(
+            tick_of(model=chain, model_joints=table, work_joints=joints)
+        ) == pytest.approx(most)
 
 
 def meet(alpha, speed, mass=0.5, k=None, ticks=700):
@@ -339,7 +318,7 @@ def test_a_lost_contact_is_astray_until_it_is_held_again():
         for _ in range(count):
             phases.end([alpha], [0.0], np.eye(1), independent=True)
             phases.begin(wanted)
-            seen.append(phases.columns[0].astray)
+            seen.append(phases.columns[0].time_since_loss)
     seen = np.array(seen)
     first = np.flatnonzero(seen)[0]
     assert 100 < first < 200 and (seen[: first - 1] == 0.0).all()
@@ -350,7 +329,7 @@ def test_a_lost_contact_is_astray_until_it_is_held_again():
     for _ in range(200):
         start.begin(wanted)
         start.end([0.0], [0.0], np.eye(1), independent=True)
-    assert start.columns[0].astray == 0.0, "it was never there"
+    assert start.columns[0].time_since_loss == 0.0, "it was never there"
 
 
 @settings(max_examples=50, deadline=None)
@@ -525,7 +504,8 @@ def test_one_magnitude_is_judged_by_its_rules(seed):
     limits = random_contacts(rng)[2]
     if rng.random() < 0.2:
         limits = limits.replaced(patience=0.0, leaving=1e-12)
-    rows = rows_of(tables.COLUMN_MEMORY, 4)
+    phases = Phases(range(4), [True] * 4, limits)
+    rows = phases.columns
     rows.closed = rng.integers(0, 2, 4)
     states = [(bool(closed), 0.0, 0.0, 0.0, 0.0, False) for closed in rows.closed]
     names = "closed", "low_for", "high_for", "burst", "armed_for", "collision"
@@ -534,7 +514,7 @@ def test_one_magnitude_is_judged_by_its_rules(seed):
         more = np.where(rng.random(4) < 0.3, rng.uniform(0, 5, 4), 0.0)
         given = zip(states, alpha, speed, more, strict=True)
         states = [watched(one, a, v, DT, limits, extra) for one, a, v, extra in given]
-        judge_all(rows, alpha, speed, DT, limit_values(limits), more)
+        judge_all(phases.rows.raw, alpha, speed, DT, limits.dwell, more)
         for row, state in zip(rows, states, strict=True):
             assert tuple(row[name] for name in names) == state
 
@@ -566,7 +546,7 @@ def test_measurements_are_low_passed_and_freed_of_inertia(seed):
         phases.end(alpha, speed, D, independent)
         size = 1e-12 * max(1.0, np.linalg.cond(D) if count else 1.0)
         for name, want in {
-            "force": force, "pace": pace, "known": known, "noise": noise, "alpha": alpha,
+            "force": force, "filtered_speed": pace, "known": known, "noise": noise, "alpha": alpha,
             "speed": speed, "net": here * (force - flying),
         }.items():  # fmt: skip
             np.testing.assert_allclose(phases.columns[name], want, 1e-12, size, err_msg=name)

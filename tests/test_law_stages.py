@@ -21,6 +21,7 @@ from law_calls import (
     safety,
     singular,
     stages,
+    tick_of,
     verdict,
 )
 from law_calls import command_filter as command
@@ -30,9 +31,10 @@ from test_law_parts import SEEDS, close, pose, rng_of, turn
 
 import osc_contact as osc
 from osc_contact.law import tables as at
-from osc_contact.law.layout import records
+from osc_contact.law.layout import Rows, new_model, views
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
 from osc_contact.law.saturation import settle
+from osc_contact.law.tick import MOVING
 
 
 def wrench_at(p):
@@ -75,7 +77,7 @@ def test_energy_coordinates(seed):
     close(out, V, atol=1e-10)
     inertia = pin.Inertia(2.0, e.C - e.O, e.R @ np.diag(e.roots[1:] ** 2) @ e.R.T)
     close((e.motion @ V) @ (e.motion @ V), inertia.vtiv(pin.Motion(V)), rtol=1e-9)
-    allocation._energy_of(Record(**e.given()), f, out)
+    allocation._energy_of(tick_of(work=Record(**e.given())), f, out)
     close(out, e.wrench @ f, atol=1e-10)
 
 
@@ -101,7 +103,17 @@ def test_readings_of_the_wrists_add_up(seed):
             total += at_O.act(pin.Force(wrenches[k])).vector
     work = Record(**e.given(), reading_e=np.ones(6), f_meas=np.ones(6), y=np.zeros(6),
                   s=np.zeros(16), u=np.zeros(6), bias_e=bias)  # fmt: skip
-    force.sum_readings(Record(n_arms=3), arms, [None] * 3, joints, work, wrenches, tare)
+    force.sum_readings(
+        tick_of(
+            model=Record(n_arms=3),
+            model_arms=arms,
+            work_arms=[None] * 3,
+            work_joints=joints,
+            work=work,
+            input_wrenches=wrenches,
+            memory=Record(f_tare=tare),
+        )
+    )
     close(work.f_meas, total - tare, atol=1e-10)
     close(work.reading_e, e.wrench @ (total - tare) - bias, atol=1e-9)
 
@@ -118,7 +130,7 @@ def test_friction_goes_with_the_magnitudes(dependent):
     for mu in (0.0, 0.4):
         work = Record(**e.given(), rank=r, count=3, mu=mu, N=N, u=np.zeros(6),
                       pushed=np.ones((6, 6)), friction_wrenches=np.ones((6, 6)))  # fmt: skip
-        force.add_friction(columns, work)
+        force.add_friction(tick_of(work_columns=columns, work=work))
         close(work.friction_wrenches[:r], (mu > 0.0) * D, atol=1e-10)
         close(work.pushed[:r], N[:r] + (mu > 0.0) * D @ e.wrench.T, atol=1e-9)
 
@@ -153,7 +165,7 @@ class Filter:
         self.work.pushed[:r], self.work.Phi_mu[:r, :r] = self.pushed, self.Phi
 
     def measure(self):
-        assert force.measure_magnitudes(self.chain, self.work)
+        assert force.measure_magnitudes(tick_of(model=self.chain, work=self.work))
         assert self.work.alpha_meas[self.r :].tolist() == [7.0] * (6 - self.r)
         return self.work.alpha_meas[: self.r]
 
@@ -176,10 +188,10 @@ def test_magnitudes_with_what_the_object_takes(r):
     close(case.work.mobility[:r, :r], mobility, atol=1e-8)
     assert case.work.weightless == 0
     case.work.out_T[:, 2] = case.work.out_T[:, 4]
-    assert not force.measure_magnitudes(case.chain, case.work)
+    assert not force.measure_magnitudes(tick_of(model=case.chain, work=case.work))
     case = Filter(r, r)
     case.work.pushed[:r] = case.work.Phi_mu[:r, :r] = 0.0  # nobody pushes and nobody yields
-    assert not force.measure_magnitudes(case.chain, case.work)
+    assert not force.measure_magnitudes(tick_of(model=case.chain, work=case.work))
 
 
 @pytest.mark.parametrize(("r", "m"), [(1, 0), (3, 0), (2, 1), (1, 3), (2, 3), (3, 2), (1, 5)])
@@ -195,7 +207,7 @@ def test_magnitudes_at_a_tip_that_has_inertia(r, m):
         P = case.S @ case.S.T  # of no inertia along one of the tip's motions
         P -= np.outer(case.S[:, 0], case.S[:, 0])
         case.work.out_T = (case.Lambda @ P).T
-        assert not force.measure_magnitudes(case.chain, case.work)
+        assert not force.measure_magnitudes(tick_of(model=case.chain, work=case.work))
 
 
 @pytest.mark.parametrize("r", [1, 3, 6])
@@ -215,7 +227,24 @@ def ask_force(alpha_d, alpha_meas, speed, integral, least=-inf, gain=20.0, dampi
     full = [np.array([1.0, x, 2.0]) for x in
             (alpha_d, alpha_meas, speed, integral, gain, damping, least)]  # fmt: skip
     a_d, a_m, s, i, g, d, floor = full
-    force.command_force(2, a_d, a_m, s, i, g, d, floor, most, 1e-3, after, out)
+    force.command_force(
+        tick_of(
+            work=Record(
+                rank=2,
+                alpha_d=a_d,
+                felt=a_m,
+                speed=s,
+                w=i,
+                gain=g,
+                damping=d,
+                least=floor,
+                dt=1e-3,
+                force_next=after,
+                alpha_u=out,
+            ),
+            model=Record(integral_force=most),
+        )
+    )
     assert after[2] == out[2] == 0.0 and after[0] == 1.0
     return out[1], after[1]
 
@@ -247,7 +276,9 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     columns = [Record(chosen=c) for c in (2, 0, 1)]
     laws = {name: np.full(3, 7.0) for name in ("gain", "damping", "brake", "least")}
     work = Record(rank=2, count=3 if dependent else 2, keep=[1.0, 0.0], **laws)
-    force.contact_laws(table, contacts, columns, work)
+    force.contact_laws(
+        tick_of(model_columns=table, memory_contacts=contacts, work_columns=columns, work=work)
+    )
     found = np.array([work.gain, work.damping, work.least, work.brake])
     want = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]]
     if not dependent:
@@ -263,7 +294,11 @@ def test_bodies_yield_to_forces_on_themselves(seed):
     columns = [Record(chosen=c) for c in (1, 2, 0)]
     work = Record(rank=3, keep=[2.0, 0.0, 1.0], yields=yields, s=np.full(6, 7.0))
     for body in (0, 1):
-        least_squares._yield_to(table, bodies, columns, work, f, body)
+        least_squares._yield_to(
+            tick_of(model_columns=table, model_bodies=bodies, work_columns=columns, work=work),
+            f,
+            body,
+        )
         owners = [same[table[columns[int(a)].chosen].contact] for a in work.keep]
         want = [yields[a] @ f if owners[a] == body else 0.0 for a in range(3)]
         close(work.s[:3], want, atol=1e-12)
@@ -278,14 +313,19 @@ def test_the_least_squares_know_departures_and_tangents(seed):
     R, r = np.zeros((6, 6)), 2
     work = Record(**e.given(), rank=r, count=2, out_T=Lambda.T.copy(), Q=Q, moving=0,
                   z=np.zeros(6), w=np.zeros(6))  # fmt: skip
-    least_squares._weigh_departure(mass, work, R)
+    least_squares._weigh_departure(tick_of(work=work), mass, R)
     P = np.eye(6) - Q[:r].T @ Q[:r]
     want = 0.01 * mass * Lambda @ P @ Lambda.T + 1e-4 / mass * np.eye(6)
     close(R, want, atol=1e-10)
     columns = [Record(chosen=c, N=rng.normal(size=6), point=rng.normal(size=3),
                       slip=0.7 * turn(rng)[0]) for c in (2, 0, 1)]  # fmt: skip
     goal = np.array([0.3, 9.0, -4.0])
-    largest = least_squares._weigh_tangents(None, None, columns, work, goal, R)
+    largest = least_squares._weigh_tangents(
+        tick_of(
+            model_columns=None, model_bodies=None, work_columns=columns, work=work, work_goal=goal
+        ),
+        R,
+    )
     assert largest == 4.0
     for c, w in ((2, 4.0), (0, 1.0)):  # no less than 1 N
         n = columns[c].N[:3] / np.linalg.norm(columns[c].N[:3])
@@ -333,7 +373,12 @@ class Stop:
 def test_a_share_of_the_object_follows_the_joints(seed):
     stop, out = Stop(seed), np.full(6, 7.0)
     for mass in (2.0, 0.0):
-        safety._accelerate_object(stop.chain, stop.arms[1], stop.joints, stop.work, mass, out)
+        safety._accelerate_object(
+            tick_of(model=stop.chain, work_joints=stop.joints, work=stop.work),
+            stop.arms[1],
+            mass,
+            out,
+        )
         close(out, stop.pull(mass), atol=1e-10)
 
 
@@ -352,7 +397,14 @@ def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
             other = stop.table[3 - j]
             other.tau_max = abs(carry[1 - j]) + 5.0 * abs(brake[1 - j])
             share = safety._split_torques(
-                stop.chain, stop.arms[1], stop.table, stop.joints, stop.work, 2.0
+                tick_of(
+                    model=stop.chain,
+                    model_joints=stop.table,
+                    work_joints=stop.joints,
+                    work=stop.work,
+                ),
+                stop.arms[1],
+                2.0,
             )
             want = min(max(room, 0.1), 1.0) if motors[2 + j] >= 0 else 1.0
             close(share, want, rtol=1e-9)
@@ -366,9 +418,16 @@ def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
             )
     for j in stop.joints:
         j.acceleration = 0.0
-    assert safety._split_torques(
-        stop.chain, stop.arms[1], stop.table, stop.joints, stop.work, 0.0
-    ) == 1.0  # fmt: skip
+    assert (
+        safety._split_torques(
+            tick_of(
+                model=stop.chain, model_joints=stop.table, work_joints=stop.joints, work=stop.work
+            ),
+            stop.arms[1],
+            0.0,
+        )
+        == 1.0
+    )
 
 
 @SEEDS
@@ -381,7 +440,15 @@ def test_each_arm_carries_its_share_of_the_weight(seed, how):
         X = pin.SE3(stop.memory.X_WO) * stop.own
     stop.memory.located = int(how == "located")
     stop.chain.held = int(how != "nothing")
-    mass = safety._carry_weight(stop.chain, stop.arms, stop.memory, stop.joints, stop.work)
+    mass = safety._carry_weight(
+        tick_of(
+            model=stop.chain,
+            model_arms=stop.arms,
+            memory=stop.memory,
+            work_joints=stop.joints,
+            work=stop.work,
+        )
+    )
     if how in ("lost", "nothing"):
         assert mass == 0.0 and not stop.work.y.any() and not stop.work.u[:3].any()
         return
@@ -405,7 +472,7 @@ def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_lar
     chain, arm = Record(lightness=1.0 / reference), Record(full_rank=5)
     for factor, kept, want in ((0.999, 5, False), (1.001, 5, True), (1e-9, 4, True)):
         own = Record(Lambda=factor * Lambda, n_kept=kept)
-        assert singular.may_be_singular(chain, arm, own) == want
+        assert singular.may_be_singular(tick_of(model=chain), arm, own) == want
 
 
 @pytest.mark.parametrize("chi", [0.0, 1e-10])
@@ -442,7 +509,7 @@ def test_rows_in_order_shares_and_the_way_back():
     for s, want in ((-1.0, 0.0), (0.0, 0.0), (0.25, 0.15625), (0.5, 0.5), (1.0, 1.0), (9.0, 1.0)):
         close(share(0.05 + 0.25 * s), want, atol=1e-12)
     chain = Record(posture_stiffness=3.0, retreat_damping=7.0)
-    close(singular.retreat(chain, Record(posture=0.5), 0.2, 0.1), 0.9 - 0.7)
+    close(singular.retreat(tick_of(model=chain), Record(posture=0.5), 0.2, 0.1), 0.9 - 0.7)
 
 
 @SEEDS
@@ -457,9 +524,16 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     joints = [None] * lo + [Record(M=M[j], h=h[j], tau=tau[j], rest=rest[j]) for j in range(n)]
     own = Record(n_lost=2, mode=modes, gone=[gone, gone], share=[0.3, 0.8])
     allocation._retreat_from_lost(
-        Record(posture_stiffness=3.0, retreat_damping=7.0), Record(first=lo, end=lo + n),
-        [Record(posture=p) for p in posture], own, joints, q, v,
-    )  # fmt: skip
+        tick_of(
+            model=Record(posture_stiffness=3.0, retreat_damping=7.0),
+            model_joints=[Record(posture=p) for p in posture],
+            work_joints=joints,
+            input_q=q,
+            input_v=v,
+        ),
+        Record(first=lo, end=lo + n),
+        own,
+    )
     back = h + M @ (3.0 * (posture - q) - 7.0 * v)[lo:]
     want = rest.copy()
     for mode, share in zip(modes, own.share, strict=True):
@@ -479,7 +553,17 @@ def test_terms_of_an_arm_that_holds_rigidly(n):
                   **{name: rng.normal(size=(6, 6)) for name in "ABDE"}, y=np.zeros(6))  # fmt: skip
     arm = Record(Lambda=np.zeros((6, 6)), kept=np.zeros((6, 6)), n_kept=0, n_locked=0)
     locked, row = np.full((12, 7), 7.0), 3
-    count = arm_terms.arm_terms(lo, n, 6, True, 1e-6, joints, arm, work, locked, row)
+    count = arm_terms.arm_terms(
+        tick_of(
+            work_joints=joints, work=work, work_locked_rows=locked, model=Record(tolerance=1e-6)
+        ),
+        lo,
+        n,
+        6,
+        True,
+        arm,
+        row,
+    )
     weighed = np.linalg.solve(M, J.T)
     J_bar = np.linalg.pinv(J) if n <= 6 else weighed @ np.linalg.inv(J @ weighed)
     close([j.J_bar for j in joints[lo:]], J_bar, rtol=1e-7, atol=1e-8)
@@ -502,10 +586,12 @@ def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
         ((0.0, 0.0, -inf), False, False), ((0.0, np.nan, 0.0), False, True),
     ):  # fmt: skip
         tau, joints = np.full(4, 7.0), [Record(tau=t) for t in torques]
-        found = allocation.limit_torques(Record(n_joints=3), table, joints, tau, 1)
+        found = allocation.limit_torques(
+            tick_of(model=Record(n_joints=3), model_joints=table, work_joints=joints, work_tau=tau)
+        )
         assert found == (excess, finite)
         given = finite and not excess
-        assert tau.tolist() == ([7.0, torques[2], torques[0], 7.0] if given else [7.0] * 4)
+        assert tau.tolist() == ([torques[2], torques[0], 7.0, 7.0] if given else [7.0] * 4)
 
 
 def test_joints_are_pushed_away_from_their_limits():
@@ -526,7 +612,9 @@ def test_torques_of_one_arm_for_a_multiplier(seed, wide):
     joints = [Record(rest=0.1 * j, J=J[j], J_bar=J_bar[j], tau=0.0) for j in range(3)]
     table = [Record(effort=x) for x in effort]
     own = Record(wide=wide, effort=metric)
-    allocation._add_torques(Record(first=1, end=3), table, own, joints, y)
+    allocation._add_torques(
+        tick_of(model_joints=table, work_joints=joints), Record(first=1, end=3), own, y
+    )
     want = np.array([0.0, 0.1, 0.2])
     want += J @ metric @ y if wide else effort[:3] * (J_bar @ y)
     assert joints[0].tau == 0.0
@@ -544,7 +632,7 @@ def test_the_force_that_the_object_is_to_get(seed, held):
     work = Record(**e.given(), rank=r, locked=m, x=x, u=np.zeros(6), reflectors=V, beta=beta,
                   chain_bias=bias, Lambda=Lambda, pushed_t=pushed, alpha_u=alpha,
                   f_S=np.zeros(6))  # fmt: skip
-    allocation.command_object(Record(held=held), work, f)
+    allocation.command_object(tick_of(model=Record(held=held), work=work, memory=Record(f_bias=f)))
     H = [np.eye(6) - beta[k] * np.outer(V[k], V[k]) for k in range(m)]
     want = Lambda @ x + held * x + bias + H[1] @ H[0] @ e.wrench @ f + alpha[:r] @ pushed[:r]
     close(work.f_S, want, atol=1e-9)
@@ -559,7 +647,7 @@ def judged(N, Lambda, held, m=0):
     rows = np.full((6, 6), 7.0)
     rows[: len(N)] = N
     work = Record(rank=len(N), locked=m, N_t=rows, Lambda=Lambda, where=-1, amount=-1.0, **scratch)
-    return command.require_reachable(Record(held=held), work), work
+    return command.require_reachable(tick_of(model=Record(held=held), work=work)), work
 
 
 @pytest.mark.parametrize("held", [0, 1])
@@ -598,7 +686,7 @@ def test_how_far_columns_are_apart_as_seen_through_the_arms(held, m):
     root, N = rng.normal(size=(6, 6)), rng.normal(size=(3, 6))
     Lambda = root @ root.T
     _, work = judged(N, Lambda, held, m)
-    assert command._judge_reach(Record(held=held), work) == at.NO_REASON
+    assert command._judge_reach(tick_of(model=Record(held=held), work=work)) == at.NO_REASON
     L = np.linalg.cholesky((Lambda + held * np.eye(6))[m:, m:])
     seen = np.linalg.solve(L, N[:, m:].T)
     pivots = np.abs(np.diag(np.linalg.qr(seen)[1]))
@@ -644,7 +732,7 @@ class Commanded:
         Q, R = np.linalg.qr(self.N_t[:, m:].T)
         self.work.Q_t[:r, m:], self.work.L_t[:r, :r] = Q.T, R.T
         self.work.Q[:r] = np.linalg.qr(self.N.T)[0].T
-        command.set_metric(self.chain, self.work)
+        command.set_metric(tick_of(model=self.chain, work=self.work))
 
     def metric_t(self):
         """B⁻¹ in turned coordinates."""
@@ -666,7 +754,7 @@ def test_commands_meet_the_contacts_at_least_cost(metric, r, m):
     work, B = case.work, case.metric_t()
     if metric != at.BY_OBJECT:
         close(work.B_inv_t, B, rtol=1e-9, atol=1e-9)
-    assert command.filter_motion(case.chain, work) == at.NO_REASON
+    assert command.filter_motion(tick_of(model=case.chain, work=work)) == at.NO_REASON
     free = case.H @ case.e.motion @ work.a_u - case.sigma
     seen, free = case.N_t[:, :m] @ free[:m], free[m:]  # what contacts see of it is not lost
     free = free + np.linalg.pinv(case.N_t[:, m:]) @ seen
@@ -679,14 +767,14 @@ def test_commands_meet_the_contacts_at_least_cost(metric, r, m):
     close(work.x, np.append(case.sigma[:m], want), rtol=1e-6, atol=1e-7)
     if metric != at.BY_OBJECT and r:
         work.B_inv_t[m, m] = -1.0
-        assert command.filter_motion(case.chain, work) == at.BAD_METRIC
+        assert command.filter_motion(tick_of(model=case.chain, work=work)) == at.BAD_METRIC
 
 
 @METRICS
 def test_errors_that_the_contacts_permit(metric):
     case, error, out = Commanded(3, metric), np.arange(6.0) - 2.0, np.zeros(6)
     by_object = metric == at.BY_OBJECT
-    assert command.permit_error(case.chain, case.work, error, out, by_object)
+    assert command.permit_error(tick_of(model=case.chain, work=case.work), error, out, by_object)
     B, N = case.metric_t(), case.N_t
     x = case.H @ case.e.motion @ error
     KKT = np.block([[B, N.T], [N, np.zeros((2, 2))]])
@@ -694,7 +782,9 @@ def test_errors_that_the_contacts_permit(metric):
     close(out, np.linalg.solve(case.H @ case.e.motion, want), rtol=1e-6, atol=1e-7)
     if not by_object:
         case.work.B_inv_t[0, 0] = -1.0
-        assert not command.permit_error(case.chain, case.work, error, out, False)
+        assert not command.permit_error(
+            tick_of(model=case.chain, work=case.work), error, out, False
+        )
 
 
 # --- stages ---------------------------------------------------------------------------------------
@@ -707,10 +797,16 @@ def test_every_number_that_comes_in_is_looked_at():
     counts = {"q": 2, "v": 2, "wrenches": 12, "X_WD": 16, "V_D": 6, "A_D": 6, "alpha_d": 3,
               "squeeze": 2, "touched": 56}  # fmt: skip
     given = {name: np.ones(shape) for name, shape in shapes.items()}
-    look = stages.is_finite
+
+    def look(chain, squeeze, engaged, moving, **came):
+        return stages.is_finite(
+            tick_of(model=chain, memory=Record(squeeze=squeeze), input=Record(**came)),
+            engaged, moving,
+        )  # fmt: skip
+
     for engaged in (False, True):
         for moving in (False, True):
-            assert look(chain, *given.values(), engaged, moving)
+            assert look(chain, engaged=engaged, moving=moving, **given)
     for name, x in given.items():
         for i in range(x.size):
             for bad in (np.nan, inf, -inf):
@@ -718,23 +814,52 @@ def test_every_number_that_comes_in_is_looked_at():
                 for on in (False, True):
                     asked = {"alpha_d": on, "touched": on}.get(name, True)
                     with np.errstate(invalid="ignore"):
-                        fine = look(chain, *given.values(), on, on)
+                        fine = look(chain, engaged=on, moving=on, **given)
                     assert fine == (not asked or i >= counts[name]), (name, i)
                 x.flat[i] = 1.0
     given["squeeze"][0] = np.nan  # without bars one number is looked at
-    assert not look(Record(**vars(chain) | {"n_bars": 0}), *given.values(), True, True)
+    none = Record(**vars(chain) | {"n_bars": 0})
+    assert not look(none, engaged=True, moving=True, **given)
 
 
 def test_friction_that_is_learnt_is_never_negative():
     e = Energy(rng_of(0))
-    work = Record(**e.given(), count=0, rank=0, locked=0, f_c=np.ones(6), f_meas=np.ones(6),
-                  reading_e=np.ones(6), y=np.ones(6), u=np.ones(6), bias_e=np.zeros(6))  # fmt: skip
+    work = Record(
+        **e.given(),
+        count=0,
+        rank=0,
+        locked=0,
+        moving=0,
+        f_c=np.ones(6),
+        f_meas=np.ones(6),
+        reading_e=np.ones(6),
+        y=np.ones(6),
+        u=np.ones(6),
+        bias_e=np.zeros(6),
+    )
     for more, want in ((0.1, 0.4), (-0.1, 0.2), (-0.5, 0.0)):
         memory = Record(more_friction=more, f_tare=np.zeros(6))
         reason = stages.measure(
-            Record(mu=0.3, n_arms=0), [], [], [], [], [], [], work, [], [], [], [], [], memory,
-            np.zeros((0, 6)), np.zeros((0, 28)), False, np.zeros(0),
-        )  # fmt: skip
+            tick_of(
+                model=Record(mu=0.3, n_arms=0),
+                model_arms=[],
+                model_pairs=[],
+                model_shapes=[],
+                model_columns=[],
+                model_bodies=[],
+                memory_contacts=[],
+                work=work,
+                work_arms=[],
+                work_joints=[],
+                work_columns=[],
+                memory_columns=[],
+                work_bodies=[],
+                memory=memory,
+                input_wrenches=np.zeros((0, 6)),
+                input_touched=np.zeros((0, 28)),
+                work_goal=np.zeros(0),
+            ),
+        )
         assert reason == at.NO_REASON and not work.f_c.any()
         close(work.mu, want, atol=1e-12)
         assert work.more_friction == more
@@ -750,15 +875,44 @@ def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase, step_tim
         [Record(contact=0), Record(contact=1)],
     )
     memory = Record(ticked=1, step_left=0.0, step_time=0.05)
-    kept = [Record(drift=0.1, wished=0, wish=0.0, scale=0.0, to_come=np.zeros(3)) for _ in range(2)]
+    kept = [
+        Record(drift=0.1, has_desired=0, desired=0.0, scale=0.0, to_come=np.zeros(3))
+        for _ in range(2)
+    ]
     columns = [Record(chosen=j, goal=9.0, scale=9.0, shaped=9, to_come=np.ones(3))
                for j in range(2)]  # fmt: skip
-    work = Record(rank=2, count=2, dt=1e-3, keep=[0.0, 1.0], step_left=9.0, step_time=9.0, heed=9.0,
-                  alpha_d=np.zeros(2), gain=np.array([3.0, 4.0]), damping=np.array([5.0, 6.0]),
-                  brake=np.array([7.0, 8.0]), speed=np.array([0.3, 0.4]), felt=np.zeros(2),
-                  alpha_meas=np.array([1.0, 2.0]))  # fmt: skip
+    work = Record(
+        rank=2,
+        count=2,
+        dt=1e-3,
+        keep=[0.0, 1.0],
+        step_left=9.0,
+        step_time=9.0,
+        integral_scale=9.0,
+        alpha_d=np.zeros(2),
+        gain=np.array([3.0, 4.0]),
+        damping=np.array([5.0, 6.0]),
+        brake=np.array([7.0, 8.0]),
+        speed=np.array([0.3, 0.4]),
+        felt=np.zeros(2),
+        alpha_meas=np.array([1.0, 2.0]),
+    )
     flat = np.array([11.0, 12.0, 0.0, 0.0, 0.0, 0.0])
-    stages.set_wishes(chain, owners, contacts, memory, kept, columns, work, flat, own)
+    stages.set_desired_forces(
+        tick_of(
+            model=chain,
+            model_columns=owners,
+            memory_contacts=contacts,
+            memory=memory,
+            memory_columns=kept,
+            work_columns=columns,
+            work=work,
+            work_goal=flat[:2],
+            work_alpha=np.zeros(2),
+            work_speeds=np.zeros(2),
+        ),
+        own,
+    )
     near = phase == APPROACHING
     steps = step_time > 0.0 and not own  # from what is measured, and the integral rests
     close(work.alpha_d, [1.0 if steps and not near else 11.0, 2.0 if steps else 12.0])
@@ -767,7 +921,7 @@ def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase, step_tim
     close(work.brake, [0.0, 0.0] if own else [7.0 * 0.2, 8.0 * 0.3])
     if own:
         close(work.damping, [5.0 if near else 0.0, 0.0])
-        assert (work.heed, work.step_left) == (1.0, 0.0)
+        assert (work.integral_scale, work.step_left) == (1.0, 0.0)
         for column, goal in zip(columns, flat, strict=False):
             assert (column.goal, column.scale, column.shaped) == (goal, 0.0, 0)
             assert not column.to_come.any()
@@ -786,20 +940,21 @@ def a_tick():
     controller.tick(*inputs(chain, q, v, rng, 2, motion_of(rng, 2)))
     memory = controller._records.memory
     assert memory.reason == at.NO_REASON and memory.engaged
+    controller._records.job[0] = MOVING
     return tick, seen[-1], memory
 
 
 def test_inputs_of_other_sizes_are_none():
     tick, given, memory = a_tick()
-    for place in range(3, 12):
+    for place in range(2, 10):
         x = given[place]
         for other in (x[:-1], np.concatenate((x, x[:1]))):
             changed = (*given[:place], np.ascontiguousarray(other), *given[place + 1 :])
             tick(*changed)
-            assert (changed[14][0], memory.reason) == (at.HELD, at.BAD_INPUT), place
+            assert (memory.status, memory.reason) == (at.HELD, at.BAD_INPUT), place
 
 
-@pytest.mark.parametrize("place", [3, 4])
+@pytest.mark.parametrize("place", [2, 3])
 @pytest.mark.parametrize("count", [-1, 1])
 def test_joints_of_another_number_are_not_read(place, count):
     """What stands beyond their end, or one of them more, moves nothing that is held."""
@@ -813,7 +968,7 @@ def test_joints_of_another_number_are_not_read(place, count):
         torques = []
         for _ in range(40):
             tick(*given[:place], x[:n], *given[place + 1 :])
-            torques.append(given[13].copy())
+            torques.append(memory.torques.copy())
         found.append((torques, memory.state))
     np.testing.assert_array_equal(found[0][0], found[1][0])
     assert found[0][1] == found[1][1] == at.SAFE_STOP
@@ -825,7 +980,7 @@ def test_the_motion_integral_is_handed_over_as_a_wrench(r, m, held):
     case = Commanded(10 * r + m, at.BY_OBJECT, r, m)
     work, total, before = case.work, np.arange(6.0) - 2.0, np.full(6, 0.5)
     memory = Record(motion_sum=total.copy(), f_bias=before.copy())
-    stages.hand_over(Record(integral=3.0, held=held), work, memory)
+    stages.hand_over(tick_of(model=Record(integral=3.0, held=held), work=work, memory=memory))
     to_energy = case.H @ case.e.motion
     x = to_energy @ (3.0 * total)
     # what contacts see of a locked motion is not lost
@@ -840,9 +995,9 @@ def ask_command(flags=0, rank=2, missing=0, integral=2.0, **more):
     seen = {}
     decide = stages.altered(
         "command",
-        filter_motion=lambda chain, work: seen.get("reason", at.NO_REASON),
-        command_object=lambda chain, work, f_bias: seen.update(bias=f_bias),
-        hand_over=lambda chain, work, memory: seen.update(handed=True),
+        filter_motion=lambda t: seen.get("reason", at.NO_REASON),
+        command_object=lambda t: seen.update(bias=t.memory.f_bias),
+        hand_over=lambda t: seen.update(handed=True),
         reduce_motion=lambda *given: seen.update(reduced=True),
     )
     chain = Record(period=1e-3, integral_force=5.0, integral_motion=0.8, integral=integral,
@@ -857,7 +1012,8 @@ def ask_command(flags=0, rank=2, missing=0, integral=2.0, **more):
                     hand_over=0, motion_sum=np.full(6, 0.1), f_bias="bias")  # fmt: skip
     for name, value in more.items():
         setattr(work if hasattr(work, name) else memory, name, value)
-    reason = decide(chain, [], [], work, [], [], memory, [], [], np.ones(6), np.ones(6), flags)
+    given = Record(V_D=np.ones(6), A_D=np.ones(6))
+    reason = decide(tick_of(model=chain, work=work, memory=memory, input=given), flags)
     return reason, work, memory, seen
 
 
@@ -892,7 +1048,16 @@ def test_contacts_take_part_as_their_phase_says():
     cases = [(phase, pushes) for phase in (OPEN, APPROACHING, CLOSED) for pushes in (0, 1)]
     contacts = [Record(phase=phase) for phase, _ in cases]
     bodies = [Record(pushes=pushes) for _, pushes in cases]
-    phases.set_goals(chain, bodies, [], contacts, [], [], [])
+    phases.set_goals(
+        tick_of(
+            model=chain,
+            model_bodies=bodies,
+            model_columns=[],
+            memory_contacts=contacts,
+            memory_columns=[],
+            work_goal=[],
+        )
+    )
     for contact, (phase, pushes) in zip(contacts, cases, strict=True):
         near = phase == APPROACHING
         found = contact.active, contact.gain, contact.damping, contact.brake, contact.least
@@ -914,10 +1079,18 @@ def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
                    approach_damping=200.0, approach_speed=0.01, least_force=0.4, travel=0.05,
                    force_on=1.0, rise=0.4)  # fmt: skip
     for slow, fast in ((pace, -9.0), (9.0, pace), (pace, pace)):  # the slower one counts
-        contact, goal = Record(phase=phase, since=since), np.zeros(1)
-        column = Record(gap=gap, pace=slow, speed=fast)
-        phases.set_goals(chain, [Record(pushes=pushes)], [Record(contact=0)], [contact],
-                                    [column], np.array([8.0]), goal)  # fmt: skip
+        contact, goal = Record(phase=phase, since=since), np.array([8.0])
+        column = Record(gap=gap, filtered_speed=slow, speed=fast)
+        phases.set_goals(
+            tick_of(
+                model=chain,
+                model_bodies=[Record(pushes=pushes)],
+                model_columns=[Record(contact=0)],
+                memory_contacts=[contact],
+                memory_columns=[column],
+                work_goal=goal,
+            )
+        )
         close(goal[0], want)
 
 
@@ -930,7 +1103,16 @@ def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():
 
     def remapped(kept):
         memory = Record(force_rank=2, force_sum=np.array([1.5, -2.5, 0.0, 0.0, 0.0, 0.0]))
-        phases.remap_force_sums(chain, memory, owners, contacts, kept, np.zeros(4))
+        phases.remap_force_sums(
+            tick_of(
+                model=chain,
+                memory=memory,
+                model_columns=owners,
+                memory_contacts=contacts,
+                work_here=kept,
+                work_alpha=np.zeros(4),
+            )
+        )
         return memory.force_rank, memory.force_sum[:2].tolist()
 
     assert remapped([1, 1, 1, 0]) == (2, [1.5, -2.5])
@@ -941,12 +1123,11 @@ def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():
 
 def test_what_is_remembered_of_columns_in_force():
     n, seen = 3, {}
-    remember = verdict.altered("remember", integers=lambda x, start, count: np.zeros(count, int))
+    remember = verdict.altered("remember")
     names = remember.__globals__
-    names["keep_steps"] = lambda *given: seen.update(steps=[x.copy() for x in given[7:9]])
-    names["phases"] = Record(low_pass=lambda *given: seen.update(
-        here=given[2].copy(), alpha=given[3].copy(), speed=given[4].copy(),
-        chosen=given[6].copy(), independent=given[8]))  # fmt: skip
+    names["keep_steps"] = lambda t: seen.update(steps=[t.work.here.copy(), t.work.alpha.copy()])
+    names["phases"] = Record(low_pass=lambda t, independent: seen.update(
+        here=t.work.here.copy(), chosen=t.work.chosen.copy(), independent=independent))  # fmt: skip
     for phased in (0, 1):
         seen.clear()
         chain = Record(n_columns=n, phased=phased, period=1e-3, lag=0.01)
@@ -959,10 +1140,16 @@ def test_what_is_remembered_of_columns_in_force():
                         force_sum=np.zeros(6), force_rank=0, motion_sum=np.zeros(6))  # fmt: skip
         columns = [Record(chosen=2), Record(chosen=0), Record(chosen=1)]
         kept = [Record(alpha=9.0, speed=9.0) for _ in range(n)]
-        flat = np.full(5 * n, 7.0)
-        remember(chain, work, memory, columns, kept, [], [], flat)
+        here, alpha, speeds = np.full((3, n), 7.0)
+        remember(
+            tick_of(
+                model=chain, work=work, memory=memory, work_columns=columns, memory_columns=kept,
+                work_here=here, work_alpha=alpha, work_speeds=speeds,
+                work_chosen=np.zeros(n, int),
+            )
+        )  # fmt: skip
         assert (memory.ticked, memory.fresh, memory.located) == (5, 1, 1)
-        np.testing.assert_array_equal(flat[n : 2 * n], [1.0, 0.0, 1.0])
+        np.testing.assert_array_equal(here, [1.0, 0.0, 1.0])
         assert [(row.alpha, row.speed) for row in kept] == [(6.0, 0.4), (0.0, 0.0), (5.0, 0.3)]
         assert memory.force_rank == 2 and memory.force_sum[:2].tolist() == [1.0, 2.0]
         np.testing.assert_array_equal(memory.motion_sum, np.arange(6.0))
@@ -977,30 +1164,18 @@ def test_what_is_remembered_of_columns_in_force():
 
 def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
     """What `settle` makes of 6 and −1 N m found where 0 and 0 were given: torques, squeeze."""
-    model = np.zeros(at.CHAIN_BYTES + 2 * at.JOINT_BYTES, np.uint8)
-    chain = records(model, 0, 1, at.CHAIN)[0]
-    chain.n_motors = chain.n_joints = 2
-    chain.n_arms, chain.torque_rate, chain.phase_rate, chain.period = n_arms, rate, 1.0, 1e-3
-    chain.joints_at, chain.flat_at = at.CHAIN_BYTES, at.WORK_BYTES
-    chain.torque_memory_at = chain.contact_memory_at = at.MEMORY_BYTES
-    table = records(model, at.CHAIN_BYTES, 2, at.JOINT)
-    table["motor"], table["tau_max"] = [1, 0], [10.0, 30.0]
-    memory_bytes = np.zeros(at.MEMORY_BYTES + 16, np.uint8)
-    memory, work_bytes = (
-        records(memory_bytes, 0, 1, at.MEMORY)[0],
-        np.zeros(at.WORK_BYTES + 16, np.uint8),
-    )
-    work = records(work_bytes, 0, 1, at.WORK)[0]
+    rows = Rows(new_model(n_arms, 2, 2, columns=1))
+    model, memory, work, _ = views(rows)
+    model.torque_rate, model.phase_rate, model.period = rate, 1.0, 1e-3
+    model.joints["motor"], model.joints["tau_max"] = [1, 0], [10.0, 30.0]
     memory.ticked, work.n_internal, work.rank = ticked, n_internal, 1
     work.internal[0], work.force_next[0], work.gain[0] = 8.0, 3.0, 20.0
     work.dt = 1e-3
-    tau = np.zeros(2)
     found, lost, squeeze = np.array([6.0, -1.0]), np.array([50.0]), np.array([5.0])
-    settle(model, work_bytes, memory_bytes, found, lost, squeeze, tau)
-    close(memory_bytes[at.MEMORY_BYTES :].view(float), tau)
+    settle(rows.raw, 0, 0, found, lost, squeeze)
     close(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
     assert memory.force_rank == 1
-    return tau, work.internal[0]
+    return memory.torques.copy(), work.internal[0]
 
 
 def test_torques_within_the_limits_change_no_faster_than_others():

@@ -6,7 +6,7 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pytest
-from law_calls import steps
+from law_calls import steps, tick_of
 
 from osc_contact.law import tables as at
 from osc_contact.law.phases import APPROACHING, CLOSED
@@ -35,11 +35,11 @@ class Forces:
         self.memory = Record(step_left=0.0, step_time=RISE, ticked=1)
         self.kept = [
             Record(
-                wished=0,
-                wish=0.0,
+                has_desired=0,
+                desired=0.0,
                 scale=0.0,
                 drift=0.0,
-                expected=0.0,
+                predicted=0.0,
                 to_come=np.zeros(3),
                 turn=np.zeros(3),
             )
@@ -50,7 +50,12 @@ class Forces:
         for place, j in enumerate(self.chosen):
             self.columns[place].chosen = j
         self.work = Record(
-            count=len(self.chosen), dt=DT, step_left=0.0, step_time=RISE, heed=0.0, status=at.OK
+            count=len(self.chosen),
+            dt=DT,
+            step_left=0.0,
+            step_time=RISE,
+            integral_scale=0.0,
+            status=at.OK,
         )
 
     def tick(self, goal, measured=None, speed=None):
@@ -58,12 +63,16 @@ class Forces:
         n = self.chain.n_columns
         goal = np.array(goal, dtype=float)
         measured = np.zeros(n) if measured is None else np.array(measured)
-        shape(self.chain, self.owners, self.contacts, self.memory, self.kept, self.columns,
-              self.work, goal, measured)  # fmt: skip
+        t = tick_of(
+            model=self.chain, model_columns=self.owners, memory=self.memory,
+            memory_contacts=self.contacts, memory_columns=self.kept, work=self.work,
+            work_columns=self.columns, work_goal=goal, work_alpha=measured,
+        )  # fmt: skip
+        shape(t)
         here = np.array([1.0 if j in self.chosen else 0.0 for j in range(n)])
         speed = np.zeros(n) if speed is None else np.array(speed)
-        keep(self.chain, self.memory, self.kept, self.columns, self.work, goal, here, measured,
-             speed)  # fmt: skip
+        t.work.__dict__.update(here=here, speeds=speed)
+        keep(t)
         return np.array([self.columns[j].goal for j in self.chosen])
 
     def run(self, goal, ticks):
@@ -136,16 +145,16 @@ def test_the_integral_rests_while_much_of_a_step_is_to_come():
     """A tenth of the size, or more: not at all; nothing: fully."""
     forces = Forces()
     forces.run([10.0], 200)
-    assert forces.work.heed == 1.0
+    assert forces.work.integral_scale == 1.0
     idle = Forces()
     idle.run([0.0], 3)
-    assert idle.work.heed == 1.0, "nothing was ever asked for"
+    assert idle.work.integral_scale == 1.0, "nothing was ever asked for"
     share = eased(np.arange(60) * DT / RISE)
     for left in share:
         forces.tick([14.0])
         wanted = max(1.0 - 4.0 * left / 14.0 / 0.1, 0.0)
-        assert forces.work.heed == pytest.approx(wanted, abs=1e-9)
-    assert forces.work.heed == 1.0
+        assert forces.work.integral_scale == pytest.approx(wanted, abs=1e-9)
+    assert forces.work.integral_scale == 1.0
 
 
 def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
@@ -190,16 +199,19 @@ def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
     np.testing.assert_allclose(
         found[:, 1], 12.0 - 2.0 * eased(np.arange(60) * DT / RISE), atol=1e-9
     )
-    assert forces.kept[1].wished == 0 == forces.kept[2].wished and forces.kept[0].wished == 1
-    assert forces.kept[1].scale == 0.0 and forces.kept[0].wish == 12.0
-    assert forces.kept[2].wish == 4.0 == forces.kept[2].scale
+    assert (
+        forces.kept[1].has_desired == 0 == forces.kept[2].has_desired
+        and forces.kept[0].has_desired == 1
+    )
+    assert forces.kept[1].scale == 0.0 and forces.kept[0].desired == 12.0
+    assert forces.kept[2].desired == 4.0 == forces.kept[2].scale
 
 
 def test_without_a_rise_time_forces_are_as_they_are_wanted():
     forces = Forces(step_time=0.0)
     for goal in (10.0, -4.0, 60.0):
         assert forces.tick([goal])[0] == goal
-        assert forces.work.heed == 1.0 and forces.work.step_left == 0.0
+        assert forces.work.integral_scale == 1.0 and forces.work.step_left == 0.0
     forces = Forces()
     forces.run([10.0], 200)
     forces.run([16.0], 60)
@@ -215,11 +227,17 @@ def test_a_column_out_of_n_is_forgotten():
     forces.tick([10.0], speed=[0.1])
     forces.run([16.0], 10)
     row = forces.kept[0]
-    assert row.expected > 0.0 and row.to_come.any() and row.drift > 0.0
+    assert row.predicted > 0.0 and row.to_come.any() and row.drift > 0.0
     forces.chosen = []
     forces.work.count = 0
     forces.tick([16.0])
-    assert (row.wished, row.wish, row.scale, row.drift, row.expected) == (0, 0.0, 0.0, 0.0, 0.0)
+    assert (row.has_desired, row.desired, row.scale, row.drift, row.predicted) == (
+        0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     assert not row.to_come.any()
 
 
@@ -236,5 +254,6 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
     assert forces.kept[0].drift == pytest.approx(drift), "the integral rests, and so does v̄"
     rows = [Record(drift=0.5), Record(drift=0.0), Record(drift=drift)]
     work = Record(rank=2, keep=[1.0, 0.0], speed=np.array([0.3, 0.7]), brake=np.array([20.0, 10.0]))
-    brake(rows, [Record(chosen=2), Record(chosen=0)], work)
+    columns = [Record(chosen=2), Record(chosen=0)]
+    brake(tick_of(memory_columns=rows, work_columns=columns, work=work))
     np.testing.assert_allclose(work.brake, [20.0 * (0.3 - 0.5), 10.0 * (0.7 - drift)])

@@ -12,7 +12,7 @@ from types import SimpleNamespace as Record
 import numpy as np
 import pinocchio as pin
 import pytest
-from law_calls import safety, sensors, watch
+from law_calls import safety, sensors, tick_of, watch
 
 from osc_contact.law import tables as at
 from osc_contact.law.phases import APPROACHING, CLOSED
@@ -41,7 +41,16 @@ def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
 
     def after(speeds):
         return [
-            watch.watch_joints(chain, table, memory, [0.0, 0.0], [0.1, sign * v]) for v in speeds
+            watch.watch_joints(
+                tick_of(
+                    model=chain,
+                    model_joints=table,
+                    memory=memory,
+                    input_q=[0.0, 0.0],
+                    input_v=[0.1, sign * v],
+                )
+            )
+            for v in speeds
         ]
 
     assert set(after([2.0] * 50)) == {at.NO_REASON}, "at the limit is not above it"
@@ -60,13 +69,46 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
             memory, v = joints_memory(), [0.0, 0.0]
             chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=21)
             v[j] = sign * speed * table[j].speed_max
-            found = [watch.watch_joints(chain, table, memory, [0.0, 0.0], v) for _ in range(ticks)]
+            found = [
+                watch.watch_joints(
+                    tick_of(
+                        model=chain,
+                        model_joints=table,
+                        memory=memory,
+                        input_q=[0.0, 0.0],
+                        input_v=v,
+                    )
+                )
+                for _ in range(ticks)
+            ]
             assert found == [at.NO_REASON] * (ticks - 1) + [at.OVERSPEED]
             assert memory.culprit == j
     memory = joints_memory()
-    assert watch.watch_joints(chain, table, memory, [0.0, 0.0], [1e300, 0.0]) == at.OVERSPEED
+    assert (
+        watch.watch_joints(
+            tick_of(
+                model=chain,
+                model_joints=table,
+                memory=memory,
+                input_q=[0.0, 0.0],
+                input_v=[1e300, 0.0],
+            )
+        )
+        == at.OVERSPEED
+    )
     memory, chain = joints_memory(), Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=4)
-    assert watch.watch_joints(chain, table, memory, [0.0, 0.0], [2.4, 1.6]) == at.OVERSPEED
+    assert (
+        watch.watch_joints(
+            tick_of(
+                model=chain,
+                model_joints=table,
+                memory=memory,
+                input_q=[0.0, 0.0],
+                input_v=[2.4, 1.6],
+            )
+        )
+        == at.OVERSPEED
+    )
     assert memory.culprit == 1, "the one that is further beyond its limit"
 
 
@@ -81,16 +123,44 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
     chain = Record(n_joints=1, reaction=reaction, period=DT, fast_ticks=99)
     for gap, stops in ((way + 1e-3, False), (way - 1e-3, True), (-1e-3, False)):
         memory, q = joints_memory(), [sign * (1.0 - gap)]
-        found = [watch.watch_joints(chain, [joint()], memory, q, [sign * speed]) for _ in range(4)]
+        found = [
+            watch.watch_joints(
+                tick_of(
+                    model=chain,
+                    model_joints=[joint()],
+                    memory=memory,
+                    input_q=q,
+                    input_v=[sign * speed],
+                )
+            )
+            for _ in range(4)
+        ]
         wanted = at.NEAR_END if stops else at.NO_REASON  # braking does not help beyond the end
         assert found == [at.NO_REASON] * 2 + [wanted] * 2
         assert memory.culprit == (0 if stops else -1)
-        back = watch.watch_joints(chain, [joint()], joints_memory(), q, [-sign * 0.01])
+        back = watch.watch_joints(
+            tick_of(
+                model=chain,
+                model_joints=[joint()],
+                memory=joints_memory(),
+                input_q=q,
+                input_v=[-sign * 0.01],
+            )
+        )
         assert back == at.NO_REASON
     at_the_end = [sign * 1.0]
     memory = joints_memory()
     found = [
-        watch.watch_joints(chain, [joint()], memory, at_the_end, [sign * 0.1]) for _ in range(3)
+        watch.watch_joints(
+            tick_of(
+                model=chain,
+                model_joints=[joint()],
+                memory=memory,
+                input_q=at_the_end,
+                input_v=[sign * 0.1],
+            )
+        )
+        for _ in range(3)
     ]
     assert found[-1] == at.NEAR_END, "it still is within its range"
 
@@ -100,7 +170,14 @@ def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     """2.5 ms of evidence, and more than one tick."""
     chain = Record(n_joints=1, reaction=0.0, period=period, fast_ticks=99)
     memory = joints_memory()
-    found = [watch.watch_joints(chain, [joint()], memory, [0.99], [1.0]) for _ in range(ticks)]
+    found = [
+        watch.watch_joints(
+            tick_of(
+                model=chain, model_joints=[joint()], memory=memory, input_q=[0.99], input_v=[1.0]
+            )
+        )
+        for _ in range(ticks)
+    ]
     assert found == [at.NO_REASON] * (ticks - 1) + [at.NEAR_END]
 
 
@@ -132,11 +209,19 @@ class Contacts:
             culprit=-1,
         )
         self.columns = [Record(chosen=k) for k in (2, 9, 0, 9)]
-        self.kept = [Record(underforce=0.0, overforce=0.0, astray=0.0) for _ in range(3)]
+        self.kept = [Record(underforce=0.0, overforce=0.0, time_since_loss=0.0) for _ in range(3)]
 
     def tick(self, alpha, wanted, speed=(0.0, 0.0)):
         work = Record(rank=2, alpha_meas=alpha, alpha_d=wanted, speed=speed, keep=[0.0, 2.0])
-        return watch.watch_contacts(self.chain, work, self.memory, self.columns, self.kept)
+        return watch.watch_contacts(
+            tick_of(
+                model=self.chain,
+                work=work,
+                memory=self.memory,
+                work_columns=self.columns,
+                memory_columns=self.kept,
+            )
+        )
 
     def until(self, reason, *given, most=40):
         """The first tick that ends with this reason; 0: none does."""
@@ -163,7 +248,7 @@ def test_power_that_moves_into_faces_adds_up():
 def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
     for astray, reason in ((0.0304, at.NO_REASON), (0.0306, at.CONTACT_LOST)):
         contacts = Contacts(phased=1)
-        contacts.kept[2 * (1 - column)].astray = astray  # columns 2 and 0 of the contacts'
+        contacts.kept[2 * (1 - column)].time_since_loss = astray  # columns 2 and 0 of the contacts'
         assert contacts.tick((0.0, 0.0), (2.0, 2.0)) == reason
         assert contacts.memory.culprit == (2 * (1 - column) if reason else -1)
 
@@ -234,7 +319,11 @@ def readings(**more):
 
 
 def judged(given):
-    return sensors.check_readings(*vars(given).values())
+    t = tick_of(
+        model=given.chain, model_arms=given.arms, model_joints=given.table, memory=given.memory,
+        memory_joints=given.joint_memory, input=given,
+    )  # fmt: skip
+    return sensors.check_readings(t)
 
 
 def test_a_rotation_is_one_but_for_a_ten_thousandth():
@@ -321,7 +410,10 @@ class Approach:
             Record(phase=phase), Record(phase=phase),
         ]  # fmt: skip
         self.columns = [Record(chosen=k, N=rng.normal(size=6)) for k in (3, 1, 1, 0)]
-        self.kept = [Record(known=1, shown=0.0, told=0.0) for _ in range(4)]
+        self.kept = [
+            Record(known=1, velocity_from_positions=0.0, velocity_from_encoders=0.0)
+            for _ in range(4)
+        ]
 
     def true(self, V):
         """NᵀV_rel of the kept columns."""
@@ -334,8 +426,17 @@ class Approach:
         self.work.X_WO[:3, 3] = X[:3, 3] + V[:3] * DT
         self.work.X_WO[:3, :3] = pin.exp3(V[3:] * DT) @ X[:3, :3]
         self.work.speed[:] = speed
-        sensors.compare_speeds(self.chain, self.memory, self.owners, self.contacts, self.columns,
-                       self.kept, self.work)  # fmt: skip
+        sensors.compare_speeds(
+            tick_of(
+                model=self.chain,
+                memory=self.memory,
+                model_columns=self.owners,
+                memory_contacts=self.contacts,
+                work_columns=self.columns,
+                memory_columns=self.kept,
+                work=self.work,
+            )
+        )
         self.memory.X_WO = self.work.X_WO.copy()
         return self.work.speed.copy()
 
@@ -348,7 +449,7 @@ def test_an_approach_believes_positions_where_speeds_read_too_little():
         for _ in range(300):
             believed = approach.tick(V, true - 0.0041)  # a fifth of v_a is 4 mm/s
         np.testing.assert_allclose(believed, true, atol=1e-6)
-        shown = np.array([approach.kept[j].shown for j in (3, 1)])
+        shown = np.array([approach.kept[j].velocity_from_positions for j in (3, 1)])
         np.testing.assert_array_equal(believed, shown)
         for more in (-0.0039, 0.1):
             approach = Approach(seed)
@@ -363,15 +464,21 @@ def test_positions_are_low_passed_and_a_tick_that_was_missed_begins_anew():
     for k in range(1, 60):
         approach.tick(V, 0.0)
         share = 1.0 - (20.0 / 21.0) ** k  # 20 ms
-        found = [approach.kept[j].shown for j in (3, 1)]
+        found = [approach.kept[j].velocity_from_positions for j in (3, 1)]
         np.testing.assert_allclose(found, true * share, rtol=1e-4)
-        assert [approach.kept[j].told for j in (3, 1)] == [0.0, 0.0]
+        assert [approach.kept[j].velocity_from_encoders for j in (3, 1)] == [0.0, 0.0]
     approach.memory.compared = 0
     np.testing.assert_array_equal(approach.tick(V, 0.007), 0.007)
-    assert {(approach.kept[j].shown, approach.kept[j].told) for j in (3, 1)} == {(0.007, 0.007)}
+    assert {
+        (approach.kept[j].velocity_from_positions, approach.kept[j].velocity_from_encoders)
+        for j in (3, 1)
+    } == {(0.007, 0.007)}
     approach.memory.compared, approach.kept[3].known = 1, 0
     believed = approach.tick(100.0 * V * np.sign(true[0]), -9.0)
-    assert believed[0] == -9.0 == approach.kept[3].told and approach.kept[1].told != -9.0
+    assert (
+        believed[0] == -9.0 == approach.kept[3].velocity_from_encoders
+        and approach.kept[1].velocity_from_encoders != -9.0
+    )
 
 
 def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
@@ -381,8 +488,10 @@ def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
         np.testing.assert_array_equal(approach.tick(V, -1.0), -1.0)
     approach.contacts[1].phase = APPROACHING  # of column 3, the first that is kept
     believed = approach.tick(V, -1.0)
-    assert believed[0] == approach.kept[3].shown and believed[1] == -1.0
-    assert approach.kept[0].shown == 0.0 == approach.kept[2].shown, "not in N"
+    assert believed[0] == approach.kept[3].velocity_from_positions and believed[1] == -1.0
+    assert (
+        approach.kept[0].velocity_from_positions == 0.0 == approach.kept[2].velocity_from_positions
+    ), "not in N"
 
 
 # --- sensors after a tick -------------------------------------------------------------------------
@@ -410,7 +519,7 @@ class Sensors:
         self.arms, self.table = [Record(sensor_joint=3)], [joint(motor=0), joint(motor=1)]
         self.memory = Record(**MEMORY)
         self.joints, self.wrists = joint_rows(), [Record(unread=0, same=0.0)]
-        self.last, self.estimate, self.count = np.zeros(6), np.zeros(4), 0
+        self.last, self.estimate, self.count = np.zeros((1, 6)), np.zeros(4), 0
         self.q = np.zeros(2)
 
     def tick(self, v=(0.3, -0.4), wrench=None, q=None, true=None):
@@ -420,11 +529,30 @@ class Sensors:
         wrench = np.full((1, 6), float(self.count)) if wrench is None else wrench
         v = np.array(v) + (1e-9 * self.count if q is None else 0.0)
         reason = sensors.check_sensors(
-            self.chain, self.arms, self.table, self.memory, self.joints, self.wrists, self.last,
-            self.q, v, wrench,
-        )  # fmt: skip
+            tick_of(
+                model=self.chain,
+                model_arms=self.arms,
+                model_joints=self.table,
+                memory=self.memory,
+                memory_joints=self.joints,
+                memory_arms=self.wrists,
+                memory_wrenches=self.last,
+                input_q=self.q,
+                input_v=v,
+                input_wrenches=wrench,
+            ),
+        )
         self.memory.has_wrench = 1
-        sensors.estimate_joints(self.chain, self.table, self.memory, self.joints, self.estimate)
+        sensors.estimate_joints(
+            tick_of(
+                model=self.chain,
+                model_joints=self.table,
+                memory=self.memory,
+                memory_joints=self.joints,
+                memory_q=self.estimate[:2],
+                memory_v=self.estimate[2:],
+            )
+        )
         self.memory.ticked += 1
         return reason
 
@@ -433,10 +561,29 @@ class Sensors:
         nothing = np.full(2, np.nan)
         self.q = self.q + DT * np.array((0.3, -0.4))
         reason = sensors.check_sensors(
-            self.chain, self.arms, self.table, self.memory, self.joints, self.wrists, self.last,
-            nothing, nothing, np.full((1, 6), np.nan),
-        )  # fmt: skip
-        sensors.estimate_joints(self.chain, self.table, self.memory, self.joints, self.estimate)
+            tick_of(
+                model=self.chain,
+                model_arms=self.arms,
+                model_joints=self.table,
+                memory=self.memory,
+                memory_joints=self.joints,
+                memory_arms=self.wrists,
+                memory_wrenches=self.last,
+                input_q=nothing,
+                input_v=nothing,
+                input_wrenches=np.full((1, 6), np.nan),
+            ),
+        )
+        sensors.estimate_joints(
+            tick_of(
+                model=self.chain,
+                model_joints=self.table,
+                memory=self.memory,
+                memory_joints=self.joints,
+                memory_q=self.estimate[:2],
+                memory_v=self.estimate[2:],
+            )
+        )
         return reason
 
     def until(self, most=400, **given):
@@ -661,7 +808,7 @@ def test_a_state_counts_its_ticks_and_a_hold_begins_unsettled():
     for before in range(4):
         for after in range(4):
             memory = Record(state=before, age=7, settled=1)
-            safety._enter(memory, after)
+            safety._enter(tick_of(memory=memory), after)
             assert (memory.state, memory.age) == (after, 8 if before == after else 1)
             begins = after >= at.HOLD > before
             assert memory.settled == (0 if begins else 1)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.quantities import (
     Angle,
     Force,
@@ -235,7 +236,7 @@ def test_the_same_signals_hold_lengths_angles_or_forces(kind, key, good, bad):
     ],
 )
 def test_impossible_signals_are_refused(bad):
-    with pytest.raises(ValidationError):
+    with pytest.raises(InvalidInputError):
         bad()
 
 

@@ -18,7 +18,7 @@ from osc_contact.errors import InvalidInputError, ModelError, SolverError
 from osc_contact.law import tables as at
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows
-from osc_contact.law.layout import Bytes, records
+from osc_contact.law.layout import Rows
 from osc_contact.spatial import Array
 
 __all__ = ["BatchController"]
@@ -57,19 +57,19 @@ class BatchController:
         self._settings = [c.settings for c in controllers]
         self._names = ModelRow.__new__(ModelRow)
         self._names.pairs = first._records.row.pairs
-        self._model: Bytes = np.concatenate([c._records.row.raw for c in controllers])
-        self._memory: Bytes = np.concatenate([c._records.memory_bytes for c in controllers])
-        self._start = self._memory.copy()
+        self._bytes = Rows(
+            np.stack([c._records.row.raw for c in controllers]),
+            np.stack([c._records.memory_bytes for c in controllers]),
+            threads,
+        )
+        self._start = self._bytes.memory.copy()
         self._call = first._rows
         head, B = first._records.row.head, self.rows
         self._n, self._k, self._n_a = int(head.n_joints), int(head.n_arms), int(head.n_motors)
         self._r, self._c = int(head.n_columns), int(head.n_contacts)
-        self._s, self._work_size = max(1, int(head.n_bars)), int(head.work_bytes) // 8
-        self._work = [np.zeros(self._work_size) for _ in range(threads)]
-        self._codes = np.zeros(B, dtype=np.int64)
-        self._still, self._zeros = np.zeros((B * self._c, 28)), np.zeros((B, 6))
-        self._memories = self._strided(at.MEMORY, 0, 1)[:, 0]
-        self._columns = self._strided(at.COLUMN_MEMORY, int(head.column_memory_at), self._r)
+        self._still, self._zeros = np.zeros((0, 28)), np.zeros((B, 6))
+        self._look()
+        self._codes[:] = Status.OK
         self._limits: dict[int, MotorLimits] = {}
         self._pool = _pool(threads)
 
@@ -87,13 +87,23 @@ class BatchController:
                 "runs the packaged ones"
             )
 
-    def _strided(self, dtype: np.dtype[Any], start: int, count: int) -> Any:
-        """(B, count) records of all memories."""
-        rows = self._memory.reshape(self.rows, -1)[:, start : start + count * dtype.itemsize]
-        return np.lib.stride_tricks.as_strided(
-            rows[:, :1].view(np.uint8), (self.rows, count, dtype.itemsize),
-            (rows.strides[0], dtype.itemsize, 1),
-        ).view(dtype)[..., 0]  # fmt: skip
+    def _look(self) -> None:
+        """Heads of all memories, (B, …) their columns, torques and squeezes; JOB of each thread."""
+        memory, begin = self._bytes.memory, int(self._bytes.job.memory)
+
+        def table(start: int, dtype: np.dtype[Any], shape: tuple[int, ...]) -> Any:
+            strides = (memory.strides[0], *np.zeros(shape, dtype).strides)
+            return np.ndarray((self.rows, *shape), dtype, self._bytes.raw, begin + start, strides)
+
+        one = at.MEMORY.view(memory[0])
+        starts = dict(zip(at.MEMORY.tables, one.layout.tolist(), strict=False))
+        self._memories = table(0, at.MEMORY.dtype, ())
+        self._codes = self._memories["status"]
+        self._columns, self._torques, self._squeeze = (
+            table(starts[name], getattr(one, name).dtype, getattr(one, name).shape)
+            for name in ("columns", "torques", "squeeze")
+        )
+        self._jobs = [at.JOB.view(raw) for raw in self._bytes.jobs]
 
     def tick(
         self,
@@ -129,68 +139,59 @@ class BatchController:
         if touched is not None:
             motion = _table("touched", touched, (B, self._c, 28)).reshape(B * self._c, 28)
             flags |= law.MOVING
-        squeeze = np.zeros((B, self._s))
+        self._squeeze[:] = 0.0
         if squeeze_d is not None:
-            squeeze[:] = np.reshape(np.asarray(squeeze_d, dtype=float), (B, -1))
+            self._squeeze[:] = np.reshape(np.asarray(squeeze_d, dtype=float), (B, -1))
             flags |= law.COMMANDED if self._k > 2 else 0
         wishes = np.zeros((B, self._r)) if alpha_d is None else alpha_d
-        tau = np.empty(B * self._n_a)
         args = (
             _table("q", q, (B, self._n)).ravel(), _table("v", v, (B, self._n)).ravel(),
             _table("wrenches", wrenches, (B, self._k, 6)).reshape(B * self._k, 6),
             _table("X_WD", X_WD, (B, 4, 4)).reshape(4 * B, 4),
             _table("V_D", zeros if V_D is None else V_D, (B, 6)).ravel(),
             _table("A_D", zeros if A_D is None else A_D, (B, 6)).ravel(),
-            _table("alpha_d", wishes, (B, self._r)).ravel(), squeeze.ravel(), motion, flags, tau,
+            _table("alpha_d", wishes, (B, self._r)).ravel(), motion,
         )  # fmt: skip
         if wrench_valid is not None:
             self._memories["wrench_missing"][:] = np.broadcast_to(wrench_valid, (B,)) == 0
         self._locate(args[0].reshape(B, self._n))
         ends = np.linspace(0, B, self.threads + 1).astype(int).tolist()
         others = [] if self._pool is None else [
-            self._pool.submit(self._run, i, ends[i], ends[i + 1], args)
+            self._pool.submit(self._run, i, ends[i], ends[i + 1], flags, args)
             for i in range(1, self.threads)
         ]  # fmt: skip
         try:
-            self._run(0, 0, ends[1], args)
+            self._run(0, 0, ends[1], flags, args)
         finally:
             wait(others)
         for part in others:
             part.result()
-        return tau.reshape(B, self._n_a)
+        return np.array(self._torques)
 
-    def _run(self, worker: int, lo: int, hi: int, args: tuple[Any, ...]) -> None:
-        floats = self._work[worker]
-        work = floats.view(np.uint8)
+    def _run(self, thread: int, lo: int, hi: int, flags: int, args: tuple[Any, ...]) -> None:
+        job, start = self._jobs[thread], self._bytes.starts[thread]
+        job.switches = flags
+        job.last = hi
         while lo < hi:
-            done = self._call(
-                self._model, self._memory, work, *args, self._codes, law.LOOK, law.END, lo, hi
-            )
-            lo = done >> 1
+            job.first = lo
+            lo = self._call(self._bytes.raw, start, *args) >> 1
             if self._codes[lo - 1] == Status.SATURATED:
-                self._relieve(lo - 1, floats, args)
+                self._relieve(lo - 1, thread, args)
 
-    def _row(self, i: int, floats: Array) -> TickRecords:
-        size = len(self._model) // self.rows
-        row = ModelRow.__new__(ModelRow)
-        row.raw, row.pairs = self._model[i * size : (i + 1) * size], self._names.pairs
-        row.head = records(row.raw, 0, 1, at.CHAIN)[0]
-        return TickRecords(row, self._memory.reshape(self.rows, -1)[i], floats)
-
-    def _relieve(self, i: int, floats: Array, args: tuple[Any, ...]) -> None:
+    def _relieve(self, i: int, thread: int, args: tuple[Any, ...]) -> None:
         """Torques within the limits for a row that has just ended SATURATED."""
-        rows = self._row(i, floats)
-        out = args[-1][i * self._n_a : (i + 1) * self._n_a]
+        rows = TickRecords(self._names, self._bytes, i, thread)
         if i not in self._limits:
             self._limits[i] = MotorLimits(self._settings[i], rows.row)
         try:
-            self._limits[i].relieve(rows, out)
+            self._limits[i].relieve(rows)
         except SolverError:
-            *inputs, flags, tau = args
-            self._call(
-                self._model, self._memory, floats.view(np.uint8), *inputs, flags | law.MISFIT, tau,
-                self._codes, law.LOOK, law.END, i, i + 1,
-            )  # fmt: skip
+            job = self._jobs[thread]
+            flags, last = job.switches, job.last
+            job.switches = flags | law.MISFIT
+            job.first, job.last = i, i + 1
+            self._call(self._bytes.raw, rows.at, *args)
+            job.switches, job.last = flags, last
 
     def _locate(self, q: Array) -> None:
         """Where no arm holds the object rigidly: find it once, from the joints alone."""
@@ -217,7 +218,7 @@ class BatchController:
         mine = np.ones(self.rows, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
         if mine.shape != (self.rows,):
             raise InvalidInputError(f"mask: expected ({self.rows},), got {mine.shape}")
-        self._memory.reshape(self.rows, -1)[mine] = self._start.reshape(self.rows, -1)[mine]
+        self._bytes.memory[mine] = self._start[mine]
         self._codes[mine] = Status.OK
 
     def replace(self, row: int, controller: Controller) -> None:
@@ -233,9 +234,9 @@ class BatchController:
             raise InvalidInputError(f"row {row}; the batch has rows 0 … {self.rows - 1}")
         self._require_fitting(row, controller)
         records = controller._records
-        self._model.reshape(self.rows, -1)[row] = records.row.raw
-        for memory in (self._memory, self._start):
-            memory.reshape(self.rows, -1)[row] = records.memory_bytes
+        self._bytes.model[row] = records.row.raw
+        for memory in (self._bytes.memory, self._start):
+            memory[row] = records.memory_bytes
         self._settings[row] = controller.settings
         self._limits.pop(row, None)
         self._codes[row] = Status.OK
@@ -261,13 +262,15 @@ class BatchController:
         return np.array(self._columns["speed"])
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None, "_call": None}
+        gone = ["_pool", "_call", "_memories", "_codes", "_columns", "_torques", "_squeeze"]
+        own = {name: x for name, x in self.__dict__.items() if name not in [*gone, "_jobs"]}
+        return {**own, "_bytes": (self._bytes.model, self._bytes.memory)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, _call=rows())
-        head = records(self._model, 0, 1, at.CHAIN)[0]
-        self._memories = self._strided(at.MEMORY, 0, 1)[:, 0]
-        self._columns = self._strided(at.COLUMN_MEMORY, int(head.column_memory_at), self._r)
+        model, memory = state["_bytes"]
+        self._bytes = Rows(model, memory, self.threads)
+        self._look()
         self._pool = _pool(self.threads)
 
 
@@ -279,7 +282,7 @@ def _pool(threads: int) -> ThreadPoolExecutor | None:
 def _structure_of(controller: Controller) -> dict[str, int]:
     head = controller._records.row.head
     shape = ("n_arms", "n_joints", "n_motors", "n_columns", "n_contacts", "row_bytes",
-             "memory_bytes", "work_bytes", "slipping", "leader")  # fmt: skip
+             "memory_bytes", "slipping", "leader")  # fmt: skip
     return {name: int(head[name]) for name in shape}
 
 

@@ -17,7 +17,7 @@ from osc_contact.dynamics.environment import Environment
 from osc_contact.errors import ContactError
 from osc_contact.law import allocation, command_filter
 from osc_contact.law.jit import as_python
-from osc_contact.law.tables import BY_MATRIX, BY_OBJECT, NO_REASON, WORK
+from osc_contact.law.tables import BY_MATRIX, BY_OBJECT, NO_REASON, WORK, Tick
 from osc_contact.response import require_reachable
 from osc_contact.spatial import Array
 
@@ -27,7 +27,7 @@ _prepare = as_python(command_filter.require_reachable)
 _filter = as_python(command_filter.filter_motion)
 _structure = as_python(allocation.command_object)
 
-_FIELDS = {name: field[0].shape for name, field in (WORK.fields or {}).items()}
+_FIELDS = {name: field[0].shape for name, field in (WORK.dtype.fields or {}).items()}
 _AXES = np.tile(np.eye(3), (4, 1, 1))
 
 
@@ -85,8 +85,9 @@ def command(
             else state.metric + sum(arm.Lambda for arm in state.arms)
         )
         chain.metric, w.B_inv_t = BY_MATRIX, wrench @ weight @ wrench.T
-    _prepare(chain, w)
-    if _filter(chain, w) != NO_REASON:
+    t = Tick(chain, SimpleNamespace(f_bias=np.zeros(6)), w, None)
+    _prepare(t)
+    if _filter(t) != NO_REASON:
         raise ContactError("the metric B of eq. 24 is singular in the motions that the arms permit")
-    _structure(chain, w, np.zeros(6))
+    _structure(t)
     return inverse @ w.x[m:], R.T @ w.f_S[m:]

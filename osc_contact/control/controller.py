@@ -35,7 +35,7 @@ from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows
-from osc_contact.law.tables import BODY, DEGRADED, JOINTS, OBJECT_UNKNOWN, WRISTS
+from osc_contact.law.tables import DEGRADED, JOINTS, OBJECT_UNKNOWN, WRISTS
 from osc_contact.scenarios.control_schema import (
     Friction,
     Gains,
@@ -68,6 +68,7 @@ class Controller(ControllerCopies):
 
     _converting: bool  #: arrays of other types came: the law's call converts
     _freshness: Freshness
+    _rows: Any
 
     def __init__(
         self,
@@ -145,7 +146,7 @@ class Controller(ControllerCopies):
         if not engaged:
             contacts_memory.active[:] = 0
             if life is not None:
-                pushes = self._records.row.table("bodies", len(contacts), BODY).pushes
+                pushes = self._records.row.head.bodies.pushes
                 contacts_memory.phase[:] = np.where(pushes, Phase.OPEN, Phase.CLOSED)
                 self._records.column_memory.closed[:] = 0
 
@@ -160,13 +161,11 @@ class Controller(ControllerCopies):
             outside = Outside(settings, laws)
         if records is None:
             records = TickRecords(outside.row)
-        n_bars = int(records.row.head.n_bars)
         self.__dict__.update(
             settings=settings, laws=laws, _outside=outside,
-            _rows=rows(), _codes=np.zeros(1, dtype=np.int64), _squeeze=np.zeros(max(1, n_bars)),
-            _still=np.zeros((len(settings.contacts), 28)),
+            _rows=rows(), _still=np.zeros((0, 28)),
             _moving=np.zeros((len(settings.contacts), 28)),
-            _arms=len(settings.chain.arms), _n_a=settings.chain.n_a, _in_parts=outside.needed,
+            _arms=len(settings.chain.arms), _in_parts=outside.needed,
             _limits=None, _given_up=None, _failure=None, _inputs=None, _result=None,
             _converting=False, _freshness=Freshness(settings.dt, settings.safety.wrench_timeout),
             _start=StartCheck(), _starting=True,
@@ -183,9 +182,9 @@ class Controller(ControllerCopies):
     def _take_records(self, records: TickRecords) -> None:
         self._records = records
         self.motion_law._memory = self.force_law._memory = records.memory
+        self._codes, self._squeeze = records.status, records.squeeze
         self._tables = (
-            records.row.raw, records.memory_bytes, records.work_bytes, self._squeeze, self._still,
-            self._codes, self._rows, self._n_a,
+            records.rows.raw, records.squeeze, records.torques, self._still, self._rows,
             self._arms < 3 and not self._in_parts and not self._starting,
         )  # fmt: skip
 
@@ -205,7 +204,7 @@ class Controller(ControllerCopies):
         is no fault of a sensor. Never returns a torque that is not finite or exceeds a limit: a
         tick that cannot be computed repeats the last good torques, see `status`.
         """
-        model, memory, work, squeeze, still, codes, call, n_a, plain = self._tables
+        raw, squeeze, torques, still, call, plain = self._tables
         try:
             if (
                 plain and measurement.touched is None and measurement.stamps is None
@@ -213,13 +212,12 @@ class Controller(ControllerCopies):
                 and not measurement.estimated
             ):  # fmt: skip
                 squeeze[0] = reference.squeeze_d
-                tau = np.empty(n_a)
                 done = call(
-                    model, memory, work, measurement.q, measurement.v, measurement.wrenches,
+                    raw, 0, measurement.q, measurement.v, measurement.wrenches,
                     reference.X_WD.homogeneous, reference.V_D, reference.A_D, reference.alpha_d,
-                    squeeze, still, 0, tau, codes, 0, 4, 0, 1,
+                    still,
                 )  # fmt: skip
-                return tau if done == 2 else self._end(tau, measurement, reference)
+                return torques.copy() if done == 2 else self._end(measurement, reference)
             return self._tick(measurement, reference)
         except Exception as error:  # nothing that comes in may end the control loop
             return self._convert(measurement, reference, error)
@@ -243,23 +241,29 @@ class Controller(ControllerCopies):
             self._squeeze[0] = reference.squeeze_d
         else:
             flags |= self._bar_forces(reference.squeeze_d)
-        tau = np.empty(self._n_a)
         args = (
             measurement.q, measurement.v, measurement.wrenches, reference.X_WD.homogeneous,
-            reference.V_D, reference.A_D, reference.alpha_d, self._squeeze, table,
+            reference.V_D, reference.A_D, reference.alpha_d, table,
         )  # fmt: skip
         error = None
         if self._in_parts:
-            error = self._outside.tick(self, measurement, reference, args, flags, tau)
-        else:
-            records = self._records
-            done = self._rows(
-                records.row.raw, records.memory_bytes, records.work_bytes, *args, flags, tau,
-                self._codes, 0, 4, 0, 1,
-            )  # fmt: skip
-            if done == 2:
-                return tau
-        return self._end(tau, measurement, reference, error)
+            error = self._outside.tick(self, measurement, reference, args, flags)
+        elif self._run(args, flags) == 2:
+            return self.last_torques()
+        return self._end(measurement, reference, error)
+
+    def _run(
+        self, args: tuple[Any, ...], flags: int = 0, begin: int = law.LOOK, stop: int = law.END
+    ) -> int:
+        """Parts of a tick, which the law's call returns the end of."""
+        raw, job = self._records.rows.raw, self._records.job
+        if not flags and begin == law.LOOK and stop == law.END:
+            return int(self._rows(raw, 0, *args))
+        job[0], job[1], job[2] = flags, begin, stop
+        try:
+            return int(self._rows(raw, 0, *args))
+        finally:
+            job[0], job[1], job[2] = 0, law.LOOK, law.END
 
     def _convert(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
         """A tick whose arrays are of other types, or one to be held.
@@ -287,18 +291,14 @@ class Controller(ControllerCopies):
 
     def _hold(self, measurement: Measurement) -> Array:
         """Torques (n_a,) of a tick that failed outside of the law: one that is not computed."""
-        n, six, tau, r = self.chain.nq, np.zeros(6), np.empty(self._n_a), self._records
+        n, six = self.chain.nq, np.zeros(6)
         q, v = (read_joints(getattr(measurement, name, None), n) for name in "qv")
-        self._rows(
-            r.row.raw, r.memory_bytes, r.work_bytes, q, v,
-            np.full((self._arms, 6), np.nan), np.eye(4), six, six, np.zeros(0), self._squeeze,
-            self._still, 0, tau, self._codes, law.LOOK, law.END, 0, 1,
-        )  # fmt: skip
-        return tau
+        wrenches = np.full((self._arms, 6), np.nan)
+        self._run((q, v, wrenches, np.eye(4), six, six, np.zeros(0), self._still))
+        return self.last_torques()
 
     def _end(
         self,
-        tau: Array,
         measurement: Measurement,
         reference: Reference,
         error: Exception | None = None,
@@ -306,7 +306,7 @@ class Controller(ControllerCopies):
         """What is left to do after a tick that did not end OK; `error`: raised outside the law."""
         code = int(self._codes[0])
         if code == DEGRADED:  # the law did it all, and nothing of the controller's has changed
-            return tau
+            return self.last_torques()
         self._given_up = None
         self._inputs, self._failure = (measurement, reference), error
         if code == Status.HELD:
@@ -318,14 +318,15 @@ class Controller(ControllerCopies):
         elif code == Status.SATURATED:
             try:
                 if self.laws.structure is not None:
-                    self._given_up = scale_torques(self._records, self.chain, tau)
-                    return tau
+                    self._given_up = scale_torques(self._records, self.chain)
+                    return self.last_torques()
                 if self._limits is None:
                     self._limits = MotorLimits(self.settings, self._records.row)
-                self._limits.relieve(self._records, tau)
+                self._limits.relieve(self._records)
             except SolverError as why:
-                tau[:], self._failure = self._hold(measurement), why
-        return tau
+                self._hold(measurement)
+                self._failure = why
+        return self.last_torques()
 
     def _motions(self, touched: Touched) -> Array:
         table, count = self._moving, len(self._moving)

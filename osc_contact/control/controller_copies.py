@@ -26,10 +26,9 @@ class ControllerCopies(ControllerState):
     """Ways of making another `Controller` that continues from this one; they share nothing."""
 
     _outside: Outside
-    _rows: Any
     _still: Array
-    _n_a: int
     _begin: Callable[..., None]
+    _run: Callable[..., int]
 
     def with_gains(self, gains: Gains) -> Self:
         """Another controller with these gains that goes on from here without a jump.
@@ -67,10 +66,12 @@ class ControllerCopies(ControllerState):
 
     def _another(self, settings: Settings, laws: Laws) -> Self:
         other = type(self).__new__(type(self))
-        row = self._records.row.copy()
         same = settings is self.settings and laws is self.laws
         outside = self._outside if same else None  # it packs rows anew, by its settings
-        other._begin(settings, laws, TickRecords(row, self._records.memory_bytes.copy()), outside)
+        records = TickRecords(self._records.row)
+        records.memory_bytes[:] = self._records.memory_bytes
+        records.status[0] = 0
+        other._begin(settings, laws, records, outside)
         other._begin_start(deepcopy(self._start), self._starting)
         return other
 
@@ -100,7 +101,9 @@ class ControllerCopies(ControllerState):
     def __setstate__(self, state: dict[str, Any]) -> None:
         outside = Outside(state["settings"], state["laws"])
         row = outside.pack(state["columns"])
-        self._begin(state["settings"], state["laws"], TickRecords(row, state["memory"].copy()))
+        records = TickRecords(row)
+        records.memory_bytes[:] = state["memory"]
+        self._begin(state["settings"], state["laws"], records)
         self._records.work_bytes[:] = state["work"]
         self._begin_start(*state["start"])
         self._codes[0], self._given_up = state["code"], state["given_up"]
@@ -108,10 +111,6 @@ class ControllerCopies(ControllerState):
         self._failure = None if why is None else OscContactError(why)
 
     def _hand_over(self) -> None:
-        r, six = self._records, np.zeros(6)
-        codes = self._codes.copy()
-        self._rows(
-            r.row.raw, r.memory_bytes, r.work_bytes, np.zeros(self.chain.nq),
-            np.zeros(self.chain.nq), np.zeros((self._arms, 6)), np.eye(4), six, six, np.zeros(0),
-            self._squeeze, self._still, 0, np.zeros(self._n_a), codes, law.HAND_OVER, law.END, 0, 1,
-        )  # fmt: skip
+        zeros, six = np.zeros(self.chain.nq), np.zeros(6)
+        given = zeros, zeros, np.zeros((self._arms, 6)), np.eye(4), six, six, np.zeros(0)
+        self._run((*given, self._still), begin=law.HAND_OVER)

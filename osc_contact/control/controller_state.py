@@ -116,10 +116,10 @@ class ControllerState:
             setattr(memory, name, 0)
         for rows in (self._records.joint_memory, self._records.arm_memory):
             rows.view(np.ndarray)[:] = np.zeros(1, rows.dtype)
-        for name in ("underforce", "overforce", "astray"):
+        for name in ("underforce", "overforce", "time_since_loss"):
             self._records.column_memory[name][:] = 0.0
         memory.repeats, memory.fresh, memory.motion_sum[:], memory.force_sum[:] = 0, 0, 0.0, 0.0
-        memory.step_left, self._records.column_memory.wished[:] = 0.0, 0
+        memory.step_left, self._records.column_memory.has_desired[:] = 0.0, 0
 
     @property
     def given_up(self) -> LimitLoss | None:

@@ -13,7 +13,7 @@ from osc_contact.dynamics.arm import effort_scale
 from osc_contact.dynamics.chain_rows import pack_chain
 from osc_contact.dynamics.rail import Body, Cart, Conveyor
 from osc_contact.law import tables as at
-from osc_contact.law.layout import Bytes, new_model, records
+from osc_contact.law.layout import Bytes, new_model
 from osc_contact.law.safety import BRAKE_RATE
 from osc_contact.law.watch import SURE
 from osc_contact.scenarios.control_schema import Friction
@@ -33,7 +33,7 @@ class ModelRow:
     """The bytes of one controller's MODEL row, and how large its MEMORY and WORK are.
 
     Attributes:
-        raw: the bytes. head: its CHAIN record. pairs: the contact pairs as rows.
+        raw: the bytes. head: its MODEL record. pairs: the contact pairs as rows.
     """
 
     def __init__(self, settings: Settings, columns: dict[int, int]) -> None:
@@ -44,27 +44,19 @@ class ModelRow:
             len(chain.arms), chain.nq, chain.n_a, len(settings.contacts), len(pairs.shapes),
             pairs.r_all,
         )  # fmt: skip
-        self.head = records(self.raw, 0, 1, at.CHAIN)[0]
+        self.head = at.MODEL.view(self.raw)
         pack_chain(chain, self.raw, chain.leader)
         self._pack_joints(settings)
         self._pack_contacts(settings)
         self.set_gains(settings)
         self.set_safety(settings)
 
-    def copy(self) -> ModelRow:
-        """The same with bytes of its own."""
+    def within(self, raw: Bytes) -> ModelRow:
+        """The same row at these bytes, where it has been copied to."""
         other = ModelRow.__new__(ModelRow)
-        other.pairs, other.raw = self.pairs, self.raw.copy()
-        other.head = records(other.raw, 0, 1, at.CHAIN)[0]
+        other.pairs, other.raw = self.pairs, raw
+        other.head = at.MODEL.view(raw)
         return other
-
-    def table(self, name: str, count: int, dtype: np.dtype[Any]) -> Any:
-        """Rows of one of its tables.
-
-        Args:
-            name: field of the head that says where it begins. count: of rows. dtype: of a row.
-        """
-        return records(self.raw, int(getattr(self.head, f"{name}_at")), count, dtype)
 
     def set_gains(self, settings: Settings) -> None:
         """What may differ between controllers of one structure."""
@@ -114,7 +106,7 @@ class ModelRow:
         head.force_range = max(safety.force_range, 3.0 * weight)
         head.torque_range = max(safety.torque_range, 3.0 * weight)  # on a lever of 1 m
         model = settings.chain.model
-        rows = self.table("joints", settings.chain.nq, at.JOINT)
+        rows = self.head.joints
         watched = (rows.motor >= 0) & (safety.brake_time > 0.0)
         rows.lower[:] = np.where(watched, model.lowerPositionLimit, -np.inf)
         rows.upper[:] = np.where(watched, model.upperPositionLimit, np.inf)
@@ -122,7 +114,7 @@ class ModelRow:
 
     def _pack_joints(self, settings: Settings) -> None:
         chain, posture = settings.chain, settings.posture_task
-        rows = self.table("joints", chain.nq, at.JOINT)
+        rows = self.head.joints
         limits = JointLimitAvoidance.of(chain.model, posture.limit_stiffness, posture.limit_margin)
         effort = effort_scale(chain.tau_max)
         rows.motor[:] = -1
@@ -143,15 +135,15 @@ class ModelRow:
     def _pack_contacts(self, settings: Settings) -> None:
         from osc_contact.contacts.pairs.pair import pushes_only
 
-        c, pairs = len(settings.contacts), self.pairs
-        rows = self.table("pairs", c, at.PAIR)
+        pairs = self.pairs
+        rows = self.head.pairs
         for row, values in zip(rows, pairs.table, strict=True):
             row.kind, row.first, row.count, row.shape_at, row.freedoms, row.has_friction = values
-        shapes = self.table("shapes", len(pairs.shapes), at.SHAPE)
+        shapes = self.head.shapes
         for shape, numbers in zip(shapes, pairs.shapes, strict=True):
             shape.row[:] = numbers
-        self.table("columns", pairs.r_all, at.COLUMN).contact[:] = pairs.owners
-        bodies = self.table("bodies", c, at.BODY)
+        self.head.columns.contact[:] = pairs.owners
+        bodies = self.head.bodies
         for row, pair, kind in zip(
             bodies, settings.contacts, _body_kinds(settings.bodies), strict=True
         ):
@@ -162,7 +154,7 @@ class ModelRow:
 def _copy(settings: Spec, head: Any, **names: str) -> None:
     """Copy settings into the fields of their names, or of `names` where these differ."""
     for key in type(settings).model_fields:
-        if (name := names.get(key, key)) in head.dtype.names:
+        if (name := names.get(key, key)) in at.MODEL.dtype.names:
             setattr(head, name, getattr(settings, key))
 
 

@@ -59,10 +59,7 @@ class ContactMonitor:
         """
         x = self.limits
         for row, force, pace in zip(self.rows, alpha.tolist(), speed.tolist(), strict=True):
-            _monitor(
-                row, force, pace, self.dt, x.force_on, x.force_off, x.power, x.patience, x.window,
-                x.dwell, x.leaving, 0.0,
-            )  # fmt: skip
+            _monitor(x, row, force, pace, self.dt, x.dwell, 0.0)
         said = np.array([(row.closed, row.collision) for row in self.rows], dtype=bool)
         closed, collision = said.reshape(-1, 2).T
         return MonitorState(closed, collision)

@@ -17,8 +17,9 @@ from osc_contact.control.signals import Signals
 from osc_contact.control.tick_records import TickRecords
 from osc_contact.errors import ContactError
 from osc_contact.interface import Measurement, Reference, Touched
+from osc_contact.law import tables as at
 from osc_contact.law import tick as law
-from osc_contact.law.tables import BODY, ELSEWHERE, HELD
+from osc_contact.law.tables import ELSEWHERE, HELD
 from osc_contact.spatial import Array
 
 __all__ = ["Outside"]
@@ -27,10 +28,10 @@ __all__ = ["Outside"]
 class TickOwner(Protocol):
     """The controller whose tick it is: its records and the compiled law."""
 
-    _codes: Array
     _records: TickRecords
-    _rows: Any
     _limits: Any
+
+    def _run(self, args: tuple[Any, ...], flags: int, begin: int, stop: int) -> int: ...
 
     def _hold(self, measurement: Measurement) -> Array: ...
     def _take_records(self, records: TickRecords) -> None: ...
@@ -48,7 +49,7 @@ class Outside:
         self.settings, self.laws = settings, laws
         self.row = self.pack()
         self._given = [(number, pair) for number, pair, _ in self.row.pairs.elsewhere]
-        kinds = self.row.table("bodies", len(settings.contacts), BODY)
+        kinds = self.row.head.bodies
         self._bodies = [
             (c, settings.bodies[c])
             for c, one in enumerate(kinds)
@@ -68,26 +69,21 @@ class Outside:
         reference: Reference,
         args: tuple[Any, ...],
         flags: int,
-        tau: Array,
     ) -> Exception | None:
-        """One tick; the torques go to tau (n_a,), its status to the controller.
+        """One tick; torques and status go to its records.
 
         Args:
             controller: whose tick. measurement, reference: of the tick.
-            args, flags: of the compiled law. tau: (n_a,) filled (N m, N).
+            args, flags: of the compiled law.
 
         Returns:
             What code of the user's own raised: then the posture is held.
         """
-        codes, laws = controller._codes, self.laws
+        laws = self.laws
 
         def run(begin: int, stop: int, more: int = 0) -> bool:
-            r = controller._records
-            controller._rows(
-                r.row.raw, r.memory_bytes, r.work_bytes, *args, flags | more, tau, codes, begin,
-                stop, 0, 1,
-            )  # fmt: skip
-            return bool(codes[0] != HELD)
+            controller._run(args, flags | more, begin, stop)
+            return bool(controller._records.status[0] != HELD)
 
         if not run(law.LOOK, law.MEASURE, law.PARTIAL if self._given else 0):
             return None
@@ -122,7 +118,7 @@ class Outside:
             if laws.structure is not None:
                 self._structure(controller)
         except Exception as error:  # whatever the user's code raises ends as a status
-            tau[:] = controller._hold(measurement)
+            controller._hold(measurement)
             return error
         run(law.ALLOCATE, law.END)
         return None
@@ -195,8 +191,9 @@ class Outside:
         old = controller._records
         columns = {**old.row.pairs.given, **changed}
         new = TickRecords(self.pack(columns))
-        same = int(new.row.head.column_memory_at)
-        new.memory_bytes[:same] = old.memory_bytes[:same]
+        begin = at.MEMORY.dtype.fields["layout"][0].itemsize
+        same = int(new.memory.layout[list(at.MEMORY.tables).index("columns")])
+        new.memory_bytes[begin:same] = old.memory_bytes[begin:same]
         owners = np.asarray(new.row.pairs.owners, dtype=int)
         new.column_memory.closed[:] = new.contacts.phase[owners] == 2
         controller._take_records(new)

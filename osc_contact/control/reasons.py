@@ -114,8 +114,8 @@ def converting(rows: Callable[..., int], n: int, arms: int) -> Callable[..., int
     joints, wrists, six = q_.shape, w_.shape, V_.shape
 
     def call(
-        model: Any, memory: Any, work: Any, q: Any, v: Any, wrenches: Any, X_WD: Any, V_D: Any,
-        A_D: Any, alpha_d: Any, *rest: Any,
+        raw: Any, at: Any, q: Any, v: Any, wrenches: Any, X_WD: Any, V_D: Any, A_D: Any,
+        alpha_d: Any, touched: Any,
     ) -> int:  # fmt: skip
         try:
             fits = q.shape == v.shape == joints and wrenches.shape == wrists
@@ -125,14 +125,14 @@ def converting(rows: Callable[..., int], n: int, arms: int) -> Callable[..., int
         if not fits:
             q, v, wrenches, V_D, A_D = _own(q), _own(v), _own(wrenches), _own(V_D), _own(A_D)
             a = _own(alpha_d, ndmin=1)
-            return rows(model, memory, work, q, v, wrenches, X_WD, V_D, A_D, a, *rest)
+            return rows(raw, at, q, v, wrenches, X_WD, V_D, A_D, a, touched)
         q_[...] = q
         v_[...] = v
         w_[...] = wrenches
         V_[...] = V_D
         A_[...] = A_D
         a = alpha_d.astype(_DOUBLE)
-        return rows(model, memory, work, q_, v_, w_, X_WD, V_, A_, a, *rest)
+        return rows(raw, at, q_, v_, w_, X_WD, V_, A_, a, touched)
 
     return call
 

@@ -14,7 +14,6 @@ from osc_contact.control.tick_records import TickRecords
 from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.interface import Reference, Touched
-from osc_contact.law.tables import BODY
 from osc_contact.spatial import Array
 
 __all__ = ["BLOCKS", "Block", "SIGNALS", "Signals"]
@@ -82,7 +81,7 @@ class Signals:
     ) -> None:
         """Copy what a tick has left."""
         self._settings = settings
-        rows = TickRecords(records.row, records.memory_bytes.copy(), records.floats.copy())
+        rows = records.copy()
         self._rows, w = rows, rows.work
         self.q, self.v = rows.joints.q.copy(), rows.joints.v.copy()
         self.wrenches = rows.arms.reading.copy()
@@ -136,7 +135,7 @@ class Signals:
             return Environment.fixed()
         owners = rows.row.pairs.owners
         active = dict.fromkeys(owners[j] for j in rows.columns.chosen[: int(rows.work.count)])
-        bodies = rows.row.table("bodies", len(rows.bodies), BODY).same
+        bodies = rows.row.head.bodies.same
         answers: dict[int, Environment] = {}
         for body in (int(bodies[c]) for c in active):
             Phi_e, b_e, V_e = np.split(rows.bodies.answer[body], (36, 42))

@@ -10,7 +10,7 @@ from osc_contact.control.model_row import ModelRow
 from osc_contact.control.reports import LostDirection
 from osc_contact.law import frames
 from osc_contact.law import tables as at
-from osc_contact.law.layout import Bytes, records
+from osc_contact.law.layout import Bytes, Rows, views
 from osc_contact.spatial import Array
 
 __all__ = ["TickRecords"]
@@ -23,72 +23,70 @@ def _cell(raw: Bytes, dtype: np.dtype[Any], name: str) -> Array:
 
 
 class TickRecords:
-    """MODEL, MEMORY and WORK of one controller.
+    """MODEL, MEMORY and WORK of one controller, in one run of bytes.
 
     Attributes:
-        row: MODEL. memory_bytes, work_bytes: the others. memory, contacts, column_memory, torques,
-            joint_memory, arm_memory: views of MEMORY.
-        work, arms, joints, columns, bodies: views of WORK.
+        row: MODEL. rows: the bytes; index, thread: which row of them, whose WORK. at: of its JOB.
+        memory, contacts, column_memory, torques, joint_memory, arm_memory, squeeze: of MEMORY.
+        work, arms, joints, columns, bodies, jacobian, bars: of WORK.
+        job: words of JOB, `switches`, `begin` and `stop` first.
         given_columns: N (r_all, 6), n_γ and N_μ − N, where pairs in Python put them.
         floats: WORK as numbers; what recordings keep are slices of it.
-        rank, engaged, ticked, state: (1,) of WORK and MEMORY. X_WO, V_O: of WORK.
+        status, rank, engaged, ticked, state: (1,) of MEMORY and WORK. X_WO, V_O: of WORK.
         active, phase: (contacts,), closed, collision: (r_all,) of MEMORY.
     """
 
     def __init__(
-        self, row: ModelRow, memory: Bytes | None = None, floats: Array | None = None
+        self, row: ModelRow, rows: Rows | None = None, index: int = 0, thread: int = 0
     ) -> None:
-        """Views for a MODEL row; `memory`, `floats`: MEMORY and WORK to look at (default: new)."""
-        head = row.head
-        self.row = row
-        size, work_size = int(head.memory_bytes), int(head.work_bytes)
-        self.memory_bytes: Bytes = np.zeros(size, np.uint8) if memory is None else memory
-        self.floats: Array = np.zeros(work_size // 8) if floats is None else floats
-        self.work_bytes: Bytes = self.floats.view(np.uint8)
-        raw, c, r = self.memory_bytes, int(head.n_contacts), int(head.n_columns)
-        self.memory = records(raw, 0, 1, at.MEMORY)[0]
-        self.contacts = records(raw, int(head.contact_memory_at), c, at.CONTACT_MEMORY)
-        self.column_memory = records(raw, int(head.column_memory_at), r, at.COLUMN_MEMORY)
-        start = int(head.torque_memory_at)
-        self.torques: Array = raw[start : start + 8 * int(head.n_motors)].view(np.float64)
-        n = int(head.n_joints)
-        self.joint_memory = records(raw, int(head.joint_memory_at), n, at.JOINT_MEMORY)
-        self.arm_memory = records(raw, int(head.arm_memory_at), int(head.n_arms), at.ARM_MEMORY)
-        raw = self.work_bytes
-        self.work = records(raw, 0, 1, at.WORK)[0]
-        self.rank = _cell(raw, at.WORK, "rank")
+        """Views of a row of `rows`; None: of bytes of its own, which begin as `row`."""
+        self.rows = rows = Rows(row.raw) if rows is None else rows
+        self.index, self.at = index, rows.starts[thread]
+        self.row = row.within(rows.model[index])
+        self.memory_bytes: Bytes = rows.memory[index]
+        self.work_bytes: Bytes = rows.work[thread]
+        self.floats: Array = self.work_bytes.view(np.float64)
+        _, self.memory, self.work, _ = views(rows, index, thread)
+        self.job = rows.jobs[thread].view(np.int64)
+        memory, work = self.memory, self.work
+        self.contacts, self.column_memory = memory.contacts, memory.columns
+        self.joint_memory, self.arm_memory = memory.joints, memory.arms
+        self.torques: Array = memory.torques
+        self.squeeze: Array = memory.squeeze
+        self.rank = _cell(self.work_bytes, at.WORK.dtype, "rank")
+        self.status, self.engaged, self.ticked, self.state = (
+            _cell(self.memory_bytes, at.MEMORY.dtype, name)
+            for name in ("status", "engaged", "ticked", "state")
+        )
         self.X_WO, self.V_O = self.field("X_WO"), self.field("V_O")
         self.active: Array = self.contacts["active"]
         self.phase: Array = self.contacts["phase"]
         self.closed: Array = self.column_memory["closed"]
         self.collision: Array = self.column_memory["collision"]
-        self.engaged, self.ticked, self.state = (
-            _cell(self.memory_bytes, at.MEMORY, name) for name in ("engaged", "ticked", "state")
-        )
-        self.arms = records(raw, int(head.arm_work_at), int(head.n_arms), at.ARM_WORK)
-        self.joints = records(raw, int(head.joint_work_at), n, at.JOINT_WORK)
-        self.columns = records(raw, int(head.column_work_at), r, at.COLUMN_WORK)
+        self.arms, self.joints, self.columns = work.arms, work.joints, work.columns
+        self.bodies = work.bodies
         self.given_columns = tuple(
             self.columns[name] for name in ("N", "n_gamma_all", "friction_wrench")
         )
-        self.bodies = records(raw, int(head.body_work_at), c, at.BODY_WORK)
-        start = int(head.jacobian_at) // 8
-        self.jacobian: Array = self.floats[start : start + 6 * n].reshape(n, 6)
-        start = int(head.bars_at) // 8
-        self.bars: Array = self.floats[start : start + int(head.n_bars)]
+        self.jacobian: Array = work.J_world
+        self.bars: Array = work.bars
+
+    def copy(self) -> TickRecords:
+        """The same in bytes of its own."""
+        other = TickRecords(self.row)
+        other.memory_bytes[:] = self.memory_bytes
+        other.work_bytes[:] = self.work_bytes
+        return other
 
     def field(self, name: str) -> Array:
         """A field of WORK's head, as a slice of `floats`."""
-        kind, offset = at.WORK.fields[name][:2]  # type: ignore[index]
+        kind, offset = at.WORK.dtype.fields[name][:2]
         out = self.floats[offset // 8 : (offset + kind.itemsize) // 8]
         return out.reshape(kind.shape) if kind.shape else out
 
     def bar_basis(self) -> Array:
         """(bars, bars) whose first columns are the settable bar forces, see `law.linkage`."""
-        head = self.row.head
-        k, n, bars = int(head.n_arms), int(head.n_joints), int(head.n_bars)
-        start = int(head.link_at) // 8 + 29 * k + 10 * n + bars * n
-        return self.floats[start : start + bars * bars].reshape(bars, bars)
+        return np.asarray(self.work.basis)
 
     # --- energy coordinates, turned, and back ----------------------------------------------------
 

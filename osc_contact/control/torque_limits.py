@@ -13,8 +13,7 @@ from osc_contact.control.tick_records import TickRecords
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.law.jit import direct
 from osc_contact.law.limits import TorqueLimits
-from osc_contact.law.saturation import fill, settle
-from osc_contact.spatial import Array
+from osc_contact.law.saturation import fill_program, settle
 
 __all__ = ["MotorLimits", "scale_torques"]
 
@@ -32,7 +31,7 @@ class MotorLimits:
         )
         self._program.mass = chain.reference.inertia.mass
         self._sizes = np.zeros(4, dtype=np.int64)
-        self._fill, self._settle = fill, settle
+        self._fill, self._settle = fill_program, settle
         self._warm = False
         self._short = False
 
@@ -41,21 +40,18 @@ class MotorLimits:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._fill, self._settle = fill, settle
+        self._fill, self._settle = fill_program, settle
 
-    def relieve(self, rows: TickRecords, tau: Array) -> None:
-        """Torques within the limits that lose least, in tau (n_a,); the force integral follows.
+    def relieve(self, rows: TickRecords) -> None:
+        """Torques within the limits that lose least; the force integral follows.
 
         Raises:
             SolverError: none were found.
         """
-        program, model = self._program, rows.row.raw
-        self._fill(model, rows.work_bytes, program._given, self._sizes)
+        program, place = self._program, (rows.rows.raw, rows.at, rows.index)
+        self._fill(*place, program._given, self._sizes)
         self._short = program.solve(*self._sizes.tolist())
-        self._settle(
-            model, rows.work_bytes, rows.memory_bytes, program.tau, program.lost_force,
-            program.lost_squeeze, tau,
-        )  # fmt: skip
+        self._settle(*place, program.tau, program.lost_force, program.lost_squeeze)
         if len(rows.bars) > 1:
             s = int(self._sizes[3])
             rows.bars[:] -= rows.bar_basis()[:, :s] @ program.lost_squeeze[:s]
@@ -80,21 +76,21 @@ class MotorLimits:
         )  # fmt: skip
 
 
-def scale_torques(rows: TickRecords, chain: ClosedChain, tau: Array) -> LimitLoss:
-    """All torques by one factor until none exceeds its limit, in tau (n_a,).
+def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
+    """All torques by one factor until none exceeds its limit.
 
     For control structures of the user's own, of which nothing is known.
 
     Args:
-        rows: records of the tick. chain: its motors. tau: (n_a,) scaled in place (N m, N).
+        rows: records of the tick. chain: its motors.
     """
     wanted = rows.joints.tau[chain.actuated]
     share = np.abs(wanted) / chain.tau_max
     motor = int(np.argmax(share))
-    tau[:] = wanted / share[motor]
+    tau = wanted / share[motor]
     if rows.memory.ticked > 1:
         step = rows.row.head.torque_rate * rows.row.head.period * chain.tau_max
-        tau[:] = rows.torques + (tau - rows.torques) / max(
+        tau = rows.torques + (tau - rows.torques) / max(
             1.0, np.max(np.abs(tau - rows.torques) / step)
         )
     rows.torques[:] = tau

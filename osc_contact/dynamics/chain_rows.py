@@ -10,7 +10,7 @@ import pinocchio as pin
 from osc_contact.dynamics.chain_model import GYRATION, ChainModel
 from osc_contact.errors import ModelError
 from osc_contact.law import tables as at
-from osc_contact.law.layout import Bytes, new_model, records
+from osc_contact.law.layout import Bytes, new_model
 from osc_contact.spatial import Array, cross
 
 _UPPER = np.triu_indices(3)
@@ -35,10 +35,10 @@ def pack_chain(chain: ChainModel, raw: Bytes, leader: int | None) -> None:
         chain: to pack. raw: bytes of the row.
         leader: arm that holds the object rigidly; None: no arm does.
     """
-    head = records(raw, 0, 1, at.CHAIN)[0]
-    _pack_object(chain, head, leader)
-    _pack_arms(chain, records(raw, int(head.arms_at), len(chain.arms), at.ARM))
-    _pack_joints(chain, records(raw, int(head.joints_at), chain.nq, at.JOINT))
+    model = at.MODEL.view(raw)
+    _pack_object(chain, model, leader)
+    _pack_arms(chain, model.arms)
+    _pack_joints(chain, model.joints)
 
 
 def _pack_object(chain: ChainModel, head: Any, leader: int | None) -> None:

@@ -24,10 +24,9 @@ from osc_contact.dynamics.chain_state import ArmTerms, ChainState, SingularDirec
 from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError
 from osc_contact.law import tables as at
-from osc_contact.law import tick as law
-from osc_contact.law.compiled import rows
+from osc_contact.law.compiled import rows as law_rows
 from osc_contact.law.frames import motions, reflection, wrenches
-from osc_contact.law.layout import Bytes, records
+from osc_contact.law.layout import Bytes, Rows, views
 from osc_contact.spatial import Array, as_array, carry_twist
 
 _NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
@@ -47,7 +46,7 @@ class Look:
     """What the law makes of the arms at (q, v), before any contact: WORK after its first part.
 
     Attributes:
-        head: CHAIN record. work: WORK record. arms, joints: ARM_WORK and JOINT_WORK rows.
+        head, work: MODEL and WORK records. arms, joints: ARM_WORK and JOINT_WORK rows.
         jacobian: (n, 6) columns at the world's origin.
     """
 
@@ -60,44 +59,23 @@ class Look:
             row: from `chain_rows.chain_row`; led, if no pose is given.
             q, v: (n,). X_WO: (4, 4), V_O: (6,) of the object, if they are given.
         """
-        self.head = head = row[: at.CHAIN_BYTES].view(at.CHAIN)[0]
-        k = int(head["n_arms"])
-        n = int(head["n_joints"])
-        memory = np.zeros(int(head["memory_bytes"]), dtype=np.uint8)
+        rows = Rows(row)
+        records = views(rows)
+        self.head, memory, self.work, _ = records
+        k = int(self.head.n_arms)
         if X_WO is not None:
-            given = memory[: at.MEMORY_BYTES].view(at.MEMORY)[0]
-            given["located"] = 1
-            given["X_WO"] = X_WO
-            given["given"] = at.GIVEN_POSE if V_O is None else at.GIVEN_TWIST
-            given["V_O"] = 0.0 if V_O is None else V_O
-        floats = np.zeros(int(head["work_bytes"]) // 8)
-        raw = floats.view(np.uint8)
-        rows()(
-            row,
-            memory,
-            raw,
-            q,
-            v,
-            np.zeros((k, 6)),
-            np.eye(4),
-            np.zeros(6),
-            np.zeros(6),
-            _NONE,
-            np.zeros(max(1, int(head["n_bars"]))),
-            np.zeros((0, 28)),
-            0,
-            _NONE,
-            np.zeros(1, np.int64),
-            law.LOOK,
-            law.MEASURE,
-            0,
-            1,
-        )
-        self.work = raw[: at.WORK_BYTES].view(at.WORK)[0]
-        self.arms = records(raw, int(head["arm_work_at"]), k, at.ARM_WORK)
-        self.joints = records(raw, int(head["joint_work_at"]), n, at.JOINT_WORK)
-        start = int(head["jacobian_at"]) // 8
-        self.jacobian = floats[start : start + 6 * n].reshape(n, 6)
+            memory.located = 1
+            memory.X_WO = X_WO
+            memory.given = at.GIVEN_POSE if V_O is None else at.GIVEN_TWIST
+            memory.V_O = 0.0 if V_O is None else V_O
+        rows.job.stop = at.MEASURE
+        six = np.zeros(6)
+        law_rows()(
+            rows.raw, 0, q, v, np.zeros((k, 6)), np.eye(4), six, six, _NONE, np.zeros((0, 28))
+        )  # fmt: skip
+        self.arms = self.work.arms
+        self.joints = self.work.joints
+        self.jacobian = self.work.J_world
 
     def inertia(self, arms: Sequence[slice]) -> Array:
         """M (n, n) of all arms, given each one's part of the joints."""
@@ -327,9 +305,7 @@ class ClosedChain(ChainModel):
             ModelError: arms that the law does not know.
         """
         row = self._rows[led]
-        row[: at.CHAIN_BYTES].view(at.CHAIN)[0]["gravity"] = (
-            self.model.gravity.linear
-        )  # may have changed
+        at.MODEL.view(row).gravity = self.model.gravity.linear  # may have changed
         return row
 
     @cached_property

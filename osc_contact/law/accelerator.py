@@ -1,42 +1,41 @@
-"""What rests on numba's own classes: a faster first compilation, and calls between compiled code.
+"""What rests on numba's own classes: a faster first compilation.
 
 numba optimises every function and turns it into machine code, whether Python can call it or not.
 The parts of the law are called by its entry alone, which is optimised as a whole with all of them
-in it. Other compiled code calls that entry by its address: numba would link the whole law into
-every caller and optimise it again, for a minute.
+in it.
 
-These classes may change: where they do, `jit` compiles with public numba instead, to the same code,
-and compiled runs go tick by tick. OSC_CONTACT_ACCELERATOR=0 leaves all of it out.
+These classes may change: where they do, `jit` compiles with public numba instead, to the same code.
+OSC_CONTACT_ACCELERATOR=0 leaves all of it out.
 """
 
 from __future__ import annotations
 
 import ctypes
 import sys
-import zlib
 from typing import Any
 
-from llvmlite import binding
-from numba import types
-from numba.core import cgutils, ir
+from numba.core import ir
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
 from numba.core.compiler_machinery import FunctionPass, register_pass
-from numba.core.errors import TypingError
 from numba.core.typed_passes import NopythonTypeInference
 from numba.core.untyped_passes import InlineClosureLikes, IRProcessing
-from numba.extending import intrinsic
 
 __all__ = [
-    "call_entry", "direct", "entry_options", "forget_code", "part_options", "share_entry",
-]  # fmt: skip
+    "direct",
+    "entry_options",
+    "forget_code",
+    "part_options",
+]
 
-for _name in ("_finalize_dynamic_globals", "_get_module_for_linking", "_optimize_functions",
-              "_ensure_finalized", "finalize"):  # fmt: skip
+for _name in (
+    "_finalize_dynamic_globals",
+    "_get_module_for_linking",
+    "_optimize_functions",
+    "_ensure_finalized",
+    "finalize",
+):
     getattr(JITCodeLibrary, _name)  # another numba may have others: an AttributeError, see `jit`
-
-_SYMBOL = "osc_contact_law_rows"
-_shared: list[Any] = []  #: the entry that compiled code calls
 
 
 class _NoSymbols:
@@ -215,9 +214,11 @@ def part_options() -> dict[str, Any]:
     `_nrt`: the law makes no arrays, so nothing needs to be counted.
     """
     return {
-        "no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": PartCompiler,
+        "no_cpython_wrapper": True,
+        "no_cfunc_wrapper": True,
+        "pipeline_class": PartCompiler,
         "_nrt": False,
-    }  # fmt: skip
+    }
 
 
 def entry_options() -> dict[str, Any]:
@@ -239,7 +240,7 @@ def direct(entry: Any) -> Any:
 def forget_code(entry: Any) -> None:
     """Give back the intermediate code that numba keeps for callers that are linked with an entry.
 
-    There are none: compiled code calls it by its address. Of the tick it takes 19 MB.
+    There are none. Of the tick it takes 19 MB.
     """
     for compiled in entry.overloads.values():
         library: Any = getattr(compiled, "library", None)
@@ -249,42 +250,3 @@ def forget_code(entry: Any) -> None:
             kept.close()
     if sys.platform == "linux":  # glibc keeps what is freed, unless it is asked to
         getattr(ctypes.CDLL(None), "malloc_trim", int)(0)
-
-
-def share_entry(entry: Any) -> int | None:
-    """Let compiled code call a compiled entry by `call_entry`; a number of its arguments' types.
-
-    None where this numba keeps its code elsewhere.
-    """
-    try:
-        (signature,) = entry.signatures
-        compiled = entry.overloads[signature]
-        address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
-    except (AttributeError, KeyError, ValueError):
-        return None
-    if not address:
-        return None
-    _shared[:] = [entry]
-    binding.add_symbol(_SYMBOL, address)
-    return zlib.crc32(str(signature).encode())
-
-
-@intrinsic
-def call_entry(typing: Any, arguments: Any) -> Any:
-    """The entry of `share_entry`, for compiled code: one tuple of its arguments."""
-    (wanted,) = _shared[0].signatures
-    if tuple(arguments.types) != tuple(wanted):
-        raise TypingError(f"the entry takes {wanted}, got {arguments.types}")
-    tools: Any = cgutils
-
-    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        call = context.call_conv
-        kind = call.get_function_type(types.int64, wanted)
-        function = tools.get_or_insert_function(builder.module, kind, _SYMBOL)
-        values = [builder.extract_value(given[0], i) for i in range(len(wanted))]
-        status, done = call.call_function(builder, function, types.int64, wanted, values)
-        with tools.if_unlikely(builder, status.is_error):
-            call.return_status_propagate(builder, status)
-        return done
-
-    return types.int64(arguments), generate

@@ -5,19 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.six import add, dot6, fill, reflector, scaled, six
-
-__all__ = [
-    "back_substitute",
-    "cholesky",
-    "cholesky_solve",
-    "cross",
-    "form_q",
-    "invert_spd6",
-    "lu_solve",
-    "one_sided_jacobi",
-    "qr_rows",
-]
+from osc_contact.law.six import ZERO, add, dot6, fill, reflector, scaled, six
 
 _SINGULAR = 1e-10
 _NOTHING = 1e-280  #: below, numbers have fewer digits soon
@@ -91,8 +79,7 @@ def invert_spd6(A, L, out):
     if not least > 0.0:
         return 0.0
     for i in range(6):  # rows of L⁻¹
-        for j in range(6):
-            out[i, j] = 0.0
+        fill(out[i], ZERO)
         out[i, i] = 1.0
         x = six(out[i])
         for k in range(i):
@@ -249,7 +236,8 @@ def one_sided_jacobi(X, count, length, carried):
                 sine = cosine * t
                 a -= t * c
                 for i in range(length + carried):
-                    x, y = X[p, i], X[q, i]
+                    x = X[p, i]
+                    y = X[q, i]
                     X[p, i] = cosine * x - sine * y
                     X[q, i] = sine * x + cosine * y
         if not turned:
@@ -319,7 +307,7 @@ def solve_lower_transposed(L, r, x):
 
 
 @inner
-def meet(Q, r, x, wanted):
+def project_onto_constraint(Q, r, x, wanted):
     """x ← the nearest x (6,) with Q x = wanted, the rows of Q (r, 6) orthonormal.
 
     Args:

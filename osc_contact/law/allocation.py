@@ -17,31 +17,23 @@ from math import isfinite
 
 from osc_contact.law.algebra import cholesky_solve, form_q, qr_rows
 from osc_contact.law.internal import internal_rows
-from osc_contact.law.jit import inner, leaf, matrix
+from osc_contact.law.jit import inner, leaf
 from osc_contact.law.singular import retreat
 from osc_contact.law.six import add, dot6, fill, reflect, reflect_back, scaled, six, times6
 from osc_contact.law.tables import NO_REASON, UNACTUATED
 from osc_contact.law.torque_rows import add_row, factor_effort
 
-__all__ = [
-    "allocate_torques",
-    "command_object",
-    "limit_torques",
-    "predict_joints",
-    "push_from_limits",
-]
-
 
 @inner
-def command_object(chain, work, f_bias):
-    """f_S (6,) = Λ_S η̇_c + b_S + Sᵀ(N_μ α_u + f_bias): eq. 21, turned.
-
-    Args:
-        f_bias: (6,) constant wrench in energy coordinates.
-    """
-    r, m, x, bias = work.rank, work.locked, work.x, work.u
-    held = 1.0 if chain.held != 0 else 0.0
-    _energy_of(work, f_bias, bias)
+def command_object(t):
+    """f_S (6,) = Λ_S η̇_c + b_S + Sᵀ(N_μ α_u + f_bias): eq. 21, turned."""
+    work = t.work
+    r = work.rank
+    m = work.locked
+    x = work.x
+    bias = work.u
+    held = 1.0 if t.model.held != 0 else 0.0
+    _energy_of(t, t.memory.f_bias, bias)
     reflect(work.reflectors, work.beta, m, bias)
     for i in range(6):
         s = work.chain_bias[i] + bias[i] + held * x[i] + dot6(work.Lambda[i], x)
@@ -51,8 +43,9 @@ def command_object(chain, work, f_bias):
 
 
 @inner
-def _energy_of(work, f, out):
+def _energy_of(t, f, out):
     """A wrench at O in energy coordinates."""
+    work = t.work
     x = work.C[0] - work.O[0]
     y = work.C[1] - work.O[1]
     z = work.C[2] - work.O[2]
@@ -66,92 +59,97 @@ def _energy_of(work, f, out):
 
 
 @leaf
-def predict_joints(chain, arms, work, joints):
+def predict_joints(t):
     """q̈ = J̄a + offset, and the torque h + Mq̈ that it takes; a is the object's acceleration `x`."""
+    arms = t.model.arms
+    work = t.work
+    joints = t.work.joints
     fill(work.w, six(work.x))
     reflect_back(work.reflectors, work.beta, work.locked, work.w)
     a = six(work.w)
-    for k in range(chain.n_arms):
-        lo, hi = arms[k].first, arms[k].end
+    for k in range(t.model.n_arms):
+        lo = arms[k].first
+        hi = arms[k].end
         for j in range(lo, hi):
             joints[j].acceleration = dot6(joints[j].J_bar, a) + joints[j].offset
         for j in range(lo, hi):
-            s, M = joints[j].h, joints[j].M
+            s = joints[j].h
+            M = joints[j].M
             for i in range(lo, hi):
                 s += M[i - lo] * joints[i].acceleration
             joints[j].inertial = s
 
 
 @inner
-def allocate_torques(chain, arms, table, work, arm_work, joints, extra, link, squeeze, q, v):
-    """Torques of all joints (`tau`), not yet limited; returns a reason.
-
-    Args:
-        chain, arms, table: CHAIN record, ARM and JOINT rows. work, arm_work, joints: their work.
-        extra: float scratch for the rows E. link: float scratch of `linkage`.
-        squeeze: (…,) commanded internal forces. q, v: (n,).
-    """
-    n, m = chain.n_joints, work.locked
+def allocate_torques(t):
+    """Torques of all joints (`tau`), not yet limited; returns a reason."""
+    model = t.model
+    arms = model.arms
+    work = t.work
+    arm_work = t.work.arms
+    joints = t.work.joints
+    n = model.n_joints
+    m = work.locked
     d = 6 - m
-    e_max = chain.n_extra
-    wide = 6 + e_max
-    E = matrix(extra, 0, e_max, n)
-    weighed = matrix(extra, e_max * n, e_max, n)
-    Z = matrix(extra, 2 * e_max * n, wide, wide)
-    b = extra[2 * e_max * n + wide * wide :]
-    rest = extra[2 * e_max * n + wide * (wide + 1) :]
-    for k in range(chain.n_arms):
-        arm, own = arms[k], arm_work[k]
+    E = work.extra
+    b = work.sides
+    for k in range(model.n_arms):
+        arm = arms[k]
+        own = arm_work[k]
         if own.wide != 0:
-            _hold_posture(chain, arm, table, own, joints, q, v)
+            _hold_posture(t, arm, own)
         else:
             for j in range(arm.first, arm.end):
                 joints[j].rest = 0.0
-    if chain.n_arms == 1 and arm_work[0].wide != 0 and work.n_lost == 0:
-        _exert(arms[0], joints, work)
+    if model.n_arms == 1 and arm_work[0].wide != 0 and work.n_lost == 0:
+        _exert(t, arms[0])
         work.n_internal = 0
         return NO_REASON
     for i in range(d):
         b[i] = work.f_S[m + i]
     count = 0
-    if chain.n_bars > 0:
-        count = internal_rows(chain, arms, table, work, arm_work, joints, E, b, d, link, squeeze)
+    if model.n_bars > 0:
+        count = internal_rows(t, d)
     work.n_internal = count
-    if not factor_effort(work, Z):
+    if not factor_effort(t):
         return UNACTUATED
     for e in range(count):
-        if not add_row(chain, arms, table, work, arm_work, joints, E, weighed, Z, e, rest):
-            if chain.n_arms != 2:
+        if not add_row(t, e):
+            if model.n_arms != 2:
                 return UNACTUATED
             count = 0  # the grasps pass on no squeeze of its own: f_S decides it
-            work.n_internal, work.internal[0] = 0, 0.0
+            work.n_internal = 0
+            work.internal[0] = 0.0
     size = d + count
-    own = _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, count, q, v)
+    own = _own_motions(t, d, count)
     for e in range(count, count + own):
         if e > size - d:  # one before it was left out
             b[size] = b[d + e]
             for j in range(n):
                 E[size - d, j] = E[e, j]
-        if add_row(chain, arms, table, work, arm_work, joints, E, weighed, Z, size - d, rest):
+        if add_row(t, size - d):
             size += 1
     count = size - d
-    cholesky_solve(Z, size, b, 0)
+    cholesky_solve(work.factor, size, b, 0)
     y = work.y
     for i in range(6):
         y[i] = b[i - m] if i >= m else 0.0
     reflect_back(work.reflectors, work.beta, m, y)
-    for k in range(chain.n_arms):
-        _add_torques(arms[k], table, arm_work[k], joints, y)
+    for k in range(model.n_arms):
+        _add_torques(t, arms[k], arm_work[k], y)
     for e in range(count):
         for j in range(n):
-            joints[j].tau += b[d + e] * weighed[e, j]
+            joints[j].tau += b[d + e] * work.weighed[e, j]
     return NO_REASON
 
 
 @leaf
-def _exert(arm, joints, work):
+def _exert(t, arm):
     """τ = τ_0 + Jᵀf of one arm with joints to spare: no other arm shares the object force."""
-    f, m = work.y, work.locked
+    joints = t.work.joints
+    work = t.work
+    f = work.y
+    m = work.locked
     for i in range(6):
         f[i] = work.f_S[i] if i >= m else 0.0
     reflect_back(work.reflectors, work.beta, m, f)
@@ -170,35 +168,45 @@ def push_from_limits(joint, q):
 
 
 @leaf
-def _hold_posture(chain, arm, table, own, joints, q, v):
+def _hold_posture(t, arm, own):
     """rest = (1 − JᵀJ̄ᵀ)τ₀, τ₀ = h + M(−k_d q̇ + k_p(q₀ − q)) + diag(M) a_l(q), of a wide arm."""
-    lo, hi = arm.first, arm.end
-    stiffness, damping = chain.posture_stiffness, chain.posture_damping
+    table = t.model.joints
+    joints = t.work.joints
+    q = t.input.q
+    lo = arm.first
+    hi = arm.end
+    stiffness = t.model.posture_stiffness
+    damping = t.model.posture_damping
     moved = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for j in range(lo, hi):
         M = joints[j].M
         s = joints[j].h + M[j - lo] * push_from_limits(table[j], q[j])
         for k in range(lo, hi):
-            s += M[k - lo] * (stiffness * (table[k].posture - q[k]) - damping * v[k])
+            s += M[k - lo] * (stiffness * (table[k].posture - q[k]) - damping * t.input.v[k])
         joints[j].rest = s
         joints[j].tau = s  # τ₀ itself
         moved = add(moved, s, joints[j].J_bar)
     for j in range(lo, hi):
         joints[j].rest -= dot6(joints[j].J, moved)
     if own.n_lost > 0:
-        _retreat_from_lost(chain, arm, table, own, joints, q, v)
+        _retreat_from_lost(t, arm, own)
 
 
 @inner
-def _retreat_from_lost(chain, arm, table, own, joints, q, v):
+def _retreat_from_lost(t, arm, own):
     """In joint motions that a singular posture takes from the task the posture law has its way."""
-    lo, hi = arm.first, arm.end
+    joints = t.work.joints
+    lo = arm.first
+    hi = arm.end
     for e in range(own.n_lost):
-        mode, along = own.mode[e], 0.0
+        mode = own.mode[e]
+        along = 0.0
         for j in range(lo, hi):
             back = joints[j].h
             for k in range(lo, hi):
-                back += joints[j].M[k - lo] * retreat(chain, table[k], q[k], v[k])
+                back += joints[j].M[k - lo] * retreat(
+                    t, t.model.joints[k], t.input.q[k], t.input.v[k]
+                )
             if own.gone[e] != 0.0:
                 along += mode[j - lo] * (back - joints[j].tau)
             else:
@@ -209,17 +217,26 @@ def _retreat_from_lost(chain, arm, table, own, joints, q, v):
 
 
 @inner
-def _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, first, q, v):
+def _own_motions(t, d, first):
     """Rows E[first:] that keep the posture in motions of narrow arms alone; how many.
 
     Such an arm can move without the object where its grasp leaves it idle motions (a SCARA on a
     slide, four joints in a plane) or in a singular posture: νᵀτ = νᵀ(h + M q̈_posture) for every
     joint motion ν with U J ν = 0. Takes from b what τ_0 of the others does to the object.
     """
-    X, Q, count = work.X, work.Z, first
-    for k in range(chain.n_arms):
-        arm, own = arms[k], arm_work[k]
-        lo, n = arm.first, arm.end - arm.first
+    model = t.model
+    work = t.work
+    joints = t.work.joints
+    E = t.work.extra
+    b = t.work.sides
+    X = work.X
+    Q = work.Z
+    count = first
+    for k in range(model.n_arms):
+        arm = model.arms[k]
+        own = t.work.arms[k]
+        lo = arm.first
+        n = arm.end - arm.first
         if own.wide != 0 or own.n_kept >= n:
             continue
         for a in range(own.n_kept):
@@ -229,19 +246,21 @@ def _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, first, q, 
         form_q(X, own.n_kept, n, work.t, n, Q)
         for a in range(own.n_kept, n):
             side = 0.0
-            for j in range(chain.n_joints):
+            for j in range(model.n_joints):
                 E[count, j] = 0.0
             for i in range(n):
                 s = joints[lo + i].h
                 for j in range(n):
-                    s += joints[lo + i].M[j] * retreat(chain, table[lo + j], q[lo + j], v[lo + j])
+                    s += joints[lo + i].M[j] * retreat(
+                        t, model.joints[lo + j], t.input.q[lo + j], t.input.v[lo + j]
+                    )
                 side += Q[a, i] * s
                 E[count, lo + i] = Q[a, i]
             b[d + count] = side
             count += 1
     if count > first or work.n_lost > 0:
         x = scaled(joints[0].rest, joints[0].J_bar)
-        for j in range(1, chain.n_joints):
+        for j in range(1, model.n_joints):
             x = add(x, joints[j].rest, joints[j].J_bar)
         fill(work.u, x)
         reflect(work.reflectors, work.beta, work.locked, work.u)
@@ -251,11 +270,12 @@ def _own_motions(chain, arms, table, work, arm_work, joints, E, b, d, first, q, 
 
 
 @leaf
-def _add_torques(arm, table, own, joints, y):
+def _add_torques(t, arm, own, y):
     """τ = τ_0 + R⁻¹J̄ y, y (6,) multipliers of f_S in energy coordinates."""
+    joints = t.work.joints
     if own.wide == 0:
         for j in range(arm.first, arm.end):
-            joints[j].tau = joints[j].rest + table[j].effort * dot6(joints[j].J_bar, y)
+            joints[j].tau = joints[j].rest + t.model.joints[j].effort * dot6(joints[j].J_bar, y)
         return
     x = times6(own.effort, y)
     for j in range(arm.first, arm.end):
@@ -263,14 +283,13 @@ def _add_torques(arm, table, own, joints, y):
 
 
 @leaf
-def limit_torques(chain, table, joints, tau, first):
-    """Motor torques to tau[first:]; whether one exceeds its limit, and whether all are finite.
-
-    Args:
-        tau: torques of all rows (N m). first: element where those of this row begin.
-    """
-    excess, total = False, 0.0
-    for j in range(chain.n_joints):
+def limit_torques(t):
+    """Motor torques to tau[first:]; whether one exceeds its limit, and whether all are finite."""
+    table = t.model.joints
+    joints = t.work.joints
+    excess = False
+    total = 0.0
+    for j in range(t.model.n_joints):
         i = table[j].motor
         if i >= 0:
             total += joints[j].tau * 0.0
@@ -278,7 +297,7 @@ def limit_torques(chain, table, joints, tau, first):
     if not isfinite(total):
         return False, False
     if not excess:
-        for j in range(chain.n_joints):
+        for j in range(t.model.n_joints):
             if table[j].motor >= 0:
-                tau[first + table[j].motor] = joints[j].tau
+                t.work.tau[table[j].motor] = joints[j].tau
     return excess, True

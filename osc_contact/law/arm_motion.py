@@ -10,40 +10,53 @@ from math import cos, sin
 
 from osc_contact.law.algebra import cross
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.six import add, dot6, fill, six
-
-__all__ = ["move_arm", "place_arm", "place_frame", "place_point"]
+from osc_contact.law.six import ZERO, add, dot6, fill, plus, six
 
 
 @leaf
-def place_arm(joints, work, lo, hi, q):
+def place_arm(t, lo, hi, q):
     """Rotation R and point p of every joint of an arm at q (n,), in the world.
 
     Args:
-        lo, hi: first joint of the arm, and the one behind its last. q: (n,) positions (m, rad).
+        lo, hi: first joint of the arm, and the one behind its last. q: (n,) positions
+        (m, rad).
     """
+    joints = t.model.joints
+    work = t.work.joints
     for j in range(lo, hi):
-        X, w, angle = joints[j].placement, work[j], q[j]
-        R, p = w.R, w.p
-        c, s, slide = 1.0, 0.0, angle
+        X = joints[j].placement
+        w = work[j]
+        angle = q[j]
+        R = w.R
+        p = w.p
+        c = 1.0
+        s = 0.0
+        slide = angle
         if joints[j].slides == 0:
-            c, s, slide = cos(angle), sin(angle), 0.0
+            c = cos(angle)
+            s = sin(angle)
+            slide = 0.0
         if j == lo:
             for i in range(3):
                 R[i, 0], R[i, 1], R[i, 2], p[i] = X[3 * i], X[3 * i + 1], X[3 * i + 2], X[9 + i]
         else:
-            before, start = work[j - 1].R, work[j - 1].p
+            before = work[j - 1].R
+            start = work[j - 1].p
             x0, x1, x2, x3, x4, x5 = six(X)
             x6, x7, x8, x, y, z = six(X[6:])
             for i in range(3):
-                a, b, d = before[i, 0], before[i, 1], before[i, 2]
+                a = before[i, 0]
+                b = before[i, 1]
+                d = before[i, 2]
                 R[i, 0] = a * x0 + b * x3 + d * x6
                 R[i, 1] = a * x1 + b * x4 + d * x7
                 R[i, 2] = a * x2 + b * x5 + d * x8
                 p[i] = start[i] + a * x + b * y + d * z
         for i in range(3):
-            a, b = R[i, 0], R[i, 1]
-            R[i, 0], R[i, 1] = c * a + s * b, c * b - s * a
+            a = R[i, 0]
+            b = R[i, 1]
+            R[i, 0] = c * a + s * b
+            R[i, 1] = c * b - s * a
             p[i] += slide * R[i, 2]
 
 
@@ -55,8 +68,11 @@ def place_point(w, table, start, out):
         w: JOINT_WORK row. table: (…,) numbers that hold the point in the joint (m).
         start: first of three elements. out: (3,) point (m).
     """
-    x, y, z = table[start], table[start + 1], table[start + 2]
-    R, p = w.R, w.p
+    x = table[start]
+    y = table[start + 1]
+    z = table[start + 2]
+    R = w.R
+    p = w.p
     for i in range(3):
         out[i] = p[i] + R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
 
@@ -81,15 +97,30 @@ def _place_body(w, C, link, body):
 
     Written to `body`: mass, mass × centre (3), rotational inertia about C (xx, xy, xz, yy, yz, zz).
     """
-    R, p = w.R, w.p
-    r00, r01, r02 = R[0, 0], R[0, 1], R[0, 2]
-    r10, r11, r12 = R[1, 0], R[1, 1], R[1, 2]
-    r20, r21, r22 = R[2, 0], R[2, 1], R[2, 2]
-    m, x, y, z = link[0], link[1], link[2], link[3]
+    R = w.R
+    p = w.p
+    r00 = R[0, 0]
+    r01 = R[0, 1]
+    r02 = R[0, 2]
+    r10 = R[1, 0]
+    r11 = R[1, 1]
+    r12 = R[1, 2]
+    r20 = R[2, 0]
+    r21 = R[2, 1]
+    r22 = R[2, 2]
+    m = link[0]
+    x = link[1]
+    y = link[2]
+    z = link[3]
     cx = r00 * x + r01 * y + r02 * z + p[0] - C[0]
     cy = r10 * x + r11 * y + r12 * z + p[1] - C[1]
     cz = r20 * x + r21 * y + r22 * z + p[2] - C[2]
-    xx, xy, xz, yy, yz, zz = link[4], link[5], link[6], link[7], link[8], link[9]
+    xx = link[4]
+    xy = link[5]
+    xz = link[6]
+    yy = link[7]
+    yz = link[8]
+    zz = link[9]
     a00 = r00 * xx + r01 * xy + r02 * xz
     a01 = r00 * xy + r01 * yy + r02 * yz
     a02 = r00 * xz + r01 * yz + r02 * zz
@@ -99,8 +130,13 @@ def _place_body(w, C, link, body):
     a20 = r20 * xx + r21 * xy + r22 * xz
     a21 = r20 * xy + r21 * yy + r22 * yz
     a22 = r20 * xz + r21 * yz + r22 * zz
-    mx, my, mz = m * cx, m * cy, m * cz
-    body[0], body[1], body[2], body[3] = m, mx, my, mz
+    mx = m * cx
+    my = m * cy
+    mz = m * cz
+    body[0] = m
+    body[1] = mx
+    body[2] = my
+    body[3] = mz
     body[4] = a00 * r00 + a01 * r01 + a02 * r02 + my * cy + mz * cz
     body[5] = a00 * r10 + a01 * r11 + a02 * r12 - mx * cy
     body[6] = a00 * r20 + a01 * r21 + a02 * r22 - mx * cz
@@ -132,40 +168,66 @@ def _force_on(b, V, a, gravity, out):
     )
     px, py, pz, lx, ly, lz = _times(b, V[0], V[1], V[2], V[3], V[4], V[5])
     x, y, z = cross(V[3], V[4], V[5], px, py, pz)
-    out[0], out[1], out[2] = fx + x, fy + y, fz + z
+    out[0] = fx + x
+    out[1] = fy + y
+    out[2] = fz + z
     x, y, z = cross(V[3], V[4], V[5], lx, ly, lz)
     i, j, k = cross(V[0], V[1], V[2], px, py, pz)
-    out[3], out[4], out[5] = tx + x + i, ty + y + j, tz + z + k
+    out[3] = tx + x + i
+    out[4] = ty + y + j
+    out[5] = tz + z + k
 
 
 @leaf
-def move_arm(arm, joints, work, v, C, gravity, outer, force, V, gamma, bias_out):
+def move_arm(t, arm, v, C, V, gamma, bias_out):
     """Columns of J at C, drift γ, h = C v + g, M, and what is beyond the wrist sensor.
 
     Args:
-        arm: ARM record. joints, work: of all joints, placed. v: (n,) velocities.
-        C: (3,) common point. gravity: (3,) m/s².
-        outer: (10,) scratch: what of the first outboard link is beyond the sensor. force: (6,)
-            scratch.
-        V, gamma: (6,) filled: twist and drift of the tip at C.
-        bias_out: (6,) added to: wrench that the outboard bodies need at q̈ = 0, at C.
+        arm: ARM record. v: (n,) velocities. C: (3,) common point. V, gamma: (6,)
+        filled: twist and drift of the tip at C. bias_out: (6,) added to: wrench that
+        the outboard bodies need at q̈ = 0, at C.
     """
-    lo, hi, sensed = arm.first, arm.end, arm.outer_joint
-    for i in range(6):
-        V[i] = 0.0
-        gamma[i] = 0.0
+    joints = t.model.joints
+    work = t.work.joints
+    gravity = t.model.gravity
+    outer = t.work.s
+    force = t.work.t
+    lo = arm.first
+    hi = arm.end
+    sensed = arm.outer_joint
+    fill(V, ZERO)
+    fill(gamma, ZERO)
     for j in range(lo, hi):
-        w, column = work[j], work[j].column
-        ax, ay, az = w.R[0, 2], w.R[1, 2], w.R[2, 2]
+        w = work[j]
+        column = work[j].column
+        ax = w.R[0, 2]
+        ay = w.R[1, 2]
+        az = w.R[2, 2]
         if joints[j].slides != 0:
-            vx, vy, vz, wx, wy, wz = ax, ay, az, 0.0, 0.0, 0.0
+            vx = ax
+            vy = ay
+            vz = az
+            wx = 0.0
+            wy = 0.0
+            wz = 0.0
         else:
             vx, vy, vz = cross(w.p[0] - C[0], w.p[1] - C[1], w.p[2] - C[2], ax, ay, az)
-            wx, wy, wz = ax, ay, az
-        column[0], column[1], column[2] = vx, vy, vz
-        column[3], column[4], column[5] = wx, wy, wz
+            wx = ax
+            wy = ay
+            wz = az
+        column[0] = vx
+        column[1] = vy
+        column[2] = vz
+        column[3] = wx
+        column[4] = wy
+        column[5] = wz
         s = v[j]
-        vx, vy, vz, wx, wy, wz = s * vx, s * vy, s * vz, s * wx, s * wy, s * wz
+        vx = s * vx
+        vy = s * vy
+        vz = s * vz
+        wx = s * wx
+        wy = s * wy
+        wz = s * wz
         x, y, z = cross(V[3], V[4], V[5], vx, vy, vz)
         a, b, c = cross(V[0], V[1], V[2], wx, wy, wz)
         gamma[0] += x + a
@@ -186,21 +248,21 @@ def move_arm(arm, joints, work, v, C, gravity, outer, force, V, gamma, bias_out)
         if j == sensed:
             _place_body(w, C, arm.outer, outer)
             _force_on(outer, V, gamma, gravity, force)
-            for i in range(6):
-                bias_out[i] += force[i]
-    _sum_back(lo, hi, sensed, joints, work, outer, bias_out)
+            fill(bias_out, plus(bias_out, force))
+    _sum_back(t, lo, hi, sensed, bias_out)
 
 
 @leaf
-def _sum_back(lo, hi, sensed, joints, work, outer, bias_out):
+def _sum_back(t, lo, hi, sensed, bias_out):
     """Forces and composite inertias from the tip back: h, M, outboard inertia times J."""
+    work = t.work.joints
+    outer = t.work.s
     for j in range(hi - 1, lo - 1, -1):
         w = work[j]
         if j < hi - 1:
             beyond = work[j + 1]
             if j == sensed:
-                for i in range(6):
-                    bias_out[i] += beyond.force[i]
+                fill(bias_out, plus(bias_out, beyond.force))
                 for i in range(10):
                     outer[i] += beyond.body[i]
             fill(w.force, add(six(w.force), 1.0, beyond.force))
@@ -213,7 +275,7 @@ def _sum_back(lo, hi, sensed, joints, work, outer, bias_out):
             m = dot6(work[k].column, momentum)
             w.M[k - lo] = m
             work[k].M[j - lo] = m
-        w.M[j - lo] += joints[j].armature
+        w.M[j - lo] += t.model.joints[j].armature
         if j <= sensed:
             momentum = _times(outer, c[0], c[1], c[2], c[3], c[4], c[5])
         fill(w.outboard, momentum)

@@ -6,15 +6,13 @@ from math import sqrt
 
 from osc_contact.law.algebra import cholesky, cholesky_solve, invert_spd6, one_sided_jacobi
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.six import add, dot6, fill, form_q6, mirror, qr6, reflector, scaled, six
-
-__all__ = ["arm_terms", "effort_metric", "solve_inertia_transposed"]
+from osc_contact.law.six import ZERO, add, dot6, fill, form_q6, mirror, qr6, reflector, scaled, six
 
 _DEFINITE = 1e-12  #: least share of a pivot of an effort metric
 
 
 @inner
-def arm_terms(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
+def arm_terms(t, lo, n, m, rigid, arm, row):
     """J̄, Λ and the locked wrenches of one arm; returns their number, or −1 if M is not definite.
 
     With M = KKᵀ and J K⁻ᵀ = U Σ Vᵀ directions with σ ≤ tolerance count as locked; the QR below
@@ -22,22 +20,22 @@ def arm_terms(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
 
     Args:
         lo, n: its first joint, its number of joints. m: wrenches that its grasp passes on.
-        rigid: whether these are all six.
-        tolerance: see `ClosedChain`.
-        joints: JOINT_WORK rows of all joints, J and M filled; J_bar filled.
-        arm: ARM_WORK record; Lambda, kept, n_kept, n_locked filled.
-        work: WORK record, for scratch.
-        locked: (…, 7) orthonormal wrenches that the arm resists, filled from row `row` on.
+        rigid: whether these are all six. arm: ARM_WORK row; Lambda, kept, n_kept, n_locked filled.
+        row: of `locked_rows`, from which on the wrenches that it locks are put.
     """
-    X, Z, Lambda = work.X, work.Z, arm.Lambda
+    tolerance = t.model.tolerance
+    joints = t.work.joints
+    work = t.work
+    X = work.X
+    Z = work.Z
+    Lambda = arm.Lambda
     count = -1
     if rigid and n > 6:
-        if _invert_wide(lo, n, joints, Lambda, work):
+        if _invert_wide(t, lo, n, Lambda):
             count = 0
     elif rigid:
         for j in range(n):
-            for i in range(6):
-                X[j, i] = joints[lo + j].J[i]
+            fill(X[j], joints[lo + j].J)
         if qr6(X, n, work.K, work.s, work.t):
             form_q6(X, n, work.t, Z)
             for j in range(n - 1, -1, -1):
@@ -46,8 +44,7 @@ def arm_terms(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
                     x = add(x, -work.K[j, k], joints[lo + k].J_bar)
                 fill(joints[lo + j].J_bar, scaled(1.0 / work.s[j], x))
             for k in range(6 - n):
-                for i in range(6):
-                    locked[row + k, i] = Z[n + k, i]
+                fill(t.work.locked_rows[row + k], Z[n + k])
             count = 6 - n
             _apply_inertia(lo, n, joints, X, Lambda)
     if count >= 0:
@@ -55,9 +52,10 @@ def arm_terms(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
         for i in range(6):
             trace += Lambda[i, i]
         if trace * tolerance * tolerance < 1.0:
-            arm.n_locked, arm.n_kept = count, 6 - count
+            arm.n_locked = count
+            arm.n_kept = 6 - count
             return count
-    count = _separate(lo, n, m, rigid, tolerance, joints, arm, work, locked, row)
+    count = _separate(t, lo, n, m, rigid, arm, row)
     arm.n_locked = count
     return count
 
@@ -84,7 +82,7 @@ def factor_inertia(lo, n, joints, K):
     """K (n, n) with M = KKᵀ, its inverse pivots on the diagonal as in `cholesky`.
 
     Args:
-        lo: first joint of the arm. n: how many. K: (n, n) for the factor.
+        lo: first joint of the arm. n: how many. joints: JOINT_WORK rows. K: (n, n) for the factor.
     """
     for i in range(n):
         M = joints[lo + i].M
@@ -111,7 +109,7 @@ def solve_inertia_transposed(lo, n, K, joints):
     """J̄ ← K⁻ᵀJ̄.
 
     Args:
-        lo: first joint of the arm. n: how many. K: from `factor_inertia`.
+        lo: first joint of the arm. n: how many. K: from `factor_inertia`. joints: JOINT_WORK rows.
     """
     for j in range(n - 1, -1, -1):
         x = six(joints[lo + j].J_bar)
@@ -121,9 +119,13 @@ def solve_inertia_transposed(lo, n, K, joints):
 
 
 @leaf
-def _invert_wide(lo, n, joints, Lambda, work):
+def _invert_wide(t, lo, n, Lambda):
     """More joints than directions: A = J K⁻ᵀ, J̄ = K⁻ᵀA⁺, Λ = A⁺ᵀA⁺; False: rank below six."""
-    K, X, Z = work.K, work.X, work.Z
+    joints = t.work.joints
+    work = t.work
+    K = work.K
+    X = work.X
+    Z = work.Z
     if not _weigh_joints(lo, n, joints, K, Z):
         return False
     if not _qr_tall(Z, n, X, work.A, work.t, work.u):  # Aᵀ = QR
@@ -189,9 +191,15 @@ def _qr_tall(A, n, Q, R, beta, scratch):
 
 
 @inner
-def _separate(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
+def _separate(t, lo, n, m, rigid, arm, row):
     """The same for any rank and any grasp, by singular values: A = N J K⁻ᵀ = UΣVᵀ."""
-    K, X, Z, Lambda, kept = work.K, work.X, work.Z, arm.Lambda, arm.kept
+    joints = t.work.joints
+    work = t.work
+    K = work.K
+    X = work.X
+    Z = work.Z
+    Lambda = arm.Lambda
+    kept = arm.kept
     if not _weigh_joints(lo, n, joints, K, Z):
         return -1
     for i in range(m):
@@ -201,8 +209,7 @@ def _separate(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
             X[i, n + k] = arm.passed[i, k] if not rigid else (1.0 if i == k else 0.0)
     one_sided_jacobi(X, m, n, 6)
     for a in range(6):
-        for b in range(6):
-            Lambda[a, b] = 0.0
+        fill(Lambda[a], ZERO)
         for j in range(n):
             joints[lo + j].J_bar[a] = 0.0
     count = 0
@@ -211,7 +218,7 @@ def _separate(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
         square = 0.0
         for j in range(n):
             square += X[k, j] * X[k, j]
-        if sqrt(square) > tolerance:
+        if sqrt(square) > t.model.tolerance:
             for j in range(n):
                 bar = joints[lo + j].J_bar
                 for i in range(6):
@@ -223,7 +230,7 @@ def _separate(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
             left += 1
         else:
             for i in range(6):
-                locked[row + count, i] = X[k, n + i]
+                t.work.locked_rows[row + count, i] = X[k, n + i]
             count += 1
     arm.n_kept = left
     solve_inertia_transposed(lo, n, K, joints)
@@ -231,16 +238,19 @@ def _separate(lo, n, m, rigid, tolerance, joints, arm, work, locked, row):
 
 
 @leaf
-def effort_metric(lo, n, m, joints, table, arm, work, out):
+def effort_metric(t, lo, n, m, arm, out):
     """(6, 6) least effort per wrench, Σ τ²/τ_max², of an arm; False: its motors cannot make all.
 
     J̄ᵀ τ_max² J̄ where every torque is needed; for arms with more joints than m wrenches
     Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, the rows of U the wrenches that they can make.
 
     Args:
-        arm: ARM row. lo: first joint of the arm. n: how many. m: wrenches that the arm can make.
-        out: (6, 6) for the metric.
+        arm: ARM row. lo: first joint of the arm. n: how many. m: wrenches that the arm
+        can make. out: (6, 6) for the metric.
     """
+    joints = t.work.joints
+    table = t.model.joints
+    work = t.work
     if n <= m:
         for a in range(6):
             x = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -256,21 +266,24 @@ def effort_metric(lo, n, m, joints, table, arm, work, out):
                 x = add(x, table[j].ease * joints[j].J[a], joints[j].J)
             fill(work.A[a], x)
         return invert_spd6(work.A, work.B, out) > _DEFINITE
-    return _effort_of_kept(lo, n, joints, table, arm, work, out)
+    return _effort_of_kept(t, lo, n, arm, out)
 
 
 @inner
-def _effort_of_kept(lo, n, joints, table, arm, work, out):
-    count, U, A, x = arm.n_kept, arm.kept, work.A, work.u
+def _effort_of_kept(t, lo, n, arm, out):
+    work = t.work
+    count = arm.n_kept
+    U = arm.kept
+    A = work.A
+    x = work.u
     for a in range(6):
-        for b in range(6):
-            A[a, b] = 0.0
-            out[a, b] = 0.0
+        fill(A[a], ZERO)
+        fill(out[a], ZERO)
     for j in range(lo, lo + n):
         for a in range(count):
-            x[a] = dot6(U[a], joints[j].J)
+            x[a] = dot6(U[a], t.work.joints[j].J)
             for b in range(a + 1):
-                A[a, b] += x[a] * x[b] * table[j].ease
+                A[a, b] += x[a] * x[b] * t.model.joints[j].ease
     if count == 0:
         return True
     if not cholesky(A, 0, count, work.B) > _DEFINITE:

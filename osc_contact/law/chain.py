@@ -20,7 +20,7 @@ from osc_contact.law.grasps import add_slip, filter_outboard, find_twist
 from osc_contact.law.held_object import centre_object, find_object
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.singular import find_lost, may_be_singular
-from osc_contact.law.six import add, dot6, fill, qr6, reflect, reflect_sides, six
+from osc_contact.law.six import ZERO, add, dot6, fill, plus, qr6, reflect, reflect_sides, six
 from osc_contact.law.tables import (
     BAD_INERTIA,
     GIVEN_POSE,
@@ -30,71 +30,74 @@ from osc_contact.law.tables import (
     UNACTUATED,
 )
 
-__all__ = ["solve_chain"]
-
 
 @inner
-def solve_chain(chain, arms, table, memory, work, arm_work, joints, locked, q, v):
-    """The closed chain at (q, v), as `dynamics.closed_chain.ClosedChain.state`; returns a reason.
-
-    Args:
-        chain, arms, table: CHAIN record, ARM and JOINT rows. memory: MEMORY record.
-        work, arm_work, joints: WORK record, ARM_WORK and JOINT_WORK rows, filled.
-        locked: (…, 7) scratch. q, v: (n,) joint positions and velocities.
-    """
-    for k in range(chain.n_arms):
-        place_arm(table, joints, arms[k].first, arms[k].end, q)
-    if chain.leader >= 0:
-        tip = joints[arms[chain.leader].tip_joint]
-        place_frame(tip, chain.X_LO, work.X_WO, work.O)
+def solve_chain(t):
+    """The closed chain at (q, v), as `dynamics.closed_chain.ClosedChain.state`; a reason."""
+    model = t.model
+    arms = model.arms
+    memory = t.memory
+    work = t.work
+    arm_work = t.work.arms
+    for k in range(model.n_arms):
+        place_arm(t, arms[k].first, arms[k].end, t.input.q)
+    if model.leader >= 0:
+        tip = t.work.joints[arms[model.leader].tip_joint]
+        place_frame(tip, model.X_LO, work.X_WO, work.O)
         for i in range(3):
             work.X_WO[i, 3] = work.O[i]
             work.X_WO[3, i] = 0.0
         work.X_WO[3, 3] = 1.0
-        place_frame(tip, chain.X_LP, work.R, work.C)
-        set_axes(work.R, chain.roots, work.axes)
+        place_frame(tip, model.X_LP, work.R, work.C)
+        set_axes(work.R, model.roots, work.axes)
     else:
         for i in range(4):
             for j in range(4):
                 work.X_WO[i, j] = memory.X_WO[i, j]
         if memory.given >= GIVEN_POSE:
-            centre_object(work.X_WO, chain, work)
-        elif not find_object(chain, arms, work, arm_work, joints, work.X_WO):
+            centre_object(t, work.X_WO)
+        elif not find_object(t, work.X_WO):
             return OBJECT_UNKNOWN
-    for k in range(chain.n_arms):
-        arm, own = arms[k], arm_work[k]
-        for i in range(6):
-            own.bias[i] = 0.0
+    for k in range(model.n_arms):
+        arm = arms[k]
+        own = arm_work[k]
+        fill(own.bias, ZERO)
         move_arm(
-            arm, table, joints, v, work.C, chain.gravity, work.s, work.t, own.V, own.drift,
+            t,
+            arm,
+            t.input.v,
+            work.C,
+            own.V,
+            own.drift,
             own.bias,
-        )  # fmt: skip
+        )
     given = memory.given >= GIVEN_TWIST
-    if chain.slipping != 0:
-        if not find_twist(chain, arms, work, arm_work, joints, given):
+    if model.slipping != 0:
+        if not find_twist(t, given):
             return OBJECT_UNKNOWN
     else:
-        for i in range(6):
-            work.V_C[i] = arm_work[0].V[i]
+        fill(work.V_C, arm_work[0].V)
     if given:
         carry_motion(memory.V_O, work.O, work.C, work.V_C)
     carry_motion(work.V_C, work.C, work.O, work.V_O)
     for i in range(6):
         work.bias_links[i] = work.bias_e[i] = work.chain_bias[i] = 0.0
-        for j in range(6):
-            work.Lambda[i, j] = work.effort[i, j] = 0.0
-            work.out_T[i, j] = 0.0
+        fill(work.Lambda[i], ZERO)
+        fill(work.effort[i], ZERO)
+        fill(work.out_T[i], ZERO)
     count = 0
     work.n_lost = 0
-    for k in range(chain.n_arms):
-        reason, found = _add_arm(chain, arms[k], table, work, arm_work[k], joints, locked, count)
+    for k in range(model.n_arms):
+        reason, found = _add_arm(t, arms[k], arm_work[k], count)
         if reason != NO_REASON:
             return reason
         count += found
-    _add_object(chain, work)
-    work.locked = _intersect(locked, count, chain.tolerance, work)
+    _add_object(t)
+    work.locked = _intersect(t, count)
     if work.locked > 0:
-        Z, beta, m = work.reflectors, work.beta, work.locked
+        Z = work.reflectors
+        beta = work.beta
+        m = work.locked
         reflect_sides(Z, beta, m, work.Lambda)
         reflect_sides(Z, beta, m, work.effort)
         reflect(Z, beta, m, work.chain_bias)
@@ -103,9 +106,16 @@ def solve_chain(chain, arms, table, memory, work, arm_work, joints, locked, q, v
 
 
 @inner
-def _add_arm(chain, arm, table, work, own, joints, locked, row):
+def _add_arm(t, arm, own, row):
     """One arm's share in everything that is summed over the arms; a reason and what it locks."""
-    lo, n, m, rigid = arm.first, arm.end - arm.first, arm.m, arm.m == 6
+    model = t.model
+    work = t.work
+    joints = t.work.joints
+    locked = t.work.locked_rows
+    lo = arm.first
+    n = arm.end - arm.first
+    m = arm.m
+    rigid = arm.m == 6
     if not rigid:  # N is carried by the tip while the object slips
         add_slip(own.V, work.V_C, own.drift)
     for j in range(lo, arm.end):
@@ -113,24 +123,19 @@ def _add_arm(chain, arm, table, work, own, joints, locked, row):
     energy_motion(work.axes, own.drift, own.gamma)
     own.wide = 1 if n > m else 0
     own.n_lost = 0
-    count = arm_terms(lo, n, m, rigid, chain.tolerance, joints, own, work, locked, row)
+    count = arm_terms(t, lo, n, m, rigid, own, row)
     if count < 0:
         return BAD_INERTIA, 0
-    if may_be_singular(chain, arm, own):
-        find_lost(chain, arm, own, joints, work)
-    shared = chain.n_arms > 1 or own.wide == 0 or own.n_lost > 0  # else there is nothing to share
-    if (
-        chain.n_motors > 0
-        and shared
-        and not effort_metric(lo, n, m, joints, table, own, work, own.effort)
-    ):
+    if may_be_singular(t, arm, own):
+        find_lost(t, arm, own)
+    shared = model.n_arms > 1 or own.wide == 0 or own.n_lost > 0  # else there is nothing to share
+    if model.n_motors > 0 and shared and not effort_metric(t, lo, n, m, own, own.effort):
         return UNACTUATED, 0
     for k in range(row, row + count):
         locked[k, 6] = dot6(locked[k], own.gamma)
-        for i in range(6):
-            own.resisted[k - row, i] = locked[k, i]
-    if chain.rubs != 0:
-        _add_friction(chain, arm, table, joints, work)
+        fill(own.resisted[k - row], locked[k])
+    if model.rubs != 0:
+        _add_friction(t, arm)
     for j in range(lo, arm.end):
         joints[j].offset = -dot6(joints[j].J_bar, own.gamma)
     bias = six(work.chain_bias)
@@ -143,37 +148,43 @@ def _add_arm(chain, arm, table, work, own, joints, locked, row):
     fill(work.chain_bias, bias)
     if arm.sensor_joint >= 0 and arm.outer_joint >= 0:
         if arm.filtered != 0:
-            filter_outboard(arm, own, joints, work, own.bias)
+            filter_outboard(t, arm, own, own.bias)
         else:
-            _add_outboard(arm, own, joints, work)
+            _add_outboard(t, arm, own)
     return NO_REASON, count
 
 
 @inner
-def _add_friction(chain, arm, table, joints, work):
+def _add_friction(t, arm):
     """h += D v + F s/√(s² + s_0²), with the wanted speeds s = v + J̄ (V_D + t_a A_D − V).
 
     They turn round when the joints do, or a little before: torques act from this tick on. They are
     without the noise of v, of which only what does not move the object is in them.
     """
-    lag, ahead = work.y, AHEAD * chain.period
+    joints = t.work.joints
+    work = t.work
+    lag = work.y
+    ahead = AHEAD * t.model.period
     for i in range(6):
         lag[i] = work.V_D[i] + ahead * work.A_D[i] - work.V_O[i]
     carry_motion(lag, work.O, work.C, lag)
     energy_motion(work.axes, lag, lag)
     for j in range(arm.first, arm.end):
-        row, v = table[j], joints[j].v
+        row = t.model.joints[j]
+        v = joints[j].v
         s = v + dot6(joints[j].J_bar, lag)
         joints[j].h += row.viscous * v + row.dry * s / sqrt(s * s + row.slip * row.slip)
 
 
 @leaf
-def _add_outboard(arm, own, joints, work):
+def _add_outboard(t, arm, own):
     """Λ_out += I J J̄ (transposed), bias −= I J J̄ γ of the bodies beyond the wrist sensor."""
-    for i in range(6):
-        work.bias_links[i] += own.bias[i]
+    joints = t.work.joints
+    work = t.work
+    fill(work.bias_links, plus(work.bias_links, own.bias))
     for j in range(arm.first, arm.end):
-        P, bar = joints[j].outboard, joints[j].J_bar
+        P = joints[j].outboard
+        bar = joints[j].J_bar
         energy_wrench(work.axes, P, P)
         fill(work.bias_e, add(six(work.bias_e), -dot6(bar, own.gamma), P))
         for b in range(6):
@@ -181,24 +192,36 @@ def _add_outboard(arm, own, joints, work):
 
 
 @inner
-def _add_object(chain, work):
+def _add_object(t):
     """μ_o + p_o of the object in its principal axes: √m (ω × v − g), (ω × Iω)/√I; and Λ_o = 1."""
-    roots, squares, f = chain.roots, chain.principal, work.u
+    model = t.model
+    work = t.work
+    roots = model.roots
+    squares = model.principal
+    f = work.u
     energy_motion(work.axes, work.V_C, f)
-    vx, vy, vz = f[0], f[1], f[2]  # √m v
-    wx, wy, wz = f[3] / roots[1], f[4] / roots[2], f[5] / roots[3]
-    x, y, z = f[0], f[1], f[2]
+    vx = f[0]
+    vy = f[1]
+    vz = f[2]  # √m v
+    wx = f[3] / roots[1]
+    wy = f[4] / roots[2]
+    wz = f[5] / roots[3]
+    x = f[0]
+    y = f[1]
+    z = f[2]
     f[0] = wy * vz - wz * vy
     f[1] = wz * vx - wx * vz
     f[2] = wx * vy - wy * vx
-    x, y, z = squares[1] * wx, squares[2] * wy, squares[3] * wz
+    x = squares[1] * wx
+    y = squares[2] * wy
+    z = squares[3] * wz
     f[3] = (wy * z - wz * y) / roots[1]
     f[4] = (wz * x - wx * z) / roots[2]
     f[5] = (wx * y - wy * x) / roots[3]
     for i in range(3):
         for j in range(3):
-            f[i] -= work.axes[0, i, j] * chain.gravity[j]
-    held = 1.0 if chain.held != 0 else 0.0
+            f[i] -= work.axes[0, i, j] * model.gravity[j]
+    held = 1.0 if model.held != 0 else 0.0
     links = work.w
     energy_wrench(work.axes, work.bias_links, links)
     for i in range(6):
@@ -210,18 +233,17 @@ def _add_object(chain, work):
 
 
 @inner
-def _intersect(locked, count, tolerance, work):
+def _intersect(t, count):
     """`reflectors` whose first m axes span what the arms lock together, σ along them; m.
 
     Args:
-        locked: (…, 7) of all arms: a unit wrench and its rate uᵀγ. Destroyed.
         count: number of rows.
-        tolerance: two directions this near to one another (rad) count as the same.
-        work: reflectors, beta, sigma (before any reflection: Σ u c over singular ones) filled.
     """
-    sigma, V = work.sigma, work.reflectors
-    for i in range(6):
-        sigma[i] = 0.0
+    locked = t.work.locked_rows
+    work = t.work
+    sigma = work.sigma
+    V = work.reflectors
+    fill(sigma, ZERO)
     if count == 0:
         return 0
     one_sided_jacobi(locked, count, 6, 1)
@@ -230,7 +252,7 @@ def _intersect(locked, count, tolerance, work):
         square = 0.0
         for i in range(6):
             square += locked[k, i] * locked[k, i]
-        if sqrt(square) > tolerance and m < 6:
+        if sqrt(square) > t.model.tolerance and m < 6:
             for i in range(6):
                 sigma[i] += locked[k, i] * locked[k, 6] / square
                 V[m, i] = locked[k, i]

@@ -19,8 +19,6 @@ from typing import Any
 
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-__all__ = ["CodeCache"]
-
 _log = logging.getLogger(__name__)
 
 for _class, _names in (

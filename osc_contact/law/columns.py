@@ -7,10 +7,8 @@ from math import sqrt
 from osc_contact.law.algebra import lu_solve, orthonormalise, solve_lower_transposed
 from osc_contact.law.energy import carry_wrench, energy_wrench
 from osc_contact.law.jit import inner
-from osc_contact.law.six import dot6, fill, six
+from osc_contact.law.six import ZERO, add, dot6, fill, six
 from osc_contact.law.tables import CONTRADICTION, DIFFERENT_BODIES, NO_REASON
-
-__all__ = ["DEPENDENT", "choose_columns", "keep_columns", "spread_magnitudes"]
 
 #: A column of unit size with less than this outside the others depends on them.
 DEPENDENT = 3e-7
@@ -20,23 +18,25 @@ _STILL = 1e-9  # rounding error of n_γ when the bodies hardly move (m/s², rad/
 
 
 @inner
-def choose_columns(chain, table, contacts, columns, work):
+def choose_columns(t):
     """List the columns of N whose contacts are in force; their number goes to `count`."""
     count = 0
-    for j in range(chain.n_columns):
-        if contacts[table[j].contact].active != 0:
-            columns[count].chosen = j
+    for j in range(t.model.n_columns):
+        if t.memory.contacts[t.model.columns[j].contact].active != 0:
+            t.work.columns[count].chosen = j
             count += 1
-    work.count = count
+    t.work.count = count
 
 
 @inner
-def keep_columns(table, bodies, columns, work, body_work):
+def keep_columns(t):
     """N (r, 6) of the independent columns in energy coordinates, N_μ, n_γ; returns a reason.
 
     Fills rank, keep, N, pushed, friction_wrenches, n_gamma; `share` of each column in force where
     r < count.
     """
+    columns = t.work.columns
+    work = t.work
     count = work.count
     for j in range(count):
         column = columns[j]
@@ -53,7 +53,7 @@ def keep_columns(table, bodies, columns, work, body_work):
     if count > 6 or (
         count > 1 and not orthonormalise(work.N, count, 0, work.Q, work.L) > 10.0 * DEPENDENT
     ):
-        reason = _reduce(table, bodies, columns, work, body_work)
+        reason = _reduce(t)
         if reason != NO_REASON:
             return reason
     r = work.rank
@@ -67,9 +67,12 @@ def keep_columns(table, bodies, columns, work, body_work):
 
 
 @inner
-def _reduce(table, bodies, columns, work, body_work):
+def _reduce(t):
     """Keep a well-conditioned subset: the first column whose rest is not much below the largest."""
-    count, rank = work.count, 0
+    columns = t.work.columns
+    work = t.work
+    count = work.count
+    rank = 0
     for j in range(count):
         for i in range(6):
             columns[j].rest[i] /= columns[j].extent
@@ -86,7 +89,7 @@ def _reduce(table, bodies, columns, work, body_work):
                 first = j
         work.keep[rank] = float(first)
         rank += 1
-        _remove(columns, count, first)
+        _remove(t, count, first)
     work.rank = rank
     for a in range(1, rank):
         for b in range(a, 0, -1):
@@ -94,15 +97,16 @@ def _reduce(table, bodies, columns, work, body_work):
                 work.keep[b], work.keep[b - 1] = work.keep[b - 1], work.keep[b]
     if rank == count:
         return NO_REASON
-    _express(columns, count, rank, work)
-    if not _consistent(columns, count, rank, work):
+    _express(t, count, rank)
+    if not _consistent(t, count, rank):
         return CONTRADICTION
-    return _same_body(table, bodies, columns, count, body_work)
+    return _same_body(t, count)
 
 
 @inner
-def _remove(columns, count, first):
+def _remove(t, count, first):
     """Take the direction of column `first` out of every rest, twice."""
+    columns = t.work.columns
     length = sqrt(dot6(columns[first].rest, columns[first].rest))
     q = columns[first].rest
     for j in range(count):
@@ -110,16 +114,16 @@ def _remove(columns, count, first):
             continue
         x = columns[j].rest
         for _ in range(2):
-            t = dot6(q, x) / (length * length)
-            for i in range(6):
-                x[i] -= t * q[i]
-    for i in range(6):
-        q[i] = 0.0
+            along = dot6(q, x) / (length * length)
+            fill(x, add(x, -along, q))
+    fill(q, ZERO)
 
 
 @inner
-def _express(columns, count, rank, work):
+def _express(t, count, rank):
     """share (rank,) of every column in force: N_all = N share."""
+    columns = t.work.columns
+    work = t.work
     for a in range(rank):
         column = columns[int(work.keep[a])]
         for i in range(6):
@@ -139,8 +143,10 @@ def _express(columns, count, rank, work):
 
 
 @inner
-def _consistent(columns, count, rank, work):
+def _consistent(t, count, rank):
     """n_γ of every column follows from the kept ones as the column does, but for rounding."""
+    columns = t.work.columns
+    work = t.work
     largest = 0.0
     for j in range(count):
         column = columns[j]
@@ -161,21 +167,26 @@ def _consistent(columns, count, rank, work):
 
 
 @inner
-def _same_body(table, bodies, columns, count, body_work):
+def _same_body(t, count):
     """Dependent columns must be on one body, or on bodies that move as one and do not yield."""
+    table = t.model.columns
+    bodies = t.model.bodies
+    columns = t.work.columns
+    body_work = t.work.bodies
     first = bodies[table[columns[0].chosen].contact].same
     for j in range(1, count):
         other = bodies[table[columns[j].chosen].contact].same
         if other != first:
             for i in range(48):
-                a, b = body_work[first].answer[i], body_work[other].answer[i]
+                a = body_work[first].answer[i]
+                b = body_work[other].answer[i]
                 if a != b or (i < 36 and a != 0.0):
                     return DIFFERENT_BODIES
     return NO_REASON
 
 
 @inner
-def spread_magnitudes(work, columns, alpha, speed):
+def spread_magnitudes(t, alpha, speed):
     """Measured magnitudes and speeds of the kept columns, to all columns in force.
 
     Where columns depend on others that is the split with the least sum of squares.
@@ -183,19 +194,27 @@ def spread_magnitudes(work, columns, alpha, speed):
     Args:
         alpha, speed: (r_all,) for all columns (N, m/s).
     """
-    r, count = work.rank, work.count
+    work = t.work
+    columns = t.work.columns
+    r = work.rank
+    count = work.count
     if r == count:
         for j in range(count):
             alpha[columns[j].chosen] = work.alpha_meas[j]
             speed[columns[j].chosen] = work.speed[j]
         return
-    _spread_dependent(work, columns, alpha, speed)
+    _spread_dependent(t, alpha, speed)
 
 
 @inner
-def _spread_dependent(work, columns, alpha, speed):
+def _spread_dependent(t, alpha, speed):
     """α_all = Rᵀ(RRᵀ)⁻¹α and Rᵀ speed, R the shares."""
-    r, count, G, x = work.rank, work.count, work.D, work.E
+    work = t.work
+    columns = t.work.columns
+    r = work.rank
+    count = work.count
+    G = work.D
+    x = work.E
     for a in range(r):
         x[0, a] = work.alpha_meas[a]
         for b in range(r):
@@ -204,8 +223,9 @@ def _spread_dependent(work, columns, alpha, speed):
                 G[a, b] += columns[j].share[a] * columns[j].share[b]
     lu_solve(G, r, x, 1)
     for j in range(count):
-        s = t = 0.0
+        force = rate = 0.0
         for a in range(r):
-            s += columns[j].share[a] * x[0, a]
-            t += columns[j].share[a] * work.speed[a]
-        alpha[columns[j].chosen], speed[columns[j].chosen] = s, t
+            force += columns[j].share[a] * x[0, a]
+            rate += columns[j].share[a] * work.speed[a]
+        alpha[columns[j].chosen] = force
+        speed[columns[j].chosen] = rate

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import cholesky, meet, orthonormalise, solve_lower
+from osc_contact.law.algebra import cholesky, orthonormalise, project_onto_constraint, solve_lower
 from osc_contact.law.energy import (
     carry_motion,
     carry_wrench,
@@ -18,7 +18,7 @@ from osc_contact.law.energy import (
     world_motion,
 )
 from osc_contact.law.jit import inner
-from osc_contact.law.six import dot6, fill, reflect, reflect_back, reflect_sides, six
+from osc_contact.law.six import dot6, fill, minus, reflect, reflect_back, reflect_sides, six
 from osc_contact.law.tables import (
     BAD_METRIC,
     BY_CHAIN,
@@ -28,21 +28,14 @@ from osc_contact.law.tables import (
     UNREACHABLE,
 )
 
-__all__ = [
-    "filter_motion",
-    "permit_error",
-    "require_reachable",
-    "set_metric",
-    "reflect_columns",
-]
-
 _REACH = 1e-9  #: least mobility along a column, beside that of the free object
 _APART = 1e-10  #: least part of a column outside the others, as seen through the arms
 
 
 @inner
-def reflect_columns(work):
+def reflect_columns(t):
     """Columns of N and N_μ in the turned coordinates."""
+    work = t.work
     for a in range(work.rank):
         fill(work.N_t[a], six(work.N[a]))
         fill(work.pushed_t[a], six(work.pushed[a]))
@@ -51,13 +44,15 @@ def reflect_columns(work):
 
 
 @inner
-def require_reachable(chain, work):
+def require_reachable(t):
     """Whether the arms can push on every column (`response.require_reachable`); a reason.
 
     With Λ_S = ΣΛ_i + 1 between 1 and its trace, NᵀΦ₀N lies between NᵀN / trace and NᵀN: most
     contacts are judged on N alone. Fills Q_t, L_t: N_t = L_t Q_t over the elements m … 5.
     """
-    r, m = work.rank, work.locked
+    work = t.work
+    r = work.rank
+    m = work.locked
     if r == 0:
         return NO_REASON
     least = orthonormalise(work.N_t, r, m, work.Q_t, work.L_t)
@@ -70,18 +65,22 @@ def require_reachable(chain, work):
         for i in range(m, 6):
             square += work.N_t[a, i] * work.N_t[a, i]
         reach = min(reach, square / dot6(work.N_t[a], work.N_t[a]))
-    if chain.held != 0 and reach > 2.0 * _REACH * trace and least > 2.0 * _APART * sqrt(trace):
+    if t.model.held != 0 and reach > 2.0 * _REACH * trace and least > 2.0 * _APART * sqrt(trace):
         return NO_REASON
-    return _judge_reach(chain, work)
+    return _judge_reach(t)
 
 
 @inner
-def _judge_reach(chain, work):
+def _judge_reach(t):
     """The same on NᵀΦ₀N itself, Φ₀ = Λ_S⁻¹."""
-    r, m, held = work.rank, work.locked, 1.0 if chain.held != 0 else 0.0
+    work = t.work
+    r = work.rank
+    m = work.locked
+    held = 1.0 if t.model.held != 0 else 0.0
     d = 6 - m
     if d == 0:
-        work.where, work.amount = 0, 0.0
+        work.where = 0
+        work.amount = 0.0
         return UNREACHABLE
     for i in range(6):
         for j in range(6):
@@ -108,22 +107,25 @@ def _judge_reach(chain, work):
 
 
 @inner
-def permit_error(chain, work, error, out, by_object):
+def permit_error(t, error, out, by_object):
     """out (6,) = Ω_m(B) error, eq. 4, at O: with all six axes, locked or not.
 
     Args:
-        error, out: (6,) at O. by_object: B is the object's inverse inertia, else `B_inv_t`.
+        error, out: (6,) at O. by_object: B is the object's inverse inertia, else
+        `B_inv_t`.
     """
-    e, r = work.y, work.rank
+    work = t.work
+    e = work.y
+    r = work.rank
     for a in range(r):
         work.s[a] = 0.0
     carry_motion(error, work.O, work.C, e)
     energy_motion(work.axes, e, e)
     if by_object:
-        meet(work.Q, r, e, work.s)
+        project_onto_constraint(work.Q, r, e, work.s)
     else:
         reflect(work.reflectors, work.beta, work.locked, e)
-        if not _meet_weighed(work, 0, e):
+        if not _meet_weighed(t, 0, e):
             return False
         reflect_back(work.reflectors, work.beta, work.locked, e)
     world_motion(work.axes, e, out)
@@ -132,9 +134,12 @@ def permit_error(chain, work, error, out, by_object):
 
 
 @inner
-def _meet_weighed(work, m, x):
+def _meet_weighed(t, m, x):
     """x ← the x nearest in B⁻¹ with N x = s, over the elements m … 5; False: B⁻¹ not definite."""
-    r, d, K = work.rank, 6 - m, work.B
+    work = t.work
+    r = work.rank
+    d = 6 - m
+    K = work.B
     if not cholesky(work.B_inv_t, m, d, K) > 0.0:  # B⁻¹ = KKᵀ, y = Kᵀx
         return False
     for i in range(d):
@@ -152,7 +157,7 @@ def _meet_weighed(work, m, x):
     for a in range(r):
         work.u[a] = work.s[a]
     solve_lower(work.A, r, work.u)
-    meet(work.E, r, x, work.u)
+    project_onto_constraint(work.E, r, x, work.u)
     for i in range(d - 1, -1, -1):
         s = x[m + i]
         for k in range(i + 1, d):
@@ -162,29 +167,31 @@ def _meet_weighed(work, m, x):
 
 
 @inner
-def set_metric(chain, work):
+def set_metric(t):
     """B⁻¹ of the motion filter in turned coordinates (`B_inv_t`); nothing for the object's own."""
-    if chain.metric == BY_OBJECT:
+    if t.model.metric == BY_OBJECT:
         return
-    if chain.metric == BY_CHAIN:
+    if t.model.metric == BY_CHAIN:
         for i in range(6):
             for j in range(6):
-                work.B_inv_t[i, j] = work.Lambda[i, j] + (1.0 if i == j else 0.0)
+                t.work.B_inv_t[i, j] = t.work.Lambda[i, j] + (1.0 if i == j else 0.0)
         return
-    _set_given_metric(chain, work)
+    _set_given_metric(t)
 
 
 @inner
-def _set_given_metric(chain, work):
-    out, half_done, f = work.B_inv_t, work.A, work.u
+def _set_given_metric(t):
+    work = t.work
+    out = work.B_inv_t
+    half_done = work.A
+    f = work.u
     for half in range(2):  # the map from wrenches to energy coordinates, from both sides
         for i in range(6):
             for j in range(6):
-                f[j] = chain.B_inv[i, j] if half == 0 else half_done[i, j]
+                f[j] = t.model.B_inv[i, j] if half == 0 else half_done[i, j]
             carry_wrench(f, work.O, work.C, f)
             energy_wrench(work.axes, f, f)
-            for j in range(6):
-                out[i, j] = f[j]
+            fill(out[i], f)
         for i in range(6):
             for j in range(6):
                 half_done[i, j] = out[j, i]
@@ -192,7 +199,7 @@ def _set_given_metric(chain, work):
 
 
 @inner
-def filter_motion(chain, work):
+def filter_motion(t):
     """x (6,) ← the object's acceleration S η̇_c + σ, turned, from the command `a_u` at O: eq. 24.
 
         ρ = n_γ − κ(NᵀV_rel − v̄) + Nᵀ(b_e − σ + Φ_eN_μα_u)
@@ -200,12 +207,15 @@ def filter_motion(chain, work):
 
     Returns a reason.
     """
-    r, m, x, sigma = work.rank, work.locked, work.x, work.sigma
+    work = t.work
+    r = work.rank
+    m = work.locked
+    x = work.x
+    sigma = work.sigma
     carry_motion(work.a_u, work.O, work.C, x)
     energy_motion(work.axes, x, x)
     reflect(work.reflectors, work.beta, m, x)
-    for i in range(6):
-        x[i] -= sigma[i]
+    fill(x, minus(x, sigma))
     for a in range(r):
         s = work.n_gamma[a] + work.b_N[a] - work.brake[a]
         for b in range(r):
@@ -214,11 +224,11 @@ def filter_motion(chain, work):
             s -= work.N_t[a, i] * sigma[i]
         work.rho[a] = s
     if r > 0:
-        if chain.metric == BY_OBJECT:
+        if t.model.metric == BY_OBJECT:
             for a in range(r):
                 work.s[a] = work.rho[a]
             solve_lower(work.L_t, r, work.s)
-            meet(work.Q_t, r, x, work.s)
+            project_onto_constraint(work.Q_t, r, x, work.s)
         else:
             if m > 0:  # what the contact sees of a motion outside the chain's is not rounded away
                 for a in range(r):
@@ -226,10 +236,10 @@ def filter_motion(chain, work):
                     for i in range(6):
                         work.s[a] += work.N_t[a, i] * x[i]
                 solve_lower(work.L_t, r, work.s)
-                meet(work.Q_t, r, x, work.s)
+                project_onto_constraint(work.Q_t, r, x, work.s)
             for a in range(r):
                 work.s[a] = work.rho[a]
-            if not _meet_weighed(work, m, x):
+            if not _meet_weighed(t, m, x):
                 return BAD_METRIC
     for i in range(m):
         x[i] = sigma[i]

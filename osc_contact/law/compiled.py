@@ -16,11 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.law import tables as at
 from osc_contact.law import tick as law
 from osc_contact.law.jit import PLAIN_PYTHON, forget_code
-
-__all__ = ["announced", "parts_of", "rows", "tell"]
+from osc_contact.law.layout import Rows, new_model
 
 _log = logging.getLogger(__name__)
 _usual: list[tuple[int, int, int]] = []  #: thresholds that `announced` has met
@@ -40,12 +38,11 @@ def rows() -> Any:
     call = law.rows
     if PLAIN_PYTHON:
         return call
-    none, raw = np.zeros(0), np.zeros(at.CHAIN_BYTES, np.uint8)
+    none, empty = np.zeros(0), Rows(new_model(1, 1, 1))
+    empty.job.last = 0
+    none_6, none_4 = np.zeros((0, 6)), np.zeros((0, 4))
     with announced(call):
-        call(
-            raw, raw, raw, none, none, np.zeros((0, 6)), np.zeros((0, 4)), none, none, none, none,
-            np.zeros((0, 28)), 0, none, np.zeros(0, np.int64), law.LOOK, law.END, 0, 0,
-        )  # fmt: skip
+        call(empty.raw, 0, none, none, none_6, none_4, none, none, none, np.zeros((0, 28)))
     call.disable_compile()
     forget_code(call)
     return call

@@ -8,11 +8,12 @@ numbers over time (`contacts.pairs.law_pair`).
 
 from __future__ import annotations
 
+from collections import namedtuple
 from math import copysign, sqrt
 
 from osc_contact.law.algebra import cross
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.six import dot6, rotated, velocity_at
+from osc_contact.law.six import ZERO, add, dot6, fill, minus, rotated, velocity_at
 from osc_contact.law.tables import (
     COUPLE,
     EDGES,
@@ -26,47 +27,53 @@ from osc_contact.law.tables import (
 )
 from osc_contact.law.tilt import follow_face
 
-__all__ = [
-    "AHEAD", "PARALLEL", "permitted_motion", "place_contacts", "place_pair", "point_of_contact",
-]  # fmt: skip
-
 PARALLEL = 1e-6  #: sine of the angle below which two edges have no common normal
 AHEAD = 2.0  #: control periods after its measurement at which a torque acts at the latest
+
+#: X_WO: (4, 4) pose of the object. R_E: the same of the touched body. V_O, V_E, V_rel: (6,) twists
+#: at O of the object, of the body, of one against the other. moving: False: the body rests in the
+#: world.
+Motion = namedtuple("Motion", "X_WO V_O R_E V_E V_rel moving")
 
 
 @leaf
 def _line(N, x, y, z, a, b, c):
     """N = W(n, p) = [n; p × n], the line of force along n = (a, b, c) through p = (x, y, z)."""
-    N[0], N[1], N[2] = a, b, c
+    N[0] = a
+    N[1] = b
+    N[2] = c
     N[3], N[4], N[5] = cross(x, y, z, a, b, c)
 
 
 @inner
-def place_contacts(chain, pairs, shapes, columns, X_WO, V_O, bodies, moving, work):
-    """Fill N, n_γ and friction wrenches of all columns; returns False where a pair is degenerate.
+def place_contacts(t):
+    """Fill N, n_γ and friction wrenches of all columns; False where a pair is degenerate.
 
-    Args:
-        columns: COLUMN_WORK rows; those of pairs that Python evaluates (GIVEN) stay as they are.
-        X_WO: (4, 4) pose of the object. V_O: (6,) its twist at O.
-        bodies: (contacts, 28) of each touched body: X_WE (16, by rows), V_E (6), A_E (6).
-        moving: whether `bodies` counts; False: they rest in the world.
-        work: WORK record: the coefficient of friction `mu`, the wanted acceleration A_D; scratch.
-            Friction is that of the slip to come, when the torques of this tick act: where a motion
-            turns back it changes its sign within milliseconds.
+    Columns of pairs that Python evaluates (GIVEN) stay unchanged. Friction is that of the slip to
+    come, when the torques of this tick act: where a motion turns back it changes its sign within
+    milliseconds.
     """
-    R_E, V_E, V_rel = work.A, work.u, work.w
+    model = t.model
+    shapes = model.shapes
+    columns = t.work.columns
+    X_WO = t.work.X_WO
+    V_O = t.work.V_O
+    moving = t.work.moving
+    work = t.work
+    R_E = work.A
+    V_E = work.u
+    V_rel = work.w
     for i in range(3):
         for j in range(4):
             R_E[i, j] = 1.0 if i == j else 0.0
-    for i in range(6):
-        V_E[i] = 0.0
-        V_rel[i] = V_O[i]
-    for c in range(chain.n_pairs):
-        pair = pairs[c]
+    fill(V_E, ZERO)
+    fill(V_rel, V_O)
+    for c in range(model.n_pairs):
+        pair = model.pairs[c]
         if pair.kind == GIVEN:
             continue
         if moving:
-            E = bodies[c]
+            E = t.input.touched[c]
             for i in range(3):
                 for j in range(4):
                     R_E[i, j] = E[4 * i + j]
@@ -75,61 +82,60 @@ def place_contacts(chain, pairs, shapes, columns, X_WO, V_O, bodies, moving, wor
             )
             V_E[0], V_E[1], V_E[2] = E[16] + x, E[17] + y, E[18] + z
             V_E[3], V_E[4], V_E[5] = E[19], E[20], E[21]
-            for i in range(6):
-                V_rel[i] = V_O[i] - V_E[i]
-        sine = place_pair(
-            pair, shapes, columns, X_WO, V_O, R_E, V_E, V_rel, moving, work.y
-        )  # fmt: skip
+            fill(V_rel, minus(V_O, V_E))
+        motion = Motion(work.X_WO, work.V_O, R_E, V_E, V_rel, moving)
+        sine = place_pair(pair, shapes, columns, motion, work.y)
         if not sine >= PARALLEL:
             return False
-        if pair.count == 1 and chain.tilt > 0.0 and pair.has_friction != 0 and pair.kind != EDGES:
-            for i in range(6):
-                work.z[i] = work.V_D[i] - V_E[i]
-            row, column = shapes[pair.shape_at].row, columns[pair.first]
-            follow_face(chain, pair.kind, row, X_WO, R_E, V_rel, work.z, column)
-        if pair.has_friction != 0 and (work.mu > 0.0 or chain.reading == LEAST_SQUARES):
-            for i in range(6):
-                work.z[i] = V_rel[i] + AHEAD * chain.period * work.A_D[i]
+        if pair.count == 1 and model.tilt > 0.0 and pair.has_friction != 0 and pair.kind != EDGES:
+            fill(work.z, minus(work.V_D, V_E))
+            row = shapes[pair.shape_at].row
+            column = columns[pair.first]
+            follow_face(t, pair.kind, row, X_WO, R_E, V_rel, work.z, column)
+        if pair.has_friction != 0 and (work.mu > 0.0 or model.reading == LEAST_SQUARES):
+            fill(work.z, add(V_rel, AHEAD * model.period, work.A_D))
             for j in range(pair.count):
-                row, column = shapes[pair.shape_at + j].row, columns[pair.first + j]
+                row = shapes[pair.shape_at + j].row
+                column = columns[pair.first + j]
                 point = point_of_contact(pair.kind, row, X_WO, R_E, column.N)
-                _slide(point, work.z, work.mu, chain.slip, column)
+                _slide(point, work.z, work.mu, model.slip, column)
     return True
 
 
 @inner
-def place_pair(pair, shapes, columns, X_WO, V_O, R_E, V_E, V_rel, moving, scratch):
+def place_pair(pair, shapes, columns, motion, scratch):
     """Fill N and n_γ of one pair's columns.
 
     Args:
-        pair: PAIR row. X_WO: (4, 4) pose of the object. R_E: the same of the touched body.
-        V_O, V_E, V_rel: (6,) twists at O of the object, of the body, of one against the other.
-        moving: False: R_E is the identity, V_E zero. scratch: (6,).
+        pair: PAIR row. shapes: SHAPE rows. columns: COLUMN_WORK rows. motion: of object and body.
+        scratch: (6,).
 
     Returns:
         The sine of the angle between two edges, where that decides whether N exists; else 1.
     """
-    first, shape = pair.first, pair.shape_at
+    first = pair.first
+    shape = pair.shape_at
     if pair.kind == POINTS:
         for j in range(pair.count):
-            _point_on_plane(
-                shapes[shape + j].row, X_WO, V_O, R_E, V_E, V_rel, moving, columns[first + j]
-            )  # fmt: skip
+            _point_on_plane(shapes[shape + j].row, motion, columns[first + j])
     elif pair.kind == FACE_ON_VERTEX:
-        _face_on_vertex(shapes[shape].row, X_WO, V_O, R_E, V_E, V_rel, columns[first], scratch)
+        _face_on_vertex(shapes[shape].row, motion, columns[first], scratch)
     elif pair.kind == EDGES:
-        return _edges(shapes[shape].row, X_WO, V_O, R_E, V_E, V_rel, columns[first], scratch)
+        return _edges(shapes[shape].row, motion, columns[first], scratch)
     else:
-        _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, scratch)
+        _tangents(pair, shapes, motion, columns, scratch)
     return 1.0
 
 
 @inner
-def _point_on_plane(row, X_WO, V_O, R_E, V_E, V_rel, moving, column):
+def _point_on_plane(row, motion, column):
     """A point of A (0:3) on a plane of E with direction into it (3:6), distance (6) along."""
+    X_WO, V_O, R_E, V_E, V_rel, moving = motion
     x, y, z = rotated(X_WO, row[0], row[1], row[2])
     turn = column.turn
-    a, b, c = row[3] + turn[0], row[4] + turn[1], row[5] + turn[2]
+    a = row[3] + turn[0]
+    b = row[4] + turn[1]
+    c = row[5] + turn[2]
     if moving:
         a, b, c = rotated(R_E, a, b, c)
     _line(column.N, x, y, z, a, b, c)
@@ -159,7 +165,9 @@ def point_of_contact(kind, row, X_WO, R_E, N):
         return x + ahead * N[0], y + ahead * N[1], z + ahead * N[2]
     if kind == FACE_ON_VERTEX:
         x, y, z = rotated(R_E, row[3], row[4], row[5])
-        x, y, z = x + R_E[0, 3] - X_WO[0, 3], y + R_E[1, 3] - X_WO[1, 3], z + R_E[2, 3] - X_WO[2, 3]
+        x = x + R_E[0, 3] - X_WO[0, 3]
+        y = y + R_E[1, 3] - X_WO[1, 3]
+        z = z + R_E[2, 3] - X_WO[2, 3]
         return x - row[6] * N[0], y - row[6] * N[1], z - row[6] * N[2]
     return _crossing(row, X_WO, R_E)[0]
 
@@ -168,15 +176,25 @@ def point_of_contact(kind, row, X_WO, R_E, N):
 def _slide(point, V_rel, mu, slip, column):
     """s = v_t / √(v_t² + v_0²) at the point of contact p, and friction μ [s; p × s] there."""
     N = column.N
-    a, b, c = N[0], N[1], N[2]
+    a = N[0]
+    b = N[1]
+    c = N[2]
     x, y, z = point
     u, v, w = velocity_at(V_rel, x, y, z)
     s = a * u + b * v + c * w
-    u, v, w = u - s * a, v - s * b, w - s * c
+    u = u - s * a
+    v = v - s * b
+    w = w - s * c
     s = 1.0 / sqrt(u * u + v * v + w * w + slip * slip)
-    u, v, w = s * u, s * v, s * w
-    column.point[0], column.point[1], column.point[2] = x, y, z
-    column.slip[0], column.slip[1], column.slip[2] = u, v, w
+    u = s * u
+    v = s * v
+    w = s * w
+    column.point[0] = x
+    column.point[1] = y
+    column.point[2] = z
+    column.slip[0] = u
+    column.slip[1] = v
+    column.slip[2] = w
     _line(column.friction_wrench, x, y, z, mu * u, mu * v, mu * w)
 
 
@@ -186,12 +204,15 @@ def _rate(p, n, p_dot, n_dot, out):
     x, y, z = cross(p_dot[0], p_dot[1], p_dot[2], n[0], n[1], n[2])
     a, b, c = cross(p[0], p[1], p[2], n_dot[0], n_dot[1], n_dot[2])
     out[0], out[1], out[2] = n_dot[0], n_dot[1], n_dot[2]
-    out[3], out[4], out[5] = x + a, y + b, z + c
+    out[3] = x + a
+    out[4] = y + b
+    out[5] = z + c
 
 
 @inner
-def _face_on_vertex(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
+def _face_on_vertex(row, motion, column, rate):
     """Row: normal of A's face (0:3), vertex of E (3:6), its radius (6)."""
+    X_WO, V_O, R_E, V_E, V_rel, _ = motion
     turn = column.turn
     n = rotated(X_WO, row[0] + turn[0], row[1] + turn[1], row[2] + turn[2])
     x, y, z = rotated(R_E, row[3], row[4], row[5])
@@ -227,12 +248,13 @@ def _crossing(row, X_WO, R_E):
 
 
 @inner
-def _edges(row, X_WO, V_O, R_E, V_E, V_rel, column, rate):
+def _edges(row, motion, column, rate):
     """Row: point, direction of A's edge (0:3, 3:6), of E's (6:9, 9:12), side (12), normal (13:16).
 
     The side is ±1, or 0 where the environment's outward normal tells it. Returns the sine of the
     edges' angle; near zero the column is not a number.
     """
+    X_WO, V_O, R_E, V_E, V_rel, _ = motion
     e = rotated(X_WO, row[3], row[4], row[5])
     f = rotated(R_E, row[9], row[10], row[11])
     m = cross(e[0], e[1], e[2], f[0], f[1], f[2])
@@ -305,7 +327,7 @@ def _add_carried(V, t, rate, out):
 
 
 @inner
-def _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, Tdot_beta):
+def _tangents(pair, shapes, motion, columns, Tdot_beta):
     """The pairs given by T: n_γ = NᵀṪβ.
 
     Shapes of the columns of N first, then those of its freedoms (`permitted_motion`). Row of a
@@ -313,9 +335,10 @@ def _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, Tdot_beta):
     point; COUPLE about (arm of A × mark of E); THREAD of a screw, a force along the direction and a
     couple −pitch / cos about it; axis of A (7:10), pitch (10).
     """
-    r, freedoms = pair.count, pair.freedoms
-    for i in range(6):
-        Tdot_beta[i] = 0.0
+    X_WO, V_O, R_E, V_E, V_rel, _ = motion
+    r = pair.count
+    freedoms = pair.freedoms
+    fill(Tdot_beta, ZERO)
     for k in range(r, r + freedoms):
         row = shapes[pair.shape_at + k].row
         t = permitted_motion(row, X_WO, R_E)
@@ -327,7 +350,8 @@ def _tangents(pair, shapes, X_WO, V_O, R_E, V_E, V_rel, columns, Tdot_beta):
             rate = t[3] * V_rel[3] + t[4] * V_rel[4] + t[5] * V_rel[5]
             _add_carried(V_O, t, rate, Tdot_beta)
     for j in range(r):
-        row, N = shapes[pair.shape_at + j].row, columns[pair.first + j].N
+        row = shapes[pair.shape_at + j].row
+        N = columns[pair.first + j].N
         p = rotated(X_WO, row[0], row[1], row[2])
         d = rotated(R_E, row[3], row[4], row[5])
         if row[6] == COUPLE:

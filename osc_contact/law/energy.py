@@ -9,16 +9,6 @@ from __future__ import annotations
 from osc_contact.law.algebra import cross
 from osc_contact.law.jit import inner, leaf
 
-__all__ = [
-    "carry_motion",
-    "carry_wrench",
-    "energy_motion",
-    "energy_wrench",
-    "set_axes",
-    "world_motion",
-    "world_wrench",
-]
-
 
 @inner
 def set_axes(R, roots, axes):
@@ -40,7 +30,9 @@ def set_axes(R, roots, axes):
 @leaf
 def _apply(axes, k, x, first, out):
     """out[first : first + 3] = axes[k] x[first : first + 3]."""
-    a, b, c = x[first], x[first + 1], x[first + 2]
+    a = x[first]
+    b = x[first + 1]
+    c = x[first + 2]
     for i in range(3):  # x may be out
         out[first + i] = axes[k, i, 0] * a + axes[k, i, 1] * b + axes[k, i, 2] * c
 
@@ -69,7 +61,9 @@ def energy_wrench(axes, f, out):
 
 @leaf
 def _apply_transposed(axes, k, x, first, out):
-    a, b, c = x[first], x[first + 1], x[first + 2]
+    a = x[first]
+    b = x[first + 1]
+    c = x[first + 2]
     for i in range(3):
         out[first + i] = axes[k, 0, i] * a + axes[k, 1, i] * b + axes[k, 2, i] * c
 

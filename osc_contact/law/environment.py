@@ -7,8 +7,6 @@ from osc_contact.law.jit import inner
 from osc_contact.law.six import dot6
 from osc_contact.law.tables import CART, CONVEYOR, ELSEWHERE
 
-__all__ = ["answer_bodies", "project_bodies", "still_bodies"]
-
 
 @inner
 def _answer(kind, parameters, E, O, answer, start):
@@ -16,11 +14,16 @@ def _answer(kind, parameters, E, O, answer, start):
 
     `parameters` of a cart: direction (0:3), mass, stiffness, damping, preload, u·g (7).
     """
-    Phi, b, V = answer[:36], answer[36:42], answer[42:48]
+    Phi = answer[:36]
+    b = answer[36:42]
+    V = answer[42:48]
     for i in range(36):
         Phi[i] = 0.0
     if kind == CART:
-        ux, uy, uz, mass = parameters[0], parameters[1], parameters[2], parameters[3]
+        ux = parameters[0]
+        uy = parameters[1]
+        uz = parameters[2]
+        mass = parameters[3]
         travel = ux * E[3] + uy * E[7] + uz * E[11]
         speed = ux * E[16] + uy * E[17] + uz * E[18]
         force = parameters[6] - parameters[4] * travel - parameters[5] * speed
@@ -28,8 +31,10 @@ def _answer(kind, parameters, E, O, answer, start):
         for i in range(3):
             for j in range(3):
                 Phi[6 * i + j] = parameters[i] * parameters[j] / mass
-            b[i], b[3 + i] = parameters[i] * rate, 0.0
-            V[i], V[3 + i] = parameters[i] * speed, 0.0
+            b[i] = parameters[i] * rate
+            b[3 + i] = 0.0
+            V[i] = parameters[i] * speed
+            V[3 + i] = 0.0
         return
     start[0], start[1], start[2] = E[3], E[7], E[11]
     for i in range(6):
@@ -44,22 +49,25 @@ def _answer(kind, parameters, E, O, answer, start):
 
 
 @inner
-def answer_bodies(chain, table, bodies, contacts, O, work, start):
-    """Φ_e, b_e and V_e at O (3,) of every touched body.
-
-    Args:
-        chain: CHAIN record. table: BODY rows; ELSEWHERE: `work` holds the answer already.
-        bodies: (contacts, 28) X_WE, V_E, A_E. contacts: CONTACT_MEMORY rows.
-        work: BODY_WORK rows, filled for bodies whose contacts are in force. start: (3,) scratch.
-    """
-    for c in range(chain.n_contacts):
+def answer_bodies(t):
+    """Φ_e, b_e and V_e at O (3,) of every touched body."""
+    table = t.model.bodies
+    for c in range(t.model.n_contacts):
         if table[c].same == c and table[c].kind != ELSEWHERE:
-            _answer(table[c].kind, table[c].parameters, bodies[c], O, work[c].answer, start)
+            _answer(
+                table[c].kind,
+                table[c].parameters,
+                t.input.touched[c],
+                t.work.O,
+                t.work.bodies[c].answer,
+                t.work.u,
+            )
 
 
 @inner
-def still_bodies(work):
+def still_bodies(t):
     """The same for bodies that rest in the world."""
+    work = t.work
     for a in range(work.rank):
         work.b_N[a] = work.V_N[a] = 0.0
         for b in range(work.rank):
@@ -67,18 +75,18 @@ def still_bodies(work):
 
 
 @inner
-def project_bodies(columns, table, bodies, body_work, work):
-    """Fill Φ_μ (r, r), b_N and V_N (r,) for the kept columns.
-
-    Args:
-        columns: COLUMN_WORK rows. table: COLUMN rows. bodies: BODY rows. body_work: BODY_WORK rows.
-        work: friction_wrenches (r, 6), N_μ − N at O; y for scratch.
-    """
+def project_bodies(t):
+    """Fill Φ_μ (r, r), b_N and V_N (r,) for the kept columns."""
+    columns = t.work.columns
+    table = t.model.columns
+    bodies = t.model.bodies
+    work = t.work
     given = work.y
     for a in range(work.rank):
         mine = columns[int(work.keep[a])].chosen
-        N, body = columns[mine].N, bodies[table[mine].contact].same
-        answer = body_work[body].answer
+        N = columns[mine].N
+        body = bodies[table[mine].contact].same
+        answer = t.work.bodies[body].answer
         work.b_N[a] = dot6(N, answer[36:42])
         work.V_N[a] = dot6(N, answer[42:48])
         for j in range(6):

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["motions", "reflection", "wrenches"]
-
 
 def motions(work: Any) -> NDArray[np.float64]:
     """(6, 6) L⁻ᵀ, from energy coordinates to motions at O in world axes."""

@@ -15,9 +15,7 @@ from osc_contact.law.energy import (
     world_wrench,
 )
 from osc_contact.law.jit import inner
-from osc_contact.law.six import dot6
-
-__all__ = ["add_slip", "filter_outboard", "filter_reading", "find_twist", "grasp_rows"]
+from osc_contact.law.six import ZERO, add, dot6, fill
 
 KNOWN = 1e-6  #: least share of a pivot at which the grasps fix the object beyond doubt
 _MOVES = 1e-7  #: of the outboard links' wrench, below which their own motion is none
@@ -28,7 +26,7 @@ def grasp_rows(arm, work, C, axes, out):
     """N and T of a grasp in energy coordinates, the rows of out (6, 6); the tip stands in `tip`.
 
     Args:
-        arm: ARM row. C: (3,) centre of mass (m). axes: from `energy.set_axes`.
+        arm: ARM row. work: its ARM_WORK. C: (3,) centre of mass (m). axes: from `energy.set_axes`.
         out: (6, 6), the rows of N first.
     """
     tip = work.tip
@@ -39,7 +37,8 @@ def grasp_rows(arm, work, C, axes, out):
             for j in range(3):
                 f += tip[i, j] * arm.grasp[a, j]
                 t += tip[i, j] * arm.grasp[a, 3 + j]
-            row[i], row[3 + i] = f, t
+            row[i] = f
+            row[3 + i] = t
         if a < arm.m:
             carry_wrench(row, tip[3], C, row)
             energy_wrench(axes, row, row)
@@ -60,8 +59,7 @@ def orthonormalise_with(rows, first, last, r):
             for b in range(first, a):
                 s = dot6(rows[a], rows[b])
                 r[a] -= s * r[b]
-                for i in range(6):
-                    rows[a, i] -= s * rows[b, i]
+                fill(rows[a], add(rows[a], -s, rows[b]))
         norm = sqrt(dot6(rows[a], rows[a]))
         if not norm > 0.0:
             return False
@@ -72,7 +70,7 @@ def orthonormalise_with(rows, first, last, r):
 
 
 @inner
-def find_twist(chain, arms, work, arm_work, joints, given):
+def find_twist(t, given):
     """N and T of every grasp, orthonormal, and the object's twist at C (V_C); False: not fixed.
 
     With a leader the object moves with its tip; with none it is what all the grasps leave. Where it
@@ -81,22 +79,29 @@ def find_twist(chain, arms, work, arm_work, joints, given):
     Args:
         given: whether the twist is given.
     """
-    A, L, x, r, twist = work.A, work.B, work.x, work.y, work.w
+    model = t.model
+    work = t.work
+    arm_work = t.work.arms
+    A = work.A
+    L = work.B
+    x = work.x
+    r = work.y
+    twist = work.w
     for i in range(6):
         x[i] = 0.0
-        for j in range(6):
-            A[i, j] = 0.0
-    for k in range(chain.n_arms):
-        arm, own = arms[k], arm_work[k]
+        fill(A[i], ZERO)
+    for k in range(model.n_arms):
+        arm = model.arms[k]
+        own = arm_work[k]
         if arm.m == 6:
             continue
-        place_frame(joints[arm.tip_joint], arm.tip, own.tip, own.tip[3])
+        place_frame(t.work.joints[arm.tip_joint], arm.tip, own.tip, own.tip[3])
         grasp_rows(arm, own, work.C, work.axes, own.passed)
         if not orthonormalise_with(own.passed, 0, arm.m, r):
             return False
         if not orthonormalise_with(own.passed, arm.m, 6, r):
             return False
-        if chain.leader < 0 and not given:
+        if model.leader < 0 and not given:
             energy_motion(work.axes, own.V, twist)
             for a in range(arm.m):
                 along = dot6(own.passed[a], twist)
@@ -106,9 +111,8 @@ def find_twist(chain, arms, work, arm_work, joints, given):
                         A[i, j] += own.passed[a, i] * own.passed[a, j]
     if given:
         return True
-    if chain.leader >= 0:
-        for i in range(6):
-            work.V_C[i] = arm_work[chain.leader].V[i]
+    if model.leader >= 0:
+        fill(work.V_C, arm_work[model.leader].V)
         return True
     if not cholesky(A, 0, 6, L) > KNOWN:
         return False
@@ -132,36 +136,43 @@ def add_slip(V, V_C, gamma):
 
 
 @inner
-def filter_outboard(arm, own, joints, work, bias):
+def filter_outboard(t, arm, own, bias):
     """Λ_out (transposed) and bias of a gripper that can move without the object.
 
     F = 1 − E(T E)⁺T, E = P(1 − J̄J) what the joints' motion without the object puts into the
     reading, takes that out of it (`dynamics.outboard.grasp_filter`).
 
     Args:
-        arm, own: its records; filter (6, 6) of `own` is filled.
-        joints: JOINT_WORK rows; outboard, at C, becomes P in energy coordinates.
-        work: out_T and bias_e are added to.
-        bias: (6,) wrench of the outboard bodies at q̈ = 0, at C.
+        arm, own: its records; filter (6, 6) of `own` is filled. bias: (6,) wrench of
+        the outboard bodies at q̈ = 0, at C.
     """
-    H, E, F, N, m = work.A, work.B, own.filter, own.passed, arm.m
-    lo, n, count = arm.first, arm.end - arm.first, 6 - arm.m
-    X, G = work.X, work.Z
+    joints = t.work.joints
+    work = t.work
+    H = work.A
+    E = work.B
+    F = own.filter
+    N = own.passed
+    m = arm.m
+    lo = arm.first
+    n = arm.end - arm.first
+    count = 6 - arm.m
+    X = work.X
+    G = work.Z
     for a in range(6):
-        for b in range(6):
-            H[a, b] = 0.0
+        fill(H[a], ZERO)
     energy_wrench(work.axes, bias, bias)
     for j in range(lo, lo + n):
-        P, bar = joints[j].outboard, joints[j].J_bar
+        P = joints[j].outboard
+        bar = joints[j].J_bar
         energy_wrench(work.axes, P, P)
         s = dot6(bar, own.gamma)
         for a in range(6):
             bias[a] -= s * P[a]
-            for b in range(6):
-                H[a, b] += P[a] * bar[b]
+            fill(H[a], add(H[a], P[a], bar))
     largest = 0.0
     for j in range(n):
-        P, J = joints[lo + j].outboard, joints[lo + j].J
+        P = joints[lo + j].outboard
+        J = joints[lo + j].J
         for a in range(6):
             G[j, a] = P[a] - dot6(H[a], J)
             largest = max(largest, abs(P[a]))
@@ -192,8 +203,7 @@ def filter_outboard(arm, own, joints, work, bias):
             for b in range(count):
                 E[1, a] += X[k, n + b] * N[m + b, a]
         for a in range(6):
-            for b in range(6):
-                F[a, b] -= E[0, a] * E[1, b]
+            fill(F[a], add(F[a], -E[0, a], E[1]))
     for a in range(6):
         work.bias_e[a] += dot6(F[a], bias)
         for b in range(6):

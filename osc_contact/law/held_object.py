@@ -10,9 +10,8 @@ from osc_contact.law.energy import carry_motion, set_axes, world_motion
 from osc_contact.law.grasps import KNOWN, grasp_rows, orthonormalise_with
 from osc_contact.law.jit import inner
 from osc_contact.law.motion import rotation_vector
+from osc_contact.law.six import ZERO, add, fill
 from osc_contact.law.tables import BALL, HINGE
-
-__all__ = ["centre_object", "find_object", "rotate"]
 
 
 @inner
@@ -23,9 +22,11 @@ def rotate(X, wx, wy, wz):
         X: rotation or pose, overwritten. wx, wy, wz: of the vector (rad).
     """
     angle = sqrt(wx * wx + wy * wy + wz * wz)
-    a, b = 1.0, 0.5
+    a = 1.0
+    b = 0.5
     if angle > 1e-6:
-        a, b = sin(angle) / angle, (1.0 - cos(angle)) / (angle * angle)
+        a = sin(angle) / angle
+        b = (1.0 - cos(angle)) / (angle * angle)
     for j in range(3):
         x, y, z = cross(wx, wy, wz, X[0, j], X[1, j], X[2, j])
         k, l, n = cross(wx, wy, wz, x, y, z)
@@ -67,7 +68,9 @@ def _miss(arm, tip, X, out):
         ux += tip[a, 0] * d
         uy += tip[a, 1] * d
         uz += tip[a, 2] * d
-    ax, ay, az = arm.tip_axis[0], arm.tip_axis[1], arm.tip_axis[2]
+    ax = arm.tip_axis[0]
+    ay = arm.tip_axis[1]
+    az = arm.tip_axis[2]
     x, y, z = cross(ax, ay, az, ux, uy, uz)
     s = sqrt(x * x + y * y + z * z)
     f = 1.0
@@ -88,7 +91,8 @@ def _miss_of_group(arm, tip, X, A, B, p, out):
     Args:
         A, B: (6, 6) scratch. p: (6,) scratch. out: (6,) filled along N's rows.
     """
-    R, m = A, arm.m
+    R = A
+    m = arm.m
     for i in range(3):  # the object's grasp frame in the tip: A rotation, p point
         for j in range(3):
             s = 0.0
@@ -111,14 +115,12 @@ def _miss_of_group(arm, tip, X, A, B, p, out):
         rotation_vector(R, out)
         _remaining(p, out, B)
         size = 0.0
-        for i in range(6):
-            B[1, i] = 0.0
+        fill(B[1], ZERO)
         for a in range(m, 6):
             s = 0.0
             for i in range(6):
                 s += arm.grasp[a, i] * B[0, i]
-            for i in range(6):
-                B[1, i] += s * arm.grasp[a, i]
+            fill(B[1], add(B[1], s, arm.grasp[a]))
             size = max(size, abs(s))
         if size < 1e-14:
             break
@@ -135,7 +137,9 @@ def _miss_of_group(arm, tip, X, A, B, p, out):
 @inner
 def _remaining(p, w, B):
     """B[0] = log of a motion (rotation vector w (3,), point p), a twist about the tip's origin."""
-    wx, wy, wz = w[0], w[1], w[2]
+    wx = w[0]
+    wy = w[1]
+    wz = w[2]
     square = wx * wx + wy * wy + wz * wz
     c = 1.0 / 12.0 + square / 720.0
     if square > 1e-4:
@@ -145,21 +149,32 @@ def _remaining(p, w, B):
     k, l, n = cross(wx, wy, wz, x, y, z)
     B[0, 0], B[0, 1] = p[0] - 0.5 * x + c * k, p[1] - 0.5 * y + c * l
     B[0, 2] = p[2] - 0.5 * z + c * n
-    B[0, 3], B[0, 4], B[0, 5] = wx, wy, wz
+    B[0, 3] = wx
+    B[0, 4] = wy
+    B[0, 5] = wz
 
 
 @inner
 def _take_off(R, p, B):
     """(R, p) ← (R, p) exp(−twist), the twist in B[1]."""
-    vx, vy, vz, wx, wy, wz = -B[1, 0], -B[1, 1], -B[1, 2], -B[1, 3], -B[1, 4], -B[1, 5]
+    vx = -B[1, 0]
+    vy = -B[1, 1]
+    vz = -B[1, 2]
+    wx = -B[1, 3]
+    wy = -B[1, 4]
+    wz = -B[1, 5]
     square = wx * wx + wy * wy + wz * wz
-    b, c = 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
+    b = 0.5 - square / 24.0
+    c = 1.0 / 6.0 - square / 120.0
     if square > 1e-4:
         angle = sqrt(square)
-        b, c = (1.0 - cos(angle)) / square, (angle - sin(angle)) / (angle * square)
+        b = (1.0 - cos(angle)) / square
+        c = (angle - sin(angle)) / (angle * square)
     x, y, z = cross(wx, wy, wz, vx, vy, vz)
     k, l, n = cross(wx, wy, wz, x, y, z)
-    tx, ty, tz = vx + b * x + c * k, vy + b * y + c * l, vz + b * z + c * n
+    tx = vx + b * x + c * k
+    ty = vy + b * y + c * l
+    tz = vz + b * z + c * n
     for i in range(3):
         p[i] += R[i, 0] * tx + R[i, 1] * ty + R[i, 2] * tz
     x = R[0, 0] * wx + R[0, 1] * wy + R[0, 2] * wz
@@ -169,25 +184,27 @@ def _take_off(R, p, B):
 
 
 @inner
-def centre_object(X, chain, work):
+def centre_object(t, X):
     """Centre of mass C, principal axes and energy coordinates of the object at X.
 
     Args:
         X: (4, 4) pose of the object.
     """
+    model = t.model
+    work = t.work
     for i in range(3):
         work.C[i] = X[i, 3]
         work.O[i] = X[i, 3]
         for a in range(3):
-            work.C[i] += X[i, a] * chain.X_LP[9 + a]
+            work.C[i] += X[i, a] * model.X_LP[9 + a]
             work.R[i, a] = 0.0
             for b in range(3):
-                work.R[i, a] += X[i, b] * chain.X_LP[3 * b + a]
-    set_axes(work.R, chain.roots, work.axes)
+                work.R[i, a] += X[i, b] * model.X_LP[3 * b + a]
+    set_axes(work.R, model.roots, work.axes)
 
 
 @inner
-def find_object(chain, arms, work, arm_work, joints, X):
+def find_object(t, X):
     """X (4, 4) at which all grasps fit the tips, from where it was: Gauss–Newton in the energy.
 
     Returns False where the grasps do not fix it.
@@ -195,20 +212,27 @@ def find_object(chain, arms, work, arm_work, joints, X):
     Args:
         X: (4, 4) pose of the object, overwritten.
     """
-    A, L, x, step, r = work.A, work.B, work.x, work.w, work.y
-    for k in range(chain.n_arms):
+    arms = t.model.arms
+    work = t.work
+    arm_work = t.work.arms
+    A = work.A
+    L = work.B
+    x = work.x
+    step = work.w
+    r = work.y
+    for k in range(t.model.n_arms):
         own = arm_work[k]
-        place_frame(joints[arms[k].tip_joint], arms[k].tip, own.tip, own.tip[3])
+        place_frame(t.work.joints[arms[k].tip_joint], arms[k].tip, own.tip, own.tip[3])
     _square_up(X)
     size = 1.0
     for _ in range(50):
-        centre_object(X, chain, work)
+        centre_object(t, X)
         for i in range(6):
             x[i] = 0.0
-            for j in range(6):
-                A[i, j] = 0.0
-        for k in range(chain.n_arms):
-            arm, own = arms[k], arm_work[k]
+            fill(A[i], ZERO)
+        for k in range(t.model.n_arms):
+            arm = arms[k]
+            own = arm_work[k]
             if arm.kind == BALL or arm.kind == HINGE:
                 _miss(arm, own.tip, X, r)
             else:
@@ -234,5 +258,5 @@ def find_object(chain, arms, work, arm_work, joints, X):
                 X[i, 3] += step[i]
         if not size > 1e-15:
             break
-    centre_object(X, chain, work)
+    centre_object(t, X)
     return size < 1e-12

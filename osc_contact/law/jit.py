@@ -15,27 +15,9 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import carray, config, njit, types  # type: ignore[attr-defined]
+from numba import config, njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
-
-__all__ = [
-    "PLAIN_PYTHON",
-    "as_python",
-    "call_entry",
-    "direct",
-    "entry",
-    "forget_code",
-    "inner",
-    "integers",
-    "leaf",
-    "matrix",
-    "numbers",
-    "pointer",
-    "prefetch",
-    "reader",
-    "share_entry",
-]
 
 PLAIN_PYTHON: bool = bool(getattr(config, "DISABLE_JIT"))  # noqa: B009 - set at run time
 
@@ -78,9 +60,6 @@ def _code_cache() -> Any:
 _fast = _accelerator()
 _cache = _code_cache()
 _INNER, _ENTRY = ({}, {}) if PLAIN_PYTHON else _options(_fast)
-#: Of the accelerator: how other compiled code calls an entry. None without it.
-call_entry: Any = None if _fast is None else _fast.call_entry
-share_entry: Any = None if _fast is None else _fast.share_entry
 #: Of the accelerator: gives back what numba keeps of an entry beside its machine code.
 forget_code: Any = (lambda entry: None) if _fast is None else _fast.forget_code
 
@@ -137,33 +116,16 @@ def as_python(part: Any, **instead: Any) -> Any:
 
 if PLAIN_PYTHON:
     pointer: Any = None
-
-    def _at(raw: Any, start: int, shape: Any, dtype: Any) -> Any:
-        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-        return raw[start : start + size].view(dtype).reshape(shape)
-
-    def reader(dtype: np.dtype[Any]) -> Any:
-        """A function (bytes, start, count) that reads records of this dtype, without a copy."""
-        return lambda raw, start, count: _at(raw, start, (count,), dtype).view(np.recarray)
-
-    def numbers(raw: Any, start: int, count: int) -> Any:
-        """`count` numbers among bytes, without a copy."""
-        return _at(raw, start, (count,), np.float64)
-
-    def matrix(x: Any, start: int, rows: int, columns: int) -> Any:
-        """A matrix among numbers, from number `start` on, without a copy."""
-        return x[start : start + rows * columns].reshape((rows, columns))
-
-    def integers(x: Any, start: int, count: int) -> Any:
-        """Room for numbers taken for integers."""
-        return x[start : start + count].view(np.int64)
+    view: Any = None
 
     def prefetch(raw: Any, start: int, count: int) -> None:
         """Bring bytes near that are read soon: nothing to do in plain Python."""
 
 else:
-    _view: Any = _njit(**{**_INNER, "forceinline": True, "_nrt": True} if _INNER is not _PLAIN
-                       else _PLAIN)  # fmt: skip
+    #: A small part that reads bytes at an address.
+    view = _njit(
+        **{**_INNER, "forceinline": True, "_nrt": True} if _INNER is not _PLAIN else _PLAIN
+    )
 
     @intrinsic
     def pointer(typing: Any, address: Any) -> Any:
@@ -189,33 +151,8 @@ else:
 
         return types.void(types.uintp), generate
 
-    @_view
+    @view
     def prefetch(raw, start, count):
         """Bring bytes near that are read soon."""
         for at in range(start, start + count, 64):
             _prefetch(raw.ctypes.data + np.uintp(at))
-
-    def reader(dtype: np.dtype[Any]) -> Any:
-        """A function (bytes, start, count) that reads records of this dtype, without a copy."""
-
-        @_view
-        def read(raw, start, count):
-            return carray(pointer(raw.ctypes.data + np.uintp(start)), (count,), dtype)
-
-        return read
-
-    @_view
-    def numbers(raw, start, count):
-        """`count` numbers among bytes, without a copy."""
-        return carray(pointer(raw.ctypes.data + np.uintp(start)), (count,), np.float64)
-
-    @_view
-    def matrix(x, start, rows, columns):
-        """A matrix among numbers, from number `start` on, without a copy."""
-        at = pointer(x.ctypes.data + np.uintp(8 * start))
-        return carray(at, (rows, columns), np.float64)
-
-    @_view
-    def integers(x, start, count):
-        """Room for numbers taken for integers."""
-        return carray(pointer(x.ctypes.data + np.uintp(8 * start)), (count,), np.int64)

@@ -30,8 +30,7 @@ from osc_contact.law.algebra import (
 )
 from osc_contact.law.jit import direct, entry, inner
 from osc_contact.law.refinement import add, dot, refine
-
-__all__ = ["TorqueLimits"]
+from osc_contact.law.six import ZERO, fill
 
 #: Weights beside the 1 of motion: what has memory goes last. Torques that do nothing to the object
 #: count relative to the mean energy of the others.
@@ -48,7 +47,8 @@ def _mobility(d, r, Lambda, N, pushed, Phi_e, work):
     row divided by its `size`. K: Cholesky factor of Λ. Returns False where Λ is not positive.
     """
     K, D, P, X, size, _ = work
-    m, u = 6 - d, 6 + d
+    m = 6 - d
+    u = 6 + d
     for a in range(r):
         for i in range(6):
             X[a, (i + d) % 6] = N[a, i]
@@ -95,7 +95,8 @@ def _respond(d, r, given, maps, work, rows):
         for i in range(d + 6):
             rows[j, i] = 0.0
         for a in range(r):
-            psi[a], force[j, a] = force[j, a], 0.0
+            psi[a] = force[j, a]
+            force[j, a] = 0.0
         for a in range(r):
             add(-psi[a], P[a], d, motion[j])
             add(psi[a], X[a, 6 + d :], r, force[j])
@@ -105,22 +106,29 @@ def _respond(d, r, given, maps, work, rows):
 
 
 @entry
-def prepare(d, r, k, s, slack, mass, given, maps, work, H, A, bounds, rows):
+def prepare(sizes, slack, mass, given, maps, work, program):
     """Fill the program min |rowsᵀz|² with lower ≤ (z, Az) ≤ upper, z = (δτ/scale, slack).
 
     Args:
-        d, r, k, s, mass, given: as in `TorqueLimits`, in its order.
-        slack: 0, or k: forces may leave their ranges at a price.
+        sizes: d, r, k, s. slack: 0, or k: forces may leave their ranges at a price.
+        mass, given: as in `TorqueLimits`, in its order.
         maps: (n_a,) scale; (n_a, 6) motion, force, (s, n_a) squeeze per unit of z.
-        work: scratch. H: (v, v), A: (k, v), v = n_a + slack. bounds: (2, ≥ v + k).
-        rows: (≥ v, ≥ 6 + d + s + v) a motor's energies in each row.
+        work: scratch.
+        program: H (v, v), A (k, v), v = n_a + slack, bounds (2, ≥ v + k), and a motor's energies in
+            each of rows (≥ v, ≥ 6 + d + s + v).
 
     Returns:
         Whether the response of the chain could be worked out.
     """
     wanted, tau_max, _, _, _, _, _, alpha, share, floor, E, carried, idle = given
     scale, motion, force, squeeze = maps
-    n, v, p, largest, energy = len(scale), len(H), len(idle), 0.0, 0.0
+    d, r, k, s = sizes
+    H, A, bounds, rows = program
+    n = len(scale)
+    v = len(H)
+    p = len(idle)
+    largest = 0.0
+    energy = 0.0
     w = 6 + d + s + p
     for j in range(n):
         if not isinf(tau_max[j]):
@@ -155,29 +163,34 @@ def prepare(d, r, k, s, slack, mass, given, maps, work, H, A, bounds, rows):
         for j in range(n):
             A[c, j] /= norm
         if slack > 0:
-            A[c, n + c], bounds[0, n + c], bounds[1, n + c] = 1.0, -_INFINITE, _INFINITE
+            A[c, n + c] = 1.0
+            bounds[0, n + c] = -_INFINITE
+            bounds[1, n + c] = _INFINITE
         bounds[0, v + c] = min((floor[c] - dot(share[c], alpha, r)) / norm, 0.0)
         bounds[1, v + c] = 0.0  # nobody presses harder than commanded
     return True
 
 
 @entry
-def finish(z, lam, d, r, s, given, maps, A, bounds, rows, scratch, answer):
+def finish(solution, sizes, given, maps, program, scratch, answer):
     """Torques from the solver's z (v,) and multipliers (v + k,); whether they are finite.
 
     Args:
-        z, lam: of the solver. d, r, s, given, maps, A, bounds, rows: of `prepare`.
+        solution: z, lam of the solver. sizes, given, maps, program: of `prepare`.
         scratch: see `refine`.
         answer: tau, at_limit and what is lost, filled, see `TorqueLimits`.
     """
     wanted, tau_max, _, _, _, _, _, _, _, _, _, _, idle = given
     scale, motion, force, squeeze = maps
     tau, at_limit, lost_force, lost_motion, lost_squeeze = answer
+    z, lam = solution
+    d, r, _, s = sizes
+    _, A, bounds, rows = program
     if refine(lam, 6 + d + s + len(idle) + len(z), A, bounds, rows, scratch):
         for j in range(len(z)):
             z[j] = scratch[0][j]
-    for i in range(6):
-        lost_force[i] = lost_motion[i] = 0.0
+    fill(lost_force, ZERO)
+    fill(lost_motion, ZERO)
     for j in range(len(scale)):
         if not abs(z[j]) < _INFINITE:
             return False
@@ -211,14 +224,23 @@ class TorqueLimits:
     """
 
     def __init__(self, n_a: int, k_max: int, s_max: int, p: int = 0) -> None:
-        zeros, v = np.zeros, n_a + k_max
+        zeros = np.zeros
+        v = n_a + k_max
         w = 12 + s_max + p + v + k_max
-        self._sizes, self.mass = (n_a, k_max, s_max, p), 1.0
+        self._sizes = (n_a, k_max, s_max, p)
+        self.mass = 1.0
         self._given: tuple[Any, ...] = (
-            zeros(n_a), np.full(n_a, np.inf), zeros((n_a, 6)), *zeros((4, 6, 6)), zeros(6),
-            zeros((k_max, 6)), zeros(k_max), zeros((s_max, n_a)), zeros((s_max, 6)),
+            zeros(n_a),
+            np.full(n_a, np.inf),
+            zeros((n_a, 6)),
+            *zeros((4, 6, 6)),
+            zeros(6),
+            zeros((k_max, 6)),
+            zeros(k_max),
+            zeros((s_max, n_a)),
+            zeros((s_max, 6)),
             zeros((p, n_a)),
-        )  # fmt: skip
+        )
         self.wanted, self.tau_max, self.G, self.Lambda, self.N = self._given[:5]
         self.pushed, self.Phi_e, self.alpha, self.share, self.floor = self._given[5:10]
         self.E, self.carried, self.idle = self._given[10:]
@@ -226,13 +248,20 @@ class TorqueLimits:
         self.tau, self.at_limit, self.lost_force, self.lost_motion, self.lost_squeeze = self._answer
         self._maps = zeros(n_a), zeros((n_a, 6)), zeros((n_a, 6)), zeros((s_max, n_a))
         self._work = (*zeros((3, 6, 6)), zeros((6, 18)), zeros(6), zeros(6))
-        self._H, self._A, self._f = zeros(v * v), zeros(k_max * v), zeros(v)
-        self._bounds, self._rows = zeros((2, v + k_max)), zeros((v, w))
-        self._sense, free, T = zeros(v + k_max, np.int32), zeros(v, np.int64), zeros((w, 1))
-        normals, reduced = zeros((k_max + 1, v)), zeros((v, w))
+        self._H = zeros(v * v)
+        self._A = zeros(k_max * v)
+        self._f = zeros(v)
+        self._bounds = zeros((2, v + k_max))
+        self._rows = zeros((v, w))
+        self._sense = zeros(v + k_max, np.int32)
+        free = zeros(v, np.int64)
+        T = zeros((w, 1))
+        normals = zeros((k_max + 1, v))
+        reduced = zeros((v, w))
         self._scratch = (*zeros((6, w)), T[:, 0].reshape(w), T, normals, reduced, free)
         self._solution = zeros(v), zeros(v + k_max)
-        self._prepare, self._finish = prepare, finish
+        self._prepare = prepare
+        self._finish = finish
         self.solve(0, 0, 0, 0)  # no tick has to wait until this is compiled
         self._prepare, self._finish = direct(prepare), direct(finish)
 
@@ -250,23 +279,34 @@ class TorqueLimits:
         """
         import daqp
 
-        given, maps, bounds, rows = self._given, self._maps, self._bounds, self._rows
+        given = self._given
+        maps = self._maps
+        bounds = self._bounds
+        rows = self._rows
         for slack in (0, k):
             v = len(self.tau) + slack
             H, A, end = self._H[: v * v].reshape(v, v), self._A[: k * v].reshape(k, v), v + k
-            mass, work = float(self.mass), self._work
-            if not self._prepare(d, r, k, s, slack, mass, given, maps, work, H, A, bounds, rows):
+            mass = float(self.mass)
+            work = self._work
+            sizes, program = (d, r, k, s), (H, A, bounds, rows)
+            if not self._prepare(sizes, slack, mass, given, maps, work, program):
                 break
             z, _, verdict, info = daqp.solve(
-                H, self._f[:v], A, bounds[1, :end], bounds[0, :end], self._sense[:end],
+                H,
+                self._f[:v],
+                A,
+                bounds[1, :end],
+                bounds[0, :end],
+                self._sense[:end],
                 primal_tol=1e-10,
-            )  # fmt: skip
+            )
             if verdict <= 0:
                 continue
-            own_z, own_lam = self._solution[0][:v], self._solution[1][:end]
+            own_z = self._solution[0][:v]
+            own_lam = self._solution[1][:end]
             own_z[:], own_lam[:] = z, info["lam"]
             if self._finish(
-                own_z, own_lam, d, r, s, given, maps, A, bounds, rows, self._scratch, self._answer
+                (own_z, own_lam), sizes, given, maps, program, self._scratch, self._answer
             ):
                 return slack > 0
         raise SolverError(

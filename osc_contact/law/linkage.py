@@ -19,8 +19,6 @@ from math import inf, sqrt
 from osc_contact.law.algebra import one_sided_jacobi
 from osc_contact.law.jit import inner
 
-__all__ = ["scratch_size", "settable_bars"]
-
 _NO_BAR = 1e-9  # m: grasps nearer than this are the same point
 _DEPENDENT = 1e-9  # of the longest: rows of which less is left are rounding errors
 
@@ -32,47 +30,41 @@ def scratch_size(k: int, n: int) -> int:
 
 
 @inner
-def settable_bars(
-    k, n, points, first, end, force_levers, G, effort, locked, owners, n_locked, tolerance,
-    levers, basis, scratch,
-):  # fmt: skip
+def settable_bars(t, n_locked):
     """Combinations of bar forces that the motors can set at will, and the levers of the bars.
 
     Left out are dependent bars, forces that the arms' structure carries whatever the motors do, and
     forces that no torques in null(G) make: what hinges and balls do not pass on, or passive joints
-    do not resist.
+    do not resist. Fills `levers`: E⁺J̄ᵀ, force in the bars by 1 N m (or N) of joint torques that
+    accelerate nothing; and `basis`: orthonormal columns, never more than 3k − 6, the identity if
+    these are all bars.
+
+    `tolerance` is what counts as zero: singular values of E relative to the largest, those of the
+    locked forces in the bars, and cosines between torques and null(G).
 
     Args:
-        k, n: arms (three or more), joints of all of them.
-        points: (k, 3) grasp points in the world (m).
-        first, end: (k,) integers, joints of each arm.
-        force_levers: (n, 3) force on the object, world axes, by 1 N m (or N) of each joint.
-        G: (n, d) what each joint's torque does to the d motions of the object, d ≤ 6.
-        effort: (n,) what torques are measured by (N m, N): τ_max, 0 in passive joints.
-        locked: (n_locked, 3) force part, world axes, of the wrenches that each arm carries by its
-            structure, over √mass: orthonormal where the object's inertia is the identity, without
-            a unit. n_locked ≤ 6k.
-        owners: (n_locked,) integers, the arm of each.
-        tolerance: what counts as zero: singular values of E relative to the largest, those of the
-            locked forces in the bars, and cosines between torques and null(G).
-        levers: (bars, n) out: E⁺J̄ᵀ, force in the bars by 1 N m (or N) of joint torques that
-            accelerate nothing.
-        basis: (bars, ≥ s) out: orthonormal columns, never more than 3k − 6; the identity if these
-            are all bars.
-        scratch: (≥ scratch_size(k, n),) contiguous.
+        n_locked: rows of `carried`, ≤ 6k.
 
     Returns:
         s, how many columns of `basis` are filled.
     """
-    bars, behind, d = k * (k - 1) // 2, n_locked + n, G.shape[1]
+    work = t.work
+    k = t.model.n_arms
+    n = t.model.n_joints
+    tolerance = t.model.tolerance
+    levers = work.levers
+    basis = work.basis
+    bars = k * (k - 1) // 2
+    behind = n_locked + n
+    scratch = work.scratch
     X, at = _table(scratch, 0, bars, 3 * k + bars)
     Y, at = _table(scratch, at, bars, behind + bars)
     Z, at = _table(scratch, at, bars, n)
     Q, at = _table(scratch, at, 6, n)
-    _place_bars(k, bars, points, X)
+    _place_bars(k, bars, work.points, X)
     one_sided_jacobi(X, bars, 3 * k, bars)
     rank = _invert(X, bars, 3 * k, bars, tolerance)
-    _see_forces(k, rank, X, first, end, force_levers, locked, owners, n_locked, Y)
+    _see_forces(t, rank, X, n_locked, Y)
     for bar in range(bars):
         for j in range(n):
             levers[bar, j] = 0.0
@@ -85,13 +77,13 @@ def settable_bars(
         one_sided_jacobi(Y, rank, n_locked, n + bars)
         count = _keep(Y, rank, n_locked, behind + bars, -1.0, tolerance * tolerance)
     # torques by their effort: Q spans those that move the object, Z those that the bars feel
-    for row in range(d):
+    for row in range(6):
         for j in range(n):
-            Q[row, j] = G[j, row] * effort[j]
-    moving = _orthonormalise(Q, d, n, _DEPENDENT)
+            Q[row, j] = work.driven[j, row] * work.efforts[j]
+    moving = _orthonormalise(Q, 6, n, _DEPENDENT)
     for row in range(count):
         for j in range(n):
-            Y[row, n_locked + j] *= effort[j]
+            Y[row, n_locked + j] *= work.efforts[j]
             Z[row, j] = Y[row, n_locked + j]
     felt = _orthonormalise(Z, count, n, _DEPENDENT)
     for row in range(felt):
@@ -135,9 +127,12 @@ def _place_bars(k, bars, points, X):
             z = points[j, 2] - points[i, 2]
             length = sqrt(x * x + y * y + z * z)
             if length >= _NO_BAR:
-                X[bar, 3 * i], X[bar, 3 * j] = x / length, -x / length
-                X[bar, 3 * i + 1], X[bar, 3 * j + 1] = y / length, -y / length
-                X[bar, 3 * i + 2], X[bar, 3 * j + 2] = z / length, -z / length
+                X[bar, 3 * i] = x / length
+                X[bar, 3 * j] = -x / length
+                X[bar, 3 * i + 1] = y / length
+                X[bar, 3 * j + 1] = -y / length
+                X[bar, 3 * i + 2] = z / length
+                X[bar, 3 * j + 2] = -z / length
             bar += 1
 
 
@@ -156,17 +151,24 @@ def _invert(X, count, length, carried, tolerance):
 
 
 @inner
-def _see_forces(k, rank, X, first, end, force_levers, locked, owners, n_locked, Y):
+def _see_forces(t, rank, X, n_locked, Y):
     """Rows of Y: what each row of X[:rank, :3k] sees of locked forces, then of joint torques."""
+    work = t.work
+    locked = work.carried
+    levers = work.force_levers
     for row in range(rank):
         for c in range(n_locked):
-            i = 3 * owners[c]
-            x, y, z = X[row, i], X[row, i + 1], X[row, i + 2]
+            i = 3 * work.owners[c]
+            x = X[row, i]
+            y = X[row, i + 1]
+            z = X[row, i + 2]
             Y[row, c] = x * locked[c, 0] + y * locked[c, 1] + z * locked[c, 2]
-        for i in range(k):
-            x, y, z = X[row, 3 * i], X[row, 3 * i + 1], X[row, 3 * i + 2]
-            for j in range(first[i], end[i]):
-                f = x * force_levers[j, 0] + y * force_levers[j, 1] + z * force_levers[j, 2]
+        for i in range(t.model.n_arms):
+            x = X[row, 3 * i]
+            y = X[row, 3 * i + 1]
+            z = X[row, 3 * i + 2]
+            for j in range(t.model.arms[i].first, t.model.arms[i].end):
+                f = x * levers[j, 0] + y * levers[j, 1] + z * levers[j, 2]
                 Y[row, n_locked + j] = f
 
 
@@ -225,11 +227,13 @@ def _orthonormalise(X, count, length, tolerance):
     """
     largest = 0.0
     for done in range(count):
-        most, at = 0.0, done
+        most = 0.0
+        at = done
         for row in range(done, count):
             square = _square(X, row, length)
             if square > most:
-                most, at = square, row
+                most = square
+                at = row
         largest = max(largest, most)
         if not most > tolerance * tolerance * largest:
             return done

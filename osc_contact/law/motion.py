@@ -7,8 +7,6 @@ from math import atan2, copysign, sqrt
 from osc_contact.law.algebra import cross
 from osc_contact.law.jit import inner
 
-__all__ = ["command_motion", "pose_error", "rotation_vector"]
-
 
 @inner
 def rotation_vector(R, out):
@@ -20,26 +18,42 @@ def rotation_vector(R, out):
 
 @inner
 def _rotation_vector(r00, r01, r02, r10, r11, r12, r20, r21, r22, out, first):
-    x, y, z = 0.5 * (r21 - r12), 0.5 * (r02 - r20), 0.5 * (r10 - r01)
+    x = 0.5 * (r21 - r12)
+    y = 0.5 * (r02 - r20)
+    z = 0.5 * (r10 - r01)
     sine = sqrt(x * x + y * y + z * z)
     cosine = 0.5 * (r00 + r11 + r22 - 1.0)
     angle = atan2(sine, cosine)
     if cosine > -0.99:
         scale = angle / sine if sine > 1e-6 else 1.0 + sine * sine / 6.0
-        out[first], out[first + 1], out[first + 2] = scale * x, scale * y, scale * z
+        out[first] = scale * x
+        out[first + 1] = scale * y
+        out[first + 2] = scale * z
         return
     # near a half turn the axis comes from the symmetric part, (1 − cos) aaᵀ + cos 1: its longest
     # column, whose sign is known best
-    u, v, w = r00 - cosine, r11 - cosine, r22 - cosine
-    a, b, c = 0.5 * (r01 + r10), 0.5 * (r02 + r20), 0.5 * (r12 + r21)
+    u = r00 - cosine
+    v = r11 - cosine
+    w = r22 - cosine
+    a = 0.5 * (r01 + r10)
+    b = 0.5 * (r02 + r20)
+    c = 0.5 * (r12 + r21)
     if u >= v and u >= w:
-        v, w, side = a, b, x
+        v = a
+        w = b
+        side = x
     elif v >= w:
-        u, w, side = a, c, y
+        u = a
+        w = c
+        side = y
     else:
-        u, v, side = b, c, z
+        u = b
+        v = c
+        side = z
     scale = copysign(angle / sqrt(u * u + v * v + w * w), side)
-    out[first], out[first + 1], out[first + 2] = scale * u, scale * v, scale * w
+    out[first] = scale * u
+    out[first + 1] = scale * v
+    out[first + 2] = scale * w
 
 
 @inner
@@ -51,7 +65,8 @@ def pose_error(X_WD, X_WO, out):
     """
     for i in range(3):
         out[i] = X_WD[i, 3] - X_WO[i, 3]
-    D, B = X_WD, X_WO
+    D = X_WD
+    B = X_WO
     _rotation_vector(
         D[0, 0] * B[0, 0] + D[0, 1] * B[0, 1] + D[0, 2] * B[0, 2],
         D[0, 0] * B[1, 0] + D[0, 1] * B[1, 1] + D[0, 2] * B[1, 2],
@@ -68,16 +83,17 @@ def pose_error(X_WD, X_WO, out):
 
 
 @inner
-def command_motion(error, integral, V_D, A_D, V_O, stiffness, damping, gain, a_u):
-    """a_u (6,) at O: p̈_d + K_d ė + K_p e + K_i ∫e, less ω × v.
-
-    Args:
-        error, integral: (6,) e and ∫e. V_D, V_O: (6,) desired and actual twist.
-        A_D: (6,) desired classical acceleration. stiffness, damping, gain: K_p, K_d, K_i.
-        a_u: (6,) for the command, spatial.
-    """
+def command_motion(t):
+    """a_u (6,) at O: p̈_d + K_d ė + K_p e + K_i ∫e, less ω × v."""
+    V_O = t.work.V_O
+    a_u = t.work.a_u
     for i in range(6):
-        a_u[i] = A_D[i] + damping * (V_D[i] - V_O[i]) + stiffness * error[i] + gain * integral[i]
+        a_u[i] = (
+            t.input.A_D[i]
+            + t.model.damping * (t.input.V_D[i] - V_O[i])
+            + t.model.stiffness * t.work.error[i]
+            + t.model.integral * t.work.motion_next[i]
+        )
     x, y, z = cross(V_O[3], V_O[4], V_O[5], V_O[0], V_O[1], V_O[2])
     a_u[0] -= x
     a_u[1] -= y

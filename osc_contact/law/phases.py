@@ -24,11 +24,6 @@ from math import inf
 from osc_contact.law.algebra import lu_solve
 from osc_contact.law.jit import inner
 
-__all__ = [
-    "APPROACHING", "APPROACH_GAIN", "advance_phases", "expect", "haste", "low_pass", "monitor",
-    "remap_force_sums", "set_goals", "slew", "torque_rate",
-]  # fmt: skip
-
 #: Out of N; in N and dragged towards the face; in N under force control.
 OPEN, APPROACHING, CLOSED = range(3)
 _CHANGES = 0.1  #: s after a change of phase for which torques go gently
@@ -43,7 +38,7 @@ _GENTLE = 0.5  #: of what counts as contact: with so much an approach at v_a pus
 
 
 @inner
-def low_pass(column_memory, n, here, alpha, speed, D, chosen, r, independent, dt, lag, A, b):
+def low_pass(t, independent):
     """Take in what a tick has measured; `net` becomes what is known of the contact force alone.
 
     The filter of fig. 5 puts Nᵀa_rel = n_γ. An object that leaves its face, or flies towards it,
@@ -53,26 +48,36 @@ def low_pass(column_memory, n, here, alpha, speed, D, chosen, r, independent, dt
     seems to is noise, of half the size.
 
     Args:
-        column_memory: (n,) COLUMN_MEMORY. here: (n,) whether each column is in N.
-        alpha, speed: (n,) measured magnitudes (N) and NᵀV_rel (m/s), 0 out of N.
-        D: (≥ r, ≥ r) normal acceleration for each newton (1/kg). chosen: (≥ r,) which column each
-            of its r rows is. independent: whether these are all in N; if not, inertia counts as 0.
-        dt: the tick (s). lag: of the low-pass (s). A: (≥ r, ≥ r), b: (≥ 1, ≥ r) scratch.
+        independent: whether these are all in N; if not, inertia counts as 0.
     """
-    k, solved = dt / (lag + dt), False
+    column_memory = t.memory.columns
+    n = t.model.n_columns
+    here = t.work.here
+    alpha = t.work.alpha
+    speed = t.work.speeds
+    chosen = t.work.chosen
+    r = t.work.rank
+    dt = t.work.dt
+    A = t.work.D
+    b = t.work.E
+    k = dt / (t.model.lag + dt)
+    solved = False
     if independent and r > 0:
         for a in range(r):
             row = column_memory[chosen[a]]
-            b[0, a] = k * (speed[chosen[a]] - row.pace) / dt if row.known != 0 else 0.0
+            b[0, a] = k * (speed[chosen[a]] - row.filtered_speed) / dt if row.known != 0 else 0.0
             for c in range(r):
-                A[a, c] = D[a, c]
+                A[a, c] = t.work.mobility[a, c]
         solved = lu_solve(A, r, b, 1)
     for j in range(n):
         row = column_memory[j]
         row.force = row.force + k * (alpha[j] - row.force) if row.known != 0 else alpha[j]
-        row.pace = row.pace + k * (speed[j] - row.pace) if row.known != 0 else speed[j]
+        row.filtered_speed = (
+            row.filtered_speed + k * (speed[j] - row.filtered_speed) if row.known != 0 else speed[j]
+        )
         row.known = 1 if here[j] else 0
-        row.alpha, row.speed = alpha[j], speed[j]
+        row.alpha = alpha[j]
+        row.speed = speed[j]
         row.net = row.force if here[j] else 0.0
     for a in range(r if solved else 0):
         row = column_memory[chosen[a]]
@@ -84,24 +89,23 @@ def low_pass(column_memory, n, here, alpha, speed, D, chosen, r, independent, dt
 
 
 @inner
-def expect(chain, row, asked, limited, dt):
-    """What a contact should read: the force asked of it `rise` ago, or now where that is less.
+def predict_force(t, row, commanded, limited, dt):
+    """What a contact should read: the force commanded of it `rise` ago, or now where that is less.
 
     Args:
-        row: COLUMN_MEMORY of a column in N. asked: the force command α_s of this tick (N).
-        limited: whether motors were at their limits: then no more than an approach is expected.
-        dt: s since the last tick.
+        row: COLUMN_MEMORY of a column in N. commanded: the force command α_s of this tick
+        (N). limited: whether motors were at their limits: then no more than an approach
+        is expected. dt: s since the last tick.
     """
-    late = row.expected + dt / (chain.rise + dt) * (asked - row.expected)
-    row.expected = min(asked, late)
+    model = t.model
+    late = row.predicted + dt / (model.rise + dt) * (commanded - row.predicted)
+    row.predicted = min(commanded, late)
     if limited:
-        row.expected = min(row.expected, chain.approach_damping * chain.approach_speed)
+        row.predicted = min(row.predicted, model.approach_damping * model.approach_speed)
 
 
 @inner
-def monitor(
-    row, force, speed, dt, force_on, force_off, power, patience, window, dwell, leaving, more
-):
+def monitor(limits, row, force, speed, dt, dwell, more):
     """Contact or no contact, from the paper's own signal: projected force and power (figs. 6, 7).
 
     While a contact holds, the power of the projected force is zero: α_k (NᵀV_rel)_k = 0. A
@@ -112,76 +116,74 @@ def monitor(
         row: COLUMN_MEMORY; changed are low_for, high_for: s since the force went low, or high;
             burst: W, the most since then, or since contact was made; armed_for: s in which a
             collision may still be found; closed; and collision: whether one began at this tick.
-        force: (N). speed: NᵀV_rel (m/s). dt: the tick (s).
-        force_on, force_off: N; made above the first, lost `more` (N) above the second or below.
-        power: W; more than this (in size) is a collision. window: s after contact is made in which
-            one is looked for.
-        patience, dwell: s of low force until contact is lost, of high force until it is made.
-        leaving: m/s; what leaves its face faster has no contact, whatever the force says.
+        limits: force_on, force_off: N; made above the first, lost `more` (N) above the second or
+            below. power: W; more than this (in size) is a collision. window: s after contact is
+            made in which one is looked for. patience: s of low force until contact is lost.
+            leaving: m/s; what leaves its face faster has no contact, whatever the force says.
+        force: (N). speed: NᵀV_rel (m/s). dt: the tick (s). dwell: s of high force until contact is
+            made.
     """
-    away = speed < -leaving
-    low = away or force < force_off + more
-    high = force > force_on and not away
+    away = speed < -limits.leaving
+    low = away or force < limits.force_off + more
+    high = force > limits.force_on and not away
     row.low_for = row.low_for + dt if low else 0.0
     row.high_for = row.high_for + dt if high else 0.0
     before = row.closed != 0
-    lost = before and row.low_for > patience
+    lost = before and row.low_for > limits.patience
     closed = (before or row.high_for > dwell) and not lost
-    row.armed_for = max(row.armed_for - dt, 0.0) if before else window
+    row.armed_for = max(row.armed_for - dt, 0.0) if before else limits.window
     row.burst = max(row.burst, abs(force * speed)) if closed or row.high_for > 0.0 else 0.0
-    collision = closed and row.armed_for > 0.0 and row.burst > power
+    collision = closed and row.armed_for > 0.0 and row.burst > limits.power
     row.armed_for = 0.0 if collision else row.armed_for
-    row.closed, row.collision = 1 if closed else 0, 1 if collision else 0
+    row.closed = 1 if closed else 0
+    row.collision = 1 if collision else 0
 
 
 @inner
-def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept, dt):
+def advance_phases(t):
     """The phases of a tick, from what the last one measured and what is wanted now.
-
-    Args:
-        chain: CHAIN. bodies: (contacts,) BODY. columns: (n,) COLUMN.
-        contacts: (contacts,) CONTACT_MEMORY; phase and since are changed, not yet `active`, and
-            held: whether it has pressed for the time of a rise. One that never did is not lost.
-        column_memory: (n,) COLUMN_MEMORY after `low_pass`; changed as by `monitor`, and gap (m):
-            how far it has gone since contact was lost, or is not known to hold again; astray: how
-            long ago that was.
-        wanted: (n,) desired magnitudes (N); a contact that can only push is left if none is > 0.
-        kept: (n,) filled: 1 for columns whose integral goes on: they were in N, and contact was
-            not lost; 0 for others.
-        dt: s since the tick that was measured, lost ticks included.
 
     Returns:
         Whether other contacts than in the last tick are in N.
     """
+    model = t.model
+    columns = model.columns
+    column_memory = t.memory.columns
+    wanted = t.work.goal
+    dt = t.work.dt
     changed = False
-    push = chain.approach_damping * chain.approach_speed
-    for c in range(chain.n_contacts):
-        contact, pushes = contacts[c], bodies[c].pushes
-        before, phase = contact.phase, CLOSED
-        desired, some_closed, all_closed = False, False, True
-        for j in range(chain.n_columns):
+    push = model.approach_damping * model.approach_speed
+    for c in range(model.n_contacts):
+        contact = t.memory.contacts[c]
+        pushes = model.bodies[c].pushes
+        before = contact.phase
+        phase = CLOSED
+        desired = False
+        some_closed = False
+        all_closed = True
+        for j in range(model.n_columns):
             if columns[j].contact != c:
                 continue
             row = column_memory[j]
-            dwell, more = chain.dwell, -inf  # too little to be told from nothing
-            if row.expected > chain.force_on:
-                more = chain.lost_share * max(row.expected - push, 0.0)
+            dwell = model.dwell
+            more = -inf  # too little to be told from nothing
+            if row.predicted > model.force_on:
+                more = model.lost_share * max(row.predicted - push, 0.0)
             force = row.net
             if row.closed == 0:  # sensors that fail look like an impact, to wrists or to speeds
-                flies = row.speed > _SLOWED * chain.approach_speed and row.high_for < _SOFT
-                dwell = inf if flies else chain.dwell
+                flies = row.speed > _SLOWED * model.approach_speed and row.high_for < _SOFT
+                dwell = inf if flies else model.dwell
                 force = min(row.net, _FELT * row.force) - row.noise
-            monitor(
-                row, force, row.speed, dt, chain.force_on, chain.force_off, chain.power,
-                chain.patience, chain.window, dwell, chain.leaving, more,
-            )  # fmt: skip
+            monitor(model, row, force, row.speed, dt, dwell, more)
             if before == OPEN:
-                row.closed, row.collision, contact.held = 0, 0, 0
-            elif row.high_for > chain.rise:
+                row.closed = 0
+                row.collision = 0
+                contact.held = 0
+            elif row.high_for > model.rise:
                 contact.held = 1
             desired = desired or wanted[j] > 0.0
             some_closed = some_closed or row.closed != 0
-            light = wanted[j] <= chain.force_on  # too little to be distinguished from nothing
+            light = wanted[j] <= model.force_on  # too little to be distinguished from nothing
             all_closed = all_closed and (light or row.closed != 0)
         if pushes != 0 and not desired:
             phase = OPEN
@@ -190,36 +192,45 @@ def advance_phases(chain, bodies, columns, contacts, column_memory, wanted, kept
         contact.since = contact.since + dt if phase == before else 0.0
         contact.phase = phase
         changed = changed or (phase != OPEN) != (contact.active != 0)
-        for j in range(chain.n_columns):
+        for j in range(model.n_columns):
             if columns[j].contact == c:
-                kept[j] = 1 if before != OPEN and phase >= before else 0
-                row, known = column_memory[j], before != OPEN and phase != OPEN
-                held = phase == CLOSED and contact.since > chain.rise
+                t.work.here[j] = 1 if before != OPEN and phase >= before else 0
+                row = column_memory[j]
+                known = before != OPEN and phase != OPEN
+                held = phase == CLOSED and contact.since > model.rise
                 row.gap = max(row.gap - dt * row.speed, 0.0) if known and not held else 0.0
                 left = before == CLOSED and phase == APPROACHING and contact.held != 0
-                lost = row.astray > 0.0 or left
-                row.astray = row.astray + dt if lost and known and not held else 0.0
+                lost = row.time_since_loss > 0.0 or left
+                row.time_since_loss = (
+                    row.time_since_loss + dt if lost and known and not held else 0.0
+                )
     return changed
 
 
 @inner
-def remap_force_sums(chain, memory, columns, contacts, kept, scratch):
+def remap_force_sums(t):
     """Hand the force integrals to the columns that are in N now, after `advance_phases`.
 
     Those of columns not kept start at 0. None is left (rank 0) where they were not one for each
     column in N, or more columns come than there is room for.
-
-    Args:
-        memory: MEMORY; force_sum, force_rank are changed. kept: (n,) flags. scratch: (n,).
     """
-    sums, before, after, same = memory.force_sum, 0, 0, True
-    for j in range(chain.n_columns):
+    model = t.model
+    memory = t.memory
+    columns = model.columns
+    contacts = t.memory.contacts
+    kept = t.work.here
+    scratch = t.work.alpha
+    sums = memory.force_sum
+    before = 0
+    after = 0
+    same = True
+    for j in range(model.n_columns):
         contact = contacts[columns[j].contact]
         here = contact.active != 0
         same = same and here == (contact.phase != OPEN) and (kept[j] != 0 or not here)
     if same:  # dependent columns, too: they have fewer integrals
         return
-    for j in range(chain.n_columns):
+    for j in range(model.n_columns):
         contact = contacts[columns[j].contact]
         carried = contact.active != 0 and kept[j] != 0 and before < len(sums)
         scratch[j] = sums[before] if carried else 0.0
@@ -227,80 +238,92 @@ def remap_force_sums(chain, memory, columns, contacts, kept, scratch):
         after += 1 if contact.phase != OPEN else 0
     memory.force_rank = after if before == memory.force_rank and after <= len(sums) else 0
     after = 0
-    for j in range(chain.n_columns):
+    for j in range(model.n_columns):
         if contacts[columns[j].contact].phase != OPEN and after < memory.force_rank:
             sums[after] = scratch[j]
             after += 1
 
 
 @inner
-def set_goals(chain, bodies, columns, contacts, column_memory, wanted, goal):
-    """How each contact takes part in a tick, and the goals of its forces.
-
-    Args:
-        contacts: (contacts,) CONTACT_MEMORY; active, gain, damping, brake and least (−∞: none) are
-            set. column_memory: (n,) COLUMN_MEMORY.
-        wanted: (n,) desired magnitudes (N). goal: (n,) filled with α_d (N); may be `wanted`.
-    """
-    for c in range(chain.n_contacts):
+def set_goals(t):
+    """How each contact takes part in a tick, and the goals of its forces."""
+    model = t.model
+    bodies = model.bodies
+    columns = model.columns
+    contacts = t.memory.contacts
+    column_memory = t.memory.columns
+    wanted = t.work.goal
+    for c in range(model.n_contacts):
         contact = contacts[c]
         approaching = contact.phase == APPROACHING
         contact.active = 1 if contact.phase != OPEN else 0
-        contact.gain = 0.0 if approaching else chain.force_gain
-        contact.damping = chain.approach_damping if approaching else chain.force_damping
-        contact.brake = 0.0 if approaching else chain.force_brake
-        contact.least = chain.least_force if bodies[c].pushes != 0 and not approaching else -inf
-    for j in range(chain.n_columns):
-        contact, pushes = contacts[columns[j].contact], bodies[columns[j].contact].pushes
-        pace = chain.approach_speed
+        contact.gain = 0.0 if approaching else model.force_gain
+        contact.damping = model.approach_damping if approaching else model.force_damping
+        contact.brake = 0.0 if approaching else model.force_brake
+        contact.least = model.least_force if bodies[c].pushes != 0 and not approaching else -inf
+    for j in range(model.n_columns):
+        contact = contacts[columns[j].contact]
+        pushes = bodies[columns[j].contact].pushes
+        speed = model.approach_speed
         if contact.phase == APPROACHING:
-            pace = max(pace, min(pace + _RETURN * column_memory[j].gap, _FASTEST))
-        start = chain.approach_damping * pace if pushes != 0 else wanted[j]
+            speed = max(speed, min(speed + _RETURN * column_memory[j].gap, _FASTEST))
+        start = model.approach_damping * speed if pushes != 0 else wanted[j]
         if contact.phase == APPROACHING:
-            gentle = _GENTLE * chain.force_on * pace / chain.approach_speed
-            moving = min(abs(column_memory[j].pace), abs(column_memory[j].speed))
-            start = min(start, gentle + chain.approach_damping * moving)
-        if contact.phase == APPROACHING and contact.since * chain.approach_speed >= chain.travel:
+            gentle = _GENTLE * model.force_on * speed / model.approach_speed
+            moving = min(abs(column_memory[j].filtered_speed), abs(column_memory[j].speed))
+            start = min(start, gentle + model.approach_damping * moving)
+        if contact.phase == APPROACHING and contact.since * model.approach_speed >= model.travel:
             start = 0.0  # it has found nothing and stands still
-        goal[j] = start + _risen(chain, contact, pushes) * (wanted[j] - start)
+        t.work.goal[j] = start + _risen(t, contact, pushes) * (wanted[j] - start)
 
 
 @inner
-def _risen(chain, contact, pushes):
+def _risen(t, contact, pushes):
     """How much of the way from K_a v_a to their goals the forces of a contact have risen."""
     if pushes == 0 or contact.phase != CLOSED:
         return 0.0
-    return min(contact.since / chain.rise, 1.0)
+    return min(contact.since / t.model.rise, 1.0)
 
 
 @inner
-def haste(chain, table, joints):
-    """The largest share that a joint has of its speed limit.
-
-    Args:
-        table: JOINT rows. joints: JOINT_WORK rows.
-    """
+def max_speed_ratio(t):
+    """The largest share that a joint has of its speed limit."""
     most = 0.0
-    for j in range(chain.n_joints):
-        most = max(most, abs(joints[j].v) / table[j].speed_max)
+    for j in range(t.model.n_joints):
+        most = max(most, abs(t.work.joints[j].v) / t.model.joints[j].speed_max)
     return most
 
 
 @inner
-def torque_rate(chain, contacts, share):
+def torque_rate(t, share):
     """1/s; no motor torque changes faster than its limit times this.
 
     Around a change of phase torques go gently, but for joints that are fast: late ones let them go
     astray.
 
     Args:
-        contacts: (contacts,) CONTACT_MEMORY. share: as of `haste`.
+        share: as of `max_speed_ratio`.
     """
-    rate, slow = chain.torque_rate, min((1.0 - share) / (1.0 - _SLOW), 1.0)
-    for c in range(chain.n_contacts if chain.phased != 0 and slow > 0.0 else 0):
-        if contacts[c].since < _CHANGES:
-            rate = min(rate, chain.phase_rate / slow**2)
+    model = t.model
+    rate = model.torque_rate
+    slow = min((1.0 - share) / (1.0 - _SLOW), 1.0)
+    for c in range(model.n_contacts if model.phased != 0 and slow > 0.0 else 0):
+        if t.memory.contacts[c].since < _CHANGES:
+            rate = min(rate, model.phase_rate / slow**2)
     return rate
+
+
+@inner
+def limit_changes(t):
+    """`tau` of the motors no further from the last torques than they may change in a tick."""
+    work = t.work
+    model = t.model
+    rate = torque_rate(t, max_speed_ratio(t))
+    for j in range(model.n_joints):
+        motor = model.joints[j].motor
+        if motor >= 0:
+            work.step[motor] = rate * model.period * model.joints[j].tau_max
+    slew(work.tau, t.memory.torques, work.step, model.n_motors)
 
 
 @inner

@@ -5,8 +5,6 @@ from __future__ import annotations
 from osc_contact.law.algebra import back_substitute, qr_rows
 from osc_contact.law.jit import inner
 
-__all__ = ["add", "dot", "refine"]
-
 _DEPENDENT = 1e-9  # of a unit row, beside the rows before it
 _ROOM = 1e-7  # around the bounds, for a point worked out from its active limits
 
@@ -58,13 +56,15 @@ def refine(lam, w, A, bounds, rows, scratch):
         for i in range(w + k):
             reduced[f, i] = rows[j, i] if i < w else A[i - w, j]
         if lam[j] == 0.0:
-            point[j], free[f] = 0.0, j
+            point[j] = 0.0
+            free[f] = j
             f += 1
         else:
             point[j] = bounds[int(lam[j] > 0.0), j]
             add(point[j], reduced[f], w + k, t)
     for c in range(k):
-        u, rest = normals[kept], reduced[kept:]
+        u = normals[kept]
+        rest = reduced[kept:]
         for j in range(f - kept):
             u[j] = rest[j, w + c]
         if lam[v + c] == 0.0 or kept == f:

@@ -18,6 +18,7 @@ from osc_contact.law.energy import carry_wrench
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import slew
 from osc_contact.law.sensors import check_sensors, estimate_joints
+from osc_contact.law.six import ZERO, fill
 from osc_contact.law.tables import (
     DEGRADED_STATE,
     HOLD,
@@ -29,8 +30,6 @@ from osc_contact.law.tables import (
     SATURATED,
 )
 
-__all__ = ["BRAKE_RATE", "count_computed", "guard"]
-
 _AT_REST = 0.02  #: rad/s, m/s: below it a braked joint is held where it is
 _BRAKING = 0.3  #: s; a joint that still moves then is held all the same
 _LEAST = 0.1  #: share of the brakes that is left where motors can hardly carry the arm
@@ -40,83 +39,77 @@ _HASTE = 4.0  #: times that, where a joint is above its speed limit
 
 @inner
 def guard(
-    chain, arms, table, work, memory, joints, joint_memory, arm_memory, estimate, last_wrenches,
-    step, q, v, wrenches, last, tau, first, reason,
-):  # fmt: skip
+    t,
+    reason,
+):
     """The state after this tick, and the torques of one that was not computed; its reason.
 
     Args:
-        chain, arms, table: CHAIN record, ARM and JOINT rows. work, memory: records.
-        joints: JOINT_WORK rows; those of a tick that is held lose placements, h and M.
-        joint_memory, arm_memory: JOINT_MEMORY and ARM_MEMORY rows.
-        estimate: (2 n,) of MEMORY: joint positions and speeds, see `sensors.estimate_joints`.
-        last_wrenches: (6 arms,) of MEMORY: wrenches last read.
-        step: (motors,) scratch. q, v: (n,) and wrenches: (arms, 6) as they came in.
-        last: (motors,) torques of the last tick, tau[first:] of this.
         reason: of the tick so far.
     """
+    model = t.model
+    work = t.work
+    memory = t.memory
     memory.wrench_age = memory.wrench_age + 1 if memory.wrench_missing != 0 else 0
-    cause = check_sensors(
-        chain, arms, table, memory, joint_memory, arm_memory, last_wrenches, q, v, wrenches
-    )
-    estimate_joints(chain, table, memory, joint_memory, estimate)
+    cause = check_sensors(t)
+    estimate_joints(t)
     if reason == NO_REASON:
         memory.gap = 0
-        for j in range(chain.n_joints):
-            joint_memory[j].acceleration = joints[j].acceleration
+        for j in range(model.n_joints):
+            t.memory.joints[j].acceleration = t.work.joints[j].acceleration
         memory.has_wrench = 1
         if work.status != SATURATED:  # then the motor limits still have to be met
-            count_computed(memory)
-        memory.repeats = chain.repeats if work.status != SATURATED else 0
+            count_computed(t)
+        memory.repeats = model.repeats if work.status != SATURATED else 0
         fine = work.status == OK and memory.wrench_missing == 0
-        _enter(memory, RUN if fine else DEGRADED_STATE)
+        _enter(t, RUN if fine else DEGRADED_STATE)
         if cause != NO_REASON:  # these torques still are good: the next tick stops
             memory.cause = cause
-            _enter(memory, SAFE_STOP)
+            _enter(t, SAFE_STOP)
         return NO_REASON
     memory.gap += 1
     if memory.state == SAFE_STOP:
-        _enter(memory, SAFE_STOP)
+        _enter(t, SAFE_STOP)
     else:
         memory.faults += 1
         memory.lost += 1
         memory.cause = reason if cause == NO_REASON else cause
-        if memory.lost >= chain.fault_ticks or memory.cause >= OVERSPEED:
-            _enter(memory, SAFE_STOP)
+        if memory.lost >= model.fault_ticks or memory.cause >= OVERSPEED:
+            _enter(t, SAFE_STOP)
         elif memory.faults > memory.repeats:
-            _enter(memory, HOLD)
+            _enter(t, HOLD)
         else:
-            _enter(memory, DEGRADED_STATE)
+            _enter(t, DEGRADED_STATE)
     if memory.state == DEGRADED_STATE or memory.compared == 0:
-        for i in range(chain.n_motors):
-            tau[first + i] = last[i]
+        for i in range(model.n_motors):
+            t.work.tau[i] = t.memory.torques[i]
     else:
-        _hold_posture(
-            chain, arms, table, work, memory, joints, joint_memory, estimate, step, last, tau, first
-        )
+        _hold_posture(t)
     return reason
 
 
 @leaf
-def count_computed(memory):
+def count_computed(t):
     """Note that a tick was computed: no faults in a row, one less among the last ones."""
-    memory.faults, memory.lost = 0, max(memory.lost - 1, 0)
+    memory = t.memory
+    memory.faults = 0
+    memory.lost = max(memory.lost - 1, 0)
 
 
 @inner
-def _enter(memory, state):
+def _enter(t, state):
+    memory = t.memory
     if memory.state == state:
         memory.age += 1
         return
     if state >= HOLD and memory.state < HOLD:
         memory.settled = 0
-    memory.state, memory.age = state, 1
+    memory.state = state
+    memory.age = 1
 
 
 @inner
-def _hold_posture(
-    chain, arms, table, work, memory, joints, joint_memory, estimate, step, last, tau, first
-):
+def _hold_posture(t):
     """τ = h + M(−2ω q̇ − ω²(q − q_hold)) + Jᵀw, h and M with the arms' shares of the object in w.
 
     While joints are braked, q_hold moves with them; what moves on for longer creeps under a weight
@@ -125,49 +118,64 @@ def _hold_posture(
     line from the last ones, no motor faster than `BRAKE_RATE` allows, or a joint that is above its
     speed limit, or needs all of its motor, makes necessary.
     """
-    n = chain.n_joints
-    q, speed = estimate[:n], estimate[n:]
+    model = t.model
+    arms = model.arms
+    table = model.joints
+    work = t.work
+    memory = t.memory
+    joints = t.work.joints
+    joint_memory = t.memory.joints
+    step = t.work.step
+    last = t.memory.torques
+    tau = t.work.tau
+    n = model.n_joints
+    q = memory.q
+    speed = memory.v
     if memory.settled == 0:
         fast = False
         for j in range(n):
             fast = fast or abs(speed[j]) > _AT_REST
             joint_memory[j].hold = q[j]
-        memory.settled = 0 if fast and memory.age * chain.period < _BRAKING else 1
-    origin, V, gamma, bias = work.u, work.w, work.y, work.z
-    for k in range(chain.n_arms):
+        memory.settled = 0 if fast and memory.age * model.period < _BRAKING else 1
+    origin = work.u
+    V = work.w
+    gamma = work.y
+    bias = work.z
+    for k in range(model.n_arms):
         arm = arms[k]
-        for i in range(6):
-            origin[i] = bias[i] = 0.0
-        place_arm(table, joints, arm.first, arm.end, q)
-        move_arm(arm, table, joints, speed, origin, chain.gravity, work.s, work.t, V, gamma, bias)
-    mass = _carry_weight(chain, arms, memory, joints, work)
-    omega, fastest = chain.hold_rate, min(BRAKE_RATE, chain.torque_rate)
+        fill(origin, ZERO)
+        fill(bias, ZERO)
+        place_arm(t, arm.first, arm.end, q)
+        move_arm(t, arm, speed, origin, V, gamma, bias)
+    mass = _carry_weight(t)
+    omega = model.hold_rate
+    fastest = min(BRAKE_RATE, model.torque_rate)
     for j in range(n):
         if abs(speed[j]) > table[j].speed_max:
-            fastest = min(_HASTE * BRAKE_RATE, chain.torque_rate)
+            fastest = min(_HASTE * BRAKE_RATE, model.torque_rate)
         back = omega * (q[j] - joint_memory[j].hold)
         joints[j].acceleration = -omega * (2.0 * speed[j] + back)
-    for k in range(chain.n_arms):
-        share = _split_torques(chain, arms[k], table, joints, work, mass)
-        rate = fastest if share == 1.0 else min(_HASTE * BRAKE_RATE, chain.torque_rate)
+    for k in range(model.n_arms):
+        share = _split_torques(t, arms[k], mass)
+        rate = fastest if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
         for j in range(arms[k].first, arms[k].end):
             joint_memory[j].acceleration = share * joints[j].acceleration
             if share < 1.0:
                 joint_memory[j].hold = q[j]
-            motor, most = table[j].motor, table[j].tau_max
+            motor = table[j].motor
+            most = table[j].tau_max
             if motor >= 0:
                 s = min(max(joints[j].tau + share * joints[j].rest, -most), most)
-                tau[first + motor] = s if isfinite(s) else last[motor]
-                step[motor] = rate * chain.period * most
-    out = tau[first : first + chain.n_motors]
+                tau[motor] = s if isfinite(s) else last[motor]
+                step[motor] = rate * model.period * most
     if memory.ticked != 0:
-        slew(out, last, step, chain.n_motors)
-    for i in range(chain.n_motors):
-        last[i] = out[i]
+        slew(tau, last, step, model.n_motors)
+    for i in range(model.n_motors):
+        last[i] = tau[i]
 
 
 @inner
-def _split_torques(chain, arm, table, joints, work, mass):
+def _split_torques(t, arm, mass):
     """`tau`: what carries a resting arm and its share of the object; `rest`: what accelerates both
     by q̈; how much of this the motors bear.
 
@@ -176,24 +184,30 @@ def _split_torques(chain, arm, table, joints, work, mass):
     then leaves the brakes of the others alone. q̈ is along −q̇ there: q_hold follows q.
 
     Args:
-        mass: kg, the arm's share of the object's. work.y: (6,) wrench that carries it, work.A: its
-            principal axes as columns, work.u: (3,) its centre.
+        mass: kg, the arm's share of the object's. work.
     """
-    lo, share, pull = arm.first, 1.0, work.z
-    _accelerate_object(chain, arm, joints, work, mass, pull)
+    table = t.model.joints
+    joints = t.work.joints
+    lo = arm.first
+    share = 1.0
+    pull = t.work.z
+    _accelerate_object(t, arm, mass, pull)
     for j in range(lo, arm.end):
-        s, brake = joints[j].h, 0.0
+        s = joints[j].h
+        brake = 0.0
         for i in range(lo, arm.end):
             brake += joints[j].M[i - lo] * joints[i].acceleration
         for i in range(6):
-            s += joints[j].column[i] * work.y[i]
+            s += joints[j].column[i] * t.work.y[i]
             brake += joints[j].column[i] * pull[i]
-        joints[j].tau, joints[j].rest = s, brake
+        joints[j].tau = s
+        joints[j].rest = brake
         if table[j].motor >= 0 and abs(brake) > 0.0:
             most = table[j].tau_max
             room = most - s if brake > 0.0 else most + s
             share = min(share, max(room, 0.0) / abs(brake))
-    share, gain = max(share, _LEAST), 0.0
+    share = max(share, _LEAST)
+    gain = 0.0
     for j in range(lo, arm.end if share < 1.0 else lo):
         if table[j].motor >= 0:
             change = _clip_brake(joints[j], table[j].tau_max) - share * joints[j].rest
@@ -206,14 +220,19 @@ def _split_torques(chain, arm, table, joints, work, mass):
 @leaf
 def _clip_brake(joint, most):
     """As much of `rest` as a motor of `most` N m (N) bears beside `tau`."""
-    low, high = min(-most - joint.tau, 0.0), max(most - joint.tau, 0.0)
+    low = min(-most - joint.tau, 0.0)
+    high = max(most - joint.tau, 0.0)
     return min(max(joint.rest, low), high)
 
 
 @inner
-def _accelerate_object(chain, arm, joints, work, mass, out):
+def _accelerate_object(t, arm, mass, out):
     """out (6,): wrench at the world's origin that lets an arm's share of the object follow q̈."""
-    a, c, R = work.w, work.u, work.A
+    joints = t.work.joints
+    work = t.work
+    a = work.w
+    c = work.u
+    R = work.A
     for i in range(6):
         a[i] = out[i] = 0.0
         for j in range(arm.first, arm.end):
@@ -225,26 +244,32 @@ def _accelerate_object(chain, arm, joints, work, mass, out):
     for b in range(3):
         along = R[0, b] * a[3] + R[1, b] * a[4] + R[2, b] * a[5]
         for i in range(3):
-            out[3 + i] += R[i, b] * chain.principal[1 + b] * along / chain.n_arms
+            out[3 + i] += R[i, b] * t.model.principal[1 + b] * along / t.model.n_arms
     x, y, z = cross(c[0], c[1], c[2], out[0], out[1], out[2])
     out[3], out[4], out[5] = out[3] + x, out[4] + y, out[5] + z
 
 
 @inner
-def _carry_weight(chain, arms, memory, joints, work):
+def _carry_weight(t):
     """y (6,) = wrench at the world's origin with which each arm carries its share of the object.
 
     Its principal axes go to the columns of `work.A`, its centre to `work.u`; returns the share's
     mass (kg).
     """
-    out, centre, R, own = work.y, work.u, work.A, chain.X_LP
-    for i in range(6):
-        out[i] = centre[i] = 0.0
-    known = chain.leader >= 0 or memory.located != 0
-    if chain.held == 0 or not known:
+    model = t.model
+    memory = t.memory
+    work = t.work
+    out = work.y
+    centre = work.u
+    R = work.A
+    own = model.X_LP
+    fill(out, ZERO)
+    fill(centre, ZERO)
+    known = model.leader >= 0 or memory.located != 0
+    if model.held == 0 or not known:
         return 0.0
-    if chain.leader >= 0:
-        joint = joints[arms[chain.leader].tip_joint]
+    if model.leader >= 0:
+        joint = t.work.joints[model.arms[model.leader].tip_joint]
         place_point(joint, own, 9, centre)
         for i in range(3):
             for b in range(3):
@@ -260,9 +285,9 @@ def _carry_weight(chain, arms, memory, joints, work):
                 R[i, b] = 0.0
                 for j in range(3):
                     R[i, b] += memory.X_WO[i, j] * own[3 * j + b]
-    mass = chain.principal[0] / chain.n_arms
+    mass = model.principal[0] / model.n_arms
     for i in range(3):
-        out[i] = -mass * chain.gravity[i]
+        out[i] = -mass * model.gravity[i]
         work.w[i] = 0.0
     carry_wrench(out, centre, work.w, out)
     return mass

@@ -42,10 +42,6 @@ from osc_contact.law.tables import (
     WRISTS,
 )
 
-__all__ = [
-    "check_arms", "check_readings", "check_sensors", "compare_speeds", "estimate_joints", "jumped",
-]  # fmt: skip
-
 _ROUND = 1e-4  #: by how much the rows of a rotation may differ from orthonormal ones
 _GAIN = 0.21  #: share of `stuck_speed` that one tick can tell: slow encoders repeat readings
 _LAG = 0.02  #: s, of the low-pass of speeds that disagree
@@ -69,48 +65,49 @@ _BLIND = 0.01  #: s without a sound reading from which on a joint cannot be brak
 
 
 @inner
-def check_readings(chain, arms, table, memory, joint_memory, q, v, wrenches, X_WD):
-    """Whether readings and reference are credible; a reason.
-
-    Args:
-        joint_memory: JOINT_MEMORY rows. q, v: (n,) positions and speeds.
-        wrenches: (arms, 6) readings (N, N m). X_WD: (4, 4) desired pose.
-    """
-    if not _is_rotation(X_WD):
+def check_readings(t):
+    """Whether readings and reference are credible; a reason."""
+    model = t.model
+    table = model.joints
+    memory = t.memory
+    if not _is_rotation(t.input.X_WD):
         return NO_ROTATION
     if memory.wrench_missing != 0:
-        if memory.has_wrench == 0 or (memory.wrench_age + 1) * chain.period > chain.wrench_timeout:
+        if memory.has_wrench == 0 or (memory.wrench_age + 1) * model.period > model.wrench_timeout:
             return WRENCH_TIMEOUT
     else:
-        for k in range(chain.n_arms):
-            if arms[k].sensor_joint >= 0 and not _measurable(chain, wrenches, k):
+        for k in range(model.n_arms):
+            if model.arms[k].sensor_joint >= 0 and not _measurable(t, k):
                 memory.culprit = k
                 return OUT_OF_RANGE
-    for j in range(chain.n_joints):
-        fast = abs(v[j]) > chain.plausible_speed * table[j].rated
-        if fast or (memory.compared != 0 and jumped(chain, table[j], joint_memory[j], q[j])):
+    for j in range(model.n_joints):
+        fast = abs(t.input.v[j]) > model.plausible_speed * table[j].rated
+        if fast or (memory.compared != 0 and jumped(t, table[j], t.memory.joints[j], t.input.q[j])):
             memory.culprit = j
             return JUMPED
     return NO_REASON
 
 
 @leaf
-def jumped(chain, row, known, now):
+def jumped(t, row, known, now):
     """Whether a joint has moved faster than it can since its position was read last.
 
     Args:
-        row: JOINT row. known: its JOINT_MEMORY. now: its position as read at this tick (m, rad).
+        row: JOINT row. known: its JOINT_MEMORY. now: its position as read at this tick
+        (m, rad).
     """
-    room = chain.plausible_speed * row.rated * chain.period
+    room = t.model.plausible_speed * row.rated * t.model.period
     return abs(now - known.q) > _NOISE + room * (1 + known.unread_q)
 
 
 @leaf
-def _measurable(chain, wrenches, k):
+def _measurable(t, k):
     """Whether the reading of wrist k is finite and within the range of its sensor."""
     fits = True
     for i in range(6):
-        fits = fits and abs(wrenches[k, i]) <= (chain.force_range if i < 3 else chain.torque_range)
+        fits = fits and abs(t.input.wrenches[k, i]) <= (
+            t.model.force_range if i < 3 else t.model.torque_range
+        )
     return fits
 
 
@@ -129,53 +126,59 @@ def _is_rotation(X):
 
 
 @inner
-def compare_speeds(chain, memory, owners, contacts, columns, column_memory, work):
+def compare_speeds(t):
     """Approaches believe positions, low-passed, where NᵀV_rel is less than they show.
 
     Speeds that read too little would drive an object into its face ever faster. The twist that
     positions show is that from the last tick's X_WO to this one's.
-
-    Args:
-        chain, memory, work: records; `work.speed` (r,) may be raised. owners: (n,) COLUMN.
-        contacts: (contacts,) CONTACT_MEMORY. columns: (n,) COLUMN_WORK. column_memory: (n,)
-            COLUMN_MEMORY; shown and told follow NᵀV_rel of positions and of speeds.
     """
-    V, X, last = work.y, work.X_WO, memory.X_WO
-    dt = chain.period * (1 + memory.gap)
+    memory = t.memory
+    columns = t.work.columns
+    work = t.work
+    V = work.y
+    X = work.X_WO
+    last = memory.X_WO
+    dt = t.model.period * (1 + memory.gap)
     k = dt / (_LAG + dt)
     for i in range(3):
-        V[i], V[3 + i] = (X[i, 3] - last[i, 3]) / dt, 0.0
-        a, b = (i + 1) % 3, (i + 2) % 3
+        V[i] = (X[i, 3] - last[i, 3]) / dt
+        V[3 + i] = 0.0
+        a = (i + 1) % 3
+        b = (i + 2) % 3
         for j in range(3):  # half of R Rᵀ of the last tick less its transpose
             V[3 + i] += 0.5 * (X[b, j] * last[a, j] - X[a, j] * last[b, j]) / dt
     for a in range(work.rank):
         j = columns[int(work.keep[a])].chosen
-        row, speed = column_memory[j], work.speed[a]
+        row = t.memory.columns[j]
+        speed = work.speed[a]
         if row.known == 0 or memory.compared == 0:
-            row.shown = row.told = speed
+            row.velocity_from_positions = row.velocity_from_encoders = speed
             continue
-        row.shown += k * (dot6(columns[j].N, V) - work.V_N[a] - row.shown)
-        row.told += k * (speed - row.told)
-        short = row.shown - row.told > _AGREE * chain.approach_speed
-        if short and contacts[owners[j].contact].phase == APPROACHING:
-            work.speed[a] = row.shown
+        row.velocity_from_positions += k * (
+            dot6(columns[j].N, V) - work.V_N[a] - row.velocity_from_positions
+        )
+        row.velocity_from_encoders += k * (speed - row.velocity_from_encoders)
+        short = (
+            row.velocity_from_positions - row.velocity_from_encoders
+            > _AGREE * t.model.approach_speed
+        )
+        if short and t.memory.contacts[t.model.columns[j].contact].phase == APPROACHING:
+            work.speed[a] = row.velocity_from_positions
 
 
 @inner
-def check_arms(chain, arms, table, memory, work, arm_work, joints, joint_memory, last):
+def check_arms(t):
     """Whether motors, wrists and encoders of the arms fit together; a reason to stop.
 
     Inboard of its wrist an arm needs τ = h + M q̈ + Jᵀ(w − w_out), with w the wrist's reading and
     w_out what moves the bodies beyond it. No contact force is left in what remains, see
     `docs/theory.md`. It must stay within `wrist_error` of the torque limit, as far as it is not
     the usual one, and within twice that. All terms pass the same low-pass.
-
-    Args:
-        work, arm_work, joints: of this tick's chain. joint_memory: JOINT_MEMORY rows; the torques
-            nobody explains are kept there. last: (motors,) torques that have acted (N m, N).
     """
-    dt = chain.period * (1 + memory.gap)
-    apart = _find_apart(chain, arms, work, joints)
+    arms = t.model.arms
+    memory = t.memory
+    dt = t.model.period * (1 + memory.gap)
+    apart = _find_apart(t)
     memory.apart = max(memory.apart + (dt if apart >= 0 else -dt), 0.0)
     if apart >= 0 and memory.apart > _APART:
         memory.culprit = apart
@@ -183,12 +186,10 @@ def check_arms(chain, arms, table, memory, work, arm_work, joints, joint_memory,
     if memory.wrench_missing != 0 or memory.ticked == 0:
         return NO_REASON
     memory.balanced += 1
-    for k in range(chain.n_arms):
+    for k in range(t.model.n_arms):
         if arms[k].sensor_joint < 0:
             continue
-        found = _balance_arm(
-            chain, arms[k], table, memory, work, arm_work[k], joints, joint_memory, last, dt
-        )
+        found = _balance_arm(t, arms[k], t.work.arms[k], dt)
         if found:
             memory.culprit = k
             return UNBALANCED
@@ -196,22 +197,29 @@ def check_arms(chain, arms, table, memory, work, arm_work, joints, joint_memory,
 
 
 @inner
-def _balance_arm(chain, arm, table, memory, work, own, joints, joint_memory, last, dt):
+def _balance_arm(t, arm, own, dt):
     """Whether unexplained torques of an arm have been too large for too long, see `check_arms`."""
+    table = t.model.joints
+    work = t.work
+    joints = t.work.joints
+    joint_memory = t.memory.joints
     found = False
-    first = 1.0 / memory.balanced  # low-passes begin as plain means
-    k, slow = max(dt / (_BALANCE + dt), first), max(dt / (_USUAL + dt), first)
+    first = 1.0 / t.memory.balanced  # low-passes begin as plain means
+    k = max(dt / (_BALANCE + dt), first)
+    slow = max(dt / (_USUAL + dt), first)
     weight, moving = scaled(-1.0, own.bias), scaled(0.0, own.bias)
     for j in range(arm.first, arm.end):
-        known, v = joint_memory[j], joints[j].v
-        if memory.balanced > 1:  # the same low-pass as that of torques, also while it begins
+        known = joint_memory[j]
+        v = joints[j].v
+        if t.memory.balanced > 1:  # the same low-pass as that of torques, also while it begins
             known.rate += k * ((v - known.past_v) / dt - known.rate)
         known.past_v = v
         if arm.outer_joint >= 0:  # of what is beyond the wrist, in energy coordinates
             moving = add(moving, known.rate, joints[j].outboard)
             if arm.filtered != 0:
                 weight = add(weight, joints[j].offset, joints[j].outboard)
-    load, moved = work.y, work.z
+    load = work.y
+    moved = work.z
     fill(load, weight)
     fill(moved, moving)
     world_wrench(work.axes, moved, moved)
@@ -219,11 +227,12 @@ def _balance_arm(chain, arm, table, memory, work, own, joints, joint_memory, las
         world_wrench(work.axes, load, load)
     add_reading(own.reading, joints[arm.sensor_joint], arm.sensor, work.C, work.s, load)
     for j in range(arm.first, arm.sensor_joint + 1):
-        known, motor = joint_memory[j], table[j].motor
+        known = joint_memory[j]
+        motor = table[j].motor
         if motor < 0:
             continue
-        most = chain.wrist_error * table[j].tau_max
-        excess = last[motor] - joints[j].h - dot6(joints[j].column, load)
+        most = t.model.wrist_error * table[j].tau_max
+        excess = t.memory.torques[motor] - joints[j].h - dot6(joints[j].column, load)
         bound = max(_OUTLIER * most, _STRONGEST * table[j].tau_max)
         excess = min(max(excess, -bound), bound)
         inertial = -dot6(joints[j].column, moved)
@@ -239,14 +248,19 @@ def _balance_arm(chain, arm, table, memory, work, own, joints, joint_memory, las
 
 
 @leaf
-def _find_apart(chain, arms, work, joints):
+def _find_apart(t):
     """An arm whose tip is further from where the object has it than `closure_error`, or −1."""
-    tip, most, apart = work.s, chain.closure_error, -1
-    for k in range(chain.n_arms if chain.n_arms > 1 else 0):
-        arm, X, gap = arms[k], work.X_WO, 0.0
+    model = t.model
+    tip = t.work.s
+    most = model.closure_error
+    apart = -1
+    for k in range(model.n_arms if model.n_arms > 1 else 0):
+        arm = model.arms[k]
+        X = t.work.X_WO
+        gap = 0.0
         if arm.kind == OTHER:
             continue
-        place_point(joints[arm.tip_joint], arm.tip, 9, tip)
+        place_point(t.work.joints[arm.tip_joint], arm.tip, 9, tip)
         for i in range(3):
             x = X[i, 3] - tip[i]
             for j in range(3):
@@ -258,9 +272,7 @@ def _find_apart(chain, arms, work, joints):
 
 
 @inner
-def check_sensors(
-    chain, arms, table, memory, joint_memory, arm_memory, last_wrenches, q, v, wrenches
-):
+def check_sensors(t):
     """What this tick's readings show of the sensors; a reason to stop.
 
     A joint whose encoder reads the very same while it is commanded to gain more than a share of
@@ -274,35 +286,45 @@ def check_sensors(
     not where speeds are estimated from positions, whose errors last as long as those of the model.
     Δt is the time since the position was read last; readings that are not there, repeated or not
     credible leave the evidence as it is.
-
-    Args:
-        joint_memory: JOINT_MEMORY rows, arm_memory: ARM_MEMORY rows. last_wrenches: (6 arms,) of
-            MEMORY; all three take the readings.
-        q, v: (n,) positions and speeds, as far as they were read. wrenches: (arms, 6) (N, N m).
     """
-    n, reason, compared = chain.n_joints, NO_REASON, memory.compared != 0
+    chain = t.model
+    table = t.model.joints
+    memory = t.memory
+    joint_memory = t.memory.joints
+    q = t.input.q
+    v = t.input.v
+    n = chain.n_joints
+    reason = NO_REASON
+    compared = memory.compared != 0
     culprit = memory.culprit
-    dead, same_wrenches = _check_wrists(chain, arms, memory, arm_memory, last_wrenches, wrenches)
+    dead, same_wrenches = _check_wrists(t)
     if dead >= 0:
-        reason, culprit = WRIST_FROZEN, dead
-    fresh = memory.repeated & JOINTS == 0 and len(q) == n
-    complete, same_joints, elapsed = fresh, compared, 0.0
+        reason = WRIST_FROZEN
+        culprit = dead
+    fresh = memory.repeated & JOINTS == 0
+    complete = fresh
+    same_joints = compared
+    elapsed = 0.0
     for j in range(n):
-        known, limit = joint_memory[j], table[j].speed_max
+        known = joint_memory[j]
+        limit = table[j].speed_max
         known.pending += known.acceleration * chain.period
         read = fresh and isfinite(q[j])
-        read = read and not (compared and jumped(chain, table[j], known, q[j]))
-        credible = fresh and len(v) == n and abs(v[j]) <= chain.plausible_speed * table[j].rated
+        read = read and not (compared and jumped(t, table[j], known, q[j]))
+        credible = fresh and abs(v[j]) <= chain.plausible_speed * table[j].rated
         complete = complete and read
         if read:
-            step, elapsed = q[j] - known.q, chain.period * (1 + known.unread_q)
+            step = q[j] - known.q
+            elapsed = chain.period * (1 + known.unread_q)
             same_joints = same_joints and step == 0.0 and credible and v[j] == known.v
             if compared and credible:
-                found = _check_joint(chain, memory, known, limit, step, v[j], elapsed)
+                found = _check_joint(t, known, limit, step, v[j], elapsed)
                 if found != NO_REASON:
-                    reason, culprit = found, j
-                    _isolate(chain, memory, joint_memory, j)
-            known.q, known.pending = q[j], 0.0
+                    reason = found
+                    culprit = j
+                    _isolate(t, j)
+            known.q = q[j]
+            known.pending = 0.0
         if credible:
             known.v = v[j]
             if not compared:
@@ -315,7 +337,8 @@ def check_sensors(
         memory.frozen = memory.frozen + elapsed if same_joints and same_wrenches else 0.0
         for j in range(n if memory.still > chain.frozen_time else 0):
             if abs(joint_memory[j].v) * memory.still > _RESOLUTION:
-                reason, culprit = DISAGREE, j
+                reason = DISAGREE
+                culprit = j
         if memory.frozen > chain.frozen_time and memory.state != SAFE_STOP:  # then they may rest
             reason = FROZEN
         joints = reason in (STUCK, DISAGREE, FROZEN)
@@ -327,45 +350,52 @@ def check_sensors(
 
 
 @inner
-def _check_wrists(chain, arms, memory, arm_memory, last_wrenches, wrenches):
+def _check_wrists(t):
     """The arm whose wrist has read the very same in contact for too long, or −1; whether all do."""
-    all_same, dead = True, -1
+    model = t.model
+    memory = t.memory
+    last_wrenches = t.memory.wrenches
+    wrenches = t.input.wrenches
+    all_same = True
+    dead = -1
     fresh = memory.repeated & WRISTS == 0 and memory.wrench_missing == 0
-    fresh = fresh and wrenches.shape[0] == chain.n_arms
-    for k in range(chain.n_arms):
-        known = arm_memory[k]
-        if not (fresh and _measurable(chain, wrenches, k)):
+    for k in range(model.n_arms):
+        known = t.memory.arms[k]
+        if not (fresh and _measurable(t, k)):
             known.unread += 1
             continue
         same = memory.has_wrench != 0
         for i in range(6):
-            same = same and last_wrenches[6 * k + i] == wrenches[k, i]
-            last_wrenches[6 * k + i] = wrenches[k, i]
-        known.same = known.same + chain.period * (1 + known.unread) if same else 0.0
+            same = same and last_wrenches[k, i] == wrenches[k, i]
+            last_wrenches[k, i] = wrenches[k, i]
+        known.same = known.same + model.period * (1 + known.unread) if same else 0.0
         known.unread = 0
         all_same = all_same and same
-        pressed = arms[k].sensor_joint >= 0 and memory.engaged != 0 and memory.force_rank > 0
-        if pressed and known.same > chain.frozen_time:
+        pressed = model.arms[k].sensor_joint >= 0 and memory.engaged != 0 and memory.force_rank > 0
+        if pressed and known.same > model.frozen_time:
             dead = k
     return dead, all_same
 
 
 @leaf
-def _check_joint(chain, memory, known, limit, step, v, dt):
+def _check_joint(t, known, limit, step, v, dt):
     """Evidence from one reading of a joint; a reason.
 
     Args:
-        known: JOINT_MEMORY. limit: of its speed. step: by how much the position differs from the
-            last one read. v: speed read. dt: s since the position was read last.
+        known: JOINT_MEMORY. limit: of its speed. step: by how much the position differs
+        from the last one read. v: speed read. dt: s since the position was read last.
     """
-    slope, same = step / dt, v == known.v
+    model = t.model
+    slope = step / dt
+    same = v == known.v
     known.same_speed = known.same_speed + dt if same else 0.0
     known.moved = known.moved + step if same else 0.0
     known.due = known.due + v * dt if step == 0.0 else 0.0
-    gained = min(abs(known.pending), _GAIN * chain.stuck_speed * limit)
+    gained = min(abs(known.pending), _GAIN * model.stuck_speed * limit)
     known.gained = known.gained + gained if step == 0.0 else 0.0
     error = min(max(v - slope, -2.0 * limit), 2.0 * limit)
-    k, lag = dt / (_MODEL + dt), dt / (_LAG + dt)
+    k = dt / (_MODEL + dt)
+    lag = dt / (_LAG + dt)
     known.error += lag * (error - known.error)
     drift = (known.drift + error * dt) * (1.0 - min(dt / _FORGET, 1.0))
     explained = _SCALE * dt * abs(v)
@@ -377,34 +407,36 @@ def _check_joint(chain, memory, known, limit, step, v, dt):
     known.surprise_q += lag * (slope - known.model_q - known.surprise_q)
     known.model_v += k * (v - known.model_v)
     known.model_q += k * (slope - known.model_q)
-    known.stuck = 1 if known.gained > chain.stuck_speed * limit else 0
+    known.stuck = 1 if known.gained > model.stuck_speed * limit else 0
     if known.stuck != 0:
         return STUCK
-    if abs(known.error) > chain.speed_error * limit:
+    if abs(known.error) > model.speed_error * limit:
         return DISAGREE
-    if memory.derived == 0 and abs(drift) > chain.position_drift + _LATE * abs(v):
+    if t.memory.derived == 0 and abs(drift) > model.position_drift + _LATE * abs(v):
         return DISAGREE
     return NO_REASON
 
 
 @inner
-def _isolate(chain, memory, joint_memory, j):
+def _isolate(t, j):
     """Note which reading of joint j is faulty, where they were found to contradict one another.
 
     It is one that stands still while the other moves, or the one whose changes the commanded
     accelerations predict less. Speeds come from one estimator for all joints: where those of one
     are faulty, none is used any more.
     """
-    known, most = joint_memory[j], _GONE * chain.position_drift
+    joint_memory = t.memory.joints
+    known = joint_memory[j]
+    most = _GONE * t.model.position_drift
     stuck = abs(known.due) > most or known.stuck != 0
     dead = known.same_speed > _DEAD and (stuck or abs(known.moved) > most)
     if stuck:
         known.faulty |= FAULTY_POSITION
-        if dead or memory.derived != 0:
+        if dead or t.memory.derived != 0:
             known.faulty |= FAULTY_SPEED
     elif known.faulty == 0:
         if dead or abs(known.surprise_v) > abs(known.surprise_q):
-            for i in range(chain.n_joints):
+            for i in range(t.model.n_joints):
                 if joint_memory[i].faulty == 0:
                     joint_memory[i].faulty = FAULTY_SPEED
         else:
@@ -412,35 +444,38 @@ def _isolate(chain, memory, joint_memory, j):
 
 
 @inner
-def estimate_joints(chain, table, memory, joint_memory, estimate):
+def estimate_joints(t):
     """Positions and speeds of the joints from their sound readings, else by prediction.
 
     A position that is not read, or is faulty, is integrated from the speed; a speed that is not
     read, or is faulty, follows from positions and commanded accelerations. Without either both are
     predicted, and the joint cannot be braked reliably: `memory.unbraked`.
-
-    Args:
-        estimate: (2 n,) positions and speeds; those of the last tick become those of this one.
     """
-    n, dt = chain.n_joints, chain.period
+    model = t.model
+    table = model.joints
+    memory = t.memory
+    n = model.n_joints
+    dt = model.period
     memory.unbraked = -1
     for j in range(n):
-        known = joint_memory[j]
+        known = t.memory.joints[j]
         use_q = known.faulty & FAULTY_POSITION == 0
         use_v = known.faulty & FAULTY_SPEED == 0
-        seen_q, seen_v = use_q and known.unread_q == 0, use_v and known.unread_v == 0
-        v = estimate[n + j] + known.acceleration * dt
+        seen_q = use_q and known.unread_q == 0
+        seen_v = use_v and known.unread_v == 0
+        v = memory.v[j] + known.acceleration * dt
         if memory.ticked == 0:
-            estimate[j], v = known.q, 0.0
+            memory.q[j] = known.q
+            v = 0.0
         if seen_v:
             v = known.v
         elif seen_q:
-            slope = (known.q - estimate[j]) / dt
+            slope = (known.q - memory.q[j]) / dt
             v += (slope - v) * dt / (_SLOPE + dt)
-        most = chain.plausible_speed * table[j].rated
+        most = model.plausible_speed * table[j].rated
         v = min(max(v, -most), most)
-        estimate[j] = known.q if seen_q else estimate[j] + v * dt
-        estimate[n + j] = v
+        memory.q[j] = known.q if seen_q else memory.q[j] + v * dt
+        memory.v[j] = v
         blind_q = not use_q or known.unread_q * dt > _BLIND
         blind_v = not use_v or known.unread_v * dt > _BLIND
         if blind_q and blind_v and table[j].motor >= 0:

@@ -13,12 +13,15 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.algebra import cholesky, meet, one_sided_jacobi, orthonormalise
+from osc_contact.law.algebra import (
+    cholesky,
+    one_sided_jacobi,
+    orthonormalise,
+    project_onto_constraint,
+)
 from osc_contact.law.arm_terms import factor_inertia
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.six import reflect, reflect_back
-
-__all__ = ["NONE_LEFT", "FULL", "reduce_motion", "find_lost", "may_be_singular"]
+from osc_contact.law.six import fill, reflect, reflect_back
 
 #: Commands are reduced where χ is below FULL and are zero at NONE_LEFT.
 NONE_LEFT, FULL = 0.05, 0.3
@@ -28,7 +31,7 @@ _SMALL = 1e-9  # χ below it tells no motion of the joints
 
 
 @leaf
-def may_be_singular(chain, arm, own):
+def may_be_singular(t, arm, own):
     """Whether some χ may be below FULL: a bound that never misses one.
 
     ΣΣ Λ_ij²/(Λ_ii Λ_jj)_ref ≥ 1/χ⁴, in energy coordinates.
@@ -42,13 +45,13 @@ def may_be_singular(chain, arm, own):
     for i in range(6):
         row = 0.0
         for j in range(6):
-            row += own.Lambda[i, j] * own.Lambda[i, j] * chain.lightness[j]
-        s += row * chain.lightness[i]
+            row += own.Lambda[i, j] * own.Lambda[i, j] * t.model.lightness[j]
+        s += row * t.model.lightness[i]
     return s * FULL * FULL * FULL * FULL >= 1.0
 
 
 @inner
-def find_lost(chain, arm, own, joints, work):
+def find_lost(t, arm, own):
     """Every direction of an arm whose χ is below FULL: its χ, share, wrench and joint motion.
 
     Fills n_lost, chi, share, gone, lost (6, 6) wrenches Lu, mode (6, n) joint motions K⁻ᵀv.
@@ -56,12 +59,19 @@ def find_lost(chain, arm, own, joints, work):
     Args:
         arm: ARM row. own: its ARM_WORK.
     """
-    lo, n, m = arm.first, arm.end - arm.first, arm.m
-    X, Z, K, root = work.X, work.Z, work.K, work.u
+    joints = t.work.joints
+    work = t.work
+    lo = arm.first
+    n = arm.end - arm.first
+    m = arm.m
+    X = work.X
+    Z = work.Z
+    K = work.K
+    root = work.u
     if not factor_inertia(lo, n, joints, K):
         return
     for i in range(6):
-        root[i] = sqrt(chain.reference[i])
+        root[i] = sqrt(t.model.reference[i])
     for j in range(n):  # Z = K⁻¹Jᵀ
         for i in range(6):
             s = joints[lo + j].J[i]
@@ -75,7 +85,7 @@ def find_lost(chain, arm, own, joints, work):
             for i in range(6):
                 X[a, n + i] = 1.0 if i == a else 0.0
     else:
-        _passed_rows(own, Z, root, m, n, work)
+        _passed_rows(t, own, Z, root, m, n)
     one_sided_jacobi(X, m, n, 6)
     _sort_rows(X, m, n)
     for k in range(arm.full_rank):
@@ -102,8 +112,9 @@ def find_lost(chain, arm, own, joints, work):
 
 
 @inner
-def _passed_rows(own, Z, root, m, n, work):
+def _passed_rows(t, own, Z, root, m, n):
     """Rows of X for the wrenches that a grasp passes on, orthonormal in Λ_ref."""
+    work = t.work
     X = work.X
     for a in range(m):
         for i in range(6):
@@ -123,13 +134,15 @@ def _passed_rows(own, Z, root, m, n, work):
 def _sort_rows(X, m, n):
     """Rows by falling length of their first n elements."""
     for a in range(m):
-        best, longest = a, -1.0
+        best = a
+        longest = -1.0
         for b in range(a, m):
             square = 0.0
             for j in range(n):
                 square += X[b, j] * X[b, j]
             if square > longest:
-                best, longest = b, square
+                best = b
+                longest = square
         if best != a:
             for j in range(n + 6):
                 X[a, j], X[best, j] = X[best, j], X[a, j]
@@ -149,7 +162,8 @@ def _unit_row(X, k, n, chi):
         for b in range(k):
             left -= X[b, e] * X[b, e]
         if left > largest:
-            best, largest = e, left
+            best = e
+            largest = left
     for j in range(n):
         X[k, j] = 1.0 if j == best else 0.0
     for _ in range(2):
@@ -174,17 +188,17 @@ def _share_left(chi):
 
 
 @inner
-def retreat(chain, joint, q, v):
+def retreat(t, joint, q, v):
     """q̈ = −k_r q̇ + k_p (q₀ − q) of a joint whose motion a singular posture takes from the task.
 
     Args:
         joint: JOINT row. q, v: its position (m, rad) and speed.
     """
-    return chain.posture_stiffness * (joint.posture - q) - chain.retreat_damping * v
+    return t.model.posture_stiffness * (joint.posture - q) - t.model.retreat_damping * v
 
 
 @inner
-def reduce_motion(chain, arms, table, work, arm_work, joints, r, q, v):
+def reduce_motion(t, r):
     """The motion command with the arms' lost directions left to their posture task.
 
     What an arm's joints must do along a lost direction u is (uᵀ(a − γ))/χ: it grows without bound
@@ -194,25 +208,36 @@ def reduce_motion(chain, arms, table, work, arm_work, joints, r, q, v):
         min ΔᵀΔ + Σ (1 − φ)/φ (uᵀΔ − t)²/|u|²,   NΔ = 0,   t = χ vᵀKᵀq̈_posture − uᵀ(a − γ)
 
     Args:
-        r: columns of N. q, v: (n,) positions and speeds.
-        work: x (6,), the object's acceleration, turned; its elements beyond the locked ones change.
+        r: columns of N.
     """
-    m, x, H, L, step = work.locked, work.x, work.A, work.B, work.y
-    a, row = work.u, work.w
+    arms = t.model.arms
+    work = t.work
+    m = work.locked
+    x = work.x
+    H = work.A
+    L = work.B
+    step = work.y
+    a = work.u
+    row = work.w
     for i in range(6):
         a[i] = x[i]
         step[i] = 0.0
         for j in range(6):
             H[i, j] = 1.0 if i == j else 0.0
     reflect_back(work.reflectors, work.beta, m, a)
-    for k in range(chain.n_arms):
-        own, lo, hi = arm_work[k], arms[k].first, arms[k].end
+    for k in range(t.model.n_arms):
+        own = t.work.arms[k]
+        lo = arms[k].first
+        hi = arms[k].end
         for e in range(own.n_lost):
-            mode, target = own.mode[e], 0.0
+            mode = own.mode[e]
+            target = 0.0
             for i in range(lo, hi):
                 s = 0.0
                 for j in range(lo, hi):
-                    s += joints[i].M[j - lo] * retreat(chain, table[j], q[j], v[j])
+                    s += t.work.joints[i].M[j - lo] * retreat(
+                        t, t.model.joints[j], t.input.q[j], t.input.v[j]
+                    )
                 target += mode[i - lo] * s
             target *= own.chi[e]
             for i in range(6):
@@ -234,12 +259,11 @@ def reduce_motion(chain, arms, table, work, arm_work, joints, r, q, v):
     cholesky(H, m, d, L)
     _forward(L, d, step, m)
     for b in range(r):
-        for i in range(6):
-            work.D[b, i] = work.N_t[b, i]
+        fill(work.D[b], work.N_t[b])
         _forward(L, d, work.D[b], m)
         work.s[b] = 0.0
     orthonormalise(work.D, r, m, work.E, work.A)
-    meet(work.E, r, step, work.s)
+    project_onto_constraint(work.E, r, step, work.s)
     for i in range(d - 1, -1, -1):
         s = step[m + i]
         for k in range(i + 1, d):

@@ -10,11 +10,7 @@ from math import sqrt
 
 from osc_contact.law.jit import inner, leaf
 
-__all__ = [
-    "add", "dot6", "fill", "form_q6", "mirror", "qr6",
-    "reflect", "reflect_back", "reflect_sides", "reflector", "rotated", "rotated_back", "scaled",
-    "six", "times6", "velocity_at",
-]  # fmt: skip
+ZERO = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @leaf
@@ -43,9 +39,25 @@ def add(t, s, x):
         t: six numbers. s: factor. x: six numbers.
     """
     return (
-        t[0] + s * x[0], t[1] + s * x[1], t[2] + s * x[2],
-        t[3] + s * x[3], t[4] + s * x[4], t[5] + s * x[5],
-    )  # fmt: skip
+        t[0] + s * x[0],
+        t[1] + s * x[1],
+        t[2] + s * x[2],
+        t[3] + s * x[3],
+        t[4] + s * x[4],
+        t[5] + s * x[5],
+    )
+
+
+@leaf
+def plus(x, y):
+    """x + y, as a tuple."""
+    return x[0] + y[0], x[1] + y[1], x[2] + y[2], x[3] + y[3], x[4] + y[4], x[5] + y[5]
+
+
+@leaf
+def minus(x, y):
+    """x − y, as a tuple."""
+    return x[0] - y[0], x[1] - y[1], x[2] - y[2], x[3] - y[3], x[4] - y[4], x[5] - y[5]
 
 
 @leaf
@@ -151,7 +163,8 @@ def reflect_sides(V, beta, m, A):
         V, beta, m: as of `reflect`. A: (6, 6), overwritten.
     """
     for k in range(m):
-        v, b = six(V[k]), beta[k]
+        v = six(V[k])
+        b = beta[k]
         p = scaled(b, times6(A, v))
         w = add(p, -0.5 * b * dot6(v, p), v)
         fill(A[0], add(add(six(A[0]), -v[0], w), -w[0], v))

@@ -19,10 +19,8 @@ mass, and any basis of N; the force that it takes is (NᵀΦN)⁻¹ times as muc
 from __future__ import annotations
 
 from osc_contact.law.jit import inner
-from osc_contact.law.phases import APPROACHING, expect
+from osc_contact.law.phases import APPROACHING, predict_force
 from osc_contact.law.tables import SATURATED
-
-__all__ = ["brake_contacts", "keep_steps", "shape_steps"]
 
 _SUDDEN = 20.0  #: 1/s; a force that changes faster than its size times this makes a step
 _FADES = 0.5  #: 1/s; how fast the size of a force that has gone is forgotten
@@ -31,41 +29,57 @@ _RESTS = 0.1  #: of the size; where more of a step is to come the integral rests
 
 
 @inner
-def shape_steps(chain, owners, contacts, memory, column_memory, columns, work, goal, measured):
-    """Fill `goal` of the columns in force with α_s (N), and `heed`, how far the integral runs.
-
-    Args:
-        owners: (n,) COLUMN. goal, measured: (n,) desired and measured magnitudes (N).
-    """
-    dt, largest, sudden = work.dt, 0.0, False
-    left, T, time = memory.step_left, memory.step_time, chain.step_time
+def shape_steps(t):
+    """Fill `goal` of the columns in force with α_s (N); `integral_scale`: how far it integrates."""
+    memory = t.memory
+    column_memory = t.memory.columns
+    columns = t.work.columns
+    work = t.work
+    goal = t.work.goal
+    dt = work.dt
+    largest = 0.0
+    sudden = False
+    left = memory.step_left
+    T = memory.step_time
+    time = t.model.step_time
     if left > 0.0:
         left = max(left - dt / T, 0.0)
-    work.heed = 1.0
+    work.integral_scale = 1.0
     if left == 0.0 and time == 0.0:
         work.step_left = 0.0
         for i in range(work.count):
             row = columns[columns[i].chosen]
-            row.goal, row.scale, row.shaped = goal[columns[i].chosen], 0.0, 1
+            row.goal = goal[columns[i].chosen]
+            row.scale = 0.0
+            row.shaped = 1
             row.to_come[0] = row.to_come[1] = row.to_come[2] = 0.0
         return
     x = 1.0 - left
     for i in range(work.count):
         j = columns[i].chosen
-        row, last = columns[j], column_memory[j]
-        row.shaped = 0 if contacts[owners[j].contact].phase == APPROACHING else 1
+        row = columns[j]
+        last = column_memory[j]
+        row.shaped = 0 if t.memory.contacts[t.model.columns[j].contact].phase == APPROACHING else 1
         row.goal = goal[j]
         row.scale = max(abs(goal[j]), last.scale * (1.0 - _FADES * dt))
-        before = last.wish if last.wished != 0 else measured[j] if memory.ticked != 0 else 0.0
-        if last.wished == 0 and chain.phased != 0 and goal[j] > 0.0:
+        before = (
+            last.desired
+            if last.has_desired != 0
+            else t.work.alpha[j]
+            if memory.ticked != 0
+            else 0.0
+        )
+        if last.has_desired == 0 and t.model.phased != 0 and goal[j] > 0.0:
             before = min(before, goal[j])  # an impact is not held
         row.to_come[0] = goal[j] - before  # the step, for now
         sudden = sudden or (row.shaped and abs(row.to_come[0]) > _SUDDEN * dt * row.scale)
     sudden = sudden and time > 0.0
     for i in range(work.count):
         j = columns[i].chosen
-        row, last = columns[j], column_memory[j]
-        step, known = row.to_come[0], last.wished != 0
+        row = columns[j]
+        last = column_memory[j]
+        step = row.to_come[0]
+        known = last.has_desired != 0
         a, b, c = (last.to_come[0], last.to_come[1], last.to_come[2]) if known else (0.0, 0.0, 0.0)
         if row.shaped == 0:
             a = b = c = step = 0.0
@@ -74,20 +88,24 @@ def shape_steps(chain, owners, contacts, memory, column_memory, columns, work, g
             a += step
             b += 3.0 * step
             c += 6.0 * step
-        row.to_come[0], row.to_come[1], row.to_come[2] = a, b, c
+        row.to_come[0] = a
+        row.to_come[1] = b
+        row.to_come[2] = c
         w = a if sudden else left**3 * (a + x * (b + x * c))
         row.goal -= w
         if row.scale > 0.0:
             largest = max(largest, abs(w) / row.scale)
     work.step_left, work.step_time = (1.0, time) if sudden else (left, T)
-    work.heed = max(1.0 - largest / _RESTS, 0.0)
+    work.integral_scale = max(1.0 - largest / _RESTS, 0.0)
 
 
 @inner
 def _go_on(a, b, c, left, stretch):
     """a, b, c of the quintic that goes on at x = 1 − left, and takes `stretch` times as long."""
     x = 1.0 - left
-    P, slope, bend = a + x * (b + x * c), b + 2.0 * x * c, 2.0 * c
+    P = a + x * (b + x * c)
+    slope = b + 2.0 * x * c
+    bend = 2.0 * c
     w = left**3 * P
     w_1 = stretch * left**2 * (left * slope - 3.0 * P)
     w_2 = stretch**2 * left * (6.0 * P - 6.0 * left * slope + left**2 * bend)
@@ -95,35 +113,40 @@ def _go_on(a, b, c, left, stretch):
 
 
 @inner
-def brake_contacts(column_memory, columns, work):
+def brake_contacts(t):
     """`brake` (r,) ← κ(NᵀV_rel − v̄), in m/s² for columns that are forces."""
+    work = t.work
     for a in range(work.rank):
-        drift = column_memory[columns[int(work.keep[a])].chosen].drift
+        drift = t.memory.columns[t.work.columns[int(work.keep[a])].chosen].drift
         work.brake[a] *= work.speed[a] - drift
 
 
 @inner
-def keep_steps(chain, memory, column_memory, columns, work, goal, here, alpha, speed):
-    """What the next tick must know of the desired forces, v̄ and the turn of each column.
-
-    Args:
-        goal, here, alpha, speed: (n,) desired magnitudes, whether in N, measured magnitudes,
-            NᵀV_rel (m/s).
-    """
-    memory.step_left, memory.step_time = work.step_left, work.step_time
-    for j in range(chain.n_columns):
-        row = column_memory[j]
-        if here[j] == 0.0:
-            row.wished, row.wish, row.scale, row.drift = 0, 0.0, 0.0, 0.0
-            row.to_come[0] = row.to_come[1] = row.to_come[2] = row.expected = 0.0
+def keep_steps(t):
+    """What the next tick must know of the desired forces, v̄ and the turn of each column."""
+    columns = t.work.columns
+    work = t.work
+    goal = t.work.goal
+    t.memory.step_left = work.step_left
+    t.memory.step_time = work.step_time
+    for j in range(t.model.n_columns):
+        row = t.memory.columns[j]
+        if t.work.here[j] == 0.0:
+            row.has_desired = 0
+            row.desired = 0.0
+            row.scale = 0.0
+            row.drift = 0.0
+            row.to_come[0] = row.to_come[1] = row.to_come[2] = row.predicted = 0.0
             row.turn[0] = row.turn[1] = row.turn[2] = 0.0
             continue
-        expect(chain, row, columns[j].goal, work.status == SATURATED, work.dt)
-        row.wished, row.wish, row.scale = columns[j].shaped, goal[j], columns[j].scale
-        presses = columns[j].shaped != 0 and alpha[j] > _PRESSES * goal[j] > 0.0
-        lasting = speed[j] * (1.0 - columns[j].slides if presses else 1.0)
-        row.drift += work.heed * chain.drift_share * (lasting - row.drift)
+        predict_force(t, row, columns[j].goal, work.status == SATURATED, work.dt)
+        row.has_desired = columns[j].shaped
+        row.desired = goal[j]
+        row.scale = columns[j].scale
+        presses = columns[j].shaped != 0 and t.work.alpha[j] > _PRESSES * goal[j] > 0.0
+        lasting = t.work.speeds[j] * (1.0 - columns[j].slides if presses else 1.0)
+        row.drift += work.integral_scale * t.model.drift_share * (lasting - row.drift)
         for i in range(3):
             row.to_come[i] = columns[j].to_come[i]
             if presses:
-                row.turn[i] += work.heed * (columns[j].turned[i] - row.turn[i])
+                row.turn[i] += work.integral_scale * (columns[j].turned[i] - row.turn[i])

@@ -1,31 +1,25 @@
 """The records that the law works on: what is given, what is remembered, what a tick works out.
 
-Each is one run of bytes: a head, then the rows of arms, joints and so on, at the offsets that the
-`CHAIN` head names. A controller has one row of MODEL and one of MEMORY; a batch has many. WORK
-belongs to the thread that computes. Field names that `numpy.recarray` knows as methods are not
-allowed.
+Each is one run of bytes: a head, then the rows of arms, joints and so on, see `nested`. A
+controller has one row of MODEL and one of MEMORY; a batch has many. WORK and INPUT belong to the
+thread that computes. Field names of rows that `numpy.recarray` knows as methods are not allowed.
 
-The law's functions call these records by the same names everywhere:
+The parts of a tick take all four, and what is theirs:
 
 | argument | record |
 |---|---|
-| `chain`, `arms`, `pairs`, `shapes` | CHAIN; ARM, PAIR, SHAPE rows |
-| `owners`, `bodies` | COLUMN, BODY rows |
-| `table` | JOINT rows; where columns are chosen, COLUMN rows |
-| `memory`, `contacts`, `column_memory` | MEMORY; CONTACT_MEMORY, COLUMN_MEMORY rows |
-| `joint_memory`, `arm_memory` | JOINT_MEMORY, ARM_MEMORY rows |
-| `work`, `arm_work`, `joints` | WORK; ARM_WORK, JOINT_WORK rows |
-| `columns`, `body_work` | COLUMN_WORK, BODY_WORK rows |
+| `t` | `Tick`: t.model.stiffness, t.work.arms[k].V |
+| `arm`, `own` | ARM row, and its ARM_WORK |
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import namedtuple
 from typing import Any
 
 import numpy as np
 
-from osc_contact.law.jit import reader
+from osc_contact.law.nested import Nested
 
 __all__: list[str] = []
 
@@ -44,6 +38,9 @@ def _record(
     return np.dtype(fields, align=True)
 
 
+#: The parts of a tick, see `tick`.
+LOOK, MEASURE, COMMAND, ALLOCATE, END, HAND_OVER = range(6)
+
 # What is given ----------------------------------------------------------------------------------
 
 #: metrics of the motion filter, kinds of grasps, of pairs, of touched bodies
@@ -56,42 +53,87 @@ FORCE, COUPLE, THREAD = range(3)
 TURN, SLIDE, SCREW = range(3)
 UNYIELDING, CONVEYOR, CART, ELSEWHERE = range(4)
 
-CHAIN = _record(
+_MODEL = _record(
     whole=(
-        "n_arms", "n_joints", "n_motors", "n_pairs", "n_shapes", "n_columns", "n_contacts",
+        "n_arms",
+        "n_joints",
+        "n_motors",
+        "n_pairs",
+        "n_shapes",
+        "n_columns",
+        "n_contacts",
         "n_bars",  # internal forces that can be commanded: pairs of grasps
         "n_extra",  # rows that the torque allocation may need beside f_S
-        "held", "metric", "slipping",  # whether some grasp permits motions
+        "held",
+        "metric",
+        "slipping",  # whether some grasp permits motions
         "reading",  # how contact forces are read off the wrists
         "leader",  # arm that holds rigidly, or −1
         "rubs",  # whether friction of joints is made up for
         "phased",  # whether contacts are opened and closed one by one
         "guarded",  # whether readings are judged: those of a controller, not of a lone chain
-        "repeats", "fault_ticks", "fast_ticks",  # see `safety`
-        "row_bytes", "arms_at", "joints_at", "pairs_at", "shapes_at", "columns_at", "bodies_at",
-        "memory_bytes", "contact_memory_at", "column_memory_at", "torque_memory_at",
-        "joint_memory_at", "arm_memory_at", "estimate_at", "last_wrenches_at",
-        "work_bytes", "arm_work_at", "joint_work_at", "column_work_at", "body_work_at",
-        "locked_at", "extra_at", "link_at", "flat_at", "jacobian_at", "bars_at",
+        "repeats",
+        "fault_ticks",
+        "fast_ticks",  # see `safety`
+        "row_bytes",
+        "memory_bytes",  # of one controller
     ),
     number=(
-        "tolerance", "stiffness", "damping", "integral", "period", "posture_stiffness",
-        "posture_damping", "retreat_damping", "mu", "slip", "learning",
-        "hold_rate", "torque_rate",  # 1/s, of `safety`
+        "tolerance",
+        "stiffness",
+        "damping",
+        "integral",
+        "period",
+        "posture_stiffness",
+        "posture_damping",
+        "retreat_damping",
+        "mu",
+        "slip",
+        "learning",
+        "hold_rate",
+        "torque_rate",  # 1/s, of `safety`
         # see `watch`: s to begin braking, W, N of the least limit, s of low and of high forces
-        "reaction", "contact_power", "contact_force", "contact_loss_time", "regain_time",
+        "reaction",
+        "contact_power",
+        "contact_force",
+        "contact_loss_time",
+        "regain_time",
         "overforce_time",
-        "integral_force", "integral_motion",  # the most that integrals add: N, m/s² or rad/s²
-        "force_brake", "drift_share", "step_time", "tilt",  # see `steps`
+        "integral_force",
+        "integral_motion",  # the most that integrals add: N, m/s² or rad/s²
+        "force_brake",
+        "drift_share",
+        "step_time",
+        "tilt",  # see `steps`
         # see `sensors`: N, N m, times a speed limit, s without a wrench
-        "force_range", "torque_range", "plausible_speed", "wrench_timeout",
-        "stuck_speed", "frozen_time",  # likewise: share of a speed limit, s
-        "speed_error", "position_drift",  # times a speed limit; rad or m
-        "wrist_error", "closure_error",  # times a torque limit; m
+        "force_range",
+        "torque_range",
+        "plausible_speed",
+        "wrench_timeout",
+        "stuck_speed",
+        "frozen_time",  # likewise: share of a speed limit, s
+        "speed_error",
+        "position_drift",  # times a speed limit; rad or m
+        "wrist_error",
+        "closure_error",  # times a torque limit; m
         # contact phases, see `phases`
-        "force_gain", "force_damping", "approach_speed", "approach_damping", "travel", "rise",
-        "least_force", "phase_rate", "lost_share", "lag", "force_on", "force_off", "power",
-        "patience", "window", "dwell", "leaving",
+        "force_gain",
+        "force_damping",
+        "approach_speed",
+        "approach_damping",
+        "travel",
+        "rise",
+        "least_force",
+        "phase_rate",
+        "lost_share",
+        "lag",
+        "force_on",
+        "force_off",
+        "power",
+        "patience",
+        "window",
+        "dwell",
+        "leaving",
     ),
     gravity=3,
     roots=4,  # √ of mass and principal moments of the object
@@ -101,32 +143,53 @@ CHAIN = _record(
     X_LO=12,  # object in the leader's last joint: rotation by rows, then point
     X_LP=12,  # its principal axes there; with no leader: in the object's frame
     B_inv=(6, 6),  # of the motion filter, where it is given: world axes at O
-)  # fmt: skip
+)
 ARM = _record(
     whole=(
-        "first", "end", "tip_joint", "sensor_joint", "outer_joint",  # −1: none
-        "m", "kind", "filtered", "full_rank",
+        "first",
+        "end",
+        "tip_joint",
+        "sensor_joint",
+        "outer_joint",  # −1: none
+        "m",
+        "kind",
+        "filtered",
+        "full_rank",
     ),
-    tip=12, sensor=12,  # frames in their joints: rotation by rows, then point
+    tip=12,
+    sensor=12,  # frames in their joints: rotation by rows, then point
     outer=10,  # what of the first outboard link is beyond the sensor
     grasp=(6, 6),  # rows: m of N, 6 − m of T, in the tip
-    point=3, axis=3, tip_axis=3,  # of the grasp: in the object, and its axis in the tip
+    point=3,
+    axis=3,
+    tip_axis=3,  # of the grasp: in the object, and its axis in the tip
     X_TO=12,  # object in the tip where the grasp stands at zero
-)  # fmt: skip
+)
 #: Joints turn about or slide along the z axis of their frame.
 JOINT = _record(
     whole=("slides", "motor"),  # motor: number or −1
     number=(
-        "tau_max", "speed_max", "lower", "upper",
+        "tau_max",
+        "speed_max",
+        "lower",
+        "upper",
         "rated",  # speed limit of joints without a motor, too: none is watched above it
         "brake",  # s²/rad: 1/(2a), a the deceleration of a stop
-        "effort", "ease",  # τ_max², 1/τ_max²; 0 without motor
-        "armature", "posture", "low", "high", "width", "most",  # see `control.joint_limits`
-        "viscous", "dry", "slip",  # friction, and the speed from which on the dry one is whole
+        "effort",
+        "ease",  # τ_max², 1/τ_max²; 0 without motor
+        "armature",
+        "posture",
+        "low",
+        "high",
+        "width",
+        "most",  # see `control.joint_limits`
+        "viscous",
+        "dry",
+        "slip",  # friction, and the speed from which on the dry one is whole
     ),
     placement=12,  # in the joint before it, or in the world: rotation by rows, then point
     link=10,  # mass, centre, inertia about it (xx, xy, xz, yy, yz, zz)
-)  # fmt: skip
+)
 PAIR = _record(whole=("kind", "first", "count", "shape_at", "freedoms", "has_friction"))
 SHAPE = _record(row=16)
 COLUMN = _record(whole=("contact",))
@@ -138,79 +201,128 @@ GIVEN_POSE, GIVEN_TWIST = 1, 2
 JOINTS, WRISTS = 1, 2  #: readings of a tick
 FAULTY_POSITION, FAULTY_SPEED = 1, 2  #: of a joint
 
-MEMORY = _record(
+_MEMORY = _record(
     whole=(
-        "force_rank", "located", "ticked", "fresh", "gap", "engaged", "hand_over", "reason",
+        "force_rank",
+        "located",
+        "ticked",
+        "fresh",
+        "gap",
+        "engaged",
+        "hand_over",
+        "reason",
         # see `safety`: ticks in this state, ticks in a row that were not computed, how many more of
         # those than of computed ones, ticks too fast, ticks that may repeat
-        "state", "age", "faults", "lost", "overspeed", "repeats", "cause", "settled",
+        "state",
+        "age",
+        "faults",
+        "lost",
+        "overspeed",
+        "repeats",
+        "cause",
+        "settled",
         "culprit",  # joint, arm or column of N that the cause is about
         "unbraked",  # joint that is stopped without any sound reading of it, or −1
         # see `sensors`: whether this tick has no wrench, ticks since the last one, whether one
         # was ever read, whether joints were
-        "wrench_missing", "wrench_age", "has_wrench", "compared",
+        "wrench_missing",
+        "wrench_age",
+        "has_wrench",
+        "compared",
         "repeated",  # which readings of this tick are those of the last one: JOINTS, WRISTS
         "balanced",  # ticks in which wrists were compared with motor torques
         "derived",  # whether speeds are estimated from positions: no second reading of a joint
         "given",  # GIVEN_POSE, GIVEN_TWIST: the object's pose, its twist too, need not be found
+        "status",  # how the last tick ended
     ),
     number=(
         "more_friction",  # learnt, beyond what is believed
-        "powered", "ending",  # see `watch`: s of too much power, s near the end of a joint
-        "still", "frozen",  # s for which joints, and all sensors, have read the very same
+        "powered",
+        "ending",  # see `watch`: s of too much power, s near the end of a joint
+        "still",
+        "frozen",  # s for which joints, and all sensors, have read the very same
         "apart",  # s for which arms have held the object at different places
-        "step_left", "step_time",  # share of a step's time that is left, and that time, see `steps`
+        "step_left",
+        "step_time",  # share of a step's time that is left, and that time, see `steps`
     ),
-    motion_sum=6, f_tare=6, f_bias=6,
+    motion_sum=6,
+    f_tare=6,
+    f_bias=6,
     force_sum=6,  # of the columns kept in the last tick
     X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
     V_O=6,  # where it is given
-)  # fmt: skip
+)
 CONTACT_MEMORY = _record(
     whole=("active", "phase", "held"),  # whether it was measured closed since it was open last
     number=("gain", "damping", "brake", "least", "since"),
 )
 COLUMN_MEMORY = _record(
     whole=(
-        "closed", "collision", "known",
-        "wished",  # whether a force was wanted of it in the last tick
+        "closed",
+        "collision",
+        "known",
+        "has_desired",  # whether a force was wanted of it in the last tick
     ),
     number=(
-        "low_for", "high_for", "burst", "armed_for",  # see `phases.monitor`
-        "force", "pace",  # low-passed magnitude and speed
-        "alpha", "speed", "net",  # of the last tick; net: without the inertia of what flies
-        "underforce", "overforce",  # see `watch`: s of too little force, and of too much
-        "wish", "scale", "drift",  # desired force, its size, lasting speed, see `steps`
-        "expected", "gap", "astray",  # see `phases`: N to be read, m and s since it was lost
+        "low_for",
+        "high_for",
+        "burst",
+        "armed_for",  # see `phases.monitor`
+        "force",
+        "filtered_speed",  # low-passed magnitude and speed
+        "alpha",
+        "speed",
+        "net",  # of the last tick; net: without the inertia of what flies
+        "underforce",
+        "overforce",  # see `watch`: s of too little force, and of too much
+        "desired",
+        "scale",
+        "drift",  # desired force, its size, lasting speed, see `steps`
+        "predicted",
+        "gap",
+        "time_since_loss",  # see `phases`: N to be read, m and s since it was lost
         "noise",  # N
-        "shown", "told",  # low-passed NᵀV_rel, of positions and of speeds
+        "velocity_from_positions",
+        "velocity_from_encoders",  # low-passed NᵀV_rel, of positions and of speeds
     ),
     to_come=3,  # of a step, see `steps`
     turn=3,  # of the believed normal, in the axes of its body, see `steps`
-)  # fmt: skip
+)
 #: what is known of a joint from its sensors, see `sensors`; `acceleration`: as commanded last
 JOINT_MEMORY = _record(
     whole=(
         "faulty",  # FAULTY_POSITION, FAULTY_SPEED
-        "unread_q", "unread_v",  # ticks since either was read
+        "unread_q",
+        "unread_v",  # ticks since either was read
         "stuck",  # whether it should have moved by what was commanded
     ),
     number=(
-        "q", "v",  # last read
-        "hold", "acceleration",
+        "q",
+        "v",  # last read
+        "hold",
+        "acceleration",
         "pending",  # speed commanded since the position was last read, over lost ticks too
         "gained",  # speed commanded while the position stood still
-        "error", "drift",  # of speeds from positions, low-passed; and summed
+        "error",
+        "drift",  # of speeds from positions, low-passed; and summed
         # s for which the speed has been the very same, and how far the joint was seen to move
         # meanwhile; how far it should have moved by its speeds since the position last changed
-        "same_speed", "moved", "due",
-        "model_v", "model_q",  # speeds predicted from those read, and from those of positions
-        "surprise_v", "surprise_q",  # what of either was not predicted, low-passed
+        "same_speed",
+        "moved",
+        "due",
+        "model_v",
+        "model_q",  # speeds predicted from those read, and from those of positions
+        "surprise_v",
+        "surprise_q",  # what of either was not predicted, low-passed
         # motor torques less those that model and wrist explain, low-passed, and their mean; speed
         # of the last tick, and its rate, low-passed; s for which they have been too large
-        "excess", "usual", "past_v", "rate", "unbalanced",
+        "excess",
+        "usual",
+        "past_v",
+        "rate",
+        "unbalanced",
     ),
-)  # fmt: skip
+)
 #: ticks since a wrist was read, s for which it has read the very same
 ARM_MEMORY = _record(whole=("unread",), number=("same",))
 
@@ -218,96 +330,279 @@ ARM_MEMORY = _record(whole=("unread",), number=("same",))
 
 #: Vectors are at O in world axes where nothing else stands beside them; `_e`: energy coordinates;
 #: `_t`: these turned so that the first m axes are the locked ones.
-WORK = _record(
-    whole=("rank", "locked", "count", "status", "reason", "where", "n_lost", "n_internal",
-           "commanded", "moving",
-           "weightless"),
-    number=("amount", "dt", "mu", "more_friction", "step_left", "step_time", "heed"),
+_WORK = _record(
+    whole=(
+        "rank",
+        "locked",
+        "count",
+        "status",
+        "reason",
+        "where",
+        "n_lost",
+        "n_internal",
+        "commanded",
+        "moving",
+        "weightless",
+    ),
+    number=("amount", "dt", "mu", "more_friction", "step_left", "step_time", "integral_scale"),
     # what recordings keep, side by side
-    f_meas=6, bias_out=6, V_O=6, X_WO=(4, 4), f_c=6, error=6, free_error=6, internal=1,
-    C=3, O=3, R=(3, 3), axes=(4, 3, 3),
-    X_WD=(4, 4), V_D=6, A_D=6,  # the reference
+    f_meas=6,
+    bias_out=6,
+    V_O=6,
+    X_WO=(4, 4),
+    f_c=6,
+    error=6,
+    free_error=6,
+    internal=1,
+    C=3,
+    O=3,
+    R=(3, 3),
+    axes=(4, 3, 3),
+    X_WD=(4, 4),
+    V_D=6,
+    A_D=6,  # the reference of the last computed tick
     V_C=6,  # twist of the object at C
-    line=6, bias_links=6, bias_e=6,
-    chain_bias=6, sigma=6,  # _e, then _t
-    Lambda=(6, 6), effort=(6, 6),  # ΣΛ_i and least effort, _e, then _t
+    line=6,
+    bias_links=6,
+    bias_e=6,
+    chain_bias=6,
+    sigma=6,  # _e, then _t
+    Lambda=(6, 6),
+    effort=(6, 6),  # ΣΛ_i and least effort, _e, then _t
     out_T=(6, 6),  # Λ_out transposed, _e
-    reflectors=(6, 6), beta=8, pivots=8,
-    N=(6, 6), N_t=(6, 6), pushed=(6, 6), pushed_t=(6, 6), friction_wrenches=(6, 6),
-    Q=(6, 6), L=(6, 6), Q_t=(6, 6), L_t=(6, 6), solved=(6, 6),
-    Phi_mu=(6, 6), mobility=(6, 6), B_inv_t=(6, 6),
+    reflectors=(6, 6),
+    beta=8,
+    pivots=8,
+    N=(6, 6),
+    N_t=(6, 6),
+    pushed=(6, 6),
+    pushed_t=(6, 6),
+    friction_wrenches=(6, 6),
+    Q=(6, 6),
+    L=(6, 6),
+    Q_t=(6, 6),
+    L_t=(6, 6),
+    solved=(6, 6),
+    Phi_mu=(6, 6),
+    mobility=(6, 6),
+    B_inv_t=(6, 6),
     yields=(6, 6),  # NᵀΦ_e, at O
-    b_N=6, V_N=6, n_gamma=6, keep=6,
-    alpha_d=6, alpha_meas=6, alpha_u=6, speed=6, gain=6, damping=6, brake=6, least=6,
+    b_N=6,
+    V_N=6,
+    n_gamma=6,
+    keep=6,
+    alpha_d=6,
+    alpha_meas=6,
+    alpha_u=6,
+    speed=6,
+    gain=6,
+    damping=6,
+    brake=6,
+    least=6,
     felt=6,  # what the force integral compares with alpha_d
-    reading_e=6, motion_next=6, force_next=6, a_u=6,
+    reading_e=6,
+    motion_next=6,
+    force_next=6,
+    a_u=6,
     x=6,  # the object's acceleration, _t
-    rho=6, f_S=6, multipliers=6,
-    A=(6, 6), B=(6, 6), D=(6, 6), E=(6, 6), u=6, w=6, y=6, z=6,
-    K=(MAX_JOINTS, MAX_JOINTS), X=(MAX_JOINTS, 2 * MAX_JOINTS), Z=(MAX_JOINTS, MAX_JOINTS),
-    s=MAX_JOINTS, t=MAX_JOINTS,
-    stack_X=(6, 6), stack_Z=(6, 6),
-)  # fmt: skip
+    rho=6,
+    f_S=6,
+    multipliers=6,
+    A=(6, 6),
+    B=(6, 6),
+    D=(6, 6),
+    E=(6, 6),
+    u=6,
+    w=6,
+    y=6,
+    z=6,
+    K=(MAX_JOINTS, MAX_JOINTS),
+    X=(MAX_JOINTS, 2 * MAX_JOINTS),
+    Z=(MAX_JOINTS, MAX_JOINTS),
+    s=MAX_JOINTS,
+    t=MAX_JOINTS,
+    stack_X=(6, 6),
+    stack_Z=(6, 6),
+)
 ARM_WORK = _record(
     whole=("n_locked", "n_kept", "wide", "n_lost"),
     tip=(4, 3),
     reading=6,  # of its wrist
-    V=6, drift=6, bias=6,  # of the tip at C; wrench of the outboard bodies at q̈ = 0, at C
+    V=6,
+    drift=6,
+    bias=6,  # of the tip at C; wrench of the outboard bodies at q̈ = 0, at C
     gamma=6,  # drift, _e, as far as the grasp passes it on
     passed=(6, 6),  # m of N, then 6 − m of T, orthonormal _e
-    filter=(6, 6), Lambda=(6, 6), effort=(6, 6),
+    filter=(6, 6),
+    Lambda=(6, 6),
+    effort=(6, 6),
     resisted=(6, 6),  # orthonormal wrenches _e that its structure carries, n_locked of them
     kept=(6, 6),  # orthonormal wrenches _e that the joints resist with their motors or inertia
-    chi=6, share=6, gone=6,  # of lost directions; gone: the chain counts them as locked
-    lost=(6, 6), mode=(6, MAX_JOINTS),  # their wrenches _e, and the joints' motions
-)  # fmt: skip
+    chi=6,
+    share=6,
+    gone=6,  # of lost directions; gone: the chain counts them as locked
+    lost=(6, 6),
+    mode=(6, MAX_JOINTS),  # their wrenches _e, and the joints' motions
+)
 JOINT_WORK = _record(
     number=("q", "v", "h", "tau", "rest", "offset", "acceleration", "inertial"),
-    R=(3, 3), p=3, column=6, J=6, J_bar=6, force=6, body=10, outboard=6, M=MAX_JOINTS,
-)  # fmt: skip
+    R=(3, 3),
+    p=3,
+    column=6,
+    J=6,
+    J_bar=6,
+    force=6,
+    body=10,
+    outboard=6,
+    M=MAX_JOINTS,
+)
 COLUMN_WORK = _record(
     whole=("chosen", "shaped"),
     number=("n_gamma", "n_gamma_all", "extent", "alpha_d", "goal", "scale", "slides", "drift"),
-    N=6, friction_wrench=6, energy=6, rest=6, share=6, to_come=3,
-    point=3, slip=3,  # of contact, from O; v_t / √(v_t² + v_0²) there
-    turn=3, turned=3,  # of the believed normal, and after this tick
-)  # fmt: skip
+    N=6,
+    friction_wrench=6,
+    energy=6,
+    rest=6,
+    share=6,
+    to_come=3,
+    point=3,
+    slip=3,  # of contact, from O; v_t / √(v_t² + v_0²) there
+    turn=3,
+    turned=3,  # of the believed normal, and after this tick
+)
 BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E
 
 #: How a tick ends.
 OK, SATURATED, HELD, DEGRADED = range(4)
 #: Why it is held.
 (
-    NO_REASON, BAD_INPUT, OBJECT_UNKNOWN, BAD_INERTIA, UNACTUATED, DEGENERATE_PAIR, CONTRADICTION,
-    DIFFERENT_BODIES, UNREACHABLE, INSEPARABLE, BAD_METRIC, NOT_FINITE, BLIND, STOPPED,
-    NO_ROTATION, OUT_OF_RANGE, JUMPED, WRENCH_TIMEOUT,
-    OVERSPEED, NEAR_END, POWERED, CONTACT_LOST, OVERFORCE,
-    STUCK, FROZEN, WRIST_FROZEN, DISAGREE, UNBALANCED, APART,  # from OVERSPEED on: stop at once
-) = range(29)  # fmt: skip
+    NO_REASON,
+    BAD_INPUT,
+    OBJECT_UNKNOWN,
+    BAD_INERTIA,
+    UNACTUATED,
+    DEGENERATE_PAIR,
+    CONTRADICTION,
+    DIFFERENT_BODIES,
+    UNREACHABLE,
+    INSEPARABLE,
+    BAD_METRIC,
+    NOT_FINITE,
+    BLIND,
+    STOPPED,
+    NO_ROTATION,
+    OUT_OF_RANGE,
+    JUMPED,
+    WRENCH_TIMEOUT,
+    OVERSPEED,
+    NEAR_END,
+    POWERED,
+    CONTACT_LOST,
+    OVERFORCE,
+    STUCK,
+    FROZEN,
+    WRIST_FROZEN,
+    DISAGREE,
+    UNBALANCED,
+    APART,  # from OVERSPEED on: stop at once
+) = range(29)
 #: What the controller does, see `safety`.
 RUN, DEGRADED_STATE, HOLD, SAFE_STOP = range(4)
 
-CHAIN_BYTES, ARM_BYTES, JOINT_BYTES = CHAIN.itemsize, ARM.itemsize, JOINT.itemsize
-PAIR_BYTES, SHAPE_BYTES, COLUMN_BYTES = PAIR.itemsize, SHAPE.itemsize, COLUMN.itemsize
-BODY_BYTES, MEMORY_BYTES, WORK_BYTES = BODY.itemsize, MEMORY.itemsize, WORK.itemsize
-CONTACT_MEMORY_BYTES, COLUMN_MEMORY_BYTES = CONTACT_MEMORY.itemsize, COLUMN_MEMORY.itemsize
-JOINT_MEMORY_BYTES, ARM_MEMORY_BYTES = JOINT_MEMORY.itemsize, ARM_MEMORY.itemsize
-ARM_WORK_BYTES, JOINT_WORK_BYTES = ARM_WORK.itemsize, JOINT_WORK.itemsize
-COLUMN_WORK_BYTES, BODY_WORK_BYTES = COLUMN_WORK.itemsize, BODY_WORK.itemsize
 
-read_chain, read_arms, read_joints = reader(CHAIN), reader(ARM), reader(JOINT)
-read_pairs, read_shapes, read_columns = reader(PAIR), reader(SHAPE), reader(COLUMN)
-read_bodies, read_memory, read_work = reader(BODY), reader(MEMORY), reader(WORK)
-read_contact_memory, read_column_memory = reader(CONTACT_MEMORY), reader(COLUMN_MEMORY)
-read_joint_memory, read_arm_memory = reader(JOINT_MEMORY), reader(ARM_MEMORY)
-read_arm_work, read_joint_work = reader(ARM_WORK), reader(JOINT_WORK)
-read_column_work, read_body_work = reader(COLUMN_WORK), reader(BODY_WORK)
+#: What came in at a tick.
+_INPUT = _record(
+    whole=("moving",),  # whether motions of the touched bodies were measured
+    X_WD=(4, 4),
+    V_D=6,
+    A_D=6,  # the reference
+)
+#: What a call of `tick.rows` is to do: parts of the tick, rows; where their bytes are.
+_JOB = _record(
+    whole=(
+        "switches",
+        "begin",
+        "stop",
+        "first",
+        "last",
+        "count",
+        "model",
+        "model_step",
+        "memory",
+        "work",
+        "input",
+    )
+)
 
+# The records as one run of bytes each -----------------------------------------------------------
 
-def allocate(sizes: Mapping[str, int]) -> tuple[dict[str, int], int]:
-    """Offsets of parts of the given sizes (bytes), one behind the other, and the sum."""
-    offsets, end = {}, 0
-    for name, size in sizes.items():
-        offsets[name] = end
-        end += -(-size // 64) * 64
-    return offsets, end
+#: Sizes: k arms, n joints, a motors, c contacts, s shapes, r columns of N, see `layout.counts`.
+MODEL = Nested(
+    _MODEL,
+    arms=(ARM, "k"),
+    joints=(JOINT, "n"),
+    pairs=(PAIR, "c"),
+    shapes=(SHAPE, "s"),
+    columns=(COLUMN, "r"),
+    bodies=(BODY, "c"),
+)
+MEMORY = Nested(
+    _MEMORY,
+    contacts=(CONTACT_MEMORY, "c"),
+    torques=(_FLOAT, "a"),  # given out last
+    joints=(JOINT_MEMORY, "n"),
+    arms=(ARM_MEMORY, "k"),
+    q=(_FLOAT, "n"),
+    v=(_FLOAT, "n"),  # as estimated, see `sensors.estimate_joints`
+    wrenches=(_FLOAT, "k", 6),  # last read
+    squeeze=(_FLOAT, "squeezes"),  # internal forces that are commanded (N)
+    columns=(COLUMN_MEMORY, "r"),  # last: pairs in Python may change r
+)
+WORK = Nested(
+    _WORK,
+    arms=(ARM_WORK, "k"),
+    joints=(JOINT_WORK, "n"),
+    columns=(COLUMN_WORK, "r"),
+    bodies=(BODY_WORK, "c"),
+    locked_rows=(_FLOAT, "6k", 7),  # of all arms: unit wrenches _e and their rates
+    J_world=(_FLOAT, "n", 6),  # columns at the world's origin
+    tau=(_FLOAT, "a"),
+    step=(_FLOAT, "a"),  # of the motors, and the most that they may change by
+    # of all columns of N: goals (N), whether they are kept, or in N; magnitudes, NᵀV_rel; numbers
+    goal=(_FLOAT, "r"),
+    here=(_FLOAT, "r"),
+    alpha=(_FLOAT, "r"),
+    speeds=(_FLOAT, "r"),
+    chosen=(_INT, "r"),
+    # of the torque allocation, see there
+    extra=(_FLOAT, "e", "n"),
+    weighed=(_FLOAT, "e", "n"),
+    factor=(_FLOAT, "6e", "6e"),
+    sides=(_FLOAT, "6e"),
+    left=(_FLOAT, "n"),
+    left_weighed=(_FLOAT, "n"),
+    products=(_FLOAT, "6e"),
+    # of internal forces of three arms and more, see `linkage`
+    bars=(_FLOAT, "bars"),
+    points=(_FLOAT, "k3", 3),
+    owners=(_INT, "6k3"),
+    force_levers=(_FLOAT, "n3", 3),
+    driven=(_FLOAT, "n3", 6),
+    efforts=(_FLOAT, "n3"),
+    carried=(_FLOAT, "6k3", 3),
+    levers=(_FLOAT, "bars3", "n3"),
+    basis=(_FLOAT, "bars3", "bars3"),
+    scratch=(_FLOAT, "scratch"),
+)
+INPUT = Nested(
+    _INPUT,
+    q=(_FLOAT, "n"),
+    v=(_FLOAT, "n"),
+    wrenches=(_FLOAT, "k", 6),
+    alpha_d=(_FLOAT, "r"),
+    touched=(_FLOAT, "c", 28),  # X_WE by rows, V_E, A_E of the bodies
+)
+JOB = Nested(_JOB)
+
+#: What the parts of a tick take: four records.
+Tick = namedtuple("Tick", "model memory work input")

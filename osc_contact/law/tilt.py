@@ -13,23 +13,23 @@ from osc_contact.law.jit import inner
 from osc_contact.law.six import dot6, rotated, rotated_back, velocity_at
 from osc_contact.law.tables import FACE_ON_VERTEX
 
-__all__ = ["follow_face", "take_turns"]
-
 _SLIDES = 0.01  #: v_1 (m/s): faster than that a point tells how its face is tilted
 
 
 @inner
-def take_turns(chain, column_memory, columns):
+def take_turns(t):
     """v̄ and the turns of believed normals, as the last tick left them."""
-    for j in range(chain.n_columns):
-        row, last = columns[j], column_memory[j]
-        row.drift, row.slides = last.drift, 0.0
+    for j in range(t.model.n_columns):
+        row = t.work.columns[j]
+        last = t.memory.columns[j]
+        row.drift = last.drift
+        row.slides = 0.0
         for i in range(3):
             row.turn[i] = row.turned[i] = last.turn[i]
 
 
 @inner
-def follow_face(chain, kind, row, X_WO, R_E, V_rel, V_goal, column):
+def follow_face(t, kind, row, X_WO, R_E, V_rel, V_goal, column):
     """Fill `turned` and `slides` (0 … 1): the face turned to what is seen to slide on it.
 
         n ← n − c dt σ (NᵀV_rel − v̄) v_t / v_t²,   σ = v_t⁴ / (v_t⁴ + v_1⁴)
@@ -39,23 +39,30 @@ def follow_face(chain, kind, row, X_WO, R_E, V_rel, V_goal, column):
     what is beyond v̄ takes.
 
     Args:
-        kind: POINTS or FACE_ON_VERTEX. row: (16,) of the column. X_WO: of the object. R_E: of the
-            body. V_rel, V_goal: (6,) at O, that is and that is wanted against the body.
-        column: its N, `turn` and `drift` known.
+        kind: POINTS or FACE_ON_VERTEX. row: (16,) of the column. X_WO: of the object.
+        R_E: of the body. V_rel, V_goal: (6,) at O, that is and that is wanted against
+        the body. column: its N, `turn` and `drift` known.
     """
-    N, turn, turned = column.N, column.turn, column.turned
+    model = t.model
+    N = column.N
+    turn = column.turn
+    turned = column.turned
     if kind == FACE_ON_VERTEX:
         x, y, z = rotated(R_E, row[3], row[4], row[5])
-        x, y, z = x + R_E[0, 3] - X_WO[0, 3], y + R_E[1, 3] - X_WO[1, 3], z + R_E[2, 3] - X_WO[2, 3]
+        x = x + R_E[0, 3] - X_WO[0, 3]
+        y = y + R_E[1, 3] - X_WO[1, 3]
+        z = z + R_E[2, 3] - X_WO[2, 3]
     else:
         x, y, z = rotated(X_WO, row[0], row[1], row[2])
     a, b, c = velocity_at(V_goal, x, y, z)
     s = N[0] * a + N[1] * b + N[2] * c
-    a, b, c = a - s * N[0], b - s * N[1], c - s * N[2]
+    a = a - s * N[0]
+    b = b - s * N[1]
+    c = c - s * N[2]
     square = a * a + b * b + c * c
     weight = square / (square * square + _SLIDES**4)
     column.slides = weight * square
-    gain = chain.drift_share * weight * (dot6(N, V_rel) - column.drift)
+    gain = model.drift_share * weight * (dot6(N, V_rel) - column.drift)
     if kind == FACE_ON_VERTEX:
         turned[0], turned[1], turned[2] = rotated_back(X_WO, a, b, c)
     else:
@@ -70,7 +77,7 @@ def follow_face(chain, kind, row, X_WO, R_E, V_rel, V_goal, column):
         turned[i] = turned[i] / size - row[first + i]
         off += turned[i] * turned[i]
     off = sqrt(off)
-    if off > chain.tilt:
+    if off > model.tilt:
         column.slides = 0.0
         for i in range(3):
-            turned[i] *= chain.tilt / off
+            turned[i] *= model.tilt / off

@@ -16,19 +16,15 @@ from osc_contact.law.jit import inner
 from osc_contact.law.refinement import dot
 from osc_contact.law.six import add, dot6, fill, reflect, reflect_back, scaled, times6
 
-__all__ = ["add_row", "factor_effort"]
-
 _DRIVEN = 1e-12  #: least share of a pivot of Z
 _DOUBTFUL = 1e-6  #: pivots of less share than this are computed twice
 
 
 @inner
-def factor_effort(work, Z):
-    """Factor of the block G R⁻¹Gᵀ, into Z; False: motors do not drive all motions.
-
-    Args:
-        Z: (6 + e, 6 + e) scratch; its lower triangle becomes the factor of `algebra.cholesky`.
-    """
+def factor_effort(t):
+    """Factor of the block G R⁻¹Gᵀ, into Z; False: motors do not drive all motions."""
+    work = t.work
+    Z = t.work.factor
     d = 6 - work.locked
     for i in range(d):
         for j in range(i + 1):
@@ -37,23 +33,24 @@ def factor_effort(work, Z):
 
 
 @inner
-def add_row(chain, arms, table, work, arm_work, joints, E, weighed, Z, e, rest):
+def add_row(t, e):
     """Factor of Z with one row more; False: the rows before it decide what E[e]τ is.
 
     Args:
-        chain, arms, table: CHAIN record, ARM and JOINT rows. work, arm_work, joints: their work.
-        E: (…, n) rows. weighed: row e becomes R⁻¹E[e]. Z: the factor so far. e: the row of E.
-        rest: (6 + e + 2 n,) scratch.
+        e: the row of E.
     """
-    size = 6 - work.locked + e
+    E = t.work.extra
+    weighed = t.work.weighed
+    Z = t.work.factor
+    size = 6 - t.work.locked + e
     row = Z[size]
-    for k in range(chain.n_arms):
-        _weigh(arms[k], table, arm_work[k], joints, E[e], weighed[e])
-    _multiply(chain, work, joints, E, weighed[e], e, row)
-    whole = row[size] = dot(weighed[e], E[e], chain.n_joints)
+    for k in range(t.model.n_arms):
+        _weigh(t, t.model.arms[k], t.work.arms[k], E[e], weighed[e])
+    _multiply(t, weighed[e], e, row)
+    whole = row[size] = dot(weighed[e], E[e], t.model.n_joints)
     left = whole - _eliminate(Z, size, row)
     if left < _DOUBTFUL * whole:
-        left = _project_again(chain, arms, table, work, arm_work, joints, E, Z, e, rest)
+        left = _project_again(t, e)
     if not left > _DRIVEN * whole:
         return False
     row[size] = 1.0 / sqrt(left)
@@ -61,18 +58,20 @@ def add_row(chain, arms, table, work, arm_work, joints, E, weighed, Z, e, rest):
 
 
 @inner
-def _multiply(chain, work, joints, E, weighed, e, out):
+def _multiply(t, weighed, e, out):
     """out = A R⁻¹a, the products of a weighed row with G and with E[:e]."""
+    work = t.work
+    joints = t.work.joints
     m = work.locked
     x = scaled(weighed[0], joints[0].J_bar)
-    for j in range(1, chain.n_joints):
+    for j in range(1, t.model.n_joints):
         x = add(x, weighed[j], joints[j].J_bar)
     fill(work.u, x)
     reflect(work.reflectors, work.beta, m, work.u)
     for i in range(6 - m):
         out[i] = work.u[m + i]
     for c in range(e):
-        out[6 - m + c] = dot(weighed, E[c], chain.n_joints)
+        out[6 - m + c] = dot(weighed, t.work.extra[c], t.model.n_joints)
 
 
 @inner
@@ -89,11 +88,17 @@ def _eliminate(Z, size, x):
 
 
 @inner
-def _project_again(chain, arms, table, work, arm_work, joints, E, Z, e, rest):
+def _project_again(t, e):
     """The pivot of row e, from what is left of it in the joints; mends its row of the factor."""
-    n, m = chain.n_joints, work.locked
+    work = t.work
+    E = t.work.extra
+    Z = t.work.factor
+    n = t.model.n_joints
+    m = work.locked
     size = 6 - m + e
-    left, weighed, x = rest[:n], rest[n : 2 * n], rest[2 * n :]
+    left = work.left
+    weighed = work.left_weighed
+    x = work.products
     for i in range(size - 1, -1, -1):  # multipliers of the rows before: L⁻ᵀ
         s = Z[size, i]
         for k in range(i + 1, size):
@@ -103,13 +108,13 @@ def _project_again(chain, arms, table, work, arm_work, joints, E, Z, e, rest):
         work.u[i] = x[i - m] if i >= m else 0.0
     reflect_back(work.reflectors, work.beta, m, work.u)
     for j in range(n):
-        s = E[e, j] - dot6(joints[j].J_bar, work.u)
+        s = E[e, j] - dot6(t.work.joints[j].J_bar, work.u)
         for c in range(e):
             s -= x[6 - m + c] * E[c, j]
         left[j] = s
-    for k in range(chain.n_arms):
-        _weigh(arms[k], table, arm_work[k], joints, left, weighed)
-    _multiply(chain, work, joints, E, weighed, e, x)
+    for k in range(t.model.n_arms):
+        _weigh(t, t.model.arms[k], t.work.arms[k], left, weighed)
+    _multiply(t, weighed, e, x)
     pivot = dot(weighed, left, n) - _eliminate(Z, size, x)
     for i in range(size):
         Z[size, i] += x[i]
@@ -117,12 +122,14 @@ def _project_again(chain, arms, table, work, arm_work, joints, E, Z, e, rest):
 
 
 @inner
-def _weigh(arm, table, own, joints, row, out):
+def _weigh(t, arm, own, row, out):
     """out = R⁻¹ row, over one arm's joints."""
-    lo, hi = arm.first, arm.end
+    joints = t.work.joints
+    lo = arm.first
+    hi = arm.end
     if own.wide == 0:
         for j in range(lo, hi):
-            out[j] = table[j].effort * row[j]
+            out[j] = t.model.joints[j].effort * row[j]
         return
     x = scaled(row[lo], joints[lo].J)
     for j in range(lo + 1, hi):

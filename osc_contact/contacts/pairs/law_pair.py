@@ -158,7 +158,8 @@ class LawPair:
         ]
         try:
             with np.errstate(all="ignore"):
-                sine = _place(head, shapes, columns, A, V_O, E, V_E, V_rel, moving, [0.0] * 6)
+                motion = law.Motion(A, V_O, E, V_E, V_rel, moving)
+                sine = _place(head, shapes, columns, motion, [0.0] * 6)
         except ZeroDivisionError:
             sine = 0.0
         least = np.min(sine)

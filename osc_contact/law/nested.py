@@ -1,0 +1,101 @@
+"""A record and the tables behind it in one run of bytes: `t.model.arms[k].mass`.
+
+Bytes begin with their own layout: where each table begins, and how many rows and columns there are.
+Compiled functions take such a record as one pointer, and read a table where its bytes are; in plain
+Python a `View` has the same attributes. What is declared here is declared once: sizes, offsets and
+types follow.
+"""
+
+from __future__ import annotations
+
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from osc_contact.law.jit import PLAIN_PYTHON
+
+Bytes = NDArray[np.uint8]
+_LINE = 64  #: bytes; each table begins a line of the cache
+
+
+class Nested:
+    """A declaration: the fields of the head, and the tables with their sizes.
+
+    Attributes:
+        dtype: of the head. tables: by name, dtype of a row (or element) and sizes.
+        counts: names of the sizes that are known at run time.
+        at: function (bytes, offset) of compiled code; of plain Python, too, where nothing is
+            compiled.
+    """
+
+    def __init__(self, head: np.dtype[Any], **tables: tuple[Any, ...]) -> None:
+        """Declare it.
+
+        Args:
+            head: fields. tables: name = (dtype, size, …), sizes as numbers or names of counts.
+        """
+        self.tables = {name: (np.dtype(kind), sizes) for name, (kind, *sizes) in tables.items()}
+        sizes = [one for _, all_sizes in self.tables.values() for one in all_sizes]
+        self.counts = list(dict.fromkeys(one for one in sizes if isinstance(one, str)))
+        words = len(self.tables) + len(self.counts)
+        fields: Any = [(name, *head.fields[name][:1]) for name in head.names]  # type: ignore
+        if words:
+            fields.insert(0, ("layout", np.int64, (words,)))
+        self.dtype = np.dtype(fields, align=True)
+        if PLAIN_PYTHON:
+            self.at: Any = lambda raw, start: self.view(raw[start:])
+        else:
+            from osc_contact.law.nested_type import pointer_to
+
+            self.at = pointer_to(self)
+
+    def slot(self, size: str) -> int:
+        """Which word of the layout holds a count."""
+        return len(self.tables) + self.counts.index(size)
+
+    def new(self, counts: dict[str, int]) -> Bytes:
+        """Bytes in which nothing stands but the layout.
+
+        Args:
+            counts: how many there are of everything.
+        """
+        starts, end = [], self.dtype.itemsize
+        for kind, sizes in self.tables.values():
+            starts.append(end := -(-end // _LINE) * _LINE)
+            end += kind.itemsize * prod(counts.get(one, one) for one in sizes)
+        raw: Bytes = np.zeros(-(-end // _LINE) * _LINE, np.uint8)
+        layout = starts + [counts[name] for name in self.counts]
+        raw[: 8 * len(layout)].view(np.int64)[:] = layout
+        return raw
+
+    def view(self, raw: Bytes) -> View:
+        """The record at the beginning of these bytes."""
+        return View(self, raw)
+
+
+class View:
+    """A record in plain Python: fields of the head and tables as attributes."""
+
+    def __init__(self, kind: Nested, raw: Bytes) -> None:
+        own = self.__dict__
+        own["head"] = head = raw[: kind.dtype.itemsize].view(kind.dtype)[0]
+        layout = head["layout"].tolist() if kind.tables else []
+        counts = dict(zip(kind.counts, layout[len(kind.tables) :], strict=True))
+        for start, (name, (dtype, sizes)) in zip(layout, kind.tables.items(), strict=False):
+            shape = [counts.get(one, one) for one in sizes]
+            rows = raw[start : start + dtype.itemsize * prod(shape)].view(dtype).reshape(shape)
+            own[name] = rows.view(np.recarray) if dtype.names else rows
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return self.__dict__["head"][name]
+        except (KeyError, ValueError) as error:
+            raise AttributeError(name) from error
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        self.__dict__["head"][name] = value
+
+    def __getitem__(self, name: str) -> Any:
+        return self.__dict__["head"][name]
