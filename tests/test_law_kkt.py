@@ -318,8 +318,8 @@ def effort_in_vain(t):
     pin.computeAllTerms(model, data, state.case.q, state.v)
     pin.updateFramePlacements(model, data)
     posture, idle = np.zeros(chain.nq), [np.zeros((0, chain.nq))]
-    pull = PostureTask.stiffness * (t.controller.posture - state.case.q)
-    pull = data.nle + data.M @ (pull - PostureTask.damping * state.v)
+    pull = PostureTask().stiffness * (t.controller.posture - state.case.q)
+    pull = data.nle + data.M @ (pull - PostureTask().damping * state.v)
     for tip, s in zip(chain.tips, chain.slices, strict=True):
         J = pin.getFrameJacobian(model, data, tip, pin.LOCAL_WORLD_ALIGNED)[:, s]
         if J.shape[1] > 6:

@@ -196,7 +196,7 @@ def test_the_law_finds_what_explains_the_reading_best(body, mu):
             slide = velocity(Bodies.at_O(*bodies).V_rel, p)
             slide = slide - (slide @ m) * m
             where.append(
-                (p, m, slide / np.sqrt(slide @ slide + (slip if mu else Friction.slip) ** 2))
+                (p, m, slide / np.sqrt(slide @ slide + (slip if mu else Friction(0.0).slip) ** 2))
             )
         friction = s.friction_wrenches
         want = explained(
