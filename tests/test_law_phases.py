@@ -311,7 +311,7 @@ def test_a_contact_stands_out_of_the_noise_before_it():
     assert phases.columns[0].noise == pytest.approx(3.0, rel=0.1)
 
 
-def test_a_lost_contact_is_astray_until_it_is_held_again():
+def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     phases = Phases([0], [True], phase=[CLOSED])
     wanted, seen = [10.0], []
     for alpha, count in ((10.0, 100), (0.0, 300), (10.0, 30), (0.0, 100), (10.0, 100)):

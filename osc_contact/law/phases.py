@@ -298,8 +298,8 @@ def max_speed_ratio(t):
 def torque_rate(t, share):
     """1/s; no motor torque changes faster than its limit times this.
 
-    Around a change of phase torques go gently, but for joints that are fast: late ones let them go
-    astray.
+    Around a change of phase torques change slowly, except where joints are fast: there a late
+    torque lets a joint leave its path.
 
     Args:
         share: as of `max_speed_ratio`.

@@ -209,7 +209,7 @@ class _Sums:
     """What is summed up over the ticks of a recording.
 
     Attributes:
-        ticks: which are judged. count: how many are, but for contacts.
+        ticks: which are judged. count: how many are, but for contacts. duration: of the run (s).
         openings: of contacts. cycles: the worst of each force.
         status, at_limit: ticks by status, and by motor.
     """
@@ -222,6 +222,7 @@ class _Sums:
         """
         meta = recording.meta
         self.ticks = JudgedTicks(meta, len(recording.magnitude_names))
+        self.duration = len(recording) / float(meta["control_rate_hz"])
         self.openings = _Openings(len(meta["contact_names"]))
         self.command, self.error, self.sensing = (_Series() for _ in range(3))
         self.total, self.projected, self.away, self.closed = (_Series() for _ in range(4))
@@ -261,7 +262,6 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
         recording: of the run. sums: of its ticks.
     """
     meta, contacts = recording.meta, recording.meta["contact_names"]
-    duration = len(recording) / float(meta["control_rate_hz"])
     position, orientation = sums.away.rms()
     (total,), (projected,) = sums.total.rms(), sums.projected.rms()
     worst = zip(meta.get("effort_limits", {}), sums.at_limit.tolist(), strict=True)
@@ -269,9 +269,9 @@ def _numbers(recording: Recording, sums: _Sums) -> dict[str, Any]:
         "scenario": meta.get("scenario", {}).get("name"),
         "plant": meta.get("plant"),
         "seed": meta.get("seed"),
-        "duration_s": duration,
+        "duration_s": sums.duration,
         "ticks": len(recording),
-        "real_time_factor": _ratio(duration, meta.get("wall_s")),
+        "real_time_factor": _ratio(sums.duration, meta.get("wall_s")),
         "force": _forces(recording.magnitude_names, sums),
         "motion": {"rms_error_m": position, "rms_error_rad": orientation},
         "contact_fraction": dict(zip(contacts, sums.closed.mean(), strict=False)),
