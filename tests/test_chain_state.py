@@ -120,7 +120,7 @@ def test_random_chains_with_every_grasp():
         try:
             s = case.chain.state(case.q, v)
         except osc.ModelError as error:
-            assert "do not tell where the object is" in str(error)
+            assert "do not determine where the object is" in str(error)
             continue
         found += 1
         np.testing.assert_allclose(s.X_WO.homogeneous, case.X_WO.homogeneous, atol=1e-10)

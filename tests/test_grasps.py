@@ -79,7 +79,7 @@ def test_motion_and_contact_forces_agree_with_the_full_system():
             try:
                 told = case.chain.state(case.q, v)
             except osc.ModelError as error:
-                assert "do not tell where the object is" in str(error)
+                assert "do not determine where the object is" in str(error)
                 seen["untold"] += 1
             else:
                 assert np.abs(told.X_WO.homogeneous - case.X_WO.homogeneous).max() < 1e-10
@@ -277,7 +277,7 @@ def test_a_rod_between_two_balls_spins_about_their_line():
     """Nobody drives it, no joint tells it: both are said, and a controller holds the posture."""
     case = random_case(["ur5", "ur5"], ["ball", "ball"], np.random.default_rng(7))
     chain = case.chain
-    with pytest.raises(osc.ModelError, match="do not tell where the object is"):
+    with pytest.raises(osc.ModelError, match="do not determine where the object is"):
         chain.state(case.q, np.zeros(12))
     state = chain.state(case.q, np.zeros(12), case.X_WO, np.zeros(6))
     assert (state.d, state.unactuated.shape) == (6, (6, 1))
@@ -293,7 +293,7 @@ def test_a_rod_between_two_balls_spins_about_their_line():
     measured = osc.Measurement(case.q, np.zeros(12), np.zeros((2, 6)))
     wanted = osc.Reference(case.X_WO, np.zeros(6), np.zeros(6), np.zeros(0))
     assert np.isfinite(controller.tick(measured, wanted)).all()
-    assert controller.status is osc.Status.HELD and "do not tell" in controller.reason
+    assert controller.status is osc.Status.HELD and "do not determine" in controller.reason
 
 
 @pytest.mark.parametrize("arm", ARMS)
@@ -473,7 +473,7 @@ def test_eight_arms():
 
 def test_two_balls_in_a_scenario_are_refused_with_the_motion():
     both = ["grasps.left.type=ball", "grasps.right.type=ball"]
-    with pytest.raises(osc.ModelError, match="do not tell where the object is"):
+    with pytest.raises(osc.ModelError, match="do not determine where the object is"):
         osc.build_rig(osc.load_scenario("dual_panda_rod", both))
 
 

@@ -148,7 +148,7 @@ def test_the_integral_rests_while_much_of_a_step_is_to_come():
     assert forces.work.integral_scale == 1.0
     idle = Forces()
     idle.run([0.0], 3)
-    assert idle.work.integral_scale == 1.0, "nothing was ever asked for"
+    assert idle.work.integral_scale == 1.0, "nothing was ever commanded"
     share = eased(np.arange(60) * DT / RISE)
     for left in share:
         forces.tick([14.0])

@@ -143,14 +143,14 @@ class BatchController:
         if squeeze_d is not None:
             self._squeeze[:] = np.reshape(np.asarray(squeeze_d, dtype=float), (B, -1))
             flags |= law.COMMANDED if self._k > 2 else 0
-        wishes = np.zeros((B, self._r)) if alpha_d is None else alpha_d
+        desired = np.zeros((B, self._r)) if alpha_d is None else alpha_d
         args = (
             _table("q", q, (B, self._n)).ravel(), _table("v", v, (B, self._n)).ravel(),
             _table("wrenches", wrenches, (B, self._k, 6)).reshape(B * self._k, 6),
             _table("X_WD", X_WD, (B, 4, 4)).reshape(4 * B, 4),
             _table("V_D", zeros if V_D is None else V_D, (B, 6)).ravel(),
             _table("A_D", zeros if A_D is None else A_D, (B, 6)).ravel(),
-            _table("alpha_d", wishes, (B, self._r)).ravel(), motion,
+            _table("alpha_d", desired, (B, self._r)).ravel(), motion,
         )  # fmt: skip
         if wrench_valid is not None:
             self._memories["wrench_missing"][:] = np.broadcast_to(wrench_valid, (B,)) == 0

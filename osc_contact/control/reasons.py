@@ -211,8 +211,8 @@ def explain(
 _SENTENCES = {
     at.NO_REASON: "",
     at.OBJECT_UNKNOWN: (
-        "the joints do not tell where the object is: its grasps let it move while every arm stands "
-        "still. Grasp it so that this is blocked"
+        "the joints do not determine where the object is: its grasps let it move while every arm "
+        "stands still. Grasp it so that this is blocked"
     ),
     at.BAD_INERTIA: (
         "the joint-space inertia of an arm is not positive definite; check the masses and inertias "

@@ -39,7 +39,7 @@ class TickRecords:
     def __init__(
         self, row: ModelRow, rows: Rows | None = None, index: int = 0, thread: int = 0
     ) -> None:
-        """Views of a row of `rows`; None: of bytes of its own, which begin as `row`."""
+        """Views of a row of `rows`; None: of new bytes, which begin as `row`."""
         self.rows = rows = Rows(row.raw) if rows is None else rows
         self.index, self.at = index, rows.starts[thread]
         self.row = row.within(rows.model[index])
@@ -72,7 +72,7 @@ class TickRecords:
         self.bars: Array = work.bars
 
     def copy(self) -> TickRecords:
-        """The same in bytes of its own."""
+        """The same in separate bytes."""
         other = TickRecords(self.row)
         other.memory_bytes[:] = self.memory_bytes
         other.work_bytes[:] = self.work_bytes

@@ -35,7 +35,7 @@ def object_pose(chain: ClosedChain, q: Array) -> pin.SE3:
     """Pose of the object when the joints stand at q.
 
     Raises:
-        ModelError: they do not tell it.
+        ModelError: they do not determine it.
     """
     pin.forwardKinematics(chain.model, chain.data, q)
     return chain.object_pose()
@@ -116,7 +116,7 @@ def closed(
         X_WO: where the object is at first, if no arm tells; None: where the joints say.
 
     Raises:
-        ModelError: as `close`; or the joints do not tell the pose, and it is not given.
+        ModelError: as `close`; or the joints do not determine the pose, and it is not given.
     """
     q = np.array(q, dtype=float)
     X = X_WO

@@ -39,7 +39,7 @@ def outboard_links(model: pin.Model, sensor: int, tip: int) -> list[OutboardLink
     Args:
         model: merged model.
         sensor: frame index of the wrist sensor (the first link outboard of the sensing element).
-        tip: frame index of the grasping frame, which tells the chain.
+        tip: frame index of the grasping frame, which identifies the arm's chain.
     """
     links = []
     joint = model.frames[sensor].parentJoint
@@ -195,7 +195,7 @@ class ChainModel:
         """Pose of the object at the same positions.
 
         Raises:
-            ModelError: the joints do not tell it.
+            ModelError: the joints do not determine it.
         """
         if self.leader is not None:
             return self._placement(self.tips[self.leader], data) * self.grasps[self.leader].X_TO

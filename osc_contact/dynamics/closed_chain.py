@@ -36,9 +36,9 @@ _NONE = np.zeros(0)
 _WHY = {
     at.BAD_INERTIA: "the joint-space inertia of an arm is not positive definite; check the masses "
     "and inertias of its links",
-    at.OBJECT_UNKNOWN: "the joints do not tell where the object is, or how it moves: its grasps "
-    "let it move while every arm stands still. Grasp it so that this is blocked, or give the "
-    "measured pose and twist: state(q, v, X_WO, V_O)",
+    at.OBJECT_UNKNOWN: "the joints do not determine where the object is, or how it moves: its "
+    "grasps let it move while every arm stands still. Grasp it so that this is blocked, or give "
+    "the measured pose and twist: state(q, v, X_WO, V_O)",
 }
 
 
@@ -53,7 +53,7 @@ class Look:
     def __init__(
         self, row: Bytes, q: Array, v: Array, X_WO: Array | None = None, V_O: Array | None = None
     ) -> None:
-        """Run it in memory of its own.
+        """Run it in separate memory.
 
         Args:
             row: from `chain_rows.chain_row`; led, if no pose is given.
@@ -89,7 +89,7 @@ class Look:
         """Refuse what the law could not take.
 
         Raises:
-            ModelError: an arm without inertia, or joints that do not tell where the object is.
+            ModelError: an arm without inertia, or joints that do not determine where the object is.
         """
         reason = int(self.work["reason"])
         if reason != at.NO_REASON:
@@ -265,12 +265,12 @@ class ClosedChain(ChainModel):
         Args:
             q: (n,) joint positions, arms in order, each in model order, passive joints included.
             v: (n,) joint velocities, consistent with the closed loop.
-            X_WO, V_O: pose and twist (6,) of the object, where the joints do not tell them.
+            X_WO, V_O: pose and twist (6,) of the object, where the joints do not determine them.
             data: to work in (threads need one each); default: the chain's own.
 
         Raises:
             InvalidInputError: wrong sizes or non-finite numbers.
-            ModelError: the joints do not tell where the object is, or the motors cannot drive
+            ModelError: the joints do not determine where the object is, or the motors cannot drive
                 every motion the arms permit.
         """
         q = as_array("q", q, (self.nq,))

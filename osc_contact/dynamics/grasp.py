@@ -195,7 +195,7 @@ def locate(
             wrenches come this near to leaving one of its motions (rad, in its energy metric).
 
     Raises:
-        ModelError: the tips do not tell it: the object can move while they stand still.
+        ModelError: the tips do not determine it: the object can move while they stand still.
     """
     X = _aligned(grasps, tips)
     for _ in range(50):
@@ -227,7 +227,7 @@ def _solved(
         motion = np.linalg.solve(L.T, np.linalg.svd(np.vstack(rows))[2][5])
         motion /= np.abs(motion).max()
         raise ModelError(
-            "the joints do not tell where the object is: its grasps let it make the motion "
+            "the joints do not determine where the object is: its grasps let it make the motion "
             f"{np.array2string(motion, precision=3, suppress_small=True)} (linear, angular; world "
             "axes at the object) while every arm stands still. Grasp it so that this is blocked, "
             "or give the measured pose and twist: state(q, v, X_WO, V_O)."

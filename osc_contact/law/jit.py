@@ -123,9 +123,8 @@ if PLAIN_PYTHON:
 
 else:
     #: A small part that reads bytes at an address.
-    view = _njit(
-        **{**_INNER, "forceinline": True, "_nrt": True} if _INNER is not _PLAIN else _PLAIN
-    )
+    VIEW: Any = {**_INNER, "forceinline": True, "_nrt": True} if _INNER is not _PLAIN else _PLAIN
+    view = _njit(**VIEW)
 
     @intrinsic
     def pointer(typing: Any, address: Any) -> Any:

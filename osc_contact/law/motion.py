@@ -5,24 +5,29 @@ from __future__ import annotations
 from math import atan2, copysign, sqrt
 
 from osc_contact.law.algebra import cross
-from osc_contact.law.jit import inner
+from osc_contact.law.jit import inner, leaf
 
 
 @inner
 def rotation_vector(R, out):
     """out (3,) = log₃ R (rad), R in the first rows and columns of a matrix."""
     _rotation_vector(
-        R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2], out, 0
+        (R[0, 0], R[0, 1], R[0, 2]),
+        (R[1, 0], R[1, 1], R[1, 2]),
+        (R[2, 0], R[2, 1], R[2, 2]),
+        out,
+        0,
     )
 
 
 @inner
-def _rotation_vector(r00, r01, r02, r10, r11, r12, r20, r21, r22, out, first):
-    x = 0.5 * (r21 - r12)
-    y = 0.5 * (r02 - r20)
-    z = 0.5 * (r10 - r01)
+def _rotation_vector(p, q, r, out, first):
+    """out[first:] = log₃ of a rotation by its rows p, q, r."""
+    x = 0.5 * (r[1] - q[2])
+    y = 0.5 * (p[2] - r[0])
+    z = 0.5 * (q[0] - p[1])
     sine = sqrt(x * x + y * y + z * z)
-    cosine = 0.5 * (r00 + r11 + r22 - 1.0)
+    cosine = 0.5 * (p[0] + q[1] + r[2] - 1.0)
     angle = atan2(sine, cosine)
     if cosine > -0.99:
         scale = angle / sine if sine > 1e-6 else 1.0 + sine * sine / 6.0
@@ -32,12 +37,12 @@ def _rotation_vector(r00, r01, r02, r10, r11, r12, r20, r21, r22, out, first):
         return
     # near a half turn the axis comes from the symmetric part, (1 − cos) aaᵀ + cos 1: its longest
     # column, whose sign is known best
-    u = r00 - cosine
-    v = r11 - cosine
-    w = r22 - cosine
-    a = 0.5 * (r01 + r10)
-    b = 0.5 * (r02 + r20)
-    c = 0.5 * (r12 + r21)
+    u = p[0] - cosine
+    v = q[1] - cosine
+    w = r[2] - cosine
+    a = 0.5 * (p[1] + q[0])
+    b = 0.5 * (p[2] + r[0])
+    c = 0.5 * (q[2] + r[1])
     if u >= v and u >= w:
         v = a
         w = b
@@ -56,6 +61,16 @@ def _rotation_vector(r00, r01, r02, r10, r11, r12, r20, r21, r22, out, first):
     out[first + 2] = scale * w
 
 
+@leaf
+def _turned(D, B, i):
+    """Row i of D Bᵀ."""
+    return (
+        D[i, 0] * B[0, 0] + D[i, 1] * B[0, 1] + D[i, 2] * B[0, 2],
+        D[i, 0] * B[1, 0] + D[i, 1] * B[1, 1] + D[i, 2] * B[1, 2],
+        D[i, 0] * B[2, 0] + D[i, 1] * B[2, 1] + D[i, 2] * B[2, 2],
+    )
+
+
 @inner
 def pose_error(X_WD, X_WO, out):
     """[p_D − p_O; log₃(R_D R_Oᵀ)] of two (4, 4) poses.
@@ -67,19 +82,7 @@ def pose_error(X_WD, X_WO, out):
         out[i] = X_WD[i, 3] - X_WO[i, 3]
     D = X_WD
     B = X_WO
-    _rotation_vector(
-        D[0, 0] * B[0, 0] + D[0, 1] * B[0, 1] + D[0, 2] * B[0, 2],
-        D[0, 0] * B[1, 0] + D[0, 1] * B[1, 1] + D[0, 2] * B[1, 2],
-        D[0, 0] * B[2, 0] + D[0, 1] * B[2, 1] + D[0, 2] * B[2, 2],
-        D[1, 0] * B[0, 0] + D[1, 1] * B[0, 1] + D[1, 2] * B[0, 2],
-        D[1, 0] * B[1, 0] + D[1, 1] * B[1, 1] + D[1, 2] * B[1, 2],
-        D[1, 0] * B[2, 0] + D[1, 1] * B[2, 1] + D[1, 2] * B[2, 2],
-        D[2, 0] * B[0, 0] + D[2, 1] * B[0, 1] + D[2, 2] * B[0, 2],
-        D[2, 0] * B[1, 0] + D[2, 1] * B[1, 1] + D[2, 2] * B[1, 2],
-        D[2, 0] * B[2, 0] + D[2, 1] * B[2, 1] + D[2, 2] * B[2, 2],
-        out,
-        3,
-    )
+    _rotation_vector(_turned(D, B, 0), _turned(D, B, 1), _turned(D, B, 2), out, 3)
 
 
 @inner

@@ -40,7 +40,7 @@ class Nested:
         sizes = [one for _, all_sizes in self.tables.values() for one in all_sizes]
         self.counts = list(dict.fromkeys(one for one in sizes if isinstance(one, str)))
         words = len(self.tables) + len(self.counts)
-        fields: Any = [(name, *head.fields[name][:1]) for name in head.names]  # type: ignore
+        fields: Any = [(name, head[name]) for name in head.names or ()]
         if words:
             fields.insert(0, ("layout", np.int64, (words,)))
         self.dtype = np.dtype(fields, align=True)

@@ -1,96 +1,47 @@
-"""The type of a `nested.Nested` record to numba: a record with tables as further attributes."""
+"""The type of a `nested.Nested` record to numba: a record with tables as further attributes.
+
+All of it is numba's public interface for extensions: a type with a model, attributes, intrinsics.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
-from numba.core.typing.templates import AttributeTemplate
-from numba.extending import (
-    infer_getattr,
-    intrinsic,
-    lower_getattr_generic,
-    models,
-    register_model,
-)
-from numba.np.arrayobj import make_array, populate_array, record_getattr
-from numba.np.numpy_support import from_dtype
+from numba.extending import intrinsic, models, register_model
 
-from osc_contact.law.jit import view
+from osc_contact.law.jit import VIEW, view
+
+_public: Any = numba  #: its type hints leave out `carray` and options of `overload_attribute`
+_BYTE = ir.IntType(8)
+_WORD = ir.IntType(64)
 
 
-class _Record(types.Record):
-    """The head as a record; `tables`: declaration."""
-
-    def __init__(self, kind: Any) -> None:
-        head: Any = from_dtype(kind.dtype)
-        fields = [(name, field._asdict()) for name, field in head.fields.items()]
-        super().__init__(fields, head.size, head.aligned)
-        self.kind = kind
-        self.arrays = {
-            name: types.Array(from_dtype(dtype), len(sizes), "C")
-            for name, (dtype, sizes) in kind.tables.items()
-        }
-
-
-@register_model(_Record)
 class _Pointer(models.PrimitiveModel):
-    """Unlike other records it may be part of a tuple."""
+    """Unlike other records one of these may be part of a tuple."""
 
-    def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, ir.ArrayType(ir.IntType(8), kind.size).as_pointer())
-
-
-@infer_getattr
-class _Attributes(AttributeTemplate):
-    key = _Record
-
-    def generic_resolve(self, record: Any, name: str) -> Any:  # type: ignore[override]
-        return record.arrays.get(name)  # None: a field
-
-
-@lower_getattr_generic(_Record)
-def _get(context: Any, builder: Any, record: Any, value: Any, name: str) -> Any:
-    if name not in record.arrays:
-        return record_getattr(context, builder, record, value, name)
-    kind, array = record.kind, record.arrays[name]
-    word = context.get_value_type(types.intp)
-
-    def number(x: int) -> Any:
-        return context.get_constant(types.intp, x)
-
-    def layout(slot: int) -> Any:
-        """A word of the layout, which never changes: it is read once."""
-        found = builder.load(cgutils.get_record_member(builder, value, 8 * slot, word))
-        found.set_metadata("invariant.load", builder.module.add_metadata([]))
-        return found
-
-    sizes = kind.tables[name][1]
-    shape = [layout(kind.slot(one)) if isinstance(one, str) else number(one) for one in sizes]
-    size = number(context.get_abi_sizeof(context.get_data_type(array.dtype)))
-    strides = [size]
-    for length in shape[:0:-1]:
-        strides.insert(0, builder.mul(strides[0], length))
-    out = make_array(array)(context, builder)
-    start = layout(list(kind.tables).index(name))
-    populate_array(
-        out,
-        data=cgutils.pointer_add(builder, value, start, return_type=out.data.type),
-        shape=cgutils.pack_array(builder, shape),
-        strides=cgutils.pack_array(builder, strides),
-        itemsize=size,
-        meminfo=None,
-        parent=None,
-    )
-    return out._getvalue()
+    def __init__(self, manager: Any, record: Any) -> None:
+        super().__init__(manager, record, ir.ArrayType(_BYTE, record.size).as_pointer())
 
 
 def pointer_to(kind: Any) -> Any:
     """A compiled function (bytes, offset) that takes what is there for a record of this kind."""
-    record = _Record(kind)
+
+    class Record(types.Record):
+        """The head; its tables are further attributes."""
+
+    register_model(Record)(_Pointer)
+    head: Any = _public.from_dtype(kind.dtype)
+    fields = [(name, field._asdict()) for name, field in head.fields.items()]
+    record = Record(fields, head.size, head.aligned)
+    for slot, (name, (dtype, sizes)) in enumerate(kind.tables.items()):
+        shape = [_word(kind.slot(one)) if isinstance(one, str) else _fixed(one) for one in sizes]
+        _public.extending.overload_attribute(Record, name, jit_options=VIEW)(
+            _table(dtype, _word(slot, behind=True), shape)
+        )
 
     @intrinsic
     def point(typing: Any, address: Any) -> Any:
@@ -104,3 +55,53 @@ def pointer_to(kind: Any) -> Any:
         return point(raw.ctypes.data + np.uintp(start))
 
     return at
+
+
+def _table(dtype: Any, start: Any, shape: list[Any]) -> Any:
+    """What an attribute of a record is: the array that begins at `start`."""
+    rows = shape[0]
+    columns = shape[-1]
+
+    carray = _public.carray
+
+    def one(record: Any) -> Any:
+        return carray(start(record), (rows(record),), dtype)
+
+    def two(record: Any) -> Any:
+        return carray(start(record), (rows(record), columns(record)), dtype)
+
+    def choose(record: Any) -> Any:
+        return one if len(shape) == 1 else two
+
+    return choose
+
+
+def _word(slot: int, behind: bool = False) -> Any:
+    """A compiled function of a record: a word of its layout; the address so many bytes behind it.
+
+    The layout never changes: compiled code reads each word once.
+    """
+
+    @intrinsic
+    def word(typing: Any, record: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+            words = builder.bitcast(given[0], _WORD.as_pointer())
+            found = builder.load(builder.gep(words, [_WORD(slot)]))
+            found.set_metadata("invariant.load", builder.module.add_metadata([]))
+            if behind:
+                return builder.gep(builder.bitcast(given[0], _BYTE.as_pointer()), [found])
+            return found
+
+        return (types.voidptr if behind else types.intp)(record), generate
+
+    return word
+
+
+def _fixed(size: int) -> Any:
+    """The same of a size that is known."""
+
+    @intrinsic
+    def word(typing: Any, record: Any) -> Any:
+        return types.intp(record), lambda context, builder, signature, given: _WORD(size)
+
+    return word

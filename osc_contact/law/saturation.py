@@ -160,7 +160,7 @@ def fill_program(raw, at, i, given, sizes):
 
 @entry
 def settle(raw, at, i, found, lost_force, lost_squeeze):
-    """Torques found, no faster than motors may change; the memory goes on with them.
+    """Torques found, no faster than motors may change; the next tick starts from them.
 
     Args:
         raw, at, i: as of `fill_program`. found: (motors,) torques within the limits.

@@ -219,10 +219,10 @@ def rows(raw, at, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched):
     fits = fits and V_D.size == 6 * count and A_D.size == 6 * count
     if moving:
         fits = fits and touched.shape[0] == count * c and touched.shape[1] == 28
-    wishes = alpha_d.size == count * r
+    has_desired = alpha_d.size == count * r
     if not fits:
         flags |= MISFIT
-    elif not wishes:
+    elif not has_desired:
         flags |= NO_FORCES
     violated = 0
     for i in range(job.first, job.last):
@@ -247,7 +247,7 @@ def rows(raw, at, q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched):
                 _copy_rows(X_WD, 4 * i, 4, 4, given.X_WD)
                 _copy(V_D, 6 * i, 6, given.V_D)
                 _copy(A_D, 6 * i, 6, given.A_D)
-                if wishes:
+                if has_desired:
                     _copy(alpha_d, i * r, r, given.alpha_d)
                 if moving:
                     _copy_rows(touched, i * c, c, 28, given.touched)
