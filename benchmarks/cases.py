@@ -105,8 +105,8 @@ class TickCase:
 
         def unwind() -> None:
             require_status(controller, self.name, self.status)
-            controller.motion_law.integral = np.zeros(6)
-            controller.force_law.integral = np.zeros(0)
+            controller.motion_integral = np.zeros(6)
+            controller.force_integral = np.zeros(0)
 
         return tick, unwind
 

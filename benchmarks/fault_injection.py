@@ -31,7 +31,7 @@ import numpy as np
 import pinocchio as pin
 
 import osc_contact as osc
-from osc_contact.control.safety import SafetyState
+from osc_contact.control.status import SafetyState
 from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Reference, Stamps
 from osc_contact.runs.run import Taring, start
@@ -360,7 +360,7 @@ class Run:
         taring = self.rig.scenario.tare is not None
         self.tick = Taring(self.rig, self.controller).tick if taring else self.controller.tick
         self.dt, self.limit = self.controller.dt, self.rig.model.tau_max
-        if self.controller._records.ticked[0]:
+        if self.controller._records.memory.ticked:
             self.before = self.controller.last_torques()
         self.first = round(case.begin / self.dt)
         self.ahead: list[Reference] = []  # those of the ticks from the last multiple of BLOCK on
@@ -432,7 +432,7 @@ class Run:
             if verdict.stopped is None and self.controller.state is SAFE_STOP:
                 verdict.stopped, stop_q = (k - self.first) * dt, true.q[act]
                 verdict.reason = self.controller.reason
-                braking = np.abs(true.v[act]) * self.controller._records.row.head.reaction
+                braking = np.abs(true.v[act]) * self.controller._records.model.reaction
                 end = max(end, k + round(REST_AFTER / dt))
             verdict.unbraked = verdict.unbraked or self.controller.unbraked is not None
             speeds = np.abs(true.v[act])

@@ -23,7 +23,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 import osc_contact as osc
-from osc_contact.control.own_laws import force_law
+from osc_contact.control.custom_laws import force_law
 from osc_contact.visual import contact_colour, plots
 from osc_contact.visual.plots import style
 from paper.figures import reproduce

@@ -34,10 +34,10 @@ if TYPE_CHECKING:  # each is imported when it is first asked for, see __getattr_
     )
     from osc_contact.contacts.raibert_craig import RaibertCraig
     from osc_contact.control.batch import BatchController
-    from osc_contact.control.controller import Controller, Status
-    from osc_contact.control.laws import Laws
-    from osc_contact.control.safety import SafetyState
+    from osc_contact.control.controller import Controller
+    from osc_contact.control.custom_laws import Laws
     from osc_contact.control.set_point import PoseSetPoint, SetPoint, SetPointState
+    from osc_contact.control.status import SafetyState, Status
     from osc_contact.dynamics.arm import Arm
     from osc_contact.dynamics.closed_chain import ChainState, ClosedChain
     from osc_contact.dynamics.environment import Environment

@@ -340,7 +340,7 @@ class _ConeWitness(Witness):
     def append(
         self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
     ) -> None:
-        self.N.append(self.controller.last_signals().contact.N)
+        self.N.append(self.controller.signals.contact.N)
         if len(self.N) % self.every == 0:
             probe = couplings(self.controller, self.rigid, measurement, reference, self.R)
             self.probes.append(probe)
@@ -421,16 +421,16 @@ def couplings(
         The ratios of the four steps of force, and of the eight steps of motion.
     """
     controller = controller.with_safety(osc.SafetySettings.motors_only())  # the same readings again
-    before = (controller.motion_law.integral, controller.force_law.integral)
+    before = (controller.motion_integral, controller.force_integral)
 
     def answer(changed: Reference) -> tuple[Array, Array]:
         tau = controller.tick(measurement, changed)
-        controller.motion_law.integral, controller.force_law.integral = before
+        controller.motion_integral, controller.force_integral = before
         _, a, alpha = plant.accelerations(tau)
-        return a, controller.last_signals().contact.N @ alpha
+        return a, controller.signals.contact.N @ alpha
 
     a_0, f_0 = answer(reference)
-    s = controller.last_signals()
+    s = controller.signals
     Lambda = s.state.metric
     T = s.contact.T
 

@@ -271,7 +271,7 @@ def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
     assert Ours().install(plain) is plain and plain.laws.structure is None
     law = SelectionLaw(KHATIB, best_selection(instant, KHATIB, restarts=0).selection)
     installed = law.install(rig.controller())
-    boxes = installed.wiring(measurement, reference)
+    boxes = installed.wiring()
     own = {box.name for box in boxes if box.name.startswith("own ")}
     assert own == {"own motion filter", "own dynamic control structure"}
     written = [name for box in boxes for name in box.outputs]
@@ -287,7 +287,7 @@ def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
     want = law.f_S(state, contact, after.a_u, after.alpha_u)
     np.testing.assert_allclose(after.f_S, want, atol=1e-9 * np.abs(want).max())
     np.testing.assert_allclose(state.G @ tau, want, atol=1e-9 * np.abs(want).max())
-    names = [box.name for box in rig.controller().wiring(measurement, reference)]
+    names = [box.name for box in rig.controller().wiring()]
     assert not any(name.startswith("own") for name in names), "other controllers keep theirs"
 
 

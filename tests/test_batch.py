@@ -82,7 +82,7 @@ def test_rows_are_single_ticks_bit_for_bit(rig, life, threads):
             np.testing.assert_array_equal(tau[i], single(c, x, i))
             assert batch.status[i] == c.status
             seen.add(int(c.status))
-            np.testing.assert_array_equal(batch.alpha_meas[i], c._records.column_memory.alpha)
+            np.testing.assert_array_equal(batch.alpha_meas[i], c._records.memory.columns.alpha)
     assert osc.Status.HELD in seen and osc.Status.OK in seen
 
 

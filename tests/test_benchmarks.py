@@ -37,7 +37,7 @@ from benchmarks.cases import (
 from benchmarks.measuring import take_turns
 from benchmarks.peers import constraint_dynamics, mujoco_state
 from benchmarks.textbook import TextbookLaw
-from osc_contact.control.phases import Phase
+from osc_contact.control.status import Phase
 from osc_contact.errors import InvalidInputError
 
 ROOT = Path(__file__).parents[1]
@@ -191,7 +191,7 @@ def test_every_timed_tick_is_checked_and_begins_alike(name: str) -> None:
     assert controller.status is case.status, controller.reason
     for _ in range(3):
         unwind()
-        assert not controller.motion_law.integral.any() and not len(controller.force_law.integral)
+        assert not controller.motion_integral.any() and not len(controller.force_integral)
         again = tick()
     np.testing.assert_allclose(again, first, rtol=0, atol=1e-12 * np.abs(first).max())
     another = next(status for status in osc.Status if status is not case.status)
@@ -271,7 +271,7 @@ def test_textbook_law_gives_our_torques(name: str) -> None:
             ours = controller.tick(case.measurement, reference)
             assert controller.status is osc.Status.OK, controller.reason
             np.testing.assert_allclose(textbook.tick(), ours, rtol=0, atol=1e-8)
-        integral = controller.motion_law.integral
+        integral = controller.motion_integral
         assert np.abs(integral).max() > 1e-6
         np.testing.assert_allclose(textbook.motion_sum, integral, rtol=0, atol=1e-12)
 

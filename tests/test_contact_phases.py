@@ -13,7 +13,7 @@ from rigs import panda_pair, random_faces, random_state, scara_pair
 from test_law import UNLIMITED, inputs
 
 import osc_contact as osc
-from osc_contact.control.phases import Phase
+from osc_contact.control.status import Phase
 from osc_contact.runs.run import start
 from osc_contact.scenarios.control_schema import ForceGains, Friction, PhaseSettings
 from paper.contact_phases import (
@@ -42,7 +42,7 @@ def test_settings_that_cannot_work_are_refused():
 def given_phases(controller, phase):
     """Phases of long ago; none is judged before the next tick."""
     rows = controller._records
-    rows.contacts.phase, rows.contacts.since, rows.memory.fresh = phase, 1.0, 0
+    rows.memory.contacts.phase, rows.memory.contacts.since, rows.memory.fresh = phase, 1.0, 0
 
 
 @pytest.mark.parametrize("times", [1.0, 200.0])
@@ -89,7 +89,7 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
         if knowing.status is not osc.Status.HELD:  # else out of reach, or too many columns
             seen |= {(bool(closed.all()), knowing.status)}
             assert len(knowing.signals.alpha_u) == knowing.signals.contact.r
-            np.testing.assert_array_equal(knowing._records.contacts.active, closed)
+            np.testing.assert_array_equal(knowing._records.memory.contacts.active, closed)
     assert {osc.Status.OK if times == 1.0 else osc.Status.SATURATED} <= {s for _, s in seen}
     assert {whole for whole, _ in seen} == {False, True}
 
@@ -113,7 +113,7 @@ def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away():
     for _ in range(300):
         controller.tick(pressed, reference)
     np.testing.assert_allclose(controller.signals.alpha_u, k.least)
-    wanted = reference.alpha_d + controller.force_law.integral
+    wanted = reference.alpha_d + controller.force_integral
     assert (wanted > k.least - 30.0 * DT * 60.0).all()
 
 

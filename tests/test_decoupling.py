@@ -19,7 +19,7 @@ from rigs import (
 
 import osc_contact as osc
 from osc_contact import projections
-from osc_contact.control.laws import Laws
+from osc_contact.control.custom_laws import Laws
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.response import require_reachable
 

@@ -81,7 +81,7 @@ class Answers:
     """What the chain makes of torques, by the KKT system of all bodies: affine, so sampled."""
 
     def __init__(self, controller, measurement, wanted):
-        s, chain = controller.last_signals(), controller.chain
+        s, chain = controller.signals, controller.chain
         self.s, self.chain, n = s, chain, chain.n_a
         self.scale = chain.tau_max
         line = np.zeros(6)
@@ -215,13 +215,13 @@ def test_an_unsolved_program_ends_held_within_the_limits(monkeypatch):
     controller = motors_only(weakened(chain, weak), pairs, GAINS)
     controller.tick(measurement, reference)
     assert controller.status is osc.Status.SATURATED and (strong > weak).all()
-    sums = controller.force_law.integral
+    sums = controller.force_integral
     monkeypatch.setattr(daqp, "solve", lambda *a, **k: (np.full(8, np.nan), 0.0, -3, {}))
     tau = controller.tick(measurement, replace(reference, alpha_d=reference.alpha_d + 1))
     assert controller.status is osc.Status.HELD and "limits" in controller.reason
     assert (np.abs(tau) <= weak).all() and controller.given_up is None
     assert pickle.loads(pickle.dumps(controller)).reason == controller.reason
-    np.testing.assert_array_equal(controller.force_law.integral, sums)
+    np.testing.assert_array_equal(controller.force_integral, sums)
 
 
 @pytest.mark.parametrize("rig", [scara_pair, one_panda])
@@ -277,9 +277,9 @@ def test_integrals_rest_while_motors_are_at_their_limits():
             assert controller.status is osc.Status.SATURATED
             missing = reference.alpha_d - controller.result().alpha_meas
             want = before + 30.0 * 1e-3 * (missing - controller.given_up.force)
-            before = controller.force_law.integral
+            before = controller.force_integral
             np.testing.assert_allclose(before, want, atol=1e-9)
-        np.testing.assert_array_equal(controller.motion_law.integral, np.zeros(6))
+        np.testing.assert_array_equal(controller.motion_integral, np.zeros(6))
 
 
 @pytest.fixture(scope="module")

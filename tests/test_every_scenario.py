@@ -157,7 +157,7 @@ def test_rigid_plant_decouples_exactly(rigs, name):
     for k in range(40):
         plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
     controller.tick(plant.measure(), rig.references.at(0.04))
-    s = controller.last_signals()
+    s = controller.signals
     N_S = s.state.S.T @ s.contact.N
     B_S = np.linalg.inv(s.state.S.T @ s.state.metric @ s.state.S)
     held = B_S @ N_S @ np.linalg.solve(N_S.T @ B_S @ N_S, N_S.T)

@@ -122,7 +122,7 @@ def test_the_force_law_integrates_and_damps_and_has_no_proportional_part():
     wanted = osc.Reference(state.X_WO, alpha_d=desired)
     controller.tick(measured, wanted)
     off = controller.result().alpha_meas - [9.0, 8.5]
-    controller.f_tare, controller.force_law.integral = N @ off, np.zeros(2)
+    controller.f_tare, controller.force_integral = N @ off, np.zeros(2)
     friction_wrenches = 50.0 * N.T @ state.V_O
     assert np.abs(friction_wrenches).min() > 0.1
     for k in range(1, 1001):
@@ -133,7 +133,7 @@ def test_the_force_law_integrates_and_damps_and_has_no_proportional_part():
             np.testing.assert_allclose(
                 controller.signals.alpha_u, desired + sums - friction_wrenches, rtol=1e-8
             )
-    np.testing.assert_allclose(controller.force_law.integral, [30.0, -15.0], rtol=1e-8)
+    np.testing.assert_allclose(controller.force_integral, [30.0, -15.0], rtol=1e-8)
 
 
 @pytest.mark.parametrize("bad", [{"integral": -1.0}, {"damping": float("nan")}])

@@ -12,7 +12,7 @@ from test_effort_limits import weakened
 from test_moving_environment import hardware, object_acceleration, seen, squeeze_of
 
 import osc_contact as osc
-from osc_contact.control.friction import friction_wrenches
+from osc_contact.control.custom_laws import friction_wrenches
 from osc_contact.dynamics.environment import Environment
 from osc_contact.scenarios.control_schema import Friction
 

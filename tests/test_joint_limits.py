@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -13,9 +14,23 @@ from test_decoupling import commanded, in_contact, structured
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.control.joint_limits import JointLimitAvoidance
+from osc_contact.control.records import joint_limit_margins
+from osc_contact.law.allocation import push_from_limits
+from osc_contact.law.jit import as_python
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.scenarios.control_schema import PostureTask
+
+PUSH = as_python(push_from_limits)
+
+
+def push_of(q, margins):
+    """(n,) accelerations away from joint limits."""
+    names = ("low", "high", "width", "most")
+    rows = [
+        SimpleNamespace(**dict(zip(names, row, strict=True))) for row in zip(*margins, strict=True)
+    ]
+    return np.array([PUSH(row, x) for row, x in zip(rows, q, strict=True)])
+
 
 CALM, PUSHING = PostureTask(limit_stiffness=0.0), PostureTask(limit_margin=0.2)
 
@@ -37,7 +52,7 @@ def test_the_push_is_a_bounded_slope_of_a_potential():
     """Against the potential k w² (s³ − s⁴/2) + k w (depth beyond the limit), differentiated."""
     model = panda(joint1=(-1.0, 2.0), joint2=(-np.inf, np.inf), joint3=(-np.inf, 1.0)).model
     k, share = 400.0, 0.05
-    limits = JointLimitAvoidance.of(model, k, share)
+    limits = joint_limit_margins(model, k, share)
     w = np.array([0.05 * 3.0, 0.0, 0.05 * np.pi, *(0.05 * np.minimum(
         model.upperPositionLimit - model.lowerPositionLimit, np.pi))[3:]])  # fmt: skip
 
@@ -54,7 +69,7 @@ def test_the_push_is_a_bounded_slope_of_a_potential():
         return total
 
     x, h = np.linspace(-4.0, 4.5, 3001), 1e-6
-    pushes = np.array([limits.push(np.full(7, value)) for value in x])
+    pushes = np.array([push_of(np.full(7, value), limits) for value in x])
     slopes = np.array(
         [(potential(v + h) - potential(v - h)) / (2 * h) for v in x[:, None] * np.ones(7)]
     )
@@ -62,7 +77,7 @@ def test_the_push_is_a_bounded_slope_of_a_potential():
     assert (np.abs(pushes) <= k * w + 1e-9).all()
     assert (pushes[:, 1] == 0.0).all() and (pushes[:, 2] <= 0.0).all()
     assert np.abs(np.diff(pushes, axis=0)).max() < 1.6 * k * (x[1] - x[0])  # slope 3/2 k at most
-    assert not limits.push(PANDA_Q).any()
+    assert not push_of(PANDA_Q, limits).any()
 
 
 @pytest.mark.parametrize("rig", [panda_pair, one_panda, scara_pair])
@@ -73,9 +88,9 @@ def test_object_and_contact_forces_do_not_feel_it(rig):
         state, contact, pairs, q, v = in_contact(chain, rng)
         a_u, alpha = rng.normal(size=6), rng.uniform(5, 20, 2)
         close = limits_near(chain, q, rng)
-        push = JointLimitAvoidance.of(
-            close.model, PUSHING.limit_stiffness, PUSHING.limit_margin
-        ).push(q)
+        push = push_of(
+            q, joint_limit_margins(close.model, PUSHING.limit_stiffness, PUSHING.limit_margin)
+        )
         B = np.linalg.inv(state.metric)
         one, two = (
             commanded(close, pairs, q, v, a_u, alpha, B, posture=q, posture_task=task)[1]
@@ -163,7 +178,7 @@ def test_idle_motions_are_pushed_away_from_their_limits(past):
         ends |= {f"joint{j}": (q[j - 1] + past, q[j - 1] + 3.0) for j in (3, 6)}
         chain, posture = panda(**ends), q + 0.1 * rng.normal(size=7)
         task = PostureTask()
-        push = JointLimitAvoidance.of(chain.model, task.limit_stiffness, task.limit_margin).push(q)
+        push = push_of(q, joint_limit_margins(chain.model, task.limit_stiffness, task.limit_margin))
         assert push.any() == (past > -0.15)
         state = chain.state(q, v)
         safety = osc.SafetySettings.motors_only()

@@ -11,7 +11,7 @@ from test_decoupling import strong
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.control.model_row import TURNING_SLIP
+from osc_contact.control.records import TURNING_SLIP
 from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.tables import MODEL

@@ -77,13 +77,13 @@ def test_signals_stay():
     fast = rig.controller().with_safety(UNLIMITED)
     measurement, reference = rig.plant().measure(), rig.references.at(0.0)
     tau = fast.tick(measurement, reference)
-    before = fast.last_signals()
+    before = fast.signals
     state, f_meas = before.state, fast.result().f_meas.copy()
     fast.f_tare, fast.engaged = np.ones(6), False  # what comes after does not change the past
     assert not fast.engaged and (fast.f_tare == 1.0).all()
     found = fast.result()
-    np.testing.assert_array_equal(fast.last_signals().tau, tau)
-    np.testing.assert_array_equal(fast.last_signals().q, measurement.q)
+    np.testing.assert_array_equal(fast.signals.tau, tau)
+    np.testing.assert_array_equal(fast.signals.q, measurement.q)
     np.testing.assert_allclose(found.f_meas, f_meas, atol=1e-12)
     np.testing.assert_allclose(found.bias_out, state.bias_out, atol=1e-9)
     np.testing.assert_allclose(found.V_O, state.V_O, atol=1e-12)
@@ -137,8 +137,8 @@ assert end.alloc == start.alloc, end.alloc - start.alloc
 before = sys.getallocatedblocks()
 for _ in range(100_000):
     controller.tick(measurement, reference)
-    controller.motion_law.integral = np.zeros(6)
-    controller.force_law.integral = np.zeros(0)
+    controller.motion_integral = np.zeros(6)
+    controller.force_integral = np.zeros(0)
 after = sys.getallocatedblocks()
 assert controller.status is osc.Status.OK, controller.reason
 assert abs(after - before) < 50, after - before

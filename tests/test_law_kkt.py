@@ -349,7 +349,7 @@ def effort_in_vain(t):
 
 def same_in_a_batch(t):
     """Whether two rows of a batch give the torques of the tick bit for bit; None: no batch can."""
-    if t.before._outside.needed:
+    if t.before._custom.needed:
         return None
     seen, m, w = t.measured.touched, t.measured, t.reference
     twice = {"q": m.q, "v": m.v, "wrenches": m.wrenches, "X_WD": w.X_WD.homogeneous}

@@ -16,7 +16,7 @@ import pinocchio as pin
 import pytest
 
 import osc_contact as osc
-from osc_contact.control.safety import SafetyState
+from osc_contact.control.status import SafetyState
 from osc_contact.runs.run import start
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]

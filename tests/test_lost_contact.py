@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import osc_contact as osc
 from benchmarks.pushes import packaged, push_arm, table
-from osc_contact.control.phases import Phase
+from osc_contact.control.status import Phase
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.run import Taring, start
 
@@ -85,16 +85,16 @@ def test_a_contact_that_is_not_found_again_stops_the_arms_until_a_reset() -> Non
     rows = controller._records
     for k in range(30):
         if k == 20:
-            rows.contacts.since[:], rows.column_memory.time_since_loss[0] = 0.0, 0.99
+            rows.memory.contacts.since[:], rows.memory.columns.time_since_loss[0] = 0.0, 0.99
         plant.command(controller.tick(plant.measure(), rig.references.at(0.001 * k)), 0.001)
         assert controller.state is not osc.SafetyState.SAFE_STOP
-    rows.column_memory.time_since_loss[0] = 1.01
+    rows.memory.columns.time_since_loss[0] = 1.01
     for _ in range(2):
         controller.tick(plant.measure(), rig.references.at(0.03))
     assert controller.state is osc.SafetyState.SAFE_STOP
     assert "not held again 1 s after it was lost" in controller.reason
     controller.reset()
-    assert (rows.column_memory.time_since_loss == 0.0).all()
+    assert (rows.memory.columns.time_since_loss == 0.0).all()
     controller.tick(plant.measure(), rig.references.at(0.03))
     assert controller.state is osc.SafetyState.RUN
 

@@ -68,14 +68,14 @@ def test_a_wrench_that_no_sensor_measures_is_not_believed(
 ) -> None:
     controller = case.controller()
     last = controller.tick(case.measurement, case.reference)
-    sums = controller.force_law.integral.copy()
+    sums = controller.force_integral.copy()
     wrenches = case.measurement.wrenches.copy()
     wrenches[1, axis] = size
     tau = controller.tick(replace(case.measurement, wrenches=wrenches), case.reference)
     assert controller.status is osc.Status.HELD
     assert f"arm '{case.chain.arms[1].name}' reads more than it measures" in controller.reason
     np.testing.assert_array_equal(tau, last)
-    np.testing.assert_array_equal(controller.force_law.integral, sums)
+    np.testing.assert_array_equal(controller.force_integral, sums)
     controller.tick(case.measurement, case.reference)
     assert controller.status is osc.Status.OK and controller.state is RUN
 
@@ -96,17 +96,17 @@ def test_ticks_without_a_wrench_go_on_with_the_last_one_for_a_while(case: TickCa
     controller, other = case.controller(), case.controller()
     for each in (controller, other):
         each.tick(case.measurement, case.reference)
-    sums = controller.force_law.integral.copy()
+    sums = controller.force_integral.copy()
     states = []
     for _ in range(25):
         tau = controller.tick(gone, case.reference)
         want = other.tick(case.measurement, case.reference)
-        other.force_law.integral = sums  # what is old is not integrated
+        other.force_integral = sums  # what is old is not integrated
         states.append(controller.state)
         if len(states) == 1:
             np.testing.assert_allclose(tau, want, rtol=0, atol=1e-1)
         if len(states) <= 20:
-            np.testing.assert_array_equal(controller.force_law.integral, sums)
+            np.testing.assert_array_equal(controller.force_integral, sums)
     assert states == [DEGRADED] * 20 + [DEGRADED] * 2 + [HOLD] * 3
     assert "no wrench was read for longer than wrench_timeout" in controller.reason
     first = case.controller()

@@ -41,7 +41,7 @@ def test_contact_forces_are_the_commanded_ones_at_every_instant(changes):
         plant.hold(tau)
         alpha = plant.truth().alpha
         np.testing.assert_allclose(alpha, controller.signals.alpha_u, rtol=1e-9)
-        controller.force_law.integral = np.zeros(2)
+        controller.force_integral = np.zeros(2)
         controller.tick(plant.measure(), rig.references.at(1.06 + 1e-3 * k))
         np.testing.assert_allclose(controller.signals.alpha_meas, alpha, rtol=1e-9)
         plant.command(tau, 1e-3)

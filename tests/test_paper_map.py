@@ -159,7 +159,7 @@ PROOF = "`tests/test_projections.py::test_identities_9_to_12`"
     [
         (GOOD, PROOF, None),
         ("planned", "planned", None),
-        ("`osc_contact/control/laws.py::Laws.force`", PROOF, None),
+        ("`osc_contact/control/custom_laws.py::Laws.force`", PROOF, None),
         ("`osc_contact/control/signals.py::BLOCKS`", PROOF, None),
         ("`osc_contact/law/force.py::command_force`", PROOF, None),
         ("`osc_contact/law/force.py::command_motion`", PROOF, "defines no"),

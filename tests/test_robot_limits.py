@@ -135,7 +135,7 @@ def test_a_force_that_is_far_too_large_stops_it_and_so_does_one_that_is_not_felt
         states = []
         for _ in range(120):
             controller.tick(pressed(case, times), case.reference)
-            controller.motion_law.integral = np.zeros(6)
+            controller.motion_integral = np.zeros(6)
             states.append(controller.state)
         assert states.index(SAFE_STOP) in (ticks - 1, ticks), states.index(SAFE_STOP)
         assert word in controller.reason and case.pairs[0].name in controller.reason
@@ -151,8 +151,8 @@ def test_the_force_integral_is_bounded() -> None:
         seen = []
         for _ in range(4000):
             controller.tick(dead, wish)
-            controller.motion_law.integral = np.zeros(6)
-            seen.append(abs(controller.force_law.integral[0]))
+            controller.motion_integral = np.zeros(6)
+            seen.append(abs(controller.force_integral[0]))
         assert max(seen) <= room * (1 + 1e-12)
         assert max(seen) > 0.5 * room
 
@@ -165,7 +165,7 @@ def test_the_motion_integral_is_bounded() -> None:
     off.translation = off.translation + np.array([0.01, -0.01, 0.0])
     for _ in range(60):
         controller.tick(case.measurement, replace(case.reference, X_WD=off))
-    largest = 2000.0 * np.abs(controller.motion_law.integral).max()
+    largest = 2000.0 * np.abs(controller.motion_integral).max()
     assert largest == pytest.approx(0.5)
 
 

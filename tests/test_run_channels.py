@@ -49,7 +49,7 @@ def run_plainly(rig):
         found = controller.result()
         alpha = speed = np.zeros(len(pushing))
         if len(found.alpha_meas):
-            contact = controller.last_signals().contact
+            contact = controller.signals.contact
             alpha, speed = contact.magnitudes(found.alpha_meas), found.normal_speed @ contact.R
         seen = monitor.update(np.where(pushing, alpha, np.abs(alpha)), speed)
         ticks.append({

@@ -12,7 +12,7 @@ import pytest
 
 import osc_contact as osc
 from benchmarks.cases import CASES, TickCase, repeatable
-from osc_contact.control.safety import SafetyState
+from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.scenarios.control_schema import SafetySettings
@@ -34,7 +34,7 @@ def blind(case: TickCase) -> osc.Measurement:
 def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case: TickCase, lost: int) -> None:
     controller = case.controller()
     good = controller.tick(case.measurement, case.reference)
-    sums = controller.motion_law.integral.copy(), controller.force_law.integral.copy()
+    sums = controller.motion_integral.copy(), controller.force_integral.copy()
     states = []
     for _ in range(lost):
         tau = controller.tick(blind(case), case.reference)
@@ -45,8 +45,8 @@ def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case: TickCase, lost: in
             np.testing.assert_array_equal(tau, good)
     assert states == ([DEGRADED] * 2 + [HOLD] * 17 + [SAFE_STOP] * 6)[:lost]
     assert controller.faults == min(lost, 20)
-    np.testing.assert_array_equal(controller.motion_law.integral, sums[0])
-    np.testing.assert_array_equal(controller.force_law.integral, sums[1])
+    np.testing.assert_array_equal(controller.motion_integral, sums[0])
+    np.testing.assert_array_equal(controller.force_integral, sums[1])
     controller.tick(case.measurement, case.reference)
     if lost < 20:
         assert controller.state is RUN and controller.status is osc.Status.OK
@@ -57,7 +57,7 @@ def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case: TickCase, lost: in
         assert controller.state is RUN
         for _ in range(5):  # as fast as motors may change
             tau = controller.tick(case.measurement, case.reference)
-            controller.motion_law.integral = controller.force_law.integral = np.zeros(6)
+            controller.motion_integral = controller.force_integral = np.zeros(6)
         np.testing.assert_allclose(tau, good, rtol=0, atol=1e-9)
         assert controller.status is osc.Status.OK
 

@@ -11,7 +11,7 @@ import pytest
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.control.rotation_vector import rotation_of
+from osc_contact.control.set_point import rotation_of
 
 DT = 1e-3
 LINEAR, ANGULAR = osc.JerkLimits(0.3, 2.0, 40.0), osc.JerkLimits(1.0, 8.0, 150.0)

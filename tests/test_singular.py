@@ -44,7 +44,7 @@ def assert_faded(chain, q, v, posture, controller):
 
     A share φ weighs 1/φ, at most 1e8: so many digits are lost.
     """
-    s, task = controller.last_signals(), PostureTask()
+    s, task = controller.signals, PostureTask()
     state, told = s.state, controller.lost_directions
     assert len(told) == len(state.singular_directions)
     assert (controller.status is osc.Status.DEGRADED) == bool(told)
@@ -136,7 +136,7 @@ def test_torques_are_continuous_through_the_straight_elbow(rest):
         q = straight_panda(offset)
         controller, tau = tick(chain, q, v, posture)
         assert controller.status is not osc.Status.HELD, controller.reason
-        ranks.add(controller.last_signals().state.arms[0].rank)
+        ranks.add(controller.signals.state.arms[0].rank)
         if before is not None:
             assert np.abs((tau - before) / chain.tau_max).max() < 0.02, offset
         before = tau
@@ -152,7 +152,7 @@ def test_torques_of_the_pair_are_continuous_until_both_elbows_are_straight():
     for k, q in enumerate(postures):
         controller, tau = tick(chain, q, np.zeros(10), postures[0])
         assert controller.status is not osc.Status.HELD, controller.reason
-        state = controller.last_signals().state
+        state = controller.signals.state
         ranks.add(state.arms[0].rank)
         if before is not None:
             assert np.abs((tau - before) / chain.tau_max).max() < 0.02, q[1]
@@ -169,7 +169,7 @@ def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed():
     posture = straight_panda(-0.5)
     controller, tau = tick(chain, q, v, posture)
     assert controller.status is osc.Status.DEGRADED
-    s = controller.last_signals()
+    s = controller.signals
     (lost,) = s.state.singular_directions
     assert lost.share == 0.0 and lost.chi > 1e-3
     got = kkt(chain, q, v, tau)

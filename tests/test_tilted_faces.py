@@ -33,7 +33,7 @@ def slid(scenario, duration):
     run = osc.run(scenario, duration=duration, install=lambda c: kept.append(c) or c)
     rig, controller = osc.build_rig(scenario), max(kept, key=lambda c: c._records.memory.ticked)
     (true,), (believed,) = rig.pairs, rig.controlled_pairs()
-    n = believed.normal - controller._records.column_memory[0].turn
+    n = believed.normal - controller._records.memory.columns[0].turn
     off = [float(np.rad2deg(np.arcsin(np.linalg.norm(np.cross(n, pair.normal)))))
            for pair in (true, believed)]  # fmt: skip
     return *off, osc.metrics(run)
@@ -122,7 +122,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         V_D = 0.3 * rng.normal(size=6)
         reference = osc.Reference(X, V_D, np.zeros(6), np.array([10.0]))
         controller.tick(measurement, reference)
-        memory = controller._records.column_memory[0]
+        memory = controller._records.memory.columns[0]
         d = 0.03 * rng.normal(size=3)
         new = pair.normal + d
         new /= np.linalg.norm(new)
@@ -147,7 +147,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         share = square**2 / (square**2 + SLIDES**4)
         rate = 1 - np.exp(-gains.force.drift * DT)
         n = n - rate * share * (across - 0.02) * along / square
-        turned = controller._records.columns[0].turned
+        turned = controller._records.work.columns[0].turned
         got = carrier.rotation @ (sign * pair.normal + turned)
         np.testing.assert_allclose(got, n / np.linalg.norm(n), atol=1e-10)
 

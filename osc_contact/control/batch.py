@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
 from osc_contact.control.controller import Controller
-from osc_contact.control.model_row import ModelRow
-from osc_contact.control.reports import Status
-from osc_contact.control.tick_records import TickRecords
+from osc_contact.control.records import TickRecords
+from osc_contact.control.status import Status
 from osc_contact.control.torque_limits import MotorLimits
 from osc_contact.errors import InvalidInputError, ModelError, SolverError
 from osc_contact.law import tables as at
@@ -55,16 +55,14 @@ class BatchController:
             self._require_fitting(i, one)
         self.rows, self.threads = len(controllers), threads
         self._settings = [c.settings for c in controllers]
-        self._names = ModelRow.__new__(ModelRow)
-        self._names.pairs = first._records.row.pairs
         self._bytes = Rows(
-            np.stack([c._records.row.raw for c in controllers]),
+            np.stack([c._records.model_bytes for c in controllers]),
             np.stack([c._records.memory_bytes for c in controllers]),
             threads,
         )
         self._start = self._bytes.memory.copy()
         self._call = first._rows
-        head, B = first._records.row.head, self.rows
+        head, B = first._records.model, self.rows
         self._n, self._k, self._n_a = int(head.n_joints), int(head.n_arms), int(head.n_motors)
         self._r, self._c = int(head.n_columns), int(head.n_contacts)
         self._still, self._zeros = np.zeros((0, 28)), np.zeros((B, 6))
@@ -81,7 +79,7 @@ class BatchController:
                 f"row {i} differs from row 0 in {', '.join(differing)}; a batch has one "
                 "structure: make one batch for each"
             )
-        if one._outside.needed:
+        if one._custom.needed:
             raise InvalidInputError(
                 f"row {i} has pairs, bodies or laws that only Python can evaluate; a batch "
                 "runs the packaged ones"
@@ -180,9 +178,9 @@ class BatchController:
 
     def _relieve(self, i: int, thread: int, args: tuple[Any, ...]) -> None:
         """Torques within the limits for a row that has just ended SATURATED."""
-        rows = TickRecords(self._names, self._bytes, i, thread)
+        rows = TickRecords(self._bytes, i, thread)
         if i not in self._limits:
-            self._limits[i] = MotorLimits(self._settings[i], rows.row)
+            self._limits[i] = MotorLimits(self._settings[i], rows.model)
         try:
             self._limits[i].relieve(rows)
         except SolverError:
@@ -197,8 +195,6 @@ class BatchController:
         """Where no arm holds the object rigidly: find it once, from the joints alone."""
         if self._settings[0].chain.leader is not None:
             return
-        import pinocchio as pin
-
         for i in np.flatnonzero(self._memories["located"] == 0):
             chain = self._settings[i].chain
             data = chain.model.createData()
@@ -234,7 +230,7 @@ class BatchController:
             raise InvalidInputError(f"row {row}; the batch has rows 0 … {self.rows - 1}")
         self._require_fitting(row, controller)
         records = controller._records
-        self._bytes.model[row] = records.row.raw
+        self._bytes.model[row] = records.model_bytes
         for memory in (self._bytes.memory, self._start):
             memory[row] = records.memory_bytes
         self._settings[row] = controller.settings
@@ -280,7 +276,7 @@ def _pool(threads: int) -> ThreadPoolExecutor | None:
 
 
 def _structure_of(controller: Controller) -> dict[str, int]:
-    head = controller._records.row.head
+    head = controller._records.model
     shape = ("n_arms", "n_joints", "n_motors", "n_columns", "n_contacts", "row_bytes",
              "memory_bytes", "slipping", "leader")  # fmt: skip
     return {name: int(head[name]) for name in shape}

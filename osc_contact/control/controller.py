@@ -1,33 +1,31 @@
-"""The decoupled force/motion controller, fig. 4: one row of the law's tables, and its status."""
+"""The decoupled force/motion controller, fig. 4: its tick, its state, and copies of it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.control.controller_copies import ControllerCopies
-from osc_contact.control.freshness import Freshness
-from osc_contact.control.laws import Laws
-from osc_contact.control.loops import ForceLoop, MotionLoop, refuse
-from osc_contact.control.outside import Outside
-from osc_contact.control.phases import Phase
-from osc_contact.control.reading import Reading
-from osc_contact.control.reasons import (
+from osc_contact.control.custom_laws import CustomParts, Laws
+from osc_contact.control.inputs import (
+    Freshness,
     convert_arrays,
     converting,
     read_joints,
     require_shapes,
     require_sizes,
 )
-from osc_contact.control.reports import Status
-from osc_contact.control.settings import Settings
-from osc_contact.control.signals import Block, Signals
+from osc_contact.control.reasons import explain
+from osc_contact.control.records import TickRecords, pack_gains, pack_model, pack_safety
+from osc_contact.control.settings import Reading, Settings
+from osc_contact.control.signals import BLOCKS, Block, Signals, TickResult
 from osc_contact.control.start_check import StartCheck
-from osc_contact.control.tick_records import TickRecords
+from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetyState, Status
 from osc_contact.control.torque_limits import MotorLimits, scale_torques
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.rail import Body
@@ -35,6 +33,7 @@ from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows
+from osc_contact.law.layout import Bytes
 from osc_contact.law.tables import DEGRADED, JOINTS, OBJECT_UNKNOWN, WRISTS
 from osc_contact.scenarios.control_schema import (
     Friction,
@@ -43,32 +42,30 @@ from osc_contact.scenarios.control_schema import (
     PostureTask,
     SafetySettings,
 )
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, as_array
 
-__all__ = ["Block", "Controller", "Signals", "Status"]
+__all__ = ["Controller"]
 
-_SETTABLE = ("f_tare", "f_bias", "engaged", "motion_law.integral", "force_law.integral")
+_SETTABLE = ("f_tare", "f_bias", "engaged", "motion_integral", "force_integral")
+#: What `reset` sets to zero: of MEMORY, and of its columns.
+_FORGOTTEN = (
+    "age", "faults", "lost", "overspeed", "powered", "ending", "compared", "frozen", "still",
+    "wrench_age", "balanced", "apart", "repeats", "fresh", "step_left", "motion_sum", "force_sum",
+)  # fmt: skip
+_FORGOTTEN_OF_COLUMNS = ("underforce", "overforce", "time_since_loss", "has_desired")
 
 
-class Controller(ControllerCopies):
+class Controller:
     """Dynamically decoupled force/motion control of one held object (fig. 4).
 
     Everything is taken at construction and stays: `with_gains` and `with_laws` make another
-    controller that goes on from where this one is. Controllers share nothing that changes, can be
-    copied, pickled, and each used in a thread of its own.
+    controller that continues from here. Controllers share nothing that changes, can be copied,
+    pickled, and each used in a separate thread.
 
     Attributes:
-        chain, contacts, gains, dt, B, bodies, posture, friction, life: as given.
-        reading: as given, or as chosen.
-        f_tare: (6,) constant error of the wrist readings at O, removed from each.
-        f_bias: (6,) constant wrench added to the command, learnt before contact.
-        engaged: whether the contacts are part of the model; False treats the object as free.
-        motion_law, force_law: gains and integrals of the two loops.
+        settings, laws: as given. chain, contacts, gains, dt, B, bodies, posture, friction, life:
+            of the settings. reading: as given, or as chosen.
     """
-
-    _converting: bool  #: arrays of other types came: the law's call converts
-    _freshness: Freshness
-    _rows: Any
 
     def __init__(
         self,
@@ -120,80 +117,95 @@ class Controller(ControllerCopies):
                 although there are contacts: their forces could not be measured.
             ModelError: an arm that the law cannot take.
         """
-        self._begin(
-            Settings(
-                chain,
-                tuple(contacts),
-                Gains() if gains is None else gains,
-                dt,
-                B,
-                () if bodies is None else tuple(bodies),
-                np.zeros(0) if posture is None else posture,
-                PostureTask() if posture_task is None else posture_task,
-                friction,
-                life,
-                SafetySettings() if safety is None else safety,
-                joint_friction,
-                reading,
-            ),
-            Laws() if laws is None else laws,
+        settings = Settings(
+            chain,
+            tuple(contacts),
+            Gains() if gains is None else gains,
+            dt,
+            B,
+            () if bodies is None else tuple(bodies),
+            np.zeros(0) if posture is None else posture,
+            PostureTask() if posture_task is None else posture_task,
+            friction,
+            life,
+            SafetySettings() if safety is None else safety,
+            joint_friction,
+            reading,
         )
         chain.law_row(led=False)  # judges the arms
-        memory, contacts_memory = self._records.memory, self._records.contacts
-        self._reset_contacts()
+        self._begin(settings, Laws() if laws is None else laws)
+        memory, force = self._records.memory, settings.gains.force
         memory.X_WO[:] = np.eye(4)
         memory.engaged = engaged
-        if not engaged:
-            contacts_memory.active[:] = 0
-            if life is not None:
-                pushes = self._records.row.head.bodies.pushes
-                contacts_memory.phase[:] = np.where(pushes, Phase.OPEN, Phase.CLOSED)
-                self._records.column_memory.closed[:] = 0
+        contact = memory.contacts
+        contact.active[:] = engaged
+        contact.phase[:] = Phase.CLOSED
+        contact.gain[:] = force.integral
+        contact.damping[:] = force.damping
+        contact.brake[:] = force.brake
+        contact.least[:] = -np.inf
+        contact.since[:] = np.inf  # as if for ever
+        memory.columns.closed[:] = 1
+        if life is not None and not engaged:
+            contact.phase[self._records.model.bodies.pushes != 0] = Phase.OPEN
+            memory.columns.closed[:] = 0
 
     def _begin(
         self,
         settings: Settings,
         laws: Laws,
-        records: TickRecords | None = None,
-        outside: Outside | None = None,
+        model: Bytes | None = None,
+        custom: CustomParts | None = None,
     ) -> None:
-        if outside is None:
-            outside = Outside(settings, laws)
-        if records is None:
-            records = TickRecords(outside.row)
-        self.__dict__.update(
-            settings=settings, laws=laws, _outside=outside,
-            _rows=rows(), _still=np.zeros((0, 28)),
-            _moving=np.zeros((len(settings.contacts), 28)),
-            _arms=len(settings.chain.arms), _in_parts=outside.needed,
-            _limits=None, _given_up=None, _failure=None, _inputs=None, _result=None,
-            _converting=False, _freshness=Freshness(settings.dt, settings.safety.wrench_timeout),
-            _start=StartCheck(), _starting=True,
-            motion_law=MotionLoop(settings.gains.motion, settings.dt, records.memory),
-            force_law=ForceLoop(settings.gains.force, settings.dt, records.memory),
-        )  # fmt: skip
-        self._take_records(records)
+        """Take what a controller is made of; `model`: bytes of MODEL, where they are known."""
+        self.__dict__.update(settings=settings, laws=laws)
+        self._custom = CustomParts(settings, laws) if custom is None else custom
+        self._rows: Any = rows()
+        self._still = np.zeros((0, 28))
+        self._moving = np.zeros((len(settings.contacts), 28))
+        self._arms = len(settings.chain.arms)
+        self._limits: MotorLimits | None = None
+        self._given_up: LimitLoss | None = None
+        self._failure: Exception | None = None
+        self._inputs: tuple[Any, Any] = (None, None)  #: of the last tick that did not end OK
+        self._result: TickResult | None = None
+        self._converting = False  #: arrays of other types came: the law's call converts
+        self._freshness = Freshness(settings.dt, settings.safety.wrench_timeout)
+        self._start = StartCheck()
+        self._starting = True
+        self._take_records(TickRecords(self._custom.model if model is None else model))
 
     def _begin_start(self, start: StartCheck, starting: bool) -> None:
         """Look at joints and wrists in the ticks to come, or look no more."""
-        self._start, self._starting = start, starting
+        self._start = start
+        self._starting = starting
         self._take_records(self._records)
 
     def _take_records(self, records: TickRecords) -> None:
         self._records = records
-        self.motion_law._memory = self.force_law._memory = records.memory
-        self._codes, self._squeeze = records.status, records.squeeze
+        memory = records.memory
+        plain = self._arms < 3 and not self._custom.needed and not self._starting
         self._tables = (
-            records.rows.raw, records.squeeze, records.torques, self._still, self._rows,
-            self._arms < 3 and not self._in_parts and not self._starting,
+            records.rows.raw, memory.squeeze, memory.torques, self._still, self._rows, plain
         )  # fmt: skip
-
-    # --- what it is made of ----------------------------------------------------------------------
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name not in _SETTABLE and not name.startswith("_"):
-            raise refuse("controller", name, _SETTABLE)
+            raise InvalidInputError(
+                f"controller.{name} is taken when a controller is made, and would be ignored "
+                "afterwards. controller.with_gains(...) and controller.with_laws(...) make another "
+                f"one that continues without a jump; settable are {', '.join(_SETTABLE)}"
+            )
         object.__setattr__(self, name, value)
+
+    def __getattr__(self, name: str) -> Any:
+        settings = self.__dict__.get("settings")
+        if settings is not None and name in ("chain", "contacts", "gains", "dt", "B", "bodies",
+                                             "posture", "friction", "reading"):  # fmt: skip
+            return getattr(settings, name)
+        if settings is not None and name == "life":
+            return settings.phases
+        raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
 
     # --- a tick ----------------------------------------------------------------------------------
 
@@ -223,12 +235,12 @@ class Controller(ControllerCopies):
             return self._convert(measurement, reference, error)
 
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """At the start; with bodies that move, stamps, three arms, or code of the user's."""
+        """At the start; with bodies that move, stamps, three arms, or custom code."""
         if measurement.stamps is not None or measurement.sequence is not None:
             self._records.memory.repeated = self._freshness.require(measurement)
         if measurement.estimated:
             self._records.memory.derived = 1
-        if self._converting and self._in_parts:  # code of the user's takes arrays
+        if self._converting and self._custom.needed:  # custom code takes arrays
             measurement, reference = convert_arrays(measurement, reference)
         if self._starting and self._start.is_done(self, measurement):
             self._begin_start(self._start, False)
@@ -238,7 +250,7 @@ class Controller(ControllerCopies):
         if touched is not None:
             table, flags = self._motions(touched), law.MOVING
         if self._arms < 3:
-            self._squeeze[0] = reference.squeeze_d
+            self._records.memory.squeeze[0] = reference.squeeze_d
         else:
             flags |= self._bar_forces(reference.squeeze_d)
         args = (
@@ -246,8 +258,8 @@ class Controller(ControllerCopies):
             reference.V_D, reference.A_D, reference.alpha_d, table,
         )  # fmt: skip
         error = None
-        if self._in_parts:
-            error = self._outside.tick(self, measurement, reference, args, flags)
+        if self._custom.needed:
+            error = self._custom.tick(self, measurement, reference, args, flags)
         elif self._run(args, flags) == 2:
             return self.last_torques()
         return self._end(measurement, reference, error)
@@ -304,7 +316,7 @@ class Controller(ControllerCopies):
         error: Exception | None = None,
     ) -> Array:
         """What is left to do after a tick that did not end OK; `error`: raised outside the law."""
-        code = int(self._codes[0])
+        code = int(self._records.memory.status)
         if code == DEGRADED:  # the law did it all, and nothing of the controller's has changed
             return self.last_torques()
         self._given_up = None
@@ -312,8 +324,7 @@ class Controller(ControllerCopies):
         if code == Status.HELD:
             if not self._records.memory.ticked:
                 require_shapes(measurement, reference, self.settings)
-            work = self._records.work
-            if work.reason == OBJECT_UNKNOWN and self._locate(measurement.q):
+            if self._records.work.reason == OBJECT_UNKNOWN and self._locate(measurement.q):
                 return self.tick(replace(measurement, stamps=None, sequence=None), reference)
         elif code == Status.SATURATED:
             try:
@@ -321,7 +332,7 @@ class Controller(ControllerCopies):
                     self._given_up = scale_torques(self._records, self.chain)
                     return self.last_torques()
                 if self._limits is None:
-                    self._limits = MotorLimits(self.settings, self._records.row)
+                    self._limits = MotorLimits(self.settings, self._records.model)
                 self._limits.relieve(self._records)
             except SolverError as why:
                 self._hold(measurement)
@@ -338,13 +349,11 @@ class Controller(ControllerCopies):
 
     def _bar_forces(self, squeeze_d: float | Array) -> int:
         """Internal forces of three arms and more; the number 0 leaves them at least effort."""
-        self._squeeze[:] = squeeze_d
+        self._records.memory.squeeze[:] = squeeze_d
         return 0 if np.ndim(squeeze_d) == 0 and squeeze_d == 0.0 else law.COMMANDED
 
     def _locate(self, q: Array) -> bool:
         """Find the object from the joints alone; from then on the law does, tick by tick."""
-        import pinocchio as pin
-
         chain = self.chain
         memory = self._records.memory
         if chain.leader is not None or memory.located == 2:  # 2: tried at this tick already
@@ -362,23 +371,283 @@ class Controller(ControllerCopies):
     def engage(self) -> None:
         """Take the contacts into the model, without a jump.
 
-        What the motion integral has learnt in free space (weight errors, as a force) goes on as a
-        constant wrench, in the contact directions too; the integrators start again from zero.
+        What the motion integral holds in free space (weight errors, as a force) becomes a constant
+        wrench, in the contact directions too (bumpless transfer); the integrators start from zero.
         """
         if not self.engaged:
             self._require_tick()
             self._start.judge(self)
             self._begin_start(self._start, self._starting or bool(self._start.refused))
             self._hand_over()
-            self.force_law.integral = np.zeros(0)
+            self.force_integral = np.zeros(0)
             self.engaged = True
 
-    def _reset_contacts(self) -> None:
-        """All contacts closed, their terms those of the force law."""
-        contacts, gains = self._records.contacts, self.gains.force
-        contacts.active[:], contacts.phase[:] = 1, Phase.CLOSED
-        contacts.gain[:], contacts.damping[:] = gains.integral, gains.damping
-        contacts.brake[:] = gains.brake
-        contacts.least[:] = -np.inf
-        contacts.since[:] = np.inf  # as if for ever
-        self._records.column_memory.closed[:] = 1
+    # --- what it reports --------------------------------------------------------------------------
+
+    @property
+    def status(self) -> Status:
+        """How the last tick ended."""
+        return Status(int(self._records.memory.status))
+
+    @property
+    def reason(self) -> str:
+        """Why `status` is not OK; empty if it is."""
+        if self.status is Status.HELD:
+            return explain(self._records, self.settings, *self._inputs, self._failure)
+        return str(self.given_up or "; ".join(map(str, self.lost_directions)))
+
+    @property
+    def state(self) -> SafetyState:
+        """Whether the controller runs, holds a posture or has stopped; see `SafetyState`."""
+        return SafetyState(int(self._records.memory.state))
+
+    @property
+    def state_age(self) -> int:
+        """Ticks since `state` last changed."""
+        return int(self._records.memory.age)
+
+    @property
+    def faults(self) -> int:
+        """Ticks in a row, up to the last one, that could not be computed."""
+        return int(self._records.memory.faults)
+
+    @property
+    def repeated(self) -> int:
+        """Ticks in a row, up to the last one, computed with readings that were there before."""
+        return self._freshness.repeated
+
+    @property
+    def unbraked(self) -> str | None:
+        """A joint without any sound reading, so that it cannot be braked reliably; None: none.
+
+        The arms are to be stopped by their mechanical brakes then.
+        """
+        joint = int(self._records.memory.unbraked)
+        stopped = self.state is SafetyState.SAFE_STOP
+        return self.chain.joint_names[joint] if stopped and joint >= 0 else None
+
+    def reset(self) -> None:
+        """Run again after a stop: both integrals at zero; tare, bias and phases are kept."""
+        memory = self._records.memory
+        self._freshness.forget()
+        if self._start.refused:
+            self._begin_start(StartCheck(), True)
+        memory.state = SafetyState.RUN
+        for name in _FORGOTTEN:
+            memory.head[name] = 0
+        for table in (memory.joints, memory.arms):
+            table.view(np.ndarray)[:] = np.zeros(1, table.dtype)
+        for name in _FORGOTTEN_OF_COLUMNS:
+            memory.columns[name][:] = 0
+
+    @property
+    def given_up(self) -> LimitLoss | None:
+        """What motor limits cost in the last tick; None: nothing."""
+        if self.status is not Status.SATURATED:
+            return None
+        if self._given_up is None and self._limits is not None:
+            self._given_up = self._limits.given_up(self._records)
+        return self._given_up
+
+    @property
+    def lost_directions(self) -> tuple[LostDirection, ...]:
+        """In which motion commands were reduced near a singular posture."""
+        if self.status is Status.HELD:
+            return ()
+        return self._records.lost_directions([arm.name for arm in self.chain.arms])
+
+    @property
+    def signals(self) -> Signals:
+        """The signals of fig. 4 as the last computed tick left them.
+
+        Raises:
+            InvalidInputError: there was none yet.
+        """
+        self._require_tick()
+        memory = self._records.memory
+        squeeze = float(memory.squeeze[0]) if self._arms < 3 else memory.squeeze.copy()
+        return Signals(self.settings, self._records, squeeze, memory.torques)
+
+    def wiring(self) -> list[Block]:
+        """The boxes of fig. 4 with the signals that each reads and writes."""
+        return self.laws.boxes(BLOCKS)
+
+    def result(self) -> TickResult:
+        """The numbers of the last tick that recordings keep; the next tick overwrites them.
+
+        Raises:
+            InvalidInputError: there was no tick yet.
+        """
+        self._require_tick()
+        if self._result is None or self._result.records is not self._records:
+            self._result = TickResult.of(self._records)
+        return self._result
+
+    def _require_tick(self) -> None:
+        if not self._records.memory.ticked:
+            raise InvalidInputError(
+                "no tick has been computed yet; call tick first"
+                + (f" (the last one was held: {self.reason})" if self.status else "")
+            )
+
+    def last_torques(self) -> Array:
+        """(n_a,) what the last tick gave out."""
+        return self._records.memory.torques.copy()
+
+    def joint_acceleration(self) -> Array:
+        """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
+        return np.array(self._records.work.joints.acceleration)
+
+    def residual_wrench(self) -> Array:
+        """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
+
+        Its mean at rest without contact is the tare, to be stored in `f_tare`: weight errors
+        cannot be distinguished from contact forces once contact is made.
+        """
+        result = self.result()
+        return np.asarray(result.f_meas + self.f_tare - result.bias_out)
+
+    def phases(self) -> Array:
+        """(contacts,) open 0, approaching 1, closed 2 (`Phase`) as of the last tick."""
+        contacts = self._records.memory.contacts
+        phase = contacts.phase if self.life is not None else Phase.CLOSED
+        return np.where(contacts.active != 0, phase, Phase.OPEN).astype(np.int64)
+
+    @property
+    def f_tare(self) -> Array:
+        """(6,) constant error of the wrist readings at O (N, N m), removed from each."""
+        return np.array(self._records.memory.f_tare)
+
+    @f_tare.setter
+    def f_tare(self, wrench: Array) -> None:
+        self._records.memory.f_tare[:] = as_array("f_tare", wrench, (6,))
+
+    @property
+    def f_bias(self) -> Array:
+        """(6,) constant wrench added to the command at O (N, N m)."""
+        return np.array(self._records.memory.f_bias)
+
+    @f_bias.setter
+    def f_bias(self, wrench: Array) -> None:
+        self._records.memory.f_bias[:] = as_array("f_bias", wrench, (6,))
+
+    @property
+    def engaged(self) -> bool:
+        """Whether the contacts are part of the model; False: the object counts as free."""
+        return bool(self._records.memory.engaged)
+
+    @engaged.setter
+    def engaged(self, engaged: bool) -> None:
+        self._records.memory.engaged = engaged
+        if self.life is None or not engaged:
+            self._records.memory.contacts.active[:] = engaged
+
+    @property
+    def motion_integral(self) -> Array:
+        """(6,) ∫e dt of the motion law (m s, rad s)."""
+        return np.array(self._records.memory.motion_sum)
+
+    @motion_integral.setter
+    def motion_integral(self, value: Array) -> None:
+        self._records.memory.motion_sum[:] = as_array("motion integral", value, (6,))
+
+    @property
+    def force_integral(self) -> Array:
+        """(r,) K_i ∫(α_d − α_meas) dt of the force law (N)."""
+        memory = self._records.memory
+        return np.array(memory.force_sum[: int(memory.force_rank)])
+
+    @force_integral.setter
+    def force_integral(self, value: Array) -> None:
+        memory = self._records.memory
+        value = as_array("force integral", value, (None,))
+        if len(value) > 6:
+            raise InvalidInputError(f"force integral: {len(value)} values; N has 6 columns at most")
+        memory.force_sum[: len(value)] = value
+        memory.force_rank = len(value)
+
+    # --- copies -----------------------------------------------------------------------------------
+
+    def with_gains(self, gains: Gains) -> Self:
+        """Another controller with these gains that continues from here (bumpless transfer).
+
+        The force integral is a force and stays. The command of the motion integral stays too: ∫e
+        is scaled by the old gain over the new one, or added to `f_bias` if the new one is 0.
+        """
+        settings = replace(self.settings, gains=gains)
+        other = self._another(settings, self.laws)
+        memory, model = other._records.memory, other._records.model
+        pack_gains(settings, model)
+        before, after = self.gains.motion.integral, gains.motion.integral
+        if after > 0.0:
+            memory.motion_sum *= before / after
+        elif memory.ticked:
+            other._records.work_bytes[:] = self._records.work_bytes
+            model.integral = before
+            other._hand_over()
+            model.integral = 0.0
+        if settings.phases is None:
+            memory.contacts.gain[:] = gains.force.integral
+            memory.contacts.damping[:] = gains.force.damping
+            memory.contacts.brake[:] = gains.force.brake
+        return other
+
+    def with_safety(self, safety: SafetySettings) -> Self:
+        """Another controller with these limits of the robot that continues from here."""
+        settings = replace(self.settings, safety=safety)
+        other = self._another(settings, self.laws)
+        pack_safety(settings, other._records.model)
+        return other
+
+    def with_laws(self, **laws: Callable[..., Any] | None) -> Self:
+        """Another controller that continues from here with custom laws, see `Laws`."""
+        return self._another(self.settings, replace(self.laws, **laws))
+
+    def _another(self, settings: Settings, laws: Laws) -> Self:
+        other = type(self).__new__(type(self))
+        same = settings is self.settings and laws is self.laws
+        records = self._records
+        other._begin(settings, laws, records.model_bytes, self._custom if same else None)
+        other._records.memory_bytes[:] = records.memory_bytes
+        other._records.memory.status = Status.OK
+        other._begin_start(deepcopy(self._start), self._starting)
+        return other
+
+    def __copy__(self) -> Self:
+        other = self._another(self.settings, self.laws)
+        other._records.work_bytes[:] = self._records.work_bytes
+        other._records.memory.status = self.status
+        other._given_up, other._failure, other._inputs = self.given_up, self._failure, self._inputs
+        return other
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return self.__copy__()
+
+    def __getstate__(self) -> dict[str, Any]:
+        r = self._records
+        return {
+            "settings": self.settings,
+            "laws": self.laws,
+            "columns": self._custom.columns(r.model),
+            "memory": r.memory_bytes,
+            "work": r.work_bytes,
+            "given_up": self.given_up,
+            "inputs": self._inputs,
+            "start": (self._start, self._starting),
+            "failure": None if self._failure is None else str(self._failure),
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        settings = state["settings"]
+        self._begin(settings, state["laws"], pack_model(settings, state["columns"]))
+        self._records.memory_bytes[:] = state["memory"]
+        self._records.work_bytes[:] = state["work"]
+        self._begin_start(*state["start"])
+        self._given_up, self._inputs = state["given_up"], state["inputs"]
+        why = state["failure"]
+        self._failure = None if why is None else OscContactError(why)
+
+    def _hand_over(self) -> None:
+        zeros, six = np.zeros(self.chain.nq), np.zeros(6)
+        given = zeros, zeros, np.zeros((self._arms, 6)), np.eye(4), six, six, np.zeros(0)
+        self._run((*given, self._still), begin=law.HAND_OVER)

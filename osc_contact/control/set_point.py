@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from osc_contact.control.rotation_vector import rotation_of
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Reference, as_squeeze
 from osc_contact.jerk_limits import JerkLimits, Trajectory
-from osc_contact.spatial import Array, as_array, as_pose
+from osc_contact.spatial import Array, as_array, as_pose, cross, skew
 
-__all__ = ["PoseSetPoint", "SetPoint", "SetPointState"]
+__all__ = ["PoseSetPoint", "SetPoint", "SetPointState", "rotation_of"]
 
 
 class SetPointState(NamedTuple):
@@ -167,3 +167,43 @@ def _pose(name: str, X: pin.SE3) -> pin.SE3:
     if not isinstance(X, pin.SE3):
         raise InvalidInputError(f"{name}: expected a pin.SE3, got {type(X).__name__}")
     return as_pose(name, X.translation, X.rotation)
+
+
+def rotation_of(w: Array, w_dot: Array, w_ddot: Array) -> tuple[Array, Array, Array]:
+    """R (3, 3), ω and ω̇ (3,) in world axes of the rotation exp[w]× with moving w (3,).
+
+    ω = A ẇ with A = a + b [w]× + c w wᵀ, a = sin θ/θ, b = (1 − cos θ)/θ², c = (θ − sin θ)/θ³;
+    ω̇ = A ẅ + Ȧ ẇ.
+
+    Args:
+        w, w_dot, w_ddot: (3,) rotation vector and derivatives (rad, rad/s, rad/s²).
+    """
+    square = float(w @ w)
+    a, b, c, a1, b1, c1 = _functions_of_angle(square)
+    along, across = float(w @ w_dot), cross(w, w_dot)
+    omega = a * w_dot + b * across + (c * along) * w
+    rate = a1 * along * w_dot + b1 * along * across + (c1 * along**2) * w  # ȧ = a₁ wᵀẇ, …
+    turning = c * (along * w_dot + float(w_dot @ w_dot) * w)
+    omega_dot = a * w_ddot + b * cross(w, w_ddot) + (c * float(w @ w_ddot)) * w + rate + turning
+    W = skew(w)
+    return np.eye(3) + a * W + b * (W @ W), omega, omega_dot
+
+
+_EVEN = np.arange(8)
+#: (3, 8) coefficients of (θ²)ᵏ in a, b, c of `rotation_of`: (−1)ᵏ/(2k + 1)!, /(2k + 2)!, /(2k + 3)!
+_SERIES = np.array(
+    [[(-1) ** k / math.factorial(2 * k + first) for k in range(8)] for first in (1, 2, 3)]
+)
+_SLOPES = _SERIES[:, 1:] * 2 * _EVEN[1:]
+
+
+def _functions_of_angle(square: float) -> tuple[float, float, float, float, float, float]:
+    """a, b, c of `rotation_of` at θ² and their derivatives by θ, divided by θ."""
+    if square < 0.1:
+        powers = square**_EVEN
+        a, b, c, *slopes = map(float, (*(_SERIES @ powers), *(_SLOPES @ powers[:-1])))
+        return a, b, c, slopes[0], slopes[1], slopes[2]
+    angle = math.sqrt(square)
+    a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+    c = (1.0 - a) / square
+    return a, b, c, (math.cos(angle) - a) / square, (a - 2 * b) / square, (b - 3 * c) / square

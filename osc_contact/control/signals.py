@@ -1,4 +1,4 @@
-"""The signals of fig. 4 as one tick left them: values, worked out from its records alone."""
+"""What one tick found: the signals of fig. 4 as values, and the arrays that recordings keep."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.contact import Contact
+from osc_contact.control.records import TickRecords
 from osc_contact.control.settings import Settings
-from osc_contact.control.tick_records import TickRecords
 from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.interface import Reference, Touched
+from osc_contact.law import tables as at
 from osc_contact.spatial import Array
 
-__all__ = ["BLOCKS", "Block", "SIGNALS", "Signals"]
+__all__ = ["BLOCKS", "SIGNALS", "Block", "Signals", "TickResult", "internal_forces"]
 
 
 @dataclass(frozen=True)
@@ -81,66 +82,73 @@ class Signals:
     ) -> None:
         """Copy what a tick has left."""
         self._settings = settings
-        rows = records.copy()
-        self._rows, w = rows, rows.work
-        self.q, self.v = rows.joints.q.copy(), rows.joints.v.copy()
-        self.wrenches = rows.arms.reading.copy()
-        self.alpha_d, self.squeeze_d, self.tau = rows.columns.alpha_d.copy(), squeeze_d, tau.copy()
+        self._records = records.copy()
+        w = self._records.work
+        r = int(w.rank)
+        self.q = w.joints.q.copy()
+        self.v = w.joints.v.copy()
+        self.wrenches = w.arms.reading.copy()
+        self.alpha_d = w.columns.alpha_d.copy()
+        self.squeeze_d = squeeze_d
+        self.tau = tau.copy()
         self.reference = Reference(
             pin.SE3(w.X_WD.copy()), w.V_D.copy(), w.A_D.copy(), self.alpha_d, squeeze_d
         )
         self.touched = None
         if w.moving:
-            m = rows.bodies.motion.copy()
+            m = w.bodies.motion.copy()
             self.touched = Touched(m[:, :16].reshape(-1, 4, 4), m[:, 16:22], m[:, 22:])
-        r = int(w.rank)
-        self.f_meas, self.f_c_meas, self.a_u = w.f_meas.copy(), w.f_c.copy(), w.a_u.copy()
-        self.alpha_meas, self.alpha_u = w.alpha_meas[:r].copy(), w.alpha_u[:r].copy()
+        self.f_meas = w.f_meas.copy()
+        self.f_c_meas = w.f_c.copy()
+        self.a_u = w.a_u.copy()
+        self.alpha_meas = w.alpha_meas[:r].copy()
+        self.alpha_u = w.alpha_u[:r].copy()
         self.friction_wrenches = w.friction_wrenches[:r].T.copy()
 
     @cached_property
     def state(self) -> ChainState:
-        chain = self._settings.chain
-        X = None if chain.leader is not None else pin.SE3(self._rows.work.X_WO.copy())
-        V = None if X is None else self._rows.work.V_O.copy()
-        return chain.state(self.q, self.v, X, V, data=chain.model.createData())
+        chain, work = self._settings.chain, self._records.work
+        led = chain.leader is not None
+        motion = () if led else (pin.SE3(work.X_WO.copy()), work.V_O.copy())
+        return chain.state(self.q, self.v, *motion, data=chain.model.createData())
+
+    @cached_property
+    def _active(self) -> list[int]:
+        """Contacts with columns in force, in their order."""
+        work = self._records.work
+        owners = self._records.model.columns.contact[work.columns.chosen[: int(work.count)]]
+        return list(dict.fromkeys(owners.tolist()))
 
     @cached_property
     def parts(self) -> list[Contact]:
-        rows, out = self._rows, []
-        owners = rows.row.pairs.owners
-        active = dict.fromkeys(owners[j] for j in rows.columns.chosen[: int(rows.work.count)])
-        for c in active:
-            mine = [j for j, owner in enumerate(owners) if owner == c]
-            N, n_gamma = rows.columns.N[mine].T, rows.columns.n_gamma_all[mine]
-            out.append(Contact(N, n_gamma, name=self._settings.contacts[c].name))
+        columns, out = self._records.work.columns, []
+        for c in self._active:
+            mine = self._records.model.columns.contact == c
+            name = self._settings.contacts[c].name
+            out.append(Contact(columns.N[mine].T, columns.n_gamma_all[mine], name=name))
         return out
 
     @cached_property
     def contact(self) -> Contact:
-        rows = self._rows
-        kept, r = rows.kept(), int(rows.work.rank)
-        if r == int(rows.work.count):
-            return Contact(rows.columns.N[kept].T, rows.work.n_gamma[:r].copy())
+        records, work = self._records, self._records.work
+        N, n_gamma = work.columns.N[records.kept()].T, work.n_gamma[: int(work.rank)].copy()
+        if work.rank == work.count:
+            return Contact(N, n_gamma)
         contact = Contact.__new__(Contact)  # the verdict is the tick's
-        contact.N, contact.n_gamma = rows.columns.N[kept].T.copy(), rows.work.n_gamma[:r].copy()
-        contact.name = ""
-        contact.__dict__["R"] = rows.shares()
+        contact.N, contact.n_gamma, contact.name = N.copy(), n_gamma, ""
+        contact.__dict__["R"] = records.shares()
         return contact
 
     @cached_property
     def environment(self) -> Environment:
-        rows = self._rows
-        if not rows.work.moving:
+        if not self._records.work.moving:
             return Environment.fixed()
-        owners = rows.row.pairs.owners
-        active = dict.fromkeys(owners[j] for j in rows.columns.chosen[: int(rows.work.count)])
-        bodies = rows.row.head.bodies.same
+        bodies = self._records.model.bodies.same[self._active].tolist()
         answers: dict[int, Environment] = {}
-        for body in (int(bodies[c]) for c in active):
-            Phi_e, b_e, V_e = np.split(rows.bodies.answer[body], (36, 42))
+        for body in bodies:
+            Phi_e, b_e, V_e = np.split(self._records.work.bodies.answer[body], (36, 42))
             answers.setdefault(body, Environment(Phi_e.reshape(6, 6).copy(), b_e, V_e))
-        each = [answers[int(bodies[c])] for c in active]
+        each = [answers[body] for body in bodies]
         return Environment.combine(self.parts, each, self.state.metric, self.friction_wrenches)
 
     @cached_property
@@ -149,14 +157,93 @@ class Signals:
 
     @cached_property
     def eta_c(self) -> Array:
-        S, a = self.state.S, self._rows.acceleration() - self.state.sigma
+        S, a = self.state.S, self._records.acceleration() - self.state.sigma
         H = S.T @ self.state.metric @ S
         return np.asarray(np.linalg.solve(H, S.T @ (self.state.metric @ a)))
 
     @cached_property
     def f_S(self) -> Array:
-        rows = self._rows
-        f = rows.work.f_S.copy()
-        f[: int(rows.work.locked)] = 0.0
-        wrench = np.linalg.solve(rows.motions().T, rows.reflection().T @ f)
+        records = self._records
+        f = records.work.f_S.copy()
+        f[: int(records.work.locked)] = 0.0
+        wrench = np.linalg.solve(records.motions().T, records.reflection().T @ f)
         return np.asarray(self.state.S.T @ wrench)
+
+
+def internal_forces(arms: int) -> int:
+    """How many internal forces recordings keep: one for each two grasps, at least one."""
+    return max(1, arms * (arms - 1) // 2)
+
+
+@dataclass(frozen=True, eq=False)
+class TickResult:
+    """Views of a controller's records: the next tick overwrites them. At O in world axes.
+
+    Attributes:
+        records: where all of it stands.
+        J: (n, 6) the joints' columns at the world's origin, one in each row.
+        f_meas, bias_out: (6,) wrist readings less tare; what they would be without contact.
+        f_c: (6,) contact force in them. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
+        error: (6,) pose error. free_error: (6,) Ω_m(Λ_o⁻¹) of it.
+        squeeze: (1,) internal force along the grasp line (N), > 0 compresses; with k ≥ 3 arms
+            (k(k − 1)/2,) that between each two grasps, as in `Reference.squeeze_d`, or zeros
+            where none is commanded.
+        magnitudes, speeds: (6,) contact magnitudes measured and NᵀV_rel of the independent
+            columns; the first r of them count.
+        flags: engaged (1,), phase and active (contacts,), closed and collision (r_all,).
+    """
+
+    records: TickRecords
+    J: Array
+    f_meas: Array
+    bias_out: Array
+    f_c: Array
+    V_O: Array
+    X_WO: Array
+    error: Array
+    free_error: Array
+    squeeze: Array
+    magnitudes: Array
+    speeds: Array
+    flags: list[Array]
+
+    @classmethod
+    def of(cls, records: TickRecords) -> TickResult:
+        """The views of these records."""
+        names = ("f_meas", "bias_out", "f_c", "V_O", "X_WO", "error", "free_error", "internal",
+                 "alpha_meas", "speed")  # fmt: skip
+        fields = [records.work[name] for name in names]
+        if len(records.work.bars) > 1:
+            fields[7] = records.work.bars
+        memory = records.memory
+        head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
+        contacts, columns = memory.contacts, memory.columns
+        flags = [
+            head["engaged"],
+            contacts.phase,
+            contacts.active,
+            columns.closed,
+            columns.collision,
+        ]
+        return cls(records, records.work.J_world, *[*fields, flags])
+
+    @property
+    def rank(self) -> int:
+        """r, independent columns of N in force."""
+        return int(self.records.work.rank)
+
+    @property
+    def alpha_meas(self) -> Array:
+        """(r,) contact magnitudes measured."""
+        return self.magnitudes[: self.rank]
+
+    @property
+    def normal_speed(self) -> Array:
+        """(r,) NᵀV_rel (m/s): 0 while the contacts last."""
+        return self.speeds[: self.rank]
+
+    @property
+    def mobility(self) -> Array:
+        """(r, r) D: normal acceleration for each newton on what is outboard of the sensors."""
+        r = self.rank
+        return self.records.work.mobility[:r, :r]

@@ -105,7 +105,7 @@ def is_clear(settings: Settings, rows: Any) -> bool:
     for i, pair in enumerate(settings.contacts):
         X_WE = None
         if rows.work.moving:
-            X_WE = pin.SE3(np.reshape(rows.bodies.motion[i, :16], (4, 4)).copy())
+            X_WE = pin.SE3(np.reshape(rows.work.bodies.motion[i, :16], (4, 4)).copy())
         gaps = pair.gaps(X_WO, X_WE)
         if len(gaps) and not np.min(np.abs(gaps)) > CLEAR:
             return False

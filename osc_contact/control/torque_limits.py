@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.control.model_row import ModelRow
-from osc_contact.control.reports import LimitLoss
+from osc_contact.control.records import TickRecords
 from osc_contact.control.settings import Settings
-from osc_contact.control.tick_records import TickRecords
+from osc_contact.control.status import LimitLoss
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.law.jit import direct
 from osc_contact.law.limits import TorqueLimits
@@ -23,11 +22,11 @@ NEAR_SINGULAR = 2  #: motions that a singular posture may add to those of a redu
 class MotorLimits:
     """The quadratic program of one controller, its arrays made once."""
 
-    def __init__(self, settings: Settings, row: ModelRow) -> None:
-        head, chain = row.head, settings.chain
+    def __init__(self, settings: Settings, model: Any) -> None:
+        chain = settings.chain
         self.chain, self.settings = chain, settings
         self._program = TorqueLimits(
-            chain.n_a, max(1, int(head.n_columns)), int(head.n_extra), _count_idle(chain)
+            chain.n_a, max(1, int(model.n_columns)), int(model.n_extra), _count_idle(chain)
         )
         self._program.mass = chain.reference.inertia.mass
         self._sizes = np.zeros(4, dtype=np.int64)
@@ -52,9 +51,9 @@ class MotorLimits:
         self._fill(*place, program._given, self._sizes)
         self._short = program.solve(*self._sizes.tolist())
         self._settle(*place, program.tau, program.lost_force, program.lost_squeeze)
-        if len(rows.bars) > 1:
+        if len(rows.work.bars) > 1:
             s = int(self._sizes[3])
-            rows.bars[:] -= rows.bar_basis()[:, :s] @ program.lost_squeeze[:s]
+            rows.work.bars[:] -= rows.bar_basis()[:, :s] @ program.lost_squeeze[:s]
         if not self._warm:
             self._fill, self._settle, self._warm = direct(self._fill), direct(self._settle), True
 
@@ -63,7 +62,7 @@ class MotorLimits:
         program, chain = self._program, self.chain
         _, r, _, s = self._sizes.tolist()
         lost, squeeze = program.lost_force[:r].copy(), program.lost_squeeze[:s].copy()
-        if len(rows.bars) > 1:
+        if len(rows.work.bars) > 1:
             squeeze = rows.bar_basis()[:, :s] @ squeeze
         motors = np.flatnonzero(program.at_limit)
         if r != int(rows.work.count):
@@ -79,21 +78,20 @@ class MotorLimits:
 def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
     """All torques by one factor until none exceeds its limit.
 
-    For control structures of the user's own, of which nothing is known.
+    For custom control structures, of which nothing is known.
 
     Args:
         rows: records of the tick. chain: its motors.
     """
-    wanted = rows.joints.tau[chain.actuated]
+    wanted = rows.work.joints.tau[chain.actuated]
     share = np.abs(wanted) / chain.tau_max
     motor = int(np.argmax(share))
     tau = wanted / share[motor]
     if rows.memory.ticked > 1:
-        step = rows.row.head.torque_rate * rows.row.head.period * chain.tau_max
-        tau = rows.torques + (tau - rows.torques) / max(
-            1.0, np.max(np.abs(tau - rows.torques) / step)
-        )
-    rows.torques[:] = tau
+        step = rows.model.torque_rate * rows.model.period * chain.tau_max
+        change = tau - rows.memory.torques
+        tau = rows.memory.torques + change / max(1.0, np.max(np.abs(change) / step))
+    rows.memory.torques[:] = tau
     rows.memory.faults = 0  # computed after all
     rows.memory.lost = max(int(rows.memory.lost) - 1, 0)
     return LimitLoss(

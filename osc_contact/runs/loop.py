@@ -12,7 +12,7 @@ from time import perf_counter
 from typing import Any, NoReturn, Protocol, TypeVar
 
 from osc_contact.control.controller import Controller
-from osc_contact.control.safety import SafetyState
+from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference, Robot
 from osc_contact.plants.judge import Plant, Truth

@@ -17,10 +17,9 @@ import pinocchio as pin
 from osc_contact import robots
 from osc_contact.contacts.pairs.pair import knows_where_it_slides, pushes_only
 from osc_contact.control.controller import Controller
-from osc_contact.control.reading import choose_reading
-from osc_contact.control.reports import Status
-from osc_contact.control.safety import SafetyState
+from osc_contact.control.settings import choose_reading
 from osc_contact.control.start_check import is_clear, judge_load
+from osc_contact.control.status import SafetyState, Status
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.dynamics.joint_modes import modes
@@ -344,7 +343,7 @@ def _acceleration(controller: Controller) -> Array:
     Their torques τ₀ move them by (1 − J̄J)M⁻¹(τ₀ − h). Without it nothing holds their posture, and
     they drift until a joint comes near its limit.
     """
-    chain, joints = controller.settings.chain, controller._records.joints
+    chain, joints = controller.settings.chain, controller._records.work.joints
     a = controller.joint_acceleration()
     for arm, s, grasp in zip(chain.arms, chain.slices, chain.grasps, strict=True):
         n = arm.model.nv

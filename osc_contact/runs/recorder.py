@@ -20,9 +20,8 @@ from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.control.controller import Controller
 from osc_contact.control.monitor import ContactMonitor, watch_series
-from osc_contact.control.phases import Phase
-from osc_contact.control.reports import Status
-from osc_contact.control.result import TickResult, internal_forces
+from osc_contact.control.signals import TickResult, internal_forces
+from osc_contact.control.status import Phase, Status
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.plants.judge import Judge, TruthLog, Truths
@@ -406,10 +405,7 @@ class Recorder:
         if result is not self._last:
             self._last = result
             self._parts = [np.ravel(getattr(result, name)) for name in self._names]
-            records = result.records
-            flags = ["engaged", "phase", "active", "closed", "collision"]
-            kept = flags[: None if self.of.controller.life is not None else 1]
-            self._flags = [getattr(records, name) for name in kept]
+            self._flags = result.flags[: None if self.of.controller.life is not None else 1]
             self._parts[:0] = [result.magnitudes[:r], result.speeds[:r]]
         parts = self._parts
         if result.rank != r:

@@ -53,7 +53,7 @@ class Start:
             ),
             "a tare": scenario.tare is not None,
             "a joint torque loop": scenario.control.joint_torque is not None,
-            "pairs, bodies or laws written in Python": controller._outside.needed,
+            "pairs, bodies or laws written in Python": controller._custom.needed,
         }
         why = [words for words, so in obstacles.items() if so]
         if why:

@@ -16,7 +16,7 @@ import pinocchio as pin
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from osc_contact.control.safety import SafetyState
+from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.loader import Template, read_text
 from osc_contact.scenarios.schema import Scenario

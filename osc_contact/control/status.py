@@ -1,4 +1,4 @@
-"""What a tick says beside its torques: how it ended, what was lost, and why."""
+"""What a tick reports beside its torques: how it ended, what was lost, and in which state."""
 
 from __future__ import annotations
 
@@ -9,16 +9,33 @@ import numpy as np
 
 from osc_contact.spatial import Array
 
-__all__ = ["LimitLoss", "LostDirection", "Status"]
+__all__ = ["LimitLoss", "LostDirection", "Phase", "SafetyState", "Status"]
 
 
 class Status(IntEnum):
     """How a tick ended. Anything but OK leaves a torque within limits and a reason to read."""
 
     OK = 0
-    SATURATED = 1  #: a motor limit was reached: `given_up` says at what cost
+    SATURATED = 1  #: a motor limit was reached: `given_up` has the cost
     HELD = 2  #: bad measurement or degenerate posture: the last good torques were repeated
-    DEGRADED = 3  #: near a singular posture: `lost_directions` says what was not commanded
+    DEGRADED = 3  #: near a singular posture: `lost_directions` has what was not commanded
+
+
+class SafetyState(IntEnum):
+    """What the controller does; `law.safety` and `law.watch` decide it."""
+
+    RUN = 0  #: the last tick was computed and nothing was lost
+    DEGRADED = 1  #: motors at their limits, near a singular posture, or a tick or two not computed
+    HOLD = 2  #: not computed: gravity compensation and damping at the last posture that was read
+    SAFE_STOP = 3  #: braked to rest and held, until `Controller.reset`
+
+
+class Phase(IntEnum):
+    """Of one contact; `law.phases` decides it."""
+
+    OPEN = 0  #: out of N: free motion
+    APPROACHING = 1  #: in N, guarded approach of the face at a set speed
+    CLOSED = 2  #: in N, under force control
 
 
 @dataclass(frozen=True)
@@ -47,11 +64,8 @@ class LimitLoss:
             f"{name}: {wanted:.4g} of ±{limit:.4g} wanted"
             for name, wanted, limit in zip(self.joints, self.wanted, self.limits, strict=True)
         )
-        a = self.acceleration
-        lost = [f"{value:.3f} {unit}" for value, unit in (
-            (np.linalg.norm(a[:3]), "m/s²"), (np.linalg.norm(a[3:]), "rad/s²")
-        )]  # fmt: skip
-        text = f"{motors}; given up: motion {lost[0]}, {lost[1]}"
+        linear, angular = (np.linalg.norm(part) for part in np.split(self.acceleration, 2))
+        text = f"{motors}; given up: motion {linear:.3f} m/s², {angular:.3f} rad/s²"
         if len(self.force):
             text += f", contact force {np.round(self.force, 3) + 0.0} N"
         if len(self.squeeze):

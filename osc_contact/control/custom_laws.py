@@ -1,0 +1,349 @@
+"""Laws, pairs and bodies in Python: what is evaluated between the compiled parts of a tick."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
+from typing import Any, cast
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, velocity
+from osc_contact.control.records import TickRecords, pack_model
+from osc_contact.control.settings import Settings
+from osc_contact.control.signals import Block, Signals
+from osc_contact.control.status import Phase
+from osc_contact.errors import ContactError, InvalidInputError
+from osc_contact.interface import Measurement, Reference, Touched
+from osc_contact.law import tables as at
+from osc_contact.law import tick as law
+from osc_contact.scenarios.control_schema import Friction
+from osc_contact.spatial import Array, classical_to_spatial
+
+__all__ = [
+    "CustomParts",
+    "ForceCommand",
+    "Laws",
+    "MotionCommand",
+    "StructureCommand",
+    "force_law",
+    "friction_wrenches",
+    "motion_law",
+]
+
+ForceCommand = Callable[[Array, Array], Array]
+MotionCommand = Callable[[Any, Any, Array], Array]
+StructureCommand = Callable[[Signals], tuple[Array, Array]]
+
+
+@dataclass(frozen=True)
+class Laws:
+    """What is put in place of the controller's own laws; None: nothing.
+
+    Attributes:
+        force: α_u = force(α_d, α_meas), (r,) magnitudes of the independent columns of N (N).
+        motion: p̈_u = motion(reference, X_WO, V_O), classical acceleration (6,) of the object at O
+            in world axes (m/s², rad/s²), from the reference, the object's pose and twist.
+        structure: (η̇_c, f_S) = structure(signals), (d,) each, in place of the motion filter and the
+            control structure, eqs. 24 and 21; `signals` holds what comes before them.
+    """
+
+    force: ForceCommand | None = None
+    motion: MotionCommand | None = None
+    structure: StructureCommand | None = None
+
+    def boxes(self, boxes: Sequence[Block]) -> list[Block]:
+        """The boxes of fig. 4 with the names of these laws."""
+        own = {"force law": self.force, "motion law": self.motion, "motion filter": self.structure,
+               "dynamic control structure": self.structure}  # fmt: skip
+        return [
+            replace(box, name=f"own {box.name}", equation="") if own.get(box.name) else box
+            for box in boxes
+        ]
+
+    def command_force(self, alpha_d: Array, alpha_meas: Array) -> Array:
+        """α_u (r,) of the custom force law.
+
+        Raises:
+            InvalidInputError: it returned anything but r finite numbers.
+        """
+        assert self.force is not None
+        returned = self.force(alpha_d, alpha_meas)
+        r = len(alpha_meas)
+        return _finite("force", returned, (r,), f"{r} finite numbers, one for each column of N")
+
+    def command_motion(self, reference: Any, X_WO: Any, V_O: Array) -> Array:
+        """Spatial acceleration (6,) of the custom motion law.
+
+        Args:
+            reference: of the tick. X_WO, V_O: pose and twist (6,) of the object.
+
+        Raises:
+            InvalidInputError: it returned anything but six finite numbers.
+        """
+        assert self.motion is not None
+        a = _finite("motion", self.motion(reference, X_WO, V_O), (6,), "six finite numbers")
+        return classical_to_spatial(a, V_O)
+
+    def command_structure(self, signals: Signals) -> tuple[Array, Array]:
+        """η̇_c and f_S (d,) of the custom structure law.
+
+        Raises:
+            InvalidInputError: it returned anything but twice d finite numbers.
+        """
+        assert self.structure is not None
+        d = signals.state.d
+        expected = f"η̇_c and f_S, {d} finite numbers each"
+        eta, f_S = _finite("structure", self.structure(signals), (2, d), expected)
+        return eta, f_S
+
+
+def _finite(law: str, returned: Any, shape: tuple[int, ...], expected: str) -> Array:
+    try:
+        array = np.asarray(returned, dtype=float)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise InvalidInputError(f"the {law} law returned {returned}: return {expected}")
+    return array
+
+
+def force_law(make: Callable[[], ForceCommand]) -> Callable[[Any], Any]:
+    """Put α_u = law(α_d, α_meas) in the place of the force law of fig. 5.
+
+    Args:
+        make: called once for every controller, so that laws with a memory do not share it: a class,
+            or a function without arguments. What it returns is called in every tick, see
+            `Laws.force`. If it returns anything else the controller holds its last torques, and
+            `Controller.reason` says why.
+
+    Returns:
+        A function from `Controller` to `Controller`, which `osc_contact.run` takes as ``install``.
+    """
+    return lambda controller: controller.with_laws(force=make())
+
+
+def motion_law(make: Callable[[], MotionCommand]) -> Callable[[Any], Any]:
+    """Put p̈_u = law(reference, X_WO, V_O) in the place of the motion law; see `force_law`."""
+    return lambda controller: controller.with_laws(motion=make())
+
+
+class CustomParts:
+    """Calls the parts of a tick one by one, and Python code in between.
+
+    Attributes:
+        needed: whether there is anything to call.
+        model: bytes of MODEL as packed at first, for the controller that is made with it.
+    """
+
+    def __init__(self, settings: Settings, laws: Laws) -> None:
+        self.settings = settings
+        self.laws = laws
+        self.model = pack_model(settings, {})
+        head = at.MODEL.view(self.model)
+        self._pairs = [
+            (number, settings.contacts[number])
+            for number, row in enumerate(head.pairs)
+            if row.kind == at.GIVEN
+        ]
+        self._bodies = [
+            (number, settings.bodies[number])
+            for number, row in enumerate(head.bodies)
+            if row.kind == at.ELSEWHERE and row.same == number
+        ]
+        custom = laws.force or laws.motion or laws.structure
+        self.needed = bool(self._pairs or self._bodies or custom)
+
+    def columns(self, model: Any) -> dict[int, int]:
+        """How many columns of N the custom pairs have in a MODEL, by number of the pair."""
+        return {number: int(model.pairs[number].count) for number, _ in self._pairs}
+
+    def tick(
+        self,
+        controller: Any,
+        measurement: Measurement,
+        reference: Reference,
+        args: tuple[Any, ...],
+        flags: int,
+    ) -> Exception | None:
+        """One tick; torques and status go to the controller's records.
+
+        Args:
+            controller: whose tick. measurement, reference: of the tick.
+            args, flags: of the compiled law.
+
+        Returns:
+            What custom code raised: then the posture is held.
+        """
+        laws = self.laws
+
+        def run(begin: int, stop: int, more: int = 0) -> bool:
+            controller._run(args, flags | more, begin, stop)
+            return bool(controller._records.memory.status != at.HELD)
+
+        if not run(law.LOOK, law.MEASURE, law.PARTIAL if self._pairs else 0):
+            return None
+        records = controller._records
+        try:
+            if self._pairs and records.memory.contacts.active.any():
+                evaluated = self._evaluate(records, measurement)
+                columns = {number: N.shape[1] for number, (N, _, _) in evaluated.items()}
+                if any(r != records.model.pairs[c].count for c, r in columns.items()):
+                    records = self._repack(controller, columns)
+                    if not run(law.LOOK, law.MEASURE):
+                        return None
+                for number, (N, n_gamma, wrenches) in evaluated.items():
+                    first = int(records.model.pairs[number].first)
+                    rows = records.work.columns[first : first + N.shape[1]]
+                    rows.N[:] = N.T
+                    rows.n_gamma_all[:] = n_gamma
+                    rows.friction_wrench[:] = wrenches.T
+            if self._bodies and measurement.touched is not None:
+                self._answer(records, measurement.touched)
+            misfit = np.size(reference.alpha_d) != len(records.work.columns)
+            if misfit and records.memory.engaged and not run(law.LOOK, law.MEASURE):
+                return None
+            if not run(law.MEASURE, law.COMMAND, law.OWN_FORCE if laws.force else 0):
+                return None
+            work = records.work
+            given = 0
+            if laws.force is not None:
+                r = int(work.rank)
+                work.alpha_u[:r] = laws.command_force(
+                    work.alpha_d[:r].copy(), work.alpha_meas[:r].copy()
+                )
+                given |= law.OWN_FORCE
+            if laws.motion is not None:
+                X_WO = pin.SE3(work.X_WO.copy())
+                work.a_u[:] = laws.command_motion(reference, X_WO, work.V_O.copy())
+                given |= law.OWN_MOTION
+            if not run(law.COMMAND, law.ALLOCATE, given):
+                return None
+            if laws.structure is not None:
+                self._structure(records)
+        except Exception as error:  # whatever custom code raises ends as a status
+            controller._hold(measurement)
+            return error
+        run(law.ALLOCATE, law.END)
+        return None
+
+    def _evaluate(self, records: TickRecords, measurement: Measurement) -> dict[int, Any]:
+        """N (6, r), n_γ (r,) and N_μ − N (6, r) of the custom pairs that are in force."""
+        X_WO = pin.SE3(records.work.X_WO.copy())
+        V_O = records.work.V_O.copy()
+        touched = measurement.touched
+        friction = self.settings.friction
+        evaluated = {}
+        for number, pair in self._pairs:
+            if not records.memory.contacts.active[number]:
+                continue
+            face = () if touched is None else _face(touched, number)
+            contact = pair.contact(X_WO, V_O, *face)
+            N, n_gamma = contact.N, contact.n_gamma
+            if not isfinite(np.vdot(N, N) + np.vdot(n_gamma, n_gamma)):
+                raise ContactError(f"{pair.name}: N or n_γ is not finite")
+            if not contact.split_is_unique:
+                N, n_gamma = N @ contact.R, n_gamma @ contact.R
+            wrenches = np.zeros(N.shape)
+            if friction is not None:
+                wrenches = _friction_wrenches(friction, pair, X_WO, V_O, *face)
+            if wrenches.shape != N.shape:
+                raise ContactError(
+                    f"{pair.name}: {len(wrenches.T)} points of contact, {len(N.T)} "
+                    "independent forces; friction needs one for each"
+                )
+            evaluated[number] = (N, n_gamma, wrenches)
+        return evaluated
+
+    def _answer(self, records: TickRecords, touched: Touched) -> None:
+        O = records.work.O.copy()  # noqa: E741
+        for c, body in self._bodies:
+            assert body is not None
+            e = body.environment(pin.SE3(touched.X_WE[c]), touched.V_E[c], touched.A_E[c], O)
+            records.work.bodies.answer[c] = np.concatenate((e.Phi_e.ravel(), e.b_e, e.V_e))
+
+    def _repack(self, controller: Any, changed: dict[int, int]) -> TickRecords:
+        """Records with other numbers of columns; the rest of the memory is kept."""
+        old = controller._records
+        columns = {**self.columns(old.model), **changed}
+        new = TickRecords(pack_model(self.settings, columns))
+        begin = at.MEMORY.dtype.fields["layout"][0].itemsize
+        same = int(new.memory.layout[list(at.MEMORY.tables).index("columns")])
+        new.memory_bytes[begin:same] = old.memory_bytes[begin:same]
+        phase = new.memory.contacts.phase[new.model.columns.contact]
+        new.memory.columns.closed[:] = phase == Phase.CLOSED
+        controller._take_records(new)
+        controller._limits = None
+        return new
+
+    def _structure(self, records: TickRecords) -> None:
+        """η̇_c and f_S of the custom structure law, into the turned energy coordinates.
+
+        A law with `fill(records)` writes x and f_S of WORK itself, without signals: 0.1 ms a tick
+        instead of 1 ms.
+        """
+        fill = getattr(self.laws.structure, "fill", None)
+        if fill is not None:
+            fill(records)
+            return
+        signals = Signals(self.settings, records, 0.0, records.memory.torques)
+        eta, f_S = self.laws.command_structure(signals)
+        state = signals.state
+        turn, back = records.reflection(), records.motions()
+        records.work.x[:] = turn @ np.linalg.solve(back, state.S @ eta + state.sigma)
+        H = state.S.T @ state.metric @ state.S
+        wrench = state.metric @ state.S @ np.linalg.solve(H, f_S)
+        records.work.f_S[:] = turn @ (back.T @ wrench)
+
+
+def friction_wrenches(
+    friction: Friction,
+    pairs: Sequence[ContactPair],
+    X_WO: pin.SE3,
+    V_O: Array,
+    touched: Touched | None,
+) -> Array:
+    """N_μ − N (6, r) at O, world axes: friction wrench of each column of N.
+
+    A contact that slides pulls the environment along: with the force α it applies N_μ α,
+
+        N_μ = N + μ [s; p × s],    s = v_t / √(v_t² + v_0²),
+
+    v_t the slip velocity of the object at the contact point p, in the tangent plane. N_μ stands
+    where a force acts (on the right of the wrist filter's solve, in the feed-forward of the force
+    command); N stays where the contact's constraint is tested.
+
+    Args:
+        friction: μ and slip speed v_0. pairs: the contacts.
+        X_WO, V_O: pose and twist (6,) of the object.
+        touched: motion of the bodies touched; None: at rest.
+    """
+    columns = [np.zeros((6, 0))]
+    for i, pair in enumerate(pairs):
+        face = () if touched is None else _face(touched, i)
+        columns.append(_friction_wrenches(friction, pair, X_WO, V_O, *face))
+    return np.hstack(columns)
+
+
+def _face(touched: Touched, i: int) -> tuple[Any, ...]:
+    """Pose and twist of the body at a contact."""
+    return pin.SE3(np.asarray(touched.X_WE[i], dtype=float)), touched.V_E[i]
+
+
+def _friction_wrenches(
+    friction: Friction,
+    pair: ContactPair,
+    X_WO: pin.SE3,
+    V_O: Array,
+    X_WE: pin.SE3 | None = None,
+    V_E: Array | None = None,
+) -> Array:
+    points = cast(Any, pair).points_of_contact(X_WO, X_WE) - X_WO.translation[:, None]
+    normals = pair.contact(X_WO, V_O, X_WE, V_E).N[:3]
+    v = velocity(Bodies.at_O(X_WO, V_O, X_WE, V_E).V_rel, points)
+    v = v - normals * (normals * v).sum(axis=0)
+    slides = v / np.sqrt((v * v).sum(axis=0) + friction.slip**2)
+    return friction.mu * lines_of_force(points, slides)

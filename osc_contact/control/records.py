@@ -1,0 +1,298 @@
+"""One controller's records: its MODEL row as packed from settings, and views of all its bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.pairs.law_pair import PairRow, law_row
+from osc_contact.contacts.pairs.pair import pushes_only
+from osc_contact.control.status import LostDirection
+from osc_contact.dynamics.arm import effort_scale
+from osc_contact.dynamics.chain_rows import pack_chain
+from osc_contact.dynamics.rail import Body, Cart, Conveyor
+from osc_contact.law import frames
+from osc_contact.law import tables as at
+from osc_contact.law.layout import Bytes, Rows, new_model, views
+from osc_contact.law.safety import BRAKE_RATE
+from osc_contact.law.watch import SURE
+from osc_contact.scenarios.control_schema import Friction
+from osc_contact.scenarios.spec import Spec
+from osc_contact.spatial import Array
+
+if TYPE_CHECKING:
+    from osc_contact.control.settings import Settings
+
+__all__ = [
+    "SLIDING_SLIP",
+    "TURNING_SLIP",
+    "TickRecords",
+    "joint_limit_margins",
+    "pack_gains",
+    "pack_model",
+    "pack_safety",
+]
+
+_GIVEN = PairRow(at.GIVEN, ())
+_NEVER = 1e12  #: ticks
+_WHOLE = np.pi  #: rad or m; a larger range of a joint, or one that is open, counts as this much
+#: Speed of a joint from which on its dry friction counts as fully developed (rad/s, m/s).
+TURNING_SLIP = 1e-3
+SLIDING_SLIP = 3e-4
+
+
+def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
+    """The bytes of MODEL, which also determine the sizes of MEMORY and WORK.
+
+    Args:
+        settings: of the controller.
+        columns: of N, by number of the pair, for pairs that only Python can evaluate; unknown: 0.
+    """
+    chain = settings.chain
+    pairs = [law_row(pair) or _GIVEN for pair in settings.contacts]
+    counts = [
+        columns.get(number, 0) if row.kind == at.GIVEN else len(row.shapes) - row.freedoms
+        for number, row in enumerate(pairs)
+    ]
+    shapes = [shape for row in pairs for shape in row.shapes]
+    raw = new_model(len(chain.arms), chain.nq, chain.n_a, len(pairs), len(shapes), sum(counts))
+    head = at.MODEL.view(raw)
+    pack_chain(chain, raw, chain.leader)
+    _pack_joints(settings, head)
+    first_column = first_shape = 0
+    bodies = _body_kinds(settings.bodies)
+    for number, (row, r) in enumerate(zip(pairs, counts, strict=True)):
+        pair, body = head.pairs[number], head.bodies[number]
+        pair.kind = row.kind
+        pair.first = first_column
+        pair.count = r
+        pair.shape_at = first_shape
+        pair.freedoms = row.freedoms
+        pair.has_friction = row.rubs
+        head.columns.contact[first_column : first_column + r] = number
+        body.pushes = pushes_only(settings.contacts[number])
+        body.kind, body.same, numbers = bodies[number]
+        body.parameters[: len(numbers)] = numbers
+        first_column += r
+        first_shape += len(row.shapes)
+    for place, shape in zip(head.shapes, shapes, strict=True):
+        place.row[:] = shape
+    pack_gains(settings, head)
+    pack_safety(settings, head)
+    return raw
+
+
+def pack_gains(settings: Settings, head: Any) -> None:
+    """What may differ between controllers of one structure."""
+    dt = settings.dt
+    motion, force = settings.gains.motion, settings.gains.force
+    _copy(motion, head)
+    head.period = dt
+    _copy(
+        force,
+        head,
+        integral="force_gain",
+        damping="force_damping",
+        brake="force_brake",
+        rise="step_time",
+    )
+    drifts = force.brake > 0.0 or force.tilt > 0.0
+    head.drift_share = -np.expm1(-force.drift * dt) if drifts else 0.0
+    head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # of a chord
+    _copy(settings.posture_task, head, stiffness="posture_stiffness", damping="posture_damping")
+    _copy(settings.friction or Friction(mu=0.0), head)
+    head.reading = at.LEAST_SQUARES if settings.reading == "least_squares" else at.FILTER
+    B = settings.B
+    kinds = {"object": at.BY_OBJECT, "chain": at.BY_CHAIN}
+    head.metric = kinds[B] if isinstance(B, str) else at.BY_MATRIX
+    head.B_inv[:] = np.eye(6) if isinstance(B, str) else np.linalg.inv(B)
+    head.phased = settings.phases is not None
+    if settings.phases is not None:
+        _copy(
+            settings.phases,
+            head,
+            speed="approach_speed",
+            damping="approach_damping",
+            least="least_force",
+            share="lost_share",
+            torque_rate="phase_rate",
+        )
+
+
+def pack_safety(settings: Settings, head: Any) -> None:
+    """Limits of the robot, and what becomes of ticks that cannot be computed."""
+    safety = settings.safety
+    _copy(safety, head, stop_after="fault_ticks")
+    # s from the decision to stop until the brakes are on, as far as stopping ways are concerned
+    head.reaction = 0.5 / safety.hold_rate + 0.5 / BRAKE_RATE + SURE
+    head.guarded = 1
+    head.fast_ticks = round(min(safety.overspeed_time / settings.dt, _NEVER))
+    weight = 9.81 * settings.chain.reference.inertia.mass
+    head.force_range = max(safety.force_range, 3.0 * weight)
+    head.torque_range = max(safety.torque_range, 3.0 * weight)  # on a lever of 1 m
+    model = settings.chain.model
+    rows = head.joints
+    watched = (rows.motor >= 0) & (safety.brake_time > 0.0)
+    rows.lower[:] = np.where(watched, model.lowerPositionLimit, -np.inf)
+    rows.upper[:] = np.where(watched, model.upperPositionLimit, np.inf)
+    rows.brake[:] = 0.5 * safety.brake_time / rows.speed_max
+
+
+def _pack_joints(settings: Settings, head: Any) -> None:
+    chain = settings.chain
+    posture = settings.posture_task
+    rows = head.joints
+    margins = joint_limit_margins(chain.model, posture.limit_stiffness, posture.limit_margin)
+    effort = effort_scale(chain.tau_max)
+    rows.motor[:] = -1
+    rows.motor[chain.actuated] = np.arange(chain.n_a)
+    rows.effort[chain.actuated] = effort**2
+    rows.tau_max[chain.actuated] = chain.tau_max
+    rows.ease[chain.actuated] = 1.0 / effort**2
+    speed = chain.model.velocityLimit
+    rows.rated[:] = np.where(np.isfinite(speed) & (speed > 0.0), speed, np.inf)
+    rows.speed_max[:] = np.where(rows.motor < 0, np.inf, rows.rated)
+    rows.posture[:] = settings.posture
+    for name, values in zip(("low", "high", "width", "most"), margins, strict=True):
+        rows[name][:] = values
+    model = chain.model
+    rows.viscous[:] = model.damping
+    rows.dry[:] = model.upperDryFrictionLimit
+    rows.slip[:] = np.where(rows.slides != 0, SLIDING_SLIP, TURNING_SLIP)
+    head.rubs = settings.joint_friction and bool(rows.viscous.any() or rows.dry.any())
+
+
+def joint_limit_margins(
+    model: pin.Model, stiffness: float, margin: float
+) -> tuple[Array, Array, Array, Array]:
+    """Where the posture task keeps redundant arms off their joint limits, (n,) each.
+
+    At depth s of the margin w (0 where it begins, 1 at the limit and beyond it) a joint is pushed
+    back by a = k w (3s² − 2s³), the slope of a potential of k w² (s³ − s⁴/2): continuous with its
+    first derivative, and never above k w (a potential field after Khatib, 1986).
+
+    Args:
+        model: of all arms. stiffness: k (1/s²). margin: share of a joint's range, at each end of
+            it; a range counts as π (rad or m) at most.
+
+    Returns:
+        Where the margins begin (low, high; −inf, inf at ends without limit), their width w, k w.
+    """
+    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
+        width = margin * np.minimum(upper - lower, _WHOLE)
+    return lower + width, upper - width, width, stiffness * width
+
+
+def _copy(settings: Spec, head: Any, **names: str) -> None:
+    """Copy settings into the fields of their names, or of `names` where these differ."""
+    for key in type(settings).model_fields:
+        if (name := names.get(key, key)) in at.MODEL.dtype.names:
+            setattr(head, name, getattr(settings, key))
+
+
+def _body_kinds(bodies: Sequence[Body | None]) -> list[tuple[int, int, list[float]]]:
+    """Kind, first contact on the same body, parameters."""
+    out: list[tuple[int, int, list[float]]] = []
+    numbers: dict[Any, int] = {}
+    for c, body in enumerate(bodies):
+        if body is None:
+            out.append((at.UNYIELDING, c, []))
+            continue
+        same = numbers.setdefault(body, c)
+        if type(body) is Conveyor:
+            out.append((at.CONVEYOR, same, []))
+        elif type(body) is Cart:
+            u = body.direction
+            weight = float(u @ np.array(body.gravity))
+            numbers_of = [*u, body.mass, body.stiffness, body.damping, body.preload, weight]
+            out.append((at.CART, same, [float(x) for x in numbers_of]))
+        else:
+            out.append((at.ELSEWHERE, same, []))
+    return out
+
+
+class TickRecords:
+    """MODEL, MEMORY and WORK of one controller, in one run of bytes.
+
+    Attributes:
+        rows: the bytes; index, thread: which row of them, whose WORK. at: of its JOB.
+        model, memory, work: views, see `law.tables`; model_bytes, memory_bytes, work_bytes.
+        job: words of JOB, `switches`, `begin` and `stop` first.
+    """
+
+    def __init__(self, rows: Rows | Bytes, index: int = 0, thread: int = 0) -> None:
+        """Views of a row of `rows`; bytes: of new ones, which begin as this MODEL."""
+        self.rows = rows = rows if isinstance(rows, Rows) else Rows(rows)
+        self.index = index
+        self.at = rows.starts[thread]
+        self.model_bytes: Bytes = rows.model[index]
+        self.memory_bytes: Bytes = rows.memory[index]
+        self.work_bytes: Bytes = rows.work[thread]
+        self.job = rows.jobs[thread].view(np.int64)
+        self.model, self.memory, self.work, _ = views(rows, index, thread)
+
+    def copy(self) -> TickRecords:
+        """The same in separate bytes."""
+        other = TickRecords(self.model_bytes)
+        other.memory_bytes[:] = self.memory_bytes
+        other.work_bytes[:] = self.work_bytes
+        return other
+
+    def bar_basis(self) -> Array:
+        """(bars, bars) whose first columns are the settable bar forces, see `law.linkage`."""
+        return np.asarray(self.work.basis)
+
+    # --- energy coordinates, turned, and back ----------------------------------------------------
+
+    def reflection(self) -> Array:
+        """(6, 6) that turns energy coordinates so that the first axes are the locked ones."""
+        return frames.reflection(self.work)
+
+    def motions(self) -> Array:
+        """(6, 6) from energy coordinates to motions at O in world axes."""
+        return frames.motions(self.work)
+
+    def acceleration(self) -> Array:
+        """(6,) of the object at O as commanded, spatial."""
+        return np.asarray(self.motions() @ (self.reflection().T @ self.work.x))
+
+    def kept(self) -> Array:
+        """(r,) which columns of N were kept, of all."""
+        return self.work.columns.chosen[self.work.keep[: int(self.work.rank)].astype(int)]
+
+    def shares(self) -> Array:
+        """R (r, columns in force): every column in force from the kept ones."""
+        r, count = int(self.work.rank), int(self.work.count)
+        return np.eye(r) if r == count else self.work.columns.share[:count, :r].T.copy()
+
+    def spread(self) -> tuple[Array, Array]:
+        """Measured magnitudes and speeds (r_all,), 0 where the contact was out of N.
+
+        Where columns depend on others this is one split of many, see `Contact.magnitudes`.
+        """
+        r, count = int(self.work.rank), int(self.work.count)
+        out = np.zeros((2, len(self.work.columns)))
+        if r:
+            R, chosen = self.shares(), self.work.columns.chosen[:count]
+            alpha, speed = self.work.alpha_meas[:r], self.work.speed[:r]
+            out[0, chosen] = alpha if r == count else R.T @ np.linalg.solve(R @ R.T, alpha)
+            out[1, chosen] = speed @ R
+        return out[0], out[1]
+
+    def lost_directions(self, names: list[str]) -> tuple[LostDirection, ...]:
+        """What arms near singular postures are losing, in words and units."""
+        if not self.work.n_lost:
+            return ()
+        to_motion = self.motions() / self.model.reference
+        out = []
+        for name, arm in zip(names, self.work.arms, strict=True):
+            for e in range(int(arm.n_lost)):
+                twist = to_motion @ arm.lost[e]
+                size = np.linalg.norm(twist[:3]) or np.linalg.norm(twist[3:])
+                ratio = 1.0 / max(float(arm.chi[e]), 1e-12) ** 2
+                out.append(LostDirection(name, float(arm.share[e]), ratio, twist / size))
+        return tuple(out)
