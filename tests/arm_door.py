@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 
 from osc_contact.dynamics.chain_state import ArmTerms
-from osc_contact.law.arm_terms import arm_terms
 from osc_contact.law.jit import PLAIN_PYTHON
-from osc_contact.law.layout import Rows, new_model, row_of, views
+from osc_contact.law.operational import arm_terms
+from osc_contact.law.records import Rows, new_model, row_of, views
 
 
 def compiled(function):

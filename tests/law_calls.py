@@ -1,7 +1,7 @@
 """Parts of the law as plain Python: the one place where tests call them.
 
-`from law_calls import force` is `osc_contact.law.force` with every function uncompiled, whatever it
-calls included. Tests hand over records made by hand, so that each part is judged alone.
+`from law_calls import reading` is `osc_contact.law.reading` with every function uncompiled, and so
+is whatever it calls. Tests pass records made by hand, so that each part is judged alone.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from functools import cache
 from importlib import import_module
 
 from osc_contact.law.jit import as_python
-from osc_contact.law.tables import Tick
+from osc_contact.law.records import Tick
 
 plain = cache(as_python)
 

@@ -41,8 +41,8 @@ from coverage import CoverageData
 
 ROOT = Path(__file__).resolve().parent.parent
 #: How the law is compiled is not the law: these lines do not run without compilation. Nor are the
-#: sizes of records (`tables`, `layout`): larger ones are no fault, smaller ones end in an error.
-LEFT_OUT = ("__init__.py", "accelerator.py", "compiled.py", "jit.py", "tables.py", "layout.py")
+#: sizes of records: larger ones are no fault, smaller ones end in an error.
+LEFT_OUT = ("__init__.py", "accelerator.py", "compiled.py", "jit.py", "records.py")
 MODULES = ("projections.py", "spans.py", "response.py", "control/monitor.py")
 JUDGES = (
     "law_parts", "law_stages", "law_kkt", "law_watch", "contact_kinds", "pairs",
@@ -52,15 +52,15 @@ JUDGES = (
 )  # fmt: skip
 #: Whose tests come first: those of the part itself. `law_kkt` judges whole ticks after them.
 OWN = {
-    "law_parts": ("six.py", "algebra.py", "motion.py", "held_object.py", "contact.py", "tilt.py"),
-    "law_stages": ("force.py", "least_squares.py", "safety.py", "singular.py", "command_filter.py",
-                   "allocation.py", "energy.py", "stages.py", "saturation.py", "verdict.py"),
+    "law_parts": ("vectors.py", "algebra.py", "commands.py", "grasps.py", "contact.py"),
+    "law_stages": ("reading.py", "safety.py", "operational.py", "command_filter.py",
+                   "allocation.py", "vectors.py", "tick.py", "limits.py"),
     "contact_kinds": ("contact.py",), "pairs": ("contact.py",),
-    "chain_oracles": ("arm_motion.py", "chain.py", "arm_terms.py", "energy.py", "grasps.py"),
-    "chain_state": ("arm_motion.py", "chain.py", "arm_terms.py"), "grasps": ("held_object.py",),
-    "law_watch": ("watch.py", "sensors.py"), "safety": ("safety.py",),
-    "law_phases": ("phases.py",), "law_steps": ("steps.py",), "law_linkage": ("linkage.py",),
-    "law_limits": ("limits.py", "saturation.py", "refinement.py"), "monitor": ("monitor.py",),
+    "chain_oracles": ("arm_motion.py", "chain.py", "operational.py", "vectors.py", "grasps.py"),
+    "chain_state": ("arm_motion.py", "chain.py", "operational.py"), "grasps": ("grasps.py",),
+    "law_watch": ("safety.py", "sensors.py"), "safety": ("safety.py",),
+    "law_phases": ("phases.py",), "law_steps": ("commands.py",), "law_linkage": ("bars.py",),
+    "law_limits": ("limits.py",), "monitor": ("monitor.py",),
 }  # fmt: skip
 SLOW = 6  #: s; a test that takes longer without compilation is no judge
 CHECK = 2.0  #: s of tests that have to pass without any mutant, three times

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import osc_contact
-from osc_contact.law import limits, saturation
+from osc_contact.law import limits
 from osc_contact.law.compiled import rows
 from osc_contact.law.jit import PLAIN_PYTHON
 
@@ -97,7 +97,7 @@ QUIET = {"gone.nbi", "gone.nbc", "pickle.nbi", "other.nbi", "flipped.nbi"}
 USES_THE_LAW = """
 import numpy as np
 from osc_contact.law.jit import entry
-from osc_contact.law.refinement import dot
+from osc_contact.law.limits import dot
 
 @entry
 def square(x):
@@ -158,7 +158,7 @@ def test_an_edit_of_any_source_of_the_law_has_its_entries_compiled_anew(tmp_path
 def test_all_entries_of_the_law_are_cached_in_this_way() -> None:
     from osc_contact.law.code_cache import CodeCache
 
-    entries = limits.prepare, limits.finish, saturation.fill_program, saturation.settle, rows()
+    entries = limits.prepare, limits.finish, limits.fill_program, limits.settle, rows()
     assert [type(entry._cache) for entry in entries] == 5 * [CodeCache]
 
 

@@ -18,7 +18,7 @@ from rich.console import Console
 
 import osc_contact as osc
 from osc_contact import console
-from osc_contact.law import jit, nested, tables
+from osc_contact.law import jit, nested, records
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import announced, parts_of, rows, tell
 
@@ -195,7 +195,7 @@ def test_parts_of_the_law_read_bytes_as_records_without_a_copy(parts: Any) -> No
 
 RECORDS = {
     name: x if isinstance(x, np.dtype) else x.dtype
-    for name, x in vars(tables).items()
+    for name, x in vars(records).items()
     if isinstance(x, np.dtype | nested.Nested)
 }
 

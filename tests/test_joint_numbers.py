@@ -14,7 +14,7 @@ from osc_contact import robots
 from osc_contact.control.records import TURNING_SLIP
 from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
 from osc_contact.interface import Measurement, Reference
-from osc_contact.law.tables import MODEL
+from osc_contact.law.records import MODEL
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.runs.report import verdict_table

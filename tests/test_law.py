@@ -20,7 +20,7 @@ from rigs import panda_pair, placed, random_faces, random_state
 import osc_contact as osc
 from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
 from osc_contact.interface import Measurement, Reference, Touched
-from osc_contact.law.tables import MODEL
+from osc_contact.law.records import MODEL
 
 UNLIMITED = osc.SafetySettings.motors_only()  # states that follow one another are no motion
 

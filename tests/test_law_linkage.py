@@ -19,9 +19,9 @@ from test_linkage import settable_bars as by_svd
 
 import osc_contact as osc
 from osc_contact.dynamics.arm import effort_scale
+from osc_contact.law.bars import settable_bars
 from osc_contact.law.jit import PLAIN_PYTHON
-from osc_contact.law.layout import Rows, new_model, row_of, views
-from osc_contact.law.linkage import settable_bars
+from osc_contact.law.records import Rows, new_model, row_of, views
 
 
 def compiled(function):

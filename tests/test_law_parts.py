@@ -13,10 +13,10 @@ from types import SimpleNamespace as Record
 import numpy as np
 import pinocchio as pin
 import pytest
-from law_calls import algebra, contact, held_object, motion, six, tick_of, tilt
+from law_calls import algebra, commands, contact, grasps, tick_of, vectors
 from law_calls import columns as columns_of_N
 
-from osc_contact.law import tables as at
+from osc_contact.law import records as at
 from osc_contact.law.contact import Motion
 
 SEEDS = pytest.mark.parametrize("seed", range(6))
@@ -52,21 +52,21 @@ def test_vectors_of_six_and_turned_points(seed):
     rng = rng_of(seed)
     A, a, b, s = rng.normal(size=(6, 6)), rng.normal(size=6), rng.normal(size=6), rng.normal()
     R, (x, y, z) = rng.normal(size=(4, 4)), rng.normal(size=3)
-    close(six.dot6(a, b), a @ b, atol=1e-13)
-    assert six.six(a) == tuple(a)
-    six.fill(out := np.zeros(6), a)
+    close(vectors.dot6(a, b), a @ b, atol=1e-13)
+    assert vectors.six(a) == tuple(a)
+    vectors.fill(out := np.zeros(6), a)
     np.testing.assert_array_equal(out, a)
-    close(six.add(a, s, b), a + s * b, atol=1e-13)
-    close(six.scaled(s, a), s * a, atol=1e-13)
-    close(six.times6(A, a), A @ a, atol=1e-13)
-    close(six.rotated(R, x, y, z), R[:3, :3] @ [x, y, z], atol=1e-13)
-    close(six.rotated_back(R, x, y, z), R[:3, :3].T @ [x, y, z], atol=1e-13)
+    close(vectors.add(a, s, b), a + s * b, atol=1e-13)
+    close(vectors.scaled(s, a), s * a, atol=1e-13)
+    close(vectors.times6(A, a), A @ a, atol=1e-13)
+    close(vectors.rotated(R, x, y, z), R[:3, :3] @ [x, y, z], atol=1e-13)
+    close(vectors.rotated_back(R, x, y, z), R[:3, :3].T @ [x, y, z], atol=1e-13)
     there = pin.SE3(np.eye(3), np.array([x, y, z])).actInv(pin.Motion(a))
-    close(six.velocity_at(a, x, y, z), there.linear, atol=1e-13)
+    close(vectors.velocity_at(a, x, y, z), there.linear, atol=1e-13)
     lower = np.tril(A)
-    six.mirror(A)
+    vectors.mirror(A)
     np.testing.assert_array_equal(A, lower + np.tril(lower, -1).T)
-    close(algebra.cross(*a), np.cross(a[:3], a[3:]), atol=1e-13)
+    close(vectors.cross(*a), np.cross(a[:3], a[3:]), atol=1e-13)
 
 
 def test_a_reflector_takes_a_vector_to_an_axis_without_cancellation():
@@ -74,7 +74,7 @@ def test_a_reflector_takes_a_vector_to_an_axis_without_cancellation():
     for head in (2.0, -2.0, 0.0, 1e-9, -1e-9):
         x = rng.normal(size=6)
         x[2] = head
-        alpha, beta = six.reflector(x @ x, head)
+        alpha, beta = vectors.reflector(x @ x, head)
         e = np.eye(6)[2]
         v = x - alpha * e
         H = np.eye(6) - beta * np.outer(v, v)
@@ -93,11 +93,11 @@ def test_reflections_and_their_inverse(m):
     for k in range(m):
         beta[k] = 2.0 / (V[k] @ V[k])
         H = (np.eye(6) - beta[k] * np.outer(V[k], V[k])) @ H
-    six.reflect(V, beta, m, y := x.copy())
+    vectors.reflect(V, beta, m, y := x.copy())
     close(y, H @ x, atol=1e-12)
-    six.reflect_back(V, beta, m, y := x.copy())
+    vectors.reflect_back(V, beta, m, y := x.copy())
     close(y, H.T @ x, atol=1e-12)
-    six.reflect_sides(V, beta, m, B := A.copy())
+    vectors.reflect_sides(V, beta, m, B := A.copy())
     close(B, H @ A @ H.T, atol=1e-12)
 
 
@@ -107,9 +107,9 @@ def test_qr_of_columns_of_six(rows):
     X = rng.normal(size=(8, 6))
     before, R, Q = X[:rows].T.copy(), rng.normal(size=(8, 8)), rng.normal(size=(7, 7))
     diagonal, beta = rng.normal(size=8), rng.normal(size=8)
-    assert six.qr6(X, rows, R, diagonal, beta)
+    assert vectors.qr6(X, rows, R, diagonal, beta)
     assert not np.tril(X[:rows, :rows], -1).any(), "reflectors begin with zeros"
-    six.form_q6(X, rows, beta, Q)
+    vectors.form_q6(X, rows, beta, Q)
     Q = Q[:6, :6].T
     close(Q.T @ Q, np.eye(6), atol=1e-12)
     upper = np.triu(R[:rows, :rows], 1) + np.diag(diagonal[:rows])
@@ -117,7 +117,7 @@ def test_qr_of_columns_of_six(rows):
     for k in range(rows):
         X = rng.normal(size=(8, 6))
         X[k] = 0.0
-        assert not six.qr6(X, rows, R, diagonal, beta)
+        assert not vectors.qr6(X, rows, R, diagonal, beta)
 
 
 # --- dense algebra --------------------------------------------------------------------------------
@@ -305,7 +305,7 @@ def test_rotation_vectors_of_all_angles_and_axes():
         for angle in angles:
             R = np.full((6, 6), 7.0)
             R[:3, :3] = pin.exp3(angle * w)
-            motion.rotation_vector(R, out)
+            commands.rotation_vector(R, out)
             close(out[:3], angle * w, rtol=1e-6, atol=1e-9 if angle > 2.9 else 1e-14)
             assert out[3] == 0.0
 
@@ -315,9 +315,9 @@ def test_exactly_half_a_turn_leaves_the_sign_open_but_not_the_axis():
     out = np.zeros(3)
     for signs in SIGNS:
         w = np.array(signs) / np.linalg.norm(signs)
-        motion.rotation_vector(2.0 * np.outer(w, w) - np.eye(3), out)
+        commands.rotation_vector(2.0 * np.outer(w, w) - np.eye(3), out)
         close(np.pi * w, out * np.sign(out @ w), atol=1e-9)
-    motion.rotation_vector(np.diag([1.0, -1.0 - 1e-9, -1.0 - 1e-9]), out)  # rounded
+    commands.rotation_vector(np.diag([1.0, -1.0 - 1e-9, -1.0 - 1e-9]), out)  # rounded
     close(abs(out), [np.pi, 0.0, 0.0], atol=1e-8)
 
 
@@ -327,12 +327,12 @@ def test_pose_errors_and_the_motion_law(seed):
     D, B, out = pose(rng), pose(rng), np.zeros(6)
     if seed == 5:  # near a half turn
         D = pin.SE3(turn(rng, 3.13) @ B.rotation, D.translation)
-    motion.pose_error(D.homogeneous, B.homogeneous, out)
+    commands.pose_error(D.homogeneous, B.homogeneous, out)
     close(out[:3], D.translation - B.translation, atol=1e-13)
     close(out[3:], pin.log3(D.rotation @ B.rotation.T), atol=1e-7)
     error, integral, V_D, A_D, V_O = rng.normal(size=(5, 6))
     K, k_d, k_i = rng.uniform(1.0, 9.0, 3)
-    motion.command_motion(
+    commands.command_motion(
         tick_of(
             work=Record(error=error, motion_next=integral, V_O=V_O, a_u=out),
             input=Record(V_D=V_D, A_D=A_D),
@@ -352,7 +352,7 @@ def test_a_rotation_goes_on_and_is_squared_up(seed):
         w = rng.normal(size=3)
         w *= angle / np.linalg.norm(w)
         Y = X.copy()
-        held_object.rotate(Y, *w)
+        grasps.rotate(Y, *w)
         close(Y[:3, :3], pin.exp3(w) @ X[:3, :3], atol=1e-11)
         Y[:3, :3] = X[:3, :3]
         np.testing.assert_array_equal(Y, X)
@@ -360,7 +360,7 @@ def test_a_rotation_goes_on_and_is_squared_up(seed):
     X[:3, :3] = turn(rng) + 0.05 * rng.normal(size=(3, 3))
     Q, R = np.linalg.qr(X[:3, :2])
     Q *= np.sign(np.diag(R))
-    held_object._square_up(X)
+    grasps._square_up(X)
     close(X[:3, :2], Q, atol=1e-12)
     close(X[:3, 2], np.cross(Q[:, 0], Q[:, 1]), atol=1e-12)
     np.testing.assert_array_equal(X[3], 1.0)
@@ -374,13 +374,13 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         w, p, B = rng.normal(size=3), rng.normal(size=3), np.full((6, 6), 7.0)
         w *= angle / np.linalg.norm(w)
         M = pin.SE3(pin.exp3(w), p)
-        held_object._remaining(p, w, B)
+        grasps._remaining(p, w, B)
         close(B[0], pin.log6(M).vector, atol=1e-9)
         twist = np.concatenate((rng.normal(size=3), w))
         M = pose(rng)
         R, point = np.full((6, 6), 7.0), np.append(M.translation, 7.0)
         R[:3, :3], B[1] = M.rotation, twist
-        held_object._take_off(R, point, B)
+        grasps._take_off(R, point, B)
         want = M * pin.exp6(-twist)
         close(R[:3, :3], want.rotation, atol=1e-9)
         close(point[:3], want.translation, atol=1e-9)
@@ -410,7 +410,7 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
         frame = np.vstack((tip.rotation, tip.translation))
         out = np.full(6, 7.0)
         scratch = np.zeros((2, 6, 6))
-        held_object._miss_of_group(arm, frame, X.homogeneous, *scratch, out * 0.0, out)
+        grasps._miss_of_group(arm, frame, X.homogeneous, *scratch, out * 0.0, out)
         close(out[: len(N)], n, atol=1e-9)
 
 
@@ -427,12 +427,12 @@ def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
     ]
     arm = Record(point=point, axis=axis, tip_axis=tip_axis, grasp=rows, kind=at.HINGE)
     frame = np.vstack((tip.rotation, tip.translation))
-    held_object._miss(arm, frame, X.homogeneous, out := np.full(6, 7.0))
+    grasps._miss(arm, frame, X.homogeneous, out := np.full(6, 7.0))
     between = pin.Quaternion.FromTwoVectors(tip_axis, tip.rotation.T @ X.rotation @ axis)
     close(out[:3], tip.actInv(X.act(point)), atol=1e-12)
     close(out[3:5], rows[3:5, 3:] @ pin.log3(between.toRotationMatrix()), atol=1e-9)
     arm.kind = at.BALL
-    held_object._miss(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
+    grasps._miss(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
     np.testing.assert_array_equal(ball, [*out[:3], 7.0, 7.0, 7.0])
 
 
@@ -466,7 +466,7 @@ def test_a_believed_face_turns_to_what_slides_on_it(kind, seed):
     want = want / np.linalg.norm(want) - n
     for most in (9.0, 0.5 * np.linalg.norm(want)):
         column = Record(N=N, turn=turned, drift=drift, turned=np.zeros(3), slides=9.0)
-        tilt.follow_face(
+        contact.follow_face(
             tick_of(model=Record(drift_share=0.3, tilt=most)),
             kind,
             row,
@@ -484,7 +484,9 @@ def test_turns_are_taken_from_the_last_tick():
     memory = [Record(drift=0.1 * j, turn=np.arange(3.0) + j) for j in range(3)]
     columns = [Record(drift=9.0, slides=9.0, turn=np.full(3, 9.0), turned=np.full(3, 9.0))
                for _ in range(3)]  # fmt: skip
-    tilt.take_turns(tick_of(model=Record(n_columns=2), memory_columns=memory, work_columns=columns))
+    contact.take_turns(
+        tick_of(model=Record(n_columns=2), memory_columns=memory, work_columns=columns)
+    )
     for j in range(2):
         assert (columns[j].drift, columns[j].slides) == (memory[j].drift, 0.0)
         np.testing.assert_array_equal(columns[j].turn, memory[j].turn)

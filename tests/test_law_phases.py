@@ -15,7 +15,6 @@ from law_calls import phases as law
 from law_calls import tick_of
 from numba import njit
 
-from osc_contact.law.layout import Rows, new_model, row_of, views
 from osc_contact.law.phases import (
     APPROACHING,
     CLOSED,
@@ -28,6 +27,7 @@ from osc_contact.law.phases import (
     set_goals,
     slew,
 )
+from osc_contact.law.records import Rows, new_model, row_of, views
 from osc_contact.scenarios.control_schema import ForceGains, MonitorLimits, PhaseSettings
 
 DT = 1e-3

@@ -11,29 +11,17 @@ from types import SimpleNamespace as Record
 import numpy as np
 import pinocchio as pin
 import pytest
-from law_calls import (
-    allocation,
-    arm_terms,
-    energy,
-    force,
-    least_squares,
-    phases,
-    safety,
-    singular,
-    stages,
-    tick_of,
-    verdict,
-)
+from law_calls import allocation, operational, phases, reading, safety, tick, tick_of, vectors
 from law_calls import command_filter as command
 from rigs import random_faces, random_state, scara_pair
 from test_law import UNLIMITED, inputs, motion_of
 from test_law_parts import SEEDS, close, pose, rng_of, turn
 
 import osc_contact as osc
-from osc_contact.law import tables as at
-from osc_contact.law.layout import Rows, new_model, views
+from osc_contact.law import records as at
+from osc_contact.law.limits import settle
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
-from osc_contact.law.saturation import settle
+from osc_contact.law.records import Rows, new_model, views
 from osc_contact.law.tick import MOVING
 
 
@@ -49,7 +37,7 @@ class Energy:
         self.R, self.C, self.O = turn(rng), rng.normal(size=3), rng.normal(size=3)
         self.roots = np.sqrt([2.0, 0.03, 0.05, 0.07])
         self.axes = np.zeros((4, 3, 3))
-        energy.set_axes(self.R, self.roots, self.axes)
+        vectors.set_axes(self.R, self.roots, self.axes)
         L = np.diag(np.repeat(self.roots, [3, 1, 1, 1])) @ np.kron(np.eye(2), self.R.T)
         self.wrench = np.linalg.inv(L.T) @ wrench_at(self.O - self.C)  # of one at O
         self.motion = np.linalg.inv(self.wrench).T
@@ -63,17 +51,17 @@ def test_energy_coordinates(seed):
     rng = rng_of(seed)
     e = Energy(rng)
     f, V, out = rng.normal(size=6), rng.normal(size=6), np.zeros(6)
-    energy.carry_wrench(f, e.O, e.C, out)
-    energy.energy_wrench(e.axes, out, out)
+    vectors.carry_wrench(f, e.O, e.C, out)
+    vectors.energy_wrench(e.axes, out, out)
     close(out, e.wrench @ f, atol=1e-10)
-    energy.world_wrench(e.axes, out, out)
-    energy.carry_wrench(out, e.C, e.O, out)
+    vectors.world_wrench(e.axes, out, out)
+    vectors.carry_wrench(out, e.C, e.O, out)
     close(out, f, atol=1e-10)
-    energy.carry_motion(V, e.O, e.C, out)
-    energy.energy_motion(e.axes, out, out)
+    vectors.carry_motion(V, e.O, e.C, out)
+    vectors.energy_motion(e.axes, out, out)
     close(out, e.motion @ V, atol=1e-10)
-    energy.world_motion(e.axes, out, out)
-    energy.carry_motion(out, e.C, e.O, out)
+    vectors.world_motion(e.axes, out, out)
+    vectors.carry_motion(out, e.C, e.O, out)
     close(out, V, atol=1e-10)
     inertia = pin.Inertia(2.0, e.C - e.O, e.R @ np.diag(e.roots[1:] ** 2) @ e.R.T)
     close((e.motion @ V) @ (e.motion @ V), inertia.vtiv(pin.Motion(V)), rtol=1e-9)
@@ -103,7 +91,7 @@ def test_readings_of_the_wrists_add_up(seed):
             total += at_O.act(pin.Force(wrenches[k])).vector
     work = Record(**e.given(), reading_e=np.ones(6), f_meas=np.ones(6), y=np.zeros(6),
                   s=np.zeros(16), u=np.zeros(6), bias_e=bias)  # fmt: skip
-    force.sum_readings(
+    reading.sum_readings(
         tick_of(
             model=Record(n_arms=3),
             model_arms=arms,
@@ -130,7 +118,7 @@ def test_friction_goes_with_the_magnitudes(dependent):
     for mu in (0.0, 0.4):
         work = Record(**e.given(), rank=r, count=3, mu=mu, N=N, u=np.zeros(6),
                       pushed=np.ones((6, 6)), friction_wrenches=np.ones((6, 6)))  # fmt: skip
-        force.add_friction(tick_of(work_columns=columns, work=work))
+        reading.add_friction(tick_of(work_columns=columns, work=work))
         close(work.friction_wrenches[:r], (mu > 0.0) * D, atol=1e-10)
         close(work.pushed[:r], N[:r] + (mu > 0.0) * D @ e.wrench.T, atol=1e-9)
 
@@ -165,7 +153,7 @@ class Filter:
         self.work.pushed[:r], self.work.Phi_mu[:r, :r] = self.pushed, self.Phi
 
     def measure(self):
-        assert force.measure_magnitudes(tick_of(model=self.chain, work=self.work))
+        assert reading.measure_magnitudes(tick_of(model=self.chain, work=self.work))
         assert self.work.alpha_meas[self.r :].tolist() == [7.0] * (6 - self.r)
         return self.work.alpha_meas[: self.r]
 
@@ -188,10 +176,10 @@ def test_magnitudes_with_what_the_object_takes(r):
     close(case.work.mobility[:r, :r], mobility, atol=1e-8)
     assert case.work.weightless == 0
     case.work.out_T[:, 2] = case.work.out_T[:, 4]
-    assert not force.measure_magnitudes(tick_of(model=case.chain, work=case.work))
+    assert not reading.measure_magnitudes(tick_of(model=case.chain, work=case.work))
     case = Filter(r, r)
     case.work.pushed[:r] = case.work.Phi_mu[:r, :r] = 0.0  # nobody pushes and nobody yields
-    assert not force.measure_magnitudes(tick_of(model=case.chain, work=case.work))
+    assert not reading.measure_magnitudes(tick_of(model=case.chain, work=case.work))
 
 
 @pytest.mark.parametrize(("r", "m"), [(1, 0), (3, 0), (2, 1), (1, 3), (2, 3), (3, 2), (1, 5)])
@@ -207,7 +195,7 @@ def test_magnitudes_at_a_tip_that_has_inertia(r, m):
         P = case.S @ case.S.T  # of no inertia along one of the tip's motions
         P -= np.outer(case.S[:, 0], case.S[:, 0])
         case.work.out_T = (case.Lambda @ P).T
-        assert not force.measure_magnitudes(tick_of(model=case.chain, work=case.work))
+        assert not reading.measure_magnitudes(tick_of(model=case.chain, work=case.work))
 
 
 @pytest.mark.parametrize("r", [1, 3, 6])
@@ -227,7 +215,7 @@ def ask_force(alpha_d, alpha_meas, speed, integral, least=-inf, gain=20.0, dampi
     full = [np.array([1.0, x, 2.0]) for x in
             (alpha_d, alpha_meas, speed, integral, gain, damping, least)]  # fmt: skip
     a_d, a_m, s, i, g, d, floor = full
-    force.command_force(
+    reading.command_force(
         tick_of(
             work=Record(
                 rank=2,
@@ -257,8 +245,8 @@ def test_the_force_law():
     close(ask_force(8.0, -990.0, 0.0, 0.0), (20.0, 12.0), rtol=1e-12)
     close(ask_force(-8.0, 990.0, 0.0, 0.0), (-20.0, -12.0), rtol=1e-12)
     close(ask_force(1.0, 900.0, 0.0, 0.0), (-4.0, -5.0), rtol=1e-12)
-    assert force.integral_room(5.0, -8.0) == 12.0
-    assert force.integral_room(5.0, 3.0) == 5.0
+    assert reading.integral_room(5.0, -8.0) == 12.0
+    assert reading.integral_room(5.0, 3.0) == 5.0
     # no less than α_min, or a tenth of the command; the integral does not go on then
     close(ask_force(8.0, 9.0, 0.1, -1.0, 0.5), (0.5, -1.0), rtol=1e-12)
     close(ask_force(8.0, 7.0, 0.1, -1.0, 0.5), (0.5, -0.98), rtol=1e-12)
@@ -276,7 +264,7 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     columns = [Record(chosen=c) for c in (2, 0, 1)]
     laws = {name: np.full(3, 7.0) for name in ("gain", "damping", "brake", "least")}
     work = Record(rank=2, count=3 if dependent else 2, keep=[1.0, 0.0], **laws)
-    force.contact_laws(
+    reading.contact_laws(
         tick_of(model_columns=table, memory_contacts=contacts, work_columns=columns, work=work)
     )
     found = np.array([work.gain, work.damping, work.least, work.brake])
@@ -294,7 +282,7 @@ def test_bodies_yield_to_forces_on_themselves(seed):
     columns = [Record(chosen=c) for c in (1, 2, 0)]
     work = Record(rank=3, keep=[2.0, 0.0, 1.0], yields=yields, s=np.full(6, 7.0))
     for body in (0, 1):
-        least_squares._yield_to(
+        reading._yield_to(
             tick_of(model_columns=table, model_bodies=bodies, work_columns=columns, work=work),
             f,
             body,
@@ -313,14 +301,14 @@ def test_the_least_squares_know_departures_and_tangents(seed):
     R, r = np.zeros((6, 6)), 2
     work = Record(**e.given(), rank=r, count=2, out_T=Lambda.T.copy(), Q=Q, moving=0,
                   z=np.zeros(6), w=np.zeros(6))  # fmt: skip
-    least_squares._weigh_departure(tick_of(work=work), mass, R)
+    reading._weigh_departure(tick_of(work=work), mass, R)
     P = np.eye(6) - Q[:r].T @ Q[:r]
     want = 0.01 * mass * Lambda @ P @ Lambda.T + 1e-4 / mass * np.eye(6)
     close(R, want, atol=1e-10)
     columns = [Record(chosen=c, N=rng.normal(size=6), point=rng.normal(size=3),
                       slip=0.7 * turn(rng)[0]) for c in (2, 0, 1)]  # fmt: skip
     goal = np.array([0.3, 9.0, -4.0])
-    largest = least_squares._weigh_tangents(
+    largest = reading._weigh_tangents(
         tick_of(
             model_columns=None, model_bodies=None, work_columns=columns, work=work, work_goal=goal
         ),
@@ -472,14 +460,14 @@ def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_lar
     chain, arm = Record(lightness=1.0 / reference), Record(full_rank=5)
     for factor, kept, want in ((0.999, 5, False), (1.001, 5, True), (1e-9, 4, True)):
         own = Record(Lambda=factor * Lambda, n_kept=kept)
-        assert singular.may_be_singular(tick_of(model=chain), arm, own) == want
+        assert operational.may_be_singular(tick_of(model=chain), arm, own) == want
 
 
 @pytest.mark.parametrize("chi", [0.0, 1e-10])
 @pytest.mark.parametrize("n", [2, 4, 7])
 def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
     """The axes before it are spanned already: only the last ones are new."""
-    rng, small = rng_of(n), singular._unit_row
+    rng, small = rng_of(n), operational._unit_row
     for k in range(n):
         X = np.zeros((n + 1, n + 2))
         X[:k, :k] = np.linalg.qr(rng.normal(size=(k, k)))[0]
@@ -501,15 +489,15 @@ def test_rows_in_order_shares_and_the_way_back():
     X = rng.normal(size=(5, 3 + 6 + 1)) * np.array([0.1, 5.0, 0.01, 2.0, 9.0])[:, None]
     X[1, 3:] *= 1e-6  # what stands behind does not count
     before = X.copy()
-    singular._sort_rows(X, 4, 3)
+    operational._sort_rows(X, 4, 3)
     order = [*np.argsort(-np.linalg.norm(before[:4, :3], axis=1)), 4]
     np.testing.assert_array_equal(X[:, :9], before[order, :9])
     np.testing.assert_array_equal(X[:, 9], before[:, 9])
-    share = singular._share_left
+    share = operational._share_left
     for s, want in ((-1.0, 0.0), (0.0, 0.0), (0.25, 0.15625), (0.5, 0.5), (1.0, 1.0), (9.0, 1.0)):
         close(share(0.05 + 0.25 * s), want, atol=1e-12)
     chain = Record(posture_stiffness=3.0, retreat_damping=7.0)
-    close(singular.retreat(tick_of(model=chain), Record(posture=0.5), 0.2, 0.1), 0.9 - 0.7)
+    close(operational.retreat(tick_of(model=chain), Record(posture=0.5), 0.2, 0.1), 0.9 - 0.7)
 
 
 @SEEDS
@@ -553,7 +541,7 @@ def test_terms_of_an_arm_that_holds_rigidly(n):
                   **{name: rng.normal(size=(6, 6)) for name in "ABDE"}, y=np.zeros(6))  # fmt: skip
     arm = Record(Lambda=np.zeros((6, 6)), kept=np.zeros((6, 6)), n_kept=0, n_locked=0)
     locked, row = np.full((12, 7), 7.0), 3
-    count = arm_terms.arm_terms(
+    count = operational.arm_terms(
         tick_of(
             work_joints=joints, work=work, work_locked_rows=locked, model=Record(tolerance=1e-6)
         ),
@@ -799,7 +787,7 @@ def test_every_number_that_comes_in_is_looked_at():
     given = {name: np.ones(shape) for name, shape in shapes.items()}
 
     def look(chain, squeeze, engaged, moving, **came):
-        return stages.is_finite(
+        return tick.is_finite(
             tick_of(model=chain, memory=Record(squeeze=squeeze), input=Record(**came)),
             engaged, moving,
         )  # fmt: skip
@@ -839,7 +827,7 @@ def test_friction_that_is_learnt_is_never_negative():
     )
     for more, want in ((0.1, 0.4), (-0.1, 0.2), (-0.5, 0.0)):
         memory = Record(more_friction=more, f_tare=np.zeros(6))
-        reason = stages.measure(
+        reason = tick.measure(
             tick_of(
                 model=Record(mu=0.3, n_arms=0),
                 model_arms=[],
@@ -866,7 +854,7 @@ def test_friction_that_is_learnt_is_never_negative():
 
 
 @pytest.mark.parametrize("phase", [APPROACHING, CLOSED])
-@pytest.mark.parametrize("own", [0, stages.OWN_FORCE])
+@pytest.mark.parametrize("own", [0, tick.OWN_FORCE])
 @pytest.mark.parametrize("step_time", [0.0, 0.05])
 def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase, step_time):
     chain = Record(n_columns=2, step_time=step_time, period=1e-3, phased=0)
@@ -898,7 +886,7 @@ def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase, step_tim
         alpha_meas=np.array([1.0, 2.0]),
     )
     flat = np.array([11.0, 12.0, 0.0, 0.0, 0.0, 0.0])
-    stages.set_desired_forces(
+    tick.set_desired_forces(
         tick_of(
             model=chain,
             model_columns=owners,
@@ -980,7 +968,7 @@ def test_the_motion_integral_is_handed_over_as_a_wrench(r, m, held):
     case = Commanded(10 * r + m, at.BY_OBJECT, r, m)
     work, total, before = case.work, np.arange(6.0) - 2.0, np.full(6, 0.5)
     memory = Record(motion_sum=total.copy(), f_bias=before.copy())
-    stages.hand_over(tick_of(model=Record(integral=3.0, held=held), work=work, memory=memory))
+    tick.hand_over(tick_of(model=Record(integral=3.0, held=held), work=work, memory=memory))
     to_energy = case.H @ case.e.motion
     x = to_energy @ (3.0 * total)
     # what contacts see of a locked motion is not lost
@@ -993,7 +981,7 @@ def test_the_motion_integral_is_handed_over_as_a_wrench(r, m, held):
 def ask_command(flags=0, rank=2, missing=0, integral=2.0, **more):
     """α_u, the integrals and a_u of one tick whose columns and motions are alone."""
     seen = {}
-    decide = stages.altered(
+    decide = tick.altered(
         "command",
         filter_motion=lambda t: seen.get("reason", at.NO_REASON),
         command_object=lambda t: seen.update(bias=t.memory.f_bias),
@@ -1031,12 +1019,12 @@ def test_laws_and_integrals_of_a_tick():
     assert seen["handed"] and memory.hand_over == 0
     for lost, locked, reduced in ((1, 5, True), (1, 6, False), (0, 5, False)):
         assert ("reduced" in ask_command(n_lost=lost, locked=locked)[3]) == reduced
-    _, work, _, _ = ask_command(stages.OWN_FORCE)
+    _, work, _, _ = ask_command(tick.OWN_FORCE)
     close(work.alpha_u, [8.0 - 1.0, 7.0])  # approached; the user's own
     close(work.force_next, [0.5, -0.5])
-    close(ask_command(stages.OWN_FORCE, rank=1)[1].force_next, [0.0, 0.0])
-    close(ask_command(stages.OWN_MOTION)[1].a_u, 7.0)
-    close(ask_command(stages.OWN_MOTION)[1].alpha_u, ask_command()[1].alpha_u)
+    close(ask_command(tick.OWN_FORCE, rank=1)[1].force_next, [0.0, 0.0])
+    close(ask_command(tick.OWN_MOTION)[1].a_u, 7.0)
+    close(ask_command(tick.OWN_MOTION)[1].alpha_u, ask_command()[1].alpha_u)
 
 
 # --- phases ---------------------------------------------------------------------------------------
@@ -1123,7 +1111,7 @@ def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():
 
 def test_what_is_remembered_of_columns_in_force():
     n, seen = 3, {}
-    remember = verdict.altered("remember")
+    remember = tick.altered("remember")
     names = remember.__globals__
     names["keep_steps"] = lambda t: seen.update(steps=[t.work.here.copy(), t.work.alpha.copy()])
     names["phases"] = Record(low_pass=lambda t, independent: seen.update(

@@ -6,13 +6,13 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pytest
-from law_calls import steps, tick_of
+from law_calls import commands, tick_of
 
-from osc_contact.law import tables as at
+from osc_contact.law import records as at
 from osc_contact.law.phases import APPROACHING, CLOSED
 
 DT, RISE = 1e-3, 0.05
-shape, keep, brake = steps.shape_steps, steps.keep_steps, steps.brake_contacts
+shape, keep, brake = commands.shape_steps, commands.keep_steps, commands.brake_contacts
 
 
 def eased(x):

@@ -12,9 +12,9 @@ from types import SimpleNamespace as Record
 import numpy as np
 import pinocchio as pin
 import pytest
-from law_calls import safety, sensors, tick_of, watch
+from law_calls import safety, sensors, tick_of
 
-from osc_contact.law import tables as at
+from osc_contact.law import records as at
 from osc_contact.law.phases import APPROACHING, CLOSED
 
 DT = 1e-3
@@ -41,7 +41,7 @@ def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
 
     def after(speeds):
         return [
-            watch.watch_joints(
+            safety.watch_joints(
                 tick_of(
                     model=chain,
                     model_joints=table,
@@ -70,7 +70,7 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
             chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=21)
             v[j] = sign * speed * table[j].speed_max
             found = [
-                watch.watch_joints(
+                safety.watch_joints(
                     tick_of(
                         model=chain,
                         model_joints=table,
@@ -85,7 +85,7 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
             assert memory.culprit == j
     memory = joints_memory()
     assert (
-        watch.watch_joints(
+        safety.watch_joints(
             tick_of(
                 model=chain,
                 model_joints=table,
@@ -98,7 +98,7 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
     )
     memory, chain = joints_memory(), Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=4)
     assert (
-        watch.watch_joints(
+        safety.watch_joints(
             tick_of(
                 model=chain,
                 model_joints=table,
@@ -124,7 +124,7 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
     for gap, stops in ((way + 1e-3, False), (way - 1e-3, True), (-1e-3, False)):
         memory, q = joints_memory(), [sign * (1.0 - gap)]
         found = [
-            watch.watch_joints(
+            safety.watch_joints(
                 tick_of(
                     model=chain,
                     model_joints=[joint()],
@@ -138,7 +138,7 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
         wanted = at.NEAR_END if stops else at.NO_REASON  # braking does not help beyond the end
         assert found == [at.NO_REASON] * 2 + [wanted] * 2
         assert memory.culprit == (0 if stops else -1)
-        back = watch.watch_joints(
+        back = safety.watch_joints(
             tick_of(
                 model=chain,
                 model_joints=[joint()],
@@ -151,7 +151,7 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
     at_the_end = [sign * 1.0]
     memory = joints_memory()
     found = [
-        watch.watch_joints(
+        safety.watch_joints(
             tick_of(
                 model=chain,
                 model_joints=[joint()],
@@ -171,7 +171,7 @@ def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     chain = Record(n_joints=1, reaction=0.0, period=period, fast_ticks=99)
     memory = joints_memory()
     found = [
-        watch.watch_joints(
+        safety.watch_joints(
             tick_of(
                 model=chain, model_joints=[joint()], memory=memory, input_q=[0.99], input_v=[1.0]
             )
@@ -182,9 +182,9 @@ def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
 
 
 def test_evidence_comes_and_goes_at_the_same_pace():
-    assert watch.collect(0.002, DT, True) == pytest.approx(0.003)
-    assert watch.collect(0.002, DT, False) == pytest.approx(0.001)
-    assert watch.collect(0.0005, DT, False) == 0.0
+    assert safety.collect(0.002, DT, True) == pytest.approx(0.003)
+    assert safety.collect(0.002, DT, False) == pytest.approx(0.001)
+    assert safety.collect(0.0005, DT, False) == 0.0
 
 
 # --- contacts -------------------------------------------------------------------------------------
@@ -213,7 +213,7 @@ class Contacts:
 
     def tick(self, alpha, wanted, speed=(0.0, 0.0)):
         work = Record(rank=2, alpha_meas=alpha, alpha_d=wanted, speed=speed, keep=[0.0, 2.0])
-        return watch.watch_contacts(
+        return safety.watch_contacts(
             tick_of(
                 model=self.chain,
                 work=work,

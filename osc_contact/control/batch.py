@@ -15,10 +15,10 @@ from osc_contact.control.records import TickRecords
 from osc_contact.control.status import Status
 from osc_contact.control.torque_limits import MotorLimits
 from osc_contact.errors import InvalidInputError, ModelError, SolverError
-from osc_contact.law import tables as at
+from osc_contact.law import records as at
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows
-from osc_contact.law.layout import Rows
+from osc_contact.law.records import Rows
 from osc_contact.spatial import Array
 
 __all__ = ["BatchController"]

@@ -33,8 +33,7 @@ from osc_contact.errors import InvalidInputError, OscContactError, SensorTimeout
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows
-from osc_contact.law.layout import Bytes
-from osc_contact.law.tables import DEGRADED, JOINTS, OBJECT_UNKNOWN, WRISTS
+from osc_contact.law.records import DEGRADED, JOINTS, OBJECT_UNKNOWN, WRISTS, Bytes
 from osc_contact.scenarios.control_schema import (
     Friction,
     Gains,

@@ -18,7 +18,7 @@ from osc_contact.control.signals import Block, Signals
 from osc_contact.control.status import Phase
 from osc_contact.errors import ContactError, InvalidInputError
 from osc_contact.interface import Measurement, Reference, Touched
-from osc_contact.law import tables as at
+from osc_contact.law import records as at
 from osc_contact.law import tick as law
 from osc_contact.scenarios.control_schema import Friction
 from osc_contact.spatial import Array, classical_to_spatial

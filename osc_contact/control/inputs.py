@@ -12,7 +12,7 @@ import numpy as np
 from osc_contact.control.settings import Settings
 from osc_contact.errors import InvalidInputError, SensorTimeout
 from osc_contact.interface import Measurement, Reference, Touched, as_squeeze
-from osc_contact.law.tables import JOINTS, WRISTS
+from osc_contact.law.records import JOINTS, WRISTS
 from osc_contact.spatial import Array, as_array
 
 __all__ = [

@@ -12,7 +12,7 @@ from osc_contact.control.records import TickRecords
 from osc_contact.control.settings import Settings
 from osc_contact.errors import OscContactError
 from osc_contact.interface import Measurement, Reference
-from osc_contact.law import tables as at
+from osc_contact.law import records as at
 
 __all__ = ["explain"]
 

@@ -14,11 +14,10 @@ from osc_contact.control.status import LostDirection
 from osc_contact.dynamics.arm import effort_scale
 from osc_contact.dynamics.chain_rows import pack_chain
 from osc_contact.dynamics.rail import Body, Cart, Conveyor
-from osc_contact.law import frames
-from osc_contact.law import tables as at
-from osc_contact.law.layout import Bytes, Rows, new_model, views
-from osc_contact.law.safety import BRAKE_RATE
-from osc_contact.law.watch import SURE
+from osc_contact.law import records as at
+from osc_contact.law import vectors
+from osc_contact.law.records import Bytes, Rows, new_model, views
+from osc_contact.law.safety import BRAKE_RATE, SURE
 from osc_contact.scenarios.control_schema import Friction
 from osc_contact.scenarios.spec import Spec
 from osc_contact.spatial import Array
@@ -250,11 +249,11 @@ class TickRecords:
 
     def reflection(self) -> Array:
         """(6, 6) that turns energy coordinates so that the first axes are the locked ones."""
-        return frames.reflection(self.work)
+        return vectors.reflection(self.work)
 
     def motions(self) -> Array:
         """(6, 6) from energy coordinates to motions at O in world axes."""
-        return frames.motions(self.work)
+        return vectors.motions(self.work)
 
     def acceleration(self) -> Array:
         """(6,) of the object at O as commanded, spatial."""

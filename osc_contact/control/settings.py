@@ -3,7 +3,7 @@
 Contact forces are read off the wrists by the filter of fig. 5, or by least squares. The filter
 takes all that pushes at a contact for N_μα: it is exact without friction, or with friction known,
 whatever the object does. Least squares let each point of contact push along its tangents, too
-(`osc_contact.law.least_squares`): neither friction nor a wrong normal changes their answer, but it
+(`osc_contact.law.reading`): neither friction nor a wrong normal changes their answer, but it
 depends on the commanded acceleration of the object. The answer is unique where the columns of N
 are independent of the tangents. Two points can always push against one another along the line
 between them; so the points must lie in one plane, whose normal is that of them all.

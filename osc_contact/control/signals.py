@@ -14,7 +14,7 @@ from osc_contact.control.settings import Settings
 from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.interface import Reference, Touched
-from osc_contact.law import tables as at
+from osc_contact.law import records as at
 from osc_contact.spatial import Array
 
 __all__ = ["BLOCKS", "SIGNALS", "Block", "Signals", "TickResult", "internal_forces"]

@@ -11,8 +11,7 @@ from osc_contact.control.settings import Settings
 from osc_contact.control.status import LimitLoss
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.law.jit import direct
-from osc_contact.law.limits import TorqueLimits
-from osc_contact.law.saturation import fill_program, settle
+from osc_contact.law.limits import TorqueLimits, fill_program, settle
 
 __all__ = ["MotorLimits", "scale_torques"]
 

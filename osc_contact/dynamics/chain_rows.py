@@ -9,8 +9,8 @@ import pinocchio as pin
 
 from osc_contact.dynamics.chain_model import GYRATION, ChainModel
 from osc_contact.errors import ModelError
-from osc_contact.law import tables as at
-from osc_contact.law.layout import Bytes, new_model
+from osc_contact.law import records as at
+from osc_contact.law.records import Bytes, new_model
 from osc_contact.spatial import Array, cross
 
 _UPPER = np.triu_indices(3)

@@ -23,10 +23,10 @@ from osc_contact.dynamics.chain_rows import chain_row
 from osc_contact.dynamics.chain_state import ArmTerms, ChainState, SingularDirection
 from osc_contact.dynamics.payload import ObjectTerms
 from osc_contact.errors import ModelError
-from osc_contact.law import tables as at
+from osc_contact.law import records as at
 from osc_contact.law.compiled import rows as law_rows
-from osc_contact.law.frames import motions, reflection, wrenches
-from osc_contact.law.layout import Bytes, Rows, views
+from osc_contact.law.records import Bytes, Rows, views
+from osc_contact.law.vectors import motions, reflection, wrenches
 from osc_contact.spatial import Array, as_array, carry_twist
 
 _NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))

@@ -21,13 +21,6 @@ from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.typed_passes import NopythonTypeInference
 from numba.core.untyped_passes import InlineClosureLikes, IRProcessing
 
-__all__ = [
-    "direct",
-    "entry_options",
-    "forget_code",
-    "part_options",
-]
-
 for _name in (
     "_finalize_dynamic_globals",
     "_get_module_for_linking",

@@ -4,21 +4,11 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.jit import inner, leaf
-from osc_contact.law.six import ZERO, add, dot6, fill, reflector, scaled, six
+from osc_contact.law.jit import inner
+from osc_contact.law.vectors import ZERO, add, dot6, fill, reflector, scaled, six
 
 _SINGULAR = 1e-10
 _NOTHING = 1e-280  #: below, numbers have fewer digits soon
-
-
-@leaf
-def cross(ax, ay, az, bx, by, bz):
-    """a × b.
-
-    Args:
-        ax, ay, az: of a. bx, by, bz: of b.
-    """
-    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
 @inner

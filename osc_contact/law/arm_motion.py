@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from osc_contact.law.algebra import cross
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.six import ZERO, add, dot6, fill, plus, six
+from osc_contact.law.vectors import ZERO, add, cross, dot6, fill, plus, six
 
 
 @leaf

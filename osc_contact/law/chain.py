@@ -6,28 +6,34 @@ from math import sqrt
 
 from osc_contact.law.algebra import one_sided_jacobi
 from osc_contact.law.arm_motion import move_arm, place_arm, place_frame
-from osc_contact.law.arm_terms import arm_terms, effort_metric
 from osc_contact.law.contact import AHEAD
-from osc_contact.law.energy import (
-    carry_motion,
-    carry_wrench,
-    energy_motion,
-    energy_wrench,
-    set_axes,
-    world_wrench,
-)
-from osc_contact.law.grasps import add_slip, filter_outboard, find_twist
-from osc_contact.law.held_object import centre_object, find_object
+from osc_contact.law.grasps import add_slip, centre_object, filter_outboard, find_object, find_twist
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.singular import find_lost, may_be_singular
-from osc_contact.law.six import ZERO, add, dot6, fill, plus, qr6, reflect, reflect_sides, six
-from osc_contact.law.tables import (
+from osc_contact.law.operational import arm_terms, effort_metric, find_lost, may_be_singular
+from osc_contact.law.records import (
     BAD_INERTIA,
     GIVEN_POSE,
     GIVEN_TWIST,
     NO_REASON,
     OBJECT_UNKNOWN,
     UNACTUATED,
+)
+from osc_contact.law.vectors import (
+    ZERO,
+    add,
+    carry_motion,
+    carry_wrench,
+    dot6,
+    energy_motion,
+    energy_wrench,
+    fill,
+    plus,
+    qr6,
+    reflect,
+    reflect_sides,
+    set_axes,
+    six,
+    world_wrench,
 )
 
 

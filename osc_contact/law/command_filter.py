@@ -10,22 +10,28 @@ from __future__ import annotations
 from math import sqrt
 
 from osc_contact.law.algebra import cholesky, orthonormalise, project_onto_constraint, solve_lower
-from osc_contact.law.energy import (
-    carry_motion,
-    carry_wrench,
-    energy_motion,
-    energy_wrench,
-    world_motion,
-)
 from osc_contact.law.jit import inner
-from osc_contact.law.six import dot6, fill, minus, reflect, reflect_back, reflect_sides, six
-from osc_contact.law.tables import (
+from osc_contact.law.records import (
     BAD_METRIC,
     BY_CHAIN,
     BY_OBJECT,
     INSEPARABLE,
     NO_REASON,
     UNREACHABLE,
+)
+from osc_contact.law.vectors import (
+    carry_motion,
+    carry_wrench,
+    dot6,
+    energy_motion,
+    energy_wrench,
+    fill,
+    minus,
+    reflect,
+    reflect_back,
+    reflect_sides,
+    six,
+    world_motion,
 )
 
 _REACH = 1e-9  #: least mobility along a column, beside that of the free object

@@ -18,7 +18,7 @@ import numpy as np
 
 from osc_contact.law import tick as law
 from osc_contact.law.jit import PLAIN_PYTHON, forget_code
-from osc_contact.law.layout import Rows, new_model
+from osc_contact.law.records import Rows, new_model
 
 _log = logging.getLogger(__name__)
 _usual: list[tuple[int, int, int]] = []  #: thresholds that `announced` has met

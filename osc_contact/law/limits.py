@@ -1,18 +1,4 @@
-"""Torques within the motors' limits that disturb force and motion least: a quadratic program.
-
-Torques τ + δτ instead of τ make the chain in contact answer with α + δα and η̇ + δη̇ (eqs. 17, 18):
-
-    δα = D⁻¹NᵀΛ⁻¹G δτ,   δη̇ = Λ⁻¹(G δτ − N_μ δα),   D = NᵀΛ⁻¹N_μ + Φ_e
-
-so every δτ keeps the contacts' constraints, and force and motion lost are known before they are.
-What is given up is measured as acceleration energy (Gauss), N²/kg: |δη̇|² of motion, |N δα|² of
-contact force (in energy coordinates the object's inertia is the identity), δs²/m_o of squeeze,
-(νᵀδτ)² of joint motions ν, νᵀMν = 1, that redundant arms make without the object.
-Metres and radians never meet, and an arm near a singular posture cannot make its lost motion dear.
-
-Columns of N may be nearly dependent. A rotation U makes the rows of UNᵀ orthogonal in the free
-motions, and ψ = Uδα obeys UDUᵀψ = UNᵀΛ⁻¹G δτ, whose rows differ in size instead of hardly at all.
-"""
+"""Torques within the motors' limits that disturb force and motion least: a quadratic program."""
 
 from __future__ import annotations
 
@@ -23,14 +9,134 @@ import numpy as np
 
 from osc_contact.errors import SolverError
 from osc_contact.law.algebra import (
+    back_substitute,
     cholesky,
     cholesky_solve,
     lu_solve,
     one_sided_jacobi,
+    qr_rows,
 )
 from osc_contact.law.jit import direct, entry, inner
-from osc_contact.law.refinement import add, dot, refine
-from osc_contact.law.six import ZERO, fill
+from osc_contact.law.operational import factor_inertia
+from osc_contact.law.phases import limit_changes
+from osc_contact.law.records import row_of
+from osc_contact.law.safety import count_computed
+from osc_contact.law.vectors import ZERO, add, dot6, fill, reflect
+
+# --- A point of the program, refined from its active limits ---------------------------------------
+
+_DEPENDENT = 1e-9  # of a unit row, beside the rows before it
+_ROOM = 1e-7  # around the bounds, for a point worked out from its active limits
+
+
+@inner
+def dot(a, b, n):
+    """Σ aᵢbᵢ.
+
+    Args:
+        a, b: rows. n: how many elements of them count.
+    """
+    s = 0.0
+    for i in range(n):
+        s += a[i] * b[i]
+    return s
+
+
+@inner
+def add_scaled(s, a, n, out):
+    """out ← out + s a.
+
+    Args:
+        s: factor. a: row. n: how many elements of it count. out: row, overwritten.
+    """
+    for i in range(n):
+        out[i] += s * a[i]
+
+
+@inner
+def _reflect(u, beta, n, x):
+    add_scaled(-beta * dot(u, x, n), u, n, x)
+
+
+@inner
+def refine(lam, w, A, bounds, rows, scratch):
+    """Work out z once more from `rows`, the limits that have multipliers as equations: `point`.
+
+    That has the root of H's condition. Returns False where another limit is broken.
+
+    Args:
+        lam: multipliers of all limits. w: columns of `rows`. A: (k, v) constraint rows.
+        bounds: (2, …) lower and upper. rows: (v, w) root of the program's H. scratch: arrays.
+    """
+    point, y, diagonal, beta, bend, mix, t, T, normals, reduced, free = scratch
+    (k, v), f, kept = A.shape, 0, 0
+    for i in range(w + k):
+        t[i] = 0.0
+    for j in range(v):
+        for i in range(w + k):
+            reduced[f, i] = rows[j, i] if i < w else A[i - w, j]
+        if lam[j] == 0.0:
+            point[j] = 0.0
+            free[f] = j
+            f += 1
+        else:
+            point[j] = bounds[int(lam[j] > 0.0), j]
+            add_scaled(point[j], reduced[f], w + k, t)
+    for c in range(k):
+        u = normals[kept]
+        rest = reduced[kept:]
+        for j in range(f - kept):
+            u[j] = rest[j, w + c]
+        if lam[v + c] == 0.0 or kept == f:
+            continue
+        mirrored = qr_rows(normals[kept:], T.shape[1], f - kept, diagonal, bend[kept:])  # one row
+        if not mirrored or abs(diagonal[0]) <= _DEPENDENT:
+            continue
+        for i in range(w + k):
+            mix[i] = 0.0
+        for j in range(f - kept):
+            add_scaled(bend[kept] * u[j], rest[j], w + k, mix)
+        for j in range(f - kept):
+            add_scaled(-u[j], mix, w + k, rest[j])
+        y[kept] = (bounds[int(lam[v + c] > 0.0), v + c] - t[w + c]) / diagonal[0]
+        add_scaled(y[kept], rest[0], w + k, t)
+        kept += 1
+    rest = reduced[kept:]
+    if not qr_rows(rest, f - kept, w, diagonal, beta):
+        return False
+    for c in range(f - kept):
+        _reflect(rest[c, c:], beta[c], w - c, t[c:])
+    back_substitute(rest, f - kept, 1, diagonal, T)
+    for c in range(f - kept):
+        y[kept + c] = -t[c]
+    for b in range(kept - 1, -1, -1):
+        _reflect(normals[b], bend[b], f - b, y[b:])
+    for j in range(f):
+        point[free[j]] = y[j]
+    for j in range(v + k):
+        x = point[j] if j < v else dot(A[j - v], point, v)
+        room = _ROOM * (1.0 + abs(x))
+        if not bounds[0, j] - room <= x <= bounds[1, j] + room:
+            return False
+    return True
+
+
+# --- The quadratic program ------------------------------------------------------------------------
+#
+# Torques τ + δτ instead of τ make the chain in contact answer with α + δα and η̇ + δη̇ (eqs. 17,
+# 18):
+#
+#     δα = D⁻¹NᵀΛ⁻¹G δτ,   δη̇ = Λ⁻¹(G δτ − N_μ δα),   D = NᵀΛ⁻¹N_μ + Φ_e
+#
+# so every δτ keeps the contacts' constraints, and force and motion lost are known before they are.
+# What is given up is measured as acceleration energy (Gauss), N²/kg: |δη̇|² of motion, |N δα|² of
+# contact force (in energy coordinates the object's inertia is the identity), δs²/m_o of squeeze,
+# (νᵀδτ)² of joint motions ν, νᵀMν = 1, that redundant arms make without the object.
+# Metres and radians never meet, and an arm near a singular posture cannot make its lost motion
+# dear.
+#
+# Columns of N may be nearly dependent. A rotation U makes the rows of UNᵀ orthogonal in the free
+# motions, and ψ = Uδα obeys UDUᵀψ = UNᵀΛ⁻¹G δτ, whose rows differ in size instead of hardly at all.
 
 #: Weights beside the 1 of motion: what has memory goes last. Torques that do nothing to the object
 #: count relative to the mean energy of the others.
@@ -98,10 +204,10 @@ def _respond(d, r, given, maps, work, rows):
             psi[a] = force[j, a]
             force[j, a] = 0.0
         for a in range(r):
-            add(-psi[a], P[a], d, motion[j])
-            add(psi[a], X[a, 6 + d :], r, force[j])
-            add(sqrt(_FORCE) * psi[a], X[a], 6, rows[j, d:])
-        add(1.0, motion[j], d, rows[j])
+            add_scaled(-psi[a], P[a], d, motion[j])
+            add_scaled(psi[a], X[a, 6 + d :], r, force[j])
+            add_scaled(sqrt(_FORCE) * psi[a], X[a], 6, rows[j, d:])
+        add_scaled(1.0, motion[j], d, rows[j])
     return True
 
 
@@ -196,8 +302,8 @@ def finish(solution, sizes, given, maps, program, scratch, answer):
             return False
         tau[j] = max(-tau_max[j], min(tau_max[j], wanted[j] + scale[j] * z[j]))
         at_limit[j] = abs(tau[j]) >= tau_max[j] * (1.0 - _SLACK)
-        add(-z[j], force[j], r, lost_force)
-        add(-z[j], motion[j], d, lost_motion[6 - d :])
+        add_scaled(-z[j], force[j], r, lost_force)
+        add_scaled(-z[j], motion[j], d, lost_motion[6 - d :])
     for c in range(s):
         lost_squeeze[c] = -dot(squeeze[c], z, len(scale))
     return True
@@ -321,3 +427,178 @@ class TorqueLimits:
         self.mass = state[1]
         for own, other in zip((*self._given, *self._answer), state[2], strict=True):
             own[...] = other
+
+
+# --- A saturated tick's records as the program ----------------------------------------------------
+
+_FLOOR = 1.0  #: N, least force of contacts that cannot pull; a command below it is its own floor
+
+
+@inner
+def _shares(t, alpha, share, floor, k_max):
+    """Forces that must not pull, out of α: the split of least squares, and their least values."""
+    work = t.work
+    columns = t.work.columns
+    r = work.rank
+    count = work.count
+    G = work.A
+    x = work.u
+    k = 0
+    if r < count:
+        for a in range(r):
+            for b in range(r):
+                G[a, b] = 0.0
+                for j in range(count):
+                    G[a, b] += columns[j].share[a] * columns[j].share[b]
+        cholesky(G, 0, r, work.B)
+    for j in range(count):
+        if t.model.bodies[t.model.columns[columns[j].chosen].contact].pushes == 0 or k == k_max:
+            continue
+        for a in range(r):
+            x[a] = columns[j].share[a] if r < count else (1.0 if a == j else 0.0)
+        if r < count:
+            cholesky_solve(work.B, r, x, 0)
+        s = 0.0
+        for a in range(r):
+            share[k, a] = x[a]
+            s += x[a] * alpha[a]
+        floor[k] = min(_FLOOR, s)
+        k += 1
+    return k
+
+
+@inner
+def _idle_motions(t, arm, own, idle, count):
+    """Rows ν of a redundant arm, νᵀMν = 1, out of M⁻¹(1 − JᵀJ̄ᵀ); the number of rows so far."""
+    table = t.model.joints
+    joints = t.work.joints
+    work = t.work
+    lo = arm.first
+    n = arm.end - arm.first
+    K = work.K
+    X = work.X
+    Z = work.Z
+    if n <= arm.m or not factor_inertia(lo, n, joints, K):
+        return count
+    for c in range(n):  # rows of X: torques that do nothing to the object; of Z: what they move
+        for i in range(n):
+            X[c, i] = (1.0 if i == c else 0.0) - dot6(joints[lo + i].J, joints[lo + c].J_bar)
+            Z[c, i] = X[c, i]
+        cholesky_solve(K, n, Z[c], 0)
+    for _ in range(n - own.n_kept):
+        best = 0
+        most = 0.0
+        for c in range(n):
+            size = 0.0
+            for i in range(n):
+                size += X[c, i] * Z[c, i]
+            if size > most:
+                best = c
+                most = size
+        if count == len(idle) or most <= 0.0:
+            return count
+        for i in range(n):
+            work.s[i] = X[best, i] / sqrt(most)
+            work.t[i] = Z[best, i] / sqrt(most)
+            if table[lo + i].motor >= 0:
+                idle[count, table[lo + i].motor] = work.t[i]
+        count += 1
+        for c in range(n):
+            along = 0.0
+            for i in range(n):
+                along += X[c, i] * work.t[i]
+            for i in range(n):
+                X[c, i] -= along * work.s[i]
+                Z[c, i] -= along * work.t[i]
+    return count
+
+
+@entry
+def fill_program(raw, at, i, given, sizes):
+    """Fill the arrays of `limits.TorqueLimits`.
+
+    Args:
+        raw, at: as of `tick.rows`. i: a row whose tick has ended SATURATED just now.
+        given: wanted, tau_max, G, Λ, N, N_μ, Φ_e, α, share, floor, E, carried, idle.
+        sizes: (4,) d, r, k, s, filled, too.
+    """
+    t = row_of(raw, at, i)
+    model = t.model
+    work = t.work
+    arms = model.arms
+    joints = t.work.joints
+    table = model.joints
+    rows = t.work.extra
+    n = model.n_joints
+    m = work.locked
+    r = work.rank
+    wanted, tau_max, G, Lambda, N, pushed, Phi_e, alpha, share, floor, E, carried, idle = given
+    for j in range(n):
+        motor = table[j].motor
+        if motor < 0:
+            continue
+        wanted[motor], tau_max[motor] = joints[j].tau, table[j].tau_max
+        fill(G[motor], joints[j].J_bar)
+        reflect(work.reflectors, work.beta, m, G[motor])
+    held = 1.0 if model.held != 0 else 0.0
+    for a in range(6):
+        for b in range(6):
+            Lambda[a, b] = work.Lambda[a, b] + (held if a == b else 0.0)
+    for a in range(r):
+        alpha[a] = work.alpha_u[a]
+        for i in range(6):
+            N[a, i], pushed[a, i] = work.N_t[a, i], work.pushed_t[a, i]
+        for b in range(r):
+            Phi_e[a, b] = work.Phi_mu[a, b]
+    for e in range(work.n_internal):
+        fill(carried[e], ZERO)
+        for k in range(model.n_arms):
+            lo = arms[k].first
+            hi = arms[k].end
+            for j in range(lo, hi):
+                s = 0.0
+                for i in range(lo, hi):
+                    s += rows[e, i] * joints[i].M[j - lo]
+                fill(carried[e], add(carried[e], s, joints[j].J_bar))
+        reflect(work.reflectors, work.beta, m, carried[e])
+        for j in range(n):
+            if table[j].motor >= 0:
+                E[e, table[j].motor] = rows[e, j]
+    count = 0
+    for c in range(len(idle)):
+        for i in range(model.n_motors):
+            idle[c, i] = 0.0
+    for k in range(model.n_arms):
+        if len(idle) > 0:
+            count = _idle_motions(t, arms[k], work.arms[k], idle, count)
+    sizes[0] = 6 - m
+    sizes[1] = r
+    sizes[3] = work.n_internal
+    sizes[2] = _shares(t, alpha, share, floor, len(floor))
+
+
+@entry
+def settle(raw, at, i, found, lost_force, lost_squeeze):
+    """Torques found, no faster than motors may change; the next tick starts from them.
+
+    Args:
+        raw, at, i: as of `fill_program`. found: (motors,) torques within the limits.
+        lost_force, lost_squeeze: desired less what will come: the force integral does not
+            integrate it.
+    """
+    t = row_of(raw, at, i)
+    model = t.model
+    memory = t.memory
+    work = t.work
+    count_computed(t)
+    for j in range(model.n_motors):
+        work.tau[j] = found[j]
+    if memory.ticked > 1:
+        limit_changes(t)
+    for j in range(model.n_motors):
+        memory.torques[j] = work.tau[j]
+    for a in range(work.rank):
+        memory.force_sum[a] = work.force_next[a] - work.gain[a] * work.dt * lost_force[a]
+    memory.force_rank = work.rank
+    if work.n_internal > 0 and model.n_arms == 2:
+        work.internal[0] -= lost_squeeze[0]

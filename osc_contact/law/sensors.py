@@ -17,12 +17,10 @@ from __future__ import annotations
 from math import isfinite, sqrt
 
 from osc_contact.law.arm_motion import place_point
-from osc_contact.law.energy import world_wrench
-from osc_contact.law.force import add_reading
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import APPROACHING
-from osc_contact.law.six import add, dot6, fill, scaled
-from osc_contact.law.tables import (
+from osc_contact.law.reading import add_reading
+from osc_contact.law.records import (
     APART,
     DISAGREE,
     FAULTY_POSITION,
@@ -41,6 +39,7 @@ from osc_contact.law.tables import (
     WRIST_FROZEN,
     WRISTS,
 )
+from osc_contact.law.vectors import add, dot6, fill, scaled, world_wrench
 
 _ROUND = 1e-4  #: by how much the rows of a rotation may differ from orthonormal ones
 _GAIN = 0.21  #: share of `stuck_speed` that one tick can tell: slow encoders repeat readings

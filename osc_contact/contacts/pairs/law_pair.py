@@ -17,7 +17,7 @@ from osc_contact.contacts.pairs.pair import Bodies, ContactPair, store
 from osc_contact.errors import ContactError
 from osc_contact.law import contact as law
 from osc_contact.law.jit import as_python
-from osc_contact.law.tables import TANGENTS
+from osc_contact.law.records import TANGENTS
 from osc_contact.spatial import Array, Poses
 
 __all__ = ["LawPair", "PairRow", "law_row", "normals_over", "shape"]

@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from osc_contact.contacts.pairs.law_pair import LawPair, PairRow, shape
 from osc_contact.contacts.pairs.pair import Bodies, store
-from osc_contact.law.tables import POINTS
+from osc_contact.law.records import POINTS
 from osc_contact.spatial import Array
 
 __all__ = ["PointsOnPlanes", "ends"]

@@ -8,7 +8,7 @@ import pinocchio as pin
 from osc_contact.contacts.pairs.law_pair import PairRow, shape
 from osc_contact.contacts.pairs.pair import Bodies, read_geometry, store, triad
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
-from osc_contact.law.tables import COUPLE, FORCE, SCREW, SLIDE, TANGENTS, THREAD, TURN
+from osc_contact.law.records import COUPLE, FORCE, SCREW, SLIDE, TANGENTS, THREAD, TURN
 from osc_contact.spatial import Array
 
 __all__ = [

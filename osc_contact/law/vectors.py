@@ -1,16 +1,31 @@
-"""Rows of six numbers, and points, held as values: lengths that a compiler keeps in registers.
-
-The operational space has six dimensions, so most matrices of the law are rows of six. Reflectors
-1 − β v vᵀ are rows v with zeros before the diagonal.
-"""
+"""6-vectors as values, energy coordinates of the held object, and the way back to world axes."""
 
 from __future__ import annotations
 
 from math import sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from osc_contact.law.jit import inner, leaf
 
+# --- Rows of six numbers, and points, as values: lengths that a compiler keeps in registers -------
+#
+# The operational space has six dimensions, so most matrices of the law are rows of six. Reflectors
+# 1 − β v vᵀ are rows v with zeros before the diagonal.
+
 ZERO = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@leaf
+def cross(ax, ay, az, bx, by, bz):
+    """a × b.
+
+    Args:
+        ax, ay, az: of a. bx, by, bz: of b.
+    """
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
 @leaf
@@ -223,3 +238,151 @@ def velocity_at(V, x, y, z):
         V[1] + (V[5] * x - V[3] * z),
         V[2] + (V[3] * y - V[4] * x),
     )
+
+
+# --- Energy coordinates of the held object: its inertia is the identity there ---------------------
+#
+# `axes` (4, 3, 3) holds the four maps from world axes at C: √m Rᵀ and √I Rᵀ for motions, Rᵀ/√m
+# and Rᵀ/√I for wrenches, R the principal axes of the object, I its principal moments there.
+
+
+@inner
+def set_axes(R, roots, axes):
+    """Fill `axes` from R (3, 3) and roots = [√m, √I₁, √I₂, √I₃].
+
+    Args:
+        R: (3, 3) principal axes. roots: (4,). axes: of WORK.
+    """
+    for i in range(3):
+        root = roots[1 + i]
+        for j in range(3):
+            r = R[j, i]
+            axes[0, i, j] = roots[0] * r
+            axes[1, i, j] = root * r
+            axes[2, i, j] = r / roots[0]
+            axes[3, i, j] = r / root
+
+
+@leaf
+def _apply(axes, k, x, first, out):
+    """out[first : first + 3] = axes[k] x[first : first + 3]."""
+    a = x[first]
+    b = x[first + 1]
+    c = x[first + 2]
+    for i in range(3):  # x may be out
+        out[first + i] = axes[k, i, 0] * a + axes[k, i, 1] * b + axes[k, i, 2] * c
+
+
+@leaf
+def energy_motion(axes, x, out):
+    """x̃ = Lᵀx of a motion x (6,) at C.
+
+    Args:
+        axes: from `set_axes`. x: (6,) motion. out: (6,).
+    """
+    _apply(axes, 0, x, 0, out)
+    _apply(axes, 1, x, 3, out)
+
+
+@leaf
+def energy_wrench(axes, f, out):
+    """f̃ = L⁻¹f of a wrench f (6,) at C.
+
+    Args:
+        axes: from `set_axes`. f: (6,) wrench. out: (6,).
+    """
+    _apply(axes, 2, f, 0, out)
+    _apply(axes, 3, f, 3, out)
+
+
+@leaf
+def _apply_transposed(axes, k, x, first, out):
+    a = x[first]
+    b = x[first + 1]
+    c = x[first + 2]
+    for i in range(3):
+        out[first + i] = axes[k, 0, i] * a + axes[k, 1, i] * b + axes[k, 2, i] * c
+
+
+@leaf
+def world_motion(axes, x, out):
+    """x = L⁻ᵀx̃ at C; out may be x.
+
+    Args:
+        axes: from `set_axes`. x: (6,) in energy coordinates. out: (6,).
+    """
+    _apply_transposed(axes, 2, x, 0, out)
+    _apply_transposed(axes, 3, x, 3, out)
+
+
+@leaf
+def world_wrench(axes, f, out):
+    """f = L f̃ at C; out may be f.
+
+    Args:
+        axes: from `set_axes`. f: (6,) in energy coordinates. out: (6,).
+    """
+    _apply_transposed(axes, 0, f, 0, out)
+    _apply_transposed(axes, 1, f, 3, out)
+
+
+@leaf
+def carry_motion(V, start, end, out):
+    """A motion carried from point to point, in place or not.
+
+    Args:
+        V: (6,) motion. start, end: (3,) points (m). out: (6,).
+    """
+    x, y, z = cross(V[3], V[4], V[5], end[0] - start[0], end[1] - start[1], end[2] - start[2])
+    out[0], out[1], out[2] = V[0] + x, V[1] + y, V[2] + z
+    out[3], out[4], out[5] = V[3], V[4], V[5]
+
+
+@leaf
+def carry_wrench(f, start, end, out):
+    """A wrench carried from point to point, in place or not.
+
+    Args:
+        f: (6,) wrench. start, end: (3,) points (m). out: (6,).
+    """
+    x, y, z = cross(start[0] - end[0], start[1] - end[1], start[2] - end[2], f[0], f[1], f[2])
+    out[3], out[4], out[5] = f[3] + x, f[4] + y, f[5] + z
+    out[0], out[1], out[2] = f[0], f[1], f[2]
+
+
+# --- From energy coordinates to world axes at O, as matrices --------------------------------------
+#
+# `work` is a WORK record after a tick, or after its first part. See `energy` for the coordinates;
+# `chain` turns them so that the first axes are those that the arms lock.
+
+
+def motions(work: Any) -> NDArray[np.float64]:
+    """(6, 6) L⁻ᵀ, from energy coordinates to motions at O in world axes."""
+    out, axes = np.zeros((6, 6)), work["axes"]
+    out[:3, :3], out[3:, 3:] = axes[2].T, axes[3].T
+    out[:3, 3:] = _lever(work) @ axes[3].T
+    return out
+
+
+def wrenches(work: Any) -> NDArray[np.float64]:
+    """(6, 6) L, from energy coordinates to wrenches at O in world axes."""
+    out, axes = np.zeros((6, 6)), work["axes"]
+    out[:3, :3], out[3:, 3:] = axes[0].T, axes[1].T
+    out[3:, :3] = _lever(work) @ axes[0].T
+    return out
+
+
+def reflection(work: Any) -> NDArray[np.float64]:
+    """(6, 6) that turns energy coordinates so that the first axes are the locked ones."""
+    reflection = np.eye(6)
+    for k in range(int(work["locked"])):
+        v = work["reflectors"][k].copy()
+        v[:k] = 0.0
+        reflection -= np.outer(work["beta"][k] * v, v @ reflection)
+    return reflection
+
+
+def _lever(work: Any) -> NDArray[np.float64]:
+    """(3, 3) [C − O]×."""
+    x, y, z = (work["C"] - work["O"]).tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
