@@ -154,7 +154,7 @@ class Scenario(Spec):
     verdict: VerdictSpec = VerdictSpec()
     """[limits of the verdict](scenario.md#limits-of-the-verdict)"""
     laws: Annotated[Any, PlainValidator(_take_laws), Field(exclude=True)] = None
-    """custom laws, in [scenarios made in Python](guide.md#a-scenario-made-in-python) only"""
+    """custom laws, in [scenarios made in Python](extend.md#a-scenario-made-in-python) only"""
 
     _source: Path | None = PrivateAttr(default=None)
 

@@ -247,7 +247,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             *(f"wrench {arm.name} {kind}{x}" for arm in chain.arms for kind in "fm" for x in "xyz"),
             *(f"{kind} {i}" for kind in ("force", "normal speed") for i in forces),
             *(f"{whose} {axis}" for whose in ("set point", "scenario") for axis in axes),
-            *(f"{whose} force {i}" for whose in ("asked", "scenario") for i in forces),
+            *(f"{whose} force {i}" for whose in ("desired", "scenario") for i in forces),
         ]
 
     def reset(
