@@ -12,7 +12,7 @@
 # # One arm's operational space
 #
 # A Panda arm, seen from its tip: how heavy it feels, what its speed and its weight do there, and
-# how a wanted acceleration of the tip becomes torques. Equation numbers are those of the paper.
+# how a desired acceleration of the tip becomes torques. Equation numbers are those of the paper.
 # Twists are [v; ω] and wrenches [f; m], both at the tip and in world axes.
 
 # %%

@@ -121,7 +121,7 @@ moving = osc.Reference(
     reference.X_WD, reference.V_D, reference.A_D + free, reference.alpha_d, reference.squeeze_d
 )
 after = plant.accelerations(rig.controller().tick(measurement, moving))
-print("acceleration asked for:", free)
+print("commanded acceleration:", free)
 print("acceleration obtained: ", after[1] - before[1])
 print(f"contact forces change by {np.abs(after[2] - before[2]).max():.1e} N")
 
@@ -173,7 +173,7 @@ embed(write_scene_of(recording, rig, Path("scene.html")))
 # | `contacts.left_end.face.normal` | another tilt: N, T and the free motions follow |
 # | `force.right_end` | other signals, such as `minimum_jerk`, `jerk_limited` or `points` |
 # | `motion` | `kind: angular` with a unit vector: turn the rod instead of sliding it |
-# | `model_error.object_mass` | 1.2: the controller believes in a heavier rod |
+# | `model_error.object_mass` | 1.2: a heavier rod in the controller's model |
 # | `plant.friction` | what the frictionless model does not know |
 #
 # Every key can also be changed from the command line: `--set squeeze="20 N"`.

@@ -251,7 +251,7 @@ def _require_uncoupled(model: pin.Model, follows: Mapping[str, str]) -> None:
                 + (f"joint {follows[name]!r}" if follows[name] else "no other and is held")
                 + ": one motor moves both, and the control law takes every joint as free. Lock "
                 "both where they stand (locked=, arms.locked_joints), choose a tip before it, or "
-                "leave the coupling out if it has a motor of its own"
+                "leave the coupling out if it has its own motor"
             )
 
 

@@ -5,7 +5,7 @@ The object can make only the motions S that every arm permits (dual SCARA: five)
     Λ_S η̇ + μ_S + p_S + Sᵀf_c = G τ,        a = S η̇ + σ,        q̈ = W η̇ + w,
 
 and Φ₀ = S Λ_S⁻¹ Sᵀ takes the place of Λ₀⁻¹: a 6×6 matrix of rank d, never a damped inverse.
-Grasps may permit motions of their own (`Grasp`); these have no mass and no motor drives them.
+Grasps may permit motions (`Grasp`); these have no mass and no motor drives them.
 """
 
 from __future__ import annotations
@@ -291,7 +291,7 @@ class ClosedChain(ChainModel):
         return read_state(self, now, rest, data)
 
     def _twist(self, X_WO: pin.SE3, data: pin.Data) -> Array | None:
-        """(6,) of the object as the leader's tip tells it; None: the law finds it."""
+        """(6,) of the object from the leader's tip; None: the law finds it."""
         if self.leader is None:
             return None
         joint = self.model.frames[self.tips[self.leader]].parentJoint

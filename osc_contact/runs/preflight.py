@@ -137,8 +137,8 @@ def tare(rig: Rig) -> Values:
 @rule(
     0.0,
     np.inf,
-    "plant.friction is {value:g}, the controller knows of none, and the filter that reads forces "
-    "takes it for normal force; {other}give control.friction={{mu: …}}",
+    "plant.friction is {value:g}, the controller's model has none, and the filter that reads "
+    "forces takes it for normal force; {other}give control.friction={{mu: …}}",
 )
 def friction(rig: Rig) -> Values:
     """Friction that the filter of fig. 5 takes for normal force."""
@@ -462,7 +462,7 @@ def pulls(task: Task) -> Values:
     1.0,
     1.0,
     "{name} is {force:.4g} N at t = {t:.3g} s, and readings beyond safety.force_range = "
-    "{range:.4g} N are not believed; command less force, or raise force_range to what the wrist "
+    "{range:.4g} N are rejected; command less force, or raise force_range to what the wrist "
     "sensor measures",
 )
 def measured_range(task: Task) -> Values:

@@ -59,7 +59,7 @@ def calibrate_wrist(
 
     Raises:
         InvalidInputError: fewer than three postures, or shapes that do not fit.
-        ModelError: the postures do not tell weight from bias.
+        ModelError: the postures do not distinguish weight from bias.
     """
     k = len(rotations)
     if k < 3:
@@ -78,7 +78,7 @@ def calibrate_wrist(
         part = np.abs(Vh[s < 1e-3 * s[0]]).max(axis=0)
         blind = [name for name, share in zip(NAMES, part, strict=True) if share > 0.1]
         raise ModelError(
-            f"these {k} postures do not tell {', '.join(blind)} apart: the sensor is never turned "
+            f"these {k} postures do not distinguish {', '.join(blind)}: the sensor is never turned "
             "enough against gravity. Tilt it about two horizontal axes by 30 deg or more; a wrist "
             "that can only turn about the vertical has to be tared instead"
         )

@@ -48,7 +48,7 @@ Row = dict[str, Any]
 
 # --- Making rows --------------------------------------------------------------------------------
 
-_KEPT = 8  #: chains; where each run has masses of its own they are not needed again
+_KEPT = 8  #: chains; where each run has its own masses they are not needed again
 
 
 class Workshop:
