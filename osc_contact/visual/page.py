@@ -2,8 +2,8 @@
 
 meshcat's own ``static_html()`` requests the page from a server process. Here the `CommandSink`
 stands in for the viewer window and keeps the commands itself, and `write_page` puts them, in the
-order in which they were given, beside meshcat's JavaScript into one file. The page's content security
-policy forbids every network address, so a page that opens offline opens the same online.
+order in which they were given, beside meshcat's JavaScript into one file. The page's content
+security policy forbids every network address, so a page that opens offline opens the same online.
 """
 
 from __future__ import annotations
