@@ -27,8 +27,8 @@ README_MOST, CARD_MOST, FIGURE_MOST = 3_000_000, 1_500_000, 300_000  # bytes
 HEAD = """# Gallery
 
 Every packaged scenario and study, with its command and the verdict of the run shown. Arrows are
-contact forces (10 mm per newton; wide and pale: commanded, black: measured), long lines are lines of
-force, thin curves are trails. `make gallery` makes this page and its pictures anew;
+contact forces (10 mm per newton; wide and pale: commanded, black: measured), long lines are lines
+of force, thin curves are trails. `make gallery` makes this page and its pictures anew;
 `osc-contact view SCENARIO --gif FILE` makes one of your own.
 
 Two runs are `POOR` on purpose: `limited_rod` is commanded beyond the limits of its motors, and
