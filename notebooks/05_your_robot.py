@@ -67,8 +67,7 @@ for robot, text in (("flat_arm", arm), ("pin", pin)):
 # %% [markdown]
 # ## Is it sound?
 #
-# A file is judged before Pinocchio sees it. A slip of the pen is refused with line, reason and
-# cure.
+# A file is checked before Pinocchio reads it. A mistake is refused with line, reason and cure.
 
 # %%
 model = robots.load_model("flat_arm.urdf")

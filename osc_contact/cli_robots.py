@@ -78,7 +78,7 @@ def pose(
         str | None, typer.Option(help='put tip or object there: "0.4, 0, 30 cm" (m)')
     ] = None,
     rpy: Annotated[
-        str | None, typer.Option(help='and turn it so: "180 deg, 0, 0" (rad); default: as it is')
+        str | None, typer.Option(help='and turn it so: "180 deg, 0, 0" (rad); default: unchanged')
     ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="begin from random postures, not from --posture")

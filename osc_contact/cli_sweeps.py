@@ -73,7 +73,7 @@ def sweep(
                     study, out=folder, workers=workers, scheduler=scheduler, progress=progress
                 )
             except KeyboardInterrupt:
-                say(f"interrupted; the same command goes on with what is in {folder}")
+                say(f"interrupted; the same command continues with what is in {folder}")
                 raise typer.Exit(130) from None
         summary = write_report(table, study, folder)
         show_summary(study, summary)

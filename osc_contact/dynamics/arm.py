@@ -260,8 +260,8 @@ def _warn_of_followers(arm: Arm, follows: Mapping[str, str]) -> None:
     for name, master in follows.items():
         if master in list(arm.model.names) and name in arm.locked:
             _logger.warning(
-                "joint %r follows %r, which moves the tip; it is taken as held at %g: what moves "
-                "with it is not reckoned with. Lock %r too (locked=, arms.locked_joints), or leave "
+                "joint %r follows %r, which moves the tip; it is locked at %g, and bodies that "
+                "move with it are neglected. Lock %r too (locked=, arms.locked_joints), or leave "
                 "the coupling out",
                 name,
                 master,

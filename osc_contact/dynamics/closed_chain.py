@@ -239,9 +239,9 @@ def require_pinocchio_agrees(chain: ChainModel, row: Bytes) -> None:
             if not worst <= TOLERANCE * np.abs(theirs).max(initial=1.0):
                 raise ModelError(
                     f"the control law's {name} differs from Pinocchio's by {worst:.3g} on a random "
-                    "state: the model has a joint or a property that the law does not know. Please "
-                    "report it with the model; a chain of plain revolute and prismatic joints is "
-                    "known"
+                    "state: the model has a joint or a property that the law does not support. "
+                    "Please report it with the model; a chain of plain revolute and prismatic "
+                    "joints is supported"
                 )
 
 

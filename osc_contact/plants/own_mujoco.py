@@ -179,9 +179,9 @@ class MujocoRobot(MujocoPlant):
                     most = max(most, float(max(mj.geom_friction[both, 0])))
         if most >= MUCH_FRICTION:
             _log.warning(
-                "the tool rubs on the scene with a coefficient of %g (MuJoCo's default is 1): what "
-                "slides hops, and forces are read wrongly; name friction= and priority= of what it "
-                'touches, or condim="1" for none',
+                "friction of tool and scene has a coefficient of %g (MuJoCo's default: 1): "
+                "sliding contacts chatter, and forces are read wrongly; give friction= and priority= of the "
+                'touched geom, or condim="1" for none',
                 most,
             )
 

@@ -113,7 +113,7 @@ def sensors(rig: Rig) -> Values:
 @rule(
     0.0,
     np.inf,
-    "{wrong}, and nothing zeroes the wrist sensors: what they read wrongly is taken for contact "
+    "{wrong}, and nothing zeroes the wrist sensors: their errors are taken for contact "
     "force; set tare={{}} to zero them in free space before contact",
 )
 def tare(rig: Rig) -> Values:
@@ -165,8 +165,8 @@ def springs(rig: Rig) -> Values:
 @rule(
     -100.0,
     np.inf,
-    "the springs in the joints swing at {first:.3g} Hz (first mode, motors held), and no joint "
-    "torque loop makes them carry what is commanded: below 100 Hz contact is lost; set "
+    "the joint springs oscillate at {first:.3g} Hz (first mode, motors held), and no joint "
+    "torque loop produces the commanded torques: below 100 Hz contact is lost; set "
     "control.joint_torque={{rate: {rate:g} kHz}}",
 )
 def swinging(rig: Rig) -> Values:
