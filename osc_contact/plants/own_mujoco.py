@@ -180,8 +180,8 @@ class MujocoRobot(MujocoPlant):
         if most >= MUCH_FRICTION:
             _log.warning(
                 "friction of tool and scene has a coefficient of %g (MuJoCo's default: 1): "
-                "sliding contacts chatter, and forces are read wrongly; give friction= and priority= of the "
-                'touched geom, or condim="1" for none',
+                "sliding contacts chatter, and forces are read wrongly; give "
+                'friction= and priority= of the touched geom, or condim="1" for none',
                 most,
             )
 

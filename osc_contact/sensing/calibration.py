@@ -4,9 +4,9 @@ At rest a sensor whose gripper and load weigh m, with the centre of mass at c, r
 
     f = m u + b_f,    τ = (m c) × u + b_τ,    u = −Rᵀg,
 
-linear in the ten unknowns m, m c, b_f, b_τ. Postures that turn the sensor against gravity tell
-them apart; where they do not (every SCARA), weight and bias look the same: then the sensors can
-only be tared.
+linear in the ten unknowns m, m c, b_f, b_τ. Postures that turn the sensor against gravity
+distinguish them; where they do not (every SCARA), weight and bias are one unknown: then the sensors
+can only be tared.
 """
 
 from __future__ import annotations
