@@ -247,7 +247,7 @@ class RandomRig:
 
 
 def random_rig(kinds: list[str], rng: np.random.Generator) -> RandomRig:
-    """Arms of the given kinds around an object; hands and bases lie where they have to.
+    """Arms of the given kinds around an object; hands and bases are where they have to be.
 
     Planar arms turn in the horizontal plane and SCARAs stand upright, so that several of a kind
     permit the same motions.
@@ -390,7 +390,7 @@ def _chain(
 
 ROWS = 4096
 NEAR_STRAIGHT = 0.217  #: m further out than the packaged pose: elbows at 0.13 rad
-TOO_MUCH = 1.25  #: of the limit of one motor is wanted
+TOO_MUCH = 1.25  #: of the limit of one motor is commanded
 
 
 class OwnFace(VertexOnFace):

@@ -3,8 +3,8 @@
     python benchmarks/containers.py [KILLS]
 
 A process appends chunks of 100 rows of 120 numbers, hands each to the operating system and says so;
-then it is killed. Counted are the files that can still be read and the chunks lost of those said to
-be written. Containers whose packages (pyarrow) are not installed are left out.
+then it is killed. Counted are the files that can still be read and the chunks lost of those
+reported. Containers whose packages (pyarrow) are not installed are left out.
 """
 
 from __future__ import annotations

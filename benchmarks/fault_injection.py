@@ -72,7 +72,7 @@ class Fault:
     Attributes:
         change: what becomes of a measurement and a reference while it lasts; or None.
         lasts: s; inf: to the end. ends: states that a run may end in.
-        lies: whether a sensor lies, so that contact forces are judged.
+        lies: whether a sensor is faulty, so that contact forces are judged.
         torque: what becomes of the torques on their way to the motors; or None.
     """
 
@@ -202,7 +202,7 @@ def _held_row(t: Trial, w: np.ndarray) -> np.ndarray:
 
 
 def _weaken(share: float) -> Callable[[Trial, np.ndarray], np.ndarray]:
-    """One motor gives a share of what it is told to."""
+    """One motor gives a share of its command."""
 
     def make(t: Trial, tau: np.ndarray) -> np.ndarray:
         tau[t.pick(len(tau))] *= share

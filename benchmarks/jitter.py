@@ -103,7 +103,7 @@ def _scheduler() -> str:
 
 
 def _timer_slack() -> float | None:
-    """How much later than asked for the kernel may wake this process, µs (Linux: 50 by default)."""
+    """How much later than requested the kernel may wake this process, µs (Linux: 50 by default)."""
     file = Path("/proc/self/timerslack_ns")
     return int(file.read_text()) / 1e3 if file.is_file() else None
 

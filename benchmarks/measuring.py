@@ -46,7 +46,7 @@ def require_count(count: int, what: str) -> int:
         InvalidInputError: it is not.
     """
     if count < 1:
-        raise InvalidInputError(f"{count} {what} tell no time; give 1 or more")
+        raise InvalidInputError(f"{count} {what} give no time; take 1 or more")
     return count
 
 

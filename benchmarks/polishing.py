@@ -2,7 +2,7 @@
 
 A pass takes off dh = k(y) f |dy| at a place y (Preston's law): k says how soft the edge is there, f
 is the true contact force. No sensor reads k and no force law can know it. The depth is gauged after
-the pass, and a learner is told one number: how uneven it is.
+the pass, and a learner receives one number: how uneven it is.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ BEFORE = 0.2
 AFTER = 0.2  #: m, of the pass; s, in which the bar only presses
 EDGES = np.linspace(-0.04, 0.04, 21)  #: m; between them the depth is gauged
 MEAN = 15.0
-MOST = 40.0  #: N; where k is 1 the first takes off as much as is wanted
+MOST = 40.0  #: N; where k is 1 the first takes off the desired depth
 TABLE = np.array([0.5, 0.0, 0.32])  #: a point of the table's edge, which runs along y
 LOW = np.array([0.0, 0.0, -0.0424264])  #: a point of the bar's edge, which runs along x, in the bar
 INTO = np.array([0.6, 0.0, -0.8])  #: the normal of both edges, into the table
@@ -39,7 +39,7 @@ class Passes(NamedTuple):
     """What is gauged after the passes of all rows.
 
     Attributes:
-        uneven: (B,) rms of depth − 1. depth: (B, 20) between `EDGES`, 1: as wanted; a contact that
+        uneven: (B,) rms of depth − 1. depth: (B, 20) between `EDGES`, 1: as desired; a contact that
             is lost wears nothing. off: (B,) rms distance of the bar from its path (m).
     """
 
@@ -94,7 +94,7 @@ def make_env(rows: int, seconds: float = 1.4, threads: int | None = None) -> Con
 
 
 def polish(env: ContactVectorEnv, policies: Array, seed: int) -> Passes:
-    """One pass of every row: a policy presses by the place that it observes; motion is as asked.
+    """One pass of every row: a policy presses by the place that it observes; motion as commanded.
 
     Args:
         policies: (B, m) forces (N) at m places, evenly spread over the pass, linear in between.
@@ -345,7 +345,7 @@ def main(
     rows_of = []
     policies = {("ours", "15 N everywhere"): np.full(len(KNOTS), MEAN)}
     policies |= {(law, f"learnt, seed {seed}"): found[0] for (law, seed), found in learnt.items()}
-    policies |= {(law, "best, hardness told"): best_forces(KNOTS) for law in LAWS}
+    policies |= {(law, "best, known hardness"): best_forces(KNOTS) for law in LAWS}
     for (law, name), policy in policies.items():
         cells = []
         for seconds in (SLOW, FAST):
@@ -384,7 +384,7 @@ def draw(
         curves.set(
             title="unevenness of the mean policy", xlabel="generation", ylabel="%", yscale="log"
         )
-        forces.plot(1e3 * KNOTS, best_forces(KNOTS), "k--", lw=1.2, label="best, hardness told")
+        forces.plot(1e3 * KNOTS, best_forces(KNOTS), "k--", lw=1.2, label="best, known hardness")
         forces.set(title="force by place", xlabel="place (mm)", ylabel="N", ylim=(0, None))
         middle = 500 * (EDGES[1:] + EDGES[:-1])
         for name, colour, label in (
@@ -394,7 +394,7 @@ def draw(
             for i, one in enumerate(depths["ours", name, SLOW]):
                 depth.plot(middle, one, color=colour, lw=0.7, label=label if i == 0 else None)
         depth.set(
-            title=f"depth of {JUDGED} passes, 1: as wanted", xlabel="place (mm)", ylim=(0, None)
+            title=f"depth of {JUDGED} passes, 1: as desired", xlabel="place (mm)", ylim=(0, None)
         )
         for ax in (curves, forces, depth):
             ax.legend()

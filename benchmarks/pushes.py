@@ -9,7 +9,7 @@ not come back within 2 s though the controller did not stop, where an arm still 
 second after it stopped if that is later, or where a joint was above its speed limit later than
 50 ms after the push. Arms whose motors cannot carry them off their faces (limited_rod: 48.0 N for a
 weight of 48.07 N) sink back onto these when they are stopped, and a free cart may lean on them
-(moving_face): that is told, and not wrong below a tenth of their speed limits.
+(moving_face): that is reported, and not wrong below a tenth of their speed limits.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@
 # %% [markdown]
 # # One arm's operational space
 #
-# A Panda arm, seen from its tip: how heavy it feels, what its speed and its weight do there, and
-# how a wanted acceleration of the tip becomes torques. Equation numbers are those of the paper.
+# A Panda arm at its tip: apparent mass, forces of velocity and weight, and
+# how a desired acceleration of the tip becomes torques. Equation numbers are those of the paper.
 # Twists are [v; ω] and wrenches [f; m], both at the tip and in world axes.
 
 # %%
@@ -72,7 +72,7 @@ figure
 # ## Does Λa + μ + p hold?
 #
 # τ = Jᵀ(Λa + μ + p) should give the tip exactly the acceleration a. Pinocchio's forward dynamics
-# decides. Torques in the null space, (1 − JᵀJ̄ᵀ)τ₀, must not show at the tip.
+# decides. Torques in the null space, (1 − JᵀJ̄ᵀ)τ₀, must not act at the tip.
 
 # %%
 a = np.array([0.5, 0.0, 1.0, 0.0, 2.0, 0.0])  # m/s², rad/s²

@@ -12,7 +12,7 @@
 # # A contact state, N and T, and why a selection matrix fails
 #
 # A state of contact is two spaces: N, the wrenches it transmits, and T, the motions it permits,
-# NᵀT = 0. Hybrid control with a selection matrix asks for more: one frame, along and about whose
+# NᵀT = 0. Hybrid control with a selection matrix requires more: one frame, along and about whose
 # axes either force or motion is controlled. Many contacts have no such frame.
 
 # %%

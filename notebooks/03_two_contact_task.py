@@ -12,8 +12,8 @@
 # # Two contacts, one rod, no constraint frame
 #
 # Two SCARA arms hold a rod by hinged grippers. Each end of the rod presses on a tilted face, and
-# the rod slides along the one direction that lies in both faces. We want two contact forces and
-# the free motion, all at once and independent of one another.
+# the rod slides along the one direction that lies in both faces. Two contact forces and
+# the free motion are controlled at the same time, independent of one another.
 #
 # Equation numbers are those of the paper. Twists are [v; ω] and wrenches [f; m], both at the
 # rod's origin O and in world axes.
@@ -110,7 +110,7 @@ print(f"acceleration of the rod changes by {np.abs(after[1] - before[1]).max():.
 
 # %% [markdown]
 # The force follows the step at once, plus what the integral of the force law adds in its first
-# period, 30 /s · 1 ms · 5 N = 0.15 N, because the sensors have not yet seen the step.
+# period, 30 /s · 1 ms · 5 N = 0.15 N, because the sensors do not yet measure the step.
 
 # %% [markdown]
 # The other way round: a commanded acceleration along the free motions leaves both forces alone.
@@ -121,7 +121,7 @@ moving = osc.Reference(
     reference.X_WD, reference.V_D, reference.A_D + free, reference.alpha_d, reference.squeeze_d
 )
 after = plant.accelerations(rig.controller().tick(measurement, moving))
-print("acceleration asked for:", free)
+print("commanded acceleration:", free)
 print("acceleration obtained: ", after[1] - before[1])
 print(f"contact forces change by {np.abs(after[2] - before[2]).max():.1e} N")
 
@@ -173,7 +173,7 @@ embed(write_scene_of(recording, rig, Path("scene.html")))
 # | `contacts.left_end.face.normal` | another tilt: N, T and the free motions follow |
 # | `force.right_end` | other signals, such as `minimum_jerk`, `jerk_limited` or `points` |
 # | `motion` | `kind: angular` with a unit vector: turn the rod instead of sliding it |
-# | `model_error.object_mass` | 1.2: the controller believes in a heavier rod |
-# | `plant.friction` | what the frictionless model does not know |
+# | `model_error.object_mass` | 1.2: a heavier rod in the controller's model |
+# | `plant.friction` | friction that the model lacks |
 #
 # Every key can also be changed from the command line: `--set squeeze="20 N"`.

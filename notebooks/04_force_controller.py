@@ -12,10 +12,10 @@
 # # Design your own force controller
 #
 # Fig. 4 shows the controller as boxes with named signals between them. Three laws can be replaced
-# by functions of your own (`osc_contact.Laws`), while the rest of the tick stays compiled: the
+# by custom functions (`osc_contact.Laws`), while the rest of the tick stays compiled: the
 # motion law, the control structure, and here the force law, which turns desired and measured
 # magnitudes into commanded ones. The filters behind it keep its commands out of the motion,
-# whatever they are. That is what decoupling buys: a force law can be designed for itself.
+# whatever they are. So a force law can be designed separately.
 
 # %%
 # %matplotlib inline
@@ -89,9 +89,9 @@ plt.close(figure)
 figure
 
 # %% [markdown]
-# What the integrals leave over, no force law can remove: the grippers beyond the sensors are too
-# heavy in the model as well, and to a wrist sensor a weight looks like a contact force. A tare
-# before contact removes it.
+# No force law removes the remaining error: the grippers beyond the sensors are too heavy in the
+# model as well, and a wrist sensor measures a weight like a contact force. A tare before contact
+# removes it.
 #
 # ## Why the built-in law has no proportional part
 #
@@ -109,7 +109,7 @@ for gain in (0.5, 0.9, 1.1):
 # %% [markdown]
 # ## And the motion?
 #
-# It does not notice which law is at work. On this exact plant the rod makes the same motion to
+# It does not depend on the force law. On this exact plant the rod makes the same motion to
 # the last digits.
 
 # %%

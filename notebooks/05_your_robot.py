@@ -67,8 +67,7 @@ for robot, text in (("flat_arm", arm), ("pin", pin)):
 # %% [markdown]
 # ## Is it sound?
 #
-# A file is judged before Pinocchio sees it. A slip of the pen is refused with line, reason and
-# cure.
+# A file is checked before Pinocchio reads it. A mistake is refused with line, reason and cure.
 
 # %%
 model = robots.load_model("flat_arm.urdf")
@@ -159,4 +158,4 @@ embed(write_scene_of(recording, rig, Path("scene.html")))
 # | several arms, passive joints | one entry more in `arms` and `grasps`, `passive_joints` |
 # | a robot that is not exactly known | `model_error.arm_mass`, `tare` |
 # | contacts that open, friction | `plant: {type: mujoco, …}` |
-# | other contacts, own loop, hardware | the five programs of the guide, docs/guide.md |
+# | other contacts and laws; own loop, hardware | docs/extend.md; docs/own_loop.md |

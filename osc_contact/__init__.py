@@ -9,7 +9,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # each is imported when it is first asked for, see __getattr__
+if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.contacts.contact import Contact
     from osc_contact.contacts.detection.detect import detect
     from osc_contact.contacts.pairs import (

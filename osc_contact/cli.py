@@ -147,7 +147,7 @@ def view(
     what: Annotated[
         str, typer.Argument(metavar="SCENARIO|RECORDING", help="as for `run`, or an .npz file")
     ],
-    live: Annotated[bool, typer.Option("--live", help="in a browser, while it goes on")] = False,
+    live: Annotated[bool, typer.Option("--live", help="in a browser, during the run")] = False,
     html: Annotated[
         Path | None,
         typer.Option("--html", help="one file that needs no server", show_default=False),

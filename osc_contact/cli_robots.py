@@ -1,4 +1,4 @@
-"""Commands about robots: what is wrong with one, where it stands, a first task for it."""
+"""Commands about robots: checks, kinematics, a first task."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["check", "new", "pose"]
 
 
 class InertiaLevel(StrEnum):
-    """What is asked of the inertias of a URDF."""
+    """Requirements on the inertias of a URDF."""
 
     possible = "possible"
     positive = "positive"
@@ -42,11 +42,11 @@ def check(
         InertiaLevel, typer.Option(help="positive: for parameters that no body has exactly")
     ] = InertiaLevel.possible,
     package_dir: Annotated[
-        list[Path] | None, typer.Option("--package-dir", help="folder that meshes may lie in")
+        list[Path] | None, typer.Option("--package-dir", help="folder that may hold meshes")
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Check a robot's URDF or MJCF and say what the robot is; exit code 1 if something is wrong."""
+    """Check a robot's URDF or MJCF and describe the robot; exit code 1 if something is wrong."""
     with exit_codes():
         path, folders = robots.locate(robot)
         report = robots.check_robot(
@@ -78,7 +78,7 @@ def pose(
         str | None, typer.Option(help='put tip or object there: "0.4, 0, 30 cm" (m)')
     ] = None,
     rpy: Annotated[
-        str | None, typer.Option(help='and turn it so: "180 deg, 0, 0" (rad); default: as it is')
+        str | None, typer.Option(help='and turn it so: "180 deg, 0, 0" (rad); default: unchanged')
     ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="begin from random postures, not from --posture")

@@ -26,7 +26,16 @@ Contact forces and free motion of arms, controlled at once. Five things to do fi
   osc-contact examples                    short Python programs to change
 
 All commands: osc-contact --help"""
-PAGES = ("README.md", "guide.md", "first_hour.md", "own_loop.md", "mujoco_arm.md")
+PAGES = (
+    "README.md",
+    "press_and_slide.md",
+    "two_arms.md",
+    "contact_phases.md",
+    "friction.md",
+    "own_loop.md",
+    "mujoco_arm.md",
+    "extend.md",
+)
 PROGRAM = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 HEADING = re.compile(r"^#{1,2} (.*)$", re.MULTILINE)
 

@@ -50,7 +50,7 @@ def sweep(
     samples: Annotated[
         int, typer.Option(min=1, help="points; on a grid: values of each key that can have any")
     ] = 100,
-    design: Annotated[Design, typer.Option(help="where they lie")] = "halton",
+    design: Annotated[Design, typer.Option(help="how they are placed")] = "halton",
     seed: SeedOption = 0,
     duration: DurationOption = None,
     set_: SetOption = None,
@@ -61,7 +61,7 @@ def sweep(
     scheduler: SchedulerOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Run a scenario many times with other numbers; the same command goes on after a kill."""
+    """Run a scenario many times with other numbers; the same command continues after a kill."""
     with exit_codes():
         for package in ("pyarrow", "scipy"):
             require(package)
@@ -73,7 +73,7 @@ def sweep(
                     study, out=folder, workers=workers, scheduler=scheduler, progress=progress
                 )
             except KeyboardInterrupt:
-                say(f"interrupted; the same command goes on with what is in {folder}")
+                say(f"interrupted; the same command continues with what is in {folder}")
                 raise typer.Exit(130) from None
         summary = write_report(table, study, folder)
         show_summary(study, summary)
@@ -155,7 +155,7 @@ def tune(
     duration: DurationOption = None,
     set_: SetOption = None,
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="folder of the trials; goes on with them")
+        Path | None, typer.Option("--out", help="folder of the trials; continues them")
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,

@@ -1,4 +1,4 @@
-"""What commands share: output and complaints, exit codes, tasks, runs with a progress display."""
+"""Shared by commands: output and errors, exit codes, tasks, runs with a progress display."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ def record(scenario: Scenario, seed: int, folder: Path) -> Recording:
 def report_run(
     recording: Recording, scenario: Scenario, folder: Path, json_file: Path | None
 ) -> tuple[str, bool]:
-    """Write and tell what a run leaves: what was written, in words; whether its task failed.
+    """Write and report the results of a run: what was written, in words; whether its task failed.
 
     Args:
         recording, scenario: of the run. folder: for its files. json_file: for the verdict.
@@ -241,7 +241,7 @@ def show_live(
     seed: int,
     hold: float | None,
 ) -> None:
-    """Show a run, or a recording, while it goes on.
+    """Show a run, or a recording, live.
 
     Args:
         shown: what the page shows.

@@ -1,4 +1,4 @@
-"""Every error of the toolkit: one base class, children that say which door refused the input."""
+"""Every error of the toolkit: one base class, children that name the refused input."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class OscContactError(Exception):
 
 
 class InvalidInputError(OscContactError, ValueError):
-    """An argument has the wrong shape, is not finite, or lies outside its range."""
+    """An argument has the wrong shape, is not finite, or is outside its range."""
 
 
 class SensorTimeout(OscContactError):

@@ -76,7 +76,7 @@ class Measurement:
         stamps: when each was sampled; None: all of them now.
         seen: object and arms as a camera sees them; None: there is none.
         wrench_valid: False: this tick has no new wrenches, whatever stands in them; the controller
-            goes on with the last ones for a while. None: they are as good as they look.
+            continues with the last ones for a while. None: they are as good as they look.
         sequence: number of the packet. One that came before is a reading of a known age, which is
             used for `wrench_timeout`; one older than the last is not used. None: packets have none.
         estimated: whether v was estimated from q: then it is no second reading of the joints, with
@@ -96,7 +96,7 @@ class Measurement:
 
 
 class Robot(Protocol):
-    """What the control loop asks of a robot: hardware, or a plant that simulates one."""
+    """Methods that the control loop needs of a robot: hardware, or a plant that simulates one."""
 
     def measure(self) -> Measurement:
         """What the robot's sensors read now."""
@@ -135,7 +135,7 @@ def _none() -> Array:
 
 @dataclass(frozen=True)
 class Reference:
-    """What the user wants at one tick; what is left out is zero.
+    """The user's commands at one tick; what is left out is zero.
 
     Accelerations are *classical*, d/dt of V_D: what trajectory generators and
     `pin.getFrameClassicalAcceleration(..., LOCAL_WORLD_ALIGNED)` give. The controller makes them

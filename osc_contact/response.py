@@ -134,6 +134,6 @@ def require_reachable(state: ChainState, contact: Contact, Phi_e: Array | None =
     if values[0] < 1e-10:
         which = [int(i) for i in np.flatnonzero(np.abs(vectors[:, 0]) > 1e-3)]
         raise ContactError(
-            f"as seen through {who}, contact columns {which} are dependent (scaled eigenvalue "
-            f"{values[0]:.2g}): their forces cannot be told apart. Keep an independent subset."
+            f"in the metric of {who}, contact columns {which} are dependent (scaled eigenvalue "
+            f"{values[0]:.2g}): their forces cannot be distinguished. Keep an independent subset."
         )

@@ -112,7 +112,7 @@ def _refuse(M: Array, X: Array, unseen: Array, what: str) -> NoReturn:
         )
     share, which = np.linalg.norm(X @ unseen), _large(np.linalg.solve(unit, unseen))
     raise ContactError(
-        f"{what}: columns {which} are dependent as the metric sees them (least singular value "
+        f"{what}: columns {which} are dependent in the metric (least singular value "
         f"{share:.2g}, limit {max(BLOCKED, BLURRED / independent):.2g}); it cannot move along one "
         "combination of them. Drop a contact, or pass a metric that is definite on N."
     )

@@ -1,4 +1,4 @@
-"""THE conventions page: how motions and forces are written everywhere in this package.
+"""The conventions: how motions and forces are written everywhere in this package.
 
 * Order: linear first, then angular, as in Pinocchio (`pin.Motion`, `pin.Force`).
   Featherstone's book orders them the other way round; the 1999 paper lists forces before
@@ -52,10 +52,10 @@ __all__ = [
 def as_array(name: str, value: Any, shape: tuple[int | None, ...]) -> Array:
     """Return `value` as a finite float64 array of `shape` (None: any size along that axis).
 
-    Where a vector of any size is wanted, (None,), a plain number is one of one element.
+    Where a vector of any size is expected, (None,), a plain number is one of one element.
 
     Args:
-        name: of the argument, for the message. value: anything NumPy reads. shape: wanted.
+        name: of the argument, for the message. value: anything NumPy reads. shape: expected.
 
     Raises:
         InvalidInputError: wrong number of axes, wrong size or a NaN/inf, with what was found.

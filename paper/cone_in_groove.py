@@ -76,7 +76,7 @@ class Cone:
 
 @dataclass(frozen=True, eq=False)
 class Seat:
-    """A cone lying in a groove, its apex on the groove's line.
+    """A cone in a groove, its apex on the groove's line.
 
     A cone whose axis is inclined by φ to the line touches both walls, of half angle β, along a
     generator each if its own half angle θ has sin θ = sin φ sin β.

@@ -28,7 +28,7 @@ FACE: dict[str, Any] = {"facecolor": "#9CC5C1", "edgecolor": "#3C6E6A", "alpha":
 def draw_contact_state(
     points: Array, directions: Array, rod: Array, faces: Sequence[Array], title: str
 ) -> Figure:
-    """Draw rod and faces, each contact normal as a long line of force, and how the lines lie.
+    """Draw rod and faces, each contact normal as a long line of force, and the lines' positions.
 
     For every pair of lines of force the common perpendicular is drawn; the legend gives its
     length and the angle between the lines. Lines that do not meet and are not parallel are what

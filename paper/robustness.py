@@ -23,7 +23,7 @@ from paper.selection_laws import BASELINES, Baseline, Instant, Law, Ours, Select
 from paper.study import Ask, Data, Study, table_of
 
 SCENARIO = "two_contact_rod"
-SAMPLES = 1000  #: of each case, unless others are asked for
+SAMPLES = 1000  #: of each case, unless another number is given
 #: What is not as the controllers believe, by case.
 VARIED: dict[str, tuple[str, ...]] = {
     "masses": (

@@ -40,7 +40,7 @@ class Answer:
     Attributes:
         found: the numbers, in words.
         holds: whether they bear the statement out.
-        limit: what was asked for it to hold, in words; empty where it is plain.
+        limit: the limit under which it holds, in words; empty where it is plain.
     """
 
     found: str

@@ -45,7 +45,7 @@ class Ask:
         changes: "key=value" of its scenario, where it has one.
         samples: of what varies, where something does; default: the study's own.
         folder: for what a study keeps while it runs.
-        tell: called with what it does next.
+        tell: called with the next step.
     """
 
     seed: int = 0

@@ -163,7 +163,7 @@ def test_vector_env_program(tmp_path: Path) -> None:
     "module", [tick, peers, scaling, jitter, law, simulation, many_runs, vector_env]
 )
 def test_benchmarks_refuse_no_ticks(module) -> None:
-    with pytest.raises(InvalidInputError, match=r"0 .* tell no time"):
+    with pytest.raises(InvalidInputError, match=r"0 .* give no time"):
         module.measure(0)
 
 

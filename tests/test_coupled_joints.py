@@ -45,7 +45,7 @@ def test_a_joint_that_follows_another_one_on_the_way_to_the_tip_is_refused_with_
 def test_before_it_or_with_both_locked_the_arm_is_there(urdf, caplog):
     """Followers that the tip does not need are held, and what moves with their master is told."""
     assert list(osc.Arm.from_urdf(urdf, name="arm", tip="a").model.names)[1:] == ["ja"]
-    assert "joint 'jg' follows 'ja', which moves the tip; it is taken as held at 0" in caplog.text
+    assert "joint 'jg' follows 'ja', which moves the tip; it is locked at 0" in caplog.text
     caplog.clear()
     arm = osc.Arm.from_urdf(urdf, name="arm", tip="c", locked={"ja": 0.2, "jb": -0.2})
     assert not caplog.text

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from test_docs import FENCE, ROOT
 
-PAGE = ROOT / "docs" / "first_hour.md"
+PAGE = ROOT / "docs" / "press_and_slide.md"
 PROGRAM = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
 
 
@@ -21,7 +21,7 @@ def run(line: str, folder: Path) -> str:
         source, target = words
         shutil.copy(ROOT / source, folder / target)
         return ""
-    assert name == "osc-contact", f"not told how to run {line!r}"
+    assert name == "osc-contact", f"no way to run {line!r}"
     done = subprocess.run(
         [*PROGRAM, *words], cwd=folder, capture_output=True, text=True, timeout=300
     )
@@ -53,6 +53,8 @@ def test_the_page_leads_from_the_packaged_scenario_to_a_tilted_face(tmp_path: Pa
         elif kind == "text" and kinds[-1] != "python":  # tests/test_docs.py runs the program
             assert text.strip() in said
         kinds.append(kind)
-    assert kinds == ["sh", "text", "diff", "sh", "text", "sh", "text", *2 * ["python", "text"]]
+    programs = ["sh", "text", "diff", "sh", "text", "sh", "text", "python", "text", *3 * ["sh"]]
+    assert kinds == programs
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"my_rod.html", "my_rod"}
     assert (tmp_path / "out" / "my_rod" / "metrics.json").exists()
+    assert (tmp_path / "my_task.yaml").exists()

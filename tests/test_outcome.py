@@ -193,7 +193,7 @@ def test_a_power_ratio_that_is_large_says_why():
     verdict = osc.metrics(made(power_projected=np.full(TICKS, 1.41)))
     rows = [str(cell) for column in verdict_table(verdict).columns for cell in column.cells]
     (row,) = [row for row in rows if "W, projected" in row or "projected part" in row]
-    assert "141 %" in row and "contacts took up themselves" in row
+    assert "141 %" in row and "power into the contacts" in row
     small = osc.metrics(made(power_projected=np.full(TICKS, 0.01)))
     rows = [str(cell) for column in verdict_table(small).columns for cell in column.cells]
     assert any("ratio 1 %" in row for row in rows)

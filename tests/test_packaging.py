@@ -62,7 +62,7 @@ def constraints() -> dict[str, str]:
         ("osc_contact", "**/*.py", "osc_contact"),
         ("osc_contact", "py.typed", "osc_contact"),
         ("osc_contact/visual/assets", "*", "osc_contact/visual/assets"),
-        ("docs", "guide.md", "osc_contact/docs"),
+        ("docs", "own_loop.md", "osc_contact/docs"),
     ],
 )
 def test_wheel_carries(wheel: zipfile.ZipFile, folder: str, pattern: str, inside: str) -> None:

@@ -138,7 +138,9 @@ def test_actions_move_the_set_point_and_set_the_force():
     moved = env.fleet.objects()[0] - start
     np.testing.assert_allclose(moved[:, 1], [0.04, -0.02], atol=2e-4)
     np.testing.assert_allclose(part(env, observation, "force 0")[:, 0], [12.0, 6.0], atol=0.05)
-    np.testing.assert_allclose(part(env, observation, "asked force")[:, 0], [12.0, 6.0], atol=1e-9)
+    np.testing.assert_allclose(
+        part(env, observation, "desired force")[:, 0], [12.0, 6.0], atol=1e-9
+    )
     np.testing.assert_allclose(part(env, observation, "set point y")[:, 0], [0.04, -0.02])
 
 

@@ -26,14 +26,13 @@ PICTURES = DOCS / "images" / "gallery"
 README_MOST, CARD_MOST, FIGURE_MOST = 3_000_000, 1_500_000, 300_000  # bytes
 HEAD = """# Gallery
 
-Every packaged scenario and study: what it shows, its command, and the verdict of the run that is
-shown.
-Arrows are contact forces (10 mm per newton; wide and pale: commanded, black: measured), long lines
-are lines of force, thin curves are trails. `make gallery` makes this page and its pictures anew;
+Every packaged scenario and study, with its command and the verdict of the run shown. Arrows are
+contact forces (10 mm per newton; wide and pale: commanded, black: measured), long lines are lines
+of force, thin curves are trails. `make gallery` makes this page and its pictures anew;
 `osc-contact view SCENARIO --gif FILE` makes one of your own.
 
-Two runs are `POOR` as they are meant to be: `limited_rod` is commanded more than its motors can do,
-and `collisions` is knocked off its faces again and again.
+Two runs are `POOR` on purpose: `limited_rod` is commanded beyond the limits of its motors, and
+`collisions` is pushed off its faces again and again.
 """
 
 

@@ -136,7 +136,7 @@ class Contact:
         Args:
             contacts: any number of them, r_all columns together.
             Phi_ref: (6, 6) the held object's inverse inertia at O. The rank is then decided on
-                NᵀΦ_ref N scaled to unit diagonal, which knows no frame, origin or unit. Default:
+                NᵀΦ_ref N scaled to unit diagonal, independent of frame, origin and unit. Default:
                 columns scaled to unit length in N and N m about O.
 
         Raises:

@@ -1,7 +1,7 @@
 """Which columns of N are independent, and how the others follow from them.
 
 Columns are scaled before any verdict: to unit length, or, where the held object's inverse inertia
-Φ is known, to unit √(nᵀΦn), after which the verdict knows no frame, origin or unit of length.
+Φ is known, to unit √(nᵀΦn), so that the result does not depend on frame, origin or unit of length.
 With the factor Φ = LLᵀ the singular values of LᵀN are the roots of the eigenvalues of NᵀΦN, without
 the digits that forming NᵀΦN would lose.
 """
@@ -70,7 +70,7 @@ def require_independent(columns: Array, name: str) -> None:
     if columns.shape[1] > 6:
         raise ContactError(
             f"{name}: {columns.shape[1]} columns in a 6-dimensional space are dependent; their "
-            "magnitudes cannot be told apart. Keep six or fewer independent ones."
+            "magnitudes cannot be distinguished. Keep six or fewer independent ones."
         )
     scaled, _ = scaled_columns(columns, None, name)
     if independent(scaled):
@@ -139,10 +139,10 @@ def require_consistent(
         ContactError: naming the contacts (`owners`, one per column) that disagree.
     """
     kept = n_gamma[keep]
-    amiss = np.abs(n_gamma - kept @ R)
+    violation = np.abs(n_gamma - kept @ R)
     summands = (np.abs(n_gamma) + np.abs(kept) @ np.abs(R)) / size
-    bad = int((amiss / size).argmax())
-    if amiss[bad] <= max(_STILL, _CONSISTENT * size[bad] * float(summands.max())):
+    bad = int((violation / size).argmax())
+    if violation[bad] <= max(_STILL, _CONSISTENT * size[bad] * float(summands.max())):
         return
     part = np.abs(R[:, bad]) * size[keep]
     with_them = [keep[i] for i in np.flatnonzero(part > 1e-3 * part.max())]

@@ -417,7 +417,7 @@ class Controller:
 
     @property
     def unbraked(self) -> str | None:
-        """A joint without any sound reading, so that it cannot be braked reliably; None: none.
+        """A joint without any sound reading, so that it cannot be braked reliably, or None.
 
         The arms are to be stopped by their mechanical brakes then.
         """

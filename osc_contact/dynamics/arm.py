@@ -251,7 +251,7 @@ def _require_uncoupled(model: pin.Model, follows: Mapping[str, str]) -> None:
                 + (f"joint {follows[name]!r}" if follows[name] else "no other and is held")
                 + ": one motor moves both, and the control law takes every joint as free. Lock "
                 "both where they stand (locked=, arms.locked_joints), choose a tip before it, or "
-                "leave the coupling out if it has a motor of its own"
+                "leave the coupling out if it has its own motor"
             )
 
 
@@ -260,8 +260,8 @@ def _warn_of_followers(arm: Arm, follows: Mapping[str, str]) -> None:
     for name, master in follows.items():
         if master in list(arm.model.names) and name in arm.locked:
             _logger.warning(
-                "joint %r follows %r, which moves the tip; it is taken as held at %g: what moves "
-                "with it is not reckoned with. Lock %r too (locked=, arms.locked_joints), or leave "
+                "joint %r follows %r, which moves the tip; it is locked at %g, and bodies that "
+                "move with it are neglected. Lock %r too (locked=, arms.locked_joints), or leave "
                 "the coupling out",
                 name,
                 master,

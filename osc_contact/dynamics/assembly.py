@@ -45,11 +45,11 @@ def reach(chain: ClosedChain, q: Array, X_WO: pin.SE3, tolerance: float = 1e-6) 
     """Bring every grasp as near to an object pose as the arms can (inverse kinematics).
 
     Levenberg–Marquardt on the energy-weighted pose errors, (object's inertia)½ × displacement,
-    within the joints' limits: a joint at its end stop that would go on rests there.
+    within the joints' limits: a joint at its end stop that would continue rests there.
 
     Args:
         chain: the arms. q: (n,) start; joints outside their limits start at these.
-        X_WO: wanted pose.
+        X_WO: desired pose.
         tolerance: stop when a step moves no joint by more than this (m, rad).
 
     Raises:
@@ -113,7 +113,7 @@ def closed(
 
     Args:
         chain, q, gaps, tolerance, max_steps: as for `close`.
-        X_WO: where the object is at first, if no arm tells; None: where the joints say.
+        X_WO: initial pose of the object, if no arm determines it; None: that of the joints.
 
     Raises:
         ModelError: as `close`; or the joints do not determine the pose, and it is not given.
@@ -227,7 +227,7 @@ def inverse_rows(A: Array, M: Array, groups: Sequence[int]) -> tuple[Array, Arra
     K = np.linalg.cholesky(M)
     whitened = np.linalg.solve(K, A.T).T
     size = np.linalg.norm(whitened, axis=1)
-    # the three rows of a vector share one scale: a locked direction has a zero row of its own
+    # the three rows of a vector share one scale: a locked direction has a separate zero row
     start = 0
     for count in groups:
         size[start : start + count] = size[start : start + count].max()

@@ -83,8 +83,8 @@ class ChainModel:
     Attributes:
         model, data: the merged Pinocchio model, joints named "arm/joint", and its data.
         arms: as given. grasps: one for each arm. slices: each arm's part of q and v.
-        leader: the first arm that holds the object rigidly and so tells its pose; None: the joints
-            of all arms together do, if anything does.
+        leader: the first arm that holds the object rigidly and so determines its pose; None: the
+            joints of all arms together do, if anything does.
         actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits, inf
             where a model names none.
         tips, sensors: frame of each arm's tip and wrist sensor (None: it has none).
@@ -233,7 +233,7 @@ class ChainModel:
 
 
 def _full_rank(model: pin.Model, tip: str, grasp: Grasp) -> int:
-    """Motions of the object that an arm makes in ordinary postures, as far as its grasp tells.
+    """Motions of the object that an arm makes in ordinary postures, according to its grasp.
 
     The largest rank of NᵀJ in a few random postures.
     """

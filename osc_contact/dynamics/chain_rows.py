@@ -21,7 +21,8 @@ def chain_row(chain: ChainModel, led: bool) -> Bytes:
     """A row of MODEL of the chain alone: no contacts, no motors.
 
     Args:
-        led: the leading arm, if there is one, tells the object's pose; else it is given (`MEMORY`).
+        led: the leading arm, if there is one, determines the object's pose; else it
+            is given (`MEMORY`).
     """
     raw = new_model(len(chain.arms), chain.nq, 0)
     pack_chain(chain, raw, chain.leader if led else None)

@@ -5,7 +5,7 @@ The object can make only the motions S that every arm permits (dual SCARA: five)
     Λ_S η̇ + μ_S + p_S + Sᵀf_c = G τ,        a = S η̇ + σ,        q̈ = W η̇ + w,
 
 and Φ₀ = S Λ_S⁻¹ Sᵀ takes the place of Λ₀⁻¹: a 6×6 matrix of rank d, never a damped inverse.
-Grasps may permit motions of their own (`Grasp`); these have no mass and no motor drives them.
+Grasps may permit motions (`Grasp`); these have no mass and no motor drives them.
 """
 
 from __future__ import annotations
@@ -239,9 +239,9 @@ def require_pinocchio_agrees(chain: ChainModel, row: Bytes) -> None:
             if not worst <= TOLERANCE * np.abs(theirs).max(initial=1.0):
                 raise ModelError(
                     f"the control law's {name} differs from Pinocchio's by {worst:.3g} on a random "
-                    "state: the model has a joint or a property that the law does not know. Please "
-                    "report it with the model; a chain of plain revolute and prismatic joints is "
-                    "known"
+                    "state: the model has a joint or a property that the law does not support. "
+                    "Please report it with the model; a chain of plain revolute and prismatic "
+                    "joints is supported"
                 )
 
 
@@ -291,7 +291,7 @@ class ClosedChain(ChainModel):
         return read_state(self, now, rest, data)
 
     def _twist(self, X_WO: pin.SE3, data: pin.Data) -> Array | None:
-        """(6,) of the object as the leader's tip tells it; None: the law finds it."""
+        """(6,) of the object from the leader's tip; None: the law finds it."""
         if self.leader is None:
             return None
         joint = self.model.frames[self.tips[self.leader]].parentJoint

@@ -2,7 +2,7 @@
 
 Everything here holds for one instant, at the operational point O in world axes: build it again
 each tick. Bodies bring their own pose, their twist and their *classical* acceleration at their own
-origin (what a tracker or an encoder tells), and leave as spatial vectors at O.
+origin (readings of a tracker or an encoder), and leave as spatial vectors at O.
 """
 
 from __future__ import annotations
@@ -178,7 +178,7 @@ class Environment:
         Args:
             X_WE: pose of the body in the world.
             V_E: (6,) [ṗ; ω] at its own origin, world axes (m/s, rad/s).
-            A_E: (6,) [p̈; ω̇], *classical* acceleration of its own origin, world axes.
+            A_E: (6,) [p̈; ω̇], *classical* acceleration of its origin, world axes.
             O: (3,) operational point in the world (m).
 
         Raises:
@@ -324,7 +324,7 @@ class Environment:
 
         The bodies' motions tangential to their contacts are not in it: of `a_e` only Nᵀa_e (each
         touched body along its own normal) has a meaning. Each contact's n_γ is made with the twist
-        of its own body, never with the combined V_e.
+        of its body, never with the combined V_e.
 
         Args:
             N: (6, r) contact normals at O, columns of several bodies side by side.

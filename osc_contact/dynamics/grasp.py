@@ -260,7 +260,7 @@ def _aligned(grasps: Sequence[Grasp], tips: Sequence[pin.SE3]) -> pin.SE3:
 
 
 def _fixed_axes(turning: Array) -> Array:
-    """(3, k) directions that the permitted rotations (3, m) leave as they are."""
+    """(3, k) directions that the permitted rotations (3, m) leave unchanged."""
     U, s, _ = np.linalg.svd(np.hstack((turning, np.zeros((3, 1)))))
     rank = int(np.count_nonzero(s > 1e-9))
     return np.eye(3) if rank == 0 else U[:, :1] if rank == 1 else np.zeros((3, 0))

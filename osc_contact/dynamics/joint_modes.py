@@ -10,7 +10,7 @@ from osc_contact.spatial import Array
 
 
 def joint_inertias(state: ChainState, actuated: Array) -> Array:
-    """(n_a,) inertia each motor moves: of its own arm, with an equal share of the object.
+    """(n_a,) inertia each motor moves: of its arm, with an equal share of the object.
 
     diag(M + JᵀΛ_oJ / arms), kg m² (kg for sliding joints).
     """

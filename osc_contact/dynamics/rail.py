@@ -14,7 +14,7 @@ from osc_contact.spatial import Array, as_array, cross
 
 
 class Body(Protocol):
-    """Anything that answers contact forces: it says how, each tick, at the operational point."""
+    """A body that answers contact forces; it returns how, each tick, at the operational point."""
 
     def environment(self, X_WE: pin.SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
         """Φ_e, b_e and V_e at O (3,), from the body's measured pose, twist and known acceleration

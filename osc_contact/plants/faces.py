@@ -96,7 +96,7 @@ def poses(rails: Sequence[Rail | None], s: Array) -> list[pin.SE3]:
 def touched(
     rails: Sequence[Rail | None], on: Sequence[int], s: Array, rates: Array, second: Array
 ) -> Touched | None:
-    """What encoders on the rails and the drives tell; None where nothing can move.
+    """Readings of encoders on the rails and drives; None where nothing can move.
 
     Args:
         rails: one for each body, None: fixed.

@@ -81,7 +81,7 @@ class Motors:
         )
 
     def torque(self, tau: Array, theta: Array) -> Array:
-        """(n_a,) what the motors deliver when asked for tau at motor positions theta."""
+        """(n_a,) torques delivered for commanded tau at motor positions theta."""
         return tau + self.bias + self.ripple * np.sin(self.cycles * theta + self.phase)
 
 

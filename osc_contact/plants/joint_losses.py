@@ -28,7 +28,7 @@ class JointLosses:
 
     @classmethod
     def of(cls, model: pin.Model) -> JointLosses:
-        """What the model says."""
+        """The losses of the model."""
         slides = [j.shortname().startswith("JointModelP") for j in list(model.joints)[1:]]
         slip = np.where(slides, _SLIDE, _SLIP)
         return cls(np.array(model.damping), np.array(model.upperDryFrictionLimit), slip)

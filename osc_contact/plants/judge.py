@@ -21,7 +21,7 @@ __all__ = ["Judge", "Plant", "Truth", "TruthLog", "Truths", "Watched", "require_
 
 @dataclass(frozen=True)
 class Truth:
-    """What only the plant knows; for judging, never for the controller.
+    """Values of the plant alone; for judging, never for the controller.
 
     Attributes:
         alpha: (r,) contact force magnitudes, contact after contact (N).
@@ -62,7 +62,7 @@ class Truths:
 
 
 class TruthLog(Protocol):
-    """Notes what a plant knows, cheaply; the truth is computed from the notes of many instants."""
+    """Notes the state of a plant; the truth is computed from the notes of many instants."""
 
     def note(self) -> None:
         """Keep this instant."""
@@ -128,7 +128,7 @@ def _poses(numbers: Array) -> Poses:
 
 
 class Judge(Protocol):
-    """What knows the truth about object and contacts; the controller never sees it."""
+    """A source of the truth about object and contacts; the controller never gets it."""
 
     def truth(self) -> Truth:
         """The truth now."""
@@ -151,7 +151,7 @@ def require_duration(duration: float) -> None:
 
 
 class Plant(Robot, Judge, Protocol):
-    """A simulated robot that is its own judge, and starts where it is asked to."""
+    """A simulated robot that is its own judge, and starts at a given state."""
 
     time: float  #: s since the last reset
 

@@ -37,7 +37,7 @@ HINGE_SPAN = 0.05
 #: Heavy enough that no contact force moves a driven face between two steps (kg, kg m²).
 DRIVE_MASS = 1e6
 GUIDES = ("slide", "hinge")  #: joints of a body that moves
-_NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo wants mass in what moves
+_NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo needs mass in moving bodies
 
 
 def scene(
@@ -262,7 +262,7 @@ def _body(
 
 
 def _let_slide(spec: Any, options: PlantSpec, own: tuple[float, float]) -> None:
-    """Friction with a solref of its own, between the object's geometries and those of all bodies.
+    """Friction with a separate solref, between the object's geometries and those of all bodies.
 
     MuJoCo's cone lifts what slides: the depth that carries a force shrinks by 2 μ v τ d, v the
     speed, τ the time constant of friction and d the impedance. A point settles there, a face on a

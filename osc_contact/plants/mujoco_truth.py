@@ -1,4 +1,4 @@
-"""What a MuJoCo plant knows of the object and its contacts: noted raw, worked out afterwards."""
+"""The truth of a MuJoCo plant about object and contacts: noted raw, computed afterwards."""
 
 from __future__ import annotations
 

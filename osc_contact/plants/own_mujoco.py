@@ -26,7 +26,7 @@ from osc_contact.spatial import Array, as_array
 
 __all__ = ["MujocoRobot"]
 
-MUCH_FRICTION = 0.5  #: a coefficient that is told
+MUCH_FRICTION = 0.5  #: a coefficient that is reported
 _log = logging.getLogger(__name__)
 _LINK = -2  # geoms that belong neither to the tool nor to what it touches
 
@@ -58,7 +58,7 @@ class MujocoRobot(MujocoPlant):
 
         Torques go to the joints' motors; where a joint has a position servo, several motors or
         none, they act on the joint itself and its actuators are off. Contacts get elliptic cones:
-        these tell normal forces.
+        these give normal forces.
 
         Args:
             mjmodel: `mujoco.MjModel`, `MjSpec` or the path of an MJCF file; it is not changed.
@@ -179,9 +179,9 @@ class MujocoRobot(MujocoPlant):
                     most = max(most, float(max(mj.geom_friction[both, 0])))
         if most >= MUCH_FRICTION:
             _log.warning(
-                "the tool rubs on the scene with a coefficient of %g (MuJoCo's default is 1): what "
-                "slides hops, and forces are read wrongly; name friction= and priority= of what it "
-                'touches, or condim="1" for none',
+                "friction of tool and scene has a coefficient of %g (MuJoCo's default: 1): "
+                "sliding contacts chatter, and forces are read wrongly; give "
+                'friction= and priority= of the touched geom, or condim="1" for none',
                 most,
             )
 

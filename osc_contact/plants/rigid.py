@@ -2,7 +2,7 @@
 
 It shares no formula with the closed chain of the controller: no S, no Λ_S, but all joints of all
 arms at once with one multiplier per constraint row. The object rides on the first arm that holds
-it rigidly; where none does it is a body of its own. Positions and velocities are projected onto the
+it rigidly; where none does it is a separate body. Positions and velocities are projected onto the
 constraints after each step, so NᵀV_rel = 0 to rounding.
 """
 

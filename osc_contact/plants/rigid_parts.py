@@ -16,7 +16,7 @@ __all__ = ["Solution", "beside", "stacked", "with_object"]
 
 @dataclass(frozen=True)
 class Solution:
-    """What one instant's equations say."""
+    """The equations of one instant."""
 
     qdd: Array  # (n,)
     sdd: Array  # (bodies, 2) accelerations along the rails

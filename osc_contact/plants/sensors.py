@@ -1,4 +1,4 @@
-"""Sensors as they are: a rate, a delay, noise, bias, resolution, lost samples.
+"""Imperfect sensors: a rate, a delay, noise, bias, resolution, lost samples.
 
 `SensedPlant` wraps any plant and is one: it turns ideal readings into sensed ones, so that neither
 the plant inside nor the controller outside knows. Every draw comes from one seed.

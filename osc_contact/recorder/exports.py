@@ -88,7 +88,7 @@ def _length(piece: Piece) -> int:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers and lists of them; JSON knows no NaN."""
+    """Numbers and lists of them; JSON has no NaN."""
     array: Array = np.asarray(value)
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         known = np.isfinite(array)

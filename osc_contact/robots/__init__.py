@@ -1,8 +1,8 @@
-"""Robots: where their files are, and how a file becomes a model that can be trusted.
+"""Robots: where their files are, and how a file becomes a checked model.
 
 A URDF passes, in this order: strict XML with line numbers (`xml_tree`), words, numbers and tree
 (`urdf`), shapes and mesh addresses, limits, inertias (`checks`), Pinocchio and its mass matrix
-(`model`); on demand a second reader (`loading`). docs/robots.md says what is refused and why.
+(`model`); on demand a second reader (`loading`). docs/robots.md: refusals and reasons.
 """
 
 from osc_contact.robots.checks import Inertias, JointLimits

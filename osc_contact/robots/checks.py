@@ -26,7 +26,7 @@ from osc_contact.spatial import Array
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits of a joint given by hand; None leaves what the file says.
+    """Limits of a joint given by hand; None keeps the file's value.
 
     Attributes:
         lower, upper: positions in rad (revolute) or m (prismatic); ∓inf: no end stop.
@@ -56,7 +56,7 @@ class JointLimits:
         """(joint pattern, limits) of "joint1:effort=5,velocity=3".
 
         Raises:
-            InvalidInputError: with the form that is wanted.
+            InvalidInputError: with the expected form.
         """
         name, colon, rest = text.rpartition(":")
         pairs = [part.partition("=") for part in rest.split(",")]

@@ -51,7 +51,9 @@ def find_robot(name: str) -> tuple[Path, Path]:
         if len(hits) == 1:
             return files[hits[0]], root.parent.parent
         if hits:
-            raise ModelError(f"{name!r} is ambiguous in {ROBOT_DATA}: say one of {', '.join(hits)}")
+            raise ModelError(
+                f"{name!r} is ambiguous in {ROBOT_DATA}: name one of {', '.join(hits)}"
+            )
     stems = {path.stem.removesuffix("_robot") for path in files.values()}
     raise ModelError(f"{ROBOT_DATA} has no robot {name!r}. {suggest(name, stems)}")
 
@@ -64,7 +66,7 @@ def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path,
     name; write ``"./rod.urdf"`` for the latter.
 
     Raises:
-        ModelError: nothing is found; the message says where was looked.
+        ModelError: nothing is found; the message names the places searched.
     """
     package, colon, name = reference.partition(":")
     if colon and package == ROBOT_DATA:
@@ -86,7 +88,7 @@ def locate(reference: str) -> tuple[Path, tuple[Path, ...]]:
     """As `resolve_urdf`, for people: a file, a packaged name, or a robot's name as it is ("panda").
 
     Raises:
-        ModelError: nothing is found; the message says where was looked.
+        ModelError: nothing is found; the message names the places searched.
     """
     plain = "/" not in reference and "\\" not in reference and not Path(reference).is_file()
     packaged = _packaged()

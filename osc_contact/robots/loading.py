@@ -40,11 +40,11 @@ CROSS_CHECK_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class Loaded:
-    """A robot that passed: model and what the file says.
+    """A robot that passed: its model and the contents of the file.
 
     Attributes:
         model: Pinocchio model. document: links and joints as written.
-        package_dirs: where its meshes may lie.
+        package_dirs: folders of its meshes.
     """
 
     model: pin.Model
@@ -95,9 +95,9 @@ def load_model(
         path: the URDF.
         limits: limits given by hand, by joint name or pattern ("finger*"), where the file has none
             or wrong ones.
-        inertias: "possible" wants bodies that can exist; "positive" is content with a positive
+        inertias: "possible" requires bodies that can exist; "positive" only a positive
             kinetic energy of the bodies that move (identified or rounded parameters).
-        package_dirs: folders that the meshes may lie in, besides the URDF's own.
+        package_dirs: folders of the meshes, besides the URDF's own.
 
     Raises:
         ModelError: what is wrong, each with file, line, element, reason and cure; the list is in
@@ -150,10 +150,10 @@ def load_body(path: Path | str) -> pin.Inertia:
     heavy = [link.name for link in links if link.inertial and link.inertial.mass > 0]
     if loaded.model.nv > 0:
         moving = ", ".join(list(loaded.model.names)[1:])
-        raise ModelError(f"{file}: one rigid body is wanted, but these joints move: {moving}")
+        raise ModelError(f"{file}: one rigid body is expected, but these joints move: {moving}")
     if len(heavy) != 1:
         raise ModelError(
-            f"{file}: exactly one link with mass is wanted, found {len(heavy)} "
+            f"{file}: exactly one link with mass is expected, found {len(heavy)} "
             f"({', '.join(heavy) or 'none'}); merge them into one <inertial>"
         )
     return pin.Inertia(loaded.model.inertias[0])

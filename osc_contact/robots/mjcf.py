@@ -56,7 +56,7 @@ def compile_mjcf(mjcf: Path | str | Any) -> Any:
         raise ModelError(f"{mjcf}: MuJoCo refuses it: {error}") from error
 
 
-# What a compiled model says -----------------------------------------------------------------------
+# Values of a compiled model ----------------------------------------------------------------------
 
 
 def joint_name(mj: Any, joint: int) -> str:
@@ -143,7 +143,7 @@ def load_mjcf(
 ) -> pin.Model:
     """The Pinocchio model of an MJCF file, or of a `MjModel`.
 
-    Joints stand where MuJoCo's qpos says, whatever their `ref`; armature, damping and frictionloss
+    Joints stand at MuJoCo's qpos, whatever their `ref`; armature, damping and frictionloss
     are those of its joints. Effort limits are the least of what actuators and joints name; a joint
     for which neither names one has none. Bodies and sites are frames.
 
@@ -372,7 +372,7 @@ def _held(mj: Any, b: int, locked: Mapping[str, float]) -> tuple[pin.SE3, list[i
         if free:
             raise ModelError(
                 f"joint {name!r} is locked, and moves its body after {mj.joint(free[-1]).name!r}, "
-                "which is not: give each a body of its own"
+                "which is not: give each its own body"
             )
         anchor = _anchor(mj, j)
         X = X * anchor * _motion(mj, j, locked[name]) * anchor.inverse()

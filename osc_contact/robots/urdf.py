@@ -107,7 +107,7 @@ Part = TypeVar("Part", Link, Joint)
 class Document:
     """A URDF whose words and numbers are sound; `findings` holds what is not.
 
-    `rotors`: by joint, inertia of its motor's rotor (kg m²) and gear ratio, as transmissions say.
+    `rotors`: by joint, inertia of its motor's rotor (kg m²) and gear ratio, from transmissions.
     """
 
     file: Path
@@ -167,7 +167,7 @@ class Document:
         text = element.get(key)
         parts = text.split()
         if len(parts) != 3:
-            reason = f"{key} has {len(parts)} numbers, 3 are wanted"
+            reason = f"{key} has {len(parts)} numbers, 3 are expected"
             self.add("number", element, reason, _comma(text) or f'write {key}="x y z"', key)
             return _ZERO
         return tuple(self.value(element, key, part) for part in parts)
@@ -271,7 +271,7 @@ def _read_rotor(document: Document, element: Element) -> None:
 
 
 def _keep(document: Document, kept: dict[str, Part], one: Part) -> None:
-    """Keep a link or a joint under its name, if that is a name of its own."""
+    """Keep a link or a joint under its name, if that name is unique."""
     element = one.element
     name = one.name
     if name in kept and name.strip():
@@ -348,7 +348,7 @@ def _joint(document: Document, element: Element) -> Joint:
 
 
 def _axis(document: Document, element: Element, kind: str) -> Vector:
-    """Unit axis of a joint; (1, 0, 0) where none is given, as the URDF specification says."""
+    """Unit axis of a joint; (1, 0, 0) where none is given (URDF's default)."""
     axis = element.find("axis")
     default = (1.0, 0.0, 0.0)
     if axis is None or kind == "fixed":

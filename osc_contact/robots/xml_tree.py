@@ -84,7 +84,7 @@ def read_bytes(file: Path) -> bytes:
         refuse_file("file", file, f"cannot be read: {error.strerror}")
     if len(data) > MAX_BYTES:
         reason = f"is larger than {MAX_BYTES // 2**20} MiB"
-        refuse_file("file", file, reason, "keep meshes in files of their own")
+        refuse_file("file", file, reason, "keep meshes in separate files")
     return data
 
 

@@ -108,9 +108,9 @@ def misplaced(
     bodies: Sequence[EnvironmentBody],
     X_WO: pin.SE3,
 ) -> tuple[ContactPair, ...]:
-    """The pairs as the controller believes them, each body displaced by the scenario's error.
+    """The pairs in the controller's model, each body displaced by the scenario's error.
 
-    A body is believed to stand `face_offset` nearer to the object along the first line of force at
+    A body is modelled `face_offset` nearer to the object along the first line of force at
     it, and turned by `face_tilt` about an axis across that line, through where it meets the body.
 
     Args:
@@ -221,7 +221,7 @@ class OwnMotion:
 
     Attributes:
         rail: how the plants move it; driven by any function of time, or free.
-        body: how it answers forces, as far as the controller knows; None: like a face at rest.
+        body: its answer to forces in the controller's model; None: like a face at rest.
     """
 
     rail: Rail
@@ -276,10 +276,10 @@ def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail | None]:
 def known_bodies(
     bodies: Sequence[EnvironmentBody], contacts: int, ignored: bool
 ) -> list[Body | None]:
-    """How the body at each contact answers, as far as the controller knows.
+    """The answer of the body at each contact in the controller's model.
 
     Args:
-        bodies: of the environment. contacts: how many. ignored: the controller knows of none.
+        bodies: of the environment. contacts: how many. ignored: the model has none.
     """
     known: list[Body | None] = [None] * contacts
     for body in () if ignored else bodies:

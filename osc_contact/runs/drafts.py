@@ -65,7 +65,7 @@ class Press:
 
 
 def draft(robot: str, arm: Arm, press: Press, posture: Array | None, target: Path) -> str:
-    """The text of a scenario that `preflight` has nothing to say about and whose run is OK.
+    """The text of a scenario without findings of `preflight` and whose run is OK.
 
     Args:
         robot: as the user called it. arm: the same. press: how.

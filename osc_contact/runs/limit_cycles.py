@@ -1,4 +1,4 @@
-"""Limit cycles of contact forces: oscillations that last and that nobody commanded.
+"""Limit cycles of contact forces: lasting oscillations that were not commanded.
 
 The error of a force, true minus commanded, is looked at through windows of `WINDOW_S` that overlap
 by half, with a Hann window and the Fourier transform. An oscillation is a limit cycle if

@@ -47,7 +47,7 @@ def rounded(x: Array, digits: int = 4) -> list[float]:
     "object: reverse contacts.{name}.face.normal",
 )
 def normals(rig: Rig) -> Values:
-    """Faces that bring a plate of their own and look away from the robot."""
+    """Faces that bring their own plate and face away from the robot."""
     pin.forwardKinematics(rig.chain.model, rig.chain.data, rig.q_contact)
     points = np.array([X.translation for X in (rig.state().X_WO, *rig.chain.tip_poses())])
     for spec in rig.scenario.contacts:
@@ -268,8 +268,8 @@ def touchable(task: Task) -> Values:
 @rule(
     0.1,
     0.7,
-    "{what} weighs {believed:.4g} kg to the controller and {true:.4g} kg in the scene; give the "
-    "controller robot.chain, or correct masses (kg) and payload",
+    "{what} weighs {believed:.4g} kg in the controller's model, {true:.4g} kg in the scene; give "
+    "the controller robot.chain, or correct masses (kg) and payload",
 )
 def masses(task: Task) -> Values:
     """Logarithm of the ratio of masses."""
@@ -284,7 +284,7 @@ def masses(task: Task) -> Values:
 @rule(
     PLACE_DOUBTFUL,
     PLACE_REFUSED,
-    "contact '{name}' is believed to touch at {point} m, and that is {mm:.3g} mm {side} the "
+    "contact '{name}' is modelled to touch at {point} m, and that is {mm:.3g} mm {side} the "
     "nearest geom, '{geom}'; move the contact's face to the scene's, or the scene's geom",
 )
 def place(task: Task) -> Values:
@@ -302,7 +302,7 @@ def place(task: Task) -> Values:
     "of '{geom}', {own}; it points out of the body, towards the tool: turn it",
 )
 def turn(task: Task) -> Values:
-    """Angle (deg) between the believed normal and the direction in which the scene recedes."""
+    """Angle (deg) between the modelled normal and the direction in which the scene recedes."""
     for pair, point, normal, away, geom in _faces(task):
         if abs(away) > PLACE_REFUSED:
             continue

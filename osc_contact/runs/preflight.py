@@ -113,7 +113,7 @@ def sensors(rig: Rig) -> Values:
 @rule(
     0.0,
     np.inf,
-    "{wrong}, and nothing zeroes the wrist sensors: what they read wrongly is taken for contact "
+    "{wrong}, and nothing zeroes the wrist sensors: their errors are taken for contact "
     "force; set tare={{}} to zero them in free space before contact",
 )
 def tare(rig: Rig) -> Values:
@@ -137,8 +137,8 @@ def tare(rig: Rig) -> Values:
 @rule(
     0.0,
     np.inf,
-    "plant.friction is {value:g}, the controller knows of none, and the filter that reads forces "
-    "takes it for normal force; {other}give control.friction={{mu: …}}",
+    "plant.friction is {value:g}, the controller's model has none, and the filter that reads "
+    "forces takes it for normal force; {other}give control.friction={{mu: …}}",
 )
 def friction(rig: Rig) -> Values:
     """Friction that the filter of fig. 5 takes for normal force."""
@@ -165,8 +165,8 @@ def springs(rig: Rig) -> Values:
 @rule(
     -100.0,
     np.inf,
-    "the springs in the joints swing at {first:.3g} Hz (first mode, motors held), and no joint "
-    "torque loop makes them carry what is commanded: below 100 Hz contact is lost; set "
+    "the joint springs oscillate at {first:.3g} Hz (first mode, motors held), and no joint "
+    "torque loop produces the commanded torques: below 100 Hz contact is lost; set "
     "control.joint_torque={{rate: {rate:g} kHz}}",
 )
 def swinging(rig: Rig) -> Values:
@@ -462,7 +462,7 @@ def pulls(task: Task) -> Values:
     1.0,
     1.0,
     "{name} is {force:.4g} N at t = {t:.3g} s, and readings beyond safety.force_range = "
-    "{range:.4g} N are not believed; command less force, or raise force_range to what the wrist "
+    "{range:.4g} N are rejected; command less force, or raise force_range to what the wrist "
     "sensor measures",
 )
 def measured_range(task: Task) -> Values:

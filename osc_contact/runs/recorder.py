@@ -64,7 +64,7 @@ def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict
     """The channels of some ticks, but for what the contact monitor remembers.
 
     Args:
-        of: what was recorded. log: of the judge, which knows what its notes mean; None: no judge.
+        of: what was recorded. log: of the judge, which evaluates its notes; None: no judge.
         first: number of the first tick. rows: (k,) as the run's log noted them.
     """
     k, controller = len(rows), of.controller
@@ -196,7 +196,7 @@ def _phases(of: Subject, rows: Array) -> Array:
 
 
 def _believed(of: Subject, rows: Array, phase: Array) -> Truths:
-    """What the controller takes for the truth, where no judge knows better."""
+    """The controller's estimate of the truth, where there is no judge."""
     pairs, k = of.pairs, len(rows)
     X_WO = _poses(rows["X_WO"].reshape(k, 4, 4))
     X_WE = rows["X_WE"].reshape(k, len(pairs), 4, 4)
@@ -295,7 +295,7 @@ class Recorder:
 
         Args:
             controller: that the loop ticks.
-            judge: what knows the truth, if anything does.
+            judge: the source of the truth, if there is one.
             subject: the true contacts, where they are not the controller's.
             journal: the file of the rows, such as unfinished.mcap; None: a temporary one, which
                 goes with the process; or where rows are kept in memory.
@@ -480,7 +480,7 @@ def recording_of(
 
 
 def _subject(controller: Controller) -> Subject:
-    """What a controller by itself knows of its contacts."""
+    """What a controller by itself has of its contacts."""
     chain, pairs = controller.chain, tuple(controller.contacts)
     rigid = all(grasp.is_rigid for grasp in chain.grasps)
     free = rigid and min(arm.model.nv for arm in chain.arms) >= 6

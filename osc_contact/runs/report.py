@@ -103,8 +103,8 @@ def _share(ratio: float | None) -> str:
     if ratio <= MOST_PROJECTED:
         return f", ratio {_percent(ratio)}"
     return (
-        f"; the projected part (ratio {_percent(ratio)}) is what the contacts took up themselves: "
-        "they gave way, or the object hardly moved along them"
+        f"; the projected part (ratio {_percent(ratio)}) is power into the contacts: "
+        "they yielded, or the object hardly moved along them"
     )
 
 

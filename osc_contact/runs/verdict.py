@@ -71,7 +71,7 @@ RULES = (
         "distance",
         "distance",
         "the object was {distance_mm:.0f} mm away from its reference (limit {limit_mm:.0f} mm); "
-        "command a slower or smaller motion, or look at gains, model and friction",
+        "command a slower or smaller motion, or check gains, model and friction",
     ),
     Rule(
         "RUN AWAY",
@@ -79,8 +79,8 @@ RULES = (
         "run",
         "angle",
         "angle",
-        "the object was turned by {angle:.2g} rad from its reference (limit {limit:g} rad); ask "
-        "for a slower or smaller motion, or look at gains, model and friction",
+        "the object was turned by {angle:.2g} rad from its reference (limit {limit:g} rad); "
+        "command a slower or smaller motion, or check gains, model and friction",
     ),
     Rule(
         "LOST",
@@ -88,7 +88,7 @@ RULES = (
         "contact",
         "open_at_end",
         0.0,
-        "contact '{name}' was never made{again}; look at the start pose, and where the face is",
+        "contact '{name}' was never made{again}; check the start pose and the place of the face",
     ),
     Rule(
         "LOST",
@@ -116,7 +116,7 @@ RULES = (
         "rms_error_rel",
         "force_rms",
         "force {name} was off by {rms_error_N:.3g} N rms, {rms_error_rel:.1%} of its mean command "
-        "{mean_command_N:.3g} N (limit {limit:.1%}); look at gains, masses, friction and sensors",
+        "{mean_command_N:.3g} N (limit {limit:.1%}); check gains, masses, friction and sensors",
     ),
     Rule(
         "POOR",
@@ -124,10 +124,9 @@ RULES = (
         "force",
         "limit_cycle_rel",
         "limit_cycle",
-        "force {name} swings by ± {limit_cycle_N:.3g} N at {limit_cycle_Hz:.3g} Hz, "
-        "{limit_cycle_rel:.1%} of its command (limit {limit:.1%}), and nothing commands that: a "
-        "limit cycle; lower "
-        "gains.force.bandwidth, or give faces that yield their stiffness and mass",
+        "force {name} oscillates by ± {limit_cycle_N:.3g} N at {limit_cycle_Hz:.3g} Hz, "
+        "{limit_cycle_rel:.1%} of its command (limit {limit:.1%}), uncommanded: a limit cycle; "
+        "lower gains.force.bandwidth, or give yielding faces their stiffness and mass",
     ),
     Rule(
         "POOR",

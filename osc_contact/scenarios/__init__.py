@@ -1,4 +1,4 @@
-"""Scenarios: YAML files → frozen, checked objects; the packaged files lie in `files/`."""
+"""Scenarios: YAML files → frozen, checked objects; the packaged files are in `files/`."""
 
 from .loader import list_scenarios, load_scenario, parse_scenario
 from .schema import Scenario

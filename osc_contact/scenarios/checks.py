@@ -90,7 +90,7 @@ def body_problems(bodies: Sequence[str], used: Sequence[str | None]) -> list[Pro
 
 def timing_problems(control: ControlSpec, plant: PlantSpec) -> list[Problem]:
     """Check that the control period is a whole multiple of the plant step (within 1e-9), and so
-    for the joint torque loop; and that the plant has what is asked for."""
+    for the joint torque loop; and that the plant has the drives required."""
     return [
         *_step_problems(control, plant),
         *_torque_loop_problems(control, plant),

@@ -113,7 +113,7 @@ class BodySpec(Spec):
 
 
 class FaceSpec(Spec):
-    """A plate of its own for one contact: a point on it (m) and its outward normal, in world."""
+    """A separate plate for one contact: a point on it (m) and its outward normal, in world."""
 
     urdf: Text
     """the URDF of the face"""

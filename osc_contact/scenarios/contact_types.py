@@ -68,7 +68,7 @@ class ContactSpec(Spec):
 
 
 class OnFaceSpec(ContactSpec):
-    """A contact that brings a plate of its own."""
+    """A contact that brings its own plate."""
 
     face: FaceSpec
     """the face with its urdf, point and normal"""

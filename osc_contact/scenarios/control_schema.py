@@ -235,7 +235,7 @@ class MonitorLimits(Spec):
     patience: Annotated[Time, Field(ge=0)] = 0.005
     """the force must stay low for so long before contact counts as lost"""
     window: Annotated[Time, Field(ge=0)] = 0.02
-    """after contact is made, in which a collision is looked for"""
+    """after contact is made, in which a collision is detected"""
     dwell: Annotated[Time, Field(ge=0)] = 0.0
     """the force must stay high for so long before contact counts as made (sensor noise)"""
     leaving: VelocityLimit = inf

@@ -88,7 +88,7 @@ class Template:
         return cls(*read_text(name_or_path))
 
     def value(self, path: str, overrides: Overrides = ()) -> Any:
-        """What the text says of a key, as it is written there, after overrides; None: nothing.
+        """The text of a key as written, after overrides; None: nothing.
 
         Raises:
             ScenarioError: no such path, or an override is wrong."""

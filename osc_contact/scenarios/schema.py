@@ -154,7 +154,7 @@ class Scenario(Spec):
     verdict: VerdictSpec = VerdictSpec()
     """[limits of the verdict](scenario.md#limits-of-the-verdict)"""
     laws: Annotated[Any, PlainValidator(_take_laws), Field(exclude=True)] = None
-    """custom laws, in [scenarios made in Python](guide.md#a-scenario-made-in-python) only"""
+    """custom laws, in [scenarios made in Python](extend.md#a-scenario-made-in-python) only"""
 
     _source: Path | None = PrivateAttr(default=None)
 
@@ -217,13 +217,13 @@ class Scenario(Spec):
         return self.model_dump(mode="json")
 
     def __eq__(self, other: Any) -> bool:
-        """Compare what the file says, not where it lies."""
+        """Compare contents of files, not their places."""
         return isinstance(other, Scenario) and self.__dict__ == other.__dict__
 
     @model_validator(mode="before")
     @classmethod
     def _know_the_kinds(cls, data: Any) -> Any:
-        """Let the layers above enter their kinds of contact and grasp, if none has asked before."""
+        """Let the layers above enter their kinds of contact and grasp, on first use."""
         for register in ("osc_contact.contacts.pairs", "osc_contact.dynamics.grasp"):
             import_module(register)
         return data
@@ -231,7 +231,7 @@ class Scenario(Spec):
     @model_validator(mode="before")
     @classmethod
     def _let_a_tare_engage(cls, data: Any) -> Any:
-        """Where nothing is said of phases and contacts begin open, all of them close at once.
+        """Without keys of phases, where contacts begin open, all of them close at once.
 
         The tare's own approach is slow in time; phases would land at a set speed, which stiff
         faces, masses and late wrists turn into overshoot.

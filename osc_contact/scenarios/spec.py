@@ -76,7 +76,7 @@ class Spec(BaseModel):
 
 
 def refuse(text: str) -> PydanticCustomError:
-    """Build the error of a refused value; `text` says what is wrong and what would be right."""
+    """Build the error of a refused value; `text`: the mistake and its cure."""
     return PydanticCustomError("refused", "{text}", {"text": text})
 
 

@@ -32,8 +32,8 @@ class Problems:
 
     def at_override(self, override: str, text: str) -> None:
         """Keep a complaint about an override, `path.to.key=value`."""
-        told = text.removeprefix(f"{override.partition('=')[0].strip()}: ")  # the key once
-        self.found.append((1 << 60, f"override {override}: {told}"))
+        short = text.removeprefix(f"{override.partition('=')[0].strip()}: ")  # the key once
+        self.found.append((1 << 60, f"override {override}: {short}"))
 
     def raise_any(self) -> None:
         """Return if nothing was found.

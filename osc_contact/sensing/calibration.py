@@ -4,9 +4,9 @@ At rest a sensor whose gripper and load weigh m, with the centre of mass at c, r
 
     f = m u + b_f,    τ = (m c) × u + b_τ,    u = −Rᵀg,
 
-linear in the ten unknowns m, m c, b_f, b_τ. Postures that turn the sensor against gravity tell
-them apart; where they do not (every SCARA), weight and bias look the same: then the sensors can
-only be tared.
+linear in the ten unknowns m, m c, b_f, b_τ. Postures that turn the sensor against gravity
+distinguish them; where they do not (every SCARA), weight and bias are one unknown: then the sensors
+can only be tared.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def calibrate_wrist(
 
     Raises:
         InvalidInputError: fewer than three postures, or shapes that do not fit.
-        ModelError: the postures do not tell weight from bias.
+        ModelError: the postures do not distinguish weight from bias.
     """
     k = len(rotations)
     if k < 3:
@@ -78,7 +78,7 @@ def calibrate_wrist(
         part = np.abs(Vh[s < 1e-3 * s[0]]).max(axis=0)
         blind = [name for name, share in zip(NAMES, part, strict=True) if share > 0.1]
         raise ModelError(
-            f"these {k} postures do not tell {', '.join(blind)} apart: the sensor is never turned "
+            f"these {k} postures do not distinguish {', '.join(blind)}: the sensor is never turned "
             "enough against gravity. Tilt it about two horizontal axes by 30 deg or more; a wrist "
             "that can only turn about the vertical has to be tared instead"
         )

@@ -1,6 +1,6 @@
 """Velocities from positions: a steady-state Kalman filter for each channel (α-β filter).
 
-Each channel is a double integrator driven by the acceleration one knows and one that one does not,
+Each channel is a double integrator driven by a known acceleration and an unknown one,
 white in continuous time, seen through white noise. Its stationary Kalman gains have a closed form
 in the tracking index λ = σ_a dt²/σ_n (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
 Applications to Tracking and Navigation, 2001):
@@ -10,10 +10,10 @@ Applications to Tracking and Navigation, 2001):
 The better the sensor, the larger λ, and the gains end at α = 1, β = 3 − √3, poles at 0 and √3 − 2:
 stable, and no worse than the difference of two readings. An acceleration that is constant over the
 sample (P. R. Kalata, The tracking index, 1984) has nearly the same gains while λ ≪ 1, but ends at
-β = 2 with a pole at −1: it believes that two exact positions and the last velocity give the next
+β = 2 with a pole at −1: it assumes that two exact positions and the last velocity give the next
 one, so that errors of velocity alternate for ever.
 
-A filtered difference would lag by its time constant; told the commanded acceleration, this one
+A filtered difference would lag by its time constant; with the commanded acceleration, this one
 does not lag along the command.
 """
 

@@ -1,8 +1,8 @@
 """Where the touched bodies are, in the robots' frame, from old pictures of bodies and robots.
 
-A camera sees the touched bodies, the held object and the arms in a frame of its own, which lies a
+A camera sees the touched bodies, the held object and the arms in a separate frame, which is a
 few millimetres and milliradians off the robots' frame: cameras and bases are never calibrated
-better. Only what a body does relative to the robots counts for contact. The encoders tell where
+better. Only what a body does relative to the robots counts for contact. The encoders give where
 object and arms were when the picture was taken; a Kalman filter for one constant displacement
 makes both agree, and the bodies are moved along with it. Errors of camera and bases cancel.
 """
@@ -58,7 +58,7 @@ class History:
 
 @dataclass
 class Registration:
-    """X_WC, where the camera's frame lies in the robots', from bodies known in both.
+    """X_WC, the camera's frame in the robots', from bodies known in both.
 
     A Kalman filter for ξ = [δ; θ], the displacement (world axes, at the world's origin) that
     X_WC still lacks: a body seen at (p̃, R̃) is at p = p̂ + δ + θ × p̂, R = exp(θ) R̂ with
@@ -170,7 +170,7 @@ class VisionFusion:
             registration: of the camera, with its noise.
             acceleration: unknown ones of the bodies (m/s², rad/s²).
             dt: period of `update`. period: of the pictures. delay: until one arrives (s).
-            markers: (contacts, 4, 4) in E, what is seen of each body; None: E itself.
+            markers: (contacts, 4, 4) in E, the marker of each body; None: E itself.
         """
         self.registration = registration
         self.history = History(2.0 * (delay + period))

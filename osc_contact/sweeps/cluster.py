@@ -36,7 +36,7 @@ def connect(scheduler: str | Client, workers: int | None = None) -> Iterator[Cli
         return
     if workers is not None:
         raise InvalidInputError(
-            f"{workers} workers were asked for, but a cluster has its own; leave workers out"
+            f"{workers} workers were requested, but a cluster has its own; leave workers out"
         )
     if isinstance(scheduler, Client):
         _require_workers(scheduler)
@@ -67,7 +67,7 @@ def _local(workers: int | None) -> LocalCluster:
 
 
 class _NoPages(WorkerPlugin):  # type: ignore[misc]
-    """Closes the port on which a worker tells how it is."""
+    """Closes the port on which a worker reports its state."""
 
     def setup(self, worker: Worker) -> None:
         worker.http_server.stop()

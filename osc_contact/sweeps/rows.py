@@ -48,7 +48,7 @@ Row = dict[str, Any]
 
 # --- Making rows --------------------------------------------------------------------------------
 
-_KEPT = 8  #: chains; where each run has masses of its own they are not needed again
+_KEPT = 8  #: chains; where each run has its own masses they are not needed again
 
 
 class Workshop:
@@ -162,7 +162,7 @@ def require_long_enough(scenario: Scenario) -> None:
 
 def crashed_row(study: SweepStudy, number: int) -> Row:
     """The row of a run that ended its process, twice."""
-    why = "the process that ran it died, twice; run it alone to see why"
+    why = "its process died twice; run it alone to find the cause"
     return _head(study.sample(number)) | {"word": CRASHED, "failed": True, "why": why}
 
 

@@ -260,7 +260,7 @@ class SweepStudy:
         name: what `osc-contact run` calls the scenario; None: it was made in Python.
         vary: (path=distribution, …). samples: how many points; on a grid, how many values of each
             key that can have any; "saltelli" has two more runs of each than keys.
-        design: where the points lie. seed: of the points, and of the runs if it does not vary.
+        design: how the points are placed. seed: of the points, and of the runs if it does not vary.
     """
 
     text: str
@@ -288,7 +288,7 @@ class SweepStudy:
             scenario: name, path, or a scenario made in Python.
             vary: "path.to.key=DISTRIBUTION", or a mapping of the same.
             samples: how many points; on a grid: values of each key that can have any.
-            design: where the points lie.
+            design: how the points are placed.
             seed: of the points and of the runs.
             overrides: "path.to.key=value" of all runs.
 

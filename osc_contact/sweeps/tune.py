@@ -89,7 +89,7 @@ def tune(
         over: path=distribution of what is not known, such as masses: a trial is judged by its mean
             over `samples` of them, limits by the worst.
         seed: of trials and samples. overrides: path=value, of all runs.
-        out: folder of the trials, which the same call goes on with.
+        out: folder of the trials, which the same call continues.
         workers, scheduler: see `sweep`; each runs a trial at a time.
         progress: called with the trials done and all of them.
 

@@ -110,7 +110,7 @@ class SensedRows:
     Attributes:
         force, force_wanted: (B, r) contact forces as the robot senses them, and as the scenario
             asks for them (N).
-        error: (B, 6) from the object to where the scenario wants it (m, rad), world axes.
+        error: (B, 6) from the object to its reference (m, rad), world axes.
         tau: (B, n_a) motor torques of the last tick (N m, N). action: (B, 6 + r).
         diverged: (B,) whether simulation or controller gave up.
     """
@@ -124,7 +124,7 @@ class SensedRows:
 
 
 def tracking_reward(seen: SensedRows) -> Array:
-    """(B,) 1 where force and motion are as the scenario asks, less for each error.
+    """(B,) 1 where force and motion follow the scenario, less for each error.
 
     1 − mean |Δα| / mean |α| − |Δp| / 10 mm − |Δθ| / 0.1 rad, at least −1.
     """
@@ -188,11 +188,11 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
 
     Observations, numbers in the order of `names`: q, v of the joints; wrench of each wrist; sensed
     contact forces and normal speeds; displacements from the start (m, rad): the set point's, and
-    that which the scenario asks for after the next action; forces likewise.
+    that of the scenario after the next action; forces likewise.
 
     An episode ends (terminated) where the controller has stopped, the simulation diverged or the
-    object is further from where the scenario wants it than its `verdict` permits; it is
-    truncated after the scenario's duration. `infos["sample"]` tells which numbers it had.
+    object is further from its reference than the scenario's `verdict` permits; it is
+    truncated after the scenario's duration. `infos["sample"]` has its numbers.
 
     Attributes:
         names: of the numbers of an observation. fleet: plants and controllers.
@@ -247,7 +247,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             *(f"wrench {arm.name} {kind}{x}" for arm in chain.arms for kind in "fm" for x in "xyz"),
             *(f"{kind} {i}" for kind in ("force", "normal speed") for i in forces),
             *(f"{whose} {axis}" for whose in ("set point", "scenario") for axis in axes),
-            *(f"{whose} force {i}" for whose in ("asked", "scenario") for i in forces),
+            *(f"{whose} force {i}" for whose in ("desired", "scenario") for i in forces),
         ]
 
     def reset(

@@ -156,7 +156,7 @@ def _hand_out(
                 yield job, rows
     except CancelledError as error:
         raise OscContactError(
-            "the cluster has gone; start it again, and the same call continues with what is done"
+            "the cluster is lost; start it again, and the same call continues with what is done"
         ) from error
     finally:
         for future in under_way:

@@ -1,7 +1,7 @@
 """Pictures of a run: three-dimensional pages, plots, contact pictures.
 
 Everything is written to files or returned as a matplotlib figure; only the live view opens a
-socket, on 127.0.0.1, in a process of its own. One palette serves all pictures, so that a contact
+socket, on 127.0.0.1, in a separate process. One palette serves all pictures, so that a contact
 keeps its colour from the scene to the plots. It is the colour-blind-safe palette of Okabe and Ito
 (2008).
 """

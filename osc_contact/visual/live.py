@@ -1,6 +1,6 @@
 """A live view of a run that cannot disturb it.
 
-Drawing and serving happen in a process of their own. The control loop's side is one call that
+Drawing and serving happen in a separate process. The control loop's side is one call that
 copies the newest numbers into a socket to that process, without waiting: what the other side has
 no room for is dropped, so a slow, stopped, flooded or dead viewer costs the loop microseconds. The
 viewer's thread of control being another process, it does not compete for the interpreter lock.
@@ -68,7 +68,7 @@ class Viewer:
 
     Attributes:
         url: address of the page; any number of browsers may open it, none needs to.
-        error: why the view has ended, once it has; the run goes on without it.
+        error: why the view has ended, once it has; the run continues.
 
     Raises:
         ViewerError: the process does not start.
@@ -132,8 +132,8 @@ class Viewer:
             self._fail(f"a tick does not hold numbers: {error!r}")
 
     def _fail(self, reason: str) -> None:
-        """Report once; the loop goes on."""
-        self.error = ViewerError(f"the live view has ended: {reason}; the run goes on without it")
+        """Report once; the loop continues."""
+        self.error = ViewerError(f"the live view has ended: {reason}; the run continues without it")
         LOG.error("%s", self.error)
 
     def count_browsers(self) -> int:

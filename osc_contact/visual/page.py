@@ -1,9 +1,9 @@
 """Self-contained meshcat pages: drawing commands in, one HTML file out; no server, no socket.
 
-meshcat's own ``static_html()`` asks a server process for the page. Here the `CommandSink` stands
-in for the viewer window and keeps the commands itself, and `write_page` puts them, in the order in
-which they were given, beside meshcat's JavaScript into one file. The page's content security
-policy forbids every network address, so a page that opens offline opens the same online.
+meshcat's own ``static_html()`` requests the page from a server process. Here the `CommandSink`
+stands in for the viewer window and keeps the commands itself, and `write_page` puts them, in the
+order in which they were given, beside meshcat's JavaScript into one file. The page's content
+security policy forbids every network address, so a page that opens offline opens the same online.
 """
 
 from __future__ import annotations

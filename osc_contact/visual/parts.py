@@ -205,7 +205,7 @@ class Content:
         bodies: faces, and the object, moved by ``pose``.
         contacts: names of the contacts.
         columns: which contact each column of N belongs to; empty: one column per contact.
-        frame_words: what the legend says about the best single frame.
+        frame_words: text of the legend about the best single frame.
     """
 
     title: str

@@ -197,7 +197,7 @@ def tracking(recording: Recording, judged_from: float = 0.0) -> Figure:
 
     Args:
         recording: needs ``t``, ``motion_error``, ``pose``.
-        judged_from: s; what lies before is shaded and left out of the rms values.
+        judged_from: s; earlier times are shaded and left out of the rms values.
 
     Raises:
         InvalidInputError: a channel is missing.

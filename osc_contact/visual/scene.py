@@ -184,7 +184,7 @@ def write_scene(
         bodies: faces and the object (placement None), moved by ``pose``.
         path: the page to write.
         fps: key frames per second, fewer if they would be more than 360.
-        find: the best single frame for N; frame_words: what the legend says about it.
+        find: the best single frame for N; frame_words: text of the legend about it.
         still: s; the page opens standing still at that time instead of playing.
 
     Returns:
@@ -257,7 +257,7 @@ def set_stage(
     """Floor with lines every 0.25 m, background, and a camera that sees the points.
 
     meshcat 0.3.2 has no camera methods and its orbit controls always turn about the viewer's
-    origin: the whole scene is moved so that the target lies there, and the camera sits at the
+    origin: the whole scene is moved so that the target is there, and the camera sits at the
     offset in three.js axes (y up).
 
     Args:
@@ -390,7 +390,7 @@ def values(lines: Sequence[dict[str, Any]], channels: Mapping[str, Any]) -> Arra
 
 
 def rounded(numbers: Array) -> list[float | None]:
-    """Four significant digits; JSON knows no NaN."""
+    """Four significant digits; JSON has no NaN."""
     return [float(f"{x:.4g}") if np.isfinite(x) else None for x in numbers.tolist()]
 
 

@@ -3,7 +3,7 @@
 A wrench [f; m] acts along a line in space and carries a couple about it; its pitch is that couple
 per unit force (m). A twist [v; ω] turns about a line and advances along it; its pitch is the
 advance per radian (m/rad). Pitch 0 is a pure force or a pure rotation, an infinite pitch a pure
-couple or a pure translation. Axis and pitch depend neither on units nor on where O lies
+couple or a pure translation. Axis and pitch depend neither on units nor on the place of O
 (R. S. Ball, A Treatise on the Theory of Screws, 1900).
 """
 

@@ -44,9 +44,9 @@ class Detected:
         normal, object_normal, environment_normal: (3,) unit, out of the environment towards the
             object: in the world's axes and in those of the two bodies.
         distance: between the shapes (m), negative when they overlap.
-        object_feature, environment_feature: what touches, each in the frame of its own body.
+        object_feature, environment_feature: what touches, each in the frame of its body.
         object_point, environment_point: (3,) a point of each feature in the middle of the patch,
-            in the frame of its own body (m); of a rounded feature its centre.
+            in the frame of its body (m); of a rounded feature its centre.
     """
 
     object_shape: str

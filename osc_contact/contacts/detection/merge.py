@@ -15,7 +15,7 @@ from osc_contact.spatial import Array, cross
 __all__ = ["merged"]
 
 _BURIED = 1e-6
-"""How far outside another shape of its own body a point may lie and still count as inside (m)."""
+"""How far outside another shape of its body a point may lie and still count as inside (m)."""
 
 
 def merged(

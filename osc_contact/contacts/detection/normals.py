@@ -1,6 +1,6 @@
 """The contact normal, exactly.
 
-Near touch an iterative solver knows the normal to 1e-5 rad at best, far too coarse for N. So the
+Near touch an iterative solver finds the normal to 1e-5 rad at best, far too coarse for N. So the
 normal is chosen among those the geometry has exactly: of every direction n the reach of the two
 shapes gives a lower bound of their signed distance, and the contact normal is the direction of the
 largest bound. Faces' normals and cross products of edges are tried (the environment's faces come

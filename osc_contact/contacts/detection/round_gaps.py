@@ -1,4 +1,4 @@
-"""Gap functions of the contacts that have no pair of their own: rims, balls at edges, and others.
+"""Gap functions of the contacts without a pair: rims, balls at edges, and others.
 
 Each function here takes the pose of the object in the environment frame.
 """

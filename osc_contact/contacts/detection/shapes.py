@@ -109,7 +109,7 @@ def _read(file: Path, text: bytes) -> tuple[CollisionShape, ...]:
     model, geometry, document = load_geometry(file, pin.GeometryType.COLLISION)
     if model.nv > 0:
         moving = ", ".join(list(model.names)[1:])
-        raise ModelError(f"{file}: one rigid body is wanted, but these joints move: {moving}")
+        raise ModelError(f"{file}: one rigid body is expected, but these joints move: {moving}")
     if len(geometry.geometryObjects) == 0:
         raise ModelError(f"{file}: no link has a <collision> element; nothing can touch")
     given = {

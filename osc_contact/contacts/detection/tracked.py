@@ -23,12 +23,12 @@ class TrackedContact:
     What touches what is looked up by `detect` when the bodies have moved by more than `travel` or
     `turn` relative to one another since the last time. In between, N and n_γ come from the pairs
     found, at the poses and twists of each call. Where nothing is within the margin any more, the
-    contacts found last stay in force: to tell a lost contact is not the geometry's business.
+    contacts found last stay in force: geometry does not detect a lost contact.
 
     Attributes:
         name: used in messages and recordings.
         pairs: in force now; empty before the first call.
-        lookups: how often the geometry was asked.
+        lookups: number of detections.
     """
 
     def __init__(

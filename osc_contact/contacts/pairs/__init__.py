@@ -5,7 +5,7 @@ body in that body's frame. Normals point out of the body whose face they belong 
 push into the environment.
 
 A pair is one file of this folder. Every file is loaded here, and every pair that registers itself
-(`register_pair`) is a name of this module and of `osc_contact`. The imports below say no more than
+(`register_pair`) is a name of this module and of `osc_contact`. The imports below give no more than
 what type checkers and editors know by name.
 """
 

@@ -1,4 +1,4 @@
-"""A cylinder of the object lying in a V-groove of the environment."""
+"""A cylinder of the object in a V-groove of the environment."""
 
 from __future__ import annotations
 

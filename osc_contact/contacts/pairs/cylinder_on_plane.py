@@ -1,4 +1,4 @@
-"""A cylinder of the object lying on a plane of the environment."""
+"""A cylinder of the object on a plane of the environment."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["CylinderOnPlane"]
 
 
 class CylinderOnPlaneSpec(OnPlaneSpec):
-    """A cylinder of the object lying on a face of a body: forces at two of its points, r = 2."""
+    """A cylinder of the object on a face of a body: forces at two of its points, r = 2."""
 
     forces: ClassVar[int] = 2
     type: Literal["cylinder_on_plane"] = "cylinder_on_plane"
@@ -36,7 +36,7 @@ class CylinderOnPlaneSpec(OnPlaneSpec):
 @register_pair(CylinderOnPlaneSpec)
 @dataclass(frozen=True, eq=False)
 class CylinderOnPlane(PointsOnPlanes):
-    """A cylinder of the held object lying on a plane of the environment (r = 2).
+    """A cylinder of the held object on a plane of the environment (r = 2).
 
     As an edge on a face, with the lines of force through two points of the *axis*, `length` apart;
     only the gaps know the radius. Rolling is free: where the surface touches does not matter.

@@ -1,4 +1,4 @@
-"""An edge of the object lying on a face of the environment."""
+"""An edge of the object on a face of the environment."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class EdgeOnFaceSpec(OnPlaneSpec):
 @register_pair(EdgeOnFaceSpec)
 @dataclass(frozen=True, eq=False)
 class EdgeOnFace(PointsOnPlanes):
-    """A straight edge of the held object lying on a face of the environment (r = 2).
+    """A straight edge of the held object on a face of the environment (r = 2).
 
     Its distributed force is carried by two points of the edge, `length` apart around `point`, each
     like a vertex on the face: both magnitudes are forces (N), positive while the centre of pressure

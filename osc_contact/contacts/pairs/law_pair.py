@@ -30,7 +30,7 @@ _point = as_python(law.point_of_contact)
 _Elements = dict[tuple[int, int], Any]
 _IDENTITY: _Elements = {(i, j): float(i == j) for i in range(3) for j in range(4)}
 _AT_REST = [0.0] * 6
-#: Methods that decide what a row says; a class that replaces one of them is not what its row says.
+#: Methods that determine a row; a class that replaces one of them differs from its row.
 _TOLD_BY_ROW = ("contact", "direction", "point_on_face", "points_of_contact")
 
 
@@ -42,7 +42,7 @@ class PairRow(NamedTuple):
         shapes: (16,) each, see the functions of `law.contact`: the columns of N, then the permitted
             motions.
         freedoms: number of the latter.
-        rubs: whether the law knows where the pair touches, and so its friction.
+        rubs: whether the law has the points of contact, and so friction.
     """
 
     kind: int
@@ -175,7 +175,7 @@ def normals_over(pair: ContactPair, X_WO: Poses, X_WE: Poses | None = None) -> A
     """(6, r, k) what `pair.contact` gives as N at each of k instants, at O in world axes.
 
     Args:
-        pair: of any kind; one that the law does not know is asked instant by instant.
+        pair: of any kind; one unknown to the law is evaluated instant by instant.
         X_WO: k poses of the object. X_WE: k poses (or 1) of the environment body; None: the world.
     """
     if isinstance(pair, LawPair) and law_row(pair) is not None:

@@ -80,8 +80,8 @@ def count_forces(pair: ContactPair) -> int:
     """r, how many force magnitudes a pair has: one for each of its gaps."""
     if (row := getattr(pair, "row", None)) is None:
         return len(pair.gaps(pin.SE3.Identity()))
-    said = row()  # true in every pose; gaps of edges that are parallel do not exist
-    return len(said.shapes) - int(said.freedoms)
+    shown = row()  # true in every pose; gaps of edges that are parallel do not exist
+    return len(shown.shapes) - int(shown.freedoms)
 
 
 def pushes_only(pair: ContactPair) -> bool:
@@ -93,7 +93,7 @@ def pushes_only(pair: ContactPair) -> bool:
 
 
 def knows_where_it_slides(pair: ContactPair) -> bool:
-    """Whether friction at the pair is known: it pushes, and tells where.
+    """Whether friction at the pair is known: it pushes at known points.
 
     Forces of either sign (hinges, holes, grooves) act somewhere in a gap.
     """

@@ -22,7 +22,7 @@ class PointsOnPlanes(LawPair):
     gaps too.
 
     A sphere or cylinder touches where its surface meets the plane, but its line of force passes
-    through the centre or axis: `points` lie there and only the gap knows the radius ρ.
+    through the centre or axis: `points` are there and only the gap contains the radius ρ.
     """
 
     _points: Array

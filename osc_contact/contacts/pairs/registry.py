@@ -24,7 +24,7 @@ def register_pair(keys: type[ContactSpec] | None = None, **renamed: str) -> Call
     """Class decorator: enter a pair in the register.
 
     Args:
-        keys: what a scenario says of such a contact. None: it is made in Python only.
+        keys: keys of such a contact in a scenario. None: it is made in Python only.
         renamed: keys that the class calls otherwise, such as face_point="point".
     """
 

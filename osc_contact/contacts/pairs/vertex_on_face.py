@@ -37,7 +37,7 @@ class VertexOnFace(PointsOnPlanes):
 
     N = [n; (p − O) × n], n pointing into the face, p the vertex. A vertex rounded with a radius is
     a small sphere: its line of force passes through the centre, so `vertex` is that centre and only
-    the gap knows the radius.
+    the gap contains the radius.
 
     Attributes:
         vertex: (3,) vertex, or centre of the rounded vertex, in the object frame (m).

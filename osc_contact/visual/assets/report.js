@@ -1,5 +1,5 @@
 "use strict";
-// A folded scene becomes a page of its own when it is opened for the first time.
+// A folded scene becomes a separate page when it is opened for the first time.
 
 async function unfold(details) {
   const text = details.nextElementSibling.textContent;
