@@ -142,19 +142,6 @@ def test_terms_on_the_range_of_J(seed: int, n: int) -> None:
     assert t.rank == rank
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_redundant_arm_moves_with_least_kinetic_energy(seed: int) -> None:
-    """J̄ x is the joint motion of least q̇ᵀMq̇ among all that give x: any other costs more."""
-    arm = Numbers.random(seed, 8)
-    t = arm.terms
-    rng = np.random.default_rng([seed, 4])
-    x = rng.normal(size=6)
-    best = t.J_bar @ x
-    assert best @ arm.M @ best == pytest.approx(x @ t.Lambda @ x)
-    for idle in np.linalg.svd(arm.J)[2][6:]:
-        assert abs(idle @ arm.M @ best) < 1e-8 * (1 + np.abs(best).max())
-
-
 @pytest.mark.parametrize(("n", "rank"), [(6, 5), (7, 5), (6, 3), (4, 3)])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_singular_postures_lose_the_directions_J_loses(seed: int, n: int, rank: int) -> None:
@@ -166,31 +153,6 @@ def test_singular_postures_lose_the_directions_J_loses(seed: int, n: int, rank: 
     close(arm.J @ t.J_bar @ S, S)
     close(t.Phi @ t.Lambda @ t.Phi, t.Phi)
     assert np.linalg.matrix_rank(t.Lambda, rtol=1e-9) == rank
-
-
-@pytest.mark.parametrize("n", range(1, 9))
-@pytest.mark.parametrize("seed", SEEDS)
-def test_terms_on_range_J_do_not_depend_on_the_object_that_sets_the_metric(
-    seed: int, n: int
-) -> None:
-    """Another L chooses another generalised inverse; inside range(J) nobody can tell.
-
-    μ alone may differ by Λγ with γ outside range(J); Λa + μ with a − γ in range(J) may not.
-    """
-    arm = Numbers.random(seed, n)
-    one = arm.terms
-    two = replace(arm, Lambda_o=body(seed + 1000).matrix()).terms
-    S, _ = in_range(one, seed)
-    a = arm.gamma + S[:, 0]
-    close(one.Phi, two.Phi)
-    close(S.T @ one.Lambda @ S, S.T @ two.Lambda @ S)
-    close(one.J_bar @ S, two.J_bar @ S)
-    close(S.T @ one.p, S.T @ two.p)
-    close(S.T @ (one.Lambda @ a + one.mu), S.T @ (two.Lambda @ a + two.mu))
-    if n < 6:
-        assert np.abs(one.Lambda - two.Lambda).max() > 1e-6  # off range(J) they do differ
-    both = np.hstack((one.C / np.abs(one.C).max(initial=1e-9), two.C))
-    assert np.linalg.matrix_rank(both, rtol=1e-8) == max(6 - n, 0)
 
 
 def frame_change(seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -297,56 +259,9 @@ def test_drift_is_pinocchios_spatial_acceleration_without_joint_acceleration(see
     assert np.abs(gamma - classical).max() > 1e-2  # the two kinds differ by ω × v
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_drift_against_finite_differences_of_J(seed: int) -> None:
-    """J̇q̇ of the columns written at the tip is *classical*: the tip travels while J is differenced,
-    so its linear rows give p̈. The spatial drift is what is left in coordinates that stay where the
-    tip is now: the same columns carried back to that fixed point before differencing. The two
-    differ by [ω × v; 0], and both are checked.
-    """
-    model = random_arm(seed)
-    q, v = motion(model, seed)
-    J, O = tip_columns(model, q)  # noqa: E741
-    h = 1e-5
-
-    def rate(at_fixed_point: bool) -> np.ndarray:
-        ends = []
-        for s in (h, -h):
-            J_s, O_s = tip_columns(model, q + s * v)
-            ends.append(columns_at(J_s, O - O_s) if at_fixed_point else J_s)
-        return (ends[0] - ends[1]) / (2 * h) @ v
-
-    gamma, V = at_tip(model, q, v).arms[0].gamma, J @ v
-    close(gamma, rate(at_fixed_point=True), 1e-7)
-    travel = np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
-    close(gamma + travel, rate(at_fixed_point=False), 1e-7)
-
-
 def test_one_joint_does_not_drift() -> None:
     state = at_tip(random_arm(0, 1), np.array([0.3]), np.array([2.0]))
     np.testing.assert_array_equal(state.arms[0].gamma, np.zeros(6))
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_terms_of_a_real_arm_obey_its_forward_dynamics(seed: int) -> None:
-    """A wrench on the tip, Pinocchio's ABA, and eq. 13 at the tip."""
-    model = random_arm(seed)
-    q, v = motion(model, seed)
-    J, O = tip_columns(model, q)  # noqa: E741
-    f = np.random.default_rng([seed, 7]).normal(size=6)
-    data = model.createData()
-    t = at_tip(model, q, v).arms[0]
-    close(t.J, J, 1e-12)
-    pin.forwardKinematics(model, data, q)
-    X = data.oMi[model.njoints - 1]
-    local = pin.SE3(X.rotation, X.translation - O).actInv(pin.Force(f))
-    external = [pin.Force.Zero() for _ in range(model.njoints)]
-    external[-1] = local
-    qdd = pin.aba(model, data, q, v, np.zeros(model.nv), external)
-    pin.forwardKinematics(model, data, q, v, qdd)
-    pin.updateFramePlacements(model, data)
-    a = pin.getFrameAcceleration(model, data, model.getFrameId("tip"), pin.LOCAL_WORLD_ALIGNED)
-    close(t.Lambda @ a.vector + t.mu + t.p, f, 1e-7)
 
 
 # Arms from files ----------------------------------------------------------------------------------

@@ -9,14 +9,12 @@ import pinocchio as pin
 import pytest
 from environment_oracle import Body, Touch, kkt
 from environment_scenes import (
-    KINDS,
     RTOL,
     G,
     close_to,
     contacts_at,
     linkage,
     random_inertia,
-    random_placement,
     scene,
     twist_at,
 )
@@ -26,80 +24,6 @@ import osc_contact as osc
 from osc_contact.control.command_filter import command
 from osc_contact.dynamics.environment import Environment
 from osc_contact.response import contact_response
-
-
-def derivative(f, h=1e-3):
-    """Central difference of fifth order."""
-    return (8 * (f(h) - f(-h)) - (f(2 * h) - f(-2 * h))) / (12 * h)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_prescribed_motion_against_finite_differences_of_the_pose(seed):
-    """V_e, b_e and the classical acceleration from the pose alone, at a frozen point O."""
-    rng = np.random.default_rng([seed, 40])
-    c, d, e = rng.normal(size=(3, 3)), rng.normal(size=(3, 3)), random_placement(rng, np.zeros(3))
-    O = rng.normal(size=3)  # noqa: E741
-
-    def pose(t):
-        s = np.array([np.sin(t), np.cos(2 * t), t * t])
-        return pin.SE3(e.rotation @ pin.exp3(c @ s), d @ s)
-
-    def twist(t):
-        X = pose(t)
-        R_dot = derivative(lambda h: pose(t + h).rotation, 2e-3)
-        spin = R_dot @ X.rotation.T
-        omega = np.array(
-            [spin[2, 1] - spin[1, 2], spin[0, 2] - spin[2, 0], spin[1, 0] - spin[0, 1]]
-        )
-        return np.concatenate((derivative(lambda h: pose(t + h).translation, 2e-3), omega / 2))
-
-    def at_O(t):
-        V, X = twist(t), pose(t)
-        return np.concatenate((V[:3] + np.cross(V[3:], O - X.translation), V[3:]))
-
-    env = Environment.moving(X_WE=pose(0.3), V_E=twist(0.3),
-                             A_E=derivative(lambda h: twist(0.3 + h), 5e-3), O=O)  # fmt: skip
-    np.testing.assert_allclose(env.V_e, at_O(0.3), atol=1e-9)
-    np.testing.assert_allclose(env.b_e, derivative(lambda h: at_O(0.3 + h), 5e-3), atol=2e-6)
-    assert not env.Phi_e.any()
-
-
-@pytest.mark.parametrize("kind", ["free body", "rail", "hinge", "ball", "plane", "linkage"])
-def test_bias_acceleration_and_inverse_inertia_against_the_motion_that_follows(kind):
-    """dV_e/dt at a frozen O along the motion ABA predicts, free and under a wrench at O."""
-    rng = np.random.default_rng([41])
-    make = KINDS[kind][0][0]
-    for _ in range(20):
-        body, at = make(rng, np.zeros(3))
-        O, f = rng.normal(size=3), rng.normal(size=6)  # noqa: E741
-        env = at(O)
-        joint = body.model.frames[body.id].parentJoint
-        for wrench in (np.zeros(6), f):
-            external = [pin.Force.Zero() for _ in range(body.model.njoints)]
-            at_world = pin.Force(wrench[:3], wrench[3:] + np.cross(O, wrench[:3]))
-            pin.forwardKinematics(body.model, body.data, body.q)
-            external[joint] = body.data.oMi[joint].actInv(at_world)
-            qdd = pin.aba(body.model, body.data, body.q, body.v, body.tau, external)
-
-            def twist(h, body=body, qdd=qdd, O=O):  # noqa: E741
-                q = pin.integrate(body.model, body.q, body.v * h + qdd * h * h / 2)
-                later = replace(body, q=q, v=body.v + qdd * h)
-                V, p = later.V, later.X.translation
-                return np.concatenate((V[:3] + np.cross(V[3:], O - p), V[3:]))
-
-            got = env.Phi_e @ wrench + env.b_e
-            h = 1e-5  # the path above is exact to second order
-            want = (twist(h) - twist(-h)) / (2 * h)
-            np.testing.assert_allclose(got, want, atol=1e-6 * max(1.0, np.abs(want).max()))
-        np.testing.assert_allclose(env.V_e, twist(0.0), atol=1e-12)
-
-
-def test_rank_of_the_inverse_inertia_is_the_freedom_of_the_body():
-    rng = np.random.default_rng(42)
-    ranks = {"free body": 6, "rail": 1, "hinge": 1, "ball": 3, "plane": 3, "linkage": 2}
-    for kind, rank in ranks.items():
-        values = np.linalg.eigvalsh(KINDS[kind][0][0](rng, np.zeros(3))[1](np.ones(3)).Phi_e)
-        assert np.count_nonzero(values > 1e-9 * values[-1]) == rank
 
 
 def test_a_cart_on_a_rail_needs_nothing_but_mass_and_direction():

@@ -59,16 +59,36 @@ def forces(case, tau):
     return out
 
 
+def any_torques(case, rng):
+    return rng.normal(size=case.chain.n_a) * 20.0
+
+
+def solved(case, v, V, tau, contact=NOTHING):
+    """The full system's answer."""
+    return case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
+
+
+BARE = [(arm,) for arm in ARMS for _ in range(4)]  # nothing held
+EIGHT = ("scara", "ur5", "panda", "3R", "panda", "ur5", "ur5", "panda")
+GRIPS = ("ball", "hinge", "rigid", "ball", "cylinder", "slide", "ball", "hinge")
+
+
+def many_cases(rng):
+    """Random chains of 1 to 4 arms with any grasps, of eight arms, and bare tips."""
+    yield from (draw(rng) for _ in range(60))
+    yield from (random_case(EIGHT, GRIPS, rng) for _ in range(2))
+    yield from (random_case(arm, ["rigid"], rng, body=None) for arm in BARE)
+
+
 def test_motion_and_contact_forces_agree_with_the_full_system():
-    """Eqs. 13–20: 60 random chains of 1–4 arms, with grasps that turn, slide and hold."""
+    """Eqs. 13–20: grasps that turn, slide and hold."""
     rng, seen = np.random.default_rng(1), {"unactuated": 0, "untold": 0, "contacts": 0, "d": set()}
-    for _ in range(60):
-        case = draw(rng)
+    for case in many_cases(rng):
         for _ in range(3):
             pairs, N = touching(case, rng)
             v, V, state, contact = moving(case, pairs, N, rng)
-            tau = rng.normal(size=case.chain.n_a) * 20.0
-            oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
+            tau = any_torques(case, rng)
+            oracle = solved(case, v, V, tau, contact)
             assert oracle.residual < 1e-9
             got = osc.contact_response(state, contact, tau=tau)
             assert miss(got.acceleration, oracle.a_object) < RTOL
@@ -95,8 +115,8 @@ def test_near_and_in_singular_postures(bend):
     for _ in range(30):
         case = draw(rng, bends=[bend] * 4, tolerance=1e-7)
         v, V, state, _ = moving(case, [], NOTHING.N, rng)
-        tau = rng.normal(size=case.chain.n_a) * 20.0
-        oracle = case.system(v, V).solve(forces(case, tau), NOTHING.N, np.zeros(0))
+        tau = any_torques(case, rng)
+        oracle = solved(case, v, V, tau)
         if oracle.residual > 1e-9:  # straight arms: no acceleration keeps these loops closed
             assert bend == 0.0
             continue
@@ -130,38 +150,6 @@ def law_knows(case):
     return True
 
 
-def law_torques(case, pairs, v, state, contact, a_u, alpha_u, B, posture):
-    """τ and Sη̇_c + σ of the law; near singular postures it fades the motion command."""
-    asked = case.chain, pairs, case.q, v, a_u, alpha_u, B, 0.0
-    controller, tau = commanded(*asked, posture=posture)
-    s = controller.signals
-    return tau, s.state.S @ s.eta_c + s.state.sigma
-
-
-def test_commands_come_out_on_the_true_rig():
-    """Eqs. 21–25: commanded forces and filtered motion are what the full system answers."""
-    rng = np.random.default_rng(3)
-    pressed = 0
-    for case in driven(rng, 40):
-        pairs, N = touching(case, rng)
-        v, V, state, contact = moving(case, pairs, N, rng)
-        posture = case.q + rng.uniform(-0.1, 0.1, case.chain.nq)
-        alpha_u, eta_u = rng.normal(size=contact.r) * 10.0, rng.normal(size=state.d)
-        A, a_u = rng.normal(size=(6, 6)), state.S @ eta_u + state.sigma
-        B = A @ A.T + np.eye(6)
-        if not law_knows(case):
-            continue
-        try:
-            tau, a_c = law_torques(case, pairs, v, state, contact, a_u, alpha_u, B, posture)
-        except np.linalg.LinAlgError:  # two arms whose grasps cannot squeeze along their line
-            continue
-        oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
-        assert miss(oracle.a_object, a_c) < 1e-8
-        assert miss(oracle.alpha, alpha_u) < 1e-8
-        pressed += contact.r > 0
-    assert pressed > 15
-
-
 @pytest.mark.parametrize("kinds", [("slide", "plane"), ("cylinder", "plane")])
 def test_two_grasps_that_pass_on_no_squeeze(kinds):
     """The force along the line between the tips is decided by f_S: there is nothing to command.
@@ -176,23 +164,23 @@ def test_two_grasps_that_pass_on_no_squeeze(kinds):
         controller, tau = commanded(*asked, 5.0)
         assert controller.status is not osc.Status.HELD, controller.reason
         s = controller.signals
-        oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
+        oracle = solved(case, v, V, tau, contact)
         assert miss(oracle.a_object, s.state.S @ s.eta_c + s.state.sigma) < 1e-8
         np.testing.assert_array_equal(tau, commanded(*asked, 0.0)[1])
 
 
 def test_exact_plant_agrees_and_wrists_tell_the_contact_force():
     """Fig. 5 where a grasp passes on part of the wrench: the gripper's own motion is taken out."""
-    rng, exact, raw, by_law = np.random.default_rng(4), 0, [], 0
+    rng, exact, by_law = np.random.default_rng(4), 0, 0
     for case in driven(rng, 40):
         pairs, N = touching(case, rng)
-        v, V, state, contact = moving(case, pairs, N, rng)
+        v, V, _, contact = moving(case, pairs, N, rng)
         plant = RigidPlant(case.chain, pairs, 1e-3)
         plant.q, plant.v, plant._X, plant._V = case.q, v, case.X_WO, V
-        tau = rng.normal(size=case.chain.n_a) * 20.0
+        tau = any_torques(case, rng)
         plant.hold(tau)
         _, a, alpha = plant.accelerations(tau)
-        oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
+        oracle = solved(case, v, V, tau, contact)
         assert miss(a, oracle.a_object) < RTOL
         assert miss(alpha, oracle.alpha) < RTOL
         wrenches = plant.measure().wrenches
@@ -203,8 +191,7 @@ def test_exact_plant_agrees_and_wrists_tell_the_contact_force():
             np.testing.assert_allclose(found.alpha_meas, alpha, atol=1e-8 * size)
             by_law += contact.r > 0
         exact += contact.r > 0
-        raw += [np.abs(F - np.eye(6)).max() for F in state.filters if F is not None]
-    assert exact > 15 and by_law > 10 and np.median(raw) > 0.1
+    assert exact > 15 and by_law > 10
 
 
 def test_rigid_and_ball_grasps_agree_with_pinocchio_constraint_dynamics():
@@ -213,7 +200,7 @@ def test_rigid_and_ball_grasps_agree_with_pinocchio_constraint_dynamics():
     for _ in range(30):
         case = draw(rng, kinds=("rigid", "ball"), arms=("ur5", "panda", "scara"))
         v, V, state, _ = moving(case, [], NOTHING.N, rng)
-        tau = rng.normal(size=case.chain.n_a) * 20.0
+        tau = any_torques(case, rng)
         want = ClosedLoop(case.chain).acceleration(case.q, v, case.X_WO, V, tau)
         got = osc.contact_response(state, NOTHING, tau=tau)
         assert miss(got.acceleration, want) < 1e-8
@@ -294,23 +281,6 @@ def test_a_rod_between_two_balls_spins_about_their_line():
     wanted = osc.Reference(case.X_WO, np.zeros(6), np.zeros(6), np.zeros(0))
     assert np.isfinite(controller.tick(measured, wanted)).all()
     assert controller.status is osc.Status.HELD and "do not determine" in controller.reason
-
-
-@pytest.mark.parametrize("arm", ARMS)
-def test_one_arm_whose_tip_is_the_object(arm):
-    """Nothing held: motion, contact forces and the wrist filter of the bare tip, d < 6 too."""
-    rng = np.random.default_rng(8)
-    for _ in range(10):
-        case = random_case([arm], ["rigid"], rng, body=None)
-        if arm == "scara":  # its hinge swings freely unless something else holds the rod
-            assert case.chain.state(case.q, np.zeros(5)).unactuated.shape[1] == 1
-        pairs, N = touching(case, rng)
-        v, V, state, contact = moving(case, pairs, N, rng)
-        tau = rng.normal(size=case.chain.n_a) * 20.0
-        oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
-        got = osc.contact_response(state, contact, tau=tau)
-        assert miss(got.acceleration, oracle.a_object) < RTOL
-        assert miss(got.alpha, oracle.alpha) < RTOL
 
 
 def test_loops_close_and_tips_are_reached():
@@ -455,22 +425,6 @@ def test_bad_encoders_hold_the_torques_and_good_ones_go_on(bad):
         assert controller.status is osc.Status.OK and np.abs(good).max() > 1.0
 
 
-def test_eight_arms():
-    """Every kind of arm and grasp at once."""
-    rng = np.random.default_rng(14)
-    arms = ["scara", "ur5", "panda", "3R", "panda", "ur5", "ur5", "panda"]
-    kinds = ["ball", "hinge", "rigid", "ball", "cylinder", "slide", "ball", "hinge"]
-    for _ in range(5):
-        case = random_case(arms, kinds, rng)
-        pairs, N = touching(case, rng)
-        v, V, state, contact = moving(case, pairs, N, rng)
-        tau = rng.normal(size=case.chain.n_a) * 20.0
-        oracle = case.system(v, V).solve(forces(case, tau), contact.N, contact.n_gamma)
-        got = osc.contact_response(state, contact, tau=tau)
-        assert miss(got.acceleration, oracle.a_object) < RTOL
-        assert miss(got.alpha, oracle.alpha) < RTOL
-
-
 def test_two_balls_in_a_scenario_are_refused_with_the_motion():
     both = ["grasps.left.type=ball", "grasps.right.type=ball"]
     with pytest.raises(osc.ModelError, match="do not determine where the object is"):
@@ -484,8 +438,8 @@ def test_exact_plant_steps_an_object_that_no_arm_leads():
         v, V = (5.0 * x for x in case.moving(rng))
         plant = RigidPlant(case.chain, [], dt)
         plant.q, plant.v, plant._X, plant._V = case.q, v, case.X_WO, V
-        tau = rng.normal(size=case.chain.n_a) * 20.0
-        oracle = case.system(v, V).solve(forces(case, tau), NOTHING.N, np.zeros(0))
+        tau = any_torques(case, rng)
+        oracle = solved(case, v, V, tau)
         classical = oracle.a_object + np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
         plant.command(tau, dt)
         assert miss((plant._V - V) / dt, classical) < 1e-3

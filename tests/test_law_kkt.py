@@ -41,6 +41,7 @@ from osc_contact.scenarios.control_schema import Friction, PostureTask
 
 K_P, K_D, K_I, K_F, DT = 400.0, 40.0, 2000.0, 30.0, 1e-3
 STATES = 84  # of each rig and surroundings, well apart and in ordinary postures
+SOME = 6  # that every `make test` judges, of any kind; the others are slow
 RTOL, FADED_RTOL, ROUGH_RTOL = 1e-9, 1e-7, 1e-6
 APART, LEAST_APART = 0.1, 0.03
 FASTEST, SLOWEST = 5.0, 0.02  # m/s, rad/s; of what slides
@@ -294,6 +295,15 @@ def forces_asked_for(t):
     return alpha_d + K_F * DT * (alpha_d - measured)
 
 
+def miss_of_response(t, answer):
+    """Errors of eqs. 14 to 20 in six-vectors: what these torques make of object and contacts."""
+    s, V = t.controller.signals, t.state.V
+    got = osc.contact_response(s.state, s.contact, s.environment, tau=t.tau)
+    spatial = answer.a - np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
+    forces = -t.state.N.T @ answer.alpha
+    return max(miss(got.acceleration, spatial), miss(got.f_c, forces))
+
+
 def motion_asked_for(t, a):
     """The acceleration nearest to the motion law, a (6,) along the contacts."""
     state, reference, X_WO = t.state, t.reference, t.state.case.X_WO
@@ -380,6 +390,7 @@ def judge(t):
         "geometry": 0.01 * miss_of_geometry(t),  # differences, where edges are all but parallel
         "reading": 0.01 * miss_of_reading(t),
         "force": miss_of_forces(t, answer.alpha, forces_asked_for(t)),
+        "response": 0.0 if state.mu else miss_of_response(t, answer),
     }
     kind = "rough" if names & ROUGH else "near" if apart < APART else "well apart"
     if status is osc.Status.DEGRADED:
@@ -395,12 +406,14 @@ def judge(t):
 @pytest.mark.parametrize("rig", RIGS)
 def test_a_state(rig, surroundings):
     """Fast without compilation: judges small faults put into the law."""
-    for t, _ in zip(ticks(rig, surroundings), range(3), strict=False):
+    for t, _ in zip(ticks(rig, surroundings), range(SOME), strict=False):
         judge(t)
+        assert same_in_a_batch(t) is not False
         if rig != "any grasps" and t.controller.status is osc.Status.OK:
             assert effort_in_vain(t) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("surroundings", SURROUNDINGS)
 @pytest.mark.parametrize("rig", RIGS)
 def test_torques_bring_the_forces_and_the_motion_asked_for(rig, surroundings):
@@ -448,7 +461,9 @@ def some_torques():
     ]
 
 
-@pytest.mark.parametrize("how", ["NUMBA_DISABLE_JIT", "NUMBA_BOUNDSCHECK"])
+@pytest.mark.parametrize(
+    "how", ["NUMBA_DISABLE_JIT", pytest.param("NUMBA_BOUNDSCHECK", marks=pytest.mark.slow)]
+)
 def test_the_same_without_compilation_and_with_checked_bounds(how, tmp_path):
     words = "import sys, numpy as np; from test_law_kkt import some_torques; "
     words += "np.savez(sys.argv[1], *some_torques())"

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from osc_contact import projections as P
 from osc_contact.errors import ContactError
@@ -93,21 +91,13 @@ def on_every_contact(test: object) -> object:
 
 @on_every_contact
 def test_every_projection_is_the_decomposition_it_stands_for(seed: int, r: int) -> None:
+    """On a basis, so that ranges, kernels, Ω² = Ω and Ω + Ω̄ = 1 are those of the decomposition."""
     c = case(seed, r)
-    rng = np.random.default_rng(seed)
-    f, v = SIZE * rng.normal(size=6), rng.normal(size=6) / SIZE
-    A, B = c.A[0], c.B[0]
-    close(P.Omega_f(c.N, inverse(A)) @ f, part(c.N, A @ c.T, f))
-    close(P.Omega_f_bar(c.T, A) @ f, part(A @ c.T, c.N, f))
-    close(P.Omega_m(c.T, inverse(B)) @ v, part(c.T, B @ c.N, v))
-    close(P.Omega_m_bar(c.N, B) @ v, part(B @ c.N, c.T, v))
-    for matrix in (
-        P.Omega_f(c.N, inverse(A)),
-        P.Omega_f_bar(c.T, A),
-        P.Omega_m(c.T, inverse(B)),
-        P.Omega_m_bar(c.N, B),
-    ):
-        assert matrix.shape == (6, 6)
+    A, B, forces, motions = c.A[0], c.B[0], np.diag(SIZE), np.diag(1 / SIZE)
+    close(P.Omega_f(c.N, inverse(A)) @ forces, part(c.N, A @ c.T, forces))
+    close(P.Omega_f_bar(c.T, A) @ forces, part(A @ c.T, c.N, forces))
+    close(P.Omega_m(c.T, inverse(B)) @ motions, part(c.T, B @ c.N, motions))
+    close(P.Omega_m_bar(c.N, B) @ motions, part(B @ c.N, c.T, motions))
 
 
 @on_every_contact
@@ -134,42 +124,6 @@ def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit: flo
         N_prime[:, 0] = c.N @ rng.normal(size=r)
         with pytest.raises(ContactError, match="N′ is not a complement of N"):
             P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
-
-
-@on_every_contact
-def test_complements_made_by_a_metric_give_the_metric_projections(seed: int, r: int) -> None:
-    """Eq. 3 with N′ = A T is eq. 6 and eq. 4 with T′ = B N is eq. 8, in any basis of N′ and T′."""
-    c = case(seed, r)
-    rng = np.random.default_rng([seed, r, 2])
-    A, B = c.A[0], c.B[0]
-    N_prime, T_prime = A @ c.T @ mixing(rng, 6 - r), B @ c.N @ mixing(rng, r)
-    close(P.Omega_f_bar_from_complement(N_prime, c.T), P.Omega_f_bar(c.T, A))
-    close(P.Omega_m_bar_from_complement(T_prime, c.N), P.Omega_m_bar(c.N, B))
-
-
-@on_every_contact
-def test_the_two_parts_add_up(seed: int, r: int) -> None:
-    c = case(seed, r)
-    A, B = c.A[0], c.B[0]
-    close(P.Omega_f(c.N, inverse(A)) + P.Omega_f_bar(c.T, A), np.eye(6))
-    close(P.Omega_m(c.T, inverse(B)) + P.Omega_m_bar(c.N, B), np.eye(6))
-
-
-@on_every_contact
-def test_ranges_kernels_and_idempotence(seed: int, r: int) -> None:
-    c = case(seed, r)
-    A, B = c.A[0], c.B[0]
-    for projection, onto, along in (
-        (P.Omega_f(c.N, inverse(A)), c.N, A @ c.T),
-        (P.Omega_f_bar(c.T, A), A @ c.T, c.N),
-        (P.Omega_m(c.T, inverse(B)), c.T, B @ c.N),
-        (P.Omega_m_bar(c.N, B), B @ c.N, c.T),
-    ):
-        close(projection @ projection, projection)
-        close(projection @ onto, onto)
-        assert vanishes(projection, along)
-        assert np.trace(projection) == pytest.approx(onto.shape[1], abs=1e-10)
-        assert same_span(projection, onto)
 
 
 @on_every_contact
@@ -206,19 +160,6 @@ def test_empty_and_full_contacts(seed: int) -> None:
     close(P.Omega_m(free.T, inverse(B)), np.eye(6))
     close(P.Omega_f(clamped.N, inverse(A)), np.eye(6))
     close(P.Omega_m_bar(clamped.N, B), np.eye(6))
-
-
-@on_every_contact
-def test_contact_force_obeys_gauss(seed: int, r: int) -> None:
-    """Ω_f f is the contact force that leaves the least acceleration energy: ½(f−Nα)ᵀΦ(f−Nα)."""
-    c = case(seed, r)
-    rng = np.random.default_rng([seed, r, 3])
-    root = SIZE[:, None] ** -1 * rng.normal(size=(6, 6))
-    f = SIZE * rng.normal(size=6)
-    alpha = np.linalg.lstsq(root.T @ c.N, root.T @ f, rcond=None)[0]
-    close(P.Omega_f(c.N, root @ root.T) @ f, c.N @ alpha, 1e-9)
-    alpha = np.linalg.lstsq(root.T @ c.N, root.T, rcond=None)[0]
-    close(P.Omega_m_bar(c.N, root @ root.T), (c.N @ alpha).T, 1e-9)  # the dual law: transposed
 
 
 @pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
@@ -408,26 +349,6 @@ def test_laws_do_not_depend_on_frame_units_or_basis(trial: int, change: object) 
     X, X_f = change(rng)
     check_change(case(trial, r), X, X_f, np.eye(r), np.eye(6 - r))
     check_change(case(trial, r), X, X_f, well_mixing(rng, r), well_mixing(rng, 6 - r))
-
-
-@settings(derandomize=True, deadline=None, max_examples=60)
-@given(
-    seed=st.integers(0, 10**6),
-    r=st.integers(0, 6),
-    lengths=st.floats(1e-3, 1e3),
-    column=st.floats(1e-6, 1e6),
-)
-def test_laws_do_not_depend_on_any_unit_of_length_or_length_of_columns(
-    seed: int, r: int, lengths: float, column: float
-) -> None:
-    scale = np.diag(np.geomspace(column, 1.0, max(r, 1))[:r])
-    check_change(
-        case(seed, r),
-        np.diag([lengths] * 3 + [1.0] * 3),
-        np.diag([1.0] * 3 + [lengths] * 3),
-        scale,
-        np.eye(6 - r),
-    )
 
 
 def test_verdict_on_dependence_does_not_depend_on_frame_or_units() -> None:

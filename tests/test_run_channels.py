@@ -354,15 +354,3 @@ def test_free_parts_are_the_free_part_of_each_in_singular_states_too():
             np.testing.assert_allclose(found[:, i], want, atol=1e-9, err_msg=f"{name} {i}")
 
 
-def test_a_series_is_watched_as_its_ticks_are():
-    rng = np.random.default_rng(8)
-    for _ in range(20):
-        levels = rng.choice([0.0, 0.39, 0.5, 1.1, 8.0], size=(60, 3), p=[0.2, 0.1, 0.1, 0.1, 0.5])
-        alpha = np.repeat(levels, rng.integers(1, 12, 60), axis=0)
-        alpha = alpha + 0.02 * rng.normal(size=alpha.shape)
-        speed = 0.01 * rng.normal(size=alpha.shape)
-        one, other = ContactMonitor(3, 1e-3), ContactMonitor(3, 1e-3)
-        want = [one.update(a, s) for a, s in zip(alpha, speed, strict=True)]
-        closed, collision = watch_series(other, alpha, speed)
-        np.testing.assert_array_equal(closed, [state.closed for state in want])
-        np.testing.assert_array_equal(collision, [state.collision for state in want])

@@ -223,19 +223,3 @@ def test_the_law_of_two_contacts_hardly_apart_is_that_of_good_columns() -> None:
         found = solve(near, share, **given)
         for one, other in zip(found, solve(well, C @ share, **given), strict=True):
             np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-10 * np.abs(other).max())
-
-
-def test_contacts_accelerate_with_their_environment() -> None:
-    """Nᵀ(a − a_e) = n_γ, with what the environment does of itself and what f_c makes of it."""
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
-    rng = np.random.default_rng(9)
-    state = rig.model.state(rig.q_contact, 0.3 * rng.normal(size=len(rig.q_contact)))
-    contact = Contact(rig.contact().N, rng.normal(size=2))
-    for Phi_e in (np.zeros((6, 6)), np.diag([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])):
-        f_S = rng.normal(size=state.d)
-        answer = contact_response(state, contact, Environment(Phi_e, rng.normal(size=6)), f_S=f_S)
-        relative = contact.N.T @ (answer.acceleration - answer.a_e)
-        np.testing.assert_allclose(relative, contact.n_gamma, atol=1e-8)
-        moved = state.Lambda_S @ answer.eta_dot + state.b_S + state.S.T @ answer.f_c
-        np.testing.assert_allclose(moved, f_S, atol=1e-8)
-        np.testing.assert_allclose(answer.f_c, contact.N @ answer.alpha, atol=1e-9)
