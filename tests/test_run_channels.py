@@ -13,7 +13,7 @@ import osc_contact as osc
 from osc_contact.contacts import pairs
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.contacts.pairs.pair import pushes_only
-from osc_contact.control.monitor import ContactMonitor, watch_series
+from osc_contact.control.monitor import ContactMonitor
 from osc_contact.dynamics.chain_model import columns_at
 from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.free_motion import free_parts
@@ -352,5 +352,3 @@ def test_free_parts_are_the_free_part_of_each_in_singular_states_too():
         for i in range(k):
             want = free_part(chain, q[i], X[i], N[:, :, i], x[:, i])
             np.testing.assert_allclose(found[:, i], want, atol=1e-9, err_msg=f"{name} {i}")
-
-
