@@ -9,9 +9,7 @@ of points (relative motion in a turning frame, with Coriolis terms), never with 
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -201,52 +199,3 @@ def _solve(K, y):
     for _ in range(2):
         x += scale * np.linalg.lstsq(Ks, scale * (y - K @ x), rcond=1e-13)[0]
     return x
-
-
-# Wrist sensors ------------------------------------------------------------------------------------
-
-
-@cache
-def _cut(path, base, joint, moving):
-    """An arm whose fixed `joint` is a (never moving) hinge, so that RNEA tells the force in it."""
-    root = ET.parse(path).getroot()
-    fixed = next(e for e in root.iter("joint") if e.get("name") == joint)
-    fixed.set("type", "revolute")
-    for tag in ("axis", "limit"):
-        for old in fixed.findall(tag):
-            fixed.remove(old)
-    ET.SubElement(fixed, "axis", xyz="0 0 1")
-    ET.SubElement(fixed, "limit", lower="-1", upper="1", effort="1", velocity="1")
-    model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
-    lock = [j for j in range(1, model.njoints) if model.names[j] not in (*moving, joint)]
-    model = pin.buildReducedModel(model, lock, pin.neutral(model)) if lock else model
-    return pin.appendModel(pin.Model(), model, 0, pin.XYZQUATToSE3(np.array(base)))
-
-
-def wrist_readings(chain, urdfs, cuts, q, v, solution, O):  # noqa: E741
-    """(arms, 6) what each sensor reads, in its own axes: RNEA through a hinge put in its place.
-
-    Args:
-        urdfs: file of each arm. cuts: name of the fixed joint that carries each sensor.
-        O: (3,) where solution.loops are written.
-    """
-    readings = []
-    for i, arm in enumerate(chain.arms):
-        names = [str(name) for name in arm.model.names][1:]
-        base = tuple(pin.SE3ToXYZQUAT(arm.base))
-        model = _cut(str(urdfs[i]), base, cuts[i], tuple(names))
-        data = model.createData()
-        state = [np.zeros(model.nv) for _ in range(3)]
-        for k, name in enumerate(names):
-            at = model.joints[model.getJointId(name)].idx_v
-            for full, part in zip(state, (q, v, solution.qdd), strict=True):
-                full[at] = part[chain.slices[i]][k]
-        pin.forwardKinematics(model, data, state[0])
-        tip = model.frames[model.getFrameId(arm.tip)].parentJoint
-        push = solution.loops[i]  # on the object, at O; the arm feels the opposite
-        at_world = pin.Force(-push[:3], -push[3:] - np.cross(O, push[:3]))
-        external = [pin.Force.Zero() for _ in range(model.njoints)]
-        external[tip] = data.oMi[tip].actInv(at_world)
-        pin.rnea(model, data, *state, external)
-        readings.append(np.array(data.f[model.getJointId(cuts[i])].vector))
-    return np.array(readings)

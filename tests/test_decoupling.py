@@ -9,8 +9,6 @@ from grasp_oracle import kkt
 from rigs import (
     consistent,
     contact_of,
-    one_panda,
-    panda_pair,
     placed,
     random_faces,
     random_state,
@@ -18,7 +16,6 @@ from rigs import (
 )
 
 import osc_contact as osc
-from osc_contact import projections
 from osc_contact.control.custom_laws import Laws
 from osc_contact.plants.rigid import RigidPlant
 from osc_contact.response import require_reachable
@@ -105,32 +102,6 @@ def structured(chain, q, v, f_S, eta, squeeze, posture=None, state=None, **how):
     return tick_with(laws, chain, [], q, v, squeeze, posture=posture, **how)[1]
 
 
-@pytest.mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
-def test_force_steps_leave_the_motion_and_motion_steps_leave_the_force(rig):
-    """Eqs. 24 and 25 on the full KKT system, for three metrics B: coupling ≤ 1e-9."""
-    chain, rng = rig(), np.random.default_rng(10)
-    for _ in range(60):
-        state, contact, pairs, q, v = in_contact(chain, rng)
-        where = chain, state, contact, pairs, q, v
-        alpha = rng.uniform(5, 20, 2)
-        a_u = rng.normal(size=6) * 3
-        for B in metrics_B(state, rng).values():
-            tau, eta_c = law_torques(*where, a_u, alpha, B)
-            base = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
-            size_a, size_f = np.abs(base.a_object).max(), np.abs(base.alpha).max()
-            np.testing.assert_allclose(base.alpha, alpha, atol=1e-9 * size_f)
-            want = state.S @ eta_c + state.sigma
-            np.testing.assert_allclose(base.a_object, want, atol=1e-9 * size_a)
-            tau, _ = law_torques(*where, a_u, alpha + [5.0, -3.0], B)
-            stepped = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
-            assert np.abs(stepped.a_object - base.a_object).max() <= 1e-9 * size_a
-            np.testing.assert_allclose(stepped.alpha - base.alpha, [5, -3], rtol=1e-8)
-            tau, _ = law_torques(*where, a_u + rng.normal(size=6), alpha, B)
-            pushed = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
-            assert np.abs(pushed.alpha - base.alpha).max() <= 1e-9 * size_f
-            assert np.abs(pushed.a_object - base.a_object).max() > 1e-2
-
-
 def test_steps_do_not_couple_on_the_rigid_plant():
     """The same through the plant of a run: joint-space multipliers, its own wrist and contacts."""
     chain, rng = scara_pair(), np.random.default_rng(11)
@@ -151,30 +122,6 @@ def test_steps_do_not_couple_on_the_rigid_plant():
             assert np.abs(f2 - f0).max() <= 1e-9 * np.abs(f0).max()
             assert np.abs(f1 - f0 - 5.0).max() < 1e-7
             assert np.abs(a2 - a0).max() > 1e-3
-
-
-def test_unfiltered_commands_couple_as_equations_22_and_23_say():
-    """Six motions (d = 6): eqs. 21–23 written out with 6×6 projections."""
-    chain, rng = panda_pair(), np.random.default_rng(12)
-    for _ in range(60):
-        state, contact, _, q, v = in_contact(chain, rng)
-        N = contact.N
-        Lambda0 = np.linalg.inv(state.Phi)
-        Tdot_beta = N @ np.linalg.solve(N.T @ N, contact.n_gamma)  # one of many: NᵀṪβ = n_γ
-        accel, force = rng.normal(size=6) * 2, rng.normal(size=6) * 10
-        eta = np.linalg.solve(state.S, accel + Tdot_beta - state.sigma)
-        f_S = state.Lambda_S @ eta + state.b_S + state.S.T @ force
-        tau = structured(chain, q, v, f_S, eta, 0.0)
-        got = kkt(chain, q, v, tau, N, contact.n_gamma)
-        Omega_f = projections.Omega_f(N, state.Phi)
-        Omega_m_bar = projections.Omega_m_bar(N, state.Phi)
-        relative = (np.eye(6) - Omega_m_bar) @ accel
-        relative = relative + state.Phi @ (np.eye(6) - Omega_f) @ force  # eq. 22
-        f_c = Omega_f @ force + Lambda0 @ Omega_m_bar @ accel  # eq. 23
-        scale = np.abs(got.a_object).max()
-        np.testing.assert_allclose(got.a_object - Tdot_beta, relative, atol=1e-9 * scale)
-        np.testing.assert_allclose(N @ got.alpha, f_c, atol=1e-9 * np.abs(f_c).max())
-        assert np.abs(f_c - Omega_f @ force).max() > 1e-3  # and it does couple
 
 
 def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair():

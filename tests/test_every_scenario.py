@@ -7,7 +7,6 @@ import json
 import numpy as np
 import pinocchio as pin
 import pytest
-from test_decoupling import structured
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import pushes_only
@@ -145,41 +144,6 @@ def test_verdicts_of_the_other_scenarios(name):
 def test_every_packaged_scenario_has_a_verdict_in_a_test():
     elsewhere = {"workcell"}  # tests/test_workcell.py
     assert {*WORDS, *NAMES, *elsewhere} == set(osc.scenarios.list_scenarios())
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_rigid_plant_decouples_exactly(rigs, name):
-    """Steps of one command, ≤ 1e-9 of what they cause in their own space, felt in the other."""
-    rig = rigs[name]
-    scenario = osc.load_scenario(name, ["plant.type=rigid", "plant.step=1 ms"])
-    rig = osc.build_rig(scenario)
-    plant, controller = rig.plant(), rig.controller()
-    for k in range(40):
-        plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
-    controller.tick(plant.measure(), rig.references.at(0.04))
-    s = controller.signals
-    N_S = s.state.S.T @ s.contact.N
-    B_S = np.linalg.inv(s.state.S.T @ s.state.metric @ s.state.S)
-    held = B_S @ N_S @ np.linalg.solve(N_S.T @ B_S @ N_S, N_S.T)
-    rng = np.random.default_rng(5)
-
-    def answer(eta, alpha):
-        f_S = s.state.Lambda_S @ eta + s.state.b_S + N_S @ alpha
-        tau = structured(rig.chain, s.q, s.v, f_S, eta, s.squeeze_d, rig.q_contact, s.state)
-        _, a, forces = plant.accelerations(tau)
-        return a, forces
-
-    a0, f0 = answer(s.eta_c, s.alpha_u)
-    step = rng.normal(size=len(f0))
-    a1, f1 = answer(s.eta_c, s.alpha_u + step)
-    np.testing.assert_allclose(f1 - f0, step, atol=1e-8)
-    kick = rng.normal(size=s.state.d)
-    kick = kick - held @ kick
-    a2, f2 = answer(s.eta_c + kick, s.alpha_u)
-    size = np.abs(s.state.S @ kick).max()
-    assert np.abs(a1 - a0).max() < 1e-9 * max(size, np.abs(a0).max(), 1.0)
-    np.testing.assert_allclose(a2 - a0, s.state.S @ kick, atol=1e-8 * size)
-    assert np.abs(f2 - f0).max() < 1e-9 * max(np.abs(f0).max(), s.state.Lambda_S.max() * size)
 
 
 @pytest.mark.parametrize("name", ["ur5_wipe", "scara_peg"])

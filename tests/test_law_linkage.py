@@ -13,8 +13,7 @@ import pytest
 from grasp_rigs import KINDS, random_case
 from numba import njit
 from numba.core.runtime import rtsys
-from test_grasps import forces, in_millimetres
-from test_linkage import bars_of, cut, mobility
+from test_grasps import in_millimetres
 from test_linkage import settable_bars as by_svd
 
 import osc_contact as osc
@@ -166,79 +165,6 @@ def test_the_scratch_is_large_enough_for_arms_that_carry_everything():
     assert_same(answer(tuple(what)), (levers, np.zeros((len(levers), 0))))
 
 
-class Oracle:
-    """The chain at rest in one full system of equations, cut at the grasps; every torque 1 N m."""
-
-    def __init__(self, case):
-        chain, self.case, self.still = case.chain, case, np.zeros(case.chain.nq)
-        self.system = case.system(self.still, np.zeros(6))
-        self.E = None
-        a, t = zip(*(self(tau) for tau in np.vstack((np.zeros(chain.n_a), np.eye(chain.n_a)))))  # noqa: B905
-        self.accelerations, self.bars = (np.array(one[1:]).T - one[0][:, None] for one in (a, t))
-
-    def __call__(self, tau):
-        """Acceleration of the object, forces in the bars."""
-        got = self.system.solve(forces(self.case, tau), np.zeros((6, 0)), np.zeros(0))
-        f, points = cut(self.case, self.still, tau, got.qdd)
-        self.E = bars_of(points)
-        return got.a_object, np.linalg.pinv(self.E, rcond=1e-3) @ f.ravel()
-
-    def carried(self):
-        """(bars, …) of the wrenches at each tip that its joints do not feel."""
-        case, columns = self.case, [np.zeros((self.E.shape[1], 0))]
-        data = case.chain.model.createData()
-        pin.computeJointJacobians(case.chain.model, data, case.q)
-        for i, (tip, s) in enumerate(zip(case.chain.tips, case.chain.slices, strict=True)):
-            pin.updateFramePlacements(case.chain.model, data)
-            J = pin.getFrameJacobian(case.chain.model, data, tip, pin.LOCAL_WORLD_ALIGNED)[:, s]
-            wrenches = np.linalg.svd(J)[0][:, J.shape[1] :]
-            share = np.linalg.pinv(self.E, rcond=1e-3)[:, 3 * i : 3 * i + 3]
-            columns.append(share @ wrenches[:3])
-        return np.hstack(columns)
-
-    def settable(self):
-        """Orthonormal columns (bars, …): the range of all torques that accelerate nothing."""
-        effort = effort_scale(self.case.chain.tau_max)
-        _, size, Vh = np.linalg.svd(self.accelerations * effort)
-        made = (self.bars * effort) @ Vh[np.count_nonzero(size > 1e-7 * size[0]) :].T
-        known, size, _ = np.linalg.svd(self.carried())
-        known = known[:, np.count_nonzero(size > 1e-3) :]
-        U, size, _ = np.linalg.svd(known.T @ made, full_matrices=False)
-        return known @ U[:, size > 1e-6 * size[0]]
-
-
-@pytest.mark.parametrize("arms, kinds, s", [
-    (["ur5", "panda", "ur5"], ["rigid"] * 3, 3), (["ur5"] * 3, ["ball", "hinge", "rigid"], 3),
-    (["panda", "ur5", "ur5"], ["slide", "cylinder", "rigid"], 3), (["scara"] * 3, ["rigid"] * 3, 3),
-    (["3R", "3R", "scara"], ["rigid"] * 3, 1), (["scara", "ur5", "3R"], ["rigid"] * 3, 2),
-    (["ur5"] * 4, ["rigid", "ball"] * 2, 6), (["ur5"] * 4, ["cylinder"] * 4, 5),
-    (["ur5"] * 5, ["rigid", "rigid", "ball", "ball", "cylinder"], 9),
-    (["ur5"] * 3, ["limp"] * 3, 2),
-])  # fmt: skip
-def test_torques_in_the_null_space_set_the_bars_and_accelerate_nothing(arms, kinds, s):
-    """These combinations of bars take any values, and no others do."""
-    rng, tried = np.random.default_rng(82), 0
-    while tried < 2:
-        held = ["rigid"] * len(arms) if kinds[0] == "limp" else kinds
-        case = random_case(arms, held, rng, upright=arms[0] == "3R")
-        case = without_motors(case, rng, share=1.0) if kinds[0] == "limp" else case
-        state, effort = at_rest(case), effort_scale(case.chain.tau_max)
-        singular = max(min(mobility(arm, state.metric)[: arm.rank]) < 0.02 for arm in state.arms)
-        if state.unactuated.shape[1] or not state.d or singular:
-            continue
-        tried += 1
-        levers, basis = answer(given(state, case.chain))
-        oracle, x = Oracle(case), rng.normal(size=s) * 20.0
-        tau = rng.normal(size=case.chain.n_a) * 20.0
-        rows = np.vstack((oracle.accelerations, basis.T @ levers[:, case.chain.actuated]))
-        change = effort * (np.linalg.pinv(rows * effort, rcond=1e-9) @ np.append(np.zeros(6), x))
-        (a, t), (b, u) = oracle(tau), oracle(tau + change)
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-8 * np.abs(a).max())
-        np.testing.assert_allclose(basis.T @ (u - t), x, atol=1e-6)
-        want = oracle.settable()
-        np.testing.assert_allclose(basis @ basis.T, want @ want.T, atol=1e-7)
-
-
 def elsewhere(case, X):
     """The same chain at another place in the world."""
     arms = [replace(arm, base=X * arm.base) for arm in case.chain.arms]
@@ -287,7 +213,9 @@ def replay(source, target):
     assert before[3] - before[2] == before[2] - before[1], before
 
 
-@pytest.mark.parametrize("how", ["NUMBA_DISABLE_JIT", "NUMBA_BOUNDSCHECK"])
+@pytest.mark.parametrize(
+    "how", ["NUMBA_DISABLE_JIT", pytest.param("NUMBA_BOUNDSCHECK", marks=pytest.mark.slow)]
+)
 def test_plain_python_and_checked_bounds_give_the_same(how, tmp_path):
     """To the last digits, so that even the bases are the same. Nothing is allocated on the way."""
     rng, wanted, arrays = np.random.default_rng(84), [], {}

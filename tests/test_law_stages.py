@@ -13,7 +13,6 @@ import pinocchio as pin
 import pytest
 from law_calls import (
     allocation,
-    arm_terms,
     energy,
     force,
     least_squares,
@@ -539,40 +538,6 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     for mode, share in zip(modes, own.share, strict=True):
         want += mode @ (back - tau if gone else (1.0 - share) * back) * (M @ mode)
     close([j.rest for j in joints[lo:]], want, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("n", range(1, 9))
-def test_terms_of_an_arm_that_holds_rigidly(n):
-    """J̄, Λ and what the arm resists, from the pseudoinverse of its Jacobian."""
-    rng, lo = rng_of(n), 1
-    J, root = rng.normal(size=(6, n)), rng.normal(size=(n, n))
-    M = root @ root.T + np.eye(n)
-    joints = [None] + [Record(J=J[:, j].copy(), M=M[j], J_bar=np.zeros(6)) for j in range(n)]
-    big = {name: rng.normal(size=(16, 32)) for name in ("X", "Z", "K")}
-    work = Record(**big, s=np.zeros(16), t=np.zeros(16), x=np.zeros(6), u=np.zeros(6),
-                  **{name: rng.normal(size=(6, 6)) for name in "ABDE"}, y=np.zeros(6))  # fmt: skip
-    arm = Record(Lambda=np.zeros((6, 6)), kept=np.zeros((6, 6)), n_kept=0, n_locked=0)
-    locked, row = np.full((12, 7), 7.0), 3
-    count = arm_terms.arm_terms(
-        tick_of(
-            work_joints=joints, work=work, work_locked_rows=locked, model=Record(tolerance=1e-6)
-        ),
-        lo,
-        n,
-        6,
-        True,
-        arm,
-        row,
-    )
-    weighed = np.linalg.solve(M, J.T)
-    J_bar = np.linalg.pinv(J) if n <= 6 else weighed @ np.linalg.inv(J @ weighed)
-    close([j.J_bar for j in joints[lo:]], J_bar, rtol=1e-7, atol=1e-8)
-    close(arm.Lambda, J_bar.T @ M @ J_bar, rtol=1e-7, atol=1e-7)
-    assert (count, arm.n_locked, arm.n_kept) == (max(6 - n, 0), count, min(n, 6))
-    U = locked[row : row + count, :6]
-    close(U @ U.T, np.eye(count), atol=1e-12)
-    close(U @ J, np.zeros((count, n)), atol=1e-12)
-    assert (np.delete(locked, range(row, row + count), axis=0) == 7.0).all()
 
 
 # --- torques --------------------------------------------------------------------------------------

@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from environment_oracle import wrist_readings
-from environment_scenes import RIGS, RTOL, cases, close_to, contacts_at, scene, twist_at
+from environment_scenes import RTOL, cases, close_to, contacts_at, scene, twist_at
 from rigs import one_panda, panda_pair, random_state, scara_pair
 from test_decoupling import commanded as law_commanded
 from test_decoupling import structured
 
 import osc_contact as osc
-from osc_contact import projections, robots
+from osc_contact import projections
 from osc_contact.dynamics.environment import Environment
 from osc_contact.response import Lambda_rel, contact_response
 
@@ -229,37 +228,3 @@ def test_unfiltered_commands_couple_through_the_relative_inertia(rig, kind):
         assert np.abs(got - want).max() < RTOL * size
         assert close_to(N @ truth.alpha, f_c) < RTOL
         assert np.abs(f_c - Omega_f @ force).max() > 1e-3
-
-
-# Measurement (fig. 5) -----------------------------------------------------------------------------
-
-
-def hardware(rig):
-    """URDF of each arm, and the fixed joint that carries its sensor."""
-    if rig is scara_pair:
-        files = [robots.urdf_path("scara_left"), robots.urdf_path("scara_right")]
-        return files, ["wrist_sensor_joint"] * 2
-    k = len(rig().arms)
-    return [robots.find_robot("panda")[0]] * k, ["panda_hand_joint"] * k
-
-
-@cases(*RIGS)
-def test_contact_force_from_wrist_sensors_is_exact_on_moving_and_yielding_bodies(rig, kind):
-    """Sensors by RNEA through a hinge put in their place, links between sensor and object."""
-    rng = np.random.default_rng(37)
-    files, cuts = hardware(rig)
-    for _ in range(8):
-        s = scene(rig, kind, rng)
-        tau = rng.normal(size=s.chain.n_a) * 20
-        truth = s.solve(tau)
-        O = s.state.X_WO.translation  # noqa: E741
-        sensed = wrist_readings(s.chain, files, cuts, s.q, s.v, truth, O)
-        # the law: exact with the bodies, and not without
-        pairs, how = seen(s)
-        asked = s.chain, pairs, s.q, s.v, np.zeros(6), truth.alpha, "object", squeeze_of(s)
-        given = {"touched": how["touched"], "wrenches": sensed}
-        found = law_commanded(*asked, bodies=how["bodies"], **given)[0].result()
-        assert close_to(found.alpha_meas, truth.alpha) < RTOL
-        assert close_to(found.f_c, s.contact.N @ truth.alpha) < RTOL
-        without = law_commanded(*asked, **given)[0].result()
-        assert close_to(without.alpha_meas, truth.alpha) > 1e-4

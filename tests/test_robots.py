@@ -75,19 +75,6 @@ def test_scara_has_the_announced_joints_and_limits(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_scara_frames_are_parallel_to_the_base_at_zero(name: str) -> None:
-    model = robots.load_model(robots.urdf_path(name))
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, pin.neutral(model))
-    for frame, X_WF in zip(model.frames, data.oMf, strict=True):
-        np.testing.assert_allclose(X_WF.rotation, np.eye(3), atol=1e-15, err_msg=frame.name)
-    heights = {"joint1": 0.45, "flange": 0.42, "wrist_sensor": 0.40, "finger": 0.34, "tool": 0.32}
-    for frame_name, height in heights.items():
-        z = data.oMf[robots.frame_id(model, frame_name)].translation[2]
-        assert z == pytest.approx(height, abs=1e-12), frame_name
-
-
-@pytest.mark.parametrize("name", ARMS)
 def test_scara_kinematics_agree_with_the_closed_form(name: str) -> None:
     model = robots.load_model(robots.urdf_path(name))
     data = model.createData()
