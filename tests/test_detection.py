@@ -13,9 +13,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from detection_bodies import (
+    AXIS,
+    BALL,
     BOX,
+    CAN,
     CORNERS,
     DEPTHS,
+    PILL,
     SIZE,
     TABLE,
     UP,
@@ -25,7 +29,6 @@ from detection_bodies import (
     only,
     pushes,
     random_pose,
-    seen_from,
     standing,
 )
 
@@ -37,31 +40,10 @@ from osc_contact.contacts.detection.solver import Nearest
 SEEDS = range(12)
 
 
-# A box on a table -----------------------------------------------------------------------------
+# A body on a table, and a table on a body ---------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_box_flat_on_a_table_is_one_face_contact(seed):
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
-    X = standing(_quarter_turns(rng), CORNERS, rng, lift=-depth)
-    X_WE = random_pose(rng)
-    found = only(seen_from(X, X_WE, BOX))
-    assert (found.kind, found.r, found.name) == ("face on face", 3, "box on table")
-    lowest = moved(X, CORNERS)
-    lowest = lowest[lowest[:, 2] < -depth + 1e-9]
-    on_table = lowest * [1, 1, 0]
-    assert len(found.points) == 4
-    for corner in moved(X_WE, on_table):
-        assert np.linalg.norm(found.points - corner, axis=1).min() < 1e-9
-    up = X_WE.rotation @ UP
-    np.testing.assert_allclose(found.normal, up, atol=1e-12)
-    assert found.distance == pytest.approx(-depth, abs=1e-9)
-    assert_kept_by_its_pair(
-        found, X_WE * X, X_WE, pushes(moved(X_WE, lowest), -up, X_WE * X), -depth
-    )
-
-
-def _quarter_turns(rng):
+def quarter_turns(rng):
     """One of the 24 orientations of a cube, exactly."""
     while True:
         R = np.eye(3)[rng.permutation(3)] * rng.choice([-1.0, 1.0], 3)
@@ -69,45 +51,72 @@ def _quarter_turns(rng):
             return R
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_box_tipped_on_an_edge_is_one_line_contact(seed):
+def rolled(rng, *pitch):
+    return pin.rpy.rpyToMatrix(rng.uniform(0.1, np.pi / 2 - 0.1), *pitch, 0.0)
+
+
+def lying(rng):
+    return pin.rpy.rpyToMatrix(np.pi / 2, 0, 0) @ pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3))
+
+
+#: Contact, its name where the table is the object, r, shapes, the points that may be lowest, how
+#: far these are below the surface, tilt.
+RESTING = [
+    ("face on face", "face on face", 3, BOX, CORNERS, 0.0, quarter_turns),
+    (
+        "edge on face",
+        "face on edge",
+        2,
+        BOX,
+        CORNERS,
+        0.0,
+        lambda rng: rolled(rng, 0.0) @ quarter_turns(rng),
+    ),
+    (
+        "vertex on face",
+        "face on vertex",
+        1,
+        BOX,
+        CORNERS,
+        0.0,
+        lambda rng: rolled(rng, rng.uniform(0.1, 1.4)),
+    ),
+    (
+        "sphere on plane",
+        "plane on sphere",
+        1,
+        BALL,
+        BALL[0].placement.translation[None],
+        0.03,
+        lambda rng: pin.exp3(rng.normal(size=3)),
+    ),
+    ("cylinder on plane", "plane on cylinder", 2, CAN, AXIS, 0.03, lying),
+    ("cylinder on plane", "plane on cylinder", 2, PILL, AXIS, 0.03, lying),
+]
+
+
+@pytest.mark.parametrize("below", [False, True])
+@pytest.mark.parametrize("row", RESTING, ids=lambda row: f"{row[3][0].name}: {row[0]}")
+@pytest.mark.parametrize("seed", range(6))
+def test_a_body_that_rests_on_a_plane_touches_in_its_lowest_points(seed, row, below):
+    """Each of the two may be the object."""
+    above, under, r, shapes, points, radius, tilt = row
     rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
-    tilt = pin.rpy.rpyToMatrix(rng.uniform(0.05, np.pi / 2 - 0.05), 0, 0) @ _quarter_turns(rng)
-    X = standing(tilt, CORNERS, rng, lift=-depth)
-    X_WE = random_pose(rng)
-    found = only(seen_from(X, X_WE, BOX))
-    assert (found.kind, found.r) == ("edge on face", 2)
-    lowest = moved(X, CORNERS)
-    lowest = lowest[lowest[:, 2] < -depth + 1e-9]
-    assert len(found.points) == len(lowest) == 2
-    for corner in moved(X_WE, lowest * [1, 1, 0]):
-        assert np.linalg.norm(found.points - corner, axis=1).min() < 1e-9
+    X_WT = random_pose(rng)
+    X = standing(tilt(rng), points, rng, lift=radius - depth)
+    body, up = X_WT * X, X_WT.rotation @ UP
+    found = only(detect(TABLE, X_WT, shapes, body) if below else detect(shapes, body, TABLE, X_WT))
+    assert (found.kind, found.r) == (under if below else above, r)
+    lowest = moved(X, points)
+    lowest = moved(X_WT, lowest[lowest[:, 2] < radius - depth + 1e-9] * [1, 1, 0])
+    assert len(found.points) == len(lowest)
+    away = np.linalg.norm(found.points[:, None] - lowest, axis=2).min(axis=0)
+    assert away.max() < 1e-9 + below * abs(depth)
+    np.testing.assert_allclose(found.normal, -up if below else up, atol=1e-9)
     assert found.distance == pytest.approx(-depth, abs=1e-9)
-    up = X_WE.rotation @ UP
-    assert_kept_by_its_pair(
-        found, X_WE * X, X_WE, pushes(moved(X_WE, lowest), -up, X_WE * X), -depth
-    )
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_box_tipped_on_a_corner_is_one_point_contact(seed):
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
-    roll, pitch = rng.uniform(0.1, np.pi / 2 - 0.1, 2)
-    X = standing(pin.rpy.rpyToMatrix(roll, pitch, 0), CORNERS, rng, lift=-depth)
-    X_WE = random_pose(rng)
-    found = only(seen_from(X, X_WE, BOX))
-    assert (found.kind, found.r) == ("vertex on face", 1)
-    corner = CORNERS[moved(X, CORNERS)[:, 2].argmin()]
-    np.testing.assert_allclose(found.object_point, corner, atol=1e-12)
-    np.testing.assert_allclose(found.points[0], X_WE.act(X.act(corner) + depth * UP), atol=1e-12)
-    assert found.distance == pytest.approx(-depth, abs=1e-12)
-    X_WO = X_WE * X
-    declared = osc.VertexOnFace(corner, np.zeros(3), UP)
-    V_O, V_E = rng.normal(size=(2, 6))
-    mine, theirs = (p.contact(X_WO, V_O, X_WE, V_E) for p in (found.pair(), declared))
-    np.testing.assert_allclose(mine.N, theirs.N, atol=1e-12)
-    np.testing.assert_allclose(mine.n_gamma, theirs.n_gamma, atol=1e-9)
-    np.testing.assert_allclose(found.pair().gaps(X_WO, X_WE), [-depth], atol=1e-12)
+    X_WO, X_WE = (X_WT, body) if below else (body, X_WT)
+    push = pushes(lowest, up if below else -up, X_WO)
+    assert_kept_by_its_pair(found, X_WO, X_WE, push, -depth)
 
 
 @pytest.mark.parametrize(("tilt", "kind"), [(0.5e-3, "face on face"), (2e-3, "edge on face")])
@@ -253,38 +262,6 @@ def test_crossed_edges_touch_in_their_crossing_point(seed):
     )
     push = pushes([turned.act(meet)], -turned.rotation @ UP, turned * X_WO)
     assert_kept_by_its_pair(found, turned * X_WO, turned * X_WE, push, -depth)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_corner_of_the_environment_under_a_face_of_the_object(seed):
-    """The box on its corner again, but now the table is held and the box is the environment."""
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
-    roll, pitch = rng.uniform(0.1, np.pi / 2 - 0.1, 2)
-    X = standing(pin.rpy.rpyToMatrix(roll, pitch, 0), CORNERS, rng, lift=-depth)
-    X_WO = random_pose(rng)
-    found = only(detect(TABLE, X_WO, BOX, X_WO * X))
-    assert (found.kind, found.r) == ("face on vertex", 1)
-    corner = CORNERS[moved(X, CORNERS)[:, 2].argmin()]
-    np.testing.assert_allclose(found.environment_point, corner, atol=1e-12)
-    np.testing.assert_allclose(found.normal, -X_WO.rotation @ UP, atol=1e-12)
-    touch = (X_WO * X).act(corner)
-    np.testing.assert_allclose(found.points, [touch], atol=1e-12)
-    push = pushes([touch], X_WO.rotation @ UP, X_WO)
-    assert_kept_by_its_pair(found, X_WO, X_WO * X, push, -depth)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_an_edge_of_the_environment_under_a_face_of_the_object(seed):
-    rng = np.random.default_rng(seed)
-    tilt = pin.rpy.rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0)
-    X = standing(tilt, CORNERS, rng)
-    X_WO = random_pose(rng)
-    found = only(detect(TABLE, X_WO, BOX, X_WO * X))
-    assert (found.kind, found.r) == ("face on edge", 2)
-    lowest = moved(X, CORNERS)
-    touch = moved(X_WO, lowest[lowest[:, 2] < 1e-9])
-    push = pushes(touch, X_WO.rotation @ UP, X_WO)
-    assert_kept_by_its_pair(found, X_WO, X_WO * X, push)
 
 
 # The rod of the scenario ----------------------------------------------------------------------

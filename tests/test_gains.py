@@ -80,70 +80,12 @@ def test_scenarios_take_both_kinds_and_name_the_others():
 # What the law makes of them -----------------------------------------------------------------------
 
 
-def quintic(s):
-    s = np.clip(s, 0.0, 1.0)
-    return 10 * s**3 - 15 * s**4 + 6 * s**5
-
-
-def on_the_exact_plant(force, gains, duration=0.6):
-    scenario = osc.load_scenario(
-        "two_contact_rod",
-        ["plant.type=rigid", "motion=[]", f"duration={duration}", f"gains.force={gains}"],
-    ).replaced(force=force)
-    return osc.run(scenario)
-
-
 def constant(value):
     return {"type": "constant", "value": value}
 
 
 def step(value, start):
     return {"type": "step", "value": value, "start": start}
-
-
-def test_a_step_rises_along_the_quintic_of_least_jerk():
-    """On the exact plant the force is what is commanded; a second step while the first is made."""
-    force = {"left_end": [constant(10), step(5, 0.1)], "right_end": [constant(8)]}
-    run = on_the_exact_plant(force, "{rise: 0.2 s}")
-    t = run["t"] - DT  # of the command that made the force
-    # two ends of a quintic: value, slope and curvature at the second step, and rest at its end
-    A = np.array([[float(np.prod(range(k, k - d, -1))) * (x ** max(k - d, 0) if k >= d else 0)
-                   for k in range(6)] for x in (0.0, 1.0) for d in range(3)])  # fmt: skip
-    s, T = 0.5, 0.2
-    here = [quintic(s), 30 * s**2 - 60 * s**3 + 30 * s**4, 60 * s - 180 * s**2 + 120 * s**3]
-    for end, first, more in (("left", 10.0, 5.0), ("right", 8.0, 0.0)):
-        b = np.concatenate((first * np.array(here), [first + more, 0.0, 0.0]))
-        c = np.linalg.solve(A, b)
-        x = np.clip((t - 0.1) / T, 0.0, 1.0)
-        want = np.where(t < 0.1, first * quintic(t / T), np.polyval(c[::-1], x))
-        got = run["alpha_true"][:, 0 if end == "left" else 1]
-        np.testing.assert_allclose(got, want, rtol=0, atol=2e-3 * first)
-
-
-def test_forces_that_change_slowly_pass_as_they_are():
-    """Also a sine that nearly comes to zero, where it changes fast beside what it is."""
-    sine = {"type": "sine", "amplitude": 5.0, "frequency": 2.0, "ramp": 0.5}
-    force = {"left_end": [constant(10)], "right_end": [constant(5.1), sine]}
-    run = on_the_exact_plant(force, "{rise: 0.2 s}", 1.2)
-    error = (run["alpha_true"] - run["alpha_cmd"])[run["t"] > 0.5]
-    assert np.abs(error).max() < 0.05
-
-
-def test_a_contact_engaged_later_starts_from_the_force_that_is_there():
-    rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["gains={}", "plant.type=rigid"]))
-    plant, controller = rig.plant(), rig.controller()
-    reference = replace(rig.references.at(0.0), alpha_d=np.array([20.0, 15.0]))
-    for _ in range(600):
-        plant.command(controller.tick(plant.measure(), reference), DT)
-    late = rig.controller()
-    late.engaged = False
-    late.tick(plant.measure(), reference)
-    late.engaged = True
-    late.tick(plant.measure(), reference)
-    np.testing.assert_allclose(late.signals.alpha_u, [20.0, 15.0], atol=0.5)
-    first = rig.controller()
-    first.tick(plant.measure(), reference)
-    np.testing.assert_allclose(first.signals.alpha_u, [0.0, 0.0], atol=0.5)
 
 
 def test_the_brake_decelerates_the_contact_whatever_the_mass():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -13,10 +12,8 @@ from rigs import one_panda, random_faces, random_state
 from test_law import inputs, motion_of, off_their_faces
 
 import osc_contact as osc
-from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import Bodies, lines_of_force, pushes_only, velocity
-from osc_contact.control.custom_laws import friction_wrenches
-from osc_contact.dynamics.environment import Environment
+from osc_contact.contacts.pairs.pair import Bodies, pushes_only, velocity
+from osc_contact.control.friction import friction_wrenches
 from osc_contact.dynamics.rail import Cart, Conveyor
 from osc_contact.scenarios import list_scenarios
 from osc_contact.scenarios.control_schema import Friction, PhaseSettings
@@ -203,90 +200,6 @@ def test_the_law_finds_what_explains_the_reading_best(body, mu):
             s.f_meas, s.state, s.contact, s.environment, friction, np.zeros(6), s.alpha_d, where
         )
         np.testing.assert_allclose(s.alpha_meas, want, rtol=1e-7, atol=1e-7)
-
-
-def example(rng):
-    """State, contact, friction, wanted, and where: two points of one face and one of another."""
-    A = rng.normal(size=(6, 6))
-    lever, mass = 0.1 * rng.normal(size=3), 1.7
-    body = pin.Inertia(mass, lever, np.diag([0.02, 0.03, 0.025])).matrix()
-    state = SimpleNamespace(
-        metric=body, Lambda_out=body + 0.01 * A @ A.T, bias_out=rng.normal(size=6),
-        V_O=rng.normal(size=6),
-    )  # fmt: skip
-    points, n = 0.2 * rng.normal(size=(3, 3)), rng.normal(size=(3, 2))
-    normals = (n / np.linalg.norm(n, axis=0))[:, [0, 0, 1]]
-    where = []
-    for p, m in zip(points.T, normals.T, strict=True):
-        v = velocity(state.V_O, p)
-        v = v - (v @ m) * m
-        where.append((p, m, v / np.sqrt(v @ v + 1e-4)))
-    N = lines_of_force(points, normals)
-    friction_wrenches = 0.1 * np.column_stack([lines_of_force(p, s) for p, _, s in where])
-    return (
-        state,
-        N,
-        friction_wrenches,
-        rng.normal(size=3),
-        rng.uniform(5, 15, 3),
-        where,
-        rng.normal(size=6),
-    )
-
-
-def found(state, N, n_gamma, f, friction_wrenches, A_D, wanted, where):
-    contact = Contact(N, n_gamma)
-    args = f, state, contact, Environment.fixed(), friction_wrenches, A_D, wanted, where
-    return explained(*args)
-
-
-def test_units_do_not_matter(monkeypatch):
-    """Metres or millimetres: what is measured in them, and the scales of what is likely."""
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        state, N, friction_wrenches, n_gamma, wanted, where, A_D = example(rng)
-        f = 10 * rng.normal(size=6)
-        want = found(state, N, n_gamma, f, friction_wrenches, A_D, wanted, where)
-        k = 1000.0
-        force, motion = np.diag([k, k, k, k * k, k * k, k * k]), np.diag([k, k, k, 1, 1, 1])
-        column = np.diag([1, 1, 1, k, k, k])
-        back = np.linalg.inv(motion)
-        inertia = SimpleNamespace(
-            metric=force @ state.metric @ back, Lambda_out=force @ state.Lambda_out @ back,
-            bias_out=force @ state.bias_out, V_O=motion @ state.V_O,
-        )  # fmt: skip
-        with monkeypatch.context() as patch:
-            for name in ("DEPARTURE", "LEAST_FORCE", "NOISE"):
-                patch.setitem(globals(), name, k * globals()[name])
-            got = found(
-                inertia, column @ N, k * n_gamma, force @ f, column @ friction_wrenches,
-                motion @ A_D, k * wanted, [(k * p, n, s) for p, n, s in where],
-            )  # fmt: skip
-        np.testing.assert_allclose(got / k, want, rtol=1e-6, atol=1e-6)
-
-
-def test_frame_and_reference_point_do_not_matter():
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        state, N, friction_wrenches, n_gamma, wanted, where, A_D = example(rng)
-        f, X = 10 * rng.normal(size=6), pin.SE3.Random()
-        want = found(state, N, n_gamma, f, friction_wrenches, A_D, wanted, where)
-        motion = X.action
-        force = np.linalg.inv(motion).T
-        V = motion @ state.V_O
-        moved = SimpleNamespace(
-            metric=force @ state.metric @ np.linalg.inv(motion),
-            Lambda_out=force @ state.Lambda_out @ np.linalg.inv(motion),
-            bias_out=force @ state.bias_out, V_O=V,
-        )  # fmt: skip
-        old = np.concatenate((np.cross(state.V_O[3:], state.V_O[:3]), np.zeros(3)))
-        new = np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
-        got = found(
-            moved, force @ N, n_gamma, force @ f, force @ friction_wrenches,
-            motion @ (A_D - old) + new, wanted,
-            [(X.act(p), X.rotation @ n, X.rotation @ s) for p, n, s in where],
-        )  # fmt: skip
-        np.testing.assert_allclose(got, want, rtol=1e-6, atol=1e-6)
 
 
 # --- which contacts ------------------------------------------------------------------------------
