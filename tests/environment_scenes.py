@@ -1,4 +1,4 @@
-"""Chains that press on moving and yielding bodies: random scenes for the tests."""
+"""Bodies of the environment, and chains that press on them: random scenes for the tests."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from environment_oracle import Body, Touch, kkt
+from grasp_rigs import Case
 from rigs import one_panda, panda_pair, random_state, scara_pair
 
 import osc_contact as osc
@@ -26,6 +26,42 @@ RTOL = 1e-9
 def close_to(got, want):
     """Largest difference relative to the size of the vector."""
     return np.abs(got - want).max(initial=0.0) / max(np.abs(want).max(initial=0.0), 1e-3)
+
+
+LWA = pin.LOCAL_WORLD_ALIGNED
+
+
+@dataclass
+class Body:
+    """One mechanism of the environment: the state of a Pinocchio model, and the link touched."""
+
+    model: pin.Model
+    q: np.ndarray
+    v: np.ndarray
+    tau: np.ndarray
+    frame: str
+    prescribed: np.ndarray | None = None  # q̈ it has whatever presses on it
+
+    def __post_init__(self):
+        self.data = self.model.createData()
+        pin.forwardKinematics(self.model, self.data, self.q, self.v, 0 * self.v)
+        pin.updateFramePlacements(self.model, self.data)
+        self.id = self.model.getFrameId(self.frame)
+        self.X = self.data.oMf[self.id]
+
+    @property
+    def V(self):
+        """Twist at the origin of the touched frame, world axes."""
+        return pin.getFrameVelocity(self.model, self.data, self.id, LWA).vector
+
+
+@dataclass
+class Touch:
+    """Vertex of the object (object frame) on a face of bodies[body] (normal in its frame)."""
+
+    vertex: np.ndarray
+    normal: np.ndarray
+    body: int
 
 
 # Bodies of the environment, each as a Pinocchio model and as an Environment -----------------------
@@ -179,25 +215,36 @@ class Scene:
     v: np.ndarray
     N_dot: np.ndarray
 
-    def solve(self, tau):
-        return kkt(self.chain, self.q, self.v, tau, self.bodies, self.touches)
+    def solve(self, tau, mu=0.0):
+        """What motor torques make of it all, with friction mu."""
+        from kkt_oracle import Contact, State, Touched
 
-    def normal_acceleration(self, truth):
-        """nᵀa_e of each touched body along its own contact."""
-        return np.concatenate(
-            [p.N.T @ truth.a_e[t.body] for p, t in zip(self.parts, self.touches, strict=True)]
+        X = self.state.X_WO
+        case = Case(self.chain, self.q, X, [("rigid", g.X_TO, None) for g in self.chain.grasps])
+        touched = [Touched(body, None, "") for body in self.bodies]
+        pairs = pairs_at(self.state, self.bodies, self.touches)
+        whole = State(
+            case,
+            [Contact("", p, touched[t.body], X) for p, t in zip(pairs, self.touches, strict=True)],
+            mu,
         )
+        whole._at(self.v, self.state.V_O)
+        return whole.answer(tau)
+
+
+def pairs_at(state, bodies, touches):
+    """Vertex and face of each touch, so placed that they meet."""
+    points = [bodies[t.body].X.actInv(state.X_WO.act(t.vertex)) for t in touches]
+    return [VertexOnFace(t.vertex, p, t.normal) for t, p in zip(touches, points, strict=True)]
 
 
 def contacts_at(state, bodies, touches):
-    """The contact of each touch at this instant, from vertex and face through the public pair."""
-    parts = []
-    for touch in touches:
-        body = bodies[touch.body]
-        point = body.X.actInv(state.X_WO.act(touch.vertex))
-        pair = VertexOnFace(touch.vertex, point, touch.normal)
-        parts.append(pair.contact(state.X_WO, state.V_O, body.X, body.V))
-    return parts
+    """The contact of each touch at this instant."""
+    on = [bodies[t.body] for t in touches]
+    return [
+        pair.contact(state.X_WO, state.V_O, body.X, body.V)
+        for pair, body in zip(pairs_at(state, bodies, touches), on, strict=True)
+    ]
 
 
 def following(chain, q, v, N, normal_speed):

@@ -13,9 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-from environment_oracle import Body, _solve
 from environment_scenes import KINDS as SCENES
-from environment_scenes import axis, on_joints
+from environment_scenes import Body, axis, on_joints
 from grasp_rigs import Case
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
@@ -76,6 +75,15 @@ class Touched:
         model, data = self.body.model, self.body.model.createData()
         pin.framesForwardKinematics(model, data, pin.integrate(model, self.body.q, step))
         return data.oMf[self.body.id].copy()
+
+    def acceleration(self, qdd, O):  # noqa: E741
+        """(6,) spatial, at O, of the touched link."""
+        b, data = self.body, self.body.model.createData()
+        pin.forwardKinematics(b.model, data, b.q, b.v, qdd)
+        pin.updateFramePlacements(b.model, data)
+        a = pin.getFrameAcceleration(b.model, data, b.id, LWA).vector
+        a[:3] += np.cross(a[3:], O - self.X.translation)
+        return a
 
     def seen(self):
         """(28,) X_WE, V_E, A_E: the acceleration is told where a drive makes it."""
@@ -159,11 +167,7 @@ class Contact:
         out = self.bend(V) + self.along_object @ object_only
         if self.on is None:
             return out
-        b, data = self.on.body, self.on.body.model.createData()
-        pin.forwardKinematics(b.model, data, b.q, b.v, np.zeros(b.model.nv))
-        pin.updateFramePlacements(b.model, data)
-        drift = pin.getFrameAcceleration(b.model, data, b.id, LWA).vector
-        drift[:3] += np.cross(drift[3:], self.X_WO.translation - self.on.X.translation)
+        drift = self.on.acceleration(np.zeros(len(self.on.body.v)), self.X_WO.translation)
         return out + self.along_object @ drift
 
     def friction(self, V, mu):
@@ -176,14 +180,29 @@ class Contact:
 # Everything at once -------------------------------------------------------------------------------
 
 
+def _solve(K, y):
+    """Least squares, equilibrated and refined: the loop of two SCARAs has a redundant row."""
+    scale = 1.0 / np.sqrt(np.abs(K).max(axis=1))
+    Ks = K * np.outer(scale, scale)
+    x = scale * np.linalg.lstsq(Ks, scale * y, rcond=1e-13)[0]
+    for _ in range(2):
+        x += scale * np.linalg.lstsq(Ks, scale * (y - K @ x), rcond=1e-13)[0]
+    return x
+
+
 @dataclass
 class Answer:
-    """Accelerations of joints and object, contact forces, wrench (6,) of each arm at O."""
+    """Accelerations of joints and object, contact forces, wrench (6,) of each arm at O.
+
+    a, a_object: classical and spatial; a_e: spatial ones of the touched bodies, at O.
+    """
 
     qdd: np.ndarray
     a: np.ndarray
     alpha: np.ndarray
     loops: list
+    a_object: np.ndarray
+    a_e: list
 
 
 @dataclass
@@ -270,7 +289,10 @@ class State:
         assert np.abs(K @ x - y).max() < 1e-9 * max(1.0, np.abs(y).max())
         pulls = P[: self.system.ends[-1], self.n : n] * x[end : end + self.system.ends[-1], None]
         loops = [pulls[a:b].sum(axis=0) for a, b in pairwise(self.system.ends)]
-        return Answer(x[: self.n], x[self.n : n], x[end + first :], loops)
+        a, w, O = x[self.n : n], self.V[3:], self.case.X_WO.translation  # noqa: E741
+        spatial = a - np.concatenate((np.cross(w, self.V[:3]), np.zeros(3)))
+        a_e = [one.acceleration(x[parts[id(one)]], O) for one in self.bodies]
+        return Answer(x[: self.n], a, x[end + first :], loops, spatial, a_e)
 
     def readings(self, answer):
         """(arms, 6) of the wrist sensors: what moves the object and the links beyond them."""

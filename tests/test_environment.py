@@ -7,16 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from environment_oracle import Body, Touch, kkt
 from environment_scenes import (
     RTOL,
     G,
     close_to,
-    contacts_at,
     linkage,
     random_inertia,
     scene,
-    twist_at,
 )
 from rigs import panda_pair, random_state, scara_pair
 
@@ -37,40 +34,6 @@ def test_a_cart_on_a_rail_needs_nothing_but_mass_and_direction():
     assert not cart.Phi_e[3:].any()
     np.testing.assert_allclose(cart.b_e, [*(x * (0.8 * 9.81 - 3.0)), 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(cart.V_e, [*(0.5 * x), 0, 0, 0], atol=1e-15)
-
-
-def test_two_links_of_one_mechanism_push_through_each_other():
-    """Contacts on both links of a linkage: the full Φ_N, against the whole system."""
-    rng, chain = np.random.default_rng(43), panda_pair()
-    for _ in range(20):
-        q, v = random_state(chain, rng)
-        state = chain.state(q, v)
-        O = state.X_WO.translation  # noqa: E741
-        body, _ = linkage(rng, O)
-        links = ["upper", "touched"]
-        touches = [Touch(rng.uniform(-0.3, 0.3, 3), rng.normal(size=3), 0, f) for f in links]
-        seen = [Body(body.model, body.q, body.v, body.tau, f) for f in links]
-        parts = [contacts_at(state, [b], [replace(t, body=0)])[0]
-                 for b, t in zip(seen, touches, strict=True)]  # fmt: skip
-        each = [Environment.articulated(body.model, body.q, body.v, body.tau, f, O) for f in links]
-        M = pin.crba(body.model, body.data, body.q)
-        M = np.triu(M) + np.triu(M, 1).T
-        rows = np.vstack([
-            p.N.T @ np.column_stack([twist_at(replace(b, v=e), state) for e in np.eye(2)])
-            for p, b in zip(parts, seen, strict=True)
-        ])  # fmt: skip
-        env = Environment.of_contacts(
-            np.hstack([p.N for p in parts]),
-            rows @ np.linalg.solve(M, rows.T),
-            np.concatenate([p.N.T @ e.b_e for p, e in zip(parts, each, strict=True)]),
-            np.concatenate([p.N.T @ e.V_e for p, e in zip(parts, each, strict=True)]),
-            state.metric,
-        )
-        tau = rng.normal(size=chain.n_a) * 20
-        truth = kkt(chain, q, v, tau, [body], touches)
-        got = contact_response(state, osc.Contact.stack(parts), env, tau=tau)
-        assert close_to(got.alpha, truth.alpha) < RTOL
-        assert close_to(got.acceleration, truth.a_object) < RTOL
 
 
 def test_one_body_behind_every_contact_stays_what_it_is():

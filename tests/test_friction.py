@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from environment_oracle import kkt
 from environment_scenes import RTOL, close_to, scene
 from rigs import panda_pair, scara_pair
 from test_decoupling import commanded, in_contact
@@ -96,17 +95,17 @@ def test_the_law_is_exact_on_bodies_that_friction_drags_along(rig, kind):
         how |= {"friction": friction}
         controller, tau = commanded(s.chain, pairs, *asked, **how)
         reached = controller.signals
-        truth = kkt(s.chain, s.q, s.v, tau, s.bodies, s.touches, mu=mu)
+        truth = s.solve(tau, mu)
         assert close_to(truth.alpha, alpha_u) < RTOL
         assert close_to(truth.a_object, state.S @ reached.eta_c + state.sigma) < RTOL
         blind = commanded(s.chain, pairs, *asked, **how | {"friction": None})[1]
-        blind = kkt(s.chain, s.q, s.v, blind, s.bodies, s.touches, mu=mu)
+        blind = s.solve(blind, mu)
         without.append(close_to(blind.alpha, alpha_u))
         # what weaker motors cost is foreseen
         tired = weakened(s.chain, 0.7 * np.abs(tau) + 1e-3)
         controller, tau = commanded(tired, pairs, *asked, weak=True, **how)
         assert controller.status is osc.Status.SATURATED
-        came = kkt(s.chain, s.q, s.v, tau, s.bodies, s.touches, mu=mu)
+        came = s.solve(tau, mu)
         np.testing.assert_allclose(
             alpha_u - came.alpha, controller.given_up.force, rtol=0, atol=1e-6
         )

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from environment_scenes import RTOL, cases, close_to, contacts_at, scene, twist_at
+from environment_scenes import RTOL, cases, close_to, contacts_at, pairs_at, scene, twist_at
 from rigs import one_panda, panda_pair, random_state, scara_pair
 from test_decoupling import commanded as law_commanded
 from test_decoupling import structured
@@ -134,13 +134,9 @@ class Answering:
 
 def seen(s):
     """The scene for a controller: pairs, one body for each contact, and how these move."""
-    bodies, X, V = [s.bodies[touch.body] for touch in s.touches], [], []
-    pairs = []
-    for touch, body in zip(s.touches, bodies, strict=True):
-        point = body.X.actInv(s.state.X_WO.act(touch.vertex))
-        pairs.append(osc.VertexOnFace(touch.vertex, point, touch.normal))
-        X.append(body.X.homogeneous)
-        V.append(body.V)
+    bodies = [s.bodies[touch.body] for touch in s.touches]
+    pairs = pairs_at(s.state, s.bodies, s.touches)
+    X, V = [body.X.homogeneous for body in bodies], [body.V for body in bodies]
     answering = {id(answer): Answering(answer) for answer in s.each}
     touched = osc.interface.Touched(np.array(X), np.array(V), np.zeros((len(X), 6)))
     return pairs, {"bodies": [answering[id(a)] for a in s.each], "touched": touched}

@@ -108,20 +108,6 @@ def chain_poses(chain, q):
     return [X.translation for X in chain.object_poses()]
 
 
-def test_chi_is_the_inertia_that_the_arm_shows():
-    """Against a push on the arm alone: 1/χ² times the reference's energy is the arm's."""
-    chain = one_panda()
-    q = straight_panda(0.05)
-    state = chain.state(q, np.zeros(7))
-    (lost,) = state.singular_directions
-    arm = state.arms[0]
-    np.testing.assert_allclose(arm.J @ lost.mode, lost.chi * lost.twist, atol=1e-9)
-    assert lost.mode @ arm.M @ lost.mode == pytest.approx(1.0)
-    assert lost.twist @ state.reference @ lost.twist == pytest.approx(1.0)
-    u = lost.twist
-    assert u @ arm.Lambda @ u == pytest.approx(1.0 / lost.chi**2, rel=1e-6)
-
-
 @pytest.mark.parametrize("rest", [0.0, 0.4])
 def test_torques_are_continuous_through_the_straight_elbow(rest):
     """Through fading, rank loss and out again on the other side, with the arm still or moving."""

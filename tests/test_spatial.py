@@ -1,8 +1,6 @@
-"""The conventions page against Pinocchio's own spatial algebra and against finite differences."""
+"""The conventions page against Pinocchio's own spatial algebra."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
@@ -27,36 +25,6 @@ SEEDS = range(4)
 def shift(start: np.ndarray, end: np.ndarray) -> pin.SE3:
     """Pose of `start` seen from `end`, axes parallel: its action carries from start to end."""
     return pin.SE3(np.eye(3), start - end)
-
-
-def derivative(f: Callable[[float], np.ndarray], h: float = 1e-3) -> np.ndarray:
-    """f'(0) by central differences, extrapolated to fourth order."""
-    near, far = (f(h) - f(-h)) / (2 * h), (f(2 * h) - f(-2 * h)) / (4 * h)
-    return (4 * near - far) / 3
-
-
-def path(rng: np.random.Generator) -> Callable[[float], pin.SE3]:
-    """A smooth path of a body: neither its speed nor its rotation axis is constant."""
-    X0 = pin.SE3.Random()
-    p = rng.normal(size=(3, 3))
-    w = rng.normal(size=(2, 3))
-
-    def at(t: float) -> pin.SE3:
-        return pin.SE3(
-            pin.exp3(w[0] * t + w[1] * t**2) @ X0.rotation, p[0] + p[1] * t + p[2] * t**2
-        )
-
-    return at
-
-
-def twist_at(X: Callable[[float], pin.SE3], t: float) -> np.ndarray:
-    """[velocity of the body's origin; ω] by differences, ω from the change of rotation."""
-
-    def since(s: float) -> np.ndarray:
-        turn = pin.log3(X(t + s).rotation @ X(t).rotation.T)
-        return np.concatenate((X(t + s).translation, turn))
-
-    return derivative(since)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -86,30 +54,6 @@ def test_carrying_agrees_with_pinocchio(seed: int) -> None:
     np.testing.assert_allclose(
         carry_wrench(F, start, end), X.act(pin.Force(F)).vector, atol=1e-14, rtol=0
     )
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_carried_twist_is_the_velocity_of_the_body_fixed_point(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    pin.seed(seed)
-    X = path(rng)
-    end = rng.normal(size=3)
-    local = X(0.0).actInv(end)
-    carried = carry_twist(twist_at(X, 0.0), X(0.0).translation, end)
-    np.testing.assert_allclose(carried[:3], derivative(lambda t: X(t).act(local)), atol=1e-8)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_carried_wrench_is_statically_equivalent(seed: int) -> None:
-    """A wrench made of point forces has the same power on every rigid motion after carrying."""
-    rng = np.random.default_rng(seed)
-    points, forces = rng.normal(size=(2, 4, 3))
-    start, end = rng.normal(size=(2, 3))
-
-    def about(O: np.ndarray) -> np.ndarray:  # noqa: E741
-        return np.concatenate((forces.sum(axis=0), np.cross(points - O, forces).sum(axis=0)))
-
-    np.testing.assert_allclose(carry_wrench(about(start), start, end), about(end), atol=1e-13)
 
 
 def test_carrying_columns_is_carrying_each_and_leaves_the_input_alone() -> None:
@@ -145,38 +89,6 @@ def test_cross_products_agree_with_pinocchio(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_cross_products_are_rates_of_change_of_what_a_body_carries(seed: int) -> None:
-    V, U, F = np.random.default_rng(seed).normal(size=(3, 6))
-
-    def moved(t: float) -> pin.SE3:
-        return pin.exp6(pin.Motion(t * V))
-
-    np.testing.assert_allclose(
-        cross_twist(V, U), derivative(lambda t: moved(t).act(pin.Motion(U)).vector), atol=1e-9
-    )
-    np.testing.assert_allclose(
-        cross_wrench(V, F), derivative(lambda t: moved(t).act(pin.Force(F)).vector), atol=1e-9
-    )
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_spatial_acceleration_is_the_derivative_of_the_twist_at_a_fixed_point(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    pin.seed(seed)
-    X = path(rng)
-    origin = X(0.0).translation
-
-    def at_fixed_point(t: float) -> np.ndarray:
-        return shift(X(t).translation, origin).act(pin.Motion(twist_at(X, t))).vector
-
-    V = twist_at(X, 0.0)
-    classical = derivative(lambda t: twist_at(X, t))  # of the origin, which moves
-    spatial = derivative(at_fixed_point)
-    assert np.abs(classical - spatial).max() > 1e-2  # the two kinds do differ here
-    np.testing.assert_allclose(classical_to_spatial(classical, V), spatial, atol=1e-6)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
 def test_classical_to_spatial_agrees_with_pinocchio(seed: int) -> None:
     pin.seed(seed)
     rng = np.random.default_rng(seed)
@@ -204,16 +116,6 @@ def test_pose_error_carries_the_object_to_its_goal(seed: int) -> None:
     turned = pin.AngleAxis(float(np.linalg.norm(e[3:])), e[3:] / np.linalg.norm(e[3:]))
     np.testing.assert_allclose(turned.matrix() @ X_WO.rotation, X_WD.rotation, atol=1e-12)
     assert np.linalg.norm(e[3:]) <= np.pi + 1e-12
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_pose_error_grows_at_the_rate_of_the_twist(seed: int) -> None:
-    pin.seed(seed)
-    X = path(np.random.default_rng(seed))
-    rate = derivative(lambda t: pose_error(X(t), X(0.0)))
-    at_origin = twist_at(X, 0.0)
-    np.testing.assert_allclose(rate, at_origin, atol=1e-8)
-    np.testing.assert_allclose(pose_error(X(0.0), X(0.0)), np.zeros(6), atol=1e-15)
 
 
 def test_as_array_returns_a_fresh_float_copy() -> None:
