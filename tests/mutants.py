@@ -48,11 +48,12 @@ JUDGES = (
     "law_parts", "law_stages", "law_kkt", "law_watch", "contact_kinds", "pairs",
     "chain_oracles", "chain_state", "grasps", "projections", "spans", "monitor", "law_limits",
     "law_phases", "law_linkage", "law_steps", "safety", "friction", "reading", "environment",
-    "singular",
+    "singular", "tilted_faces", "controller",
 )  # fmt: skip
 #: Whose tests come first: those of the part itself. `law_kkt` judges whole ticks after them.
 OWN = {
-    "law_parts": ("six.py", "algebra.py", "motion.py", "held_object.py", "contact.py", "tilt.py"),
+    "law_parts": ("six.py", "algebra.py", "motion.py", "held_object.py", "contact.py"),
+    "tilted_faces": ("tilt.py",),
     "law_stages": ("force.py", "least_squares.py", "safety.py", "singular.py", "command_filter.py",
                    "allocation.py", "energy.py", "stages.py", "saturation.py", "verdict.py"),
     "contact_kinds": ("contact.py",), "pairs": ("contact.py",),

@@ -13,11 +13,10 @@ from types import SimpleNamespace as Record
 import numpy as np
 import pinocchio as pin
 import pytest
-from law_calls import algebra, contact, held_object, motion, six, tick_of, tilt
+from law_calls import algebra, contact, held_object, motion, six, tick_of
 from law_calls import columns as columns_of_N
 
 from osc_contact.law import tables as at
-from osc_contact.law.contact import Motion
 
 SEEDS = pytest.mark.parametrize("seed", range(6))
 close = np.testing.assert_allclose
@@ -439,119 +438,18 @@ def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
 # --- faces ----------------------------------------------------------------------------------------
 
 
-def bodies(seed):
-    """The object at X, a body at E, and their twists at O."""
-    rng = rng_of(seed)
-    X, E = pose(rng), pose(rng)
-    return rng, X, E, rng.normal(size=6), rng.normal(size=6)
-
-
-@SEEDS
-@pytest.mark.parametrize("kind", [at.POINTS, at.FACE_ON_VERTEX])
-def test_a_believed_face_turns_to_what_slides_on_it(kind, seed):
-    rng, X, E, V_rel, V_goal = bodies(seed)
-    V_goal *= (1.0, 0.005)[seed % 2]  # m/s; 10 mm/s tell half
-    row, first = rng.normal(size=16), 3 if kind == at.POINTS else 0
-    row[first : first + 3] /= np.linalg.norm(row[first : first + 3])
-    carrier, other = (E, X) if kind == at.POINTS else (X, E)
-    turned, drift, n = 0.02 * rng.normal(size=3), rng.normal(), row[first : first + 3]
-    normal = turn(rng)[0]
-    N = np.append(normal, rng.normal(size=3))
-    p = other.act(row[3 - first : 6 - first]) - X.translation
-    v = V_goal[:3] + np.cross(V_goal[3:], p)
-    v -= normal * (normal @ v)
-    sigma = (v @ v) ** 2 / ((v @ v) ** 2 + 0.01**4)
-    gain = 0.3 * sigma / (v @ v) * (N @ V_rel - drift)
-    want = n + turned - gain * (carrier.rotation.T @ v)
-    want = want / np.linalg.norm(want) - n
-    for most in (9.0, 0.5 * np.linalg.norm(want)):
-        column = Record(N=N, turn=turned, drift=drift, turned=np.zeros(3), slides=9.0)
-        tilt.follow_face(
-            tick_of(model=Record(drift_share=0.3, tilt=most)),
-            kind,
-            row,
-            X.homogeneous,
-            E.homogeneous,
-            V_rel,
-            V_goal,
-            column,
-        )
-        close(column.turned, want * min(1.0, most / np.linalg.norm(want)), atol=1e-10)
-        close(column.slides, sigma if most == 9.0 else 0.0, rtol=1e-9)
-
-
-def test_turns_are_taken_from_the_last_tick():
-    memory = [Record(drift=0.1 * j, turn=np.arange(3.0) + j) for j in range(3)]
-    columns = [Record(drift=9.0, slides=9.0, turn=np.full(3, 9.0), turned=np.full(3, 9.0))
-               for _ in range(3)]  # fmt: skip
-    tilt.take_turns(tick_of(model=Record(n_columns=2), memory_columns=memory, work_columns=columns))
-    for j in range(2):
-        assert (columns[j].drift, columns[j].slides) == (memory[j].drift, 0.0)
-        np.testing.assert_array_equal(columns[j].turn, memory[j].turn)
-        np.testing.assert_array_equal(columns[j].turned, memory[j].turn)
-    assert columns[2].drift == 9.0 == columns[2].turn[0]
-
-
-def a_pair(kind, rng, side=0.0):
-    """A pair of one column; its normals, edges and radius."""
+def a_pair(rng):
+    """A vertex on a face: its row, with a unit normal."""
     row = rng.normal(size=16)
-    for first in {at.POINTS: (3,), at.FACE_ON_VERTEX: (0,), at.EDGES: (3, 9, 13)}[kind]:
-        row[first : first + 3] /= np.linalg.norm(row[first : first + 3])
-    row[12] = side if kind == at.EDGES else row[12]
+    row[3:6] /= np.linalg.norm(row[3:6])
     return row
 
 
-def line_of(kind, row, X, E, turned):
-    """N, and the point where it acts: what is geometry, in world axes, from the world's origin."""
-    if kind == at.POINTS:
-        n, p = E.rotation @ (row[3:6] + turned), X.act(row[:3])
-        believed = E.rotation @ row[3:6]
-        return n, p, p + n * (believed @ (E.translation - p) + row[6])
-    if kind == at.FACE_ON_VERTEX:
-        n, p = X.rotation @ (row[:3] + turned), E.act(row[3:6])
-        return n, p, p - row[6] * n
-    e, f = X.rotation @ row[3:6], E.rotation @ row[9:12]
-    q, x = X.act(row[:3]), E.act(row[6:9])
-    s = np.linalg.lstsq(np.column_stack((e, -f)), x - q, rcond=None)[0][0]
-    n = np.cross(e, f) / np.linalg.norm(np.cross(e, f))
-    if row[12] == 0.0:  # into the body
-        n *= -np.sign(n @ (E.rotation @ row[13:16]))
-    else:
-        n *= row[12]
-    return n, q + s * e, q + s * e
-
-
-@SEEDS
-@pytest.mark.parametrize("kind", [at.POINTS, at.FACE_ON_VERTEX, at.EDGES])
-def test_lines_of_force_their_points_and_their_rates(kind, seed):
-    """n_γ = −ṄᵀV_rel, the rate of N by differences while both bodies go on moving."""
-    rng, X, E, V_O, V_E = bodies(seed)
-    row = a_pair(kind, rng, (0.0, 1.0, -1.0)[seed % 3])
-    turned = 0.1 * rng.normal(size=3) * (kind != at.EDGES)
-    column = Record(N=np.zeros(6), turn=turned, n_gamma_all=0.0)
-    pair, shapes = Record(kind=kind, first=1, count=1, shape_at=2), [None, None, Record(row=row)]
-    motion = Motion(X.homogeneous, V_O, E.homogeneous, V_E, V_O - V_E, True)
-    sine = contact.place_pair(pair, shapes, [None, column], motion, np.zeros(6))
-    at_O = pin.SE3(np.eye(3), X.translation)
-
-    def moved(B, V, t):
-        """B after t, moved by a twist that is at O."""
-        return at_O * pin.exp6(V * t) * at_O.inverse() * B
-
-    def N_of(t):
-        n, p, _ = line_of(kind, row, moved(X, V_O, t), moved(E, V_E, t), turned)
-        return np.append(n, np.cross(p - X.translation, n))
-
-    close(column.N, N_of(0.0), atol=1e-9)
-    rate = (N_of(1e-5) - N_of(-1e-5)) / 2e-5
-    close(column.n_gamma_all, -rate @ (V_O - V_E), rtol=1e-4, atol=1e-4)
-    edges = X.rotation @ row[3:6], E.rotation @ row[9:12]
-    if kind == at.EDGES:
-        close(sine, np.linalg.norm(np.cross(*edges)), rtol=1e-9)
-    else:
-        assert sine == 1.0
-    point = contact.point_of_contact(kind, row, X.homogeneous, E.homogeneous, column.N)
-    close(point, line_of(kind, row, X, E, turned)[2] - X.translation, atol=1e-8)
+def line_of(row, X, E):
+    """Normal, vertex, and the point of the face below it, in world axes."""
+    n = E.rotation @ row[3:6]
+    p = X.act(row[:3])
+    return n, p, p + n * (n @ (E.translation - p) + row[6])
 
 
 @SEEDS
@@ -566,8 +464,10 @@ def test_motions_that_a_body_carries(seed):
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("mu", [0.0, 0.3])
 def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
-    rng, X, E, V_O, V_W = bodies(3)
-    row, A_D, dt, slip = a_pair(at.POINTS, rng), 30.0 * rng.normal(size=6), 1e-3, 0.01
+    rng = rng_of(3)
+    X, E = pose(rng), pose(rng)
+    V_O, V_W = rng.normal(size=(2, 6))
+    row, A_D, dt, slip = a_pair(rng), 30.0 * rng.normal(size=6), 1e-3, 0.01
     pair = Record(kind=at.POINTS, first=0, count=1, shape_at=0, has_friction=1)
     column = Record(N=np.zeros(6), turn=np.zeros(3), n_gamma_all=0.0, slip=np.zeros(3),
                     point=np.zeros(3), friction_wrench=np.zeros(6))  # fmt: skip
@@ -598,7 +498,7 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     )
     if not moving:
         E, V_W = pin.SE3.Identity(), np.zeros(6)
-    n, _, p = line_of(at.POINTS, row, X, E, np.zeros(3))
+    n, _, p = line_of(row, X, E)
     p = p - X.translation
     body = V_W.copy()
     body[:3] += np.cross(V_W[3:], X.translation - E.translation)

@@ -1,5 +1,7 @@
 """Small functions of the law, each against linear algebra or Pinocchio: forces, stops, stages.
 
+What whole ticks show (the motion filter, commanded forces, yielding bodies) `test_law_kkt` judges.
+
 Goes on where `test_law_parts.py` ends, in the same way.
 """
 
@@ -15,7 +17,6 @@ from law_calls import (
     allocation,
     energy,
     force,
-    least_squares,
     phases,
     safety,
     singular,
@@ -55,29 +56,6 @@ class Energy:
 
     def given(self):
         return {"C": self.C, "O": self.O, "axes": self.axes}
-
-
-@SEEDS
-def test_energy_coordinates(seed):
-    rng = rng_of(seed)
-    e = Energy(rng)
-    f, V, out = rng.normal(size=6), rng.normal(size=6), np.zeros(6)
-    energy.carry_wrench(f, e.O, e.C, out)
-    energy.energy_wrench(e.axes, out, out)
-    close(out, e.wrench @ f, atol=1e-10)
-    energy.world_wrench(e.axes, out, out)
-    energy.carry_wrench(out, e.C, e.O, out)
-    close(out, f, atol=1e-10)
-    energy.carry_motion(V, e.O, e.C, out)
-    energy.energy_motion(e.axes, out, out)
-    close(out, e.motion @ V, atol=1e-10)
-    energy.world_motion(e.axes, out, out)
-    energy.carry_motion(out, e.C, e.O, out)
-    close(out, V, atol=1e-10)
-    inertia = pin.Inertia(2.0, e.C - e.O, e.R @ np.diag(e.roots[1:] ** 2) @ e.R.T)
-    close((e.motion @ V) @ (e.motion @ V), inertia.vtiv(pin.Motion(V)), rtol=1e-9)
-    allocation._energy_of(tick_of(work=Record(**e.given())), f, out)
-    close(out, e.wrench @ f, atol=1e-10)
 
 
 # --- forces ---------------------------------------------------------------------------------------
@@ -283,56 +261,6 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     if not dependent:
         want = [[2.0, 1.0], [9.0, 4.0], [0.2, 0.3], [0.6, 0.8]]
     np.testing.assert_array_equal(found, np.column_stack((want, np.full(4, 7.0))))
-
-
-@SEEDS
-def test_bodies_yield_to_forces_on_themselves(seed):
-    rng = rng_of(seed)
-    yields, f, same = rng.normal(size=(6, 6)), rng.normal(size=6), [0, 1, 0]
-    table, bodies = [Record(contact=c) for c in (2, 0, 1)], [Record(same=s) for s in same]
-    columns = [Record(chosen=c) for c in (1, 2, 0)]
-    work = Record(rank=3, keep=[2.0, 0.0, 1.0], yields=yields, s=np.full(6, 7.0))
-    for body in (0, 1):
-        least_squares._yield_to(
-            tick_of(model_columns=table, model_bodies=bodies, work_columns=columns, work=work),
-            f,
-            body,
-        )
-        owners = [same[table[columns[int(a)].chosen].contact] for a in work.keep]
-        want = [yields[a] @ f if owners[a] == body else 0.0 for a in range(3)]
-        close(work.s[:3], want, atol=1e-12)
-        assert work.s[3] == 7.0
-
-
-@SEEDS
-def test_the_least_squares_know_departures_and_tangents(seed):
-    rng = rng_of(seed)
-    e, Lambda, mass = Energy(rng), rng.normal(size=(6, 6)), 2.0
-    Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
-    R, r = np.zeros((6, 6)), 2
-    work = Record(**e.given(), rank=r, count=2, out_T=Lambda.T.copy(), Q=Q, moving=0,
-                  z=np.zeros(6), w=np.zeros(6))  # fmt: skip
-    least_squares._weigh_departure(tick_of(work=work), mass, R)
-    P = np.eye(6) - Q[:r].T @ Q[:r]
-    want = 0.01 * mass * Lambda @ P @ Lambda.T + 1e-4 / mass * np.eye(6)
-    close(R, want, atol=1e-10)
-    columns = [Record(chosen=c, N=rng.normal(size=6), point=rng.normal(size=3),
-                      slip=0.7 * turn(rng)[0]) for c in (2, 0, 1)]  # fmt: skip
-    goal = np.array([0.3, 9.0, -4.0])
-    largest = least_squares._weigh_tangents(
-        tick_of(
-            model_columns=None, model_bodies=None, work_columns=columns, work=work, work_goal=goal
-        ),
-        R,
-    )
-    assert largest == 4.0
-    for c, w in ((2, 4.0), (0, 1.0)):  # no less than 1 N
-        n = columns[c].N[:3] / np.linalg.norm(columns[c].N[:3])
-        s, p = columns[c].slip, columns[c].point
-        C = w**2 * (0.01 * (np.eye(3) - np.outer(n, n)) + (0.09 - 0.01) * np.outer(s, s))
-        T = e.wrench @ wrench_at(p)[:, :3]
-        want = want + T @ C @ T.T
-    close(R, want, rtol=1e-9, atol=1e-9)
 
 
 # --- stops ----------------------------------------------------------------------------------------
@@ -568,41 +496,6 @@ def test_joints_are_pushed_away_from_their_limits():
         close(push(joint, q), want, atol=1e-12)
 
 
-@SEEDS
-@pytest.mark.parametrize("wide", [0, 1])
-def test_torques_of_one_arm_for_a_multiplier(seed, wide):
-    rng = rng_of(seed)
-    J, J_bar, y, effort = rng.normal(size=(3, 6)), rng.normal(size=(3, 6)), *rng.normal(size=(2, 6))
-    metric = rng.normal(size=(6, 6))
-    joints = [Record(rest=0.1 * j, J=J[j], J_bar=J_bar[j], tau=0.0) for j in range(3)]
-    table = [Record(effort=x) for x in effort]
-    own = Record(wide=wide, effort=metric)
-    allocation._add_torques(
-        tick_of(model_joints=table, work_joints=joints), Record(first=1, end=3), own, y
-    )
-    want = np.array([0.0, 0.1, 0.2])
-    want += J @ metric @ y if wide else effort[:3] * (J_bar @ y)
-    assert joints[0].tau == 0.0
-    close([j.tau for j in joints[1:]], want[1:], atol=1e-10)
-
-
-@SEEDS
-@pytest.mark.parametrize("held", [0, 1])
-def test_the_force_that_the_object_is_to_get(seed, held):
-    rng, e = rng_of(seed), Energy(rng_of(seed))
-    V = rng.normal(size=(6, 6))
-    beta, m, r = 2.0 / (V * V).sum(axis=1), 2, 3
-    x, bias, alpha, f = rng.normal(size=(4, 6))
-    Lambda, pushed = rng.normal(size=(2, 6, 6))
-    work = Record(**e.given(), rank=r, locked=m, x=x, u=np.zeros(6), reflectors=V, beta=beta,
-                  chain_bias=bias, Lambda=Lambda, pushed_t=pushed, alpha_u=alpha,
-                  f_S=np.zeros(6))  # fmt: skip
-    allocation.command_object(tick_of(model=Record(held=held), work=work, memory=Record(f_bias=f)))
-    H = [np.eye(6) - beta[k] * np.outer(V[k], V[k]) for k in range(m)]
-    want = Lambda @ x + held * x + bias + H[1] @ H[0] @ e.wrench @ f + alpha[:r] @ pushed[:r]
-    close(work.f_S, want, atol=1e-9)
-
-
 # --- columns of N in the turned coordinates -------------------------------------------------------
 
 
@@ -667,89 +560,6 @@ def test_an_inertia_that_is_none_is_noticed_where_nothing_is_held():
     Lambda = np.diag([1.0, 1.0, 1.0, 1.0, 0.0, 1.0])
     assert judged(np.eye(6)[:2], Lambda, 0)[0] == at.BAD_METRIC
     assert judged(np.eye(6)[:2], Lambda, 1)[0] == at.NO_REASON
-
-
-class Commanded:
-    """A motion command in turned coordinates and what it must do along r columns."""
-
-    def __init__(self, seed, metric, r=2, m=2):
-        self.rng = rng = rng_of(seed)
-        e, V = Energy(rng), rng.normal(size=(6, 6))
-        beta, H = 2.0 / (V * V).sum(axis=1), np.eye(6)
-        for k in range(m):
-            H = (np.eye(6) - beta[k] * np.outer(V[k], V[k])) @ H
-        root = rng.normal(size=(6, 6))
-        self.e, self.H, self.m, self.r, self.metric = e, H, m, r, metric
-        self.B_inv = root @ root.T + np.eye(6)  # of world axes at O, where it is given
-        self.N_t = rng.normal(size=(r, 6))
-        self.N = self.N_t @ H  # energy coordinates
-        self.chain = Record(metric=metric, B_inv=self.B_inv)
-        rows, names = rng.normal(size=(5, 6)), ("n_gamma", "b_N", "brake", "alpha_u", "a_u")
-        self.sigma = np.where(np.arange(6) < m, rng.normal(size=6), 0.0)
-        self.work = Record(
-            **e.given(), **dict(zip(names, rows, strict=True)), rank=r, locked=m, reflectors=V,
-            beta=beta, sigma=self.sigma, Lambda=H @ self.B_inv @ H.T, B_inv_t=np.zeros((6, 6)),
-            N_t=np.zeros((6, 6)), Q_t=np.zeros((6, 6)), L_t=np.zeros((6, 6)), Q=np.zeros((6, 6)),
-            Phi_mu=rng.normal(size=(6, 6)), rho=np.zeros(6), x=np.zeros(6), s=np.zeros(16),
-            **{name: np.zeros((6, 6)) for name in "ABDE"}, **{name: np.zeros(6) for name in "uwyz"},
-        )  # fmt: skip
-        self.work.N_t[:r] = self.N_t
-        Q, R = np.linalg.qr(self.N_t[:, m:].T)
-        self.work.Q_t[:r, m:], self.work.L_t[:r, :r] = Q.T, R.T
-        self.work.Q[:r] = np.linalg.qr(self.N.T)[0].T
-        command.set_metric(tick_of(model=self.chain, work=self.work))
-
-    def metric_t(self):
-        """B⁻¹ in turned coordinates."""
-        if self.metric == at.BY_OBJECT:
-            return np.eye(6)
-        if self.metric == at.BY_CHAIN:
-            return self.work.Lambda + np.eye(6)
-        W = self.H @ self.e.wrench
-        return W @ self.B_inv @ W.T
-
-
-METRICS = pytest.mark.parametrize("metric", [at.BY_OBJECT, at.BY_CHAIN, at.BY_MATRIX])
-
-
-@METRICS
-@pytest.mark.parametrize(("r", "m"), [(0, 0), (1, 0), (2, 2), (3, 3), (3, 0), (1, 5)])
-def test_commands_meet_the_contacts_at_least_cost(metric, r, m):
-    case = Commanded(10 * r + m, metric, r, m)
-    work, B = case.work, case.metric_t()
-    if metric != at.BY_OBJECT:
-        close(work.B_inv_t, B, rtol=1e-9, atol=1e-9)
-    assert command.filter_motion(tick_of(model=case.chain, work=work)) == at.NO_REASON
-    free = case.H @ case.e.motion @ work.a_u - case.sigma
-    seen, free = case.N_t[:, :m] @ free[:m], free[m:]  # what contacts see of it is not lost
-    free = free + np.linalg.pinv(case.N_t[:, m:]) @ seen
-    rho = work.n_gamma[:r] + work.b_N[:r] - work.brake[:r]
-    rho = rho + work.Phi_mu[:r, :r] @ work.alpha_u[:r] - case.N_t @ case.sigma
-    close(work.rho[:r], rho, atol=1e-9)
-    N, B = case.N_t[:, m:], B[m:, m:]
-    KKT = np.block([[B, N.T], [N, np.zeros((r, r))]])
-    want = np.linalg.solve(KKT, np.append(B @ free, rho))[: 6 - m]
-    close(work.x, np.append(case.sigma[:m], want), rtol=1e-6, atol=1e-7)
-    if metric != at.BY_OBJECT and r:
-        work.B_inv_t[m, m] = -1.0
-        assert command.filter_motion(tick_of(model=case.chain, work=work)) == at.BAD_METRIC
-
-
-@METRICS
-def test_errors_that_the_contacts_permit(metric):
-    case, error, out = Commanded(3, metric), np.arange(6.0) - 2.0, np.zeros(6)
-    by_object = metric == at.BY_OBJECT
-    assert command.permit_error(tick_of(model=case.chain, work=case.work), error, out, by_object)
-    B, N = case.metric_t(), case.N_t
-    x = case.H @ case.e.motion @ error
-    KKT = np.block([[B, N.T], [N, np.zeros((2, 2))]])
-    want = np.linalg.solve(KKT, np.append(B @ x, np.zeros(2)))[:6]
-    close(out, np.linalg.solve(case.H @ case.e.motion, want), rtol=1e-6, atol=1e-7)
-    if not by_object:
-        case.work.B_inv_t[0, 0] = -1.0
-        assert not command.permit_error(
-            tick_of(model=case.chain, work=case.work), error, out, False
-        )
 
 
 # --- stages ---------------------------------------------------------------------------------------
@@ -942,15 +752,35 @@ def test_joints_of_another_number_are_not_read(place, count):
 @pytest.mark.parametrize(("r", "m"), [(0, 0), (2, 2), (3, 0)])
 @pytest.mark.parametrize("held", [0, 1])
 def test_the_motion_integral_is_handed_over_as_a_wrench(r, m, held):
-    case = Commanded(10 * r + m, at.BY_OBJECT, r, m)
-    work, total, before = case.work, np.arange(6.0) - 2.0, np.full(6, 0.5)
+    rng = rng_of(10 * r + m)
+    e, V, H = Energy(rng), rng.normal(size=(6, 6)), np.eye(6)
+    beta = 2.0 / (V * V).sum(axis=1)
+    for k in range(m):
+        H = (np.eye(6) - beta[k] * np.outer(V[k], V[k])) @ H
+    N_t, Lambda = rng.normal(size=(r, 6)), rng.normal(size=(6, 6))
+    Q, R = np.linalg.qr(N_t[:, m:].T)
+    work = Record(
+        **e.given(),
+        rank=r,
+        locked=m,
+        reflectors=V,
+        beta=beta,
+        N_t=N_t,
+        Lambda=Lambda,
+        Q_t=np.pad(Q.T, ((0, 0), (m, 0))),
+        L_t=R.T,
+        s=np.zeros(6),
+        y=np.zeros(6),
+        z=np.zeros(6),
+    )
+    total, before = np.arange(6.0) - 2.0, np.full(6, 0.5)
     memory = Record(motion_sum=total.copy(), f_bias=before.copy())
     stages.hand_over(tick_of(model=Record(integral=3.0, held=held), work=work, memory=memory))
-    to_energy = case.H @ case.e.motion
+    to_energy = H @ e.motion
     x = to_energy @ (3.0 * total)
     # what contacts see of a locked motion is not lost
-    free = x[m:] + np.linalg.pinv(case.N_t[:, m:]) @ (case.N_t[:, :m] @ x[:m])
-    force = (work.Lambda[m:, m:] + held * np.eye(6 - m)) @ free
+    free = x[m:] + np.linalg.pinv(N_t[:, m:]) @ (N_t[:, :m] @ x[:m])
+    force = (Lambda[m:, m:] + held * np.eye(6 - m)) @ free
     close(memory.f_bias - before, to_energy[m:].T @ force, rtol=1e-6, atol=1e-7)
     assert not memory.motion_sum.any()
 
