@@ -66,48 +66,6 @@ def test_a_joint_is_stopped_before_its_end() -> None:
     assert 0.0 < nearest.min() < 0.25
 
 
-def test_ends_are_not_watched_where_that_is_not_wanted(case: TickCase) -> None:
-    q, v = case.measurement.q.copy(), np.zeros(case.chain.nq)
-    joint = case.chain.actuated[1]
-    q[joint] = case.chain.model.upperPositionLimit[joint] - 1e-3
-    v[joint] = 0.2
-    near = replace(case.measurement, q=q, v=v)
-    unwatched, watched, back = guarded(case, brake_time=0.0), guarded(case), guarded(case)
-    for k in range(3):
-        unwatched.tick(near, case.reference)
-        back.tick(replace(near, v=-v), case.reference)
-        watched.tick(near, case.reference)
-        assert (watched.state is SAFE_STOP) == (k == 2)  # not for one wrong sample
-    assert "end of its range" in watched.reason and watched.state is SAFE_STOP
-    assert "end of its range" not in unwatched.reason + back.reason
-
-
-def into_faces(case: TickCase, speed: float) -> np.ndarray:
-    """Joint velocities at which every contact moves into its face."""
-    state = case.chain.state
-    q, unit = case.measurement.q, np.eye(case.chain.nq)
-    X = state(q, np.zeros(case.chain.nq)).X_WO
-    N = np.hstack([pair.contact(X, np.zeros(6)).N for pair in case.pairs])
-    S = np.array([state(q, e).V_O for e in unit]).T
-    wanted = speed * np.ones(N.shape[1])
-    return np.linalg.pinv(N.T @ S) @ wanted
-
-
-def test_power_into_the_contacts_stops_it() -> None:
-    case = CASES["one_panda"]()
-    fast = replace(case.measurement, v=into_faces(case, 0.3))
-    states = {}
-    for limit in (0.5, 100.0):
-        controller = guarded(
-            case, contact_power=limit, overforce_time=np.inf, contact_loss_time=np.inf
-        )
-        for _ in range(8):
-            controller.tick(fast, case.reference)
-            states.setdefault(limit, []).append(controller.state)
-    assert states[0.5].index(SAFE_STOP) == 2  # not for one wrong sample
-    assert SAFE_STOP not in states[100.0]
-
-
 def pressed(case: TickCase, times: float) -> osc.Measurement:
     """Readings in which the contact forces are so many times what they were."""
     model, out = case.controller(), case.measurement
