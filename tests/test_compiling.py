@@ -213,6 +213,7 @@ def test_no_field_of_a_record_is_named_like_an_attribute(name: str) -> None:
         assert kind.base in (np.int64, np.float64) and offset % 8 == 0
 
 
+@pytest.mark.slow
 def test_public_numba_gives_the_same_torques(tmp_path: Path) -> None:
     """Without the accelerator, in a process of its own that compiles the law afresh.
 

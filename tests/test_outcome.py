@@ -240,8 +240,7 @@ def test_a_recording_of_a_scenario_with_files_of_its_own_can_be_viewed(tmp_path,
     shutil.copy(urdf_path("scara_left"), mine / "my_arm.urdf")
     shutil.copy(urdf_path("rod"), mine / "my_rod.urdf")
     monkeypatch.chdir(tmp_path)
-    short = ("--plant", "rigid", "--duration", "1.05", "--set", "plant.step=1 ms")
-    assert call("run", "mine/task.yaml", *short, "--out", out).exit_code == 0
+    osc.run(osc.load_scenario("mine/task.yaml"), duration=0.05).save(out / "recording.npz")
     lost = call("view", out / "recording.npz", "--html", page)  # a recording holds no folders
     assert lost.exit_code == 2 and "copy them beside the recording" in lost.stderr
     assert "(--folder, or folder= in Python)" in lost.stderr and not page.exists()

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
+from samples import first
 
 import osc_contact as osc
 from osc_contact.interface import Measurement, Touched
@@ -257,8 +258,8 @@ def worst_force(name, rate, encoder):
     return max(force["rms_error_rel"] for force in verdict["force"].values())
 
 
-@pytest.mark.parametrize("rate", [250, 500, 1000])
-@pytest.mark.parametrize("name", ["two_contact_rod", "ur5_wipe"])
+@pytest.mark.parametrize("rate", first([250, 500, 1000], 1))
+@pytest.mark.parametrize("name", first(["two_contact_rod", "ur5_wipe"], 1))
 def test_a_better_encoder_is_never_worse(name, rate):
     errors = [
         worst_force(name, rate, BITS % (rate, 2 * np.pi / 2**bits, 1.0 / 2**bits))
