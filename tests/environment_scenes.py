@@ -83,7 +83,8 @@ def one_joint(joint, rng, X, prescribed=False):
     model.addJointFrame(model.addJoint(0, joint, X, "body"))
     model.appendBodyToJoint(1, random_inertia(rng), pin.SE3.Identity())
     q = pin.integrate(model, pin.neutral(model), rng.uniform(-0.5, 0.5, model.nv))
-    v, tau = rng.uniform(-1, 1, model.nv), rng.normal(size=model.nv) * 5
+    v = rng.uniform(-1, 1, model.nv)
+    tau = rng.normal(size=model.nv) * 5
     acceleration = rng.normal(size=model.nv) * 3 if prescribed else None
     return Body(model, q, v, tau, "body", acceleration)
 
@@ -97,7 +98,7 @@ def rigid(rng, at):
     body = one_joint(pin.JointModelFreeFlyer(), rng, random_placement(rng, at))
     R = body.X.rotation
     wrench = np.concatenate((R @ body.tau[:3], R @ body.tau[3:]))
-    return body, lambda O: Environment.rigid_body(  # noqa: E741
+    return body, lambda O: Environment.rigid_body(
         body.model.inertias[1], X_WE=body.X, V_E=body.V, O=O, gravity=G, wrench=wrench
     )
 
@@ -110,7 +111,7 @@ def guided(joint):
         axes = np.column_stack([replace(body, v=e).V for e in np.eye(body.model.nv)])
         if body.model.nv == 1:
             axes = axes[:, 0]
-        return body, lambda O: Environment.rail(  # noqa: E741
+        return body, lambda O: Environment.rail(
             body.model.inertias[1],
             X_WE=body.X,
             axes=axes,
@@ -134,23 +135,24 @@ def linkage(rng, at):
         X = random_placement(rng, np.zeros(3))
         model.addFrame(pin.Frame(name, k, 0, X, pin.FrameType.OP_FRAME))
     body = Body(model, rng.normal(size=2), rng.normal(size=2), rng.normal(size=2) * 2, "touched")
-    return body, lambda O: Environment.articulated(  # noqa: E741
+    return body, lambda O: Environment.articulated(
         body.model, body.q, body.v, body.tau, "touched", O
     )
 
 
 def moving(rng, at):
     body = one_joint(pin.JointModelFreeFlyer(), rng, random_placement(rng, at), prescribed=True)
-    R, v, a = body.X.rotation, body.v, body.prescribed
+    R = body.X.rotation
+    v = body.v
+    a = body.prescribed
     classical = np.concatenate((R @ (a[:3] + np.cross(v[3:], v[:3])), R @ a[3:]))
-    return body, lambda O: Environment.moving(  # noqa: E741
-        X_WE=body.X, V_E=body.V, A_E=classical, O=O
-    )
+    return body, lambda O: Environment.moving(X_WE=body.X, V_E=body.V, A_E=classical, O=O)
 
 
 def on_joints(rng, at, *joints, inertia):
     """E on joints at a random point c, E's axes the world's and its origin there at q = 0."""
-    model, c = pin.Model(), at + rng.uniform(-0.3, 0.3, 3)
+    model = pin.Model()
+    c = at + rng.uniform(-0.3, 0.3, 3)
     for k, joint in enumerate(joints):
         X = pin.SE3(np.eye(3), np.zeros(3) if k else c)
         model.addJoint(k, joint, X, f"joint{k}")
@@ -162,26 +164,31 @@ def on_joints(rng, at, *joints, inertia):
 
 def hinged(rng, at):
     """`Hinge`: a body whose centre of mass lies on the axis, with a spring and a damper."""
-    a, joint = axis(rng), pin.JointModelRevoluteUnaligned
+    a = axis(rng)
+    joint = pin.JointModelRevoluteUnaligned
     body = random_inertia(rng)
     balanced = pin.Inertia(body.mass, rng.normal() * a, body.inertia)
     model, c, q, v = on_joints(rng, at, joint(a), inertia=balanced)
     k, d, preload = rng.uniform(0, 5, 3)
     hinge = Hinge(2.0 * a, c + rng.normal() * a, a @ body.inertia @ a, k, d, preload)
     body = Body(model, q, v, preload - k * q - d * v, "E")
-    return body, lambda O: hinge.environment(body.X, body.V, np.zeros(6), O)  # noqa: E741
+    return body, lambda O: hinge.environment(body.X, body.V, np.zeros(6), O)
 
 
 def turning(rng, at):
     """`Rail` and `Conveyor`: a driven slide that carries a driven hinge."""
-    u, a, rates = axis(rng), axis(rng), rng.normal(size=2) * 3
+    u = axis(rng)
+    a = axis(rng)
+    rates = rng.normal(size=2) * 3
     joints = pin.JointModelPrismaticUnaligned(u), pin.JointModelRevoluteUnaligned(a)
     model, c, q, v = on_joints(rng, at, *joints, inertia=random_inertia(rng))
     rail = Rail(u, a, c, lambda t: (q, v, rates))
     seen = touched([rail], [0], q[None], v[None], rates[None])
-    X, V, A = pin.SE3(seen.X_WE[0]), seen.V_E[0], seen.A_E[0]
+    X = pin.SE3(seen.X_WE[0])
+    V = seen.V_E[0]
+    A = seen.A_E[0]
     body = Body(model, q, v, np.zeros(2), "E", rates)
-    return body, lambda O: Conveyor().environment(X, V, A, O)  # noqa: E741
+    return body, lambda O: Conveyor().environment(X, V, A, O)
 
 
 rail = guided(lambda rng: pin.JointModelPrismaticUnaligned(axis(rng)))
@@ -264,9 +271,10 @@ def scene(rig, kind, rng):
     while True:
         q, v = random_state(chain, rng)
         state = chain.state(q, v)
-        O = state.X_WO.translation  # noqa: E741
+        O = state.X_WO.translation
         made = [make(rng, O) for make in makers]
-        bodies, each = [m[0] for m in made], [m[1](O) for m in made]
+        bodies = [m[0] for m in made]
+        each = [m[1](O) for m in made]
         touches = [Touch(rng.uniform(-0.3, 0.3, 3), rng.normal(size=3), i) for i in owners]
         N = np.hstack([p.N for p in contacts_at(state, bodies, touches)])
         try:
@@ -280,10 +288,23 @@ def scene(rig, kind, rng):
         behind = [each[i] for i in owners]
         environment = Environment.combine(parts, behind, state.metric)
         contact = osc.Contact.stack(parts)
-        rates = [_rate(state, p.N[:3, 0], each[i].V_e, t.vertex)
-                 for p, t, i in zip(parts, touches, owners, strict=True)]  # fmt: skip
-        return Scene(chain, state, contact, parts, behind, environment, bodies, touches, q, v,
-                     np.column_stack(rates))  # fmt: skip
+        rates = [
+            _rate(state, p.N[:3, 0], each[i].V_e, t.vertex)
+            for p, t, i in zip(parts, touches, owners, strict=True)
+        ]
+        return Scene(
+            chain,
+            state,
+            contact,
+            parts,
+            behind,
+            environment,
+            bodies,
+            touches,
+            q,
+            v,
+            np.column_stack(rates),
+        )
 
 
 def _rate(state, n, V_e, vertex):
@@ -296,10 +317,10 @@ def _rate(state, n, V_e, vertex):
 
 def cases(*rigs):
     return pytest.mark.parametrize(
-        "rig, kind", [(rig, kind) for rig in rigs for kind in KINDS], ids=lambda x: str(
-            getattr(x, "__name__", x)
-        )
-    )  # fmt: skip
+        "rig, kind",
+        [(rig, kind) for rig in rigs for kind in KINDS],
+        ids=lambda x: str(getattr(x, "__name__", x)),
+    )
 
 
 def twist_at(body, state):

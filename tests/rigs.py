@@ -1,7 +1,5 @@
 """Chains and random states for the tests: the SCARA pair, two Pandas, one Panda."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -24,11 +22,15 @@ def scara_pair(payload=True):
     """d = 5: the paper's rig."""
     arms = [
         osc.Arm.from_urdf(
-            robots.urdf_path(f"scara_{side}"), name=side, tip="tool", base=placed(x, -0.40),
-            passive_joints=["hinge"], wrist_sensor="wrist_sensor",
+            robots.urdf_path(f"scara_{side}"),
+            name=side,
+            tip="tool",
+            base=placed(x, -0.40),
+            passive_joints=["hinge"],
+            wrist_sensor="wrist_sensor",
         )
         for side, x in (("left", -0.35), ("right", 0.35))
-    ]  # fmt: skip
+    ]
     grasps = [placed(0.15), placed(0.15, rpy=(0, 0, np.pi))]
     return osc.ClosedChain(arms, grasps, osc.RigidObject(ROD) if payload else None)
 

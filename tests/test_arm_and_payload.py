@@ -3,11 +3,10 @@
 The terms of arms are judged in `test_chain_state.py`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from urdf_numbers import element, written_inertia
 
 from osc_contact import robots
@@ -21,7 +20,7 @@ SEEDS = range(4)
 GRAVITY = np.array([0.3, -0.2, -9.81])
 
 
-def body(seed: int) -> pin.Inertia:
+def body(seed):
     """A body of 0.5 to 5 kg about 0.3 m across, its centre of mass off the origin."""
     rng = np.random.default_rng([seed, 1])
     points = rng.normal(size=(8, 3)) * 0.15
@@ -32,14 +31,15 @@ def body(seed: int) -> pin.Inertia:
     return pin.Inertia(mass, points.mean(axis=0) + rng.normal(size=3) * 0.1, tensor)
 
 
-def close(got: np.ndarray, want: np.ndarray, tolerance: float = 1e-8) -> None:
-    got, want = np.asarray(got), np.asarray(want)
+def close(got, want, tolerance=1e-8):
+    got = np.asarray(got)
+    want = np.asarray(want)
     assert got.shape == want.shape
     scale = max(1.0, np.abs(want).max(initial=0.0))
-    np.testing.assert_allclose(got, want, rtol=0, atol=tolerance * scale)
+    assert_allclose(got, want, rtol=0, atol=tolerance * scale)
 
 
-def motion(model: pin.Model, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def motion(model, seed):
     rng = np.random.default_rng([seed, 6])
     return rng.uniform(-1, 1, size=model.nq), rng.normal(size=model.nv)
 
@@ -47,31 +47,33 @@ def motion(model: pin.Model, seed: int) -> tuple[np.ndarray, np.ndarray]:
 # Arms from files ----------------------------------------------------------------------------------
 
 
-def scara(**options: object) -> Arm:
+def scara(**options):
     return Arm.from_urdf(robots.urdf_path("scara_left.urdf"), name="left", tip="tool", **options)
 
 
-def panda(**options: object) -> Arm:
+def panda(**options):
     file, _ = robots.find_robot("panda")
     return Arm.from_urdf(file, name="panda", tip="panda_hand_tcp", **options)
 
 
-def test_fingers_are_locked_and_the_arm_stays() -> None:
+def test_fingers_are_locked_and_the_arm_stays():
     whole = robots.load_model(robots.find_robot("panda")[0])
     arm = panda()
     assert list(arm.model.names)[1:] == [f"panda_joint{i}" for i in range(1, 8)]
     assert pin.computeTotalMass(arm.model) == pytest.approx(pin.computeTotalMass(whole))
     q, v = motion(arm.model, 0)
     fingers = whole.nq - 7
-    data, data_whole = arm.model.createData(), whole.createData()
+    data = arm.model.createData()
+    data_whole = whole.createData()
     close(
         pin.rnea(arm.model, data, q, v, v),
         pin.rnea(whole, data_whole, *(np.append(x, np.zeros(fingers)) for x in (q, v, v)))[:7],
     )
 
 
-def test_a_joint_can_be_held_where_it_is_told() -> None:
-    arm, whole = scara(locked={"joint3": 0.12}), scara()
+def test_a_joint_can_be_held_where_it_is_told():
+    arm = scara(locked={"joint3": 0.12})
+    whole = scara()
     assert list(arm.model.names)[1:] == ["joint1", "joint2", "joint4", "hinge"]
     q = np.array([0.3, -0.7, 0.2, 0.1])
     tips = []
@@ -82,8 +84,9 @@ def test_a_joint_can_be_held_where_it_is_told() -> None:
     close(tips[0], tips[1], 1e-12)
 
 
-def test_mass_factor_scales_the_joint_space_dynamics() -> None:
-    one, heavy = scara(), scara(mass_factor=1.25)
+def test_mass_factor_scales_the_joint_space_dynamics():
+    one = scara()
+    heavy = scara(mass_factor=1.25)
     q, v = motion(one.model, 1)
     for law in (pin.crba, lambda m, d, q: pin.rnea(m, d, q, v, v)):
         results = [law(arm.model, arm.model.createData(), q) for arm in (heavy, one)]
@@ -105,7 +108,7 @@ def test_mass_factor_scales_the_joint_space_dynamics() -> None:
         ({"tip": "base_link"}, "no joint moves the tip frame 'base_link'"),
     ],
 )
-def test_impossible_arms_are_refused(options: dict[str, object], message: str) -> None:
+def test_impossible_arms_are_refused(options, message):
     with pytest.raises(ModelError, match=message):
         Arm.from_urdf(
             robots.urdf_path("scara_left.urdf"), name="left", **{"tip": "tool", **options}
@@ -116,7 +119,7 @@ def test_impossible_arms_are_refused(options: dict[str, object], message: str) -
 
 
 @pytest.mark.parametrize("sensor", ["wrist_sensor", "wrist_sensor_joint"])
-def test_outboard_links_of_the_scara(sensor: str) -> None:
+def test_outboard_links_of_the_scara(sensor):
     """Gripper base with joint 4, finger with the hinge; the flange is inboard of the sensor."""
     arm = scara()
     base, finger = outboard_links(
@@ -133,9 +136,10 @@ def test_outboard_links_of_the_scara(sensor: str) -> None:
 
 
 @pytest.mark.parametrize("sensor", ["panda_link8", "panda_hand"])
-def test_outboard_links_of_the_panda(sensor: str) -> None:
+def test_outboard_links_of_the_panda(sensor):
     """Hand and locked fingers: everything on joint 7 but its own link."""
-    arm, (file, _) = panda(), robots.find_robot("panda")
+    arm = panda()
+    (file, _) = robots.find_robot("panda")
     model = arm.model
     (hand,) = outboard_links(model, model.getFrameId(sensor), model.getFrameId("panda_hand_tcp"))
     assert model.names[hand.joint] == "panda_joint7"
@@ -144,7 +148,7 @@ def test_outboard_links_of_the_panda(sensor: str) -> None:
     close(rest, written_inertia(element(file, "panda_link7")).matrix(), 1e-12)
 
 
-def test_outboard_links_survive_the_merging_of_arms() -> None:
+def test_outboard_links_survive_the_merging_of_arms():
     merged = pin.appendModel(scara().model, panda().model, 0, pin.SE3.Identity())
     found = outboard_links(merged, merged.getFrameId("wrist_sensor"), merged.getFrameId("tool"))
     assert [link.inertia.mass for link in found] == pytest.approx([0.35, 0.15])
@@ -157,9 +161,10 @@ def test_outboard_links_survive_the_merging_of_arms() -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_object_terms_are_newton_euler_of_a_free_body(seed: int) -> None:
+def test_object_terms_are_newton_euler_of_a_free_body(seed):
     pin.seed(seed)
-    inertia, X_WO = body(seed), pin.SE3.Random()
+    inertia = body(seed)
+    X_WO = pin.SE3.Random()
     V, a = np.random.default_rng([seed, 9]).normal(size=(2, 6))
     terms = RigidObject(inertia).terms(X_WO, V, GRAVITY)
     model = pin.Model()
@@ -167,14 +172,15 @@ def test_object_terms_are_newton_euler_of_a_free_body(seed: int) -> None:
     model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
     axes = pin.SE3(X_WO.rotation, np.zeros(3))
 
-    def wrench(V: np.ndarray, a: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+    def wrench(V, a, gravity):
         model.gravity.linear = gravity
         local = [axes.actInv(pin.Motion(m)).vector for m in (V, a)]
         q = pin.SE3ToXYZQUAT(X_WO)
         tau = pin.rnea(model, model.createData(), q, *local)
         return axes.act(pin.Force(tau)).vector
 
-    zero, still = np.zeros(6), np.zeros(3)
+    zero = np.zeros(6)
+    still = np.zeros(3)
     close(terms.Lambda @ a, wrench(zero, a, still), 1e-12)
     close(terms.mu, wrench(V, zero, still), 1e-12)
     close(terms.p, wrench(zero, zero, GRAVITY), 1e-12)
@@ -182,11 +188,11 @@ def test_object_terms_are_newton_euler_of_a_free_body(seed: int) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])
-def test_scaled_object_keeps_its_shape(factor: float) -> None:
+def test_scaled_object_keeps_its_shape(factor):
     held = RigidObject(body(0))
     scaled = held.scaled(factor)
     close(scaled.inertia.matrix(), factor * held.inertia.matrix(), 1e-13)
-    np.testing.assert_array_equal(scaled.inertia.lever, held.inertia.lever)
+    assert_array_equal(scaled.inertia.lever, held.inertia.lever)
 
 
 @pytest.mark.parametrize(
@@ -202,18 +208,19 @@ def test_scaled_object_keeps_its_shape(factor: float) -> None:
         (np.inf, [1.0, 1.0, 1.0], "NaN or inf"),
     ],
 )
-def test_impossible_objects_are_refused(mass: float, principal: list[float], message: str) -> None:
+def test_impossible_objects_are_refused(mass, principal, message):
     tensor = np.diag(principal)
     if np.isfinite(tensor).all():
         turn = pin.exp3(np.array([0.3, -0.4, 0.5]))
         tensor = turn @ tensor @ turn.T
     inertia = pin.Inertia.Zero()
-    inertia.mass, inertia.inertia = mass, 0.5 * (tensor + tensor.T)
+    inertia.mass = mass
+    inertia.inertia = 0.5 * (tensor + tensor.T)
     with pytest.raises(ModelError, match=message):
         RigidObject(inertia)
 
 
-def test_lever_with_nan_is_refused_and_thin_rods_are_not() -> None:
+def test_lever_with_nan_is_refused_and_thin_rods_are_not():
     inertia = body(0)
     inertia.lever = np.array([0.0, np.nan, 0.0])
     with pytest.raises(ModelError, match="NaN or inf"):
@@ -228,13 +235,13 @@ def test_lever_with_nan_is_refused_and_thin_rods_are_not() -> None:
 # The environment ----------------------------------------------------------------------------------
 
 
-def test_fixed_environment_is_all_zero() -> None:
+def test_fixed_environment_is_all_zero():
     for fixed in (Environment.fixed(), Environment()):
         assert not (fixed.Phi_e.any() or fixed.b_e.any() or fixed.V_e.any())
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_any_mobility_a_mechanism_can_have_is_accepted(seed: int) -> None:
+def test_any_mobility_a_mechanism_can_have_is_accepted(seed):
     """Φ = X J M⁻¹Jᵀ Xᵀ of rank 1 to 6, given at another point, with its rounding errors."""
     rng = np.random.default_rng([seed, 11])
     turns = rng.integers(0, 4, size=3) * np.pi / 2 if seed % 2 else rng.uniform(-3, 3, size=3)
@@ -244,10 +251,10 @@ def test_any_mobility_a_mechanism_can_have_is_accepted(seed: int) -> None:
     if seed % 3 == 0:  # axes along the coordinates: whole rows are nothing but rounding
         J = np.eye(6)[:, rng.permutation(6)[:k]] * 10 ** rng.uniform(-1, 1, size=k)
     Phi = np.linalg.inv(X) @ (X @ (J @ J.T) @ X.T) @ np.linalg.inv(X).T
-    np.testing.assert_array_equal(Environment(Phi).Phi_e, Phi)
+    assert_array_equal(Environment(Phi).Phi_e, Phi)
 
 
-def test_impossible_environments_are_refused() -> None:
+def test_impossible_environments_are_refused():
     held = np.linalg.inv(body(0).matrix())
     Environment(held, np.ones(6), np.ones(6))
     skewed = held.copy()
@@ -264,7 +271,7 @@ def test_impossible_environments_are_refused() -> None:
         with pytest.raises(InvalidInputError, match="not positive semidefinite"):
             Environment(wrong)
     with pytest.raises(InvalidInputError, match=r"Phi_e: expected shape \(6, 6\)"):
-        Environment(np.zeros(6))  # type: ignore[arg-type]
+        Environment(np.zeros(6))
     with pytest.raises(InvalidInputError, match="b_e: element"):
         Environment(b_e=np.full(6, np.nan))
     with pytest.raises(InvalidInputError, match=r"V_e: expected shape \(6\), got \(3,\)"):

@@ -16,7 +16,8 @@ from osc_contact.visual.browser import write_png
 from osc_contact.visual.live import Viewer
 from osc_contact.visual.marks import T_COLOUR
 
-BLUE, VERMILLION = contact_colour(0), contact_colour(1)
+BLUE = contact_colour(0)
+VERMILLION = contact_colour(1)
 PLACE = "nodeAt('{}').object.getWorldPosition(new MeshCat.THREE.Vector3()).toArray()"
 
 
@@ -60,7 +61,8 @@ def hinge(tick):
 
 def test_the_page_is_not_blank_and_has_the_named_colours(browser):
     picture = slide(browser, 1.0)
-    scene, dock = picture[:600], picture[640:]
+    scene = picture[:600]
+    dock = picture[640:]
     assert scene.std() > 20 and len(np.unique(scene.reshape(-1, 3), axis=0)) > 300
     for colour, least in ((BLUE, 200), (VERMILLION, 200), (T_COLOUR, 200)):
         assert near(scene, colour) > least, colour
@@ -130,7 +132,8 @@ def test_a_browser_without_decompression_is_told(page, tmp_path):
 
 def test_a_lost_contact_is_grey(browser):
     switch(browser, "T:")  # so that nothing else is in front
-    closed, lost = slide(browser, 0.3), slide(browser, 0.5)
+    closed = slide(browser, 0.3)
+    lost = slide(browser, 0.5)
     switch(browser, "T:")
     assert browser.run("document.querySelector('#labels div').textContent") == "left end lost"
     grey = "#8E939A"
@@ -186,7 +189,8 @@ def test_play_goes_on_and_a_click_in_a_plot_stops_there(browser):
 
 def test_the_live_view_updates(tmp_path):
     with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as viewer:
-        tick, stop = [10], threading.Event()
+        tick = [10]
+        stop = threading.Event()
 
         def run():
             while not stop.wait(0.005):

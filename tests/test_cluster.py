@@ -106,7 +106,8 @@ def test_a_run_that_ends_its_worker_twice_is_a_row_that_says_so(where, client):
     tilt = "model_error.face_tilt=uniform(0 deg, 2 deg)"  # no doubts before a run, as of masses
     study = Deadly.of("two_contact_rod", [tilt], 6, seed=1, overrides=SHORT)
     how = {"workers": 2} if where == "processes" else {"scheduler": client}
-    rows, wanted = run_study(study, **how).to_pylist(), run_study(study, workers=1).to_pylist()
+    rows = run_study(study, **how).to_pylist()
+    wanted = run_study(study, workers=1).to_pylist()
     died = rows.pop(1)
     assert died["row"] == 1 and died["word"] == "CRASHED" and died["failed"]
     assert "twice" in died["why"] and wanted.pop(1)["word"] == "OK"

@@ -1,20 +1,13 @@
 """Collision shapes from URDF files, and what detection refuses."""
 
-from __future__ import annotations
-
 import textwrap
 
 import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from detection_bodies import (
-    BOX,
-    CORNERS,
-    TABLE,
-    only,
-    standing,
-)
+from detection_bodies import BOX, CORNERS, TABLE, only, standing
+from numpy.testing import assert_allclose
 
 from osc_contact import robots
 from osc_contact.contacts import detection
@@ -26,10 +19,10 @@ from osc_contact.errors import InvalidInputError, ModelError
 def test_shapes_of_a_urdf_have_the_names_and_places_of_the_file():
     shapes = {s.name: s for s in collision_shapes(robots.urdf_path("rod.urdf"))}
     assert list(shapes) == ["shaft", "left_end", "right_end"]
-    np.testing.assert_allclose(shapes["left_end"].placement.translation, [-0.29, 0, 0])
+    assert_allclose(shapes["left_end"].placement.translation, [-0.29, 0, 0])
     assert shapes["right_end"].shape.radius == 0.01
     assert shapes["shaft"].shape.halfLength == 0.29
-    np.testing.assert_allclose(shapes["shaft"].solid.axis, [1, 0, 0], atol=1e-9)
+    assert_allclose(shapes["shaft"].solid.axis, [1, 0, 0], atol=1e-9)
 
 
 def urdf(tmp_path, collision, joint=""):
@@ -54,9 +47,19 @@ def stl(path, corners, faces):
 
 
 CUBE_FACES = [
-    (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
-    (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
-]  # fmt: skip
+    (0, 1, 3),
+    (0, 3, 2),
+    (4, 6, 7),
+    (4, 7, 5),
+    (0, 4, 5),
+    (0, 5, 1),
+    (2, 3, 7),
+    (2, 7, 6),
+    (0, 2, 6),
+    (0, 6, 4),
+    (1, 5, 7),
+    (1, 7, 3),
+]
 
 
 def test_a_convex_mesh_touches_like_the_box_it_is(tmp_path):
@@ -70,7 +73,8 @@ def test_a_convex_mesh_touches_like_the_box_it_is(tmp_path):
         (pin.rpy.rpyToMatrix(0.4, 0.6, 0), 1),
     ):
         X = standing(tilt, CORNERS, np.random.default_rng(r))
-        as_mesh, as_box = only(detect(mesh, X, TABLE)), only(detect(BOX, X, TABLE))
+        as_mesh = only(detect(mesh, X, TABLE))
+        as_box = only(detect(BOX, X, TABLE))
         assert as_mesh.r == as_box.r == r
         assert as_mesh.kind == as_box.kind
         for point in as_box.points:
@@ -89,7 +93,7 @@ def test_a_convex_mesh_that_is_no_mirror_image_of_itself(tmp_path):
         found = only(detect(mesh, pin.SE3.Identity(), TABLE))
         assert (found.kind, found.r) == ("face on face", 3)
         assert found.distance == pytest.approx(0.0, abs=1e-9)
-        np.testing.assert_allclose(found.normal, [0, 0, 1], atol=1e-9)
+        assert_allclose(found.normal, [0, 0, 1], atol=1e-9)
         assert detect(mesh, pin.SE3(np.eye(3), np.array([0, 0, 0.01])), TABLE) == []
 
 

@@ -1,7 +1,5 @@
 """The assembled controller: its wiring, its manners when data are bad, its limits."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from grasp_oracle import kkt
+from numpy.testing import assert_allclose, assert_array_equal
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
@@ -27,8 +26,10 @@ def rig():
 @pytest.fixture
 def ready(rig):
     """(controller, plant, measurement, reference) after one good tick."""
-    controller, plant = rig.controller(), rig.plant()
-    measurement, reference = plant.measure(), rig.references.at(0.0)
+    controller = rig.controller()
+    plant = rig.plant()
+    measurement = plant.measure()
+    reference = rig.references.at(0.0)
     controller.tick(measurement, reference)
     assert controller.status is osc.Status.OK
     return controller, plant, measurement, reference
@@ -51,10 +52,10 @@ def test_a_bad_measurement_repeats_the_last_torques_and_freezes_the_integrators(
         assert controller.status is osc.Status.HELD
         assert controller.reason
         if index < 2:
-            np.testing.assert_array_equal(tau, last)
+            assert_array_equal(tau, last)
         assert np.isfinite(tau).all() and (np.abs(tau) <= controller.chain.tau_max).all()
-    np.testing.assert_array_equal(controller.force_integral, before[0])
-    np.testing.assert_array_equal(controller.motion_integral, before[1])
+    assert_array_equal(controller.force_integral, before[0])
+    assert_array_equal(controller.motion_integral, before[1])
     controller.tick(measurement, reference)
     assert controller.status is osc.Status.OK
 
@@ -79,7 +80,7 @@ def test_what_does_not_fit_repeats_the_last_torques(ready, of, change):
     last = controller.tick(measurement, reference)
     given = {"measurement": measurement, "reference": reference}
     given[of] = replace(given[of], **change)
-    np.testing.assert_array_equal(controller.tick(*given.values()), last)
+    assert_array_equal(controller.tick(*given.values()), last)
     assert controller.status is osc.Status.HELD
     assert controller.reason
 
@@ -87,7 +88,8 @@ def test_what_does_not_fit_repeats_the_last_torques(ready, of, change):
 def test_torques_never_exceed_a_motor_limit(ready):
     controller, _, measurement, reference = ready
     controller = controller.with_safety(osc.SafetySettings.motors_only())
-    limits, wanted = controller.chain.tau_max, replace(reference, alpha_d=np.array([3000.0, 10.0]))
+    limits = controller.chain.tau_max
+    wanted = replace(reference, alpha_d=np.array([3000.0, 10.0]))
     for _ in range(round(controller.gains.force.rise / controller.dt)):  # the step is let in
         tau = controller.tick(measurement, wanted)
         assert (np.abs(tau) <= limits).all()
@@ -151,11 +153,13 @@ def test_figure_5_is_the_force_path_of_the_paper(rig):
 
 
 def test_wiring_leaves_the_controller_as_it_was(rig):
-    a, b = rig.controller(), rig.controller()
+    a = rig.controller()
+    b = rig.controller()
     plant = rig.plant()
-    measurement, reference = plant.measure(), rig.references.at(0.0)
+    measurement = plant.measure()
+    reference = rig.references.at(0.0)
     a.wiring()
-    np.testing.assert_array_equal(a.tick(measurement, reference), b.tick(measurement, reference))
+    assert_array_equal(a.tick(measurement, reference), b.tick(measurement, reference))
 
 
 def test_engaging_keeps_what_was_learnt_in_free_space(rig):
@@ -163,7 +167,8 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig):
     gains = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
     controller = Controller(rig.model, rig.pairs, gains, engaged=False)
     plant = rig.plant()
-    measurement, reference = plant.measure(), rig.references.at(0.0)
+    measurement = plant.measure()
+    reference = rig.references.at(0.0)
     controller.tick(measurement, reference)
     controller.motion_integral = np.array([1e-3, -2e-3, 3e-3, 0.0, 1e-3, 2e-3])
     controller.tick(measurement, reference)
@@ -172,10 +177,10 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig):
     learnt = s.state.Lambda_S @ s.eta_c
     controller.engage()
     assert controller.engaged and not controller.motion_integral.any()
-    np.testing.assert_allclose(s.state.S.T @ controller.f_bias, learnt, rtol=1e-6, atol=1e-9)
+    assert_allclose(s.state.S.T @ controller.f_bias, learnt, rtol=1e-6, atol=1e-9)
     controller.engaged = False  # the same free motion, now with the bias in place of the integral
     controller.tick(measurement, reference)
-    np.testing.assert_allclose(controller.signals.f_S, force, rtol=1e-3, atol=1e-3)
+    assert_allclose(controller.signals.f_S, force, rtol=1e-3, atol=1e-3)
 
 
 def test_without_contacts_the_whole_motion_is_controlled(rig):
@@ -187,16 +192,12 @@ def test_without_contacts_the_whole_motion_is_controlled(rig):
     assert controller.status is osc.Status.OK, controller.reason
     miss = kkt(rig.chain, measurement.q, measurement.v, tau).a_object - controller.signals.a_u
     state = controller.signals.state
-    np.testing.assert_allclose(state.S.T @ state.metric @ miss, 0.0, atol=1e-8)
+    assert_allclose(state.S.T @ state.metric @ miss, 0.0, atol=1e-8)
 
 
 @pytest.mark.parametrize(
     "kwargs, words",
-    [
-        ({"dt": 0.0}, "dt"),
-        ({"dt": float("nan")}, "dt"),
-        ({"B": "euclid"}, "object"),
-    ],
+    [({"dt": 0.0}, "dt"), ({"dt": float("nan")}, "dt"), ({"B": "euclid"}, "object")],
 )
 def test_bad_settings_are_refused(rig, kwargs, words):
     with pytest.raises(osc.InvalidInputError, match=words):
@@ -238,8 +239,10 @@ def test_what_would_be_ignored_is_refused(ready, name):
 def test_other_gains_go_on_without_a_jump(rig):
     gains = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
     bare = osc.SafetySettings.motors_only()  # the very same readings again and again
-    controller, plant = Controller(rig.model, rig.pairs, gains, safety=bare), rig.plant()
-    measurement, reference = plant.measure(), rig.references.at(0.0)
+    controller = Controller(rig.model, rig.pairs, gains, safety=bare)
+    plant = rig.plant()
+    measurement = plant.measure()
+    reference = rig.references.at(0.0)
     shift = np.array([1e-3, -2e-3, 1e-3, 2e-3, 1e-3, -1e-3])
     away = replace(reference, X_WD=reference.X_WD * pin.exp6(pin.Motion(shift)))
     for _ in range(50):
@@ -256,10 +259,10 @@ def test_other_gains_go_on_without_a_jump(rig):
         got = other.tick(measurement, still)
         assert other.status is osc.Status.OK, other.reason
         # handed to f_bias the force on the object stays, though no acceleration is expected of it
-        np.testing.assert_allclose(other.signals.f_S, alike.signals.f_S, rtol=1e-6, atol=1e-6)
+        assert_allclose(other.signals.f_S, alike.signals.f_S, rtol=1e-6, atol=1e-6)
         if integral:
-            np.testing.assert_allclose(got, tau, rtol=0, atol=1e-9 * np.abs(tau).max())
-    np.testing.assert_array_equal(controller.gains.force.integral, 30)
+            assert_allclose(got, tau, rtol=0, atol=1e-9 * np.abs(tau).max())
+    assert_array_equal(controller.gains.force.integral, 30)
 
 
 def test_copies_and_pickles_go_on_alike_and_alone(ready):
@@ -270,22 +273,23 @@ def test_copies_and_pickles_go_on_alike_and_alone(ready):
     others.append(pickle.loads(pickle.dumps(controller)))
     for other in others:
         assert other.status is controller.status
-        np.testing.assert_array_equal(other.signals.tau, controller.signals.tau)
+        assert_array_equal(other.signals.tau, controller.signals.tau)
     moved = replace(measurement, q=measurement.q + 1e-4)
     tau = controller.tick(moved, reference)
     before = [other.motion_integral for other in others]
     assert all((x != controller.motion_integral).any() for x in before)
     for other in others:
-        np.testing.assert_array_equal(other.tick(moved, reference), tau)
+        assert_array_equal(other.tick(moved, reference), tau)
     held = copy.deepcopy(controller.signals)
     controller.tick(measurement, reference)
-    np.testing.assert_array_equal(held.tau, tau)  # what signals say is not changed by later ticks
-    np.testing.assert_array_equal(held.q, moved.q)
+    assert_array_equal(held.tau, tau)  # what signals say is not changed by later ticks
+    assert_array_equal(held.q, moved.q)
     assert held.state.d == 5
 
 
 def test_two_threads_on_one_chain_do_not_disturb_one_another(rig):
-    plant, reference = rig.plant(), rig.references.at(0.0)
+    plant = rig.plant()
+    reference = rig.references.at(0.0)
     m = plant.measure()
     rng = np.random.default_rng(4)
     stories = [[replace(m, q=m.q + 1e-3 * rng.normal(size=10)) for _ in range(300)] for _ in "ab"]
@@ -302,5 +306,5 @@ def test_two_threads_on_one_chain_do_not_disturb_one_another(rig):
         together = list(pool.map(run, stories))
     for a, b in zip(alone, together, strict=True):
         for (tau, Lambda), (same, again) in zip(a, b, strict=True):
-            np.testing.assert_array_equal(tau, same)
-            np.testing.assert_array_equal(Lambda, again)
+            assert_array_equal(tau, same)
+            assert_array_equal(Lambda, again)

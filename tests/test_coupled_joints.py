@@ -1,10 +1,9 @@
 """Joints and sensors out of the ordinary: mimics, endless joints, a wrist that carries nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 
 import osc_contact as osc
 from osc_contact import robots
@@ -64,9 +63,11 @@ def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading)
     """7 N on the tip of a Panda, whose sensor sits in the massless frame of the tip."""
     file, _ = robots.find_robot("panda")
     arm = osc.Arm.from_urdf(file, name="arm", tip="panda_hand_tcp", wrist_sensor="panda_hand_tcp")
-    chain, q = osc.ClosedChain([arm]), np.array([0.0, -0.7, 0.2, -2.2, 0.1, 1.6, 0.7])
+    chain = osc.ClosedChain([arm])
+    q = np.array([0.0, -0.7, 0.2, -2.2, 0.1, 1.6, 0.7])
     state = chain.state(q, np.zeros(7))
-    p, R = state.X_WO.translation, state.X_WO.rotation
+    p = state.X_WO.translation
+    R = state.X_WO.rotation
     face = osc.VertexOnFace([0, 0, 0], p, [0, 0, 1], name="face")
     controller = osc.Controller(chain, [face], posture=q, reading=reading)
     wrench = np.concatenate((R.T @ [0.0, 0.0, -7.0], np.zeros(3)))  # of the arm on the surface
@@ -74,4 +75,4 @@ def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading)
     for _ in range(3):
         controller.tick(Measurement(q, np.zeros(7), wrench[None]), reference)
         assert controller.status is osc.Status.OK
-        np.testing.assert_allclose(controller.result().alpha_meas, 7.0, atol=1e-9)
+        assert_allclose(controller.result().alpha_meas, 7.0, atol=1e-9)

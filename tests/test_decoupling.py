@@ -1,19 +1,11 @@
 """Eqs. 21–25 judged by plants and oracles that know nothing of S, Λ_S or projections."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest
 from grasp_oracle import kkt
-from rigs import (
-    consistent,
-    contact_of,
-    placed,
-    random_faces,
-    random_state,
-    scara_pair,
-)
+from numpy.testing import assert_allclose
+from rigs import consistent, contact_of, placed, random_faces, random_state, scara_pair
 
 import osc_contact as osc
 from osc_contact.control.custom_laws import Laws
@@ -55,9 +47,7 @@ def strong(chain):
     return out
 
 
-def tick_with(
-    laws, chain, pairs, q, v, squeeze, touched=None, wrenches=None, weak=False, **how
-):  # fmt: skip
+def tick_with(laws, chain, pairs, q, v, squeeze, touched=None, wrenches=None, weak=False, **how):
     """A controller after one tick under these laws; and its torques. Strong motors unless weak."""
     how.setdefault("safety", osc.SafetySettings.motors_only())  # states out of any motion
     controller = osc.Controller(chain if weak else strong(chain), pairs, laws=laws, **how)
@@ -93,7 +83,8 @@ def structured(chain, q, v, f_S, eta, squeeze, posture=None, state=None, **how):
     def structure(signals):
         if state is None:
             return eta, f_S
-        S, metric = state.S, state.metric
+        S = state.S
+        metric = state.metric
         wrench = metric @ S @ np.linalg.solve(S.T @ metric @ S, f_S)
         other = signals.state.S
         return np.linalg.lstsq(other, S @ eta, rcond=None)[0], other.T @ wrench
@@ -104,13 +95,16 @@ def structured(chain, q, v, f_S, eta, squeeze, posture=None, state=None, **how):
 
 def test_steps_do_not_couple_on_the_rigid_plant():
     """The same through the plant of a run: joint-space multipliers, its own wrist and contacts."""
-    chain, rng = scara_pair(), np.random.default_rng(11)
+    chain = scara_pair()
+    rng = np.random.default_rng(11)
     for _ in range(20):
         state, contact, pairs, q, v = in_contact(chain, rng)
         plant = RigidPlant(chain, pairs, 1e-3)
-        plant.q, plant.v = q, v
+        plant.q = q
+        plant.v = v
         for B in metrics_B(state, rng).values():
-            a_u, alpha = rng.normal(size=6) * 3, rng.uniform(5, 20, 2)
+            a_u = rng.normal(size=6) * 3
+            alpha = rng.uniform(5, 20, 2)
             steps = (a_u, alpha), (a_u, alpha + 5.0), (a_u + 1.0, alpha)
             (a0, f0), (a1, f1), (a2, f2) = (
                 plant.accelerations(law_torques(chain, state, contact, pairs, q, v, *step, B)[0])[
@@ -126,12 +120,14 @@ def test_steps_do_not_couple_on_the_rigid_plant():
 
 def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair():
     """Eqs. 22 and 23 in the coordinates of S, where Λ_S takes the place of Λ₀."""
-    chain, rng = scara_pair(), np.random.default_rng(13)
+    chain = scara_pair()
+    rng = np.random.default_rng(13)
     for _ in range(60):
         state, contact, _, q, v = in_contact(chain, rng)
         N_S = state.S.T @ contact.N
         offset = N_S @ np.linalg.solve(N_S.T @ N_S, contact.n_gamma - contact.N.T @ state.sigma)
-        eta, force = rng.normal(size=5), rng.normal(size=5) * 10
+        eta = rng.normal(size=5)
+        force = rng.normal(size=5) * 10
         f_S = state.Lambda_S @ (eta + offset) + state.b_S + force
         tau = structured(chain, q, v, f_S, eta, 0.0)
         got = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
@@ -142,8 +138,8 @@ def test_unfiltered_commands_couple_within_the_five_motions_of_the_scara_pair():
         want = eta - Omega_m_bar @ eta + Phi_S @ (force - Omega_f @ force)
         f_c = Omega_f @ force + state.Lambda_S @ Omega_m_bar @ eta
         a = state.S @ (want + offset) + state.sigma
-        np.testing.assert_allclose(got.a_object, a, atol=1e-9 * np.abs(a).max())
-        np.testing.assert_allclose(N_S @ got.alpha, f_c, atol=1e-9 * np.abs(f_c).max())
+        assert_allclose(got.a_object, a, atol=1e-9 * np.abs(a).max())
+        assert_allclose(N_S @ got.alpha, f_c, atol=1e-9 * np.abs(f_c).max())
 
 
 def test_response_under_no_freedom_and_full_contact():
@@ -160,9 +156,9 @@ def test_response_under_no_freedom_and_full_contact():
     state = chain.state(np.zeros(2), np.zeros(2))
     assert state.d == 0
     got = osc.contact_response(state, osc.Contact(np.zeros((6, 0))), tau=np.array([1.0, -2.0]))
-    np.testing.assert_allclose(got.acceleration, 0, atol=1e-12)
+    assert_allclose(got.acceleration, 0, atol=1e-12)
     oracle = kkt(chain, np.zeros(2), np.zeros(2), np.array([1.0, -2.0]))
-    np.testing.assert_allclose(oracle.a_object, 0, atol=1e-12)
+    assert_allclose(oracle.a_object, 0, atol=1e-12)
     with pytest.raises(osc.ContactError, match="cannot push"):
         osc.contact_response(state, osc.Contact(np.eye(6)[:, :1]), tau=np.zeros(2))
 

@@ -4,8 +4,6 @@ Poses are exact: a tipped box stands on the corner or edge that was put there, a
 yaw; what N must span then follows from where its touching points are, without any detection.
 """
 
-from __future__ import annotations
-
 import sys
 
 import coal
@@ -31,6 +29,7 @@ from detection_bodies import (
     random_pose,
     standing,
 )
+from numpy.testing import assert_allclose
 
 import osc_contact as osc
 from osc_contact import robots
@@ -101,10 +100,12 @@ RESTING = [
 def test_a_body_that_rests_on_a_plane_touches_in_its_lowest_points(seed, row, below):
     """Each of the two may be the object."""
     above, under, r, shapes, points, radius, tilt = row
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
+    rng = np.random.default_rng(seed)
+    depth = DEPTHS[seed % 3]
     X_WT = random_pose(rng)
     X = standing(tilt(rng), points, rng, lift=radius - depth)
-    body, up = X_WT * X, X_WT.rotation @ UP
+    body = X_WT * X
+    up = X_WT.rotation @ UP
     found = only(detect(TABLE, X_WT, shapes, body) if below else detect(shapes, body, TABLE, X_WT))
     assert (found.kind, found.r) == (under if below else above, r)
     lowest = moved(X, points)
@@ -112,7 +113,7 @@ def test_a_body_that_rests_on_a_plane_touches_in_its_lowest_points(seed, row, be
     assert len(found.points) == len(lowest)
     away = np.linalg.norm(found.points[:, None] - lowest, axis=2).min(axis=0)
     assert away.max() < 1e-9 + below * abs(depth)
-    np.testing.assert_allclose(found.normal, -up if below else up, atol=1e-9)
+    assert_allclose(found.normal, -up if below else up, atol=1e-9)
     assert found.distance == pytest.approx(-depth, abs=1e-9)
     X_WO, X_WE = (X_WT, body) if below else (body, X_WT)
     push = pushes(lowest, up if below else -up, X_WO)
@@ -137,7 +138,8 @@ def box_on_table(size, *tilt):
 
 def test_both_the_angle_and_the_margin_must_allow_a_face_or_an_edge():
     """1 mrad and 1 mm: small bodies are told apart by their angle, large ones by the height."""
-    small, plate = (0.01, 0.01, 0.01), (1.6, 0.4, 0.02)
+    small = (0.01, 0.01, 0.01)
+    plate = (1.6, 0.4, 0.02)
     assert box_on_table(small, 5e-3, 5e-3).kind == "vertex on face"  # no corner above 0.1 mm
     assert box_on_table(small, 5e-3, 0.0).kind == "edge on face"
     assert box_on_table(plate, 0.0, 0.8e-3).kind == "edge on face"  # one side is 1.3 mm up
@@ -157,8 +159,8 @@ def test_an_overhanging_box_touches_only_above_the_table():
     X = pin.SE3(np.eye(3), np.array([0.5, 0.1, 0.03]))
     found = only(detect(BOX, X, TABLE))
     assert (found.kind, found.r) == ("face on face", 3)
-    np.testing.assert_allclose(found.points.min(axis=0), [0.45, 0.06, 0.0], atol=1e-12)
-    np.testing.assert_allclose(found.points.max(axis=0), [0.50, 0.14, 0.0], atol=1e-12)
+    assert_allclose(found.points.min(axis=0), [0.45, 0.06, 0.0], atol=1e-12)
+    assert_allclose(found.points.max(axis=0), [0.50, 0.14, 0.0], atol=1e-12)
 
 
 def test_an_overlap_narrower_than_the_margin_is_a_line():
@@ -166,7 +168,7 @@ def test_an_overlap_narrower_than_the_margin_is_a_line():
     found = only(detect(BOX, X, TABLE))
     assert (found.kind, found.r) == ("edge on face", 2)
     ends = np.array([[0.4998, 0.06, 0.0], [0.4998, 0.14, 0.0]])
-    np.testing.assert_allclose(found.points[np.argsort(found.points[:, 1])], ends, atol=1e-9)
+    assert_allclose(found.points[np.argsort(found.points[:, 1])], ends, atol=1e-9)
     assert_kept_by_its_pair(found, X, pin.SE3.Identity(), pushes(ends, -UP, X))
 
 
@@ -182,7 +184,8 @@ def test_a_box_just_beyond_the_rim_of_the_table_touches_in_one_point_of_it():
 def test_corners_that_point_at_one_another_touch_on_their_bodies(seed):
     """Where edges near both corners cross beyond their ends, the contact stays on them."""
     rng = np.random.default_rng(seed)
-    R, down = pin.exp3(rng.normal(size=3)), -np.abs(rng.normal(size=3))
+    R = pin.exp3(rng.normal(size=3))
+    down = -np.abs(rng.normal(size=3))
     down /= np.linalg.norm(down)
     corner = CORNERS[((CORNERS @ R.T) @ down).argmax()]
     found = only(
@@ -211,8 +214,9 @@ def test_a_corner_in_a_corner_touches_floor_and_walls():
 
 def test_where_the_distance_solver_fails_the_shapes_decide(monkeypatch):
     failed = Nearest(0.0, np.zeros(3), np.zeros(3))
-    monkeypatch.setattr(sys.modules["osc_contact.contacts.detection.detect"], "nearest",
-                        lambda *_: failed)  # fmt: skip
+    monkeypatch.setattr(
+        sys.modules["osc_contact.contacts.detection.detect"], "nearest", lambda *_: failed
+    )
     X = standing(pin.rpy.rpyToMatrix(0.4, 0.5, 0), CORNERS, np.random.default_rng(0), lift=-5e-4)
     found = only(detect(BOX, X, TABLE))
     assert found.kind == "vertex on face" and found.distance == pytest.approx(-5e-4)
@@ -238,7 +242,8 @@ def test_what_is_apart_does_not_touch(seed, gap):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_crossed_edges_touch_in_their_crossing_point(seed):
     """Both boxes stand on an edge, roof against roof, ridges crossed at a random angle."""
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
+    rng = np.random.default_rng(seed)
+    depth = DEPTHS[seed % 3]
     lower = CollisionShape("ridge", coal.Box(0.4, 0.1, 0.1))
     roof = pin.rpy.rpyToMatrix(np.pi / 4 + rng.uniform(-0.2, 0.2), 0, 0)
     ridge = np.array([[x, y, z] for x in (-0.2, 0.2) for y, z in [(0.05, 0.05)]])
@@ -247,17 +252,18 @@ def test_crossed_edges_touch_in_their_crossing_point(seed):
     hang = pin.rpy.rpyToMatrix(0, 0, turn) @ pin.rpy.rpyToMatrix(
         np.pi / 4 + rng.uniform(-0.2, 0.2), 0, 0
     )
-    X_WE, X_WO = pin.SE3(roof, np.zeros(3)), pin.SE3(hang, np.zeros(3))
+    X_WE = pin.SE3(roof, np.zeros(3))
+    X_WO = pin.SE3(hang, np.zeros(3))
     s, t = rng.uniform(-0.03, 0.03, 2)  # crossing point along either ridge
     meet = X_WE.act(ridge.mean(axis=0) + [s, 0, 0])
     X_WO.translation = meet - X_WO.act(upper.mean(axis=0) + [t, 0, 0]) - depth * UP
     turned = random_pose(rng)
     found = only(detect(BOX, turned * X_WO, [lower], turned * X_WE))
     assert (found.kind, found.r) == ("edge on edge", 1)
-    np.testing.assert_allclose(found.points, [turned.act(meet)], atol=1e-9)
-    np.testing.assert_allclose(found.normal, turned.rotation @ UP, atol=1e-9)
+    assert_allclose(found.points, [turned.act(meet)], atol=1e-9)
+    assert_allclose(found.normal, turned.rotation @ UP, atol=1e-9)
     assert found.distance == pytest.approx(-depth, abs=1e-9)
-    np.testing.assert_allclose(
+    assert_allclose(
         turned.act(X_WO.act(found.object_point)), turned.act(meet - depth * UP), atol=1e-9
     )
     push = pushes([turned.act(meet)], -turned.rotation @ UP, turned * X_WO)
@@ -306,12 +312,12 @@ def test_the_rod_finds_the_contacts_the_scenario_declares(rod, seed):
         mine = contact.pair().contact(X_WO, V_O, X_WE, V_E)
         theirs = in_plate.contact(X_WO, V_O, X_WE, V_E)
         at_rest = pair.contact(X_WO, V_O)
-        np.testing.assert_allclose(mine.N, at_rest.N, atol=1e-9)
-        np.testing.assert_allclose(mine.n_gamma, theirs.n_gamma, atol=1e-9)
+        assert_allclose(mine.N, at_rest.N, atol=1e-9)
+        assert_allclose(mine.n_gamma, theirs.n_gamma, atol=1e-9)
         still = contact.pair().contact(X_WO, V_O, X_WE, np.zeros(6))
-        np.testing.assert_allclose(still.n_gamma, at_rest.n_gamma, atol=1e-9)
-        np.testing.assert_allclose(contact.points, [pair.point_on_face(X_WO)], atol=1e-9)
-        np.testing.assert_allclose(contact.normal, -pair.direction(), atol=1e-12)
+        assert_allclose(still.n_gamma, at_rest.n_gamma, atol=1e-9)
+        assert_allclose(contact.points, [pair.point_on_face(X_WO)], atol=1e-9)
+        assert_allclose(contact.normal, -pair.direction(), atol=1e-12)
 
 
 def test_both_plates_as_one_environment_body(rod):
@@ -324,7 +330,7 @@ def test_both_plates_as_one_environment_body(rod):
     assert [d.name for d in found] == ["left_end on a", "right_end on b"]
     N = osc.Contact.stack([d.pair().contact(X_WO, np.zeros(6)) for d in found]).N
     expected = osc.Contact.stack([pair.contact(X_WO, np.zeros(6)) for pair in declared]).N
-    np.testing.assert_allclose(N, expected, atol=1e-9)
+    assert_allclose(N, expected, atol=1e-9)
 
 
 # Found twice ----------------------------------------------------------------------------------

@@ -1,20 +1,12 @@
 """The constructors of `Environment`, each by itself, and what they refuse."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from environment_scenes import (
-    RTOL,
-    G,
-    close_to,
-    linkage,
-    random_inertia,
-    scene,
-)
+from environment_scenes import RTOL, G, close_to, linkage, random_inertia, scene
+from numpy.testing import assert_allclose
 from rigs import panda_pair, random_state, scara_pair
 
 import osc_contact as osc
@@ -27,13 +19,17 @@ def test_a_cart_on_a_rail_needs_nothing_but_mass_and_direction():
     x = np.array([0.6, 0.0, -0.8])
     cart = Environment.rail(
         pin.Inertia(4.0, np.zeros(3), np.zeros((3, 3))),
-        X_WE=pin.SE3.Identity(), axes=[*x, 0, 0, 0], rates=[0.5], O=[1, 2, 3], gravity=G,
+        X_WE=pin.SE3.Identity(),
+        axes=[*x, 0, 0, 0],
+        rates=[0.5],
+        O=[1, 2, 3],
+        gravity=G,
         force=[-12.0],
-    )  # fmt: skip
-    np.testing.assert_allclose(cart.Phi_e[:3, :3], np.outer(x, x) / 4, atol=1e-15)
+    )
+    assert_allclose(cart.Phi_e[:3, :3], np.outer(x, x) / 4, atol=1e-15)
     assert not cart.Phi_e[3:].any()
-    np.testing.assert_allclose(cart.b_e, [*(x * (0.8 * 9.81 - 3.0)), 0, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(cart.V_e, [*(0.5 * x), 0, 0, 0], atol=1e-15)
+    assert_allclose(cart.b_e, [*(x * (0.8 * 9.81 - 3.0)), 0, 0, 0], atol=1e-12)
+    assert_allclose(cart.V_e, [*(0.5 * x), 0, 0, 0], atol=1e-15)
 
 
 def test_one_body_behind_every_contact_stays_what_it_is():
@@ -59,7 +55,7 @@ def test_one_body_behind_every_contact_stays_what_it_is():
             own = [
                 p.N.T @ getattr(e, motion) for p, e in zip(s.parts, (driven, other), strict=True)
             ]
-            np.testing.assert_allclose(N.T @ getattr(both, motion), np.concatenate(own), atol=1e-12)
+            assert_allclose(N.T @ getattr(both, motion), np.concatenate(own), atol=1e-12)
     apart = Environment.combine(s.parts, [env, replace(env)], s.state.metric)
     assert close_to(contact_response(s.state, s.contact, apart, tau=tau).alpha, a.alpha) > 1e-3
 
@@ -74,15 +70,18 @@ def test_no_contacts_have_a_fixed_environment():
 @pytest.mark.parametrize("seed", range(8))
 def test_the_environment_of_several_contacts_does_not_depend_on_frame_or_units(seed):
     rng = np.random.default_rng([seed, 45])
-    N, half = rng.normal(size=(6, 3)), rng.normal(size=(3, 2))
-    b_N, V_N = rng.normal(size=3), rng.normal(size=3)
+    N = rng.normal(size=(6, 3))
+    half = rng.normal(size=(3, 2))
+    b_N = rng.normal(size=3)
+    V_N = rng.normal(size=3)
     inertia = random_inertia(rng).matrix()
     env = Environment.of_contacts(N, half @ half.T, b_N, V_N, inertia)
-    np.testing.assert_allclose(N.T @ env.Phi_e @ N, half @ half.T, atol=1e-10)
-    np.testing.assert_allclose(N.T @ env.b_e, b_N, atol=1e-10)
+    assert_allclose(N.T @ env.Phi_e @ N, half @ half.T, atol=1e-10)
+    assert_allclose(N.T @ env.b_e, b_N, atol=1e-10)
     X = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-3, 3, 3)), rng.normal(size=3)).action
     X = np.diag([1e3, 1e3, 1e3, 1, 1, 1]) @ X  # mm
-    F, Q = np.linalg.inv(X).T, rng.normal(size=(3, 3))  # forces; and another basis of N
+    F = np.linalg.inv(X).T
+    Q = rng.normal(size=(3, 3))  # forces; and another basis of N
     moved = Environment.of_contacts(
         F @ N @ Q, Q.T @ half @ half.T @ Q, Q.T @ b_N, Q.T @ V_N, F @ inertia @ F.T
     )
@@ -135,7 +134,9 @@ def of_two(Phi_N):
         (
             lambda: Environment.rail(
                 pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))),
-                **AT, axes=[0, 0, 0, 0, 0, 1], rates=[0],
+                **AT,
+                axes=[0, 0, 0, 0, 0, 1],
+                rates=[0],
             ),
             "along its axes",
         ),
@@ -152,7 +153,7 @@ def of_two(Phi_N):
             "metric",
         ),
     ],
-)  # fmt: skip
+)
 def test_impossible_bodies_are_refused(make, message):
     with pytest.raises(osc.ModelError, match=message):
         make()
@@ -175,13 +176,14 @@ def test_impossible_mechanisms_and_dependent_contacts_are_refused():
 
 def test_a_contact_where_nobody_yields_is_refused_and_one_where_the_environment_does_is_not():
     """The SCARA pair cannot turn about its locked couple; a free body behind it can."""
-    chain, rng = scara_pair(), np.random.default_rng(47)
+    chain = scara_pair()
+    rng = np.random.default_rng(47)
     state = chain.state(*random_state(chain, rng))
     locked = osc.Contact(state.C)
     rolled = Environment(state.C @ state.C.T * 0.1)
     got = contact_response(state, locked, rolled, tau=np.zeros(8))
     want = (state.C.T @ state.sigma) / (0.1 * (state.C.T @ state.C)[0, 0] ** 2)
-    np.testing.assert_allclose(got.alpha, want, rtol=1e-9)
+    assert_allclose(got.alpha, want, rtol=1e-9)
     across = Environment(np.outer(state.S[:, 0], state.S[:, 0]))
     with pytest.raises(osc.ContactError, match="the arms and the environment cannot push"):
         contact_response(state, locked, across, tau=np.zeros(8))

@@ -1,12 +1,11 @@
 """Packaged scenarios: each touches, keeps the limits on both plants, and can be looked at."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 from samples import chosen, first
 
 import osc_contact as osc
@@ -76,7 +75,8 @@ def test_geometry_touches_where_the_pairs_say(rigs, name):
     rig = rigs[name]
     plant = rig.plant()
     assert isinstance(plant, MujocoPlant)
-    state, contact = rig.state(), rig.contact()
+    state = rig.state()
+    contact = rig.contact()
     held = np.linalg.solve(state.Phi + 1e-9 * np.eye(6), np.eye(6))
     H_inv_N = np.linalg.solve(state.S.T @ held @ state.S, state.S.T @ contact.N)
     eta = H_inv_N @ np.linalg.solve(contact.N.T @ state.S @ H_inv_N, 1e-4 * np.ones(contact.r))
@@ -162,10 +162,13 @@ def test_limits_on_the_rigid_plant(name):
 def test_true_forces_are_the_wrench_mujoco_applies_to_the_object(rigs, runs):
     """Of a face on a face: MuJoCo's own constraint force on the object, carried to O."""
     rig = rigs["ur5_wipe"]
-    plant, controller = rig.plant(), rig.controller()
+    plant = rig.plant()
+    controller = rig.controller()
     for k in range(150):
         plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
-    mj, model, data = plant._mj, plant.model, plant.data
+    mj = plant._mj
+    model = plant.model
+    data = plant.data
     mj.mj_rnePostConstraint(model, data)
     truth = plant.truth()
     body = int(model.body("object/root").id)
@@ -173,7 +176,7 @@ def test_true_forces_are_the_wrench_mujoco_applies_to_the_object(rigs, runs):
     mj.mj_jac(model, data, jac[:3], jac[3:], truth.X_WO.translation, body)
     N = np.hstack([p.contact(truth.X_WO, truth.V_O).N for p in rig.pairs])
     # one arm, no welds: all constraint forces are contact forces, qfrc = Jᵀ(−f_c)
-    np.testing.assert_allclose(data.qfrc_constraint, -jac.T @ (N @ truth.alpha), atol=2e-4)
+    assert_allclose(data.qfrc_constraint, -jac.T @ (N @ truth.alpha), atol=2e-4)
     assert truth.alpha.min() > 0.5
     f_c = N @ truth.alpha
     centre = carry_wrench(f_c, truth.X_WO.translation, feet(rig.pairs[0], truth.X_WO)[0].mean(0))
@@ -208,10 +211,10 @@ def test_columns_of_the_recording_belong_together(rigs, runs):
     for k in (0, 700, T - 1):
         X = pin.XYZQUATToSE3(recording["pose"][k])
         expected = rig.pairs[0].contact(X, np.zeros(6)).N
-        np.testing.assert_allclose(recording["N"][k], expected, atol=1e-12)
+        assert_allclose(recording["N"][k], expected, atol=1e-12)
         corners, directions = feet(rig.pairs[0], X)
         on_board = (corners - [0.47, 0, 0.24]) @ directions[0]
-        np.testing.assert_allclose(on_board, 0.0, atol=1e-12)
+        assert_allclose(on_board, 0.0, atol=1e-12)
     plate = runs["three_arm_plate"]
     assert plate.magnitude_names == ["post_1", "post_2", "post_3"]
     assert plate["closed"].shape[1] == 3
@@ -231,21 +234,29 @@ def test_a_peg_in_a_hole_without_play_takes_forces_of_either_sign_on_the_rigid_p
     data["environment"] = [{"name": "socket", "urdf": "socket.urdf", "pose": pose}]
     data["object"] = {"urdf": "peg.urdf", "pose": {"xyz": [0.45, 0.05, 0.43]}}
     data["grasps"]["panda"] = {"xyz": [0, 0, 0], "rpy": [np.pi, 0, 0]}
-    data["contacts"] = [{
-        "name": "hole", "type": "cylinder_in_hole", "body": "socket", "point": [0, 0, -0.13],
-        "direction": [0, 0, 1], "length": 0.04, "hole_point": [0, 0, 0],
-        "hole_direction": [0, 0, 1],
-    }]  # fmt: skip
+    data["contacts"] = [
+        {
+            "name": "hole",
+            "type": "cylinder_in_hole",
+            "body": "socket",
+            "point": [0, 0, -0.13],
+            "direction": [0, 0, 1],
+            "length": 0.04,
+            "hole_point": [0, 0, 0],
+            "hole_direction": [0, 0, 1],
+        }
+    ]
     wanted = dict(zip(["hole.1", "hole.2", "hole.3", "hole.4"], [5.0, -3.0, 2.0, 1.0], strict=True))
     data["force"] = {k: [{"type": "constant", "value": v}] for k, v in wanted.items()}
     sine = {"type": "sine", "amplitude": 0.01, "frequency": 1.0, "ramp": 0.1}
     data["motion"] = [{"kind": "linear", "direction": [0, 0, 1], "signals": [sine]}]
     rig = osc.build_rig(Scenario.model_validate(data))
     assert rig.contact().r == 4 and "of either sign" in "\n".join(inspect_rig(rig).lines)
-    plant, controller = rig.plant(), rig.controller()
+    plant = rig.plant()
+    controller = rig.controller()
     for k in range(300):
         plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
-    np.testing.assert_allclose(plant.truth().alpha, list(wanted.values()), atol=5e-3)
+    assert_allclose(plant.truth().alpha, list(wanted.values()), atol=5e-3)
     recording = osc.run(rig.scenario, duration=0.3)
     assert recording["contact_seen"][-1, :3].all()  # hole.2 pulls and counts by its size
     assert (recording["alpha_meas"][-1, 1] < -2.9) and recording["contact_seen"].shape[1] == 4

@@ -1,10 +1,9 @@
 """Friction compensation: N_μ in the wrist filter, feed-forward, and what it brings in a run."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from environment_scenes import RTOL, close_to, scene
+from numpy.testing import assert_allclose
 from rigs import panda_pair, scara_pair
 from test_decoupling import commanded, in_contact
 from test_effort_limits import weakened
@@ -33,7 +32,7 @@ def test_the_drag_is_coulombs_law():
         state, _, pairs, *_ = in_contact(scara_pair(), rng)
         got = friction_wrenches(friction, pairs, state.X_WO, state.V_O, None)
         for column, pair in zip(got.T, pairs, strict=True):
-            np.testing.assert_allclose(column, by_hand(pair, state.X_WO, state.V_O, 0.3), atol=1e-9)
+            assert_allclose(column, by_hand(pair, state.X_WO, state.V_O, 0.3), atol=1e-9)
             assert column[:3] @ pair.normal == pytest.approx(0.0, abs=1e-12)
 
 
@@ -57,14 +56,15 @@ def test_only_motion_relative_to_a_moving_face_counts():
     V_E[:] = state.V_O  # carried along: at the world's origin, so shift to it
     V_E[:, :3] += np.cross(state.V_O[3:], -state.X_WO.translation)
     touched = osc.interface.Touched(X_WE, V_E, np.zeros_like(V_E))
-    np.testing.assert_allclose(
+    assert_allclose(
         friction_wrenches(Friction(0.3), pairs, state.X_WO, state.V_O, touched), 0.0, atol=1e-9
     )
 
 
 def sliding(s, mu):
     """What a controller of the scene is given, friction, and (6, r) wrenches: all slide."""
-    (pairs, how), friction = seen(s), Friction(mu, slip=1e-9)
+    (pairs, how) = seen(s)
+    friction = Friction(mu, slip=1e-9)
     return (
         pairs,
         how,
@@ -73,22 +73,34 @@ def sliding(s, mu):
     )
 
 
-YIELDING = ("prescribed", "rail", "hinge", "free body", "rail and free body", "hinged face",
-            "prescribed and linkage", "three on two bodies")  # fmt: skip
+YIELDING = (
+    "prescribed",
+    "rail",
+    "hinge",
+    "free body",
+    "rail and free body",
+    "hinged face",
+    "prescribed and linkage",
+    "three on two bodies",
+)
 
 
 @pytest.mark.parametrize("kind", YIELDING)
 @pytest.mark.parametrize("rig", [scara_pair, panda_pair])
 def test_the_law_is_exact_on_bodies_that_friction_drags_along(rig, kind):
     """Against everything solved at once, each force leaning against its slip; 1e-9 relative."""
-    rng, mu = np.random.default_rng(4), 0.3
+    rng = np.random.default_rng(4)
+    mu = 0.3
     without = []
     for _ in range(3):
         s = scene(rig, kind, rng)
-        state, contact, N = s.state, s.contact, s.contact.N
+        state = s.state
+        contact = s.contact
+        N = s.contact.N
         pairs, how, friction, friction_wrenches = sliding(s, mu)
         environment = Environment.combine(s.parts, s.each, state.metric, friction_wrenches)
-        alpha_u, relative = rng.uniform(5, 20, contact.r), rng.normal(size=6) * 3
+        alpha_u = rng.uniform(5, 20, contact.r)
+        relative = rng.normal(size=6) * 3
         a_u = object_acceleration(state, contact, environment, relative, alpha_u)
         B = np.linalg.inv(state.metric)
         asked = s.q, s.v, a_u, alpha_u, B, squeeze_of(s)
@@ -106,12 +118,10 @@ def test_the_law_is_exact_on_bodies_that_friction_drags_along(rig, kind):
         controller, tau = commanded(tired, pairs, *asked, weak=True, **how)
         assert controller.status is osc.Status.SATURATED
         came = s.solve(tau, mu)
-        np.testing.assert_allclose(
-            alpha_u - came.alpha, controller.given_up.force, rtol=0, atol=1e-6
-        )
+        assert_allclose(alpha_u - came.alpha, controller.given_up.force, rtol=0, atol=1e-6)
         lost = truth.a_object - came.a_object
         size = max(1.0, np.abs(truth.a_object).max())
-        np.testing.assert_allclose(lost, controller.given_up.acceleration, rtol=0, atol=1e-6 * size)
+        assert_allclose(lost, controller.given_up.acceleration, rtol=0, atol=1e-6 * size)
     assert max(without) > 1e-3
     assert N.shape[1] == len(s.touches)
 

@@ -1,13 +1,12 @@
 """Gains that serve every mass: what they are, what the law makes of them, and what it brings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from grasp_rigs import Case
+from numpy.testing import assert_allclose
 from rigs import PANDA_Q, ROD, one_panda, random_faces, random_state
 from test_grasps import in_millimetres
 
@@ -90,7 +89,8 @@ def step(value, start):
 
 def test_the_brake_decelerates_the_contact_whatever_the_mass():
     """Δq̈ = (M + JᵀΛ_oJ)⁻¹Δτ, with Pinocchio's M and J, must be −κ NᵀV along N and nothing else."""
-    chain, rng = one_panda(), np.random.default_rng(5)
+    chain = one_panda()
+    rng = np.random.default_rng(5)
     kappa = 44.0
     for mass in (0.1, 1.0, 6.0):
         body = pin.Inertia(mass, np.array([0.01, 0.02, 0.0]), 0.02 * mass * np.eye(3))
@@ -120,13 +120,15 @@ def test_the_brake_decelerates_the_contact_whatever_the_mass():
         inertia = body.matrix()
         turn = np.kron(np.eye(2), R)
         all_of_it = M + J.T @ (turn @ inertia @ turn.T) @ J
-        N = np.column_stack([
-            np.concatenate((-p.normal, np.cross(state.X_WO.rotation @ p.vertex, -p.normal)))
-            for p in pairs
-        ])  # fmt: skip
+        N = np.column_stack(
+            [
+                np.concatenate((-p.normal, np.cross(state.X_WO.rotation @ p.vertex, -p.normal)))
+                for p in pairs
+            ]
+        )
         change = J @ np.linalg.solve(all_of_it, taus[0] - taus[1])
         want = -kappa * N.T @ J @ measurement.v
-        np.testing.assert_allclose(N.T @ change, want, rtol=1e-8, atol=1e-9)
+        assert_allclose(N.T @ change, want, rtol=1e-8, atol=1e-9)
 
 
 class Mixed:
@@ -135,7 +137,8 @@ class Mixed:
     name = "mixed"
 
     def __init__(self, pairs, R):
-        self.pairs, self.R = pairs, R
+        self.pairs = pairs
+        self.R = R
 
     def contact(self, X_WO, V_O, X_WE=None, V_E=None):
         both = osc.Contact.stack([pair.contact(X_WO, V_O) for pair in self.pairs])
@@ -146,7 +149,8 @@ class Mixed:
 
 
 def test_the_basis_of_N_does_not_matter():
-    chain, rng = one_panda(), np.random.default_rng(8)
+    chain = one_panda()
+    rng = np.random.default_rng(8)
     q, _ = random_state(chain, rng)
     X = chain.state(q, np.zeros(7)).X_WO
     for R in (np.diag([1e-3, 50.0]), np.array([[1.0, 0.4], [-0.6, 1.2]])):
@@ -162,9 +166,10 @@ def test_the_basis_of_N_does_not_matter():
             )
             plain = osc.Reference(X, np.zeros(6), np.zeros(6), alpha, 0.0)
             mixed = replace(plain, alpha_d=np.linalg.solve(R, alpha))
-            want, got = one.tick(measurement, plain), other.tick(measurement, mixed)
+            want = one.tick(measurement, plain)
+            got = other.tick(measurement, mixed)
             assert one.status is osc.Status.OK, one.reason
-            np.testing.assert_allclose(got, want, rtol=0, atol=1e-8 * np.abs(want).max())
+            assert_allclose(got, want, rtol=0, atol=1e-8 * np.abs(want).max())
 
 
 def test_metres_or_millimetres_do_not_matter(monkeypatch):
@@ -172,7 +177,8 @@ def test_metres_or_millimetres_do_not_matter(monkeypatch):
     rng = np.random.default_rng(4)
     arm = one_panda().arms[0]
     model = arm.model.copy()
-    model.upperEffortLimit, model.gravity = np.full(7, 1e15), pin.Motion.Zero()
+    model.upperEffortLimit = np.full(7, 1e15)
+    model.gravity = pin.Motion.Zero()
     chain = osc.ClosedChain(
         [replace(arm, model=model)], one_panda().grasps, osc.RigidObject(ROD), allow_unactuated=True
     )
@@ -180,7 +186,8 @@ def test_metres_or_millimetres_do_not_matter(monkeypatch):
     case = Case(chain, PANDA_Q, X, [])
     small, _, X_mm = in_millimetres(case)
     moves = [(1e-3 * rng.normal(size=7), 0.02 * rng.normal(size=7)) for _ in range(40)]
-    vertex, normal = np.array([0.1, 0.05, 0.2]), np.array([0.6, 0.0, 0.8])
+    vertex = np.array([0.1, 0.05, 0.2])
+    normal = np.array([0.6, 0.0, 0.8])
     force = np.repeat([1e3, 1e6], 3)
 
     def torques(chain, X, length, forces):
@@ -209,14 +216,15 @@ def test_metres_or_millimetres_do_not_matter(monkeypatch):
     monkeypatch.setattr(chain_rows, "GYRATION", 1e3 * chain_rows.GYRATION)
     got = torques(small, X_mm, 1e3, force)
     assert np.abs(want).max() > 0.1
-    np.testing.assert_allclose(got / 1e6, want, rtol=0, atol=1e-6 * np.abs(want).max())
+    assert_allclose(got / 1e6, want, rtol=0, atol=1e-6 * np.abs(want).max())
 
 
 def test_other_gains_go_on_while_a_step_is_made():
     """Half way up, to gains that know no rise: the force commanded does not jump."""
     changes = ["gains={}", "plant.type=rigid", "plant.step=1 ms", "motion=[]"]
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", changes))
-    plant, controller = rig.plant(), rig.controller()
+    plant = rig.plant()
+    controller = rig.controller()
     reference = replace(rig.references.at(0.0), alpha_d=np.array([20.0, 15.0]))
     commanded = []
     for k in range(400):
@@ -226,7 +234,7 @@ def test_other_gains_go_on_while_a_step_is_made():
         commanded.append(controller.signals.alpha_u)
     change = np.abs(np.diff(commanded, axis=0)).max(axis=1)
     assert change.max() < 1.05 * change[:124].max()
-    np.testing.assert_allclose(commanded[-1], [20.0, 15.0], atol=0.05)
+    assert_allclose(commanded[-1], [20.0, 15.0], atol=0.05)
 
 
 # What it brings: MuJoCo, default gains ------------------------------------------------------------
@@ -241,7 +249,9 @@ def pressed(scenario, step_of, value=10.0):
 
 def overshoots(run):
     """Of the first contact and of the step, shares; and what the step does to other forces (N)."""
-    t, true, asked = run["t"], run["alpha_true"], run["alpha_cmd"]
+    t = run["t"]
+    true = run["alpha_true"]
+    asked = run["alpha_cmd"]
     k = int(np.searchsorted(t, 0.5 - 1e-9))
     over = true - asked
     stepped = asked[k] - asked[k - 1] > 1.0
@@ -262,28 +272,51 @@ def one_arm(robot, tip, posture, push, armature):
     def pose(X):
         return {"xyz": X.translation.tolist(), "rpy": pin.rpy.matrixToRpy(X.rotation).tolist()}
 
-    return osc.Scenario.from_dict({
-        "name": "one",
-        "arms": [{"name": "arm", "urdf": f"example-robot-data:{robot}", "tip": tip,
-                  "wrist_sensor": tip, "posture": posture, "armature": armature}],
-        "object": {"urdf": "rod.urdf", "pose": pose(X)}, "grasps": {"arm": pose(grasp)},
-        "contacts": [{"name": "end", "type": "vertex_on_face", "vertex": [0.29, 0, 0],
-                      "radius": 0.01, "face": {"urdf": "face.urdf", "point": at.tolist(),
-                                               "normal": (-push).tolist()}}],
-        "force": {"end": [constant(10.0)]},
-        "control": {"rate": "1 kHz"}, "plant": {"type": "mujoco", "step": "0.25 ms"},
-        "duration": "1 s",
-    })  # fmt: skip
+    return osc.Scenario.from_dict(
+        {
+            "name": "one",
+            "arms": [
+                {
+                    "name": "arm",
+                    "urdf": f"example-robot-data:{robot}",
+                    "tip": tip,
+                    "wrist_sensor": tip,
+                    "posture": posture,
+                    "armature": armature,
+                }
+            ],
+            "object": {"urdf": "rod.urdf", "pose": pose(X)},
+            "grasps": {"arm": pose(grasp)},
+            "contacts": [
+                {
+                    "name": "end",
+                    "type": "vertex_on_face",
+                    "vertex": [0.29, 0, 0],
+                    "radius": 0.01,
+                    "face": {"urdf": "face.urdf", "point": at.tolist(), "normal": (-push).tolist()},
+                }
+            ],
+            "force": {"end": [constant(10.0)]},
+            "control": {"rate": "1 kHz"},
+            "plant": {"type": "mujoco", "step": "0.25 ms"},
+            "duration": "1 s",
+        }
+    )
 
 
 DOWN = [0.2, 0.1, -1.0]
 ARMS = {
     "0.5 kg": ("kinova", "j2s6s200_end_effector", [0, 2.9, 1.3, 4.2, 1.4, 0], DOWN, 0.0),
-    "1.5 kg": ("talos_left_arm", "gripper_left_base_link", [0.3, 0.2, -1.5, 0.3, 0.3, 0.1],
-               [-1, 0, -0.3], 0.0),
+    "1.5 kg": (
+        "talos_left_arm",
+        "gripper_left_base_link",
+        [0.3, 0.2, -1.5, 0.3, 0.3, 0.1],
+        [-1, 0, -0.3],
+        0.0,
+    ),
     "4.6 kg": ("ur10", "tool0", [0, -1.4, 1.9, -1.9, -1.57, 0.3], DOWN, 0.0),
     "40 kg": ("ur10", "tool0", [0, -1.4, 1.9, -1.9, -1.57, 0.3], DOWN, 10.0),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("mass", ARMS)
@@ -312,6 +345,7 @@ def test_a_wiping_arm_does_not_ring_with_heavy_rotors(armature):
     """Rocking of the cloth meets 470 kg at its corners then."""
     changes = [ARMATURE.format("ur5", armature), "gains={}", "duration=1.6 s"]
     run = osc.run(osc.load_scenario("ur5_wipe", changes))
-    t, error = run["t"], run["alpha_true"] - run["alpha_cmd"]
+    t = run["t"]
+    error = run["alpha_true"] - run["alpha_cmd"]
     assert (error[t < 0.5] / run["alpha_cmd"][0]).max() < 0.2
     assert np.sqrt(np.mean(error[t > 1.0] ** 2)) < 0.01 * 8.0

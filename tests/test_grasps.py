@@ -1,7 +1,5 @@
 """Chains of any arms with any grasps, against one full system of equations (grasp_oracle.py)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +7,7 @@ import pinocchio as pin
 import pytest
 from grasp_oracle import ClosedLoop
 from grasp_rigs import KINDS, grasp_of, random_case, slip_of
+from numpy.testing import assert_allclose, assert_array_equal
 from rigs import contact_of, random_faces
 from test_decoupling import commanded
 
@@ -82,7 +81,8 @@ def many_cases(rng):
 
 def test_motion_and_contact_forces_agree_with_the_full_system():
     """Eqs. 13–20: grasps that turn, slide and hold."""
-    rng, seen = np.random.default_rng(1), {"unactuated": 0, "untold": 0, "contacts": 0, "d": set()}
+    rng = np.random.default_rng(1)
+    seen = {"unactuated": 0, "untold": 0, "contacts": 0, "d": set()}
     for case in many_cases(rng):
         for _ in range(3):
             pairs, N = touching(case, rng)
@@ -111,7 +111,8 @@ def test_motion_and_contact_forces_agree_with_the_full_system():
 @pytest.mark.parametrize("bend", [0.0, 1e-3, 1e-2])
 def test_near_and_in_singular_postures(bend):
     """Elbows all but straight, and straight: where such velocities can go on, they agree."""
-    rng, compared = np.random.default_rng(2), 0
+    rng = np.random.default_rng(2)
+    compared = 0
     for _ in range(30):
         case = draw(rng, bends=[bend] * 4, tolerance=1e-7)
         v, V, state, _ = moving(case, [], NOTHING.N, rng)
@@ -166,17 +167,22 @@ def test_two_grasps_that_pass_on_no_squeeze(kinds):
         s = controller.signals
         oracle = solved(case, v, V, tau, contact)
         assert miss(oracle.a_object, s.state.S @ s.eta_c + s.state.sigma) < 1e-8
-        np.testing.assert_array_equal(tau, commanded(*asked, 0.0)[1])
+        assert_array_equal(tau, commanded(*asked, 0.0)[1])
 
 
 def test_exact_plant_agrees_and_wrists_tell_the_contact_force():
     """Fig. 5 where a grasp passes on part of the wrench: the gripper's own motion is taken out."""
-    rng, exact, by_law = np.random.default_rng(4), 0, 0
+    rng = np.random.default_rng(4)
+    exact = 0
+    by_law = 0
     for case in driven(rng, 40):
         pairs, N = touching(case, rng)
         v, V, _, contact = moving(case, pairs, N, rng)
         plant = RigidPlant(case.chain, pairs, 1e-3)
-        plant.q, plant.v, plant._X, plant._V = case.q, v, case.X_WO, V
+        plant.q = case.q
+        plant.v = v
+        plant._X = case.X_WO
+        plant._V = V
         tau = any_torques(case, rng)
         plant.hold(tau)
         _, a, alpha = plant.accelerations(tau)
@@ -188,7 +194,7 @@ def test_exact_plant_agrees_and_wrists_tell_the_contact_force():
         if law_knows(case):
             asked = case.chain, pairs, case.q, v, np.zeros(6), alpha, "object", 0.0
             found = commanded(*asked, wrenches=wrenches)[0].result()
-            np.testing.assert_allclose(found.alpha_meas, alpha, atol=1e-8 * size)
+            assert_allclose(found.alpha_meas, alpha, atol=1e-8 * size)
             by_law += contact.r > 0
         exact += contact.r > 0
     assert exact > 15 and by_law > 10
@@ -212,10 +218,12 @@ def in_millimetres(case):
     def stretched(X):
         return pin.SE3(X.rotation, 1e3 * X.translation)
 
-    def body(I):  # noqa: E741
+    def body(I):
         return pin.Inertia(I.mass, 1e3 * I.lever, 1e6 * I.inertia)
 
-    arms, grasps, q = [], [], []
+    arms = []
+    grasps = []
+    q = []
     for arm, grasp, s in zip(case.chain.arms, case.chain.grasps, case.chain.slices, strict=True):
         model = arm.model.copy()
         sliding = ["P" in joint.shortname() for joint in list(model.joints)[1:]]
@@ -239,7 +247,8 @@ def in_millimetres(case):
 
 def test_units_do_not_matter():
     """Metres or millimetres: the same Φ₀, motion, contact force and unactuated motions."""
-    rng, k = np.random.default_rng(6), np.array([1e3] * 3 + [1.0] * 3)
+    rng = np.random.default_rng(6)
+    k = np.array([1e3] * 3 + [1.0] * 3)
     for _ in range(20):
         case = draw(rng)
         pairs, N = touching(case, rng)
@@ -285,7 +294,8 @@ def test_a_rod_between_two_balls_spins_about_their_line():
 
 def test_loops_close_and_tips_are_reached():
     """From a few centimetres and tenths of a radian away; grasps then hold to rounding."""
-    rng, done = np.random.default_rng(9), 0
+    rng = np.random.default_rng(9)
+    done = 0
     for case in driven(rng, 15, arms=("ur5", "panda"), kinds=("rigid", "hinge", "ball"), least=2):
         chain = case.chain
         try:
@@ -308,17 +318,20 @@ def test_a_grasp_keeps_its_motions_and_nothing_else():
     """miss = 0 over the whole group; its rate is Nᵀ(V_O − V_tip) there."""
     rng = np.random.default_rng(10)
     for kind in KINDS:
-        X_TO, axis, X_WT = pin.SE3.Random(), rng.normal(size=3), pin.SE3.Random()
+        X_TO = pin.SE3.Random()
+        axis = rng.normal(size=3)
+        X_WT = pin.SE3.Random()
         grasp = grasp_of(kind, X_TO, axis)
         grasp = osc.Grasp.rigid(grasp) if isinstance(grasp, pin.SE3) else grasp
         assert grasp.kind == (kind if kind in ("rigid", "hinge", "ball") else "other")
         X_WO = X_WT * slip_of(kind, axis, rng) * X_TO
         assert np.abs(grasp.miss(X_WT, X_WO)).max() < 1e-14
-        V, h = rng.normal(size=6), 1e-6
-        O = X_WO.translation  # noqa: E741
+        V = rng.normal(size=6)
+        h = 1e-6
+        O = X_WO.translation
         rate = (grasp.miss(X_WT, moved(X_WO, h * V)) - grasp.miss(X_WT, moved(X_WO, -h * V))) / 2
         want = grasp.wrenches_at(X_WT, O).T @ V
-        np.testing.assert_allclose(rate / h, want, atol=1e-8 * np.abs(want).max())
+        assert_allclose(rate / h, want, atol=1e-8 * np.abs(want).max())
 
 
 @pytest.mark.parametrize(
@@ -364,19 +377,21 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
     at_once = "gains.force.rise=0 s"  # the forces are judged after 0.2 s
     rig = osc.build_rig(osc.load_scenario("dual_panda_rod", [at_once, *sets]))
     assert tuple(grasp.kind for grasp in rig.chain.grasps) == kinds
-    plant, controller = rig.plant(), rig.controller()
+    plant = rig.plant()
+    controller = rig.controller()
     started = plant.truth().X_WO
-    np.testing.assert_allclose(started.homogeneous, rig.state().X_WO.homogeneous, atol=1e-12)
+    assert_allclose(started.homogeneous, rig.state().X_WO.homogeneous, atol=1e-12)
     for k in range(200):
         plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
-    q, truth = plant.measure().q, plant.truth()
+    q = plant.measure().q
+    truth = plant.truth()
     X = object_pose(rig.chain, q)
     assert np.linalg.norm(X.translation - started.translation) > 1e-4  # it moves
     for grasp, tip in zip(rig.chain.grasps, rig.chain.tip_poses(), strict=True):
         assert np.abs(grasp.miss(tip, X)).max(initial=0.0) < 2e-5
-    np.testing.assert_allclose(truth.X_WO.homogeneous, X.homogeneous, atol=1e-4)
+    assert_allclose(truth.X_WO.homogeneous, X.homogeneous, atol=1e-4)
     assert truth.closed.all() and controller.status is osc.Status.OK
-    np.testing.assert_allclose(truth.alpha, rig.references.at(0.199).alpha_d, rtol=0.01)
+    assert_allclose(truth.alpha, rig.references.at(0.199).alpha_d, rtol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -404,19 +419,22 @@ def test_a_grasp_that_registers_itself_has_a_name_in_scenarios(monkeypatch):
     hand = HANDS[0] % ", type: slide, axis: [0, 2, 0]"
     changes = [f"grasps.left={hand}", "plant.type=rigid", "gains.force.rise=0 s"]
     rig = osc.build_rig(osc.load_scenario("dual_panda_rod", changes))
-    np.testing.assert_array_equal(rig.chain.grasps[0].T[:, 0], [0, 1, 0, 0, 0, 0])
-    controller, plant = rig.controller(), rig.plant()
+    assert_array_equal(rig.chain.grasps[0].T[:, 0], [0, 1, 0, 0, 0, 0])
+    controller = rig.controller()
+    plant = rig.plant()
     for k in range(200):
         plant.command(controller.tick(plant.measure(), rig.references.at(1e-3 * k)), 1e-3)
     assert controller.status is osc.Status.OK, controller.reason
-    np.testing.assert_allclose(plant.truth().alpha, rig.references.at(0.199).alpha_d, rtol=0.01)
+    assert_allclose(plant.truth().alpha, rig.references.at(0.199).alpha_d, rtol=0.01)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_bad_encoders_hold_the_torques_and_good_ones_go_on(bad):
     rig = osc.build_rig(osc.load_scenario("hinge_ball_rod"))
-    controller, measured = rig.controller(), rig.plant().measure()
-    wanted, q = rig.references.at(0.0), measured.q.copy()
+    controller = rig.controller()
+    measured = rig.plant().measure()
+    wanted = rig.references.at(0.0)
+    q = measured.q.copy()
     q[3] = bad
     for _ in range(2):
         held = controller.tick(replace(measured, q=q), wanted)
@@ -433,18 +451,22 @@ def test_two_balls_in_a_scenario_are_refused_with_the_motion():
 
 def test_exact_plant_steps_an_object_that_no_arm_leads():
     """It is a body of its own there: a short step changes its twist by what the oracle says."""
-    rng, dt = np.random.default_rng(12), 1e-6
+    rng = np.random.default_rng(12)
+    dt = 1e-6
     for case in driven(rng, 8, arms=("ur5", "panda"), kinds=("hinge", "ball"), least=2, most=3):
         v, V = (5.0 * x for x in case.moving(rng))
         plant = RigidPlant(case.chain, [], dt)
-        plant.q, plant.v, plant._X, plant._V = case.q, v, case.X_WO, V
+        plant.q = case.q
+        plant.v = v
+        plant._X = case.X_WO
+        plant._V = V
         tau = any_torques(case, rng)
         oracle = solved(case, v, V, tau)
         classical = oracle.a_object + np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))
         plant.command(tau, dt)
         assert miss((plant._V - V) / dt, classical) < 1e-3
         want = moved(case.X_WO, 0.5 * dt * (V + plant._V))
-        np.testing.assert_allclose(plant._X.homogeneous, want.homogeneous, atol=1e-10)
+        assert_allclose(plant._X.homogeneous, want.homogeneous, atol=1e-10)
         assert plant.truth().X_WO == plant._X
 
 

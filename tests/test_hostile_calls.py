@@ -62,8 +62,11 @@ def test_a_tick_never_raises(rig, good, kind):
 
 def test_the_first_tick_refuses_wrong_shapes_later_ones_hold(rig, good):
     measurement, reference = good
-    for name, shape in (("q", r"\(10,\), got \(9,\)"), ("v", r"\(10,\), got \(9,\)"),
-                        ("wrenches", r"\(2, 6\), got \(1, 6\)")):  # fmt: skip
+    for name, shape in (
+        ("q", r"\(10,\), got \(9,\)"),
+        ("v", r"\(10,\), got \(9,\)"),
+        ("wrenches", r"\(2, 6\), got \(1, 6\)"),
+    ):
         bad = replace(measurement, **{name: getattr(measurement, name)[:-1]})
         controller = rig.controller()
         with pytest.raises(osc.InvalidInputError, match=f"{name}: expected shape {shape}"):

@@ -1,7 +1,5 @@
 """What runs and sweeps leave in files: one writer at a time, damage named, nobody left behind."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -15,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -76,7 +75,7 @@ def test_rows_of_chunks_that_come_again_are_read_once(tmp_path):
     file.close()
     journal = Journal(path)
     pieces = list(journal.rows())
-    np.testing.assert_array_equal(np.concatenate([x["x"][:, 0] for _, x in pieces]), np.arange(11))
+    assert_array_equal(np.concatenate([x["x"][:, 0] for _, x in pieces]), np.arange(11))
     assert [first for first, _ in pieces] == [0, 5, 8, 10]
     assert journal.missing == [
         f"ticks {part} come again, and are left out there"
@@ -115,7 +114,8 @@ DAMAGE = {
 @pytest.mark.parametrize("at", [1, 3])
 @pytest.mark.parametrize("kind", DAMAGE)
 def test_damaged_rows_are_named_with_the_line_and_a_cure(kind, at, tmp_path):
-    path, study = tmp_path / "rows.jsonl", study_of()
+    path = tmp_path / "rows.jsonl"
+    study = study_of()
     file = RowFile(path, study)
     file.append(map(row_of, range(3)))
     file.close()
@@ -150,7 +150,8 @@ def test_rows_beyond_a_study_and_cells_of_another_kind(tmp_path):
 
 
 def test_two_programs_do_not_write_rows_to_one_file(tmp_path):
-    path, study = tmp_path / "rows.jsonl", study_of()
+    path = tmp_path / "rows.jsonl"
+    study = study_of()
     file = RowFile(path, study)
     with pytest.raises(osc.InvalidInputError, match=r"another program writes to .*rows\.jsonl"):
         RowFile(path, study)
@@ -229,7 +230,8 @@ def test_workers_end_with_a_sweep_that_is_killed(tmp_path):
 
 
 def test_recordings_hold_no_folder_and_are_shown_with_the_scenarios(tmp_path, monkeypatch):
-    home, shown = tmp_path / "home" / "somebody", tmp_path / "elsewhere"
+    home = tmp_path / "home" / "somebody"
+    shown = tmp_path / "elsewhere"
     home.mkdir(parents=True)
     shown.mkdir()
     packaged = osc.load_scenario("two_contact_rod")

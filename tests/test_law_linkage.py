@@ -1,7 +1,5 @@
 """The virtual linkage of the law: against singular values and a full system of equations."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -13,6 +11,7 @@ import pytest
 from grasp_rigs import KINDS, random_case
 from numba import njit
 from numba.core.runtime import rtsys
+from numpy.testing import assert_allclose
 from test_grasps import in_millimetres
 from test_linkage import settable_bars as by_svd
 
@@ -40,17 +39,30 @@ def often(times, raw, n_locked):
 
 def given(state, chain):
     """What `settable_bars` is given of a chain in a state."""
-    k, n, d = len(chain.arms), chain.nq, state.d
-    G, effort = np.zeros((n, d)), np.zeros(n)
+    k = len(chain.arms)
+    n = chain.nq
+    d = state.d
+    G = np.zeros((n, d))
+    effort = np.zeros(n)
     G[chain.actuated], effort[chain.actuated] = state.G.T, effort_scale(chain.tau_max)
     first, end = np.array([(s.start, s.stop) for s in chain.slices]).T.copy()
     force_levers = np.vstack([arm.J_bar[:, :3] for arm in state.arms])
     locked = np.hstack([arm.C[:3] for arm in state.arms]).T / np.sqrt(chain.reference.inertia.mass)
     owners = np.repeat(np.arange(k), [arm.C.shape[1] for arm in state.arms])
     return (
-        k, n, state.grasp_points, first, end, force_levers, G, effort, locked.copy(), owners,
-        len(owners), chain.rank_tolerance,
-    )  # fmt: skip
+        k,
+        n,
+        state.grasp_points,
+        first,
+        end,
+        force_levers,
+        G,
+        effort,
+        locked.copy(),
+        owners,
+        len(owners),
+        chain.rank_tolerance,
+    )
 
 
 def placed(what):
@@ -58,10 +70,15 @@ def placed(what):
     k, n, points, first, end, force_levers, G, effort, locked, owners, n_locked, tolerance = what
     rows = Rows(new_model(k, n, 0))
     model, _, work, _ = views(rows)
-    model.tolerance, model.arms.first, model.arms.end = tolerance, first, end
-    work.points[:], work.force_levers[:], work.efforts[:] = points, force_levers, effort
+    model.tolerance = tolerance
+    model.arms.first = first
+    model.arms.end = end
+    work.points[:] = points
+    work.force_levers[:] = force_levers
+    work.efforts[:] = effort
     work.driven[:, : G.shape[1]] = G
-    work.carried[:n_locked], work.owners[:n_locked] = locked, owners
+    work.carried[:n_locked] = locked
+    work.owners[:n_locked] = owners
     for out in (work.levers, work.basis, work.scratch):
         out[:] = np.nan
     return rows, n_locked
@@ -70,9 +87,12 @@ def placed(what):
 def answer(what):
     """(levers, basis (bars, s))."""
     rows, n_locked = placed(what)
-    s, work = call(rows.raw, n_locked), views(rows).work
-    levers, basis, bars = work.levers, work.basis, len(work.levers)
-    np.testing.assert_allclose(basis[:, :s].T @ basis[:, :s], np.eye(s), atol=1e-12)
+    s = call(rows.raw, n_locked)
+    work = views(rows).work
+    levers = work.levers
+    basis = work.basis
+    bars = len(work.levers)
+    assert_allclose(basis[:, :s].T @ basis[:, :s], np.eye(s), atol=1e-12)
     assert s < bars or (basis == np.eye(bars)).all()
     return levers, basis[:, :s]
 
@@ -80,9 +100,9 @@ def answer(what):
 def assert_same(got, want, levers_to=1e-10, basis_to=1e-9):
     """The same levers, and bases that span the same."""
     size = np.abs(want[0]).max()
-    np.testing.assert_allclose(got[0], want[0], rtol=0, atol=levers_to * size)
+    assert_allclose(got[0], want[0], rtol=0, atol=levers_to * size)
     assert got[1].shape == want[1].shape
-    np.testing.assert_allclose(got[1] @ got[1].T, want[1] @ want[1].T, rtol=0, atol=basis_to)
+    assert_allclose(got[1] @ got[1].T, want[1] @ want[1].T, rtol=0, atol=basis_to)
 
 
 def at_rest(case):
@@ -122,7 +142,8 @@ def draw(how, rng):
         bends[rng.integers(k)] = 10 ** rng.uniform(-6, -1)
     pool = ["scara", "2R", "3R"] if how == "structure" else ["ur5", "panda", "scara"]
     kinds = {"grasps": KINDS, "motors": KINDS[:3], "slides": KINDS[3:], "strong": KINDS[3:]}
-    arms, kinds = rng.choice(pool, k), rng.choice(kinds.get(how, ["rigid"]), k)
+    arms = rng.choice(pool, k)
+    kinds = rng.choice(kinds.get(how, ["rigid"]), k)
     case = random_case(list(arms), list(kinds), rng, bends, upright=how == "structure")
     case = without_motors(case, rng, rng.choice([0.5, 1.0])) if how == "motors" else case
     if how == "strong":
@@ -131,13 +152,24 @@ def draw(how, rng):
     return case, replace(state, grasp_points=moved_points(state.grasp_points, how, rng))
 
 
-@pytest.mark.parametrize("how, least, most", [
-    ("rigid", 0, 0), ("grasps", 1, 24), ("slides", 10, 24), ("structure", 20, 25),
-    ("near singular", 2, 24), ("motors", 5, 24), ("plane", 10, 24), ("line", 25, 25),
-    ("same", 10, 25), ("strong", 10, 25),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "how, least, most",
+    [
+        ("rigid", 0, 0),
+        ("grasps", 1, 24),
+        ("slides", 10, 24),
+        ("structure", 20, 25),
+        ("near singular", 2, 24),
+        ("motors", 5, 24),
+        ("plane", 10, 24),
+        ("line", 25, 25),
+        ("same", 10, 25),
+        ("strong", 10, 25),
+    ],
+)
 def test_it_decides_as_singular_values_do(how, least, most):
-    rng, fewer = np.random.default_rng(80), 0
+    rng = np.random.default_rng(80)
+    fewer = 0
     for _ in range(25):
         case, state = draw(how, rng)
         got = answer(given(state, case.chain))
@@ -159,7 +191,8 @@ def test_eight_arms_of_seven_joints():
 
 def test_the_scratch_is_large_enough_for_arms_that_carry_everything():
     case, state = draw("rigid", np.random.default_rng(85))
-    what, k = list(given(state, case.chain)), len(case.chain.arms)
+    what = list(given(state, case.chain))
+    k = len(case.chain.arms)
     what[8:11] = np.tile(np.eye(3), (2 * k, 1)), np.arange(k).repeat(6), 6 * k
     levers = by_svd(state, case.chain)[0]
     assert_same(answer(tuple(what)), (levers, np.zeros((len(levers), 0))))
@@ -206,7 +239,8 @@ def replay(source, target):
     np.savez(target, **out)
     if PLAIN_PYTHON:
         return
-    (rows, n_locked), before = placed(what), []
+    (rows, n_locked) = placed(what)
+    before = []
     for times in (1, 1, 1000, 0):
         before.append(rtsys.get_allocation_stats().alloc)
         often(times, rows.raw, n_locked)
@@ -218,23 +252,29 @@ def replay(source, target):
 )
 def test_plain_python_and_checked_bounds_give_the_same(how, tmp_path):
     """To the last digits, so that even the bases are the same. Nothing is allocated on the way."""
-    rng, wanted, arrays = np.random.default_rng(84), [], {}
+    rng = np.random.default_rng(84)
+    wanted = []
+    arrays = {}
     for how_drawn in ("rigid", "grasps", "slides", "structure", "motors", "plane", "line"):
         case, state = draw(how_drawn, rng)
         what = given(state, case.chain)
         arrays |= {f"{len(wanted)}_{part}": value for part, value in enumerate(what)}
         wanted.append(answer(what))
-    source, target = tmp_path / "in.npz", tmp_path / "out.npz"
+    source = tmp_path / "in.npz"
+    target = tmp_path / "out.npz"
     np.savez(source, **arrays)
     script = "import sys, test_law_linkage; test_law_linkage.replay(*sys.argv[1:])"
     done = subprocess.run(
         [sys.executable, "-c", script, str(source), str(target)],
-        capture_output=True, text=True, timeout=300, cwd=os.path.dirname(__file__),
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=os.path.dirname(__file__),
         env={**os.environ, how: "1", "NUMBA_NRT_STATS": "1"},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     with np.load(target) as file:
         for i, (levers, basis) in enumerate(wanted):
             size = np.abs(levers).max()
-            np.testing.assert_allclose(file[f"{i}_levers"], levers, rtol=0, atol=1e-12 * size)
-            np.testing.assert_allclose(file[f"{i}_basis"], basis, rtol=0, atol=1e-12)
+            assert_allclose(file[f"{i}_levers"], levers, rtol=0, atol=1e-12 * size)
+            assert_allclose(file[f"{i}_basis"], basis, rtol=0, atol=1e-12)

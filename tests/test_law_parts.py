@@ -5,8 +5,6 @@ first. Arrays are larger than what counts and hold numbers beside it, as the law
 `test_law_stages.py` goes on with forces, stops and the stages of a tick.
 """
 
-from __future__ import annotations
-
 from itertools import product
 from types import SimpleNamespace as Record
 
@@ -15,11 +13,12 @@ import pinocchio as pin
 import pytest
 from law_calls import algebra, contact, held_object, motion, six, tick_of
 from law_calls import columns as columns_of_N
+from numpy.testing import assert_allclose, assert_array_equal
 
 from osc_contact.law import tables as at
 
 SEEDS = pytest.mark.parametrize("seed", range(6))
-close = np.testing.assert_allclose
+close = assert_allclose
 
 
 def rng_of(seed):
@@ -49,12 +48,16 @@ def around(rng, A, before=0, behind=2):
 @SEEDS
 def test_vectors_of_six_and_turned_points(seed):
     rng = rng_of(seed)
-    A, a, b, s = rng.normal(size=(6, 6)), rng.normal(size=6), rng.normal(size=6), rng.normal()
-    R, (x, y, z) = rng.normal(size=(4, 4)), rng.normal(size=3)
+    A = rng.normal(size=(6, 6))
+    a = rng.normal(size=6)
+    b = rng.normal(size=6)
+    s = rng.normal()
+    R = rng.normal(size=(4, 4))
+    (x, y, z) = rng.normal(size=3)
     close(six.dot6(a, b), a @ b, atol=1e-13)
     assert six.six(a) == tuple(a)
     six.fill(out := np.zeros(6), a)
-    np.testing.assert_array_equal(out, a)
+    assert_array_equal(out, a)
     close(six.add(a, s, b), a + s * b, atol=1e-13)
     close(six.scaled(s, a), s * a, atol=1e-13)
     close(six.times6(A, a), A @ a, atol=1e-13)
@@ -64,7 +67,7 @@ def test_vectors_of_six_and_turned_points(seed):
     close(six.velocity_at(a, x, y, z), there.linear, atol=1e-13)
     lower = np.tril(A)
     six.mirror(A)
-    np.testing.assert_array_equal(A, lower + np.tril(lower, -1).T)
+    assert_array_equal(A, lower + np.tril(lower, -1).T)
     close(algebra.cross(*a), np.cross(a[:3], a[3:]), atol=1e-13)
 
 
@@ -85,7 +88,9 @@ def test_a_reflector_takes_a_vector_to_an_axis_without_cancellation():
 @pytest.mark.parametrize("m", range(7))
 def test_reflections_and_their_inverse(m):
     rng = rng_of(m)
-    V, beta, x = rng.normal(size=(6, 6)), rng.normal(size=8), rng.normal(size=6)
+    V = rng.normal(size=(6, 6))
+    beta = rng.normal(size=8)
+    x = rng.normal(size=6)
     A = rng.normal(size=(6, 6))
     A += A.T
     H = np.eye(6)
@@ -104,8 +109,11 @@ def test_reflections_and_their_inverse(m):
 def test_qr_of_columns_of_six(rows):
     rng = rng_of(rows)
     X = rng.normal(size=(8, 6))
-    before, R, Q = X[:rows].T.copy(), rng.normal(size=(8, 8)), rng.normal(size=(7, 7))
-    diagonal, beta = rng.normal(size=8), rng.normal(size=8)
+    before = X[:rows].T.copy()
+    R = rng.normal(size=(8, 8))
+    Q = rng.normal(size=(7, 7))
+    diagonal = rng.normal(size=8)
+    beta = rng.normal(size=8)
     assert six.qr6(X, rows, R, diagonal, beta)
     assert not np.tril(X[:rows, :rows], -1).any(), "reflectors begin with zeros"
     six.form_q6(X, rows, beta, Q)
@@ -128,20 +136,22 @@ def test_cholesky_and_what_it_solves(n, first):
     rng = rng_of(n)
     root = rng.normal(size=(n, n))
     A = root @ root.T + 0.1 * np.eye(n)
-    whole, L = around(rng, A, first), rng.normal(size=(n + 1, n + 1))
+    whole = around(rng, A, first)
+    L = rng.normal(size=(n + 1, n + 1))
     whole[np.triu_indices(len(whole), 1)] = np.nan
     least = algebra.cholesky(whole, first, n, L)
     want = np.linalg.cholesky(A)
     close(np.tril(L[:n, :n], -1), np.tril(want, -1), atol=1e-10)
     close(1.0 / np.diag(L)[:n], np.diag(want), rtol=1e-10)
     close(least, min(np.diag(want) ** 2 / np.diag(A)), rtol=1e-9)
-    x, b = rng.normal(size=n + first + 2), rng.normal(size=n)
+    x = rng.normal(size=n + first + 2)
+    b = rng.normal(size=n)
     x[first : first + n] = b
     y = x.copy()
     algebra.cholesky_solve(L, n, y, first)
     close(A @ y[first : first + n], b, atol=1e-9)
     y[first : first + n] = b
-    np.testing.assert_array_equal(y, x)
+    assert_array_equal(y, x)
     for k in range(n):
         for bad in (0.0, -1.0, np.nan):
             broken = A.copy()
@@ -156,7 +166,9 @@ def test_cholesky_and_what_it_solves(n, first):
 def test_inverse_of_an_inertia(seed):
     rng = rng_of(seed)
     root = rng.normal(size=(6, 6))
-    A, L, out = root @ root.T + 0.1 * np.eye(6), rng.normal(size=(6, 6)), rng.normal(size=(6, 6))
+    A = root @ root.T + 0.1 * np.eye(6)
+    L = rng.normal(size=(6, 6))
+    out = rng.normal(size=(6, 6))
     pivots = np.diag(np.linalg.cholesky(A)) ** 2
     least = algebra.invert_spd6(np.tril(A), L, out)
     close(out, np.linalg.inv(A), atol=1e-8)
@@ -172,19 +184,22 @@ def test_elimination_with_pivots(n):
         A = rng.normal(size=(n, n))
         A[0, 0] = 0.0 if n > 1 else -2.0
         B = rng.normal(size=(n + columns, n + 1))[: columns + 2]
-        rows, behind = B[:columns, :n].copy(), B[columns:].copy()
+        rows = B[:columns, :n].copy()
+        behind = B[columns:].copy()
         assert algebra.lu_solve(around(rng, A) if n != 6 else A.copy(), n, B, columns)
         close(B[:columns, :n] @ A.T, rows, atol=1e-9)
-        np.testing.assert_array_equal(B[columns:], behind)
+        assert_array_equal(B[columns:], behind)
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 6, 7])
 def test_a_matrix_is_singular_where_a_pivot_is_next_to_nothing(n):
-    rng, solve = rng_of(n), algebra.lu_solve
+    rng = rng_of(n)
+    solve = algebra.lu_solve
     for k in range(n):
         order = rng.permutation(n)
         for share in (0.0, 0.5e-10, np.nan, 2e-10):
-            A, B = np.diag(-3.0 * np.ones(n)), rng.normal(size=(1, n))
+            A = np.diag(-3.0 * np.ones(n))
+            B = rng.normal(size=(1, n))
             A[k, k] = 3.0 * share
             b = B.copy()
             alone = n == 1 and share == 0.5e-10  # nothing beside which it is small
@@ -218,7 +233,7 @@ def test_qr_of_rows_of_any_length(rows, length):
     algebra.back_substitute(X, rows, 4, diagonal, Z)
     close(R @ Z[:rows, :4], wanted, atol=1e-9)
     Z[:rows, :4] = wanted
-    np.testing.assert_array_equal(Z, rest)
+    assert_array_equal(Z, rest)
     X = rng.normal(size=(rows, length))
     X[rows - 1] = 0.0
     assert not algebra.qr_rows(X, rows, length, diagonal, beta)
@@ -239,7 +254,8 @@ def test_rows_rotated_until_they_are_orthogonal(count, length):
         X[:count, length : length + count] = np.eye(count)
         before = X.copy()
         algebra.one_sided_jacobi(X, count, length, count)
-        U, rows = X[:count, length : length + count], X[:count, :length]
+        U = X[:count, length : length + count]
+        rows = X[:count, :length]
         close(U @ U.T, np.eye(count), atol=1e-12)
         close(U @ before[:count, :length], rows, atol=1e-12)
         gram = rows @ rows.T
@@ -249,7 +265,7 @@ def test_rows_rotated_until_they_are_orthogonal(count, length):
         want = np.pad(want, (0, count - len(want)))
         close(np.sort(size)[::-1], want, atol=1e-12 * want[0])
         X[:count, : length + count] = before[:count, : length + count]
-        np.testing.assert_array_equal(X, before)
+        assert_array_equal(X, before)
 
 
 @pytest.mark.parametrize("size", [1e-70, 1e-77, 1e-78, 1e-79, 1e-80, 1e-81, 1e-150, 1e-300])
@@ -265,26 +281,33 @@ def test_rows_of_next_to_nothing_turn_what_they_carry_without_stretching_it(size
 def test_lower_factor_and_orthonormal_rows(m, r):
     rng = rng_of(10 * m + r)
     for near in (1.0, 1e-7):
-        X, Q, L = rng.normal(size=(7, 6)), rng.normal(size=(7, 6)), rng.normal(size=(7, 7))
+        X = rng.normal(size=(7, 6))
+        Q = rng.normal(size=(7, 6))
+        L = rng.normal(size=(7, 7))
         X[r - 1] = X[0] + near * X[r - 1]
         before = X.copy()
         least = algebra.orthonormalise(X, r, m, Q, L)
-        np.testing.assert_array_equal(X, before)
-        Q, L = Q[:r].copy(), L[:r, :r]
+        assert_array_equal(X, before)
+        Q = Q[:r].copy()
+        L = L[:r, :r]
         assert not Q[:, :m].any()
         close(Q @ Q.T, np.eye(r), atol=1e-13)
         close(np.tril(L) @ Q[:, m:], X[:r, m:], atol=1e-13)
         close(least, min(np.diag(L) / np.linalg.norm(X[:r, m:], axis=1)), rtol=1e-9)
     X[r - 1, m:] = 0.0
     assert algebra.orthonormalise(X, r, m, np.zeros((7, 6)), np.zeros((7, 7))) == 0.0
-    L, b = rng.normal(size=(r + 1, r + 1)), rng.normal(size=r + 1)
-    for solve, A in (("solve_lower", np.tril(L[:r, :r])),
-                     ("solve_lower_transposed", np.tril(L[:r, :r]).T)):  # fmt: skip
+    L = rng.normal(size=(r + 1, r + 1))
+    b = rng.normal(size=r + 1)
+    for solve, A in (
+        ("solve_lower", np.tril(L[:r, :r])),
+        ("solve_lower_transposed", np.tril(L[:r, :r]).T),
+    ):
         x = b.copy()
         getattr(algebra, solve)(L, r, x)
         close(A @ x[:r], b[:r], atol=1e-9)
         assert x[r] == b[r]
-    x, wanted = rng.normal(size=6), rng.normal(size=r)
+    x = rng.normal(size=6)
+    wanted = rng.normal(size=r)
     algebra.project_onto_constraint(Q, r, y := x.copy(), wanted)
     close(y, x + Q.T @ (wanted - Q @ x), atol=1e-12)
 
@@ -295,9 +318,27 @@ SIGNS = [s for s in product((-1.0, 0.0, 1.0), repeat=3) if any(s)]
 
 
 def test_rotation_vectors_of_all_angles_and_axes():
-    rng, out = rng_of(0), np.zeros(4)
-    angles = [0.0, 1e-12, 1e-7, 0.9e-6, 1.1e-6, 1e-3, 0.3, 1.0, 1.6, 2.5, 2.9, 2.999, 3.0, 3.001,
-              3.1, np.pi - 1e-3, np.pi - 1e-6]  # fmt: skip
+    rng = rng_of(0)
+    out = np.zeros(4)
+    angles = [
+        0.0,
+        1e-12,
+        1e-7,
+        0.9e-6,
+        1.1e-6,
+        1e-3,
+        0.3,
+        1.0,
+        1.6,
+        2.5,
+        2.9,
+        2.999,
+        3.0,
+        3.001,
+        3.1,
+        np.pi - 1e-3,
+        np.pi - 1e-6,
+    ]
     for signs in SIGNS:
         w = np.array(signs) * rng.uniform(0.2, 1.0, 3)
         w /= np.linalg.norm(w)
@@ -323,7 +364,9 @@ def test_exactly_half_a_turn_leaves_the_sign_open_but_not_the_axis():
 @SEEDS
 def test_pose_errors_and_the_motion_law(seed):
     rng = rng_of(seed)
-    D, B, out = pose(rng), pose(rng), np.zeros(6)
+    D = pose(rng)
+    B = pose(rng)
+    out = np.zeros(6)
     if seed == 5:  # near a half turn
         D = pin.SE3(turn(rng, 3.13) @ B.rotation, D.translation)
     motion.pose_error(D.homogeneous, B.homogeneous, out)
@@ -354,7 +397,7 @@ def test_a_rotation_goes_on_and_is_squared_up(seed):
         held_object.rotate(Y, *w)
         close(Y[:3, :3], pin.exp3(w) @ X[:3, :3], atol=1e-11)
         Y[:3, :3] = X[:3, :3]
-        np.testing.assert_array_equal(Y, X)
+        assert_array_equal(Y, X)
     X = np.ones((4, 4))
     X[:3, :3] = turn(rng) + 0.05 * rng.normal(size=(3, 3))
     Q, R = np.linalg.qr(X[:3, :2])
@@ -362,7 +405,7 @@ def test_a_rotation_goes_on_and_is_squared_up(seed):
     held_object._square_up(X)
     close(X[:3, :2], Q, atol=1e-12)
     close(X[:3, 2], np.cross(Q[:, 0], Q[:, 1]), atol=1e-12)
-    np.testing.assert_array_equal(X[3], 1.0)
+    assert_array_equal(X[3], 1.0)
 
 
 @SEEDS
@@ -370,15 +413,19 @@ def test_logarithm_and_exponential_of_a_motion(seed):
     """Series below 10 mrad, and what they stand for above."""
     rng = rng_of(seed)
     for angle in (0.0, 1e-5, 0.0099, 0.0101, 0.1, 0.9, 2.0, 3.0):
-        w, p, B = rng.normal(size=3), rng.normal(size=3), np.full((6, 6), 7.0)
+        w = rng.normal(size=3)
+        p = rng.normal(size=3)
+        B = np.full((6, 6), 7.0)
         w *= angle / np.linalg.norm(w)
         M = pin.SE3(pin.exp3(w), p)
         held_object._remaining(p, w, B)
         close(B[0], pin.log6(M).vector, atol=1e-9)
         twist = np.concatenate((rng.normal(size=3), w))
         M = pose(rng)
-        R, point = np.full((6, 6), 7.0), np.append(M.translation, 7.0)
-        R[:3, :3], B[1] = M.rotation, twist
+        R = np.full((6, 6), 7.0)
+        point = np.append(M.translation, 7.0)
+        R[:3, :3] = M.rotation
+        B[1] = twist
         held_object._take_off(R, point, B)
         want = M * pin.exp6(-twist)
         close(R[:3, :3], want.rotation, atol=1e-9)
@@ -387,9 +434,12 @@ def test_logarithm_and_exponential_of_a_motion(seed):
 
 
 GROUPS = {  # motions of a joint, their rows of T
-    "cylinder": np.eye(6)[[2, 5]], "plane": np.eye(6)[[0, 1, 5]], "ball": np.eye(6)[[3, 4, 5]],
-    "screw": np.array([[0.0, 0.0, 0.6, 0.0, 0.0, 0.8]]), "slides": np.eye(6)[[0, 2]],
-}  # fmt: skip
+    "cylinder": np.eye(6)[[2, 5]],
+    "plane": np.eye(6)[[0, 1, 5]],
+    "ball": np.eye(6)[[3, 4, 5]],
+    "screw": np.array([[0.0, 0.0, 0.6, 0.0, 0.0, 0.8]]),
+    "slides": np.eye(6)[[0, 2]],
+}
 
 
 @pytest.mark.parametrize("name", GROUPS)
@@ -401,11 +451,16 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
     if name == "screw":
         N = np.vstack((N, [0.0, 0.0, 0.8, 0.0, 0.0, -0.6]))
     for size in (0.0, 1e-3, 0.3, 1.5):
-        n, t = 0.2 * rng.normal(size=len(N)), size * rng.uniform(-1.0, 1.0, len(T))
-        tip, X_TO = pose(rng), pose(rng)
+        n = 0.2 * rng.normal(size=len(N))
+        t = size * rng.uniform(-1.0, 1.0, len(T))
+        tip = pose(rng)
+        X_TO = pose(rng)
         X = tip * pin.exp6(N.T @ n) * pin.exp6(T.T @ t) * X_TO
-        arm = Record(m=len(N), grasp=np.vstack((N, T)),
-                     X_TO=np.append(X_TO.rotation.ravel(), X_TO.translation))  # fmt: skip
+        arm = Record(
+            m=len(N),
+            grasp=np.vstack((N, T)),
+            X_TO=np.append(X_TO.rotation.ravel(), X_TO.translation),
+        )
         frame = np.vstack((tip.rotation, tip.translation))
         out = np.full(6, 7.0)
         scratch = np.zeros((2, 6, 6))
@@ -416,8 +471,11 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
 @SEEDS
 def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
     rng = rng_of(seed)
-    tip, X = pose(rng), pose(rng)
-    point, axis, tip_axis = rng.normal(size=3), turn(rng)[0], turn(rng)[0]
+    tip = pose(rng)
+    X = pose(rng)
+    point = rng.normal(size=3)
+    axis = turn(rng)[0]
+    tip_axis = turn(rng)[0]
     if seed == 5:  # fits
         axis = X.rotation.T @ tip.rotation @ tip_axis
     rows = np.zeros((6, 6))
@@ -432,7 +490,7 @@ def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
     close(out[3:5], rows[3:5, 3:] @ pin.log3(between.toRotationMatrix()), atol=1e-9)
     arm.kind = at.BALL
     held_object._miss(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
-    np.testing.assert_array_equal(ball, [*out[:3], 7.0, 7.0, 7.0])
+    assert_array_equal(ball, [*out[:3], 7.0, 7.0, 7.0])
 
 
 # --- faces ----------------------------------------------------------------------------------------
@@ -465,12 +523,22 @@ def test_motions_that_a_body_carries(seed):
 @pytest.mark.parametrize("mu", [0.0, 0.3])
 def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     rng = rng_of(3)
-    X, E = pose(rng), pose(rng)
+    X = pose(rng)
+    E = pose(rng)
     V_O, V_W = rng.normal(size=(2, 6))
-    row, A_D, dt, slip = a_pair(rng), 30.0 * rng.normal(size=6), 1e-3, 0.01
+    row = a_pair(rng)
+    A_D = 30.0 * rng.normal(size=6)
+    dt = 1e-3
+    slip = 0.01
     pair = Record(kind=at.POINTS, first=0, count=1, shape_at=0, has_friction=1)
-    column = Record(N=np.zeros(6), turn=np.zeros(3), n_gamma_all=0.0, slip=np.zeros(3),
-                    point=np.zeros(3), friction_wrench=np.zeros(6))  # fmt: skip
+    column = Record(
+        N=np.zeros(6),
+        turn=np.zeros(3),
+        n_gamma_all=0.0,
+        slip=np.zeros(3),
+        point=np.zeros(3),
+        friction_wrench=np.zeros(6),
+    )
     work = Record(
         A=np.zeros((6, 6)),
         u=np.zeros(6),
@@ -497,7 +565,8 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
         )
     )
     if not moving:
-        E, V_W = pin.SE3.Identity(), np.zeros(6)
+        E = pin.SE3.Identity()
+        V_W = np.zeros(6)
     n, _, p = line_of(row, X, E)
     p = p - X.translation
     body = V_W.copy()
@@ -509,7 +578,8 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     close(column.point, p, atol=1e-10)
     close(column.slip, s, atol=1e-10)
     close(column.friction_wrench, mu * np.append(s, np.cross(p, s)), atol=1e-10)
-    chain.reading, column.slip[:] = at.FILTER, 9.0
+    chain.reading = at.FILTER
+    column.slip[:] = 9.0
     contact.place_contacts(
         tick_of(
             model=chain,
@@ -534,9 +604,11 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
         n_gamma = size * rng.normal(size=2)
         implied = share @ n_gamma
         summands = abs(implied) + np.abs(share * n_gamma).sum()
-        rows = [Record(n_gamma=n_gamma[0], share=[1.0, 0.0], extent=1.0, chosen=4),
-                Record(n_gamma=n_gamma[1], share=[0.0, 1.0], extent=1.0, chosen=2),
-                Record(n_gamma=implied, share=share, extent=1.0, chosen=7)]  # fmt: skip
+        rows = [
+            Record(n_gamma=n_gamma[0], share=[1.0, 0.0], extent=1.0, chosen=4),
+            Record(n_gamma=n_gamma[1], share=[0.0, 1.0], extent=1.0, chosen=2),
+            Record(n_gamma=implied, share=share, extent=1.0, chosen=7),
+        ]
         work = Record(keep=[0.0, 1.0], where=-1, amount=0.0)
 
         def check(rows, count, rank, work):

@@ -5,26 +5,15 @@ What whole ticks show (the motion filter, commanded forces, yielding bodies) `te
 Goes on where `test_law_parts.py` ends, in the same way.
 """
 
-from __future__ import annotations
-
 from math import inf
 from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from law_calls import (
-    allocation,
-    energy,
-    force,
-    phases,
-    safety,
-    singular,
-    stages,
-    tick_of,
-    verdict,
-)
+from law_calls import allocation, energy, force, phases, safety, singular, stages, tick_of, verdict
 from law_calls import command_filter as command
+from numpy.testing import assert_array_equal
 from rigs import random_faces, random_state, scara_pair
 from test_law import UNLIMITED, inputs, motion_of
 from test_law_parts import SEEDS, close, pose, rng_of, turn
@@ -46,7 +35,9 @@ class Energy:
     """Energy coordinates of an object of 2 kg at C, given at O."""
 
     def __init__(self, rng):
-        self.R, self.C, self.O = turn(rng), rng.normal(size=3), rng.normal(size=3)
+        self.R = turn(rng)
+        self.C = rng.normal(size=3)
+        self.O = rng.normal(size=3)
         self.roots = np.sqrt([2.0, 0.03, 0.05, 0.07])
         self.axes = np.zeros((4, 3, 3))
         energy.set_axes(self.R, self.roots, self.axes)
@@ -69,17 +60,30 @@ def frame(M):
 @SEEDS
 def test_readings_of_the_wrists_add_up(seed):
     rng = rng_of(seed)
-    e, arms, joints, total = Energy(rng), [], [], np.zeros(6)
-    wrenches, tare, bias = rng.normal(size=(3, 6)), rng.normal(size=6), rng.normal(size=6)
+    e = Energy(rng)
+    arms = []
+    joints = []
+    total = np.zeros(6)
+    wrenches = rng.normal(size=(3, 6))
+    tare = rng.normal(size=6)
+    bias = rng.normal(size=6)
     for k in range(3):
-        M, sensor = pose(rng), pose(rng)
+        M = pose(rng)
+        sensor = pose(rng)
         joints.append(Record(R=M.rotation, p=M.translation))
         arms.append(Record(sensor_joint=-1 if k == 1 else k, sensor=frame(sensor), filtered=0))
         if k != 1:
             at_O = pin.SE3(np.eye(3), e.O).inverse() * M * sensor
             total += at_O.act(pin.Force(wrenches[k])).vector
-    work = Record(**e.given(), reading_e=np.ones(6), f_meas=np.ones(6), y=np.zeros(6),
-                  s=np.zeros(16), u=np.zeros(6), bias_e=bias)  # fmt: skip
+    work = Record(
+        **e.given(),
+        reading_e=np.ones(6),
+        f_meas=np.ones(6),
+        y=np.zeros(6),
+        s=np.zeros(16),
+        u=np.zeros(6),
+        bias_e=bias,
+    )
     force.sum_readings(
         tick_of(
             model=Record(n_arms=3),
@@ -98,15 +102,27 @@ def test_readings_of_the_wrists_add_up(seed):
 @pytest.mark.parametrize("dependent", [False, True])
 def test_friction_goes_with_the_magnitudes(dependent):
     rng = rng_of(int(dependent))
-    e, chosen, N = Energy(rng), [2, 0, 3], rng.normal(size=(6, 6))
+    e = Energy(rng)
+    chosen = [2, 0, 3]
+    N = rng.normal(size=(6, 6))
     r = 2 if dependent else 3
-    columns = [Record(chosen=c, share=rng.normal(size=6), friction_wrench=rng.normal(size=6))
-               for c in (*chosen, 1)]  # fmt: skip
+    columns = [
+        Record(chosen=c, share=rng.normal(size=6), friction_wrench=rng.normal(size=6))
+        for c in (*chosen, 1)
+    ]
     S = np.array([columns[j].share[:r] for j in range(3)]) if dependent else np.eye(3)
     D = S.T @ np.array([columns[c].friction_wrench for c in chosen])
     for mu in (0.0, 0.4):
-        work = Record(**e.given(), rank=r, count=3, mu=mu, N=N, u=np.zeros(6),
-                      pushed=np.ones((6, 6)), friction_wrenches=np.ones((6, 6)))  # fmt: skip
+        work = Record(
+            **e.given(),
+            rank=r,
+            count=3,
+            mu=mu,
+            N=N,
+            u=np.zeros(6),
+            pushed=np.ones((6, 6)),
+            friction_wrenches=np.ones((6, 6)),
+        )
         force.add_friction(tick_of(work_columns=columns, work=work))
         close(work.friction_wrenches[:r], (mu > 0.0) * D, atol=1e-10)
         close(work.pushed[:r], N[:r] + (mu > 0.0) * D @ e.wrench.T, atol=1e-9)
@@ -117,28 +133,48 @@ class Filter:
 
     def __init__(self, seed, r, m=0, held=1):
         rng = rng_of(seed)
-        self.chain, self.r, self.m = Record(held=held), r, m
+        self.chain = Record(held=held)
+        self.r = r
+        self.m = m
         self.N = rng.normal(size=(r, 6))
         Q, R = np.linalg.qr(self.N.T)
         self.Lambda = np.eye(6) * 3.0 + rng.normal(size=(6, 6))  # not symmetric: grasps that slip
-        V, H = rng.normal(size=(6, 6)), np.eye(6)
+        V = rng.normal(size=(6, 6))
+        H = np.eye(6)
         for k in range(m):
             H = (np.eye(6) - 2.0 / (V[k] @ V[k]) * np.outer(V[k], V[k])) @ H
-        self.H, turned = H, np.where(np.arange(6) < m, rng.normal(size=6), 0.0)
-        self.sigma, self.S = H.T @ turned, H.T[:, m:]
-        self.f, self.Phi = rng.normal(size=6), 0.2 * rng.normal(size=(r, r))
+        self.H = H
+        turned = np.where(np.arange(6) < m, rng.normal(size=6), 0.0)
+        self.sigma = H.T @ turned
+        self.S = H.T[:, m:]
+        self.f = rng.normal(size=6)
+        self.Phi = 0.2 * rng.normal(size=(r, r))
         self.pushed = self.N + 0.2 * rng.normal(size=(r, 6))
         self.known = rng.normal(size=(2, r))
         self.work = Record(
-            rank=r, locked=m, weightless=9, reflectors=V, beta=2.0 / (V * V).sum(axis=1),
-            sigma=turned, Q=rng.normal(size=(6, 6)), L=rng.normal(size=(6, 6)),
-            out_T=self.Lambda.T.copy(), reading_e=self.f.copy(), Phi_mu=np.zeros((6, 6)),
-            pushed=rng.normal(size=(6, 6)), n_gamma=self.known[0], b_N=self.known[1],
+            rank=r,
+            locked=m,
+            weightless=9,
+            reflectors=V,
+            beta=2.0 / (V * V).sum(axis=1),
+            sigma=turned,
+            Q=rng.normal(size=(6, 6)),
+            L=rng.normal(size=(6, 6)),
+            out_T=self.Lambda.T.copy(),
+            reading_e=self.f.copy(),
+            Phi_mu=np.zeros((6, 6)),
+            pushed=rng.normal(size=(6, 6)),
+            n_gamma=self.known[0],
+            b_N=self.known[1],
             alpha_meas=np.full(6, 7.0),
             **{name: rng.normal(size=(6, 6)) for name in ("A", "B", "D", "E", "solved")},
-            mobility=np.zeros((6, 6)), z=np.ones(6), w=np.ones(6), u=np.ones(6),
-        )  # fmt: skip
-        self.work.Q[:r], self.work.L[:r, :r] = Q.T, R.T
+            mobility=np.zeros((6, 6)),
+            z=np.ones(6),
+            w=np.ones(6),
+            u=np.ones(6),
+        )
+        self.work.Q[:r] = Q.T
+        self.work.L[:r, :r] = R.T
         self.work.pushed[:r], self.work.Phi_mu[:r, :r] = self.pushed, self.Phi
 
     def measure(self):
@@ -148,7 +184,9 @@ class Filter:
 
     def want(self):
         """Sᵀf = SᵀΛ_out(Sη̇ + σ) + SᵀN_μα, Nᵀ(Sη̇ + σ) = n_γ + b_N + Φ_μα."""
-        S, Lambda, d = self.S, self.Lambda, 6 - self.m
+        S = self.S
+        Lambda = self.Lambda
+        d = 6 - self.m
         whole = np.block([[S.T @ Lambda @ S, S.T @ self.pushed.T], [self.N @ S, -self.Phi]])
         right = np.append(
             S.T @ (self.f - Lambda @ self.sigma), self.known.sum(axis=0) - self.N @ self.sigma
@@ -199,10 +237,13 @@ def test_sensors_at_the_contact_read_the_contact_force(r):
 
 
 def ask_force(alpha_d, alpha_meas, speed, integral, least=-inf, gain=20.0, damping=100.0, most=5.0):
-    after, out = np.zeros(3), np.zeros(3)
+    after = np.zeros(3)
+    out = np.zeros(3)
     # columns beside it differ, so that each has its own
-    full = [np.array([1.0, x, 2.0]) for x in
-            (alpha_d, alpha_meas, speed, integral, gain, damping, least)]  # fmt: skip
+    full = [
+        np.array([1.0, x, 2.0])
+        for x in (alpha_d, alpha_meas, speed, integral, gain, damping, least)
+    ]
     a_d, a_m, s, i, g, d, floor = full
     force.command_force(
         tick_of(
@@ -245,10 +286,12 @@ def test_the_force_law():
 
 @pytest.mark.parametrize("dependent", [False, True])
 def test_laws_of_contacts_are_those_of_their_columns(dependent):
-    contacts = [Record(gain=3.0, damping=5.0, least=0.1, brake=0.7),
-                Record(gain=2.0, damping=9.0, least=0.2, brake=0.6),
-                Record(gain=1.0, damping=4.0, least=0.3, brake=0.8),
-                Record(gain=0.0, damping=99.0, least=0.9, brake=9.0)]  # fmt: skip
+    contacts = [
+        Record(gain=3.0, damping=5.0, least=0.1, brake=0.7),
+        Record(gain=2.0, damping=9.0, least=0.2, brake=0.6),
+        Record(gain=1.0, damping=4.0, least=0.3, brake=0.8),
+        Record(gain=0.0, damping=99.0, least=0.9, brake=9.0),
+    ]
     table = [Record(contact=c) for c in (1, 0, 2, 3)]
     columns = [Record(chosen=c) for c in (2, 0, 1)]
     laws = {name: np.full(3, 7.0) for name in ("gain", "damping", "brake", "least")}
@@ -260,7 +303,7 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     want = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]]
     if not dependent:
         want = [[2.0, 1.0], [9.0, 4.0], [0.2, 0.3], [0.6, 0.8]]
-    np.testing.assert_array_equal(found, np.column_stack((want, np.full(4, 7.0))))
+    assert_array_equal(found, np.column_stack((want, np.full(4, 7.0))))
 
 
 # --- stops ----------------------------------------------------------------------------------------
@@ -272,20 +315,34 @@ class Stop:
     def __init__(self, seed, motors=(0, 1, 2, 3)):
         self.rng = rng = rng_of(seed)
         self.principal = np.array([4.0, 0.1, 0.2, 0.3])
-        self.tip, self.own = pose(rng), pose(rng)
-        self.chain = Record(n_arms=2, principal=self.principal, leader=1, held=1,
-                            gravity=np.array([1.0, -2.0, -9.0]), X_LP=frame(self.own))  # fmt: skip
+        self.tip = pose(rng)
+        self.own = pose(rng)
+        self.chain = Record(
+            n_arms=2,
+            principal=self.principal,
+            leader=1,
+            held=1,
+            gravity=np.array([1.0, -2.0, -9.0]),
+            X_LP=frame(self.own),
+        )
         self.arms = [Record(first=2 * k, end=2 * k + 2, tip_joint=2 * k + 1) for k in range(2)]
         self.joints = [
-            Record(h=rng.normal(), M=rng.normal(size=2), column=rng.normal(size=6), tau=0.0,
-                   acceleration=rng.normal(), rest=0.0)
+            Record(
+                h=rng.normal(),
+                M=rng.normal(size=2),
+                column=rng.normal(size=6),
+                tau=0.0,
+                acceleration=rng.normal(),
+                rest=0.0,
+            )
             for _ in range(4)
-        ]  # fmt: skip
+        ]
         self.joints[3].R, self.joints[3].p = self.tip.rotation, self.tip.translation
         self.table = [Record(motor=i, tau_max=inf) for i in motors]
         self.memory = Record(located=0, X_WO=pose(rng).homogeneous)
-        self.work = Record(y=rng.normal(size=6), u=rng.normal(size=6), A=np.eye(6), z=np.ones(6),
-                           w=np.zeros(6))  # fmt: skip
+        self.work = Record(
+            y=rng.normal(size=6), u=rng.normal(size=6), A=np.eye(6), z=np.ones(6), w=np.zeros(6)
+        )
         self.work.A[:3, :3] = turn(rng)
 
     def pull(self, mass):
@@ -298,7 +355,8 @@ class Stop:
 
 @SEEDS
 def test_a_share_of_the_object_follows_the_joints(seed):
-    stop, out = Stop(seed), np.full(6, 7.0)
+    stop = Stop(seed)
+    out = np.full(6, 7.0)
     for mass in (2.0, 0.0):
         safety._accelerate_object(
             tick_of(model=stop.chain, work_joints=stop.joints, work=stop.work),
@@ -392,11 +450,13 @@ def test_each_arm_carries_its_share_of_the_weight(seed, how):
 @SEEDS
 def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_large(seed):
     rng = rng_of(seed)
-    root, reference = rng.normal(size=(6, 6)), 10.0 ** rng.uniform(-2.0, 1.0, 6)
+    root = rng.normal(size=(6, 6))
+    reference = 10.0 ** rng.uniform(-2.0, 1.0, 6)
     Lambda = root @ root.T
     beside = np.sqrt((Lambda**2 / np.outer(reference, reference)).sum())
     Lambda *= 0.3**-2 / beside  # at the limit: 1/χ² = 1/0.3²
-    chain, arm = Record(lightness=1.0 / reference), Record(full_rank=5)
+    chain = Record(lightness=1.0 / reference)
+    arm = Record(full_rank=5)
     for factor, kept, want in ((0.999, 5, False), (1.001, 5, True), (1e-9, 4, True)):
         own = Record(Lambda=factor * Lambda, n_kept=kept)
         assert singular.may_be_singular(tick_of(model=chain), arm, own) == want
@@ -406,7 +466,8 @@ def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_lar
 @pytest.mark.parametrize("n", [2, 4, 7])
 def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
     """The axes before it are spanned already: only the last ones are new."""
-    rng, small = rng_of(n), singular._unit_row
+    rng = rng_of(n)
+    small = singular._unit_row
     for k in range(n):
         X = np.zeros((n + 1, n + 2))
         X[:k, :k] = np.linalg.qr(rng.normal(size=(k, k)))[0]
@@ -416,7 +477,7 @@ def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
         behind = X[k, n:].copy()
         small(X, k, n, chi)
         close(X[: k + 1, :n] @ X[: k + 1, :n].T, np.eye(k + 1), atol=1e-12)
-        np.testing.assert_array_equal(X[k, n:], behind)
+        assert_array_equal(X[k, n:], behind)
     X = rng.normal(size=(3, 7))
     want = X[1, :5] / 0.3
     small(X, 1, 5, 0.3)
@@ -430,8 +491,8 @@ def test_rows_in_order_shares_and_the_way_back():
     before = X.copy()
     singular._sort_rows(X, 4, 3)
     order = [*np.argsort(-np.linalg.norm(before[:4, :3], axis=1)), 4]
-    np.testing.assert_array_equal(X[:, :9], before[order, :9])
-    np.testing.assert_array_equal(X[:, 9], before[:, 9])
+    assert_array_equal(X[:, :9], before[order, :9])
+    assert_array_equal(X[:, 9], before[:, 9])
     share = singular._share_left
     for s, want in ((-1.0, 0.0), (0.0, 0.0), (0.25, 0.15625), (0.5, 0.5), (1.0, 1.0), (9.0, 1.0)):
         close(share(0.05 + 0.25 * s), want, atol=1e-12)
@@ -443,7 +504,9 @@ def test_rows_in_order_shares_and_the_way_back():
 @pytest.mark.parametrize("gone", [0.0, 1.0])
 def test_lost_motions_are_left_to_the_posture(seed, gone):
     """νᵀτ = (1 − φ) νᵀ(h + M q̈) for ν with νᵀMν = 1; where it is gone, all of it."""
-    rng, n, lo = rng_of(seed), 3, 2
+    rng = rng_of(seed)
+    n = 3
+    lo = 2
     root = rng.normal(size=(n, n))
     M, h, tau, rest = root @ root.T, *rng.normal(size=(3, n))
     q, v, posture = rng.normal(size=(3, lo + n))
@@ -474,11 +537,15 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
 def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
     table = [Record(motor=i, tau_max=2.0) for i in (1, -1, 0)]
     for torques, excess, finite in (
-        ((1.9, 99.0, -2.0), False, True), ((2.1, 0.0, 0.0), True, True),
-        ((0.0, 0.0, -2.1), True, True), ((np.nan, 0.0, 0.0), False, False),
-        ((0.0, 0.0, -inf), False, False), ((0.0, np.nan, 0.0), False, True),
-    ):  # fmt: skip
-        tau, joints = np.full(4, 7.0), [Record(tau=t) for t in torques]
+        ((1.9, 99.0, -2.0), False, True),
+        ((2.1, 0.0, 0.0), True, True),
+        ((0.0, 0.0, -2.1), True, True),
+        ((np.nan, 0.0, 0.0), False, False),
+        ((0.0, 0.0, -inf), False, False),
+        ((0.0, np.nan, 0.0), False, True),
+    ):
+        tau = np.full(4, 7.0)
+        joints = [Record(tau=t) for t in torques]
         found = allocation.limit_torques(
             tick_of(model=Record(n_joints=3), model_joints=table, work_joints=joints, work_tau=tau)
         )
@@ -488,11 +555,20 @@ def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
 
 
 def test_joints_are_pushed_away_from_their_limits():
-    joint, push = Record(low=-1.0, high=2.0, width=0.4, most=6.0), allocation.push_from_limits
+    joint = Record(low=-1.0, high=2.0, width=0.4, most=6.0)
+    push = allocation.push_from_limits
     for q, want in (
-        (0.0, 0.0), (2.0, 0.0), (2.1, -6.0 * 0.15625), (2.2, -3.0), (2.4, -6.0), (3.0, -6.0),
-        (-1.0, 0.0), (-1.1, 6.0 * 0.15625), (-1.4, 6.0), (-9.0, 6.0),
-    ):  # fmt: skip
+        (0.0, 0.0),
+        (2.0, 0.0),
+        (2.1, -6.0 * 0.15625),
+        (2.2, -3.0),
+        (2.4, -6.0),
+        (3.0, -6.0),
+        (-1.0, 0.0),
+        (-1.1, 6.0 * 0.15625),
+        (-1.4, 6.0),
+        (-9.0, 6.0),
+    ):
         close(push(joint, q), want, atol=1e-12)
 
 
@@ -533,15 +609,18 @@ def test_columns_on_which_the_arms_can_push(held):
     # columns that differ by so much
     for apart, want in ((0.3e-10, at.INSEPARABLE), (3e-10, at.NO_REASON)):
         N = np.zeros((2, 6))
-        N[:, 1], N[1, 4] = 1.0, apart
+        N[:, 1] = 1.0
+        N[1, 4] = apart
         assert judged(N, np.eye(6), held)[0] == want
 
 
 @pytest.mark.parametrize("held", [0, 1])
 @pytest.mark.parametrize("m", [0, 2])
 def test_how_far_columns_are_apart_as_seen_through_the_arms(held, m):
-    rng, d = rng_of(m), 6 - m
-    root, N = rng.normal(size=(6, 6)), rng.normal(size=(3, 6))
+    rng = rng_of(m)
+    d = 6 - m
+    root = rng.normal(size=(6, 6))
+    N = rng.normal(size=(3, 6))
     Lambda = root @ root.T
     _, work = judged(N, Lambda, held, m)
     assert command._judge_reach(tick_of(model=Record(held=held), work=work)) == at.NO_REASON
@@ -567,17 +646,36 @@ def test_an_inertia_that_is_none_is_noticed_where_nothing_is_held():
 
 def test_every_number_that_comes_in_is_looked_at():
     chain = Record(n_joints=2, n_arms=2, n_columns=3, n_bars=2, n_contacts=2)
-    shapes = {"q": (3,), "v": (3,), "wrenches": (3, 6), "X_WD": (4, 4), "V_D": (6,), "A_D": (6,),
-              "alpha_d": (4,), "squeeze": (3,), "touched": (3, 28)}  # fmt: skip
-    counts = {"q": 2, "v": 2, "wrenches": 12, "X_WD": 16, "V_D": 6, "A_D": 6, "alpha_d": 3,
-              "squeeze": 2, "touched": 56}  # fmt: skip
+    shapes = {
+        "q": (3,),
+        "v": (3,),
+        "wrenches": (3, 6),
+        "X_WD": (4, 4),
+        "V_D": (6,),
+        "A_D": (6,),
+        "alpha_d": (4,),
+        "squeeze": (3,),
+        "touched": (3, 28),
+    }
+    counts = {
+        "q": 2,
+        "v": 2,
+        "wrenches": 12,
+        "X_WD": 16,
+        "V_D": 6,
+        "A_D": 6,
+        "alpha_d": 3,
+        "squeeze": 2,
+        "touched": 56,
+    }
     given = {name: np.ones(shape) for name, shape in shapes.items()}
 
     def look(chain, squeeze, engaged, moving, **came):
         return stages.is_finite(
             tick_of(model=chain, memory=Record(squeeze=squeeze), input=Record(**came)),
-            engaged, moving,
-        )  # fmt: skip
+            engaged,
+            moving,
+        )
 
     for engaged in (False, True):
         for moving in (False, True):
@@ -633,7 +731,7 @@ def test_friction_that_is_learnt_is_never_negative():
                 input_wrenches=np.zeros((0, 6)),
                 input_touched=np.zeros((0, 28)),
                 work_goal=np.zeros(0),
-            ),
+            )
         )
         assert reason == at.NO_REASON and not work.f_c.any()
         close(work.mu, want, atol=1e-12)
@@ -645,17 +743,16 @@ def test_friction_that_is_learnt_is_never_negative():
 @pytest.mark.parametrize("step_time", [0.0, 0.05])
 def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase, step_time):
     chain = Record(n_columns=2, step_time=step_time, period=1e-3, phased=0)
-    contacts, owners = (
-        [Record(phase=phase), Record(phase=CLOSED)],
-        [Record(contact=0), Record(contact=1)],
-    )
+    contacts = [Record(phase=phase), Record(phase=CLOSED)]
+    owners = [Record(contact=0), Record(contact=1)]
     memory = Record(ticked=1, step_left=0.0, step_time=0.05)
     kept = [
         Record(drift=0.1, has_desired=0, desired=0.0, scale=0.0, to_come=np.zeros(3))
         for _ in range(2)
     ]
-    columns = [Record(chosen=j, goal=9.0, scale=9.0, shaped=9, to_come=np.ones(3))
-               for j in range(2)]  # fmt: skip
+    columns = [
+        Record(chosen=j, goal=9.0, scale=9.0, shaped=9, to_come=np.ones(3)) for j in range(2)
+    ]
     work = Record(
         rank=2,
         count=2,
@@ -706,11 +803,13 @@ def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase, step_tim
 
 def a_tick():
     """A controller of two contacts after a tick, and what the law was given."""
-    chain, rng = scara_pair(), rng_of(0)
+    chain = scara_pair()
+    rng = rng_of(0)
     q, v = random_state(chain, rng)
     pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
     controller = osc.Controller(chain, pairs, safety=UNLIMITED)
-    tick, seen = controller._rows, []
+    tick = controller._rows
+    seen = []
     controller._rows = lambda *given: seen.append(given) or tick(*given)
     controller.tick(*inputs(chain, q, v, rng, 2, motion_of(rng, 2)))
     memory = controller._records.memory
@@ -745,7 +844,7 @@ def test_joints_of_another_number_are_not_read(place, count):
             tick(*given[:place], x[:n], *given[place + 1 :])
             torques.append(memory.torques.copy())
         found.append((torques, memory.state))
-    np.testing.assert_array_equal(found[0][0], found[1][0])
+    assert_array_equal(found[0][0], found[1][0])
     assert found[0][1] == found[1][1] == at.SAFE_STOP
 
 
@@ -753,11 +852,14 @@ def test_joints_of_another_number_are_not_read(place, count):
 @pytest.mark.parametrize("held", [0, 1])
 def test_the_motion_integral_is_handed_over_as_a_wrench(r, m, held):
     rng = rng_of(10 * r + m)
-    e, V, H = Energy(rng), rng.normal(size=(6, 6)), np.eye(6)
+    e = Energy(rng)
+    V = rng.normal(size=(6, 6))
+    H = np.eye(6)
     beta = 2.0 / (V * V).sum(axis=1)
     for k in range(m):
         H = (np.eye(6) - beta[k] * np.outer(V[k], V[k])) @ H
-    N_t, Lambda = rng.normal(size=(r, 6)), rng.normal(size=(6, 6))
+    N_t = rng.normal(size=(r, 6))
+    Lambda = rng.normal(size=(6, 6))
     Q, R = np.linalg.qr(N_t[:, m:].T)
     work = Record(
         **e.given(),
@@ -773,7 +875,8 @@ def test_the_motion_integral_is_handed_over_as_a_wrench(r, m, held):
         y=np.zeros(6),
         z=np.zeros(6),
     )
-    total, before = np.arange(6.0) - 2.0, np.full(6, 0.5)
+    total = np.arange(6.0) - 2.0
+    before = np.full(6, 0.5)
     memory = Record(motion_sum=total.copy(), f_bias=before.copy())
     stages.hand_over(tick_of(model=Record(integral=3.0, held=held), work=work, memory=memory))
     to_energy = H @ e.motion
@@ -795,16 +898,41 @@ def ask_command(flags=0, rank=2, missing=0, integral=2.0, **more):
         hand_over=lambda t: seen.update(handed=True),
         reduce_motion=lambda *given: seen.update(reduced=True),
     )
-    chain = Record(period=1e-3, integral_force=5.0, integral_motion=0.8, integral=integral,
-                   stiffness=3.0, damping=4.0)  # fmt: skip
-    work = Record(rank=2, dt=1e-3, n_lost=0, locked=0, gain=np.array([20.0, 30.0]), w=np.zeros(6),
-                  alpha_d=np.array([8.0, 9.0]), felt=np.array([6.0, 10.0]),
-                  speed=np.array([0.01, 0.02]), damping=np.array([100.0, 0.0]),
-                  least=np.full(2, -inf), force_next=np.zeros(2), alpha_u=np.full(2, 7.0),
-                  motion_next=np.array([100.0, -900.0, 900.0, 0.0, 0.0, 0.0]),
-                  error=np.arange(6.0), V_O=np.zeros(6), a_u=np.full(6, 7.0))  # fmt: skip
-    memory = Record(force_sum=np.array([0.5, -0.5]), force_rank=rank, wrench_missing=missing,
-                    hand_over=0, motion_sum=np.full(6, 0.1), f_bias="bias")  # fmt: skip
+    chain = Record(
+        period=1e-3,
+        integral_force=5.0,
+        integral_motion=0.8,
+        integral=integral,
+        stiffness=3.0,
+        damping=4.0,
+    )
+    work = Record(
+        rank=2,
+        dt=1e-3,
+        n_lost=0,
+        locked=0,
+        gain=np.array([20.0, 30.0]),
+        w=np.zeros(6),
+        alpha_d=np.array([8.0, 9.0]),
+        felt=np.array([6.0, 10.0]),
+        speed=np.array([0.01, 0.02]),
+        damping=np.array([100.0, 0.0]),
+        least=np.full(2, -inf),
+        force_next=np.zeros(2),
+        alpha_u=np.full(2, 7.0),
+        motion_next=np.array([100.0, -900.0, 900.0, 0.0, 0.0, 0.0]),
+        error=np.arange(6.0),
+        V_O=np.zeros(6),
+        a_u=np.full(6, 7.0),
+    )
+    memory = Record(
+        force_sum=np.array([0.5, -0.5]),
+        force_rank=rank,
+        wrench_missing=missing,
+        hand_over=0,
+        motion_sum=np.full(6, 0.1),
+        f_bias="bias",
+    )
     for name, value in more.items():
         setattr(work if hasattr(work, name) else memory, name, value)
     given = Record(V_D=np.ones(6), A_D=np.ones(6))
@@ -838,8 +966,15 @@ def test_laws_and_integrals_of_a_tick():
 
 
 def test_contacts_take_part_as_their_phase_says():
-    chain = Record(n_contacts=6, n_columns=0, force_gain=3.0, force_damping=5.0, force_brake=0.5,
-                   approach_damping=200.0, least_force=0.4)  # fmt: skip
+    chain = Record(
+        n_contacts=6,
+        n_columns=0,
+        force_gain=3.0,
+        force_damping=5.0,
+        force_brake=0.5,
+        approach_damping=200.0,
+        least_force=0.4,
+    )
     cases = [(phase, pushes) for phase in (OPEN, APPROACHING, CLOSED) for pushes in (0, 1)]
     contacts = [Record(phase=phase) for phase, _ in cases]
     bodies = [Record(pushes=pushes) for _, pushes in cases]
@@ -856,25 +991,50 @@ def test_contacts_take_part_as_their_phase_says():
     for contact, (phase, pushes) in zip(contacts, cases, strict=True):
         near = phase == APPROACHING
         found = contact.active, contact.gain, contact.damping, contact.brake, contact.least
-        assert found == (int(phase != OPEN), 0.0 if near else 3.0, 200.0 if near else 5.0,
-                         0.0 if near else 0.5, 0.4 if pushes and not near else -inf)  # fmt: skip
+        assert found == (
+            int(phase != OPEN),
+            0.0 if near else 3.0,
+            200.0 if near else 5.0,
+            0.0 if near else 0.5,
+            0.4 if pushes and not near else -inf,
+        )
 
 
-@pytest.mark.parametrize(("phase", "pushes", "since", "gap", "pace", "want"), [
-    (CLOSED, 1, 9.0, 0.0, 0.0, 8.0), (CLOSED, 1, 0.1, 0.0, 0.0, 2.0 + 0.25 * 6.0),
-    (CLOSED, 0, 0.1, 0.0, 0.0, 8.0), (APPROACHING, 0, 0.1, 0.0, 0.0, 0.5),
-    (APPROACHING, 1, 0.1, 0.0, 0.0, 0.5), (APPROACHING, 1, 0.1, 0.0, -0.004, 0.5 + 0.8),
-    (APPROACHING, 1, 0.1, 0.0, 0.1, 2.0), (APPROACHING, 1, 0.1, 0.006, 0.0, 2.0),
-    (APPROACHING, 1, 0.1, 0.006, 0.02, 6.0), (APPROACHING, 1, 0.1, 0.006, 0.1, 8.0),
-    (APPROACHING, 1, 0.1, 9.0, 0.1, 20.0), (APPROACHING, 1, 9.0, 9.0, 0.1, 0.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("phase", "pushes", "since", "gap", "pace", "want"),
+    [
+        (CLOSED, 1, 9.0, 0.0, 0.0, 8.0),
+        (CLOSED, 1, 0.1, 0.0, 0.0, 2.0 + 0.25 * 6.0),
+        (CLOSED, 0, 0.1, 0.0, 0.0, 8.0),
+        (APPROACHING, 0, 0.1, 0.0, 0.0, 0.5),
+        (APPROACHING, 1, 0.1, 0.0, 0.0, 0.5),
+        (APPROACHING, 1, 0.1, 0.0, -0.004, 0.5 + 0.8),
+        (APPROACHING, 1, 0.1, 0.0, 0.1, 2.0),
+        (APPROACHING, 1, 0.1, 0.006, 0.0, 2.0),
+        (APPROACHING, 1, 0.1, 0.006, 0.02, 6.0),
+        (APPROACHING, 1, 0.1, 0.006, 0.1, 8.0),
+        (APPROACHING, 1, 0.1, 9.0, 0.1, 20.0),
+        (APPROACHING, 1, 9.0, 9.0, 0.1, 0.0),
+    ],
+)
 def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
     """K_a v_a = 2 N while it is approached, from 0.5 N on; faster back over a known gap."""
-    chain = Record(n_contacts=1, n_columns=1, force_gain=3.0, force_damping=5.0, force_brake=0.5,
-                   approach_damping=200.0, approach_speed=0.01, least_force=0.4, travel=0.05,
-                   force_on=1.0, rise=0.4)  # fmt: skip
+    chain = Record(
+        n_contacts=1,
+        n_columns=1,
+        force_gain=3.0,
+        force_damping=5.0,
+        force_brake=0.5,
+        approach_damping=200.0,
+        approach_speed=0.01,
+        least_force=0.4,
+        travel=0.05,
+        force_on=1.0,
+        rise=0.4,
+    )
     for slow, fast in ((pace, -9.0), (9.0, pace), (pace, pace)):  # the slower one counts
-        contact, goal = Record(phase=phase, since=since), np.array([8.0])
+        contact = Record(phase=phase, since=since)
+        goal = np.array([8.0])
         column = Record(gap=gap, filtered_speed=slow, speed=fast)
         phases.set_goals(
             tick_of(
@@ -893,8 +1053,11 @@ def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():
     """Three columns of two closed contacts share two integrals; a third contact is open."""
     chain = Record(n_columns=4)
     owners = [Record(contact=c) for c in (0, 0, 1, 2)]
-    contacts = [Record(active=1, phase=CLOSED), Record(active=1, phase=APPROACHING),
-                Record(active=0, phase=OPEN)]  # fmt: skip
+    contacts = [
+        Record(active=1, phase=CLOSED),
+        Record(active=1, phase=APPROACHING),
+        Record(active=0, phase=OPEN),
+    ]
 
     def remapped(kept):
         memory = Record(force_rank=2, force_sum=np.array([1.5, -2.5, 0.0, 0.0, 0.0, 0.0]))
@@ -917,40 +1080,69 @@ def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():
 
 
 def test_what_is_remembered_of_columns_in_force():
-    n, seen = 3, {}
+    n = 3
+    seen = {}
     remember = verdict.altered("remember")
     names = remember.__globals__
     names["keep_steps"] = lambda t: seen.update(steps=[t.work.here.copy(), t.work.alpha.copy()])
-    names["phases"] = Record(low_pass=lambda t, independent: seen.update(
-        here=t.work.here.copy(), chosen=t.work.chosen.copy(), independent=independent))  # fmt: skip
+    names["phases"] = Record(
+        low_pass=lambda t, independent: seen.update(
+            here=t.work.here.copy(), chosen=t.work.chosen.copy(), independent=independent
+        )
+    )
     for phased in (0, 1):
         seen.clear()
         chain = Record(n_columns=n, phased=phased, period=1e-3, lag=0.01)
-        work = Record(rank=2, count=2, dt=1e-3, status=at.OK, more_friction=0.2,
-                      X_WO=np.ones((4, 4)),
-                      force_next=np.array([1.0, 2.0]), motion_next=np.arange(6.0), weightless=0,
-                      alpha_meas=np.array([5.0, 6.0]), speed=np.array([0.3, 0.4]),
-                      mobility=None, D=None, E=None)  # fmt: skip
-        memory = Record(ticked=4, fresh=0, located=0, more_friction=0.0, X_WO=np.zeros((4, 4)),
-                        force_sum=np.zeros(6), force_rank=0, motion_sum=np.zeros(6))  # fmt: skip
+        work = Record(
+            rank=2,
+            count=2,
+            dt=1e-3,
+            status=at.OK,
+            more_friction=0.2,
+            X_WO=np.ones((4, 4)),
+            force_next=np.array([1.0, 2.0]),
+            motion_next=np.arange(6.0),
+            weightless=0,
+            alpha_meas=np.array([5.0, 6.0]),
+            speed=np.array([0.3, 0.4]),
+            mobility=None,
+            D=None,
+            E=None,
+        )
+        memory = Record(
+            ticked=4,
+            fresh=0,
+            located=0,
+            more_friction=0.0,
+            X_WO=np.zeros((4, 4)),
+            force_sum=np.zeros(6),
+            force_rank=0,
+            motion_sum=np.zeros(6),
+        )
         columns = [Record(chosen=2), Record(chosen=0), Record(chosen=1)]
         kept = [Record(alpha=9.0, speed=9.0) for _ in range(n)]
         here, alpha, speeds = np.full((3, n), 7.0)
         remember(
             tick_of(
-                model=chain, work=work, memory=memory, work_columns=columns, memory_columns=kept,
-                work_here=here, work_alpha=alpha, work_speeds=speeds,
+                model=chain,
+                work=work,
+                memory=memory,
+                work_columns=columns,
+                memory_columns=kept,
+                work_here=here,
+                work_alpha=alpha,
+                work_speeds=speeds,
                 work_chosen=np.zeros(n, int),
             )
-        )  # fmt: skip
+        )
         assert (memory.ticked, memory.fresh, memory.located) == (5, 1, 1)
-        np.testing.assert_array_equal(here, [1.0, 0.0, 1.0])
+        assert_array_equal(here, [1.0, 0.0, 1.0])
         assert [(row.alpha, row.speed) for row in kept] == [(6.0, 0.4), (0.0, 0.0), (5.0, 0.3)]
         assert memory.force_rank == 2 and memory.force_sum[:2].tolist() == [1.0, 2.0]
-        np.testing.assert_array_equal(memory.motion_sum, np.arange(6.0))
+        assert_array_equal(memory.motion_sum, np.arange(6.0))
         assert ("here" in seen) == bool(phased)
         if phased:
-            np.testing.assert_array_equal(seen["here"], [1.0, 0.0, 1.0])
+            assert_array_equal(seen["here"], [1.0, 0.0, 1.0])
             assert seen["chosen"].tolist() == [2, 0, 0] and seen["independent"]
 
 
@@ -961,12 +1153,21 @@ def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
     """What `settle` makes of 6 and −1 N m found where 0 and 0 were given: torques, squeeze."""
     rows = Rows(new_model(n_arms, 2, 2, columns=1))
     model, memory, work, _ = views(rows)
-    model.torque_rate, model.phase_rate, model.period = rate, 1.0, 1e-3
-    model.joints["motor"], model.joints["tau_max"] = [1, 0], [10.0, 30.0]
-    memory.ticked, work.n_internal, work.rank = ticked, n_internal, 1
-    work.internal[0], work.force_next[0], work.gain[0] = 8.0, 3.0, 20.0
+    model.torque_rate = rate
+    model.phase_rate = 1.0
+    model.period = 1e-3
+    model.joints["motor"] = [1, 0]
+    model.joints["tau_max"] = [10.0, 30.0]
+    memory.ticked = ticked
+    work.n_internal = n_internal
+    work.rank = 1
+    work.internal[0] = 8.0
+    work.force_next[0] = 3.0
+    work.gain[0] = 20.0
     work.dt = 1e-3
-    found, lost, squeeze = np.array([6.0, -1.0]), np.array([50.0]), np.array([5.0])
+    found = np.array([6.0, -1.0])
+    lost = np.array([50.0])
+    squeeze = np.array([5.0])
     settle(rows.raw, 0, 0, found, lost, squeeze)
     close(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
     assert memory.force_rank == 1

@@ -1,7 +1,5 @@
 """Limit cycles: oscillations of a force that last and that nobody commanded, and what is none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,21 +11,21 @@ T = np.arange(4000) * DT
 RNG = np.random.default_rng(1)
 
 
-def sine(frequency: float, amplitude: float = 1.0) -> np.ndarray:
+def sine(frequency, amplitude=1.0):
     return amplitude * np.sin(2 * np.pi * frequency * T)
 
 
-def rings(every: float, frequency: float = 10.0, fading: float = 8.0) -> np.ndarray:
+def rings(every, frequency=10.0, fading=8.0):
     """An oscillation that is struck again and again, as by friction at reversals."""
     since = T % every
     return np.exp(-fading * since) * np.sin(2 * np.pi * frequency * since)
 
 
-def square(frequency: float) -> np.ndarray:
+def square(frequency):
     return np.sign(np.sin(2 * np.pi * frequency * T + 0.1))
 
 
-def band_noise(low: float, high: float) -> np.ndarray:
+def band_noise(low, high):
     spectrum = np.fft.rfft(RNG.normal(size=len(T)))
     f = np.fft.rfftfreq(len(T), DT)
     return np.fft.irfft(np.where((f > low) & (f < high), spectrum, 0.0), len(T))
@@ -78,7 +76,8 @@ def test_what_is_commanded_is_none():
     assert find_cycle(error, DT, [10.0 + sine(4.0, 3.0)]) is None
     assert find_cycle(sine(8.0), DT, [10.0 + sine(4.0, 3.0)]) is None  # as the square of it
     assert find_cycle(error, DT, driven_Hz=[4.0]) is None
-    along, into = np.zeros((len(T), 6)), sine(4.0, 1e-4)
+    along = np.zeros((len(T), 6))
+    into = sine(4.0, 1e-4)
     along[:, 1] = sine(4.0, 0.1)
     assert find_cycle(error, DT, along=along, across=into) is None
     jumps = 1e-3 * along  # the object swings with the force: nobody moves it

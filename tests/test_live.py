@@ -124,9 +124,7 @@ def expected(tick):
     return arm | {"/meshcat/bodies/rod": pin.XYZQUATToSE3(tick["pose"]).homogeneous}
 
 
-def test_browsers_get_the_newest_tick_and_only_when_they_have_drawn_the_last(
-    lasting,
-):
+def test_browsers_get_the_newest_tick_and_only_when_they_have_drawn_the_last(lasting):
     lasting.show(TICKS[0])
 
     async def watch():
@@ -187,7 +185,8 @@ def sockets(pid):
     for fd in os.listdir(f"/proc/{pid}/fd"):
         with contextlib.suppress(FileNotFoundError):  # the folder itself, listed a moment ago
             own.add(os.readlink(f"/proc/{pid}/fd/{fd}").removeprefix("socket:[").removesuffix("]"))
-    opened, listening = [], []
+    opened = []
+    listening = []
     for family in ("tcp", "tcp6", "udp", "udp6"):
         for line in Path(f"/proc/{pid}/net/{family}").read_text().splitlines()[1:]:
             fields = line.split()
@@ -337,7 +336,8 @@ def test_the_server_ends_with_the_program_however_that_ends():
         "print(viewer._process.pid, flush=True); os._exit(7)"
     )
     assert done.returncode == 7, done.stderr
-    pid, end = int(done.stdout), time.monotonic() + 10.0
+    pid = int(done.stdout)
+    end = time.monotonic() + 10.0
     while Path(f"/proc/{pid}").exists():
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
         if state == "Z":

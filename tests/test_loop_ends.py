@@ -1,7 +1,5 @@
 """How `run_loop` ends: the robot is stopped at once and with a reason, by real signals, too."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -14,6 +12,7 @@ from itertools import repeat
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 
 import osc_contact as osc
 from osc_contact.control.status import SafetyState
@@ -28,7 +27,8 @@ class Robot:
     """Notes what it is sent, in order; `at` calls something in a call of a name."""
 
     def __init__(self, **at):
-        self.calls, self.at = [], at
+        self.calls = []
+        self.at = at
 
     def _note(self, name, *given):
         self.calls.append((name, *given))
@@ -55,7 +55,10 @@ class Controller:
     dt = 1e-3
 
     def __init__(self, stops_at=()):
-        self.stops_at, self.ticks, self.state, self.reason = stops_at, 0, SafetyState.RUN, ""
+        self.stops_at = stops_at
+        self.ticks = 0
+        self.state = SafetyState.RUN
+        self.reason = ""
 
     def tick(self, measurement, reference):
         if self.ticks in self.stops_at:
@@ -117,7 +120,8 @@ def test_the_reason_is_the_controllers_sentence(cause):
             self._note("command", float(tau[0]))
             plant.command(tau, duration)
 
-    robot, entered = Faulty(), []
+    robot = Faulty()
+    entered = []
     osc.run_loop(robot, controller, rig.references.each(60, controller.dt))
     assert len(robot.stops) == 2 and robot.stops[1] == ""
     assert entered[0][0] is SafetyState.SAFE_STOP and entered[0][1] <= 1
@@ -164,7 +168,8 @@ def test_a_driver_whose_stop_takes_no_reason_is_refused_before_it_moves():
 @pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize("where", ["measure", "command"])
 def test_a_signal_ends_the_loop_with_the_robot_stopped(number, where):
-    before, robot = handlers(), Robot(**{where: send(number)})
+    before = handlers()
+    robot = Robot(**{where: send(number)})
     with pytest.raises(KeyboardInterrupt if number == signal.SIGINT else SystemExit) as caught:
         osc.run_loop(robot, Controller(), repeat(REFERENCE))
     assert robot.stops == [signal.Signals(number).name] and robot.calls[-1][0] == "stop"
@@ -183,7 +188,8 @@ def test_a_signal_ends_a_driver_that_waits_for_ever():
 
 
 def test_no_signal_interrupts_the_record_of_a_tick_or_the_stop():
-    rows, robot = [], Robot()
+    rows = []
+    robot = Robot()
 
     class Records:
         def append(self, *tick):
@@ -215,7 +221,8 @@ def test_the_third_signal_ends_a_stop_that_does_not_return():
 
 
 def test_handlers_of_the_program_and_other_threads_are_left_alone():
-    seen, during = [], []
+    seen = []
+    during = []
     before = signal.signal(signal.SIGTERM, lambda number, frame: seen.append(number))
     own = signal.getsignal(signal.SIGTERM)
     try:
@@ -283,4 +290,4 @@ def test_a_process_that_is_signalled_stops_its_robot_and_keeps_its_recording(num
     assert (tmp_path / "stops").read_text().split("\n")[:-1] == [signal.Signals(number).name]
     recording = osc.Recording.load(tmp_path / "recording.npz")
     assert len(recording) >= 50 and np.isfinite(recording["tau"]).all()
-    np.testing.assert_allclose(np.diff(recording["t"]), 1e-3, atol=1e-9)
+    assert_allclose(np.diff(recording["t"]), 1e-3, atol=1e-9)

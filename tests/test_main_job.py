@@ -1,11 +1,10 @@
 """The two-contact task of section 6, judged by plants, at the limits the project promises."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from samples import first
 
 import osc_contact as osc
@@ -34,7 +33,7 @@ def test_the_task_is_the_one_described(nominal):
     """10 s at 1 kHz: 10 cm peak to peak at 0.5 Hz, α₁ 10 → 15 N, α₂ = 8 + 4 sin(2π 0.5 t) N."""
     t = nominal["t"]
     assert len(t) == 10_000
-    np.testing.assert_allclose(np.diff(t), 1e-3, rtol=1e-9)
+    assert_allclose(np.diff(t), 1e-3, rtol=1e-9)
     after = t >= 1.0
     path = nominal["pose"][after, :3]
     along = np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2][0]
@@ -42,7 +41,7 @@ def test_the_task_is_the_one_described(nominal):
     assert np.ptp(slide) == pytest.approx(0.10, rel=2e-3)
     crossings = np.flatnonzero(np.diff(np.sign(slide - slide.mean())) != 0)
     assert np.diff(t[after][crossings]).mean() == pytest.approx(1.0, rel=1e-2)
-    np.testing.assert_allclose(
+    assert_allclose(
         nominal["alpha_cmd"][after],
         np.column_stack((np.where(t >= 5.0, 15.0, 10.0), 8.0 + 4.0 * np.sin(2 * np.pi * 0.5 * t)))[
             after
@@ -67,8 +66,10 @@ def test_no_force_overshoots_its_command(nominal):
     """First contacts and the step: at most 5 % above what is commanded, from the first tick on."""
     steps = osc.metrics(nominal)["steps"]
     assert [(s["what"], s["force"]) for s in steps] == [
-        ("first contact", "right_end"), ("first contact", "left_end"), ("step", "left_end"),
-    ]  # fmt: skip
+        ("first contact", "right_end"),
+        ("first contact", "left_end"),
+        ("step", "left_end"),
+    ]
     assert max(s["overshoot_rel"] for s in steps) <= 0.05
     assert nominal["alpha_true"].max(axis=0) == pytest.approx([15.0, 12.0], rel=2e-3)
 
@@ -141,7 +142,7 @@ def test_same_seed_same_run():
     a, b = (osc.run(scenario, duration=0.1, seed=3) for _ in range(2))
     for name in a.channels:
         if name != "tick_s":
-            np.testing.assert_array_equal(a[name], b[name])
+            assert_array_equal(a[name], b[name])
 
 
 @pytest.mark.parametrize("path", first(OTHERS), ids=lambda path: getattr(path, "stem", None))

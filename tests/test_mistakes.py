@@ -75,7 +75,8 @@ def test_mistakes_of_an_install_are_its_own():
 
 def test_one_force_for_two_contacts():
     rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
-    controller, at = rig.controller(), rig.references.at(0.0)
+    controller = rig.controller()
+    at = rig.references.at(0.0)
     controller.tick(rig.plant().measure(), osc.Reference(at.X_WD, alpha_d=10.0))
     assert controller.status is osc.Status.HELD
     assert "1 forces for 2 columns of N; give one for each degree" in controller.reason
@@ -109,7 +110,8 @@ def test_seeds_find_other_postures():
 def test_inspect_prints_motions_of_a_light_object_in_small_numbers():
     rig = osc.build_rig(osc.load_scenario("panda_edge"))
     rows = call("inspect", "panda_edge")[1].splitlines()
-    numbers = [float(x) for row in rows if "(m/s)" in row or "(rad/s)" in row
-               for x in row.split("│")[2:-1]]  # fmt: skip
+    numbers = [
+        float(x) for row in rows if "(m/s)" in row or "(rad/s)" in row for x in row.split("│")[2:-1]
+    ]
     assert len(numbers) == 30 and max(map(abs, numbers)) == 1.0
     assert np.abs(rig.contact().T).max() > 1.5  # as they are

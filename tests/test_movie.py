@@ -4,6 +4,7 @@ import av
 import numpy as np
 import pytest
 from headless import Browser, near
+from numpy.testing import assert_allclose
 from PIL import Image, ImageSequence
 from scene_samples import ENDS, write
 
@@ -32,7 +33,7 @@ def gif(page):
 def test_frames_are_of_equal_steps_and_play_in_real_time():
     times, shown = moments(2.0, 4.0)
     assert len(times) == 24 and shown == 80
-    np.testing.assert_allclose(times, 2.0 + np.arange(24) / 12.0)
+    assert_allclose(times, 2.0 + np.arange(24) / 12.0)
     times, shown = moments(0.0, 60.0)
     assert len(times) * shown == pytest.approx(10_000, rel=0.1), "faster, in 10 s"
 
@@ -88,7 +89,7 @@ def test_cameras_look_from_where_they_say(page):
         assert names == ["whole", "contacts", "from above", "other side"]
         drawn = browser.run(EYE)  # placed by drawing commands, not by the page's list
         browser.run("element('camera').dispatchEvent(new Event('change'))")
-        np.testing.assert_allclose(browser.run(EYE), drawn, atol=1e-5)
+        assert_allclose(browser.run(EYE), drawn, atol=1e-5)
         eyes = {}
         for place, name in enumerate(names):
             browser.run(
@@ -110,7 +111,7 @@ def test_cameras_look_from_where_they_say(page):
     assert high["from above"] > 0.99 and high["whole"] == pytest.approx(np.sin(np.deg2rad(28)))
     assert np.linalg.norm(eyes["contacts"]) < np.linalg.norm(eyes["whole"])
     flat = [eyes[name][[0, 2]] / np.linalg.norm(eyes[name][[0, 2]]) for name in names]
-    np.testing.assert_allclose(flat[3], -flat[0], atol=1e-6)
+    assert_allclose(flat[3], -flat[0], atol=1e-6)
 
 
 def test_a_page_whose_script_fails_gives_no_gif(page, tmp_path):

@@ -1,12 +1,11 @@
 """Environments that move and yield, eqs. 14–25: judged by the whole system solved at once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from environment_scenes import RTOL, cases, close_to, contacts_at, pairs_at, scene, twist_at
+from numpy.testing import assert_allclose
 from rigs import one_panda, panda_pair, random_state, scara_pair
 from test_decoupling import commanded as law_commanded
 from test_decoupling import structured
@@ -21,7 +20,9 @@ from osc_contact.response import Lambda_rel, contact_response
 
 def velocity_product(s, rng):
     """T and Ṫβ of a smooth basis T(t): NᵀT = 0 at all times, and otherwise any spin."""
-    T, N, N_dot = s.contact.T, s.contact.N, s.N_dot
+    T = s.contact.T
+    N = s.contact.N
+    N_dot = s.N_dot
     T_dot = -N @ np.linalg.solve(N.T @ N, N_dot.T @ T) + T @ rng.normal(size=(T.shape[1],) * 2)
     beta = np.linalg.lstsq(T, s.state.V_O - s.environment.V_e, rcond=None)[0]
     Tdot_beta = T_dot @ beta
@@ -35,11 +36,13 @@ def test_several_bodies_have_one_relative_acceleration_but_no_common_velocity_pr
     """n_γ is −ṅᵀ(V − V_i) with each contact's own body; −ṄᵀV_rel with the combined V_e is not."""
     s = scene(panda_pair, "rail and free body", np.random.default_rng(38))
     V_rel = s.state.V_O - s.environment.V_e
-    np.testing.assert_allclose(s.contact.N.T @ V_rel, 0, atol=1e-10)
+    assert_allclose(s.contact.N.T @ V_rel, 0, atol=1e-10)
     assert np.abs(-s.N_dot.T @ V_rel - s.contact.n_gamma).max() > 1e-2
-    own = [-s.N_dot[:, i] @ (s.state.V_O - twist_at(s.bodies[t.body], s.state))
-           for i, t in enumerate(s.touches)]  # fmt: skip
-    np.testing.assert_allclose(own, s.contact.n_gamma, rtol=1e-9)
+    own = [
+        -s.N_dot[:, i] @ (s.state.V_O - twist_at(s.bodies[t.body], s.state))
+        for i, t in enumerate(s.touches)
+    ]
+    assert_allclose(own, s.contact.n_gamma, rtol=1e-9)
 
 
 def six_dimensional(state, f_S):
@@ -54,13 +57,16 @@ def test_equations_17_to_20_as_written_with_the_relative_inertia(rig, kind):
     rng = np.random.default_rng(31)
     for _ in range(10):
         s = scene(rig, kind, rng)
-        state, env, N = s.state, s.environment, s.contact.N
+        state = s.state
+        env = s.environment
+        N = s.contact.N
         tau = rng.normal(size=s.chain.n_a) * 20
         truth = s.solve(tau)
         a_e = environment_acceleration(s, truth)  # 14
         T, Tdot_beta = velocity_product(s, rng)
-        np.testing.assert_allclose(N.T @ Tdot_beta, s.contact.n_gamma, atol=1e-9)
-        Lambda_0, Phi_0 = np.linalg.inv(state.Phi), state.Phi
+        assert_allclose(N.T @ Tdot_beta, s.contact.n_gamma, atol=1e-9)
+        Lambda_0 = np.linalg.inv(state.Phi)
+        Phi_0 = state.Phi
         relative = Lambda_rel(state, env)
         f, bias = six_dimensional(state, state.G @ tau)
         f_prime = f - bias - Lambda_0 @ (Tdot_beta + env.b_e)
@@ -95,10 +101,13 @@ def test_a_redundant_leg_changes_nothing_where_one_body_carries_all():
             a, b = s.touches
             body = s.bodies[0]
             normal = a.normal / np.linalg.norm(a.normal)
-            legs = [replace(a, vertex=p, normal=normal)
-                    for p in (a.vertex, b.vertex, 0.3 * a.vertex + 0.7 * b.vertex)]  # fmt: skip
+            legs = [
+                replace(a, vertex=p, normal=normal)
+                for p in (a.vertex, b.vertex, 0.3 * a.vertex + 0.7 * b.vertex)
+            ]
             parts = contacts_at(s.state, [body], legs)
-            three, two = osc.Contact.stack(parts), osc.Contact.stack(parts[:2])
+            three = osc.Contact.stack(parts)
+            two = osc.Contact.stack(parts[:2])
             assert three.r == two.r == 2 and three.R.shape == (2, 3)
             assert Environment.combine(parts, [s.each[0]] * 3, s.state.metric) is s.each[0]
             tau = rng.normal(size=s.chain.n_a) * 20
@@ -128,7 +137,7 @@ class Answering:
     def __init__(self, answer):
         self.answer = answer
 
-    def environment(self, X_WE, V_E, A_E, O):  # noqa: E741
+    def environment(self, X_WE, V_E, A_E, O):
         return self.answer
 
 
@@ -136,7 +145,8 @@ def seen(s):
     """The scene for a controller: pairs, one body for each contact, and how these move."""
     bodies = [s.bodies[touch.body] for touch in s.touches]
     pairs = pairs_at(s.state, s.bodies, s.touches)
-    X, V = [body.X.homogeneous for body in bodies], [body.V for body in bodies]
+    X = [body.X.homogeneous for body in bodies]
+    V = [body.V for body in bodies]
     answering = {id(answer): Answering(answer) for answer in s.each}
     touched = osc.interface.Touched(np.array(X), np.array(V), np.zeros((len(X), 6)))
     return pairs, {"bodies": [answering[id(a)] for a in s.each], "touched": touched}
@@ -176,11 +186,14 @@ def test_equations_21_24_and_25_with_relative_commands(rig, kind):
     rng = np.random.default_rng(35)
     for _ in range(4):
         s = scene(rig, kind, rng)
-        state, env, N = s.state, s.environment, s.contact.N
+        state = s.state
+        env = s.environment
+        N = s.contact.N
         Tdot_beta = velocity_product(s, rng)[1]
         A = rng.normal(size=(6, 6))
         A_inv = A @ A.T + 0.1 * np.eye(6)
-        theta_u, f_cu = rng.normal(size=6) * 3, rng.normal(size=6) * 20
+        theta_u = rng.normal(size=6) * 3
+        f_cu = rng.normal(size=6) * 20
         f_comm = projections.Omega_f(N, A_inv) @ f_cu
         alpha_u = np.linalg.lstsq(N, f_comm, rcond=None)[0]
         for B in metrics_B(state, rng):
@@ -206,17 +219,22 @@ def test_unfiltered_commands_couple_through_the_relative_inertia(rig, kind):
     rng = np.random.default_rng(36)
     for _ in range(4):
         s = scene(rig, kind, rng)
-        state, env, N = s.state, s.environment, s.contact.N
+        state = s.state
+        env = s.environment
+        N = s.contact.N
         Tdot_beta = velocity_product(s, rng)[1]
-        theta, force = rng.normal(size=6) * 2, rng.normal(size=6) * 10
+        theta = rng.normal(size=6) * 2
+        force = rng.normal(size=6) * 10
         relative = Lambda_rel(state, env)
-        Lambda_0, inverse = np.linalg.inv(state.Phi), np.linalg.inv(relative)
+        Lambda_0 = np.linalg.inv(state.Phi)
+        inverse = np.linalg.inv(relative)
         f_prime = Lambda_0 @ theta + Lambda_0 @ inverse @ force  # 21
         _, bias = six_dimensional(state, np.zeros(6))
         f = f_prime + bias + Lambda_0 @ (Tdot_beta + env.b_e)
         tau = structured(s.chain, s.q, s.v, state.S.T @ f, np.zeros(6), squeeze_of(s))
         truth = s.solve(tau)
-        Omega_f, Omega_m_bar = projections.Omega_f(N, inverse), projections.Omega_m_bar(N, inverse)
+        Omega_f = projections.Omega_f(N, inverse)
+        Omega_m_bar = projections.Omega_m_bar(N, inverse)
         got = truth.a_object - environment_acceleration(s, truth) - Tdot_beta
         want = theta - Omega_m_bar @ theta + inverse @ (force - Omega_f @ force)  # 22
         f_c = Omega_f @ force + relative @ Omega_m_bar @ theta  # 23

@@ -1,10 +1,9 @@
 """`osc-contact new`: a scenario for any arm, which runs and is OK."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import yaml
+from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -22,7 +21,7 @@ ARMS = {
     "baxter": ("left_gripper", "Z=10"),
     "tiago_pro": ("arm_left_tool_link", "Z=10"),
     "talos_left_arm": ("wrist_left_ft_tool_link", "Z=10"),
-}  # fmt: skip
+}
 
 
 def new(*words):
@@ -49,7 +48,7 @@ def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
     chain = rig.chain
     chain.state(rig.q_contact, np.zeros(chain.nq))
     pressed = chain.tip_poses()[0].rotation @ np.array(wanted.axis)
-    np.testing.assert_allclose(pressed, -np.array(scenario.contacts[0].face.normal), atol=1e-4)
+    assert_allclose(pressed, -np.array(scenario.contacts[0].face.normal), atol=1e-4)
 
 
 def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path):
@@ -70,13 +69,7 @@ def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path)
         (("--robot", "ur10", "--press", "Z=-3"), "an axis of the tip and newtons"),
         (("--robot", "ur10", "--press", "Z=5000"), "times their limits"),
         (("--robot", "ur10", "--posture", "1, 2"), "2 numbers for 6 joints"),
-        (
-            (
-                "--robot",
-                "ur11",
-            ),
-            "no robot 'ur11'",
-        ),
+        (("--robot", "ur11"), "no robot 'ur11'"),
         (("--robot", "panda"), "has 3 ends"),
     ],
 )

@@ -1,11 +1,10 @@
 """A user's own MuJoCo scene as robot and judge, held to MuJoCo's own contact forces."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 
 import osc_contact as osc
 
@@ -76,7 +75,8 @@ def robot_of(model, **how):
 def pushes(robot, geoms):
     """(N) what MuJoCo says its contacts with these geoms of the robot carry, along the normal."""
     wanted = {int(robot.model.geom(name).id) for name in geoms}
-    force, total = np.zeros(6), 0.0
+    force = np.zeros(6)
+    total = 0.0
     for i, contact in enumerate(robot.data.contact):
         if wanted & set(map(int, contact.geom)):
             mujoco.mj_contactForce(robot.model, robot.data, i, force)
@@ -89,7 +89,8 @@ class Spy(osc.Recorder):
 
     def __init__(self, controller, robot):
         super().__init__(controller, robot)
-        self.robot, self.told = robot, []
+        self.robot = robot
+        self.told = []
 
     def append(self, *tick):
         self.told.append(pushes(self.robot, ["tool"]))
@@ -102,20 +103,22 @@ def test_scene_is_robot_and_judge(actuators):
     assert robot.chain.joint_names == ["arm/shoulder", "arm/elbow", "arm/wrist_pitch"]
     start = robot.touching(START)
     robot.reset(start)
-    np.testing.assert_allclose(robot.measure().q, start)
+    assert_allclose(robot.measure().q, start)
     controller = osc.Controller(robot.chain, [WALL], posture=start)
     X = robot.chain.state(start, np.zeros(3)).X_WO
 
     def along(t):
-        z, w = np.array([0, 0, 0.04]), 3.0
+        z = np.array([0, 0, 0.04])
+        w = 3.0
         p = X.translation + (1 - np.cos(w * t)) * z
-        v, a = w * np.sin(w * t) * z, w**2 * np.cos(w * t) * z
+        v = w * np.sin(w * t) * z
+        a = w**2 * np.cos(w * t) * z
         return osc.pose_reference(p, X.rotation, v, a, alpha_d=[10.0])
 
     spy = Spy(controller, robot)
     osc.run_loop(robot, controller, map(along, np.arange(0, 2.5, 1e-3)), recorder=spy)
     recording = spy.recording()
-    np.testing.assert_allclose(recording["alpha_true"][:, 0], spy.told, atol=1e-9)
+    assert_allclose(recording["alpha_true"][:, 0], spy.told, atol=1e-9)
     verdict = osc.metrics(recording)
     assert verdict["force"]["wall"]["rms_error_rel"] < 5e-3
     assert verdict["motion"]["rms_error_m"] < 1e-4
@@ -124,8 +127,8 @@ def test_scene_is_robot_and_judge(actuators):
     assert verdict["scenario"] is None
     assert np.ptp(recording["pose"][:, 2]) > 0.07  # it went there
     site = robot.data.site("tip")
-    np.testing.assert_allclose(robot.poses()[1, :3, 3], site.xpos, atol=1e-12)
-    np.testing.assert_allclose(robot.poses()[1, :3, :3].ravel(), site.xmat, atol=1e-12)
+    assert_allclose(robot.poses()[1, :3, 3], site.xpos, atol=1e-12)
+    assert_allclose(robot.poses()[1, :3, :3].ravel(), site.xmat, atol=1e-12)
     assert robot.data.joint("grip").qpos[0] == pytest.approx(0.03, abs=1e-3)
     assert robot.data.body("ball").xpos[0] == pytest.approx(-2.0, abs=1e-3)
 

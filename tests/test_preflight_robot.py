@@ -1,7 +1,5 @@
 """A robot of one's own is looked at before it runs, and compared with its MuJoCo scene."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco
@@ -19,11 +17,13 @@ def task(model=None, pair=WALL, alpha=10.0, amplitude=0.02, ticks=1500, guess=ST
     robot.reset(start)
     controller = osc.Controller(robot.chain, [pair], posture=start, **how)
     X = robot.chain.state(start, np.zeros(3)).X_WO
-    z, w = np.array([0, 0, amplitude]), 3.0
+    z = np.array([0, 0, amplitude])
+    w = 3.0
 
     def along(t):
         p = X.translation + (1 - np.cos(w * t)) * z
-        v, a = w * np.sin(w * t) * z, w**2 * np.cos(w * t) * z
+        v = w * np.sin(w * t) * z
+        a = w**2 * np.cos(w * t) * z
         return osc.pose_reference(p, X.rotation, v, a, alpha_d=[alpha])
 
     return robot, controller, [along(1e-3 * k) for k in range(ticks)]
@@ -34,7 +34,8 @@ def heavy(factor):
     model.body_mass[:] *= factor
     model.body_inertia[:] *= factor
     for j in range(model.nu):
-        model.actuator_ctrllimited[j], model.actuator_ctrlrange[j] = 1, (-40, 40)
+        model.actuator_ctrllimited[j] = 1
+        model.actuator_ctrlrange[j] = (-40, 40)
     return model
 
 
@@ -74,7 +75,7 @@ WRONG = {
     "end of a joint": (lambda: {"model": short(0.05), "guess": NEAR}, "arm/elbow"),
     "tool of another size": (lambda: {"model": tool_radius(0.005)}, "the tool is 10 mm away"),
     "slow loop": (lambda: {"gains": osc.Gains(osc.MotionGains(400.0, 900.0))}, "control.rate"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -107,8 +108,9 @@ def test_a_controller_with_other_masses_is_found():
     controller = osc.Controller(other, [WALL], posture=robot.measure().q)
     found = [x for x in osc.preflight(robot, controller, references) if "weighs" in x.text]
     assert [x.text.split(" weighs")[0] for x in found] == [
-        "all that moves", "what the wrist carries",
-    ]  # fmt: skip
+        "all that moves",
+        "what the wrist carries",
+    ]
     assert not any(x.refused for x in found)
 
 
@@ -169,8 +171,13 @@ def test_distances_in_a_scene_are_those_of_its_shapes():
     robot = osc.MujocoRobot.from_model(model, tip="hand")
     probe = robot.probe()
     for point, want in (
-        ([0, 0, 4.5], 0.5), ([0, 0, 3.7], -0.3), ([0, 0.9, 3], -0.1), ([3, 0, 0.2], 0.2),
-        ([5, 0, 4.2], 0.2), ([3, 0, -0.4], -0.4), ([5, 0, 3.8], -0.2),
-    ):  # fmt: skip
+        ([0, 0, 4.5], 0.5),
+        ([0, 0, 3.7], -0.3),
+        ([0, 0.9, 3], -0.1),
+        ([3, 0, 0.2], 0.2),
+        ([5, 0, 4.2], 0.2),
+        ([3, 0, -0.4], -0.4),
+        ([5, 0, 3.8], -0.2),
+    ):
         assert probe.distance(np.array(point, dtype=float))[0] == pytest.approx(want, abs=1e-5)
     assert probe.clearance() == (pytest.approx(1.9), "box")

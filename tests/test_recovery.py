@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 from time import sleep
 
-import numpy as np
 import pytest
 from mcap.reader import make_reader
+from numpy.testing import assert_array_equal
 
 import osc_contact as osc
 from osc_contact.runs import recorder as rows_of_runs
@@ -39,7 +39,7 @@ def interruptible():
 
 def same(found, whole):
     for name in set(whole.channels) - TIMES:
-        np.testing.assert_array_equal(found[name], whole[name][: len(found)], err_msg=name)
+        assert_array_equal(found[name], whole[name][: len(found)], err_msg=name)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_a_killed_run_is_recovered_but_for_its_last_moments(tmp_path, whole):
         cut = min(len(found), len(whole))
         assert cut > 100
         for name in set(whole.channels) - TIMES:
-            np.testing.assert_array_equal(found[name][:cut], whole[name][:cut], err_msg=name)
+            assert_array_equal(found[name][:cut], whole[name][:cut], err_msg=name)
         # 80 ms on the clock, and what this machine simulates in that time
         assert len(found) > 1000 * told - 3000
         short, count = found.meta["missing"]
@@ -83,7 +83,7 @@ def test_ctrl_c_ends_a_run_in_order(tmp_path, whole):
     found = osc.Recording.load(tmp_path / "recording.npz")
     assert found.meta["ended_s"] == pytest.approx(len(found) * 1e-3)
     cut = min(len(found), len(whole))
-    np.testing.assert_array_equal(found["tau"][:cut], whole["tau"][:cut])
+    assert_array_equal(found["tau"][:cut], whole["tau"][:cut])
     judged = len(found) > 1000
     assert (tmp_path / "metrics.json").exists() == (tmp_path / "scene.html").exists() == judged
 
@@ -127,18 +127,25 @@ def test_two_runs_of_a_seed_are_the_same_file(tmp_path):
         setting = {"PYTHONHASHSEED": seed, "OPENBLAS_NUM_THREADS": threads}
         setting |= {"NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
         done = subprocess.run(
-            [*RUN, tmp_path / kind, "0.7"], env={**os.environ, **setting}, check=True,
+            [*RUN, tmp_path / kind, "0.7"],
+            env={**os.environ, **setting},
+            check=True,
             stdout=subprocess.PIPE,
-        )  # fmt: skip
+        )
         assert done.stdout.split()[-1] == b"700"
         files.append((tmp_path / kind / "recording.npz").read_bytes())
     assert files[0] == files[1]
 
 
 @pytest.mark.parametrize(
-    ("name", "plant"), [("two_contact_rod", "rigid"), ("moving_face", "mujoco"),
-                        ("two_contact_rod_mismatch", "mujoco"), ("three_arm_plate", "mujoco")]
-)  # fmt: skip
+    ("name", "plant"),
+    [
+        ("two_contact_rod", "rigid"),
+        ("moving_face", "mujoco"),
+        ("two_contact_rod_mismatch", "mujoco"),
+        ("three_arm_plate", "mujoco"),
+    ],
+)
 def test_chunks_of_any_size_make_the_same_recording(name, plant, monkeypatch, tmp_path):
     scenario = osc.load_scenario(name, [f"plant.type={plant}"])
     once = osc.run(scenario, duration=0.06)

@@ -1,12 +1,11 @@
 """Robustness study: all laws meet the same plants, and do not know what varies."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -39,7 +38,7 @@ def found(made):
     return json.loads((made[0] / "robustness.json").read_text())
 
 
-def sample_of(case: str, number: int):
+def sample_of(case, number):
     points = SweepStudy.of("two_contact_rod", study.VARIED[case], 2, overrides=CHANGES)
     drawn = points.sample(number)
     changes = [*CHANGES, *(f"{k}={v}" for k, v in drawn.overrides.items())]
@@ -53,7 +52,7 @@ def errors(scenario, seed, **how):
     return force, verdict["motion"]["rms_error_m"]
 
 
-def test_rows_are_single_runs_of_the_same_sample_under_each_law(found) -> None:
+def test_rows_are_single_runs_of_the_same_sample_under_each_law(found):
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", CHANGES))
     laws = {"ours": study.Ours()} | {name: chosen_law(rig, name) for name in study.BASELINES}
     for case in study.VARIED:
@@ -74,19 +73,20 @@ def chosen_law(rig, family):
     return min(candidates, key=lambda one: one[1] * one[2])[0]
 
 
-def test_what_the_controllers_do_not_know_costs_all_of_them_accuracy(found) -> None:
+def test_what_the_controllers_do_not_know_costs_all_of_them_accuracy(found):
     for case in ("masses", "friction", "normals"):
         for law in study.LAWS:
             worst = max(row[f"{law}.force"] for row in found["rows"][case])
             assert worst > found["nominal"][f"{law}.force"] + 0.01  # of the command
 
 
-def test_the_table_and_the_figure_tell_what_the_rows_say(made, found) -> None:
+def test_the_table_and_the_figure_tell_what_the_rows_say(made, found):
     folder, printed = made
     assert {path.name for path in folder.iterdir()} == {
-        "robustness.json", *(f"robustness.{kind}" for kind in ("png", "svg", "pdf")),
+        "robustness.json",
+        *(f"robustness.{kind}" for kind in ("png", "svg", "pdf")),
         *(f"robustness_{case}.jsonl" for case in study.VARIED),
-    }  # fmt: skip
+    }
     for case, title in study.TITLES.items():
         told = found["cases"][case]
         assert title in printed and told["samples"] == 2
@@ -98,28 +98,33 @@ def test_the_table_and_the_figure_tell_what_the_rows_say(made, found) -> None:
     assert all(label in printed for label in study.LABELS.values())
 
 
-def test_failed_runs_count_as_the_largest_errors() -> None:
+def test_failed_runs_count_as_the_largest_errors():
     rng = np.random.default_rng(0)
-    values, failed = rng.uniform(1, 2, 50), np.arange(50) < 3
-    rows = [{"ours.failed": bool(f), "ours.force": None if f else x, "ours.motion": 0.0}
-            for x, f in zip(values, failed, strict=True)]  # fmt: skip
+    values = rng.uniform(1, 2, 50)
+    failed = np.arange(50) < 3
+    rows = [
+        {"ours.failed": bool(f), "ours.force": None if f else x, "ours.motion": 0.0}
+        for x, f in zip(values, failed, strict=True)
+    ]
     made = study.Robustness({}, {}, {"masses": rows}, {})
     told = made._told("masses", "ours")
     assert told["success_rate"] == pytest.approx(0.94)
     wanted = np.quantile(np.where(failed, np.inf, values), (0.5, 0.9), method="inverted_cdf")
-    np.testing.assert_allclose(told["force"][:2], 100 * wanted)
+    assert_allclose(told["force"][:2], 100 * wanted)
     assert told["force"][2] is None
 
 
-def test_rows_that_are_done_are_not_run_again(tmp_path, monkeypatch) -> None:
-    asked, inner = [], study.make_all
+def test_rows_that_are_done_are_not_run_again(tmp_path, monkeypatch):
+    asked = []
+    inner = study.make_all
 
     def make_all(crew, jobs, make):
         asked.append(len(jobs))
         return inner(crew, jobs, make)
 
     monkeypatch.setattr(study, "make_all", make_all)
-    at_O, force = pin.SE3.Identity(), (False, True, False)
+    at_O = pin.SE3.Identity()
+    force = (False, True, False)
     couples = ((True, False, False), (False, False, True))
     chosen = [Selection.of_frame(at_O, force, one) for one in couples]
 
@@ -128,13 +133,14 @@ def test_rows_that_are_done_are_not_run_again(tmp_path, monkeypatch) -> None:
 
     monkeypatch.setattr(study, "_candidates", candidates)
     how = {"changes": ["duration=1.02"], "workers": 1}
-    first, second = study.run(1, tmp_path, **how), study.run(1, tmp_path, **how)
+    first = study.run(1, tmp_path, **how)
+    second = study.run(1, tmp_path, **how)
     assert asked == [4, 0] and first.rows == second.rows
     del chosen[0]
     with pytest.raises(osc.InvalidInputError, match="seed or law"):  # rows of other laws
         study.run(1, tmp_path, **how)
 
 
-def test_samples_of_what_has_none_are_refused() -> None:
+def test_samples_of_what_has_none_are_refused():
     refused = CliRunner().invoke(app, ["reproduce", "fig5", "--samples", "3"])
     assert refused.exit_code == 2 and "leave --samples out" in refused.stderr

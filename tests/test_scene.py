@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 from scene_samples import (
     ARMS,
     BODIES,
@@ -100,7 +101,7 @@ def test_arm_and_object_stand_where_the_recording_has_them(shown):
             if joint != "joint2":
                 assert shown.pose(f"/meshcat/arms/left/{joint}", frame).isApprox(expected, 1e-5)
         rod = shown.at("/meshcat/bodies/rod", "position", frame)
-        np.testing.assert_allclose(rod, RECORDING["pose"][10 * frame, :3], atol=1e-6)
+        assert_allclose(rod, RECORDING["pose"][10 * frame, :3], atol=1e-6)
 
 
 def test_a_face_follows_its_recorded_pose(tmp_path):
@@ -115,7 +116,8 @@ def test_a_face_follows_its_recorded_pose(tmp_path):
 @pytest.mark.parametrize("frame", [3, 8])
 @pytest.mark.parametrize("i", [0, 1])
 def test_force_arrows_have_their_tips_at_the_contact_and_10_mm_per_newton(shown, i, frame):
-    tick, node = 10 * frame, (LEFT, RIGHT)[i]
+    tick = 10 * frame
+    node = (LEFT, RIGHT)[i]
     placed = shown.pose(node, frame)
     assert np.allclose(placed.translation, RECORDING["contact_point"][tick, i], atol=1e-6)
     assert np.allclose(placed.rotation[:, 1], RECORDING["contact_direction"][tick, i], atol=1e-6)
@@ -153,8 +155,10 @@ def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, co
     for i in drawn:
         node = f"/meshcat/twists/{i}"
         placed = shown.pose(node, frame)
-        axis, on_axis = placed.rotation[:, 1], placed.translation
-        omega, v = np.zeros(3), axis
+        axis = placed.rotation[:, 1]
+        on_axis = placed.translation
+        omega = np.zeros(3)
+        v = axis
         assert shown.at(f"{node}/slide", "visible", frame) != shown.at(
             f"{node}/turn", "visible", frame
         )
@@ -162,7 +166,8 @@ def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, co
             path, turned = shown.path_of_tube(f"{node}/turn/path/tube")
             path = path * shown.at(f"{node}/turn/path", "scale", frame)
             pitch = (path[-1, 1] - path[0, 1]) / (turned[-1] - turned[0])
-            omega, v = axis, (pitch if abs(pitch) > 1e-5 else 0.0) * axis
+            omega = axis
+            v = (pitch if abs(pitch) > 1e-5 else 0.0) * axis
         twists.append(np.concatenate([v - np.cross(omega, on_axis), omega]))  # at the origin
         for c in np.flatnonzero(RECORDING["closed"][10 * frame]):
             speed = v + np.cross(omega, RECORDING["contact_point"][10 * frame, c] - on_axis)
@@ -189,10 +194,12 @@ def test_best_frame_stands_at_the_object_and_shows_what_it_selects(shown):
 def test_a_column_with_a_couple_is_a_screw(tmp_path):
     """N = [d; (p − O) × d + h d]: the line keeps its place, and a helix of pitch h is beside it."""
     pitch = 0.03
-    d, p = RECORDING["contact_direction"], RECORDING["contact_point"]
+    d = RECORDING["contact_direction"]
+    p = RECORDING["contact_point"]
     arms = p - RECORDING["pose"][:, None, :3]
     N = np.concatenate([d, np.cross(arms, d) + pitch * d], axis=2).transpose(0, 2, 1)
-    N[:, :3, 1], N[:, 3:, 1] = 0.0, d[:, 1]  # the second contact transmits a pure couple
+    N[:, :3, 1] = 0.0
+    N[:, 3:, 1] = d[:, 1]  # the second contact transmits a pure couple
     shown = Shown(write(tmp_path, changed(N=N)))
     offset = shown.pose(LEFT, 3).translation - p[30, 0]
     assert np.allclose(np.cross(offset, d[30, 0]), 0.0, atol=1e-6)
@@ -230,10 +237,12 @@ def test_plots_hold_the_recorded_numbers(shown):
 def test_thinning_keeps_short_peaks_in_their_place():
     t = np.arange(50_000) / 1000.0
     y = np.sin(t)
-    y[31_415], y[20_000] = 7.0, -5.0
+    y[31_415] = 7.0
+    y[20_000] = -5.0
     (panel,) = panels_of({"power_total": 0.0})
     thin = thinned(panel["lines"], {"t": t, "power_total": y})
-    times, values = np.array(thin["t"]), np.array(thin["y"][0])
+    times = np.array(thin["t"])
+    values = np.array(thin["y"][0])
     assert len(times) <= 900 and np.all(np.diff(times) >= 0.0)
     assert values.max() == 7.0 and abs(times[values.argmax()] - 31.415) < 0.12
     assert values.min() == -5.0 and abs(times[values.argmin()] - 20.0) < 0.12
@@ -277,7 +286,8 @@ def test_changes_sends_only_what_differs():
 def test_track_leaves_out_only_what_changes_nothing():
     from meshcat.animation import Animation
 
-    animation, scene = Animation(default_framerate=30), CommandSink().visualizer()
+    animation = Animation(default_framerate=30)
+    scene = CommandSink().visualizer()
     values = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])
     track(scene["node"], animation, "opacity", "number", values)
     track(scene["other"], animation, "opacity", "number", np.ones(5))
@@ -307,10 +317,7 @@ def test_a_tube_keeps_its_radius_around_every_bend():
 
 @pytest.mark.parametrize(
     "how",
-    [
-        {"contacts": 0},
-        {"without": ("contact_point", "contact_direction", "closed", "alpha_true")},
-    ],
+    [{"contacts": 0}, {"without": ("contact_point", "contact_direction", "closed", "alpha_true")}],
 )
 def test_scene_without_contacts(how, tmp_path):
     paths = {c["path"] for c in read_commands(write(tmp_path, make_recording(**how), find=find))}

@@ -21,7 +21,8 @@ SEEDS = range(4)
 def test_twist_axis_is_where_a_finite_motion_only_advances(seed):
     """exp(V) moves the points of the axis along the axis, by the pitch per radian."""
     rng = np.random.default_rng(seed)
-    twist, origin = rng.standard_normal(6), rng.standard_normal(3)
+    twist = rng.standard_normal(6)
+    origin = rng.standard_normal(3)
     point, direction, pitch = twist_screw(twist, origin)
     motion = pin.exp6(pin.Motion(twist))  # about `origin`
     angle = np.linalg.norm(twist[3:])
@@ -34,7 +35,8 @@ def test_twist_axis_is_where_a_finite_motion_only_advances(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_wrench_has_only_a_couple_along_its_axis_wherever_it_is_given(seed):
     rng = np.random.default_rng(seed)
-    (force, moment), origins = rng.standard_normal((2, 3)), rng.standard_normal((2, 3))
+    (force, moment) = rng.standard_normal((2, 3))
+    origins = rng.standard_normal((2, 3))
     for origin in origins:
         there = moment + np.cross(origins[0] - origin, force)
         point, direction, pitch = wrench_screw([*force, *there], origin)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from pydantic import TypeAdapter, ValidationError
 
 from osc_contact.errors import InvalidInputError
@@ -47,7 +48,9 @@ SMOOTH = [
 def test_derivatives_match_central_differences(signal):
     h = 1e-5
     for t in np.linspace(0.005, 1.2, 241) + 1.23e-3:
-        before, here, after = signal.at(t - h), signal.at(t), signal.at(t + h)
+        before = signal.at(t - h)
+        here = signal.at(t)
+        after = signal.at(t + h)
         assert here[1] == pytest.approx((after[0] - before[0]) / (2 * h), abs=2e-5)
         assert here[2] == pytest.approx((after[1] - before[1]) / (2 * h), abs=2e-3)
 
@@ -58,7 +61,7 @@ def test_many_times_at_once_are_those_times_one_by_one():
     for chosen in ([], *([one] for one in signals), signals):
         found = total_over(chosen, t)
         assert found.shape == (3, len(t))
-        np.testing.assert_allclose(found.T, [total(chosen, x) for x in t], atol=1e-12)
+        assert_allclose(found.T, [total(chosen, x) for x in t], atol=1e-12)
 
 
 def test_step_rises_at_its_start_with_zero_derivatives():
@@ -102,15 +105,20 @@ def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
         limits = [float(x) for x in limits]
         way = [float(x) for x in size * rng.uniform(-1, 1, 3)]
         signal = JerkLimited(
-            via=way[:2], value=way[2], start=0.3,
+            via=way[:2],
+            value=way[2],
+            start=0.3,
             **dict(zip(("velocity", "acceleration", "jerk"), limits, strict=True)),
-        )  # fmt: skip
+        )
         distances = np.abs(np.diff([0.0, *way]))
         least = [rest_to_rest(float(d), *limits) for d in distances]
         assert signal.duration == pytest.approx(sum(least), rel=1e-9)
         v, a, j = limits
-        smooth = max(1.875 * distances[2] / v, math.sqrt(10 / 3**0.5 * distances[2] / a),
-                     (60 * distances[2] / j) ** (1 / 3))  # fmt: skip
+        smooth = max(
+            1.875 * distances[2] / v,
+            math.sqrt(10 / 3**0.5 * distances[2] / a),
+            (60 * distances[2] / j) ** (1 / 3),
+        )
         assert least[2] <= smooth * (1 + 1e-9)  # not slower than minimum jerk at the same limits
         t = 0.3 + np.linspace(-0.05, 1.05, 4001) * signal.duration
         x, x_dot, x_ddot = signal.at(t)
@@ -137,7 +145,7 @@ def test_points_are_met_by_the_curve_of_least_jerk():
         times = np.cumsum(rng.uniform(0.2, 1.0, rng.integers(2, 8)))
         values = rng.normal(size=len(times))
         signal = Points(points=list(zip(times.tolist(), values.tolist(), strict=True)))
-        np.testing.assert_allclose(signal.at(times)[0], values, atol=1e-10)
+        assert_allclose(signal.at(times)[0], values, atol=1e-10)
         assert signal.at(-1.0) == (values[0], 0.0, 0.0)
         assert signal.at(math.inf) == (values[-1], 0.0, 0.0)
         t = np.linspace(times[0], times[-1], 40_001)
@@ -145,8 +153,10 @@ def test_points_are_met_by_the_curve_of_least_jerk():
         ends = (t - t[0]) ** 3 * (t - t[-1]) ** 3 / (t[-1] - t[0]) ** 6
         eta = ends * np.prod([t - x for x in times[1:-1]], axis=0) * np.cos(3.0 * t)
         eta_ddot = np.gradient(np.gradient(eta, t), t)
-        jerk, eta_jerk = np.gradient(a, t)[5:-5], np.gradient(eta_ddot, t)[5:-5]
-        product, sizes = (jerk * eta_jerk).sum(), ((jerk**2).sum() * (eta_jerk**2).sum()) ** 0.5
+        jerk = np.gradient(a, t)[5:-5]
+        eta_jerk = np.gradient(eta_ddot, t)[5:-5]
+        product = (jerk * eta_jerk).sum()
+        sizes = ((jerk**2).sum() * (eta_jerk**2).sum()) ** 0.5
         assert abs(product) <= 2e-3 * sizes
         change = np.abs(np.diff(np.gradient(jerk, t[5:-5])))[2:-2]  # of the fourth derivative
         assert change.max() <= 0.05 * max(1.0, np.abs(np.gradient(jerk, t[5:-5])).max())
@@ -154,26 +164,31 @@ def test_points_are_met_by_the_curve_of_least_jerk():
 
 def test_a_value_given_twice_is_held_and_parts_the_curve():
     t = np.linspace(-0.2, 8.0, 2000)
-    first, last = ((0.0, 3.0), (0.4, 5.0), (0.9, 4.0)), ((6.0, 4.0), (6.3, 1.0), (7.0, 2.0))
+    first = ((0.0, 3.0), (0.4, 5.0), (0.9, 4.0))
+    last = ((6.0, 4.0), (6.3, 1.0), (7.0, 2.0))
     both = np.array(Points(points=(*first, *last)).at(t))
-    before, after = np.array(Points(points=first).at(t)), np.array(Points(points=last).at(t))
-    np.testing.assert_allclose(both, np.where(t < 3.0, before, after), atol=1e-9)
+    before = np.array(Points(points=first).at(t))
+    after = np.array(Points(points=last).at(t))
+    assert_allclose(both, np.where(t < 3.0, before, after), atol=1e-9)
     held = (t >= 0.9) & (t <= 6.0)
-    np.testing.assert_allclose(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), atol=1e-12)
+    assert_allclose(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), atol=1e-12)
 
 
 def test_two_points_are_minimum_jerk():
     t = np.linspace(0.0, 1.0, 101)
     ours = Points(points=((0.3, 0.0), (0.7, 2.0))).at(t)
     theirs = MinimumJerk(value=2.0, start=0.3, duration=0.4).at(t)
-    np.testing.assert_allclose(ours, theirs, atol=1e-10)
+    assert_allclose(ours, theirs, atol=1e-10)
 
 
 @pytest.mark.parametrize(
     ("kind", "text", "si"),
-    [(LengthSignal, "50 mm/s", 0.05), (AngleSignal, "30 deg/s", math.radians(30)),
-     (ForceSignal, "2 kN/s", 2000.0)],
-)  # fmt: skip
+    [
+        (LengthSignal, "50 mm/s", 0.05),
+        (AngleSignal, "30 deg/s", math.radians(30)),
+        (ForceSignal, "2 kN/s", 2000.0),
+    ],
+)
 def test_limits_have_the_units_of_their_signal(kind, text, si):
     adapter = TypeAdapter(kind)
     data = {"type": "jerk_limited", "value": 1, "velocity": text}
@@ -243,13 +258,24 @@ def test_impossible_signals_are_refused(bad):
 @pytest.mark.parametrize(
     ("kind", "text", "si"),
     [
-        (Length, "50 mm", 0.05), (Length, "3µm", 3e-6), (Length, "3 um", 3e-6), (Length, 2, 2.0),
-        (Length, "-1.5e2 cm", -1.5), (Length, "0.7", 0.7), (Angle, "90 deg", math.pi / 2),
-        (Time, "0.25 ms", 0.00025), (Time, "2 min", 120.0), (Frequency, "1 kHz", 1000.0),
-        (Force, "8 N", 8.0), (Mass, "250 g", 0.25), (JointValue, "9.3 mm", 0.0093),
-        (JointValue, "180 deg", math.pi), (Number, 1.5, 1.5), (Number, np.float32(0.5), 0.5),
+        (Length, "50 mm", 0.05),
+        (Length, "3µm", 3e-6),
+        (Length, "3 um", 3e-6),
+        (Length, 2, 2.0),
+        (Length, "-1.5e2 cm", -1.5),
+        (Length, "0.7", 0.7),
+        (Angle, "90 deg", math.pi / 2),
+        (Time, "0.25 ms", 0.00025),
+        (Time, "2 min", 120.0),
+        (Frequency, "1 kHz", 1000.0),
+        (Force, "8 N", 8.0),
+        (Mass, "250 g", 0.25),
+        (JointValue, "9.3 mm", 0.0093),
+        (JointValue, "180 deg", math.pi),
+        (Number, 1.5, 1.5),
+        (Number, np.float32(0.5), 0.5),
     ],
-)  # fmt: skip
+)
 def test_units_are_converted_to_the_nearest_float(kind, text, si):
     assert TypeAdapter(kind).validate_python(text) == si
 
@@ -278,7 +304,8 @@ def test_wrong_quantities_say_what_would_be_right(kind, value, message):
 
 
 def test_vectors():
-    vec3, unit = TypeAdapter(Vec3), TypeAdapter(UnitVec3)
+    vec3 = TypeAdapter(Vec3)
+    unit = TypeAdapter(UnitVec3)
     assert vec3.validate_python([0, "50 mm", 1.0]) == (0.0, 0.05, 1.0)
     loaded = unit.validate_python([0.4, 0.3, -0.87])
     assert math.hypot(*loaded) == pytest.approx(1.0, abs=4e-16)
@@ -289,7 +316,8 @@ def test_vectors():
 
 
 def test_normalising_twice_changes_no_bit():
-    unit, rng = TypeAdapter(UnitVec3), np.random.default_rng(0)
+    unit = TypeAdapter(UnitVec3)
+    rng = np.random.default_rng(0)
     for vector in rng.normal(size=(2000, 3)).tolist():
         once = unit.validate_python(vector)
         assert unit.validate_python(once) == once

@@ -1,10 +1,9 @@
 """The conventions page against Pinocchio's own spatial algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from osc_contact.errors import InvalidInputError, OscContactError
 from osc_contact.spatial import (
@@ -22,74 +21,64 @@ from osc_contact.spatial import (
 SEEDS = range(4)
 
 
-def shift(start: np.ndarray, end: np.ndarray) -> pin.SE3:
+def shift(start, end):
     """Pose of `start` seen from `end`, axes parallel: its action carries from start to end."""
     return pin.SE3(np.eye(3), start - end)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_skew_is_the_cross_product(seed: int) -> None:
+def test_skew_is_the_cross_product(seed):
     x, y = np.random.default_rng(seed).normal(size=(2, 3))
-    np.testing.assert_allclose(skew(x) @ y, np.cross(x, y), atol=1e-15)
-    np.testing.assert_array_equal(skew(x), pin.skew(x))
+    assert_allclose(skew(x) @ y, np.cross(x, y), atol=1e-15)
+    assert_array_equal(skew(x), pin.skew(x))
 
 
-def test_cross_works_column_by_column() -> None:
+def test_cross_works_column_by_column():
     x, y = np.random.default_rng(0).normal(size=(2, 3, 5))
     for k in range(5):
-        np.testing.assert_allclose(cross(x, y)[:, k], pin.skew(x[:, k]) @ y[:, k], atol=1e-15)
-        np.testing.assert_allclose(cross(x[:, k], y[:, k]), cross(x, y)[:, k], atol=1e-15)
+        assert_allclose(cross(x, y)[:, k], pin.skew(x[:, k]) @ y[:, k], atol=1e-15)
+        assert_allclose(cross(x[:, k], y[:, k]), cross(x, y)[:, k], atol=1e-15)
     assert cross(np.zeros((3, 0)), np.zeros((3, 0))).shape == (3, 0)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_carrying_agrees_with_pinocchio(seed: int) -> None:
+def test_carrying_agrees_with_pinocchio(seed):
     rng = np.random.default_rng(seed)
     V, F = rng.normal(size=(2, 6))
     start, end = rng.normal(size=(2, 3))
     X = shift(start, end)
-    np.testing.assert_allclose(
-        carry_twist(V, start, end), X.act(pin.Motion(V)).vector, atol=1e-14, rtol=0
-    )
-    np.testing.assert_allclose(
-        carry_wrench(F, start, end), X.act(pin.Force(F)).vector, atol=1e-14, rtol=0
-    )
+    assert_allclose(carry_twist(V, start, end), X.act(pin.Motion(V)).vector, atol=1e-14, rtol=0)
+    assert_allclose(carry_wrench(F, start, end), X.act(pin.Force(F)).vector, atol=1e-14, rtol=0)
 
 
-def test_carrying_columns_is_carrying_each_and_leaves_the_input_alone() -> None:
+def test_carrying_columns_is_carrying_each_and_leaves_the_input_alone():
     rng = np.random.default_rng(0)
     V, F = rng.normal(size=(2, 6, 4))
     kept = V.copy(), F.copy()
     start, end = rng.normal(size=(2, 3))
     for k in range(4):
-        np.testing.assert_allclose(
+        assert_allclose(
             carry_twist(V, start, end)[:, k], carry_twist(V[:, k], start, end), atol=1e-15
         )
-        np.testing.assert_allclose(
+        assert_allclose(
             carry_wrench(F, start, end)[:, k], carry_wrench(F[:, k], start, end), atol=1e-15
         )
     power = F.T @ V
-    np.testing.assert_allclose(
-        carry_wrench(F, start, end).T @ carry_twist(V, start, end), power, atol=1e-13
-    )
-    np.testing.assert_array_equal(V, kept[0])
-    np.testing.assert_array_equal(F, kept[1])
+    assert_allclose(carry_wrench(F, start, end).T @ carry_twist(V, start, end), power, atol=1e-13)
+    assert_array_equal(V, kept[0])
+    assert_array_equal(F, kept[1])
     assert carry_twist(np.zeros((6, 0)), start, end).shape == (6, 0)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_cross_products_agree_with_pinocchio(seed: int) -> None:
+def test_cross_products_agree_with_pinocchio(seed):
     V, U, F = np.random.default_rng(seed).normal(size=(3, 6))
-    np.testing.assert_allclose(
-        cross_twist(V, U), pin.Motion(V).cross(pin.Motion(U)).vector, atol=1e-14
-    )
-    np.testing.assert_allclose(
-        cross_wrench(V, F), pin.Motion(V).cross(pin.Force(F)).vector, atol=1e-14
-    )
+    assert_allclose(cross_twist(V, U), pin.Motion(V).cross(pin.Motion(U)).vector, atol=1e-14)
+    assert_allclose(cross_wrench(V, F), pin.Motion(V).cross(pin.Force(F)).vector, atol=1e-14)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_classical_to_spatial_agrees_with_pinocchio(seed: int) -> None:
+def test_classical_to_spatial_agrees_with_pinocchio(seed):
     pin.seed(seed)
     rng = np.random.default_rng(seed)
     model = pin.buildSampleModelManipulator()
@@ -103,22 +92,23 @@ def test_classical_to_spatial_agrees_with_pinocchio(seed: int) -> None:
     classical = pin.getFrameClassicalAcceleration(*at).vector
     kept = classical.copy()
     spatial = classical_to_spatial(classical, V)
-    np.testing.assert_allclose(spatial, pin.getFrameAcceleration(*at).vector, atol=1e-12)
-    np.testing.assert_array_equal(classical, kept)
+    assert_allclose(spatial, pin.getFrameAcceleration(*at).vector, atol=1e-12)
+    assert_array_equal(classical, kept)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_pose_error_carries_the_object_to_its_goal(seed: int) -> None:
+def test_pose_error_carries_the_object_to_its_goal(seed):
     pin.seed(seed)
-    X_WD, X_WO = pin.SE3.Random(), pin.SE3.Random()
+    X_WD = pin.SE3.Random()
+    X_WO = pin.SE3.Random()
     e = pose_error(X_WD, X_WO)
-    np.testing.assert_allclose(X_WO.translation + e[:3], X_WD.translation, atol=1e-14)
+    assert_allclose(X_WO.translation + e[:3], X_WD.translation, atol=1e-14)
     turned = pin.AngleAxis(float(np.linalg.norm(e[3:])), e[3:] / np.linalg.norm(e[3:]))
-    np.testing.assert_allclose(turned.matrix() @ X_WO.rotation, X_WD.rotation, atol=1e-12)
+    assert_allclose(turned.matrix() @ X_WO.rotation, X_WD.rotation, atol=1e-12)
     assert np.linalg.norm(e[3:]) <= np.pi + 1e-12
 
 
-def test_as_array_returns_a_fresh_float_copy() -> None:
+def test_as_array_returns_a_fresh_float_copy():
     given = np.arange(6).reshape(2, 3)
     taken = as_array("x", given, (2, None))
     assert taken.dtype == np.float64 and taken.shape == (2, 3)
@@ -146,9 +136,7 @@ def test_as_array_returns_a_fresh_float_copy() -> None:
         (None, (3,), "tool: expected shape"),
     ],
 )
-def test_as_array_refuses_what_does_not_fit(
-    value: object, shape: tuple[int | None, ...], message: str
-) -> None:
+def test_as_array_refuses_what_does_not_fit(value, shape, message):
     with pytest.raises(InvalidInputError, match=message) as caught:
         as_array("tool", value, shape)
     assert isinstance(caught.value, OscContactError) and isinstance(caught.value, ValueError)

@@ -1,12 +1,9 @@
 """Several contacts at once: ranks, dependent contacts, and contacts given by what they permit."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 from pair_kinds import Motion, pose_of
 
 from osc_contact.contacts.contact import Contact
@@ -17,13 +14,13 @@ LEGS = 0.4 * np.array([[1.0, 1, -1], [1, -1, -1], [-1, -1, -1], [-1, 1, -1]])
 UP = np.array([0.0, 0, 1])
 
 
-def table(X_WO: pin.SE3, V_O: np.ndarray, X_WE: pin.SE3, V_E: np.ndarray) -> list[Contact]:
+def table(X_WO, V_O, X_WE, V_E):
     """Four legs on the plane z = 0 of E."""
     pairs = [VertexOnFace(p, np.zeros(3), UP, name=f"leg {i}") for i, p in enumerate(LEGS)]
     return [pair.contact(X_WO, V_O, X_WE, V_E) for pair in pairs]
 
 
-def moving_table(seed: int) -> list[Contact]:
+def moving_table(seed):
     rng = np.random.default_rng(seed)
     X_WE = pose_of(rng)
     yaw = pin.exp3(rng.normal() * UP)
@@ -31,39 +28,41 @@ def moving_table(seed: int) -> list[Contact]:
     return table(X_WE * standing, rng.normal(size=6), X_WE, rng.normal(size=6))
 
 
-def mobility(rng: np.random.Generator) -> np.ndarray:
+def mobility(rng):
     """Φ (6, 6) of a body about as large as the table."""
     turn = pin.exp3(rng.normal(size=3))
     spread = turn @ np.diag(rng.uniform(0.6, 1.0, 3)) @ turn.T
     return np.linalg.inv(pin.Inertia(5.0, rng.uniform(-0.2, 0.2, 3), spread).matrix())
 
 
-def all_columns(parts: Sequence[Contact]) -> tuple[np.ndarray, np.ndarray]:
+def all_columns(parts):
     return np.hstack([c.N for c in parts]), np.concatenate([c.n_gamma for c in parts])
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_table_on_four_legs_has_three_forces_and_a_split_that_is_not_unique(seed: int) -> None:
+def test_a_table_on_four_legs_has_three_forces_and_a_split_that_is_not_unique(seed):
     """On a moving floor, moving at will; R leads back to N, n_γ and the least split."""
     rng = np.random.default_rng([seed, 1])
-    parts, Phi = moving_table(seed), mobility(rng)
+    parts = moving_table(seed)
+    Phi = mobility(rng)
     N_all, n_all = all_columns(parts)
     for stacked in (Contact.stack(parts), Contact.stack(parts, Phi)):
         assert stacked.r == 3 and stacked.R.shape == (3, 4) and not stacked.split_is_unique
         assert all((N_all == column[:, None]).all(axis=0).any() for column in stacked.N.T)
-        np.testing.assert_allclose(stacked.N @ stacked.R, N_all, atol=1e-12)
-        np.testing.assert_allclose(stacked.n_gamma @ stacked.R, n_all, atol=1e-11)
+        assert_allclose(stacked.N @ stacked.R, N_all, atol=1e-12)
+        assert_allclose(stacked.n_gamma @ stacked.R, n_all, atol=1e-11)
         alpha = rng.normal(size=3) * 20
         split = stacked.magnitudes(alpha)
         least = np.linalg.lstsq(N_all, stacked.N @ alpha, rcond=1e-9)[0]
-        np.testing.assert_allclose(split, least, atol=1e-10)
-        np.testing.assert_allclose(stacked.R @ split, alpha, atol=1e-11)  # and forth
+        assert_allclose(split, least, atol=1e-10)
+        assert_allclose(stacked.R @ split, alpha, atol=1e-11)  # and forth
 
 
-def dependent_parts(rng: np.random.Generator) -> tuple[list[Contact], int]:
+def dependent_parts(rng):
     """Contacts of sizes 0 to 3, independent each, of rank 1 to 6 together; columns 1e-3 … 1e3."""
     rank = int(rng.integers(1, 7))
-    basis, n_gamma = rng.normal(size=(6, rank)), rng.normal(size=rank)
+    basis = rng.normal(size=(6, rank))
+    n_gamma = rng.normal(size=rank)
     parts = []
     for _ in range(rng.integers(2, 6)):
         k = min(int(rng.integers(0, 4)), rank)
@@ -73,7 +72,7 @@ def dependent_parts(rng: np.random.Generator) -> tuple[list[Contact], int]:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed: int) -> None:
+def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed):
     rng = np.random.default_rng([seed, 2])
     parts, rank = dependent_parts(rng)
     N_all, n_all = all_columns(parts)
@@ -86,11 +85,9 @@ def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed: int) -> Non
     ):
         assert stacked.r == rank
         assert stacked.split_is_unique == (N_all.shape[1] == rank)
-        np.testing.assert_allclose(
-            stacked.N @ stacked.R, N_all, atol=1e-9 * np.abs(N_all).max(initial=0)
-        )
+        assert_allclose(stacked.N @ stacked.R, N_all, atol=1e-9 * np.abs(N_all).max(initial=0))
         scale = np.abs(n_all).max(initial=0.0)
-        np.testing.assert_allclose(stacked.n_gamma @ stacked.R, n_all, atol=1e-9 * scale)
+        assert_allclose(stacked.n_gamma @ stacked.R, n_all, atol=1e-9 * scale)
         unit = stacked.N / np.linalg.norm(stacked.N, axis=0)
         everything = N_all / np.linalg.norm(N_all, axis=0)
         values = np.linalg.svd(everything, compute_uv=False)
@@ -99,10 +96,12 @@ def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed: int) -> Non
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_contact_force_is_that_of_all_contacts_in_any_order(seed: int) -> None:
+def test_the_contact_force_is_that_of_all_contacts_in_any_order(seed):
     """A free table pressed on four legs: against one multiplier for each leg, by least squares."""
     rng = np.random.default_rng([seed, 3])
-    parts, Phi, f = moving_table(seed), mobility(rng), rng.normal(size=6) * 30
+    parts = moving_table(seed)
+    Phi = mobility(rng)
+    f = rng.normal(size=6) * 30
     N_all, n_all = all_columns(parts)
     K = np.block([[np.linalg.inv(Phi), N_all], [N_all.T, np.zeros((4, 4))]])
     f_all = N_all @ np.linalg.lstsq(K, np.concatenate((f, n_all)), rcond=1e-12)[0][6:]
@@ -110,26 +109,26 @@ def test_the_contact_force_is_that_of_all_contacts_in_any_order(seed: int) -> No
         stacked = Contact.stack([parts[i] for i in rng.permutation(4)], Phi)
         N = stacked.N
         alpha = np.linalg.solve(N.T @ Phi @ N, N.T @ Phi @ f - stacked.n_gamma)
-        np.testing.assert_allclose(N @ alpha, f_all, atol=1e-9 * np.abs(f_all).max())
+        assert_allclose(N @ alpha, f_all, atol=1e-9 * np.abs(f_all).max())
 
 
 # The verdict --------------------------------------------------------------------------------------
 
 
-def change(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+def change(rng):
     """Motions, forces, and power in other axes, about a point up to 100 m away, in mm and g."""
     X = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3) * 10 ** rng.uniform(-1, 2))
     motion = np.diag([1e3] * 3 + [1.0] * 3) @ X.toActionMatrix()
     return motion, 1e9 * np.linalg.inv(motion).T, 1e9
 
 
-def parallel(y: float) -> Contact:
+def parallel(y):
     """A force along z through (0, y, 0)."""
     return Contact(np.array([[0, 0, 1, y, 0, 0]]).T, [0.3])
 
 
 @pytest.mark.parametrize(("apart", "r"), [(0.1, 2), (1e-6, 2), (1e-8, 2), (1e-13, 1), (0.0, 1)])
-def test_the_rank_knows_no_frame_origin_basis_or_unit(apart: float, r: int) -> None:
+def test_the_rank_knows_no_frame_origin_basis_or_unit(apart, r):
     """Two parallel lines of force: 200 changes for each distance, the same verdict, map and force.
 
     The limit of 1e-10 is counted in the object's own size."""
@@ -153,10 +152,10 @@ def test_the_rank_knows_no_frame_origin_basis_or_unit(apart: float, r: int) -> N
 # Velocity products --------------------------------------------------------------------------------
 
 
-def test_contacts_that_no_acceleration_keeps_are_refused_by_name() -> None:
+def test_contacts_that_no_acceleration_keeps_are_refused_by_name():
     """Point and normal in common, curvature not: at rest one contact, in motion none."""
 
-    def gap(X: pin.SE3) -> np.ndarray:
+    def gap(X):
         x, _, z = X.translation
         return np.array([z - 0.5 * x * x])
 
@@ -165,7 +164,7 @@ def test_contacts_that_no_acceleration_keeps_are_refused_by_name() -> None:
     aside = VertexOnFace([0.0, 0.3, 0], np.zeros(3), UP, name="aside")
     here = pin.SE3.Identity()
 
-    def stacked(speed: float) -> Contact:
+    def stacked(speed):
         V = np.array([speed, 0, 0, 0, 0, 0])
         return Contact.stack([pair.contact(here, V) for pair in (aside, flat, curved)])
 
@@ -184,15 +183,17 @@ def test_contacts_that_no_acceleration_keeps_are_refused_by_name() -> None:
 
 @pytest.mark.parametrize("turn", range(2))
 @pytest.mark.parametrize("name", ["cone_in_groove", "revolute", "screw", "cylinder_in_hole"])
-def test_contacts_given_by_tangents_in_motion(name: str, turn: int) -> None:
+def test_contacts_given_by_tangents_in_motion(name, turn):
     """n_γ = NᵀṪβ for whatever N was chosen: the differentiated poses keep the contact."""
     motion = Motion.keeping(name, turn)
-    contact, (V_rel, a_rel) = motion.contact(), motion.relative
+    contact = motion.contact()
+    (V_rel, a_rel) = motion.relative
     h = 1e-3
 
-    def carried(t: float) -> np.ndarray:
+    def carried(t):
         """T at time t in one smooth basis, written at the operational point of t = 0."""
-        X_WO, X_WE = motion.body(t), motion.env(t)
+        X_WO = motion.body(t)
+        X_WE = motion.env(t)
         T = motion.pair.contact(X_WO, np.zeros(6), X_WE).T
         away = pin.SE3(np.eye(3), X_WO.translation - motion.body(0.0).translation)
         T = away.toActionMatrix() @ T
@@ -206,7 +207,7 @@ def test_contacts_given_by_tangents_in_motion(name: str, turn: int) -> None:
     given = Contact.from_tangents(now, T_dot_beta=T_dot @ beta)
     assert given.r == contact.r and np.abs(given.N.T @ now).max() < 1e-12
     scale = 1.0 + np.abs(a_rel).max()
-    np.testing.assert_allclose(given.n_gamma, given.N.T @ a_rel, atol=1e-8 * scale)
+    assert_allclose(given.n_gamma, given.N.T @ a_rel, atol=1e-8 * scale)
     assert np.abs(given.n_gamma).max() > 1e-4
 
 
@@ -221,7 +222,7 @@ def test_tangents_with_two_rates_or_half_of_one_are_refused():
 # Refusals -----------------------------------------------------------------------------------------
 
 
-def test_impossible_stacks_are_refused() -> None:
+def test_impossible_stacks_are_refused():
     parts = moving_table(0)
     for wrong, words in (
         (np.eye(3), "Phi_ref: expected shape"),

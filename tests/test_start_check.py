@@ -1,7 +1,5 @@
 """Postures outside joint limits and wrists that read a wrong weight are found at the start."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from dataclasses import replace
@@ -22,7 +20,8 @@ def limited(**how):
     """The arm of `scene`, its joints limited to ±2 rad."""
     spec = osc.robots.mjcf.compile_mjcf(scene(MOTORS, **how))
     for name in ("shoulder", "elbow", "wrist_pitch"):
-        spec.joint(name).range, spec.jnt_limited[spec.joint(name).id] = (-2.0, 2.0), 1
+        spec.joint(name).range = (-2.0, 2.0)
+        spec.jnt_limited[spec.joint(name).id] = 1
     return robot_of(spec)
 
 
@@ -45,7 +44,8 @@ def test_postures_outside_the_limits_are_refused_with_numbers_and_cure(door):
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_posture_may_be_a_goal_beyond_the_limits_by_less_than_one_and_a_half_ranges(sign):
     chain = limited().chain
-    near, far = np.array([0.3, sign * 7.9, -1.2]), np.array([0.3, sign * 8.1, -1.2])
+    near = np.array([0.3, sign * 7.9, -1.2])
+    far = np.array([0.3, sign * 8.1, -1.2])
     assert osc.Controller(chain, [WALL], posture=near).settings.posture[1] == near[1]
     with pytest.raises(osc.InvalidInputError, match=r"posture: outside the limits.* arm/elbow at"):
         osc.Controller(chain, [WALL], posture=far)
@@ -88,7 +88,13 @@ def free_run(change, tick=lambda k, controller: None, ticks=300, engaged=True, *
     for k in range(ticks):
         read = robot.measure()
         wrench = change(read.wrenches.copy(), robot) + 0.3 * rng.standard_normal((1, 6)) * [
-            1, 1, 1, 0.02, 0.02, 0.02]  # fmt: skip
+            1,
+            1,
+            1,
+            0.02,
+            0.02,
+            0.02,
+        ]
         tau = controller.tick(replace(read, wrenches=wrench), osc.Reference(X, alpha_d=[5.0]))
         tick(k, controller)
         if controller.state is osc.SafetyState.SAFE_STOP:

@@ -14,6 +14,7 @@ import time
 import numpy as np
 import pyarrow
 import pytest
+from numpy.testing import assert_allclose
 from pyarrow import parquet
 from scipy import stats
 from scipy.stats import qmc
@@ -50,7 +51,7 @@ def rod(samples, *vary, **how):
 )
 def test_numbers_are_those_of_scipys_distributions(words, oracle):
     found = [float(parse_distribution(words).draw(np.array([u]), None)[0]) for u in U]
-    np.testing.assert_allclose(found, oracle.ppf(U), rtol=1e-9)
+    assert_allclose(found, oracle.ppf(U), rtol=1e-9)
 
 
 def test_units_stay_with_their_numbers():
@@ -85,7 +86,7 @@ def test_tilted_directions_fill_their_cap_evenly():
     u = np.random.default_rng(0).random((4000, 2))
     tilt = parse_distribution("tilt(20 deg)")
     drawn = np.array([json.loads(tilt.draw(x, normal.tolist())[0]) for x in u])
-    np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-12)
+    assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-12)
     height = (drawn @ normal - np.cos(np.deg2rad(20))) / (1 - np.cos(np.deg2rad(20)))
     assert height.min() > -1e-12
     assert stats.kstest(height, "uniform").pvalue > 0.01
@@ -175,8 +176,8 @@ def test_sobol_indices_are_those_of_ishigamis_function():
     table = pyarrow.table({"motion.rms_error_m": error})
     found = variances(table, study, "motion.rms_error_m")
     first, total = ([found[key][kind] for key in keys] for kind in ("first", "total"))
-    np.testing.assert_allclose(first, (0.3139, 0.4424, 0.0), atol=0.03)
-    np.testing.assert_allclose(total, (0.5576, 0.4424, 0.2437), atol=0.03)
+    assert_allclose(first, (0.3139, 0.4424, 0.0), atol=0.03)
+    assert_allclose(total, (0.5576, 0.4424, 0.2437), atol=0.03)
     assert variances(table.slice(0, 9), study, "motion.rms_error_m") == {}
     with pytest.raises(osc.InvalidInputError, match="power of two, such as 1024"):
         rod(1000, MASSES, design="saltelli")
@@ -391,7 +392,8 @@ def test_scenarios_made_in_python_are_swept_and_their_laws_refused():
     study = SweepStudy.of(scenario, [MASSES], 1)
     assert study.command(0) is None
     named = SweepStudy.of("two_contact_rod", [MASSES], 1, overrides=SHORT)
-    (one,), (other,) = make_rows(study, [0]), make_rows(named, [0])
+    (one,) = make_rows(study, [0])
+    (other,) = make_rows(named, [0])
     assert one == other
     own = scenario.replaced(laws=osc.Laws())
     with pytest.raises(osc.InvalidInputError, match="laws"):

@@ -28,7 +28,8 @@ def test_found_gains_beat_the_shipped_ones_in_a_run_of_their_own():
     found = tune("two_contact_rod", overrides=(*SHORT, sudden), trials=14, workers=1, seed=1)
     assert found.better and found.trials == 14
     changes = [f"{k}={v}" for k, v in found.values.items()]
-    shipped, best = errors([sudden]), errors([sudden, *changes])
+    shipped = errors([sudden])
+    best = errors([sudden, *changes])
     assert found.shipped == pytest.approx(1.0)
     assert found.best == pytest.approx(0.5 * (best[0] / shipped[0] + best[1] / shipped[1]))
     assert found.best < 0.9

@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from numpy.testing import assert_allclose, assert_array_equal
 
 import osc_contact as osc
 from osc_contact.control.batch import BatchController
@@ -60,24 +61,25 @@ def test_rows_are_reset_as_gymnasium_resets_environments(mode):
     assert ours.metadata["autoreset_mode"] is mode
     for env in (ours, theirs):
         env.action_space.seed(5)
-    np.testing.assert_array_equal(ours.reset(seed=1)[0], theirs.reset(seed=1)[0])
+    assert_array_equal(ours.reset(seed=1)[0], theirs.reset(seed=1)[0])
     ends = np.zeros((2, 3), dtype=int)
     for _ in range(35):
         actions = 0.05 * ours.action_space.sample()
         actions[2, :2] = -1.0
-        one, other = ours.step(actions), theirs.step(actions)
+        one = ours.step(actions)
+        other = theirs.step(actions)
         for x, y in zip(one[:4], other[:4], strict=True):
-            np.testing.assert_array_equal(x, y)
+            assert_array_equal(x, y)
         over = one[2] | one[3]
         ends += np.array([one[2], one[3]])
         assert ("final_obs" in one[4]) == ("final_obs" in other[4])
         for i in np.flatnonzero(over) if "final_obs" in one[4] else ():
-            np.testing.assert_array_equal(one[4]["final_obs"][i], other[4]["final_obs"][i])
+            assert_array_equal(one[4]["final_obs"][i], other[4]["final_obs"][i])
         if mode is AutoresetMode.DISABLED and over.any():
             with pytest.raises(osc.InvalidInputError, match="reset them"):
                 ours.step(actions)
             x, y = (env.reset(options={"reset_mask": over.copy()})[0] for env in (ours, theirs))
-            np.testing.assert_array_equal(x, y)
+            assert_array_equal(x, y)
     assert ends[0, 2] > 2 and ends[1, 0] >= 2 and ends[0, 0] == 0  # ran away; ran out of time
 
 
@@ -102,7 +104,7 @@ def test_rows_of_a_fleet_are_single_runs(name):
         tau = fleet.tick(X, *fields, np.array([plans[i].squeeze_d for i in rows]))
         for row, i in enumerate(rows):
             for one, channel in ((q, "q"), (v, "v"), (tau, "tau")):
-                np.testing.assert_allclose(one[row], recordings[i][channel][k], atol=1e-9)
+                assert_allclose(one[row], recordings[i][channel][k], atol=1e-9)
     assert not fleet.diverged().any()
 
 
@@ -115,9 +117,9 @@ def test_a_row_does_what_its_neighbours_would_do_alone():
     few._now = [many._now[i] for i in (4, 1)]
     few.fleet.begin({row: episode.start for row, episode in enumerate(few._now)})
     actions = np.random.default_rng(0).uniform(-1, 1, (5, 5, 7))
-    np.testing.assert_array_equal(few._observe(), first[[4, 1]])
+    assert_array_equal(few._observe(), first[[4, 1]])
     for action in actions[:4]:
-        np.testing.assert_array_equal(few.step(action[[4, 1]])[0], many.step(action)[0][[4, 1]])
+        assert_array_equal(few.step(action[[4, 1]])[0], many.step(action)[0][[4, 1]])
 
 
 def test_actions_move_the_set_point_and_set_the_force():
@@ -136,10 +138,10 @@ def test_actions_move_the_set_point_and_set_the_force():
     for _ in range(60):
         observation = env.step(action)[0]
     moved = env.fleet.objects()[0] - start
-    np.testing.assert_allclose(moved[:, 1], [0.04, -0.02], atol=2e-4)
-    np.testing.assert_allclose(part(env, observation, "force 0")[:, 0], [12.0, 6.0], atol=0.05)
-    np.testing.assert_allclose(part(env, observation, "asked force")[:, 0], [12.0, 6.0], atol=1e-9)
-    np.testing.assert_allclose(part(env, observation, "set point y")[:, 0], [0.04, -0.02])
+    assert_allclose(moved[:, 1], [0.04, -0.02], atol=2e-4)
+    assert_allclose(part(env, observation, "force 0")[:, 0], [12.0, 6.0], atol=0.05)
+    assert_allclose(part(env, observation, "asked force")[:, 0], [12.0, 6.0], atol=1e-9)
+    assert_allclose(part(env, observation, "set point y")[:, 0], [0.04, -0.02])
 
 
 def test_following_the_scenario_is_rewarded_and_leaving_it_is_not():
@@ -159,7 +161,7 @@ def test_following_the_scenario_is_rewarded_and_leaving_it_is_not():
 def test_seeds_draw_the_same_episodes_again_and_others_draw_others():
     env = make_vector_env("panda_edge", 6, vary=MASS, overrides=SHORT, episodes=5, threads=1)
     one, two, other = (env.reset(seed=s)[1]["sample"] for s in (7, 7, 8))
-    np.testing.assert_array_equal(one, two)
+    assert_array_equal(one, two)
     assert (one != other).any() and set(one) <= set(range(5))
 
 
@@ -183,7 +185,8 @@ def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given():
     batch = BatchController([starts[0].controller] * 2)
     batch.replace(1, starts[1].controller)
     single = [start.rig.controller() for start in starts]
-    measurement, reference = starts[0].plant.measure(), rigs[0].references.at(0.0)
+    measurement = starts[0].plant.measure()
+    reference = rigs[0].references.at(0.0)
     wanted = [one.tick(measurement, reference) for one in single]
     tau = batch.tick(
         *([x, x] for x in (measurement.q, measurement.v, measurement.wrenches)),
@@ -192,7 +195,7 @@ def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given():
         [reference.A_D] * 2,
         [reference.alpha_d] * 2,
     )
-    np.testing.assert_array_equal(tau, wanted)
+    assert_array_equal(tau, wanted)
     assert np.abs(tau[0] - tau[1]).max() > 0.1
     rod = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()
     with pytest.raises(osc.InvalidInputError, match="one structure"):

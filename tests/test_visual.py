@@ -43,7 +43,8 @@ def test_force_error_is_scaled_by_what_counts():
     low, high = error.get_ylim()
     assert low < -5.0 and high > 7.0, "nothing is cut off"
     at = error.transScale.transform
-    small, large = at((0.0, 1e-3))[1] - at((0.0, 0.0))[1], at((0.0, 7.0))[1] - at((0.0, 0.0))[1]
+    small = at((0.0, 1e-3))[1] - at((0.0, 0.0))[1]
+    large = at((0.0, 7.0))[1] - at((0.0, 0.0))[1]
     assert small > 0.2 * large, "and what is judged is seen beside it"
     shaded = [(p.get_x(), p.get_x() + p.get_width()) for p in error.patches]
     assert np.allclose(shaded, [(0.0, 0.2), (0.5, 0.55)])
@@ -54,10 +55,8 @@ def test_force_error_is_scaled_by_what_counts():
 
 def test_power_figure_leaves_steps_out_of_the_rms():
     recording = make_recording()
-    plain, blanked = (
-        plots.power(recording),
-        plots.power(recording, ~np.isin(np.arange(101), range(50, 55))),
-    )
+    plain = plots.power(recording)
+    blanked = plots.power(recording, ~np.isin(np.arange(101), range(50, 55)))
     assert plain.axes[0].get_ylim() == plain.axes[1].get_ylim()
     assert "398 mW" in plain.axes[1].get_title(loc="left")
     counted = np.r_[0:50, 55:101]
