@@ -40,7 +40,7 @@ class System:
     grasps: (kind, X_TO, axis in tip frame) for each arm.
     """
 
-    def __init__(self, model, tips, grasps, body, q, v, X_WO, V_O):
+    def __init__(self, model, tips, grasps, body, *, q, v, X_WO, V_O):
         data = model.createData()
         n = model.nv
         self.n = n
@@ -71,11 +71,13 @@ class System:
             u = pin.getFrameVelocity(model, data, f, LWA).vector
             a = pin.getFrameClassicalAcceleration(model, data, f, LWA).vector
             held = R @ X_TO.inverse().translation  # from O to the grasp's point of the object
-            self._grasp(kind, axis, X, J, u, a, p, held, w, R @ X_TO.rotation.T)
+            tip = X, J, u, a
+            self._grasp(kind, axis, tip, p, held, w, R @ X_TO.rotation.T)
             self.ends.append(len(self.rows))
 
-    def _grasp(self, kind, axis, X, J, u, a, p, held, w, R_OT):
+    def _grasp(self, kind, axis, tip, p, held, w, R_OT):
         """`held`: O to the point G of the object that the grasp holds; R_OT: its axes there."""
+        X, J, u, a = tip
         E = np.eye(3)
         zero = np.zeros(3)
         wt = u[3:]
@@ -180,7 +182,7 @@ def kkt(chain, q, v, tau, N=None, n_gamma=None):
     shift = np.cross(V[3:], X_WO.translation - X_WT.translation)
     grasps = [("rigid", grasp.X_TO, None) for grasp in chain.grasps]
     V_O = np.concatenate((V[:3] + shift, V[3:]))
-    system = System(model, tips, grasps, chain.payload.inertia, q, v, X_WO, V_O)
+    system = System(model, tips, grasps, chain.payload.inertia, q=q, v=v, X_WO=X_WO, V_O=V_O)
     force = -model.damping * v
     force[chain.actuated] += tau
     N = np.zeros((6, 0)) if N is None else N

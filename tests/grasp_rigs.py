@@ -94,7 +94,7 @@ class Case:
         chain = self.chain
         tips = [f"{arm.name}/{arm.tip}" for arm in chain.arms]
         body = pin.Inertia.Zero() if chain.payload is None else chain.payload.inertia
-        return System(chain.model, tips, self.grasps, body, self.q, v, self.X_WO, V)
+        return System(chain.model, tips, self.grasps, body, q=self.q, v=v, X_WO=self.X_WO, V_O=V)
 
     def moving(self, rng, N=None):
         """(v, V_O) that keep loops and contacts."""

@@ -5,7 +5,7 @@ import pytest
 from grasp_oracle import kkt
 from numpy.testing import assert_allclose
 from rigs import PANDA_Q, panda_pair, random_state, scara_pair
-from test_decoupling import in_contact, law_torques, structured
+from test_decoupling import commanded, in_contact, structured
 
 import osc_contact as osc
 
@@ -24,7 +24,7 @@ def test_squeeze_arises_between_the_grasps_and_disturbs_nothing(rig):
         B = np.linalg.inv(state.metric)
         seen = []
         for squeeze in (-15.0, 25.0):
-            tau, _ = law_torques(chain, state, contact, pairs, q, v, a_u, alpha, B, squeeze)
+            _, tau = commanded(chain, pairs, q, v, a_u, alpha, B, squeeze)
             got = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
             force = got.loops[:, :3]
             assert 0.5 * e @ (force[0] - force[1]) == pytest.approx(squeeze, abs=1e-6)

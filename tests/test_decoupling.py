@@ -47,7 +47,7 @@ def strong(chain):
     return out
 
 
-def tick_with(laws, chain, pairs, q, v, squeeze, touched=None, wrenches=None, weak=False, **how):
+def tick_with(laws, chain, pairs, q, v, squeeze, *, touched=None, wrenches=None, weak=False, **how):
     """A controller after one tick under these laws; and its torques. Strong motors unless weak."""
     how.setdefault("safety", osc.SafetySettings.motors_only())  # states out of any motion
     controller = osc.Controller(chain if weak else strong(chain), pairs, laws=laws, **how)
@@ -71,12 +71,6 @@ def commanded(chain, pairs, q, v, a_u, alpha_u, B, squeeze=5.0, **how):
     return tick_with(laws, chain, pairs, q, v, squeeze, B=B, **how)
 
 
-def law_torques(chain, state, contact, pairs, q, v, a_u, alpha_u, B, squeeze=5.0):
-    """Torques and η̇_c of the law."""
-    controller, tau = commanded(chain, pairs, q, v, a_u, alpha_u, B, squeeze)
-    return tau, controller.signals.eta_c
-
-
 def structured(chain, q, v, f_S, eta, squeeze, posture=None, state=None, **how):
     """Torques of the law's allocation for any f_S (d,) and η̇ (d,), in the basis S of a state."""
 
@@ -98,7 +92,7 @@ def test_steps_do_not_couple_on_the_rigid_plant():
     chain = scara_pair()
     rng = np.random.default_rng(11)
     for _ in range(20):
-        state, contact, pairs, q, v = in_contact(chain, rng)
+        state, _, pairs, q, v = in_contact(chain, rng)
         plant = RigidPlant(chain, pairs, 1e-3)
         plant.q = q
         plant.v = v
@@ -107,9 +101,7 @@ def test_steps_do_not_couple_on_the_rigid_plant():
             alpha = rng.uniform(5, 20, 2)
             steps = (a_u, alpha), (a_u, alpha + 5.0), (a_u + 1.0, alpha)
             (a0, f0), (a1, f1), (a2, f2) = (
-                plant.accelerations(law_torques(chain, state, contact, pairs, q, v, *step, B)[0])[
-                    1:
-                ]
+                plant.accelerations(commanded(chain, pairs, q, v, *step, B)[1])[1:]
                 for step in steps
             )
             assert np.abs(a1 - a0).max() <= 1e-9 * np.abs(a0).max()

@@ -64,6 +64,7 @@ def random_case(
     r=None,
     k=None,
     s=None,
+    *,
     apart=None,
     passive=0,
     weak=1.0,
