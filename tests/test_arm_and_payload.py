@@ -5,8 +5,8 @@ The terms of arms are judged in `test_chain_state.py`.
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 from urdf_numbers import element, written_inertia
 
 from osc_contact import robots
@@ -60,7 +60,7 @@ def test_fingers_are_locked_and_the_arm_stays():
     whole = robots.load_model(robots.find_robot("panda")[0])
     arm = panda()
     assert list(arm.model.names)[1:] == [f"panda_joint{i}" for i in range(1, 8)]
-    assert pin.computeTotalMass(arm.model) == pytest.approx(pin.computeTotalMass(whole))
+    assert pin.computeTotalMass(arm.model) == approx(pin.computeTotalMass(whole))
     q, v = motion(arm.model, 0)
     fingers = whole.nq - 7
     data = arm.model.createData()
@@ -94,10 +94,10 @@ def test_mass_factor_scales_the_joint_space_dynamics():
     sensor, tip = (one.model.getFrameId(name) for name in ("wrist_sensor", "tool"))
     weighed = [outboard_links(arm.model, sensor, tip) for arm in (heavy, one)]
     for a, b in zip(*weighed, strict=True):
-        assert a.inertia.mass == pytest.approx(1.25 * b.inertia.mass)
+        assert a.inertia.mass == approx(1.25 * b.inertia.mass)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("options", "message"),
     [
         ({"tip": "tol"}, "tol"),
@@ -109,7 +109,7 @@ def test_mass_factor_scales_the_joint_space_dynamics():
     ],
 )
 def test_impossible_arms_are_refused(options, message):
-    with pytest.raises(ModelError, match=message):
+    with raises(ModelError, match=message):
         Arm.from_urdf(
             robots.urdf_path("scara_left.urdf"), name="left", **{"tip": "tool", **options}
         )
@@ -118,7 +118,7 @@ def test_impossible_arms_are_refused(options, message):
 # What hangs beyond the wrist sensor ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sensor", ["wrist_sensor", "wrist_sensor_joint"])
+@mark.parametrize("sensor", ["wrist_sensor", "wrist_sensor_joint"])
 def test_outboard_links_of_the_scara(sensor):
     """Gripper base with joint 4, finger with the hinge; the flange is inboard of the sensor."""
     arm = scara()
@@ -126,7 +126,7 @@ def test_outboard_links_of_the_scara(sensor):
         arm.model, arm.model.getFrameId(sensor), arm.model.getFrameId("tool")
     )
     assert [arm.model.names[link.joint] for link in (base, finger)] == ["joint4", "hinge"]
-    assert (base.inertia.mass, finger.inertia.mass) == pytest.approx((0.35, 0.15))
+    assert (base.inertia.mass, finger.inertia.mass) == approx((0.35, 0.15))
     mounted = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.02])).act(
         written_inertia(element("scara_left", "wrist_sensor"))
     )
@@ -135,7 +135,7 @@ def test_outboard_links_of_the_scara(sensor):
     close(finger.inertia.matrix(), own.matrix(), 1e-12)
 
 
-@pytest.mark.parametrize("sensor", ["panda_link8", "panda_hand"])
+@mark.parametrize("sensor", ["panda_link8", "panda_hand"])
 def test_outboard_links_of_the_panda(sensor):
     """Hand and locked fingers: everything on joint 7 but its own link."""
     arm = panda()
@@ -143,7 +143,7 @@ def test_outboard_links_of_the_panda(sensor):
     model = arm.model
     (hand,) = outboard_links(model, model.getFrameId(sensor), model.getFrameId("panda_hand_tcp"))
     assert model.names[hand.joint] == "panda_joint7"
-    assert hand.inertia.mass == pytest.approx(0.73 + 2 * 0.015)
+    assert hand.inertia.mass == approx(0.73 + 2 * 0.015)
     rest = model.inertias[hand.joint].matrix() - hand.inertia.matrix()
     close(rest, written_inertia(element(file, "panda_link7")).matrix(), 1e-12)
 
@@ -151,16 +151,16 @@ def test_outboard_links_of_the_panda(sensor):
 def test_outboard_links_survive_the_merging_of_arms():
     merged = pin.appendModel(scara().model, panda().model, 0, pin.SE3.Identity())
     found = outboard_links(merged, merged.getFrameId("wrist_sensor"), merged.getFrameId("tool"))
-    assert [link.inertia.mass for link in found] == pytest.approx([0.35, 0.15])
+    assert [link.inertia.mass for link in found] == approx([0.35, 0.15])
     tip = merged.getFrameId("panda_hand_tcp")
     (hand,) = outboard_links(merged, merged.getFrameId("panda_hand"), tip)
-    assert hand.inertia.mass == pytest.approx(0.76)
+    assert hand.inertia.mass == approx(0.76)
 
 
 # The object ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", SEEDS)
 def test_object_terms_are_newton_euler_of_a_free_body(seed):
     pin.seed(seed)
     inertia = body(seed)
@@ -187,7 +187,7 @@ def test_object_terms_are_newton_euler_of_a_free_body(seed):
     close(terms.Lambda @ a + terms.mu + terms.p, wrench(V, a, GRAVITY), 1e-12)
 
 
-@pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])
+@mark.parametrize("factor", [0.5, 1.0, 3.0])
 def test_scaled_object_keeps_its_shape(factor):
     held = RigidObject(body(0))
     scaled = held.scaled(factor)
@@ -195,7 +195,7 @@ def test_scaled_object_keeps_its_shape(factor):
     assert_array_equal(scaled.inertia.lever, held.inertia.lever)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("mass", "principal", "message"),
     [
         (0.0, [1.0, 1.0, 1.0], "object of mass 0 kg"),
@@ -216,19 +216,19 @@ def test_impossible_objects_are_refused(mass, principal, message):
     inertia = pin.Inertia.Zero()
     inertia.mass = mass
     inertia.inertia = 0.5 * (tensor + tensor.T)
-    with pytest.raises(ModelError, match=message):
+    with raises(ModelError, match=message):
         RigidObject(inertia)
 
 
 def test_lever_with_nan_is_refused_and_thin_rods_are_not():
     inertia = body(0)
     inertia.lever = np.array([0.0, np.nan, 0.0])
-    with pytest.raises(ModelError, match="NaN or inf"):
+    with raises(ModelError, match="NaN or inf"):
         RigidObject(inertia)
     RigidObject(pin.Inertia(1.0, np.zeros(3), np.diag([1e-9, 1.0, 1.0])))
     RigidObject(pin.Inertia(1.0, np.ones(3), np.diag([1.0, 1.0, 2.0])))  # a flat disc
     for factor in (0.0, -1.0, np.nan, np.inf):
-        with pytest.raises(ModelError, match=f"factor {factor}"):
+        with raises(ModelError, match=f"factor {factor}"):
             RigidObject(body(0)).scaled(factor)
 
 
@@ -240,7 +240,7 @@ def test_fixed_environment_is_all_zero():
         assert not (fixed.Phi_e.any() or fixed.b_e.any() or fixed.V_e.any())
 
 
-@pytest.mark.parametrize("seed", range(24))
+@mark.parametrize("seed", range(24))
 def test_any_mobility_a_mechanism_can_have_is_accepted(seed):
     """Φ = X J M⁻¹Jᵀ Xᵀ of rank 1 to 6, given at another point, with its rounding errors."""
     rng = np.random.default_rng([seed, 11])
@@ -259,7 +259,7 @@ def test_impossible_environments_are_refused():
     Environment(held, np.ones(6), np.ones(6))
     skewed = held.copy()
     skewed[0, 4] += 1e-6 * held[4, 4]
-    with pytest.raises(InvalidInputError, match="not symmetric"):
+    with raises(InvalidInputError, match="not symmetric"):
         Environment(skewed)
     for wrong in (
         -held,
@@ -268,11 +268,11 @@ def test_impossible_environments_are_refused():
         np.eye(6) + 2 * (np.eye(6, k=3) + np.eye(6, k=-3)),
         np.eye(6, k=3) + np.eye(6, k=-3),
     ):
-        with pytest.raises(InvalidInputError, match="not positive semidefinite"):
+        with raises(InvalidInputError, match="not positive semidefinite"):
             Environment(wrong)
-    with pytest.raises(InvalidInputError, match=r"Phi_e: expected shape \(6, 6\)"):
+    with raises(InvalidInputError, match=r"Phi_e: expected shape \(6, 6\)"):
         Environment(np.zeros(6))
-    with pytest.raises(InvalidInputError, match="b_e: element"):
+    with raises(InvalidInputError, match="b_e: element"):
         Environment(b_e=np.full(6, np.nan))
-    with pytest.raises(InvalidInputError, match=r"V_e: expected shape \(6\), got \(3,\)"):
+    with raises(InvalidInputError, match=r"V_e: expected shape \(6\), got \(3,\)"):
         Environment(V_e=np.zeros(3))

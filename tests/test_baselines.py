@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 from rigs import consistent, contact_of, one_panda, random_faces, random_state, scara_pair
 from typer.testing import CliRunner
 
@@ -126,7 +126,7 @@ def isaac_lab(selection, Lambda, a, f):
     return back @ (S_motion @ Lambda @ (S_motion @ a) + S_force @ f)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("key", "published"),
     [("khatib", khatib_1987), ("khatib", newton), ("khatib", sai), ("isaac_lab", isaac_lab)],
 )
@@ -243,7 +243,7 @@ def test_the_search_finds_frames_no_worse_than_200_random_ones_and_the_same_from
             costs += [cost] if np.isfinite(cost) else []
         assert least <= min(costs)
         other = instant.coupling(best_selection(instant, baseline, seed=7)).cost
-        assert other == pytest.approx(least, rel=1e-5)
+        assert other == approx(least, rel=1e-5)
 
 
 def test_a_law_does_not_depend_on_the_basis_of_the_five_motions():
@@ -351,7 +351,7 @@ def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
         assert min(found["smaller_than_best_baseline"][plant].values()) > 10
     of_motion = min(max(laws[k]["mujoco"]["force_to_motion_m"]) for k in list(laws)[1:])
     ratio = of_motion / max(laws["ours"]["mujoco"]["force_to_motion_m"])
-    assert found["smaller_than_best_baseline"]["mujoco"]["force_to_motion"] == pytest.approx(ratio)
+    assert found["smaller_than_best_baseline"]["mujoco"]["force_to_motion"] == approx(ratio)
     for words in ("Khatib, Newton, SAI", "Isaac Lab", f"{ratio:.3g}"):
         assert words in result.stdout
 
@@ -359,8 +359,8 @@ def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
 def test_the_comparison_refuses_what_it_cannot_compare():
     refused = CliRunner().invoke(app, ["reproduce", "baselines", "--plant", "rigid"])
     assert refused.exit_code == 2 and "its own plants" in refused.stderr
-    with pytest.raises(osc.InvalidInputError, match="judged"):
+    with raises(osc.InvalidInputError, match="judged"):
         compare(osc.load_scenario("two_contact_rod", ["duration=0.5"]))
     tare = "tare={duration: 0.3 s, standoff: 3 mm, approach: 0.3 s}"
-    with pytest.raises(osc.InvalidInputError, match="tare"):
+    with raises(osc.InvalidInputError, match="tare"):
         compare(osc.load_scenario("two_contact_rod", [tare]))

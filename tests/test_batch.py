@@ -7,9 +7,9 @@ import subprocess
 import sys
 
 import numpy as np
-import pytest
 from grasp_rigs import random_case
 from numpy.testing import assert_array_equal
+from pytest import mark, raises
 from rigs import one_panda, random_faces, random_state, scara_pair
 
 import osc_contact as osc
@@ -63,8 +63,8 @@ def single(controller, x, i):
     return controller.tick(measurement, reference)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize(
+@mark.parametrize("threads", [1, 2])
+@mark.parametrize(
     "rig, life", [(one_panda, None), (scara_pair, None), (scara_pair, PhaseSettings())]
 )
 def test_rows_are_single_ticks_bit_for_bit(rig, life, threads):
@@ -142,19 +142,19 @@ def test_what_is_no_batch_is_refused():
     chain = scara_pair()
     rng = np.random.default_rng(7)
     ones, q = controllers(chain, 2, rng)
-    with pytest.raises(osc.InvalidInputError, match="≥ 1"):
+    with raises(osc.InvalidInputError, match="≥ 1"):
         osc.BatchController([])
     fewer = osc.Controller(chain, ones[0].contacts[:1], GAINS)
-    with pytest.raises(osc.InvalidInputError, match="n_columns"):
+    with raises(osc.InvalidInputError, match="n_columns"):
         osc.BatchController([ones[0], fewer])
     own = ones[0].with_laws(force=lambda a, b: a)
-    with pytest.raises(osc.InvalidInputError, match="only Python"):
+    with raises(osc.InvalidInputError, match="only Python"):
         osc.BatchController([own])
     batch = osc.BatchController(ones)
     x = story(chain, q, 2, 1, rng)[0]
-    with pytest.raises(osc.InvalidInputError, match=r"q: expected shape \(2, 10\)"):
+    with raises(osc.InvalidInputError, match=r"q: expected shape \(2, 10\)"):
         batch.tick(**{**x, "q": x["q"][:1]})
-    with pytest.raises(osc.InvalidInputError, match="mask"):
+    with raises(osc.InvalidInputError, match="mask"):
         batch.reset([True])
 
 

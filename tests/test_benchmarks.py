@@ -9,8 +9,8 @@ from time import perf_counter, sleep
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 from benchmarks import jitter, law, many_runs, peers, scaling, simulation, tick, vector_env
@@ -74,7 +74,7 @@ def test_peers_program(tmp_path, monkeypatch):
         assert len(case["peers_us"]) == 7 and all(map(sane, case["peers_us"].values()))
         tick = case["peers_us"]["tick"]["p50"]
         for name, times in case["peers_us"].items():
-            assert case["ratio"][name] == pytest.approx(times["p50"] / tick)
+            assert case["ratio"][name] == approx(times["p50"] / tick)
     assert set(result["tsid"]) == {"missing"} and "pip install" in printed
 
 
@@ -96,7 +96,7 @@ def test_scaling_program(tmp_path):
     ]
     for row in (*result["arms"], *result["ranks"], *result["contacts"]):
         assert row["tick_p50_us"] > 0.0 and row["floor_p50_us"] > 0.0
-        assert row["tick_per_arm_us"] == pytest.approx(row["tick_p50_us"] / row["arms"])
+        assert row["tick_per_arm_us"] == approx(row["tick_p50_us"] / row["arms"])
 
 
 def test_jitter_program(tmp_path):
@@ -120,9 +120,9 @@ def test_law_program(tmp_path):
 
 def test_simulation_program(tmp_path):
     result, _ = run_program("simulation", 30, tmp_path)
-    assert result["simulated_s"] == pytest.approx(0.03) and result["ticks"] == 30
-    assert result["real_time_factor"] == pytest.approx(0.03 / result["wall_s"])
-    assert sum(result["shares"].values()) == pytest.approx(1.0)
+    assert result["simulated_s"] == approx(0.03) and result["ticks"] == 30
+    assert result["real_time_factor"] == approx(0.03 / result["wall_s"])
+    assert sum(result["shares"].values()) == approx(1.0)
     assert min(result["us_per_tick"].values()) > 0.0
     assert {simulation.STEPS, "tick", "references", simulation.REST} <= set(result["shares"])
     assert 0.0 < result["steps_us_per_tick"] < 1e4
@@ -144,27 +144,25 @@ def test_vector_env_program(tmp_path):
     for case in result["cases"]:
         parts = case["cpu_us_per_tick"]
         shares = case["shares"]
-        assert sum(shares.values()) == pytest.approx(1.0)
-        assert sum(parts.values()) * case["ticks_per_cpu_s"] == pytest.approx(1e6)
+        assert sum(shares.values()) == approx(1.0)
+        assert sum(parts.values()) * case["ticks_per_cpu_s"] == approx(1e6)
         assert case["ticks_per_s"] > 0.0 and min(parts.values()) > 0.0
         assert 0.0 < case["control_of_the_clock"] < 1.0
 
 
-@pytest.mark.parametrize(
-    "module", [tick, peers, scaling, jitter, law, simulation, many_runs, vector_env]
-)
+@mark.parametrize("module", [tick, peers, scaling, jitter, law, simulation, many_runs, vector_env])
 def test_benchmarks_refuse_no_ticks(module):
-    with pytest.raises(InvalidInputError, match=r"0 .* tell no time"):
+    with raises(InvalidInputError, match=r"0 .* tell no time"):
         module.measure(0)
 
 
-@pytest.mark.parametrize("name", tick.ALL_CASES)
+@mark.parametrize("name", tick.ALL_CASES)
 def test_each_case_is_timed_with_the_documented_numbers(name):
     (row,) = tick.measure(2, [name]).values()
     assert set(row) == {"tick_p50_us", "floor_p50_us", "ratio", "p99_9_us"}
     assert 0.0 < row["tick_p50_us"] <= row["p99_9_us"] and row["floor_p50_us"] > 0.0
-    assert row["ratio"] == pytest.approx(row["tick_p50_us"] / row["floor_p50_us"])
-    with pytest.raises(InvalidInputError, match="0 rounds"):
+    assert row["ratio"] == approx(row["tick_p50_us"] / row["floor_p50_us"])
+    with raises(InvalidInputError, match="0 rounds"):
         tick.measure(0, [name])
 
 
@@ -172,7 +170,7 @@ def test_the_plain_cases_come_first():
     assert list(tick.ALL_CASES)[:3] == ["two_contact_rod", "one_panda", "two_pandas"]
 
 
-@pytest.mark.parametrize("name", [*CASES, *SPECIAL_CASES])
+@mark.parametrize("name", [*CASES, *SPECIAL_CASES])
 def test_every_timed_tick_is_checked_and_begins_alike(name):
     """Integrals are zero at every timed tick; one that ends in another way is not timed."""
     case = (CASES | SPECIAL_CASES)[name]()
@@ -188,9 +186,7 @@ def test_every_timed_tick_is_checked_and_begins_alike(name):
     another = next(status for status in osc.Status if status is not case.status)
     tick, unwind = replace(case, status=another).tick()
     tick()
-    with pytest.raises(
-        InvalidInputError, match=f"ended {case.status.name}.*expected {another.name}"
-    ):
+    with raises(InvalidInputError, match=f"ended {case.status.name}.*expected {another.name}"):
         unwind()
 
 
@@ -221,7 +217,7 @@ def test_special_cases_are_what_they_are_called():
     assert [type(pair) for pair in last["own_pair"].contacts] == [OwnFace, osc.VertexOnFace]
 
 
-@pytest.mark.parametrize("threads", [1, 2])
+@mark.parametrize("threads", [1, 2])
 def test_a_timed_batch_is_its_single_ticks_and_every_row_is_checked(threads):
     rows = BatchCase.around(CASES["one_panda"](), 5, threads)
     tick, unwind = rows.tick()
@@ -238,11 +234,11 @@ def test_a_timed_batch_is_its_single_ticks_and_every_row_is_checked(threads):
     assert len(np.unique(torques[:, 0])) == rows.rows, "every row is at a state of its own"
     rows.inputs["q"][3, 0] = np.nan
     tick()
-    with pytest.raises(InvalidInputError, match="ended HELD in 1 rows, the first of them 3"):
+    with raises(InvalidInputError, match="ended HELD in 1 rows, the first of them 3"):
         unwind()
 
 
-@pytest.mark.parametrize("name", [*CASES, "own_pair"])
+@mark.parametrize("name", [*CASES, "own_pair"])
 def test_textbook_law_gives_our_torques(name):
     """Without force integral: what the textbook's Ω_f(Λ_o) leaves out changes no torque then."""
     case = (CASES | SPECIAL_CASES)[name]()
@@ -273,7 +269,7 @@ def test_textbook_law_gives_our_torques(name):
         assert_allclose(textbook.motion_sum, integral, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["two_contact_rod", "one_panda"])
+@mark.parametrize("name", ["two_contact_rod", "one_panda"])
 def test_mujoco_inverse_explains_the_torques_on_every_contact(name):
     import mujoco
 
@@ -287,7 +283,7 @@ def test_mujoco_inverse_explains_the_torques_on_every_contact(name):
     assert_allclose(data.qfrc_inverse[dofs], wanted, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", [*CASES, "three_arms"])
+@mark.parametrize("name", [*CASES, "three_arms"])
 def test_constraint_dynamics_moves_the_joints_as_commanded(name):
     case = replace(
         (CASES | SPECIAL_CASES)[name](), pairs=()
@@ -302,7 +298,7 @@ def test_constraint_dynamics_moves_the_joints_as_commanded(name):
         assert_allclose(arm.J @ found[s], arm.J @ commanded[s], atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@mark.parametrize("kind", KINDS)
 def test_random_arms_hold_the_object(kind):
     rng = np.random.default_rng(51)
     rig = random_rig([kind] * 3, rng)
@@ -315,9 +311,9 @@ def test_random_arms_hold_the_object(kind):
         len(pairs) == 9
         and osc.Contact.stack([pair.contact(rig.X_WO, np.zeros(6)) for pair in pairs]).r == 3
     )
-    with pytest.raises(InvalidInputError, match="cannot have r = 7"):
+    with raises(InvalidInputError, match="cannot have r = 7"):
         faces_of(rig, 9, 7, rng)
-    with pytest.raises(InvalidInputError, match="no arm 'delta'"):
+    with raises(InvalidInputError, match="no arm 'delta'"):
         random_rig(["delta"], rng)
 
 
@@ -341,14 +337,14 @@ def test_tsid_runs_in_its_own_interpreter(tmp_path):
     panda = report.data["cases"]["one_panda"]
     assert panda["peers_us"][peers.TSID] == times
     tsid = report.data["tsid"]
-    assert tsid["ratio"] == pytest.approx(9.3 / tsid["tick_us"]["p50"])
+    assert tsid["ratio"] == approx(9.3 / tsid["tick_us"]["p50"])
     assert "TSID / tick" in str(report.tables[-1].caption)
     broken = interpreter(tmp_path / "broken", "echo 'no module tsid' >&2; exit 1")
-    with pytest.raises(InvalidInputError, match=r"no module tsid.*pip install"):
+    with raises(InvalidInputError, match=r"no module tsid.*pip install"):
         run_benchmark("peers", 1, tsid_python=broken)
-    with pytest.raises(InvalidInputError, match=r"cannot be run.*pip install"):
+    with raises(InvalidInputError, match=r"cannot be run.*pip install"):
         run_benchmark("peers", 1, tsid_python=tmp_path / "nowhere")
-    with pytest.raises(InvalidInputError, match="only the benchmark 'peers'"):
+    with raises(InvalidInputError, match="only the benchmark 'peers'"):
         run_benchmark("jitter", 1, tsid_python=python)
 
 
@@ -396,7 +392,7 @@ def test_ledger_counts_inner_calls_once_and_puts_everything_back():
     ledger = simulation.Ledger(lambda: now[0])
     before = Plant.step
     calls = [("step", Plant, "step"), ("solve", Plant, "solve")]
-    with pytest.raises(ValueError), ledger.watching(calls):
+    with raises(ValueError), ledger.watching(calls):
         Plant().step()
     assert Plant.step is before
     assert ledger.spent == {"step": 2.0, "solve": 5.0}

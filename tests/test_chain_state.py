@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_rigs import KINDS, Case, random_case
 from kkt_oracle import State
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark
 from rigs import SCARA_Q, one_panda, random_state, scara_pair
 from test_singular import straight_panda, stretched_scaras
 
@@ -159,7 +159,7 @@ def test_nothing_held_and_gravity_that_changes():
         assert_chain(case, v, s.V_O, s, rng)
 
 
-@pytest.mark.parametrize("rig", [scara_pair, one_panda])
+@mark.parametrize("rig", [scara_pair, one_panda])
 def test_a_pose_that_is_given_counts_more_than_what_the_joints_say(rig):
     """O somewhere else: everything is expressed there, and the twist is the tip's."""
     chain = rig()
@@ -193,8 +193,8 @@ def test_what_singular_postures_lose():
                 sorted(one.chi for one in mine), sorted(chis[chis < 0.3]), rtol=1e-6, atol=1e-9
             )
             for one in mine:
-                assert one.mode @ arm.M @ one.mode == pytest.approx(1.0)
-                assert one.twist @ s.reference @ one.twist == pytest.approx(1.0)
+                assert one.mode @ arm.M @ one.mode == approx(1.0)
+                assert one.twist @ s.reference @ one.twist == approx(1.0)
                 assert_close("J ν = χ u", arm.J @ one.mode, one.chi * one.twist, 1e-7)
                 assert_close("wrench", one.wrench, s.reference @ one.twist, 1e-7)
                 seen += 1

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 import typer
+from pytest import MonkeyPatch, approx, fixture, mark
 from scene_samples import read_commands
 from typer.testing import CliRunner
 
@@ -46,7 +46,7 @@ def refused(*words):
     return result.stderr
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def done(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     return folder, call(
@@ -175,7 +175,7 @@ def test_metrics_have_the_documented_keys(done):
         "rigid",
         7,
     )
-    assert verdict["ticks"] == 1050 and verdict["duration_s"] == pytest.approx(1.05)
+    assert verdict["ticks"] == 1050 and verdict["duration_s"] == approx(1.05)
     assert set(verdict["force"]) == set(verdict["contact_fraction"]) == {"left_end", "right_end"}
     for force in verdict["force"].values():
         assert set(force) == {
@@ -215,7 +215,7 @@ def elsewhere(path, *words):
     )
 
 
-@pytest.mark.parametrize(("command", "folder"), [("reproduce", "paper"), ("bench", "benchmarks")])
+@mark.parametrize(("command", "folder"), [("reproduce", "paper"), ("bench", "benchmarks")])
 def test_programs_of_the_checkout_are_missed_with_a_cure(
     command: str, folder: str, tmp_path: Path
 ) -> None:
@@ -294,7 +294,7 @@ def test_bench_tick(tmp_path):
     assert {"two_contact_rod", "one_panda", "two_pandas", "saturated", "own_pair"} <= set(cases)
     for row in cases.values():
         assert set(row) == {"tick_p50_us", "floor_p50_us", "ratio", "p99_9_us"}
-        assert row["ratio"] == pytest.approx(row["tick_p50_us"] / row["floor_p50_us"])
+        assert row["ratio"] == approx(row["tick_p50_us"] / row["floor_p50_us"])
         assert row["p99_9_us"] >= row["tick_p50_us"] > 0.0
 
 
@@ -309,7 +309,7 @@ def test_bad_scenario_is_told_with_its_line(tmp_path):
     assert f"bad.yaml:{at + 1}: squeeze" in refused("run", tmp_path / "bad.yaml", *SHORT)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("words", "message"),
     [
         (("inspect", "two_contact_rob"), "no packaged scenario 'two_contact_rob'"),
@@ -328,7 +328,7 @@ def test_bad_scenario_is_told_with_its_line(tmp_path):
     ],
 )
 def test_bad_input_is_refused(
-    words: tuple[str, ...], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: tuple[str, ...], message: str, tmp_path: Path, monkeypatch: MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert message in " ".join(refused(*words).split())
@@ -357,7 +357,7 @@ def test_failed_run_exits_with_1_and_keeps_what_was_recorded(tmp_path, monkeypat
     assert 20 <= len(Recording.load(tmp_path / PARTIAL)["t"]) <= 21
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("package", "extra", "words"),
     [
         ("matplotlib", "plot", ("reproduce", "fig4")),
@@ -381,7 +381,7 @@ def test_installed_command_pipes_and_exits_like_the_application(tmp_path):
     assert good.returncode == 0 and good.stderr == "" and "\x1b" not in good.stdout
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def brief():
     scenario = load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
     return osc_contact.run(scenario, duration=0.05)
@@ -411,7 +411,7 @@ DRAWN = {
 }
 
 
-@pytest.mark.parametrize("name", DRAWN)
+@mark.parametrize("name", DRAWN)
 def test_view_refuses_channels_that_no_run_of_its_scenario_has(name, brief, tmp_path):
     ticks = len(brief)
     page = tmp_path / "page.html"
@@ -429,7 +429,7 @@ def test_view_refuses_channels_that_no_run_of_its_scenario_has(name, brief, tmp_
         assert call("view", path, "--html", page).exit_code == 0, "what is not there is not drawn"
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("times", "words"),
     [
         (np.zeros(50), "does not grow"),
@@ -453,7 +453,7 @@ def test_view_refuses_the_wrong_meta(brief, tmp_path):
             assert words in refused("view", path, "--html", tmp_path / "page.html")
 
 
-@pytest.mark.parametrize("name", ["run.npz", "run.mcap"])
+@mark.parametrize("name", ["run.npz", "run.mcap"])
 def test_view_refuses_files_that_are_no_recordings(name, brief, tmp_path):
     whole = brief.save(tmp_path / "whole.npz").read_bytes()
     rng = np.random.default_rng(8)
@@ -468,7 +468,7 @@ def test_view_refuses_files_that_are_no_recordings(name, brief, tmp_path):
     assert not (tmp_path / "page.html").exists()
 
 
-@pytest.mark.parametrize("first", [0, 20])
+@mark.parametrize("first", [0, 20])
 def test_view_draws_ticks_that_were_held_where_things_were_before(first, brief, tmp_path):
     gaps = {name: brief[name].astype(float) for name in DRAWN if name != "t"}
     for values in gaps.values():
@@ -513,7 +513,7 @@ def test_view_runs_a_scenario_and_writes_to_out(tmp_path, monkeypatch):
     assert (tmp_path / "moving.mp4").read_bytes()[4:8] == b"ftyp"
 
 
-@pytest.mark.parametrize("what", ["scenario", "recording"])
+@mark.parametrize("what", ["scenario", "recording"])
 def test_view_live_serves_a_page_while_it_runs(what, tmp_path):
     scenario = load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
     recording = osc_contact.run(scenario, duration=0.1).save(tmp_path / "short.npz")

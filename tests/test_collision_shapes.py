@@ -5,9 +5,9 @@ import textwrap
 import coal
 import numpy as np
 import pinocchio as pin
-import pytest
 from detection_bodies import BOX, CORNERS, TABLE, only, standing
 from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 
 from osc_contact import robots
 from osc_contact.contacts import detection
@@ -92,7 +92,7 @@ def test_a_convex_mesh_that_is_no_mirror_image_of_itself(tmp_path):
         mesh = collision_shapes(urdf(tmp_path, MESH.format("wedge.stl")))
         found = only(detect(mesh, pin.SE3.Identity(), TABLE))
         assert (found.kind, found.r) == ("face on face", 3)
-        assert found.distance == pytest.approx(0.0, abs=1e-9)
+        assert found.distance == approx(0.0, abs=1e-9)
         assert_allclose(found.normal, [0, 0, 1], atol=1e-9)
         assert detect(mesh, pin.SE3(np.eye(3), np.array([0, 0, 0.01])), TABLE) == []
 
@@ -110,11 +110,11 @@ def test_a_dented_mesh_is_refused(tmp_path):
     dented = [f for f in CUBE_FACES if f not in ((4, 6, 7), (4, 7, 5))]
     dented += [(4, 6, 8), (6, 7, 8), (7, 5, 8), (5, 4, 8)]
     stl(tmp_path / "dent.stl", corners, dented)
-    with pytest.raises(ModelError, match="not convex"):
+    with raises(ModelError, match="not convex"):
         collision_shapes(urdf(tmp_path, MESH.format("dent.stl")))
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("collision", "joint", "message"),
     [
         ("", "", "no link has a <collision>"),
@@ -127,24 +127,24 @@ def test_a_dented_mesh_is_refused(tmp_path):
     ],
 )
 def test_files_that_are_no_body_are_refused(tmp_path, collision, joint, message):
-    with pytest.raises(ModelError, match=message):
+    with raises(ModelError, match=message):
         collision_shapes(urdf(tmp_path, collision, textwrap.dedent(joint)))
 
 
 def test_a_missing_file_is_named():
-    with pytest.raises(ModelError, match=r"nowhere\.urdf"):
+    with raises(ModelError, match=r"nowhere\.urdf"):
         collision_shapes("nowhere.urdf")
 
 
 def test_bad_input_is_refused_at_the_door():
     X = pin.SE3.Identity()
     for options in ({"margin": 0.0}, {"margin": np.nan}, {"angle": 0.0}, {"angle": 0.5}):
-        with pytest.raises(InvalidInputError, match=next(iter(options))):
+        with raises(InvalidInputError, match=next(iter(options))):
             detect(BOX, X, TABLE, **options)
-    with pytest.raises(InvalidInputError, match="Ellipsoid"):
+    with raises(InvalidInputError, match="Ellipsoid"):
         CollisionShape("egg", coal.Ellipsoid(1, 2, 3))
     puffed = coal.Box(1, 1, 1)
     puffed.setSweptSphereRadius(0.01)
-    with pytest.raises(InvalidInputError, match="swept"):
+    with raises(InvalidInputError, match="swept"):
         CollisionShape("puffed", puffed)
     assert set(detection.__all__) >= {"detect", "Detected", "CollisionShape", "collision_shapes"}

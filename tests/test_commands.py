@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import mark, raises
 from rigs import one_panda, panda_pair, scara_pair
 from test_decoupling import in_contact
 
@@ -41,8 +41,8 @@ def assert_close(got, want):
         assert_allclose(one, other, rtol=0, atol=1e-9 * size)
 
 
-@pytest.mark.parametrize("kind", ["object", "chain", "matrix"])
-@pytest.mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
+@mark.parametrize("kind", ["object", "chain", "matrix"])
+@mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
 def test_commands_are_the_nearest_that_contacts_permit(rig, kind):
     """Fixed faces and bodies that move, yield and are dragged along; d = 5, 6."""
     chain = rig()
@@ -64,7 +64,7 @@ def test_commands_are_the_nearest_that_contacts_permit(rig, kind):
             assert_close(command(*given), by_definition(*given))
 
 
-@pytest.mark.parametrize("rig", [scara_pair, panda_pair])
+@mark.parametrize("rig", [scara_pair, panda_pair])
 def test_frame_units_and_bases_do_not_matter(rig):
     """200 random frames, units (m → mm) and bases of S and N: the same η̇_c and f_S."""
     chain = rig()
@@ -99,5 +99,5 @@ def test_frame_units_and_bases_do_not_matter(rig):
 
 def test_a_metric_that_is_not_definite_is_refused():
     state, contact, *_ = in_contact(scara_pair(), np.random.default_rng(81))
-    with pytest.raises(osc.ContactError, match="metric B"):
+    with raises(osc.ContactError, match="metric B"):
         command(state, contact, np.zeros(6), np.zeros(2), -np.eye(6))

@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numba import config
 from numpy.testing import assert_allclose
+from pytest import fixture, mark
 from rich.console import Console
 
 import osc_contact as osc
@@ -157,7 +157,7 @@ def test_compiling_is_announced_once_and_loading_is_not(tmp_path):
         tell(lambda text: None)
 
 
-@pytest.fixture(params=["compiled", "plain"])
+@fixture(params=["compiled", "plain"])
 def parts(request, tmp_path, monkeypatch):
     """The module of `READERS`, compiled and as plain Python."""
     path = tmp_path / "parts.py"
@@ -209,7 +209,7 @@ RECORDS = {
 }
 
 
-@pytest.mark.parametrize("name", RECORDS)
+@mark.parametrize("name", RECORDS)
 def test_no_field_of_a_record_is_named_like_an_attribute(name):
     """In plain Python `record.field` finds attributes of `np.recarray` and `np.record` first."""
     taken = set(dir(np.recarray)) | set(dir(np.record))
@@ -222,7 +222,7 @@ def test_no_field_of_a_record_is_named_like_an_attribute(name):
         assert kind.base in (np.int64, np.float64) and offset % 8 == 0
 
 
-@pytest.mark.slow
+@mark.slow
 def test_public_numba_gives_the_same_torques(tmp_path):
     """Without the accelerator, in a process of its own that compiles the law afresh.
 
@@ -260,7 +260,7 @@ def test_a_numba_without_the_accelerators_classes_is_enough(monkeypatch):
     assert jit._accelerator() is None
 
 
-@pytest.mark.parametrize("name", ["_get_module_for_linking", "_finalize_dynamic_globals"])
+@mark.parametrize("name", ["_get_module_for_linking", "_finalize_dynamic_globals"])
 def test_a_numba_whose_libraries_have_other_methods_is_told_at_once(name):
     """Not at the first compilation, where nothing would catch it."""
     script = (

@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_oracle import kkt
 from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -70,10 +70,10 @@ def test_the_cone_lies_on_both_walls_and_in_neither():
         assert abs(generator @ wall) < 1e-12, "along a line of the wall"
         assert abs(np.linalg.norm(generator) - 1) < 1e-12
         cosine = generator @ seat().axis
-        assert np.arccos(cosine) == pytest.approx(seat().half_angle)
+        assert np.arccos(cosine) == approx(seat().half_angle)
         assert wall[2] > 0.0 and abs(wall @ seat().groove.direction) < 1e-12
         heights.append(wall)
-    assert heights[0] @ heights[1] == pytest.approx(np.cos(np.deg2rad(60.0)))
+    assert heights[0] @ heights[1] == approx(np.cos(np.deg2rad(60.0)))
 
 
 def test_inertia_is_that_of_a_stack_of_discs():
@@ -121,7 +121,7 @@ def test_no_constraint_frame_describes_it():
     assert "32° apart, neither parallel nor perpendicular" in found.reason
     assert found.residual > 0.1
     axis = rig().state().X_WO.rotation @ seat().cone.axis
-    assert np.rad2deg(np.arccos(axis @ seat().groove.direction)) == pytest.approx(32.0)
+    assert np.rad2deg(np.arccos(axis @ seat().groove.direction)) == approx(32.0)
 
 
 def test_N_is_continuous_over_whole_turns():
@@ -232,9 +232,9 @@ def test_one_force_per_column_is_asked_for():
     assert controller.status is osc.Status.OK
 
 
-@pytest.mark.parametrize("words", [{"duration": 0.5}, {"duration": np.nan}, {"probe_s": 0.0}])
+@mark.parametrize("words", [{"duration": 0.5}, {"duration": np.nan}, {"probe_s": 0.0}])
 def test_a_run_that_cannot_be_judged_is_refused(words):
-    with pytest.raises(osc.InvalidInputError, match=r"judged from t = 0\.5 s"):
+    with raises(osc.InvalidInputError, match=r"judged from t = 0\.5 s"):
         cg.run(**words)
 
 

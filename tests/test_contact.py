@@ -1,8 +1,8 @@
 """A contact state: what it accepts, what it refuses, and that it only passes on the projections."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import mark, raises
 
 from osc_contact import projections
 from osc_contact.contacts.contact import Contact
@@ -28,8 +28,8 @@ def orthogonal(N, T, tolerance=1e-12):
     return bool((np.abs(N.T @ T) <= tolerance * (np.abs(N).T @ np.abs(T))).all())
 
 
-@pytest.mark.parametrize("r", RANKS)
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("r", RANKS)
+@mark.parametrize("seed", SEEDS)
 def test_tangents_are_all_motions_without_power(seed, r):
     N = random_normals(seed, r)
     contact = Contact(N)
@@ -56,8 +56,8 @@ def test_a_contact_keeps_its_own_copy():
     assert Contact([[0], [0], [1], [0], [0], [0]]).N.dtype == np.float64
 
 
-@pytest.mark.parametrize("r", RANKS)
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("r", RANKS)
+@mark.parametrize("seed", SEEDS)
 def test_from_tangents(seed, r):
     T = random_normals(seed, 6 - r)
     n_gamma = np.arange(r, dtype=float)
@@ -69,7 +69,7 @@ def test_from_tangents(seed, r):
     assert np.linalg.matrix_rank(contact.N, tol=1e-9) == r
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", SEEDS)
 def test_stack_keeps_the_order(seed):
     N = random_normals(seed, 4)
     n_gamma = np.array([1.0, -2.0, 3.0, -4.0])
@@ -101,8 +101,8 @@ def test_clamped():
         assert_allclose(clamped.motion_projection(definite(0)), 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("r", RANKS)
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("r", RANKS)
+@mark.parametrize("seed", SEEDS)
 def test_methods_pass_on_the_projections(seed, r):
     contact = Contact(random_normals(seed, r))
     metric = definite(seed)
@@ -123,7 +123,7 @@ def test_methods_pass_on_the_projections(seed, r):
 # Refusals -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("N", "message"),
     [
         (np.zeros(6), r"N: expected shape \(6, any\), got \(6,\)"),
@@ -138,11 +138,11 @@ def test_methods_pass_on_the_projections(seed, r):
     ],
 )
 def test_malformed_normals_are_refused(N, message):
-    with pytest.raises(InvalidInputError, match=message):
+    with raises(InvalidInputError, match=message):
         Contact(N)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("n_gamma", "message"),
     [
         ([1.0], r"n_gamma: expected shape \(2\), got \(1,\)"),
@@ -152,29 +152,29 @@ def test_malformed_normals_are_refused(N, message):
     ],
 )
 def test_malformed_n_gamma_is_refused(n_gamma, message):
-    with pytest.raises(InvalidInputError, match=message):
+    with raises(InvalidInputError, match=message):
         Contact(np.eye(6)[:, :2], n_gamma)
-    with pytest.raises(InvalidInputError, match=message):
+    with raises(InvalidInputError, match=message):
         Contact.from_tangents(np.eye(6)[:, :4], n_gamma)
 
 
-@pytest.mark.parametrize("column", range(3))
+@mark.parametrize("column", range(3))
 def test_zero_columns_are_refused_by_number(column):
     N = random_normals(0, 3)
     N[:, column] = 0.0
-    with pytest.raises(ContactError, match=f"N: column {column} is zero"):
+    with raises(ContactError, match=f"N: column {column} is zero"):
         Contact(N)
-    with pytest.raises(ContactError, match=f"T: column {column} is zero"):
+    with raises(ContactError, match=f"T: column {column} is zero"):
         Contact.from_tangents(N)
 
 
-@pytest.mark.parametrize("size", [1e-4, 1.0, 1e4])
+@mark.parametrize("size", [1e-4, 1.0, 1e4])
 def test_dependent_columns_are_refused_by_number(size):
     N = random_normals(3, 4)
     N[:, 3] = size * (N[:, 0] / np.linalg.norm(N[:, 0]) - N[:, 2] / np.linalg.norm(N[:, 2]))
-    with pytest.raises(ContactError, match=r"N: columns \[0, 2, 3\] are dependent"):
+    with raises(ContactError, match=r"N: columns \[0, 2, 3\] are dependent"):
         Contact(N)
-    with pytest.raises(ContactError, match=r"T: columns \[0, 2, 3\] are dependent"):
+    with raises(ContactError, match=r"T: columns \[0, 2, 3\] are dependent"):
         Contact.from_tangents(N)
 
 
@@ -183,19 +183,19 @@ def test_nearly_dependent_is_not_dependent():
     N = np.array([[0, 0, 1.0, 0, 0, 0], [0, 0, 1.0, 1e-6, 0, 0]]).T
     assert Contact(N).r == 2
     N[3, 1] = 1e-11
-    with pytest.raises(ContactError, match="dependent"):
+    with raises(ContactError, match="dependent"):
         Contact(N)
 
 
 def test_more_than_six_columns_are_refused():
     seven = random_normals(0, 7)
-    with pytest.raises(ContactError, match="N: 7 columns"):
+    with raises(ContactError, match="N: 7 columns"):
         Contact(seven)
-    with pytest.raises(ContactError, match="T: 7 columns"):
+    with raises(ContactError, match="T: 7 columns"):
         Contact.from_tangents(seven)
 
 
 def test_refusals_share_the_base_class():
     for wrong in (np.zeros((6, 1)), np.zeros(6)):
-        with pytest.raises(OscContactError):
+        with raises(OscContactError):
             Contact(wrong)

@@ -6,8 +6,8 @@ The rules of the phases themselves are in test_law_phases.py.
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, fixture, mark, raises
 from rigs import panda_pair, random_faces, random_state, scara_pair
 from test_law import UNLIMITED, inputs
 
@@ -29,9 +29,9 @@ OPEN, APPROACHING, CLOSED = Phase
 
 
 def test_settings_that_cannot_work_are_refused():
-    with pytest.raises(osc.InvalidInputError, match="raise speed or damping"):
+    with raises(osc.InvalidInputError, match="raise speed or damping"):
         PhaseSettings(speed=0.001)
-    with pytest.raises(osc.InvalidInputError, match="rise"):
+    with raises(osc.InvalidInputError, match="rise"):
         PhaseSettings(rise=0.0)
 
 
@@ -46,9 +46,9 @@ def given_phases(controller, phase):
     rows.memory.fresh = 0
 
 
-@pytest.mark.parametrize("times", [1.0, 200.0])
-@pytest.mark.parametrize("friction", [None, Friction(0.4)])
-@pytest.mark.parametrize("chain", [scara_pair, panda_pair])
+@mark.parametrize("times", [1.0, 200.0])
+@mark.parametrize("friction", [None, Friction(0.4)])
+@mark.parametrize("chain", [scara_pair, panda_pair])
 def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, times):
     """Torques of a controller that never knew of the open ones, also with too weak motors.
 
@@ -126,7 +126,7 @@ def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away():
 # --- on MuJoCo ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["two_contact_rod", "dual_panda_rod", "ur5_wipe", "limited_rod"])
+@mark.parametrize("name", ["two_contact_rod", "dual_panda_rod", "ur5_wipe", "limited_rod"])
 def test_phases_change_nothing_while_contacts_stay_closed(name):
     """Filter and least squares, several columns, motors at their limits: bit for bit."""
     at_once = "gains.force.rise=0 s"  # or the first millinewtons would open a contact
@@ -143,7 +143,7 @@ def test_phases_change_nothing_while_contacts_stay_closed(name):
     assert (controller.phases() == CLOSED).all()
 
 
-@pytest.mark.parametrize("reading", ["filter", "least_squares"])
+@mark.parametrize("reading", ["filter", "least_squares"])
 def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(reading):
     """Beside Λ_out: the object accelerates by x along its lines of force."""
     chain = panda_pair()
@@ -170,7 +170,7 @@ def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(read
     assert_allclose(D @ found, x, rtol=1e-7, atol=1e-9)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def knocked():
     return osc.run(osc.load_scenario("collisions"), duration=2.5)
 
@@ -196,7 +196,7 @@ def test_figure_7_shows_power_peaks_at_the_collisions(knocked):
     assert held.sum() > 300
     for hit in hits:
         assert hit.power > 4.0 * np.percentile(power[held], 99)
-        assert power[np.abs(t - hit.t) <= 0.02].max() == pytest.approx(hit.power)
+        assert power[np.abs(t - hit.t) <= 0.02].max() == approx(hit.power)
     assert all(answer.holds for answer in answers(knocked).values())
     figure = draw_collisions(knocked)
     total, projected, force = (ax.get_title(loc="left") for ax in figure.axes)

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_oracle import kkt
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
@@ -18,12 +18,12 @@ from osc_contact.control.status import SafetyState
 from osc_contact.scenarios.control_schema import MotionGains
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def rig():
     return osc.build_rig(osc.load_scenario("two_contact_rod"))
 
 
-@pytest.fixture
+@fixture
 def ready(rig):
     """(controller, plant, measurement, reference) after one good tick."""
     controller = rig.controller()
@@ -41,8 +41,8 @@ def poisoned(measurement, key, index, value):
     return replace(measurement, **{key: data})
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("key", ["q", "v", "wrenches"])
+@mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@mark.parametrize("key", ["q", "v", "wrenches"])
 def test_a_bad_measurement_repeats_the_last_torques_and_freezes_the_integrators(ready, key, value):
     controller, _, measurement, reference = ready
     last = controller.tick(measurement, reference)
@@ -60,7 +60,7 @@ def test_a_bad_measurement_repeats_the_last_torques_and_freezes_the_integrators(
     assert controller.status is osc.Status.OK
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("of", "change"),
     [
         ("measurement", {"q": np.zeros(9)}),
@@ -94,7 +94,7 @@ def test_torques_never_exceed_a_motor_limit(ready):
         tau = controller.tick(measurement, wanted)
         assert (np.abs(tau) <= limits).all()
     assert controller.status is osc.Status.SATURATED
-    assert np.abs(tau / limits).max() == pytest.approx(1.0)
+    assert np.abs(tau / limits).max() == approx(1.0)
     assert "joint" in controller.reason
 
 
@@ -195,17 +195,17 @@ def test_without_contacts_the_whole_motion_is_controlled(rig):
     assert_allclose(state.S.T @ state.metric @ miss, 0.0, atol=1e-8)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "kwargs, words",
     [({"dt": 0.0}, "dt"), ({"dt": float("nan")}, "dt"), ({"B": "euclid"}, "object")],
 )
 def test_bad_settings_are_refused(rig, kwargs, words):
-    with pytest.raises(osc.InvalidInputError, match=words):
+    with raises(osc.InvalidInputError, match=words):
         Controller(rig.model, rig.pairs, **kwargs)
 
 
 def test_an_unstable_integral_gain_is_refused():
-    with pytest.raises(osc.InvalidInputError, match="Routh"):
+    with raises(osc.InvalidInputError, match="Routh"):
         MotionGains(100, 10, 2000)
 
 
@@ -213,26 +213,26 @@ def test_arms_without_wrist_sensors_cannot_control_contact_forces():
     """Half the sensors would weigh half the object and still look plausible."""
     scenario = osc.load_scenario("two_contact_rod", ["arms.left.wrist_sensor=null"])
     rig = osc.build_rig(scenario)
-    with pytest.raises(osc.InvalidInputError, match="left"):
+    with raises(osc.InvalidInputError, match="left"):
         rig.controller()
 
 
 def test_asking_for_signals_before_the_first_tick_says_so(rig):
     controller = rig.controller()
-    with pytest.raises(osc.InvalidInputError, match="no tick"):
+    with raises(osc.InvalidInputError, match="no tick"):
         controller.residual_wrench()
 
 
 # --- settings are taken once, controllers share nothing ------------------------------------------
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "name",
     ["gains", "dt", "B", "contacts", "friction", "bodies", "posture", "life", "signals", "x"],
 )
 def test_what_would_be_ignored_is_refused(ready, name):
     controller = ready[0]
-    with pytest.raises(osc.InvalidInputError, match="with_gains"):
+    with raises(osc.InvalidInputError, match="with_gains"):
         setattr(controller, name, None)
 
 

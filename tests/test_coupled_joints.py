@@ -2,8 +2,8 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact import robots
@@ -19,7 +19,7 @@ JOINT = (
 )
 
 
-@pytest.fixture
+@fixture
 def urdf(tmp_path):
     """A chain a, b, c, then a gripper g beside c; b and g follow a's joint; c has no end stops."""
     follows = '<mimic joint="ja" multiplier="-1"/>'
@@ -37,7 +37,7 @@ def urdf(tmp_path):
 
 def test_a_joint_that_follows_another_one_on_the_way_to_the_tip_is_refused_with_the_cure(urdf):
     for file in (urdf, pin.buildModelFromUrdf(str(urdf), mimic=True)):
-        with pytest.raises(osc.ModelError, match=r"'jb' on the way .* follows joint 'ja'.* Lock"):
+        with raises(osc.ModelError, match=r"'jb' on the way .* follows joint 'ja'.* Lock"):
             osc.Arm.from_urdf(file, name="arm", tip="c")
 
 
@@ -54,11 +54,11 @@ def test_before_it_or_with_both_locked_the_arm_is_there(urdf, caplog):
 
 def test_a_model_with_an_endless_joint_of_its_own_is_refused_with_the_cure(urdf):
     model = pin.buildModelFromUrdf(str(urdf))
-    with pytest.raises(osc.ModelError, match="nq = 2 but nv = 1; load the URDF by its path"):
+    with raises(osc.ModelError, match="nq = 2 but nv = 1; load the URDF by its path"):
         osc.Arm.from_urdf(model, name="arm", tip="c")
 
 
-@pytest.mark.parametrize("reading", ["filter", "least_squares", None])
+@mark.parametrize("reading", ["filter", "least_squares", None])
 def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading):
     """7 N on the tip of a Panda, whose sensor sits in the massless frame of the tip."""
     file, _ = robots.find_robot("panda")

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_oracle import kkt
 from numpy.testing import assert_allclose
+from pytest import raises
 from rigs import consistent, contact_of, placed, random_faces, random_state, scara_pair
 
 import osc_contact as osc
@@ -151,7 +151,7 @@ def test_response_under_no_freedom_and_full_contact():
     assert_allclose(got.acceleration, 0, atol=1e-12)
     oracle = kkt(chain, np.zeros(2), np.zeros(2), np.array([1.0, -2.0]))
     assert_allclose(oracle.a_object, 0, atol=1e-12)
-    with pytest.raises(osc.ContactError, match="cannot push"):
+    with raises(osc.ContactError, match="cannot push"):
         osc.contact_response(state, osc.Contact(np.eye(6)[:, :1]), tau=np.zeros(2))
 
 
@@ -159,7 +159,7 @@ def test_a_contact_on_the_locked_couple_is_refused():
     chain = scara_pair()
     q, v = random_state(chain, np.random.default_rng(15))
     state = chain.state(q, v)
-    with pytest.raises(osc.ContactError, match="column 1"):
+    with raises(osc.ContactError, match="column 1"):
         osc.contact_response(
             state, osc.Contact(np.column_stack((np.eye(6)[:, 2], state.C[:, 0]))), tau=np.zeros(8)
         )
@@ -169,7 +169,7 @@ def test_contact_response_wants_exactly_one_command():
     chain = scara_pair()
     state = chain.state(*random_state(chain, np.random.default_rng(16)))
     nothing = osc.Contact(np.zeros((6, 0)))
-    with pytest.raises(osc.InvalidInputError, match="exactly one"):
+    with raises(osc.InvalidInputError, match="exactly one"):
         osc.contact_response(state, nothing)
-    with pytest.raises(osc.InvalidInputError, match="exactly one"):
+    with raises(osc.InvalidInputError, match="exactly one"):
         osc.contact_response(state, nothing, tau=np.zeros(8), f_S=np.zeros(5))

@@ -9,7 +9,6 @@ import sys
 import coal
 import numpy as np
 import pinocchio as pin
-import pytest
 from detection_bodies import (
     AXIS,
     BALL,
@@ -30,6 +29,7 @@ from detection_bodies import (
     standing,
 )
 from numpy.testing import assert_allclose
+from pytest import approx, fixture, mark
 
 import osc_contact as osc
 from osc_contact import robots
@@ -94,9 +94,9 @@ RESTING = [
 ]
 
 
-@pytest.mark.parametrize("below", [False, True])
-@pytest.mark.parametrize("row", RESTING, ids=lambda row: f"{row[3][0].name}: {row[0]}")
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("below", [False, True])
+@mark.parametrize("row", RESTING, ids=lambda row: f"{row[3][0].name}: {row[0]}")
+@mark.parametrize("seed", range(6))
 def test_a_body_that_rests_on_a_plane_touches_in_its_lowest_points(seed, row, below):
     """Each of the two may be the object."""
     above, under, r, shapes, points, radius, tilt = row
@@ -114,13 +114,13 @@ def test_a_body_that_rests_on_a_plane_touches_in_its_lowest_points(seed, row, be
     away = np.linalg.norm(found.points[:, None] - lowest, axis=2).min(axis=0)
     assert away.max() < 1e-9 + below * abs(depth)
     assert_allclose(found.normal, -up if below else up, atol=1e-9)
-    assert found.distance == pytest.approx(-depth, abs=1e-9)
+    assert found.distance == approx(-depth, abs=1e-9)
     X_WO, X_WE = (X_WT, body) if below else (body, X_WT)
     push = pushes(lowest, up if below else -up, X_WO)
     assert_kept_by_its_pair(found, X_WO, X_WE, push, -depth)
 
 
-@pytest.mark.parametrize(("tilt", "kind"), [(0.5e-3, "face on face"), (2e-3, "edge on face")])
+@mark.parametrize(("tilt", "kind"), [(0.5e-3, "face on face"), (2e-3, "edge on face")])
 def test_the_angle_decides_between_a_face_and_its_edge(tilt, kind):
     X = standing(pin.rpy.rpyToMatrix(tilt, 0, 0), CORNERS, np.random.default_rng(0))
     assert only(detect(BOX, X, TABLE)).kind == kind
@@ -147,7 +147,7 @@ def test_both_the_angle_and_the_margin_must_allow_a_face_or_an_edge():
     assert box_on_table(plate, 2e-3, 0.8e-3).kind == "vertex on face"
 
 
-@pytest.mark.parametrize(("tilt", "along"), [((0.9e-3, 0.6e-3), 0), ((0.6e-3, 0.9e-3), 1)])
+@mark.parametrize(("tilt", "along"), [((0.9e-3, 0.6e-3), 0), ((0.6e-3, 0.9e-3), 1)])
 def test_a_face_too_steep_across_leaves_its_flattest_edge(tilt, along):
     """Both sides rise by less than 1 mrad, the face by more: roll lifts along y, pitch along x."""
     found = box_on_table((0.1, 0.1, 0.1), *tilt)
@@ -177,10 +177,10 @@ def test_a_box_just_beyond_the_rim_of_the_table_touches_in_one_point_of_it():
     found = only(detect(BOX, X, TABLE))
     assert (found.kind, found.r) == ("vertex on face", 1)
     x, y, z = found.points[0]
-    assert x == pytest.approx(0.5) and 0.06 <= y <= 0.14 and abs(z) < 1e-3
+    assert x == approx(0.5) and 0.06 <= y <= 0.14 and abs(z) < 1e-3
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_corners_that_point_at_one_another_touch_on_their_bodies(seed):
     """Where edges near both corners cross beyond their ends, the contact stays on them."""
     rng = np.random.default_rng(seed)
@@ -219,13 +219,13 @@ def test_where_the_distance_solver_fails_the_shapes_decide(monkeypatch):
     )
     X = standing(pin.rpy.rpyToMatrix(0.4, 0.5, 0), CORNERS, np.random.default_rng(0), lift=-5e-4)
     found = only(detect(BOX, X, TABLE))
-    assert found.kind == "vertex on face" and found.distance == pytest.approx(-5e-4)
+    assert found.kind == "vertex on face" and found.distance == approx(-5e-4)
     X.translation += 2e-3 * UP
     assert detect(BOX, X, TABLE) == []
 
 
-@pytest.mark.parametrize("gap", [1.1e-3, 0.02, 1.0])
-@pytest.mark.parametrize("seed", range(2))
+@mark.parametrize("gap", [1.1e-3, 0.02, 1.0])
+@mark.parametrize("seed", range(2))
 def test_what_is_apart_does_not_touch(seed, gap):
     rng = np.random.default_rng(seed)
     for tilt in (np.eye(3), pin.rpy.rpyToMatrix(0.4, 0, 0), pin.rpy.rpyToMatrix(0.4, 0.6, 0)):
@@ -239,7 +239,7 @@ def test_what_is_apart_does_not_touch(seed, gap):
 # Edges and vertices of the environment --------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", SEEDS)
 def test_crossed_edges_touch_in_their_crossing_point(seed):
     """Both boxes stand on an edge, roof against roof, ridges crossed at a random angle."""
     rng = np.random.default_rng(seed)
@@ -262,7 +262,7 @@ def test_crossed_edges_touch_in_their_crossing_point(seed):
     assert (found.kind, found.r) == ("edge on edge", 1)
     assert_allclose(found.points, [turned.act(meet)], atol=1e-9)
     assert_allclose(found.normal, turned.rotation @ UP, atol=1e-9)
-    assert found.distance == pytest.approx(-depth, abs=1e-9)
+    assert found.distance == approx(-depth, abs=1e-9)
     assert_allclose(
         turned.act(X_WO.act(found.object_point)), turned.act(meet - depth * UP), atol=1e-9
     )
@@ -273,7 +273,7 @@ def test_crossed_edges_touch_in_their_crossing_point(seed):
 # The rod of the scenario ----------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def rod():
     """(rod's shapes, declared pairs, (plate's shapes, pose) of each, start pose)."""
     rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
@@ -294,7 +294,7 @@ def on_the_faces(pairs, X, motion):
     return X
 
 
-@pytest.mark.parametrize("seed", range(9))
+@mark.parametrize("seed", range(9))
 def test_the_rod_finds_the_contacts_the_scenario_declares(rod, seed):
     shapes, declared, plates, X_start = rod
     rng = np.random.default_rng(seed)

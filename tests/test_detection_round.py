@@ -3,7 +3,6 @@
 import coal
 import numpy as np
 import pinocchio as pin
-import pytest
 from detection_bodies import (
     AROUND,
     AXIS,
@@ -22,12 +21,13 @@ from detection_bodies import (
     standing,
 )
 from numpy.testing import assert_allclose
+from pytest import mark, raises
 
 from osc_contact.contacts.detection import CollisionShape, detect
 from osc_contact.errors import ContactError
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_a_standing_cylinder_is_one_face_contact(seed):
     rng = np.random.default_rng(seed)
     depth = DEPTHS[seed % 3]
@@ -43,7 +43,7 @@ def test_a_standing_cylinder_is_one_face_contact(seed):
     assert_kept_by_its_pair(found, X_WE * X, X_WE, push, -depth)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_a_standing_capsule_touches_with_its_cap(seed):
     rng = np.random.default_rng(seed)
     X = standing(pin.rpy.rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0), AXIS, rng, lift=0.03)
@@ -52,7 +52,7 @@ def test_a_standing_capsule_touches_with_its_cap(seed):
     assert_allclose(found.object_point, AXIS[0], atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_a_cylinder_tipped_on_the_rim_of_its_end(seed):
     rng = np.random.default_rng(seed)
     tilt = rng.uniform(0.1, 1.4)
@@ -93,7 +93,7 @@ def test_a_can_hardly_tipped_rolls_on_its_rim_and_a_large_one_sooner():
         assert only(detect(big, X, floor)).kind == kind
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_the_side_of_a_can_on_a_corner_is_pushed_across_its_axis(seed):
     """Nearest point of the axis, overlapping by up to 3 mm: no solver knows this normal well."""
     rng = np.random.default_rng(seed)
@@ -112,7 +112,7 @@ def test_the_side_of_a_can_on_a_corner_is_pushed_across_its_axis(seed):
     assert_kept_by_its_pair(found, X, pin.SE3.Identity(), push, -depth)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_a_rim_of_the_environment_under_a_face_of_the_object(seed):
     rng = np.random.default_rng(seed)
     rim = np.array([[0, -0.03, -0.06]])
@@ -128,7 +128,7 @@ def test_a_rim_of_the_environment_under_a_face_of_the_object(seed):
     assert_allclose(found.pair().gaps(X_WO, turned), 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_a_ball_at_an_edge_and_at_a_corner_is_pushed_through_its_centre(seed):
     rng = np.random.default_rng(seed)
     outward = np.append(rng.uniform(0.2, 1.0, 2), 0.0)
@@ -158,7 +158,7 @@ def _centripetal(X, V):
     return -np.cross(w, np.cross(w, centre)) - np.cross(w, V[:3])
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_crossed_pills_touch_between_their_axes(seed):
     rng = np.random.default_rng(seed)
     lie = pin.rpy.rpyToMatrix(np.pi / 2, 0, 0)
@@ -181,7 +181,7 @@ def test_pills_side_by_side_have_no_pair():
     found = only(detect(PILL, X, PILL))
     assert (found.kind, found.r) == ("cylinder on cylinder", 2)
     assert_allclose(np.sort(found.points[:, 2]), [-0.05, 0.06], atol=1e-9)
-    with pytest.raises(ContactError, match=r"cylinder on cylinder along a line.*GapFunctions"):
+    with raises(ContactError, match=r"cylinder on cylinder along a line.*GapFunctions"):
         found.pair()
 
 
@@ -193,5 +193,5 @@ def test_a_rim_on_an_edge_has_no_pair():
     found = only(detect(CAN, X, TABLE, ledge))
     assert (found.kind, found.r) == ("rim on edge", 1)
     assert_allclose(found.normal, UP, atol=5e-3)  # the solver's
-    with pytest.raises(ContactError, match=r"rim of a cylinder.*GapFunctions"):
+    with raises(ContactError, match=r"rim of a cylinder.*GapFunctions"):
         found.pair()

@@ -6,9 +6,9 @@ import shlex
 from itertools import pairwise
 from pathlib import Path
 
-import pytest
 import typer
 import yaml
+from pytest import fixture, mark, param
 from test_paper_map import complaint
 
 import osc_contact as osc
@@ -43,7 +43,7 @@ def blocks(language):
             between = text_of(page)[fence.end() : after.start()] if after else "no"
             shown = after[2] if after and after[1] == "text" and not between.strip() else None
             name = f"{page.relative_to(ROOT)}-{i}"
-            found.append(pytest.param(page, fence[2], shown, id=name))
+            found.append(param(page, fence[2], shown, id=name))
     return found
 
 
@@ -58,7 +58,7 @@ def first_cells(page, heading):
     return {name for row in table_rows(page, heading) for name in TICKED.findall(row[0])}
 
 
-@pytest.mark.parametrize(("page", "code", "shown"), blocks("python"))
+@mark.parametrize(("page", "code", "shown"), blocks("python"))
 def test_program_runs_and_prints_what_is_shown(page, code, shown, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     exec(compile(code, str(page), "exec"), {"__name__": "__main__"})
@@ -92,7 +92,7 @@ def command_lines():
     return sorted(set(found))
 
 
-@pytest.mark.parametrize("line", command_lines())
+@mark.parametrize("line", command_lines())
 def test_command_exists_and_parses(line: str) -> None:
     group = typer.main.get_command(app)
     _, name, *arguments = shlex.split(line, comments=True)
@@ -104,7 +104,7 @@ def test_command_exists_and_parses(line: str) -> None:
         osc.load_scenario(arguments[0], changes)
 
 
-@pytest.mark.parametrize(("page", "code", "shown"), blocks("yaml"))
+@mark.parametrize(("page", "code", "shown"), blocks("yaml"))
 def test_yaml_is_a_piece_of_a_scenario(page, code, shown):
     scenario = osc.load_scenario("two_contact_rod").as_dict()
     names = {contact["name"] for contact in scenario["contacts"]}
@@ -117,7 +117,7 @@ def test_yaml_is_a_piece_of_a_scenario(page, code, shown):
     Scenario.model_validate(scenario)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_and_pictures_exist(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", text_of(page)):
         if not target.startswith("https://"):
@@ -138,7 +138,7 @@ def test_pictures_are_small_and_all_shown():
         assert picture.stat().st_size <= most, picture
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_files_named_in_backticks_exist(page):
     for name in TICKED.findall(FENCE.sub("", text_of(page))):
         if re.fullmatch(r"(osc_contact|urdf|docs|tests|notebooks|paper|benchmarks)/[\w./]*", name):
@@ -183,7 +183,7 @@ def test_every_pair_is_told_with_its_r_and_its_keys():
     }
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def recording():
     return osc.run(osc.load_scenario("two_contact_rod", SHORT), duration=1.1)
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import daqp
 import numpy as np
-import pytest
 from grasp_oracle import kkt
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, fixture, mark, raises
 from rigs import one_panda, panda_pair, scara_pair
 from test_decoupling import in_contact
 
@@ -123,8 +123,8 @@ class Answers:
         return np.vstack((rows, np.sqrt(TORQUE) * size * np.eye(rows.shape[1])))
 
 
-@pytest.mark.parametrize("share", [0.95, 0.6])
-@pytest.mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
+@mark.parametrize("share", [0.95, 0.6])
+@mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
 def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
     """KKT conditions of the program, its matrices sampled from the full multibody system."""
     chain = rig()
@@ -147,7 +147,7 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
         lost = answers.base[:6] - got[:6]
         assert_allclose(lost, cost.acceleration, atol=1e-8 * size)
         if len(chain.arms) == 2:
-            assert answers.base[-1] - got[-1] == pytest.approx(cost.squeeze[0], abs=1e-5)
+            assert answers.base[-1] - got[-1] == approx(cost.squeeze[0], abs=1e-5)
         # forces stay between their floor and what was commanded
         floor = np.minimum(FLOOR, s.alpha_u)
         assert (got[6 : 6 + r] >= floor - 1e-5).all() and (cost.force >= -1e-6).all()
@@ -173,7 +173,7 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
         assert (multipliers * signs >= -1e-5 * np.abs(multipliers).max()).all()
 
 
-@pytest.mark.parametrize("rig", [scara_pair, one_panda])
+@mark.parametrize("rig", [scara_pair, one_panda])
 def test_within_the_limits_nothing_changes_and_beyond_them_nothing_jumps(rig):
     chain = rig()
     rng = np.random.default_rng(41)
@@ -241,7 +241,7 @@ def test_an_unsolved_program_ends_held_within_the_limits(monkeypatch):
     assert_array_equal(controller.force_integral, sums)
 
 
-@pytest.mark.parametrize("rig", [scara_pair, one_panda])
+@mark.parametrize("rig", [scara_pair, one_panda])
 def test_motors_without_limit(rig):
     """DBL_MAX and inf are no limits; the largest of the others measures such motors."""
     chain = rig()
@@ -272,14 +272,14 @@ def test_motors_without_limit(rig):
     assert np.isfinite(tau).all() and (np.abs(tau) <= weak.tau_max).all()
 
 
-@pytest.mark.parametrize("limit", [0.0, -3.0])
+@mark.parametrize("limit", [0.0, -3.0])
 def test_a_motor_that_can_do_nothing_is_refused(limit):
     arm = one_panda().arms[0]
     model = arm.model.copy()
     limits = np.array(model.upperEffortLimit)
     limits[2] = limit
     model.upperEffortLimit = limits
-    with pytest.raises(osc.ModelError, match=r"arm/panda_joint3.*effort"):
+    with raises(osc.ModelError, match=r"arm/panda_joint3.*effort"):
         osc.ClosedChain([replace(arm, model=model)])
 
 
@@ -301,7 +301,7 @@ def test_integrals_rest_while_motors_are_at_their_limits():
         assert_array_equal(controller.motion_integral, np.zeros(6))
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def run():
     """With integral action in both loops: what winds up is seen."""
     return osc.run(osc.load_scenario("limited_rod", ["gains.motion.integral=8000"]))

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from environment_scenes import RTOL, G, close_to, linkage, random_inertia, scene
 from numpy.testing import assert_allclose
+from pytest import mark, raises
 from rigs import panda_pair, random_state, scara_pair
 
 import osc_contact as osc
@@ -67,7 +67,7 @@ def test_no_contacts_have_a_fixed_environment():
     assert not empty.Phi_e.any()
 
 
-@pytest.mark.parametrize("seed", range(8))
+@mark.parametrize("seed", range(8))
 def test_the_environment_of_several_contacts_does_not_depend_on_frame_or_units(seed):
     rng = np.random.default_rng([seed, 45])
     N = rng.normal(size=(6, 3))
@@ -96,7 +96,7 @@ BODY = pin.Inertia(2.0, np.array([0.1, 0, 0]), np.diag([0.02, 0.03, 0.04]))
 AT = {"X_WE": pin.SE3.Identity(), "O": np.zeros(3)}
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "make, message",
     [
         (lambda: Environment.moving(**AT, V_E=np.zeros(3), A_E=np.zeros(6)), "V_E: expected shape"),
@@ -119,7 +119,7 @@ AT = {"X_WE": pin.SE3.Identity(), "O": np.zeros(3)}
     ],
 )
 def test_bad_arguments_are_refused(make, message):
-    with pytest.raises(osc.InvalidInputError, match=message):
+    with raises(osc.InvalidInputError, match=message):
         make()
 
 
@@ -127,7 +127,7 @@ def of_two(Phi_N):
     return Environment.of_contacts(np.eye(6)[:, :2], Phi_N, np.zeros(2), np.zeros(2), np.eye(6))
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "make, message",
     [
         (lambda: Environment.rail(BODY, **AT, axes=np.ones((6, 2)), rates=[0, 0]), "its axes"),
@@ -155,22 +155,22 @@ def of_two(Phi_N):
     ],
 )
 def test_impossible_bodies_are_refused(make, message):
-    with pytest.raises(osc.ModelError, match=message):
+    with raises(osc.ModelError, match=message):
         make()
 
 
 def test_impossible_mechanisms_and_dependent_contacts_are_refused():
     body, _ = linkage(np.random.default_rng(46), np.zeros(3))
     args = (body.q, body.v, body.tau)
-    with pytest.raises(osc.ModelError, match="touchd"):
+    with raises(osc.ModelError, match="touchd"):
         Environment.articulated(body.model, *args, "touchd", np.zeros(3))
-    with pytest.raises(osc.InvalidInputError, match="tau: expected shape"):
+    with raises(osc.InvalidInputError, match="tau: expected shape"):
         Environment.articulated(body.model, body.q, body.v, np.zeros(3), "touched", np.zeros(3))
     body.model.inertias[1] = body.model.inertias[2] = pin.Inertia.Zero()
-    with pytest.raises(osc.ModelError, match="joint-space inertia"):
+    with raises(osc.ModelError, match="joint-space inertia"):
         Environment.articulated(body.model, *args, "touched", np.zeros(3))
     n = np.eye(6)[:, [0, 0]]
-    with pytest.raises(osc.ContactError, match="dependent"):
+    with raises(osc.ContactError, match="dependent"):
         Environment.of_contacts(n, np.eye(2), np.zeros(2), np.zeros(2), np.eye(6))
 
 
@@ -185,7 +185,7 @@ def test_a_contact_where_nobody_yields_is_refused_and_one_where_the_environment_
     want = (state.C.T @ state.sigma) / (0.1 * (state.C.T @ state.C)[0, 0] ** 2)
     assert_allclose(got.alpha, want, rtol=1e-9)
     across = Environment(np.outer(state.S[:, 0], state.S[:, 0]))
-    with pytest.raises(osc.ContactError, match="the arms and the environment cannot push"):
+    with raises(osc.ContactError, match="the arms and the environment cannot push"):
         contact_response(state, locked, across, tau=np.zeros(8))
-    with pytest.raises(osc.ContactError, match="the arms cannot push"):
+    with raises(osc.ContactError, match="the arms cannot push"):
         command(state, locked, np.zeros(6), np.zeros(1))

@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import fixture, mark
 from samples import chosen, first
 
 import osc_contact as osc
@@ -28,12 +28,12 @@ ROBOTS = {  # d, r, motors, words of `inspect`
 NAMES = list(ROBOTS)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def rigs():
     return {name: osc.build_rig(osc.load_scenario(name)) for name in NAMES}
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def runs(rigs):
     """Each on MuJoCo for 2 s, with changes of a commanded force brought forward to 1.2 s."""
     found = {}
@@ -51,7 +51,7 @@ def test_all_are_listed_with_a_description():
     assert set(NAMES) <= set(listed) and all(listed.values())
 
 
-@pytest.mark.parametrize("name", NAMES)
+@mark.parametrize("name", NAMES)
 def test_it_starts_touching_within_limits_and_is_told_in_words(rigs, name):
     rig = rigs[name]
     d, r, motors, words = ROBOTS[name]
@@ -69,7 +69,7 @@ def test_it_starts_touching_within_limits_and_is_told_in_words(rigs, name):
         assert (rig.references.at(t).alpha_d > 0.0).all()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@mark.parametrize("name", NAMES)
 def test_geometry_touches_where_the_pairs_say(rigs, name):
     """Pressed 0.1 mm into every contact, MuJoCo finds points on every body and none elsewhere."""
     rig = rigs[name]
@@ -95,7 +95,7 @@ def test_geometry_touches_where_the_pairs_say(rigs, name):
         assert min(np.linalg.norm(p.mean(axis=0) - point) for p, _ in everywhere) < 0.12
 
 
-@pytest.mark.parametrize("name", NAMES)
+@mark.parametrize("name", NAMES)
 def test_limits_on_mujoco(runs, name):
     """Force ≤ 1 % rms and ≤ 5 % peak, ≤ 0.5 mm and ≤ 2 mrad, closed and unsaturated throughout."""
     verdict = osc.metrics(runs[name])
@@ -111,7 +111,7 @@ def test_limits_on_mujoco(runs, name):
     assert np.ptp(runs[name]["pose"][:, :3], axis=0).max() > 0.01  # it does move
 
 
-@pytest.mark.parametrize("name", NAMES)
+@mark.parametrize("name", NAMES)
 def test_forces_do_not_overshoot_on_mujoco(runs, name):
     """First contact and steps: at most 5 % above the command, from the first tick on."""
     steps = osc.metrics(runs[name])["steps"]
@@ -133,7 +133,7 @@ WORDS = {
 }
 
 
-@pytest.mark.parametrize("name", chosen(WORDS, "approach_and_slide", "limited_rod", "moving_face"))
+@mark.parametrize("name", chosen(WORDS, "approach_and_slide", "limited_rod", "moving_face"))
 def test_verdicts_of_the_other_scenarios(name):
     word, gentle = WORDS[name]
     verdict = osc.metrics(osc.run(osc.load_scenario(name), duration=3.3))
@@ -147,7 +147,7 @@ def test_every_packaged_scenario_has_a_verdict_in_a_test():
     assert {*WORDS, *NAMES, *elsewhere} == set(osc.scenarios.list_scenarios())
 
 
-@pytest.mark.parametrize("name", first(["scara_peg", "ur5_wipe"], 1))
+@mark.parametrize("name", first(["scara_peg", "ur5_wipe"], 1))
 def test_limits_on_the_rigid_plant(name):
     scenario = osc.load_scenario(name, ["plant.step=1 ms", "control.force.reading=filter"])
     recording = osc.run(scenario, plant="rigid", duration=1.1)
@@ -194,7 +194,7 @@ def test_a_corner_that_lifts_opens_the_contact(rigs):
     assert plant.data.ncon > 0 and not truth.closed[0]
 
 
-@pytest.mark.parametrize("name", first(NAMES, 1))
+@mark.parametrize("name", first(NAMES, 1))
 def test_it_can_be_looked_at(rigs, runs, name, tmp_path):
     page = write_scene_of(runs[name], rigs[name], tmp_path / "scene.html")
     assert page.stat().st_size > 100_000

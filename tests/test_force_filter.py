@@ -2,8 +2,8 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import mark, raises
 from rigs import (
     PANDA_Q,
     ROD,
@@ -41,7 +41,7 @@ def found_by_law(chain, pairs, q, v, wrenches, f_tare=0.0):
     return controller.result()
 
 
-@pytest.mark.parametrize("rig", [scara_pair, panda_pair])
+@mark.parametrize("rig", [scara_pair, panda_pair])
 def test_contact_force_is_exact_at_any_speed_with_links_between_sensor_and_hinge(rig):
     chain = rig()
     rng = np.random.default_rng(20)
@@ -145,14 +145,14 @@ def test_the_force_law_integrates_and_damps_and_has_no_proportional_part():
     assert_allclose(controller.force_integral, [30.0, -15.0], rtol=1e-8)
 
 
-@pytest.mark.parametrize("bad", [{"integral": -1.0}, {"damping": float("nan")}])
+@mark.parametrize("bad", [{"integral": -1.0}, {"damping": float("nan")}])
 def test_bad_force_gains_are_refused(bad):
-    with pytest.raises(osc.InvalidInputError, match="ForceGains"):
+    with raises(osc.InvalidInputError, match="ForceGains"):
         osc.ForceGains(**bad)
 
 
 def test_an_integral_gain_without_stability_margin_is_refused():
-    with pytest.raises(osc.InvalidInputError, match="stability margin"):
+    with raises(osc.InvalidInputError, match="stability margin"):
         osc.Controller(scara_pair(), [], osc.Gains(force=osc.ForceGains(integral=1000.0)))
 
 
@@ -165,7 +165,7 @@ def pressing(chain, rng):
     return q, consistent(chain, q, v, contact_of(pairs, free).N), pairs
 
 
-@pytest.mark.parametrize("sensor", ["panda_link7", "panda_link8", "panda_hand"])
+@mark.parametrize("sensor", ["panda_link7", "panda_link8", "panda_hand"])
 def test_the_filter_is_exact_wherever_the_sensor_is_cut_in(sensor):
     """At a joint, at a fixed flange, at the hand: what is outboard is weighed, no more, no less."""
     body = osc.RigidObject(ROD)

@@ -1,9 +1,9 @@
 """Friction compensation: N_μ in the wrist filter, feed-forward, and what it brings in a run."""
 
 import numpy as np
-import pytest
 from environment_scenes import RTOL, close_to, scene
 from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 from rigs import panda_pair, scara_pair
 from test_decoupling import commanded, in_contact
 from test_effort_limits import weakened
@@ -33,7 +33,7 @@ def test_the_drag_is_coulombs_law():
         got = friction_wrenches(friction, pairs, state.X_WO, state.V_O, None)
         for column, pair in zip(got.T, pairs, strict=True):
             assert_allclose(column, by_hand(pair, state.X_WO, state.V_O, 0.3), atol=1e-9)
-            assert column[:3] @ pair.normal == pytest.approx(0.0, abs=1e-12)
+            assert column[:3] @ pair.normal == approx(0.0, abs=1e-12)
 
 
 def test_friction_takes_power_from_the_object_and_fades_at_rest():
@@ -85,8 +85,8 @@ YIELDING = (
 )
 
 
-@pytest.mark.parametrize("kind", YIELDING)
-@pytest.mark.parametrize("rig", [scara_pair, panda_pair])
+@mark.parametrize("kind", YIELDING)
+@mark.parametrize("rig", [scara_pair, panda_pair])
 def test_the_law_is_exact_on_bodies_that_friction_drags_along(rig, kind):
     """Against everything solved at once, each force leaning against its slip; 1e-9 relative."""
     rng = np.random.default_rng(4)
@@ -136,7 +136,7 @@ def worst(mu, believed, *more, duration=2.0):
     return max(force["rms_error_rel"] for force in verdict["force"].values())
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("mu", "believed", "limit"),
     [(0.1, 0.13, 0.02), (0.1, 0.07, 0.02), (0.3, 0.39, 0.05), (0.3, 0.21, 0.05)],
 )
@@ -151,11 +151,11 @@ def test_without_compensation_friction_costs_twice_as_much():
 def test_friction_on_contacts_without_known_points_is_refused():
     chain = scara_pair()
     pair = osc.Revolute(np.zeros(3), np.array([0.0, 0.0, 1.0]), name="hinge")
-    with pytest.raises(osc.InvalidInputError, match=r"hinge.*points of contact"):
+    with raises(osc.InvalidInputError, match=r"hinge.*points of contact"):
         osc.Controller(chain, [pair], friction=Friction(0.1))
 
 
-@pytest.mark.parametrize("bad", [(-0.1, 1e-3), (0.1, 0.0), (float("nan"), 1e-3)])
+@mark.parametrize("bad", [(-0.1, 1e-3), (0.1, 0.0), (float("nan"), 1e-3)])
 def test_impossible_friction_is_refused(bad):
-    with pytest.raises(osc.InvalidInputError, match="mu"):
+    with raises(osc.InvalidInputError, match="mu"):
         Friction(*bad)

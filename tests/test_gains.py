@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_rigs import Case
 from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 from rigs import PANDA_Q, ROD, one_panda, random_faces, random_state
 from test_grasps import in_millimetres
 
@@ -25,14 +25,14 @@ ARMATURE = "arms.{}.armature={}"
 
 def test_gains_in_words_and_the_numbers_they_stand_for():
     motion = osc.MotionGains(frequency=2.0, damping_ratio=0.5, integral_time=0.25)
-    assert motion.stiffness == pytest.approx((4 * np.pi) ** 2)
-    assert motion.damping == pytest.approx(4 * np.pi)
-    assert motion.integral == pytest.approx(4 * motion.stiffness)
-    assert osc.MotionGains(motion.stiffness, motion.damping).frequency == pytest.approx(2.0)
+    assert motion.stiffness == approx((4 * np.pi) ** 2)
+    assert motion.damping == approx(4 * np.pi)
+    assert motion.integral == approx(4 * motion.stiffness)
+    assert osc.MotionGains(motion.stiffness, motion.damping).frequency == approx(2.0)
     assert osc.MotionGains() == osc.MotionGains(400, 40, 0)
     force = osc.ForceGains(bandwidth=3.0, damping_ratio=0.6)
-    assert force.integral == pytest.approx(6 * np.pi) and force.damping == 0.0
-    assert force.brake == pytest.approx(2 * 0.6 * 6 * np.pi) and force.rise == 0.25
+    assert force.integral == approx(6 * np.pi) and force.damping == 0.0
+    assert force.brake == approx(2 * 0.6 * 6 * np.pi) and force.rise == 0.25
     assert osc.ForceGains() == osc.ForceGains(bandwidth=5.0, damping_ratio=0.7, rise=0.25)
     plain = osc.ForceGains(30, 100)
     assert (plain.integral, plain.damping, plain.brake, plain.rise) == (30, 100, 0, 0)
@@ -40,7 +40,7 @@ def test_gains_in_words_and_the_numbers_they_stand_for():
     assert motion.replaced(integral_time=None).stiffness == motion.stiffness
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("made", "words"),
     [
         (lambda: osc.ForceGains(integral=30, bandwidth=5), "bandwidth beside integral"),
@@ -53,7 +53,7 @@ def test_gains_in_words_and_the_numbers_they_stand_for():
     ],
 )
 def test_gains_of_both_kinds_and_impossible_ones_are_refused(made, words):
-    with pytest.raises(osc.InvalidInputError, match=words):
+    with raises(osc.InvalidInputError, match=words):
         made()
 
 
@@ -72,7 +72,7 @@ def test_scenarios_take_both_kinds_and_name_the_others():
         ("gains.motion={stiffness: 400}", "stiffness .* and damping .* together"),
         ("gains.force={damping: 4}", "damping .* goes with integral"),
     ):
-        with pytest.raises(osc.ScenarioError, match=words.replace("{", r"\{")):
+        with raises(osc.ScenarioError, match=words.replace("{", r"\{")):
             osc.load_scenario("two_contact_rod", [sets])
 
 
@@ -319,13 +319,13 @@ ARMS = {
 }
 
 
-@pytest.mark.parametrize("mass", ARMS)
+@mark.parametrize("mass", ARMS)
 def test_first_contact_and_steps_overshoot_little_whatever_the_mass(mass):
     first, later, _ = overshoots(pressed(one_arm(*ARMS[mass]), "end"))
     assert first < 0.2 and later < 0.2
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("name", "changes", "step_of"),
     [
         ("two_contact_rod", (), "left_end"),
@@ -340,7 +340,7 @@ def test_a_step_of_one_force_hardly_moves_the_others(name, changes, step_of):
     assert first < 0.2 and later < 0.2 and other < 0.2
 
 
-@pytest.mark.parametrize("armature", [0.0, 0.5])
+@mark.parametrize("armature", [0.0, 0.5])
 def test_a_wiping_arm_does_not_ring_with_heavy_rotors(armature):
     """Rocking of the cloth meets 470 kg at its corners then."""
     changes = [ARMATURE.format("ur5", armature), "gains={}", "duration=1.6 s"]

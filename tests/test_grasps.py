@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_oracle import ClosedLoop
 from grasp_rigs import KINDS, grasp_of, random_case, slip_of
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import mark, raises
 from rigs import contact_of, random_faces
 from test_decoupling import commanded
 
@@ -108,7 +108,7 @@ def test_motion_and_contact_forces_agree_with_the_full_system():
     assert seen["d"] == set(range(7))
 
 
-@pytest.mark.parametrize("bend", [0.0, 1e-3, 1e-2])
+@mark.parametrize("bend", [0.0, 1e-3, 1e-2])
 def test_near_and_in_singular_postures(bend):
     """Elbows all but straight, and straight: where such velocities can go on, they agree."""
     rng = np.random.default_rng(2)
@@ -151,7 +151,7 @@ def law_knows(case):
     return True
 
 
-@pytest.mark.parametrize("kinds", [("slide", "plane"), ("cylinder", "plane")])
+@mark.parametrize("kinds", [("slide", "plane"), ("cylinder", "plane")])
 def test_two_grasps_that_pass_on_no_squeeze(kinds):
     """The force along the line between the tips is decided by f_S: there is nothing to command.
 
@@ -273,7 +273,7 @@ def test_a_rod_between_two_balls_spins_about_their_line():
     """Nobody drives it, no joint tells it: both are said, and a controller holds the posture."""
     case = random_case(["ur5", "ur5"], ["ball", "ball"], np.random.default_rng(7))
     chain = case.chain
-    with pytest.raises(osc.ModelError, match="do not determine where the object is"):
+    with raises(osc.ModelError, match="do not determine where the object is"):
         chain.state(case.q, np.zeros(12))
     state = chain.state(case.q, np.zeros(12), case.X_WO, np.zeros(6))
     assert (state.d, state.unactuated.shape) == (6, (6, 1))
@@ -283,7 +283,7 @@ def test_a_rod_between_two_balls_spins_about_their_line():
     still = spin[:3] + np.cross(spin[3:], state.grasp_points[0] - state.X_WO.translation)
     assert np.abs(still).max() < 1e-9 * np.abs(spin).max()
     strict = osc.ClosedChain(chain.arms, chain.grasps, chain.payload)
-    with pytest.raises(osc.ModelError, match="no motor drives"):
+    with raises(osc.ModelError, match="no motor drives"):
         strict.state(case.q, np.zeros(12), case.X_WO, np.zeros(6))
     controller = osc.Controller(strict, [])
     measured = osc.Measurement(case.q, np.zeros(12), np.zeros((2, 6)))
@@ -334,7 +334,7 @@ def test_a_grasp_keeps_its_motions_and_nothing_else():
         assert_allclose(rate / h, want, atol=1e-8 * np.abs(want).max())
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "make, words",
     [
         (lambda X: osc.Grasp(X, np.eye(6)[:, 3:5]), "group of motions"),
@@ -348,13 +348,13 @@ def test_a_grasp_keeps_its_motions_and_nothing_else():
     ],
 )
 def test_what_is_no_grasp_is_refused(make, words):
-    with pytest.raises(osc.InvalidInputError, match=words):
+    with raises(osc.InvalidInputError, match=words):
         make(pin.SE3.Identity())
 
 
 def test_an_object_without_mass_needs_rigid_grasps():
     arm = random_case(["ur5"], ["rigid"], np.random.default_rng(11)).chain.arms[0]
-    with pytest.raises(osc.ModelError, match="without mass"):
+    with raises(osc.ModelError, match="without mass"):
         osc.ClosedChain([arm], [osc.Grasp.ball(pin.SE3.Identity())])
 
 
@@ -365,7 +365,7 @@ HANDS = [
 HOW = {"rigid": "", "hinge": ", type: hinge, axis: [0, 1, 0]", "ball": ", type: ball"}
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "kinds", [("rigid", "hinge"), ("rigid", "ball"), ("hinge", "hinge"), ("ball", "hinge")]
 )
 def test_mujoco_holds_the_object_the_same_way(kinds):
@@ -394,7 +394,7 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
     assert_allclose(truth.alpha, rig.references.at(0.199).alpha_d, rtol=0.01)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "how, words",
     [
         ("{type: hinge}", "a hinge needs an axis"),
@@ -404,7 +404,7 @@ def test_mujoco_holds_the_object_the_same_way(kinds):
     ],
 )
 def test_scenarios_refuse_half_a_grasp(how, words):
-    with pytest.raises(osc.ScenarioError, match=words):
+    with raises(osc.ScenarioError, match=words):
         osc.load_scenario("dual_panda_rod", [f"grasps.left={how}"])
 
 
@@ -428,7 +428,7 @@ def test_a_grasp_that_registers_itself_has_a_name_in_scenarios(monkeypatch):
     assert_allclose(plant.truth().alpha, rig.references.at(0.199).alpha_d, rtol=0.01)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@mark.parametrize("bad", [np.nan, np.inf])
 def test_bad_encoders_hold_the_torques_and_good_ones_go_on(bad):
     rig = osc.build_rig(osc.load_scenario("hinge_ball_rod"))
     controller = rig.controller()
@@ -445,7 +445,7 @@ def test_bad_encoders_hold_the_torques_and_good_ones_go_on(bad):
 
 def test_two_balls_in_a_scenario_are_refused_with_the_motion():
     both = ["grasps.left.type=ball", "grasps.right.type=ball"]
-    with pytest.raises(osc.ModelError, match="do not determine where the object is"):
+    with raises(osc.ModelError, match="do not determine where the object is"):
         osc.build_rig(osc.load_scenario("dual_panda_rod", both))
 
 

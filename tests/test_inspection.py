@@ -6,19 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from pytest import approx, fixture
 
 import osc_contact as osc
 from osc_contact.runs.inspection import inspect_rig
 from osc_contact.spatial import carry_twist
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def rig():
     return osc.build_rig(osc.load_scenario("two_contact_rod"))
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def found(rig):
     return inspect_rig(rig)
 
@@ -91,7 +91,7 @@ def test_the_words_of_a_free_motion_are_its_twist(found):
             slide = 1e-3 * float(pitch.group(1)) if pitch else 0.0
             shown = carry_twist(np.concatenate([slide * axis, axis]), point, np.zeros(3))
         cosine = shown @ twist / (np.linalg.norm(shown) * np.linalg.norm(twist))
-        assert cosine == pytest.approx(1.0, abs=1e-5), line
+        assert cosine == approx(1.0, abs=1e-5), line
     assert sum("translation along" in line for line in found.lines) == 1, "the common tangent"
     tangent = np.cross(*found.N[:3].T)
     shown = numbers(sentence(found, "translation along"))
@@ -144,7 +144,7 @@ def test_contact_lines_state_direction_and_point(found, rig):
 def test_conditioning_does_not_depend_on_units_of_force(found, rig):
     mobility = found.N.T @ rig.state().Phi @ found.N
     rho = abs(mobility[0, 1]) / np.sqrt(mobility[0, 0] * mobility[1, 1])
-    assert found.conditioning == pytest.approx((1 + rho) / (1 - rho), rel=1e-9)
+    assert found.conditioning == approx((1 + rho) / (1 - rho), rel=1e-9)
     assert f"{found.conditioning:.3g}" in sentence(found, "conditioning")
 
 

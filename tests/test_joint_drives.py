@@ -1,8 +1,8 @@
 """Flexible joints, motors and joint friction in MuJoCo, and the loop that makes up for them."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 from osc_contact.control.joint_torque import JointTorqueLoop
@@ -62,7 +62,7 @@ def test_with_held_motors_mujoco_swings_at_the_frequencies_of_the_closed_chain()
     plant = rig.plant()
     state = rig.state()
     K = plant.drives.flexible.stiffness
-    assert modes(state, rig.chain.actuated, K)[0] == pytest.approx(4.0, rel=1e-9)
+    assert modes(state, rig.chain.actuated, K)[0] == approx(4.0, rel=1e-9)
     W = state.W[rig.chain.actuated]
     L = np.linalg.cholesky(state.Lambda_S)
     _, shapes = np.linalg.eigh(np.linalg.solve(L, np.linalg.solve(L, W.T @ (K[:, None] * W)).T))
@@ -80,7 +80,7 @@ def test_with_held_motors_mujoco_swings_at_the_frequencies_of_the_closed_chain()
     wound = np.array(wound) - np.mean(wound)
     up = np.flatnonzero((wound[:-1] < 0) & (wound[1:] >= 0))
     zeros = up + wound[up] / (wound[up] - wound[up + 1])
-    assert 1.0 / np.diff(zeros).mean() * 1e3 == pytest.approx(4.0, rel=0.01)
+    assert 1.0 / np.diff(zeros).mean() * 1e3 == approx(4.0, rel=0.01)
 
 
 def holding(rig):
@@ -144,7 +144,7 @@ def test_springs_by_number():
     assert_array_equal(made.motor_inertia, [1, 1, 1, 1, 0.1, 0.1, 0.1, 0.1])
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("overrides", "said"),
     [
         (["plant.flexible_joints={}"], "got neither"),
@@ -158,16 +158,14 @@ def test_springs_by_number():
     ],
 )
 def test_wrong_drives_are_refused_by_the_scenario(overrides, said):
-    with pytest.raises(osc.ScenarioError, match=said):
+    with raises(osc.ScenarioError, match=said):
         osc.load_scenario("two_contact_rod", overrides)
 
 
-@pytest.mark.parametrize(
-    "stiffness", ["{left: [1, 1, 1], right: [1, 1, 1, 1]}", "{left: [1, 1, 1, 1]}"]
-)
+@mark.parametrize("stiffness", ["{left: [1, 1, 1], right: [1, 1, 1, 1]}", "{left: [1, 1, 1, 1]}"])
 def test_springs_must_fit_the_motors(stiffness):
     rig = rig_of(f"plant.flexible_joints={{stiffness: {stiffness}}}")
-    with pytest.raises(osc.ScenarioError, match="give 4 numbers"):
+    with raises(osc.ScenarioError, match="give 4 numbers"):
         rig.plant()
 
 
@@ -176,12 +174,12 @@ def test_springs_for_an_unknown_arm_are_refused():
     rig = rig_of(
         f"plant.flexible_joints={{stiffness: {{left: {four}, right: {four}, up: {four}}}}}"
     )
-    with pytest.raises(osc.ScenarioError, match="up"):
+    with raises(osc.ScenarioError, match="up"):
         rig.plant()
 
 
 def test_impossible_springs_are_refused():
-    with pytest.raises(osc.PlantError, match="stiffness"):
+    with raises(osc.PlantError, match="stiffness"):
         FlexibleJoints(np.array([-1.0]), np.array([0.0]), np.array([1.0]))
 
 
@@ -211,7 +209,7 @@ def simulated(loop, steps, bias=0.0, substeps=50):
     return np.array(out)
 
 
-@pytest.mark.parametrize("gain", [20.0, 60.0, 300.0])
+@mark.parametrize("gain", [20.0, 60.0, 300.0])
 def test_the_loop_decays_as_fast_as_its_spectral_radius(gain):
     loop = loop_of(gain)
     radius = float(loop.spectral_radius()[0])
@@ -219,12 +217,12 @@ def test_the_loop_decays_as_fast_as_its_spectral_radius(gain):
     error = np.abs(tau - 1.0)
     k = np.arange(len(error))[10:150]
     slope = np.polyfit(k, np.log(np.maximum.accumulate(error[10:150][::-1])[::-1] + 1e-300), 1)[0]
-    assert np.exp(slope) == pytest.approx(radius, abs=0.02)
-    assert tau[-1] == pytest.approx(1.0, rel=1e-3)
+    assert np.exp(slope) == approx(radius, abs=0.02)
+    assert tau[-1] == approx(1.0, rel=1e-3)
 
 
 def test_a_gain_the_sampled_loop_cannot_bear_is_refused_and_would_diverge():
-    with pytest.raises(osc.InvalidInputError, match="unstable"):
+    with raises(osc.InvalidInputError, match="unstable"):
         loop_of(6000.0)
     loop = loop_of(60.0)
     loop.gain = 6000.0
@@ -236,7 +234,7 @@ def test_a_gain_the_sampled_loop_cannot_bear_is_refused_and_would_diverge():
 
 def test_errors_of_the_motor_shrink_by_one_plus_gain():
     tau = simulated(loop_of(60.0), 800, bias=6.1)
-    assert tau[-1] - 1.0 == pytest.approx(6.1 / 61.0, rel=1e-3)
+    assert tau[-1] - 1.0 == approx(6.1 / 61.0, rel=1e-3)
 
 
 def test_motor_limits_are_kept():
@@ -246,7 +244,7 @@ def test_motor_limits_are_kept():
     assert loop.command(np.array([5.0]), np.array([-5.0]))[0] == 10.0
 
 
-@pytest.mark.parametrize("frequency", [3, 5, 10])
+@mark.parametrize("frequency", [3, 5, 10])
 def test_forces_survive_flexible_joints_with_the_loop_and_not_without(frequency):
     """Force ≤ 5 % rms and at least 5 × better than without the loop."""
     flexible = f"plant.flexible_joints={{frequency: {frequency} Hz}}"

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_oracle import kkt
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 from rigs import PANDA_Q, ROD, one_panda, panda_pair, scara_pair
 from test_decoupling import commanded, in_contact, structured
 
@@ -91,7 +91,7 @@ def test_the_push_is_a_bounded_slope_of_a_potential():
     assert not push_of(PANDA_Q, limits).any()
 
 
-@pytest.mark.parametrize("rig", [panda_pair, one_panda, scara_pair])
+@mark.parametrize("rig", [panda_pair, one_panda, scara_pair])
 def test_object_and_contact_forces_do_not_feel_it(rig):
     """On the KKT system, with two contacts; arms without joints to spare get no push at all."""
     chain = rig()
@@ -155,7 +155,7 @@ def test_one_joint_near_its_limit_is_never_pushed_towards_it():
         assert (two - one) @ q_dd <= whole  # the projection takes energy away
 
 
-@pytest.mark.parametrize("stiffness", [400.0, 0.0])
+@mark.parametrize("stiffness", [400.0, 0.0])
 def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     """Its rest posture lies 0.25 rad beyond a limit of joint 1; without the push it gets there."""
     chain = panda(joint1=(-2.8, 0.2))
@@ -185,7 +185,7 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     assert np.abs(moved.translation - X.translation).max() < 1e-5
 
 
-@pytest.mark.parametrize("past", [-0.3, -0.1, -0.02, 0.0, 0.05])
+@mark.parametrize("past", [-0.3, -0.1, -0.02, 0.0, 0.05])
 def test_idle_motions_are_pushed_away_from_their_limits(past):
     """Some joints inside their margins, some beyond their limits, some with a limit on one side."""
     rng = np.random.default_rng(62)
@@ -208,7 +208,7 @@ def test_idle_motions_are_pushed_away_from_their_limits(past):
         own = state.h + state.M @ (task.stiffness * (posture - q) - task.damping * v)
         own += np.diag(state.M) * push
         idle = np.linalg.svd(state.arms[0].J)[2][6]
-        assert idle @ tau == pytest.approx(idle @ own, abs=1e-9 * np.abs(own).max())
+        assert idle @ tau == approx(idle @ own, abs=1e-9 * np.abs(own).max())
 
 
 def test_gains_out_of_range_are_refused():
@@ -218,5 +218,5 @@ def test_gains_out_of_range_are_refused():
         {"limit_stiffness": -1.0},
         {"limit_stiffness": np.nan},
     ):
-        with pytest.raises(osc.InvalidInputError, match=next(iter(bad))):
+        with raises(osc.InvalidInputError, match=next(iter(bad))):
             PostureTask(**bad)

@@ -3,8 +3,8 @@
 import mujoco
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 from rigs import ROD, one_panda, placed, random_state, scara_pair
 from samples import first
 from test_decoupling import strong
@@ -114,14 +114,14 @@ def test_what_a_urdf_says_of_friction_arrives():
     assert_array_equal(model.upperDryFrictionLimit, 1.0)
 
 
-@pytest.mark.parametrize("key", ["armature", "damping", "friction"])
-@pytest.mark.parametrize("value", [[1.0, 2.0], -0.1, np.nan])
+@mark.parametrize("key", ["armature", "damping", "friction"])
+@mark.parametrize("value", [[1.0, 2.0], -0.1, np.nan])
 def test_wrong_numbers_of_joints_are_refused_with_their_name(key, value):
-    with pytest.raises(osc.ModelError, match=key):
+    with raises(osc.ModelError, match=key):
         panda(**{key: value})
 
 
-@pytest.mark.parametrize("joints", [{}, {"armature": ROTORS}])
+@mark.parametrize("joints", [{}, {"armature": ROTORS}])
 def test_friction_is_that_of_the_speeds_wanted_two_ticks_ahead(joints):
     """D v + F s/√(s² + s₀²), s = v + J̄ (V_D + 2 dt A_D − V), on top of what a smooth arm takes."""
     rng = np.random.default_rng(1)
@@ -195,7 +195,7 @@ def test_mujocos_mass_matrix_is_that_of_chain_and_object():
     assert_allclose(M[np.ix_(plant._v, plant._v)], ours, atol=1e-6)
 
 
-@pytest.mark.parametrize("plant", ["mujoco", "rigid"])
+@mark.parametrize("plant", ["mujoco", "rigid"])
 def test_a_joint_that_nothing_drives_is_slowed_by_its_friction(plant):
     """Speed lost in 5 ms: (F + D v)/(M⁻¹)⁻¹ of the joint, others free, no gravity to speak of."""
     keys = [
@@ -225,10 +225,10 @@ def test_a_joint_that_nothing_drives_is_slowed_by_its_friction(plant):
     M = np.array(state.M)
     M += state.arms[0].J.T @ state.payload.Lambda @ state.arms[0].J
     rate = np.linalg.inv(M)[5, 5]
-    assert lost[0] - lost[1] == pytest.approx(rate * (0.3 + 0.2 * 0.5) * 5e-3, rel=0.05)
+    assert lost[0] - lost[1] == approx(rate * (0.3 + 0.2 * 0.5) * 5e-3, rel=0.05)
 
 
-@pytest.mark.parametrize("plant", first(["mujoco", "rigid"], 1))
+@mark.parametrize("plant", first(["mujoco", "rigid"], 1))
 def test_a_fast_slide_with_heavy_rotors_is_as_exact_as_without(plant):
     """One vertex slides 0.2 m in half a second; rotors of 0.5 kg m² are known."""
     errors = []
@@ -264,7 +264,7 @@ def test_known_friction_is_made_up_for():
 
 
 def test_joints_with_springs_have_their_rotors_in_the_springs():
-    with pytest.raises(osc.ScenarioError, match="motor_inertia"):
+    with raises(osc.ScenarioError, match="motor_inertia"):
         rig_of(
             *(f"arms.{side}.armature=0.1" for side in ("left", "right")),
             "plant.flexible_joints={frequency: 5 Hz}",
@@ -278,7 +278,7 @@ def test_the_constructor_judges_rotors_too():
     row = chain.law_row(led=False).copy()
     require_pinocchio_agrees(chain, row)
     MODEL.view(row).joints.armature[3] = 0.0
-    with pytest.raises(osc.ModelError, match="law's M differs"):
+    with raises(osc.ModelError, match="law's M differs"):
         require_pinocchio_agrees(chain, row)
 
 

@@ -5,8 +5,8 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 from typer.testing import CliRunner
 
 from osc_contact.cli import app
@@ -27,7 +27,7 @@ def found_by(name):
     return ks.search(arm_of(name), 0, 400)
 
 
-both = pytest.mark.parametrize("name", ["planar", "ur5"])
+both = mark.parametrize("name", ["planar", "ur5"])
 
 
 # An arm and two control laws of its own, written with Pinocchio alone -----------------------------
@@ -212,7 +212,7 @@ def test_search_counts_what_it_says(name):
     assert (found.drawn, found.tried, found.ours_unstable) == (400, 240, 0)
     assert found.unstable == sum(least < -1e-6 for _, least, _ in judged) > 0
     assert tuple(found.q) == worst[2]
-    assert found.classic[0].real == pytest.approx(worst[1]) and found.ours_least > 0.0
+    assert found.classic[0].real == approx(worst[1]) and found.ours_least > 0.0
     assert_array_equal(ks.search(arm, 4, 400, 0.6).q, found.q)
     assert ks.search(arm, 5, 400, 0.6).q[0] != found.q[0]
 
@@ -224,7 +224,7 @@ def test_the_classic_scheme_leaves_as_fast_as_its_pole_says_and_ours_returns():
     later = h.t > 0.7
     assert 1e-7 < size[-1] < 1e-3, "grown, and small still"
     rate = np.polyfit(h.t[later], np.log(size[later]), 1)[0]
-    assert rate == pytest.approx(ks.poles(found.classic)[-1].real, rel=0.01)
+    assert rate == approx(ks.poles(found.classic)[-1].real, rel=0.01)
     assert np.abs(h.ours[-1]).max() < 2e-3 * np.abs(h.ours[0]).max()
     goal = tip_pose(found.arm, found.q)
     start = tip_pose(found.arm, found.q + h.ours[0])
@@ -233,11 +233,11 @@ def test_the_classic_scheme_leaves_as_fast_as_its_pole_says_and_ours_returns():
 
 
 def test_a_search_without_an_unstable_posture_is_refused():
-    with pytest.raises(InvalidInputError, match="none of 2 postures"):
+    with raises(InvalidInputError, match="none of 2 postures"):
         ks.search(arm_of("planar"), 0, 8, 0.25)
 
 
-@pytest.mark.parametrize("duration", ["-1", "0", "nan", "inf"])
+@mark.parametrize("duration", ["-1", "0", "nan", "inf"])
 def test_no_study_runs_for_a_time_that_is_none(duration):
     result = CliRunner().invoke(app, ["reproduce", "kinematic_stability", "--duration", duration])
     assert result.exit_code == 2 and f"duration={float(duration)}" in result.stderr

@@ -28,10 +28,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_rigs import KINDS, Case, random_case
 from kkt_oracle import BODIES, PAIRS, PLAIN, Answer, Contact, State, Touched, touch
 from numpy.testing import assert_allclose
+from pytest import mark, param
 from rigs import random_state, scara_pair
 from test_decoupling import strong
 from test_linkage import bars_of
@@ -433,8 +433,8 @@ def judge(t):
     return kind
 
 
-@pytest.mark.parametrize("surroundings", SURROUNDINGS)
-@pytest.mark.parametrize("rig", RIGS)
+@mark.parametrize("surroundings", SURROUNDINGS)
+@mark.parametrize("rig", RIGS)
 def test_a_state(rig, surroundings):
     """Fast without compilation: judges small faults put into the law."""
     for t, _ in zip(ticks(rig, surroundings), range(SOME), strict=False):
@@ -444,9 +444,9 @@ def test_a_state(rig, surroundings):
             assert effort_in_vain(t) < 1e-6
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("surroundings", SURROUNDINGS)
-@pytest.mark.parametrize("rig", RIGS)
+@mark.slow
+@mark.parametrize("surroundings", SURROUNDINGS)
+@mark.parametrize("rig", RIGS)
 def test_torques_bring_the_forces_and_the_motion_asked_for(rig, surroundings):
     count = Counter()
     seen = defaultdict(set)
@@ -495,9 +495,7 @@ def some_torques():
     ]
 
 
-@pytest.mark.parametrize(
-    "how", ["NUMBA_DISABLE_JIT", pytest.param("NUMBA_BOUNDSCHECK", marks=pytest.mark.slow)]
-)
+@mark.parametrize("how", ["NUMBA_DISABLE_JIT", param("NUMBA_BOUNDSCHECK", marks=mark.slow)])
 def test_the_same_without_compilation_and_with_checked_bounds(how, tmp_path):
     words = "import sys, numpy as np; from test_law_kkt import some_torques; "
     words += "np.savez(sys.argv[1], *some_torques())"

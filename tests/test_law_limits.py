@@ -13,8 +13,8 @@ from fractions import Fraction
 
 import daqp
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact.law import jit
@@ -245,7 +245,7 @@ def agree(case, tolerance):
     return short
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("how", "tolerance"),
     [
         ({}, 1e-11),
@@ -272,7 +272,7 @@ def test_the_optimum_in_exact_fractions(how, tolerance):
     assert seen < 10 and (seen > 1 or "weak" not in how)
 
 
-@pytest.mark.parametrize("endless", [0, 3])
+@mark.parametrize("endless", [0, 3])
 def test_units_of_torque_and_axes_do_not_matter(endless):
     rng = np.random.default_rng(66)
     for weak in (1.0, 0.05) * 20:
@@ -363,7 +363,7 @@ def arrays(limits):
     return [x for x in parts if isinstance(x, np.ndarray)]
 
 
-@pytest.mark.parametrize("how", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+@mark.parametrize("how", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
 def test_copies_are_equal_and_share_nothing(how):
     rng = np.random.default_rng(68)
     limits = TorqueLimits(8, 6, 3)
@@ -379,11 +379,11 @@ def test_copies_are_equal_and_share_nothing(how):
     assert_array_equal(other.lost_force, limits.lost_force)
 
 
-@pytest.mark.parametrize("verdict", [-1, 1])
+@mark.parametrize("verdict", [-1, 1])
 def test_what_is_not_solved_is_told(monkeypatch, verdict):
     case = random_case(np.random.default_rng(69), d=6, r=2, k=2, s=1, weak=0.05)
     solve(random_case(np.random.default_rng(69), d=6, r=2, k=2, s=1))
-    with pytest.raises(osc.SolverError, match="motor limits"):
+    with raises(osc.SolverError, match="motor limits"):
         MADE[8].Lambda[:] = -np.eye(6)
         MADE[8].solve(6, 2, 2, 1)
 
@@ -391,7 +391,7 @@ def test_what_is_not_solved_is_told(monkeypatch, verdict):
         return np.full(len(f), np.nan), 0.0, verdict, {"lam": np.zeros(len(a[1]))}
 
     monkeypatch.setattr(daqp, "solve", fail)
-    with pytest.raises(osc.SolverError, match="motor limits"):
+    with raises(osc.SolverError, match="motor limits"):
         solve(replace(case, share=case.share[:0], floor=case.floor[:0]))
 
 

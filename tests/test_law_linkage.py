@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_rigs import KINDS, random_case
 from numba import njit
 from numba.core.runtime import rtsys
 from numpy.testing import assert_allclose
+from pytest import mark, param
 from test_grasps import in_millimetres
 from test_linkage import settable_bars as by_svd
 
@@ -152,7 +152,7 @@ def draw(how, rng):
     return case, replace(state, grasp_points=moved_points(state.grasp_points, how, rng))
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "how, least, most",
     [
         ("rigid", 0, 0),
@@ -205,7 +205,7 @@ def elsewhere(case, X):
     return replace(case, chain=chain, X_WO=X * case.X_WO)
 
 
-@pytest.mark.parametrize("how", ["rigid", "grasps", "slides", "structure", "near singular"])
+@mark.parametrize("how", ["rigid", "grasps", "slides", "structure", "near singular"])
 def test_world_units_and_names_of_motions_do_not_matter(how):
     """Also the basis of the object's motions that G is written in."""
     rng = np.random.default_rng(83)
@@ -247,9 +247,7 @@ def replay(source, target):
     assert before[3] - before[2] == before[2] - before[1], before
 
 
-@pytest.mark.parametrize(
-    "how", ["NUMBA_DISABLE_JIT", pytest.param("NUMBA_BOUNDSCHECK", marks=pytest.mark.slow)]
-)
+@mark.parametrize("how", ["NUMBA_DISABLE_JIT", param("NUMBA_BOUNDSCHECK", marks=mark.slow)])
 def test_plain_python_and_checked_bounds_give_the_same(how, tmp_path):
     """To the last digits, so that even the bases are the same. Nothing is allocated on the way."""
     rng = np.random.default_rng(84)

@@ -10,14 +10,14 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from law_calls import algebra, contact, held_object, motion, six, tick_of
 from law_calls import columns as columns_of_N
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark
 
 from osc_contact.law import tables as at
 
-SEEDS = pytest.mark.parametrize("seed", range(6))
+SEEDS = mark.parametrize("seed", range(6))
 close = assert_allclose
 
 
@@ -85,7 +85,7 @@ def test_a_reflector_takes_a_vector_to_an_axis_without_cancellation():
         assert (alpha < 0.0) == (head >= 0.0)
 
 
-@pytest.mark.parametrize("m", range(7))
+@mark.parametrize("m", range(7))
 def test_reflections_and_their_inverse(m):
     rng = rng_of(m)
     V = rng.normal(size=(6, 6))
@@ -105,7 +105,7 @@ def test_reflections_and_their_inverse(m):
     close(B, H @ A @ H.T, atol=1e-12)
 
 
-@pytest.mark.parametrize("rows", range(1, 7))
+@mark.parametrize("rows", range(1, 7))
 def test_qr_of_columns_of_six(rows):
     rng = rng_of(rows)
     X = rng.normal(size=(8, 6))
@@ -130,8 +130,8 @@ def test_qr_of_columns_of_six(rows):
 # --- dense algebra --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("n", range(1, 8))
-@pytest.mark.parametrize("first", [0, 2])
+@mark.parametrize("n", range(1, 8))
+@mark.parametrize("first", [0, 2])
 def test_cholesky_and_what_it_solves(n, first):
     rng = rng_of(n)
     root = rng.normal(size=(n, n))
@@ -177,7 +177,7 @@ def test_inverse_of_an_inertia(seed):
     assert algebra.invert_spd6(A, L, out) == 0.0
 
 
-@pytest.mark.parametrize("n", range(1, 8))
+@mark.parametrize("n", range(1, 8))
 def test_elimination_with_pivots(n):
     rng = rng_of(n)
     for columns in (0, 1, 3):
@@ -191,7 +191,7 @@ def test_elimination_with_pivots(n):
         assert_array_equal(B[columns:], behind)
 
 
-@pytest.mark.parametrize("n", [1, 2, 5, 6, 7])
+@mark.parametrize("n", [1, 2, 5, 6, 7])
 def test_a_matrix_is_singular_where_a_pivot_is_next_to_nothing(n):
     rng = rng_of(n)
     solve = algebra.lu_solve
@@ -214,7 +214,7 @@ def test_a_matrix_is_singular_where_a_pivot_is_next_to_nothing(n):
             assert not solve(A[order].copy(), n, rng.normal(size=(1, n)), 1)
 
 
-@pytest.mark.parametrize(("rows", "length"), [(1, 1), (1, 6), (2, 3), (3, 7), (4, 4), (5, 7)])
+@mark.parametrize(("rows", "length"), [(1, 1), (1, 6), (2, 3), (3, 7), (4, 4), (5, 7)])
 def test_qr_of_rows_of_any_length(rows, length):
     rng = rng_of(rows + length)
     X = rng.normal(size=(length + 2, length + 2))
@@ -239,7 +239,7 @@ def test_qr_of_rows_of_any_length(rows, length):
     assert not algebra.qr_rows(X, rows, length, diagonal, beta)
 
 
-@pytest.mark.parametrize(("count", "length"), [(1, 3), (2, 2), (3, 7), (5, 6), (6, 6), (6, 3)])
+@mark.parametrize(("count", "length"), [(1, 3), (2, 2), (3, 7), (5, 6), (6, 6), (6, 3)])
 def test_rows_rotated_until_they_are_orthogonal(count, length):
     rng = rng_of(count + length)
     for kind in ("any", "alike", "zero", "sizes"):
@@ -268,7 +268,7 @@ def test_rows_rotated_until_they_are_orthogonal(count, length):
         assert_array_equal(X, before)
 
 
-@pytest.mark.parametrize("size", [1e-70, 1e-77, 1e-78, 1e-79, 1e-80, 1e-81, 1e-150, 1e-300])
+@mark.parametrize("size", [1e-70, 1e-77, 1e-78, 1e-79, 1e-80, 1e-81, 1e-150, 1e-300])
 def test_rows_of_next_to_nothing_turn_what_they_carry_without_stretching_it(size):
     """Squares of their products have few digits, or none. More rows than directions get there."""
     X = rng_of(7).normal(size=(5, 8)) * size
@@ -277,7 +277,7 @@ def test_rows_of_next_to_nothing_turn_what_they_carry_without_stretching_it(size
     close(X[:, 3:] @ X[:, 3:].T, np.eye(5), atol=1e-14)
 
 
-@pytest.mark.parametrize(("m", "r"), [(0, 1), (0, 3), (0, 6), (2, 3), (2, 4), (5, 1)])
+@mark.parametrize(("m", "r"), [(0, 1), (0, 3), (0, 6), (2, 3), (2, 4), (5, 1)])
 def test_lower_factor_and_orthonormal_rows(m, r):
     rng = rng_of(10 * m + r)
     for near in (1.0, 1e-7):
@@ -442,7 +442,7 @@ GROUPS = {  # motions of a joint, their rows of T
 }
 
 
-@pytest.mark.parametrize("name", GROUPS)
+@mark.parametrize("name", GROUPS)
 def test_the_permitted_part_of_a_miss_is_taken_off(name):
     """X = tip exp(n) exp(t) X_TO misses its grasp by n, however large the permitted t is."""
     rng = rng_of(0)
@@ -519,8 +519,8 @@ def test_motions_that_a_body_carries(seed):
     close(out, want, atol=1e-12)
 
 
-@pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.parametrize("mu", [0.0, 0.3])
+@mark.parametrize("moving", [False, True])
+@mark.parametrize("mu", [0.0, 0.3])
 def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     rng = rng_of(3)
     X = pose(rng)
@@ -596,7 +596,7 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
 # --- columns that depend on one another -----------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@mark.parametrize("size", [1e-6, 1.0, 1e6])
 def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
     """Three columns, of which two are kept; extents differ, as units do."""
     rng = rng_of(0)
@@ -621,4 +621,4 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
             if abs(off * most) > 2e-9 or fine:  # what is next to nothing may differ
                 assert check(rows, 3, 2, work) == fine
         if size == 1.0:
-            assert (work.where, work.amount) == (7, pytest.approx(implied))
+            assert (work.where, work.amount) == (7, approx(implied))

@@ -6,13 +6,13 @@ import sys
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from law_calls import phases as law
 from law_calls import tick_of
 from numba import njit
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark
 
 from osc_contact.law.layout import Rows, new_model, row_of, views
 from osc_contact.law.phases import (
@@ -252,7 +252,7 @@ def test_an_approach_that_finds_nothing_stands_still():
         phases.contacts[0].since = t
         phases.columns[0].filtered_speed = pace
         phases.columns[0].speed = speed
-        assert phases.begin(np.full(4, 10.0), judge=False)[1][0] == pytest.approx(push)
+        assert phases.begin(np.full(4, 10.0), judge=False)[1][0] == approx(push)
 
 
 def test_the_inertia_of_a_flying_object_is_not_taken_for_contact():
@@ -268,7 +268,7 @@ def test_the_inertia_of_a_flying_object_is_not_taken_for_contact():
         found.append(phases.columns[0].net)
     found = np.array(found)
     assert np.abs(found[60:300]).max() < 1e-3 * mass * 3.0 + 0.01
-    assert found[-1] == pytest.approx(8.0, rel=1e-4)
+    assert found[-1] == approx(8.0, rel=1e-4)
 
 
 def test_torques_go_gently_around_a_change_but_for_fast_joints():
@@ -278,7 +278,7 @@ def test_torques_go_gently_around_a_change_but_for_fast_joints():
         return law.torque_rate(tick_of(model=chain, memory_contacts=rows), share)
 
     assert rate(0.099) == 20.0 and rate(0.101) == 200.0 and rate(0.0, phased=0) == 200.0
-    assert rate(0.0, 0.5) == pytest.approx(45.0) and rate(0.101, 0.5) == 200.0
+    assert rate(0.0, 0.5) == approx(45.0) and rate(0.101, 0.5) == 200.0
     assert rate(0.0, 0.25) == 20.0 < rate(0.0, 0.26)
     assert rate(0.0, 0.8) == 200.0 == rate(0.0, 1.0) == rate(0.0, 3.0)
     chain = SimpleNamespace(n_joints=3)
@@ -287,7 +287,7 @@ def test_torques_go_gently_around_a_change_but_for_fast_joints():
         joints = [SimpleNamespace(v=x) for x in v]
         assert law.max_speed_ratio(
             tick_of(model=chain, model_joints=table, work_joints=joints)
-        ) == pytest.approx(most)
+        ) == approx(most)
 
 
 def meet(alpha, speed, mass=0.5, k=None, ticks=700):
@@ -331,7 +331,7 @@ def test_a_contact_stands_out_of_the_noise_before_it():
     phases = Phases([0], [True], phase=[CLOSED])
     for k in range(400):
         phases.end([noise(k)], [0.0], np.eye(1), independent=True)
-    assert phases.columns[0].noise == pytest.approx(3.0, rel=0.1)
+    assert phases.columns[0].noise == approx(3.0, rel=0.1)
 
 
 def test_a_lost_contact_counts_the_time_until_it_is_held_again():
@@ -388,7 +388,7 @@ def test_force_integrals_follow_their_columns():
     assert phases.kept.tolist() == [0, 0, 1, 1, 0]
 
 
-@pytest.mark.parametrize("rank", [0, 1, 3])
+@mark.parametrize("rank", [0, 1, 3])
 def test_force_integrals_that_are_not_one_for_each_column_go_on_until_a_phase_changes(rank):
     phases = Phases([0, 1], [True] * 2, phase=[CLOSED, CLOSED])
     phases.memory.force_rank = rank
@@ -408,7 +408,7 @@ def test_contacts_that_come_back_as_closed_start_without_integrals():
     assert phases.sums.tolist() == [0.0, 0.0] and phases.kept.all()
 
 
-@pytest.mark.parametrize("count", [7, 9])
+@mark.parametrize("count", [7, 9])
 def test_more_columns_than_there_is_room_for_start_without_integrals(count):
     phases = Phases(np.arange(count), [True] * count)
     assert phases.begin(np.full(count, 5.0))[0]

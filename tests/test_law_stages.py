@@ -10,10 +10,10 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from law_calls import allocation, energy, force, phases, safety, singular, stages, tick_of, verdict
 from law_calls import command_filter as command
 from numpy.testing import assert_array_equal
+from pytest import mark
 from rigs import random_faces, random_state, scara_pair
 from test_law import UNLIMITED, inputs, motion_of
 from test_law_parts import SEEDS, close, pose, rng_of, turn
@@ -99,7 +99,7 @@ def test_readings_of_the_wrists_add_up(seed):
     close(work.reading_e, e.wrench @ (total - tare) - bias, atol=1e-9)
 
 
-@pytest.mark.parametrize("dependent", [False, True])
+@mark.parametrize("dependent", [False, True])
 def test_friction_goes_with_the_magnitudes(dependent):
     rng = rng_of(int(dependent))
     e = Energy(rng)
@@ -195,7 +195,7 @@ class Filter:
         return np.linalg.solve(whole, right)[d:], mobility
 
 
-@pytest.mark.parametrize("r", range(1, 7))
+@mark.parametrize("r", range(1, 7))
 def test_magnitudes_with_what_the_object_takes(r):
     case = Filter(r, r)
     alpha, mobility = case.want()
@@ -209,7 +209,7 @@ def test_magnitudes_with_what_the_object_takes(r):
     assert not force.measure_magnitudes(tick_of(model=case.chain, work=case.work))
 
 
-@pytest.mark.parametrize(("r", "m"), [(1, 0), (3, 0), (2, 1), (1, 3), (2, 3), (3, 2), (1, 5)])
+@mark.parametrize(("r", "m"), [(1, 0), (3, 0), (2, 1), (1, 3), (2, 3), (3, 2), (1, 5)])
 def test_magnitudes_at_a_tip_that_has_inertia(r, m):
     case = Filter(10 * r + m, r, m, held=0)
     alpha, mobility = case.want()
@@ -225,7 +225,7 @@ def test_magnitudes_at_a_tip_that_has_inertia(r, m):
         assert not force.measure_magnitudes(tick_of(model=case.chain, work=case.work))
 
 
-@pytest.mark.parametrize("r", [1, 3, 6])
+@mark.parametrize("r", [1, 3, 6])
 def test_sensors_at_the_contact_read_the_contact_force(r):
     case = Filter(r, r, held=0)
     case.work.out_T *= 1e-11
@@ -284,7 +284,7 @@ def test_the_force_law():
     close(ask_force(8.0, 9.0, 0.06, -1.0, 0.5), (0.98, -1.02), rtol=1e-12)
 
 
-@pytest.mark.parametrize("dependent", [False, True])
+@mark.parametrize("dependent", [False, True])
 def test_laws_of_contacts_are_those_of_their_columns(dependent):
     contacts = [
         Record(gain=3.0, damping=5.0, least=0.1, brake=0.7),
@@ -368,7 +368,7 @@ def test_a_share_of_the_object_follows_the_joints(seed):
 
 
 @SEEDS
-@pytest.mark.parametrize("motors", [(0, 1, 2, 3), (0, 1, -1, 2), (0, 1, 2, -1), (0, 1, -1, -1)])
+@mark.parametrize("motors", [(0, 1, 2, 3), (0, 1, -1, 2), (0, 1, 2, -1), (0, 1, -1, -1)])
 def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
     stop = Stop(seed, motors)
     pull = stop.pull(2.0)
@@ -416,7 +416,7 @@ def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
 
 
 @SEEDS
-@pytest.mark.parametrize("how", ["leader", "located", "lost", "nothing"])
+@mark.parametrize("how", ["leader", "located", "lost", "nothing"])
 def test_each_arm_carries_its_share_of_the_weight(seed, how):
     stop = Stop(seed)
     X = stop.tip * stop.own
@@ -462,8 +462,8 @@ def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_lar
         assert singular.may_be_singular(tick_of(model=chain), arm, own) == want
 
 
-@pytest.mark.parametrize("chi", [0.0, 1e-10])
-@pytest.mark.parametrize("n", [2, 4, 7])
+@mark.parametrize("chi", [0.0, 1e-10])
+@mark.parametrize("n", [2, 4, 7])
 def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
     """The axes before it are spanned already: only the last ones are new."""
     rng = rng_of(n)
@@ -501,7 +501,7 @@ def test_rows_in_order_shares_and_the_way_back():
 
 
 @SEEDS
-@pytest.mark.parametrize("gone", [0.0, 1.0])
+@mark.parametrize("gone", [0.0, 1.0])
 def test_lost_motions_are_left_to_the_posture(seed, gone):
     """νᵀτ = (1 − φ) νᵀ(h + M q̈) for ν with νᵀMν = 1; where it is gone, all of it."""
     rng = rng_of(seed)
@@ -584,7 +584,7 @@ def judged(N, Lambda, held, m=0):
     return command.require_reachable(tick_of(model=Record(held=held), work=work)), work
 
 
-@pytest.mark.parametrize("held", [0, 1])
+@mark.parametrize("held", [0, 1])
 def test_columns_on_which_the_arms_can_push(held):
     rng = rng_of(held)
     root = rng.normal(size=(6, 6))
@@ -614,8 +614,8 @@ def test_columns_on_which_the_arms_can_push(held):
         assert judged(N, np.eye(6), held)[0] == want
 
 
-@pytest.mark.parametrize("held", [0, 1])
-@pytest.mark.parametrize("m", [0, 2])
+@mark.parametrize("held", [0, 1])
+@mark.parametrize("m", [0, 2])
 def test_how_far_columns_are_apart_as_seen_through_the_arms(held, m):
     rng = rng_of(m)
     d = 6 - m
@@ -738,9 +738,9 @@ def test_friction_that_is_learnt_is_never_negative():
         assert work.more_friction == more
 
 
-@pytest.mark.parametrize("phase", [APPROACHING, CLOSED])
-@pytest.mark.parametrize("own", [0, stages.OWN_FORCE])
-@pytest.mark.parametrize("step_time", [0.0, 0.05])
+@mark.parametrize("phase", [APPROACHING, CLOSED])
+@mark.parametrize("own", [0, stages.OWN_FORCE])
+@mark.parametrize("step_time", [0.0, 0.05])
 def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase, step_time):
     chain = Record(n_columns=2, step_time=step_time, period=1e-3, phased=0)
     contacts = [Record(phase=phase), Record(phase=CLOSED)]
@@ -828,8 +828,8 @@ def test_inputs_of_other_sizes_are_none():
             assert (memory.status, memory.reason) == (at.HELD, at.BAD_INPUT), place
 
 
-@pytest.mark.parametrize("place", [2, 3])
-@pytest.mark.parametrize("count", [-1, 1])
+@mark.parametrize("place", [2, 3])
+@mark.parametrize("count", [-1, 1])
 def test_joints_of_another_number_are_not_read(place, count):
     """What stands beyond their end, or one of them more, moves nothing that is held."""
     found = []
@@ -848,8 +848,8 @@ def test_joints_of_another_number_are_not_read(place, count):
     assert found[0][1] == found[1][1] == at.SAFE_STOP
 
 
-@pytest.mark.parametrize(("r", "m"), [(0, 0), (2, 2), (3, 0)])
-@pytest.mark.parametrize("held", [0, 1])
+@mark.parametrize(("r", "m"), [(0, 0), (2, 2), (3, 0)])
+@mark.parametrize("held", [0, 1])
 def test_the_motion_integral_is_handed_over_as_a_wrench(r, m, held):
     rng = rng_of(10 * r + m)
     e = Energy(rng)
@@ -1000,7 +1000,7 @@ def test_contacts_take_part_as_their_phase_says():
         )
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("phase", "pushes", "since", "gap", "pace", "want"),
     [
         (CLOSED, 1, 9.0, 0.0, 0.0, 8.0),

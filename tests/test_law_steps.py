@@ -3,9 +3,9 @@
 from types import SimpleNamespace as Record
 
 import numpy as np
-import pytest
 from law_calls import steps, tick_of
 from numpy.testing import assert_allclose
+from pytest import approx, mark
 
 from osc_contact.law import tables as at
 from osc_contact.law.phases import APPROACHING, CLOSED
@@ -116,7 +116,7 @@ def test_a_step_is_let_in_along_the_quintic_of_least_jerk():
     assert forces.work.step_left == 0.0 and (found[-1] == [16.0, 3.0]).all()
 
 
-@pytest.mark.parametrize("rises", [(RISE, RISE), (RISE, 0.08)])
+@mark.parametrize("rises", [(RISE, RISE), (RISE, 0.08)])
 def test_a_second_step_goes_on_from_value_slope_and_curvature(rises):
     """Of either rise time: the path is a polynomial of degree 5 from there, at rest in its end."""
     forces = Forces()
@@ -146,8 +146,8 @@ def test_a_second_step_goes_on_from_value_slope_and_curvature(rises):
     assert found.max() > value, "it goes on upwards at first"
 
 
-@pytest.mark.parametrize("rate", [0.99, 1.01])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@mark.parametrize("rate", [0.99, 1.01])
+@mark.parametrize("sign", [1.0, -1.0])
 def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign):
     """20 times its size a second: 0.2 N in a tick for 10 N."""
     forces = Forces()
@@ -157,7 +157,7 @@ def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign):
     wanted = 10.0 + change
     stepped = abs(change) > 20.0 * DT * size
     found = forces.tick([wanted])[0]
-    assert found == pytest.approx(10.0 if stepped else wanted)
+    assert found == approx(10.0 if stepped else wanted)
     assert forces.work.step_left == (1.0 if stepped else 0.0)
 
 
@@ -167,9 +167,9 @@ def test_the_size_of_a_force_that_has_gone_fades():
     forces.run([10.0], 200)
     forces.run([0.0], 1000)
     left = 10.0 * (1.0 - 0.5 * DT) ** 1000
-    assert forces.kept[0].scale == pytest.approx(left, rel=1e-9)
-    assert forces.tick([0.99 * 20.0 * DT * left])[0] == pytest.approx(0.99 * 20.0 * DT * left)
-    assert forces.tick([2.1 * 20.0 * DT * left])[0] == pytest.approx(0.99 * 20.0 * DT * left)
+    assert forces.kept[0].scale == approx(left, rel=1e-9)
+    assert forces.tick([0.99 * 20.0 * DT * left])[0] == approx(0.99 * 20.0 * DT * left)
+    assert forces.tick([2.1 * 20.0 * DT * left])[0] == approx(0.99 * 20.0 * DT * left)
 
 
 def test_the_integral_rests_while_much_of_a_step_is_to_come():
@@ -184,7 +184,7 @@ def test_the_integral_rests_while_much_of_a_step_is_to_come():
     for left in share:
         forces.tick([14.0])
         wanted = max(1.0 - 4.0 * left / 14.0 / 0.1, 0.0)
-        assert forces.work.integral_scale == pytest.approx(wanted, abs=1e-9)
+        assert forces.work.integral_scale == approx(wanted, abs=1e-9)
     assert forces.work.integral_scale == 1.0
 
 
@@ -192,11 +192,11 @@ def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
     for ticked, start in ((1, 3.0), (0, 0.0)):
         forces = Forces()
         forces.memory.ticked = ticked
-        assert forces.tick([10.0], measured=[3.0])[0] == pytest.approx(start)
-        assert forces.run([10.0], 60)[-1, 0] == pytest.approx(10.0)
+        assert forces.tick([10.0], measured=[3.0])[0] == approx(start)
+        assert forces.run([10.0], 60)[-1, 0] == approx(10.0)
 
 
-@pytest.mark.parametrize("share", [0.29, 0.31, -0.5])
+@mark.parametrize("share", [0.29, 0.31, -0.5])
 def test_a_face_tells_its_tilt_where_it_carries_three_tenths_of_its_force(share):
     forces = Forces()
     forces.run([10.0], 200)
@@ -205,19 +205,19 @@ def test_a_face_tells_its_tilt_where_it_carries_three_tenths_of_its_force(share)
     forces.tick([10.0], measured=[10.0 * share], speed=[0.04])
     pressed = share > 0.3
     assert_allclose(forces.kept[0].turn, turned if pressed else 0.0)
-    assert forces.kept[0].drift == pytest.approx(0.0 if pressed else 0.01), "sliding or leaving"
+    assert forces.kept[0].drift == approx(0.0 if pressed else 0.01), "sliding or leaving"
 
 
 def test_an_impact_is_not_held_where_phases_close_a_contact():
     """What is measured at the moment of contact may be many times what is wanted."""
     for phased, start in ((1, 2.0), (0, 40.0)):
         forces = Forces(phased=phased)
-        assert forces.tick([2.0], measured=[40.0])[0] == pytest.approx(start)
+        assert forces.tick([2.0], measured=[40.0])[0] == approx(start)
         found = forces.run([10.0], 60)
         assert (found.max() > 11.0) == (phased == 0)
-        assert found[-1, 0] == pytest.approx(10.0)
+        assert found[-1, 0] == approx(10.0)
     forces = Forces()
-    assert forces.tick([-2.0], measured=[-40.0])[0] == pytest.approx(-40.0), "it may be pulled"
+    assert forces.tick([-2.0], measured=[-40.0])[0] == approx(-40.0), "it may be pulled"
 
 
 def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
@@ -278,9 +278,9 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
     for speed in (0.02, 0.02, -0.01):
         forces.tick([10.0], speed=[speed])
         drift += 0.25 * (speed - drift)
-        assert forces.kept[0].drift == pytest.approx(drift)
+        assert forces.kept[0].drift == approx(drift)
     forces.tick([20.0], speed=[5.0])
-    assert forces.kept[0].drift == pytest.approx(drift), "the integral rests, and so does v̄"
+    assert forces.kept[0].drift == approx(drift), "the integral rests, and so does v̄"
     rows = [Record(drift=0.5), Record(drift=0.0), Record(drift=drift)]
     work = Record(rank=2, keep=[1.0, 0.0], speed=np.array([0.3, 0.7]), brake=np.array([20.0, 10.0]))
     columns = [Record(chosen=2), Record(chosen=0)]

@@ -9,15 +9,15 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from law_calls import safety, sensors, tick_of, watch
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark
 
 from osc_contact.law import tables as at
 from osc_contact.law.phases import APPROACHING, CLOSED
 
 DT = 1e-3
-BOTH = pytest.mark.parametrize("sign", [1.0, -1.0])
+BOTH = mark.parametrize("sign", [1.0, -1.0])
 
 
 def joint(**more):
@@ -115,7 +115,7 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
 
 
 @BOTH
-@pytest.mark.parametrize("reaction", [0.0, 0.1])
+@mark.parametrize("reaction", [0.0, 0.1])
 def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, reaction):
     """s = |q̇| t_r + q̇²/2a with a = 5 rad/s², found by steps of 10 µs."""
     speed = 1.5
@@ -171,7 +171,7 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
     assert found[-1] == at.NEAR_END, "it still is within its range"
 
 
-@pytest.mark.parametrize(("period", "ticks"), [(0.3e-3, 9), (1e-3, 3), (2e-3, 2), (10e-3, 2)])
+@mark.parametrize(("period", "ticks"), [(0.3e-3, 9), (1e-3, 3), (2e-3, 2), (10e-3, 2)])
 def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     """2.5 ms of evidence, and more than one tick."""
     chain = Record(n_joints=1, reaction=0.0, period=period, fast_ticks=99)
@@ -188,8 +188,8 @@ def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
 
 
 def test_evidence_comes_and_goes_at_the_same_pace():
-    assert watch.collect(0.002, DT, True) == pytest.approx(0.003)
-    assert watch.collect(0.002, DT, False) == pytest.approx(0.001)
+    assert watch.collect(0.002, DT, True) == approx(0.003)
+    assert watch.collect(0.002, DT, False) == approx(0.001)
     assert watch.collect(0.0005, DT, False) == 0.0
 
 
@@ -255,10 +255,10 @@ def test_power_that_moves_into_faces_adds_up():
     assert Contacts(period=10e-3).until(at.POWERED, (10.0, 10.0), wanted, (3.0, 0.0)) == 2
     contacts = Contacts()
     contacts.tick((10.0, 10.0), wanted, (3.0, 3.0))
-    assert contacts.memory.powered == pytest.approx(DT)
+    assert contacts.memory.powered == approx(DT)
 
 
-@pytest.mark.parametrize("column", [0, 1])
+@mark.parametrize("column", [0, 1])
 def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
     for astray, reason in ((0.0304, at.NO_REASON), (0.0306, at.CONTACT_LOST)):
         contacts = Contacts(phased=1)
@@ -268,7 +268,7 @@ def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
 
 
 @BOTH
-@pytest.mark.parametrize("column", [0, 1])
+@mark.parametrize("column", [0, 1])
 def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
     def both(x, other):
         return (sign * x, sign * other) if column == 0 else (sign * other, sign * x)
@@ -402,7 +402,7 @@ def test_a_tick_without_a_wrench_goes_on_with_one_that_is_young_enough():
 
 
 @BOTH
-@pytest.mark.parametrize("unread", [0, 4])
+@mark.parametrize("unread", [0, 4])
 def test_joints_move_no_further_than_they_can(sign, unread):
     """20 mrad, and three times the speed limit since the last reading that was believed."""
     for j, limit in enumerate((2.0, 4.0)):
@@ -723,7 +723,7 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
             found = [sensors.tick(v=v, q=still) for _ in range(ticks)]
             assert found == [at.NO_REASON] * (ticks - 1) + [at.DISAGREE], speed
             assert sensors.memory.culprit == j
-            assert sensors.memory.still == pytest.approx(1e-3 * ticks)
+            assert sensors.memory.still == approx(1e-3 * ticks)
         for other in ({"q": still + 1e-12}, {"v": v * (1.0 + 1e-12)}):
             sensors.tick(**{"v": v, "q": still} | other)
             assert sensors.memory.still == 0
@@ -732,7 +732,7 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
 
 
 @BOTH
-@pytest.mark.parametrize("every", [0, 2, 3])
+@mark.parametrize("every", [0, 2, 3])
 def test_an_encoder_is_stuck_when_its_joint_should_have_gained_a_tenth_of_its_limit(sign, every):
     """Also with every 2nd or 3rd tick lost: the evidence counts time."""
     for j in range(2):
@@ -771,10 +771,10 @@ def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
             if found:
                 assert sensors.memory.culprit == j
             if error == 1.0:  # 1 − exp(−t / 20 ms) = 0.2, a tick or two for the sampling
-                assert ticks == pytest.approx(20.0 * np.log(1.25), abs=1.0)
+                assert ticks == approx(20.0 * np.log(1.25), abs=1.0)
 
 
-@pytest.mark.parametrize("every", [2, 3, 10])
+@mark.parametrize("every", [2, 3, 10])
 def test_lost_ticks_take_no_evidence_away(every):
     """Speeds mirrored, and every so many-th tick lost."""
     sensors = Sensors(position_drift=inf)
@@ -788,7 +788,7 @@ def test_lost_ticks_take_no_evidence_away(every):
     assert reason == at.DISAGREE and k < 16
 
 
-@pytest.mark.parametrize("wrong", ["mirrored", "zero", "stuck", "noisy", "drifting"])
+@mark.parametrize("wrong", ["mirrored", "zero", "stuck", "noisy", "drifting"])
 def test_which_of_two_readings_is_faulty(wrong):
     """Joints that accelerate as commanded: what does not follow is faulty, and not used."""
     rng = np.random.default_rng(7)
@@ -866,7 +866,7 @@ def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
             if gone * 0.5 > most * 1.02:
                 expected = -500.0 * np.log(1.0 - most / (0.5 * gone))
                 assert reason == at.DISAGREE and sensors.memory.culprit == j
-                assert ticks == pytest.approx(expected, rel=0.03)
+                assert ticks == approx(expected, rel=0.03)
             else:
                 assert reason == at.NO_REASON
 

@@ -1,7 +1,7 @@
 """Limit cycles: oscillations of a force that last and that nobody commanded, and what is none."""
 
 import numpy as np
-import pytest
+from pytest import approx, mark
 
 import osc_contact as osc
 from osc_contact.runs.limit_cycles import find_cycle, worst_cycles
@@ -53,18 +53,18 @@ OTHERS = {
 }
 
 
-@pytest.mark.parametrize("name", CYCLES)
+@mark.parametrize("name", CYCLES)
 def test_oscillations_that_last_are_found(name):
     found = find_cycle(CYCLES[name], DT, [10.0 + sine(0.5)])
     assert found is not None
     amplitude, frequency = found
-    assert amplitude == pytest.approx(np.median(np.abs(CYCLES[name])) * 1.4, rel=0.6)
+    assert amplitude == approx(np.median(np.abs(CYCLES[name])) * 1.4, rel=0.6)
     if name == "constant":
-        assert amplitude == pytest.approx(1.0, rel=0.05)
-        assert frequency == pytest.approx(9.3, abs=0.2)
+        assert amplitude == approx(1.0, rel=0.05)
+        assert frequency == approx(9.3, abs=0.2)
 
 
-@pytest.mark.parametrize("name", OTHERS)
+@mark.parametrize("name", OTHERS)
 def test_what_does_not_last_is_none(name):
     assert find_cycle(OTHERS[name], DT, [10.0 + sine(0.5)]) is None
 
@@ -91,7 +91,7 @@ def test_stretches_that_are_not_judged_are_not_joined():
     recording = osc.Recording({"control_rate_hz": 1000.0, "scenario": {}}, channels)
     judged = np.ones((4000, 1), dtype=bool)
     (whole,) = worst_cycles(recording, judged, 0.05)
-    assert whole is not None and whole.relative == pytest.approx(0.1, rel=0.05)
+    assert whole is not None and whole.relative == approx(0.1, rel=0.05)
     gaps = judged.copy()
     gaps[500::900] = False
     assert worst_cycles(recording, gaps, 0.05) == [None]  # less than a second each
@@ -99,7 +99,7 @@ def test_stretches_that_are_not_judged_are_not_joined():
     last = judged.copy()
     last[:2900] = False
     (late,) = worst_cycles(recording, last, 0.05)
-    assert late is not None and late.frequency == pytest.approx(9.0, abs=1.0)
+    assert late is not None and late.frequency == approx(9.0, abs=1.0)
 
 
 #: A part in a soft jig: 10 kN/m along the normal, seen to move, its spring not known.

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_rigs import random_case
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import fixture, mark
 from rigs import contact_of, random_faces
 from test_decoupling import structured
 from test_grasps import forces, moving
@@ -133,7 +133,7 @@ def answers(case, state, contact, v, V, commands, rng):
         yield f, points, got.a_object, got.alpha
 
 
-@pytest.mark.parametrize("arms", [3, 4])
+@mark.parametrize("arms", [3, 4])
 def test_each_bar_carries_its_command_and_nothing_else_feels_it(arms):
     """The forces cut at the grasps, projected on the bars; then the motion-inducing rest."""
     rng = np.random.default_rng(70)
@@ -178,7 +178,7 @@ def test_dependent_bars_share_and_the_object_does_not_notice():
         assert_allclose(alpha, beta, atol=1e-9 * np.abs(beta).max())
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "arms, kinds, bends, settable",
     [
         (["scara"] * 3, ["rigid"] * 3, None, 3),
@@ -249,7 +249,7 @@ def test_an_arm_without_motors_leaves_two_of_three_combinations():
         assert np.abs(seen[1] - seen[0]).max() > 1.0
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def plate():
     """With gains for one mass."""
     gains = "gains={force: {integral: 10, damping: 3000}}"

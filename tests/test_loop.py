@@ -4,8 +4,8 @@ from dataclasses import replace
 from itertools import islice
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 from osc_contact.runs.run import start
@@ -46,7 +46,7 @@ class Hardware:
         self.stopped += 1
 
 
-@pytest.mark.parametrize("name", ["rigid", "mujoco"])
+@mark.parametrize("name", ["rigid", "mujoco"])
 def test_a_plant_in_the_loop_leaves_what_run_leaves(name):
     rig = rig_of(name)
     plant, controller = start(rig)
@@ -87,7 +87,7 @@ def test_hardware_without_a_truth_leaves_a_recording():
         assert_allclose(found["N"][k], np.hstack(N), atol=1e-12)
     assert_array_equal(found["alpha_cmd"], plan(rig).alpha_d)
     assert found["closed"].all() and found.magnitude_names == ["left_end", "right_end"]
-    with pytest.raises(osc.RecordingError, match="no judge took part"):
+    with raises(osc.RecordingError, match="no judge took part"):
         osc.metrics(found)
 
 
@@ -108,7 +108,7 @@ def test_the_robot_is_stopped_when_the_loop_ends_badly():
     plant, controller = start(rig)
     robot = Hardware(plant, broken_at=5)
     recorder = osc.Recorder(controller)
-    with pytest.raises(ConnectionError):
+    with raises(ConnectionError):
         osc.run_loop(robot, controller, plan(rig), recorder=recorder)
     assert robot.stopped == 1 and len(recorder.recording()) == 6
 
@@ -153,7 +153,7 @@ def test_references_may_have_no_end_and_the_controller_may_be_ones_own():
     robot = Hardware(plant)
     osc.run_loop(robot, Hold(), islice(endless(), 200), progress=shown.append)
     assert len(asked) == 200 and {duration for _, duration in robot.sent} == {2e-3}
-    assert shown == pytest.approx([0.2, 0.4])
+    assert shown == approx([0.2, 0.4])
 
 
 def test_a_viewer_needs_what_is_recorded():
@@ -165,7 +165,7 @@ def test_a_viewer_needs_what_is_recorded():
             seen.append((tick["t"], tick["N"].shape))
 
     seen = []
-    with pytest.raises(osc.InvalidInputError, match="recorder"):
+    with raises(osc.InvalidInputError, match="recorder"):
         osc.run_loop(plant, controller, plan(rig), viewer=Viewer())
     osc.run_loop(
         Hardware(plant),

@@ -11,8 +11,8 @@ from itertools import repeat
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact.control.status import SafetyState
@@ -69,7 +69,7 @@ class Controller:
         return np.array([-1.0 if self.state is SafetyState.SAFE_STOP else 1.0])
 
 
-@pytest.fixture(autouse=True)
+@fixture(autouse=True)
 def usual_handlers():
     """Signals count, though a shell that runs the tests in the background ignores some."""
     usual = signal.default_int_handler, signal.SIG_DFL, signal.SIG_DFL
@@ -97,7 +97,7 @@ def test_a_stop_is_reported_in_its_tick_and_braking_goes_on():
     assert sent == [1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0]
 
 
-@pytest.mark.parametrize("cause", ["lost", "fast"])
+@mark.parametrize("cause", ["lost", "fast"])
 def test_the_reason_is_the_controllers_sentence(cause):
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
     plant, controller = start(rig)
@@ -137,7 +137,7 @@ def test_a_stop_that_fails_hides_no_error_and_ends_no_braking(caplog):
         raise ConnectionError("the cable is out")
 
     robot = Robot(stop=fail, command=unplug)
-    with pytest.raises(ConnectionError, match="cable") as caught:
+    with raises(ConnectionError, match="cable") as caught:
         osc.run_loop(robot, Controller(), [REFERENCE])
     assert robot.stops == ["ConnectionError: the cable is out"]
     assert any("no brakes" in note for note in caught.value.__notes__)
@@ -148,7 +148,7 @@ def test_a_stop_that_fails_hides_no_error_and_ends_no_braking(caplog):
     osc.run_loop(robot, Controller(stops_at=[1]), repeat(REFERENCE, 3))
     assert robot.stops == ["tick 1: an encoder", ""] and robot.calls[-2] == ("command", -1.0)
 
-    with pytest.raises(OSError, match="no brakes"):  # nothing else went wrong: this is the error
+    with raises(OSError, match="no brakes"):  # nothing else went wrong: this is the error
         osc.run_loop(Robot(stop=fail), Controller(), [REFERENCE])
 
 
@@ -158,19 +158,17 @@ def test_a_driver_whose_stop_takes_no_reason_is_refused_before_it_moves():
             self._note("stop", "")
 
     robot = Old()
-    with pytest.raises(
-        osc.InvalidInputError, match=r'Old takes no reason.*stop\(self, reason=""\)'
-    ):
+    with raises(osc.InvalidInputError, match=r'Old takes no reason.*stop\(self, reason=""\)'):
         osc.run_loop(robot, Controller(), [REFERENCE])
     assert not robot.calls
 
 
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("where", ["measure", "command"])
+@mark.parametrize("number", SIGNALS)
+@mark.parametrize("where", ["measure", "command"])
 def test_a_signal_ends_the_loop_with_the_robot_stopped(number, where):
     before = handlers()
     robot = Robot(**{where: send(number)})
-    with pytest.raises(KeyboardInterrupt if number == signal.SIGINT else SystemExit) as caught:
+    with raises(KeyboardInterrupt if number == signal.SIGINT else SystemExit) as caught:
         osc.run_loop(robot, Controller(), repeat(REFERENCE))
     assert robot.stops == [signal.Signals(number).name] and robot.calls[-1][0] == "stop"
     assert len(robot.calls) <= 3 and handlers() == before
@@ -182,7 +180,7 @@ def test_a_signal_ends_a_driver_that_waits_for_ever():
     robot = Robot(measure=lambda: time.sleep(60))
     threading.Timer(0.2, send(signal.SIGTERM)).start()
     began = time.perf_counter()
-    with pytest.raises(SystemExit):
+    with raises(SystemExit):
         osc.run_loop(robot, Controller(), repeat(REFERENCE))
     assert robot.stops == ["SIGTERM"] and time.perf_counter() - began < 10
 
@@ -201,12 +199,12 @@ def test_no_signal_interrupts_the_record_of_a_tick_or_the_stop():
 
     ended = []
     robot.at["stop"] = lambda: (send(signal.SIGHUP)(), ended.append("whole"))
-    with pytest.raises(SystemExit) as caught:
+    with raises(SystemExit) as caught:
         osc.run_loop(robot, Controller(), repeat(REFERENCE), recorder=Records())
     assert len(rows) == 1 and ended == ["whole"] and robot.stops == ["SIGTERM"]
     assert caught.value.code == 128 + signal.SIGTERM
     robot = Robot(stop=send(signal.SIGTERM))  # after the last reference: kept until it is stopped
-    with pytest.raises(SystemExit):
+    with raises(SystemExit):
         osc.run_loop(robot, Controller(), [REFERENCE])
     assert robot.calls[-1] == ("stop", "")
 
@@ -215,7 +213,7 @@ def test_the_third_signal_ends_a_stop_that_does_not_return():
     robot = Robot(measure=send(signal.SIGTERM))
     robot.at["stop"] = lambda: (send(signal.SIGTERM)(), send(signal.SIGTERM)(), time.sleep(60))
     began = time.perf_counter()
-    with pytest.raises(SystemExit):
+    with raises(SystemExit):
         osc.run_loop(robot, Controller(), [REFERENCE])
     assert time.perf_counter() - began < 10
 
@@ -273,7 +271,7 @@ finally:
 """
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@mark.parametrize("number", SIGNALS)
 def test_a_process_that_is_signalled_stops_its_robot_and_keeps_its_recording(number, tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, str(tmp_path)], stderr=subprocess.PIPE, text=True

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
+from pytest import mark
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -72,16 +72,14 @@ def pull_away(name, by):
     return controller, seen, lost / len(seen)
 
 
-@pytest.mark.parametrize(
-    "name", chosen(WITH_CONTACTS, "two_contact_rod", "ur5_wipe", "hinge_ball_rod")
-)
+@mark.parametrize("name", chosen(WITH_CONTACTS, "two_contact_rod", "ur5_wipe", "hinge_ball_rod"))
 def test_a_face_that_is_pulled_away_is_looked_for_or_the_arms_stop(name):
     controller, speeds, lost = pull_away(name, 0.2)
     assert max(speeds) < 1.0
     assert controller.state is osc.SafetyState.SAFE_STOP or lost > 0.7, (lost, controller.reason)
 
 
-@pytest.mark.parametrize("name", ["two_contact_rod", "dual_panda_rod"])
+@mark.parametrize("name", ["two_contact_rod", "dual_panda_rod"])
 def test_a_face_that_is_near_is_found_again(name):
     controller, speeds, lost = pull_away(name, 0.005)
     assert max(speeds) < 0.5 and 0.05 < lost < 0.9
@@ -109,13 +107,13 @@ def test_a_contact_that_is_not_found_again_stops_the_arms_until_a_reset():
     assert controller.state is osc.SafetyState.RUN
 
 
-@pytest.mark.parametrize("push", first(WORST))
+@mark.parametrize("push", first(WORST))
 def test_pushes_end_in_contact_or_in_a_stop(push):
     found = push_arm(*push)
     assert not found.wrong, table([found])
 
 
-@pytest.mark.slow
+@mark.slow
 def test_a_push_without_limits_and_phases_is_found_wrong():
     """The judge sees what it is there to see."""
     off = [f"control.safety.{key}=100 s" for key in ("contact_loss_time", "overspeed_time")]

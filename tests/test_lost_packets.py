@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
+from pytest import mark
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -70,7 +70,7 @@ def test_a_packet_that_repeats_for_longer_than_a_wrench_may_is_a_fault():
     assert "engage the mechanical brakes" in run.controller.reason
 
 
-@pytest.mark.parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])
+@mark.parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])
 def test_more_than_half_of_the_ticks_must_not_be_lost_for_long(lost_of, stops):
     n, m = lost_of
 
@@ -135,7 +135,7 @@ def test_contact_is_made_although_every_second_tick_is_lost():
     assert_allclose(run.plant.truth().alpha, 10.0, rtol=0.2)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("fault", "scenario", "every"),
     [
         ("speeds mirrored", "limited_rod", 0),  # hardly carries its weight, and brakes all the same

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import fixture, mark
 
 import osc_contact as osc
 from benchmarks.cases import CASES
@@ -20,7 +20,7 @@ NAN = float("nan")
 Change = Callable[[Measurement, int], Measurement]
 
 
-@pytest.fixture
+@fixture
 def case():
     return CASES["two_contact_rod"]()
 
@@ -63,7 +63,7 @@ def test_a_rotation_that_is_none_is_refused(case):
     assert controller.status is osc.Status.OK
 
 
-@pytest.mark.parametrize(("axis", "size"), [(0, 1e5), (2, -1001.0), (4, 201.0)])
+@mark.parametrize(("axis", "size"), [(0, 1e5), (2, -1001.0), (4, 201.0)])
 def test_a_wrench_that_no_sensor_measures_is_not_believed(case, axis, size):
     controller = case.controller()
     last = controller.tick(case.measurement, case.reference)
@@ -114,7 +114,7 @@ READINGS = {
 }
 
 
-@pytest.mark.parametrize("what", READINGS)
+@mark.parametrize("what", READINGS)
 def test_readings_that_contradict_one_another_stop_the_arms(case, what):
     change, ticks, words = READINGS[what]
     controller = driven(case, change, ticks)
@@ -178,7 +178,7 @@ def test_packets_that_repeat_are_used_for_a_while_and_late_ones_are_not(case):
     assert controller.status is osc.Status.OK
 
 
-@pytest.mark.parametrize("late", ["encoders", "wrists"])
+@mark.parametrize("late", ["encoders", "wrists"])
 def test_readings_that_grow_old_are_not_run_on(case, late):
     controller = case.controller()
     fine = []
@@ -235,7 +235,7 @@ def test_one_bad_encoder_sample_does_not_blind_the_velocity_estimate():
     assert_allclose(position, x, rtol=1e-6)
 
 
-@pytest.mark.parametrize("bad", [NAN, 1e6, 0.5])
+@mark.parametrize("bad", [NAN, 1e6, 0.5])
 def test_an_observed_arm_runs_on_after_one_bad_encoder_sample(bad):
     rig = osc.build_rig(osc.load_scenario("workcell"))
     observer = rig.observer()

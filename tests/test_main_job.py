@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, fixture, mark, raises
 from samples import first
 
 import osc_contact as osc
@@ -12,12 +12,12 @@ import osc_contact as osc
 OTHERS = sorted((Path(__file__).parent / "scenarios").glob("*.yaml"))
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def nominal():
     return osc.run(osc.load_scenario("two_contact_rod"))
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def mismatch():
     return osc.run(osc.load_scenario("two_contact_rod_mismatch"))
 
@@ -38,9 +38,9 @@ def test_the_task_is_the_one_described(nominal):
     path = nominal["pose"][after, :3]
     along = np.linalg.svd(path - path.mean(axis=0), full_matrices=False)[2][0]
     slide = path @ along
-    assert np.ptp(slide) == pytest.approx(0.10, rel=2e-3)
+    assert np.ptp(slide) == approx(0.10, rel=2e-3)
     crossings = np.flatnonzero(np.diff(np.sign(slide - slide.mean())) != 0)
-    assert np.diff(t[after][crossings]).mean() == pytest.approx(1.0, rel=1e-2)
+    assert np.diff(t[after][crossings]).mean() == approx(1.0, rel=1e-2)
     assert_allclose(
         nominal["alpha_cmd"][after],
         np.column_stack((np.where(t >= 5.0, 15.0, 10.0), 8.0 + 4.0 * np.sin(2 * np.pi * 0.5 * t)))[
@@ -71,15 +71,15 @@ def test_no_force_overshoots_its_command(nominal):
         ("step", "left_end"),
     ]
     assert max(s["overshoot_rel"] for s in steps) <= 0.05
-    assert nominal["alpha_true"].max(axis=0) == pytest.approx([15.0, 12.0], rel=2e-3)
+    assert nominal["alpha_true"].max(axis=0) == approx([15.0, 12.0], rel=2e-3)
 
 
 def test_steps_at_once_are_followed_as_before():
     """The same gains without a rise time: what the law itself reaches, to the last digit given."""
     sudden = osc.load_scenario("two_contact_rod", ["gains.force.rise=0 s"])
     force = osc.metrics(osc.run(sudden))["force"]
-    assert force["left_end"]["rms_error_rel"] == pytest.approx(1.63e-4, abs=5e-7)
-    assert force["right_end"]["rms_error_rel"] == pytest.approx(2.25e-4, abs=5e-7)
+    assert force["left_end"]["rms_error_rel"] == approx(1.63e-4, abs=5e-7)
+    assert force["right_end"]["rms_error_rel"] == approx(2.25e-4, abs=5e-7)
 
 
 def test_the_judge_takes_its_forces_from_the_plant_and_its_motion_from_the_object(nominal):
@@ -90,12 +90,10 @@ def test_the_judge_takes_its_forces_from_the_plant_and_its_motion_from_the_objec
     error = (nominal["alpha_true"] - nominal["alpha_cmd"])[quiet]
     mean = nominal["alpha_cmd"][quiet].mean(axis=0)
     for i, force in enumerate(verdict["force"].values()):
-        assert force["rms_error_rel"] == pytest.approx(
+        assert force["rms_error_rel"] == approx(
             np.sqrt((error[:, i] ** 2).mean()) / mean[i], rel=1e-9
         )
-        assert force["peak_error_rel"] == pytest.approx(
-            np.abs(error[:, i]).max() / mean[i], rel=1e-9
-        )
+        assert force["peak_error_rel"] == approx(np.abs(error[:, i]).max() / mean[i], rel=1e-9)
     u = np.cross(*nominal["contact_direction"][0])
     u /= np.linalg.norm(u)
     slide = (nominal["pose"][:, :3] - nominal["pose"][0, :3]) @ u
@@ -145,7 +143,7 @@ def test_same_seed_same_run():
             assert_array_equal(a[name], b[name])
 
 
-@pytest.mark.parametrize("path", first(OTHERS), ids=lambda path: getattr(path, "stem", None))
+@mark.parametrize("path", first(OTHERS), ids=lambda path: getattr(path, "stem", None))
 def test_another_state_of_contact_needs_only_another_file(path):
     """Moved faces, other normals, rod or commands: the limits hold without touching code."""
     verdict = osc.metrics(osc.run(osc.load_scenario(path)))
@@ -161,19 +159,19 @@ def test_there_are_four_such_files():
 
 def test_a_face_asked_to_pull_is_refused():
     scenario = osc.load_scenario("two_contact_rod", ["force.right_end.1.amplitude=9 N"])
-    with pytest.raises(osc.ScenarioError, match="cannot pull"):
+    with raises(osc.ScenarioError, match="cannot pull"):
         osc.build_rig(scenario)
 
 
 def test_a_face_out_of_reach_is_refused():
     scenario = osc.load_scenario("two_contact_rod", ["contacts.left_end.face.point=[-1.5, 0, 0.2]"])
-    with pytest.raises(osc.OscContactError):
+    with raises(osc.OscContactError):
         osc.build_rig(scenario)
 
 
 def test_a_wrong_number_of_posture_joints_is_refused():
     scenario = osc.load_scenario("two_contact_rod", ["arms.left.posture=[0, 0, 0]"])
-    with pytest.raises(osc.ScenarioError, match="posture"):
+    with raises(osc.ScenarioError, match="posture"):
         osc.build_rig(scenario)
 
 
@@ -188,6 +186,6 @@ def test_what_was_recorded_before_a_divergence_is_kept(monkeypatch):
         command(self, tau, duration)
 
     monkeypatch.setattr(MujocoPlant, "command", fails_at_50_ms)
-    with pytest.raises(osc.PlantError) as caught:
+    with raises(osc.PlantError) as caught:
         osc.run(osc.load_scenario("two_contact_rod"), duration=0.2)
     assert len(caught.value.recording["t"]) == 51

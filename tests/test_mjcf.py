@@ -3,8 +3,8 @@
 import mujoco
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact import robots
@@ -44,7 +44,7 @@ ARM = """
 JOINTS = ["turn", "slide", "bend", "grip"]
 
 
-@pytest.fixture
+@fixture
 def mj():
     return mujoco.MjModel.from_xml_string(ARM)
 
@@ -100,7 +100,7 @@ def test_an_arm_has_its_rotors_and_a_link_may_be_called_as_its_joint(tmp_path):
     assert chain.joint_names == ["a/turn", "a/slide", "a/bend"]  # the finger is locked
     assert_array_equal(chain.model.armature, [0.1, 2.0, 0.1])
     own = chain.outboard[0][0].inertia
-    assert own.mass == pytest.approx(0.45)  # hand and finger, what MuJoCo's sensor there weighs
+    assert own.mass == approx(0.45)  # hand and finger, what MuJoCo's sensor there weighs
     named = osc.Arm.from_mjcf(file, name="a", tip="turn")
     assert osc.ClosedChain([named]).joint_names == ["a/turn"]
 
@@ -127,7 +127,7 @@ def test_a_urdf_whose_links_are_called_as_its_joints(tmp_path):
     assert osc.ClosedChain([arm]).nq == 2
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("old", "new", "says"),
     [
         ('armature="2"', 'armature="2" stiffness="5"', "spring"),
@@ -156,12 +156,12 @@ def test_what_the_law_does_not_know_is_refused(tmp_path, old, new, says):
         )
     assert old in text
     file.write_text(text.replace(old, new))
-    with pytest.raises(osc.ModelError, match=says):
+    with raises(osc.ModelError, match=says):
         osc.Arm.from_mjcf(file, name="a", tip="tip")
 
 
 def test_names_that_are_not_there_are_told(mj):
-    with pytest.raises(osc.ModelError, match="no body or site 'tipp'"):
+    with raises(osc.ModelError, match="no body or site 'tipp'"):
         osc.Arm.from_mjcf(mj, name="a", tip="tipp")
-    with pytest.raises(osc.InvalidInputError, match="no moving joint matches"):
+    with raises(osc.InvalidInputError, match="no moving joint matches"):
         robots.load_mjcf(mj, "tip", limits={"nobody": robots.JointLimits(effort=1.0)})

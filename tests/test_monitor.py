@@ -3,8 +3,8 @@
 from dataclasses import FrozenInstanceError
 
 import numpy as np
-import pytest
 from numpy.testing import assert_array_equal
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact.control.monitor import ContactMonitor, watch_series
@@ -80,20 +80,20 @@ def test_contacts_are_judged_one_by_one():
 
 
 def test_thresholds_without_hysteresis_are_refused():
-    with pytest.raises(osc.InvalidInputError, match="above force_off"):
+    with raises(osc.InvalidInputError, match="above force_off"):
         MonitorLimits(force_on=0.4, force_off=0.4)
 
 
-@pytest.mark.parametrize("power", [0.0, -0.05])
+@mark.parametrize("power", [0.0, -0.05])
 def test_a_power_that_is_no_threshold_is_refused(power):
-    with pytest.raises(osc.InvalidInputError, match="power: must be > 0"):
+    with raises(osc.InvalidInputError, match="power: must be > 0"):
         MonitorLimits(power=power)
 
 
 def test_what_was_said_is_not_changed_afterwards():
     said = ContactMonitor(1, DT).update(np.zeros(1), np.zeros(1))
     for name in ("closed", "collision"):
-        with pytest.raises(FrozenInstanceError):
+        with raises(FrozenInstanceError):
             setattr(said, name, None)
 
 
@@ -110,7 +110,7 @@ def test_a_run_sees_contact_being_made_after_the_tare():
     assert recording["contact_seen"][t > 0.7].all()
 
 
-@pytest.mark.parametrize("seed", range(4))
+@mark.parametrize("seed", range(4))
 def test_a_series_is_watched_as_tick_by_tick(seed):
     """Ticks that are passed over tell nothing new: contacts lost and made again, with bursts."""
     rng = np.random.default_rng(seed)

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from environment_scenes import RTOL, cases, close_to, contacts_at, pairs_at, scene, twist_at
 from numpy.testing import assert_allclose
+from pytest import raises
 from rigs import one_panda, panda_pair, random_state, scara_pair
 from test_decoupling import commanded as law_commanded
 from test_decoupling import structured
@@ -88,7 +88,7 @@ def test_equations_17_to_20_as_written_with_the_relative_inertia(rig, kind):
 
 def test_no_relative_inertia_where_nobody_yields():
     state = scara_pair().state(*random_state(scara_pair(), np.random.default_rng(33)))
-    with pytest.raises(osc.ModelError, match="neither chain nor environment yields"):
+    with raises(osc.ModelError, match="neither chain nor environment yields"):
         Lambda_rel(state, Environment.fixed())
 
 
@@ -118,7 +118,7 @@ def test_a_redundant_leg_changes_nothing_where_one_body_carries_all():
             if kind == "prescribed":  # one motion, nobody yields: one environment
                 assert Environment.combine(parts, copies, s.state.metric) is copies[0]
             else:
-                with pytest.raises(osc.ContactError, match="dependent"):
+                with raises(osc.ContactError, match="dependent"):
                     Environment.combine(parts, copies, s.state.metric)
 
 

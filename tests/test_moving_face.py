@@ -1,8 +1,8 @@
 """Faces that move: the plants among themselves, the law against plants that know nothing of Φ_e."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact.runs.verdict import metrics
@@ -32,7 +32,7 @@ def on_the_move(rig, ticks=60):
     return plant, controller
 
 
-@pytest.mark.parametrize("changes", FACES.values(), ids=FACES)
+@mark.parametrize("changes", FACES.values(), ids=FACES)
 def test_contact_forces_are_the_commanded_ones_at_every_instant(changes):
     """The rigid plant has no Φ_e, only a cart in its equations; α = α_u and sensing are exact."""
     rig = rig_of("plant.type=rigid", "plant.step=1 ms", *changes)
@@ -104,7 +104,7 @@ def test_a_conveyor_is_where_its_signals_say():
         assert_array_equal(touched.X_WE[1], np.eye(4))
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def on_mujoco():
     return {
         law: case
@@ -132,7 +132,7 @@ def test_the_figure_shows_each_face_once(on_mujoco):
 
 def test_a_conveyor_must_start_at_the_contact():
     jump = "[{type: sine, amplitude: 30 mm, frequency: 1 Hz}]"
-    with pytest.raises(osc.ScenarioError, match=r"left_end.*0.188\d* m/s.*ramp"):
+    with raises(osc.ScenarioError, match=r"left_end.*0.188\d* m/s.*ramp"):
         rig_of(
             "contacts.left_end.face.motion="
             f"{{type: conveyor, direction: [1, 0, 0], signals: {jump}}}"
@@ -174,5 +174,5 @@ def test_tracked_contacts_are_looked_up_again_after_a_while_and_agree_with_the_d
     away.translation = X.translation + 0.1 * pair.normal
     assert tracked.contact(away, V).r == 1  # the last one found stays in force
     fresh = rig.controlled_pairs()[0]
-    with pytest.raises(osc.ContactError, match="nothing touches"):
+    with raises(osc.ContactError, match="nothing touches"):
         fresh.contact(away, V)

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_array_equal
+from pytest import fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
@@ -21,7 +21,7 @@ KINDS = {
 }
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def rig():
     return osc.build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
 
@@ -45,8 +45,8 @@ def rounded(measurement, reference):
     ]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("sequence", [False, True])
+@mark.parametrize("kind", KINDS)
+@mark.parametrize("sequence", [False, True])
 def test_other_arrays_are_found_out_once_and_give_the_same_torques(
     rig, monkeypatch, kind, sequence
 ):
@@ -129,5 +129,5 @@ def test_the_gap_of_gap_functions_may_be_a_plain_number():
 
 
 def test_a_plain_number_is_no_vector_of_a_given_size():
-    with pytest.raises(osc.InvalidInputError, match=r"V_D: expected shape \(6\), got \(\)"):
+    with raises(osc.InvalidInputError, match=r"V_D: expected shape \(6\), got \(\)"):
         as_array("V_D", 1.0, (6,))

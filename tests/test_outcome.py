@@ -7,7 +7,7 @@ import shutil
 from typing import Any
 
 import numpy as np
-import pytest
+from pytest import approx, mark, raises
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -81,7 +81,7 @@ def test_a_step_is_told_with_its_overshoot_and_the_first_contact_too():
     verdict = osc.metrics(
         made({"force_steps_s": [2.0]}, alpha_cmd=command, alpha_true=truth, closed=closed)
     )
-    assert verdict["first_contact_s"] == {"tip": pytest.approx(0.04)}
+    assert verdict["first_contact_s"] == {"tip": approx(0.04)}
     first, step = verdict["steps"]
     assert (first["what"], first["from_N"], first["to_N"], first["peak_N"]) == (
         "first contact",
@@ -89,9 +89,9 @@ def test_a_step_is_told_with_its_overshoot_and_the_first_contact_too():
         10.0,
         13.0,
     )
-    assert first["overshoot_rel"] == pytest.approx(0.3)
+    assert first["overshoot_rel"] == approx(0.3)
     assert (step["what"], step["t_s"], step["from_N"], step["to_N"]) == ("step", 2.0, 10.0, 4.0)
-    assert step["peak_N"] == pytest.approx(3.4) and step["overshoot_rel"] == pytest.approx(0.1)
+    assert step["peak_N"] == approx(3.4) and step["overshoot_rel"] == approx(0.1)
     assert verdict["task"] == {"word": "OK", "failed": False, "why": []}
     rows = [str(cell) for column in verdict_table(verdict).columns for cell in column.cells]
     assert any("reaches 13 N of 10 N, overshoot 30 %" in row for row in rows)
@@ -104,7 +104,7 @@ held = {
 }
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("word", "failed", "sentence", "meta", "channels"),
     [
         ("LOST", True, "open for up to 0.06 s", {}, changed("closed", 2000, 2060, 0)),
@@ -246,8 +246,8 @@ def test_a_run_that_begins_with_an_approach_is_judged_by_its_phases():
     force = verdict["force"]["tip"]
     assert verdict["task"]["word"] == "OK" and force["rms_error_N"] == 0.0 == force["peak_error_N"]
     (landing,) = verdict["steps"]
-    assert landing["what"] == "first contact" and landing["overshoot_rel"] == pytest.approx(1.5)
-    assert verdict["first_contact_s"] == {"tip": pytest.approx(1.5)}
+    assert landing["what"] == "first contact" and landing["overshoot_rel"] == approx(1.5)
+    assert verdict["first_contact_s"] == {"tip": approx(1.5)}
     late = osc.metrics(made(**landing_at(2800)))["task"]
     assert late["word"] == "POOR" and "closed too late; run it longer" in late["why"][0]
 
@@ -291,7 +291,7 @@ def test_an_ordinary_run_tells_its_first_contact_and_ends_well(tmp_path):
     steps = json.loads((tmp_path / "metrics.json").read_text())["steps"]
     truth = Recording.load(tmp_path / "recording.npz")["alpha_true"][:500, 0]
     left = next(s for s in steps if s["force"] == "left_end")
-    assert left["peak_N"] == truth.max() == pytest.approx(10 * (1 + left["overshoot_rel"]))
+    assert left["peak_N"] == truth.max() == approx(10 * (1 + left["overshoot_rel"]))
     assert 0.0 < left["overshoot_rel"] < 0.05
 
 
@@ -337,5 +337,5 @@ def test_the_first_reason_is_kept_beyond_a_stop():
 
 def test_a_run_too_short_to_be_judged_is_refused_with_its_length():
     recording = osc.run(osc.load_scenario("two_contact_rod", ["duration=0.02 s"]))
-    with pytest.raises(osc.InvalidInputError, match="20 ticks ends before t = 1 s"):
+    with raises(osc.InvalidInputError, match="20 ticks ends before t = 1 s"):
         osc.metrics(recording)

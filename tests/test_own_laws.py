@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import fixture, mark, raises
 from test_commands import by_definition
 
 import osc_contact as osc
@@ -20,7 +20,7 @@ from osc_contact.scenarios.control_schema import Friction
 from osc_contact.spatial import classical_to_spatial, pose_error
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def rig():
     changes = ["plant.type=rigid", "plant.step=2 ms", "control.rate=500 Hz"]
     return osc.build_rig(osc.load_scenario("two_contact_rod", changes))
@@ -56,7 +56,7 @@ def test_the_plant_answers_what_the_law_commands(rig):
     assert "own force law" not in [b.name for b in built_in.wiring()]
 
 
-@pytest.mark.parametrize("bad", [[1.0], [1.0, np.nan], [[1.0, 2.0]]])
+@mark.parametrize("bad", [[1.0], [1.0, np.nan], [[1.0, 2.0]]])
 def test_a_law_that_returns_nonsense_holds_the_torques(rig, bad):
     plant = rig.plant()
     reference = rig.references.at(0.0)
@@ -158,11 +158,11 @@ def test_laws_stay_when_gains_change_and_can_be_taken_out_again(rig):
     )
     back = own.with_laws(force=None)
     assert_array_equal(back.tick(measurement, reference), plain.tick(measurement, reference))
-    with pytest.raises(InvalidInputError, match="with_laws"):
+    with raises(InvalidInputError, match="with_laws"):
         own.laws = Laws()
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("laws", "words"),
     [
         (Laws(motion=lambda *_: np.zeros(5)), "return six finite numbers"),
@@ -207,8 +207,8 @@ class Lifted(osc.VertexOnFace):
         return super().point_on_face(X_WO, X_WE) + 0.1 * self._face(X_WE)[0]
 
 
-@pytest.mark.parametrize("kind", [Written, Named, Lifted])
-@pytest.mark.parametrize("moving", [False, True])
+@mark.parametrize("kind", [Written, Named, Lifted])
+@mark.parametrize("moving", [False, True])
 def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(rig, kind, moving):
     rng = np.random.default_rng(60)
     made = [

@@ -3,8 +3,8 @@
 import mujoco
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 
@@ -97,7 +97,7 @@ class Spy(osc.Recorder):
         super().append(*tick)
 
 
-@pytest.mark.parametrize("actuators", [MOTORS, SERVOS, NONE], ids=["motors", "servos", "none"])
+@mark.parametrize("actuators", [MOTORS, SERVOS, NONE], ids=["motors", "servos", "none"])
 def test_scene_is_robot_and_judge(actuators):
     robot = robot_of(scene(actuators), locked={"grip": 0.03}, keyframe="ball_aside")
     assert robot.chain.joint_names == ["arm/shoulder", "arm/elbow", "arm/wrist_pitch"]
@@ -129,8 +129,8 @@ def test_scene_is_robot_and_judge(actuators):
     site = robot.data.site("tip")
     assert_allclose(robot.poses()[1, :3, 3], site.xpos, atol=1e-12)
     assert_allclose(robot.poses()[1, :3, :3].ravel(), site.xmat, atol=1e-12)
-    assert robot.data.joint("grip").qpos[0] == pytest.approx(0.03, abs=1e-3)
-    assert robot.data.body("ball").xpos[0] == pytest.approx(-2.0, abs=1e-3)
+    assert robot.data.joint("grip").qpos[0] == approx(0.03, abs=1e-3)
+    assert robot.data.body("ball").xpos[0] == approx(-2.0, abs=1e-3)
 
 
 def test_wrench_is_what_the_hand_weighs():
@@ -140,7 +140,7 @@ def test_wrench_is_what_the_hand_weighs():
     robot.hold(pin.computeGeneralizedGravity(model, model.createData(), np.array(START)))
     site = robot.data.site("wrist").xmat.reshape(3, 3)
     f = site @ robot.measure().wrenches[0][:3]  # the parent pushes the hand up
-    assert f == pytest.approx([0, 0, 9.81 * 0.32], abs=1e-3)
+    assert f == approx([0, 0, 9.81 * 0.32], abs=1e-3)
 
 
 def test_only_the_tool_touches():
@@ -151,7 +151,7 @@ def test_only_the_tool_touches():
     assert pushes(robot, ["tool"]) == 0.0 and truth.alpha[0] == 0.0 and not truth.closed[0]
 
 
-@pytest.mark.parametrize(("friction", "told"), [(0.1, False), (0.6, True)])
+@mark.parametrize(("friction", "told"), [(0.1, False), (0.6, True)])
 def test_much_friction_is_told(caplog, friction, told):
     model = scene()
     model.geom("wall").friction[0] = friction
@@ -168,7 +168,7 @@ def test_the_model_given_stays_as_it_is():
     assert model.opt.cone == before[2] != robot.model.opt.cone
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("how", "told"),
     [
         ({"tip": "tipp"}, "no body or site 'tipp'. Did you mean tip"),
@@ -178,17 +178,17 @@ def test_the_model_given_stays_as_it_is():
     ],
 )
 def test_names_that_are_not_there(how, told):
-    with pytest.raises(osc.OscContactError, match=told):
+    with raises(osc.OscContactError, match=told):
         robot_of(scene(), **how)
 
 
 def test_a_site_without_sensors_is_told_with_the_line_to_add():
-    with pytest.raises(osc.PlantError, match=r'no torque sensor; .*<torque site="wrist"/>'):
+    with raises(osc.PlantError, match=r'no torque sensor; .*<torque site="wrist"/>'):
         robot_of(scene(sensors='<force site="wrist"/>'))
 
 
 def test_a_step_that_does_not_fit_the_control_period_is_refused():
     robot = robot_of(scene(step=0.002))
-    with pytest.raises(osc.PlantError, match=r"1 ms is no whole number .* steps of 2 ms"):
+    with raises(osc.PlantError, match=r"1 ms is no whole number .* steps of 2 ms"):
         robot.command(np.zeros(3), 1e-3)
     assert robot.time == 0.0

@@ -8,10 +8,10 @@ import tomllib
 import zipfile
 from pathlib import Path
 
-import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from pytest import fixture, mark
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -31,7 +31,7 @@ def wheel_of(source, folder):
     return zipfile.ZipFile(wheel)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def wheel(tmp_path_factory):
     with wheel_of(ROOT, tmp_path_factory.mktemp("wheel")) as archive:
         yield archive
@@ -52,7 +52,7 @@ def constraints():
     return {canonicalize_name(name): version for name, version in pairs}
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("folder", "pattern", "inside"),
     [
         ("urdf", "*.urdf", "osc_contact/urdf"),
@@ -157,7 +157,7 @@ def test_changelog_tells_of_this_version():
     assert f"## [{PROJECT['version']}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "target", ["venv", "browser", "demo", "test", "gallery", "dist", "bench", "clean"]
 )
 def test_make_has_the_target(target):

@@ -9,7 +9,6 @@ from dataclasses import fields
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -27,6 +26,7 @@ from pair_kinds import (
     pose_of,
     rate,
 )
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
@@ -59,8 +59,8 @@ def near(value, expected, scale, tolerance):
     assert (np.abs(value - expected) <= tolerance * scale).all(), (value, expected, scale)
 
 
-@pytest.mark.parametrize("turn", TURNS)
-@pytest.mark.parametrize("name", ALL)
+@mark.parametrize("turn", TURNS)
+@mark.parametrize("name", ALL)
 def test_motions_that_keep_the_contact(name, turn):
     motion = Motion.keeping(name, turn)
     contact = motion.contact()
@@ -74,8 +74,8 @@ def test_motions_that_keep_the_contact(name, turn):
         assert np.abs(contact.n_gamma).max() > 1e-4  # n_γ = 0 would not do
 
 
-@pytest.mark.parametrize("turn", TURNS)
-@pytest.mark.parametrize("name", ALL)
+@mark.parametrize("turn", TURNS)
+@mark.parametrize("name", ALL)
 def test_T_is_what_the_free_coordinates_can_do(name, turn):
     contact, twists = free_motions(name, turn)
     T = contact.T
@@ -84,7 +84,7 @@ def test_T_is_what_the_free_coordinates_can_do(name, turn):
     assert np.linalg.matrix_rank(rates) == 6 - contact.r
 
 
-@pytest.mark.parametrize("name", ALL)
+@mark.parametrize("name", ALL)
 def test_bodies_that_move_as_one_keep_the_contact(name):
     motion = Motion.keeping(name, 0)
     X_WO = motion.body(0.0)
@@ -95,8 +95,8 @@ def test_bodies_that_move_as_one_keep_the_contact(name):
     assert_allclose(contact.n_gamma, 0.0, atol=1e-11)
 
 
-@pytest.mark.parametrize("turn", TURNS)
-@pytest.mark.parametrize("name", ALL)
+@mark.parametrize("turn", TURNS)
+@mark.parametrize("name", ALL)
 def test_n_gamma_is_minus_the_rate_of_N_on_the_motion(name, turn):
     motion = Motion.keeping(name, turn) if name in BY_T else Motion.breaking(name, turn, 0.2)
     contact = motion.contact()
@@ -106,9 +106,9 @@ def test_n_gamma_is_minus_the_rate_of_N_on_the_motion(name, turn):
     near(contact.n_gamma, -N_dot.T @ V_rel, np.abs(N_dot).T @ np.abs(V_rel), 1e-7)
 
 
-@pytest.mark.parametrize("turn", TURNS)
-@pytest.mark.parametrize("open_by", [0.0, 0.2])
-@pytest.mark.parametrize("name", ALL)
+@mark.parametrize("turn", TURNS)
+@mark.parametrize("open_by", [0.0, 0.2])
+@mark.parametrize("name", ALL)
 def test_gaps_shrink_along_the_columns_of_N(name, open_by, turn):
     """In contact for every pair, and for all but the screw with the gaps open too."""
     if name == "screw":
@@ -124,9 +124,9 @@ def test_gaps_shrink_along_the_columns_of_N(name, open_by, turn):
         near(rate(motion.gaps, 2), expected, scale, 1e-7)
 
 
-@pytest.mark.parametrize("turn", TURNS)
-@pytest.mark.parametrize("open_by", [0.0, 0.2])
-@pytest.mark.parametrize("name", ALL)
+@mark.parametrize("turn", TURNS)
+@mark.parametrize("open_by", [0.0, 0.2])
+@mark.parametrize("name", ALL)
 def test_N_and_T_do_no_work_on_one_another(name, open_by, turn):
     motion = Motion.breaking(name, turn, open_by)
     contact = motion.contact()
@@ -139,8 +139,8 @@ def test_N_and_T_do_no_work_on_one_another(name, open_by, turn):
         assert np.linalg.svd(contact.N / np.linalg.norm(contact.N, axis=0))[1][-1] > 1e-3
 
 
-@pytest.mark.parametrize("turn", range(2))
-@pytest.mark.parametrize("name", ALL)
+@mark.parametrize("turn", range(2))
+@mark.parametrize("name", ALL)
 def test_every_pair_from_its_gaps_alone(name, turn):
     """`GapFunctions` on the gaps of the others finds their N and n_γ."""
     motion = Motion.keeping(name, turn)
@@ -153,7 +153,7 @@ def test_every_pair_from_its_gaps_alone(name, turn):
     assert_allclose(other.n_gamma, contact.n_gamma, atol=1e-7 * scale)
 
 
-@pytest.mark.parametrize("name", ALL)
+@mark.parametrize("name", ALL)
 def test_the_environment_defaults_to_the_world_at_rest(name):
     pair, pose, r = KINDS[name](np.random.default_rng(5), PLAIN)
     X_WO = pose(np.full(6 - r, 0.3))
@@ -179,8 +179,8 @@ def answer(contact, Phi, f, a_E):
     return N @ alpha
 
 
-@pytest.mark.parametrize("turn", range(2))
-@pytest.mark.parametrize("name", ALL)
+@mark.parametrize("turn", range(2))
+@mark.parametrize("name", ALL)
 def test_the_contact_force_knows_no_frame_origin_basis_or_unit(name, turn):
     """Other frames W, A, E, another basis; mm and g."""
     rng = np.random.default_rng([turn, 9])
@@ -221,8 +221,8 @@ def test_the_contact_force_knows_no_frame_origin_basis_or_unit(name, turn):
         assert_allclose(other, f_c, rtol=0, atol=1e-9 * scale)
 
 
-@pytest.mark.parametrize("turn", range(2))
-@pytest.mark.parametrize("name", ["sphere_on_plane", "edge_on_face", "face_on_face"])
+@mark.parametrize("turn", range(2))
+@mark.parametrize("name", ["sphere_on_plane", "edge_on_face", "face_on_face"])
 def test_lifted_objects_have_open_gaps(name, turn):
     """Outward normals: an object moved along the face's normal is that far away from it."""
     pair, pose, r = KINDS[name](np.random.default_rng(turn), PLAIN)
@@ -240,7 +240,7 @@ def test_a_face_of_the_object_pushes_along_its_own_outward_normal():
     assert_allclose(pair.contact(X, STILL).N[:, 0], [0, 0, -1, -0.2, 0.3, 0])
 
 
-@pytest.mark.parametrize(("side", "down"), [(1.0, 1), (-1.0, -1), ([0.1, 0.3, 2.0], 1)])
+@mark.parametrize(("side", "down"), [(1.0, 1), (-1.0, -1), ([0.1, 0.3, 2.0], 1)])
 def test_edges_cross_with_the_environment_on_the_stated_side(side, down):
     """e_A × e_E = y × x = −z."""
     pair = osc.EdgeOnEdge([0.0, 5, 0.02], [0.0, 1, 0], [7.0, 0, 0], [1.0, 0, 0], side)
@@ -279,16 +279,16 @@ def test_a_joint_angle_error_is_a_gap_in_radians():
     assert_allclose(osc.Fixed().contact(pin.SE3.Identity(), STILL).N, np.eye(6))
 
 
-@pytest.mark.parametrize("name", ALL)
+@mark.parametrize("name", ALL)
 def test_pairs_are_frozen_and_comparable(name):
     pair, _, _ = KINDS[name](np.random.default_rng(1), PLAIN)
-    with pytest.raises(AttributeError):
+    with raises(AttributeError):
         pair.name = "other"
     assert pair == pair and pair in {pair}
     assert "name" in {f.name for f in fields(pair)} and pair.name in repr(pair)
 
 
-@pytest.mark.parametrize("turn", range(2))
+@mark.parametrize("turn", range(2))
 def test_magnitudes_belong_to_feet_around_the_stated_point(turn):
     lever = {
         "edge_on_face": 0.15,
@@ -314,7 +314,7 @@ Z = [0.0, 0.0, 1.0]
 O3 = [0.0, 0.0, 0.0]
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("make", "message"),
     [
         (lambda: osc.SphereOnPlane(O3, -1.0, O3, Z, name="ball"), "ball.radius = -1.0"),
@@ -350,11 +350,11 @@ O3 = [0.0, 0.0, 0.0]
     ],
 )
 def test_impossible_geometry_is_refused(make, message):
-    with pytest.raises(InvalidInputError, match=message):
+    with raises(InvalidInputError, match=message):
         make()
 
 
-@pytest.mark.parametrize("name", ALL)
+@mark.parametrize("name", ALL)
 def test_forces_are_counted_in_any_pose(name):
     pair, _, r = KINDS[name](np.random.default_rng(4), PLAIN)
     assert count_forces(pair) == r
@@ -367,12 +367,12 @@ def test_contacts_that_do_not_exist_are_refused():
     here = pin.SE3.Identity()
     parallel = osc.EdgeOnEdge(O3, Z, [0.1, 0, 0], Z, name="rails")
     for ask in (lambda: parallel.contact(here, STILL), lambda: parallel.gaps(here)):
-        with pytest.raises(ContactError, match="rails: the edges are parallel"):
+        with raises(ContactError, match="rails: the edges are parallel"):
             ask()
     flat = osc.GapFunctions(lambda X: [1.0])  # a gap that no motion changes
-    with pytest.raises(ContactError, match="column 0 is zero"):
+    with raises(ContactError, match="column 0 is zero"):
         flat.contact(here, STILL)
-    with pytest.raises(InvalidInputError, match=r"broken.gap\(X_EA\): element \(0,\) is nan"):
+    with raises(InvalidInputError, match=r"broken.gap\(X_EA\): element \(0,\) is nan"):
         osc.GapFunctions(lambda X: [np.nan], name="broken").gaps(here)
 
 
@@ -393,7 +393,7 @@ def test_N_is_a_unit_force_into_the_face_through_the_vertex():
         expected = away.act(pin.Force(n, np.zeros(3))).vector
         assert_allclose(contact.N[:, 0], expected, atol=1e-13)
         assert_allclose(pair.direction(X_WE), n, atol=1e-15)
-        assert np.linalg.norm(contact.N[:3]) == pytest.approx(1.0, abs=1e-14)
+        assert np.linalg.norm(contact.N[:3]) == approx(1.0, abs=1e-14)
 
 
 def test_gap_is_the_signed_distance_to_the_plane():
@@ -407,7 +407,7 @@ def test_gap_is_the_signed_distance_to_the_plane():
         a, b = (X_WE.rotation @ s for s in side)
         height = np.linalg.det([a, b, X_WO.act(pair.vertex) - corner])
         distance = height / np.linalg.norm(np.cross(a, b))
-        assert pair.gap(X_WO, X_WE) == pytest.approx(distance - 0.25, abs=1e-12)
+        assert pair.gap(X_WO, X_WE) == approx(distance - 0.25, abs=1e-12)
 
 
 def test_point_on_face_is_where_the_line_of_force_meets_it():
@@ -415,7 +415,7 @@ def test_point_on_face_is_where_the_line_of_force_meets_it():
         pair, X_WO, X_WE = touching(seed, radius=0.07)
         on_face = pair.point_on_face(X_WO, X_WE)
         height = X_WE.actInv(on_face) @ pair.normal
-        assert height == pytest.approx(pair.point @ pair.normal, abs=1e-12)
+        assert height == approx(pair.point @ pair.normal, abs=1e-12)
         reach = (pair.gap(X_WO, X_WE) + 0.07) * pair.direction(X_WE)
         assert_allclose(on_face, X_WO.act(pair.vertex) + reach, atol=1e-12)
         here = pin.SE3.Identity()
@@ -430,15 +430,15 @@ def test_a_wheel_and_a_carousel():
     X = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.3]))
     spin = np.array([0.0, 0, 0, 0, 2.0, 0])
     # the vertex is accelerated up, away from the face, by ω²R unless a_O makes up for it
-    assert pair.contact(X, spin).n_gamma[0] == pytest.approx(4.0 * 0.3)
+    assert pair.contact(X, spin).n_gamma[0] == approx(4.0 * 0.3)
     # a face through the origin, tilting about y below a still vertex at x = 0.5: gap = x sin θ
     pair = osc.VertexOnFace([0.5, 0.0, 0.0], np.zeros(3), [0.0, 0.0, 1.0])
     here = pin.SE3.Identity()
     contact = pair.contact(here, STILL, here, spin)
-    assert contact.N[:, 0] @ (STILL - spin) == pytest.approx(-2.0 * 0.5)  # the gap opens at ω x
-    assert contact.n_gamma[0] == pytest.approx(0.0)  # and its rate ω x cos θ is stationary
+    assert contact.N[:, 0] @ (STILL - spin) == approx(-2.0 * 0.5)  # the gap opens at ω x
+    assert contact.n_gamma[0] == approx(0.0)  # and its rate ω x cos θ is stationary
     lifted = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))
-    assert pair.contact(lifted, STILL, here, spin).n_gamma[0] == pytest.approx(-4.0 * 0.1)
+    assert pair.contact(lifted, STILL, here, spin).n_gamma[0] == approx(-4.0 * 0.1)
 
 
 @settings(derandomize=True, deadline=None, max_examples=100)
@@ -451,13 +451,13 @@ def test_face_placement_is_a_right_handed_frame_on_the_face(direction, length):
     pair = osc.VertexOnFace(np.zeros(3), [0.1, 0.2, 0.3], normal)
     X = pair.face_placement()
     assert_allclose(X.rotation.T @ X.rotation, np.eye(3), atol=1e-12)
-    assert np.linalg.det(X.rotation) == pytest.approx(1.0)
+    assert np.linalg.det(X.rotation) == approx(1.0)
     assert_allclose(X.rotation[:, 2], normal / np.linalg.norm(normal), atol=1e-12)
     assert_array_equal(X.translation, [0.1, 0.2, 0.3])
 
 
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@mark.parametrize("axis", range(3))
+@mark.parametrize("sign", [1.0, -1.0])
 def test_face_placement_along_every_axis(axis, sign):
     normal = sign * np.eye(3)[axis]
     X = osc.VertexOnFace(np.zeros(3), np.zeros(3), normal).face_placement()
@@ -478,7 +478,7 @@ def test_normal_is_normalised_and_input_is_copied():
 GOOD = {"vertex": np.zeros(3), "point": np.zeros(3), "normal": np.array([0.0, 0.0, 1.0])}
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("wrong", "message"),
     [
         ({"normal": np.zeros(3)}, "rod_end.normal is zero"),
@@ -494,6 +494,6 @@ GOOD = {"vertex": np.zeros(3), "point": np.zeros(3), "normal": np.array([0.0, 0.
     ],
 )
 def test_impossible_pairs_are_refused(wrong, message):
-    with pytest.raises(InvalidInputError, match=message):
+    with raises(InvalidInputError, match=message):
         osc.VertexOnFace(**{**GOOD, **wrong}, name="rod_end")
     osc.VertexOnFace(**GOOD, name="rod_end")

@@ -6,8 +6,8 @@ from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
-import pytest
 import yaml
+from pytest import mark
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "paper_map.md"
@@ -136,7 +136,7 @@ def check(row):
 ROWS = rows_of(PAGE.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("row", ROWS, ids=[row[0].split(":")[0] for row in ROWS])
+@mark.parametrize("row", ROWS, ids=[row[0].split(":")[0] for row in ROWS])
 def test_row_is_complete_or_planned(row):
     assert not check(row), "\n".join(check(row))
 
@@ -164,7 +164,7 @@ GOOD = "`osc_contact/projections.py::Omega_f`"
 PROOF = "`tests/test_projections.py::test_identities_9_to_12`"
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("where", "test", "words"),
     [
         (GOOD, PROOF, None),

@@ -6,8 +6,8 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
-import pytest
 from headless import Browser, near
+from pytest import fixture, mark, raises
 from rich.table import Table
 
 import osc_contact as osc
@@ -24,13 +24,13 @@ SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {} 100"><path d="M0 
 READY = "document.querySelector('main') !== null"
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def evidence():
     scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
     return Evidence(build_rig(scenario), osc.run(scenario, duration=1.2))
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def report(evidence, tmp_path_factory):
     """All that `reproduce all` makes, with small pictures; figs. 3 and 7 are left out."""
     folder = tmp_path_factory.mktemp("report")
@@ -194,14 +194,14 @@ def test_the_report_fetches_nothing(report):
     assert sorted(p.name for p in report.parent.iterdir()) == ["report.html"]
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def browser(report):
     with Browser(report.as_uri(), ready=READY) as opened:
         yield opened
         assert opened.errors == []
 
 
-@pytest.mark.parametrize("width", [390, 1280])
+@mark.parametrize("width", [390, 1280])
 def test_it_fits_phones_and_desks(browser, width):
     metrics = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": False}
     browser.ask("Emulation.setDeviceMetricsOverride", **metrics)
@@ -235,7 +235,7 @@ def test_names_and_options():
     names = names_of("all")
     assert set(FIGURES) <= set(names) and "workcell" not in names
     assert {name for name in STUDIES if name.startswith("fig")} <= set(names), "slow or not"
-    with pytest.raises(osc.InvalidInputError, match="no figure 'fig9'"):
+    with raises(osc.InvalidInputError, match="no figure 'fig9'"):
         names_of("fig9")
     assert typed(None, None, 0, ()) == ""
     assert typed("rigid", 1.05, 3, ["a=[1, 2]"]) == (

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import fixture, raises
 
 import osc_contact as osc
 from osc_contact.contacts.contact import Contact
@@ -15,7 +15,7 @@ from osc_contact.plants.rigid import RigidPlant
 from osc_contact.runs import rig as plants
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def rig():
     return osc.build_rig(osc.load_scenario("two_contact_rod"))
 
@@ -127,7 +127,7 @@ def test_divergence_is_an_error_and_leaves_no_log_file(rig, tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     plant = rig.plant()
     plant.data.qvel[:] = np.inf
-    with caplog.at_level(logging.DEBUG), pytest.raises(osc.PlantError, match="diverged"):
+    with caplog.at_level(logging.DEBUG), raises(osc.PlantError, match="diverged"):
         plant.command(np.zeros(8), 1e-3)
     assert list(Path(tmp_path).iterdir()) == []
 
@@ -136,19 +136,19 @@ def test_rigid_plant_refuses_to_run_away(rig):
     plant = RigidPlant(rig.chain, rig.pairs, 1e-3)
     plant.reset(rig.q_contact)
     plant.v, _ = plant._on_constraints(np.full(10, 2e3), np.zeros(6))
-    with pytest.raises(osc.PlantError, match="diverged"):
+    with raises(osc.PlantError, match="diverged"):
         plant.command(np.zeros(8), 1e-3)
 
 
 def test_a_tare_on_the_rigid_plant_is_refused():
     scenario = osc.load_scenario("two_contact_rod_mismatch", ["plant.type=rigid"])
-    with pytest.raises(osc.ScenarioError, match="bilateral"):
+    with raises(osc.ScenarioError, match="bilateral"):
         osc.build_rig(scenario).plant()
 
 
 def test_the_scene_needs_an_object(rig):
     chain = osc.ClosedChain(rig.chain.arms, rig.chain.grasps)
-    with pytest.raises(osc.ModelError, match="payload"):
+    with raises(osc.ModelError, match="payload"):
         RigidPlant(chain, rig.pairs, 1e-3)
 
 
@@ -170,7 +170,7 @@ def test_a_registered_plant_is_named_in_scenarios(monkeypatch):
     rigid = osc.run(osc.load_scenario("two_contact_rod", {**changes, "plant.type": "rigid"}))
     difference = np.abs(own["alpha_true"] - rigid["alpha_true"]).max()
     assert 0.0 < difference < 0.1  # half the step: another plant, nearly the same forces
-    with pytest.raises(osc.ScenarioError, match="the halved plant's are bilateral"):
+    with raises(osc.ScenarioError, match="the halved plant's are bilateral"):
         osc.build_rig(osc.load_scenario("approach_and_slide", changes)).plant()
-    with pytest.raises(osc.ScenarioError, match="'mujoco', 'rigid' or 'halved'; got 'bullet'"):
+    with raises(osc.ScenarioError, match="'mujoco', 'rigid' or 'halved'; got 'bullet'"):
         osc.load_scenario("two_contact_rod", {"plant.type": "bullet"})

@@ -4,7 +4,7 @@ import logging
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from pytest import approx, mark, raises
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -62,22 +62,22 @@ def call(*words):
     return result
 
 
-@pytest.mark.parametrize("name", osc.list_scenarios())
+@mark.parametrize("name", osc.list_scenarios())
 def test_packaged_scenarios_pass_without_a_word(name):
     assert osc.preflight(osc.build_rig(osc.load_scenario(name))) == ()
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@mark.parametrize("name", REFUSED)
 def test_what_cannot_run_is_refused_at_every_door(name, tmp_path):
     change, cure = REFUSED[name]
     for words in (("inspect",), ("run", "--out", tmp_path)):
         result = call(*words, "two_contact_rod", "--set", change)
         assert result.exit_code == 2 and cure in result.stderr and not result.stdout
-    with pytest.raises(osc.ScenarioError, match=cure.replace("?", r"\?")):
+    with raises(osc.ScenarioError, match=cure.replace("?", r"\?")):
         osc.run(osc.load_scenario("two_contact_rod", [change]), duration=0.5)
 
 
-@pytest.mark.parametrize("name", DOUBTFUL)
+@mark.parametrize("name", DOUBTFUL)
 def test_what_is_doubtful_is_told_at_every_door(name, caplog):
     change, words = DOUBTFUL[name]
     with caplog.at_level(logging.WARNING, "osc_contact.preflight"):
@@ -129,16 +129,16 @@ ELSEWHERE = {
 }
 
 
-@pytest.mark.parametrize("name", ELSEWHERE)
+@mark.parametrize("name", ELSEWHERE)
 def test_other_kinds_of_contact_are_looked_at_too(name):
     scenario, changes, cure = ELSEWHERE[name]
-    with pytest.raises((osc.ScenarioError, osc.ModelError), match=cure):
+    with raises((osc.ScenarioError, osc.ModelError), match=cure):
         osc.run(osc.load_scenario(scenario, changes), duration=0.5)
     words = [word for change in changes for word in ("--set", change)]
     assert call("inspect", scenario, *words).exit_code == 2
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("name", "force", "told"),
     [
         ("scara_peg", 90, False),
@@ -168,7 +168,7 @@ def test_the_least_peak_is_that_of_the_dual_problem():
         angles = np.linspace(0.0, 2.0 * np.pi, 20_001)
         y = np.array((np.cos(angles), np.sin(angles)))
         best = float((b @ y / np.abs(A.T @ y).sum(axis=0)).max())
-        assert least_peak(A, b) == pytest.approx(best, rel=0.011)
+        assert least_peak(A, b) == approx(best, rel=0.011)
 
 
 def test_a_contact_without_forces_is_no_trouble():
@@ -185,7 +185,7 @@ def test_a_contact_that_lives_is_kept_only_while_it_is_pressed():
         assert any("does not permit it" in one.text for one in osc.preflight(rig)) == told
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "changes",
     [
         [
@@ -297,7 +297,7 @@ LIMITS = {
 }
 
 
-@pytest.mark.parametrize("name", LIMITS)
+@mark.parametrize("name", LIMITS)
 def test_what_is_told_begins_at_its_limit(name):
     below, above, kind, words = LIMITS[name]
     assert kind not in [one for one, _ in told("two_contact_rod", *below)]
@@ -329,7 +329,7 @@ def test_forces_beyond_the_motors_are_doubtful_then_refused():
     assert "2.9 times their limits" in found[1180][0][1]
 
 
-@pytest.mark.parametrize("name", ["two_contact_rod", "ur5_wipe", "panda_edge", "scara_peg"])
+@mark.parametrize("name", ["two_contact_rod", "ur5_wipe", "panda_edge", "scara_peg"])
 def test_no_posture_reaches_further_than_what_motions_are_compared_with(name):
     rig = osc.build_rig(osc.load_scenario(name))
     arm = rig.chain.arms[0]

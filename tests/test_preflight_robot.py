@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-import pytest
+from pytest import approx, mark, raises
 from test_own_mujoco import START, WALL, robot_of, scene
 
 import osc_contact as osc
@@ -78,7 +78,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@mark.parametrize("name", WRONG)
 def test_what_is_wrong_is_found_before_it_runs(name):
     make, words = WRONG[name]
     found = osc.preflight(*task(**make()))
@@ -92,7 +92,7 @@ def test_a_sound_task_is_passed_and_left_as_it_is():
     assert osc.preflight(robot, controller, iter(references)) == ()
     assert not controller._records.memory.ticked and robot.time == 0.0
     osc.run_loop(robot, controller, references)
-    assert robot.truth().alpha[0] == pytest.approx(10.0, rel=0.02)
+    assert robot.truth().alpha[0] == approx(10.0, rel=0.02)
 
 
 def test_a_joint_too_fast_is_named_with_its_time():
@@ -150,12 +150,12 @@ def pin_shifted(X, by):
 
 def test_what_cannot_be_looked_at_is_refused():
     robot, controller, references = task()
-    with pytest.raises(osc.InvalidInputError, match="its controller and references"):
+    with raises(osc.InvalidInputError, match="its controller and references"):
         osc.preflight(robot)
-    with pytest.raises(osc.InvalidInputError, match="no references"):
+    with raises(osc.InvalidInputError, match="no references"):
         osc.preflight(robot, controller, [])
     bad = [replace(references[0], alpha_d=np.zeros(2))]
-    with pytest.raises(osc.InvalidInputError, match="1 columns of N"):
+    with raises(osc.InvalidInputError, match="1 columns of N"):
         osc.preflight(robot, controller, bad)
 
 
@@ -179,5 +179,5 @@ def test_distances_in_a_scene_are_those_of_its_shapes():
         ([3, 0, -0.4], -0.4),
         ([5, 0, 3.8], -0.2),
     ):
-        assert probe.distance(np.array(point, dtype=float))[0] == pytest.approx(want, abs=1e-5)
-    assert probe.clearance() == (pytest.approx(1.9), "box")
+        assert probe.distance(np.array(point, dtype=float))[0] == approx(want, abs=1e-5)
+    assert probe.clearance() == (approx(1.9), "box")

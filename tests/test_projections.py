@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_array_equal
+from pytest import mark, raises
 
 from osc_contact import projections as P
 from osc_contact.errors import ContactError
@@ -88,7 +88,7 @@ def same_span(X, Y):
 
 
 def on_every_contact(test):
-    return pytest.mark.parametrize("r", RANKS)(pytest.mark.parametrize("seed", TRIALS)(test))
+    return mark.parametrize("r", RANKS)(mark.parametrize("seed", TRIALS)(test))
 
 
 @on_every_contact
@@ -118,7 +118,7 @@ def test_any_complement_decomposes(seed, r):
     close(P.Omega_m_bar_from_complement(T_prime, c.N) @ v, part(T_prime, c.T, v), 1e-9)
 
 
-@pytest.mark.parametrize("unit", [1e-7, 1e7])
+@mark.parametrize("unit", [1e-7, 1e7])
 def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit):
     for r in range(1, 6):
         c = case(0, r)
@@ -128,7 +128,7 @@ def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit):
         got = P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
         close(got @ f, part(N_prime, c.N, f), 1e-9)
         N_prime[:, 0] = c.N @ rng.normal(size=r)
-        with pytest.raises(ContactError, match="N′ is not a complement of N"):
+        with raises(ContactError, match="N′ is not a complement of N"):
             P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
 
 
@@ -151,7 +151,7 @@ def test_identities_9_to_12(seed, r):
         assert np.abs(g1 @ g2).max() > 1e-3 and np.abs(w1 @ w2).max() > 1e-3
 
 
-@pytest.mark.parametrize("seed", TRIALS)
+@mark.parametrize("seed", TRIALS)
 def test_empty_and_full_contacts(seed):
     free = case(seed, 0)
     clamped = case(seed, 6)
@@ -171,8 +171,8 @@ def test_empty_and_full_contacts(seed):
     close(P.Omega_m_bar(clamped.N, B), np.eye(6))
 
 
-@pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
-@pytest.mark.parametrize("seed", TRIALS)
+@mark.parametrize("r", [1, 2, 3, 4, 5])
+@mark.parametrize("seed", TRIALS)
 def test_rank_five_inverse_inertia_is_enough(seed, r):
     """Dual SCARA: Φ has rank 5, Λ does not exist; the laws are the limit of definite metrics."""
     c = case(seed, r)
@@ -193,8 +193,8 @@ def test_rank_five_inverse_inertia_is_enough(seed, r):
     close(2 * one - two, projection, 1e-5)
 
 
-@pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
-@pytest.mark.parametrize("seed", range(4))
+@mark.parametrize("r", [1, 2, 3, 4, 5])
+@mark.parametrize("seed", range(4))
 def test_metric_that_cannot_push_along_n_is_refused(seed, r):
     """The wrench the structure carries itself, Φn = 0, alone or hidden in a basis of N."""
     rng = np.random.default_rng([seed, r, 5])
@@ -204,56 +204,56 @@ def test_metric_that_cannot_push_along_n_is_refused(seed, r):
     root = Q[:, 1:] @ mixing(rng, 5) / SIZE[:, None]
     N = np.hstack((carried, others))
     for basis in (N, N @ mixing(rng, r)):
-        with pytest.raises(ContactError, match="Ω_f"):
+        with raises(ContactError, match="Ω_f"):
             P.Omega_f(basis, root @ root.T)
-        with pytest.raises(ContactError, match="Ω̄_m"):
+        with raises(ContactError, match="Ω̄_m"):
             P.Omega_m_bar(basis, root @ root.T)
-    with pytest.raises(ContactError, match=r"column 0 has nᵀΦn"):
+    with raises(ContactError, match=r"column 0 has nᵀΦn"):
         P.Omega_f(N, root @ root.T)
 
 
 def test_zero_and_indefinite_metrics_are_refused():
     N = np.eye(6)[:, :2]
-    with pytest.raises(ContactError, match="column 0"):
+    with raises(ContactError, match="column 0"):
         P.Omega_f(N, np.zeros((6, 6)))
     for i in (1, 5):  # along N or not: no inertia is like that
-        with pytest.raises(ContactError, match="smallest eigenvalue -1"):
+        with raises(ContactError, match="smallest eigenvalue -1"):
             P.Omega_m_bar(N, np.diag(np.where(np.arange(6) == i, -1.0, 1.0)))
     mixed = np.eye(6)
     mixed[0, 1] = mixed[1, 0] = 2.0  # positive diagonal, negative eigenvalue
-    with pytest.raises(ContactError, match="smallest eigenvalue -1"):
+    with raises(ContactError, match="smallest eigenvalue -1"):
         P.Omega_f(N, mixed)
 
 
-@pytest.mark.parametrize("i", range(6))
+@mark.parametrize("i", range(6))
 def test_metrics_that_hardly_move_along_one_axis_are_refused_there(i):
     """Beside the others of its kind: a metric of angles alone may be as small as it likes."""
     metric = np.eye(6)
     metric[i, i] = 1e-14
-    with pytest.raises(ContactError, match="column 0"):
+    with raises(ContactError, match="column 0"):
         P.Omega_f(np.eye(6)[:, [i]], metric)
     kind = np.where(np.arange(6) // 3 == i // 3, 1e-14, 1.0)
     close(P.Omega_f(np.eye(6)[:, [i]], np.diag(kind)), np.diag(np.eye(6)[i]))
 
 
-@pytest.mark.parametrize("size", [1e-6, 0.5])
+@mark.parametrize("size", [1e-6, 0.5])
 def test_metrics_that_are_nearly_symmetric_or_definite_are_refused(size):
     """A millionth is no rounding error."""
     N = np.eye(6)[:, :2]
     skew = np.eye(6)
     sunken = np.diag([1.0] * 5 + [-size])
     skew[1, 0] = size
-    with pytest.raises(ContactError, match=f"not symmetric \\(relative difference {size:.3g}"):
+    with raises(ContactError, match=f"not symmetric \\(relative difference {size:.3g}"):
         P.Omega_f(N, skew)
-    with pytest.raises(ContactError, match=f"smallest eigenvalue -{size:.3g}"):
+    with raises(ContactError, match=f"smallest eigenvalue -{size:.3g}"):
         P.Omega_f(N, sunken)
     for within in (1e-12, -1e-12):  # is one
         skew[1, 0] = within
         close(P.Omega_f(N, skew), P.Omega_f(N, np.eye(6)))
 
 
-@pytest.mark.parametrize("k", [2, 3, 4, 5, 6])
-@pytest.mark.parametrize("seed", range(3))
+@mark.parametrize("k", [2, 3, 4, 5, 6])
+@mark.parametrize("seed", range(3))
 def test_dependent_columns_are_refused(seed, k):
     rng = np.random.default_rng([seed, k])
     columns = SIZE[:, None] * rng.normal(size=(6, k))
@@ -261,7 +261,7 @@ def test_dependent_columns_are_refused(seed, k):
     force = definite(rng, 1 / SIZE)
     motion = definite(rng, 1 / SIZE)
     for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
-        with pytest.raises(ContactError, match="dependent"):
+        with raises(ContactError, match="dependent"):
             law(columns, force if law in (P.Omega_f, P.Omega_m_bar) else motion)
 
 
@@ -269,12 +269,12 @@ def test_zero_columns_are_refused():
     columns = np.eye(6)[:, :3].copy()
     columns[:, 1] = 0.0
     for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
-        with pytest.raises(ContactError, match="column 1"):
+        with raises(ContactError, match="column 1"):
             law(columns, np.eye(6))
 
 
-@pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
-@pytest.mark.parametrize("seed", range(3))
+@mark.parametrize("r", [1, 2, 3, 4, 5])
+@mark.parametrize("seed", range(3))
 def test_no_complement_is_refused(seed, r):
     """One vector in common with the other space is enough."""
     c = case(seed, r)
@@ -283,11 +283,11 @@ def test_no_complement_is_refused(seed, r):
     T_prime = rng.normal(size=(6, r)) / SIZE[:, None]
     N_prime[:, 0] = c.N @ rng.normal(size=r)
     T_prime[:, 0] = c.T @ rng.normal(size=6 - r)
-    with pytest.raises(ContactError, match="N′ is not a complement of N"):
+    with raises(ContactError, match="N′ is not a complement of N"):
         P.Omega_f_bar_from_complement(N_prime @ mixing(rng, 6 - r), c.T)
-    with pytest.raises(ContactError, match="T′ is not a complement of T"):
+    with raises(ContactError, match="T′ is not a complement of T"):
         P.Omega_m_bar_from_complement(T_prime @ mixing(rng, r), c.N)
-    with pytest.raises(ContactError, match="complement"):
+    with raises(ContactError, match="complement"):
         P.Omega_m_bar_from_complement(np.zeros((6, r)), c.N)
 
 
@@ -358,8 +358,8 @@ def check_change(c, X, X_f, R, Q):
     )
 
 
-@pytest.mark.parametrize("change", [frame_change, millimetres, millimetres_and_grams])
-@pytest.mark.parametrize("trial", range(21))
+@mark.parametrize("change", [frame_change, millimetres, millimetres_and_grams])
+@mark.parametrize("trial", range(21))
 def test_laws_do_not_depend_on_frame_units_or_basis(trial, change):
     rng = np.random.default_rng([trial, 7])
     r = trial % 7
@@ -377,15 +377,15 @@ def test_verdict_on_dependence_does_not_depend_on_frame_or_units():
     for change in [frame_change] * 50 + [millimetres]:
         X, X_f = change(rng)
         P.Omega_f(X_f @ N, X @ Phi @ X.T * (1000.0 if change is millimetres else 1.0))
-        with pytest.raises(ContactError, match="dependent"):
+        with raises(ContactError, match="dependent"):
             P.Omega_f(X_f @ N[:, [0, 1, 1]], X @ Phi @ X.T)
 
 
 # Null space ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("k", RANKS)
-@pytest.mark.parametrize("seed", TRIALS)
+@mark.parametrize("k", RANKS)
+@mark.parametrize("seed", TRIALS)
 def test_null_space_is_the_whole_of_it(seed, k):
     c = case(seed, k)
     T = P.null_space(c.N)

@@ -4,8 +4,8 @@ import re
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 from osc_contact.contacts import constraint_frames
@@ -131,7 +131,7 @@ USUAL = {
 }
 
 
-@pytest.mark.parametrize("name", USUAL)
+@mark.parametrize("name", USUAL)
 def test_usual_contacts(name):
     N, expected = USUAL[name]
     found = as_raibert_craig(N, SIZE)
@@ -170,8 +170,8 @@ def test_skew_lines_are_refused_with_their_distance():
             found.reason,
         )
         assert match and "(i)" not in found.reason, found.reason
-        assert float(match[1]) == pytest.approx(1e3 * distance, rel=1e-3)
-        assert largest_sine(space_of(found), N) == pytest.approx(found.residual, abs=1e-9)
+        assert float(match[1]) == approx(1e3 * distance, rel=1e-3)
+        assert largest_sine(space_of(found), N) == approx(found.residual, abs=1e-9)
 
 
 def cone_in_groove(angle):
@@ -220,7 +220,7 @@ def test_the_figures_of_the_paper_by_their_own_geometry():
         assert_describes(found, same.N)
 
 
-@pytest.mark.parametrize("r", [1, 5])
+@mark.parametrize("r", [1, 5])
 def test_screws_are_refused_with_their_pitch(r):
     pitch = 0.007
     screw = line(LEAN, Q) + pitch * couple(LEAN)
@@ -277,8 +277,8 @@ def test_a_nearly_parallel_pair_says_what_it_nearly_is():
 # The residual -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("refinements", [0, 12])
-@pytest.mark.parametrize("noise", [1e-3, 1e-6])
+@mark.parametrize("refinements", [0, 12])
+@mark.parametrize("noise", [1e-3, 1e-6])
 def test_the_residual_grows_no_faster_than_the_noise(noise, refinements, monkeypatch):
     """Neither does that of the frames as constructed."""
     monkeypatch.setattr(constraint_frames, "_REFINEMENTS", refinements)
@@ -305,7 +305,7 @@ def test_no_random_frame_comes_closer():
                 assert residual <= largest_sine(other, N)
 
 
-@pytest.mark.parametrize("r", range(1, 6))
+@mark.parametrize("r", range(1, 6))
 def test_neighbouring_frames_come_hardly_closer(r):
     """Gauss–Newton takes the sum of squares: with a single sine (r = 1, 5) that is the sine."""
     rng = np.random.default_rng([5, r])
@@ -343,7 +343,7 @@ def test_nothing_depends_on_operational_point_axes_units_or_basis():
             (as_raibert_craig(turned, SIZE, centre=R @ centre), (R.T, np.zeros(3))),
             (as_raibert_craig(N @ rng.normal(size=(r, r)), SIZE, centre=centre), None),
         ):
-            assert other.residual == pytest.approx(found.residual, rel=1e-6, abs=1e-9)
+            assert other.residual == approx(found.residual, rel=1e-6, abs=1e-9)
             assert other.reason == found.reason
             assert kind(other.forces, other.couples) == kind(found.forces, found.couples)
             carried = other.frame if back is None else pin.SE3(*back) * other.frame
@@ -353,7 +353,7 @@ def test_nothing_depends_on_operational_point_axes_units_or_basis():
         millimetres = as_raibert_craig(
             N * ([[1.0]] * 3 + [[1e3]] * 3), 1e3 * SIZE, centre=1e3 * centre
         )
-        assert millimetres.residual == pytest.approx(found.residual, rel=1e-6, abs=1e-9)
+        assert millimetres.residual == approx(found.residual, rel=1e-6, abs=1e-9)
         assert millimetres.forces == found.forces and millimetres.couples == found.couples
 
 
@@ -369,39 +369,39 @@ def test_the_verdict_needs_no_centre_but_the_residual_does():
     assert residuals[0] > 0.1 and residuals[-1] < 1e-2
     assert (np.diff(residuals) < 0.0).all()
     near = as_raibert_craig(seen_from(N, 1000.0 * away), SIZE, centre=-1000.0 * away)
-    assert near.residual == pytest.approx(as_raibert_craig(N, SIZE).residual, rel=1e-6)
+    assert near.residual == approx(as_raibert_craig(N, SIZE).residual, rel=1e-6)
 
 
 # Refusals -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("flags", [(True, False), (True, False, 2), (True, None, False), True])
+@mark.parametrize("flags", [(True, False), (True, False, 2), (True, None, False), True])
 def test_malformed_selections_are_refused(flags):
-    with pytest.raises(InvalidInputError, match=r"forces = .* three times True or False"):
+    with raises(InvalidInputError, match=r"forces = .* three times True or False"):
         selection_columns(pin.SE3.Identity(), flags, ALL)
-    with pytest.raises(InvalidInputError, match="couples = "):
+    with raises(InvalidInputError, match="couples = "):
         selection_columns(pin.SE3.Identity(), ALL, flags)
 
 
-@pytest.mark.parametrize("size", [0.0, -1.0, np.nan, np.inf])
+@mark.parametrize("size", [0.0, -1.0, np.nan, np.inf])
 def test_impossible_sizes_are_refused(size):
-    with pytest.raises(InvalidInputError, match="size = "):
+    with raises(InvalidInputError, match="size = "):
         as_raibert_craig(np.eye(6), size)
 
 
-@pytest.mark.parametrize("tolerance", [0.0, 1.0, np.nan])
+@mark.parametrize("tolerance", [0.0, 1.0, np.nan])
 def test_impossible_tolerances_are_refused(tolerance):
-    with pytest.raises(InvalidInputError, match="tolerance = "):
+    with raises(InvalidInputError, match="tolerance = "):
         as_raibert_craig(np.eye(6), SIZE, tolerance)
 
 
 def test_impossible_normals_are_refused():
-    with pytest.raises(InvalidInputError, match=r"N: expected shape \(6, any\)"):
+    with raises(InvalidInputError, match=r"N: expected shape \(6, any\)"):
         as_raibert_craig(np.eye(5), SIZE)
-    with pytest.raises(InvalidInputError, match=r"centre: expected shape \(3\)"):
+    with raises(InvalidInputError, match=r"centre: expected shape \(3\)"):
         as_raibert_craig(np.eye(6), SIZE, centre=np.zeros(2))
-    with pytest.raises(ContactError, match="columns are dependent"):
+    with raises(ContactError, match="columns are dependent"):
         as_raibert_craig(np.ones((6, 2)), SIZE)
     for bad in (np.zeros((6, 1)), np.ones((6, 7))):
-        with pytest.raises(ContactError, match="remove them"):
+        with raises(ContactError, match="remove them"):
             as_raibert_craig(bad, SIZE)

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
 from pair_kinds import pose_of as pose
+from pytest import mark, raises
 from rigs import one_panda, random_faces, random_state
 from samples import first
 from test_law import inputs, motion_of, off_their_faces
@@ -103,7 +103,7 @@ def test_unknown_friction_fools_the_filter_and_not_least_squares():
     assert judged(unlearnt) < 0.03
 
 
-@pytest.mark.parametrize("mu", [0.14, 0.26])
+@mark.parametrize("mu", [0.14, 0.26])
 def test_friction_known_within_thirty_per_cent(mu):
     assert judged(point({"friction": 0.2}, friction={"mu": mu})) < 0.005
 
@@ -121,15 +121,15 @@ def tilted(axis, reading):
     return install
 
 
-@pytest.mark.parametrize("axis", [[0.0, 1.0, 0.0], [0.93969, 0.0, 0.34202]])
+@mark.parametrize("axis", [[0.0, 1.0, 0.0], [0.93969, 0.0, 0.34202]])
 def test_a_normal_wrong_by_five_degrees(axis):
     wrong = {r: tilted(np.array(axis), r) for r in ("filter", "least_squares")}
     assert judged(point(), install=wrong["least_squares"]) < 0.01
     assert judged(point(), install=wrong["filter"]) > 0.02
 
 
-@pytest.mark.parametrize("mu", first([0.14, 0.26], 1))
-@pytest.mark.parametrize(
+@mark.parametrize("mu", first([0.14, 0.26], 1))
+@mark.parametrize(
     ("name", "limit"), [("ur5_wipe", 0.05), ("three_arm_plate", 0.03), ("scara_peg", 0.03)]
 )
 def test_faces_posts_and_corners_with_friction(name, limit, mu):
@@ -202,8 +202,8 @@ def explained(f_meas, state, contact, environment, friction_wrenches, A_D, wante
     return np.linalg.lstsq(rows, known, rcond=None)[0][:r]
 
 
-@pytest.mark.parametrize("body", [None, "conveyor", "cart"])
-@pytest.mark.parametrize("mu", [0.0, 0.4])
+@mark.parametrize("body", [None, "conveyor", "cart"])
+@mark.parametrize("mu", [0.0, 0.4])
 def test_the_law_finds_what_explains_the_reading_best(body, mu):
     """Vertices near their faces, on bodies at rest or moving; any reading."""
     on = {"conveyor": Conveyor(), "cart": Cart([1, 2, 3], 5.0, 100, 3, 2)}.get(body)
@@ -315,13 +315,13 @@ def test_impossible_readings_are_refused():
     rng = np.random.default_rng(5)
     X = chain.state(*random_state(chain, rng)).X_WO
     hinge = osc.Revolute([0, 0, 0], [0, 0, 1], X, name="hinge")
-    with pytest.raises(osc.InvalidInputError, match="hinge"):
+    with raises(osc.InvalidInputError, match="hinge"):
         osc.Controller(chain, [hinge], reading="least_squares")
     faces = random_faces(X, 1, rng)
-    with pytest.raises(osc.InvalidInputError, match="gyro"):
+    with raises(osc.InvalidInputError, match="gyro"):
         osc.Controller(chain, faces, reading="gyro")
 
 
-@pytest.mark.parametrize("name", [n for n in list_scenarios() if n.startswith("two_contact")])
+@mark.parametrize("name", [n for n in list_scenarios() if n.startswith("two_contact")])
 def test_the_papers_scenarios_keep_the_papers_filter(name):
     assert osc.load_scenario(name).control.force.reading == "filter"

@@ -6,8 +6,8 @@ import os
 import zipfile
 
 import numpy as np
-import pytest
 from numpy.testing import assert_array_equal
+from pytest import mark, raises
 
 from osc_contact.errors import RecordingError
 from osc_contact.recorder import Recording
@@ -29,7 +29,7 @@ def record(ticks=5):
     )
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("make", "message"),
     [
         (lambda: Recording({"a": float("nan")}, {}), "JSON-able"),
@@ -43,7 +43,7 @@ def record(ticks=5):
     ],
 )
 def test_bad_input_is_refused(make, message):
-    with pytest.raises(RecordingError, match=message):
+    with raises(RecordingError, match=message):
         make()
 
 
@@ -64,15 +64,15 @@ def test_an_empty_recording_survives(tmp_path):
     assert len(Recording.load(empty.save(tmp_path / "empty.npz"))) == 0
 
 
-@pytest.mark.parametrize("broken", ["os.replace", "os.fsync", "zipfile.ZipFile.open"])
-@pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt()])
+@mark.parametrize("broken", ["os.replace", "os.fsync", "zipfile.ZipFile.open"])
+@mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt()])
 def test_a_failed_save_leaves_nothing_behind(tmp_path, monkeypatch, broken, error):
     def fail(*args, **kwargs):
         raise error
 
     monkeypatch.setattr(broken, fail)
     wanted = RecordingError if isinstance(error, OSError) else KeyboardInterrupt
-    with pytest.raises(wanted):
+    with raises(wanted):
         record().save(tmp_path / "run.npz")
     assert os.listdir(tmp_path) == []
 
@@ -84,14 +84,14 @@ def test_a_failed_save_keeps_the_older_file(tmp_path, monkeypatch):
         raise OSError("disk full")
 
     monkeypatch.setattr(os, "replace", fail)
-    with pytest.raises(RecordingError, match="disk full"):
+    with raises(RecordingError, match="disk full"):
         record(4).save(path)
     assert len(Recording.load(path)) == 2 and os.listdir(tmp_path) == ["run.npz"]
 
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "out").write_text("")
-    with pytest.raises(RecordingError, match="cannot write the recording"):
+    with raises(RecordingError, match="cannot write the recording"):
         record().save(tmp_path / "out" / "run.npz")
 
 
@@ -107,7 +107,7 @@ def npy():
     return stream.getvalue()
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "content",
     [
         b"",
@@ -128,14 +128,14 @@ def npy():
 def test_unknown_files_are_refused(tmp_path, content):
     path = tmp_path / "run.npz"
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match=r"run\.npz|ticks|meta"):
+    with raises(RecordingError, match=r"run\.npz|ticks|meta"):
         Recording.load(path)
 
 
 def test_missing_files_are_refused(tmp_path):
-    with pytest.raises(RecordingError, match="there is no such file"):
+    with raises(RecordingError, match="there is no such file"):
         Recording.load(tmp_path / "none.npz")
-    with pytest.raises(RecordingError, match="there is no such file"):
+    with raises(RecordingError, match="there is no such file"):
         Recording.load(tmp_path)
 
 
@@ -146,7 +146,7 @@ def test_damaged_files_never_give_other_data(tmp_path):
     rng = np.random.default_rng(1)
     for size in range(0, len(whole), 37):
         path.write_bytes(whole[:size])
-        with pytest.raises(RecordingError):
+        with raises(RecordingError):
             Recording.load(path)
     refused = 0
     for _ in range(400):
@@ -171,7 +171,7 @@ def test_a_flipped_number_is_found_by_its_checksum(tmp_path):
         info = archive.getinfo("q.npy")
     at = content.index(np.arange(4.0).tobytes(), info.header_offset)
     path.write_bytes(content[:at] + b"\x01" + content[at + 1 :])
-    with pytest.raises(RecordingError, match=r"checksum of q\.npy is wrong"):
+    with raises(RecordingError, match=r"checksum of q\.npy is wrong"):
         Recording.load(path)
 
 
@@ -255,7 +255,7 @@ def test_a_large_file_with_a_flipped_bit_is_refused(tmp_path, monkeypatch):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 4
     path.write_bytes(bytes(content))
-    with pytest.raises(RecordingError, match="checksum of"):
+    with raises(RecordingError, match="checksum of"):
         Recording.load(path)
 
 
@@ -268,7 +268,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_at_once(tmp_path):
         for _ in range(300):
             entry.write(bytes(1 << 20))
     assert path.stat().st_size < 400_000
-    with pytest.raises(RecordingError, match=r"unpack from 0\.3\d* MB to 314\.6 MB"):
+    with raises(RecordingError, match=r"unpack from 0\.3\d* MB to 314\.6 MB"):
         Recording.load(path)
 
 
@@ -276,7 +276,7 @@ def test_headers_that_promise_more_than_there_is_are_refused(tmp_path):
     content = bytearray(npz(meta=np.array('{"format": 1, "meta": {}}'), q=np.zeros(300)))
     path = tmp_path / "run.npz"
     path.write_bytes(bytes(content).replace(b"(300,)", b"(1e9,)").replace(b"(300,), ", b"(9**9,)"))
-    with pytest.raises(RecordingError):
+    with raises(RecordingError):
         Recording.load(path)
     with zipfile.ZipFile(path, "w") as archive:
         stream = io.BytesIO()
@@ -284,5 +284,5 @@ def test_headers_that_promise_more_than_there_is_are_refused(tmp_path):
             stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 40,)}
         )
         archive.writestr("q.npy", stream.getvalue() + bytes(80))
-    with pytest.raises(RecordingError, match=r"80 bytes for shape \(1099511627776,\)"):
+    with raises(RecordingError, match=r"80 bytes for shape \(1099511627776,\)"):
         Recording.load(path)

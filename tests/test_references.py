@@ -2,8 +2,8 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 from osc_contact.runs.references import References, common_tangent, force_steps
@@ -39,8 +39,8 @@ def two_turns(centres=(None, None)):
     return References.of(scenario, X, pairs, np.array([0.01, 0.0, 0.02, 0.1, -0.2, 0.05]))
 
 
-@pytest.mark.parametrize("centres", [(None, None), CENTRES])
-@pytest.mark.parametrize("t", [0.2, 0.45, 0.55, 1.3, 2.7])
+@mark.parametrize("centres", [(None, None), CENTRES])
+@mark.parametrize("t", [0.2, 0.45, 0.55, 1.3, 2.7])
 def test_twist_and_classical_acceleration_are_derivatives_of_the_pose(t, centres):
     wanted = two_turns(centres)
     h = 1e-5
@@ -75,13 +75,13 @@ def test_turns_about_points_are_products_of_poses():
     assert np.linalg.norm(X.translation - wanted.X_start.translation) > 0.02
 
 
-@pytest.mark.parametrize(("life", "after"), [("off", 0.0), ("{}", 0.2)])
+@mark.parametrize(("life", "after"), [("off", 0.0), ("{}", 0.2)])
 def test_the_run_begins_at_the_standoff_and_ends_it_when_it_engages(life, after):
     """Or 0.2 s later, while contacts are approached."""
     wanted = references(f"control.life={life}")
     start = wanted.at(0.0).X_WD
     engaged = wanted.at(wanted.engage_at + after).X_WD
-    assert wanted.engage_at == pytest.approx(0.6 - after)
+    assert wanted.engage_at == approx(0.6 - after)
     gap = np.linalg.norm(start.translation - wanted.X_start.translation)
     assert gap > 3e-3
     assert_allclose(engaged.translation, wanted.X_start.translation, atol=1e-12)
@@ -92,10 +92,10 @@ def test_common_tangent_lies_in_every_face_and_must_be_unique():
     pairs = rig.pairs
     X = rig.state().X_WO
     u = common_tangent(pairs, X)
-    assert np.linalg.norm(u) == pytest.approx(1.0)
+    assert np.linalg.norm(u) == approx(1.0)
     for pair in pairs:
         assert abs(u @ pair.normal) < 1e-12
-    with pytest.raises(osc.ScenarioError, match="span 1"):
+    with raises(osc.ScenarioError, match="span 1"):
         common_tangent(pairs[:1], X)
 
 

@@ -4,7 +4,7 @@ import re
 import time
 from pathlib import Path
 
-import pytest
+from pytest import mark, raises
 from urdf_corpus import CORPUS, GOOD, SOUND
 
 from osc_contact import robots
@@ -21,11 +21,11 @@ def test_the_corpus_is_large_and_every_entry_differs():
     assert len({bad.text for bad in CORPUS.values()}) == len(CORPUS) >= 60
 
 
-@pytest.mark.parametrize("name", CORPUS)
+@mark.parametrize("name", CORPUS)
 def test_bad_file_is_refused_with_place_and_reason(name, tmp_path):
     bad = CORPUS[name]
     file = write(tmp_path, bad.text)
-    with pytest.raises(ModelError) as caught:
+    with raises(ModelError) as caught:
         robots.load_model(file)
     first = caught.value.findings[0]
     assert re.search(bad.reason, str(first)), str(first)
@@ -35,13 +35,13 @@ def test_bad_file_is_refused_with_place_and_reason(name, tmp_path):
     times = []
     for _ in range(3):
         start = time.thread_time()
-        with pytest.raises(ModelError):
+        with raises(ModelError):
             robots.load_model(file)
         times.append(time.thread_time() - start)
     assert min(times) < 0.05
 
 
-@pytest.mark.parametrize("name", SOUND)
+@mark.parametrize("name", SOUND)
 def test_sound_variant_is_accepted_and_both_readers_agree(name, tmp_path):
     file = write(tmp_path, SOUND[name](GOOD))
     assert robots.load_model(file).nv == 4

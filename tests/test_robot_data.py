@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact import robots
@@ -122,7 +122,7 @@ def test_the_page_on_robots_tells_these_verdicts():
         assert f"`{name.rpartition('/')[2]}`" in table, name
 
 
-@pytest.mark.parametrize("name", (*ARMS, *OTHERS))
+@mark.parametrize("name", (*ARMS, *OTHERS))
 def test_sound_robot_loads_and_both_readers_agree(name):
     file, package_dir = robots.find_robot(name)
     model = robots.load_model(file, package_dirs=[package_dir])
@@ -131,27 +131,27 @@ def test_sound_robot_loads_and_both_readers_agree(name):
         assert robots.cross_check(file) < 1e-12
 
 
-@pytest.mark.parametrize("name", HELPED)
+@mark.parametrize("name", HELPED)
 def test_robot_with_defects_is_refused_and_usable_with_a_decision(name):
     file = robots.find_robot(name)[0]
     (check, options) = HELPED[name]
-    with pytest.raises(ModelError) as caught:
+    with raises(ModelError) as caught:
         robots.load_model(file)
     assert caught.value.findings[0].check == check
     assert {finding.file for finding in caught.value.findings} == {file}
     assert robots.load_model(file, **options).nv > 0
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@mark.parametrize("name", REFUSED)
 def test_defect_robot_is_refused_with_its_reason(name):
-    with pytest.raises(ModelError, match=REFUSED[name].replace(".", r"\.")):
+    with raises(ModelError, match=REFUSED[name].replace(".", r"\.")):
         robots.load_model(robots.find_robot(name)[0], inertias="positive")
     if name == "romeo_description/romeo":
-        with pytest.raises(ModelError, match="mass matrix is not positive definite"):
+        with raises(ModelError, match="mass matrix is not positive definite"):
             robots.load_model(robots.find_robot(name)[0], limits={"*": MOTOR})
 
 
-@pytest.mark.parametrize("name", ["panda", "ur5", "kinova", "xarm", "solo12", "talos_left_arm"])
+@mark.parametrize("name", ["panda", "ur5", "kinova", "xarm", "solo12", "talos_left_arm"])
 def test_the_model_is_the_one_pinocchio_reads_from_the_file(name):
     """Nothing is lost on the way through our own text: bodies, joints, frames, limits."""
     file = robots.find_robot(name)[0]
@@ -204,8 +204,8 @@ def unwrapped_and_wrapped(name, seed):
     return ours, theirs, q, x, v, a
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("name", ["kinova", "double_pendulum_continuous", "tiago_pro"])
+@mark.parametrize("seed", range(5))
+@mark.parametrize("name", ["kinova", "double_pendulum_continuous", "tiago_pro"])
 def test_continuous_joint_is_a_revolute_joint_without_end_stops(name, seed):
     ours, theirs, q, x, v, a = unwrapped_and_wrapped(name, seed)
     assert theirs.nq > theirs.nv == ours.nv == ours.nq
@@ -249,13 +249,13 @@ def test_an_arm_with_continuous_joints_makes_a_chain_any_number_of_turns_round()
 
 def test_ready_models_are_judged_too():
     wrapped = pin.buildModelFromUrdf(str(robots.find_robot("kinova")[0]))
-    with pytest.raises(ModelError, match=r"j2s6s200_joint_1.*nq = 2 but nv = 1; load the URDF by"):
+    with raises(ModelError, match=r"j2s6s200_joint_1.*nq = 2 but nv = 1; load the URDF by"):
         osc.Arm.from_urdf(wrapped, name="k", tip="j2s6s200_end_effector")
     panda = robots.load_model(robots.find_robot("panda")[0])
     bodies = list(panda.inertias)
     for i in range(1, panda.njoints):
         panda.inertias[i] = pin.Inertia.Zero() if i >= 7 else bodies[i]
-    with pytest.raises(ModelError, match="panda_joint7 can move without moving mass"):
+    with raises(ModelError, match="panda_joint7 can move without moving mass"):
         osc.Arm.from_urdf(panda, name="p", tip="panda_hand_tcp")
 
 
@@ -285,13 +285,13 @@ def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path):
     _, geometry, _ = robots.load_geometry(mesh_robot(inside, "m.obj"), kind)
     assert geometry.ngeoms == 1
     absolute = mesh_robot(inside, str(outside / "m.obj"))
-    with pytest.raises(ModelError, match="outside of the robot's folders"):
+    with raises(ModelError, match="outside of the robot's folders"):
         robots.load_geometry(absolute, kind)
     assert robots.load_geometry(absolute, kind, [outside])[1].ngeoms == 1
     (inside / "link.obj").symlink_to(outside / "m.obj")
-    with pytest.raises(ModelError, match=r"leads to .*/secret/m\.obj, outside"):
+    with raises(ModelError, match=r"leads to .*/secret/m\.obj, outside"):
         robots.load_geometry(mesh_robot(inside, "link.obj"), kind)
-    with pytest.raises(ModelError, match="the mesh is not there; looked for"):
+    with raises(ModelError, match="the mesh is not there; looked for"):
         robots.load_geometry(mesh_robot(inside, "package://robot/m.obj"), kind)
     assert (
         robots.load_geometry(mesh_robot(inside, "package://robot/m.obj"), kind, [tmp_path])[
@@ -301,10 +301,10 @@ def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path):
     )
 
 
-@pytest.mark.parametrize("texture", ["/etc/hostname", "file:///etc/hostname", "../../secret.png"])
+@mark.parametrize("texture", ["/etc/hostname", "file:///etc/hostname", "../../secret.png"])
 def test_collada_files_that_take_textures_from_elsewhere_are_refused(tmp_path, texture):
     (tmp_path / "m.dae").write_text(f"<COLLADA><init_from> {texture} </init_from></COLLADA>")
-    with pytest.raises(ModelError, match=r"m\.dae takes a texture from"):
+    with raises(ModelError, match=r"m\.dae takes a texture from"):
         robots.load_geometry(mesh_robot(tmp_path, "m.dae"), pin.GeometryType.VISUAL)
 
 
@@ -314,5 +314,5 @@ def test_limits_as_words_of_the_command_line():
         JointLimits(effort=5.0, velocity=2.5),
     )
     for wrong in ("j1", "effort=5", "j1:torque=3", "j1:effort=x", "j1:effort=-1", "j1:"):
-        with pytest.raises(InvalidInputError, match=r"j1|effort"):
+        with raises(InvalidInputError, match=r"j1|effort"):
             JointLimits.parse(wrong)

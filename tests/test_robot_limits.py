@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, fixture, mark, raises
 
 import osc_contact as osc
 from benchmarks.cases import CASES, SPECIAL_CASES, repeatable
@@ -17,7 +17,7 @@ SAFE_STOP = osc.SafetyState.SAFE_STOP
 DT = 1e-3
 
 
-@pytest.fixture(params=["one_panda", "two_contact_rod"])
+@fixture(params=["one_panda", "two_contact_rod"])
 def case(request):
     return CASES[request.param]()
 
@@ -26,7 +26,7 @@ def guarded(case, **safety):
     return repeatable(case.controller().with_safety(osc.SafetySettings(**safety)))
 
 
-@pytest.mark.parametrize("force", [60.0, 3000.0])  # within the motor limits, and beyond
+@mark.parametrize("force", [60.0, 3000.0])  # within the motor limits, and beyond
 def test_torques_go_straight_to_what_is_wanted_at_their_rate(case, force):
     controller = guarded(case, torque_rate=30.0)
     free = case.controller().with_safety(osc.SafetySettings.motors_only())
@@ -127,7 +127,7 @@ def test_the_motion_integral_is_bounded():
     for _ in range(60):
         controller.tick(case.measurement, replace(case.reference, X_WD=off))
     largest = 2000.0 * np.abs(controller.motion_integral).max()
-    assert largest == pytest.approx(0.5)
+    assert largest == approx(0.5)
 
 
 def test_brakes_take_energy_though_motors_are_too_weak_for_all_of_them():
@@ -161,9 +161,9 @@ def test_brakes_take_energy_though_motors_are_too_weak_for_all_of_them():
 
 
 def test_limits_are_checked_and_can_be_changed(case):
-    with pytest.raises(InvalidInputError, match="torque_rate: must be > 0"):
+    with raises(InvalidInputError, match="torque_rate: must be > 0"):
         osc.SafetySettings(torque_rate=0.0)
-    with pytest.raises(InvalidInputError, match="brake_time: must be >= 0; got -1"):
+    with raises(InvalidInputError, match="brake_time: must be >= 0; got -1"):
         osc.SafetySettings(brake_time=-1.0)
     controller = case.controller()
     controller.tick(case.measurement, case.reference)
@@ -172,7 +172,7 @@ def test_limits_are_checked_and_can_be_changed(case):
     assert_array_equal(other.last_torques(), controller.last_torques())
     wish = replace(case.reference, alpha_d=np.full(len(case.pairs), 300.0))
     step = np.abs(other.tick(case.measurement, wish) - controller.last_torques())
-    assert (step / case.chain.tau_max).max() == pytest.approx(5.0 * DT)
+    assert (step / case.chain.tau_max).max() == approx(5.0 * DT)
 
 
 def test_other_limits_and_gains_hold_beside_pairs_written_in_python():

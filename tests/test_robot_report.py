@@ -7,8 +7,8 @@ import sys
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 from typer.testing import CliRunner
 from urdf_corpus import GOOD
 
@@ -69,13 +69,11 @@ SIX_AXES = [
 def test_a_gantry_has_the_masses_it_pushes(tmp_path):
     axes = [("prismatic", axis, "0 0 0") for axis in ("1 0 0", "0 1 0", "0 0 1")]
     robot = summary(tmp_path, chain(axes, [5.0, 3.0, 2.0]))
-    assert [joint.moved_mass for joint in robot.joints] == pytest.approx([10.0, 5.0, 2.0])
-    assert robot.mass == robot.moving_mass == pytest.approx(10.0)
+    assert [joint.moved_mass for joint in robot.joints] == approx([10.0, 5.0, 2.0])
+    assert robot.mass == robot.moving_mass == approx(10.0)
     (tip,) = robot.tips
-    assert tip.mass == pytest.approx((2.0, 10.0)) and tip.inertia == (math.inf, math.inf)
-    assert np.array(tip.mobility) == pytest.approx(
-        np.repeat(np.sqrt([1, 2 / 5, 2 / 10]), 2).reshape(3, 2)
-    )
+    assert tip.mass == approx((2.0, 10.0)) and tip.inertia == (math.inf, math.inf)
+    assert np.array(tip.mobility) == approx(np.repeat(np.sqrt([1, 2 / 5, 2 / 10]), 2).reshape(3, 2))
 
 
 def test_mobility_is_the_share_of_the_last_body_in_the_energy(tmp_path):
@@ -96,7 +94,7 @@ def test_mobility_is_the_share_of_the_last_body_in_the_energy(tmp_path):
     assert (np.array(tip.mobility) <= 1 + 1e-9).all()
 
 
-@pytest.mark.parametrize(("length", "mass"), [(1e3, 1.0), (1.0, 1e-3), (0.0254, 0.4536)])
+@mark.parametrize(("length", "mass"), [(1e3, 1.0), (1.0, 1e-3), (0.0254, 0.4536)])
 def test_mobility_does_not_depend_on_units(tmp_path, length, mass):
     masses = [4.0, 3.0, 2.0, 1.0, 0.5, 0.4]
     (here,) = summary(tmp_path, chain(SIX_AXES, masses)).tips
@@ -113,9 +111,9 @@ def test_the_tip_can_be_chosen(tmp_path):
     assert [tip.tip for tip in every.tips] == ["finger", "tool"] and every.more_tips == 0
     (slide,) = robots.summarise(loaded.model, loaded.document, "slide").tips
     assert (slide.tip, slide.joints, len(slide.mobility)) == ("slide", 2, 2)
-    with pytest.raises(ModelError, match="no frame 'tol'"):
+    with raises(ModelError, match="no frame 'tol'"):
         robots.summarise(loaded.model, loaded.document, "tol")
-    with pytest.raises(ModelError, match="no joint moves the frame 'base'"):
+    with raises(ModelError, match="no joint moves the frame 'base'"):
         robots.summarise(loaded.model, loaded.document, "base")
     assert robots.load(robots.urdf_path("rod")).model.nv == 0
     rod = robots.check_robot(robots.urdf_path("rod"))
@@ -142,7 +140,7 @@ def test_check_prints_verdict_joints_and_tips(tmp_path):
     assert found["sound"] is True and found["findings"] == [] and found["meshes_missing"] == 0
     assert found["reader_difference"] < 1e-12 and 0 < found["load_ms"] < 1000
     assert found["robot"]["dof"] == 9 and len(found["robot"]["joints"]) == 9
-    assert found["robot"]["mass"] == pytest.approx(17.45, abs=0.01)
+    assert found["robot"]["mass"] == approx(17.45, abs=0.01)
 
 
 def test_check_tells_everything_that_is_wrong(tmp_path):
@@ -178,7 +176,7 @@ def test_a_robot_that_the_second_reader_sees_otherwise_fails(tmp_path, monkeypat
     assert result.exit_code == 1 and "two URDF readers place link" in result.stdout
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("words", "message"),
     [
         (("./absent.urdf",), "neither the file"),

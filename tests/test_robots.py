@@ -5,8 +5,8 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 from urdf_numbers import element, numbers, placement, written_inertia
 
 from osc_contact import robots
@@ -56,7 +56,7 @@ def solids_inertia(link, mass):
 # The packaged arms ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ARMS)
+@mark.parametrize("name", ARMS)
 def test_scara_has_the_announced_joints_and_limits(name):
     model = robots.load_model(robots.urdf_path(name))
     assert list(model.names)[1:] == JOINTS
@@ -71,7 +71,7 @@ def test_scara_has_the_announced_joints_and_limits(name):
     assert not model.damping.any()
 
 
-@pytest.mark.parametrize("name", ARMS)
+@mark.parametrize("name", ARMS)
 def test_scara_kinematics_agree_with_the_closed_form(name):
     model = robots.load_model(robots.urdf_path(name))
     data = model.createData()
@@ -100,7 +100,7 @@ def test_scara_kinematics_agree_with_the_closed_form(name):
         assert_allclose(sensor.translation, wrist, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ARMS)
+@mark.parametrize("name", ARMS)
 def test_scara_inertias_are_those_of_the_visible_solids(name):
     for link, mass in MASSES.items():
         written = written_inertia(element(name, link))
@@ -111,8 +111,8 @@ def test_scara_inertias_are_those_of_the_visible_solids(name):
         assert_allclose(written.matrix(), expected.matrix(), rtol=1e-6, atol=2e-9)
     assert element(name, "tool").find("inertial") is None
     model = robots.load_model(robots.urdf_path(name))
-    assert sum(inertia.mass for inertia in model.inertias) == pytest.approx(sum(MASSES.values()))
-    assert model.inertias[4].mass == pytest.approx(0.3 + 0.35)
+    assert sum(inertia.mass for inertia in model.inertias) == approx(sum(MASSES.values()))
+    assert model.inertias[4].mass == approx(0.3 + 0.35)
 
 
 def test_right_arm_is_the_mirror_image_of_the_left():
@@ -185,17 +185,17 @@ def test_nothing_stands_out_of_the_face():
 # Second readers ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ARMS + BODIES)
+@mark.parametrize("name", ARMS + BODIES)
 def test_a_second_reader_places_every_link_alike(name):
     assert robots.cross_check(robots.urdf_path(name)) < 1e-12
 
 
-@pytest.mark.parametrize("robot", ["panda", "ur5"])
+@mark.parametrize("robot", ["panda", "ur5"])
 def test_a_second_reader_agrees_on_known_robots(robot):
     assert robots.cross_check(robots.find_robot(robot)[0]) < 1e-9
 
 
-@pytest.mark.parametrize("name", ARMS + BODIES)
+@mark.parametrize("name", ARMS + BODIES)
 def test_mujoco_compiles_the_file_and_agrees_on_masses(name):
     import mujoco
 
@@ -206,11 +206,11 @@ def test_mujoco_compiles_the_file_and_agrees_on_masses(name):
     model = robots.load_model(robots.urdf_path(name))
     assert compiled.nv == model.nv
     total = sum(inertia.mass for inertia in model.inertias)
-    assert compiled.body_mass.sum() == pytest.approx(total, rel=1e-12)
+    assert compiled.body_mass.sum() == approx(total, rel=1e-12)
     if name in BODIES:
         return
     for link, mass in MASSES.items():
-        assert compiled.body(link).mass[0] == pytest.approx(mass)
+        assert compiled.body(link).mass[0] == approx(mass)
     assert compiled.body("tool").mass[0] == 0
     data = mujoco.MjData(compiled)
     ours = model.createData()
@@ -240,9 +240,9 @@ def inertia_column(compiled, data, unit):
 def test_urdf_path_knows_the_packaged_files():
     assert robots.urdf_path("rod.urdf") == robots.urdf_path("rod")
     assert robots.urdf_path("rod").is_file()
-    with pytest.raises(ModelError, match=r"Did you mean scara_left\.urdf"):
+    with raises(ModelError, match=r"Did you mean scara_left\.urdf"):
         robots.urdf_path("scara_lft.urdf")
-    with pytest.raises(ModelError, match=r"no packaged URDF is called '../urdf/rod.urdf'"):
+    with raises(ModelError, match=r"no packaged URDF is called '../urdf/rod.urdf'"):
         robots.urdf_path("../urdf/rod.urdf")
 
 
@@ -254,7 +254,7 @@ def test_urdf_path_finds_the_folder_of_an_installed_package(monkeypatch, tmp_pat
         assert robots.urdf_path("rod") == tmp_path.resolve() / folder / "rod.urdf"
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("name", "file", "nv"), [("panda", "panda.urdf", 9), ("ur5", "ur5_robot.urdf", 6)]
 )
 def test_known_robots_are_found_and_load(name, file, nv):
@@ -269,9 +269,9 @@ def test_known_robots_are_found_and_load(name, file, nv):
 
 
 def test_robot_names_that_are_unknown_or_ambiguous_are_refused():
-    with pytest.raises(ModelError, match="Did you mean panda"):
+    with raises(ModelError, match="Did you mean panda"):
         robots.find_robot("pandda")
-    with pytest.raises(ModelError, match=r"ambiguous.*anymal_c_simple_description/anymal"):
+    with raises(ModelError, match=r"ambiguous.*anymal_c_simple_description/anymal"):
         robots.find_robot("anymal")
     path, _ = robots.find_robot("anymal_c_simple_description/anymal")
     assert path.parent.parent.name == "anymal_c_simple_description"
@@ -283,7 +283,7 @@ def test_missing_robot_data_says_what_to_install(monkeypatch, tmp_path):
         library.pin, "__file__", str(tmp_path / "lib/py/site/pinocchio/__init__.py")
     )
     monkeypatch.setattr(library, "ROBOT_DATA", "no-such-robot-data")
-    with pytest.raises(ModelError, match="pip install no-such-robot-data"):
+    with raises(ModelError, match="pip install no-such-robot-data"):
         robots.find_robot("panda")
 
 
@@ -295,16 +295,16 @@ def test_resolve_urdf_knows_three_places(tmp_path):
     assert robots.resolve_urdf(str(own)) == (own.resolve(), (tmp_path.resolve(),))
     panda, package_dir = robots.find_robot("panda")
     assert robots.resolve_urdf("example-robot-data:panda", tmp_path) == (panda, (package_dir,))
-    with pytest.raises(ModelError, match="Did you mean panda"):
+    with raises(ModelError, match="Did you mean panda"):
         robots.resolve_urdf("example-robot-data:pnda", tmp_path)
-    with pytest.raises(ModelError, match=r"Did you mean face\.urdf"):
+    with raises(ModelError, match=r"Did you mean face\.urdf"):
         robots.resolve_urdf("fce.urdf", tmp_path)
 
 
 def test_frame_id_is_checked():
     model = robots.load_model(robots.urdf_path("scara_left"))
     assert model.frames[robots.frame_id(model, "tool")].name == "tool"
-    with pytest.raises(ModelError, match=r"no frame 'tol'. Did you mean tool"):
+    with raises(ModelError, match=r"no frame 'tol'. Did you mean tool"):
         robots.frame_id(model, "tol")
 
 
@@ -363,23 +363,23 @@ def test_thin_rods_and_massless_markers_are_accepted(tmp_path):
 def test_parallel_joints_with_one_mass_between_them_are_named(tmp_path):
     file = write(tmp_path, links={"empty": "", "tip": BALL})
     file.write_text(file.read_text().replace('<origin xyz="0.1 0 0"/>', ""))
-    with pytest.raises(ModelError, match="joint turn, next1 can move without moving mass"):
+    with raises(ModelError, match="joint turn, next1 can move without moving mass"):
         robots.load_model(file)
 
 
 def test_what_is_no_file_is_refused(tmp_path):
-    with pytest.raises(ModelError, match="does not exist"):
+    with raises(ModelError, match="does not exist"):
         robots.load_model(tmp_path / "absent.urdf")
-    with pytest.raises(ModelError, match="is not a file"):
+    with raises(ModelError, match="is not a file"):
         robots.load_model(tmp_path)
 
 
 def test_load_body_wants_one_rigid_link(tmp_path):
-    with pytest.raises(ModelError, match="these joints move: turn"):
+    with raises(ModelError, match="these joints move: turn"):
         robots.load_body(write(tmp_path))
-    with pytest.raises(ModelError, match=r"found 2 \(tip, end\)"):
+    with raises(ModelError, match=r"found 2 \(tip, end\)"):
         robots.load_body(write(tmp_path, kind="fixed", links={"tip": BALL, "end": BALL}))
-    with pytest.raises(ModelError, match=r"found 0 \(none\)"):
+    with raises(ModelError, match=r"found 0 \(none\)"):
         robots.load_body(write(tmp_path, kind="fixed", links={"tip": ""}))
     inertia = robots.load_body(write(tmp_path, kind="fixed"))
     assert_allclose(inertia.lever, [0.1, 0, 0])
@@ -392,7 +392,7 @@ def test_cross_check_reports_where_two_readers_differ(tmp_path, monkeypatch):
         return model
 
     monkeypatch.setattr(loading, "build_model", crooked)
-    with pytest.raises(ModelError, match=r"link 'tip': two URDF readers place .* 2e-09 apart"):
+    with raises(ModelError, match=r"link 'tip': two URDF readers place .* 2e-09 apart"):
         robots.cross_check(write(tmp_path))
 
 
@@ -401,7 +401,7 @@ def test_cross_check_reports_where_two_readers_differ(tmp_path, monkeypatch):
 
 def test_limits_given_by_hand_stand_in_for_missing_ones(tmp_path):
     file = write(tmp_path, limit="", links={"tip": BALL, "end": BALL})
-    with pytest.raises(ModelError, match=r"joint 'turn': has no <limit>.*JointLimits"):
+    with raises(ModelError, match=r"joint 'turn': has no <limit>.*JointLimits"):
         robots.load_model(file)
     given = robots.JointLimits(lower=-1.5, upper=2.5, effort=7, velocity=3)
     free = robots.JointLimits(-math.inf, math.inf, 4, 5)
@@ -410,9 +410,7 @@ def test_limits_given_by_hand_stand_in_for_missing_ones(tmp_path):
     assert np.array_equal(model.upperPositionLimit, [2.5, math.inf])
     assert np.array_equal(model.effortLimit, [7, 4])
     assert np.array_equal(model.velocityLimit, [3, 5])
-    with pytest.raises(
-        InvalidInputError, match=r"no moving joint matches 'trun'. Did you mean turn"
-    ):
+    with raises(InvalidInputError, match=r"no moving joint matches 'trun'. Did you mean turn"):
         robots.load_model(file, limits={"trun": given})
 
 
@@ -420,11 +418,11 @@ def test_limits_given_by_hand_win_over_those_of_the_file(tmp_path):
     file = write(tmp_path, limit=LIMIT.replace('effort="2"', 'effort="0"'))
     model = robots.load_model(file, limits={"turn": robots.JointLimits(effort=9)})
     assert model.effortLimit[0] == 9 and model.velocityLimit[0] == 3
-    with pytest.raises(ModelError, match="lower limit 5 is above the upper limit 1"):
+    with raises(ModelError, match="lower limit 5 is above the upper limit 1"):
         robots.load_model(file, limits={"turn": robots.JointLimits(lower=5, effort=9)})
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "wrong",
     [
         {"effort": 0.0},
@@ -437,7 +435,7 @@ def test_limits_given_by_hand_win_over_those_of_the_file(tmp_path):
     ],
 )
 def test_impossible_limits_cannot_be_given(wrong):
-    with pytest.raises(InvalidInputError, match="JointLimits"):
+    with raises(InvalidInputError, match="JointLimits"):
         robots.JointLimits(**wrong)
 
 
@@ -446,24 +444,24 @@ def test_positive_is_content_with_moving_bodies_that_have_energy(tmp_path):
     file = write(tmp_path, links={"tip": BALL, "flag": slip})
     fixed = 'name="next0" type="fixed"'
     file.write_text(file.read_text().replace('name="next1" type="revolute"', fixed))
-    with pytest.raises(ModelError, match="link 'flag' <inertia>: the inertia is not positive"):
+    with raises(ModelError, match="link 'flag' <inertia>: the inertia is not positive"):
         robots.load_model(file)
     assert robots.load_model(file, inertias="positive").nv == 1
     alone = write(tmp_path, links={"tip": slip.replace('"-1e-3"', '"-9e-3"')})
-    with pytest.raises(ModelError, match=r"joint 'turn': the body that it moves .* negative"):
+    with raises(ModelError, match=r"joint 'turn': the body that it moves .* negative"):
         robots.load_model(alone, inertias="positive")
     flat = write(tmp_path, links={"tip": inertial("1", "0.1", "0.1", "0.3")})
     assert robots.load_model(flat, inertias="positive").nv == 1
     heavy = write(tmp_path, links={"tip": inertial("-1", "0.1", "0.1", "0.1")})
-    with pytest.raises(ModelError, match="mass -1 kg is negative"):
+    with raises(ModelError, match="mass -1 kg is negative"):
         robots.load_model(heavy, inertias="positive")
-    with pytest.raises(InvalidInputError, match="there is: possible, positive"):
+    with raises(InvalidInputError, match="there is: possible, positive"):
         robots.load_model(file, inertias="any")
 
 
-@pytest.mark.parametrize("length", [1e-3, 1.0, 1e3], ids=["mm", "m", "km"])
-@pytest.mark.parametrize("mass", [1e-3, 1.0, 1e3], ids=["g", "kg", "t"])
-@pytest.mark.parametrize("rotor", [0.0, 1e-9, 1e-15])
+@mark.parametrize("length", [1e-3, 1.0, 1e3], ids=["mm", "m", "km"])
+@mark.parametrize("mass", [1e-3, 1.0, 1e3], ids=["g", "kg", "t"])
+@mark.parametrize("rotor", [0.0, 1e-9, 1e-15])
 def test_the_verdict_on_the_mass_matrix_does_not_depend_on_units(tmp_path, length, mass, rotor):
     """A slide, a turn and a slim rod about its own axis: an inertia of 1e-15 kg m² is rounding."""
     moment = mass * length**2
@@ -476,5 +474,5 @@ def test_the_verdict_on_the_mass_matrix_does_not_depend_on_units(tmp_path, lengt
     if rotor == 1e-9:
         assert robots.load_model(file).nv == 3
     else:
-        with pytest.raises(ModelError, match="next2 can move without moving mass"):
+        with raises(ModelError, match="next2 can move without moving mass"):
             robots.load_model(file)

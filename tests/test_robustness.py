@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import MonkeyPatch, approx, fixture, raises
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -19,12 +19,12 @@ WORDS = {"masses": "DOUBTFUL", "friction": "DOUBTFUL", "delay": "OK", "normals":
 CHANGES = ["control.rate=250 Hz", "plant.step=0.5 ms", "duration=1.1", "verdict.force_rms=0.9"]
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def made(tmp_path_factory):
     """Two samples of each case, by command: (folder, what it printed)."""
     folder = tmp_path_factory.mktemp("robustness")
     words = ["reproduce", "robustness", "--samples", "2", "--duration", "1.1", "--out", str(folder)]
-    with pytest.MonkeyPatch.context() as patch:
+    with MonkeyPatch.context() as patch:
         patch.setattr(study, "_FIRST", 0)  # the best law from nominal runs alone
         done = CliRunner().invoke(app, words)
         again = CliRunner().invoke(app, [*words, "--seed", "1"])
@@ -33,7 +33,7 @@ def made(tmp_path_factory):
     return folder, done.stdout
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def found(made):
     return json.loads((made[0] / "robustness.json").read_text())
 
@@ -60,8 +60,8 @@ def test_rows_are_single_runs_of_the_same_sample_under_each_law(found):
         scenario, seed = sample_of(case, 1)
         for name, law in laws.items():
             force, motion = errors(scenario, seed, install=law.install)
-            assert row[f"{name}.force"] == pytest.approx(force, rel=1e-6)
-            assert row[f"{name}.motion"] == pytest.approx(motion, rel=1e-6)
+            assert row[f"{name}.force"] == approx(force, rel=1e-6)
+            assert row[f"{name}.motion"] == approx(motion, rel=1e-6)
             assert row[f"{name}.word"] == WORDS[case] and not row[f"{name}.failed"]
 
 
@@ -93,7 +93,7 @@ def test_the_table_and_the_figure_tell_what_the_rows_say(made, found):
         for law in study.LAWS:
             assert told[law]["success_rate"] == 1.0
             worst = 1e3 * max(row[f"{law}.motion"] for row in found["rows"][case])
-            assert told[law]["motion"][-1] == pytest.approx(worst) and f"{worst:.3g}" in printed
+            assert told[law]["motion"][-1] == approx(worst) and f"{worst:.3g}" in printed
     assert {one["candidates"] > 4 for one in found["selection"].values()} == {True}
     assert all(label in printed for label in study.LABELS.values())
 
@@ -108,7 +108,7 @@ def test_failed_runs_count_as_the_largest_errors():
     ]
     made = study.Robustness({}, {}, {"masses": rows}, {})
     told = made._told("masses", "ours")
-    assert told["success_rate"] == pytest.approx(0.94)
+    assert told["success_rate"] == approx(0.94)
     wanted = np.quantile(np.where(failed, np.inf, values), (0.5, 0.9), method="inverted_cdf")
     assert_allclose(told["force"][:2], 100 * wanted)
     assert told["force"][2] is None
@@ -137,7 +137,7 @@ def test_rows_that_are_done_are_not_run_again(tmp_path, monkeypatch):
     second = study.run(1, tmp_path, **how)
     assert asked == [4, 0] and first.rows == second.rows
     del chosen[0]
-    with pytest.raises(osc.InvalidInputError, match="seed or law"):  # rows of other laws
+    with raises(osc.InvalidInputError, match="seed or law"):  # rows of other laws
         study.run(1, tmp_path, **how)
 
 

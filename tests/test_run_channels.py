@@ -2,9 +2,9 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from pair_kinds import KINDS, PLAIN, pose_of
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact.contacts import pairs
@@ -257,7 +257,7 @@ RUNS = {
 }
 
 
-@pytest.mark.parametrize("name", RUNS)
+@mark.parametrize("name", RUNS)
 def test_channels_are_what_they_are_defined_to_be(name):
     plant, duration, changes = RUNS[name]
     changes = [*changes, f"plant.type={plant}", f"duration={duration}", "control.life=off"]
@@ -325,7 +325,7 @@ def test_a_run_that_fails_leaves_all_channels_of_what_came_before(monkeypatch):
             raise osc.PlantError("enough")
 
     monkeypatch.setattr(MujocoPlant, "command", failing)
-    with pytest.raises(osc.PlantError, match="enough") as failure:
+    with raises(osc.PlantError, match="enough") as failure:
         osc.run(scenario)
     part = failure.value.recording
     assert len(part) == 12 and part.channels.keys() == whole.channels.keys()
@@ -336,11 +336,11 @@ def test_a_run_that_fails_leaves_all_channels_of_what_came_before(monkeypatch):
 def test_a_step_that_goes_wrong_is_told_at_once():
     plant = osc.build_rig(osc.load_scenario("two_contact_rod")).plant()
     plant.data.qvel[2] = np.nan
-    with pytest.raises(osc.PlantError, match="diverged"):
+    with raises(osc.PlantError, match="diverged"):
         plant.command(np.zeros(8), 1e-3)
-    with pytest.raises(osc.InvalidInputError, match="tau: element"):
+    with raises(osc.InvalidInputError, match="tau: element"):
         plant.command(np.full(8, np.inf), 1e-3)
-    with pytest.raises(osc.InvalidInputError, match="shape"):
+    with raises(osc.InvalidInputError, match="shape"):
         plant.hold(np.zeros(7))
 
 
@@ -374,7 +374,7 @@ def stacked(poses):
     )
 
 
-@pytest.mark.parametrize("name", KINDS)
+@mark.parametrize("name", KINDS)
 def test_lines_of_force_over_time_are_those_of_the_pair(name):
     rng = np.random.default_rng(6)
     pair, pose, r = KINDS[name](rng, PLAIN)

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import fixture, mark, raises
 
 import osc_contact as osc
 from benchmarks.cases import CASES, repeatable
@@ -20,7 +20,7 @@ RUN, DEGRADED, HOLD, SAFE_STOP = SafetyState
 NAN = float("nan")
 
 
-@pytest.fixture(params=["one_panda", "two_contact_rod"])
+@fixture(params=["one_panda", "two_contact_rod"])
 def case(request):
     return CASES[request.param]()
 
@@ -29,7 +29,7 @@ def blind(case):
     return replace(case.measurement, wrenches=np.full_like(case.measurement.wrenches, NAN))
 
 
-@pytest.mark.parametrize("lost", [1, 2, 3, 19, 20, 25])
+@mark.parametrize("lost", [1, 2, 3, 19, 20, 25])
 def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case, lost):
     controller = case.controller()
     good = controller.tick(case.measurement, case.reference)
@@ -99,7 +99,7 @@ def test_unreadable_joints_leave_the_last_posture():
     assert controller.unbraked is not None and plain.unbraked is None
 
 
-@pytest.mark.parametrize(("name", "pace"), [("one_panda", 0.15), ("two_contact_rod", 1.0)])
+@mark.parametrize(("name", "pace"), [("one_panda", 0.15), ("two_contact_rod", 1.0)])
 def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, pace):
     case = CASES[name]()
     plant = RigidPlant(case.chain, (), 1e-3)
@@ -222,7 +222,7 @@ def test_copies_stay_stopped(case):
 
 
 def test_settings_are_checked():
-    with pytest.raises(InvalidInputError, match="repeats = 20, stop_after = 20"):
+    with raises(InvalidInputError, match="repeats = 20, stop_after = 20"):
         SafetySettings(repeats=20)
-    with pytest.raises(InvalidInputError, match="hold_rate: expected a plain number; got nan"):
+    with raises(InvalidInputError, match="hold_rate: expected a plain number; got nan"):
         SafetySettings(hold_rate=NAN)

@@ -6,8 +6,8 @@ import json
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact.dynamics.rail import Conveyor
@@ -84,7 +84,7 @@ def assert_same(ours, theirs, atol=1e-7):
         assert_allclose(ours[name], theirs[name], rtol=0, atol=atol, err_msg=name)
 
 
-@pytest.mark.parametrize("plant", PLANTS)
+@mark.parametrize("plant", PLANTS)
 def test_pairs_of_ones_own(plant):
     plain = rod(plant)
     pairs = [Tip(p.name, p.vertex, p.point, p.normal, p.radius) for p in osc.build_rig(plain).pairs]
@@ -97,7 +97,7 @@ def test_pairs_of_ones_own(plant):
     assert contact == {"name": "left_end", "body": "face_left_end", "pair": "Tip"}
 
 
-@pytest.mark.parametrize("plant", PLANTS)
+@mark.parametrize("plant", PLANTS)
 def test_bodies_of_ones_own(plant):
     """A face driven by a function, and what the controller makes of it, as of a conveyor."""
     direction = np.array([-0.904196, -0.361677, 0.227199])
@@ -133,11 +133,11 @@ def test_bodies_of_ones_own(plant):
     assert_same(ours, theirs, 1e-6)
     assert answered and np.ptp(ours["face_pose"][:, 0, :3], axis=0).max() > 1e-3
     late = osc.OwnMotion(osc.Rail(direction, motion=lambda t: drive(t + 0.02)))
-    with pytest.raises(osc.ScenarioError, match="away from where the contacts touch"):
+    with raises(osc.ScenarioError, match="away from where the contacts touch"):
         osc.build_rig(with_motion(late)).plant()
 
 
-@pytest.mark.parametrize("plant", PLANTS)
+@mark.parametrize("plant", PLANTS)
 def test_laws_of_ones_own(plant):
     plain = rod(plant)
     made = []
@@ -156,7 +156,7 @@ def test_laws_of_ones_own(plant):
     theirs = osc.run(plain, install=lambda c: c.with_laws(force=Proportional()))
     assert_same(ours, theirs, 0.0)
     assert [law.calls for law in made] == [20, 1, 20, 1], "every controller has its own"
-    with pytest.raises(AssertionError):
+    with raises(AssertionError):
         assert_same(ours, osc.run(plain), 1e-6)
 
 
@@ -169,7 +169,7 @@ def test_a_scenario_from_a_dict_is_that_of_the_file():
     assert loaded.replaced(duration=2.0).duration == 2.0
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("parts", "words"),
     [
         ({"duration": -1.0}, "duration: must be > 0"),
@@ -182,5 +182,5 @@ def test_a_scenario_from_a_dict_is_that_of_the_file():
     ],
 )
 def test_what_does_not_fit_is_told_as_for_a_file(parts, words):
-    with pytest.raises(osc.ScenarioError, match=words):
+    with raises(osc.ScenarioError, match=words):
         osc.load_scenario("two_contact_rod").replaced(**parts)

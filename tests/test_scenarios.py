@@ -3,9 +3,9 @@
 import json
 from pathlib import Path
 
-import pytest
 import yaml
 from pydantic import ValidationError
+from pytest import approx, mark, raises
 
 from osc_contact.errors import ScenarioError
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario, parse_scenario
@@ -46,7 +46,7 @@ duration: 2 s
 
 
 def complaints(text, overrides=()):
-    with pytest.raises(ScenarioError) as caught:
+    with raises(ScenarioError) as caught:
         parse_scenario(text, "f.yaml", overrides)
     return str(caught.value).splitlines()
 
@@ -65,7 +65,7 @@ def test_good_file():
 
 def test_scenarios_are_frozen():
     scenario = parse_scenario(GOOD)
-    with pytest.raises(ValidationError, match="frozen"):
+    with raises(ValidationError, match="frozen"):
         scenario.duration = 3.0
 
 
@@ -231,12 +231,12 @@ def test_a_bad_item_is_not_told_as_a_list_too_short():
         "force.left_end.0.points=[[0 s, 1 N], [1 s, 2 mm]]",
         "motion.0.signals.0.velocity=3 N/s",
     ):
-        with pytest.raises(ScenarioError) as caught:
+        with raises(ScenarioError) as caught:
             load_scenario(path, [wrong])
         assert len(str(caught.value).splitlines()) == 1, caught.value
 
 
-@pytest.mark.parametrize("case", BAD)
+@mark.parametrize("case", BAD)
 def test_bad_files_name_line_key_and_cure(case):
     old, new, line, key, message = BAD[case]
     assert GOOD.count(old) >= 1
@@ -250,7 +250,7 @@ def test_alias_is_refused_at_its_line():
     assert [one.split(":")[1] for one in complaints(text)] == ["15", "23"]
 
 
-@pytest.mark.parametrize("text", ["", "# nothing\n", "- a\n- b\n", "just text"])
+@mark.parametrize("text", ["", "# nothing\n", "- a\n- b\n", "just text"])
 def test_a_file_without_keys(text):
     assert complaints(text) == [
         "f.yaml:1: expected keys such as name, arms, object; got no group of keys"
@@ -296,7 +296,7 @@ OVERRIDES = [
 ]
 
 
-@pytest.mark.parametrize(("override", "read", "wanted"), OVERRIDES, ids=[o[0] for o in OVERRIDES])
+@mark.parametrize(("override", "read", "wanted"), OVERRIDES, ids=[o[0] for o in OVERRIDES])
 def test_overrides(override, read, wanted):
     assert read(parse_scenario(GOOD, None, [override])) == wanted
     key, _, value = override.partition("=")
@@ -327,7 +327,7 @@ BAD_OVERRIDES = [
 ]
 
 
-@pytest.mark.parametrize(("override", "message"), BAD_OVERRIDES, ids=[o[0] for o in BAD_OVERRIDES])
+@mark.parametrize(("override", "message"), BAD_OVERRIDES, ids=[o[0] for o in BAD_OVERRIDES])
 def test_bad_overrides_are_named_instead_of_a_line(override, message):
     found = complaints(GOOD, [override])
     message = message.removeprefix(override.partition("=")[0] + ": ")  # the key is told once
@@ -377,7 +377,7 @@ def test_two_contact_rod_touches_its_faces_and_is_skew():
     for contact in scenario.contacts:
         centre = [a + b for a, b in zip(pose.xyz, contact.vertex, strict=True)]
         for c, p, n in zip(centre, contact.face.point, contact.face.normal, strict=True):
-            assert p == pytest.approx(c - contact.radius * n, abs=1e-6)
+            assert p == approx(c - contact.radius * n, abs=1e-6)
         lines.append((centre, contact.face.normal))
     (p, n), (q, m) = lines
     cross = [n[1] * m[2] - n[2] * m[1], n[2] * m[0] - n[0] * m[2], n[0] * m[1] - n[1] * m[0]]
@@ -391,14 +391,14 @@ def test_loading_by_path_and_unknown_names(tmp_path):
     scenario = load_scenario(path, {"duration": "1 s"})
     assert scenario.source == path and scenario.duration == 1.0
     assert load_scenario(str(path)).duration == 2.0
-    with pytest.raises(ScenarioError, match="did you mean 'two_contact_rod'"):
+    with raises(ScenarioError, match="did you mean 'two_contact_rod'"):
         load_scenario("two_contact_rood")
     for bad in (tmp_path / "none.yaml", tmp_path):
-        with pytest.raises(ScenarioError, match="cannot read the scenario file"):
+        with raises(ScenarioError, match="cannot read the scenario file"):
             load_scenario(bad)
     path.write_bytes(b"name: \xff\xfe")
-    with pytest.raises(ScenarioError, match="cannot read the scenario file"):
+    with raises(ScenarioError, match="cannot read the scenario file"):
         load_scenario(path)
     path.write_text(GOOD.replace("2 s", "2 N"), encoding="utf-8")
-    with pytest.raises(ScenarioError, match=r"mine\.yaml:31: duration: expected a time"):
+    with raises(ScenarioError, match=r"mine\.yaml:31: duration: expected a time"):
         load_scenario(path)

@@ -6,8 +6,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import approx, fixture, mark, raises
 from scene_samples import (
     ARMS,
     BODIES,
@@ -46,7 +46,7 @@ ROOT = "/meshcat/"
 LEFT, RIGHT = (f"/meshcat/contacts/{name}" for name in ENDS)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def shown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
     return Shown(write(folder, find=find, frame_words="best <frame>"))
@@ -113,8 +113,8 @@ def test_a_face_follows_its_recorded_pose(tmp_path):
         assert shown.pose("/meshcat/bodies/face", frame).isApprox(expected, 1e-5)
 
 
-@pytest.mark.parametrize("frame", [3, 8])
-@pytest.mark.parametrize("i", [0, 1])
+@mark.parametrize("frame", [3, 8])
+@mark.parametrize("i", [0, 1])
 def test_force_arrows_have_their_tips_at_the_contact_and_10_mm_per_newton(shown, i, frame):
     tick = 10 * frame
     node = (LEFT, RIGHT)[i]
@@ -123,9 +123,9 @@ def test_force_arrows_have_their_tips_at_the_contact_and_10_mm_per_newton(shown,
     assert np.allclose(placed.rotation[:, 1], RECORDING["contact_direction"][tick, i], atol=1e-6)
     for arrow, channel in (("true", "true"), ("commanded", "cmd"), ("measured", "meas")):
         alpha = RECORDING[f"alpha_{channel}"][tick, i]
-        assert shown.length(f"{node}/{arrow}", frame) == pytest.approx(0.01 * alpha, abs=1e-5)
+        assert shown.length(f"{node}/{arrow}", frame) == approx(0.01 * alpha, abs=1e-5)
     beside = shown.at(f"{node}/measured", "position", 0)
-    assert beside == pytest.approx([0.017, 0.0, 0.0]), "seen where it equals the true force"
+    assert beside == approx([0.017, 0.0, 0.0]), "seen where it equals the true force"
 
 
 def test_a_lost_contact_turns_grey_and_its_true_force_vanishes(shown):
@@ -143,7 +143,7 @@ def test_a_lost_contact_turns_grey_and_its_true_force_vanishes(shown):
     assert np.ptp([*paint[f"{LEFT}/lost/line/rod"].to_bytes(3)]) < 16, "grey"
 
 
-@pytest.mark.parametrize(("frame", "count"), [(2, 4), (5, 5), (9, 4)])  # the left one is lost at 5
+@mark.parametrize(("frame", "count"), [(2, 4), (5, 5), (9, 4)])  # the left one is lost at 5
 def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, count):
     """The velocity of each contact point, moved as drawn, has no part along the force.
 
@@ -204,9 +204,9 @@ def test_a_column_with_a_couple_is_a_screw(tmp_path):
     offset = shown.pose(LEFT, 3).translation - p[30, 0]
     assert np.allclose(np.cross(offset, d[30, 0]), 0.0, atol=1e-6)
     path, turned = shown.path_of_tube(f"{LEFT}/closed/pitch")
-    assert np.polyfit(turned, path[:, 1], 1)[0] == pytest.approx(pitch, rel=1e-3)
+    assert np.polyfit(turned, path[:, 1], 1)[0] == approx(pitch, rel=1e-3)
     couple = 0.1 * RECORDING["alpha_true"][80, 1]
-    assert shown.length(f"{RIGHT}/true", 8) == pytest.approx(couple, abs=1e-5)
+    assert shown.length(f"{RIGHT}/true", 8) == approx(couple, abs=1e-5)
     assert f"{RIGHT}/true/head/second" in shown.objects, "a couple has two heads"
 
 
@@ -255,10 +255,10 @@ def test_a_long_recording_gets_fewer_frames_per_second(tmp_path):
     last = max(map(max, shown.tracks.values()))
     assert last <= MOST_FRAMES and shown.page.stat().st_size < 3_000_000
     (fps,) = {a["clip"]["fps"] for a in shown.animation["animations"]}
-    assert last / fps == pytest.approx(40.0)
+    assert last / fps == approx(40.0)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@mark.parametrize("seed", range(20))
 def test_the_camera_sees_everything_and_stands_no_further_than_needed(seed):
     rng = np.random.default_rng(seed)
     points = rng.standard_normal((30, 3)) * rng.uniform(0.1, 2.0, 3)
@@ -299,8 +299,8 @@ def test_track_leaves_out_only_what_changes_nothing():
 def test_short_arrow_is_a_smaller_head():
     for length, head in ((0.01, 0.01 / 0.035), (0.035, 1.0), (0.135, 1.0)):
         shaft, y, scale = arrow_lengths(length)
-        assert scale == pytest.approx((head,) * 3)
-        assert shaft[1] - y == pytest.approx(length, abs=2e-6)
+        assert scale == approx((head,) * 3)
+        assert shaft[1] - y == approx(length, abs=2e-6)
     assert np.isfinite([*arrow_lengths(np.nan)[0], *arrow_lengths(-3.0)[2]]).all()
 
 
@@ -315,7 +315,7 @@ def test_a_tube_keeps_its_radius_around_every_bend():
     tube([[0.0, 0.0, 0.0]] * 3, 0.1)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "how",
     [{"contacts": 0}, {"without": ("contact_point", "contact_direction", "closed", "alpha_true")}],
 )
@@ -328,7 +328,7 @@ def test_scene_without_contacts(how, tmp_path):
 SHORT_ARM = [ARMS[0]._replace(q_slice=slice(0, 4))]
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("make", "complaint"),
     [
         (lambda p: write_scene(RECORDING, SHORT_ARM, [], p), r"takes 4 numbers of q.*nq = 5"),
@@ -344,19 +344,19 @@ SHORT_ARM = [ARMS[0]._replace(q_slice=slice(0, 4))]
     ],
 )
 def test_scene_refuses_what_does_not_fit(make, complaint, tmp_path):
-    with pytest.raises(InvalidInputError, match=complaint):
+    with raises(InvalidInputError, match=complaint):
         make(tmp_path / "scene.html")
     assert not any(tmp_path.iterdir())
 
 
 def test_page_is_written_whole_or_not_at_all(tmp_path):
     (tmp_path / "taken").mkdir()
-    with pytest.raises(OSError):
+    with raises(OSError):
         write_page(CommandSink(), tmp_path / "taken", "title")
     assert [p.name for p in tmp_path.iterdir()] == ["taken"]
     empty = tmp_path / "empty.html"
     empty.write_text("<html></html>")
-    with pytest.raises(InvalidInputError, match="no drawing commands"):
+    with raises(InvalidInputError, match="no drawing commands"):
         write_png(empty, tmp_path / "empty.png")
 
 
@@ -395,11 +395,11 @@ def test_urdf_shapes_lie_as_in_the_urdf(tmp_path):
     vertices = np.frombuffer(tetra["data"]["attributes"]["position"]["array"].data, np.float32)
     assert vertices.max() == 2.0 and len(vertices) % 3 == 0 and placed["/meshcat/2"][0, 3] == 2.0
     paint = drawn["/meshcat/0/shape"]["materials"][0]
-    assert paint["color"] == 0xFF8000 and paint["opacity"] == pytest.approx(0.4)
-    assert placed["/meshcat/4/shape/top"][2, 3] == pytest.approx(capsule.geometry.halfLength)
+    assert paint["color"] == 0xFF8000 and paint["opacity"] == approx(0.4)
+    assert placed["/meshcat/4/shape/top"][2, 3] == approx(capsule.geometry.halfLength)
 
 
-@pytest.mark.parametrize("direction", [(0, 3, 0), (0, -2, 0), (1, 2, -2)])
+@mark.parametrize("direction", [(0, 3, 0), (0, -2, 0), (1, 2, -2)])
 def test_along_takes_y_to_the_direction(direction):
     expected = np.array(direction) / np.linalg.norm(direction)
     assert np.allclose(along([1, 2, 3], direction).rotation[:, 1], expected)

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 from samples import first
 
 import osc_contact as osc
@@ -98,7 +98,7 @@ def test_resolution_rounds_to_whole_steps():
     assert np.abs(q - true).max() <= 0.005 + 1e-12
 
 
-@pytest.mark.parametrize(("rate", "delay"), [(1000, 0.0), (1000, 0.004), (60, 0.03), (333, 0.002)])
+@mark.parametrize(("rate", "delay"), [(1000, 0.0), (1000, 0.004), (60, 0.03), (333, 0.002)])
 def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
     """Reading at t: the value at the last multiple of the period that is `delay` or more old."""
     out = readings(Sensors(encoders=(Clock(rate, delay), SensorErrors())), 500)
@@ -107,14 +107,14 @@ def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
         samples = np.ceil(np.arange(0, int(t * rate) + 2) / rate / STEP - 1e-6) * STEP
         arrived = samples[samples + delay <= t + 1e-9]
         want = arrived[-1] if len(arrived) else 0.0
-        assert m.stamps.encoders == pytest.approx(want, abs=1e-9)
+        assert m.stamps.encoders == approx(want, abs=1e-9)
         assert_allclose(m.q, want * np.arange(1, 4), atol=1e-9)
 
 
 def test_lost_samples_keep_the_old_reading():
     out = readings(Sensors(encoders=(Clock(1e3, 0.0, dropout=0.2), SensorErrors())), 5000)
     stamps = np.array([m.stamps.encoders for m in out])
-    assert np.mean(np.diff(stamps) == 0.0) == pytest.approx(0.2, abs=0.02)
+    assert np.mean(np.diff(stamps) == 0.0) == approx(0.2, abs=0.02)
     assert_allclose([m.q[0] for m in out], stamps, atol=1e-9)
 
 
@@ -161,13 +161,13 @@ def test_one_seed_one_run_and_a_reset_begins_it_again():
     assert_array_equal(plant.measure().q, first[0].q)
 
 
-@pytest.mark.parametrize("bad", [(0.0, 0, 0), (1.0, -1, 0), (1.0, 0, 1.0)])
+@mark.parametrize("bad", [(0.0, 0, 0), (1.0, -1, 0), (1.0, 0, 1.0)])
 def test_impossible_clocks_are_refused(bad):
-    with pytest.raises(osc.InvalidInputError, match="Clock"):
+    with raises(osc.InvalidInputError, match="Clock"):
         Clock(*bad)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("override", "said"),
     [
         ("sensors.encoder={rate: 1 kHz, angle: {noise: 1 mm}}", "an angle"),
@@ -179,7 +179,7 @@ def test_impossible_clocks_are_refused(bad):
     ],
 )
 def test_wrong_sensors_are_refused_by_the_scenario(override, said):
-    with pytest.raises(osc.ScenarioError, match=said):
+    with raises(osc.ScenarioError, match=said):
         osc.load_scenario("two_contact_rod", [override])
 
 
@@ -266,8 +266,8 @@ def worst_force(name, rate, encoder):
     return max(force["rms_error_rel"] for force in verdict["force"].values())
 
 
-@pytest.mark.parametrize("rate", first([250, 500, 1000], 1))
-@pytest.mark.parametrize("name", first(["two_contact_rod", "ur5_wipe"], 1))
+@mark.parametrize("rate", first([250, 500, 1000], 1))
+@mark.parametrize("name", first(["two_contact_rod", "ur5_wipe"], 1))
 def test_a_better_encoder_is_never_worse(name, rate):
     errors = [
         worst_force(name, rate, BITS % (rate, 2 * np.pi / 2**bits, 1.0 / 2**bits))

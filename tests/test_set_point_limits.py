@@ -4,10 +4,10 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
+from pytest import approx, mark
 
 import osc_contact as osc
 from osc_contact import jerk_limits
@@ -80,8 +80,8 @@ def assert_same(state, before, goal, limits):
         assert (np.abs(found - was) <= 1e-6 * size + 1e-12 * np.abs(goal).max()).all()
 
 
-@pytest.mark.parametrize("start", [0.0, 0.3, -1.1])
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@mark.parametrize("start", [0.0, 0.3, -1.1])
+@mark.parametrize("axis", [0, 1, 2])
 def test_the_goal_where_the_cases_of_ruckig_meet(start, axis):
     """5 mm ahead, at rest, v = 0.2, a = 1, j = 20: 2a³/j²."""
     linear = osc.JerkLimits(0.2, 1.0, 20.0)
@@ -90,13 +90,13 @@ def test_the_goal_where_the_cases_of_ruckig_meet(start, axis):
     ahead = pin.SE3(np.eye(3), X.translation + 0.005 * np.eye(3)[axis])
     point = osc.PoseSetPoint(X, linear, angular, 1e-3)
     point.step(ahead)
-    assert point.remaining == pytest.approx(0.2 - 1e-3, abs=1e-9)  # 4 a/j
+    assert point.remaining == approx(0.2 - 1e-3, abs=1e-9)  # 4 a/j
     while point.remaining > 0.0:
         last = point.step()
     assert last.X_WD.isApprox(ahead, 0.0)
 
 
-@pytest.mark.parametrize("value", [0.005, 5.0, 1e-7, -0.3])
+@mark.parametrize("value", [0.005, 5.0, 1e-7, -0.3])
 def test_a_scenario_s_signal_is_where_they_meet_too(value):
     """`jerk_limited` of 2a³/j², as a scenario loads it."""
     a = 1.0
@@ -105,7 +105,7 @@ def test_a_scenario_s_signal_is_where_they_meet_too(value):
     assert signal.at(np.array([1e4]))[0] == value
 
 
-@pytest.mark.parametrize("n", [1, 4])
+@mark.parametrize("n", [1, 4])
 def test_without_any_answer_of_ruckig_it_stops_and_goes_on(monkeypatch, n):
     """The last resort by itself: limits kept, no jump, at the goal in the end."""
 
@@ -136,7 +136,7 @@ def test_from_rest_to_rest_is_as_fast_as_ruckig_s(way, v, a, j):
     pieces = from_rest_to_rest(way, v, a, j)
     duration = sum(t for t, _ in pieces)
     end = follow(pieces, duration)
-    assert end[0] == pytest.approx(way, rel=1e-9)
+    assert end[0] == approx(way, rel=1e-9)
     late = 1e-15 * duration  # s, of rounding
     assert abs(end[1]) <= ROUND * v + late * a and abs(end[2]) <= ROUND * a + late * j
     for t in np.linspace(0.0, duration, 50):
@@ -148,4 +148,4 @@ def test_from_rest_to_rest_is_as_fast_as_ruckig_s(way, v, a, j):
         fastest = jerk_limits._Fastest(zero, zero, zero, np.array([way]), limits).duration
     except SolverError:
         return
-    assert duration == pytest.approx(fastest, rel=1e-6)
+    assert duration == approx(fastest, rel=1e-6)

@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 from osc_contact import robots
@@ -22,7 +22,7 @@ def random_pose(rng, angle=3.0):
     return pin.SE3(pin.exp3(w * rng.uniform(0, angle) / np.linalg.norm(w)), rng.normal(size=3))
 
 
-@pytest.mark.parametrize("size", [1e-6, 1.0, 1e5])
+@mark.parametrize("size", [1e-6, 1.0, 1e5])
 def test_goals_that_change_at_any_time_are_followed_within_the_limits(size):
     rng = np.random.default_rng(0)
     for n in (1, 3, 6):
@@ -53,7 +53,7 @@ def test_a_number_stays_a_number_and_several_arrive_together_on_a_line():
     assert_allclose(done, done[:, :1] * np.ones(3), atol=1e-9)
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-3, 0.31, 0.32, 1.0, 3.1, 5.0])
+@mark.parametrize("size", [0.0, 1e-9, 1e-3, 0.31, 0.32, 1.0, 3.1, 5.0])
 def test_angular_motion_is_the_derivative_of_the_rotation(size):
     rng = np.random.default_rng(1)
     h = 1e-5
@@ -108,52 +108,52 @@ def test_the_short_way_round_again_and_again():
             assert reference.V_D[5] >= -1e-9 and np.abs(reference.V_D[3:5]).max() < 1e-9
     while point.remaining > 0.0:
         turned += point.step().V_D[5] * DT
-    assert turned == pytest.approx(8 * np.pi, abs=1e-3)
+    assert turned == approx(8 * np.pi, abs=1e-3)
 
 
 NAN = pin.SE3(np.eye(3), np.array([0.0, np.nan, 0.0]))
 SHEARED = pin.SE3(np.eye(3) + 0.1 * np.eye(3, k=1), np.zeros(3))
 
 
-@pytest.mark.parametrize("goal", [NAN, SHEARED, np.eye(4), pin.SE3(-np.eye(3), np.zeros(3))])
+@mark.parametrize("goal", [NAN, SHEARED, np.eye(4), pin.SE3(-np.eye(3), np.zeros(3))])
 def test_a_goal_that_is_none_is_refused_and_the_former_is_kept(goal):
     ours, other = (osc.PoseSetPoint(pin.SE3.Identity(), LINEAR, ANGULAR, DT) for _ in range(2))
     good = random_pose(np.random.default_rng(3))
     for _ in range(50):
         ours.step(good), other.step(good)
-    with pytest.raises(osc.InvalidInputError, match="goal"):
+    with raises(osc.InvalidInputError, match="goal"):
         ours.step(goal)
-    with pytest.raises(osc.InvalidInputError, match="alpha_d"):
+    with raises(osc.InvalidInputError, match="alpha_d"):
         ours.step(pin.SE3.Identity(), [np.inf])
     assert_array_equal(ours.step().V_D, other.step().V_D)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, [1.0, 2.0], "far", None])
+@mark.parametrize("bad", [np.nan, np.inf, -np.inf, [1.0, 2.0], "far", None])
 def test_bad_numbers_are_refused_at_the_door(bad):
-    with pytest.raises(osc.InvalidInputError):
+    with raises(osc.InvalidInputError):
         osc.JerkLimits(bad if bad != [1.0, 2.0] else [1.0, -2.0], 1.0, 1.0)
-    with pytest.raises(osc.InvalidInputError):
+    with raises(osc.InvalidInputError):
         osc.SetPoint([0.0, 0.0, 0.0], LINEAR, DT).step([0.0, 0.0, bad])
-    with pytest.raises(osc.InvalidInputError):
+    with raises(osc.InvalidInputError):
         osc.SetPoint(0.0, LINEAR, bad)
 
 
-@pytest.mark.parametrize("start", [[], [1.0, [2.0]], [[1.0, 2.0]], "far", [np.nan]])
+@mark.parametrize("start", [[], [1.0, [2.0]], [[1.0, 2.0]], "far", [np.nan]])
 def test_a_start_is_a_number_or_a_row_of_numbers(start):
-    with pytest.raises(osc.InvalidInputError, match="start"):
+    with raises(osc.InvalidInputError, match="start"):
         osc.SetPoint(start, LINEAR, DT)
 
 
 def test_limits_are_for_one_or_for_all_coordinates_and_periods_are_positive():
-    with pytest.raises(osc.InvalidInputError, match="2 coordinates"):
+    with raises(osc.InvalidInputError, match="2 coordinates"):
         osc.SetPoint([0.0, 0.0], osc.JerkLimits([1.0, 1.0, 1.0], 1.0, 1.0), DT)
-    with pytest.raises(osc.InvalidInputError, match="dt = 0"):
+    with raises(osc.InvalidInputError, match="dt = 0"):
         osc.SetPoint(0.0, LINEAR, 0.0)
 
 
 def test_ruckig_missing_is_told_at_once(monkeypatch):
     monkeypatch.setitem(sys.modules, "ruckig", None)
-    with pytest.raises(osc.OscContactError, match=r"ruckig.*osc_contact\[sim\]"):
+    with raises(osc.OscContactError, match=r"ruckig.*osc_contact\[sim\]"):
         osc.SetPoint(0.0, LINEAR, DT)
 
 
@@ -171,7 +171,7 @@ def test_a_reference_leaves_out_what_is_zero():
         {"rotation": 2 * np.eye(3)},
         {"alpha_d": [[5.0]]},
     ):
-        with pytest.raises(osc.InvalidInputError):
+        with raises(osc.InvalidInputError):
             osc.pose_reference(**({"position": np.zeros(3)} | wrong))
 
 

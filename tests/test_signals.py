@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 from pydantic import TypeAdapter, ValidationError
+from pytest import approx, mark, raises
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.quantities import (
@@ -44,15 +44,15 @@ SMOOTH = [
 ]
 
 
-@pytest.mark.parametrize("signal", SMOOTH, ids=repr)
+@mark.parametrize("signal", SMOOTH, ids=repr)
 def test_derivatives_match_central_differences(signal):
     h = 1e-5
     for t in np.linspace(0.005, 1.2, 241) + 1.23e-3:
         before = signal.at(t - h)
         here = signal.at(t)
         after = signal.at(t + h)
-        assert here[1] == pytest.approx((after[0] - before[0]) / (2 * h), abs=2e-5)
-        assert here[2] == pytest.approx((after[1] - before[1]) / (2 * h), abs=2e-3)
+        assert here[1] == approx((after[0] - before[0]) / (2 * h), abs=2e-5)
+        assert here[2] == approx((after[1] - before[1]) / (2 * h), abs=2e-3)
 
 
 def test_many_times_at_once_are_those_times_one_by_one():
@@ -73,8 +73,8 @@ def test_step_rises_at_its_start_with_zero_derivatives():
 def test_minimum_jerk_is_the_quintic_and_holds():
     rise = MinimumJerk(value=2.0, start=1.0, duration=4.0)
     s = 0.25
-    assert rise.at(2.0)[0] == pytest.approx(2.0 * (10 * s**3 - 15 * s**4 + 6 * s**5), rel=1e-14)
-    assert rise.at(3.0)[0] == pytest.approx(1.0, rel=1e-14)
+    assert rise.at(2.0)[0] == approx(2.0 * (10 * s**3 - 15 * s**4 + 6 * s**5), rel=1e-14)
+    assert rise.at(3.0)[0] == approx(1.0, rel=1e-14)
     assert rise.at(0.5) == (0.0, 0.0, 0.0)
     assert rise.at(5.0) == rise.at(50.0) == (2.0, 0.0, 0.0)
 
@@ -85,7 +85,7 @@ def test_sine_is_silent_before_start_and_pure_after_the_ramp():
     w = math.pi
     angle = w * 1.0 + 0.3
     wanted = (4 * math.sin(angle), 4 * w * math.cos(angle), -4 * w * w * math.sin(angle))
-    assert sine.at(2.0) == pytest.approx(wanted, rel=1e-13)
+    assert sine.at(2.0) == approx(wanted, rel=1e-13)
 
 
 def rest_to_rest(distance, v, a, j):
@@ -112,7 +112,7 @@ def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
         )
         distances = np.abs(np.diff([0.0, *way]))
         least = [rest_to_rest(float(d), *limits) for d in distances]
-        assert signal.duration == pytest.approx(sum(least), rel=1e-9)
+        assert signal.duration == approx(sum(least), rel=1e-9)
         v, a, j = limits
         smooth = max(
             1.875 * distances[2] / v,
@@ -128,7 +128,7 @@ def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
         assert np.abs(steps).max() <= np.diff(t)[0] ** 3 * j / 6 + 1e-12 * size
         for reached, when in zip(way, 0.3 + np.cumsum(least), strict=True):
             near = signal.at(float(when))
-            assert near[0] == pytest.approx(reached, abs=1e-8 * size)
+            assert near[0] == approx(reached, abs=1e-8 * size)
             assert abs(near[1]) <= 1e-6 * v and abs(near[2]) <= 1e-3 * a + j * 1e-6 * sum(least)
         assert signal.at(math.inf) == (way[2], 0.0, 0.0) and signal.at(0.3) == (0.0, 0.0, 0.0)
 
@@ -181,7 +181,7 @@ def test_two_points_are_minimum_jerk():
     assert_allclose(ours, theirs, atol=1e-10)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("kind", "text", "si"),
     [
         (LengthSignal, "50 mm/s", 0.05),
@@ -196,18 +196,18 @@ def test_limits_have_the_units_of_their_signal(kind, text, si):
         more = {"acceleration": f"{text}{two}", "jerk": f"{text}{three}"}
         signal = adapter.validate_python(data | more)
         for found in (signal.velocity, signal.acceleration, signal.jerk):
-            assert found == pytest.approx(si, rel=1e-15)
-        with pytest.raises(ValidationError, match=r"per s²?; got|per s² in .*² per|per s²"):
+            assert found == approx(si, rel=1e-15)
+        with raises(ValidationError, match=r"per s²?; got|per s² in .*² per|per s²"):
             adapter.validate_python(data | more | {"acceleration": text})
 
 
 def test_total_sums_the_triples():
     assert total([], 1.0) == (0.0, 0.0, 0.0)
     expected = np.sum([signal.at(0.31) for signal in SMOOTH], axis=0)
-    assert total(SMOOTH, 0.31) == pytest.approx(tuple(expected), rel=1e-14)
+    assert total(SMOOTH, 0.31) == approx(tuple(expected), rel=1e-14)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("kind", "key", "good", "bad"),
     [
         (LengthSignal, "value", ("50 mm", 0.05), "8 N"),
@@ -226,12 +226,12 @@ def test_the_same_signals_hold_lengths_angles_or_forces(kind, key, good, bad):
             "jerk_limited": {"velocity": 1, "acceleration": 1, "jerk": 1},
         }
         data = {"type": type_, name: good[0], **more.get(type_, {})}
-        assert getattr(adapter.validate_python(data), name) == pytest.approx(good[1], rel=1e-15)
-        with pytest.raises(ValidationError, match="which is a"):
+        assert getattr(adapter.validate_python(data), name) == approx(good[1], rel=1e-15)
+        with raises(ValidationError, match="which is a"):
             adapter.validate_python({**data, name: bad})
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "bad",
     [
         lambda: Sine(amplitude=1.0, frequency=0.0),
@@ -251,11 +251,11 @@ def test_the_same_signals_hold_lengths_angles_or_forces(kind, key, good, bad):
     ],
 )
 def test_impossible_signals_are_refused(bad):
-    with pytest.raises(InvalidInputError):
+    with raises(InvalidInputError):
         bad()
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("kind", "text", "si"),
     [
         (Length, "50 mm", 0.05),
@@ -280,7 +280,7 @@ def test_units_are_converted_to_the_nearest_float(kind, text, si):
     assert TypeAdapter(kind).validate_python(text) == si
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("kind", "value", "message"),
     [
         (Length, "8 N", "expected a length in m, mm, cm, µm; got '8 N', which is a force"),
@@ -298,7 +298,7 @@ def test_units_are_converted_to_the_nearest_float(kind, text, si):
     ],
 )
 def test_wrong_quantities_say_what_would_be_right(kind, value, message):
-    with pytest.raises(ValidationError) as caught:
+    with raises(ValidationError) as caught:
         TypeAdapter(kind).validate_python(value)
     assert message in caught.value.errors()[0]["msg"]
 
@@ -308,10 +308,10 @@ def test_vectors():
     unit = TypeAdapter(UnitVec3)
     assert vec3.validate_python([0, "50 mm", 1.0]) == (0.0, 0.05, 1.0)
     loaded = unit.validate_python([0.4, 0.3, -0.87])
-    assert math.hypot(*loaded) == pytest.approx(1.0, abs=4e-16)
-    assert np.cross(loaded, [0.4, 0.3, -0.87]) == pytest.approx(np.zeros(3), abs=1e-16)
+    assert math.hypot(*loaded) == approx(1.0, abs=4e-16)
+    assert np.cross(loaded, [0.4, 0.3, -0.87]) == approx(np.zeros(3), abs=1e-16)
     for adapter, bad in ((vec3, [1, 2]), (vec3, "abc"), (vec3, [1, 2, "3 N"]), (unit, [0, 0, 0])):
-        with pytest.raises(ValidationError, match="expected"):
+        with raises(ValidationError, match="expected"):
             adapter.validate_python(bad)
 
 

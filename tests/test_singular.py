@@ -2,9 +2,9 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_oracle import kkt
 from numpy.testing import assert_allclose
+from pytest import approx, mark
 from rigs import SCARA_Q, one_panda, scara_pair
 from samples import first
 
@@ -61,8 +61,8 @@ def assert_faded(chain, q, v, posture, controller):
         arm = state.arms[lost.arm]
         part = chain.slices[lost.arm]
         assert one.arm == chain.arms[lost.arm].name
-        assert one.left == pytest.approx(share_left(lost.chi), abs=1e-9) == lost.share
-        assert one.inertia_ratio == pytest.approx(1.0 / max(lost.chi, 1e-12) ** 2, rel=1e-6)
+        assert one.left == approx(share_left(lost.chi), abs=1e-9) == lost.share
+        assert one.inertia_ratio == approx(1.0 / max(lost.chi, 1e-12) ** 2, rel=1e-6)
         row = S.T @ lost.wrench
         size = np.linalg.norm(np.linalg.solve(L, row))
         if not lost.locked and size > 1e-3:
@@ -116,7 +116,7 @@ def chain_poses(chain, q):
     return [X.translation for X in chain.object_poses()]
 
 
-@pytest.mark.parametrize("rest", first([0.4, 0.0], 1))
+@mark.parametrize("rest", first([0.4, 0.0], 1))
 def test_torques_are_continuous_through_the_straight_elbow(rest):
     """Through fading, rank loss and out again on the other side, with the arm still or moving."""
     panda = one_panda()
@@ -174,7 +174,7 @@ def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed():
     task = PostureTask()
     want = task.stiffness * (posture - q) - task.retreat_damping * v
     M = s.state.arms[0].M
-    assert lost.mode @ M @ got.qdd == pytest.approx(lost.mode @ M @ want, rel=1e-3)
+    assert lost.mode @ M @ got.qdd == approx(lost.mode @ M @ want, rel=1e-3)
     # the command changes by what the object resists least
     push = np.linalg.solve(s.state.metric, lost.wrench)
     change = got.a_object - s.a_u
@@ -225,7 +225,7 @@ RUNS = [
 ]
 
 
-@pytest.mark.parametrize("run", first(RUNS), ids=str)
+@mark.parametrize("run", first(RUNS), ids=str)
 def test_slowly_normally_and_fast_to_the_edge_of_the_workspace_and_back(run):
     arms, duration, plant = run
     recording = outward(*arms, duration, plant)

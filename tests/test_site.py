@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-import pytest
+from pytest import fixture
 
 import osc_contact as osc
 
@@ -47,7 +47,7 @@ def build(source, into, *options):
     )
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("docs")
     done = build(ROOT, folder, "-c", str(ROOT / "docs"))
@@ -56,7 +56,7 @@ def site(tmp_path_factory):
     return folder / "site"
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def pages(site):
     return {path: Page(path) for path in sorted(site.rglob("*.html"))}
 

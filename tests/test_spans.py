@@ -2,8 +2,8 @@
 refused, and nothing in between. On every BLAS kernel alike."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
+from pytest import approx, fixture, mark, raises
 from test_projections import SIZE, close, frame_change, millimetres, vanishes, well_mixing
 
 import osc_contact as osc
@@ -20,7 +20,7 @@ FORCE_LAWS = (P.Omega_f, P.Omega_m_bar)
 MOTION_LAWS = (P.Omega_m, P.Omega_f_bar)
 
 
-@pytest.fixture(params=[0.01, 1.0, 100.0], ids=["stricter", "as is", "laxer"])
+@fixture(params=[0.01, 1.0, 100.0], ids=["stricter", "as is", "laxer"])
 def limits(request, monkeypatch):
     """No verdict here may hang on a limit: each holds with limits a hundred times off."""
     for name in ("DEPENDENT", "BLOCKED", "BLURRED", "_NO_MOBILITY"):
@@ -55,9 +55,9 @@ def changes(rng):
     yield other[0] @ one[0], other[1] @ one[1]
 
 
-@pytest.mark.parametrize("gap", GAPS)
-@pytest.mark.parametrize("rank", [5, 6])
-@pytest.mark.parametrize("seed", range(4))
+@mark.parametrize("gap", GAPS)
+@mark.parametrize("rank", [5, 6])
+@mark.parametrize("seed", range(4))
 def test_identities_9_to_12_hold_for_columns_that_are_nearly_dependent(seed, rank, gap):
     rng = np.random.default_rng([seed, rank, 1])
     r = 2 + seed % 4
@@ -80,12 +80,12 @@ def test_identities_9_to_12_hold_for_columns_that_are_nearly_dependent(seed, ran
             close(w1 @ w2, w1)
             assert vanishes(g1, f2) and vanishes(w1, m2)
             close(f1 @ N, N)
-            assert np.trace(f1) == pytest.approx(r, abs=1e-9)
+            assert np.trace(f1) == approx(r, abs=1e-9)
 
 
-@pytest.mark.parametrize("gap", GAPS)
-@pytest.mark.parametrize("rank", [5, 6])
-@pytest.mark.parametrize("seed", range(4))
+@mark.parametrize("gap", GAPS)
+@mark.parametrize("rank", [5, 6])
+@mark.parametrize("seed", range(4))
 def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_basis(
     seed, rank, gap
 ):
@@ -105,9 +105,9 @@ def test_nearly_dependent_columns_project_as_good_ones_in_every_frame_unit_and_b
             close(np.linalg.solve(X, motion), P.Omega_m_bar(good, Phi) @ v, 3e-13 / gap)
 
 
-@pytest.mark.usefixtures("limits")
-@pytest.mark.parametrize("rank", [5, 6])
-@pytest.mark.parametrize("seed", range(4))
+@mark.usefixtures("limits")
+@mark.parametrize("rank", [5, 6])
+@mark.parametrize("seed", range(4))
 def test_columns_a_millionth_apart_are_accepted_in_every_frame(seed, rank):
     rng = np.random.default_rng([seed, rank, 3])
     near, _ = nearly_dependent(rng, 2 + seed % 4, 1e-6)
@@ -121,8 +121,8 @@ def test_columns_a_millionth_apart_are_accepted_in_every_frame(seed, rank):
             law(P.null_space(X_f @ near), X_f @ motion @ X_f.T)
 
 
-@pytest.mark.usefixtures("limits")
-@pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
+@mark.usefixtures("limits")
+@mark.parametrize("r", [1, 2, 3, 4, 5])
 def test_singular_metrics_are_refused_in_every_frame(r):
     """Φn = 0 for a column n, for a combination, and for one of columns that are hardly apart."""
     rng = np.random.default_rng([r, 4])
@@ -136,12 +136,12 @@ def test_singular_metrics_are_refused_in_every_frame(r):
         for X, X_f in changes(rng):
             for columns in (N, N @ well_mixing(rng, r), *([near] if r > 1 else [])):
                 for law in FORCE_LAWS:
-                    with pytest.raises(ContactError, match="cannot move along"):
+                    with raises(ContactError, match="cannot move along"):
                         law(X_f @ columns, X @ Phi @ X.T)
 
 
-@pytest.mark.usefixtures("limits")
-@pytest.mark.parametrize("k", [2, 3, 4, 5, 6, 7])
+@mark.usefixtures("limits")
+@mark.parametrize("k", [2, 3, 4, 5, 6, 7])
 def test_dependent_columns_are_refused_in_every_frame(k):
     rng = np.random.default_rng([k, 5])
     for rank in (5, 6):
@@ -151,12 +151,12 @@ def test_dependent_columns_are_refused_in_every_frame(k):
             Phi = metric(rng, 1 / SIZE, rank)
             for X, X_f in changes(rng):
                 for law in FORCE_LAWS + MOTION_LAWS:
-                    with pytest.raises(ContactError, match="dependent"):
+                    with raises(ContactError, match="dependent"):
                         law(X_f @ N, X @ Phi @ X.T)
 
 
-@pytest.mark.usefixtures("limits")
-@pytest.mark.parametrize("name", ["two_contact_rod", "scara_peg"])
+@mark.usefixtures("limits")
+@mark.parametrize("name", ["two_contact_rod", "scara_peg"])
 def test_what_a_rig_carries_by_its_structure_is_refused(name):
     """Its own Φ₀, of rank 5 and 4: the locked wrenches C, alone and beside its contacts."""
     rig = osc.build_rig(osc.load_scenario(name))
@@ -166,26 +166,26 @@ def test_what_a_rig_carries_by_its_structure_is_refused(name):
     P.Omega_f(N, state.Phi)
     for X, X_f in changes(rng):
         for columns in (state.C, np.hstack((N, state.C)) @ well_mixing(rng, 2 + 6 - state.d)):
-            with pytest.raises(ContactError, match="cannot move along"):
+            with raises(ContactError, match="cannot move along"):
                 P.Omega_f(X_f @ columns, X @ state.Phi @ X.T)
 
 
 def test_messages_name_the_columns():
     e = np.eye(6)
     singular = np.diag([1.0, 1.0, 0.0, 1.0, 1.0, 1.0])
-    with pytest.raises(ContactError, match=r"column 1 has nᵀΦn = 0, .* Drop that contact"):
+    with raises(ContactError, match=r"column 1 has nᵀΦn = 0, .* Drop that contact"):
         P.Omega_f(e[:, [0, 2]], singular)
     hidden = np.column_stack((e[0], e[1] + e[2], e[1] - e[2]))
-    with pytest.raises(ContactError, match=r"columns \[1, 2\] are dependent as the metric sees"):
+    with raises(ContactError, match=r"columns \[1, 2\] are dependent as the metric sees"):
         P.Omega_f(hidden, singular)
-    with pytest.raises(ContactError, match=r"columns \[0, 2\] are dependent \(least"):
+    with raises(ContactError, match=r"columns \[0, 2\] are dependent \(least"):
         P.Omega_f(np.column_stack((e[0], e[1], -3.0 * e[0])), np.eye(6))
-    with pytest.raises(ContactError, match="not symmetric"):
+    with raises(ContactError, match="not symmetric"):
         P.Omega_f(e[:, :1], np.eye(6) + 1e-6 * np.eye(6, k=1))
 
 
-@pytest.mark.parametrize("n", [1, 4, 6])
-@pytest.mark.parametrize("seed", range(5))
+@mark.parametrize("n", [1, 4, 6])
+@mark.parametrize("seed", range(5))
 def test_orthonormal_is_what_it_says(n, seed):
     rng = np.random.default_rng([n, seed, 7])
     for k in range(n + 1):

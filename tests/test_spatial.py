@@ -2,8 +2,8 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import mark, raises
 
 from osc_contact.errors import InvalidInputError, OscContactError
 from osc_contact.spatial import (
@@ -26,7 +26,7 @@ def shift(start, end):
     return pin.SE3(np.eye(3), start - end)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", SEEDS)
 def test_skew_is_the_cross_product(seed):
     x, y = np.random.default_rng(seed).normal(size=(2, 3))
     assert_allclose(skew(x) @ y, np.cross(x, y), atol=1e-15)
@@ -41,7 +41,7 @@ def test_cross_works_column_by_column():
     assert cross(np.zeros((3, 0)), np.zeros((3, 0))).shape == (3, 0)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", SEEDS)
 def test_carrying_agrees_with_pinocchio(seed):
     rng = np.random.default_rng(seed)
     V, F = rng.normal(size=(2, 6))
@@ -70,14 +70,14 @@ def test_carrying_columns_is_carrying_each_and_leaves_the_input_alone():
     assert carry_twist(np.zeros((6, 0)), start, end).shape == (6, 0)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", SEEDS)
 def test_cross_products_agree_with_pinocchio(seed):
     V, U, F = np.random.default_rng(seed).normal(size=(3, 6))
     assert_allclose(cross_twist(V, U), pin.Motion(V).cross(pin.Motion(U)).vector, atol=1e-14)
     assert_allclose(cross_wrench(V, F), pin.Motion(V).cross(pin.Force(F)).vector, atol=1e-14)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", SEEDS)
 def test_classical_to_spatial_agrees_with_pinocchio(seed):
     pin.seed(seed)
     rng = np.random.default_rng(seed)
@@ -96,7 +96,7 @@ def test_classical_to_spatial_agrees_with_pinocchio(seed):
     assert_array_equal(classical, kept)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", SEEDS)
 def test_pose_error_carries_the_object_to_its_goal(seed):
     pin.seed(seed)
     X_WD = pin.SE3.Random()
@@ -121,7 +121,7 @@ def test_as_array_returns_a_fresh_float_copy():
     assert as_array("x", 2, ()) == 2.0
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("value", "shape", "message"),
     [
         (np.zeros((2, 3)), (3, 3), r"tool: expected shape \(3, 3\), got \(2, 3\)"),
@@ -137,6 +137,6 @@ def test_as_array_returns_a_fresh_float_copy():
     ],
 )
 def test_as_array_refuses_what_does_not_fit(value, shape, message):
-    with pytest.raises(InvalidInputError, match=message) as caught:
+    with raises(InvalidInputError, match=message) as caught:
         as_array("tool", value, shape)
     assert isinstance(caught.value, OscContactError) and isinstance(caught.value, ValueError)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
 from pair_kinds import Motion, pose_of
+from pytest import approx, mark, raises
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.pairs import GapFunctions, VertexOnFace
@@ -39,7 +39,7 @@ def all_columns(parts):
     return np.hstack([c.N for c in parts]), np.concatenate([c.n_gamma for c in parts])
 
 
-@pytest.mark.parametrize("seed", range(4))
+@mark.parametrize("seed", range(4))
 def test_a_table_on_four_legs_has_three_forces_and_a_split_that_is_not_unique(seed):
     """On a moving floor, moving at will; R leads back to N, n_γ and the least split."""
     rng = np.random.default_rng([seed, 1])
@@ -71,7 +71,7 @@ def dependent_parts(rng):
     return parts, min(rank, sum(c.r for c in parts))
 
 
-@pytest.mark.parametrize("seed", range(12))
+@mark.parametrize("seed", range(12))
 def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed):
     rng = np.random.default_rng([seed, 2])
     parts, rank = dependent_parts(rng)
@@ -95,7 +95,7 @@ def test_any_stack_nested_or_not_leads_back_to_all_its_columns(seed):
             assert np.linalg.svd(unit, compute_uv=False)[-1] > 0.02 * values[rank - 1]
 
 
-@pytest.mark.parametrize("seed", range(4))
+@mark.parametrize("seed", range(4))
 def test_the_contact_force_is_that_of_all_contacts_in_any_order(seed):
     """A free table pressed on four legs: against one multiplier for each leg, by least squares."""
     rng = np.random.default_rng([seed, 3])
@@ -127,7 +127,7 @@ def parallel(y):
     return Contact(np.array([[0, 0, 1, y, 0, 0]]).T, [0.3])
 
 
-@pytest.mark.parametrize(("apart", "r"), [(0.1, 2), (1e-6, 2), (1e-8, 2), (1e-13, 1), (0.0, 1)])
+@mark.parametrize(("apart", "r"), [(0.1, 2), (1e-6, 2), (1e-8, 2), (1e-13, 1), (0.0, 1)])
 def test_the_rank_knows_no_frame_origin_basis_or_unit(apart, r):
     """Two parallel lines of force: 200 changes for each distance, the same verdict, map and force.
 
@@ -144,7 +144,7 @@ def test_the_rank_knows_no_frame_origin_basis_or_unit(apart, r):
         stacked = Contact.stack(moved, motion @ Phi @ motion.T / power)
         assert stacked.r == r
         if apart == 0.0:
-            assert stacked.magnitudes([1.0]) @ size == pytest.approx(size[0], rel=1e-9)
+            assert stacked.magnitudes([1.0]) @ size == approx(size[0], rel=1e-9)
     far = Contact.stack([parallel(1e5), parallel(1e5 + 1e-6)])
     assert far.r == 1  # unit columns do depend on O: this is why Φ_ref is passed
 
@@ -169,7 +169,7 @@ def test_contacts_that_no_acceleration_keeps_are_refused_by_name():
         return Contact.stack([pair.contact(here, V) for pair in (aside, flat, curved)])
 
     assert stacked(0.0).r == 2
-    with pytest.raises(ContactError) as refused:
+    with raises(ContactError) as refused:
         stacked(0.1)
     text = str(refused.value)
     assert text.startswith("flat, curved: singular at this instant") and "aside" not in text
@@ -177,12 +177,12 @@ def test_contacts_that_no_acceleration_keeps_are_refused_by_name():
     # rounding in n_γ is no contradiction
     N = stacked(0.0).N[:, 1:]
     assert Contact.stack([Contact(N, [5.0]), Contact(2 * N, [10.0 + 1e-8])]).r == 1
-    with pytest.raises(ContactError, match="contact 0, contact 1: singular"):
+    with raises(ContactError, match="contact 0, contact 1: singular"):
         Contact.stack([Contact(N, [5.0]), Contact(2 * N, [10.001])])
 
 
-@pytest.mark.parametrize("turn", range(2))
-@pytest.mark.parametrize("name", ["cone_in_groove", "revolute", "screw", "cylinder_in_hole"])
+@mark.parametrize("turn", range(2))
+@mark.parametrize("name", ["cone_in_groove", "revolute", "screw", "cylinder_in_hole"])
 def test_contacts_given_by_tangents_in_motion(name, turn):
     """n_γ = NᵀṪβ for whatever N was chosen: the differentiated poses keep the contact."""
     motion = Motion.keeping(name, turn)
@@ -213,9 +213,9 @@ def test_contacts_given_by_tangents_in_motion(name, turn):
 
 def test_tangents_with_two_rates_or_half_of_one_are_refused():
     T = np.eye(6)[:, :2]
-    with pytest.raises(InvalidInputError, match="n_gamma or T_dot_beta"):
+    with raises(InvalidInputError, match="n_gamma or T_dot_beta"):
         Contact.from_tangents(T, np.zeros(4), T_dot_beta=np.zeros(6))
-    with pytest.raises(InvalidInputError, match=r"T_dot_beta: expected shape \(6\)"):
+    with raises(InvalidInputError, match=r"T_dot_beta: expected shape \(6\)"):
         Contact.from_tangents(T, T_dot_beta=np.zeros(3))
 
 
@@ -230,11 +230,11 @@ def test_impossible_stacks_are_refused():
         (np.eye(6) + 1e-3 * np.eye(6, k=1), "it is not symmetric"),
         (np.ones((6, 6)) + np.diag([0.0] * 5 + [1]), "positive definite"),
     ):
-        with pytest.raises(InvalidInputError, match=words):
+        with raises(InvalidInputError, match=words):
             Contact.stack(parts, wrong)
-    with pytest.raises(InvalidInputError, match=r"alpha: expected shape \(3\)"):
+    with raises(InvalidInputError, match=r"alpha: expected shape \(3\)"):
         Contact.stack(parts).magnitudes(np.ones(4))
-    with pytest.raises(ContactError, match="NᵀT ≠ 0: column 0 of N does the power 1 on column 1"):
+    with raises(ContactError, match="NᵀT ≠ 0: column 0 of N does the power 1 on column 1"):
         Contact(np.eye(6)[:, :4], T=np.eye(6)[:, [4, 0]])
-    with pytest.raises(ContactError, match=r"T: columns \[0, 1\] are dependent"):
+    with raises(ContactError, match=r"T: columns \[0, 1\] are dependent"):
         Contact(np.eye(6)[:, :4], T=np.eye(6)[:, [4, 4]])

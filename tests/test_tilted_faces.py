@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
 from pair_kinds import pose_of
+from pytest import approx, mark
 from rigs import one_panda, random_state
 from test_reading import judged, point
 
@@ -46,14 +46,14 @@ def slid(scenario, duration):
 # --- against MuJoCo -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("about", [0.0, 90.0])
+@mark.parametrize("about", [0.0, 90.0])
 def test_fast_circles_on_a_face_that_is_believed_to_be_tilted(about):
     assert judged(circle(1.5, about)) < 0.01
     assert judged(circle(1.0, about, friction=0.2)) < 0.01
     assert judged(circle(1.0, about, {"force": {"tilt": 0}})) > 0.03
 
 
-@pytest.mark.parametrize("hertz", [0.5, 0.75, 1.0])
+@mark.parametrize("hertz", [0.5, 0.75, 1.0])
 def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
     """docs/tuning.md: of acceleration and brake that leak into the force."""
     cost = [judged(circle(hertz, about, {"force": {"tilt": 0}})) for about in (0.0, 90.0)]
@@ -65,12 +65,12 @@ def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
     K = 10 * np.pi
     leak = M * np.deg2rad(5) * 0.04 * w**2 / np.sqrt(2) / 10
     want = leak * abs(1 + 1.4 * K / (K / 6 + 1j * w)) * w / np.hypot(w, K)
-    assert np.mean(cost) == pytest.approx(want, rel=0.25)
+    assert np.mean(cost) == approx(want, rel=0.25)
 
 
 def test_the_normal_that_is_learnt_is_that_of_the_face():
     off, turned, _ = slid(circle(0.5), 3.0)
-    assert off < 0.1 and turned == pytest.approx(5.0, abs=0.1)
+    assert off < 0.1 and turned == approx(5.0, abs=0.1)
     off, turned, _ = slid(circle(0.5, gains={"force": {"tilt": "3 deg"}}), 2.0)
     assert 2.5 < turned < 3.001 and off > 1.9
 
@@ -108,8 +108,8 @@ def touching(kind, X, X_WE, rng):
     return osc.VertexOnFace(p, at, n, 0.01), X_WE
 
 
-@pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.parametrize("kind", ["vertex_on_face", "sphere_on_plane", "face_on_vertex"])
+@mark.parametrize("moving", [False, True])
+@mark.parametrize("kind", ["vertex_on_face", "sphere_on_plane", "face_on_vertex"])
 def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, moving):
     """N and n_γ against the pair made anew; the turn against its formula in world axes."""
     chain = one_panda()
@@ -165,7 +165,7 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
 
 
 def test_gains_for_one_mass_leave_faces_as_they_are_told():
-    assert osc.ForceGains().tilt == pytest.approx(np.deg2rad(10))
+    assert osc.ForceGains().tilt == approx(np.deg2rad(10))
     assert osc.ForceGains(30, 100).tilt == osc.ForceGains(bandwidth=5, tilt=0).tilt == 0.0
     assert osc.ForceGains(30, 100, tilt=0.1).tilt == 0.1
     plain = {"integral": 30}

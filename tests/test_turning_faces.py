@@ -2,9 +2,9 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
 from pair_kinds import KINDS, PLAIN, Motion, Path, rate
+from pytest import mark, raises
 from test_moving_face import HINGE, TURNING, on_the_move, rig_of
 from test_pairs import BY_T
 
@@ -54,7 +54,7 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose():
         assert_allclose(rail.pose(np.zeros(2)).homogeneous, np.eye(4), atol=1e-15)
 
 
-@pytest.mark.parametrize("name", sorted(set(KINDS) - BY_T))
+@mark.parametrize("name", sorted(set(KINDS) - BY_T))
 def test_N_follows_a_face_on_its_rail(name):
     """Gaps and N along the path, by finite differences, with the twist that the rail tells."""
     rng = np.random.default_rng(1)
@@ -80,7 +80,7 @@ def test_N_follows_a_face_on_its_rail(name):
     assert np.abs(N_dot).max() > 0.1
 
 
-@pytest.mark.parametrize("plant", ["rigid", "mujoco"])
+@mark.parametrize("plant", ["rigid", "mujoco"])
 def test_a_turning_face_is_where_its_signals_say(plant):
     rig = rig_of(f"plant.type={plant}", *TURNING)
     motion = rig.scenario.contacts[0].face.motion
@@ -133,7 +133,7 @@ def test_a_hinged_face_takes_the_power_of_its_contact():
     assert np.abs(power).max() > 1e-3
 
 
-@pytest.mark.slow
+@mark.slow
 def test_projected_power_vanishes_and_total_power_does_not_while_a_face_turns():
     recording = osc.run(
         osc.load_scenario("moving_face", [*TURNING, "plant.step=1 ms"]), plant="rigid", duration=1.3
@@ -144,7 +144,7 @@ def test_projected_power_vanishes_and_total_power_does_not_while_a_face_turns():
     assert np.ptp(turned, axis=0).max() > np.deg2rad(3.0)
 
 
-@pytest.mark.parametrize("face", [TURNING, HINGE], ids=["turning", "hinge"])
+@mark.parametrize("face", [TURNING, HINGE], ids=["turning", "hinge"])
 def test_mujoco_keeps_force_and_contact_on_a_face_that_turns(face):
     verdict = osc.metrics(osc.run(osc.load_scenario("moving_face", face), duration=2.0))
     for force in verdict["force"].values():
@@ -173,14 +173,14 @@ def test_a_turned_face_is_found_by_its_geometry_where_it_is():
 def test_a_turn_must_start_at_the_contact():
     turn = "{axis: [0, 1, 0], through: [0, 0, 0], signals: [{type: constant, value: 1 deg}]}"
     still = "[{type: constant, value: 0 mm}]"
-    with pytest.raises(osc.ScenarioError, match=r"left_end.*0\.0174\d* rad"):
+    with raises(osc.ScenarioError, match=r"left_end.*0\.0174\d* rad"):
         rig_of(
             "contacts.left_end.face.motion="
             f"{{type: conveyor, direction: [1, 0, 0], signals: {still}, turn: {turn}}}"
         ).plant()
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("change", "said"),
     [
         ({"axis": [0, 0, 0]}, "hinge.axis is zero"),
@@ -191,5 +191,5 @@ def test_a_turn_must_start_at_the_contact():
 )
 def test_impossible_hinges_are_refused(change, said):
     given = {"axis": [0, 0, 1], "through": [0, 0, 0], "inertia": 1.0} | change
-    with pytest.raises(osc.InvalidInputError, match=said):
+    with raises(osc.InvalidInputError, match=said):
         Hinge(**given)

@@ -5,10 +5,10 @@ import warnings
 import gymnasium
 import numpy as np
 import pinocchio as pin
-import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact.control.batch import BatchController
@@ -43,7 +43,7 @@ def part(env, observation, name):
     return observation[..., [i for i, n in enumerate(env.names) if n.startswith(name)]]
 
 
-@pytest.mark.parametrize("vary", [{}, MASS])
+@mark.parametrize("vary", [{}, MASS])
 def test_gymnasium_finds_nothing_wrong(vary):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -52,7 +52,7 @@ def test_gymnasium_finds_nothing_wrong(vary):
     assert [one for one in told if "infinity" not in one and "spec" not in one] == []
 
 
-@pytest.mark.parametrize("mode", list(AutoresetMode))
+@mark.parametrize("mode", list(AutoresetMode))
 def test_rows_are_reset_as_gymnasium_resets_environments(mode):
     """Two of three rows: random actions; the third runs away, which ends it earlier."""
     how = {"overrides": ("duration=0.3 s",), "move": (0.02, 0.01)}
@@ -76,14 +76,14 @@ def test_rows_are_reset_as_gymnasium_resets_environments(mode):
         for i in np.flatnonzero(over) if "final_obs" in one[4] else ():
             assert_array_equal(one[4]["final_obs"][i], other[4]["final_obs"][i])
         if mode is AutoresetMode.DISABLED and over.any():
-            with pytest.raises(osc.InvalidInputError, match="reset them"):
+            with raises(osc.InvalidInputError, match="reset them"):
                 ours.step(actions)
             x, y = (env.reset(options={"reset_mask": over.copy()})[0] for env in (ours, theirs))
             assert_array_equal(x, y)
     assert ends[0, 2] > 2 and ends[1, 0] >= 2 and ends[0, 0] == 0  # ran away; ran out of time
 
 
-@pytest.mark.parametrize("name", ["panda_edge", "two_contact_rod", "hinge_ball_rod"])
+@mark.parametrize("name", ["panda_edge", "two_contact_rod", "hinge_ball_rod"])
 def test_rows_of_a_fleet_are_single_runs(name):
     """Each row with its own masses, two of them alike, on two threads."""
     scenarios = [
@@ -166,13 +166,13 @@ def test_seeds_draw_the_same_episodes_again_and_others_draw_others():
 
 
 def test_what_cannot_be_batched_is_refused_with_the_reason():
-    with pytest.raises(osc.InvalidInputError, match="sensors have errors"):
+    with raises(osc.InvalidInputError, match="sensors have errors"):
         make_vector_env("workcell", 2)
-    with pytest.raises(osc.InvalidInputError, match="divides that of control"):
+    with raises(osc.InvalidInputError, match="divides that of control"):
         make_vector_env("panda_edge", 2, rate=70.0)
     env = make_vector_env("panda_edge", 2, overrides=SHORT, threads=1)
     env.reset()
-    with pytest.raises(osc.InvalidInputError, match="actions: expected"):
+    with raises(osc.InvalidInputError, match="actions: expected"):
         env.step(np.zeros((2, 6)))
 
 
@@ -198,7 +198,7 @@ def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given():
     assert_array_equal(tau, wanted)
     assert np.abs(tau[0] - tau[1]).max() > 0.1
     rod = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()
-    with pytest.raises(osc.InvalidInputError, match="one structure"):
+    with raises(osc.InvalidInputError, match="one structure"):
         batch.replace(0, rod)
-    with pytest.raises(osc.InvalidInputError, match="rows 0"):
+    with raises(osc.InvalidInputError, match="rows 0"):
         batch.replace(2, starts[0].controller)

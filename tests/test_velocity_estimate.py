@@ -1,8 +1,8 @@
 """The velocity estimate against the Riccati equation and against what it has to see."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
@@ -27,17 +27,15 @@ def riccati(noise, acceleration, dt):
     return K, P
 
 
-@pytest.mark.parametrize(
-    ("noise", "acceleration"), [(2e-5, 2.0), (1e-4, 0.5), (1e-6, 50.0), (1e-9, 2.0)]
-)
+@mark.parametrize(("noise", "acceleration"), [(2e-5, 2.0), (1e-4, 0.5), (1e-6, 50.0), (1e-9, 2.0)])
 def test_gains_are_those_of_the_riccati_equation(noise, acceleration):
     estimate = VelocityEstimate.optimal(noise, acceleration, DT)
     K, _ = riccati(noise, acceleration, DT)
     assert_allclose([estimate.alpha[0], estimate.beta[0] / DT], K, rtol=1e-6)
 
 
-@pytest.mark.parametrize("noise", np.geomspace(1e-15, 1e-2, 14))
-@pytest.mark.parametrize("dt", [1e-3, 2e-3, 4e-3, 1 / 60])
+@mark.parametrize("noise", np.geomspace(1e-15, 1e-2, 14))
+@mark.parametrize("dt", [1e-3, 2e-3, 4e-3, 1 / 60])
 def test_errors_of_velocity_never_alternate_for_long_however_good_the_sensor(noise, dt):
     """Eigenvalues of the error from sample to sample: at worst 0.27 from one to the next."""
     estimate = VelocityEstimate.optimal(noise, 2.0, dt)
@@ -127,12 +125,12 @@ def test_a_slow_sensor_is_followed_between_its_samples():
     assert np.abs(np.diff(x)).max() < 1e-3  # no jumps at the samples
 
 
-@pytest.mark.parametrize("bad", [(0.5, 3.5, DT), (-0.1, 0.1, DT), (0.5, 0.1, 0.0)])
+@mark.parametrize("bad", [(0.5, 3.5, DT), (-0.1, 0.1, DT), (0.5, 0.1, 0.0)])
 def test_unstable_gains_are_refused(bad):
-    with pytest.raises(osc.InvalidInputError, match="stable"):
+    with raises(osc.InvalidInputError, match="stable"):
         VelocityEstimate(np.array([bad[0]]), np.array([bad[1]]), bad[2])
 
 
 def test_a_sensor_without_any_error_is_refused():
-    with pytest.raises(osc.InvalidInputError, match="resolution"):
+    with raises(osc.InvalidInputError, match="resolution"):
         VelocityEstimate.optimal(0.0, 1.0, DT)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 from samples import first
 from test_moving_face import TURNING
 
@@ -60,7 +60,7 @@ def test_the_covariance_is_that_of_the_error():
         error = lacking(found.X, X_WC)
         squares.append(error @ np.linalg.solve(found.P, error))
         spread.append(error / np.sqrt(np.diag(found.P)))
-    assert np.mean(squares) == pytest.approx(6.0, abs=4 * np.sqrt(12 / 300))
+    assert np.mean(squares) == approx(6.0, abs=4 * np.sqrt(12 / 300))
     assert_allclose(np.std(spread, axis=0), 1.0, atol=0.15)
 
 
@@ -85,21 +85,21 @@ def test_pictures_are_averaged_and_a_wandering_camera_is_followed():
 
 def test_history_tells_what_was():
     history = History(0.1)
-    with pytest.raises(osc.InvalidInputError, match="empty"):
+    with raises(osc.InvalidInputError, match="empty"):
         history.at(0.0)
     for k in range(301):
         history.add(1e-3 * k, np.array([1e-3 * k, 2.0]))
     assert_allclose(history.at(0.2345), [0.2345, 2.0], atol=1e-12)
     assert_allclose(history.at(9.0), [0.3, 2.0])
-    assert history.at(0.0)[0] == pytest.approx(0.2, abs=2e-3)  # no further back than 0.1 s
+    assert history.at(0.0)[0] == approx(0.2, abs=2e-3)  # no further back than 0.1 s
     alone = History(1.0)
     alone.add(0.0, np.ones(1))
     assert alone.at(-1.0) == alone.at(5.0) == 1.0
 
 
-@pytest.mark.parametrize("bad", [{"position": 0.0}, {"prior": (1.0, 0.0)}, {"drift": (-1.0, 0.0)}])
+@mark.parametrize("bad", [{"position": 0.0}, {"prior": (1.0, 0.0)}, {"drift": (-1.0, 0.0)}])
 def test_impossible_noise_is_refused(bad):
-    with pytest.raises(osc.InvalidInputError, match="registration"):
+    with raises(osc.InvalidInputError, match="registration"):
         Registration(**{"position": 1e-3, "orientation": 1e-3} | bad)
 
 
@@ -176,7 +176,7 @@ VISION = (
 )
 
 
-@pytest.mark.parametrize("plant", first(["mujoco", "rigid"], 1))
+@mark.parametrize("plant", first(["mujoco", "rigid"], 1))
 def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
     """Against the true N, with and without the fusion, while the face travels and tilts."""
     slow = [c.replace(": 0.7 Hz", ": 0.1 Hz").replace(": 1 Hz", ": 0.1 Hz") for c in TURNING]

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_rigs import KINDS, random_case
 from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark
 from rigs import one_panda, panda_pair, random_state, scara_pair
 
 import osc_contact as osc
@@ -43,7 +43,7 @@ def test_along_S_they_are_the_reduced_ones():
     assert {4, 5, 6} <= ranks
 
 
-@pytest.mark.parametrize("name", CHAINS)
+@mark.parametrize("name", CHAINS)
 def test_the_wrench_has_the_power_of_all_that_moves(name):
     """Vᵀ(Λa + μ + p): what Newton and Euler (Pinocchio) give joints and object together."""
     chain = CHAINS[name]()
@@ -62,10 +62,10 @@ def test_the_wrench_has_the_power_of_all_that_moves(name):
         weight = chain.payload.terms(state.X_WO, state.V_O, model.gravity.linear)
         power += state.V_O @ (weight.Lambda @ a + weight.mu + weight.p)
         wrench = state.Lambda @ a + state.mu + state.p
-        assert wrench @ state.V_O == pytest.approx(power, rel=1e-8, abs=1e-8)
+        assert wrench @ state.V_O == approx(power, rel=1e-8, abs=1e-8)
 
 
-@pytest.mark.parametrize("name", CHAINS)
+@mark.parametrize("name", CHAINS)
 def test_the_equation_of_motion_in_world_axes(name):
     """Sᵀ(Λa + μ + p + f_c) = Gτ for the acceleration that `contact_response` predicts."""
     chain = CHAINS[name]()
@@ -130,7 +130,7 @@ def test_another_operational_point_carries_them_as_wrenches():
     close(carry.T @ there.Lambda @ carry, here.Lambda, 1e-8)
 
 
-@pytest.mark.parametrize("name", ["one_panda", "panda_pair"])
+@mark.parametrize("name", ["one_panda", "panda_pair"])
 def test_with_six_motions_the_inertia_is_the_inverse_of_the_mobility(name):
     """Λ₀ = Φ⁻¹ where d = 6; the SCARA pair's Φ has rank five and no inverse."""
     chain = CHAINS[name]()
