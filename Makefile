@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: venv browser demo test coverage mutants docs gallery dist bench clean
+.PHONY: venv browser demo check test test-all coverage mutants docs gallery dist bench clean
 
 venv: .venv/.installed
 
@@ -29,12 +29,18 @@ browser: venv
 			--no-install-recommends chromium fonts-liberation > /dev/null && \
 		$(BIN)/python -m osc_contact.visual.browser; }
 
-test: venv browser
+check: venv
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n auto --dist loadfile
+
+test: check browser
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
+
+# With the tests marked slow: more states, runs and faults of the same kinds.
+test-all: check browser
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 # Branches that the tests run. The law is compiled, which coverage cannot look into: its own tests run
 # without compilation first.

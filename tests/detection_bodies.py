@@ -1,12 +1,11 @@
 """Bodies and exact poses for the tests of detection."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.testing import assert_allclose
 
 from osc_contact.contacts.detection import CollisionShape, detect
 
@@ -50,7 +49,7 @@ def assert_same_range(N, expected, tolerance=1e-9):
     bases = [np.linalg.svd(scale * M, full_matrices=False) for M in (N, expected)]
     first, second = (svd.U[:, svd.S / svd.S[0] > 1e-6] for svd in bases)
     assert first.shape[1] == N.shape[1] == second.shape[1]
-    np.testing.assert_allclose(first @ first.T, second @ second.T, atol=tolerance)
+    assert_allclose(first @ first.T, second @ second.T, atol=tolerance)
 
 
 def assert_kept_by_its_pair(found, X_WO, X_WE, expected, gap=0.0):
@@ -59,10 +58,10 @@ def assert_kept_by_its_pair(found, X_WO, X_WE, expected, gap=0.0):
     contact = pair.contact(X_WO, np.zeros(6), X_WE, np.zeros(6))
     assert contact.r == found.r
     assert_same_range(contact.N, expected)
-    np.testing.assert_allclose(contact.n_gamma, 0.0, atol=1e-12)
+    assert_allclose(contact.n_gamma, 0.0, atol=1e-12)
     gaps = pair.gaps(X_WO, X_WE)
     assert gaps.shape == (found.r,)
-    np.testing.assert_allclose(gaps, gap, atol=1e-9)
+    assert_allclose(gaps, gap, atol=1e-9)
     assert (contact.N[:3].T @ found.normal < 0.0).all()  # into the environment
 
 

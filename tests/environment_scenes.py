@@ -1,4 +1,4 @@
-"""Chains that press on moving and yielding bodies: random scenes for the tests."""
+"""Bodies of the environment, and chains that press on them: random scenes for the tests."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from environment_oracle import Body, Touch, kkt
+from grasp_rigs import Case
 from rigs import one_panda, panda_pair, random_state, scara_pair
 
 import osc_contact as osc
@@ -26,6 +26,42 @@ RTOL = 1e-9
 def close_to(got, want):
     """Largest difference relative to the size of the vector."""
     return np.abs(got - want).max(initial=0.0) / max(np.abs(want).max(initial=0.0), 1e-3)
+
+
+LWA = pin.LOCAL_WORLD_ALIGNED
+
+
+@dataclass
+class Body:
+    """One mechanism of the environment: the state of a Pinocchio model, and the link touched."""
+
+    model: pin.Model
+    q: np.ndarray
+    v: np.ndarray
+    tau: np.ndarray
+    frame: str
+    prescribed: np.ndarray | None = None  # q̈ it has whatever presses on it
+
+    def __post_init__(self):
+        self.data = self.model.createData()
+        pin.forwardKinematics(self.model, self.data, self.q, self.v, 0 * self.v)
+        pin.updateFramePlacements(self.model, self.data)
+        self.id = self.model.getFrameId(self.frame)
+        self.X = self.data.oMf[self.id]
+
+    @property
+    def V(self):
+        """Twist at the origin of the touched frame, world axes."""
+        return pin.getFrameVelocity(self.model, self.data, self.id, LWA).vector
+
+
+@dataclass
+class Touch:
+    """Vertex of the object (object frame) on a face of bodies[body] (normal in its frame)."""
+
+    vertex: np.ndarray
+    normal: np.ndarray
+    body: int
 
 
 # Bodies of the environment, each as a Pinocchio model and as an Environment -----------------------
@@ -47,7 +83,8 @@ def one_joint(joint, rng, X, prescribed=False):
     model.addJointFrame(model.addJoint(0, joint, X, "body"))
     model.appendBodyToJoint(1, random_inertia(rng), pin.SE3.Identity())
     q = pin.integrate(model, pin.neutral(model), rng.uniform(-0.5, 0.5, model.nv))
-    v, tau = rng.uniform(-1, 1, model.nv), rng.normal(size=model.nv) * 5
+    v = rng.uniform(-1, 1, model.nv)
+    tau = rng.normal(size=model.nv) * 5
     acceleration = rng.normal(size=model.nv) * 3 if prescribed else None
     return Body(model, q, v, tau, "body", acceleration)
 
@@ -61,7 +98,7 @@ def rigid(rng, at):
     body = one_joint(pin.JointModelFreeFlyer(), rng, random_placement(rng, at))
     R = body.X.rotation
     wrench = np.concatenate((R @ body.tau[:3], R @ body.tau[3:]))
-    return body, lambda O: Environment.rigid_body(  # noqa: E741
+    return body, lambda O: Environment.rigid_body(
         body.model.inertias[1], X_WE=body.X, V_E=body.V, O=O, gravity=G, wrench=wrench
     )
 
@@ -74,7 +111,7 @@ def guided(joint):
         axes = np.column_stack([replace(body, v=e).V for e in np.eye(body.model.nv)])
         if body.model.nv == 1:
             axes = axes[:, 0]
-        return body, lambda O: Environment.rail(  # noqa: E741
+        return body, lambda O: Environment.rail(
             body.model.inertias[1],
             X_WE=body.X,
             axes=axes,
@@ -98,23 +135,24 @@ def linkage(rng, at):
         X = random_placement(rng, np.zeros(3))
         model.addFrame(pin.Frame(name, k, 0, X, pin.FrameType.OP_FRAME))
     body = Body(model, rng.normal(size=2), rng.normal(size=2), rng.normal(size=2) * 2, "touched")
-    return body, lambda O: Environment.articulated(  # noqa: E741
+    return body, lambda O: Environment.articulated(
         body.model, body.q, body.v, body.tau, "touched", O
     )
 
 
 def moving(rng, at):
     body = one_joint(pin.JointModelFreeFlyer(), rng, random_placement(rng, at), prescribed=True)
-    R, v, a = body.X.rotation, body.v, body.prescribed
+    R = body.X.rotation
+    v = body.v
+    a = body.prescribed
     classical = np.concatenate((R @ (a[:3] + np.cross(v[3:], v[:3])), R @ a[3:]))
-    return body, lambda O: Environment.moving(  # noqa: E741
-        X_WE=body.X, V_E=body.V, A_E=classical, O=O
-    )
+    return body, lambda O: Environment.moving(X_WE=body.X, V_E=body.V, A_E=classical, O=O)
 
 
 def on_joints(rng, at, *joints, inertia):
     """E on joints at a random point c, E's axes the world's and its origin there at q = 0."""
-    model, c = pin.Model(), at + rng.uniform(-0.3, 0.3, 3)
+    model = pin.Model()
+    c = at + rng.uniform(-0.3, 0.3, 3)
     for k, joint in enumerate(joints):
         X = pin.SE3(np.eye(3), np.zeros(3) if k else c)
         model.addJoint(k, joint, X, f"joint{k}")
@@ -126,26 +164,31 @@ def on_joints(rng, at, *joints, inertia):
 
 def hinged(rng, at):
     """`Hinge`: a body whose centre of mass lies on the axis, with a spring and a damper."""
-    a, joint = axis(rng), pin.JointModelRevoluteUnaligned
+    a = axis(rng)
+    joint = pin.JointModelRevoluteUnaligned
     body = random_inertia(rng)
     balanced = pin.Inertia(body.mass, rng.normal() * a, body.inertia)
     model, c, q, v = on_joints(rng, at, joint(a), inertia=balanced)
     k, d, preload = rng.uniform(0, 5, 3)
     hinge = Hinge(2.0 * a, c + rng.normal() * a, a @ body.inertia @ a, k, d, preload)
     body = Body(model, q, v, preload - k * q - d * v, "E")
-    return body, lambda O: hinge.environment(body.X, body.V, np.zeros(6), O)  # noqa: E741
+    return body, lambda O: hinge.environment(body.X, body.V, np.zeros(6), O)
 
 
 def turning(rng, at):
     """`Rail` and `Conveyor`: a driven slide that carries a driven hinge."""
-    u, a, rates = axis(rng), axis(rng), rng.normal(size=2) * 3
+    u = axis(rng)
+    a = axis(rng)
+    rates = rng.normal(size=2) * 3
     joints = pin.JointModelPrismaticUnaligned(u), pin.JointModelRevoluteUnaligned(a)
     model, c, q, v = on_joints(rng, at, *joints, inertia=random_inertia(rng))
     rail = Rail(u, a, c, lambda t: (q, v, rates))
     seen = touched([rail], [0], q[None], v[None], rates[None])
-    X, V, A = pin.SE3(seen.X_WE[0]), seen.V_E[0], seen.A_E[0]
+    X = pin.SE3(seen.X_WE[0])
+    V = seen.V_E[0]
+    A = seen.A_E[0]
     body = Body(model, q, v, np.zeros(2), "E", rates)
-    return body, lambda O: Conveyor().environment(X, V, A, O)  # noqa: E741
+    return body, lambda O: Conveyor().environment(X, V, A, O)
 
 
 rail = guided(lambda rng: pin.JointModelPrismaticUnaligned(axis(rng)))
@@ -179,25 +222,36 @@ class Scene:
     v: np.ndarray
     N_dot: np.ndarray
 
-    def solve(self, tau):
-        return kkt(self.chain, self.q, self.v, tau, self.bodies, self.touches)
+    def solve(self, tau, mu=0.0):
+        """What motor torques make of it all, with friction mu."""
+        from kkt_oracle import Contact, State, Touched
 
-    def normal_acceleration(self, truth):
-        """nᵀa_e of each touched body along its own contact."""
-        return np.concatenate(
-            [p.N.T @ truth.a_e[t.body] for p, t in zip(self.parts, self.touches, strict=True)]
+        X = self.state.X_WO
+        case = Case(self.chain, self.q, X, [("rigid", g.X_TO, None) for g in self.chain.grasps])
+        touched = [Touched(body, None, "") for body in self.bodies]
+        pairs = pairs_at(self.state, self.bodies, self.touches)
+        whole = State(
+            case,
+            [Contact("", p, touched[t.body], X) for p, t in zip(pairs, self.touches, strict=True)],
+            mu,
         )
+        whole._at(self.v, self.state.V_O)
+        return whole.answer(tau)
+
+
+def pairs_at(state, bodies, touches):
+    """Vertex and face of each touch, so placed that they meet."""
+    points = [bodies[t.body].X.actInv(state.X_WO.act(t.vertex)) for t in touches]
+    return [VertexOnFace(t.vertex, p, t.normal) for t, p in zip(touches, points, strict=True)]
 
 
 def contacts_at(state, bodies, touches):
-    """The contact of each touch at this instant, from vertex and face through the public pair."""
-    parts = []
-    for touch in touches:
-        body = bodies[touch.body]
-        point = body.X.actInv(state.X_WO.act(touch.vertex))
-        pair = VertexOnFace(touch.vertex, point, touch.normal)
-        parts.append(pair.contact(state.X_WO, state.V_O, body.X, body.V))
-    return parts
+    """The contact of each touch at this instant."""
+    on = [bodies[t.body] for t in touches]
+    return [
+        pair.contact(state.X_WO, state.V_O, body.X, body.V)
+        for pair, body in zip(pairs_at(state, bodies, touches), on, strict=True)
+    ]
 
 
 def following(chain, q, v, N, normal_speed):
@@ -217,9 +271,10 @@ def scene(rig, kind, rng):
     while True:
         q, v = random_state(chain, rng)
         state = chain.state(q, v)
-        O = state.X_WO.translation  # noqa: E741
+        O = state.X_WO.translation
         made = [make(rng, O) for make in makers]
-        bodies, each = [m[0] for m in made], [m[1](O) for m in made]
+        bodies = [m[0] for m in made]
+        each = [m[1](O) for m in made]
         touches = [Touch(rng.uniform(-0.3, 0.3, 3), rng.normal(size=3), i) for i in owners]
         N = np.hstack([p.N for p in contacts_at(state, bodies, touches)])
         try:
@@ -233,10 +288,23 @@ def scene(rig, kind, rng):
         behind = [each[i] for i in owners]
         environment = Environment.combine(parts, behind, state.metric)
         contact = osc.Contact.stack(parts)
-        rates = [_rate(state, p.N[:3, 0], each[i].V_e, t.vertex)
-                 for p, t, i in zip(parts, touches, owners, strict=True)]  # fmt: skip
-        return Scene(chain, state, contact, parts, behind, environment, bodies, touches, q, v,
-                     np.column_stack(rates))  # fmt: skip
+        rates = [
+            _rate(state, p.N[:3, 0], each[i].V_e, t.vertex)
+            for p, t, i in zip(parts, touches, owners, strict=True)
+        ]
+        return Scene(
+            chain,
+            state,
+            contact,
+            parts,
+            behind,
+            environment,
+            bodies,
+            touches,
+            q,
+            v,
+            np.column_stack(rates),
+        )
 
 
 def _rate(state, n, V_e, vertex):
@@ -249,10 +317,10 @@ def _rate(state, n, V_e, vertex):
 
 def cases(*rigs):
     return pytest.mark.parametrize(
-        "rig, kind", [(rig, kind) for rig in rigs for kind in KINDS], ids=lambda x: str(
-            getattr(x, "__name__", x)
-        )
-    )  # fmt: skip
+        "rig, kind",
+        [(rig, kind) for rig in rigs for kind in KINDS],
+        ids=lambda x: str(getattr(x, "__name__", x)),
+    )
 
 
 def twist_at(body, state):

@@ -40,25 +40,30 @@ class System:
     grasps: (kind, X_TO, axis in tip frame) for each arm.
     """
 
-    def __init__(self, model, tips, grasps, body, q, v, X_WO, V_O):
+    def __init__(self, model, tips, grasps, body, *, q, v, X_WO, V_O):
         data = model.createData()
         n = model.nv
         self.n = n
         pin.computeAllTerms(model, data, q, v)
-        self.M, self.h = np.array(data.M), np.array(data.nle)
+        self.M = np.array(data.M)
+        self.h = np.array(data.nle)
         pin.forwardKinematics(model, data, q, v, np.zeros(n))
         pin.updateFramePlacements(model, data)
         self.V = V_O
-        p, R, w = X_WO.translation, X_WO.rotation, V_O[3:]
+        p = X_WO.translation
+        R = X_WO.rotation
+        w = V_O[3:]
         c = R @ body.lever
-        cx, m = pin.skew(c), body.mass
+        cx = pin.skew(c)
+        m = body.mass
         I_O = R @ body.inertia @ R.T - m * cx @ cx
         self.I = np.block([[m * np.eye(3), -m * cx], [m * cx, I_O]])
         g = np.array(model.gravity.linear)
         self.pull = np.concatenate(
             (m * g - m * np.cross(w, np.cross(w, c)), m * np.cross(c, g) - np.cross(w, I_O @ w))
         )
-        self.rows, self.ends = [], [0]
+        self.rows = []
+        self.ends = [0]
         for tip, (kind, X_TO, axis) in zip(tips, grasps, strict=True):
             f = model.getFrameId(tip)
             X = data.oMf[f]
@@ -66,13 +71,17 @@ class System:
             u = pin.getFrameVelocity(model, data, f, LWA).vector
             a = pin.getFrameClassicalAcceleration(model, data, f, LWA).vector
             held = R @ X_TO.inverse().translation  # from O to the grasp's point of the object
-            self._grasp(kind, axis, X, J, u, a, p, held, w, R @ X_TO.rotation.T)
+            tip = X, J, u, a
+            self._grasp(kind, axis, tip, p, held, w, R @ X_TO.rotation.T)
             self.ends.append(len(self.rows))
 
-    def _grasp(self, kind, axis, X, J, u, a, p, held, w, R_OT):
+    def _grasp(self, kind, axis, tip, p, held, w, R_OT):
         """`held`: O to the point G of the object that the grasp holds; R_OT: its axes there."""
-        E, zero = np.eye(3), np.zeros(3)
-        wt, at = u[3:], a[3:]
+        X, J, u, a = tip
+        E = np.eye(3)
+        zero = np.zeros(3)
+        wt = u[3:]
+        at = a[3:]
         r = p + held - X.translation
         rdot = self.V[:3] + np.cross(w, held) - u[:3]
         # r̈ = p̈ + ω̇×held + ω×(ω×held) − (tip's)
@@ -104,8 +113,10 @@ class System:
             "ball": [],
         }[kind]
         for of_tip, of_object in pairs:  # stay perpendicular
-            s, b = X.rotation @ of_tip, R_OT @ of_object
-            sdot, bdot = np.cross(wt, s), np.cross(w, b)
+            s = X.rotation @ of_tip
+            b = R_OT @ of_object
+            sdot = np.cross(wt, s)
+            bdot = np.cross(w, b)
             bias = (
                 (np.cross(at, s) + np.cross(wt, sdot)) @ b + 2 * sdot @ bdot + s @ np.cross(w, bdot)
             )
@@ -120,18 +131,25 @@ class System:
         free = Vh[np.count_nonzero(s > 1e-9 * s[0]) :]
         return free.T @ (free @ rng.normal(size=self.n + 6))
 
-    def solve(self, force, N, n_gamma) -> Solution:
+    def solve(self, force, N, n_gamma):
         """Accelerations and contact forces under joint forces (n,)."""
-        n, k, r = self.n, len(self.rows), N.shape[1]
+        n = self.n
+        k = len(self.rows)
+        r = N.shape[1]
         size = n + 6 + k + r
-        K, y = np.zeros((size, size)), np.zeros(size)
-        K[:n, :n], K[n : n + 6, n : n + 6] = self.M, self.I
-        y[:n], y[n : n + 6] = force - self.h, self.pull
-        v, w = self.V[:3], self.V[3:]
+        K = np.zeros((size, size))
+        y = np.zeros(size)
+        K[:n, :n] = self.M
+        K[n : n + 6, n : n + 6] = self.I
+        y[:n] = force - self.h
+        y[n : n + 6] = self.pull
+        v = self.V[:3]
+        w = self.V[3:]
         for i, row in enumerate(self.rows):
             K[n + 6 + i, : n + 6] = K[: n + 6, n + 6 + i] = row.coefficients
             y[n + 6 + i] = row.right
-        K[n : n + 6, n + 6 + k :], K[n + 6 + k :, n : n + 6] = N, N.T
+        K[n : n + 6, n + 6 + k :] = N
+        K[n + 6 + k :, n : n + 6] = N.T
         y[n + 6 + k :] = n_gamma + N.T @ np.concatenate((np.cross(w, v), np.zeros(3)))
         scale = 1.0 / np.sqrt(np.abs(K).max(axis=1))
         Ks = K * np.outer(scale, scale)
@@ -152,7 +170,7 @@ def across(axis):
     return first, np.cross(axis / np.linalg.norm(axis), first)
 
 
-def kkt(chain, q, v, tau, N=None, n_gamma=None) -> Solution:
+def kkt(chain, q, v, tau, N=None, n_gamma=None):
     """Arms that hold the object rigidly; its state is that of the first arm's tip."""
     model = chain.model
     data = model.createData()
@@ -164,7 +182,7 @@ def kkt(chain, q, v, tau, N=None, n_gamma=None) -> Solution:
     shift = np.cross(V[3:], X_WO.translation - X_WT.translation)
     grasps = [("rigid", grasp.X_TO, None) for grasp in chain.grasps]
     V_O = np.concatenate((V[:3] + shift, V[3:]))
-    system = System(model, tips, grasps, chain.payload.inertia, q, v, X_WO, V_O)
+    system = System(model, tips, grasps, chain.payload.inertia, q=q, v=v, X_WO=X_WO, V_O=V_O)
     force = -model.damping * v
     force[chain.actuated] += tau
     N = np.zeros((6, 0)) if N is None else N
@@ -179,7 +197,9 @@ class ClosedLoop:
         model = chain.model.copy()
         joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "object")
         model.appendBodyToJoint(joint, chain.payload.inertia, pin.SE3.Identity())
-        self.model, self.data, self.ties = model, model.createData(), []
+        self.model = model
+        self.data = model.createData()
+        self.ties = []
         for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
             tip = model.frames[model.getFrameId(f"{arm.name}/{arm.tip}")]
             rows = pin.ContactType.CONTACT_6D if grasp.is_rigid else pin.ContactType.CONTACT_3D
@@ -191,7 +211,8 @@ class ClosedLoop:
 
     def acceleration(self, q, v, X_WO, V_O, tau, wrench=None):
         """Spatial acceleration (6,) of the object at O, world axes; wrench (6,) on it there."""
-        n, R = self.chain.nq, X_WO.rotation
+        n = self.chain.nq
+        R = X_WO.rotation
 
         def own(x):  # in the object's axes
             return np.concatenate((R.T @ x[:3], R.T @ x[3:]))
@@ -199,6 +220,7 @@ class ClosedLoop:
         Q = np.concatenate((q, pin.SE3ToXYZQUAT(X_WO)))
         force = np.concatenate((np.zeros(n), np.zeros(6) if wrench is None else own(wrench)))
         force[self.chain.actuated] = tau
-        U, ties = np.concatenate((v, own(V_O))), (self.ties, self.tie_data)
+        U = np.concatenate((v, own(V_O)))
+        ties = (self.ties, self.tie_data)
         a = pin.constraintDynamics(self.model, self.data, Q, U, force, *ties, self.settings)
         return np.concatenate((R @ a[n : n + 3], R @ a[n + 3 :]))

@@ -26,7 +26,8 @@ def _urdf(kind):
 
 def planar(joints, rng):
     """Two to four parallel axes."""
-    model, last = pin.Model(), 0
+    model = pin.Model()
+    last = 0
     for i in range(joints):
         at = np.array([0.35 if i else 0.0, 0.0, 0.02 * i])
         last = model.addJoint(last, pin.JointModelRZ(), pin.SE3(np.eye(3), at), f"joint{i}")
@@ -52,7 +53,8 @@ def posture(kind, rng, bend):
 
 def grasp_of(kind, X_TO, axis):
     a = axis / np.linalg.norm(axis)
-    turn, slide = np.concatenate((np.zeros(3), a)), np.concatenate((a, np.zeros(3)))
+    turn = np.concatenate((np.zeros(3), a))
+    slide = np.concatenate((a, np.zeros(3)))
     return {
         "rigid": lambda: X_TO,
         "hinge": lambda: osc.Grasp.hinge(X_TO, axis),
@@ -69,7 +71,8 @@ def grasp_of(kind, X_TO, axis):
 def slip_of(kind, axis, rng):
     """A random motion that the grasp permits, far from zero."""
     a = axis / np.linalg.norm(axis)
-    turn, slide = rng.uniform(-2, 2) * a, rng.uniform(-0.05, 0.05) * a
+    turn = rng.uniform(-2, 2) * a
+    slide = rng.uniform(-0.05, 0.05) * a
     R = {"hinge": pin.exp3(turn), "cylinder": pin.exp3(turn), "ball": pin.exp3(rng.normal(size=3))}
     p = slide if kind in ("slide", "cylinder") else np.zeros(3)
     if kind in ("screw", "plane"):
@@ -91,7 +94,7 @@ class Case:
         chain = self.chain
         tips = [f"{arm.name}/{arm.tip}" for arm in chain.arms]
         body = pin.Inertia.Zero() if chain.payload is None else chain.payload.inertia
-        return System(chain.model, tips, self.grasps, body, self.q, v, self.X_WO, V)
+        return System(chain.model, tips, self.grasps, body, q=self.q, v=v, X_WO=self.X_WO, V_O=V)
 
     def moving(self, rng, N=None):
         """(v, V_O) that keep loops and contacts."""
@@ -100,10 +103,13 @@ class Case:
         return x[: self.chain.nq], x[self.chain.nq :]
 
 
-def random_case(arms, kinds, rng, bends=None, tolerance=1e-3, upright=False, body=BODY) -> Case:
+def random_case(arms, kinds, rng, bends=None, tolerance=1e-3, upright=False, body=BODY):
     """Arms of `arms` with grasps of `kinds`, bases wherever that puts them."""
     X_WO = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-0.5, 0.5, 3)), rng.uniform(-0.5, 0.5, 3))
-    parts, held, told, positions = [], [], [], []
+    parts = []
+    held = []
+    told = []
+    positions = []
     for i, (arm, kind) in enumerate(zip(arms, kinds, strict=True)):
         model, tip, passive = planar(int(arm[0]), rng) if arm[0] in "234" else _urdf(arm)
         bend = rng.uniform(0.5, 1.5) if bends is None else bends[i]
@@ -111,7 +117,8 @@ def random_case(arms, kinds, rng, bends=None, tolerance=1e-3, upright=False, bod
         axis = rng.normal(size=3)
         turned = pin.rpy.rpyToMatrix(*rng.uniform(-1.5, 1.5, 3))
         if upright:
-            turned, axis = pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3)), np.array([0, 0, 1.0])
+            turned = pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3))
+            axis = np.array([0, 0, 1.0])
             X_WO = pin.SE3(np.eye(3), X_WO.translation)
         X_TO = pin.SE3(turned, rng.uniform(-0.2, 0.2, 3))
         slip = slip_of(kind, axis, rng)
@@ -124,9 +131,13 @@ def random_case(arms, kinds, rng, bends=None, tolerance=1e-3, upright=False, bod
             "ur5": "wrist_3_link",
         }
         made = osc.Arm.from_urdf(
-            model, name=f"arm{i}", tip=tip, passive_joints=passive,
-            wrist_sensor=sensor[arm], damping=0.0,  # the oracles know none
-        )  # fmt: skip
+            model,
+            name=f"arm{i}",
+            tip=tip,
+            passive_joints=passive,
+            wrist_sensor=sensor[arm],
+            damping=0.0,  # the oracles know none
+        )
         limits = made.model.lowerPositionLimit, made.model.upperPositionLimit
         made.model.lowerPositionLimit = np.minimum(limits[0], q - 1.0)  # random postures know none
         made.model.upperPositionLimit = np.maximum(limits[1], q + 1.0)

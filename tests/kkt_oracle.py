@@ -13,9 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-from environment_oracle import Body, _solve
 from environment_scenes import KINDS as SCENES
-from environment_scenes import axis, on_joints
+from environment_scenes import Body, axis, on_joints
 from grasp_rigs import Case
 from pair_kinds import KINDS as PAIRS
 from pair_kinds import PLAIN, Coordinates, rate
@@ -32,7 +31,8 @@ STEP = 0.02  # of the differences (m or rad)
 
 def cart(rng, at):
     """A mass on a rail from the world's origin, with spring and damper."""
-    u, (mass, k, c, preload) = axis(rng), rng.uniform(1.0, 5.0, 4)
+    u = axis(rng)
+    (mass, k, c, preload) = rng.uniform(1.0, 5.0, 4)
     joint = pin.JointModelPrismaticUnaligned(u)
     model, _, q, v = on_joints(rng, at, joint, inertia=pin.Inertia.FromSphere(mass, 0.1))
     body = Body(model, q, v, preload - k * q - c * v, "E")
@@ -49,7 +49,7 @@ class Answering:
     def __init__(self, answer):
         self.answer = answer
 
-    def environment(self, X_WE, V_E, A_E, O):  # noqa: E741
+    def environment(self, X_WE, V_E, A_E, O):
         return self.answer(O)
 
 
@@ -73,13 +73,25 @@ class Touched:
 
     def pose(self, step):
         """Pose of the touched link, the joints displaced by step (nv,)."""
-        model, data = self.body.model, self.body.model.createData()
+        model = self.body.model
+        data = self.body.model.createData()
         pin.framesForwardKinematics(model, data, pin.integrate(model, self.body.q, step))
         return data.oMf[self.body.id].copy()
 
+    def acceleration(self, qdd, O):
+        """(6,) spatial, at O, of the touched link."""
+        b = self.body
+        data = self.body.model.createData()
+        pin.forwardKinematics(b.model, data, b.q, b.v, qdd)
+        pin.updateFramePlacements(b.model, data)
+        a = pin.getFrameAcceleration(b.model, data, b.id, LWA).vector
+        a[:3] += np.cross(a[3:], O - self.X.translation)
+        return a
+
     def seen(self):
         """(28,) X_WE, V_E, A_E: the acceleration is told where a drive makes it."""
-        b, data = self.body, self.body.model.createData()
+        b = self.body
+        data = self.body.model.createData()
         told = np.zeros(b.model.nv) if b.prescribed is None else b.prescribed
         pin.forwardKinematics(b.model, data, b.q, b.v, told)
         pin.updateFramePlacements(b.model, data)
@@ -143,10 +155,14 @@ class Contact:
 
     def slip(self, V):
         """Velocity of a vertex against its face, the arms from O and from E to it, and J of E."""
-        X_WE, J, V_E = pin.SE3.Identity(), np.zeros((6, 0)), np.zeros(6)
+        X_WE = pin.SE3.Identity()
+        J = np.zeros((6, 0))
+        V_E = np.zeros(6)
         if self.on is not None:
-            b, data = self.on.body, self.on.body.model.createData()
-            X_WE, V_E = self.on.X, b.V
+            b = self.on.body
+            data = self.on.body.model.createData()
+            X_WE = self.on.X
+            V_E = b.V
             J = pin.computeFrameJacobian(b.model, data, b.q, b.id, LWA)
         n = X_WE.rotation @ self.pair.normal / np.linalg.norm(self.pair.normal)
         arm = self.X_WO.rotation @ self.pair.vertex - self.pair.radius * n
@@ -159,11 +175,7 @@ class Contact:
         out = self.bend(V) + self.along_object @ object_only
         if self.on is None:
             return out
-        b, data = self.on.body, self.on.body.model.createData()
-        pin.forwardKinematics(b.model, data, b.q, b.v, np.zeros(b.model.nv))
-        pin.updateFramePlacements(b.model, data)
-        drift = pin.getFrameAcceleration(b.model, data, b.id, LWA).vector
-        drift[:3] += np.cross(drift[3:], self.X_WO.translation - self.on.X.translation)
+        drift = self.on.acceleration(np.zeros(len(self.on.body.v)), self.X_WO.translation)
         return out + self.along_object @ drift
 
     def friction(self, V, mu):
@@ -176,14 +188,29 @@ class Contact:
 # Everything at once -------------------------------------------------------------------------------
 
 
+def _solve(K, y):
+    """Least squares, equilibrated and refined: the loop of two SCARAs has a redundant row."""
+    scale = 1.0 / np.sqrt(np.abs(K).max(axis=1))
+    Ks = K * np.outer(scale, scale)
+    x = scale * np.linalg.lstsq(Ks, scale * y, rcond=1e-13)[0]
+    for _ in range(2):
+        x += scale * np.linalg.lstsq(Ks, scale * (y - K @ x), rcond=1e-13)[0]
+    return x
+
+
 @dataclass
 class Answer:
-    """Accelerations of joints and object, contact forces, wrench (6,) of each arm at O."""
+    """Accelerations of joints and object, contact forces, wrench (6,) of each arm at O.
+
+    a, a_object: classical and spatial; a_e: spatial ones of the touched bodies, at O.
+    """
 
     qdd: np.ndarray
     a: np.ndarray
     alpha: np.ndarray
     loops: list
+    a_object: np.ndarray
+    a_e: list
 
 
 @dataclass
@@ -207,7 +234,8 @@ class State:
     def _at(self, v, V):
         """Grasps, and the accelerations they permit: x₀ + Z y of all joints and the object."""
         self.v, self.V, self.system = v, V, self.case.system(v, V)
-        rows, n = self.system.rows, self.n
+        rows = self.system.rows
+        n = self.n
         self.grasps = np.vstack([np.zeros((0, n + 6)), *(row.coefficients for row in rows)])
         U, values, Vh = np.linalg.svd(self.grasps)
         rank = np.count_nonzero(values > 1e-9 * values.max(initial=1.0))
@@ -229,22 +257,33 @@ class State:
 
     def answer(self, tau):
         """What motor torques (n_a,) make of all that is connected."""
-        s, n, end, parts = self.system, self.n + 6, self.n + 6, {}
+        s = self.system
+        n = self.n + 6
+        end = self.n + 6
+        parts = {}
         for one in self.bodies:
             parts[id(one)] = slice(end, end + one.body.model.nv)
             end += one.body.model.nv
-        M, force, rows, right = np.zeros((end, end)), np.zeros(end), [], []
-        M[: self.n, : self.n], M[self.n : n, self.n : n] = s.M, s.I
+        M = np.zeros((end, end))
+        force = np.zeros(end)
+        rows = []
+        right = []
+        M[: self.n, : self.n] = s.M
+        M[self.n : n, self.n : n] = s.I
         friction = self.case.chain.model.damping * self.v
-        force[: self.n], force[self.n : n] = -s.h - friction, s.pull
+        force[: self.n] = -s.h - friction
+        force[self.n : n] = s.pull
         force[self.case.chain.actuated] += tau
         for row in s.rows:
             rows.append(np.concatenate((row.coefficients, np.zeros(end - n))))
             right.append(row.right)
         for one in self.bodies:
-            b, part, data = one.body, parts[id(one)], one.body.model.createData()
+            b = one.body
+            part = parts[id(one)]
+            data = one.body.model.createData()
             pin.computeAllTerms(b.model, data, b.q, b.v)
-            M[part, part], force[part] = data.M, b.tau - data.nle
+            M[part, part] = data.M
+            force[part] = b.tau - data.nle
             if b.prescribed is not None:
                 rows.extend(np.eye(end)[part])
                 right.extend(b.prescribed)
@@ -263,26 +302,35 @@ class State:
             rows.extend(row)
             pushes.extend(row + lean)
             right.extend(-c.bend(self.V))
-        A, P = np.reshape(rows, (-1, end)), np.reshape(pushes, (-1, end))
+        A = np.reshape(rows, (-1, end))
+        P = np.reshape(pushes, (-1, end))
         K = np.block([[M, -P.T], [A, np.zeros((len(A), len(A)))]])
         y = np.concatenate((force, right))
         x = _solve(K, y)
         assert np.abs(K @ x - y).max() < 1e-9 * max(1.0, np.abs(y).max())
         pulls = P[: self.system.ends[-1], self.n : n] * x[end : end + self.system.ends[-1], None]
         loops = [pulls[a:b].sum(axis=0) for a, b in pairwise(self.system.ends)]
-        return Answer(x[: self.n], x[self.n : n], x[end + first :], loops)
+        a = x[self.n : n]
+        w = self.V[3:]
+        O = self.case.X_WO.translation
+        spatial = a - np.concatenate((np.cross(w, self.V[:3]), np.zeros(3)))
+        a_e = [one.acceleration(x[parts[id(one)]], O) for one in self.bodies]
+        return Answer(x[: self.n], a, x[end + first :], loops, spatial, a_e)
 
     def readings(self, answer):
         """(arms, 6) of the wrist sensors: what moves the object and the links beyond them."""
-        chain, out = self.case.chain, []
-        model, data = chain.model, chain.model.createData()
+        chain = self.case.chain
+        out = []
+        model = chain.model
+        data = chain.model.createData()
         pin.forwardKinematics(model, data, self.case.q, self.v, answer.qdd)
         pin.updateFramePlacements(model, data)
         at_O = pin.SE3(np.eye(3), self.case.X_WO.translation)
         for arm, links, pull in zip(chain.arms, chain.outboard, answer.loops, strict=True):
             total = at_O.act(pin.Force(pull))
             for link in links:
-                X, V = data.oMi[link.joint], data.v[link.joint]
+                X = data.oMi[link.joint]
+                V = data.v[link.joint]
                 a = data.a[link.joint] - X.actInv(model.gravity)
                 total += X.act(link.inertia * a + V.cross(link.inertia * V))
             sensor = data.oMf[model.getFrameId(f"{arm.name}/{arm.wrist_sensor}")]
@@ -291,7 +339,9 @@ class State:
 
     def nearest(self, W, target, value):
         """The acceleration that the grasps permit nearest to target (6,) in W, N a = value (r,)."""
-        S, NS, r = self.S, self.N @ self.S, len(self.N)
+        S = self.S
+        NS = self.N @ self.S
+        r = len(self.N)
         K = np.block([[S.T @ W @ S, NS.T], [NS, np.zeros((r, r))]])
         y = np.concatenate((S.T @ W @ (target - self.sigma), value - self.N @ self.sigma))
         return S @ _solve(K, y)[: S.shape[1]] + self.sigma
@@ -300,14 +350,17 @@ class State:
         """(6, 6) what object and arms weigh together, in the motions that the grasps permit."""
         n = self.n
         M = np.zeros((n + 6, n + 6))
-        M[:n, :n], M[n:, n:] = self.system.M, self.system.I
+        M[:n, :n] = self.system.M
+        M[n:, n:] = self.system.I
         own = self.Z[:, n:] @ self.S
         mobility = own.T @ np.linalg.solve(self.Z @ M @ self.Z.T, own)
         return self.S @ np.linalg.inv(mobility) @ self.S.T
 
     def apart(self, N=None):
         """How far the columns are from dependence, as object and arms feel them: 0 … 1."""
-        N, inertia, S = self.N if N is None else N, self.system.I, self.S
+        N = self.N if N is None else N
+        inertia = self.system.I
+        S = self.S
         if len(N) > S.shape[1]:
             return 0.0
         size = np.sqrt(np.einsum("ri,ir->r", N, np.linalg.solve(inertia, N.T)))

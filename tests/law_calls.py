@@ -4,8 +4,6 @@
 is whatever it calls. Tests pass records made by hand, so that each part is judged alone.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from importlib import import_module
 

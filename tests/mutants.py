@@ -26,7 +26,6 @@ import signal
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
 from difflib import unified_diff
 from importlib import import_module
 from pathlib import Path
@@ -45,11 +44,30 @@ ROOT = Path(__file__).resolve().parent.parent
 LEFT_OUT = ("__init__.py", "accelerator.py", "compiled.py", "jit.py", "records.py")
 MODULES = ("projections.py", "spans.py", "response.py", "control/monitor.py")
 JUDGES = (
-    "law_parts", "law_stages", "law_kkt", "law_watch", "contact_kinds", "pairs",
-    "chain_oracles", "chain_state", "grasps", "projections", "spans", "monitor", "law_limits",
-    "law_phases", "law_linkage", "law_steps", "safety", "friction", "reading", "environment",
+    "law_parts",
+    "law_stages",
+    "law_kkt",
+    "law_watch",
+    "contact_kinds",
+    "pairs",
+    "chain_oracles",
+    "chain_state",
+    "grasps",
+    "projections",
+    "spans",
+    "monitor",
+    "law_limits",
+    "law_phases",
+    "law_linkage",
+    "law_steps",
+    "safety",
+    "friction",
+    "reading",
+    "environment",
     "singular",
-)  # fmt: skip
+    "tilted_faces",
+    "controller",
+)
 #: Whose tests come first: those of the part itself. `law_kkt` judges whole ticks after them.
 OWN = {
     "law_parts": ("vectors.py", "algebra.py", "commands.py", "grasps.py", "contact.py"),
@@ -58,6 +76,7 @@ OWN = {
     "contact_kinds": ("contact.py",), "pairs": ("contact.py",),
     "chain_oracles": ("arm_motion.py", "chain.py", "operational.py", "vectors.py", "grasps.py"),
     "chain_state": ("arm_motion.py", "chain.py", "operational.py"), "grasps": ("grasps.py",),
+    "tilted_faces": ("contact.py",),
     "law_watch": ("safety.py", "sensors.py"), "safety": ("safety.py",),
     "law_phases": ("phases.py",), "law_steps": ("commands.py",), "law_linkage": ("bars.py",),
     "law_limits": ("limits.py",), "monitor": ("monitor.py",),
@@ -76,7 +95,7 @@ OPERATORS = re.compile(
 )
 
 
-def main() -> None:
+def main():
     """Draw, judge, count."""
     ask = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     ask.add_argument("--count", type=int, default=300, help="mutants")
@@ -95,11 +114,15 @@ def main() -> None:
     judges = Judges(out, survey(out, given.judges))
     modules = [m for m in mutated_modules() if given.only in str(m)]
     kept = out / f"results_{given.seed}.jsonl"
-    known = {r["key"]: r for r in map(json.loads, kept.read_text().splitlines())} \
-        if kept.exists() else {}  # fmt: skip
+    known = (
+        {r["key"]: r for r in map(json.loads, kept.read_text().splitlines())}
+        if kept.exists()
+        else {}
+    )
     import_others()
     sys.path[:0] = [str(copy), str(copy / "tests")]
-    found, drawn = [], sample(modules, given.count, given.seed)
+    found = []
+    drawn = sample(modules, given.count, given.seed)
     for spec in drawn[:3]:
         if not run_forked(judges.of(spec, CHECK), 600):
             sys.exit(f"the tests of {name_of(spec)} fail without any mutant")
@@ -120,12 +143,13 @@ def main() -> None:
     print(f"\n{killed} of {len(found)} mutants noticed: {score:.1f} % (seed {given.seed})")
 
 
-def make_copy(copy: Path) -> None:
+def make_copy(copy):
     """A copy of what git knows, as it is now; files that are the same keep their dates."""
     words = ["git", "-C", str(ROOT), "ls-files", "-co", "--exclude-standard"]
     listed = subprocess.run(words, capture_output=True, text=True, check=True).stdout.splitlines()
     for name in listed:
-        source, target = ROOT / name, copy / name
+        source = ROOT / name
+        target = copy / name
         if not source.is_file():
             continue
         if not target.exists() or target.read_bytes() != source.read_bytes():
@@ -133,14 +157,14 @@ def make_copy(copy: Path) -> None:
             shutil.copyfile(source, target)
 
 
-def mutated_modules() -> list[Path]:
+def mutated_modules():
     """Relative paths."""
     package = Path("osc_contact")
     law = [p for p in sorted((package / "law").glob("*.py")) if p.name not in LEFT_OUT]
     return [*law, *(package / name for name in MODULES)]
 
 
-def survey(out: Path, names: Sequence[str]) -> list[str]:
+def survey(out, names):
     """Run each judge once with coverage, unless neither it nor a module has changed since."""
     sources = b"".join(path.read_bytes() for path in mutated_modules())
     there = []
@@ -148,7 +172,8 @@ def survey(out: Path, names: Sequence[str]) -> list[str]:
         test = Path(f"tests/test_{name}.py")
         if not test.exists():
             continue
-        stamp, seen = out / f"{name}.stamp", hashlib.sha1(sources + test.read_bytes()).hexdigest()
+        stamp = out / f"{name}.stamp"
+        seen = hashlib.sha1(sources + test.read_bytes()).hexdigest()
         there.append(name)
         if stamp.exists() and stamp.read_text() == seen:
             continue
@@ -173,10 +198,10 @@ def survey(out: Path, names: Sequence[str]) -> list[str]:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+def pytest_runtest_call(item):
     """In a survey: give up what is slow, note how long the others take."""
 
-    def give_up(*_: object) -> None:
+    def give_up(*_):
         raise TimeoutError(f"no judge: longer than {SLOW} s")
 
     signal.signal(signal.SIGPROF, give_up)
@@ -189,7 +214,7 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
-def pytest_sessionfinish() -> None:
+def pytest_sessionfinish():
     """Hand over the times of a survey."""
     Path(os.environ[SECONDS]).write_text(json.dumps(_passed))
 
@@ -197,7 +222,7 @@ def pytest_sessionfinish() -> None:
 class Judges:
     """Which tests run which lines, and how long they take."""
 
-    def __init__(self, out: Path, names: list[str]) -> None:
+    def __init__(self, out, names):
         self.seconds: dict[str, float] = {}
         self.by_line: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
         for name in names:
@@ -209,12 +234,13 @@ class Judges:
                     ran = {test.partition("|")[0] for test in tests} & self.seconds.keys()
                     self.by_line[path][line] |= ran
 
-    def of(self, spec: MutationSpec, budget: float) -> list[str]:
+    def of(self, spec, budget):
         """The tests for a mutant, the shortest first."""
         path = str(spec.module_path)
         lines = self.by_line[path]
         source = spec.module_path.read_text().splitlines()
-        first, last = spec.start_pos[0], spec.end_pos[0]
+        first = spec.start_pos[0]
+        last = spec.end_pos[0]
         tests = set().union(*(lines[i] for i in range(first, last + 1)))
         if not tests:  # runs when it is imported, or goes on in another line
             named = re.match(r"\s*(\w+)(:[^=]*)? = ", source[first - 1])
@@ -222,7 +248,8 @@ class Judges:
         if not tests:
             near = max((i for i in lines if i <= first and lines[i]), default=0)
             tests = lines[near] or set().union(*lines.values()) or set(self.seconds)
-        chosen, spent = [], 0.0
+        chosen = []
+        spent = 0.0
         own = [f"test_{judge}.py" for judge, files in OWN.items() if spec.module_path.name in files]
         for test in sorted(tests, key=lambda t: (not any(o in t for o in own), self.seconds[t])):
             spent += self.seconds[test]
@@ -231,7 +258,7 @@ class Judges:
             chosen.append(test)
         return chosen
 
-    def _users(self, name: str) -> Iterator[str]:
+    def _users(self, name):
         word = re.compile(rf"\b{name}\b")
         for path, lines in self.by_line.items():
             for number, text in enumerate(Path(path).read_text().splitlines(), 1):
@@ -239,7 +266,7 @@ class Judges:
                     yield from lines[number]
 
 
-def sample(modules: list[Path], count: int, seed: int) -> list[MutationSpec]:
+def sample(modules, count, seed):
     """Places drawn at random, one mutant at each."""
     places: dict[tuple[str, tuple[int, int]], list[MutationSpec]] = defaultdict(list)
     operators = {name: get_operator(name)() for name in operator_names() if OPERATORS.match(name)}
@@ -256,13 +283,13 @@ def sample(modules: list[Path], count: int, seed: int) -> list[MutationSpec]:
     return [rng.choice(places[place]) for place in chosen]
 
 
-def name_of(spec: MutationSpec) -> str:
+def name_of(spec):
     """File, line and column, what is done there."""
     line, column = spec.start_pos
     return f"{spec.module_path}:{line}:{column} {spec.operator_name} {spec.occurrence}"
 
 
-def judge(spec: MutationSpec, judges: Judges, budget: float) -> dict[str, object]:
+def judge(spec, judges, budget):
     """Whether a test fails; what was changed."""
     tests = judges.of(spec, budget)
     operator = get_operator(spec.operator_name)()
@@ -273,7 +300,7 @@ def judge(spec: MutationSpec, judges: Judges, budget: float) -> dict[str, object
     return {"outcome": "survived" if passed else "noticed", "tests": len(tests), "diff": diff}
 
 
-def run_forked(tests: list[str], seconds: int) -> bool:
+def run_forked(tests, seconds):
     """Whether all tests pass, in a child that need not import what is not ours."""
     child = os.fork()
     if not child:
@@ -288,13 +315,24 @@ def run_forked(tests: list[str], seconds: int) -> bool:
     return status == 0
 
 
-def import_others() -> None:
+def import_others():
     """Everything that is not ours, once for all children."""
     os.environ |= {"NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "1"}
     sys.dont_write_bytecode = True
-    for name in ("coal", "daqp", "mcap", "numba", "numba.extending", "pinocchio",
-                 "pydantic", "pytest", "rich.console", "typer.testing", "yaml",
-                 "yourdfpy"):  # fmt: skip
+    for name in (
+        "coal",
+        "daqp",
+        "mcap",
+        "numba",
+        "numba.extending",
+        "pinocchio",
+        "pydantic",
+        "pytest",
+        "rich.console",
+        "typer.testing",
+        "yaml",
+        "yourdfpy",
+    ):
         import_module(name)
 
 

@@ -31,24 +31,24 @@ class Path:
     w: np.ndarray
 
     @classmethod
-    def random(cls, rng: np.random.Generator) -> Path:
+    def random(cls, rng):
         q = rng.normal(size=4)
         R0 = pin.Quaternion(*(q / np.linalg.norm(q))).matrix()
         return cls(R0, rng.normal(size=(3, 3)), rng.normal(size=(2, 3)))
 
-    def __call__(self, t: float) -> pin.SE3:
+    def __call__(self, t):
         p0, p1, p2 = self.p
         return pin.SE3(
             pin.exp3(self.w[0] * t + self.w[1] * t * t) @ self.R0, p0 + t * (p1 + t * p2)
         )
 
     @property
-    def twist(self) -> np.ndarray:
+    def twist(self):
         """(6,) at the body's own origin, world axes."""
         return np.concatenate((self.p[1], self.w[0]))
 
     @property
-    def acceleration(self) -> np.ndarray:
+    def acceleration(self):
         """(6,) spatial, at the body's origin at t = 0: p̈ − ω × v, ω̇."""
         return np.concatenate((2 * self.p[2] - np.cross(self.w[0], self.p[1]), 2 * self.w[1]))
 
@@ -61,24 +61,24 @@ class Coordinates:
     X_E: pin.SE3 = field(default_factory=pin.SE3.Identity)
     per_metre: float = 1.0
 
-    def A(self, point: np.ndarray) -> np.ndarray:
+    def A(self, point):
         return self.per_metre * self.X_A.actInv(point)
 
-    def E(self, point: np.ndarray) -> np.ndarray:
+    def E(self, point):
         return self.per_metre * self.X_E.actInv(point)
 
-    def along_A(self, direction: np.ndarray) -> np.ndarray:
+    def along_A(self, direction):
         return self.X_A.rotation.T @ direction
 
-    def along_E(self, direction: np.ndarray) -> np.ndarray:
+    def along_E(self, direction):
         return self.X_E.rotation.T @ direction
 
-    def pose(self, X_EA: pin.SE3) -> pin.SE3:
+    def pose(self, X_EA):
         X = self.X_E.actInv(X_EA * self.X_A)
         return pin.SE3(X.rotation, self.per_metre * X.translation)
 
-    def gap(self, gap: Callable[[pin.SE3], np.ndarray]) -> Callable[[pin.SE3], np.ndarray]:
-        def rewritten(X: pin.SE3) -> np.ndarray:
+    def gap(self, gap):
+        def rewritten(X):
             X_EA = self.X_E * pin.SE3(X.rotation, X.translation / self.per_metre)
             return self.per_metre * gap(X_EA * self.X_A.inverse())
 
@@ -91,44 +91,47 @@ Kind = Callable[[np.random.Generator, Coordinates], tuple[osc.ContactPair, Poses
 KINDS: dict[str, Kind] = {}
 
 
-def kind(make: Kind) -> Kind:
+def kind(make):
     """Register: rng, coordinates → pair, (6−r,) free coordinates ↦ X_EA in contact, r."""
     KINDS[make.__name__] = make
     return make
 
 
-def unit(rng: np.random.Generator) -> np.ndarray:
+def unit(rng):
     vector = rng.normal(size=3)
     return vector / np.linalg.norm(vector)
 
 
-def about(axis: np.ndarray, angle: float) -> np.ndarray:
+def about(axis, angle):
     return pin.exp3(angle * axis)
 
 
-def carrying(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+def carrying(start, end):
     """A rotation that turns one unit vector into another."""
     axis = np.cross(start, end)
     sine = np.linalg.norm(axis)
     return pin.exp3(np.arctan2(sine, start @ end) * axis / sine)
 
 
-def placed(R: np.ndarray, of_A: np.ndarray, at_E: np.ndarray) -> pin.SE3:
+def placed(R, of_A, at_E):
     """The pose X_EA of orientation R that puts a point of A at a point of E."""
     return pin.SE3(R, at_E - R @ of_A)
 
 
-def in_plane(normal: np.ndarray) -> np.ndarray:
+def in_plane(normal):
     return np.linalg.svd(normal[None, :])[2][1:]
 
 
-def pose_of(rng: np.random.Generator) -> pin.SE3:
+def pose_of(rng):
     return pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
 
 
 @kind
 def vertex_on_face(rng, c):
-    vertex, point, n, rho = rng.normal(size=3), rng.normal(size=3), unit(rng), 0.2
+    vertex = rng.normal(size=3)
+    point = rng.normal(size=3)
+    n = unit(rng)
+    rho = 0.2
     plane = in_plane(n)
     pair = osc.VertexOnFace(c.A(vertex), c.E(point), c.along_E(n), rho * c.per_metre)
     return pair, lambda q: placed(pin.exp3(q[:3]), vertex, point + q[3:] @ plane + rho * n), 1
@@ -136,7 +139,10 @@ def vertex_on_face(rng, c):
 
 @kind
 def sphere_on_plane(rng, c):
-    centre, point, n, rho = rng.normal(size=3), rng.normal(size=3), unit(rng), 0.3
+    centre = rng.normal(size=3)
+    point = rng.normal(size=3)
+    n = unit(rng)
+    rho = 0.3
     plane = in_plane(n)
     pair = osc.SphereOnPlane(c.A(centre), rho * c.per_metre, c.E(point), c.along_E(n))
     return pair, lambda q: placed(pin.exp3(q[:3]), centre, point + q[3:] @ plane + rho * n), 1
@@ -144,15 +150,19 @@ def sphere_on_plane(rng, c):
 
 @kind
 def face_on_vertex(rng, c):
-    point, n, vertex, rho = rng.normal(size=3), unit(rng), rng.normal(size=3), 0.2
+    point = rng.normal(size=3)
+    n = unit(rng)
+    vertex = rng.normal(size=3)
+    rho = 0.2
     plane = in_plane(n)
     pair = osc.FaceOnVertex(c.A(point), c.along_A(n), c.E(vertex), rho * c.per_metre)
     return pair, lambda q: placed(pin.exp3(q[:3]), point + q[3:] @ plane + rho * n, vertex), 1
 
 
-def crossed_edges(rng, c, hint: bool):
+def crossed_edges(rng, c, hint):
     a, b = rng.normal(size=(2, 3))
-    e, f = unit(rng), unit(rng)
+    e = unit(rng)
+    f = unit(rng)
     # turned by at most about 1 rad from perpendicular, so that the edges never become parallel
     R0 = carrying(e, np.cross(f, in_plane(f)[0]))
     side = c.along_E(-np.cross(R0 @ e, f)) if hint else -1.0
@@ -170,12 +180,15 @@ def edge_on_edge_with_hint(rng, c):
     return crossed_edges(rng, c, hint=True)
 
 
-def line_on_plane(rng, make, rho: float):
-    point, e, face, n = rng.normal(size=3), unit(rng), rng.normal(size=3), unit(rng)
+def line_on_plane(rng, make, rho):
+    point = rng.normal(size=3)
+    e = unit(rng)
+    face = rng.normal(size=3)
+    n = unit(rng)
     plane = in_plane(n)
     R0 = carrying(e, plane[0])
 
-    def pose(q: np.ndarray) -> pin.SE3:
+    def pose(q):
         return placed(about(n, q[0]) @ R0 @ about(e, q[1]), point, face + q[2:] @ plane + rho * n)
 
     return make(point, e, face, n), pose, 2
@@ -193,7 +206,8 @@ def edge_on_face(rng, c):
 @kind
 def cylinder_on_plane(rng, c):
     def make(point, e, face, n):
-        rho, length = 0.15 * c.per_metre, 0.4 * c.per_metre
+        rho = 0.15 * c.per_metre
+        length = 0.4 * c.per_metre
         return osc.CylinderOnPlane(c.A(point), c.along_A(e), rho, c.E(face), c.along_E(n), length)
 
     return line_on_plane(rng, make, 0.15)
@@ -201,15 +215,22 @@ def cylinder_on_plane(rng, c):
 
 @kind
 def face_on_face(rng, c):
-    point, n, face, m = rng.normal(size=3), unit(rng), rng.normal(size=3), unit(rng)
-    R0, plane = carrying(n, -m), in_plane(m)
+    point = rng.normal(size=3)
+    n = unit(rng)
+    face = rng.normal(size=3)
+    m = unit(rng)
+    R0 = carrying(n, -m)
+    plane = in_plane(m)
     pair = osc.FaceOnFace(c.A(point), c.along_A(n), c.E(face), c.along_E(m), 0.2 * c.per_metre)
     return pair, lambda q: placed(about(m, q[0]) @ R0, point, face + q[1:] @ plane), 3
 
 
 @kind
 def cylinder_in_hole(rng, c):
-    point, e, hole, h = rng.normal(size=3), unit(rng), rng.normal(size=3), unit(rng)
+    point = rng.normal(size=3)
+    e = unit(rng)
+    hole = rng.normal(size=3)
+    h = unit(rng)
     R0 = carrying(e, h)
     pair = osc.CylinderInHole(c.A(point), c.along_A(e), c.E(hole), c.along_E(h), 0.2 * c.per_metre)
     return pair, lambda q: placed(about(h, q[0]) @ R0, point, hole + q[1] * h), 4
@@ -232,21 +253,28 @@ def cone_in_groove(rng, c):
 
 @kind
 def revolute(rng, c):
-    point, e, X = rng.normal(size=3), unit(rng), pose_of(rng)
+    point = rng.normal(size=3)
+    e = unit(rng)
+    X = pose_of(rng)
     pair = osc.Revolute(c.A(point), c.along_A(e), c.pose(X))
     return pair, lambda q: X * placed(about(e, q[0]), point, point), 5
 
 
 @kind
 def prismatic(rng, c):
-    point, e, X = rng.normal(size=3), unit(rng), pose_of(rng)
+    point = rng.normal(size=3)
+    e = unit(rng)
+    X = pose_of(rng)
     pair = osc.Prismatic(c.A(point), c.along_A(e), c.pose(X))
     return pair, lambda q: X * pin.SE3(np.eye(3), q[0] * e), 5
 
 
 @kind
 def screw(rng, c):
-    point, e, X, pitch = rng.normal(size=3), unit(rng), pose_of(rng), rng.normal()
+    point = rng.normal(size=3)
+    e = unit(rng)
+    X = pose_of(rng)
+    pitch = rng.normal()
     pair = osc.Screw(c.A(point), c.along_A(e), pitch * c.per_metre, c.pose(X))
     return pair, lambda q: X * placed(about(e, q[0]), point, point + pitch * q[0] * e), 5
 
@@ -264,13 +292,15 @@ def free(rng, c):
 
 @kind
 def point_on_a_saddle(rng, c):
-    vertex, (k, m), X = rng.normal(size=3), rng.normal(size=2), pose_of(rng)
+    vertex = rng.normal(size=3)
+    (k, m) = rng.normal(size=2)
+    X = pose_of(rng)
 
-    def gap(X_EA: pin.SE3) -> np.ndarray:
+    def gap(X_EA):
         x, y, z = X.actInv(X_EA.act(vertex))
         return np.array([z - k * x * x - m * y * y * y])
 
-    def pose(q: np.ndarray) -> pin.SE3:
+    def pose(q):
         x, y = 0.5 * q[3:]
         return placed(pin.exp3(q[:3]), vertex, X.act(np.array([x, y, k * x * x + m * y**3])))
 
@@ -279,19 +309,20 @@ def point_on_a_saddle(rng, c):
 
 @kind
 def bead_on_a_wire(rng, c):
-    bead, X = rng.normal(size=3), pose_of(rng)
+    bead = rng.normal(size=3)
+    X = pose_of(rng)
 
-    def gap(X_EA: pin.SE3) -> np.ndarray:
+    def gap(X_EA):
         x, y, z = X.actInv(X_EA.act(bead))
         return np.array([y - np.sin(x), z - 0.5 * x * x])
 
-    def pose(q: np.ndarray) -> pin.SE3:
+    def pose(q):
         return placed(pin.exp3(q[:3]), bead, X.act(np.array([q[3], np.sin(q[3]), 0.5 * q[3] ** 2])))
 
     return osc.GapFunctions(c.gap(gap), length=0.5 * c.per_metre), pose, 2
 
 
-def steps(order: int) -> tuple[np.ndarray, np.ndarray]:
+def steps(order):
     """Nodes −4 … 4 and weights of the eighth-order central difference."""
     k = np.arange(-4.0, 5.0)
     wanted = np.zeros(9)
@@ -299,17 +330,17 @@ def steps(order: int) -> tuple[np.ndarray, np.ndarray]:
     return k, np.linalg.solve(np.vander(k, increasing=True).T, wanted)
 
 
-def rate(f: Callable[[float], np.ndarray], order: int = 1, h: float = 5e-3) -> np.ndarray:
+def rate(f, order=1, h=5e-3):
     k, weights = steps(order)
     return np.tensordot(weights, np.array([f(x * h) for x in k]), 1) / h**order
 
 
-def kinematics(X: Callable[[float], pin.SE3]) -> tuple[np.ndarray, np.ndarray]:
+def kinematics(X):
     """Twist and spatial acceleration at the body's origin, from poses: [ω̇]× is the odd part of
     R̈Rᵀ, and the spatial acceleration is p̈ − ω × ṗ."""
     R = X(0.0).rotation
 
-    def odd(A: np.ndarray) -> np.ndarray:
+    def odd(A):
         return 0.5 * np.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
 
     p_dot, p_ddot = (rate(lambda t: X(t).translation, order) for order in (1, 2))
@@ -326,26 +357,28 @@ class Motion:
     env: Callable[[float], pin.SE3]
 
     @classmethod
-    def keeping(cls, name: str, turn: int) -> Motion:
+    def keeping(cls, name, turn):
         """Both bodies move, the object on the free coordinates of the pair."""
         rng = np.random.default_rng([turn, 7])
         pair, pose, r = KINDS[name](rng, PLAIN)
-        env, q = Path.random(rng), 0.7 * rng.normal(size=(3, 6 - r))
+        env = Path.random(rng)
+        q = 0.7 * rng.normal(size=(3, 6 - r))
         return cls(pair, lambda t: env(t) * pose(q[0] + q[1] * t + q[2] * t * t), env)
 
     @classmethod
-    def breaking(cls, name: str, turn: int, open_by: float = 0.0) -> Motion:
+    def breaking(cls, name, turn, open_by=0.0):
         """Both bodies move at will, at t = 0 in contact or `open_by` (m, rad) away from it."""
         rng = np.random.default_rng([turn, 8])
         pair, pose, r = KINDS[name](rng, PLAIN)
-        env, away = Path.random(rng), open_by * rng.normal(size=6)
+        env = Path.random(rng)
+        away = open_by * rng.normal(size=6)
         start = env(0.0) * pose(0.7 * rng.normal(size=6 - r))
         path = Path.random(rng)
         p = np.vstack((start.translation + away[:3], path.p[1:]))
         return cls(pair, Path(pin.exp3(away[3:]) @ start.rotation, p, path.w), env)
 
     @property
-    def relative(self) -> tuple[np.ndarray, np.ndarray]:
+    def relative(self):
         """V_rel and a_rel at O, from differentiated poses, carried by Pinocchio."""
         at_O = pin.SE3(np.eye(3), self.env(0.0).translation - self.body(0.0).translation)
         return tuple(
@@ -353,31 +386,33 @@ class Motion:
             for a, e in zip(kinematics(self.body), kinematics(self.env), strict=True)
         )
 
-    def contact(self) -> osc.Contact:
-        X_WO, X_WE = self.body(0.0), self.env(0.0)
+    def contact(self):
+        X_WO = self.body(0.0)
+        X_WE = self.env(0.0)
         return self.pair.contact(X_WO, kinematics(self.body)[0], X_WE, kinematics(self.env)[0])
 
-    def gaps(self, t: float) -> np.ndarray:
+    def gaps(self, t):
         return self.pair.gaps(self.body(t), self.env(t))
 
-    def N_at(self, t: float) -> np.ndarray:
+    def N_at(self, t):
         """(6, r) N at time t, written at the operational point of t = 0."""
         N = self.pair.contact(self.body(t), STILL, self.env(t)).N
         away = pin.SE3(np.eye(3), self.body(t).translation - self.body(0.0).translation)
         return away.toActionMatrixInverse().T @ N
 
 
-def free_motions(name: str, turn: int) -> tuple[osc.Contact, np.ndarray]:
+def free_motions(name, turn):
     """A contact, and the twists (6, 6−r) of the object along each free coordinate, from poses."""
     rng = np.random.default_rng([turn, 10])
     pair, pose, r = KINDS[name](rng, PLAIN)
-    X_WE, q = pose_of(rng), 0.7 * rng.normal(size=6 - r)
+    X_WE = pose_of(rng)
+    q = 0.7 * rng.normal(size=6 - r)
     X_WO = X_WE * pose(q)
     twists = [kinematics(lambda t, e=e: X_WE * pose(q + t * e))[0] for e in np.eye(6 - r)]
     return pair.contact(X_WO, STILL, X_WE), np.reshape(twists, (6 - r, 6)).T
 
 
-def touching(name: str, X_WO: pin.SE3, seed: int, per_metre: float = 1.0) -> osc.ContactPair:
+def touching(name, X_WO, seed, per_metre=1.0):
     """A pair of a kind that touches the world at a pose of the object."""
     _, pose, r = KINDS[name](np.random.default_rng(seed), PLAIN)
     X = pin.SE3(X_WO.rotation, X_WO.translation / per_metre)
@@ -385,7 +420,7 @@ def touching(name: str, X_WO: pin.SE3, seed: int, per_metre: float = 1.0) -> osc
     return KINDS[name](np.random.default_rng(seed), Coordinates(X_E=X_E, per_metre=per_metre))[0]
 
 
-def snake(name: str) -> str:
+def snake(name):
     """FaceOnFace → face_on_face."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
 

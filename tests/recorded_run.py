@@ -9,7 +9,8 @@ from pathlib import Path
 import osc_contact as osc
 
 if __name__ == "__main__":
-    folder, duration = Path(sys.argv[1]), float(sys.argv[2])
+    folder = Path(sys.argv[1])
+    duration = float(sys.argv[2])
     plant = sys.argv[3] if len(sys.argv) > 3 else "mujoco"
     scenario = osc.load_scenario("two_contact_rod", [f"plant.type={plant}"])
     tell = lambda t: print(t, flush=True)  # noqa: E731

@@ -1,7 +1,5 @@
 """Chains and random states for the tests: the SCARA pair, two Pandas, one Panda."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -10,7 +8,6 @@ import pinocchio as pin
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach, row_groups
-from osc_contact.spatial import carry_twist
 
 ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))
 """A rod whose centre of mass is off its axis, so that no term of the maths vanishes."""
@@ -25,11 +22,15 @@ def scara_pair(payload=True):
     """d = 5: the paper's rig."""
     arms = [
         osc.Arm.from_urdf(
-            robots.urdf_path(f"scara_{side}"), name=side, tip="tool", base=placed(x, -0.40),
-            passive_joints=["hinge"], wrist_sensor="wrist_sensor",
+            robots.urdf_path(f"scara_{side}"),
+            name=side,
+            tip="tool",
+            base=placed(x, -0.40),
+            passive_joints=["hinge"],
+            wrist_sensor="wrist_sensor",
         )
         for side, x in (("left", -0.35), ("right", 0.35))
-    ]  # fmt: skip
+    ]
     grasps = [placed(0.15), placed(0.15, rpy=(0, 0, np.pi))]
     return osc.ClosedChain(arms, grasps, osc.RigidObject(ROD) if payload else None)
 
@@ -111,15 +112,3 @@ def random_faces(X_WO, r, rng, reach_m=0.3):
 
 def contact_of(pairs, state):
     return osc.Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in pairs])
-
-
-def move_frame(X, p):
-    """6×6 that carries twists to axes rotated by X.rotation at a point shifted by p."""
-    R = X.rotation
-    out = np.zeros((6, 6))
-    for i in range(6):
-        e = np.zeros(6)
-        e[i] = 1.0
-        t = carry_twist(e, np.zeros(3), p)
-        out[:, i] = np.concatenate((R @ t[:3], R @ t[3:]))
-    return out

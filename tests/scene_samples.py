@@ -94,7 +94,8 @@ def links(q):
 def read_commands(page):
     """The drawing commands of a written page, in the order in which they are drawn."""
     (folded,) = re.findall(r'^unfold\("([A-Za-z0-9+/=]*)"\)', page.read_text(), re.MULTILINE)
-    whole, commands = zlib.decompress(base64.b64decode(folded)), []
+    whole = zlib.decompress(base64.b64decode(folded))
+    commands = []
     while whole:
         end = 4 + int.from_bytes(whole[:4], "little")
         commands.append(umsgpack.unpackb(whole[4:end]))

@@ -1,12 +1,11 @@
 """Torque allocation: G τ = f_S, the squeeze asked for, least weighted torque, quiet null space."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from grasp_oracle import kkt
+from numpy.testing import assert_allclose
 from rigs import PANDA_Q, panda_pair, random_state, scara_pair
-from test_decoupling import in_contact, law_torques, structured
+from test_decoupling import commanded, in_contact, structured
 
 import osc_contact as osc
 
@@ -14,26 +13,30 @@ import osc_contact as osc
 @pytest.mark.parametrize("rig", [scara_pair, panda_pair])
 def test_squeeze_arises_between_the_grasps_and_disturbs_nothing(rig):
     """Judged by the wrenches of the KKT oracle: ½ eᵀ(λ₁ − λ₂) along the grasp line."""
-    chain, rng = rig(), np.random.default_rng(30)
+    chain = rig()
+    rng = np.random.default_rng(30)
     for _ in range(30):
         state, contact, pairs, q, v = in_contact(chain, rng)
         line = state.grasp_points[1] - state.grasp_points[0]
         e = line / np.linalg.norm(line)
-        a_u, alpha, B = rng.normal(size=6), rng.uniform(5, 20, 2), np.linalg.inv(state.metric)
+        a_u = rng.normal(size=6)
+        alpha = rng.uniform(5, 20, 2)
+        B = np.linalg.inv(state.metric)
         seen = []
         for squeeze in (-15.0, 25.0):
-            tau, _ = law_torques(chain, state, contact, pairs, q, v, a_u, alpha, B, squeeze)
+            _, tau = commanded(chain, pairs, q, v, a_u, alpha, B, squeeze)
             got = kkt(chain, q, v, tau, contact.N, contact.n_gamma)
             force = got.loops[:, :3]
             assert 0.5 * e @ (force[0] - force[1]) == pytest.approx(squeeze, abs=1e-6)
             seen.append(got)
         scale = np.abs(seen[0].a_object).max()
-        np.testing.assert_allclose(seen[0].a_object, seen[1].a_object, atol=1e-9 * scale)
-        np.testing.assert_allclose(seen[0].alpha, seen[1].alpha, atol=1e-7)
+        assert_allclose(seen[0].a_object, seen[1].a_object, atol=1e-9 * scale)
+        assert_allclose(seen[0].alpha, seen[1].alpha, atol=1e-7)
 
 
 def test_redundant_arms_return_to_their_posture_without_moving_the_object():
-    chain, rng = panda_pair(), np.random.default_rng(32)
+    chain = panda_pair()
+    rng = np.random.default_rng(32)
     q, _ = random_state(chain, rng)
     v = np.zeros(14)
     state = chain.state(q, v)
@@ -41,10 +44,11 @@ def test_redundant_arms_return_to_their_posture_without_moving_the_object():
     nowhere = structured(chain, q, v, f_S, np.zeros(6), 0.0, q)
     posture = np.concatenate((PANDA_Q, PANDA_Q)) + 0.3
     pulled = structured(chain, q, v, f_S, np.zeros(6), 0.0, posture)
-    rest, moving = kkt(chain, q, v, nowhere), kkt(chain, q, v, pulled)
-    np.testing.assert_allclose(rest.a_object, 0, atol=1e-8)
-    np.testing.assert_allclose(rest.qdd, 0, atol=1e-6)
-    np.testing.assert_allclose(moving.a_object, 0, atol=1e-8)
+    rest = kkt(chain, q, v, nowhere)
+    moving = kkt(chain, q, v, pulled)
+    assert_allclose(rest.a_object, 0, atol=1e-8)
+    assert_allclose(rest.qdd, 0, atol=1e-6)
+    assert_allclose(moving.a_object, 0, atol=1e-8)
     for s in chain.slices:  # in the metric of M the pull shortens the way to the posture
         gain = moving.qdd[s] @ state.M[s, s] @ (posture[s] - q[s])
         assert gain > 1e-3

@@ -1,21 +1,13 @@
 """The selection laws against their publications, their best frames, and the comparison."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
-from rigs import (
-    consistent,
-    contact_of,
-    one_panda,
-    random_faces,
-    random_state,
-    scara_pair,
-)
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
+from rigs import consistent, contact_of, one_panda, random_faces, random_state, scara_pair
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -33,7 +25,8 @@ from paper.selection_laws import (
     random_selection,
 )
 
-KHATIB, ISAAC = BASELINES["khatib"], BASELINES["isaac_lab"]
+KHATIB = BASELINES["khatib"]
+ISAAC = BASELINES["isaac_lab"]
 
 
 def random_triple(rng):
@@ -42,7 +35,8 @@ def random_triple(rng):
 
 def random_law(baseline, rng):
     """Any frame, any flags, but at least one axis of each kind left to motion and to force."""
-    forces, couples = (True, False, bool(rng.integers(2))), random_triple(rng)
+    forces = (True, False, bool(rng.integers(2)))
+    couples = random_triple(rng)
     frame = pin.SE3(pin.SE3.Random().rotation, rng.uniform(-0.3, 0.3, 3))
     angular = frame.rotation if baseline.triads == 1 else pin.SE3.Random().rotation
     return SelectionLaw(baseline, Selection(frame, np.array(angular), forces, couples))
@@ -76,10 +70,13 @@ def at_point(selection, Lambda, a, f):
 def khatib_1987(selection, Lambda, a, f):
     """Ω = diag(S_FᵀΣ_F S_F, S_MᵀΣ_M S_M), Σ = 1 where motion is free: F = ΛΩa + Ω̄f."""
     Lambda, a, f, back = at_point(selection, Lambda, a, f)
-    S_F, S_M = selection.linear.rotation.T, selection.angular.T
+    S_F = selection.linear.rotation.T
+    S_M = selection.angular.T
     free_F, free_M = (np.diag(1.0 - np.array(x)) for x in (selection.forces, selection.couples))
-    Omega, Omega_bar = np.zeros((6, 6)), np.zeros((6, 6))
-    Omega[:3, :3], Omega[3:, 3:] = S_F.T @ free_F @ S_F, S_M.T @ free_M @ S_M
+    Omega = np.zeros((6, 6))
+    Omega_bar = np.zeros((6, 6))
+    Omega[:3, :3] = S_F.T @ free_F @ S_F
+    Omega[3:, 3:] = S_M.T @ free_M @ S_M
     Omega_bar[:3, :3] = S_F.T @ (np.eye(3) - free_F) @ S_F
     Omega_bar[3:, 3:] = S_M.T @ (np.eye(3) - free_M) @ S_M
     return back @ (Lambda @ Omega @ a + Omega_bar @ f)
@@ -129,7 +126,7 @@ def isaac_lab(selection, Lambda, a, f):
     return back @ (S_motion @ Lambda @ (S_motion @ a) + S_force @ f)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("key", "published"),
     [("khatib", khatib_1987), ("khatib", newton), ("khatib", sai), ("isaac_lab", isaac_lab)],
 )
@@ -140,11 +137,12 @@ def test_laws_are_what_was_published(key, published):
     for _ in range(40):
         state, contact, Lambda, bias = panda(rng)
         law = random_law(BASELINES[key], rng)
-        a, alpha = rng.normal(size=6) * 3, rng.uniform(5, 20, 2)
+        a = rng.normal(size=6) * 3
+        alpha = rng.uniform(5, 20, 2)
         F = published(law.selection, Lambda, a, contact.N @ alpha)
         want = state.S.T @ (F + bias)
         got = law.f_S(state, contact, a, alpha)
-        np.testing.assert_allclose(got, want, atol=1e-9 * np.abs(want).max())
+        assert_allclose(got, want, atol=1e-9 * np.abs(want).max())
 
 
 def representable(rng):
@@ -153,7 +151,8 @@ def representable(rng):
     q, _ = random_state(chain, rng)
     state = chain.state(q, np.zeros(7))
     frame = pin.SE3(pin.SE3.Random().rotation, rng.uniform(-0.2, 0.2, 3))
-    forces, couples = (True, False, bool(rng.integers(2))), (False, True, False)
+    forces = (True, False, bool(rng.integers(2)))
+    couples = (False, True, False)
     F, C = (frame.rotation[:, np.array(flags)] for flags in (forces, couples))
     through = np.vstack((F, pin.skew(frame.translation) @ F))
     N = np.hstack((through, np.vstack((np.zeros_like(C), C))))
@@ -172,8 +171,8 @@ def test_on_a_contact_with_a_constraint_frame_selection_before_lambda_decouples_
         khatib = instant.coupling(SelectionLaw(KHATIB, selection))
         for found in (ours, khatib):
             assert found.cost <= 1e-9
-            np.testing.assert_allclose(found.M, np.eye(len(found.M)), atol=1e-9)
-            np.testing.assert_allclose(found.K, np.eye(len(found.K)), atol=1e-9)
+            assert_allclose(found.M, np.eye(len(found.M)), atol=1e-9)
+            assert_allclose(found.K, np.eye(len(found.K)), atol=1e-9)
         isaac = instant.coupling(SelectionLaw(ISAAC, selection))
         assert isaac.norms[0] <= 1e-9 and isaac.norms[1] > 1e-2
         assert instant.coupling(best_selection(instant, KHATIB, restarts=0)).cost <= 1e-9
@@ -191,9 +190,10 @@ def test_on_the_skew_contact_every_frame_couples_and_the_plant_says_the_same():
     assert instant.coupling(Ours()).cost <= 1e-9
     for baseline in BASELINES.values():
         law = best_selection(instant, baseline)
-        measured, predicted = measured_coupling(rig, law, instant), instant.coupling(law)
+        measured = measured_coupling(rig, law, instant)
+        predicted = instant.coupling(law)
         assert predicted.usable and min(predicted.norms) > 0.05
-        np.testing.assert_allclose(measured.residuals, predicted.residuals, atol=1e-9)
+        assert_allclose(measured.residuals, predicted.residuals, atol=1e-9)
 
 
 def test_ours_decouples_whole_ticks_on_other_skew_contacts():
@@ -213,12 +213,15 @@ def test_ours_decouples_whole_ticks_on_other_skew_contacts():
 def test_a_motion_step_into_the_faces_presses_with_the_selection_laws_and_not_with_ours():
     """Any of the five motions, also those the contact forbids; whole ticks on the rigid plant."""
     rig, instant = fig1()
-    plant, at_rest = rig.plant(), rig.references.at(0.0)
+    plant = rig.plant()
+    at_rest = rig.references.at(0.0)
     measurement = plant.measure()
 
     def pressed(law):
-        taus = [law.install(rig.controller()).tick(measurement, replace(at_rest, A_D=u))
-                for u in (np.zeros(6), *instant.state.S.T)]  # fmt: skip
+        taus = [
+            law.install(rig.controller()).tick(measurement, replace(at_rest, A_D=u))
+            for u in (np.zeros(6), *instant.state.S.T)
+        ]
         alpha = np.array([plant.accelerations(tau)[2] for tau in taus])
         return np.abs(alpha[1:] - alpha[0]).max() / instant.inertia
 
@@ -240,7 +243,7 @@ def test_the_search_finds_frames_no_worse_than_200_random_ones_and_the_same_from
             costs += [cost] if np.isfinite(cost) else []
         assert least <= min(costs)
         other = instant.coupling(best_selection(instant, baseline, seed=7)).cost
-        assert other == pytest.approx(least, rel=1e-5)
+        assert other == approx(least, rel=1e-5)
 
 
 def test_a_law_does_not_depend_on_the_basis_of_the_five_motions():
@@ -251,13 +254,19 @@ def test_a_law_does_not_depend_on_the_basis_of_the_five_motions():
     state = chain.state(*random_state(chain, rng))
     contact = contact_of(random_faces(state.X_WO, 2, rng), state)
     Q = np.linalg.qr(rng.normal(size=(5, 5)))[0] * rng.uniform(0.2, 5, 5)
-    other = replace(state, S=state.S @ Q, Lambda_S=Q.T @ state.Lambda_S @ Q, mu_S=Q.T @ state.mu_S,
-                    p_S=Q.T @ state.p_S)  # fmt: skip
+    other = replace(
+        state,
+        S=state.S @ Q,
+        Lambda_S=Q.T @ state.Lambda_S @ Q,
+        mu_S=Q.T @ state.mu_S,
+        p_S=Q.T @ state.p_S,
+    )
     for baseline in BASELINES.values():
         law = random_law(baseline, rng)
-        a, alpha = rng.normal(size=6), np.array([10.0, 5.0])
+        a = rng.normal(size=6)
+        alpha = np.array([10.0, 5.0])
         f_S, f_Q = (law.f_S(x, contact, a, alpha) for x in (state, other))
-        np.testing.assert_allclose(np.linalg.solve(Q.T, f_Q), f_S, atol=1e-8 * np.abs(f_S).max())
+        assert_allclose(np.linalg.solve(Q.T, f_Q), f_S, atol=1e-8 * np.abs(f_S).max())
     law = random_law(KHATIB, rng)
     W = law.selection.wrenches
     moved = state.S @ law.eta(state, a) + state.sigma
@@ -266,7 +275,8 @@ def test_a_law_does_not_depend_on_the_basis_of_the_five_motions():
 
 def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
     rig, instant = fig1()
-    measurement, reference = rig.plant().measure(), rig.references.at(0.0)
+    measurement = rig.plant().measure()
+    reference = rig.references.at(0.0)
     plain = rig.controller()
     assert Ours().install(plain) is plain and plain.laws.structure is None
     law = SelectionLaw(KHATIB, best_selection(instant, KHATIB, restarts=0).selection)
@@ -279,14 +289,16 @@ def test_an_installed_law_takes_the_place_of_filter_and_structure_only():
     plain.tick(measurement, reference)
     tau = installed.tick(measurement, reference)
     assert installed.status is osc.Status.OK, installed.reason
-    before, after = plain.signals, installed.signals
+    before = plain.signals
+    after = installed.signals
     for name in ("f_meas", "f_c_meas", "alpha_meas", "alpha_u", "a_u"):
-        np.testing.assert_array_equal(getattr(after, name), getattr(before, name), name)
-    state, contact = after.state, after.contact
-    np.testing.assert_allclose(after.eta_c, law.eta(state, after.a_u), atol=1e-9)
+        assert_array_equal(getattr(after, name), getattr(before, name), name)
+    state = after.state
+    contact = after.contact
+    assert_allclose(after.eta_c, law.eta(state, after.a_u), atol=1e-9)
     want = law.f_S(state, contact, after.a_u, after.alpha_u)
-    np.testing.assert_allclose(after.f_S, want, atol=1e-9 * np.abs(want).max())
-    np.testing.assert_allclose(state.G @ tau, want, atol=1e-9 * np.abs(want).max())
+    assert_allclose(after.f_S, want, atol=1e-9 * np.abs(want).max())
+    assert_allclose(state.G @ tau, want, atol=1e-9 * np.abs(want).max())
     names = [box.name for box in rig.controller().wiring()]
     assert not any(name.startswith("own") for name in names), "other controllers keep theirs"
 
@@ -299,7 +311,7 @@ def test_cross_talk_on_mujoco_is_ten_times_smaller_than_that_of_the_best_baselin
     for baseline in BASELINES.values():
         other = run_steps(rig, best_selection(instant, baseline), instant)
         assert other.saturated == 0
-        np.testing.assert_array_equal(other.alpha_d, ours.alpha_d)
+        assert_array_equal(other.alpha_d, ours.alpha_d)
         assert other.force_to_motion.max() > 10 * ours.force_to_motion.max()
         assert other.motion_to_force.max() > 10 * ours.motion_to_force.max()
         last = other.window(1)  # force steps do arrive
@@ -308,8 +320,18 @@ def test_cross_talk_on_mujoco_is_ten_times_smaller_than_that_of_the_best_baselin
 
 def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
     """At 200 Hz, for a short task: everything the command makes, and what the numbers say."""
-    words = ["reproduce", "baselines", "--duration", "1.05", "--set", "control.rate=200 Hz",
-             "--out", str(tmp_path), "--json", str(tmp_path / "again.json")]  # fmt: skip
+    words = [
+        "reproduce",
+        "baselines",
+        "--duration",
+        "1.05",
+        "--set",
+        "control.rate=200 Hz",
+        "--out",
+        str(tmp_path),
+        "--json",
+        str(tmp_path / "again.json"),
+    ]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
     names = {"again.json", *(f"baselines.{kind}" for kind in ("json", "png", "svg", "pdf"))}
@@ -329,7 +351,7 @@ def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
         assert min(found["smaller_than_best_baseline"][plant].values()) > 10
     of_motion = min(max(laws[k]["mujoco"]["force_to_motion_m"]) for k in list(laws)[1:])
     ratio = of_motion / max(laws["ours"]["mujoco"]["force_to_motion_m"])
-    assert found["smaller_than_best_baseline"]["mujoco"]["force_to_motion"] == pytest.approx(ratio)
+    assert found["smaller_than_best_baseline"]["mujoco"]["force_to_motion"] == approx(ratio)
     for words in ("Khatib, Newton, SAI", "Isaac Lab", f"{ratio:.3g}"):
         assert words in result.stdout
 
@@ -337,8 +359,8 @@ def test_reproduce_baselines_writes_table_numbers_and_figure(tmp_path):
 def test_the_comparison_refuses_what_it_cannot_compare():
     refused = CliRunner().invoke(app, ["reproduce", "baselines", "--plant", "rigid"])
     assert refused.exit_code == 2 and "its own plants" in refused.stderr
-    with pytest.raises(osc.InvalidInputError, match="judged"):
+    with raises(osc.InvalidInputError, match="judged"):
         compare(osc.load_scenario("two_contact_rod", ["duration=0.5"]))
     tare = "tare={duration: 0.3 s, standoff: 3 mm, approach: 0.3 s}"
-    with pytest.raises(osc.InvalidInputError, match="tare"):
+    with raises(osc.InvalidInputError, match="tare"):
         compare(osc.load_scenario("two_contact_rod", [tare]))

@@ -1,7 +1,5 @@
 """Batches: every row is its single tick, bit for bit, whatever its neighbours do."""
 
-from __future__ import annotations
-
 import copy
 import os
 import pickle
@@ -9,8 +7,9 @@ import subprocess
 import sys
 
 import numpy as np
-import pytest
 from grasp_rigs import random_case
+from numpy.testing import assert_array_equal
+from pytest import mark, raises
 from rigs import one_panda, random_faces, random_state, scara_pair
 
 import osc_contact as osc
@@ -64,11 +63,14 @@ def single(controller, x, i):
     return controller.tick(measurement, reference)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("rig, life", [(one_panda, None), (scara_pair, None),
-                                       (scara_pair, PhaseSettings())])  # fmt: skip
+@mark.parametrize("threads", [1, 2])
+@mark.parametrize(
+    "rig, life", [(one_panda, None), (scara_pair, None), (scara_pair, PhaseSettings())]
+)
 def test_rows_are_single_ticks_bit_for_bit(rig, life, threads):
-    chain, rng, count = rig(), np.random.default_rng(3), 12
+    chain = rig()
+    rng = np.random.default_rng(3)
+    count = 12
     ones, q = controllers(chain, count, rng, life=life)
     batch = osc.BatchController(ones, threads)
     twelve = [copy.copy(c) for c in ones]
@@ -79,31 +81,34 @@ def test_rows_are_single_ticks_bit_for_bit(rig, life, threads):
         )  # one row is held now and then
         tau = batch.tick(**x)
         for i, c in enumerate(twelve):
-            np.testing.assert_array_equal(tau[i], single(c, x, i))
+            assert_array_equal(tau[i], single(c, x, i))
             assert batch.status[i] == c.status
             seen.add(int(c.status))
-            np.testing.assert_array_equal(batch.alpha_meas[i], c._records.memory.columns.alpha)
+            assert_array_equal(batch.alpha_meas[i], c._records.memory.columns.alpha)
     assert osc.Status.HELD in seen and osc.Status.OK in seen
 
 
 def test_saturated_rows_get_torques_within_their_limits():
-    strong, rng = scara_pair(), np.random.default_rng(4)
+    strong = scara_pair()
+    rng = np.random.default_rng(4)
     chain = osc.ClosedChain(strong.arms, strong.grasps, strong.payload)
     chain.tau_max = 0.1 * strong.tau_max
     q, v = random_state(strong, rng)
     faces = random_faces(strong.state(q, v).X_WO, 2, rng)
     ones = [osc.Controller(chain, faces, GAINS, posture=q) for _ in range(6)]
-    batch, singles = osc.BatchController(ones, 2), [copy.copy(c) for c in ones]
+    batch = osc.BatchController(ones, 2)
+    singles = [copy.copy(c) for c in ones]
     x = story(chain, q, 6, 1, rng)[0]
     tau = batch.tick(**x)
     assert (batch.status == osc.Status.SATURATED).any()
     for i, c in enumerate(singles):
-        np.testing.assert_array_equal(tau[i], single(c, x, i))
+        assert_array_equal(tau[i], single(c, x, i))
     assert (np.abs(tau) <= chain.tau_max).all()
 
 
 def test_reset_by_mask_and_pickles():
-    chain, rng = scara_pair(), np.random.default_rng(5)
+    chain = scara_pair()
+    rng = np.random.default_rng(5)
     ones, q = controllers(chain, 4, rng)
     batch = osc.BatchController(ones)
     first, *rest = story(chain, q, 4, 4, rng)
@@ -111,10 +116,10 @@ def test_reset_by_mask_and_pickles():
     for x in rest:
         batch.tick(**x)
     other = pickle.loads(pickle.dumps(batch))
-    np.testing.assert_array_equal(other.tick(**first), batch.tick(**first))
+    assert_array_equal(other.tick(**first), batch.tick(**first))
     batch.reset(np.array([True, False, True, False]))
     again = batch.tick(**first)
-    np.testing.assert_array_equal(again[[0, 2]], began[[0, 2]])
+    assert_array_equal(again[[0, 2]], began[[0, 2]])
     assert (again[[1, 3]] != began[[1, 3]]).any()
 
 
@@ -130,25 +135,26 @@ def test_an_object_that_no_arm_holds_rigidly_is_found_row_by_row():
     batch = osc.BatchController([copy.copy(c) for c in ones])
     tau = batch.tick(**x)
     for i, c in enumerate(ones):
-        np.testing.assert_array_equal(tau[i], single(c, x, i))
+        assert_array_equal(tau[i], single(c, x, i))
 
 
 def test_what_is_no_batch_is_refused():
-    chain, rng = scara_pair(), np.random.default_rng(7)
+    chain = scara_pair()
+    rng = np.random.default_rng(7)
     ones, q = controllers(chain, 2, rng)
-    with pytest.raises(osc.InvalidInputError, match="≥ 1"):
+    with raises(osc.InvalidInputError, match="≥ 1"):
         osc.BatchController([])
     fewer = osc.Controller(chain, ones[0].contacts[:1], GAINS)
-    with pytest.raises(osc.InvalidInputError, match="n_columns"):
+    with raises(osc.InvalidInputError, match="n_columns"):
         osc.BatchController([ones[0], fewer])
     own = ones[0].with_laws(force=lambda a, b: a)
-    with pytest.raises(osc.InvalidInputError, match="only Python"):
+    with raises(osc.InvalidInputError, match="only Python"):
         osc.BatchController([own])
     batch = osc.BatchController(ones)
     x = story(chain, q, 2, 1, rng)[0]
-    with pytest.raises(osc.InvalidInputError, match=r"q: expected shape \(2, 10\)"):
+    with raises(osc.InvalidInputError, match=r"q: expected shape \(2, 10\)"):
         batch.tick(**{**x, "q": x["q"][:1]})
-    with pytest.raises(osc.InvalidInputError, match="mask"):
+    with raises(osc.InvalidInputError, match="mask"):
         batch.reset([True])
 
 
@@ -174,10 +180,12 @@ def test_two_processes_from_the_cache_say_the_same_bit_for_bit():
     tests = os.path.dirname(__file__)
     said = [
         subprocess.run(
-            [sys.executable, "-c", FRESH.format(tests=tests)], capture_output=True, text=True,
+            [sys.executable, "-c", FRESH.format(tests=tests)],
+            capture_output=True,
+            text=True,
             timeout=300,
         )
         for _ in range(2)
-    ]  # fmt: skip
+    ]
     assert said[0].returncode == 0, said[0].stderr[-2000:]
     assert said[0].stdout == said[1].stdout

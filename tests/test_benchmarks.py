@@ -1,7 +1,5 @@
 """The benchmarks run as programs, write what they print, and time what they say they time."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -11,29 +9,13 @@ from time import perf_counter, sleep
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 
 import osc_contact as osc
-from benchmarks import (
-    jitter,
-    law,
-    many_runs,
-    peers,
-    scaling,
-    simulation,
-    tick,
-    vector_env,
-)
+from benchmarks import jitter, law, many_runs, peers, scaling, simulation, tick, vector_env
 from benchmarks.__main__ import run_benchmark
-from benchmarks.cases import (
-    CASES,
-    KINDS,
-    SPECIAL_CASES,
-    BatchCase,
-    OwnFace,
-    faces_of,
-    random_rig,
-)
+from benchmarks.cases import CASES, KINDS, SPECIAL_CASES, BatchCase, OwnFace, faces_of, random_rig
 from benchmarks.measuring import take_turns
 from benchmarks.peers import constraint_dynamics, mujoco_state
 from benchmarks.textbook import TextbookLaw
@@ -50,12 +32,12 @@ print(resident() - before)"""  # in a process of its own: others free memory mea
 SPREAD = {"p50", "p99", "p99_9", "max"}
 
 
-def start(*words: str | Path) -> subprocess.CompletedProcess[str]:
+def start(*words):
     command = [sys.executable, "-W", "error", "-m", "benchmarks", *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=ROOT)
 
 
-def test_benchmark_refuses_bad_input(tmp_path: Path) -> None:
+def test_benchmark_refuses_bad_input(tmp_path):
     for words, message in (
         (("tick", "--ticks", "0"), "1"),
         (("nope",), "no benchmark 'nope'"),
@@ -66,7 +48,7 @@ def test_benchmark_refuses_bad_input(tmp_path: Path) -> None:
     assert not (tmp_path / "b.json").exists()
 
 
-def run_program(name: str, ticks: int, folder: Path) -> tuple[dict, str]:
+def run_program(name, ticks, folder):
     """(JSON, printed) of a program."""
     json_file = folder / "b.json"
     done = start(name, "--ticks", str(ticks), "--json", json_file)
@@ -80,11 +62,11 @@ def run_program(name: str, ticks: int, folder: Path) -> tuple[dict, str]:
     return result, done.stdout
 
 
-def sane(times: dict[str, float]) -> bool:
+def sane(times):
     return 0.0 < times["p50"] <= times["p99"] <= times["p99_9"] <= times["max"]
 
 
-def test_peers_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_peers_program(tmp_path, monkeypatch):
     monkeypatch.delenv(peers.TSID_PYTHON, raising=False)
     result, printed = run_program("peers", 2, tmp_path)
     assert set(result["cases"]) == {"two_contact_rod", "one_panda"}
@@ -92,24 +74,32 @@ def test_peers_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert len(case["peers_us"]) == 7 and all(map(sane, case["peers_us"].values()))
         tick = case["peers_us"]["tick"]["p50"]
         for name, times in case["peers_us"].items():
-            assert case["ratio"][name] == pytest.approx(times["p50"] / tick)
+            assert case["ratio"][name] == approx(times["p50"] / tick)
     assert set(result["tsid"]) == {"missing"} and "pip install" in printed
 
 
-def test_scaling_program(tmp_path: Path) -> None:
+def test_scaling_program(tmp_path):
     result, _ = run_program("scaling", 2, tmp_path)
     sizes = [(row["kind"], row["arms"]) for row in result["arms"]]
     assert sizes == [(k, n) for k in (*KINDS, "mixed") for n in range(1, 9)]
     assert [row["r"] for row in result["ranks"]] == list(range(7))
     assert [(row["contacts"], row["r"]) for row in result["contacts"]] == [
-        (1, 1), (2, 2), (4, 4), (8, 6), (16, 6), (2, 1), (4, 1), (8, 1), (16, 1)
-    ]  # fmt: skip
+        (1, 1),
+        (2, 2),
+        (4, 4),
+        (8, 6),
+        (16, 6),
+        (2, 1),
+        (4, 1),
+        (8, 1),
+        (16, 1),
+    ]
     for row in (*result["arms"], *result["ranks"], *result["contacts"]):
         assert row["tick_p50_us"] > 0.0 and row["floor_p50_us"] > 0.0
-        assert row["tick_per_arm_us"] == pytest.approx(row["tick_p50_us"] / row["arms"])
+        assert row["tick_per_arm_us"] == approx(row["tick_p50_us"] / row["arms"])
 
 
-def test_jitter_program(tmp_path: Path) -> None:
+def test_jitter_program(tmp_path):
     result, _ = run_program("jitter", 16, tmp_path)
     assert set(result["rates"]) == {"1000", "2000", "5000"}
     for bodies in result["rates"].values():
@@ -120,7 +110,7 @@ def test_jitter_program(tmp_path: Path) -> None:
         assert bodies["empty"]["compute_us"]["p50"] < bodies["tick"]["compute_us"]["p50"]
 
 
-def test_law_program(tmp_path: Path) -> None:
+def test_law_program(tmp_path):
     result, printed = run_program("law", 8, tmp_path)
     assert set(result["cases"]) == set(CASES) and "one_panda" in printed
     for parts in result["cases"].values():
@@ -128,17 +118,17 @@ def test_law_program(tmp_path: Path) -> None:
         assert all(set(times) == SPREAD and sane(times) for times in parts.values())
 
 
-def test_simulation_program(tmp_path: Path) -> None:
+def test_simulation_program(tmp_path):
     result, _ = run_program("simulation", 30, tmp_path)
-    assert result["simulated_s"] == pytest.approx(0.03) and result["ticks"] == 30
-    assert result["real_time_factor"] == pytest.approx(0.03 / result["wall_s"])
-    assert sum(result["shares"].values()) == pytest.approx(1.0)
+    assert result["simulated_s"] == approx(0.03) and result["ticks"] == 30
+    assert result["real_time_factor"] == approx(0.03 / result["wall_s"])
+    assert sum(result["shares"].values()) == approx(1.0)
     assert min(result["us_per_tick"].values()) > 0.0
     assert {simulation.STEPS, "tick", "references", simulation.REST} <= set(result["shares"])
     assert 0.0 < result["steps_us_per_tick"] < 1e4
 
 
-def test_many_runs_program(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_runs_program(monkeypatch):
     monkeypatch.setattr(many_runs, "DURATION", 1.05)
     found = many_runs.measure(1)
     for name in ("row_s", "single_s", "start_s"):
@@ -148,41 +138,40 @@ def test_many_runs_program(monkeypatch: pytest.MonkeyPatch) -> None:
     assert table.row_count == 4
 
 
-def test_vector_env_program(tmp_path: Path) -> None:
+def test_vector_env_program(tmp_path):
     result, _ = run_program("vector_env", 2, tmp_path)
     assert result["cases"][0]["threads"] == 1
     for case in result["cases"]:
-        parts, shares = case["cpu_us_per_tick"], case["shares"]
-        assert sum(shares.values()) == pytest.approx(1.0)
-        assert sum(parts.values()) * case["ticks_per_cpu_s"] == pytest.approx(1e6)
+        parts = case["cpu_us_per_tick"]
+        shares = case["shares"]
+        assert sum(shares.values()) == approx(1.0)
+        assert sum(parts.values()) * case["ticks_per_cpu_s"] == approx(1e6)
         assert case["ticks_per_s"] > 0.0 and min(parts.values()) > 0.0
         assert 0.0 < case["control_of_the_clock"] < 1.0
 
 
-@pytest.mark.parametrize(
-    "module", [tick, peers, scaling, jitter, law, simulation, many_runs, vector_env]
-)
-def test_benchmarks_refuse_no_ticks(module) -> None:
-    with pytest.raises(InvalidInputError, match=r"0 .* give no time"):
+@mark.parametrize("module", [tick, peers, scaling, jitter, law, simulation, many_runs, vector_env])
+def test_benchmarks_refuse_no_ticks(module):
+    with raises(InvalidInputError, match=r"0 .* give no time"):
         module.measure(0)
 
 
-@pytest.mark.parametrize("name", tick.ALL_CASES)
-def test_each_case_is_timed_with_the_documented_numbers(name: str) -> None:
+@mark.parametrize("name", tick.ALL_CASES)
+def test_each_case_is_timed_with_the_documented_numbers(name):
     (row,) = tick.measure(2, [name]).values()
     assert set(row) == {"tick_p50_us", "floor_p50_us", "ratio", "p99_9_us"}
     assert 0.0 < row["tick_p50_us"] <= row["p99_9_us"] and row["floor_p50_us"] > 0.0
-    assert row["ratio"] == pytest.approx(row["tick_p50_us"] / row["floor_p50_us"])
-    with pytest.raises(InvalidInputError, match="0 rounds"):
+    assert row["ratio"] == approx(row["tick_p50_us"] / row["floor_p50_us"])
+    with raises(InvalidInputError, match="0 rounds"):
         tick.measure(0, [name])
 
 
-def test_the_plain_cases_come_first() -> None:
+def test_the_plain_cases_come_first():
     assert list(tick.ALL_CASES)[:3] == ["two_contact_rod", "one_panda", "two_pandas"]
 
 
-@pytest.mark.parametrize("name", [*CASES, *SPECIAL_CASES])
-def test_every_timed_tick_is_checked_and_begins_alike(name: str) -> None:
+@mark.parametrize("name", [*CASES, *SPECIAL_CASES])
+def test_every_timed_tick_is_checked_and_begins_alike(name):
     """Integrals are zero at every timed tick; one that ends in another way is not timed."""
     case = (CASES | SPECIAL_CASES)[name]()
     controller = case.controller()
@@ -193,24 +182,27 @@ def test_every_timed_tick_is_checked_and_begins_alike(name: str) -> None:
         unwind()
         assert not controller.motion_integral.any() and not len(controller.force_integral)
         again = tick()
-    np.testing.assert_allclose(again, first, rtol=0, atol=1e-12 * np.abs(first).max())
+    assert_allclose(again, first, rtol=0, atol=1e-12 * np.abs(first).max())
     another = next(status for status in osc.Status if status is not case.status)
     tick, unwind = replace(case, status=another).tick()
     tick()
-    with pytest.raises(
-        InvalidInputError, match=f"ended {case.status.name}.*expected {another.name}"
-    ):
+    with raises(InvalidInputError, match=f"ended {case.status.name}.*expected {another.name}"):
         unwind()
 
 
-def test_special_cases_are_what_they_are_called() -> None:
+def test_special_cases_are_what_they_are_called():
     found = {name: make() for name, make in SPECIAL_CASES.items()}
     statuses = {name: case.status.name for name, case in found.items()}
     assert statuses == {
-        "near_singular": "DEGRADED", "saturated": "SATURATED", "three_arms": "OK",
-        "contact_phases": "OK", "own_pair": "OK", "single_precision": "OK", "strided": "OK",
+        "near_singular": "DEGRADED",
+        "saturated": "SATURATED",
+        "three_arms": "OK",
+        "contact_phases": "OK",
+        "own_pair": "OK",
+        "single_precision": "OK",
+        "strided": "OK",
         "lists": "OK",
-    }  # fmt: skip
+    }
     last = {name: case.controller() for name, case in found.items()}
     for name, controller in last.items():
         controller.tick(found[name].measurement, found[name].reference)
@@ -219,14 +211,14 @@ def test_special_cases_are_what_they_are_called() -> None:
     assert 0.0 < left.left < 1.0 and 0.0 < right.left < 1.0
     assert last["saturated"].given_up is not None
     bars = found["three_arms"].reference.squeeze_d
-    np.testing.assert_allclose(last["three_arms"].result().squeeze, bars, atol=1e-6)
+    assert_allclose(last["three_arms"].result().squeeze, bars, atol=1e-6)
     assert last["contact_phases"].life is not None
     assert (last["contact_phases"].phases() == Phase.CLOSED).all()
     assert [type(pair) for pair in last["own_pair"].contacts] == [OwnFace, osc.VertexOnFace]
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_a_timed_batch_is_its_single_ticks_and_every_row_is_checked(threads: int) -> None:
+@mark.parametrize("threads", [1, 2])
+def test_a_timed_batch_is_its_single_ticks_and_every_row_is_checked(threads):
     rows = BatchCase.around(CASES["one_panda"](), 5, threads)
     tick, unwind = rows.tick()
     for _ in range(2):  # from the same memory each time
@@ -238,16 +230,16 @@ def test_a_timed_batch_is_its_single_ticks_and_every_row_is_checked(threads: int
                 rows.case.reference, **{k: of_row[k] for k in ("V_D", "A_D", "alpha_d")}
             )
             read = replace(rows.case.measurement, **{k: of_row[k] for k in ("q", "v", "wrenches")})
-            np.testing.assert_array_equal(torques[i], rows.case.controller().tick(read, wanted))
+            assert_array_equal(torques[i], rows.case.controller().tick(read, wanted))
     assert len(np.unique(torques[:, 0])) == rows.rows, "every row is at a state of its own"
     rows.inputs["q"][3, 0] = np.nan
     tick()
-    with pytest.raises(InvalidInputError, match="ended HELD in 1 rows, the first of them 3"):
+    with raises(InvalidInputError, match="ended HELD in 1 rows, the first of them 3"):
         unwind()
 
 
-@pytest.mark.parametrize("name", [*CASES, "own_pair"])
-def test_textbook_law_gives_our_torques(name: str) -> None:
+@mark.parametrize("name", [*CASES, "own_pair"])
+def test_textbook_law_gives_our_torques(name):
     """Without force integral: what the textbook's Ω_f(Λ_o) leaves out changes no torque then."""
     case = (CASES | SPECIAL_CASES)[name]()
     gains = case.gains.replaced(
@@ -266,18 +258,19 @@ def test_textbook_law_gives_our_torques(name: str) -> None:
             squeeze_d=rng.uniform(0.0, 20.0),
         )
         asked = replace(case, gains=gains, reference=reference)
-        controller, textbook = asked.controller(), TextbookLaw(asked)
+        controller = asked.controller()
+        textbook = TextbookLaw(asked)
         for _ in range(4):  # the motion integral grows
             ours = controller.tick(case.measurement, reference)
             assert controller.status is osc.Status.OK, controller.reason
-            np.testing.assert_allclose(textbook.tick(), ours, rtol=0, atol=1e-8)
+            assert_allclose(textbook.tick(), ours, rtol=0, atol=1e-8)
         integral = controller.motion_integral
         assert np.abs(integral).max() > 1e-6
-        np.testing.assert_allclose(textbook.motion_sum, integral, rtol=0, atol=1e-12)
+        assert_allclose(textbook.motion_sum, integral, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["two_contact_rod", "one_panda"])
-def test_mujoco_inverse_explains_the_torques_on_every_contact(name: str) -> None:
+@mark.parametrize("name", ["two_contact_rod", "one_panda"])
+def test_mujoco_inverse_explains_the_torques_on_every_contact(name):
     import mujoco
 
     case = CASES[name]()
@@ -287,11 +280,11 @@ def test_mujoco_inverse_explains_the_torques_on_every_contact(name: str) -> None
     dofs = [int(model.joint(joint).dofadr[0]) for joint in case.chain.joint_names]
     wanted = np.zeros(case.chain.nq)
     wanted[case.chain.actuated] = data.ctrl
-    np.testing.assert_allclose(data.qfrc_inverse[dofs], wanted, atol=1e-4)
+    assert_allclose(data.qfrc_inverse[dofs], wanted, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", [*CASES, "three_arms"])
-def test_constraint_dynamics_moves_the_joints_as_commanded(name: str) -> None:
+@mark.parametrize("name", [*CASES, "three_arms"])
+def test_constraint_dynamics_moves_the_joints_as_commanded(name):
     case = replace(
         (CASES | SPECIAL_CASES)[name](), pairs=()
     )  # Pinocchio's contacts do not slide, ours do
@@ -302,55 +295,60 @@ def test_constraint_dynamics_moves_the_joints_as_commanded(name: str) -> None:
     found = np.array(constraint_dynamics(case)())
     arms = case.chain.state(case.measurement.q, case.measurement.v).arms
     for s, arm in zip(case.chain.slices, arms, strict=True):  # what posture moves is ours alone
-        np.testing.assert_allclose(arm.J @ found[s], arm.J @ commanded[s], atol=1e-6)
+        assert_allclose(arm.J @ found[s], arm.J @ commanded[s], atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_random_arms_hold_the_object(kind: str) -> None:
+@mark.parametrize("kind", KINDS)
+def test_random_arms_hold_the_object(kind):
     rng = np.random.default_rng(51)
     rig = random_rig([kind] * 3, rng)
     state = rig.chain.state(rig.q, np.zeros(rig.chain.nq))
     assert state.d == KINDS[kind]
     for X in rig.chain.object_poses():
-        np.testing.assert_allclose(X.homogeneous, rig.X_WO.homogeneous, atol=1e-12)
+        assert_allclose(X.homogeneous, rig.X_WO.homogeneous, atol=1e-12)
     pairs = faces_of(rig, 9, 3, rng)
     assert (
         len(pairs) == 9
         and osc.Contact.stack([pair.contact(rig.X_WO, np.zeros(6)) for pair in pairs]).r == 3
     )
-    with pytest.raises(InvalidInputError, match="cannot have r = 7"):
+    with raises(InvalidInputError, match="cannot have r = 7"):
         faces_of(rig, 9, 7, rng)
-    with pytest.raises(InvalidInputError, match="no arm 'delta'"):
+    with raises(InvalidInputError, match="no arm 'delta'"):
         random_rig(["delta"], rng)
 
 
-def interpreter(path: Path, script: str) -> Path:
+def interpreter(path, script):
     path.write_text(f"#!/bin/sh\n{script}\n")
     path.chmod(0o755)
     return path
 
 
-def test_tsid_runs_in_its_own_interpreter(tmp_path: Path) -> None:
+def test_tsid_runs_in_its_own_interpreter(tmp_path):
     times = {"p50": 9.3, "p99": 10.0, "p99_9": 11.0, "max": 12.0}
-    said = {"pin": "3.4.0", "total_us": times, "problem_us": times, "solve_us": times,
-            "floor_us": times}  # fmt: skip
+    said = {
+        "pin": "3.4.0",
+        "total_us": times,
+        "problem_us": times,
+        "solve_us": times,
+        "floor_us": times,
+    }
     python = interpreter(tmp_path / "python", f"echo '{json.dumps(said)}'")
     report = run_benchmark("peers", 1, tsid_python=python)
     panda = report.data["cases"]["one_panda"]
     assert panda["peers_us"][peers.TSID] == times
     tsid = report.data["tsid"]
-    assert tsid["ratio"] == pytest.approx(9.3 / tsid["tick_us"]["p50"])
+    assert tsid["ratio"] == approx(9.3 / tsid["tick_us"]["p50"])
     assert "TSID / tick" in str(report.tables[-1].caption)
     broken = interpreter(tmp_path / "broken", "echo 'no module tsid' >&2; exit 1")
-    with pytest.raises(InvalidInputError, match=r"no module tsid.*pip install"):
+    with raises(InvalidInputError, match=r"no module tsid.*pip install"):
         run_benchmark("peers", 1, tsid_python=broken)
-    with pytest.raises(InvalidInputError, match=r"cannot be run.*pip install"):
+    with raises(InvalidInputError, match=r"cannot be run.*pip install"):
         run_benchmark("peers", 1, tsid_python=tmp_path / "nowhere")
-    with pytest.raises(InvalidInputError, match="only the benchmark 'peers'"):
+    with raises(InvalidInputError, match="only the benchmark 'peers'"):
         run_benchmark("jitter", 1, tsid_python=python)
 
 
-def test_a_soak_tells_memory_that_grows_and_runs_that_differ() -> None:
+def test_a_soak_tells_memory_that_grows_and_runs_that_differ():
     report = run_benchmark("soak", 300)
     first, second = report.data["runs"]
     assert first["hash"] == second["hash"] and first["ticks"] == 300
@@ -359,7 +357,7 @@ def test_a_soak_tells_memory_that_grows_and_runs_that_differ() -> None:
     assert 30.0 < float(grown.stdout) < 40.0
 
 
-def test_calls_take_turns() -> None:
+def test_calls_take_turns():
     order = []
     calls = {"a": lambda: order.append("a"), "b": lambda: (order.append("b"), sleep(2e-3))}
     found = take_turns(calls, 4, between=lambda: order.append("|"))
@@ -368,7 +366,7 @@ def test_calls_take_turns() -> None:
     assert found["b"].min() >= 2000.0 > np.median(found["a"])
 
 
-def test_deadlines_are_absolute_and_missed_ones_counted() -> None:
+def test_deadlines_are_absolute_and_missed_ones_counted():
     start = perf_counter()
     late, spent, missed = jitter.clocked(lambda: None, 1000, 300)
     took = perf_counter() - start
@@ -379,21 +377,22 @@ def test_deadlines_are_absolute_and_missed_ones_counted() -> None:
     assert np.median(late) < 2000.0, "a missed deadline is made up for"
 
 
-def test_ledger_counts_inner_calls_once_and_puts_everything_back() -> None:
+def test_ledger_counts_inner_calls_once_and_puts_everything_back():
     now = [0.0]  # a clock that only the calls move on
 
     class Plant:
-        def step(self) -> None:
+        def step(self):
             now[0] += 2.0
             self.solve()
 
-        def solve(self) -> None:
+        def solve(self):
             now[0] += 5.0
             raise ValueError
 
-    ledger, before = simulation.Ledger(lambda: now[0]), Plant.step
+    ledger = simulation.Ledger(lambda: now[0])
+    before = Plant.step
     calls = [("step", Plant, "step"), ("solve", Plant, "solve")]
-    with pytest.raises(ValueError), ledger.watching(calls):
+    with raises(ValueError), ledger.watching(calls):
         Plant().step()
     assert Plant.step is before
     assert ledger.spent == {"step": 2.0, "solve": 5.0}

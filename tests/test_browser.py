@@ -4,8 +4,8 @@ import threading
 from itertools import combinations
 
 import numpy as np
-import pytest
 from headless import Browser, near
+from pytest import approx, fixture, mark, raises
 from scene_samples import BASE, RECORDING, find, links, write
 from test_live import CONTENT, MODULE, TICKS
 
@@ -16,17 +16,18 @@ from osc_contact.visual.browser import write_png
 from osc_contact.visual.live import Viewer
 from osc_contact.visual.marks import T_COLOUR
 
-BLUE, VERMILLION = contact_colour(0), contact_colour(1)
+BLUE = contact_colour(0)
+VERMILLION = contact_colour(1)
 PLACE = "nodeAt('{}').object.getWorldPosition(new MeshCat.THREE.Vector3()).toArray()"
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
     return write(folder, fps=20, find=find, frame_words="best frame")
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def browser(page):
     with Browser(f"{page.as_uri()}#t=1") as opened:
         yield opened
@@ -60,7 +61,8 @@ def hinge(tick):
 
 def test_the_page_is_not_blank_and_has_the_named_colours(browser):
     picture = slide(browser, 1.0)
-    scene, dock = picture[:600], picture[640:]
+    scene = picture[:600]
+    dock = picture[640:]
     assert scene.std() > 20 and len(np.unique(scene.reshape(-1, 3), axis=0)) > 300
     for colour, least in ((BLUE, 200), (VERMILLION, 200), (T_COLOUR, 200)):
         assert near(scene, colour) > least, colour
@@ -79,7 +81,7 @@ def test_the_slider_moves_arms_arrows_marker_and_clock(browser):
         assert abs(column.mean() - expected) < 3
         assert browser.run("element('clock').textContent").startswith(f"{time:.2f}")
         scale = browser.run("nodeAt('contacts/left_end/true/shaft').object.scale.y")
-        assert scale == pytest.approx(max(0.12 * time - 0.035, 1e-6), abs=2e-3)
+        assert scale == approx(max(0.12 * time - 0.035, 1e-6), abs=2e-3)
         label = browser.run("document.querySelector('#labels div').textContent")
         assert label == f"left end {12 * time:.2f} N"
         seen[time] = picture[:600]
@@ -88,9 +90,7 @@ def test_the_slider_moves_arms_arrows_marker_and_clock(browser):
     assert near(seen[0.9], VERMILLION) > near(seen[0.2], VERMILLION) + 100, "longer arrows"
 
 
-@pytest.mark.parametrize(
-    ("entry", "least"), [("commanded", 100), ("measured", 30), ("force, true", 100)]
-)
+@mark.parametrize(("entry", "least"), [("commanded", 100), ("measured", 30), ("force, true", 100)])
 def test_each_force_is_on_the_screen(browser, entry, least):
     switch(browser, "T:")  # so that nothing else is in front
     whole = slide(browser, 0.9)[:600]
@@ -130,7 +130,8 @@ def test_a_browser_without_decompression_is_told(page, tmp_path):
 
 def test_a_lost_contact_is_grey(browser):
     switch(browser, "T:")  # so that nothing else is in front
-    closed, lost = slide(browser, 0.3), slide(browser, 0.5)
+    closed = slide(browser, 0.3)
+    lost = slide(browser, 0.5)
     switch(browser, "T:")
     assert browser.run("document.querySelector('#labels div').textContent") == "left end lost"
     grey = "#8E939A"
@@ -143,7 +144,7 @@ def test_check_boxes_show_and_hide(browser):
     switch(browser, "T:")
     assert near(browser.picture()[:600], T_COLOUR) < 0.2 * on
     switch(browser, "T:")
-    assert near(browser.picture()[:600], T_COLOUR) == pytest.approx(on, rel=0.05)
+    assert near(browser.picture()[:600], T_COLOUR) == approx(on, rel=0.05)
     black = near(browser.picture()[:600], "#15181C", 6)
     switch(browser, "best frame")
     assert near(browser.picture()[:600], "#15181C", 6) > black + 300
@@ -181,12 +182,13 @@ def test_play_goes_on_and_a_click_in_a_plot_stops_there(browser):
             clickCount=1,
         )
     browser.until("!player.playing")
-    assert browser.run("player.time") == pytest.approx(0.5, abs=0.01)
+    assert browser.run("player.time") == approx(0.5, abs=0.01)
 
 
 def test_the_live_view_updates(tmp_path):
     with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as viewer:
-        tick, stop = [10], threading.Event()
+        tick = [10]
+        stop = threading.Event()
 
         def run():
             while not stop.wait(0.005):
@@ -229,10 +231,10 @@ def test_png_of_a_moment(page, tmp_path, monkeypatch):
     scene = pixels[1.0][:430]
     assert scene.std() > 20 and near(scene, BLUE) > near(pixels[0.1][:430], BLUE) + 50
     assert sorted(p.name for p in (tmp_path / "deep").iterdir()) == ["0.1.png", "1.0.png"]
-    with pytest.raises(ViewerError, match="gave no answer"):
+    with raises(ViewerError, match="gave no answer"):
         monkeypatch.setenv("OSC_CONTACT_BROWSER", "/bin/false")
         write_png(page, tmp_path / "none.png")
-    with pytest.raises(ViewerError, match=r"no browser .*apt-get install chromium"):
+    with raises(ViewerError, match=r"no browser .*apt-get install chromium"):
         monkeypatch.setenv("OSC_CONTACT_BROWSER", "/no/browser/here")
         write_png(page, tmp_path / "none.png")
     assert not (tmp_path / "none.png").exists()

@@ -3,15 +3,14 @@
 Pinocchio gives M, h, J and drifts, `kkt_oracle` what grasps permit.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_rigs import KINDS, Case, random_case
 from kkt_oracle import State
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark
 from rigs import SCARA_Q, one_panda, random_state, scara_pair
 from test_singular import straight_panda, stretched_scaras
 
@@ -23,7 +22,7 @@ LWA = pin.LOCAL_WORLD_ALIGNED
 
 def assert_close(name, got, want, tolerance=1e-8):
     size = max(1.0, np.abs(want).max(initial=0.0))
-    np.testing.assert_allclose(got, want, rtol=0, atol=tolerance * size, err_msg=name)
+    assert_allclose(got, want, rtol=0, atol=tolerance * size, err_msg=name)
 
 
 def onto(columns):
@@ -33,14 +32,16 @@ def onto(columns):
 
 def assert_arms(chain, s, q, v, tolerance=1e-8):
     """Φ, Λ, J̄, γ, μ, p, ranks, C and N of each arm; N = 1 where the grasp is rigid."""
-    model, data = chain.model, chain.model.createData()
+    model = chain.model
+    data = chain.model.createData()
     pin.computeAllTerms(model, data, q, v)
     pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
     pin.updateFramePlacements(model, data)
     assert_close("M", s.M, data.M)
     assert_close("h", s.h, data.nle)
-    O, X = s.X_WO.translation, chain.tip_poses(data)  # noqa: E741
-    np.testing.assert_allclose(s.grasp_points, [one.translation for one in X], atol=1e-12)
+    O = s.X_WO.translation
+    X = chain.tip_poses(data)
+    assert_allclose(s.grasp_points, [one.translation for one in X], atol=1e-12)
     root = np.linalg.cholesky(s.metric)
     for i, (arm, part, grasp) in enumerate(zip(s.arms, chain.slices, chain.grasps, strict=True)):
         to_O = pin.SE3(np.eye(3), X[i].translation - O).action
@@ -51,7 +52,9 @@ def assert_arms(chain, s, q, v, tolerance=1e-8):
             V = J @ v[part]
             gamma = gamma + pin.Motion(V).cross(pin.Motion(s.V_O)).vector
             N = grasp.wrenches_at(X[i], O)
-        M, h, g = data.M[part, part], data.nle[part], data.g[part]
+        M = data.M[part, part]
+        h = data.nle[part]
+        g = data.g[part]
         passed = np.linalg.qr(np.linalg.solve(root, N))[0]
         seen = passed.T @ root.T @ J @ np.linalg.inv(np.linalg.cholesky(M)).T
         U, sizes, Vh = np.linalg.svd(seen)
@@ -61,9 +64,15 @@ def assert_arms(chain, s, q, v, tolerance=1e-8):
         assert arm.rank == rank
         Lambda = J_bar.T @ M @ J_bar
         for name, want in {
-            "J": J, "gamma": gamma, "M": M, "Phi": J @ np.linalg.solve(M, J.T), "J_bar": J_bar,
-            "Lambda": Lambda, "mu": J_bar.T @ (h - g) - Lambda @ gamma, "p": J_bar.T @ g,
-        }.items():  # fmt: skip
+            "J": J,
+            "gamma": gamma,
+            "M": M,
+            "Phi": J @ np.linalg.solve(M, J.T),
+            "J_bar": J_bar,
+            "Lambda": Lambda,
+            "mu": J_bar.T @ (h - g) - Lambda @ gamma,
+            "p": J_bar.T @ g,
+        }.items():
             assert_close(name, getattr(arm, name), want, tolerance)
         blocked = root @ passed @ U[:, rank:]
         assert_close("C of an arm", onto(arm.C), onto(blocked), tolerance)
@@ -73,14 +82,16 @@ def assert_arms(chain, s, q, v, tolerance=1e-8):
 
 def assert_chain(case, v, V, s, rng):
     """S, σ, W, w, Λ_S, b_S, G by the rows of the grasps; Λ_out and its bias by wrist readings."""
-    oracle, chain = State(case, []), case.chain
+    oracle = State(case, [])
+    chain = case.chain
     oracle._at(v, V)
     product = np.concatenate((np.cross(V[3:], V[:3]), np.zeros(3)))  # classical less spatial
     assert_close("S", onto(s.S), onto(oracle.S), 1e-7)
     assert_close("C", s.C.T @ s.S, 0.0)
     assert s.C.shape[1] == 6 - s.d == 6 - oracle.S.shape[1]
     assert_close("least σ", s.S.T @ s.metric @ s.sigma, 0.0)
-    rows, right = oracle.grasps, np.array([row.right for row in oracle.system.rows])
+    rows = oracle.grasps
+    right = np.array([row.right for row in oracle.system.rows])
     assert_close("W", rows @ np.vstack((s.W, s.S)), 0.0)
     still = np.concatenate((s.w, s.sigma + product))
     assert_close("w", rows @ still, right, 1e-7)
@@ -91,8 +102,11 @@ def assert_chain(case, v, V, s, rng):
         s.payload.mu + s.payload.p + s.payload.Lambda @ s.sigma
     )
     assert_close("b_S", s.b_S, bias)
-    assert_close("bias of the object", s.payload.mu + s.payload.p,
-                 oracle.system.I @ product - oracle.system.pull)  # fmt: skip
+    assert_close(
+        "bias of the object",
+        s.payload.mu + s.payload.p,
+        oracle.system.I @ product - oracle.system.pull,
+    )
     assert_close("G", s.G, s.W.T[:, chain.actuated])
     assert_close("Φ", s.Phi, s.S @ np.linalg.solve(s.Lambda_S, s.S.T))
     undriven = np.linalg.matrix_rank(s.S, 1e-9) - np.linalg.matrix_rank(s.G, 1e-6)
@@ -109,7 +123,8 @@ def assert_chain(case, v, V, s, rng):
 
 def test_random_chains_with_every_grasp():
     """1–4 arms; pose and twist given, and found from the joints."""
-    rng, found = np.random.default_rng(70), 0
+    rng = np.random.default_rng(70)
+    found = 0
     for _ in range(60):
         n = rng.integers(1, 5)
         case = random_case(list(rng.choice(ARMS, n)), list(rng.choice(KINDS, n)), rng)
@@ -123,7 +138,7 @@ def test_random_chains_with_every_grasp():
             assert "do not determine where the object is" in str(error)
             continue
         found += 1
-        np.testing.assert_allclose(s.X_WO.homogeneous, case.X_WO.homogeneous, atol=1e-10)
+        assert_allclose(s.X_WO.homogeneous, case.X_WO.homogeneous, atol=1e-10)
         assert_close("V_O", s.V_O, V)
         assert_arms(case.chain, s, case.q, v)
     assert found > 30
@@ -131,25 +146,28 @@ def test_random_chains_with_every_grasp():
 
 def test_nothing_held_and_gravity_that_changes():
     """The tip has no inertia: metric and ranks are those of a small ball."""
-    panda, rng = one_panda(), np.random.default_rng(72)
+    panda = one_panda()
+    rng = np.random.default_rng(72)
     chain = osc.ClosedChain(panda.arms, panda.grasps, None)
     for gravity in ([0.0, 0.0, -9.81], [1.0, -3.0, 2.0]):
         chain.model.gravity.linear = np.array(gravity)
-        q, v = straight_panda(-1.5) + 0.3 * rng.normal(size=7), rng.normal(size=7)
+        q = straight_panda(-1.5) + 0.3 * rng.normal(size=7)
+        v = rng.normal(size=7)
         s = chain.state(q, v)
         case = Case(chain, q, s.X_WO, [("rigid", grasp.X_TO, None) for grasp in chain.grasps])
         assert_arms(chain, s, q, v)
         assert_chain(case, v, s.V_O, s, rng)
 
 
-@pytest.mark.parametrize("rig", [scara_pair, one_panda])
+@mark.parametrize("rig", [scara_pair, one_panda])
 def test_a_pose_that_is_given_counts_more_than_what_the_joints_say(rig):
     """O somewhere else: everything is expressed there, and the twist is the tip's."""
-    chain, rng = rig(), np.random.default_rng(71)
+    chain = rig()
+    rng = np.random.default_rng(71)
     q, v = random_state(chain, rng)
     X = chain.state(q, v).X_WO * pin.exp6(pin.Motion(0.05 * rng.normal(size=6)))
     s = chain.state(q, v, X)
-    np.testing.assert_array_equal(s.X_WO.homogeneous, X.homogeneous)
+    assert_array_equal(s.X_WO.homogeneous, X.homogeneous)
     assert_arms(chain, s, q, v)
     assert_close("V_O", s.V_O, s.arms[0].J @ v[chain.slices[0]])
 
@@ -171,12 +189,12 @@ def test_what_singular_postures_lose():
             sizes = np.linalg.svd(L.T @ np.linalg.solve(K, arm.J.T).T, compute_uv=False)
             chis = sizes[: chain.full_ranks[i]]
             mine = [one for one in lost if one.arm == i]
-            np.testing.assert_allclose(
+            assert_allclose(
                 sorted(one.chi for one in mine), sorted(chis[chis < 0.3]), rtol=1e-6, atol=1e-9
             )
             for one in mine:
-                assert one.mode @ arm.M @ one.mode == pytest.approx(1.0)
-                assert one.twist @ s.reference @ one.twist == pytest.approx(1.0)
+                assert one.mode @ arm.M @ one.mode == approx(1.0)
+                assert one.twist @ s.reference @ one.twist == approx(1.0)
                 assert_close("J ν = χ u", arm.J @ one.mode, one.chi * one.twist, 1e-7)
                 assert_close("wrench", one.wrench, s.reference @ one.twist, 1e-7)
                 seen += 1
@@ -185,11 +203,12 @@ def test_what_singular_postures_lose():
 
 def test_a_state_is_a_value():
     """A later one changes nothing in it, and two at the same place are the same to the last bit."""
-    chain, rng = scara_pair(), np.random.default_rng(73)
+    chain = scara_pair()
+    rng = np.random.default_rng(73)
     one = chain.state(SCARA_Q, np.zeros(10))
     kept = replace(one, M=one.M.copy(), Phi=one.Phi.copy())
     chain.state(*random_state(chain, rng))
     again = chain.state(SCARA_Q, np.zeros(10))
     for name in ("M", "Phi"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(kept, name))
-        np.testing.assert_array_equal(getattr(one, name), getattr(again, name))
+        assert_array_equal(getattr(one, name), getattr(kept, name))
+        assert_array_equal(getattr(one, name), getattr(again, name))

@@ -7,9 +7,9 @@ import urllib.request
 from http.client import HTTPException
 
 import psutil
-import pytest
 from distributed import Client, LocalCluster
 from pyarrow import parquet
+from pytest import fixture, mark, raises
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -32,13 +32,13 @@ class Deadly(SweepStudy):
         return super().sample(number)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def client():
     with cluster.connect(cluster.LOCAL, 2) as client:
         yield client
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def alone():
     """The table of one process."""
     return osc.sweep("two_contact_rod", [MASSES], 10, overrides=SHORT, workers=1)
@@ -61,7 +61,7 @@ def test_a_cluster_of_this_machine_is_reached_by_itself_only_and_shows_no_pages(
     ports = listening()
     assert len(ports) >= 4 and {host for host, _ in ports} == {"127.0.0.1"}
     for host, port in ports:
-        with pytest.raises((OSError, HTTPException)):
+        with raises((OSError, HTTPException)):
             urllib.request.urlopen(f"http://{host}:{port}/health", timeout=1.0)
 
 
@@ -99,14 +99,15 @@ def test_by_command_and_address_too(client, alone, tmp_path):
     assert parquet.read_table(tmp_path / TABLE).equals(alone)
 
 
-@pytest.mark.parametrize("where", ["processes", "cluster"])
+@mark.parametrize("where", ["processes", "cluster"])
 def test_a_run_that_ends_its_worker_twice_is_a_row_that_says_so(where, client):
     # one death may be that of a neighbour: dask charges all that a worker was given
     client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 1))
     tilt = "model_error.face_tilt=uniform(0 deg, 2 deg)"  # no doubts before a run, as of masses
     study = Deadly.of("two_contact_rod", [tilt], 6, seed=1, overrides=SHORT)
     how = {"workers": 2} if where == "processes" else {"scheduler": client}
-    rows, wanted = run_study(study, **how).to_pylist(), run_study(study, workers=1).to_pylist()
+    rows = run_study(study, **how).to_pylist()
+    wanted = run_study(study, workers=1).to_pylist()
     died = rows.pop(1)
     assert died["row"] == 1 and died["word"] == "CRASHED" and died["failed"]
     assert "twice" in died["why"] and wanted.pop(1)["word"] == "OK"
@@ -124,7 +125,7 @@ def test_what_cannot_be_used_is_refused_with_what_to_do(client, monkeypatch):
     monkeypatch.setattr(cluster, "_PATIENCE_S", 0.5)
 
     def refused(scheduler, complaint, **how):
-        with pytest.raises(osc.InvalidInputError, match=complaint):
+        with raises(osc.InvalidInputError, match=complaint):
             osc.sweep("two_contact_rod", [MASSES], 2, overrides=SHORT, scheduler=scheduler, **how)
 
     refused(client, "a cluster has its own", workers=2)

@@ -1,7 +1,5 @@
 """The cache of machine code: fresh after any edit of the law, and compiled anew when damaged."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -109,18 +107,22 @@ def result():
 """
 
 
-def run(*command: object, folder: Path | None = None, **environment: object) -> str:
+def run(*command, folder=None, **environment):
     """What a Python process prints that is started in a folder."""
     usual = {**os.environ, "NUMBA_DISABLE_JIT": "0"}
     done = subprocess.run(
-        [sys.executable, *map(str, command)], capture_output=True, text=True, timeout=300,
-        cwd=folder, env=usual | {name: str(value) for name, value in environment.items()},
-    )  # fmt: skip
+        [sys.executable, *map(str, command)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=folder,
+        env=usual | {name: str(value) for name, value in environment.items()},
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     return done.stdout
 
 
-def test_a_damaged_cache_is_compiled_anew_with_one_line(tmp_path: Path) -> None:
+def test_a_damaged_cache_is_compiled_anew_with_one_line(tmp_path):
     (tmp_path / "entries.py").write_text(ENTRIES)
     found = json.loads(run("-c", DAMAGED, tmp_path, NUMBA_CACHE_DIR=tmp_path / "cache"))
     assert len(found) == 18
@@ -135,13 +137,14 @@ def test_a_damaged_cache_is_compiled_anew_with_one_line(tmp_path: Path) -> None:
             assert "compiled anew" in "".join(outcome["lines"]), kind
 
 
-def test_an_edit_of_any_source_of_the_law_has_its_entries_compiled_anew(tmp_path: Path) -> None:
-    package, source = tmp_path / "osc_contact", Path(osc_contact.__file__).parent
+def test_an_edit_of_any_source_of_the_law_has_its_entries_compiled_anew(tmp_path):
+    package = tmp_path / "osc_contact"
+    source = Path(osc_contact.__file__).parent
     shutil.copytree(source, package, ignore=shutil.ignore_patterns("__pycache__", "files"))
     (tmp_path / "uses_the_law.py").write_text(USES_THE_LAW)
     show = "import uses_the_law as u, json; print(json.dumps(u.result()))"
 
-    def result() -> list[float]:
+    def result():
         cache = tmp_path / "cache"
         return json.loads(
             run("-c", show, folder=tmp_path, PYTHONPATH=tmp_path, NUMBA_CACHE_DIR=cache)
@@ -155,14 +158,14 @@ def test_an_edit_of_any_source_of_the_law_has_its_entries_compiled_anew(tmp_path
 
 
 @pytest.mark.skipif(PLAIN_PYTHON, reason="nothing is compiled, so nothing is cached")
-def test_all_entries_of_the_law_are_cached_in_this_way() -> None:
+def test_all_entries_of_the_law_are_cached_in_this_way():
     from osc_contact.law.code_cache import CodeCache
 
     entries = limits.prepare, limits.finish, limits.fill_program, limits.settle, rows()
     assert [type(entry._cache) for entry in entries] == 5 * [CodeCache]
 
 
-def test_a_numba_with_another_cache_compiles_in_every_process() -> None:
+def test_a_numba_with_another_cache_compiles_in_every_process():
     script = (
         "from numba.core.caching import IndexDataCacheFile\n"
         "del IndexDataCacheFile._dump\n"

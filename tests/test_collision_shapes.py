@@ -1,20 +1,13 @@
 """Collision shapes from URDF files, and what detection refuses."""
 
-from __future__ import annotations
-
 import textwrap
 
 import coal
 import numpy as np
 import pinocchio as pin
-import pytest
-from detection_bodies import (
-    BOX,
-    CORNERS,
-    TABLE,
-    only,
-    standing,
-)
+from detection_bodies import BOX, CORNERS, TABLE, only, standing
+from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 
 from osc_contact import robots
 from osc_contact.contacts import detection
@@ -26,10 +19,10 @@ from osc_contact.errors import InvalidInputError, ModelError
 def test_shapes_of_a_urdf_have_the_names_and_places_of_the_file():
     shapes = {s.name: s for s in collision_shapes(robots.urdf_path("rod.urdf"))}
     assert list(shapes) == ["shaft", "left_end", "right_end"]
-    np.testing.assert_allclose(shapes["left_end"].placement.translation, [-0.29, 0, 0])
+    assert_allclose(shapes["left_end"].placement.translation, [-0.29, 0, 0])
     assert shapes["right_end"].shape.radius == 0.01
     assert shapes["shaft"].shape.halfLength == 0.29
-    np.testing.assert_allclose(shapes["shaft"].solid.axis, [1, 0, 0], atol=1e-9)
+    assert_allclose(shapes["shaft"].solid.axis, [1, 0, 0], atol=1e-9)
 
 
 def urdf(tmp_path, collision, joint=""):
@@ -54,9 +47,19 @@ def stl(path, corners, faces):
 
 
 CUBE_FACES = [
-    (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
-    (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
-]  # fmt: skip
+    (0, 1, 3),
+    (0, 3, 2),
+    (4, 6, 7),
+    (4, 7, 5),
+    (0, 4, 5),
+    (0, 5, 1),
+    (2, 3, 7),
+    (2, 7, 6),
+    (0, 2, 6),
+    (0, 6, 4),
+    (1, 5, 7),
+    (1, 7, 3),
+]
 
 
 def test_a_convex_mesh_touches_like_the_box_it_is(tmp_path):
@@ -70,7 +73,8 @@ def test_a_convex_mesh_touches_like_the_box_it_is(tmp_path):
         (pin.rpy.rpyToMatrix(0.4, 0.6, 0), 1),
     ):
         X = standing(tilt, CORNERS, np.random.default_rng(r))
-        as_mesh, as_box = only(detect(mesh, X, TABLE)), only(detect(BOX, X, TABLE))
+        as_mesh = only(detect(mesh, X, TABLE))
+        as_box = only(detect(BOX, X, TABLE))
         assert as_mesh.r == as_box.r == r
         assert as_mesh.kind == as_box.kind
         for point in as_box.points:
@@ -88,8 +92,8 @@ def test_a_convex_mesh_that_is_no_mirror_image_of_itself(tmp_path):
         mesh = collision_shapes(urdf(tmp_path, MESH.format("wedge.stl")))
         found = only(detect(mesh, pin.SE3.Identity(), TABLE))
         assert (found.kind, found.r) == ("face on face", 3)
-        assert found.distance == pytest.approx(0.0, abs=1e-9)
-        np.testing.assert_allclose(found.normal, [0, 0, 1], atol=1e-9)
+        assert found.distance == approx(0.0, abs=1e-9)
+        assert_allclose(found.normal, [0, 0, 1], atol=1e-9)
         assert detect(mesh, pin.SE3(np.eye(3), np.array([0, 0, 0.01])), TABLE) == []
 
 
@@ -106,11 +110,11 @@ def test_a_dented_mesh_is_refused(tmp_path):
     dented = [f for f in CUBE_FACES if f not in ((4, 6, 7), (4, 7, 5))]
     dented += [(4, 6, 8), (6, 7, 8), (7, 5, 8), (5, 4, 8)]
     stl(tmp_path / "dent.stl", corners, dented)
-    with pytest.raises(ModelError, match="not convex"):
+    with raises(ModelError, match="not convex"):
         collision_shapes(urdf(tmp_path, MESH.format("dent.stl")))
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("collision", "joint", "message"),
     [
         ("", "", "no link has a <collision>"),
@@ -123,24 +127,24 @@ def test_a_dented_mesh_is_refused(tmp_path):
     ],
 )
 def test_files_that_are_no_body_are_refused(tmp_path, collision, joint, message):
-    with pytest.raises(ModelError, match=message):
+    with raises(ModelError, match=message):
         collision_shapes(urdf(tmp_path, collision, textwrap.dedent(joint)))
 
 
 def test_a_missing_file_is_named():
-    with pytest.raises(ModelError, match=r"nowhere\.urdf"):
+    with raises(ModelError, match=r"nowhere\.urdf"):
         collision_shapes("nowhere.urdf")
 
 
 def test_bad_input_is_refused_at_the_door():
     X = pin.SE3.Identity()
     for options in ({"margin": 0.0}, {"margin": np.nan}, {"angle": 0.0}, {"angle": 0.5}):
-        with pytest.raises(InvalidInputError, match=next(iter(options))):
+        with raises(InvalidInputError, match=next(iter(options))):
             detect(BOX, X, TABLE, **options)
-    with pytest.raises(InvalidInputError, match="Ellipsoid"):
+    with raises(InvalidInputError, match="Ellipsoid"):
         CollisionShape("egg", coal.Ellipsoid(1, 2, 3))
     puffed = coal.Box(1, 1, 1)
     puffed.setSweptSphereRadius(0.01)
-    with pytest.raises(InvalidInputError, match="swept"):
+    with raises(InvalidInputError, match="swept"):
         CollisionShape("puffed", puffed)
     assert set(detection.__all__) >= {"detect", "Detected", "CollisionShape", "collision_shapes"}

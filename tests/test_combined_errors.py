@@ -1,9 +1,8 @@
 """All errors of a real workcell at once, the keys of `model_error` that make them."""
 
-from __future__ import annotations
-
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 from benchmarks.combined_errors import MASSES, judge
@@ -11,8 +10,8 @@ from benchmarks.combined_errors import MASSES, judge
 GRAVITY = 9.81
 
 
-@pytest.mark.parametrize("mass", MASSES)
-@pytest.mark.parametrize(("name", "side"), [("two_contact_rod", 90), ("panda_edge", 0)])
+@mark.parametrize("mass", MASSES)
+@mark.parametrize(("name", "side"), [("two_contact_rod", 90), ("panda_edge", 0)])
 def test_all_errors_at_once(name, mass, side):
     verdict = judge(name, mass, side)
     assert set(verdict["contact_fraction"].values()) == {1.0}
@@ -24,26 +23,27 @@ def test_a_hidden_mass_is_in_the_plant_and_not_in_the_model():
     hidden = osc.load_scenario("two_contact_rod", ["model_error.hidden_mass=0.3 kg"])
     rigs = [osc.build_rig(s) for s in (hidden, osc.load_scenario("two_contact_rod"))]
     rig = rigs[0]
-    X, gravity = rig.state().X_WO, np.array([0.0, 0.0, -GRAVITY])
+    X = rig.state().X_WO
+    gravity = np.array([0.0, 0.0, -GRAVITY])
     carried = [chain.payload.terms(X, np.zeros(6), gravity).p for chain in (rig.chain, rig.model)]
     up = np.array([0.0, 0.0, 0.3 * GRAVITY])
     tip = np.array([-0.15, 0.0, 0.0])  # of the left arm, in the frame of the rod
     want = np.concatenate((up, np.cross(X.rotation @ tip, up)))
-    np.testing.assert_allclose(carried[0] - carried[1], want, atol=1e-9)
+    assert_allclose(carried[0] - carried[1], want, atol=1e-9)
     plants = [rig.plant().model for rig in rigs]
     masses = [model.body_subtreemass[0] for model in plants]
-    assert masses[0] - masses[1] == pytest.approx(0.3, abs=1e-9)
+    assert masses[0] - masses[1] == approx(0.3, abs=1e-9)
     rod = [model.body("object/root") for model in plants]
     middle = (0.3 * tip + rod[1].mass * rod[1].ipos) / rod[0].mass
-    np.testing.assert_allclose(rod[0].ipos, middle, atol=1e-9)
+    assert_allclose(rod[0].ipos, middle, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["two_contact_rod", "panda_edge", "ur5_wipe", "three_arm_plate"])
+@mark.parametrize("name", ["two_contact_rod", "panda_edge", "ur5_wipe", "three_arm_plate"])
 def test_bodies_are_believed_to_be_nearer(name):
     rig = osc.build_rig(osc.load_scenario(name, ["model_error.face_offset=3 mm"]))
     for body in rig.bodies:
         gaps = rig.controlled_pairs()[body.contacts[0]].gaps(rig.state().X_WO)
-        np.testing.assert_allclose(gaps, -0.003, atol=1e-8)
+        assert_allclose(gaps, -0.003, atol=1e-8)
 
 
 def test_faces_are_believed_to_be_turned_about_where_they_touch():
@@ -53,9 +53,9 @@ def test_faces_are_believed_to_be_turned_about_where_they_touch():
         rig = osc.build_rig(osc.load_scenario("two_contact_rod", wrong))
         X = rig.state().X_WO
         for pair, believed in zip(rig.pairs, rig.controlled_pairs(), strict=True):
-            assert believed.gap(X) == pytest.approx(0.010 * (np.cos(np.deg2rad(3)) - 1), abs=1e-8)
+            assert believed.gap(X) == approx(0.010 * (np.cos(np.deg2rad(3)) - 1), abs=1e-8)
             turned.append(np.cross(pair.normal, believed.normal))
-    np.testing.assert_allclose([t @ t for t in turned], np.sin(np.deg2rad(3)) ** 2, atol=1e-9)
+    assert_allclose([t @ t for t in turned], np.sin(np.deg2rad(3)) ** 2, atol=1e-9)
     assert abs(turned[0][2]) < 1e-9 > abs(turned[0] @ turned[2])
 
 
@@ -64,7 +64,7 @@ def test_a_pair_of_ones_own_cannot_be_displaced():
     own = [{"pair": osc.build_rig(scenario).pairs[0], "body": "wall"}, scenario.contacts[1]]
     wall = {"name": "wall", "urdf": "face.urdf"}
     rig = osc.build_rig(scenario.replaced(contacts=own, environment=[wall]))
-    with pytest.raises(osc.ScenarioError, match="put another pair into the controller"):
+    with raises(osc.ScenarioError, match="put another pair into the controller"):
         rig.controller()
 
 
@@ -75,7 +75,7 @@ def test_friction_that_turns_back_is_commanded_in_time():
     assert max(force["rms_error_rel"] for force in verdict["force"].values()) < 0.015
 
 
-@pytest.mark.parametrize("time", [0.004, 0.02])
+@mark.parametrize("time", [0.004, 0.02])
 def test_points_that_slide_on_hard_faces_keep_contact(time):
     changes = ["plant.friction=0.2", f"plant.solref=[{time}, 1]", "duration=2 s"]
     verdict = osc.metrics(osc.run(osc.load_scenario("two_contact_rod", changes)))

@@ -1,12 +1,11 @@
 """Eqs. 21 and 24 for any chain state: what the law commands, against its optimality conditions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose
+from pytest import mark, raises
 from rigs import one_panda, panda_pair, scara_pair
 from test_decoupling import in_contact
 
@@ -23,7 +22,8 @@ def nearest(W, S, x, N_S, value):
 
 def by_definition(state, contact, a_u, alpha_u, B, environment, friction_wrenches):
     """η̇_c (d,) and f_S (d,)."""
-    pushed, N_S = contact.N + friction_wrenches, state.S.T @ contact.N
+    pushed = contact.N + friction_wrenches
+    N_S = state.S.T @ contact.N
     inertia = {"object": 0.0, "chain": sum(arm.Lambda for arm in state.arms)}
     W = np.linalg.inv(B) if isinstance(B, np.ndarray) else state.metric + inertia[B]
     x = a_u - state.sigma
@@ -38,19 +38,22 @@ def by_definition(state, contact, a_u, alpha_u, B, environment, friction_wrenche
 def assert_close(got, want):
     for one, other in zip(got, want, strict=True):
         size = max(1.0, np.abs(other).max())
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * size)
+        assert_allclose(one, other, rtol=0, atol=1e-9 * size)
 
 
-@pytest.mark.parametrize("kind", ["object", "chain", "matrix"])
-@pytest.mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
+@mark.parametrize("kind", ["object", "chain", "matrix"])
+@mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
 def test_commands_are_the_nearest_that_contacts_permit(rig, kind):
     """Fixed faces and bodies that move, yield and are dragged along; d = 5, 6."""
-    chain, rng = rig(), np.random.default_rng(80)
+    chain = rig()
+    rng = np.random.default_rng(80)
     for _ in range(20):
         state, contact, *_ = in_contact(chain, rng)
-        A, half = rng.normal(size=(6, 6)), rng.normal(size=(6, 3))
+        A = rng.normal(size=(6, 6))
+        half = rng.normal(size=(6, 3))
         B = A @ A.T + np.eye(6) if kind == "matrix" else kind
-        a_u, alpha_u = rng.normal(size=6), rng.uniform(1, 20, contact.r)
+        a_u = rng.normal(size=6)
+        alpha_u = rng.uniform(1, 20, contact.r)
         moving = osc.Environment(half @ half.T, rng.normal(size=6), rng.normal(size=6))
         friction_wrenches = 0.1 * rng.normal(size=contact.N.shape)
         for how in (
@@ -61,14 +64,16 @@ def test_commands_are_the_nearest_that_contacts_permit(rig, kind):
             assert_close(command(*given), by_definition(*given))
 
 
-@pytest.mark.parametrize("rig", [scara_pair, panda_pair])
+@mark.parametrize("rig", [scara_pair, panda_pair])
 def test_frame_units_and_bases_do_not_matter(rig):
     """200 random frames, units (m → mm) and bases of S and N: the same η̇_c and f_S."""
-    chain, rng = rig(), np.random.default_rng(14)
+    chain = rig()
+    rng = np.random.default_rng(14)
     state, contact, *_ = in_contact(chain, rng)
     A = rng.normal(size=(6, 6))
     B = A @ A.T + 0.1 * np.eye(6)
-    a_u, alpha = rng.normal(size=6), rng.uniform(5, 20, 2)
+    a_u = rng.normal(size=6)
+    alpha = rng.uniform(5, 20, 2)
     eta, f_S = command(state, contact, a_u, alpha, B)
     for _ in range(200):
         X = pin.SE3.Random().action  # motions; forces go with X⁻ᵀ
@@ -94,5 +99,5 @@ def test_frame_units_and_bases_do_not_matter(rig):
 
 def test_a_metric_that_is_not_definite_is_refused():
     state, contact, *_ = in_contact(scara_pair(), np.random.default_rng(81))
-    with pytest.raises(osc.ContactError, match="metric B"):
+    with raises(osc.ContactError, match="metric B"):
         command(state, contact, np.zeros(6), np.zeros(2), -np.eye(6))

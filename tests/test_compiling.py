@@ -1,7 +1,5 @@
 """How the law is compiled: what its readers read, what is said meanwhile, and with public numba."""
 
-from __future__ import annotations
-
 import gc
 import importlib.util
 import io
@@ -9,11 +7,11 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pytest
-from numba import config  # type: ignore[attr-defined]
+from numba import config
+from numpy.testing import assert_allclose
+from pytest import fixture, mark
 from rich.console import Console
 
 import osc_contact as osc
@@ -109,7 +107,7 @@ print("public numba" if jit._INNER is jit._PLAIN else "accelerated")
 """
 
 
-def load(path: Path) -> Any:
+def load(path):
     """The module anew, as another process would see it."""
     spec = importlib.util.spec_from_file_location("compiled_somewhere", path)
     assert spec is not None and spec.loader is not None
@@ -118,9 +116,10 @@ def load(path: Path) -> Any:
     return module
 
 
-def test_collections_are_as_usual_when_the_last_of_two_threads_has_compiled() -> None:
+def test_collections_are_as_usual_when_the_last_of_two_threads_has_compiled():
     usual = gc.get_threshold()
-    one, other = announced(), announced()
+    one = announced()
+    other = announced()
     try:
         one.__enter__()
         gc.set_threshold(50_000, 20, 100)  # as a compilation does
@@ -133,13 +132,16 @@ def test_collections_are_as_usual_when_the_last_of_two_threads_has_compiled() ->
         gc.set_threshold(*usual)
 
 
-def test_compiling_is_announced_once_and_loading_is_not(tmp_path: Path) -> None:
-    path, told, earlier = tmp_path / "kernel.py", [], []
+def test_compiling_is_announced_once_and_loading_is_not(tmp_path):
+    path = tmp_path / "kernel.py"
+    told = []
+    earlier = []
     path.write_text(SOURCE)
     tell(earlier.append)
     tell(told.append)
     try:
-        first, second = load(path), load(path)
+        first = load(path)
+        second = load(path)
         with announced():
             assert first.kernel(3) == 7
         if getattr(config, "DISABLE_JIT"):  # noqa: B009 - set at run time
@@ -155,8 +157,8 @@ def test_compiling_is_announced_once_and_loading_is_not(tmp_path: Path) -> None:
         tell(lambda text: None)
 
 
-@pytest.fixture(params=["compiled", "plain"])
-def parts(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+@fixture(params=["compiled", "plain"])
+def parts(request, tmp_path, monkeypatch):
     """The module of `READERS`, compiled and as plain Python."""
     path = tmp_path / "parts.py"
     path.write_text(READERS)
@@ -169,14 +171,21 @@ def parts(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mo
     return module
 
 
-def test_parts_of_the_law_read_bytes_as_records_without_a_copy(parts: Any) -> None:
+def test_parts_of_the_law_read_bytes_as_records_without_a_copy(parts):
     record = parts.RECORD.new({"n": 3, "m": 2})
     gap = np.full(64, 255, np.uint8)
-    raw, out, at = np.concatenate([gap, record, gap]), np.zeros(1), len(gap)
+    raw = np.concatenate([gap, record, gap])
+    out = np.zeros(1)
+    at = len(gap)
     view = parts.RECORD.view(raw[at : at + len(record)])
-    view.count, view.mass, view.axes = 3, 0.5, np.arange(6.0).reshape(2, 3)
-    view.rows["motor"], view.rows["force"] = [0, 1, 2], np.arange(9.0).reshape(3, 3)
-    view.chosen[:], view.flat[:], view.A[:] = [5, 0], np.arange(6.0), np.arange(6.0).reshape(3, 2)
+    view.count = 3
+    view.mass = 0.5
+    view.axes = np.arange(6.0).reshape(2, 3)
+    view.rows["motor"] = [0, 1, 2]
+    view.rows["force"] = np.arange(9.0).reshape(3, 3)
+    view.chosen[:] = [5, 0]
+    view.flat[:] = np.arange(6.0)
+    view.A[:] = np.arange(6.0).reshape(3, 2)
     first = raw.copy()
     assert parts.work(raw, at, out) == 1.0
     assert out[0] == np.inf
@@ -200,8 +209,8 @@ RECORDS = {
 }
 
 
-@pytest.mark.parametrize("name", RECORDS)
-def test_no_field_of_a_record_is_named_like_an_attribute(name: str) -> None:
+@mark.parametrize("name", RECORDS)
+def test_no_field_of_a_record_is_named_like_an_attribute(name):
     """In plain Python `record.field` finds attributes of `np.recarray` and `np.record` first."""
     taken = set(dir(np.recarray)) | set(dir(np.record))
     fields = RECORDS[name].names
@@ -213,15 +222,19 @@ def test_no_field_of_a_record_is_named_like_an_attribute(name: str) -> None:
         assert kind.base in (np.int64, np.float64) and offset % 8 == 0
 
 
-def test_public_numba_gives_the_same_torques(tmp_path: Path) -> None:
+@mark.slow
+def test_public_numba_gives_the_same_torques(tmp_path):
     """Without the accelerator, in a process of its own that compiles the law afresh.
 
     LLVM does not reorder sums at any level; the lower one compiles in two thirds of the time.
     """
     environment = {
-        **os.environ, "OSC_CONTACT_ACCELERATOR": "0", "NUMBA_CACHE_DIR": str(tmp_path),
-        "NUMBA_OPT": "1", "NUMBA_DISABLE_JIT": "0",
-    }  # fmt: skip
+        **os.environ,
+        "OSC_CONTACT_ACCELERATOR": "0",
+        "NUMBA_CACHE_DIR": str(tmp_path),
+        "NUMBA_OPT": "1",
+        "NUMBA_DISABLE_JIT": "0",
+    }
     done = subprocess.run(
         [sys.executable, "-c", SMALL], capture_output=True, text=True, timeout=900, env=environment
     )
@@ -229,17 +242,16 @@ def test_public_numba_gives_the_same_torques(tmp_path: Path) -> None:
     *lines, how = done.stdout.splitlines()
     assert how == "public numba" and any(tmp_path.rglob("*.nbc"))
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
-    measurement, controller = rig.plant().measure(), rig.controller()
+    measurement = rig.plant().measure()
+    controller = rig.controller()
     assert len(lines) == 5
     for k, line in enumerate(lines):
         got = np.array([float.fromhex(word) for word in line.split()])
         want = controller.tick(measurement, rig.references.at(0.3 * k))
-        np.testing.assert_allclose(got, want, rtol=0, atol=1e-12 * np.abs(want).max())
+        assert_allclose(got, want, rtol=0, atol=1e-12 * np.abs(want).max())
 
 
-def test_a_numba_without_the_accelerators_classes_is_enough(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_numba_without_the_accelerators_classes_is_enough(monkeypatch):
     monkeypatch.setenv("OSC_CONTACT_ACCELERATOR", "1")
     monkeypatch.setitem(sys.modules, "osc_contact.law.accelerator", None)
     assert jit._accelerator() is None and jit._options(None) == (jit._PLAIN, jit._PLAIN)
@@ -248,8 +260,8 @@ def test_a_numba_without_the_accelerators_classes_is_enough(
     assert jit._accelerator() is None
 
 
-@pytest.mark.parametrize("name", ["_get_module_for_linking", "_finalize_dynamic_globals"])
-def test_a_numba_whose_libraries_have_other_methods_is_told_at_once(name: str) -> None:
+@mark.parametrize("name", ["_get_module_for_linking", "_finalize_dynamic_globals"])
+def test_a_numba_whose_libraries_have_other_methods_is_told_at_once(name):
     """Not at the first compilation, where nothing would catch it."""
     script = (
         "from numba.core.codegen import CodeLibrary, JITCodeLibrary\n"
@@ -262,14 +274,14 @@ def test_a_numba_whose_libraries_have_other_methods_is_told_at_once(name: str) -
     assert out.stdout.split() == ["None", "True"], out.stderr
 
 
-def test_the_compiled_tick_keeps_no_intermediate_code() -> None:
+def test_the_compiled_tick_keeps_no_intermediate_code():
     """Which takes 19 MB."""
     compiled = list(getattr(rows(), "overloads", {}).values())
     assert PLAIN or compiled
     assert all(one.library._shared_module is None for one in compiled)
 
 
-def test_flags_of_the_law_say_and_compare_as_numbas_own() -> None:
+def test_flags_of_the_law_say_and_compare_as_numbas_own():
     from numba.core.compiler import Flags
 
     from osc_contact.law.accelerator import _Flags
@@ -287,13 +299,15 @@ def test_flags_of_the_law_say_and_compare_as_numbas_own() -> None:
             assert alike == [one == other] * 3
 
 
-def test_progress_rises_with_the_functions_compiled(tmp_path: Path) -> None:
+def test_progress_rises_with_the_functions_compiled(tmp_path):
     """From 0 to 1, whatever is compiled, and nothing where it comes from the cache."""
-    path, shares = tmp_path / "kernel.py", []
+    path = tmp_path / "kernel.py"
+    shares = []
     path.write_text(SOURCE)
     tell(lambda text: None, shares.append)
     try:
-        first, second = load(path), load(path)
+        first = load(path)
+        second = load(path)
         with announced(first.kernel):
             assert first.kernel(3) == 7
         if getattr(config, "DISABLE_JIT"):  # noqa: B009 - set at run time
@@ -309,15 +323,13 @@ def test_progress_rises_with_the_functions_compiled(tmp_path: Path) -> None:
         tell(lambda text: None)
 
 
-def test_the_functions_counted_are_those_of_the_law() -> None:
+def test_the_functions_counted_are_those_of_the_law():
     parts = {part.__qualname__ for part in parts_of(law.rows)}
     assert {"_row", "cholesky", "find_lost", "advance_phases", "guard"} <= parts
     assert not any(name.startswith("test") for name in parts)
 
 
-def test_the_bar_of_the_commands_ends_with_the_compilation(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_bar_of_the_commands_ends_with_the_compilation(monkeypatch):
     text = io.StringIO()
     monkeypatch.setattr(console, "err", Console(file=text, force_terminal=True, width=80))
     bar = console.CompilationBar()

@@ -1,15 +1,14 @@
 """Fig. 2 held by a Panda: geometry, references, decoupling and the continuity of N."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_oracle import kkt
+from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -38,8 +37,10 @@ def short_run(steps=STEPS, moving=True):
 
 def cone_points(count=200, rows=9):
     """Points of the cone's side in the world, (count·rows, 3), from its apex, axis and angle."""
-    cone, X = seat().cone, rig().state().X_WO
-    apex, axis = X.act(cone.apex), X.rotation @ cone.axis
+    cone = seat().cone
+    X = rig().state().X_WO
+    apex = X.act(cone.apex)
+    axis = X.rotation @ cone.axis
     x = np.cross(axis, [0.3, 0.5, -0.8])
     x /= np.linalg.norm(x)
     phi = np.linspace(0, 2 * np.pi, count, endpoint=False)[:, None]
@@ -49,7 +50,8 @@ def cone_points(count=200, rows=9):
 
 def pose_at(turn, slide):
     """The cone turned about its axis and moved along the groove, by products of poses."""
-    cone, X = seat().cone, rig().state().X_WO
+    cone = seat().cone
+    X = rig().state().X_WO
     about = pin.SE3(pin.exp3(turn * cone.axis), np.zeros(3))
     shift = pin.SE3(np.eye(3), cone.apex)
     along = pin.SE3(np.eye(3), slide * seat().groove.direction)
@@ -68,15 +70,17 @@ def test_the_cone_lies_on_both_walls_and_in_neither():
         assert abs(generator @ wall) < 1e-12, "along a line of the wall"
         assert abs(np.linalg.norm(generator) - 1) < 1e-12
         cosine = generator @ seat().axis
-        assert np.arccos(cosine) == pytest.approx(seat().half_angle)
+        assert np.arccos(cosine) == approx(seat().half_angle)
         assert wall[2] > 0.0 and abs(wall @ seat().groove.direction) < 1e-12
         heights.append(wall)
-    assert heights[0] @ heights[1] == pytest.approx(np.cos(np.deg2rad(60.0)))
+    assert heights[0] @ heights[1] == approx(np.cos(np.deg2rad(60.0)))
 
 
 def test_inertia_is_that_of_a_stack_of_discs():
-    cone, inertia = seat().cone, rig().chain.payload.inertia
-    n, h = 4000, cone.height
+    cone = seat().cone
+    inertia = rig().chain.payload.inertia
+    n = 4000
+    h = cone.height
     z = (np.arange(n) + 0.5) / n * h
     radius = z * np.tan(seat().half_angle)
     m = radius**2 / (radius**2).sum() * inertia.mass
@@ -86,26 +90,29 @@ def test_inertia_is_that_of_a_stack_of_discs():
     for mass, r, c in zip(m, radius, centres - com, strict=True):
         disc = 0.25 * mass * r**2 * (np.eye(3) + np.outer(cone.axis, cone.axis))
         total += disc + mass * (c @ c * np.eye(3) - np.outer(c, c))
-    np.testing.assert_allclose(inertia.lever, com, atol=1e-8)
-    np.testing.assert_allclose(inertia.inertia, total, rtol=1e-5, atol=1e-9)
+    assert_allclose(inertia.lever, com, atol=1e-8)
+    assert_allclose(inertia.inertia, total, rtol=1e-5, atol=1e-9)
 
 
 def test_N_is_spanned_by_pushes_on_the_walls_and_T_by_inspection():
     """t₁ = [axis × (O − apex)…], t₂ = [e; 0]; pushes normal to the walls do no work on either."""
-    rng, cone, e = np.random.default_rng(0), seat().cone, seat().groove.direction
+    rng = np.random.default_rng(0)
+    cone = seat().cone
+    e = seat().groove.direction
     for _ in range(20):
         X = pose_at(rng.uniform(-3, 3), rng.uniform(-0.1, 0.1))
         contact = seat().pair.contact(X, np.zeros(6))
-        np.testing.assert_allclose(seat().pair.gaps(X), 0.0, atol=1e-14)
+        assert_allclose(seat().pair.gaps(X), 0.0, atol=1e-14)
         points, directions = seat().wall_forces(X)
         levers = points - X.translation[:, None]
         lines = np.vstack((directions, np.cross(levers, directions, axis=0)))
-        axis, apex = X.rotation @ cone.axis, X.act(cone.apex)
+        axis = X.rotation @ cone.axis
+        apex = X.act(cone.apex)
         T = np.array([[*np.cross(axis, X.translation - apex), *axis], [*e, 0, 0, 0]]).T
         assert np.abs(lines.T @ T).max() < 1e-14
         assert np.abs(contact.N.T @ T).max() < 1e-14
         assert np.linalg.matrix_rank(lines) == 4
-        np.testing.assert_allclose(contact.N @ seat().from_wall_forces, lines, atol=1e-13)
+        assert_allclose(contact.N @ seat().from_wall_forces, lines, atol=1e-13)
 
 
 def test_no_constraint_frame_describes_it():
@@ -114,34 +121,36 @@ def test_no_constraint_frame_describes_it():
     assert "32° apart, neither parallel nor perpendicular" in found.reason
     assert found.residual > 0.1
     axis = rig().state().X_WO.rotation @ seat().cone.axis
-    assert np.rad2deg(np.arccos(axis @ seat().groove.direction)) == pytest.approx(32.0)
+    assert np.rad2deg(np.arccos(axis @ seat().groove.direction)) == approx(32.0)
 
 
 def test_N_is_continuous_over_whole_turns():
     """No column jumps or changes sign, and after a full turn N is what it was."""
-    V, turns = np.zeros(6), np.linspace(0.0, 4 * np.pi, 4001)
+    V = np.zeros(6)
+    turns = np.linspace(0.0, 4 * np.pi, 4001)
     N = np.array([seat().pair.contact(pose_at(turn, 0.0), V).N for turn in turns])
     step = turns[1]
     reach = np.linalg.norm(seat().cone.apex)  # from O
     assert np.abs(np.diff(N, axis=0)).max() < 1.01 * reach * step
     assert np.abs(np.diff(N, 2, axis=0)).max() < 1.01 * reach * step**2
-    np.testing.assert_allclose(N[2000], N[0], atol=1e-12)
+    assert_allclose(N[2000], N[0], atol=1e-12)
     assert np.ptp(N[:, 3:], axis=0).max() > 0.02, "it does change"
 
 
 def test_references_move_as_their_derivatives_say_and_stay_in_contact():
-    task, h = rig().references, 1e-4
+    task = rig().references
+    h = 1e-4
     to_walls = np.linalg.inv(seat().from_wall_forces)
     for t in np.linspace(0.2, 4.5, 12):
-        before, now, after = task.at(t - h), task.at(t), task.at(t + h)
+        before = task.at(t - h)
+        now = task.at(t)
+        after = task.at(t + h)
         V = pose_error(after.X_WD, before.X_WD) / (2 * h)
-        np.testing.assert_allclose(now.V_D, V, atol=1e-5)
-        np.testing.assert_allclose(now.A_D, (after.V_D - before.V_D) / (2 * h), atol=1e-4)
-        np.testing.assert_allclose(seat().pair.gaps(now.X_WD), 0.0, atol=1e-9)
+        assert_allclose(now.V_D, V, atol=1e-5)
+        assert_allclose(now.A_D, (after.V_D - before.V_D) / (2 * h), atol=1e-4)
+        assert_allclose(seat().pair.gaps(now.X_WD), 0.0, atol=1e-9)
         turn, slide = seat().motion(now.X_WD)
-        np.testing.assert_allclose(
-            now.X_WD.homogeneous, pose_at(turn, slide).homogeneous, atol=1e-9
-        )
+        assert_allclose(now.X_WD.homogeneous, pose_at(turn, slide).homogeneous, atol=1e-9)
     whole = task.over(np.linspace(0, 5, 500))
     assert np.ptp([seat().motion(one.X_WD)[0] for one in whole]) > 1.0
     assert (whole.alpha_d @ to_walls.T)[30:].min() > 0.0
@@ -152,21 +161,23 @@ def test_references_move_as_their_derivatives_say_and_stay_in_contact():
 
 def test_the_rigid_plant_answers_as_the_full_kkt_system():
     """Any pair on the plant: seven joints, the object, four contact rows, by least squares."""
-    chain, pair, rng = rig().chain, seat().pair, np.random.default_rng(2)
+    chain = rig().chain
+    pair = seat().pair
+    rng = np.random.default_rng(2)
     plant = RigidPlant(chain, [pair], 1e-3)
     plant.reset(rig().q_start)
     for _ in range(40):
         plant.command(rng.uniform(-8, 8, 7), 5e-3)
         state = chain.state(plant.q, plant.v)
-        np.testing.assert_allclose(pair.gaps(state.X_WO), 0.0, atol=1e-12)
+        assert_allclose(pair.gaps(state.X_WO), 0.0, atol=1e-12)
         contact = pair.contact(state.X_WO, state.V_O)
         assert np.abs(contact.N.T @ state.V_O).max() < 1e-10
         tau = rng.uniform(-20, 20, 7)
         qdd, a, alpha = plant.accelerations(tau)
         full = kkt(chain, plant.q, plant.v, tau, contact.N, contact.n_gamma)
-        np.testing.assert_allclose(qdd, full.qdd, atol=1e-8 * np.abs(full.qdd).max())
-        np.testing.assert_allclose(a, full.a_object, atol=1e-8 * np.abs(full.a_object).max())
-        np.testing.assert_allclose(alpha, full.alpha, atol=1e-8 * np.abs(full.alpha).max())
+        assert_allclose(qdd, full.qdd, atol=1e-8 * np.abs(full.qdd).max())
+        assert_allclose(a, full.a_object, atol=1e-8 * np.abs(full.a_object).max())
+        assert_allclose(alpha, full.alpha, atol=1e-8 * np.abs(full.alpha).max())
 
 
 def test_forces_and_motions_are_controlled_at_once_and_do_not_couple():
@@ -182,21 +193,24 @@ def test_forces_and_motions_are_controlled_at_once_and_do_not_couple():
 
 
 def test_the_motion_is_the_same_with_and_without_force_steps():
-    steps, none = short_run(), short_run(())
+    steps = short_run()
+    none = short_run(())
     assert np.abs(steps.wall[-1] - none.wall[-1]).min() > 2.0
     moved = np.ptp(none.motion, axis=0)
     assert (np.abs(steps.motion - none.motion).max(axis=0) <= 1e-9 * moved).all()
 
 
 def test_the_forces_are_the_same_at_rest_and_in_motion():
-    moving, still = short_run(), short_run(moving=False)
+    moving = short_run()
+    still = short_run(moving=False)
     assert np.abs(still.motion).max() < 1e-9 and np.ptp(moving.motion[:, 1]) > 0.02
     assert np.abs(moving.wall - still.wall).max() < 0.03
 
 
 def test_a_controller_with_a_wrong_seat_couples():
     """The coupling measured is not zero by construction."""
-    c, axis = rig().chain, seat().pair.axis
+    c = rig().chain
+    axis = seat().pair.axis
     wrong = replace(seat().pair, axis=pin.exp3(np.array([0.0, 0.1, 0.0])) @ axis)
     plant = RigidPlant(c, [seat().pair], 1e-3)
     plant.reset(rig().q_start)
@@ -218,9 +232,9 @@ def test_one_force_per_column_is_asked_for():
     assert controller.status is osc.Status.OK
 
 
-@pytest.mark.parametrize("words", [{"duration": 0.5}, {"duration": np.nan}, {"probe_s": 0.0}])
+@mark.parametrize("words", [{"duration": 0.5}, {"duration": np.nan}, {"probe_s": 0.0}])
 def test_a_run_that_cannot_be_judged_is_refused(words):
-    with pytest.raises(osc.InvalidInputError, match=r"judged from t = 0\.5 s"):
+    with raises(osc.InvalidInputError, match=r"judged from t = 0\.5 s"):
         cg.run(**words)
 
 

@@ -3,12 +3,11 @@
 The rules of the phases themselves are in test_law_phases.py.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, fixture, mark, raises
 from rigs import panda_pair, random_faces, random_state, scara_pair
 from test_law import UNLIMITED, inputs
 
@@ -30,9 +29,9 @@ OPEN, APPROACHING, CLOSED = Phase
 
 
 def test_settings_that_cannot_work_are_refused():
-    with pytest.raises(osc.InvalidInputError, match="raise speed or damping"):
+    with raises(osc.InvalidInputError, match="raise speed or damping"):
         PhaseSettings(speed=0.001)
-    with pytest.raises(osc.InvalidInputError, match="rise"):
+    with raises(osc.InvalidInputError, match="rise"):
         PhaseSettings(rise=0.0)
 
 
@@ -42,24 +41,28 @@ def test_settings_that_cannot_work_are_refused():
 def given_phases(controller, phase):
     """Phases of long ago; none is judged before the next tick."""
     rows = controller._records
-    rows.memory.contacts.phase, rows.memory.contacts.since, rows.memory.fresh = phase, 1.0, 0
+    rows.memory.contacts.phase = phase
+    rows.memory.contacts.since = 1.0
+    rows.memory.fresh = 0
 
 
-@pytest.mark.parametrize("times", [1.0, 200.0])
-@pytest.mark.parametrize("friction", [None, Friction(0.4)])
-@pytest.mark.parametrize("chain", [scara_pair, panda_pair])
+@mark.parametrize("times", [1.0, 200.0])
+@mark.parametrize("friction", [None, Friction(0.4)])
+@mark.parametrize("chain", [scara_pair, panda_pair])
 def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, times):
     """Torques of a controller that never knew of the open ones, also with too weak motors.
 
     Vertices, an edge and a triangle that count as one contact each, and legs that depend.
     """
-    chain, rng = chain(), np.random.default_rng(51)
+    chain = chain()
+    rng = np.random.default_rng(51)
     seen = set()
     for k in range(32):
         q, v = random_state(chain, rng)
         X = chain.state(q, v).X_WO
         pairs = random_faces(X, 2, rng)
-        p, n = 0.1 * rng.normal(size=3), rng.normal(size=3)
+        p = 0.1 * rng.normal(size=3)
+        n = rng.normal(size=3)
         if friction is None:
             kinds = (
                 osc.FaceOnFace(p, n, X.act(p), -X.rotation @ n),
@@ -85,34 +88,37 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
             measurement, replace(reference, alpha_d=reference.alpha_d[closed[owners]])
         )
         assert knowing.status is blind.status
-        np.testing.assert_allclose(got, want, rtol=0, atol=1e-6 * np.abs(want).max())
+        assert_allclose(got, want, rtol=0, atol=1e-6 * np.abs(want).max())
         if knowing.status is not osc.Status.HELD:  # else out of reach, or too many columns
             seen |= {(bool(closed.all()), knowing.status)}
             assert len(knowing.signals.alpha_u) == knowing.signals.contact.r
-            np.testing.assert_array_equal(knowing._records.memory.contacts.active, closed)
+            assert_array_equal(knowing._records.memory.contacts.active, closed)
     assert {osc.Status.OK if times == 1.0 else osc.Status.SATURATED} <= {s for _, s in seen}
     assert {whole for whole, _ in seen} == {False, True}
 
 
 def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away():
-    chain, rng = scara_pair(), np.random.default_rng(54)
+    chain = scara_pair()
+    rng = np.random.default_rng(54)
     q, _ = random_state(chain, rng)
     v = np.zeros(chain.nq)
     pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
-    gains, k = osc.Gains(force=ForceGains(30, 0)), PhaseSettings()
+    gains = osc.Gains(force=ForceGains(30, 0))
+    k = PhaseSettings()
     controller = osc.Controller(chain, pairs, gains, life=k)
     measurement, reference = inputs(chain, q, v, rng, 2)
     s = chain.state(q, v)
     quiet = replace(measurement, wrenches=np.zeros((2, 6)))
     controller.tick(quiet, reference)
     load = controller.signals.contact.N @ np.array([60.0, 60.0])
-    R, p = s.sensors[0].rotation, s.sensors[0].translation
+    R = s.sensors[0].rotation
+    p = s.sensors[0].translation
     moment = load[3:] - np.cross(p - s.X_WO.translation, load[:3])
     wrenches = np.array([np.concatenate((R.T @ load[:3], R.T @ moment)), np.zeros(6)])
     pressed = replace(measurement, wrenches=wrenches)
     for _ in range(300):
         controller.tick(pressed, reference)
-    np.testing.assert_allclose(controller.signals.alpha_u, k.least)
+    assert_allclose(controller.signals.alpha_u, k.least)
     wanted = reference.alpha_d + controller.force_integral
     assert (wanted > k.least - 30.0 * DT * 60.0).all()
 
@@ -120,7 +126,7 @@ def test_a_closed_contact_never_pulls_and_its_integral_does_not_run_away():
 # --- on MuJoCo ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["two_contact_rod", "dual_panda_rod", "ur5_wipe", "limited_rod"])
+@mark.parametrize("name", ["two_contact_rod", "dual_panda_rod", "ur5_wipe", "limited_rod"])
 def test_phases_change_nothing_while_contacts_stay_closed(name):
     """Filter and least squares, several columns, motors at their limits: bit for bit."""
     at_once = "gains.force.rise=0 s"  # or the first millinewtons would open a contact
@@ -132,23 +138,26 @@ def test_phases_change_nothing_while_contacts_stay_closed(name):
     for reference in rig.references.each(2300 if name == "limited_rod" else 700, DT):
         measurement = plant.measure()
         tau, want = (c.tick(measurement, reference) for c in (controller, other))
-        np.testing.assert_array_equal(tau, want)
+        assert_array_equal(tau, want)
         plant.command(tau, DT)
     assert (controller.phases() == CLOSED).all()
 
 
-@pytest.mark.parametrize("reading", ["filter", "least_squares"])
+@mark.parametrize("reading", ["filter", "least_squares"])
 def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(reading):
     """Beside Λ_out: the object accelerates by x along its lines of force."""
-    chain, rng = panda_pair(), np.random.default_rng(57)
+    chain = panda_pair()
+    rng = np.random.default_rng(57)
     q, _ = random_state(chain, rng)
     v = np.zeros(chain.nq)
     pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
     controller = osc.Controller(chain, pairs, reading=reading, life=PhaseSettings())
     measurement, reference = inputs(chain, q, v, rng, 2)
-    state, x = chain.state(q, v), rng.normal(size=2)
+    state = chain.state(q, v)
+    x = rng.normal(size=2)
     controller.tick(measurement, reference)
-    before, N = controller.result().alpha_meas.copy(), controller.signals.contact.N
+    before = controller.result().alpha_meas.copy()
+    N = controller.signals.contact.N
     D = controller._records.work.mobility[:2, :2].copy()
     Phi = np.linalg.inv(state.payload.Lambda)
     seen = state.Lambda_out @ Phi @ N @ np.linalg.solve(N.T @ Phi @ N, x)
@@ -158,17 +167,18 @@ def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(read
     wrenches = measurement.wrenches + np.array([added, np.zeros(6)])
     controller.tick(replace(measurement, wrenches=wrenches), reference)
     found = controller.result().alpha_meas - before
-    np.testing.assert_allclose(D @ found, x, rtol=1e-7, atol=1e-9)
+    assert_allclose(D @ found, x, rtol=1e-7, atol=1e-9)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def knocked():
     return osc.run(osc.load_scenario("collisions"), duration=2.5)
 
 
 def test_every_collision_of_a_knocked_rod_is_flagged_in_time(knocked):
     """The plant's own contacts are the judge: re-made after ≥ 10 ms, at ≥ 10 mm/s."""
-    recording, hits = knocked, collisions(knocked)
+    recording = knocked
+    hits = collisions(knocked)
     assert {hit.contact for hit in hits} == {0, 1} and len(hits) >= 3
     assert all(hit.flagged is not None and hit.flagged <= 0.02 for hit in hits)
     assert all(hit.power > 0.02 for hit in hits)
@@ -177,7 +187,8 @@ def test_every_collision_of_a_knocked_rod_is_flagged_in_time(knocked):
 
 def test_figure_7_shows_power_peaks_at_the_collisions(knocked):
     """Projected power: quiet while contacts hold, a peak at each collision."""
-    t, power = knocked["t"], np.abs(knocked["power_projected"])
+    t = knocked["t"]
+    power = np.abs(knocked["power_projected"])
     hits = collisions(knocked)
     held = knocked["closed"].all(axis=1) & (t > 0.3)
     for hit in hits:
@@ -185,7 +196,7 @@ def test_figure_7_shows_power_peaks_at_the_collisions(knocked):
     assert held.sum() > 300
     for hit in hits:
         assert hit.power > 4.0 * np.percentile(power[held], 99)
-        assert power[np.abs(t - hit.t) <= 0.02].max() == pytest.approx(hit.power)
+        assert power[np.abs(t - hit.t) <= 0.02].max() == approx(hit.power)
     assert all(answer.holds for answer in answers(knocked).values())
     figure = draw_collisions(knocked)
     total, projected, force = (ax.get_title(loc="left") for ax in figure.axes)
@@ -195,9 +206,11 @@ def test_figure_7_shows_power_peaks_at_the_collisions(knocked):
 def test_counts_of_collisions_and_alarms_on_a_made_up_recording():
     """Met fast, open for 5 ms only, met slowly, met fast; flags in time, too late, for nothing."""
     ticks = 400
-    closed, speed = np.ones((ticks, 1), dtype=bool), np.zeros(ticks)
+    closed = np.ones((ticks, 1), dtype=bool)
+    speed = np.zeros(ticks)
     for lost, made, met in ((50, 70, 0.05), (120, 125, 0.05), (200, 230, 0.002), (300, 330, 0.02)):
-        closed[lost:made], speed[made - 2 : made] = False, met
+        closed[lost:made] = False
+        speed[made - 2 : made] = met
     flags = np.zeros((ticks, 1), dtype=bool)
     flags[[75, 355, 390], 0] = True
     N = np.zeros((ticks, 6, 1))
@@ -206,9 +219,15 @@ def test_counts_of_collisions_and_alarms_on_a_made_up_recording():
     twist[:, 2] = speed
     recording = osc.Recording(
         {"control_rate_hz": 1000.0},
-        {"t": np.arange(ticks) * DT, "closed": closed, "collision_seen": flags, "N": N,
-         "twist": twist, "power_projected": np.zeros(ticks)},
-    )  # fmt: skip
+        {
+            "t": np.arange(ticks) * DT,
+            "closed": closed,
+            "collision_seen": flags,
+            "N": N,
+            "twist": twist,
+            "power_projected": np.zeros(ticks),
+        },
+    )
     found = [
         (round(hit.t, 3), hit.flagged and round(hit.flagged, 3)) for hit in collisions(recording)
     ]
@@ -218,7 +237,8 @@ def test_counts_of_collisions_and_alarms_on_a_made_up_recording():
 
 def test_a_landing_is_soft_and_torques_do_not_jump():
     found = land(3)
-    row, recording = found.as_dict(), found.recording
+    row = found.as_dict()
+    recording = found.recording
     assert row["success"], row
     assert len(draw_landing([found]).axes) == 4
     assert row["peak_over_command"] <= 2.0

@@ -1,7 +1,5 @@
 """The assembled controller: its wiring, its manners when data are bad, its limits."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from concurrent.futures import ThreadPoolExecutor
@@ -9,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_oracle import kkt
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
@@ -19,16 +18,18 @@ from osc_contact.control.status import SafetyState
 from osc_contact.scenarios.control_schema import MotionGains
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def rig():
     return osc.build_rig(osc.load_scenario("two_contact_rod"))
 
 
-@pytest.fixture
+@fixture
 def ready(rig):
     """(controller, plant, measurement, reference) after one good tick."""
-    controller, plant = rig.controller(), rig.plant()
-    measurement, reference = plant.measure(), rig.references.at(0.0)
+    controller = rig.controller()
+    plant = rig.plant()
+    measurement = plant.measure()
+    reference = rig.references.at(0.0)
     controller.tick(measurement, reference)
     assert controller.status is osc.Status.OK
     return controller, plant, measurement, reference
@@ -40,8 +41,8 @@ def poisoned(measurement, key, index, value):
     return replace(measurement, **{key: data})
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("key", ["q", "v", "wrenches"])
+@mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@mark.parametrize("key", ["q", "v", "wrenches"])
 def test_a_bad_measurement_repeats_the_last_torques_and_freezes_the_integrators(ready, key, value):
     controller, _, measurement, reference = ready
     last = controller.tick(measurement, reference)
@@ -51,15 +52,15 @@ def test_a_bad_measurement_repeats_the_last_torques_and_freezes_the_integrators(
         assert controller.status is osc.Status.HELD
         assert controller.reason
         if index < 2:
-            np.testing.assert_array_equal(tau, last)
+            assert_array_equal(tau, last)
         assert np.isfinite(tau).all() and (np.abs(tau) <= controller.chain.tau_max).all()
-    np.testing.assert_array_equal(controller.force_integral, before[0])
-    np.testing.assert_array_equal(controller.motion_integral, before[1])
+    assert_array_equal(controller.force_integral, before[0])
+    assert_array_equal(controller.motion_integral, before[1])
     controller.tick(measurement, reference)
     assert controller.status is osc.Status.OK
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("of", "change"),
     [
         ("measurement", {"q": np.zeros(9)}),
@@ -79,7 +80,7 @@ def test_what_does_not_fit_repeats_the_last_torques(ready, of, change):
     last = controller.tick(measurement, reference)
     given = {"measurement": measurement, "reference": reference}
     given[of] = replace(given[of], **change)
-    np.testing.assert_array_equal(controller.tick(*given.values()), last)
+    assert_array_equal(controller.tick(*given.values()), last)
     assert controller.status is osc.Status.HELD
     assert controller.reason
 
@@ -87,12 +88,13 @@ def test_what_does_not_fit_repeats_the_last_torques(ready, of, change):
 def test_torques_never_exceed_a_motor_limit(ready):
     controller, _, measurement, reference = ready
     controller = controller.with_safety(osc.SafetySettings.motors_only())
-    limits, wanted = controller.chain.tau_max, replace(reference, alpha_d=np.array([3000.0, 10.0]))
+    limits = controller.chain.tau_max
+    wanted = replace(reference, alpha_d=np.array([3000.0, 10.0]))
     for _ in range(round(controller.gains.force.rise / controller.dt)):  # the step is let in
         tau = controller.tick(measurement, wanted)
         assert (np.abs(tau) <= limits).all()
     assert controller.status is osc.Status.SATURATED
-    assert np.abs(tau / limits).max() == pytest.approx(1.0)
+    assert np.abs(tau / limits).max() == approx(1.0)
     assert "joint" in controller.reason
 
 
@@ -151,11 +153,13 @@ def test_figure_5_is_the_force_path_of_the_paper(rig):
 
 
 def test_wiring_leaves_the_controller_as_it_was(rig):
-    a, b = rig.controller(), rig.controller()
+    a = rig.controller()
+    b = rig.controller()
     plant = rig.plant()
-    measurement, reference = plant.measure(), rig.references.at(0.0)
+    measurement = plant.measure()
+    reference = rig.references.at(0.0)
     a.wiring()
-    np.testing.assert_array_equal(a.tick(measurement, reference), b.tick(measurement, reference))
+    assert_array_equal(a.tick(measurement, reference), b.tick(measurement, reference))
 
 
 def test_engaging_keeps_what_was_learnt_in_free_space(rig):
@@ -163,7 +167,8 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig):
     gains = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
     controller = Controller(rig.model, rig.pairs, gains, engaged=False)
     plant = rig.plant()
-    measurement, reference = plant.measure(), rig.references.at(0.0)
+    measurement = plant.measure()
+    reference = rig.references.at(0.0)
     controller.tick(measurement, reference)
     controller.motion_integral = np.array([1e-3, -2e-3, 3e-3, 0.0, 1e-3, 2e-3])
     controller.tick(measurement, reference)
@@ -172,10 +177,10 @@ def test_engaging_keeps_what_was_learnt_in_free_space(rig):
     learnt = s.state.Lambda_S @ s.eta_c
     controller.engage()
     assert controller.engaged and not controller.motion_integral.any()
-    np.testing.assert_allclose(s.state.S.T @ controller.f_bias, learnt, rtol=1e-6, atol=1e-9)
+    assert_allclose(s.state.S.T @ controller.f_bias, learnt, rtol=1e-6, atol=1e-9)
     controller.engaged = False  # the same free motion, now with the bias in place of the integral
     controller.tick(measurement, reference)
-    np.testing.assert_allclose(controller.signals.f_S, force, rtol=1e-3, atol=1e-3)
+    assert_allclose(controller.signals.f_S, force, rtol=1e-3, atol=1e-3)
 
 
 def test_without_contacts_the_whole_motion_is_controlled(rig):
@@ -187,24 +192,20 @@ def test_without_contacts_the_whole_motion_is_controlled(rig):
     assert controller.status is osc.Status.OK, controller.reason
     miss = kkt(rig.chain, measurement.q, measurement.v, tau).a_object - controller.signals.a_u
     state = controller.signals.state
-    np.testing.assert_allclose(state.S.T @ state.metric @ miss, 0.0, atol=1e-8)
+    assert_allclose(state.S.T @ state.metric @ miss, 0.0, atol=1e-8)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "kwargs, words",
-    [
-        ({"dt": 0.0}, "dt"),
-        ({"dt": float("nan")}, "dt"),
-        ({"B": "euclid"}, "object"),
-    ],
+    [({"dt": 0.0}, "dt"), ({"dt": float("nan")}, "dt"), ({"B": "euclid"}, "object")],
 )
 def test_bad_settings_are_refused(rig, kwargs, words):
-    with pytest.raises(osc.InvalidInputError, match=words):
+    with raises(osc.InvalidInputError, match=words):
         Controller(rig.model, rig.pairs, **kwargs)
 
 
 def test_an_unstable_integral_gain_is_refused():
-    with pytest.raises(osc.InvalidInputError, match="Routh"):
+    with raises(osc.InvalidInputError, match="Routh"):
         MotionGains(100, 10, 2000)
 
 
@@ -212,34 +213,36 @@ def test_arms_without_wrist_sensors_cannot_control_contact_forces():
     """Half the sensors would weigh half the object and still look plausible."""
     scenario = osc.load_scenario("two_contact_rod", ["arms.left.wrist_sensor=null"])
     rig = osc.build_rig(scenario)
-    with pytest.raises(osc.InvalidInputError, match="left"):
+    with raises(osc.InvalidInputError, match="left"):
         rig.controller()
 
 
 def test_asking_for_signals_before_the_first_tick_says_so(rig):
     controller = rig.controller()
-    with pytest.raises(osc.InvalidInputError, match="no tick"):
+    with raises(osc.InvalidInputError, match="no tick"):
         controller.residual_wrench()
 
 
 # --- settings are taken once, controllers share nothing ------------------------------------------
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "name",
     ["gains", "dt", "B", "contacts", "friction", "bodies", "posture", "life", "signals", "x"],
 )
 def test_what_would_be_ignored_is_refused(ready, name):
     controller = ready[0]
-    with pytest.raises(osc.InvalidInputError, match="with_gains"):
+    with raises(osc.InvalidInputError, match="with_gains"):
         setattr(controller, name, None)
 
 
 def test_other_gains_go_on_without_a_jump(rig):
     gains = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))
     bare = osc.SafetySettings.motors_only()  # the very same readings again and again
-    controller, plant = Controller(rig.model, rig.pairs, gains, safety=bare), rig.plant()
-    measurement, reference = plant.measure(), rig.references.at(0.0)
+    controller = Controller(rig.model, rig.pairs, gains, safety=bare)
+    plant = rig.plant()
+    measurement = plant.measure()
+    reference = rig.references.at(0.0)
     shift = np.array([1e-3, -2e-3, 1e-3, 2e-3, 1e-3, -1e-3])
     away = replace(reference, X_WD=reference.X_WD * pin.exp6(pin.Motion(shift)))
     for _ in range(50):
@@ -256,10 +259,10 @@ def test_other_gains_go_on_without_a_jump(rig):
         got = other.tick(measurement, still)
         assert other.status is osc.Status.OK, other.reason
         # handed to f_bias the force on the object stays, though no acceleration is expected of it
-        np.testing.assert_allclose(other.signals.f_S, alike.signals.f_S, rtol=1e-6, atol=1e-6)
+        assert_allclose(other.signals.f_S, alike.signals.f_S, rtol=1e-6, atol=1e-6)
         if integral:
-            np.testing.assert_allclose(got, tau, rtol=0, atol=1e-9 * np.abs(tau).max())
-    np.testing.assert_array_equal(controller.gains.force.integral, 30)
+            assert_allclose(got, tau, rtol=0, atol=1e-9 * np.abs(tau).max())
+    assert_array_equal(controller.gains.force.integral, 30)
 
 
 def test_copies_and_pickles_go_on_alike_and_alone(ready):
@@ -270,22 +273,23 @@ def test_copies_and_pickles_go_on_alike_and_alone(ready):
     others.append(pickle.loads(pickle.dumps(controller)))
     for other in others:
         assert other.status is controller.status
-        np.testing.assert_array_equal(other.signals.tau, controller.signals.tau)
+        assert_array_equal(other.signals.tau, controller.signals.tau)
     moved = replace(measurement, q=measurement.q + 1e-4)
     tau = controller.tick(moved, reference)
     before = [other.motion_integral for other in others]
     assert all((x != controller.motion_integral).any() for x in before)
     for other in others:
-        np.testing.assert_array_equal(other.tick(moved, reference), tau)
+        assert_array_equal(other.tick(moved, reference), tau)
     held = copy.deepcopy(controller.signals)
     controller.tick(measurement, reference)
-    np.testing.assert_array_equal(held.tau, tau)  # what signals say is not changed by later ticks
-    np.testing.assert_array_equal(held.q, moved.q)
+    assert_array_equal(held.tau, tau)  # what signals say is not changed by later ticks
+    assert_array_equal(held.q, moved.q)
     assert held.state.d == 5
 
 
 def test_two_threads_on_one_chain_do_not_disturb_one_another(rig):
-    plant, reference = rig.plant(), rig.references.at(0.0)
+    plant = rig.plant()
+    reference = rig.references.at(0.0)
     m = plant.measure()
     rng = np.random.default_rng(4)
     stories = [[replace(m, q=m.q + 1e-3 * rng.normal(size=10)) for _ in range(300)] for _ in "ab"]
@@ -302,5 +306,5 @@ def test_two_threads_on_one_chain_do_not_disturb_one_another(rig):
         together = list(pool.map(run, stories))
     for a, b in zip(alone, together, strict=True):
         for (tau, Lambda), (same, again) in zip(a, b, strict=True):
-            np.testing.assert_array_equal(tau, same)
-            np.testing.assert_array_equal(Lambda, again)
+            assert_array_equal(tau, same)
+            assert_array_equal(Lambda, again)

@@ -1,10 +1,9 @@
 """Joints and sensors out of the ordinary: mimics, endless joints, a wrist that carries nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose
+from pytest import fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact import robots
@@ -20,7 +19,7 @@ JOINT = (
 )
 
 
-@pytest.fixture
+@fixture
 def urdf(tmp_path):
     """A chain a, b, c, then a gripper g beside c; b and g follow a's joint; c has no end stops."""
     follows = '<mimic joint="ja" multiplier="-1"/>'
@@ -38,7 +37,7 @@ def urdf(tmp_path):
 
 def test_a_joint_that_follows_another_one_on_the_way_to_the_tip_is_refused_with_the_cure(urdf):
     for file in (urdf, pin.buildModelFromUrdf(str(urdf), mimic=True)):
-        with pytest.raises(osc.ModelError, match=r"'jb' on the way .* follows joint 'ja'.* Lock"):
+        with raises(osc.ModelError, match=r"'jb' on the way .* follows joint 'ja'.* Lock"):
             osc.Arm.from_urdf(file, name="arm", tip="c")
 
 
@@ -55,18 +54,20 @@ def test_before_it_or_with_both_locked_the_arm_is_there(urdf, caplog):
 
 def test_a_model_with_an_endless_joint_of_its_own_is_refused_with_the_cure(urdf):
     model = pin.buildModelFromUrdf(str(urdf))
-    with pytest.raises(osc.ModelError, match="nq = 2 but nv = 1; load the URDF by its path"):
+    with raises(osc.ModelError, match="nq = 2 but nv = 1; load the URDF by its path"):
         osc.Arm.from_urdf(model, name="arm", tip="c")
 
 
-@pytest.mark.parametrize("reading", ["filter", "least_squares", None])
+@mark.parametrize("reading", ["filter", "least_squares", None])
 def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading):
     """7 N on the tip of a Panda, whose sensor sits in the massless frame of the tip."""
     file, _ = robots.find_robot("panda")
     arm = osc.Arm.from_urdf(file, name="arm", tip="panda_hand_tcp", wrist_sensor="panda_hand_tcp")
-    chain, q = osc.ClosedChain([arm]), np.array([0.0, -0.7, 0.2, -2.2, 0.1, 1.6, 0.7])
+    chain = osc.ClosedChain([arm])
+    q = np.array([0.0, -0.7, 0.2, -2.2, 0.1, 1.6, 0.7])
     state = chain.state(q, np.zeros(7))
-    p, R = state.X_WO.translation, state.X_WO.rotation
+    p = state.X_WO.translation
+    R = state.X_WO.rotation
     face = osc.VertexOnFace([0, 0, 0], p, [0, 0, 1], name="face")
     controller = osc.Controller(chain, [face], posture=q, reading=reading)
     wrench = np.concatenate((R.T @ [0.0, 0.0, -7.0], np.zeros(3)))  # of the arm on the surface
@@ -74,4 +75,4 @@ def test_a_wrist_sensor_with_nothing_beyond_it_reads_the_contact_wrench(reading)
     for _ in range(3):
         controller.tick(Measurement(q, np.zeros(7), wrench[None]), reference)
         assert controller.status is osc.Status.OK
-        np.testing.assert_allclose(controller.result().alpha_meas, 7.0, atol=1e-9)
+        assert_allclose(controller.result().alpha_meas, 7.0, atol=1e-9)

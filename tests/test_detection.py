@@ -4,18 +4,19 @@ Poses are exact: a tipped box stands on the corner or edge that was put there, a
 yaw; what N must span then follows from where its touching points are, without any detection.
 """
 
-from __future__ import annotations
-
 import sys
 
 import coal
 import numpy as np
 import pinocchio as pin
-import pytest
 from detection_bodies import (
+    AXIS,
+    BALL,
     BOX,
+    CAN,
     CORNERS,
     DEPTHS,
+    PILL,
     SIZE,
     TABLE,
     UP,
@@ -25,9 +26,10 @@ from detection_bodies import (
     only,
     pushes,
     random_pose,
-    seen_from,
     standing,
 )
+from numpy.testing import assert_allclose
+from pytest import approx, fixture, mark
 
 import osc_contact as osc
 from osc_contact import robots
@@ -37,31 +39,10 @@ from osc_contact.contacts.detection.solver import Nearest
 SEEDS = range(12)
 
 
-# A box on a table -----------------------------------------------------------------------------
+# A body on a table, and a table on a body ---------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_box_flat_on_a_table_is_one_face_contact(seed):
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
-    X = standing(_quarter_turns(rng), CORNERS, rng, lift=-depth)
-    X_WE = random_pose(rng)
-    found = only(seen_from(X, X_WE, BOX))
-    assert (found.kind, found.r, found.name) == ("face on face", 3, "box on table")
-    lowest = moved(X, CORNERS)
-    lowest = lowest[lowest[:, 2] < -depth + 1e-9]
-    on_table = lowest * [1, 1, 0]
-    assert len(found.points) == 4
-    for corner in moved(X_WE, on_table):
-        assert np.linalg.norm(found.points - corner, axis=1).min() < 1e-9
-    up = X_WE.rotation @ UP
-    np.testing.assert_allclose(found.normal, up, atol=1e-12)
-    assert found.distance == pytest.approx(-depth, abs=1e-9)
-    assert_kept_by_its_pair(
-        found, X_WE * X, X_WE, pushes(moved(X_WE, lowest), -up, X_WE * X), -depth
-    )
-
-
-def _quarter_turns(rng):
+def quarter_turns(rng):
     """One of the 24 orientations of a cube, exactly."""
     while True:
         R = np.eye(3)[rng.permutation(3)] * rng.choice([-1.0, 1.0], 3)
@@ -69,48 +50,77 @@ def _quarter_turns(rng):
             return R
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_box_tipped_on_an_edge_is_one_line_contact(seed):
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
-    tilt = pin.rpy.rpyToMatrix(rng.uniform(0.05, np.pi / 2 - 0.05), 0, 0) @ _quarter_turns(rng)
-    X = standing(tilt, CORNERS, rng, lift=-depth)
-    X_WE = random_pose(rng)
-    found = only(seen_from(X, X_WE, BOX))
-    assert (found.kind, found.r) == ("edge on face", 2)
-    lowest = moved(X, CORNERS)
-    lowest = lowest[lowest[:, 2] < -depth + 1e-9]
-    assert len(found.points) == len(lowest) == 2
-    for corner in moved(X_WE, lowest * [1, 1, 0]):
-        assert np.linalg.norm(found.points - corner, axis=1).min() < 1e-9
-    assert found.distance == pytest.approx(-depth, abs=1e-9)
-    up = X_WE.rotation @ UP
-    assert_kept_by_its_pair(
-        found, X_WE * X, X_WE, pushes(moved(X_WE, lowest), -up, X_WE * X), -depth
-    )
+def rolled(rng, *pitch):
+    return pin.rpy.rpyToMatrix(rng.uniform(0.1, np.pi / 2 - 0.1), *pitch, 0.0)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_box_tipped_on_a_corner_is_one_point_contact(seed):
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
-    roll, pitch = rng.uniform(0.1, np.pi / 2 - 0.1, 2)
-    X = standing(pin.rpy.rpyToMatrix(roll, pitch, 0), CORNERS, rng, lift=-depth)
-    X_WE = random_pose(rng)
-    found = only(seen_from(X, X_WE, BOX))
-    assert (found.kind, found.r) == ("vertex on face", 1)
-    corner = CORNERS[moved(X, CORNERS)[:, 2].argmin()]
-    np.testing.assert_allclose(found.object_point, corner, atol=1e-12)
-    np.testing.assert_allclose(found.points[0], X_WE.act(X.act(corner) + depth * UP), atol=1e-12)
-    assert found.distance == pytest.approx(-depth, abs=1e-12)
-    X_WO = X_WE * X
-    declared = osc.VertexOnFace(corner, np.zeros(3), UP)
-    V_O, V_E = rng.normal(size=(2, 6))
-    mine, theirs = (p.contact(X_WO, V_O, X_WE, V_E) for p in (found.pair(), declared))
-    np.testing.assert_allclose(mine.N, theirs.N, atol=1e-12)
-    np.testing.assert_allclose(mine.n_gamma, theirs.n_gamma, atol=1e-9)
-    np.testing.assert_allclose(found.pair().gaps(X_WO, X_WE), [-depth], atol=1e-12)
+def lying(rng):
+    return pin.rpy.rpyToMatrix(np.pi / 2, 0, 0) @ pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3))
 
 
-@pytest.mark.parametrize(("tilt", "kind"), [(0.5e-3, "face on face"), (2e-3, "edge on face")])
+#: Contact, its name where the table is the object, r, shapes, the points that may be lowest, how
+#: far these are below the surface, tilt.
+RESTING = [
+    ("face on face", "face on face", 3, BOX, CORNERS, 0.0, quarter_turns),
+    (
+        "edge on face",
+        "face on edge",
+        2,
+        BOX,
+        CORNERS,
+        0.0,
+        lambda rng: rolled(rng, 0.0) @ quarter_turns(rng),
+    ),
+    (
+        "vertex on face",
+        "face on vertex",
+        1,
+        BOX,
+        CORNERS,
+        0.0,
+        lambda rng: rolled(rng, rng.uniform(0.1, 1.4)),
+    ),
+    (
+        "sphere on plane",
+        "plane on sphere",
+        1,
+        BALL,
+        BALL[0].placement.translation[None],
+        0.03,
+        lambda rng: pin.exp3(rng.normal(size=3)),
+    ),
+    ("cylinder on plane", "plane on cylinder", 2, CAN, AXIS, 0.03, lying),
+    ("cylinder on plane", "plane on cylinder", 2, PILL, AXIS, 0.03, lying),
+]
+
+
+@mark.parametrize("below", [False, True])
+@mark.parametrize("row", RESTING, ids=lambda row: f"{row[3][0].name}: {row[0]}")
+@mark.parametrize("seed", range(6))
+def test_a_body_that_rests_on_a_plane_touches_in_its_lowest_points(seed, row, below):
+    """Each of the two may be the object."""
+    above, under, r, shapes, points, radius, tilt = row
+    rng = np.random.default_rng(seed)
+    depth = DEPTHS[seed % 3]
+    X_WT = random_pose(rng)
+    X = standing(tilt(rng), points, rng, lift=radius - depth)
+    body = X_WT * X
+    up = X_WT.rotation @ UP
+    found = only(detect(TABLE, X_WT, shapes, body) if below else detect(shapes, body, TABLE, X_WT))
+    assert (found.kind, found.r) == (under if below else above, r)
+    lowest = moved(X, points)
+    lowest = moved(X_WT, lowest[lowest[:, 2] < radius - depth + 1e-9] * [1, 1, 0])
+    assert len(found.points) == len(lowest)
+    away = np.linalg.norm(found.points[:, None] - lowest, axis=2).min(axis=0)
+    assert away.max() < 1e-9 + below * abs(depth)
+    assert_allclose(found.normal, -up if below else up, atol=1e-9)
+    assert found.distance == approx(-depth, abs=1e-9)
+    X_WO, X_WE = (X_WT, body) if below else (body, X_WT)
+    push = pushes(lowest, up if below else -up, X_WO)
+    assert_kept_by_its_pair(found, X_WO, X_WE, push, -depth)
+
+
+@mark.parametrize(("tilt", "kind"), [(0.5e-3, "face on face"), (2e-3, "edge on face")])
 def test_the_angle_decides_between_a_face_and_its_edge(tilt, kind):
     X = standing(pin.rpy.rpyToMatrix(tilt, 0, 0), CORNERS, np.random.default_rng(0))
     assert only(detect(BOX, X, TABLE)).kind == kind
@@ -128,7 +138,8 @@ def box_on_table(size, *tilt):
 
 def test_both_the_angle_and_the_margin_must_allow_a_face_or_an_edge():
     """1 mrad and 1 mm: small bodies are told apart by their angle, large ones by the height."""
-    small, plate = (0.01, 0.01, 0.01), (1.6, 0.4, 0.02)
+    small = (0.01, 0.01, 0.01)
+    plate = (1.6, 0.4, 0.02)
     assert box_on_table(small, 5e-3, 5e-3).kind == "vertex on face"  # no corner above 0.1 mm
     assert box_on_table(small, 5e-3, 0.0).kind == "edge on face"
     assert box_on_table(plate, 0.0, 0.8e-3).kind == "edge on face"  # one side is 1.3 mm up
@@ -136,7 +147,7 @@ def test_both_the_angle_and_the_margin_must_allow_a_face_or_an_edge():
     assert box_on_table(plate, 2e-3, 0.8e-3).kind == "vertex on face"
 
 
-@pytest.mark.parametrize(("tilt", "along"), [((0.9e-3, 0.6e-3), 0), ((0.6e-3, 0.9e-3), 1)])
+@mark.parametrize(("tilt", "along"), [((0.9e-3, 0.6e-3), 0), ((0.6e-3, 0.9e-3), 1)])
 def test_a_face_too_steep_across_leaves_its_flattest_edge(tilt, along):
     """Both sides rise by less than 1 mrad, the face by more: roll lifts along y, pitch along x."""
     found = box_on_table((0.1, 0.1, 0.1), *tilt)
@@ -148,8 +159,8 @@ def test_an_overhanging_box_touches_only_above_the_table():
     X = pin.SE3(np.eye(3), np.array([0.5, 0.1, 0.03]))
     found = only(detect(BOX, X, TABLE))
     assert (found.kind, found.r) == ("face on face", 3)
-    np.testing.assert_allclose(found.points.min(axis=0), [0.45, 0.06, 0.0], atol=1e-12)
-    np.testing.assert_allclose(found.points.max(axis=0), [0.50, 0.14, 0.0], atol=1e-12)
+    assert_allclose(found.points.min(axis=0), [0.45, 0.06, 0.0], atol=1e-12)
+    assert_allclose(found.points.max(axis=0), [0.50, 0.14, 0.0], atol=1e-12)
 
 
 def test_an_overlap_narrower_than_the_margin_is_a_line():
@@ -157,7 +168,7 @@ def test_an_overlap_narrower_than_the_margin_is_a_line():
     found = only(detect(BOX, X, TABLE))
     assert (found.kind, found.r) == ("edge on face", 2)
     ends = np.array([[0.4998, 0.06, 0.0], [0.4998, 0.14, 0.0]])
-    np.testing.assert_allclose(found.points[np.argsort(found.points[:, 1])], ends, atol=1e-9)
+    assert_allclose(found.points[np.argsort(found.points[:, 1])], ends, atol=1e-9)
     assert_kept_by_its_pair(found, X, pin.SE3.Identity(), pushes(ends, -UP, X))
 
 
@@ -166,14 +177,15 @@ def test_a_box_just_beyond_the_rim_of_the_table_touches_in_one_point_of_it():
     found = only(detect(BOX, X, TABLE))
     assert (found.kind, found.r) == ("vertex on face", 1)
     x, y, z = found.points[0]
-    assert x == pytest.approx(0.5) and 0.06 <= y <= 0.14 and abs(z) < 1e-3
+    assert x == approx(0.5) and 0.06 <= y <= 0.14 and abs(z) < 1e-3
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_corners_that_point_at_one_another_touch_on_their_bodies(seed):
     """Where edges near both corners cross beyond their ends, the contact stays on them."""
     rng = np.random.default_rng(seed)
-    R, down = pin.exp3(rng.normal(size=3)), -np.abs(rng.normal(size=3))
+    R = pin.exp3(rng.normal(size=3))
+    down = -np.abs(rng.normal(size=3))
     down /= np.linalg.norm(down)
     corner = CORNERS[((CORNERS @ R.T) @ down).argmax()]
     found = only(
@@ -202,17 +214,18 @@ def test_a_corner_in_a_corner_touches_floor_and_walls():
 
 def test_where_the_distance_solver_fails_the_shapes_decide(monkeypatch):
     failed = Nearest(0.0, np.zeros(3), np.zeros(3))
-    monkeypatch.setattr(sys.modules["osc_contact.contacts.detection.detect"], "nearest",
-                        lambda *_: failed)  # fmt: skip
+    monkeypatch.setattr(
+        sys.modules["osc_contact.contacts.detection.detect"], "nearest", lambda *_: failed
+    )
     X = standing(pin.rpy.rpyToMatrix(0.4, 0.5, 0), CORNERS, np.random.default_rng(0), lift=-5e-4)
     found = only(detect(BOX, X, TABLE))
-    assert found.kind == "vertex on face" and found.distance == pytest.approx(-5e-4)
+    assert found.kind == "vertex on face" and found.distance == approx(-5e-4)
     X.translation += 2e-3 * UP
     assert detect(BOX, X, TABLE) == []
 
 
-@pytest.mark.parametrize("gap", [1.1e-3, 0.02, 1.0])
-@pytest.mark.parametrize("seed", range(2))
+@mark.parametrize("gap", [1.1e-3, 0.02, 1.0])
+@mark.parametrize("seed", range(2))
 def test_what_is_apart_does_not_touch(seed, gap):
     rng = np.random.default_rng(seed)
     for tilt in (np.eye(3), pin.rpy.rpyToMatrix(0.4, 0, 0), pin.rpy.rpyToMatrix(0.4, 0.6, 0)):
@@ -226,10 +239,11 @@ def test_what_is_apart_does_not_touch(seed, gap):
 # Edges and vertices of the environment --------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", SEEDS)
 def test_crossed_edges_touch_in_their_crossing_point(seed):
     """Both boxes stand on an edge, roof against roof, ridges crossed at a random angle."""
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
+    rng = np.random.default_rng(seed)
+    depth = DEPTHS[seed % 3]
     lower = CollisionShape("ridge", coal.Box(0.4, 0.1, 0.1))
     roof = pin.rpy.rpyToMatrix(np.pi / 4 + rng.uniform(-0.2, 0.2), 0, 0)
     ridge = np.array([[x, y, z] for x in (-0.2, 0.2) for y, z in [(0.05, 0.05)]])
@@ -238,59 +252,28 @@ def test_crossed_edges_touch_in_their_crossing_point(seed):
     hang = pin.rpy.rpyToMatrix(0, 0, turn) @ pin.rpy.rpyToMatrix(
         np.pi / 4 + rng.uniform(-0.2, 0.2), 0, 0
     )
-    X_WE, X_WO = pin.SE3(roof, np.zeros(3)), pin.SE3(hang, np.zeros(3))
+    X_WE = pin.SE3(roof, np.zeros(3))
+    X_WO = pin.SE3(hang, np.zeros(3))
     s, t = rng.uniform(-0.03, 0.03, 2)  # crossing point along either ridge
     meet = X_WE.act(ridge.mean(axis=0) + [s, 0, 0])
     X_WO.translation = meet - X_WO.act(upper.mean(axis=0) + [t, 0, 0]) - depth * UP
     turned = random_pose(rng)
     found = only(detect(BOX, turned * X_WO, [lower], turned * X_WE))
     assert (found.kind, found.r) == ("edge on edge", 1)
-    np.testing.assert_allclose(found.points, [turned.act(meet)], atol=1e-9)
-    np.testing.assert_allclose(found.normal, turned.rotation @ UP, atol=1e-9)
-    assert found.distance == pytest.approx(-depth, abs=1e-9)
-    np.testing.assert_allclose(
+    assert_allclose(found.points, [turned.act(meet)], atol=1e-9)
+    assert_allclose(found.normal, turned.rotation @ UP, atol=1e-9)
+    assert found.distance == approx(-depth, abs=1e-9)
+    assert_allclose(
         turned.act(X_WO.act(found.object_point)), turned.act(meet - depth * UP), atol=1e-9
     )
     push = pushes([turned.act(meet)], -turned.rotation @ UP, turned * X_WO)
     assert_kept_by_its_pair(found, turned * X_WO, turned * X_WE, push, -depth)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_corner_of_the_environment_under_a_face_of_the_object(seed):
-    """The box on its corner again, but now the table is held and the box is the environment."""
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
-    roll, pitch = rng.uniform(0.1, np.pi / 2 - 0.1, 2)
-    X = standing(pin.rpy.rpyToMatrix(roll, pitch, 0), CORNERS, rng, lift=-depth)
-    X_WO = random_pose(rng)
-    found = only(detect(TABLE, X_WO, BOX, X_WO * X))
-    assert (found.kind, found.r) == ("face on vertex", 1)
-    corner = CORNERS[moved(X, CORNERS)[:, 2].argmin()]
-    np.testing.assert_allclose(found.environment_point, corner, atol=1e-12)
-    np.testing.assert_allclose(found.normal, -X_WO.rotation @ UP, atol=1e-12)
-    touch = (X_WO * X).act(corner)
-    np.testing.assert_allclose(found.points, [touch], atol=1e-12)
-    push = pushes([touch], X_WO.rotation @ UP, X_WO)
-    assert_kept_by_its_pair(found, X_WO, X_WO * X, push, -depth)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_an_edge_of_the_environment_under_a_face_of_the_object(seed):
-    rng = np.random.default_rng(seed)
-    tilt = pin.rpy.rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0)
-    X = standing(tilt, CORNERS, rng)
-    X_WO = random_pose(rng)
-    found = only(detect(TABLE, X_WO, BOX, X_WO * X))
-    assert (found.kind, found.r) == ("face on edge", 2)
-    lowest = moved(X, CORNERS)
-    touch = moved(X_WO, lowest[lowest[:, 2] < 1e-9])
-    push = pushes(touch, X_WO.rotation @ UP, X_WO)
-    assert_kept_by_its_pair(found, X_WO, X_WO * X, push)
-
-
 # The rod of the scenario ----------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def rod():
     """(rod's shapes, declared pairs, (plate's shapes, pose) of each, start pose)."""
     rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
@@ -311,7 +294,7 @@ def on_the_faces(pairs, X, motion):
     return X
 
 
-@pytest.mark.parametrize("seed", range(9))
+@mark.parametrize("seed", range(9))
 def test_the_rod_finds_the_contacts_the_scenario_declares(rod, seed):
     shapes, declared, plates, X_start = rod
     rng = np.random.default_rng(seed)
@@ -329,12 +312,12 @@ def test_the_rod_finds_the_contacts_the_scenario_declares(rod, seed):
         mine = contact.pair().contact(X_WO, V_O, X_WE, V_E)
         theirs = in_plate.contact(X_WO, V_O, X_WE, V_E)
         at_rest = pair.contact(X_WO, V_O)
-        np.testing.assert_allclose(mine.N, at_rest.N, atol=1e-9)
-        np.testing.assert_allclose(mine.n_gamma, theirs.n_gamma, atol=1e-9)
+        assert_allclose(mine.N, at_rest.N, atol=1e-9)
+        assert_allclose(mine.n_gamma, theirs.n_gamma, atol=1e-9)
         still = contact.pair().contact(X_WO, V_O, X_WE, np.zeros(6))
-        np.testing.assert_allclose(still.n_gamma, at_rest.n_gamma, atol=1e-9)
-        np.testing.assert_allclose(contact.points, [pair.point_on_face(X_WO)], atol=1e-9)
-        np.testing.assert_allclose(contact.normal, -pair.direction(), atol=1e-12)
+        assert_allclose(still.n_gamma, at_rest.n_gamma, atol=1e-9)
+        assert_allclose(contact.points, [pair.point_on_face(X_WO)], atol=1e-9)
+        assert_allclose(contact.normal, -pair.direction(), atol=1e-12)
 
 
 def test_both_plates_as_one_environment_body(rod):
@@ -347,7 +330,7 @@ def test_both_plates_as_one_environment_body(rod):
     assert [d.name for d in found] == ["left_end on a", "right_end on b"]
     N = osc.Contact.stack([d.pair().contact(X_WO, np.zeros(6)) for d in found]).N
     expected = osc.Contact.stack([pair.contact(X_WO, np.zeros(6)) for pair in declared]).N
-    np.testing.assert_allclose(N, expected, atol=1e-9)
+    assert_allclose(N, expected, atol=1e-9)
 
 
 # Found twice ----------------------------------------------------------------------------------

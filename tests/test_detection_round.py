@@ -1,11 +1,8 @@
 """Detection of round shapes: balls, cylinders on their side, end or rim, capsules."""
 
-from __future__ import annotations
-
 import coal
 import numpy as np
 import pinocchio as pin
-import pytest
 from detection_bodies import (
     AROUND,
     AXIS,
@@ -23,70 +20,39 @@ from detection_bodies import (
     seen_from,
     standing,
 )
+from numpy.testing import assert_allclose
+from pytest import mark, raises
 
 from osc_contact.contacts.detection import CollisionShape, detect
 from osc_contact.errors import ContactError
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_ball_on_a_table(seed):
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
-    centre = np.array([[0.01, 0.02, 0.0]])
-    X = standing(pin.exp3(rng.normal(size=3)), centre, rng, lift=0.03 - depth)
-    X_WE = random_pose(rng)
-    found = only(seen_from(X, X_WE, BALL))
-    assert (found.kind, found.r) == ("sphere on plane", 1)
-    np.testing.assert_allclose(found.object_point, centre[0], atol=1e-12)
-    assert found.object_feature.radius == 0.03
-    touch = X.act(centre[0]) * [1, 1, 0]
-    np.testing.assert_allclose(found.points, [X_WE.act(touch)], atol=1e-9)
-    assert found.distance == pytest.approx(-depth, abs=1e-12)
-    push = pushes([X_WE.act(touch)], -X_WE.rotation @ UP, X_WE * X)
-    assert_kept_by_its_pair(found, X_WE * X, X_WE, push, -depth)
-
-
-@pytest.mark.parametrize("shapes", [CAN, PILL], ids=["can", "pill"])
-@pytest.mark.parametrize("seed", range(6))
-def test_a_lying_cylinder_is_one_line_contact(seed, shapes):
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
-    lie = pin.rpy.rpyToMatrix(np.pi / 2, 0, 0) @ pin.rpy.rpyToMatrix(0, 0, rng.uniform(-3, 3))
-    X = standing(lie, AXIS, rng, lift=0.03 - depth)
-    X_WE = random_pose(rng)
-    found = only(seen_from(X, X_WE, shapes))
-    assert (found.kind, found.r) == ("cylinder on plane", 2)
-    touch = moved(X, AXIS) * [1, 1, 0]
-    order = np.argsort(found.points @ (X_WE.rotation @ X.rotation[:, 2]))
-    np.testing.assert_allclose(found.points[order], moved(X_WE, touch), atol=1e-9)
-    assert found.distance == pytest.approx(-depth, abs=1e-9)
-    push = pushes(moved(X_WE, touch), -X_WE.rotation @ UP, X_WE * X)
-    assert_kept_by_its_pair(found, X_WE * X, X_WE, push, -depth)
-
-
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_a_standing_cylinder_is_one_face_contact(seed):
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
+    rng = np.random.default_rng(seed)
+    depth = DEPTHS[seed % 3]
     X = standing(np.diag([1, -1, -1.0]) if seed % 2 else np.eye(3), AXIS, rng, lift=-depth)
     X_WE = random_pose(rng)
     found = only(seen_from(X, X_WE, CAN))
     assert (found.kind, found.r) == ("face on face", 3)
     middle = X.translation * [1, 1, 0]
     radii = np.linalg.norm(found.points - X_WE.act(middle), axis=1)
-    np.testing.assert_allclose(radii, 0.03, atol=1e-9)
+    assert_allclose(radii, 0.03, atol=1e-9)
     three = middle + 0.03 * np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0]])
     push = pushes(moved(X_WE, three), -X_WE.rotation @ UP, X_WE * X)
     assert_kept_by_its_pair(found, X_WE * X, X_WE, push, -depth)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_a_standing_capsule_touches_with_its_cap(seed):
     rng = np.random.default_rng(seed)
     X = standing(pin.rpy.rpyToMatrix(rng.uniform(0.1, 1.4), 0, 0), AXIS, rng, lift=0.03)
     found = only(detect(PILL, X, TABLE))
     assert (found.kind, found.r) == ("sphere on plane", 1)
-    np.testing.assert_allclose(found.object_point, AXIS[0], atol=1e-12)
+    assert_allclose(found.object_point, AXIS[0], atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_a_cylinder_tipped_on_the_rim_of_its_end(seed):
     rng = np.random.default_rng(seed)
     tilt = rng.uniform(0.1, 1.4)
@@ -95,14 +61,14 @@ def test_a_cylinder_tipped_on_the_rim_of_its_end(seed):
     X = standing(R, rim, rng)
     found = only(detect(CAN, X, TABLE))
     assert (found.kind, found.r) == ("rim on face", 1)
-    np.testing.assert_allclose(found.object_point, rim[0], atol=1e-9)
+    assert_allclose(found.object_point, rim[0], atol=1e-9)
     push = pushes([X.act(rim[0])], -UP, X)
     assert_kept_by_its_pair(found, X, pin.SE3.Identity(), push)
     roll = np.append(np.zeros(3), X.rotation[:, 2])  # about its own axis: it stays on the table
     rolling = found.pair().contact(X, roll)
-    np.testing.assert_allclose(rolling.N.T @ roll, 0.0, atol=1e-9)
-    np.testing.assert_allclose(rolling.n_gamma, 0.0, atol=1e-8)
-    np.testing.assert_allclose(found.pair().gaps(X * pin.exp6(pin.Motion(AROUND))), 0, atol=1e-9)
+    assert_allclose(rolling.N.T @ roll, 0.0, atol=1e-9)
+    assert_allclose(rolling.n_gamma, 0.0, atol=1e-8)
+    assert_allclose(found.pair().gaps(X * pin.exp6(pin.Motion(AROUND))), 0, atol=1e-9)
 
 
 def test_a_can_hardly_tipped_rolls_on_its_rim_and_a_large_one_sooner():
@@ -127,22 +93,11 @@ def test_a_can_hardly_tipped_rolls_on_its_rim_and_a_large_one_sooner():
         assert only(detect(big, X, floor)).kind == kind
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_lying_can_of_the_environment_under_a_face_of_the_object(seed):
-    rng, depth = np.random.default_rng(seed), DEPTHS[seed % 3]
-    lie = pin.rpy.rpyToMatrix(np.pi / 2, 0, 0)
-    X = standing(lie, AXIS, rng, lift=0.03 - depth)
-    X_WO = random_pose(rng)
-    found = only(detect(TABLE, X_WO, CAN, X_WO * X))
-    assert (found.kind, found.r) == ("plane on cylinder", 2)
-    push = pushes(moved(X_WO * X, AXIS), X_WO.rotation @ UP, X_WO)
-    assert_kept_by_its_pair(found, X_WO, X_WO * X, push, -depth)
-
-
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_the_side_of_a_can_on_a_corner_is_pushed_across_its_axis(seed):
     """Nearest point of the axis, overlapping by up to 3 mm: no solver knows this normal well."""
-    rng, depth = np.random.default_rng(seed), (*DEPTHS, 3e-3)[seed % 4]
+    rng = np.random.default_rng(seed)
+    depth = (*DEPTHS, 3e-3)[seed % 4]
     n = np.append(rng.uniform(0.2, 1.0, 2), rng.uniform(0.2, 1.0))
     n /= np.linalg.norm(n)
     z = np.cross(n, rng.normal(size=3))
@@ -152,12 +107,12 @@ def test_the_side_of_a_can_on_a_corner_is_pushed_across_its_axis(seed):
     X.translation = corner + (0.03 - depth) * n + 0.03 * rng.uniform(-1, 1) * z
     found = only(detect(CAN, X, TABLE))
     assert (found.kind, found.r) == ("cylinder on vertex", 1)
-    np.testing.assert_allclose(found.normal, n, atol=1e-9)
+    assert_allclose(found.normal, n, atol=1e-9)
     push = pushes([corner], -n, X)
     assert_kept_by_its_pair(found, X, pin.SE3.Identity(), push, -depth)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_a_rim_of_the_environment_under_a_face_of_the_object(seed):
     rng = np.random.default_rng(seed)
     rim = np.array([[0, -0.03, -0.06]])
@@ -166,28 +121,14 @@ def test_a_rim_of_the_environment_under_a_face_of_the_object(seed):
     found = only(detect(TABLE, X_WO, CAN, X_WO * X))
     assert (found.kind, found.r) == ("face on rim", 1)
     touch = (X_WO * X).act(rim[0])
-    np.testing.assert_allclose(found.points, [touch], atol=1e-9)
+    assert_allclose(found.points, [touch], atol=1e-9)
     push = pushes([touch], X_WO.rotation @ UP, X_WO)
     assert_kept_by_its_pair(found, X_WO, X_WO * X, push)
     turned = X_WO * X * pin.exp6(pin.Motion(AROUND))
-    np.testing.assert_allclose(found.pair().gaps(X_WO, turned), 0.0, atol=1e-9)
+    assert_allclose(found.pair().gaps(X_WO, turned), 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_ball_of_the_environment_under_a_face_of_the_object(seed):
-    rng = np.random.default_rng(seed)
-    centre = BALL[0].placement.translation[None, :]
-    X = standing(pin.exp3(rng.normal(size=3)), centre, rng, lift=0.03)
-    X_WO = random_pose(rng)
-    found = only(detect(TABLE, X_WO, BALL, X_WO * X))
-    assert (found.kind, found.r) == ("plane on sphere", 1)
-    touch = X_WO.act(X.act(centre[0]) * [1, 1, 0])
-    np.testing.assert_allclose(found.points, [touch], atol=1e-9)
-    push = pushes([touch], X_WO.rotation @ UP, X_WO)
-    assert_kept_by_its_pair(found, X_WO, X_WO * X, push)
-
-
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_a_ball_at_an_edge_and_at_a_corner_is_pushed_through_its_centre(seed):
     rng = np.random.default_rng(seed)
     outward = np.append(rng.uniform(0.2, 1.0, 2), 0.0)
@@ -199,24 +140,25 @@ def test_a_ball_at_an_edge_and_at_a_corner_is_pushed_through_its_centre(seed):
         X = pin.SE3(np.eye(3), corner + 0.03 * n - BALL[0].placement.translation)
         found = only(detect(BALL, X, TABLE))
         assert (found.kind, found.r) == (kind, 1)
-        np.testing.assert_allclose(found.normal, n, atol=1e-9)
-        np.testing.assert_allclose(found.points, [corner], atol=1e-9)
+        assert_allclose(found.normal, n, atol=1e-9)
+        assert_allclose(found.points, [corner], atol=1e-9)
         push = pushes([corner], -n, X)
         assert_kept_by_its_pair(found, X, pin.SE3.Identity(), push)
         spin = np.concatenate((np.zeros(3), rng.normal(size=3)))  # in place: nothing moves
         spin[:3] = -np.cross(spin[3:], BALL[0].placement.translation)
         spun = found.pair().contact(X, spin)
-        np.testing.assert_allclose(spun.N.T @ spin, 0.0, atol=1e-9)
-        np.testing.assert_allclose(spun.n_gamma, [-n @ _centripetal(X, spin)], atol=1e-8)
+        assert_allclose(spun.N.T @ spin, 0.0, atol=1e-9)
+        assert_allclose(spun.n_gamma, [-n @ _centripetal(X, spin)], atol=1e-8)
 
 
 def _centripetal(X, V):
     """What the ball's resting centre adds to N^T a_rel: a_O = -w x (w x centre), less w x v_O."""
-    centre, w = X.rotation @ BALL[0].placement.translation, V[3:]
+    centre = X.rotation @ BALL[0].placement.translation
+    w = V[3:]
     return -np.cross(w, np.cross(w, centre)) - np.cross(w, V[:3])
 
 
-@pytest.mark.parametrize("seed", range(6))
+@mark.parametrize("seed", range(6))
 def test_crossed_pills_touch_between_their_axes(seed):
     rng = np.random.default_rng(seed)
     lie = pin.rpy.rpyToMatrix(np.pi / 2, 0, 0)
@@ -229,7 +171,7 @@ def test_crossed_pills_touch_between_their_axes(seed):
     found = only(detect(PILL, turned * above, PILL, turned * below))
     assert (found.kind, found.r) == ("cylinder on cylinder", 1)
     meet = turned.act(below.act(np.array([0, 0, s])) + 0.03 * UP)
-    np.testing.assert_allclose(found.points, [meet], atol=1e-9)
+    assert_allclose(found.points, [meet], atol=1e-9)
     push = pushes([meet], -turned.rotation @ UP, turned * above)
     assert_kept_by_its_pair(found, turned * above, turned * below, push)
 
@@ -238,8 +180,8 @@ def test_pills_side_by_side_have_no_pair():
     X = pin.SE3(np.eye(3), np.array([0.06, 0.0, 0.01]))
     found = only(detect(PILL, X, PILL))
     assert (found.kind, found.r) == ("cylinder on cylinder", 2)
-    np.testing.assert_allclose(np.sort(found.points[:, 2]), [-0.05, 0.06], atol=1e-9)
-    with pytest.raises(ContactError, match=r"cylinder on cylinder along a line.*GapFunctions"):
+    assert_allclose(np.sort(found.points[:, 2]), [-0.05, 0.06], atol=1e-9)
+    with raises(ContactError, match=r"cylinder on cylinder along a line.*GapFunctions"):
         found.pair()
 
 
@@ -250,6 +192,6 @@ def test_a_rim_on_an_edge_has_no_pair():
     X.translation = ledge.act(np.array([0.0, 0.4, 0.0])) + 2e-4 * UP - X.act(low)
     found = only(detect(CAN, X, TABLE, ledge))
     assert (found.kind, found.r) == ("rim on edge", 1)
-    np.testing.assert_allclose(found.normal, UP, atol=5e-3)  # the solver's
-    with pytest.raises(ContactError, match=r"rim of a cylinder.*GapFunctions"):
+    assert_allclose(found.normal, UP, atol=5e-3)  # the solver's
+    with raises(ContactError, match=r"rim of a cylinder.*GapFunctions"):
         found.pair()

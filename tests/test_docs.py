@@ -1,17 +1,14 @@
 """README and docs: programs run and print what is shown, commands parse, keys and links exist."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shlex
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
-import pytest
 import typer
 import yaml
+from pytest import fixture, mark, param
 from test_paper_map import complaint
 
 import osc_contact as osc
@@ -31,11 +28,11 @@ TICKED = re.compile(r"`([^`\n]+)`")
 SHORT = ["control.rate=250 Hz"]  # few ticks: only the keys matter
 
 
-def text_of(page: Path) -> str:
+def text_of(page):
     return page.read_text(encoding="utf-8")
 
 
-def blocks(language: str) -> list[Any]:
+def blocks(language):
     """(page, code, text) of every block; text: the ```text block that follows, if one does."""
     found = []
     for page in PAGES:
@@ -47,30 +44,23 @@ def blocks(language: str) -> list[Any]:
             between = text_of(page)[fence.end() : after.start()] if after else "no"
             shown = after[2] if after and after[1] == "text" and not between.strip() else None
             name = f"{page.relative_to(ROOT)}-{i}"
-            found.append(pytest.param(page, fence[2], shown, id=name))
+            found.append(param(page, fence[2], shown, id=name))
     return found
 
 
-def table_rows(page: str, heading: str) -> list[list[str]]:
+def table_rows(page, heading):
     """Cells of the tables below a heading, without their first two lines."""
     section = text_of(ROOT / "docs" / page).split(f"\n## {heading}\n")[1].split("\n## ")[0]
     lines = [line for line in section.splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
-def first_cells(page: str, heading: str) -> set[str]:
+def first_cells(page, heading):
     return {name for row in table_rows(page, heading) for name in TICKED.findall(row[0])}
 
 
-@pytest.mark.parametrize(("page", "code", "shown"), blocks("python"))
-def test_program_runs_and_prints_what_is_shown(
-    page: Path,
-    code: str,
-    shown: str | None,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+@mark.parametrize(("page", "code", "shown"), blocks("python"))
+def test_program_runs_and_prints_what_is_shown(page, code, shown, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for register in (plants.PLANTS, plants.PLANT_TYPES):  # a page enters a plant: taken out again
         monkeypatch.setitem(register, "halved", None)
@@ -79,20 +69,20 @@ def test_program_runs_and_prints_what_is_shown(
         assert capsys.readouterr().out == shown
 
 
-def test_the_readme_has_a_program_of_ten_to_fifteen_lines_that_shows_its_output() -> None:
+def test_the_readme_has_a_program_of_ten_to_fifteen_lines_that_shows_its_output():
     programs = [b.values for b in blocks("python") if b.values[0].name == "README.md"]
     assert len(programs) == 1 and programs[0][2]
     assert 10 <= len([line for line in programs[0][1].splitlines() if line.strip()]) <= 15
 
 
-def test_the_readme_is_short_and_shows_a_program_before_any_table() -> None:
+def test_the_readme_is_short_and_shows_a_program_before_any_table():
     text = text_of(ROOT / "README.md")
     assert len(text.split()) <= 900
     assert "|---" not in text[: text.index("```python")]
     assert text.index(".gif") < text.index("```python"), "a moving picture comes first"
 
 
-def command_lines() -> list[str]:
+def command_lines():
     """Every osc-contact command in code blocks and between backticks."""
     found = []
     for page in PAGES:
@@ -105,7 +95,7 @@ def command_lines() -> list[str]:
     return sorted(set(found))
 
 
-@pytest.mark.parametrize("line", command_lines())
+@mark.parametrize("line", command_lines())
 def test_command_exists_and_parses(line: str) -> None:
     group = typer.main.get_command(app)
     _, name, *arguments = shlex.split(line, comments=True)
@@ -117,8 +107,8 @@ def test_command_exists_and_parses(line: str) -> None:
         osc.load_scenario(arguments[0], changes)
 
 
-@pytest.mark.parametrize(("page", "code", "shown"), blocks("yaml"))
-def test_yaml_is_a_piece_of_a_scenario(page: Path, code: str, shown: str | None) -> None:
+@mark.parametrize(("page", "code", "shown"), blocks("yaml"))
+def test_yaml_is_a_piece_of_a_scenario(page, code, shown):
     scenario = osc.load_scenario("two_contact_rod").as_dict()
     names = {contact["name"] for contact in scenario["contacts"]}
     for key, value in yaml.safe_load(code).items():
@@ -130,8 +120,8 @@ def test_yaml_is_a_piece_of_a_scenario(page: Path, code: str, shown: str | None)
     Scenario.model_validate(scenario)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_and_pictures_exist(page: Path) -> None:
+@mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_and_pictures_exist(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", text_of(page)):
         if not target.startswith("https://"):
             file = page.parent / target.partition("#")[0]
@@ -157,8 +147,8 @@ def test_pictures_are_small_and_all_shown() -> None:
         assert picture.stat().st_size <= most, picture
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_files_named_in_backticks_exist(page: Path) -> None:
+@mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_named_in_backticks_exist(page):
     for name in TICKED.findall(FENCE.sub("", text_of(page))):
         if re.fullmatch(r"(osc_contact|urdf|docs|tests|notebooks|paper|benchmarks)/[\w./]*", name):
             assert (ROOT / name).exists(), f"{page.name} names {name}, which is not there"
@@ -166,7 +156,7 @@ def test_files_named_in_backticks_exist(page: Path) -> None:
             assert not complaint(name, test=False), f"{page.name}: {complaint(name, test=False)}"
 
 
-def test_every_section_of_the_theory_says_where_it_is_computed() -> None:
+def test_every_section_of_the_theory_says_where_it_is_computed():
     for section in text_of(ROOT / "docs" / "theory.md").split("\n## ")[1:]:
         assert re.search(r"^In code: `osc_contact/\S+::\S+`", section, re.M), section.split("\n")[0]
 
@@ -174,7 +164,7 @@ def test_every_section_of_the_theory_says_where_it_is_computed() -> None:
 # Tables of keys ------------------------------------------------------------------------------
 
 
-def test_tables_of_keys_are_those_of_the_declarations() -> None:
+def test_tables_of_keys_are_those_of_the_declarations():
     """After a change of a setting: python docs/_ext/scenario_keys.py."""
     page = text_of(ROOT / "docs" / "scenario.md")
     updated = runpy.run_path(str(ROOT / "docs" / "_ext" / "scenario_keys.py"))["updated"]
@@ -183,7 +173,7 @@ def test_tables_of_keys_are_those_of_the_declarations() -> None:
     assert {"gains.motion.frequency", "control.safety.wrist_error", "plant.solref"} <= keys
 
 
-def pair_rows() -> list[tuple[str, list[str]]]:
+def pair_rows():
     """Name and cells of every contact pair."""
     return [(TICKED.findall(row[0])[0], row) for row in table_rows("contacts.md", "Pairs")]
 
@@ -202,12 +192,12 @@ def test_every_pair_has_a_row_with_its_r_and_its_keys() -> None:
     }
 
 
-@pytest.fixture(scope="module")
-def recording() -> osc.Recording:
+@fixture(scope="module")
+def recording():
     return osc.run(osc.load_scenario("two_contact_rod", SHORT), duration=1.1)
 
 
-def leaves(data: Any, prefix: str, contacts: list[str]) -> set[str]:
+def leaves(data, prefix, contacts):
     if not isinstance(data, dict):
         return {prefix}
     found = set()
@@ -217,25 +207,26 @@ def leaves(data: Any, prefix: str, contacts: list[str]) -> set[str]:
     return found
 
 
-def test_every_metric_is_documented(recording: osc.Recording) -> None:
+def test_every_metric_is_documented(recording):
     names = recording.meta["contact_names"]
     told = first_cells("metrics.md", "metrics.json")
     assert told == leaves(osc.metrics(recording), "", names)
 
 
-def test_every_channel_is_documented_with_its_shape(recording: osc.Recording) -> None:
+def test_every_channel_is_documented_with_its_shape(recording):
     sizes = {"T": len(recording), "n": 10, "n_a": 8, "r": 2, "c": 2}
     told = {}
     for row in table_rows("metrics.md", "The recording"):
         shape = tuple(
-            int(sizes.get(part, part)) for part in row[1].strip("()").replace(" ", "").split(",")
+            int(sizes.get(part, part))
+            for part in row[1].strip("()").replace(" ", "").split(",")
             if part
-        )  # fmt: skip
+        )
         told |= {name: shape for name in TICKED.findall(row[0])}
     assert told == {name: array.shape for name, array in recording.channels.items()}
 
 
-def test_every_entry_of_the_meta_is_named(recording: osc.Recording) -> None:
+def test_every_entry_of_the_meta_is_named(recording):
     text = text_of(ROOT / "docs" / "metrics.md")
     told = text.split("`Recording.meta` holds")[1].split("```")[0]
     assert set(TICKED.findall(told)) == set(recording.meta)
@@ -244,7 +235,7 @@ def test_every_entry_of_the_meta_is_named(recording: osc.Recording) -> None:
 # Gallery and glossary --------------------------------------------------------------------------
 
 
-def test_every_packaged_scenario_has_a_card_and_studies_follow() -> None:
+def test_every_packaged_scenario_has_a_card_and_studies_follow():
     """Made by `make gallery`: a picture, the command and the verdict of its run."""
     cards = text_of(ROOT / "docs" / "gallery.md").split("\n## ")[1:]
     scenarios = list(osc.list_scenarios())
@@ -259,7 +250,7 @@ def test_every_packaged_scenario_has_a_card_and_studies_follow() -> None:
         assert re.search(r"^\*\*[A-Z ]+\*\*; ", card, re.MULTILINE), "a verdict"
 
 
-def test_names_in_the_glossary_exist() -> None:
+def test_names_in_the_glossary_exist():
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", SHORT))
     state = rig.state()
     owners = {"state": state, "arm": state.arms[0], "contact": rig.contact(), "chain": rig.chain}
@@ -273,7 +264,7 @@ def test_names_in_the_glossary_exist() -> None:
     assert named >= 15
 
 
-def test_each_of_the_thirty_bad_inputs_has_a_test() -> None:
+def test_each_of_the_thirty_bad_inputs_has_a_test():
     rows = table_rows("reliability.md", "Thirty bad inputs")
     assert [row[0] for row in rows] == [str(i) for i in range(1, 31)]
     for row in rows:

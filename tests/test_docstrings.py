@@ -1,10 +1,7 @@
 """Docstrings: every public function that takes three things or more says what each of them is."""
 
-from __future__ import annotations
-
 import ast
 import re
-from collections.abc import Collection, Iterator
 from pathlib import Path
 from textwrap import indent
 
@@ -12,7 +9,7 @@ PACKAGE = Path(__file__).parents[1] / "osc_contact"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 
-def public_functions(node: ast.AST) -> Iterator[ast.FunctionDef]:
+def public_functions(node):
     """Functions of a module, and methods of its classes, whose names have no underscore."""
     for child in getattr(node, "body", []):
         if isinstance(child, ast.ClassDef | ast.FunctionDef) and not child.name.startswith("_"):
@@ -22,24 +19,24 @@ def public_functions(node: ast.AST) -> Iterator[ast.FunctionDef]:
                 yield from public_functions(child)
 
 
-def arguments(function: ast.FunctionDef) -> list[ast.arg]:
+def arguments(function):
     every = function.args.posonlyargs + function.args.args + function.args.kwonlyargs
     return [one for one in every if one.arg not in ("self", "cls")]
 
 
-def is_command(function: ast.FunctionDef) -> bool:
+def is_command(function):
     """Of the command line: its options have their help where they stand."""
     return "Option" in ast.unparse(function.args)
 
 
-def records() -> set[str]:
+def records():
     """Arguments of the law that are records: one table explains them all."""
     text = (PACKAGE / "law" / "records.py").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (`.*`) \|", ast.get_docstring(ast.parse(text)) or "", re.M)
     return set(re.findall(r"`(\w+)`", " ".join(rows)))
 
 
-def unexplained(text: str, known: Collection[str] = ()) -> list[str]:
+def unexplained(text, known=()):
     """Public functions of a module with an argument that neither docstring nor table explains."""
     found = []
     for function in public_functions(ast.parse(text)):

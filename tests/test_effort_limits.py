@@ -1,14 +1,13 @@
 """Motor limits: kept, at the least loss, told, and not integrated."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 
 import daqp
 import numpy as np
-import pytest
 from grasp_oracle import kkt
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, fixture, mark, raises
 from rigs import one_panda, panda_pair, scara_pair
 from test_decoupling import in_contact
 
@@ -20,7 +19,11 @@ from osc_contact.plants.rigid import RigidPlant
 from osc_contact.scenarios.control_schema import ForceGains, MotionGains
 
 GAINS = osc.Gains(MotionGains(400, 40, 2000), ForceGains(30, 5))
-FORCE, SQUEEZE, TORQUE, POSTURE, FLOOR = 1e-3, 1e-5, 1e-7, 0.1, 1.0
+FORCE = 1e-3
+SQUEEZE = 1e-5
+TORQUE = 1e-7
+POSTURE = 0.1
+FLOOR = 1.0
 MAX = np.finfo(float).max
 
 
@@ -81,8 +84,11 @@ class Answers:
     """What the chain makes of torques, by the KKT system of all bodies: affine, so sampled."""
 
     def __init__(self, controller, measurement, wanted):
-        s, chain = controller.signals, controller.chain
-        self.s, self.chain, n = s, chain, chain.n_a
+        s = controller.signals
+        chain = controller.chain
+        self.s = s
+        self.chain = chain
+        n = chain.n_a
         self.scale = chain.tau_max
         line = np.zeros(6)
         if len(chain.arms) == 2:
@@ -100,7 +106,8 @@ class Answers:
 
     def energy_rows(self):
         """Rows whose squares make the energy of what is given up."""
-        s, r = self.s, self.s.contact.r
+        s = self.s
+        r = self.s.contact.r
         inertia = self.chain.payload.terms(s.state.X_WO, np.zeros(6), np.zeros(3)).Lambda
         N = s.contact.N
         normal = N.T @ np.linalg.solve(inertia, N)
@@ -116,27 +123,31 @@ class Answers:
         return np.vstack((rows, np.sqrt(TORQUE) * size * np.eye(rows.shape[1])))
 
 
-@pytest.mark.parametrize("share", [0.95, 0.6])
-@pytest.mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
+@mark.parametrize("share", [0.95, 0.6])
+@mark.parametrize("rig", [scara_pair, panda_pair, one_panda])
 def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
     """KKT conditions of the program, its matrices sampled from the full multibody system."""
-    chain, rng = rig(), np.random.default_rng(40)
+    chain = rig()
+    rng = np.random.default_rng(40)
     for k in range(12):
         controller, measurement, wanted, tau = limited_tick(chain, rng, k % 4, share)
-        answers, cost = Answers(controller, measurement, wanted), controller.given_up
-        s, r, n = answers.s, answers.s.contact.r, len(tau)
+        answers = Answers(controller, measurement, wanted)
+        cost = controller.given_up
+        s = answers.s
+        r = answers.s.contact.r
+        n = len(tau)
         limit = controller.chain.tau_max
         assert (np.abs(tau) <= limit).all()
         z = (tau - wanted) / answers.scale
         got = answers.base + answers.slope @ z
         # what came is what was said
         size = np.abs(answers.slope).max()
-        np.testing.assert_allclose(answers.base[6 : 6 + r], s.alpha_u, atol=1e-6)
-        np.testing.assert_allclose(answers.base[6 : 6 + r] - got[6 : 6 + r], cost.force, atol=1e-6)
+        assert_allclose(answers.base[6 : 6 + r], s.alpha_u, atol=1e-6)
+        assert_allclose(answers.base[6 : 6 + r] - got[6 : 6 + r], cost.force, atol=1e-6)
         lost = answers.base[:6] - got[:6]
-        np.testing.assert_allclose(lost, cost.acceleration, atol=1e-8 * size)
+        assert_allclose(lost, cost.acceleration, atol=1e-8 * size)
         if len(chain.arms) == 2:
-            assert answers.base[-1] - got[-1] == pytest.approx(cost.squeeze[0], abs=1e-5)
+            assert answers.base[-1] - got[-1] == approx(cost.squeeze[0], abs=1e-5)
         # forces stay between their floor and what was commanded
         floor = np.minimum(FLOOR, s.alpha_u)
         assert (got[6 : 6 + r] >= floor - 1e-5).all() and (cost.force >= -1e-6).all()
@@ -157,14 +168,15 @@ def test_the_least_energy_is_lost_and_what_is_lost_is_told(rig, share):
         C = np.array([row for row, _ in active]).T
         multipliers, *_ = np.linalg.lstsq(C, gradient, rcond=1e-9)
         weight = np.abs(rows.T @ np.abs(rows @ z)).max() + np.abs(gradient).max()
-        np.testing.assert_allclose(C @ multipliers, gradient, atol=1e-5 * weight)
+        assert_allclose(C @ multipliers, gradient, atol=1e-5 * weight)
         signs = np.array([sign for _, sign in active])
         assert (multipliers * signs >= -1e-5 * np.abs(multipliers).max()).all()
 
 
-@pytest.mark.parametrize("rig", [scara_pair, one_panda])
+@mark.parametrize("rig", [scara_pair, one_panda])
 def test_within_the_limits_nothing_changes_and_beyond_them_nothing_jumps(rig):
-    chain, rng = rig(), np.random.default_rng(41)
+    chain = rig()
+    rng = np.random.default_rng(41)
     for r in (0, 2):
         pairs, measurement, reference = demanding(chain, rng, r)
         before = None
@@ -177,29 +189,32 @@ def test_within_the_limits_nothing_changes_and_beyond_them_nothing_jumps(rig):
             if share >= 1.0:
                 assert limited.status is osc.Status.OK and limited.given_up is None
                 size = np.abs(wanted).max()
-                np.testing.assert_allclose(tau, wanted, rtol=0, atol=1e-12 * size)
+                assert_allclose(tau, wanted, rtol=0, atol=1e-12 * size)
             if before is not None:
                 assert np.abs((tau - before) / weak.tau_max).max() < 0.02
             before = tau
 
 
 def test_squeeze_goes_first_and_alone_where_that_is_enough():
-    chain, rng = scara_pair(), np.random.default_rng(42)
+    chain = scara_pair()
+    rng = np.random.default_rng(42)
     pairs, measurement, reference = demanding(chain, rng, 2)
     reference = replace(reference, A_D=np.zeros(6), squeeze_d=400.0)
     weak = weakened(chain, 0.5 * chain.tau_max)
-    controller, calm = motors_only(weak, pairs, GAINS), motors_only(weak, pairs, GAINS)
+    controller = motors_only(weak, pairs, GAINS)
+    calm = motors_only(weak, pairs, GAINS)
     calm.tick(measurement, replace(reference, squeeze_d=0.0))
     assert calm.status is osc.Status.OK
     controller.tick(measurement, reference)
     cost = controller.given_up
     assert cost.squeeze[0] > 10.0
-    np.testing.assert_allclose(cost.force, 0.0, atol=0.1)
-    np.testing.assert_allclose(cost.acceleration, 0.0, atol=0.1)
+    assert_allclose(cost.force, 0.0, atol=0.1)
+    assert_allclose(cost.acceleration, 0.0, atol=0.1)
 
 
 def test_a_contact_that_cannot_keep_its_range_says_so():
-    chain, rng = scara_pair(), np.random.default_rng(43)
+    chain = scara_pair()
+    rng = np.random.default_rng(43)
     pairs, measurement, reference = demanding(chain, rng, 2)
     feeble = weakened(chain, np.full(8, 1e-3))
     controller = motors_only(feeble, pairs, GAINS)
@@ -209,9 +224,11 @@ def test_a_contact_that_cannot_keep_its_range_says_so():
 
 
 def test_an_unsolved_program_ends_held_within_the_limits(monkeypatch):
-    chain, rng = scara_pair(), np.random.default_rng(44)
+    chain = scara_pair()
+    rng = np.random.default_rng(44)
     pairs, measurement, reference = demanding(chain, rng, 1)
-    strong, weak = chain.tau_max, 0.02 * chain.tau_max
+    strong = chain.tau_max
+    weak = 0.02 * chain.tau_max
     controller = motors_only(weakened(chain, weak), pairs, GAINS)
     controller.tick(measurement, reference)
     assert controller.status is osc.Status.SATURATED and (strong > weak).all()
@@ -221,13 +238,14 @@ def test_an_unsolved_program_ends_held_within_the_limits(monkeypatch):
     assert controller.status is osc.Status.HELD and "limits" in controller.reason
     assert (np.abs(tau) <= weak).all() and controller.given_up is None
     assert pickle.loads(pickle.dumps(controller)).reason == controller.reason
-    np.testing.assert_array_equal(controller.force_integral, sums)
+    assert_array_equal(controller.force_integral, sums)
 
 
-@pytest.mark.parametrize("rig", [scara_pair, one_panda])
+@mark.parametrize("rig", [scara_pair, one_panda])
 def test_motors_without_limit(rig):
     """DBL_MAX and inf are no limits; the largest of the others measures such motors."""
-    chain, rng = rig(), np.random.default_rng(45)
+    chain = rig()
+    rng = np.random.default_rng(45)
     pairs, measurement, reference = demanding(chain, rng, 2)
     arms = []
     for arm in chain.arms:
@@ -246,7 +264,7 @@ def test_motors_without_limit(rig):
         seen.append(tau if controller.status is osc.Status.OK else None)
     wanted = [tau for tau in seen if tau is not None]
     for tau in wanted[1:]:
-        np.testing.assert_allclose(tau, wanted[0], atol=1e-9 * np.abs(tau).max())
+        assert_allclose(tau, wanted[0], atol=1e-9 * np.abs(tau).max())
     weak = weakened(chain, np.where(np.arange(chain.n_a) % 2, np.inf, 0.5))
     controller = motors_only(weak, pairs, GAINS)
     tau = controller.tick(measurement, reference)
@@ -254,20 +272,21 @@ def test_motors_without_limit(rig):
     assert np.isfinite(tau).all() and (np.abs(tau) <= weak.tau_max).all()
 
 
-@pytest.mark.parametrize("limit", [0.0, -3.0])
+@mark.parametrize("limit", [0.0, -3.0])
 def test_a_motor_that_can_do_nothing_is_refused(limit):
     arm = one_panda().arms[0]
     model = arm.model.copy()
     limits = np.array(model.upperEffortLimit)
     limits[2] = limit
     model.upperEffortLimit = limits
-    with pytest.raises(osc.ModelError, match=r"arm/panda_joint3.*effort"):
+    with raises(osc.ModelError, match=r"arm/panda_joint3.*effort"):
         osc.ClosedChain([replace(arm, model=model)])
 
 
 def test_integrals_rest_while_motors_are_at_their_limits():
     """The motion integral stays, and the force integral takes back what will not come."""
-    chain, rng = scara_pair(), np.random.default_rng(46)
+    chain = scara_pair()
+    rng = np.random.default_rng(46)
     for _ in range(5):
         pairs, measurement, reference = demanding(chain, rng, 2)
         controller = motors_only(weakened(chain, 0.03 * chain.tau_max), pairs, GAINS)
@@ -278,11 +297,11 @@ def test_integrals_rest_while_motors_are_at_their_limits():
             missing = reference.alpha_d - controller.result().alpha_meas
             want = before + 30.0 * 1e-3 * (missing - controller.given_up.force)
             before = controller.force_integral
-            np.testing.assert_allclose(before, want, atol=1e-9)
-        np.testing.assert_array_equal(controller.motion_integral, np.zeros(6))
+            assert_allclose(before, want, atol=1e-9)
+        assert_array_equal(controller.motion_integral, np.zeros(6))
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def run():
     """With integral action in both loops: what winds up is seen."""
     return osc.run(osc.load_scenario("limited_rod", ["gains.motion.integral=8000"]))
@@ -305,7 +324,8 @@ def test_the_verdict_names_the_joints(run):
 
 def test_nothing_winds_up(run):
     """0.2 s after the demand is feasible again force and motion are where they were before."""
-    t, force = run["t"], np.abs(run["alpha_true"] - run["alpha_cmd"])
+    t = run["t"]
+    force = np.abs(run["alpha_true"] - run["alpha_cmd"])
     motion = np.abs(run["motion_error"])
     for end in (3.0, 5.25, 6.25):  # the steps of the motion ask too much for a quarter second
         ends = t[(run["status"] == 1) & (t < end + 0.2)].max()
@@ -331,7 +351,9 @@ def test_a_saturated_redundant_arm_does_not_whirl():
     plant.reset(case.measurement.q)
     controller = Controller(case.chain, (), case.gains, posture=case.posture, engaged=False)
     V_D = np.array([0.3, 0.2, 0.0, 0.0, 0.0, 0.5])
-    wanted, saturated, fastest = replace(case.reference, alpha_d=np.zeros(0), V_D=V_D), 0, 0.0
+    wanted = replace(case.reference, alpha_d=np.zeros(0), V_D=V_D)
+    saturated = 0
+    fastest = 0.0
     for _ in range(40):
         plant.command(controller.tick(plant.measure(), wanted), 1e-3)
         saturated += controller.status is osc.Status.SATURATED

@@ -1,13 +1,12 @@
 """Fig. 3: what the picture of the workcell shows, where, and that it is rendered."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from matplotlib.image import imread
+from numpy.testing import assert_allclose
 from scene_samples import read_commands
 
 from osc_contact import robots
@@ -45,19 +44,18 @@ def test_rings_are_where_the_sensors_are(cell):
     for arm in ("left", "right"):
         axis = by_urdf(cell, arm, "wrist_sensor")
         X, _, _ = rings[f"wrist/{arm}"]
-        np.testing.assert_allclose(X.rotation[:, 2], axis.rotation[:, 2], atol=1e-12)
+        assert_allclose(X.rotation[:, 2], axis.rotation[:, 2], atol=1e-12)
         away = axis.actInv(X.translation)
-        np.testing.assert_allclose(away[:2], 0.0, atol=1e-12)
+        assert_allclose(away[:2], 0.0, atol=1e-12)
         assert abs(away[2]) < 0.02
         quill = by_urdf(cell, arm, "joint3").translation  # the third sensor is on its axis
-        np.testing.assert_allclose(
-            rings[f"joint_torque/{arm}3"][0].translation[:2], quill[:2], atol=1e-9
-        )
+        assert_allclose(rings[f"joint_torque/{arm}3"][0].translation[:2], quill[:2], atol=1e-9)
 
 
 def test_the_camera_sees_rod_grippers_and_faces_where_they_moved_to(cell):
     corners = cell.camera.corners
-    low, high = corners.min(axis=0)[:2], corners.max(axis=0)[:2]
+    low = corners.min(axis=0)[:2]
+    high = corners.max(axis=0)[:2]
     seen = [X.translation for X in cell.faces()]
     seen += [by_urdf(cell, arm, "wrist_sensor").translation for arm in ("left", "right")]
     rod = pin.XYZQUATToSE3(np.asarray(cell.sample["pose"], dtype=float))
@@ -65,10 +63,12 @@ def test_the_camera_sees_rod_grippers_and_faces_where_they_moved_to(cell):
     for point in seen:
         assert (low < point[:2]).all() and (point[:2] < high).all()
         assert point[2] < cell.camera.eye[2]
-    turned = [X.rotation.T @ b.placement.rotation for X, b in zip(cell.faces(), cell.rig.bodies,
-                                                                  strict=True)]  # fmt: skip
+    turned = [
+        X.rotation.T @ b.placement.rotation
+        for X, b in zip(cell.faces(), cell.rig.bodies, strict=True)
+    ]
     angles = [np.linalg.norm(pin.log3(R)) for R in turned]
-    np.testing.assert_allclose(angles, np.deg2rad(5.0), atol=1e-3)
+    assert_allclose(angles, np.deg2rad(5.0), atol=1e-3)
 
 
 def test_every_label_hangs_on_a_node_and_says_what_the_scenario_says(cell, tmp_path):
@@ -84,8 +84,16 @@ def test_every_label_hangs_on_a_node_and_says_what_the_scenario_says(cell, tmp_p
         assert ("/meshcat/vision/view/rim0" in drawn) == shot.whole
         assert "/meshcat/sensors/wrist/left" in drawn and "/meshcat/bodies/object" in str(drawn)
     told = " ".join(words)
-    for part in ("60 Hz, 30 ms old, ±1 mm, ±5 mrad", "20 mm and 5°", "left arm", "right arm",
-                 "rod", "joint torque sensors", "wrist force/torque sensor", "hinge"):  # fmt: skip
+    for part in (
+        "60 Hz, 30 ms old, ±1 mm, ±5 mrad",
+        "20 mm and 5°",
+        "left arm",
+        "right arm",
+        "rod",
+        "joint torque sensors",
+        "wrist force/torque sensor",
+        "hinge",
+    ):
         assert part in told
     force = cell.sample["alpha_true"][0]
     assert force > 1.0 and f"left end: {force:.1f} N" in told

@@ -1,7 +1,5 @@
 """A guarded approach from further away than a contact is usually begun: docs/own_loop.md's arm."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -17,7 +15,7 @@ MJCF = re.search(r'MJCF = """\n(.*?)"""', PAGE, re.DOTALL)
 LOW = np.array([-0.39, 0.9, 0.6])
 
 
-def approach(height: float, seconds: float) -> tuple[osc.Controller, float, float]:
+def approach(height, seconds):
     """The arm begins `height` (m) above its table; the force at the end (N), and its highest."""
     assert MJCF is not None
     model = mujoco.MjModel.from_xml_string(MJCF[1])
@@ -34,7 +32,8 @@ def approach(height: float, seconds: float) -> tuple[osc.Controller, float, floa
     mujoco.mj_forward(model, data)
     start = chain.state(home, np.zeros(3)).X_WO
     aim = osc.pose_reference(start.translation, start.rotation, alpha_d=[8.0])
-    force, highest = np.zeros(6), 0.0
+    force = np.zeros(6)
+    highest = 0.0
     for _ in range(round(1e3 * seconds)):
         wrench = data.sensordata.reshape(1, 6).copy()
         measured = osc.Measurement(data.qpos.copy(), data.qvel.copy(), wrench)
@@ -49,14 +48,14 @@ def approach(height: float, seconds: float) -> tuple[osc.Controller, float, floa
 
 
 @pytest.mark.parametrize("height", [0.006, 0.020, 0.033])
-def test_an_approach_lands_from_any_height_within_its_travel(height: float) -> None:
+def test_an_approach_lands_from_any_height_within_its_travel(height):
     controller, force, highest = approach(height, 1.5 + height / 0.01)
     assert controller.state is osc.SafetyState.RUN, controller.reason
     assert force == pytest.approx(8.0, rel=0.02)
     assert highest < 16.0
 
 
-def test_an_approach_that_has_used_up_its_travel_stands_still() -> None:
+def test_an_approach_that_has_used_up_its_travel_stands_still():
     controller, force, _ = approach(0.070, 8.0)
     assert controller.state is osc.SafetyState.RUN, controller.reason
     assert force == 0.0 and controller.phases().tolist() == [1]

@@ -1,12 +1,9 @@
 """The newcomer's page: its commands run one after the other in a folder, and say what it says."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 from test_docs import FENCE, ROOT
 
@@ -14,7 +11,7 @@ PAGE = ROOT / "docs" / "press_and_slide.md"
 PROGRAM = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
 
 
-def run(line: str, folder: Path) -> str:
+def run(line, folder):
     """Output of one command of the page."""
     name, *words = shlex.split(line)
     if name == "cp":
@@ -30,7 +27,7 @@ def run(line: str, folder: Path) -> str:
     return done.stdout + done.stderr
 
 
-def edit(patch: str, file: Path) -> None:
+def edit(patch, file):
     """Do what a patch of the page says: each line with a minus becomes the next one with a plus."""
     lines = patch.splitlines()
     old = [line[1:] for line in lines if line.startswith("-")]
@@ -42,10 +39,12 @@ def edit(patch: str, file: Path) -> None:
     file.write_text(text, encoding="utf-8")
 
 
-def test_the_page_leads_from_the_packaged_scenario_to_a_tilted_face(tmp_path: Path) -> None:
-    said, kinds = "", []
+def test_the_page_leads_from_the_packaged_scenario_to_a_tilted_face(tmp_path):
+    said = ""
+    kinds = []
     for fence in FENCE.finditer(PAGE.read_text(encoding="utf-8")):
-        kind, text = fence[1], fence[2]
+        kind = fence[1]
+        text = fence[2]
         if kind == "sh":
             said = "".join(run(line, tmp_path) for line in text.splitlines())
         elif kind == "diff":

@@ -1,10 +1,9 @@
 """Fig. 5: contact forces out of wrist readings, exact and without accelerometers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose
+from pytest import mark, raises
 from rigs import (
     PANDA_Q,
     ROD,
@@ -26,7 +25,9 @@ from osc_contact.plants.rigid import RigidPlant
 def readings(chain, pairs, q, v, tau):
     """(f_meas at O, true α) of the rigid plant: Newton–Euler through the sensors."""
     plant = RigidPlant(chain, pairs, 1e-3)
-    plant.q, plant.v, plant._tau = q, v, tau
+    plant.q = q
+    plant.v = v
+    plant._tau = tau
     return plant.measure().wrenches, plant.truth().alpha
 
 
@@ -40,15 +41,16 @@ def found_by_law(chain, pairs, q, v, wrenches, f_tare=0.0):
     return controller.result()
 
 
-@pytest.mark.parametrize("rig", [scara_pair, panda_pair])
+@mark.parametrize("rig", [scara_pair, panda_pair])
 def test_contact_force_is_exact_at_any_speed_with_links_between_sensor_and_hinge(rig):
-    chain, rng = rig(), np.random.default_rng(20)
+    chain = rig()
+    rng = np.random.default_rng(20)
     for _ in range(100):
         _, _, pairs, q, v = in_contact(chain, rng)
         tau = rng.normal(size=chain.n_a) * 20
         wrenches, alpha = readings(chain, pairs, q, v, tau)
         got = found_by_law(chain, pairs, q, v, wrenches).alpha_meas
-        np.testing.assert_allclose(got, alpha, atol=1e-9 * max(np.abs(alpha).max(), 1.0))
+        assert_allclose(got, alpha, atol=1e-9 * max(np.abs(alpha).max(), 1.0))
 
 
 def test_the_law_weighs_what_is_outboard_of_the_frame_it_is_told():
@@ -59,11 +61,13 @@ def test_the_law_weighs_what_is_outboard_of_the_frame_it_is_told():
         )
         for sensor in ("panda_link8", "panda_hand", "panda_hand_tcp")
     )
-    rng, errors = np.random.default_rng(25), []
+    rng = np.random.default_rng(25)
+    errors = []
     for _ in range(20):
         q, v, pairs = pressing(hand, rng)
         wrenches, alpha = readings(hand, pairs, q, v, rng.normal(size=7) * 20)
-        X_WS, miss = hand.state(q, v).sensors[0], []
+        X_WS = hand.state(q, v).sensors[0]
+        miss = []
         for chain in (flange, tool):
             X = chain.state(q, v).sensors[0].inverse() * X_WS
             carried = X.act(pin.Force(wrenches[0])).vector[None]
@@ -90,9 +94,9 @@ def test_on_a_fixed_environment_the_filter_is_the_projection_omega_f():
     chain = scara_pair()
     state, contact, pairs, q, _ = in_contact(chain, np.random.default_rng(22))
     Omega = law_filter(chain, pairs, q)
-    np.testing.assert_allclose(Omega @ Omega, Omega, atol=1e-10)
-    np.testing.assert_allclose(Omega @ contact.N, contact.N, atol=1e-10)
-    np.testing.assert_allclose(Omega @ state.Lambda_out @ contact.T, 0, atol=1e-10)
+    assert_allclose(Omega @ Omega, Omega, atol=1e-10)
+    assert_allclose(Omega @ contact.N, contact.N, atol=1e-10)
+    assert_allclose(Omega @ state.Lambda_out @ contact.T, 0, atol=1e-10)
 
 
 def test_projected_power_is_zero_whatever_the_inertia():
@@ -109,20 +113,25 @@ def test_projected_power_is_zero_whatever_the_inertia():
 
 def test_the_force_law_integrates_and_damps_and_has_no_proportional_part():
     """A thousand ticks of one reading while the object crosses its faces."""
-    chain, rng = strong(scara_pair()), np.random.default_rng(26)
+    chain = strong(scara_pair())
+    rng = np.random.default_rng(26)
     q, v = random_state(chain, rng)
     state = chain.state(q, v)
     pairs = random_faces(state.X_WO, 2, rng)
-    N, desired = contact_of(pairs, state).N, np.array([10.0, 8.0])
+    N = contact_of(pairs, state).N
+    desired = np.array([10.0, 8.0])
     controller = osc.Controller(
-        chain, pairs, osc.Gains(force=osc.ForceGains(30.0, 50.0)),
+        chain,
+        pairs,
+        osc.Gains(force=osc.ForceGains(30.0, 50.0)),
         safety=osc.SafetySettings.motors_only(),
-    )  # fmt: skip
+    )
     measured = osc.Measurement(q, v, np.zeros((2, 6)))
     wanted = osc.Reference(state.X_WO, alpha_d=desired)
     controller.tick(measured, wanted)
     off = controller.result().alpha_meas - [9.0, 8.5]
-    controller.f_tare, controller.force_integral = N @ off, np.zeros(2)
+    controller.f_tare = N @ off
+    controller.force_integral = np.zeros(2)
     friction_wrenches = 50.0 * N.T @ state.V_O
     assert np.abs(friction_wrenches).min() > 0.1
     for k in range(1, 1001):
@@ -130,32 +139,33 @@ def test_the_force_law_integrates_and_damps_and_has_no_proportional_part():
         assert controller.status is osc.Status.OK
         if k in (1, 1000):
             sums = 0.03 * k * np.array([1.0, -0.5])
-            np.testing.assert_allclose(
+            assert_allclose(
                 controller.signals.alpha_u, desired + sums - friction_wrenches, rtol=1e-8
             )
-    np.testing.assert_allclose(controller.force_integral, [30.0, -15.0], rtol=1e-8)
+    assert_allclose(controller.force_integral, [30.0, -15.0], rtol=1e-8)
 
 
-@pytest.mark.parametrize("bad", [{"integral": -1.0}, {"damping": float("nan")}])
+@mark.parametrize("bad", [{"integral": -1.0}, {"damping": float("nan")}])
 def test_bad_force_gains_are_refused(bad):
-    with pytest.raises(osc.InvalidInputError, match="ForceGains"):
+    with raises(osc.InvalidInputError, match="ForceGains"):
         osc.ForceGains(**bad)
 
 
 def test_an_integral_gain_without_stability_margin_is_refused():
-    with pytest.raises(osc.InvalidInputError, match="stability margin"):
+    with raises(osc.InvalidInputError, match="stability margin"):
         osc.Controller(scara_pair(), [], osc.Gains(force=osc.ForceGains(integral=1000.0)))
 
 
 def pressing(chain, rng):
     """(q, v, pairs) of one Panda on two faces."""
-    q, v = PANDA_Q + rng.uniform(-0.5, 0.5, 7), rng.normal(size=7)
+    q = PANDA_Q + rng.uniform(-0.5, 0.5, 7)
+    v = rng.normal(size=7)
     free = chain.state(q, v)
     pairs = random_faces(free.X_WO, 2, rng)
     return q, consistent(chain, q, v, contact_of(pairs, free).N), pairs
 
 
-@pytest.mark.parametrize("sensor", ["panda_link7", "panda_link8", "panda_hand"])
+@mark.parametrize("sensor", ["panda_link7", "panda_link8", "panda_hand"])
 def test_the_filter_is_exact_wherever_the_sensor_is_cut_in(sensor):
     """At a joint, at a fixed flange, at the hand: what is outboard is weighed, no more, no less."""
     body = osc.RigidObject(ROD)
@@ -165,4 +175,4 @@ def test_the_filter_is_exact_wherever_the_sensor_is_cut_in(sensor):
         q, v, pairs = pressing(chain, rng)
         wrenches, alpha = readings(chain, pairs, q, v, rng.normal(size=7) * 20)
         got = found_by_law(chain, pairs, q, v, wrenches).alpha_meas
-        np.testing.assert_allclose(got, alpha, atol=1e-9 * max(np.abs(alpha).max(), 1.0))
+        assert_allclose(got, alpha, atol=1e-9 * max(np.abs(alpha).max(), 1.0))

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from pytest import fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact.scenarios import parse_scenario
@@ -27,17 +27,17 @@ BAD = {
 }
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def rig():
     return osc.build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def good(rig):
     return rig.plant().measure(), rig.references.at(0.0)
 
 
-@pytest.mark.parametrize("kind", BAD)
+@mark.parametrize("kind", BAD)
 def test_a_tick_never_raises(rig, good, kind):
     measurement, reference = good
     calls = [(None, reference), (measurement, None), ("a", 3)]
@@ -62,29 +62,32 @@ def test_a_tick_never_raises(rig, good, kind):
 
 def test_the_first_tick_refuses_wrong_shapes_later_ones_hold(rig, good):
     measurement, reference = good
-    for name, shape in (("q", r"\(10,\), got \(9,\)"), ("v", r"\(10,\), got \(9,\)"),
-                        ("wrenches", r"\(2, 6\), got \(1, 6\)")):  # fmt: skip
+    for name, shape in (
+        ("q", r"\(10,\), got \(9,\)"),
+        ("v", r"\(10,\), got \(9,\)"),
+        ("wrenches", r"\(2, 6\), got \(1, 6\)"),
+    ):
         bad = replace(measurement, **{name: getattr(measurement, name)[:-1]})
         controller = rig.controller()
-        with pytest.raises(osc.InvalidInputError, match=f"{name}: expected shape {shape}"):
+        with raises(osc.InvalidInputError, match=f"{name}: expected shape {shape}"):
             controller.tick(bad, reference)
         controller.tick(*good)
         controller.tick(bad, reference)
         assert controller.status is osc.Status.HELD
-    with pytest.raises(osc.InvalidInputError, match=r"V_D: expected shape \(6,\), got \(1, 6\)"):
+    with raises(osc.InvalidInputError, match=r"V_D: expected shape \(6,\), got \(1, 6\)"):
         rig.controller().tick(measurement, replace(reference, V_D=reference.V_D[None]))
 
 
-@pytest.mark.parametrize("plant", ["rigid", "mujoco"])
-@pytest.mark.parametrize("duration", [-1.0, 0.0, np.nan, np.inf])
+@mark.parametrize("plant", ["rigid", "mujoco"])
+@mark.parametrize("duration", [-1.0, 0.0, np.nan, np.inf])
 def test_a_step_that_takes_no_time_is_refused(plant, duration):
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", [f"plant.type={plant}"]))
-    with pytest.raises(osc.InvalidInputError, match="positive, finite time"):
+    with raises(osc.InvalidInputError, match="positive, finite time"):
         rig.plant().command(np.zeros(rig.chain.n_a), duration)
 
 
 def test_a_run_without_end_is_refused():
-    with pytest.raises(osc.ScenarioError, match="duration"):
+    with raises(osc.ScenarioError, match="duration"):
         osc.load_scenario("two_contact_rod", ["duration=1e12"])
 
 
@@ -92,7 +95,7 @@ def test_a_scenario_of_a_hundred_megabytes_is_refused_at_once(tmp_path):
     path = tmp_path / "large.yaml"
     with open(path, "wb") as file:
         file.truncate(100_000_000)
-    with pytest.raises(osc.ScenarioError, match=r"has 100\.0 MB; scenarios are read up to 1 MB"):
+    with raises(osc.ScenarioError, match=r"has 100\.0 MB; scenarios are read up to 1 MB"):
         osc.load_scenario(path)
-    with pytest.raises(osc.ScenarioError, match="characters"):
+    with raises(osc.ScenarioError, match="characters"):
         parse_scenario("a: 1\n" * 1_000_000)

@@ -1,10 +1,9 @@
 """Motions that a grasp leaves to an arm alone: somebody must hold them, in every posture."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from grasp_rigs import random_case
+from numpy.testing import assert_allclose
 from test_grasps import NOTHING, forces
 
 import osc_contact as osc
@@ -38,12 +37,13 @@ def test_idle_motions_obey_the_posture_task(arms, kinds, which, seed):
     assert controller.status in (osc.Status.OK, osc.Status.DEGRADED), controller.reason
     found = case.system(v, V).solve(forces(case, tau), NOTHING.N, np.zeros(0))
     assert found.residual < 1e-9
-    s, arm = chain.slices[which], chain.state(case.q, v).arms[which]
+    s = chain.slices[which]
+    arm = chain.state(case.q, v).arms[which]
     idle = np.linalg.svd(arm.N.T @ arm.J)[2][arm.rank :]
     assert len(idle) == arm.J.shape[1] - arm.rank > 0
     task = PostureTask()
     want = task.stiffness * (rest - case.q)[s] - task.retreat_damping * v[s]
-    np.testing.assert_allclose(idle @ arm.M @ found.qdd[s], idle @ arm.M @ want, atol=1e-7)
+    assert_allclose(idle @ arm.M @ found.qdd[s], idle @ arm.M @ want, atol=1e-7)
 
 
 def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
@@ -61,4 +61,4 @@ def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
     force = np.insert(tau, 1, 0.0)
     found = case.system(still, np.zeros(6)).solve(force, NOTHING.N, np.zeros(0))
     s = controller.signals
-    np.testing.assert_allclose(found.a_object, s.state.S @ s.eta_c + s.state.sigma, atol=1e-8)
+    assert_allclose(found.a_object, s.state.S @ s.eta_c + s.state.sigma, atol=1e-8)

@@ -1,7 +1,5 @@
 """What `import osc_contact` costs: no more than Python itself; a name costs what it needs."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -11,13 +9,25 @@ import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
 
 LATER = (
-    "matplotlib", "mujoco", "meshcat", "tornado", "PIL", "yourdfpy", "ruckig", "rich", "typer",
-    "urllib.request", "ssl", "paper", "benchmarks", "osc_contact.cli",
+    "matplotlib",
+    "mujoco",
+    "meshcat",
+    "tornado",
+    "PIL",
+    "yourdfpy",
+    "ruckig",
+    "rich",
+    "typer",
+    "urllib.request",
+    "ssl",
+    "paper",
+    "benchmarks",
+    "osc_contact.cli",
     "osc_contact.visual.plots",
-)  # fmt: skip
+)
 
 
-def printed(program: str) -> list[str]:
+def printed(program):
     """The words that a fresh Python prints."""
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
@@ -26,28 +36,28 @@ def printed(program: str) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def loaded() -> set[str]:
+def loaded():
     program = "import osc_contact as o, sys; o.Controller, o.load_scenario, o.run, o.MujocoRobot"
     return set(printed(f"{program}; print(*sys.modules)"))
 
 
 @pytest.mark.parametrize("module", LATER)
-def test_what_few_programs_need_is_imported_where_it_is_used(loaded: set[str], module: str) -> None:
+def test_what_few_programs_need_is_imported_where_it_is_used(loaded, module):
     assert "osc_contact.control.controller" in loaded
     assert module not in loaded
 
 
-def test_nothing_is_loaded_before_a_name_is_asked_for() -> None:
+def test_nothing_is_loaded_before_a_name_is_asked_for():
     program = "import sys; before = {*sys.modules}; import osc_contact; print(*sys.modules)"
     assert not {"numpy", "pinocchio", "numba", "pydantic"} & set(printed(program))
 
 
-def test_a_recording_is_judged_without_compiler_and_simulator() -> None:
+def test_a_recording_is_judged_without_compiler_and_simulator():
     program = "import osc_contact as o, sys; o.Recording, o.metrics; print(*sys.modules)"
     assert not {"numba", "mujoco"} & set(printed(program))
 
 
-def test_every_public_name_is_found_and_told() -> None:
+def test_every_public_name_is_found_and_told():
     assert all(hasattr(osc, name) for name in osc.__all__)
     assert set(osc.__all__) <= set(dir(osc))
     assert set(PAIRS) <= set(osc.__all__), "name the pair in osc_contact and in contacts.pairs"
@@ -55,15 +65,13 @@ def test_every_public_name_is_found_and_told() -> None:
         osc.Contorller  # noqa: B018
 
 
-def test_a_pair_that_is_only_a_file_beside_the_others_is_a_name(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_pair_that_is_only_a_file_beside_the_others_is_a_name(monkeypatch):
     monkeypatch.setattr(osc.contacts.pairs, "Dovetail", osc.Prismatic, raising=False)
     assert osc.Dovetail is osc.Prismatic
     del osc.Dovetail
 
 
-def test_scenarios_know_the_kinds_of_the_layers_above_without_being_told() -> None:
+def test_scenarios_know_the_kinds_of_the_layers_above_without_being_told():
     program = (
         "from osc_contact.scenarios import load_scenario;"
         "print(*(type(c).__name__ for c in load_scenario('scara_peg').contacts))"
@@ -71,7 +79,7 @@ def test_scenarios_know_the_kinds_of_the_layers_above_without_being_told() -> No
     assert printed(program) == ["SphereOnPlaneSpec", "SphereOnPlaneSpec"]
 
 
-def test_scenario_models_are_built_when_they_are_first_used() -> None:
+def test_scenario_models_are_built_when_they_are_first_used():
     program = (
         "import osc_contact as osc; G = osc.Scenario;"
         "print(G.__pydantic_complete__); osc.load_scenario('two_contact_rod');"

@@ -1,32 +1,29 @@
 """The report on a contact state: its words against numbers found another way."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from pytest import approx, fixture
 
 import osc_contact as osc
-from osc_contact.runs.inspection import Inspection, inspect_rig
-from osc_contact.runs.rig import Rig
+from osc_contact.runs.inspection import inspect_rig
 from osc_contact.spatial import carry_twist
 
 
-@pytest.fixture(scope="module")
-def rig() -> Rig:
+@fixture(scope="module")
+def rig():
     return osc.build_rig(osc.load_scenario("two_contact_rod"))
 
 
-@pytest.fixture(scope="module")
-def found(rig: Rig) -> Inspection:
+@fixture(scope="module")
+def found(rig):
     return inspect_rig(rig)
 
 
-def pressed(rig: Rig, left: list[float], right: list[float], at: float = 0.29) -> Inspection:
+def pressed(rig, left, right, at=0.29):
     """The report with other push directions at the two ends of the rod."""
     pairs = [
         osc.VertexOnFace([x, 0, 0], [x, 0, 0.2], -np.array(push), name=name)
@@ -35,19 +32,19 @@ def pressed(rig: Rig, left: list[float], right: list[float], at: float = 0.29) -
     return inspect_rig(replace(rig, pairs=tuple(pairs)))
 
 
-def sentence(found: Inspection, *words: str) -> str:
+def sentence(found, *words):
     (line,) = [line for line in found.lines if all(word in line for word in words)]
     return line
 
 
-def numbers(text: str) -> np.ndarray:
+def numbers(text):
     """The numbers of the first [x, y, z] in a text."""
     match = re.search(r"\[([^\]]*)\]", text)
     assert match, text
     return np.array([float(word) for word in match.group(1).split(",")])
 
 
-def test_dimensions(found: Inspection, rig: Rig) -> None:
+def test_dimensions(found, rig):
     state = rig.state()
     assert (found.d, found.r) == (5, 2) and found.free.shape == (6, 3)
     assert np.linalg.matrix_rank(state.Phi, tol=1e-9 * np.linalg.norm(state.Phi)) == found.d
@@ -58,7 +55,7 @@ def test_dimensions(found: Inspection, rig: Rig) -> None:
     assert np.linalg.matrix_rank(np.hstack([found.N, found.T])) == 6
 
 
-def test_free_motions_are_possible_and_permitted(found: Inspection, rig: Rig) -> None:
+def test_free_motions_are_possible_and_permitted(found, rig):
     state = rig.state()
     inside, *_ = np.linalg.lstsq(state.S, found.free, rcond=None)
     assert np.abs(state.S @ inside - found.free).max() < 1e-9, "in range(S)"
@@ -67,9 +64,10 @@ def test_free_motions_are_possible_and_permitted(found: Inspection, rig: Rig) ->
     assert np.linalg.matrix_rank(found.free) == 3
 
 
-def test_free_motions_keep_loops_and_contacts_closed(found: Inspection, rig: Rig) -> None:
+def test_free_motions_keep_loops_and_contacts_closed(found, rig):
     """A small step along each: every arm can follow it, and no gap opens to first order."""
-    chain, q = rig.chain, rig.q_contact
+    chain = rig.chain
+    q = rig.q_contact
     state = rig.state()
     for twist in found.free.T:
         eta, *_ = np.linalg.lstsq(state.S, twist, rcond=None)
@@ -81,7 +79,7 @@ def test_free_motions_keep_loops_and_contacts_closed(found: Inspection, rig: Rig
             assert abs(pair.gap(first) - pair.gap(state.X_WO)) < 1e-10 * np.linalg.norm(twist)
 
 
-def test_the_words_of_a_free_motion_are_its_twist(found: Inspection) -> None:
+def test_the_words_of_a_free_motion_are_its_twist(found):
     for i, twist in enumerate(found.free.T):
         line = sentence(found, f"free motion {i + 1}:")
         if "translation" in line:
@@ -93,14 +91,14 @@ def test_the_words_of_a_free_motion_are_its_twist(found: Inspection) -> None:
             slide = 1e-3 * float(pitch.group(1)) if pitch else 0.0
             shown = carry_twist(np.concatenate([slide * axis, axis]), point, np.zeros(3))
         cosine = shown @ twist / (np.linalg.norm(shown) * np.linalg.norm(twist))
-        assert cosine == pytest.approx(1.0, abs=1e-5), line
+        assert cosine == approx(1.0, abs=1e-5), line
     assert sum("translation along" in line for line in found.lines) == 1, "the common tangent"
     tangent = np.cross(*found.N[:3].T)
     shown = numbers(sentence(found, "translation along"))
     assert np.abs(np.cross(tangent / np.linalg.norm(tangent), shown)).max() < 2e-3
 
 
-def test_skew_lines_against_an_independent_computation(found: Inspection, rig: Rig) -> None:
+def test_skew_lines_against_an_independent_computation(found, rig):
     """Distance by the reciprocal product of the two wrenches, angle by the arc cosine."""
     a, b = found.N.T
     product = abs(a[:3] @ b[3:] + a[3:] @ b[:3])
@@ -113,50 +111,51 @@ def test_skew_lines_against_an_independent_computation(found: Inspection, rig: R
     assert "skew: no single frame's axes hold both" in line and gap > 0.1
 
 
-def test_parallel_lines(rig: Rig) -> None:
+def test_parallel_lines(rig):
     line = sentence(pressed(rig, [0, 0, -1], [0, 0, -1]), "parallel")
     assert line == "'left_end' and 'right_end' press along parallel lines, 580.0 mm apart."
     opposed = sentence(pressed(rig, [0, 0, 1], [0, 0, -1]), "parallel")
     assert "580.0 mm apart" in opposed
 
 
-def test_lines_that_meet(rig: Rig) -> None:
+def test_lines_that_meet(rig):
     line = sentence(pressed(rig, [-1, 0, -1], [1, 0, -1]), "lines of force")
     assert "enclose 90.0°" in line and "0.0 mm apart (they meet in a point)" in line
     obtuse = sentence(pressed(rig, [-2, 0, -1], [2, 0, -1]), "lines of force")
     assert f"enclose {np.degrees(2 * np.arctan(0.5)):.1f}°" in obtuse, "angle of lines, not arrows"
 
 
-def test_what_the_structure_carries(found: Inspection) -> None:
+def test_what_the_structure_carries(found):
     """Vertical SCARA axes and hinges about the rod's y axis: no arm can turn the rod about x."""
     line = sentence(found, "the arms' structure carries")
     assert "couple about" in line and np.allclose(np.abs(numbers(line)), [1, 0, 0], atol=1e-3)
 
 
-def test_contact_lines_state_direction_and_point(found: Inspection, rig: Rig) -> None:
+def test_contact_lines_state_direction_and_point(found, rig):
     for i, pair in enumerate(rig.pairs):
         line = sentence(found, f"contact '{pair.name}'")
-        direction, point = numbers(line), numbers(line.split("through", 1)[1])
+        direction = numbers(line)
+        point = numbers(line.split("through", 1)[1])
         assert np.allclose(direction, found.N[:3, i], atol=6e-4)
         moment = np.cross(point - rig.state().X_WO.translation, direction)
         assert np.allclose(moment, found.N[3:, i], atol=2e-3)
 
 
-def test_conditioning_does_not_depend_on_units_of_force(found: Inspection, rig: Rig) -> None:
+def test_conditioning_does_not_depend_on_units_of_force(found, rig):
     mobility = found.N.T @ rig.state().Phi @ found.N
     rho = abs(mobility[0, 1]) / np.sqrt(mobility[0, 0] * mobility[1, 1])
-    assert found.conditioning == pytest.approx((1 + rho) / (1 - rho), rel=1e-9)
+    assert found.conditioning == approx((1 + rho) / (1 - rho), rel=1e-9)
     assert f"{found.conditioning:.3g}" in sentence(found, "conditioning")
 
 
-def test_without_contacts_every_possible_motion_is_free(rig: Rig) -> None:
+def test_without_contacts_every_possible_motion_is_free(rig):
     free = inspect_rig(replace(rig, pairs=()))
     assert (free.d, free.r) == (5, 0) and free.free.shape == (6, 5)
     assert sentence(free, "0 contact(s) constrain r = 0", "5 motions stay free")
     assert np.linalg.matrix_rank(np.hstack([free.free, rig.state().S])) == 5
 
 
-def test_json_form_is_plain(found: Inspection) -> None:
+def test_json_form_is_plain(found):
     data = found.as_dict()
     assert data["free_motions"] == 3 and data["report"] == list(found.lines)
     assert json.loads(json.dumps(data)) == data

@@ -1,9 +1,8 @@
 """Flexible joints, motors and joint friction in MuJoCo, and the loop that makes up for them."""
 
-from __future__ import annotations
-
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 from osc_contact.control.joint_torque import JointTorqueLoop
@@ -40,7 +39,7 @@ def test_the_motor_obeys_spongs_equation():
         plant.command(tau, 2e-3)
         plant._mj.mj_forward(plant.model, plant.data)
         theta_dd = plant.data.qacc[plant._v[rig.chain.actuated]]
-        np.testing.assert_allclose(
+        assert_allclose(
             J * theta_dd, tau - plant.measure().joint_torques, atol=1e-6 * np.abs(tau).max()
         )
 
@@ -51,18 +50,19 @@ def test_a_held_rig_starts_with_wound_up_springs_at_the_same_pose():
     tau = np.array([-3.9, -1.1, -15.0, 0.3, 3.7, -0.2, -17.7, 0.1])
     plant.hold(tau)
     read = plant.measure()
-    np.testing.assert_allclose(read.joint_torques, tau, rtol=1e-9)
-    np.testing.assert_allclose(read.q, rig.q_start, atol=1e-12)
-    np.testing.assert_array_equal(read.v, 0.0)
+    assert_allclose(read.joint_torques, tau, rtol=1e-9)
+    assert_allclose(read.q, rig.q_start, atol=1e-12)
+    assert_array_equal(read.v, 0.0)
 
 
 def test_with_held_motors_mujoco_swings_at_the_frequencies_of_the_closed_chain():
     """The first mode asked for is the one that comes out of another engine."""
     held = "plant.flexible_joints={frequency: 4 Hz, damping_ratio: 0, motor_inertia: 1e6}"
     rig = free_rig(held, "squeeze=0 N")  # a squeezed linkage is softer
-    plant, state = rig.plant(), rig.state()
+    plant = rig.plant()
+    state = rig.state()
     K = plant.drives.flexible.stiffness
-    assert modes(state, rig.chain.actuated, K)[0] == pytest.approx(4.0, rel=1e-9)
+    assert modes(state, rig.chain.actuated, K)[0] == approx(4.0, rel=1e-9)
     W = state.W[rig.chain.actuated]
     L = np.linalg.cholesky(state.Lambda_S)
     _, shapes = np.linalg.eigh(np.linalg.solve(L, np.linalg.solve(L, W.T @ (K[:, None] * W)).T))
@@ -80,7 +80,7 @@ def test_with_held_motors_mujoco_swings_at_the_frequencies_of_the_closed_chain()
     wound = np.array(wound) - np.mean(wound)
     up = np.flatnonzero((wound[:-1] < 0) & (wound[1:] >= 0))
     zeros = up + wound[up] / (wound[up] - wound[up + 1])
-    assert 1.0 / np.diff(zeros).mean() * 1e3 == pytest.approx(4.0, rel=0.01)
+    assert 1.0 / np.diff(zeros).mean() * 1e3 == approx(4.0, rel=0.01)
 
 
 def holding(rig):
@@ -89,12 +89,13 @@ def holding(rig):
 
 def test_springs_share_the_inertias_of_the_joints():
     rig = rig_of()
-    state, driven = rig.state(), rig.chain.actuated
+    state = rig.state()
+    driven = rig.chain.actuated
     own = joint_inertias(state, driven)
     assert own.min() > 0.01  # the wrist's turn too moves half a rod
     K = stiffness_for(state, driven, 7.0)
-    np.testing.assert_allclose(K / own, K[0] / own[0], rtol=1e-12)
-    np.testing.assert_allclose(modes(state, driven, 4 * K), 2 * modes(state, driven, K), rtol=1e-12)
+    assert_allclose(K / own, K[0] / own[0], rtol=1e-12)
+    assert_allclose(modes(state, driven, 4 * K), 2 * modes(state, driven, K), rtol=1e-12)
 
 
 def test_joint_friction_holds_a_motor_until_it_is_overcome():
@@ -118,32 +119,32 @@ def test_motor_errors_are_those_drawn():
     motors = Motors.drawn(
         np.array([60.0, 200.0]), np.array([False, True]), 0.01, 0.005, np.random.default_rng(3)
     )
-    np.testing.assert_allclose(np.abs(motors.bias), [0.6, 2.0])
+    assert_allclose(np.abs(motors.bias), [0.6, 2.0])
     turn = np.linspace(0, 2 * np.pi, 1000)
     error = np.array([motors.torque(np.zeros(2), np.array([x, x * 0.01])) for x in turn])
-    np.testing.assert_allclose(np.ptp(error, axis=0), [2 * 0.3, 2 * 1.0], rtol=1e-3)
+    assert_allclose(np.ptp(error, axis=0), [2 * 0.3, 2 * 1.0], rtol=1e-3)
     again = Motors.drawn(
         np.array([60.0, 200.0]), np.array([False, True]), 0.01, 0.005, np.random.default_rng(3)
     )
-    np.testing.assert_array_equal(motors.phase, again.phase)
+    assert_array_equal(motors.phase, again.phase)
 
 
 def test_imperfect_motors_reach_the_stiff_joint():
     rig = rig_of("plant.motors={bias: 0.01}")
     plant = rig.plant(seed=4)
     plant.hold(np.zeros(8))
-    np.testing.assert_allclose(np.abs(plant.measure().joint_torques), 0.01 * rig.chain.tau_max)
+    assert_allclose(np.abs(plant.measure().joint_torques), 0.01 * rig.chain.tau_max)
 
 
 def test_springs_by_number():
     text = "plant.flexible_joints={stiffness: {left: [1e3, 500, 2e3, 30], right: [1, 2, 3, 4]}, "
     rig = rig_of(text + "motor_inertia: {left: [1, 1, 1, 1], right: [0.1, 0.1, 0.1, 0.1]}}")
     made = drives(rig.scenario, rig.chain, rig.state(), 0).flexible
-    np.testing.assert_array_equal(made.stiffness, [1e3, 500, 2e3, 30, 1, 2, 3, 4])
-    np.testing.assert_array_equal(made.motor_inertia, [1, 1, 1, 1, 0.1, 0.1, 0.1, 0.1])
+    assert_array_equal(made.stiffness, [1e3, 500, 2e3, 30, 1, 2, 3, 4])
+    assert_array_equal(made.motor_inertia, [1, 1, 1, 1, 0.1, 0.1, 0.1, 0.1])
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("overrides", "said"),
     [
         (["plant.flexible_joints={}"], "got neither"),
@@ -157,16 +158,14 @@ def test_springs_by_number():
     ],
 )
 def test_wrong_drives_are_refused_by_the_scenario(overrides, said):
-    with pytest.raises(osc.ScenarioError, match=said):
+    with raises(osc.ScenarioError, match=said):
         osc.load_scenario("two_contact_rod", overrides)
 
 
-@pytest.mark.parametrize(
-    "stiffness", ["{left: [1, 1, 1], right: [1, 1, 1, 1]}", "{left: [1, 1, 1, 1]}"]
-)
+@mark.parametrize("stiffness", ["{left: [1, 1, 1], right: [1, 1, 1, 1]}", "{left: [1, 1, 1, 1]}"])
 def test_springs_must_fit_the_motors(stiffness):
     rig = rig_of(f"plant.flexible_joints={{stiffness: {stiffness}}}")
-    with pytest.raises(osc.ScenarioError, match="give 4 numbers"):
+    with raises(osc.ScenarioError, match="give 4 numbers"):
         rig.plant()
 
 
@@ -175,12 +174,12 @@ def test_springs_for_an_unknown_arm_are_refused():
     rig = rig_of(
         f"plant.flexible_joints={{stiffness: {{left: {four}, right: {four}, up: {four}}}}}"
     )
-    with pytest.raises(osc.ScenarioError, match="up"):
+    with raises(osc.ScenarioError, match="up"):
         rig.plant()
 
 
 def test_impossible_springs_are_refused():
-    with pytest.raises(osc.PlantError, match="stiffness"):
+    with raises(osc.PlantError, match="stiffness"):
         FlexibleJoints(np.array([-1.0]), np.array([0.0]), np.array([1.0]))
 
 
@@ -195,8 +194,12 @@ def loop_of(gain, dt=2.5e-4, K=1700.0, J=0.45):
 
 def simulated(loop, steps, bias=0.0, substeps=50):
     """One flexible joint with its link held, integrated finely: τ after each period."""
-    K, J, dt = loop.stiffness[0], loop.motor_inertia[0], loop.dt / substeps
-    theta, rate, out = 0.0, 0.0, []
+    K = loop.stiffness[0]
+    J = loop.motor_inertia[0]
+    dt = loop.dt / substeps
+    theta = 0.0
+    rate = 0.0
+    out = []
     for _ in range(steps):
         u = loop.command(np.array([1.0]), np.array([K * theta]))[0] + bias
         for _ in range(substeps):
@@ -206,7 +209,7 @@ def simulated(loop, steps, bias=0.0, substeps=50):
     return np.array(out)
 
 
-@pytest.mark.parametrize("gain", [20.0, 60.0, 300.0])
+@mark.parametrize("gain", [20.0, 60.0, 300.0])
 def test_the_loop_decays_as_fast_as_its_spectral_radius(gain):
     loop = loop_of(gain)
     radius = float(loop.spectral_radius()[0])
@@ -214,15 +217,16 @@ def test_the_loop_decays_as_fast_as_its_spectral_radius(gain):
     error = np.abs(tau - 1.0)
     k = np.arange(len(error))[10:150]
     slope = np.polyfit(k, np.log(np.maximum.accumulate(error[10:150][::-1])[::-1] + 1e-300), 1)[0]
-    assert np.exp(slope) == pytest.approx(radius, abs=0.02)
-    assert tau[-1] == pytest.approx(1.0, rel=1e-3)
+    assert np.exp(slope) == approx(radius, abs=0.02)
+    assert tau[-1] == approx(1.0, rel=1e-3)
 
 
 def test_a_gain_the_sampled_loop_cannot_bear_is_refused_and_would_diverge():
-    with pytest.raises(osc.InvalidInputError, match="unstable"):
+    with raises(osc.InvalidInputError, match="unstable"):
         loop_of(6000.0)
     loop = loop_of(60.0)
-    loop.gain, loop.bandwidth = 6000.0, np.sqrt(1700.0 * 6001.0 / 0.45) * np.ones(1)
+    loop.gain = 6000.0
+    loop.bandwidth = np.sqrt(1700.0 * 6001.0 / 0.45) * np.ones(1)
     loop.rate_gain = 2 * 0.7 * 6001.0 / loop.bandwidth
     assert loop.spectral_radius()[0] > 1.0
     assert np.abs(simulated(loop, 300)).max() > 1e3
@@ -230,7 +234,7 @@ def test_a_gain_the_sampled_loop_cannot_bear_is_refused_and_would_diverge():
 
 def test_errors_of_the_motor_shrink_by_one_plus_gain():
     tau = simulated(loop_of(60.0), 800, bias=6.1)
-    assert tau[-1] - 1.0 == pytest.approx(6.1 / 61.0, rel=1e-3)
+    assert tau[-1] - 1.0 == approx(6.1 / 61.0, rel=1e-3)
 
 
 def test_motor_limits_are_kept():
@@ -240,7 +244,7 @@ def test_motor_limits_are_kept():
     assert loop.command(np.array([5.0]), np.array([-5.0]))[0] == 10.0
 
 
-@pytest.mark.parametrize("frequency", [3, 5, 10])
+@mark.parametrize("frequency", [3, 5, 10])
 def test_forces_survive_flexible_joints_with_the_loop_and_not_without(frequency):
     """Force ≤ 5 % rms and at least 5 × better than without the loop."""
     flexible = f"plant.flexible_joints={{frequency: {frequency} Hz}}"
@@ -264,4 +268,4 @@ def test_the_mujoco_plant_reads_joint_torques():
     assert isinstance(plant, MujocoPlant)
     tau = np.arange(8.0)
     plant.hold(tau)
-    np.testing.assert_array_equal(plant.measure().joint_torques, tau)
+    assert_array_equal(plant.measure().joint_torques, tau)

@@ -1,14 +1,13 @@
 """Redundant arms keep off their joint limits, in motions that leave the object alone only."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_oracle import kkt
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 from rigs import PANDA_Q, ROD, one_panda, panda_pair, scara_pair
 from test_decoupling import commanded, in_contact, structured
 
@@ -32,17 +31,21 @@ def push_of(q, margins):
     return np.array([PUSH(row, x) for row, x in zip(rows, q, strict=True)])
 
 
-CALM, PUSHING = PostureTask(limit_stiffness=0.0), PostureTask(limit_margin=0.2)
+CALM = PostureTask(limit_stiffness=0.0)
+PUSHING = PostureTask(limit_margin=0.2)
 
 
 def panda(**limits):
     """One Panda whose model has other limits: joint number → (lower, upper)."""
     model = robots.load_model(robots.find_robot("panda")[0])
-    lower, upper = model.lowerPositionLimit.copy(), model.upperPositionLimit.copy()
+    lower = model.lowerPositionLimit.copy()
+    upper = model.upperPositionLimit.copy()
     for joint, (low, high) in limits.items():
         i = model.joints[model.getJointId(f"panda_{joint}")].idx_q
-        lower[i], upper[i] = low, high
-    model.lowerPositionLimit, model.upperPositionLimit = lower, upper
+        lower[i] = low
+        upper[i] = high
+    model.lowerPositionLimit = lower
+    model.upperPositionLimit = upper
     arm = osc.Arm.from_urdf(model, name="arm", tip="panda_hand_tcp", wrist_sensor="panda_hand")
     grasp = pin.SE3(np.eye(3), np.array([0.02, 0.01, 0.08]))
     return osc.ClosedChain([arm], [grasp], osc.RigidObject(ROD))
@@ -51,10 +54,17 @@ def panda(**limits):
 def test_the_push_is_a_bounded_slope_of_a_potential():
     """Against the potential k w² (s³ − s⁴/2) + k w (depth beyond the limit), differentiated."""
     model = panda(joint1=(-1.0, 2.0), joint2=(-np.inf, np.inf), joint3=(-np.inf, 1.0)).model
-    k, share = 400.0, 0.05
+    k = 400.0
+    share = 0.05
     limits = joint_limit_margins(model, k, share)
-    w = np.array([0.05 * 3.0, 0.0, 0.05 * np.pi, *(0.05 * np.minimum(
-        model.upperPositionLimit - model.lowerPositionLimit, np.pi))[3:]])  # fmt: skip
+    w = np.array(
+        [
+            0.05 * 3.0,
+            0.0,
+            0.05 * np.pi,
+            *(0.05 * np.minimum(model.upperPositionLimit - model.lowerPositionLimit, np.pi))[3:],
+        ]
+    )
 
     def potential(q):
         total = np.zeros(7)
@@ -68,25 +78,28 @@ def test_the_push_is_a_bounded_slope_of_a_potential():
                 total[i] += k * w[i] * max(depth - w[i], 0.0)
         return total
 
-    x, h = np.linspace(-4.0, 4.5, 3001), 1e-6
+    x = np.linspace(-4.0, 4.5, 3001)
+    h = 1e-6
     pushes = np.array([push_of(np.full(7, value), limits) for value in x])
     slopes = np.array(
         [(potential(v + h) - potential(v - h)) / (2 * h) for v in x[:, None] * np.ones(7)]
     )
-    np.testing.assert_allclose(pushes, -slopes, atol=1e-6 * k)
+    assert_allclose(pushes, -slopes, atol=1e-6 * k)
     assert (np.abs(pushes) <= k * w + 1e-9).all()
     assert (pushes[:, 1] == 0.0).all() and (pushes[:, 2] <= 0.0).all()
     assert np.abs(np.diff(pushes, axis=0)).max() < 1.6 * k * (x[1] - x[0])  # slope 3/2 k at most
     assert not push_of(PANDA_Q, limits).any()
 
 
-@pytest.mark.parametrize("rig", [panda_pair, one_panda, scara_pair])
+@mark.parametrize("rig", [panda_pair, one_panda, scara_pair])
 def test_object_and_contact_forces_do_not_feel_it(rig):
     """On the KKT system, with two contacts; arms without joints to spare get no push at all."""
-    chain, rng = rig(), np.random.default_rng(60)
+    chain = rig()
+    rng = np.random.default_rng(60)
     for _ in range(10):
         state, contact, pairs, q, v = in_contact(chain, rng)
-        a_u, alpha = rng.normal(size=6), rng.uniform(5, 20, 2)
+        a_u = rng.normal(size=6)
+        alpha = rng.uniform(5, 20, 2)
         close = limits_near(chain, q, rng)
         push = push_of(
             q, joint_limit_margins(close.model, PUSHING.limit_stiffness, PUSHING.limit_margin)
@@ -97,12 +110,12 @@ def test_object_and_contact_forces_do_not_feel_it(rig):
             for task in (CALM, PUSHING)
         )
         if chain.nq == 10:
-            np.testing.assert_array_equal(one, two)
+            assert_array_equal(one, two)
             continue
         base, other = (kkt(chain, q, v, tau, contact.N, contact.n_gamma) for tau in (one, two))
         size = np.abs(base.a_object).max()
-        np.testing.assert_allclose(other.a_object, base.a_object, atol=1e-9 * size)
-        np.testing.assert_allclose(other.alpha, base.alpha, atol=1e-9 * np.abs(base.alpha).max())
+        assert_allclose(other.a_object, base.a_object, atol=1e-9 * size)
+        assert_allclose(other.alpha, base.alpha, atol=1e-9 * np.abs(base.alpha).max())
         gain = other.qdd - base.qdd
         assert np.abs(gain).max() > 1.0
         for s in chain.slices:  # its own work on the joints it moves is never negative
@@ -117,14 +130,16 @@ def limits_near(chain, q, rng):
     arms = []
     for arm, s in zip(chain.arms, chain.slices, strict=True):
         model = arm.model.copy()
-        model.lowerPositionLimit, model.upperPositionLimit = lower[s], upper[s]
+        model.lowerPositionLimit = lower[s]
+        model.upperPositionLimit = upper[s]
         arms.append(replace(arm, model=model))
     return osc.ClosedChain(arms, chain.grasps, chain.payload)
 
 
 def test_one_joint_near_its_limit_is_never_pushed_towards_it():
     """Whatever the inertia couples: n_i M_ii a_i has the sign of a_i along the null motion."""
-    rng, still = np.random.default_rng(61), np.zeros(7)
+    rng = np.random.default_rng(61)
+    still = np.zeros(7)
     for _ in range(50):
         q = PANDA_Q + rng.uniform(-0.6, 0.6, 7)
         j = int(rng.integers(7))
@@ -140,7 +155,7 @@ def test_one_joint_near_its_limit_is_never_pushed_towards_it():
         assert (two - one) @ q_dd <= whole  # the projection takes energy away
 
 
-@pytest.mark.parametrize("stiffness", [400.0, 0.0])
+@mark.parametrize("stiffness", [400.0, 0.0])
 def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     """Its rest posture lies 0.25 rad beyond a limit of joint 1; without the push it gets there."""
     chain = panda(joint1=(-2.8, 0.2))
@@ -154,7 +169,9 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
         chain, [], dt=2e-3, posture=posture, posture_task=task, safety=unwatched
     )
     wanted = osc.Reference(X, np.zeros(6), np.zeros(6), np.zeros(0))
-    farthest, before, jump = -np.inf, None, 0.0
+    farthest = -np.inf
+    before = None
+    jump = 0.0
     for _ in range(400):
         tau = controller.tick(plant.measure(), wanted)
         assert controller.status is osc.Status.OK, controller.reason
@@ -168,15 +185,17 @@ def test_a_panda_drawn_along_its_null_path_stops_before_the_limit(stiffness):
     assert np.abs(moved.translation - X.translation).max() < 1e-5
 
 
-@pytest.mark.parametrize("past", [-0.3, -0.1, -0.02, 0.0, 0.05])
+@mark.parametrize("past", [-0.3, -0.1, -0.02, 0.0, 0.05])
 def test_idle_motions_are_pushed_away_from_their_limits(past):
     """Some joints inside their margins, some beyond their limits, some with a limit on one side."""
     rng = np.random.default_rng(62)
     for _ in range(3):
-        q, v = PANDA_Q + rng.uniform(-0.5, 0.5, 7), rng.normal(size=7)
+        q = PANDA_Q + rng.uniform(-0.5, 0.5, 7)
+        v = rng.normal(size=7)
         ends = {f"joint{j}": (-np.inf, q[j - 1] - past) for j in (1, 4)}
         ends |= {f"joint{j}": (q[j - 1] + past, q[j - 1] + 3.0) for j in (3, 6)}
-        chain, posture = panda(**ends), q + 0.1 * rng.normal(size=7)
+        chain = panda(**ends)
+        posture = q + 0.1 * rng.normal(size=7)
         task = PostureTask()
         push = push_of(q, joint_limit_margins(chain.model, task.limit_stiffness, task.limit_margin))
         assert push.any() == (past > -0.15)
@@ -189,11 +208,15 @@ def test_idle_motions_are_pushed_away_from_their_limits(past):
         own = state.h + state.M @ (task.stiffness * (posture - q) - task.damping * v)
         own += np.diag(state.M) * push
         idle = np.linalg.svd(state.arms[0].J)[2][6]
-        assert idle @ tau == pytest.approx(idle @ own, abs=1e-9 * np.abs(own).max())
+        assert idle @ tau == approx(idle @ own, abs=1e-9 * np.abs(own).max())
 
 
 def test_gains_out_of_range_are_refused():
-    for bad in ({"limit_margin": 0.5}, {"limit_margin": 0.0}, {"limit_stiffness": -1.0},
-                {"limit_stiffness": np.nan}):  # fmt: skip
-        with pytest.raises(osc.InvalidInputError, match=next(iter(bad))):
+    for bad in (
+        {"limit_margin": 0.5},
+        {"limit_margin": 0.0},
+        {"limit_stiffness": -1.0},
+        {"limit_stiffness": np.nan},
+    ):
+        with raises(osc.InvalidInputError, match=next(iter(bad))):
             PostureTask(**bad)

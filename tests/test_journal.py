@@ -8,9 +8,10 @@ from pathlib import Path
 from time import sleep
 
 import numpy as np
-import pytest
 from journal_writer import ROW, rows
 from mcap.reader import make_reader
+from numpy.testing import assert_array_equal
+from pytest import mark, raises
 
 from osc_contact.errors import RecordingError
 from osc_contact.recorder.journal import Journal, JournalFile
@@ -31,7 +32,7 @@ def read(path):
     journal = Journal(path)
     parts = list(journal.rows())
     for first, part in parts:
-        np.testing.assert_array_equal(part, rows(first, len(part)))
+        assert_array_equal(part, rows(first, len(part)))
     return [first for first, _ in parts], sum(len(part) for _, part in parts), journal.missing
 
 
@@ -52,7 +53,7 @@ def test_a_temporary_journal_is_read_while_it_grows():
         journal.append(chunk * CHUNK, rows(chunk * CHUNK, CHUNK))
         parts = list(journal.read().rows())
         assert [first for first, _ in parts] == [k * CHUNK for k in range(chunk + 1)]
-    np.testing.assert_array_equal(parts[2][1], rows(200, CHUNK))
+    assert_array_equal(parts[2][1], rows(200, CHUNK))
 
 
 def test_rows_of_other_widths_may_follow(tmp_path):
@@ -107,13 +108,13 @@ def test_flipped_bits_cost_their_chunk_and_are_told(tmp_path):
     assert told > 90
 
 
-@pytest.mark.parametrize("content", [b"", b"x" * 5000, b"\x89MCAP0\r\n", bytes(100000)])
+@mark.parametrize("content", [b"", b"x" * 5000, b"\x89MCAP0\r\n", bytes(100000)])
 def test_other_files_are_refused(tmp_path, content):
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match=r"run\.mcap is no recording"):
+    with raises(RecordingError, match=r"run\.mcap is no recording"):
         Journal(path)
-    with pytest.raises(RecordingError, match="no recording"):
+    with raises(RecordingError, match="no recording"):
         Journal(tmp_path / "none.mcap")
 
 
@@ -134,7 +135,7 @@ def test_a_full_disk_is_told_once_and_loses_nothing_before(tmp_path):
     path = tmp_path / "run.mcap"
     limit = 1_000_000
 
-    def small() -> None:
+    def small():
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
     done = subprocess.run(
@@ -151,5 +152,5 @@ def test_a_full_disk_is_told_once_and_loses_nothing_before(tmp_path):
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(RecordingError, match="cannot begin"):
+    with raises(RecordingError, match="cannot begin"):
         JournalFile(tmp_path / "file" / "run.mcap", {})

@@ -1,7 +1,5 @@
 """What runs and sweeps leave in files: one writer at a time, damage named, nobody left behind."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -14,7 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-import pytest
+from numpy.testing import assert_array_equal
+from pytest import mark, raises
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -76,7 +75,7 @@ def test_rows_of_chunks_that_come_again_are_read_once(tmp_path):
     file.close()
     journal = Journal(path)
     pieces = list(journal.rows())
-    np.testing.assert_array_equal(np.concatenate([x["x"][:, 0] for _, x in pieces]), np.arange(11))
+    assert_array_equal(np.concatenate([x["x"][:, 0] for _, x in pieces]), np.arange(11))
     assert [first for first, _ in pieces] == [0, 5, 8, 10]
     assert journal.missing == [
         f"ticks {part} come again, and are left out there"
@@ -112,10 +111,11 @@ DAMAGE = {
 }
 
 
-@pytest.mark.parametrize("at", [1, 3])
-@pytest.mark.parametrize("kind", DAMAGE)
+@mark.parametrize("at", [1, 3])
+@mark.parametrize("kind", DAMAGE)
 def test_damaged_rows_are_named_with_the_line_and_a_cure(kind, at, tmp_path):
-    path, study = tmp_path / "rows.jsonl", study_of()
+    path = tmp_path / "rows.jsonl"
+    study = study_of()
     file = RowFile(path, study)
     file.append(map(row_of, range(3)))
     file.close()
@@ -123,9 +123,7 @@ def test_damaged_rows_are_named_with_the_line_and_a_cure(kind, at, tmp_path):
     lines[at - 1] = DAMAGE[kind](lines[at - 1])
     path.write_bytes(b"\n".join(lines) + b"\n")
     damaged = path.read_bytes()
-    with pytest.raises(
-        osc.InvalidInputError, match=rf"rows\.jsonl: line {at} is damaged \(.+\); rem"
-    ):
+    with raises(osc.InvalidInputError, match=rf"rows\.jsonl: line {at} is damaged \(.+\); rem"):
         RowFile(path, study)
     assert path.read_bytes() == damaged
     del lines[at - 1]
@@ -145,20 +143,21 @@ def test_rows_beyond_a_study_and_cells_of_another_kind(tmp_path):
     file = RowFile(tmp_path / "rows.jsonl", study)
     file.append([row_of(1) | {"x": "half"}])
     file.close()
-    with pytest.raises(osc.InvalidInputError, match=r"'x' are of several kinds .* are damaged"):
+    with raises(osc.InvalidInputError, match=r"'x' are of several kinds .* are damaged"):
         osc.sweep("two_contact_rod", study.vary, 3, out=tmp_path, workers=1)
 
 
 def test_two_programs_do_not_write_rows_to_one_file(tmp_path):
-    path, study = tmp_path / "rows.jsonl", study_of()
+    path = tmp_path / "rows.jsonl"
+    study = study_of()
     file = RowFile(path, study)
-    with pytest.raises(osc.InvalidInputError, match=r"another program writes to .*rows\.jsonl"):
+    with raises(osc.InvalidInputError, match=r"another program writes to .*rows\.jsonl"):
         RowFile(path, study)
     file.append([row_of(0)])
     file.close()
     other = SweepStudy.of("two_contact_rod", ["seed=integers(0, 99)"], 4)
     for _ in range(2):  # a refusal holds nothing
-        with pytest.raises(osc.InvalidInputError, match="another study") as refused:
+        with raises(osc.InvalidInputError, match="another study") as refused:
             RowFile(path, other)
     file = RowFile(path, study)
     file.close()
@@ -168,10 +167,10 @@ def test_two_programs_do_not_write_rows_to_one_file(tmp_path):
 def test_metrics_of_a_recording_without_meta_name_what_is_missing():
     channels = {"t": np.arange(2000) * 1e-3, "alpha_true": np.zeros((2000, 2))}
     recording = osc.Recording({}, channels)
-    with pytest.raises(osc.RecordingError, match="meta has no 'contact_names', but nothing"):
+    with raises(osc.RecordingError, match="meta has no 'contact_names', but nothing"):
         osc.metrics(recording)
     recording.meta["contact_names"] = ["left", "right"]
-    with pytest.raises(osc.RecordingError, match=r"has no 'control_rate_hz', but contact_names;"):
+    with raises(osc.RecordingError, match=r"has no 'control_rate_hz', but contact_names;"):
         osc.metrics(recording)
     assert recording.meta.get("plant") is None and json.dumps(recording.meta)
 
@@ -203,7 +202,7 @@ def alive(number):
         return False
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="children are found in /proc")
+@mark.skipif(not Path("/proc/self/task").exists(), reason="children are found in /proc")
 def test_workers_end_with_a_sweep_that_is_killed(tmp_path):
     (tmp_path / "sweep.py").write_text(SWEEP)
     command = [sys.executable, tmp_path / "sweep.py", tmp_path / "out"]
@@ -229,7 +228,8 @@ def test_workers_end_with_a_sweep_that_is_killed(tmp_path):
 
 
 def test_recordings_hold_no_folder_and_are_shown_with_the_scenarios(tmp_path, monkeypatch):
-    home, shown = tmp_path / "home" / "somebody", tmp_path / "elsewhere"
+    home = tmp_path / "home" / "somebody"
+    shown = tmp_path / "elsewhere"
     home.mkdir(parents=True)
     shown.mkdir()
     packaged = osc.load_scenario("two_contact_rod")

@@ -1,13 +1,12 @@
 """Kinematic stability: eigenvalues against a closed loop differentiated numerically."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 from typer.testing import CliRunner
 
 from osc_contact.cli import app
@@ -28,7 +27,7 @@ def found_by(name):
     return ks.search(arm_of(name), 0, 400)
 
 
-both = pytest.mark.parametrize("name", ["planar", "ur5"])
+both = mark.parametrize("name", ["planar", "ur5"])
 
 
 # An arm and two control laws of its own, written with Pinocchio alone -----------------------------
@@ -62,14 +61,15 @@ def oracle_classic(arm, q, v, goal):
 
 def oracle_ours(arm, q, v, goal):
     """The joint acceleration nearest to the wish in the object's energy that keeps off the face."""
-    X, J = tip_pose(arm, q), numeric_jacobian(arm, q)
+    X = tip_pose(arm, q)
+    J = numeric_jacobian(arm, q)
     body = arm.chain.payload.inertia
-    R, c = X.rotation, X.rotation @ body.lever
-    m, cx = body.mass, pin.skew(c)
+    R = X.rotation
+    c = X.rotation @ body.lever
+    m = body.mass
+    cx = pin.skew(c)
     Lambda = np.block([[m * np.eye(3), -m * cx], [m * cx, R @ body.inertia @ R.T - m * cx @ cx]])
-    a_u = -np.linalg.inv(Lambda) @ arm.K_prime @ (
-        displacement(goal, X) + ks.DAMPING_S * J @ v
-    )  # fmt: skip
+    a_u = -np.linalg.inv(Lambda) @ arm.K_prime @ (displacement(goal, X) + ks.DAMPING_S * J @ v)
     across = J[arm.force]
     KKT = np.block([[J.T @ Lambda @ J, across[:, None]], [across[None], np.zeros((1, 1))]])
     qdd = np.linalg.solve(KKT, np.append(J.T @ Lambda @ a_u, 0.0))[:-1]
@@ -79,15 +79,19 @@ def oracle_ours(arm, q, v, goal):
 def numeric_poles(arm, law, q0, h=1e-5):
     """Eigenvalues of the closed loop (q, v) → (v, aba), by central differences; the two of the
     direction nobody holds (0, 0) left out."""
-    n, data, goal = len(q0), arm.plant.createData(), tip_pose(arm, q0)
+    n = len(q0)
+    data = arm.plant.createData()
+    goal = tip_pose(arm, q0)
 
     def rate(x):
-        q, v = x[:n], x[n:]
+        q = x[:n]
+        v = x[n:]
         return np.concatenate((v, pin.aba(arm.plant, data, q, v, law(arm, q, v, goal))))
 
     start = np.concatenate((q0, np.zeros(n)))
-    A = np.column_stack([(rate(start + h * e) - rate(start - h * e)) / (2 * h)
-                         for e in np.eye(2 * n)])  # fmt: skip
+    A = np.column_stack(
+        [(rate(start + h * e) - rate(start - h * e)) / (2 * h) for e in np.eye(2 * n)]
+    )
     values = np.linalg.eigvals(A)
     values = values[np.argsort(np.abs(values))]
     assert np.abs(values[:2]).max() < 0.05
@@ -103,8 +107,10 @@ def assert_same_poles(got, expected):
 
 @both
 def test_eigenvalues_give_the_poles_of_the_closed_loop_in_the_posture_found(name):
-    arm, found = arm_of(name), found_by(name)
-    classic, ours = ks.poles(found.classic), ks.poles(found.ours)
+    arm = arm_of(name)
+    found = found_by(name)
+    classic = ks.poles(found.classic)
+    ours = ks.poles(found.ours)
     assert_same_poles(numeric_poles(arm, oracle_classic, found.q), classic)
     assert_same_poles(numeric_poles(arm, oracle_ours, found.q), ours)
     assert found.classic.real.min() < 0.0 < classic.real.max()
@@ -113,7 +119,9 @@ def test_eigenvalues_give_the_poles_of_the_closed_loop_in_the_posture_found(name
 
 @both
 def test_eigenvalues_give_the_poles_in_random_postures(name):
-    arm, rng, seen = arm_of(name), np.random.default_rng(3), 0
+    arm = arm_of(name)
+    rng = np.random.default_rng(3)
+    seen = 0
     while seen < 4:
         q = rng.uniform(-np.pi, np.pi, arm.chain.nq)
         if regularity(arm, q) < 1e-3:
@@ -126,7 +134,8 @@ def test_eigenvalues_give_the_poles_in_random_postures(name):
 
 @both
 def test_the_laws_simulated_are_the_laws_judged(name):
-    arm, q = arm_of(name), found_by(name).q
+    arm = arm_of(name)
+    q = found_by(name).q
     for law, oracle in ((ks.classic_torque, oracle_classic), (ks.our_torque, oracle_ours)):
         assert_same_poles(numeric_poles(arm, law, q), numeric_poles(arm, oracle, q))
 
@@ -134,7 +143,8 @@ def test_the_laws_simulated_are_the_laws_judged(name):
 @both
 def test_ours_is_real_and_positive_next_to_singularities(name):
     """The elbow (and the UR5's wrist) all but straight: J is as good as singular there."""
-    arm, rng = arm_of(name), np.random.default_rng(5)
+    arm = arm_of(name)
+    rng = np.random.default_rng(5)
     bends = {"planar": [1], "ur5": [2, 4]}[name]
     unstable = 0
     for _ in range(60):
@@ -153,7 +163,8 @@ def test_ours_is_real_and_positive_for_any_contact_metric_and_stiffness():
     for _ in range(300):
         s = rng.integers(1, 7)
         A, C = rng.normal(size=(2, 6, 6))
-        B, K = A @ A.T + 0.01 * np.eye(6), C @ C.T + 0.01 * np.eye(6)
+        B = A @ A.T + 0.01 * np.eye(6)
+        K = C @ C.T + 0.01 * np.eye(6)
         values = ks.our_eigenvalues(rng.normal(size=(6, s)), B, K)
         assert len(values) == s
         assert values.real.min() > 0.0
@@ -165,12 +176,13 @@ def test_scalar_gains_are_the_case_k_over_B():
     A = rng.normal(size=(6, 6))
     B = A @ A.T + 0.1 * np.eye(6)
     values = ks.our_eigenvalues(rng.normal(size=(6, 2)), B, 400.0 * np.linalg.inv(B))
-    np.testing.assert_allclose(values, 400.0, rtol=1e-9)
+    assert_allclose(values, 400.0, rtol=1e-9)
 
 
 @both
 def test_it_is_the_selection_that_makes_the_classic_scheme_unstable(name):
-    arm, found = arm_of(name), found_by(name)
+    arm = arm_of(name)
+    found = found_by(name)
     M, J, _ = arm.terms(found.q)
     everything = ks.classic_eigenvalues(M, J[list(arm.rows)], np.ones(len(found.q)), arm.K_q)
     assert everything.real.min() > 10.0 and found.classic.real.min() < -10.0
@@ -179,9 +191,11 @@ def test_it_is_the_selection_that_makes_the_classic_scheme_unstable(name):
 @both
 def test_search_counts_what_it_says(name):
     """The same draw again, judged by NumPy on Pinocchio's matrices."""
-    arm, rows = arm_of(name), list(arm_of(name).rows)
+    arm = arm_of(name)
+    rows = list(arm_of(name).rows)
     found = ks.search(arm, 4, 400, 0.6)
-    judged, body = [], arm.chain.payload.inertia
+    judged = []
+    body = arm.chain.payload.inertia
     for q in np.random.default_rng(4).uniform(-np.pi, np.pi, (400, arm.chain.nq)):
         data = arm.plant.createData()
         J = pin.computeFrameJacobian(arm.plant, data, q, arm.tip, AXES)[rows]
@@ -198,8 +212,8 @@ def test_search_counts_what_it_says(name):
     assert (found.drawn, found.tried, found.ours_unstable) == (400, 240, 0)
     assert found.unstable == sum(least < -1e-6 for _, least, _ in judged) > 0
     assert tuple(found.q) == worst[2]
-    assert found.classic[0].real == pytest.approx(worst[1]) and found.ours_least > 0.0
-    np.testing.assert_array_equal(ks.search(arm, 4, 400, 0.6).q, found.q)
+    assert found.classic[0].real == approx(worst[1]) and found.ours_least > 0.0
+    assert_array_equal(ks.search(arm, 4, 400, 0.6).q, found.q)
     assert ks.search(arm, 5, 400, 0.6).q[0] != found.q[0]
 
 
@@ -210,19 +224,20 @@ def test_the_classic_scheme_leaves_as_fast_as_its_pole_says_and_ours_returns():
     later = h.t > 0.7
     assert 1e-7 < size[-1] < 1e-3, "grown, and small still"
     rate = np.polyfit(h.t[later], np.log(size[later]), 1)[0]
-    assert rate == pytest.approx(ks.poles(found.classic)[-1].real, rel=0.01)
+    assert rate == approx(ks.poles(found.classic)[-1].real, rel=0.01)
     assert np.abs(h.ours[-1]).max() < 2e-3 * np.abs(h.ours[0]).max()
-    goal, start = tip_pose(found.arm, found.q), tip_pose(found.arm, found.q + h.ours[0])
-    np.testing.assert_allclose(displacement(goal, start)[:2], [1e-9, 0.0], atol=1e-14)
-    np.testing.assert_array_equal(h.classic[0], h.ours[0])
+    goal = tip_pose(found.arm, found.q)
+    start = tip_pose(found.arm, found.q + h.ours[0])
+    assert_allclose(displacement(goal, start)[:2], [1e-9, 0.0], atol=1e-14)
+    assert_array_equal(h.classic[0], h.ours[0])
 
 
 def test_a_search_without_an_unstable_posture_is_refused():
-    with pytest.raises(InvalidInputError, match="none of 2 postures"):
+    with raises(InvalidInputError, match="none of 2 postures"):
         ks.search(arm_of("planar"), 0, 8, 0.25)
 
 
-@pytest.mark.parametrize("duration", ["-1", "0", "nan", "inf"])
+@mark.parametrize("duration", ["-1", "0", "nan", "inf"])
 def test_no_study_runs_for_a_time_that_is_none(duration):
     result = CliRunner().invoke(app, ["reproduce", "kinematic_stability", "--duration", duration])
     assert result.exit_code == 2 and f"duration={float(duration)}" in result.stderr

@@ -3,8 +3,6 @@
 Torques, forces and motions are judged in tests/test_law_kkt.py.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -15,6 +13,7 @@ import pinocchio as pin
 import pytest
 from grasp_oracle import kkt
 from grasp_rigs import random_case
+from numpy.testing import assert_allclose, assert_array_equal
 from rigs import panda_pair, placed, random_faces, random_state
 
 import osc_contact as osc
@@ -52,7 +51,8 @@ def off_their_faces(X, r, rng):
 
 def test_dependent_contacts():
     """A table on four and on eight legs, three of them independent: the sum of their forces."""
-    chain, rng = panda_pair(), np.random.default_rng(34)
+    chain = panda_pair()
+    rng = np.random.default_rng(34)
     for legs in (4, 8):
         q, _ = random_state(chain, rng)
         still = np.zeros(chain.nq)
@@ -67,29 +67,30 @@ def test_dependent_contacts():
         assert controller.status is osc.Status.OK and controller.result().rank == 3
         N = np.hstack([pair.contact(X, np.zeros(6)).N for pair in pairs])
         got = kkt(chain, q, still, tau, N[:, :3], np.zeros(3))
-        np.testing.assert_allclose(
-            N[:, :3] @ got.alpha, N @ reference.alpha_d, rtol=1e-9, atol=1e-9
-        )
+        assert_allclose(N[:, :3] @ got.alpha, N @ reference.alpha_d, rtol=1e-9, atol=1e-9)
 
 
 def test_signals_stay():
     rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
     fast = rig.controller().with_safety(UNLIMITED)
-    measurement, reference = rig.plant().measure(), rig.references.at(0.0)
+    measurement = rig.plant().measure()
+    reference = rig.references.at(0.0)
     tau = fast.tick(measurement, reference)
     before = fast.signals
-    state, f_meas = before.state, fast.result().f_meas.copy()
-    fast.f_tare, fast.engaged = np.ones(6), False  # what comes after does not change the past
+    state = before.state
+    f_meas = fast.result().f_meas.copy()
+    fast.f_tare = np.ones(6)
+    fast.engaged = False  # what comes after does not change the past
     assert not fast.engaged and (fast.f_tare == 1.0).all()
     found = fast.result()
-    np.testing.assert_array_equal(fast.signals.tau, tau)
-    np.testing.assert_array_equal(fast.signals.q, measurement.q)
-    np.testing.assert_allclose(found.f_meas, f_meas, atol=1e-12)
-    np.testing.assert_allclose(found.bias_out, state.bias_out, atol=1e-9)
-    np.testing.assert_allclose(found.V_O, state.V_O, atol=1e-12)
-    np.testing.assert_allclose(found.X_WO, state.X_WO.homogeneous, atol=1e-12)
+    assert_array_equal(fast.signals.tau, tau)
+    assert_array_equal(fast.signals.q, measurement.q)
+    assert_allclose(found.f_meas, f_meas, atol=1e-12)
+    assert_allclose(found.bias_out, state.bias_out, atol=1e-9)
+    assert_allclose(found.V_O, state.V_O, atol=1e-12)
+    assert_allclose(found.X_WO, state.X_WO.homogeneous, atol=1e-12)
     Omega_m = before.contact.motion_projection(np.linalg.inv(state.metric))
-    np.testing.assert_allclose(found.free_error, Omega_m @ found.error, atol=1e-12)
+    assert_allclose(found.free_error, Omega_m @ found.error, atol=1e-12)
     assert found.squeeze == pytest.approx(before.squeeze_d)
 
 
@@ -97,7 +98,8 @@ def test_odd_but_right_inputs_are_understood():
     """Lists, integers, strided and read-only arrays."""
     rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
     fast = rig.controller()
-    measurement, reference = rig.plant().measure(), rig.references.at(0.0)
+    measurement = rig.plant().measure()
+    reference = rig.references.at(0.0)
     want = rig.controller().tick(measurement, reference)
     strided = np.repeat(measurement.q, 2)[::2]
     frozen = measurement.v.copy()
@@ -108,7 +110,7 @@ def test_odd_but_right_inputs_are_understood():
         replace(measurement, wrenches=measurement.wrenches.tolist()),
     ):
         fast = rig.controller()
-        np.testing.assert_allclose(fast.tick(change, reference), want, atol=1e-9)
+        assert_allclose(fast.tick(change, reference), want, atol=1e-9)
         assert fast.status is osc.Status.OK, fast.reason
     fast = rig.controller()
     fast.tick(measurement, replace(reference, squeeze_d=5))
@@ -148,9 +150,12 @@ print("still")
 
 def run_python(*words, **environment):
     return subprocess.run(
-        [sys.executable, *words], capture_output=True, text=True, timeout=500,
+        [sys.executable, *words],
+        capture_output=True,
+        text=True,
+        timeout=500,
         env={**os.environ, **environment},
-    )  # fmt: skip
+    )
 
 
 def test_a_hundred_thousand_ticks_allocate_nothing():
@@ -162,12 +167,20 @@ def test_a_hundred_thousand_ticks_allocate_nothing():
 def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
     """J, M and h on random states; joints about and along any axis; armature; a wrong model."""
     pin.seed(41)
-    model, joint, X = pin.Model(), 0, placed(0.1, 0.2, 0.3, (0.3, -0.2, 0.5))
+    model = pin.Model()
+    joint = 0
+    X = placed(0.1, 0.2, 0.3, (0.3, -0.2, 0.5))
     axis = np.array([0.3, -0.5, 0.8])
     axis /= np.linalg.norm(axis)
-    kinds = [pin.JointModelRX(), pin.JointModelPY(), pin.JointModelRevoluteUnaligned(*axis),
-             pin.JointModelPrismaticUnaligned(*axis), pin.JointModelRY(), pin.JointModelRZ(),
-             pin.JointModelPZ()]  # fmt: skip
+    kinds = [
+        pin.JointModelRX(),
+        pin.JointModelPY(),
+        pin.JointModelRevoluteUnaligned(*axis),
+        pin.JointModelPrismaticUnaligned(*axis),
+        pin.JointModelRY(),
+        pin.JointModelRZ(),
+        pin.JointModelPZ(),
+    ]
     rng = np.random.default_rng(41)
     for i, kind in enumerate(kinds):
         joint = model.addJoint(joint, kind, X, f"joint{i}")
@@ -178,11 +191,13 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
     body = osc.RigidObject(pin.Inertia(1.0, np.array([0.02, 0.01, 0.0]), 0.01 * np.eye(3)))
     chain = osc.ClosedChain([osc.Arm.from_urdf(model, name="arm", tip="tip")], payload=body)
     for _ in range(5):
-        q, v = rng.uniform(-1, 1, 7), rng.normal(size=7)
-        data, state = chain.model.createData(), chain.state(q, v)
+        q = rng.uniform(-1, 1, 7)
+        v = rng.normal(size=7)
+        data = chain.model.createData()
+        state = chain.state(q, v)
         pin.computeAllTerms(chain.model, data, q, v)
-        np.testing.assert_allclose(state.M, data.M, rtol=0, atol=1e-10 * np.abs(data.M).max())
-        np.testing.assert_allclose(state.h, data.nle, rtol=0, atol=1e-10 * np.abs(data.nle).max())
+        assert_allclose(state.M, data.M, rtol=0, atol=1e-10 * np.abs(data.M).max())
+        assert_allclose(state.h, data.nle, rtol=0, atol=1e-10 * np.abs(data.nle).max())
     row = chain.law_row(led=False).copy()
     require_pinocchio_agrees(chain, row)
     MODEL.view(row).joints.link[3][0] *= 1.0 + 1e-6

@@ -13,14 +13,19 @@ from fractions import Fraction
 
 import daqp
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact.law import jit
 from osc_contact.law.limits import TorqueLimits, finish, prepare
 
-FORCE, SQUEEZE, TORQUE, BEYOND = 1e-3, 1e-5, 1e-7, 1e2
-K_MAX, S_MAX = 9, 3
+FORCE = 1e-3
+SQUEEZE = 1e-5
+TORQUE = 1e-7
+BEYOND = 1e2
+K_MAX = 9
+S_MAX = 3
 
 
 @dataclass(frozen=True)
@@ -53,43 +58,61 @@ class Case:
 
 
 def random_case(
-    rng, n=8, d=None, r=None, k=None, s=None, apart=None, passive=0, weak=1.0, endless=0,
+    rng,
+    n=8,
+    d=None,
+    r=None,
+    k=None,
+    s=None,
+    *,
+    apart=None,
+    passive=0,
+    weak=1.0,
+    endless=0,
     bodies=False,
-):  # fmt: skip
+):
     """`apart`: of columns of N. `passive`: contacts more than forces. `bodies`: one per contact."""
     d = int(rng.integers(3, 7)) if d is None else d
     r = int(rng.integers(0, d + 1)) if r is None else r
     s = int(rng.choice([0, 1, 3])) if s is None else s
     root = rng.normal(size=(6, 6))
-    N, friction_wrenches = (
-        rng.normal(size=(r, 6)),
-        0.3 * rng.normal(size=(r, 6)) * rng.integers(0, 2),
-    )
+    N = rng.normal(size=(r, 6))
+    friction_wrenches = 0.3 * rng.normal(size=(r, 6)) * rng.integers(0, 2)
     if apart and r > 1:
-        N[-1], friction_wrenches[-1] = (
-            N[0] + apart * N[-1],
-            friction_wrenches[0] + apart * friction_wrenches[-1],
-        )
+        N[-1] = N[0] + apart * N[-1]
+        friction_wrenches[-1] = friction_wrenches[0] + apart * friction_wrenches[-1]
     shape = (
         np.diag(rng.uniform(0.1, 1.0, r))
         if bodies
         else 0.3 * N @ root @ root.T @ (N + friction_wrenches).T
     )
-    alpha, share = rng.uniform(5.0, 20.0, r), np.eye(r)
+    alpha = rng.uniform(5.0, 20.0, r)
+    share = np.eye(r)
     if passive and r:
         R = rng.uniform(0.2, 1.0, (r, r + passive))
         R[:, -1] = R[:, 0]  # two contacts in one place: dependent floors
-        alpha, share = R @ rng.uniform(5.0, 20.0, r + passive), R.T @ np.linalg.inv(R @ R.T)
+        alpha = R @ rng.uniform(5.0, 20.0, r + passive)
+        share = R.T @ np.linalg.inv(R @ R.T)
     share = share[len(share) - (int(rng.integers(0, len(share) + 1)) if k is None else k) :]
     tau_max = rng.uniform(5.0, 80.0, n)
     wanted = rng.normal(size=n) * tau_max * min(1.0, np.sqrt(weak))
     tau_max *= weak
     tau_max[rng.permutation(n)[:endless]] = np.inf
     return Case(
-        d, wanted, tau_max, rng.normal(size=(n, 6)), np.eye(6) + root @ root.T / 6, N,
-        N + friction_wrenches, shape, alpha, share, np.minimum(1.0, share @ alpha),
-        rng.normal(size=(s, n)), rng.normal(size=(s, 6)),
-    )  # fmt: skip
+        d,
+        wanted,
+        tau_max,
+        rng.normal(size=(n, 6)),
+        np.eye(6) + root @ root.T / 6,
+        N,
+        N + friction_wrenches,
+        shape,
+        alpha,
+        share,
+        np.minimum(1.0, share @ alpha),
+        rng.normal(size=(s, n)),
+        rng.normal(size=(s, 6)),
+    )
 
 
 MADE: dict[int, TorqueLimits] = {}
@@ -97,14 +120,23 @@ MADE: dict[int, TorqueLimits] = {}
 
 def solve(case, limits=None):
     """By arrays that other cases have used before."""
-    n, (d, r, k, s) = len(case.wanted), case.counts
+    n = len(case.wanted)
+    (d, r, k, s) = case.counts
     if limits is None:
         limits = MADE.setdefault(n, TorqueLimits(n, K_MAX, S_MAX))
-    limits.wanted[:], limits.tau_max[:], limits.G[:] = case.wanted, case.tau_max, case.G
-    limits.Lambda[:], limits.N[:r], limits.pushed[:r] = case.Lambda, case.N, case.pushed
-    limits.Phi_e[:r, :r], limits.alpha[:r] = case.Phi_e, case.alpha
-    limits.share[:k, :r], limits.floor[:k] = case.share, case.floor
-    limits.E[:s], limits.carried[:s], limits.mass = case.E, case.carried, case.mass
+    limits.wanted[:] = case.wanted
+    limits.tau_max[:] = case.tau_max
+    limits.G[:] = case.G
+    limits.Lambda[:] = case.Lambda
+    limits.N[:r] = case.N
+    limits.pushed[:r] = case.pushed
+    limits.Phi_e[:r, :r] = case.Phi_e
+    limits.alpha[:r] = case.alpha
+    limits.share[:k, :r] = case.share
+    limits.floor[:k] = case.floor
+    limits.E[:s] = case.E
+    limits.carried[:s] = case.carried
+    limits.mass = case.mass
     short = limits.solve(d, r, k, s)
     assert not limits.lost_force[r:].any() and not limits.lost_motion[: 6 - d].any()
     lost = limits.lost_force[:r], limits.lost_motion[6 - d :], limits.lost_squeeze[:s]
@@ -137,8 +169,12 @@ def exact_optimum(case, tau):
     Limits are springs that give way by 1e-40 per unit of multiplier: where that is seen, no
     torques keep all of them. `tau`: where the search for the active ones begins.
     """
-    m, n, k = 6 - case.d, len(tau), len(case.floor)
-    scale, N, floor = fractions(case.scale), fractions(case.N), fractions(case.floor)
+    m = 6 - case.d
+    n = len(tau)
+    k = len(case.floor)
+    scale = fractions(case.scale)
+    N = fractions(case.N)
+    floor = fractions(case.floor)
     free = eliminate(
         fractions(case.Lambda[m:, m:]),
         np.hstack((fractions(case.G[:, m:].T) * scale, fractions(case.pushed[:, m:].T))),
@@ -171,15 +207,19 @@ def exact_optimum(case, tau):
 
 def active_limits(H, A, starts, ends, give, sides):
     """z of min zᵀHz with starts ≤ Az ≤ ends, and how far the limits gave way."""
-    n, rng = len(H), np.random.default_rng(0)
+    n = len(H)
+    rng = np.random.default_rng(0)
     for step in range(300):
         rows = sorted(sides)
-        C, right = A[rows], fractions(np.zeros((n + len(rows), 1)))
+        C = A[rows]
+        right = fractions(np.zeros((n + len(rows), 1)))
         slack = fractions(np.zeros((len(rows), len(rows))))
         for j, i in enumerate(rows):
-            right[n + j], slack[j, j] = ends[i] if sides[i] > 0 else starts[i], give[i]
+            right[n + j] = ends[i] if sides[i] > 0 else starts[i]
+            slack[j, j] = give[i]
         answer = eliminate(np.block([[H, -C.T], [C, slack]]), right)[:, 0]
-        z, x = answer[:n], A @ answer[:n]
+        z = answer[:n]
+        x = A @ answer[:n]
         wrong = np.maximum(x - ends, starts - x)  # beyond a limit, or pulled by it
         most = max([wrong[i] for i in rows], default=Fraction(0))
         wrong[rows] = [answer[n + j] * sides[i] for j, i in enumerate(rows)]
@@ -198,14 +238,14 @@ def agree(case, tolerance):
     assert short == there and (np.abs(tau) <= case.tau_max).all()
     assert np.abs((tau - want) / case.scale).max() < tolerance
     near = np.abs(want) >= case.tau_max * (1.0 - 1e-9)
-    np.testing.assert_array_equal(at_limit, near)
+    assert_array_equal(at_limit, near)
     for got, exact in zip((force, motion, squeeze), lost, strict=True):
         size = 1.0 + np.abs(exact).max(initial=0.0)
-        np.testing.assert_allclose(got, exact, rtol=0, atol=tolerance * size)
+        assert_allclose(got, exact, rtol=0, atol=tolerance * size)
     return short
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("how", "tolerance"),
     [
         ({}, 1e-11),
@@ -221,7 +261,9 @@ def agree(case, tolerance):
 )
 def test_the_optimum_in_exact_fractions(how, tolerance):
     """Stationary, feasible, with multipliers of the right sign; short only where it must be."""
-    rng, seen, apart = np.random.default_rng(64), 0, how.get("apart")
+    rng = np.random.default_rng(64)
+    seen = 0
+    apart = how.get("apart")
     for _ in range(10):
         case = random_case(rng, 5, **{"r": 2, "s": 1} | how)
         if apart and "bodies" not in how:
@@ -230,7 +272,7 @@ def test_the_optimum_in_exact_fractions(how, tolerance):
     assert seen < 10 and (seen > 1 or "weak" not in how)
 
 
-@pytest.mark.parametrize("endless", [0, 3])
+@mark.parametrize("endless", [0, 3])
 def test_units_of_torque_and_axes_do_not_matter(endless):
     rng = np.random.default_rng(66)
     for weak in (1.0, 0.05) * 20:
@@ -238,15 +280,23 @@ def test_units_of_torque_and_axes_do_not_matter(endless):
         tau, at_limit, *_, short = solve(case)
         unit = rng.uniform(0.1, 10.0, 8) if not endless else np.full(8, rng.uniform(0.1, 10.0))
         other = replace(
-            case, wanted=case.wanted * unit, tau_max=case.tau_max * unit,
-            G=case.G / unit[:, None], E=case.E / unit,
-        )  # fmt: skip
-        turn, m = np.eye(6), 6 - case.d
+            case,
+            wanted=case.wanted * unit,
+            tau_max=case.tau_max * unit,
+            G=case.G / unit[:, None],
+            E=case.E / unit,
+        )
+        turn = np.eye(6)
+        m = 6 - case.d
         turn[m:, m:] = np.linalg.qr(rng.normal(size=(case.d, case.d)))[0]
         turned = replace(
-            case, G=case.G @ turn.T, Lambda=turn @ case.Lambda @ turn.T, N=case.N @ turn.T,
-            pushed=case.pushed @ turn.T, carried=case.carried @ turn.T,
-        )  # fmt: skip
+            case,
+            G=case.G @ turn.T,
+            Lambda=turn @ case.Lambda @ turn.T,
+            N=case.N @ turn.T,
+            pushed=case.pushed @ turn.T,
+            carried=case.carried @ turn.T,
+        )
         for same, factor in ((other, unit), (turned, 1.0)):
             got, there, *_, also = solve(same)
             assert also == short and (there == at_limit).all()
@@ -259,9 +309,13 @@ def test_a_force_that_no_motor_reaches_and_motors_that_do_nothing():
     for G in (0.0 * case.G, case.G * (np.arange(8) > 3)[:, None]):
         agree_within(replace(case, G=G, E=0.0 * case.E))
     out_of_reach = replace(
-        case, Lambda=np.eye(6), N=np.eye(6)[:2], pushed=np.eye(6)[:2], Phi_e=np.zeros((2, 2)),
+        case,
+        Lambda=np.eye(6),
+        N=np.eye(6)[:2],
+        pushed=np.eye(6)[:2],
+        Phi_e=np.zeros((2, 2)),
         G=case.G * (np.arange(6) != 1),
-    )  # fmt: skip
+    )
     _, _, force, *_ = agree_within(out_of_reach)
     assert force[1] == 0.0 and np.isfinite(MADE[8]._A[:16]).all()
 
@@ -270,12 +324,13 @@ def test_a_floor_above_the_command_is_the_command():
     case = random_case(np.random.default_rng(72), d=6, r=2, k=2, s=1)
     low = replace(case, alpha=case.alpha / 100.0)
     for got, want in zip(solve(low), solve(replace(low, floor=low.share @ low.alpha)), strict=True):
-        np.testing.assert_array_equal(got, want)
+        assert_array_equal(got, want)
 
 
 def test_a_floor_that_another_implies_changes_nothing(monkeypatch):
     """Even if the solver calls both of them active."""
-    solver, active = daqp.solve, []
+    solver = daqp.solve
+    active = []
 
     def both(*args, **how):
         z, value, verdict, info = solver(*args, **how)
@@ -308,26 +363,27 @@ def arrays(limits):
     return [x for x in parts if isinstance(x, np.ndarray)]
 
 
-@pytest.mark.parametrize("how", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+@mark.parametrize("how", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
 def test_copies_are_equal_and_share_nothing(how):
-    rng, limits = np.random.default_rng(68), TorqueLimits(8, 6, 3)
+    rng = np.random.default_rng(68)
+    limits = TorqueLimits(8, 6, 3)
     case, next_case = (random_case(rng, d=6, r=3, k=3, s=1) for _ in range(2))
     tau, *_ = solve(case, limits)
     other = how(limits)
     assert len(arrays(limits)) > 30 and other.mass == limits.mass
     assert not any(np.shares_memory(a, b) for a in arrays(limits) for b in arrays(other))
-    np.testing.assert_array_equal(other.tau, tau)
+    assert_array_equal(other.tau, tau)
     solve(next_case, limits)
     assert other.solve(*case.counts) == solve(case, limits)[-1]
-    np.testing.assert_array_equal(other.tau, tau)
-    np.testing.assert_array_equal(other.lost_force, limits.lost_force)
+    assert_array_equal(other.tau, tau)
+    assert_array_equal(other.lost_force, limits.lost_force)
 
 
-@pytest.mark.parametrize("verdict", [-1, 1])
+@mark.parametrize("verdict", [-1, 1])
 def test_what_is_not_solved_is_told(monkeypatch, verdict):
     case = random_case(np.random.default_rng(69), d=6, r=2, k=2, s=1, weak=0.05)
     solve(random_case(np.random.default_rng(69), d=6, r=2, k=2, s=1))
-    with pytest.raises(osc.SolverError, match="motor limits"):
+    with raises(osc.SolverError, match="motor limits"):
         MADE[8].Lambda[:] = -np.eye(6)
         MADE[8].solve(6, 2, 2, 1)
 
@@ -335,23 +391,25 @@ def test_what_is_not_solved_is_told(monkeypatch, verdict):
         return np.full(len(f), np.nan), 0.0, verdict, {"lam": np.zeros(len(a[1]))}
 
     monkeypatch.setattr(daqp, "solve", fail)
-    with pytest.raises(osc.SolverError, match="motor limits"):
+    with raises(osc.SolverError, match="motor limits"):
         solve(replace(case, share=case.share[:0], floor=case.floor[:0]))
 
 
 def test_the_answer_is_the_same_where_numba_looks_at_the_arguments(monkeypatch):
-    case, limits = random_case(np.random.default_rng(71), 8, 6, 2, 2, 1), TorqueLimits(8, 6, 3)
+    case = random_case(np.random.default_rng(71), 8, 6, 2, 2, 1)
+    limits = TorqueLimits(8, 6, 3)
     solve(case, limits)
     monkeypatch.setattr(jit, "_fast", None)
     ordinary = TorqueLimits(8, 6, 3)
     assert ordinary._prepare is prepare and ordinary._finish is finish
     solve(case, ordinary)
-    np.testing.assert_array_equal(ordinary.tau, limits.tau)
-    np.testing.assert_array_equal(ordinary.lost_force, limits.lost_force)
+    assert_array_equal(ordinary.tau, limits.tau)
+    assert_array_equal(ordinary.lost_force, limits.lost_force)
 
 
 def test_nothing_accumulates():
-    limits, counts = TorqueLimits(8, 6, 3), (6, 2, 2, 1)
+    limits = TorqueLimits(8, 6, 3)
+    counts = (6, 2, 2, 1)
     solve(random_case(np.random.default_rng(70), 8, *counts), limits)
     for _ in range(2):
         before = sys.getallocatedblocks()
@@ -363,7 +421,8 @@ def test_nothing_accumulates():
 
 def answers():
     """What both ways of running the same source are compared by, as shares of its size."""
-    rng, out = np.random.default_rng(71), []
+    rng = np.random.default_rng(71)
+    out = []
     for i in range(60):
         case = random_case(
             rng, 8 + 6 * (i % 2), weak=(1.0, 0.05)[i // 2 % 2], passive=i % 3, endless=i % 5 // 4
@@ -376,12 +435,15 @@ def answers():
 
 def test_compiled_as_plain_python():
     done = subprocess.run(
-        [sys.executable, __file__], capture_output=True, text=True, timeout=300,
+        [sys.executable, __file__],
+        capture_output=True,
+        text=True,
+        timeout=300,
         env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     for got, want in zip(answers(), json.loads(done.stdout), strict=True):
-        np.testing.assert_allclose(got, want, rtol=0, atol=1e-12)
+        assert_allclose(got, want, rtol=0, atol=1e-12)
 
 
 if __name__ == "__main__":

@@ -5,22 +5,20 @@ first. Arrays are larger than what counts and hold numbers beside it, as the law
 `test_law_stages.py` goes on with forces, stops and the stages of a tick.
 """
 
-from __future__ import annotations
-
 from itertools import product
 from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from law_calls import algebra, commands, contact, grasps, tick_of, vectors
 from law_calls import columns as columns_of_N
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark
 
-from osc_contact.law import records as at
-from osc_contact.law.contact import Motion
+from osc_contact.law import tables as at
 
-SEEDS = pytest.mark.parametrize("seed", range(6))
-close = np.testing.assert_allclose
+SEEDS = mark.parametrize("seed", range(6))
+close = assert_allclose
 
 
 def rng_of(seed):
@@ -50,12 +48,16 @@ def around(rng, A, before=0, behind=2):
 @SEEDS
 def test_vectors_of_six_and_turned_points(seed):
     rng = rng_of(seed)
-    A, a, b, s = rng.normal(size=(6, 6)), rng.normal(size=6), rng.normal(size=6), rng.normal()
-    R, (x, y, z) = rng.normal(size=(4, 4)), rng.normal(size=3)
+    A = rng.normal(size=(6, 6))
+    a = rng.normal(size=6)
+    b = rng.normal(size=6)
+    s = rng.normal()
+    R = rng.normal(size=(4, 4))
+    (x, y, z) = rng.normal(size=3)
     close(vectors.dot6(a, b), a @ b, atol=1e-13)
     assert vectors.six(a) == tuple(a)
     vectors.fill(out := np.zeros(6), a)
-    np.testing.assert_array_equal(out, a)
+    assert_array_equal(out, a)
     close(vectors.add(a, s, b), a + s * b, atol=1e-13)
     close(vectors.scaled(s, a), s * a, atol=1e-13)
     close(vectors.times6(A, a), A @ a, atol=1e-13)
@@ -65,8 +67,8 @@ def test_vectors_of_six_and_turned_points(seed):
     close(vectors.velocity_at(a, x, y, z), there.linear, atol=1e-13)
     lower = np.tril(A)
     vectors.mirror(A)
-    np.testing.assert_array_equal(A, lower + np.tril(lower, -1).T)
-    close(vectors.cross(*a), np.cross(a[:3], a[3:]), atol=1e-13)
+    assert_array_equal(A, lower + np.tril(lower, -1).T)
+    close(algebra.cross(*a), np.cross(a[:3], a[3:]), atol=1e-13)
 
 
 def test_a_reflector_takes_a_vector_to_an_axis_without_cancellation():
@@ -83,10 +85,12 @@ def test_a_reflector_takes_a_vector_to_an_axis_without_cancellation():
         assert (alpha < 0.0) == (head >= 0.0)
 
 
-@pytest.mark.parametrize("m", range(7))
+@mark.parametrize("m", range(7))
 def test_reflections_and_their_inverse(m):
     rng = rng_of(m)
-    V, beta, x = rng.normal(size=(6, 6)), rng.normal(size=8), rng.normal(size=6)
+    V = rng.normal(size=(6, 6))
+    beta = rng.normal(size=8)
+    x = rng.normal(size=6)
     A = rng.normal(size=(6, 6))
     A += A.T
     H = np.eye(6)
@@ -101,12 +105,15 @@ def test_reflections_and_their_inverse(m):
     close(B, H @ A @ H.T, atol=1e-12)
 
 
-@pytest.mark.parametrize("rows", range(1, 7))
+@mark.parametrize("rows", range(1, 7))
 def test_qr_of_columns_of_six(rows):
     rng = rng_of(rows)
     X = rng.normal(size=(8, 6))
-    before, R, Q = X[:rows].T.copy(), rng.normal(size=(8, 8)), rng.normal(size=(7, 7))
-    diagonal, beta = rng.normal(size=8), rng.normal(size=8)
+    before = X[:rows].T.copy()
+    R = rng.normal(size=(8, 8))
+    Q = rng.normal(size=(7, 7))
+    diagonal = rng.normal(size=8)
+    beta = rng.normal(size=8)
     assert vectors.qr6(X, rows, R, diagonal, beta)
     assert not np.tril(X[:rows, :rows], -1).any(), "reflectors begin with zeros"
     vectors.form_q6(X, rows, beta, Q)
@@ -123,26 +130,28 @@ def test_qr_of_columns_of_six(rows):
 # --- dense algebra --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("n", range(1, 8))
-@pytest.mark.parametrize("first", [0, 2])
+@mark.parametrize("n", range(1, 8))
+@mark.parametrize("first", [0, 2])
 def test_cholesky_and_what_it_solves(n, first):
     rng = rng_of(n)
     root = rng.normal(size=(n, n))
     A = root @ root.T + 0.1 * np.eye(n)
-    whole, L = around(rng, A, first), rng.normal(size=(n + 1, n + 1))
+    whole = around(rng, A, first)
+    L = rng.normal(size=(n + 1, n + 1))
     whole[np.triu_indices(len(whole), 1)] = np.nan
     least = algebra.cholesky(whole, first, n, L)
     want = np.linalg.cholesky(A)
     close(np.tril(L[:n, :n], -1), np.tril(want, -1), atol=1e-10)
     close(1.0 / np.diag(L)[:n], np.diag(want), rtol=1e-10)
     close(least, min(np.diag(want) ** 2 / np.diag(A)), rtol=1e-9)
-    x, b = rng.normal(size=n + first + 2), rng.normal(size=n)
+    x = rng.normal(size=n + first + 2)
+    b = rng.normal(size=n)
     x[first : first + n] = b
     y = x.copy()
     algebra.cholesky_solve(L, n, y, first)
     close(A @ y[first : first + n], b, atol=1e-9)
     y[first : first + n] = b
-    np.testing.assert_array_equal(y, x)
+    assert_array_equal(y, x)
     for k in range(n):
         for bad in (0.0, -1.0, np.nan):
             broken = A.copy()
@@ -157,7 +166,9 @@ def test_cholesky_and_what_it_solves(n, first):
 def test_inverse_of_an_inertia(seed):
     rng = rng_of(seed)
     root = rng.normal(size=(6, 6))
-    A, L, out = root @ root.T + 0.1 * np.eye(6), rng.normal(size=(6, 6)), rng.normal(size=(6, 6))
+    A = root @ root.T + 0.1 * np.eye(6)
+    L = rng.normal(size=(6, 6))
+    out = rng.normal(size=(6, 6))
     pivots = np.diag(np.linalg.cholesky(A)) ** 2
     least = algebra.invert_spd6(np.tril(A), L, out)
     close(out, np.linalg.inv(A), atol=1e-8)
@@ -166,26 +177,29 @@ def test_inverse_of_an_inertia(seed):
     assert algebra.invert_spd6(A, L, out) == 0.0
 
 
-@pytest.mark.parametrize("n", range(1, 8))
+@mark.parametrize("n", range(1, 8))
 def test_elimination_with_pivots(n):
     rng = rng_of(n)
     for columns in (0, 1, 3):
         A = rng.normal(size=(n, n))
         A[0, 0] = 0.0 if n > 1 else -2.0
         B = rng.normal(size=(n + columns, n + 1))[: columns + 2]
-        rows, behind = B[:columns, :n].copy(), B[columns:].copy()
+        rows = B[:columns, :n].copy()
+        behind = B[columns:].copy()
         assert algebra.lu_solve(around(rng, A) if n != 6 else A.copy(), n, B, columns)
         close(B[:columns, :n] @ A.T, rows, atol=1e-9)
-        np.testing.assert_array_equal(B[columns:], behind)
+        assert_array_equal(B[columns:], behind)
 
 
-@pytest.mark.parametrize("n", [1, 2, 5, 6, 7])
+@mark.parametrize("n", [1, 2, 5, 6, 7])
 def test_a_matrix_is_singular_where_a_pivot_is_next_to_nothing(n):
-    rng, solve = rng_of(n), algebra.lu_solve
+    rng = rng_of(n)
+    solve = algebra.lu_solve
     for k in range(n):
         order = rng.permutation(n)
         for share in (0.0, 0.5e-10, np.nan, 2e-10):
-            A, B = np.diag(-3.0 * np.ones(n)), rng.normal(size=(1, n))
+            A = np.diag(-3.0 * np.ones(n))
+            B = rng.normal(size=(1, n))
             A[k, k] = 3.0 * share
             b = B.copy()
             alone = n == 1 and share == 0.5e-10  # nothing beside which it is small
@@ -200,7 +214,7 @@ def test_a_matrix_is_singular_where_a_pivot_is_next_to_nothing(n):
             assert not solve(A[order].copy(), n, rng.normal(size=(1, n)), 1)
 
 
-@pytest.mark.parametrize(("rows", "length"), [(1, 1), (1, 6), (2, 3), (3, 7), (4, 4), (5, 7)])
+@mark.parametrize(("rows", "length"), [(1, 1), (1, 6), (2, 3), (3, 7), (4, 4), (5, 7)])
 def test_qr_of_rows_of_any_length(rows, length):
     rng = rng_of(rows + length)
     X = rng.normal(size=(length + 2, length + 2))
@@ -219,13 +233,13 @@ def test_qr_of_rows_of_any_length(rows, length):
     algebra.back_substitute(X, rows, 4, diagonal, Z)
     close(R @ Z[:rows, :4], wanted, atol=1e-9)
     Z[:rows, :4] = wanted
-    np.testing.assert_array_equal(Z, rest)
+    assert_array_equal(Z, rest)
     X = rng.normal(size=(rows, length))
     X[rows - 1] = 0.0
     assert not algebra.qr_rows(X, rows, length, diagonal, beta)
 
 
-@pytest.mark.parametrize(("count", "length"), [(1, 3), (2, 2), (3, 7), (5, 6), (6, 6), (6, 3)])
+@mark.parametrize(("count", "length"), [(1, 3), (2, 2), (3, 7), (5, 6), (6, 6), (6, 3)])
 def test_rows_rotated_until_they_are_orthogonal(count, length):
     rng = rng_of(count + length)
     for kind in ("any", "alike", "zero", "sizes"):
@@ -240,7 +254,8 @@ def test_rows_rotated_until_they_are_orthogonal(count, length):
         X[:count, length : length + count] = np.eye(count)
         before = X.copy()
         algebra.one_sided_jacobi(X, count, length, count)
-        U, rows = X[:count, length : length + count], X[:count, :length]
+        U = X[:count, length : length + count]
+        rows = X[:count, :length]
         close(U @ U.T, np.eye(count), atol=1e-12)
         close(U @ before[:count, :length], rows, atol=1e-12)
         gram = rows @ rows.T
@@ -250,10 +265,10 @@ def test_rows_rotated_until_they_are_orthogonal(count, length):
         want = np.pad(want, (0, count - len(want)))
         close(np.sort(size)[::-1], want, atol=1e-12 * want[0])
         X[:count, : length + count] = before[:count, : length + count]
-        np.testing.assert_array_equal(X, before)
+        assert_array_equal(X, before)
 
 
-@pytest.mark.parametrize("size", [1e-70, 1e-77, 1e-78, 1e-79, 1e-80, 1e-81, 1e-150, 1e-300])
+@mark.parametrize("size", [1e-70, 1e-77, 1e-78, 1e-79, 1e-80, 1e-81, 1e-150, 1e-300])
 def test_rows_of_next_to_nothing_turn_what_they_carry_without_stretching_it(size):
     """Squares of their products have few digits, or none. More rows than directions get there."""
     X = rng_of(7).normal(size=(5, 8)) * size
@@ -262,30 +277,37 @@ def test_rows_of_next_to_nothing_turn_what_they_carry_without_stretching_it(size
     close(X[:, 3:] @ X[:, 3:].T, np.eye(5), atol=1e-14)
 
 
-@pytest.mark.parametrize(("m", "r"), [(0, 1), (0, 3), (0, 6), (2, 3), (2, 4), (5, 1)])
+@mark.parametrize(("m", "r"), [(0, 1), (0, 3), (0, 6), (2, 3), (2, 4), (5, 1)])
 def test_lower_factor_and_orthonormal_rows(m, r):
     rng = rng_of(10 * m + r)
     for near in (1.0, 1e-7):
-        X, Q, L = rng.normal(size=(7, 6)), rng.normal(size=(7, 6)), rng.normal(size=(7, 7))
+        X = rng.normal(size=(7, 6))
+        Q = rng.normal(size=(7, 6))
+        L = rng.normal(size=(7, 7))
         X[r - 1] = X[0] + near * X[r - 1]
         before = X.copy()
         least = algebra.orthonormalise(X, r, m, Q, L)
-        np.testing.assert_array_equal(X, before)
-        Q, L = Q[:r].copy(), L[:r, :r]
+        assert_array_equal(X, before)
+        Q = Q[:r].copy()
+        L = L[:r, :r]
         assert not Q[:, :m].any()
         close(Q @ Q.T, np.eye(r), atol=1e-13)
         close(np.tril(L) @ Q[:, m:], X[:r, m:], atol=1e-13)
         close(least, min(np.diag(L) / np.linalg.norm(X[:r, m:], axis=1)), rtol=1e-9)
     X[r - 1, m:] = 0.0
     assert algebra.orthonormalise(X, r, m, np.zeros((7, 6)), np.zeros((7, 7))) == 0.0
-    L, b = rng.normal(size=(r + 1, r + 1)), rng.normal(size=r + 1)
-    for solve, A in (("solve_lower", np.tril(L[:r, :r])),
-                     ("solve_lower_transposed", np.tril(L[:r, :r]).T)):  # fmt: skip
+    L = rng.normal(size=(r + 1, r + 1))
+    b = rng.normal(size=r + 1)
+    for solve, A in (
+        ("solve_lower", np.tril(L[:r, :r])),
+        ("solve_lower_transposed", np.tril(L[:r, :r]).T),
+    ):
         x = b.copy()
         getattr(algebra, solve)(L, r, x)
         close(A @ x[:r], b[:r], atol=1e-9)
         assert x[r] == b[r]
-    x, wanted = rng.normal(size=6), rng.normal(size=r)
+    x = rng.normal(size=6)
+    wanted = rng.normal(size=r)
     algebra.project_onto_constraint(Q, r, y := x.copy(), wanted)
     close(y, x + Q.T @ (wanted - Q @ x), atol=1e-12)
 
@@ -296,9 +318,27 @@ SIGNS = [s for s in product((-1.0, 0.0, 1.0), repeat=3) if any(s)]
 
 
 def test_rotation_vectors_of_all_angles_and_axes():
-    rng, out = rng_of(0), np.zeros(4)
-    angles = [0.0, 1e-12, 1e-7, 0.9e-6, 1.1e-6, 1e-3, 0.3, 1.0, 1.6, 2.5, 2.9, 2.999, 3.0, 3.001,
-              3.1, np.pi - 1e-3, np.pi - 1e-6]  # fmt: skip
+    rng = rng_of(0)
+    out = np.zeros(4)
+    angles = [
+        0.0,
+        1e-12,
+        1e-7,
+        0.9e-6,
+        1.1e-6,
+        1e-3,
+        0.3,
+        1.0,
+        1.6,
+        2.5,
+        2.9,
+        2.999,
+        3.0,
+        3.001,
+        3.1,
+        np.pi - 1e-3,
+        np.pi - 1e-6,
+    ]
     for signs in SIGNS:
         w = np.array(signs) * rng.uniform(0.2, 1.0, 3)
         w /= np.linalg.norm(w)
@@ -324,7 +364,9 @@ def test_exactly_half_a_turn_leaves_the_sign_open_but_not_the_axis():
 @SEEDS
 def test_pose_errors_and_the_motion_law(seed):
     rng = rng_of(seed)
-    D, B, out = pose(rng), pose(rng), np.zeros(6)
+    D = pose(rng)
+    B = pose(rng)
+    out = np.zeros(6)
     if seed == 5:  # near a half turn
         D = pin.SE3(turn(rng, 3.13) @ B.rotation, D.translation)
     commands.pose_error(D.homogeneous, B.homogeneous, out)
@@ -355,7 +397,7 @@ def test_a_rotation_goes_on_and_is_squared_up(seed):
         grasps.rotate(Y, *w)
         close(Y[:3, :3], pin.exp3(w) @ X[:3, :3], atol=1e-11)
         Y[:3, :3] = X[:3, :3]
-        np.testing.assert_array_equal(Y, X)
+        assert_array_equal(Y, X)
     X = np.ones((4, 4))
     X[:3, :3] = turn(rng) + 0.05 * rng.normal(size=(3, 3))
     Q, R = np.linalg.qr(X[:3, :2])
@@ -363,7 +405,7 @@ def test_a_rotation_goes_on_and_is_squared_up(seed):
     grasps._square_up(X)
     close(X[:3, :2], Q, atol=1e-12)
     close(X[:3, 2], np.cross(Q[:, 0], Q[:, 1]), atol=1e-12)
-    np.testing.assert_array_equal(X[3], 1.0)
+    assert_array_equal(X[3], 1.0)
 
 
 @SEEDS
@@ -371,15 +413,19 @@ def test_logarithm_and_exponential_of_a_motion(seed):
     """Series below 10 mrad, and what they stand for above."""
     rng = rng_of(seed)
     for angle in (0.0, 1e-5, 0.0099, 0.0101, 0.1, 0.9, 2.0, 3.0):
-        w, p, B = rng.normal(size=3), rng.normal(size=3), np.full((6, 6), 7.0)
+        w = rng.normal(size=3)
+        p = rng.normal(size=3)
+        B = np.full((6, 6), 7.0)
         w *= angle / np.linalg.norm(w)
         M = pin.SE3(pin.exp3(w), p)
         grasps._remaining(p, w, B)
         close(B[0], pin.log6(M).vector, atol=1e-9)
         twist = np.concatenate((rng.normal(size=3), w))
         M = pose(rng)
-        R, point = np.full((6, 6), 7.0), np.append(M.translation, 7.0)
-        R[:3, :3], B[1] = M.rotation, twist
+        R = np.full((6, 6), 7.0)
+        point = np.append(M.translation, 7.0)
+        R[:3, :3] = M.rotation
+        B[1] = twist
         grasps._take_off(R, point, B)
         want = M * pin.exp6(-twist)
         close(R[:3, :3], want.rotation, atol=1e-9)
@@ -388,12 +434,15 @@ def test_logarithm_and_exponential_of_a_motion(seed):
 
 
 GROUPS = {  # motions of a joint, their rows of T
-    "cylinder": np.eye(6)[[2, 5]], "plane": np.eye(6)[[0, 1, 5]], "ball": np.eye(6)[[3, 4, 5]],
-    "screw": np.array([[0.0, 0.0, 0.6, 0.0, 0.0, 0.8]]), "slides": np.eye(6)[[0, 2]],
-}  # fmt: skip
+    "cylinder": np.eye(6)[[2, 5]],
+    "plane": np.eye(6)[[0, 1, 5]],
+    "ball": np.eye(6)[[3, 4, 5]],
+    "screw": np.array([[0.0, 0.0, 0.6, 0.0, 0.0, 0.8]]),
+    "slides": np.eye(6)[[0, 2]],
+}
 
 
-@pytest.mark.parametrize("name", GROUPS)
+@mark.parametrize("name", GROUPS)
 def test_the_permitted_part_of_a_miss_is_taken_off(name):
     """X = tip exp(n) exp(t) X_TO misses its grasp by n, however large the permitted t is."""
     rng = rng_of(0)
@@ -402,11 +451,16 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
     if name == "screw":
         N = np.vstack((N, [0.0, 0.0, 0.8, 0.0, 0.0, -0.6]))
     for size in (0.0, 1e-3, 0.3, 1.5):
-        n, t = 0.2 * rng.normal(size=len(N)), size * rng.uniform(-1.0, 1.0, len(T))
-        tip, X_TO = pose(rng), pose(rng)
+        n = 0.2 * rng.normal(size=len(N))
+        t = size * rng.uniform(-1.0, 1.0, len(T))
+        tip = pose(rng)
+        X_TO = pose(rng)
         X = tip * pin.exp6(N.T @ n) * pin.exp6(T.T @ t) * X_TO
-        arm = Record(m=len(N), grasp=np.vstack((N, T)),
-                     X_TO=np.append(X_TO.rotation.ravel(), X_TO.translation))  # fmt: skip
+        arm = Record(
+            m=len(N),
+            grasp=np.vstack((N, T)),
+            X_TO=np.append(X_TO.rotation.ravel(), X_TO.translation),
+        )
         frame = np.vstack((tip.rotation, tip.translation))
         out = np.full(6, 7.0)
         scratch = np.zeros((2, 6, 6))
@@ -417,8 +471,11 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
 @SEEDS
 def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
     rng = rng_of(seed)
-    tip, X = pose(rng), pose(rng)
-    point, axis, tip_axis = rng.normal(size=3), turn(rng)[0], turn(rng)[0]
+    tip = pose(rng)
+    X = pose(rng)
+    point = rng.normal(size=3)
+    axis = turn(rng)[0]
+    tip_axis = turn(rng)[0]
     if seed == 5:  # fits
         axis = X.rotation.T @ tip.rotation @ tip_axis
     rows = np.zeros((6, 6))
@@ -433,127 +490,24 @@ def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
     close(out[3:5], rows[3:5, 3:] @ pin.log3(between.toRotationMatrix()), atol=1e-9)
     arm.kind = at.BALL
     grasps._miss(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
-    np.testing.assert_array_equal(ball, [*out[:3], 7.0, 7.0, 7.0])
+    assert_array_equal(ball, [*out[:3], 7.0, 7.0, 7.0])
 
 
 # --- faces ----------------------------------------------------------------------------------------
 
 
-def bodies(seed):
-    """The object at X, a body at E, and their twists at O."""
-    rng = rng_of(seed)
-    X, E = pose(rng), pose(rng)
-    return rng, X, E, rng.normal(size=6), rng.normal(size=6)
-
-
-@SEEDS
-@pytest.mark.parametrize("kind", [at.POINTS, at.FACE_ON_VERTEX])
-def test_a_believed_face_turns_to_what_slides_on_it(kind, seed):
-    rng, X, E, V_rel, V_goal = bodies(seed)
-    V_goal *= (1.0, 0.005)[seed % 2]  # m/s; 10 mm/s tell half
-    row, first = rng.normal(size=16), 3 if kind == at.POINTS else 0
-    row[first : first + 3] /= np.linalg.norm(row[first : first + 3])
-    carrier, other = (E, X) if kind == at.POINTS else (X, E)
-    turned, drift, n = 0.02 * rng.normal(size=3), rng.normal(), row[first : first + 3]
-    normal = turn(rng)[0]
-    N = np.append(normal, rng.normal(size=3))
-    p = other.act(row[3 - first : 6 - first]) - X.translation
-    v = V_goal[:3] + np.cross(V_goal[3:], p)
-    v -= normal * (normal @ v)
-    sigma = (v @ v) ** 2 / ((v @ v) ** 2 + 0.01**4)
-    gain = 0.3 * sigma / (v @ v) * (N @ V_rel - drift)
-    want = n + turned - gain * (carrier.rotation.T @ v)
-    want = want / np.linalg.norm(want) - n
-    for most in (9.0, 0.5 * np.linalg.norm(want)):
-        column = Record(N=N, turn=turned, drift=drift, turned=np.zeros(3), slides=9.0)
-        contact.follow_face(
-            tick_of(model=Record(drift_share=0.3, tilt=most)),
-            kind,
-            row,
-            X.homogeneous,
-            E.homogeneous,
-            V_rel,
-            V_goal,
-            column,
-        )
-        close(column.turned, want * min(1.0, most / np.linalg.norm(want)), atol=1e-10)
-        close(column.slides, sigma if most == 9.0 else 0.0, rtol=1e-9)
-
-
-def test_turns_are_taken_from_the_last_tick():
-    memory = [Record(drift=0.1 * j, turn=np.arange(3.0) + j) for j in range(3)]
-    columns = [Record(drift=9.0, slides=9.0, turn=np.full(3, 9.0), turned=np.full(3, 9.0))
-               for _ in range(3)]  # fmt: skip
-    contact.take_turns(
-        tick_of(model=Record(n_columns=2), memory_columns=memory, work_columns=columns)
-    )
-    for j in range(2):
-        assert (columns[j].drift, columns[j].slides) == (memory[j].drift, 0.0)
-        np.testing.assert_array_equal(columns[j].turn, memory[j].turn)
-        np.testing.assert_array_equal(columns[j].turned, memory[j].turn)
-    assert columns[2].drift == 9.0 == columns[2].turn[0]
-
-
-def a_pair(kind, rng, side=0.0):
-    """A pair of one column; its normals, edges and radius."""
+def a_pair(rng):
+    """A vertex on a face: its row, with a unit normal."""
     row = rng.normal(size=16)
-    for first in {at.POINTS: (3,), at.FACE_ON_VERTEX: (0,), at.EDGES: (3, 9, 13)}[kind]:
-        row[first : first + 3] /= np.linalg.norm(row[first : first + 3])
-    row[12] = side if kind == at.EDGES else row[12]
+    row[3:6] /= np.linalg.norm(row[3:6])
     return row
 
 
-def line_of(kind, row, X, E, turned):
-    """N, and the point where it acts: what is geometry, in world axes, from the world's origin."""
-    if kind == at.POINTS:
-        n, p = E.rotation @ (row[3:6] + turned), X.act(row[:3])
-        believed = E.rotation @ row[3:6]
-        return n, p, p + n * (believed @ (E.translation - p) + row[6])
-    if kind == at.FACE_ON_VERTEX:
-        n, p = X.rotation @ (row[:3] + turned), E.act(row[3:6])
-        return n, p, p - row[6] * n
-    e, f = X.rotation @ row[3:6], E.rotation @ row[9:12]
-    q, x = X.act(row[:3]), E.act(row[6:9])
-    s = np.linalg.lstsq(np.column_stack((e, -f)), x - q, rcond=None)[0][0]
-    n = np.cross(e, f) / np.linalg.norm(np.cross(e, f))
-    if row[12] == 0.0:  # into the body
-        n *= -np.sign(n @ (E.rotation @ row[13:16]))
-    else:
-        n *= row[12]
-    return n, q + s * e, q + s * e
-
-
-@SEEDS
-@pytest.mark.parametrize("kind", [at.POINTS, at.FACE_ON_VERTEX, at.EDGES])
-def test_lines_of_force_their_points_and_their_rates(kind, seed):
-    """n_γ = −ṄᵀV_rel, the rate of N by differences while both bodies go on moving."""
-    rng, X, E, V_O, V_E = bodies(seed)
-    row = a_pair(kind, rng, (0.0, 1.0, -1.0)[seed % 3])
-    turned = 0.1 * rng.normal(size=3) * (kind != at.EDGES)
-    column = Record(N=np.zeros(6), turn=turned, n_gamma_all=0.0)
-    pair, shapes = Record(kind=kind, first=1, count=1, shape_at=2), [None, None, Record(row=row)]
-    motion = Motion(X.homogeneous, V_O, E.homogeneous, V_E, V_O - V_E, True)
-    sine = contact.place_pair(pair, shapes, [None, column], motion, np.zeros(6))
-    at_O = pin.SE3(np.eye(3), X.translation)
-
-    def moved(B, V, t):
-        """B after t, moved by a twist that is at O."""
-        return at_O * pin.exp6(V * t) * at_O.inverse() * B
-
-    def N_of(t):
-        n, p, _ = line_of(kind, row, moved(X, V_O, t), moved(E, V_E, t), turned)
-        return np.append(n, np.cross(p - X.translation, n))
-
-    close(column.N, N_of(0.0), atol=1e-9)
-    rate = (N_of(1e-5) - N_of(-1e-5)) / 2e-5
-    close(column.n_gamma_all, -rate @ (V_O - V_E), rtol=1e-4, atol=1e-4)
-    edges = X.rotation @ row[3:6], E.rotation @ row[9:12]
-    if kind == at.EDGES:
-        close(sine, np.linalg.norm(np.cross(*edges)), rtol=1e-9)
-    else:
-        assert sine == 1.0
-    point = contact.point_of_contact(kind, row, X.homogeneous, E.homogeneous, column.N)
-    close(point, line_of(kind, row, X, E, turned)[2] - X.translation, atol=1e-8)
+def line_of(row, X, E):
+    """Normal, vertex, and the point of the face below it, in world axes."""
+    n = E.rotation @ row[3:6]
+    p = X.act(row[:3])
+    return n, p, p + n * (n @ (E.translation - p) + row[6])
 
 
 @SEEDS
@@ -565,14 +519,26 @@ def test_motions_that_a_body_carries(seed):
     close(out, want, atol=1e-12)
 
 
-@pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.parametrize("mu", [0.0, 0.3])
+@mark.parametrize("moving", [False, True])
+@mark.parametrize("mu", [0.0, 0.3])
 def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
-    rng, X, E, V_O, V_W = bodies(3)
-    row, A_D, dt, slip = a_pair(at.POINTS, rng), 30.0 * rng.normal(size=6), 1e-3, 0.01
+    rng = rng_of(3)
+    X = pose(rng)
+    E = pose(rng)
+    V_O, V_W = rng.normal(size=(2, 6))
+    row = a_pair(rng)
+    A_D = 30.0 * rng.normal(size=6)
+    dt = 1e-3
+    slip = 0.01
     pair = Record(kind=at.POINTS, first=0, count=1, shape_at=0, has_friction=1)
-    column = Record(N=np.zeros(6), turn=np.zeros(3), n_gamma_all=0.0, slip=np.zeros(3),
-                    point=np.zeros(3), friction_wrench=np.zeros(6))  # fmt: skip
+    column = Record(
+        N=np.zeros(6),
+        turn=np.zeros(3),
+        n_gamma_all=0.0,
+        slip=np.zeros(3),
+        point=np.zeros(3),
+        friction_wrench=np.zeros(6),
+    )
     work = Record(
         A=np.zeros((6, 6)),
         u=np.zeros(6),
@@ -599,8 +565,9 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
         )
     )
     if not moving:
-        E, V_W = pin.SE3.Identity(), np.zeros(6)
-    n, _, p = line_of(at.POINTS, row, X, E, np.zeros(3))
+        E = pin.SE3.Identity()
+        V_W = np.zeros(6)
+    n, _, p = line_of(row, X, E)
     p = p - X.translation
     body = V_W.copy()
     body[:3] += np.cross(V_W[3:], X.translation - E.translation)
@@ -611,7 +578,8 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
     close(column.point, p, atol=1e-10)
     close(column.slip, s, atol=1e-10)
     close(column.friction_wrench, mu * np.append(s, np.cross(p, s)), atol=1e-10)
-    chain.reading, column.slip[:] = at.FILTER, 9.0
+    chain.reading = at.FILTER
+    column.slip[:] = 9.0
     contact.place_contacts(
         tick_of(
             model=chain,
@@ -628,7 +596,7 @@ def test_friction_is_that_of_the_slip_two_periods_ahead(moving, mu):
 # --- columns that depend on one another -----------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@mark.parametrize("size", [1e-6, 1.0, 1e6])
 def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
     """Three columns, of which two are kept; extents differ, as units do."""
     rng = rng_of(0)
@@ -636,9 +604,11 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
         n_gamma = size * rng.normal(size=2)
         implied = share @ n_gamma
         summands = abs(implied) + np.abs(share * n_gamma).sum()
-        rows = [Record(n_gamma=n_gamma[0], share=[1.0, 0.0], extent=1.0, chosen=4),
-                Record(n_gamma=n_gamma[1], share=[0.0, 1.0], extent=1.0, chosen=2),
-                Record(n_gamma=implied, share=share, extent=1.0, chosen=7)]  # fmt: skip
+        rows = [
+            Record(n_gamma=n_gamma[0], share=[1.0, 0.0], extent=1.0, chosen=4),
+            Record(n_gamma=n_gamma[1], share=[0.0, 1.0], extent=1.0, chosen=2),
+            Record(n_gamma=implied, share=share, extent=1.0, chosen=7),
+        ]
         work = Record(keep=[0.0, 1.0], where=-1, amount=0.0)
 
         def check(rows, count, rank, work):
@@ -651,4 +621,4 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
             if abs(off * most) > 2e-9 or fine:  # what is next to nothing may differ
                 assert check(rows, 3, 2, work) == fine
         if size == 1.0:
-            assert (work.where, work.amount) == (7, pytest.approx(implied))
+            assert (work.where, work.amount) == (7, approx(implied))

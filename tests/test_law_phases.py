@@ -1,19 +1,18 @@
 """Contact phases of the law: their rules, whatever happens, and the monitor behind them."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from law_calls import phases as law
 from law_calls import tick_of
 from numba import njit
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark
 
 from osc_contact.law.phases import (
     APPROACHING,
@@ -40,7 +39,8 @@ compiled = njit(error_model="numpy")  # not `entry`: what is cached would not no
 
 @compiled
 def begin_tick(raw, judge):
-    t, changed = row_of(raw, 0, 0), False
+    t = row_of(raw, 0, 0)
+    changed = False
     if judge:
         changed = advance_phases(t)
         remap_force_sums(t)
@@ -76,23 +76,34 @@ class Phases:
 
     def __init__(self, owners, pushing, k=None, dt=DT, phase=None):
         k = PhaseSettings() if k is None else k
-        owners, pushing = np.asarray(owners), np.asarray(pushing, dtype=bool)
-        self.owners, self.n, count = owners, len(owners), len(pushing)
+        owners = np.asarray(owners)
+        pushing = np.asarray(pushing, dtype=bool)
+        self.owners = owners
+        self.n = len(owners)
+        count = len(pushing)
         self.rows = Rows(new_model(1, 1, 1, count, 0, self.n))
         self.chain, self.memory, self.work, _ = views(self.rows)
         self.contacts, self.columns = self.memory.contacts, self.memory.columns
-        self.kept, self.work.dt = self.work.here, dt
+        self.kept = self.work.here
+        self.work.dt = dt
         values = {
             "period": dt,
-            "force_gain": GAINS.integral, "force_damping": GAINS.damping,
-            "approach_speed": k.speed, "approach_damping": k.damping, "travel": k.travel,
-            "rise": k.rise, "least_force": k.least, "torque_rate": k.torque_rate,
-            "lost_share": k.share, "lag": k.lag,
-        }  # fmt: skip
+            "force_gain": GAINS.integral,
+            "force_damping": GAINS.damping,
+            "approach_speed": k.speed,
+            "approach_damping": k.damping,
+            "travel": k.travel,
+            "rise": k.rise,
+            "least_force": k.least,
+            "torque_rate": k.torque_rate,
+            "lost_share": k.share,
+            "lag": k.lag,
+        }
         values |= {key: getattr(k, key) for key in MonitorLimits.model_fields}
         for name, value in values.items():
             setattr(self.chain, name, value)
-        self.chain.bodies.pushes, self.chain.columns.contact = pushing, owners
+        self.chain.bodies.pushes = pushing
+        self.chain.columns.contact = owners
         self.contacts.phase = np.where(pushing, OPEN, CLOSED) if phase is None else phase
         self.contacts.active = self.contacts.phase != OPEN
         self.contacts.since = np.inf
@@ -114,8 +125,11 @@ class Phases:
         chosen = np.flatnonzero(self.here) if chosen is None else chosen
         D = np.eye(len(chosen)) if D is None else D
         self.work.rank = r = len(chosen)
-        self.work.chosen[:r], self.work.mobility[:r, :r] = chosen, D
-        self.work.here[:], self.work.alpha[:], self.work.speeds[:] = self.here, alpha, speed
+        self.work.chosen[:r] = chosen
+        self.work.mobility[:r, :r] = D
+        self.work.here[:] = self.here
+        self.work.alpha[:] = alpha
+        self.work.speeds[:] = speed
         end_tick(self.rows.raw, independent, limited)
 
     @property
@@ -150,22 +164,28 @@ ticks = st.lists(
 def test_whatever_happens_the_phases_keep_their_rules(story):
     """Any forces, speeds and wishes, each held for some ticks."""
     k = PhaseSettings()
-    phases, push = Phases(OWNERS, PUSHING, k), k.damping * k.speed
+    phases = Phases(OWNERS, PUSHING, k)
+    push = k.damping * k.speed
     loud = np.zeros(4)  # ticks in a row in which the force was above force_on, counted here
     felt = np.zeros(4, dtype=bool)  # whether these ever lasted, since the contact was opened
     for alpha, speed, wanted, count in story:
-        alpha, speed, wanted = np.array(alpha), np.array(speed), np.array(wanted)
+        alpha = np.array(alpha)
+        speed = np.array(speed)
+        wanted = np.array(wanted)
         for _ in range(count):
-            before, here, net = phases.contacts.phase.copy(), phases.here, phases.columns.net
+            before = phases.contacts.phase.copy()
+            here = phases.here
+            net = phases.columns.net
             loud = np.where(here & (net > k.force_on), loud + 1, 0)
             felt = here & (felt | (loud * DT > k.dwell))
             changed, goal = phases.begin(wanted)
             rows = phases.contacts
             assert changed == ((before != OPEN) != (rows.phase != OPEN)).any()
-            np.testing.assert_array_equal(rows.active, rows.phase != OPEN)
+            assert_array_equal(rows.active, rows.phase != OPEN)
             for c in range(3):
                 mine = c == OWNERS
-                was, row = before[c], rows[c]
+                was = before[c]
+                row = rows[c]
                 now = row.phase
                 assert (phases.kept[mine] == (OPEN < was <= now)).all()
                 if not PUSHING[c]:
@@ -230,22 +250,25 @@ def test_an_approach_that_finds_nothing_stands_still():
         (2.1, k.speed, k.speed, 0.0),
     ):
         phases.contacts[0].since = t
-        phases.columns[0].filtered_speed, phases.columns[0].speed = pace, speed
-        assert phases.begin(np.full(4, 10.0), judge=False)[1][0] == pytest.approx(push)
+        phases.columns[0].filtered_speed = pace
+        phases.columns[0].speed = speed
+        assert phases.begin(np.full(4, 10.0), judge=False)[1][0] == approx(push)
 
 
 def test_the_inertia_of_a_flying_object_is_not_taken_for_contact():
     """Free flight at 3 m/s² shows m a on the sensor of fig. 5; what counts is the contact force."""
     t = np.arange(400) * DT
-    mass, push = 2.5, np.where(t > 0.3, 8.0, 0.0)
+    mass = 2.5
+    push = np.where(t > 0.3, 8.0, 0.0)
     rate = np.where(t < 0.2, 3.0, 0.0)
-    phases, found = Phases([0], [True], phase=[CLOSED]), []
+    phases = Phases([0], [True], phase=[CLOSED])
+    found = []
     for a, v in zip(push + mass * rate, np.cumsum(rate) * DT, strict=True):
         phases.end([a], [v], np.eye(1) / mass, independent=True)
         found.append(phases.columns[0].net)
     found = np.array(found)
     assert np.abs(found[60:300]).max() < 1e-3 * mass * 3.0 + 0.01
-    assert found[-1] == pytest.approx(8.0, rel=1e-4)
+    assert found[-1] == approx(8.0, rel=1e-4)
 
 
 def test_torques_go_gently_around_a_change_but_for_fast_joints():
@@ -255,7 +278,7 @@ def test_torques_go_gently_around_a_change_but_for_fast_joints():
         return law.torque_rate(tick_of(model=chain, memory_contacts=rows), share)
 
     assert rate(0.099) == 20.0 and rate(0.101) == 200.0 and rate(0.0, phased=0) == 200.0
-    assert rate(0.0, 0.5) == pytest.approx(45.0) and rate(0.101, 0.5) == 200.0
+    assert rate(0.0, 0.5) == approx(45.0) and rate(0.101, 0.5) == 200.0
     assert rate(0.0, 0.25) == 20.0 < rate(0.0, 0.26)
     assert rate(0.0, 0.8) == 200.0 == rate(0.0, 1.0) == rate(0.0, 3.0)
     chain = SimpleNamespace(n_joints=3)
@@ -264,7 +287,7 @@ def test_torques_go_gently_around_a_change_but_for_fast_joints():
         joints = [SimpleNamespace(v=x) for x in v]
         assert law.max_speed_ratio(
             tick_of(model=chain, model_joints=table, work_joints=joints)
-        ) == pytest.approx(most)
+        ) == approx(most)
 
 
 def meet(alpha, speed, mass=0.5, k=None, ticks=700):
@@ -308,12 +331,13 @@ def test_a_contact_stands_out_of_the_noise_before_it():
     phases = Phases([0], [True], phase=[CLOSED])
     for k in range(400):
         phases.end([noise(k)], [0.0], np.eye(1), independent=True)
-    assert phases.columns[0].noise == pytest.approx(3.0, rel=0.1)
+    assert phases.columns[0].noise == approx(3.0, rel=0.1)
 
 
 def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     phases = Phases([0], [True], phase=[CLOSED])
-    wanted, seen = [10.0], []
+    wanted = [10.0]
+    seen = []
     for alpha, count in ((10.0, 100), (0.0, 300), (10.0, 30), (0.0, 100), (10.0, 100)):
         for _ in range(count):
             phases.end([alpha], [0.0], np.eye(1), independent=True)
@@ -323,7 +347,7 @@ def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     first = np.flatnonzero(seen)[0]
     assert 100 < first < 200 and (seen[: first - 1] == 0.0).all()
     steady = seen[first:500]  # 30 ms of contact are not held: `rise` is 50 ms
-    np.testing.assert_allclose(steady, DT * np.arange(1, len(steady) + 1), atol=1e-9)
+    assert_allclose(steady, DT * np.arange(1, len(steady) + 1), atol=1e-9)
     assert seen[-1] == 0.0
     start = Phases([0], [True], phase=[OPEN])
     for _ in range(200):
@@ -341,7 +365,7 @@ def test_torques_go_straight_and_not_too_far(seed):
     out = tau.copy()
     slew_all(out, last, step)
     share = min(1.0, (step / np.abs(tau - last)).min())
-    np.testing.assert_allclose(out, last + share * (tau - last), rtol=0, atol=1e-12)
+    assert_allclose(out, last + share * (tau - last), rtol=0, atol=1e-12)
     assert (np.abs(out - last) <= step * (1 + 1e-12)).all()
     share = (out - last) / (tau - last)
     assert np.ptp(share) < 1e-9 and 0.0 < share[0] <= 1.0
@@ -349,23 +373,26 @@ def test_torques_go_straight_and_not_too_far(seed):
         out = tau.copy()
         slew_all(out, last, step)
         last = out
-    np.testing.assert_array_equal(last, tau)
+    assert_array_equal(last, tau)
 
 
 def test_force_integrals_follow_their_columns():
     """Contacts 0 (columns 0, 4), 1 (1), 2 (2, 3): 1 leaves, 0 comes in front and behind."""
     phases = Phases([0, 1, 2, 2, 0], [True] * 3, phase=[OPEN, CLOSED, CLOSED])
-    phases.columns.known, phases.columns.net = 1, 9.0
-    phases.memory.force_rank, phases.memory.force_sum[:3] = 3, (1.0, 2.0, 3.0)
+    phases.columns.known = 1
+    phases.columns.net = 9.0
+    phases.memory.force_rank = 3
+    phases.memory.force_sum[:3] = (1.0, 2.0, 3.0)
     assert phases.begin([5.0, 0.0, 5.0, 5.0, 5.0])[0]
     assert phases.sums.tolist() == [0.0, 2.0, 3.0, 0.0]
     assert phases.kept.tolist() == [0, 0, 1, 1, 0]
 
 
-@pytest.mark.parametrize("rank", [0, 1, 3])
+@mark.parametrize("rank", [0, 1, 3])
 def test_force_integrals_that_are_not_one_for_each_column_go_on_until_a_phase_changes(rank):
     phases = Phases([0, 1], [True] * 2, phase=[CLOSED, CLOSED])
-    phases.memory.force_rank, phases.memory.force_sum[:] = rank, 7.0
+    phases.memory.force_rank = rank
+    phases.memory.force_sum[:] = 7.0
     phases.begin([5.0, 5.0])
     assert phases.sums.tolist() == [7.0] * rank
     phases.begin([5.0, 0.0])
@@ -375,12 +402,13 @@ def test_force_integrals_that_are_not_one_for_each_column_go_on_until_a_phase_ch
 def test_contacts_that_come_back_as_closed_start_without_integrals():
     """Taken out of N from outside, `active` set to 0, they keep their phases."""
     phases = Phases([0, 1], [True] * 2, phase=[CLOSED, CLOSED])
-    phases.contacts.active, phases.memory.force_sum[:] = 0, 7.0
+    phases.contacts.active = 0
+    phases.memory.force_sum[:] = 7.0
     assert phases.begin([5.0, 5.0])[0]
     assert phases.sums.tolist() == [0.0, 0.0] and phases.kept.all()
 
 
-@pytest.mark.parametrize("count", [7, 9])
+@mark.parametrize("count", [7, 9])
 def test_more_columns_than_there_is_room_for_start_without_integrals(count):
     phases = Phases(np.arange(count), [True] * count)
     assert phases.begin(np.full(count, 5.0))[0]
@@ -389,7 +417,9 @@ def test_more_columns_than_there_is_room_for_start_without_integrals(count):
 
 def test_mobility_rows_may_come_in_any_order_and_a_singular_one_counts_for_nothing():
     rng = np.random.default_rng(3)
-    D, alpha, turned = rng.normal(size=(3, 3)), rng.normal(size=3), np.array([2, 0, 1])
+    D = rng.normal(size=(3, 3))
+    alpha = rng.normal(size=3)
+    turned = np.array([2, 0, 1])
     speeds = rng.normal(size=(5, 3))
     straight, mixed, singular = (
         Phases(np.arange(3), [True] * 3, phase=[CLOSED] * 3) for _ in "abc"
@@ -399,8 +429,8 @@ def test_mobility_rows_may_come_in_any_order_and_a_singular_one_counts_for_nothi
         mixed.end(alpha, speed, D[np.ix_(turned, turned)], True, turned)
         singular.end(alpha, speed, np.ones((3, 3)), True)
     assert np.abs(straight.columns.net - alpha).max() > 0.1
-    np.testing.assert_allclose(mixed.columns.net, straight.columns.net, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(singular.columns.net, alpha, rtol=0, atol=1e-12)
+    assert_allclose(mixed.columns.net, straight.columns.net, rtol=0, atol=1e-9)
+    assert_allclose(singular.columns.net, alpha, rtol=0, atol=1e-12)
 
 
 # --- the monitor and the low-pass ----------------------------------------------------------------
@@ -465,18 +495,25 @@ def run_story(seed, ticks=400):
     """A random story; returns the transitions that happened, and all that was remembered."""
     rng = np.random.default_rng(seed)
     owners, pushing, k, dt = random_contacts(rng)
-    n, closed = len(owners), rng.random() < 0.5
+    n = len(owners)
+    closed = rng.random() < 0.5
     phases = Phases(owners, pushing, k, dt, np.where(closed | ~pushing, CLOSED, OPEN))
-    happened, images, held, ticked = set(), [], False, False
+    happened = set()
+    images = []
+    held = False
+    ticked = False
     for wanted, alpha, speed in np.swapaxes(random_ticks(rng, n, ticks), 0, 1):
-        before, was_here = phases.contacts.phase.copy(), phases.contacts.active.copy()
+        before = phases.contacts.phase.copy()
+        was_here = phases.contacts.active.copy()
         changed, goal = phases.begin(wanted, judge=ticked and not held)
         now = phases.contacts.phase
         happened |= set(zip(before[pushing].tolist(), now[pushing].tolist(), strict=True))
         happened |= {"collision"} if phases.columns.collision.any() else set()
         assert changed == ((now != OPEN) != (was_here != 0)).any() and np.isfinite(goal).all()
         images.append(phases.image())
-        held, ticked, here = rng.random() < 0.03, True, phases.here
+        held = rng.random() < 0.03
+        ticked = True
+        here = phases.here
         if held:
             continue
         count = np.count_nonzero(here)
@@ -524,15 +561,18 @@ def test_one_magnitude_is_judged_by_its_rules(seed):
 def test_measurements_are_low_passed_and_freed_of_inertia(seed):
     """α − D⁻¹ d(NᵀV)/dt, each by the same low-pass of first order; pulls count as noise."""
     rng = np.random.default_rng(seed)
-    n, lag = rng.integers(1, 7), rng.choice([1e-9, 1e-3, 1e-2])
+    n = rng.integers(1, 7)
+    lag = rng.choice([1e-9, 1e-3, 1e-2])
     phases = Phases(np.arange(n), [True] * n, PhaseSettings(lag=lag))
-    known, share = np.zeros(n, bool), DT / (lag + DT)
+    known = np.zeros(n, bool)
+    share = DT / (lag + DT)
     force, pace, noise = np.zeros((3, n))
     for _ in range(60):
         phases.contacts.active = rng.random(n) < 0.8
         here = phases.here
         alpha, speed = here * rng.normal(size=(2, n)) * np.array([[9.0], [0.02]])
-        count, inertia = np.count_nonzero(here), np.zeros((n, n))
+        count = np.count_nonzero(here)
+        inertia = np.zeros((n, n))
         D = rng.normal(size=(count, count)) * 0.2 + np.eye(count)
         if independent := rng.random() < 0.8:
             inertia[np.ix_(here, here)] = np.linalg.inv(D)
@@ -546,10 +586,15 @@ def test_measurements_are_low_passed_and_freed_of_inertia(seed):
         phases.end(alpha, speed, D, independent)
         size = 1e-12 * max(1.0, np.linalg.cond(D) if count else 1.0)
         for name, want in {
-            "force": force, "filtered_speed": pace, "known": known, "noise": noise, "alpha": alpha,
-            "speed": speed, "net": here * (force - flying),
-        }.items():  # fmt: skip
-            np.testing.assert_allclose(phases.columns[name], want, 1e-12, size, err_msg=name)
+            "force": force,
+            "filtered_speed": pace,
+            "known": known,
+            "noise": noise,
+            "alpha": alpha,
+            "speed": speed,
+            "net": here * (force - flying),
+        }.items():
+            assert_allclose(phases.columns[name], want, 1e-12, size, err_msg=name)
 
 
 # --- compiled and not -----------------------------------------------------------------------------
@@ -564,8 +609,11 @@ def tell_some():
 def test_compiled_and_plain_python_remember_the_same(tmp_path):
     out = tmp_path / "plain.npy"
     done = subprocess.run(
-        [sys.executable, "-c", PLAIN, str(out)], capture_output=True, text=True, timeout=300,
+        [sys.executable, "-c", PLAIN, str(out)],
+        capture_output=True,
+        text=True,
+        timeout=300,
         env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.path.dirname(__file__)},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr[-2000:]
-    np.testing.assert_array_equal(np.load(out), tell_some())
+    assert_array_equal(np.load(out), tell_some())

@@ -1,24 +1,25 @@
 """Small functions of the law, each against linear algebra or Pinocchio: forces, stops, stages.
 
+What whole ticks show (the motion filter, commanded forces, yielding bodies) `test_law_kkt` judges.
+
 Goes on where `test_law_parts.py` ends, in the same way.
 """
-
-from __future__ import annotations
 
 from math import inf
 from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from law_calls import allocation, operational, phases, reading, safety, tick, tick_of, vectors
 from law_calls import command_filter as command
+from numpy.testing import assert_array_equal
+from pytest import mark
 from rigs import random_faces, random_state, scara_pair
 from test_law import UNLIMITED, inputs, motion_of
 from test_law_parts import SEEDS, close, pose, rng_of, turn
 
 import osc_contact as osc
-from osc_contact.law import records as at
+from osc_contact.law import tables as at
 from osc_contact.law.limits import settle
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
 from osc_contact.law.records import Rows, new_model, views
@@ -34,7 +35,9 @@ class Energy:
     """Energy coordinates of an object of 2 kg at C, given at O."""
 
     def __init__(self, rng):
-        self.R, self.C, self.O = turn(rng), rng.normal(size=3), rng.normal(size=3)
+        self.R = turn(rng)
+        self.C = rng.normal(size=3)
+        self.O = rng.normal(size=3)
         self.roots = np.sqrt([2.0, 0.03, 0.05, 0.07])
         self.axes = np.zeros((4, 3, 3))
         vectors.set_axes(self.R, self.roots, self.axes)
@@ -44,29 +47,6 @@ class Energy:
 
     def given(self):
         return {"C": self.C, "O": self.O, "axes": self.axes}
-
-
-@SEEDS
-def test_energy_coordinates(seed):
-    rng = rng_of(seed)
-    e = Energy(rng)
-    f, V, out = rng.normal(size=6), rng.normal(size=6), np.zeros(6)
-    vectors.carry_wrench(f, e.O, e.C, out)
-    vectors.energy_wrench(e.axes, out, out)
-    close(out, e.wrench @ f, atol=1e-10)
-    vectors.world_wrench(e.axes, out, out)
-    vectors.carry_wrench(out, e.C, e.O, out)
-    close(out, f, atol=1e-10)
-    vectors.carry_motion(V, e.O, e.C, out)
-    vectors.energy_motion(e.axes, out, out)
-    close(out, e.motion @ V, atol=1e-10)
-    vectors.world_motion(e.axes, out, out)
-    vectors.carry_motion(out, e.C, e.O, out)
-    close(out, V, atol=1e-10)
-    inertia = pin.Inertia(2.0, e.C - e.O, e.R @ np.diag(e.roots[1:] ** 2) @ e.R.T)
-    close((e.motion @ V) @ (e.motion @ V), inertia.vtiv(pin.Motion(V)), rtol=1e-9)
-    allocation._energy_of(tick_of(work=Record(**e.given())), f, out)
-    close(out, e.wrench @ f, atol=1e-10)
 
 
 # --- forces ---------------------------------------------------------------------------------------
@@ -80,17 +60,30 @@ def frame(M):
 @SEEDS
 def test_readings_of_the_wrists_add_up(seed):
     rng = rng_of(seed)
-    e, arms, joints, total = Energy(rng), [], [], np.zeros(6)
-    wrenches, tare, bias = rng.normal(size=(3, 6)), rng.normal(size=6), rng.normal(size=6)
+    e = Energy(rng)
+    arms = []
+    joints = []
+    total = np.zeros(6)
+    wrenches = rng.normal(size=(3, 6))
+    tare = rng.normal(size=6)
+    bias = rng.normal(size=6)
     for k in range(3):
-        M, sensor = pose(rng), pose(rng)
+        M = pose(rng)
+        sensor = pose(rng)
         joints.append(Record(R=M.rotation, p=M.translation))
         arms.append(Record(sensor_joint=-1 if k == 1 else k, sensor=frame(sensor), filtered=0))
         if k != 1:
             at_O = pin.SE3(np.eye(3), e.O).inverse() * M * sensor
             total += at_O.act(pin.Force(wrenches[k])).vector
-    work = Record(**e.given(), reading_e=np.ones(6), f_meas=np.ones(6), y=np.zeros(6),
-                  s=np.zeros(16), u=np.zeros(6), bias_e=bias)  # fmt: skip
+    work = Record(
+        **e.given(),
+        reading_e=np.ones(6),
+        f_meas=np.ones(6),
+        y=np.zeros(6),
+        s=np.zeros(16),
+        u=np.zeros(6),
+        bias_e=bias,
+    )
     reading.sum_readings(
         tick_of(
             model=Record(n_arms=3),
@@ -106,18 +99,30 @@ def test_readings_of_the_wrists_add_up(seed):
     close(work.reading_e, e.wrench @ (total - tare) - bias, atol=1e-9)
 
 
-@pytest.mark.parametrize("dependent", [False, True])
+@mark.parametrize("dependent", [False, True])
 def test_friction_goes_with_the_magnitudes(dependent):
     rng = rng_of(int(dependent))
-    e, chosen, N = Energy(rng), [2, 0, 3], rng.normal(size=(6, 6))
+    e = Energy(rng)
+    chosen = [2, 0, 3]
+    N = rng.normal(size=(6, 6))
     r = 2 if dependent else 3
-    columns = [Record(chosen=c, share=rng.normal(size=6), friction_wrench=rng.normal(size=6))
-               for c in (*chosen, 1)]  # fmt: skip
+    columns = [
+        Record(chosen=c, share=rng.normal(size=6), friction_wrench=rng.normal(size=6))
+        for c in (*chosen, 1)
+    ]
     S = np.array([columns[j].share[:r] for j in range(3)]) if dependent else np.eye(3)
     D = S.T @ np.array([columns[c].friction_wrench for c in chosen])
     for mu in (0.0, 0.4):
-        work = Record(**e.given(), rank=r, count=3, mu=mu, N=N, u=np.zeros(6),
-                      pushed=np.ones((6, 6)), friction_wrenches=np.ones((6, 6)))  # fmt: skip
+        work = Record(
+            **e.given(),
+            rank=r,
+            count=3,
+            mu=mu,
+            N=N,
+            u=np.zeros(6),
+            pushed=np.ones((6, 6)),
+            friction_wrenches=np.ones((6, 6)),
+        )
         reading.add_friction(tick_of(work_columns=columns, work=work))
         close(work.friction_wrenches[:r], (mu > 0.0) * D, atol=1e-10)
         close(work.pushed[:r], N[:r] + (mu > 0.0) * D @ e.wrench.T, atol=1e-9)
@@ -128,28 +133,48 @@ class Filter:
 
     def __init__(self, seed, r, m=0, held=1):
         rng = rng_of(seed)
-        self.chain, self.r, self.m = Record(held=held), r, m
+        self.chain = Record(held=held)
+        self.r = r
+        self.m = m
         self.N = rng.normal(size=(r, 6))
         Q, R = np.linalg.qr(self.N.T)
         self.Lambda = np.eye(6) * 3.0 + rng.normal(size=(6, 6))  # not symmetric: grasps that slip
-        V, H = rng.normal(size=(6, 6)), np.eye(6)
+        V = rng.normal(size=(6, 6))
+        H = np.eye(6)
         for k in range(m):
             H = (np.eye(6) - 2.0 / (V[k] @ V[k]) * np.outer(V[k], V[k])) @ H
-        self.H, turned = H, np.where(np.arange(6) < m, rng.normal(size=6), 0.0)
-        self.sigma, self.S = H.T @ turned, H.T[:, m:]
-        self.f, self.Phi = rng.normal(size=6), 0.2 * rng.normal(size=(r, r))
+        self.H = H
+        turned = np.where(np.arange(6) < m, rng.normal(size=6), 0.0)
+        self.sigma = H.T @ turned
+        self.S = H.T[:, m:]
+        self.f = rng.normal(size=6)
+        self.Phi = 0.2 * rng.normal(size=(r, r))
         self.pushed = self.N + 0.2 * rng.normal(size=(r, 6))
         self.known = rng.normal(size=(2, r))
         self.work = Record(
-            rank=r, locked=m, weightless=9, reflectors=V, beta=2.0 / (V * V).sum(axis=1),
-            sigma=turned, Q=rng.normal(size=(6, 6)), L=rng.normal(size=(6, 6)),
-            out_T=self.Lambda.T.copy(), reading_e=self.f.copy(), Phi_mu=np.zeros((6, 6)),
-            pushed=rng.normal(size=(6, 6)), n_gamma=self.known[0], b_N=self.known[1],
+            rank=r,
+            locked=m,
+            weightless=9,
+            reflectors=V,
+            beta=2.0 / (V * V).sum(axis=1),
+            sigma=turned,
+            Q=rng.normal(size=(6, 6)),
+            L=rng.normal(size=(6, 6)),
+            out_T=self.Lambda.T.copy(),
+            reading_e=self.f.copy(),
+            Phi_mu=np.zeros((6, 6)),
+            pushed=rng.normal(size=(6, 6)),
+            n_gamma=self.known[0],
+            b_N=self.known[1],
             alpha_meas=np.full(6, 7.0),
             **{name: rng.normal(size=(6, 6)) for name in ("A", "B", "D", "E", "solved")},
-            mobility=np.zeros((6, 6)), z=np.ones(6), w=np.ones(6), u=np.ones(6),
-        )  # fmt: skip
-        self.work.Q[:r], self.work.L[:r, :r] = Q.T, R.T
+            mobility=np.zeros((6, 6)),
+            z=np.ones(6),
+            w=np.ones(6),
+            u=np.ones(6),
+        )
+        self.work.Q[:r] = Q.T
+        self.work.L[:r, :r] = R.T
         self.work.pushed[:r], self.work.Phi_mu[:r, :r] = self.pushed, self.Phi
 
     def measure(self):
@@ -159,7 +184,9 @@ class Filter:
 
     def want(self):
         """Sᵀf = SᵀΛ_out(Sη̇ + σ) + SᵀN_μα, Nᵀ(Sη̇ + σ) = n_γ + b_N + Φ_μα."""
-        S, Lambda, d = self.S, self.Lambda, 6 - self.m
+        S = self.S
+        Lambda = self.Lambda
+        d = 6 - self.m
         whole = np.block([[S.T @ Lambda @ S, S.T @ self.pushed.T], [self.N @ S, -self.Phi]])
         right = np.append(
             S.T @ (self.f - Lambda @ self.sigma), self.known.sum(axis=0) - self.N @ self.sigma
@@ -168,7 +195,7 @@ class Filter:
         return np.linalg.solve(whole, right)[d:], mobility
 
 
-@pytest.mark.parametrize("r", range(1, 7))
+@mark.parametrize("r", range(1, 7))
 def test_magnitudes_with_what_the_object_takes(r):
     case = Filter(r, r)
     alpha, mobility = case.want()
@@ -182,7 +209,7 @@ def test_magnitudes_with_what_the_object_takes(r):
     assert not reading.measure_magnitudes(tick_of(model=case.chain, work=case.work))
 
 
-@pytest.mark.parametrize(("r", "m"), [(1, 0), (3, 0), (2, 1), (1, 3), (2, 3), (3, 2), (1, 5)])
+@mark.parametrize(("r", "m"), [(1, 0), (3, 0), (2, 1), (1, 3), (2, 3), (3, 2), (1, 5)])
 def test_magnitudes_at_a_tip_that_has_inertia(r, m):
     case = Filter(10 * r + m, r, m, held=0)
     alpha, mobility = case.want()
@@ -198,7 +225,7 @@ def test_magnitudes_at_a_tip_that_has_inertia(r, m):
         assert not reading.measure_magnitudes(tick_of(model=case.chain, work=case.work))
 
 
-@pytest.mark.parametrize("r", [1, 3, 6])
+@mark.parametrize("r", [1, 3, 6])
 def test_sensors_at_the_contact_read_the_contact_force(r):
     case = Filter(r, r, held=0)
     case.work.out_T *= 1e-11
@@ -210,10 +237,13 @@ def test_sensors_at_the_contact_read_the_contact_force(r):
 
 
 def ask_force(alpha_d, alpha_meas, speed, integral, least=-inf, gain=20.0, damping=100.0, most=5.0):
-    after, out = np.zeros(3), np.zeros(3)
+    after = np.zeros(3)
+    out = np.zeros(3)
     # columns beside it differ, so that each has its own
-    full = [np.array([1.0, x, 2.0]) for x in
-            (alpha_d, alpha_meas, speed, integral, gain, damping, least)]  # fmt: skip
+    full = [
+        np.array([1.0, x, 2.0])
+        for x in (alpha_d, alpha_meas, speed, integral, gain, damping, least)
+    ]
     a_d, a_m, s, i, g, d, floor = full
     reading.command_force(
         tick_of(
@@ -254,12 +284,14 @@ def test_the_force_law():
     close(ask_force(8.0, 9.0, 0.06, -1.0, 0.5), (0.98, -1.02), rtol=1e-12)
 
 
-@pytest.mark.parametrize("dependent", [False, True])
+@mark.parametrize("dependent", [False, True])
 def test_laws_of_contacts_are_those_of_their_columns(dependent):
-    contacts = [Record(gain=3.0, damping=5.0, least=0.1, brake=0.7),
-                Record(gain=2.0, damping=9.0, least=0.2, brake=0.6),
-                Record(gain=1.0, damping=4.0, least=0.3, brake=0.8),
-                Record(gain=0.0, damping=99.0, least=0.9, brake=9.0)]  # fmt: skip
+    contacts = [
+        Record(gain=3.0, damping=5.0, least=0.1, brake=0.7),
+        Record(gain=2.0, damping=9.0, least=0.2, brake=0.6),
+        Record(gain=1.0, damping=4.0, least=0.3, brake=0.8),
+        Record(gain=0.0, damping=99.0, least=0.9, brake=9.0),
+    ]
     table = [Record(contact=c) for c in (1, 0, 2, 3)]
     columns = [Record(chosen=c) for c in (2, 0, 1)]
     laws = {name: np.full(3, 7.0) for name in ("gain", "damping", "brake", "least")}
@@ -271,57 +303,7 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     want = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]]
     if not dependent:
         want = [[2.0, 1.0], [9.0, 4.0], [0.2, 0.3], [0.6, 0.8]]
-    np.testing.assert_array_equal(found, np.column_stack((want, np.full(4, 7.0))))
-
-
-@SEEDS
-def test_bodies_yield_to_forces_on_themselves(seed):
-    rng = rng_of(seed)
-    yields, f, same = rng.normal(size=(6, 6)), rng.normal(size=6), [0, 1, 0]
-    table, bodies = [Record(contact=c) for c in (2, 0, 1)], [Record(same=s) for s in same]
-    columns = [Record(chosen=c) for c in (1, 2, 0)]
-    work = Record(rank=3, keep=[2.0, 0.0, 1.0], yields=yields, s=np.full(6, 7.0))
-    for body in (0, 1):
-        reading._yield_to(
-            tick_of(model_columns=table, model_bodies=bodies, work_columns=columns, work=work),
-            f,
-            body,
-        )
-        owners = [same[table[columns[int(a)].chosen].contact] for a in work.keep]
-        want = [yields[a] @ f if owners[a] == body else 0.0 for a in range(3)]
-        close(work.s[:3], want, atol=1e-12)
-        assert work.s[3] == 7.0
-
-
-@SEEDS
-def test_the_least_squares_know_departures_and_tangents(seed):
-    rng = rng_of(seed)
-    e, Lambda, mass = Energy(rng), rng.normal(size=(6, 6)), 2.0
-    Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
-    R, r = np.zeros((6, 6)), 2
-    work = Record(**e.given(), rank=r, count=2, out_T=Lambda.T.copy(), Q=Q, moving=0,
-                  z=np.zeros(6), w=np.zeros(6))  # fmt: skip
-    reading._weigh_departure(tick_of(work=work), mass, R)
-    P = np.eye(6) - Q[:r].T @ Q[:r]
-    want = 0.01 * mass * Lambda @ P @ Lambda.T + 1e-4 / mass * np.eye(6)
-    close(R, want, atol=1e-10)
-    columns = [Record(chosen=c, N=rng.normal(size=6), point=rng.normal(size=3),
-                      slip=0.7 * turn(rng)[0]) for c in (2, 0, 1)]  # fmt: skip
-    goal = np.array([0.3, 9.0, -4.0])
-    largest = reading._weigh_tangents(
-        tick_of(
-            model_columns=None, model_bodies=None, work_columns=columns, work=work, work_goal=goal
-        ),
-        R,
-    )
-    assert largest == 4.0
-    for c, w in ((2, 4.0), (0, 1.0)):  # no less than 1 N
-        n = columns[c].N[:3] / np.linalg.norm(columns[c].N[:3])
-        s, p = columns[c].slip, columns[c].point
-        C = w**2 * (0.01 * (np.eye(3) - np.outer(n, n)) + (0.09 - 0.01) * np.outer(s, s))
-        T = e.wrench @ wrench_at(p)[:, :3]
-        want = want + T @ C @ T.T
-    close(R, want, rtol=1e-9, atol=1e-9)
+    assert_array_equal(found, np.column_stack((want, np.full(4, 7.0))))
 
 
 # --- stops ----------------------------------------------------------------------------------------
@@ -333,20 +315,34 @@ class Stop:
     def __init__(self, seed, motors=(0, 1, 2, 3)):
         self.rng = rng = rng_of(seed)
         self.principal = np.array([4.0, 0.1, 0.2, 0.3])
-        self.tip, self.own = pose(rng), pose(rng)
-        self.chain = Record(n_arms=2, principal=self.principal, leader=1, held=1,
-                            gravity=np.array([1.0, -2.0, -9.0]), X_LP=frame(self.own))  # fmt: skip
+        self.tip = pose(rng)
+        self.own = pose(rng)
+        self.chain = Record(
+            n_arms=2,
+            principal=self.principal,
+            leader=1,
+            held=1,
+            gravity=np.array([1.0, -2.0, -9.0]),
+            X_LP=frame(self.own),
+        )
         self.arms = [Record(first=2 * k, end=2 * k + 2, tip_joint=2 * k + 1) for k in range(2)]
         self.joints = [
-            Record(h=rng.normal(), M=rng.normal(size=2), column=rng.normal(size=6), tau=0.0,
-                   acceleration=rng.normal(), rest=0.0)
+            Record(
+                h=rng.normal(),
+                M=rng.normal(size=2),
+                column=rng.normal(size=6),
+                tau=0.0,
+                acceleration=rng.normal(),
+                rest=0.0,
+            )
             for _ in range(4)
-        ]  # fmt: skip
+        ]
         self.joints[3].R, self.joints[3].p = self.tip.rotation, self.tip.translation
         self.table = [Record(motor=i, tau_max=inf) for i in motors]
         self.memory = Record(located=0, X_WO=pose(rng).homogeneous)
-        self.work = Record(y=rng.normal(size=6), u=rng.normal(size=6), A=np.eye(6), z=np.ones(6),
-                           w=np.zeros(6))  # fmt: skip
+        self.work = Record(
+            y=rng.normal(size=6), u=rng.normal(size=6), A=np.eye(6), z=np.ones(6), w=np.zeros(6)
+        )
         self.work.A[:3, :3] = turn(rng)
 
     def pull(self, mass):
@@ -359,7 +355,8 @@ class Stop:
 
 @SEEDS
 def test_a_share_of_the_object_follows_the_joints(seed):
-    stop, out = Stop(seed), np.full(6, 7.0)
+    stop = Stop(seed)
+    out = np.full(6, 7.0)
     for mass in (2.0, 0.0):
         safety._accelerate_object(
             tick_of(model=stop.chain, work_joints=stop.joints, work=stop.work),
@@ -371,7 +368,7 @@ def test_a_share_of_the_object_follows_the_joints(seed):
 
 
 @SEEDS
-@pytest.mark.parametrize("motors", [(0, 1, 2, 3), (0, 1, -1, 2), (0, 1, 2, -1), (0, 1, -1, -1)])
+@mark.parametrize("motors", [(0, 1, 2, 3), (0, 1, -1, 2), (0, 1, 2, -1), (0, 1, -1, -1)])
 def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
     stop = Stop(seed, motors)
     pull = stop.pull(2.0)
@@ -419,7 +416,7 @@ def test_motors_carry_first_and_brake_with_what_is_left(seed, motors):
 
 
 @SEEDS
-@pytest.mark.parametrize("how", ["leader", "located", "lost", "nothing"])
+@mark.parametrize("how", ["leader", "located", "lost", "nothing"])
 def test_each_arm_carries_its_share_of_the_weight(seed, how):
     stop = Stop(seed)
     X = stop.tip * stop.own
@@ -453,21 +450,24 @@ def test_each_arm_carries_its_share_of_the_weight(seed, how):
 @SEEDS
 def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_large(seed):
     rng = rng_of(seed)
-    root, reference = rng.normal(size=(6, 6)), 10.0 ** rng.uniform(-2.0, 1.0, 6)
+    root = rng.normal(size=(6, 6))
+    reference = 10.0 ** rng.uniform(-2.0, 1.0, 6)
     Lambda = root @ root.T
     beside = np.sqrt((Lambda**2 / np.outer(reference, reference)).sum())
     Lambda *= 0.3**-2 / beside  # at the limit: 1/χ² = 1/0.3²
-    chain, arm = Record(lightness=1.0 / reference), Record(full_rank=5)
+    chain = Record(lightness=1.0 / reference)
+    arm = Record(full_rank=5)
     for factor, kept, want in ((0.999, 5, False), (1.001, 5, True), (1e-9, 4, True)):
         own = Record(Lambda=factor * Lambda, n_kept=kept)
         assert operational.may_be_singular(tick_of(model=chain), arm, own) == want
 
 
-@pytest.mark.parametrize("chi", [0.0, 1e-10])
-@pytest.mark.parametrize("n", [2, 4, 7])
+@mark.parametrize("chi", [0.0, 1e-10])
+@mark.parametrize("n", [2, 4, 7])
 def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
     """The axes before it are spanned already: only the last ones are new."""
-    rng, small = rng_of(n), operational._unit_row
+    rng = rng_of(n)
+    small = operational._unit_row
     for k in range(n):
         X = np.zeros((n + 1, n + 2))
         X[:k, :k] = np.linalg.qr(rng.normal(size=(k, k)))[0]
@@ -477,7 +477,7 @@ def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
         behind = X[k, n:].copy()
         small(X, k, n, chi)
         close(X[: k + 1, :n] @ X[: k + 1, :n].T, np.eye(k + 1), atol=1e-12)
-        np.testing.assert_array_equal(X[k, n:], behind)
+        assert_array_equal(X[k, n:], behind)
     X = rng.normal(size=(3, 7))
     want = X[1, :5] / 0.3
     small(X, 1, 5, 0.3)
@@ -491,8 +491,8 @@ def test_rows_in_order_shares_and_the_way_back():
     before = X.copy()
     operational._sort_rows(X, 4, 3)
     order = [*np.argsort(-np.linalg.norm(before[:4, :3], axis=1)), 4]
-    np.testing.assert_array_equal(X[:, :9], before[order, :9])
-    np.testing.assert_array_equal(X[:, 9], before[:, 9])
+    assert_array_equal(X[:, :9], before[order, :9])
+    assert_array_equal(X[:, 9], before[:, 9])
     share = operational._share_left
     for s, want in ((-1.0, 0.0), (0.0, 0.0), (0.25, 0.15625), (0.5, 0.5), (1.0, 1.0), (9.0, 1.0)):
         close(share(0.05 + 0.25 * s), want, atol=1e-12)
@@ -501,10 +501,12 @@ def test_rows_in_order_shares_and_the_way_back():
 
 
 @SEEDS
-@pytest.mark.parametrize("gone", [0.0, 1.0])
+@mark.parametrize("gone", [0.0, 1.0])
 def test_lost_motions_are_left_to_the_posture(seed, gone):
     """νᵀτ = (1 − φ) νᵀ(h + M q̈) for ν with νᵀMν = 1; where it is gone, all of it."""
-    rng, n, lo = rng_of(seed), 3, 2
+    rng = rng_of(seed)
+    n = 3
+    lo = 2
     root = rng.normal(size=(n, n))
     M, h, tau, rest = root @ root.T, *rng.normal(size=(3, n))
     q, v, posture = rng.normal(size=(3, lo + n))
@@ -529,51 +531,21 @@ def test_lost_motions_are_left_to_the_posture(seed, gone):
     close([j.rest for j in joints[lo:]], want, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("n", range(1, 9))
-def test_terms_of_an_arm_that_holds_rigidly(n):
-    """J̄, Λ and what the arm resists, from the pseudoinverse of its Jacobian."""
-    rng, lo = rng_of(n), 1
-    J, root = rng.normal(size=(6, n)), rng.normal(size=(n, n))
-    M = root @ root.T + np.eye(n)
-    joints = [None] + [Record(J=J[:, j].copy(), M=M[j], J_bar=np.zeros(6)) for j in range(n)]
-    big = {name: rng.normal(size=(16, 32)) for name in ("X", "Z", "K")}
-    work = Record(**big, s=np.zeros(16), t=np.zeros(16), x=np.zeros(6), u=np.zeros(6),
-                  **{name: rng.normal(size=(6, 6)) for name in "ABDE"}, y=np.zeros(6))  # fmt: skip
-    arm = Record(Lambda=np.zeros((6, 6)), kept=np.zeros((6, 6)), n_kept=0, n_locked=0)
-    locked, row = np.full((12, 7), 7.0), 3
-    count = operational.arm_terms(
-        tick_of(
-            work_joints=joints, work=work, work_locked_rows=locked, model=Record(tolerance=1e-6)
-        ),
-        lo,
-        n,
-        6,
-        True,
-        arm,
-        row,
-    )
-    weighed = np.linalg.solve(M, J.T)
-    J_bar = np.linalg.pinv(J) if n <= 6 else weighed @ np.linalg.inv(J @ weighed)
-    close([j.J_bar for j in joints[lo:]], J_bar, rtol=1e-7, atol=1e-8)
-    close(arm.Lambda, J_bar.T @ M @ J_bar, rtol=1e-7, atol=1e-7)
-    assert (count, arm.n_locked, arm.n_kept) == (max(6 - n, 0), count, min(n, 6))
-    U = locked[row : row + count, :6]
-    close(U @ U.T, np.eye(count), atol=1e-12)
-    close(U @ J, np.zeros((count, n)), atol=1e-12)
-    assert (np.delete(locked, range(row, row + count), axis=0) == 7.0).all()
-
-
 # --- torques --------------------------------------------------------------------------------------
 
 
 def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
     table = [Record(motor=i, tau_max=2.0) for i in (1, -1, 0)]
     for torques, excess, finite in (
-        ((1.9, 99.0, -2.0), False, True), ((2.1, 0.0, 0.0), True, True),
-        ((0.0, 0.0, -2.1), True, True), ((np.nan, 0.0, 0.0), False, False),
-        ((0.0, 0.0, -inf), False, False), ((0.0, np.nan, 0.0), False, True),
-    ):  # fmt: skip
-        tau, joints = np.full(4, 7.0), [Record(tau=t) for t in torques]
+        ((1.9, 99.0, -2.0), False, True),
+        ((2.1, 0.0, 0.0), True, True),
+        ((0.0, 0.0, -2.1), True, True),
+        ((np.nan, 0.0, 0.0), False, False),
+        ((0.0, 0.0, -inf), False, False),
+        ((0.0, np.nan, 0.0), False, True),
+    ):
+        tau = np.full(4, 7.0)
+        joints = [Record(tau=t) for t in torques]
         found = allocation.limit_torques(
             tick_of(model=Record(n_joints=3), model_joints=table, work_joints=joints, work_tau=tau)
         )
@@ -583,47 +555,21 @@ def test_torques_are_given_unless_one_is_beyond_its_limit_or_no_number():
 
 
 def test_joints_are_pushed_away_from_their_limits():
-    joint, push = Record(low=-1.0, high=2.0, width=0.4, most=6.0), allocation.push_from_limits
+    joint = Record(low=-1.0, high=2.0, width=0.4, most=6.0)
+    push = allocation.push_from_limits
     for q, want in (
-        (0.0, 0.0), (2.0, 0.0), (2.1, -6.0 * 0.15625), (2.2, -3.0), (2.4, -6.0), (3.0, -6.0),
-        (-1.0, 0.0), (-1.1, 6.0 * 0.15625), (-1.4, 6.0), (-9.0, 6.0),
-    ):  # fmt: skip
+        (0.0, 0.0),
+        (2.0, 0.0),
+        (2.1, -6.0 * 0.15625),
+        (2.2, -3.0),
+        (2.4, -6.0),
+        (3.0, -6.0),
+        (-1.0, 0.0),
+        (-1.1, 6.0 * 0.15625),
+        (-1.4, 6.0),
+        (-9.0, 6.0),
+    ):
         close(push(joint, q), want, atol=1e-12)
-
-
-@SEEDS
-@pytest.mark.parametrize("wide", [0, 1])
-def test_torques_of_one_arm_for_a_multiplier(seed, wide):
-    rng = rng_of(seed)
-    J, J_bar, y, effort = rng.normal(size=(3, 6)), rng.normal(size=(3, 6)), *rng.normal(size=(2, 6))
-    metric = rng.normal(size=(6, 6))
-    joints = [Record(rest=0.1 * j, J=J[j], J_bar=J_bar[j], tau=0.0) for j in range(3)]
-    table = [Record(effort=x) for x in effort]
-    own = Record(wide=wide, effort=metric)
-    allocation._add_torques(
-        tick_of(model_joints=table, work_joints=joints), Record(first=1, end=3), own, y
-    )
-    want = np.array([0.0, 0.1, 0.2])
-    want += J @ metric @ y if wide else effort[:3] * (J_bar @ y)
-    assert joints[0].tau == 0.0
-    close([j.tau for j in joints[1:]], want[1:], atol=1e-10)
-
-
-@SEEDS
-@pytest.mark.parametrize("held", [0, 1])
-def test_the_force_that_the_object_is_to_get(seed, held):
-    rng, e = rng_of(seed), Energy(rng_of(seed))
-    V = rng.normal(size=(6, 6))
-    beta, m, r = 2.0 / (V * V).sum(axis=1), 2, 3
-    x, bias, alpha, f = rng.normal(size=(4, 6))
-    Lambda, pushed = rng.normal(size=(2, 6, 6))
-    work = Record(**e.given(), rank=r, locked=m, x=x, u=np.zeros(6), reflectors=V, beta=beta,
-                  chain_bias=bias, Lambda=Lambda, pushed_t=pushed, alpha_u=alpha,
-                  f_S=np.zeros(6))  # fmt: skip
-    allocation.command_object(tick_of(model=Record(held=held), work=work, memory=Record(f_bias=f)))
-    H = [np.eye(6) - beta[k] * np.outer(V[k], V[k]) for k in range(m)]
-    want = Lambda @ x + held * x + bias + H[1] @ H[0] @ e.wrench @ f + alpha[:r] @ pushed[:r]
-    close(work.f_S, want, atol=1e-9)
 
 
 # --- columns of N in the turned coordinates -------------------------------------------------------
@@ -638,7 +584,7 @@ def judged(N, Lambda, held, m=0):
     return command.require_reachable(tick_of(model=Record(held=held), work=work)), work
 
 
-@pytest.mark.parametrize("held", [0, 1])
+@mark.parametrize("held", [0, 1])
 def test_columns_on_which_the_arms_can_push(held):
     rng = rng_of(held)
     root = rng.normal(size=(6, 6))
@@ -663,15 +609,18 @@ def test_columns_on_which_the_arms_can_push(held):
     # columns that differ by so much
     for apart, want in ((0.3e-10, at.INSEPARABLE), (3e-10, at.NO_REASON)):
         N = np.zeros((2, 6))
-        N[:, 1], N[1, 4] = 1.0, apart
+        N[:, 1] = 1.0
+        N[1, 4] = apart
         assert judged(N, np.eye(6), held)[0] == want
 
 
-@pytest.mark.parametrize("held", [0, 1])
-@pytest.mark.parametrize("m", [0, 2])
+@mark.parametrize("held", [0, 1])
+@mark.parametrize("m", [0, 2])
 def test_how_far_columns_are_apart_as_seen_through_the_arms(held, m):
-    rng, d = rng_of(m), 6 - m
-    root, N = rng.normal(size=(6, 6)), rng.normal(size=(3, 6))
+    rng = rng_of(m)
+    d = 6 - m
+    root = rng.normal(size=(6, 6))
+    N = rng.normal(size=(3, 6))
     Lambda = root @ root.T
     _, work = judged(N, Lambda, held, m)
     assert command._judge_reach(tick_of(model=Record(held=held), work=work)) == at.NO_REASON
@@ -692,105 +641,41 @@ def test_an_inertia_that_is_none_is_noticed_where_nothing_is_held():
     assert judged(np.eye(6)[:2], Lambda, 1)[0] == at.NO_REASON
 
 
-class Commanded:
-    """A motion command in turned coordinates and what it must do along r columns."""
-
-    def __init__(self, seed, metric, r=2, m=2):
-        self.rng = rng = rng_of(seed)
-        e, V = Energy(rng), rng.normal(size=(6, 6))
-        beta, H = 2.0 / (V * V).sum(axis=1), np.eye(6)
-        for k in range(m):
-            H = (np.eye(6) - beta[k] * np.outer(V[k], V[k])) @ H
-        root = rng.normal(size=(6, 6))
-        self.e, self.H, self.m, self.r, self.metric = e, H, m, r, metric
-        self.B_inv = root @ root.T + np.eye(6)  # of world axes at O, where it is given
-        self.N_t = rng.normal(size=(r, 6))
-        self.N = self.N_t @ H  # energy coordinates
-        self.chain = Record(metric=metric, B_inv=self.B_inv)
-        rows, names = rng.normal(size=(5, 6)), ("n_gamma", "b_N", "brake", "alpha_u", "a_u")
-        self.sigma = np.where(np.arange(6) < m, rng.normal(size=6), 0.0)
-        self.work = Record(
-            **e.given(), **dict(zip(names, rows, strict=True)), rank=r, locked=m, reflectors=V,
-            beta=beta, sigma=self.sigma, Lambda=H @ self.B_inv @ H.T, B_inv_t=np.zeros((6, 6)),
-            N_t=np.zeros((6, 6)), Q_t=np.zeros((6, 6)), L_t=np.zeros((6, 6)), Q=np.zeros((6, 6)),
-            Phi_mu=rng.normal(size=(6, 6)), rho=np.zeros(6), x=np.zeros(6), s=np.zeros(16),
-            **{name: np.zeros((6, 6)) for name in "ABDE"}, **{name: np.zeros(6) for name in "uwyz"},
-        )  # fmt: skip
-        self.work.N_t[:r] = self.N_t
-        Q, R = np.linalg.qr(self.N_t[:, m:].T)
-        self.work.Q_t[:r, m:], self.work.L_t[:r, :r] = Q.T, R.T
-        self.work.Q[:r] = np.linalg.qr(self.N.T)[0].T
-        command.set_metric(tick_of(model=self.chain, work=self.work))
-
-    def metric_t(self):
-        """B⁻¹ in turned coordinates."""
-        if self.metric == at.BY_OBJECT:
-            return np.eye(6)
-        if self.metric == at.BY_CHAIN:
-            return self.work.Lambda + np.eye(6)
-        W = self.H @ self.e.wrench
-        return W @ self.B_inv @ W.T
-
-
-METRICS = pytest.mark.parametrize("metric", [at.BY_OBJECT, at.BY_CHAIN, at.BY_MATRIX])
-
-
-@METRICS
-@pytest.mark.parametrize(("r", "m"), [(0, 0), (1, 0), (2, 2), (3, 3), (3, 0), (1, 5)])
-def test_commands_meet_the_contacts_at_least_cost(metric, r, m):
-    case = Commanded(10 * r + m, metric, r, m)
-    work, B = case.work, case.metric_t()
-    if metric != at.BY_OBJECT:
-        close(work.B_inv_t, B, rtol=1e-9, atol=1e-9)
-    assert command.filter_motion(tick_of(model=case.chain, work=work)) == at.NO_REASON
-    free = case.H @ case.e.motion @ work.a_u - case.sigma
-    seen, free = case.N_t[:, :m] @ free[:m], free[m:]  # what contacts see of it is not lost
-    free = free + np.linalg.pinv(case.N_t[:, m:]) @ seen
-    rho = work.n_gamma[:r] + work.b_N[:r] - work.brake[:r]
-    rho = rho + work.Phi_mu[:r, :r] @ work.alpha_u[:r] - case.N_t @ case.sigma
-    close(work.rho[:r], rho, atol=1e-9)
-    N, B = case.N_t[:, m:], B[m:, m:]
-    KKT = np.block([[B, N.T], [N, np.zeros((r, r))]])
-    want = np.linalg.solve(KKT, np.append(B @ free, rho))[: 6 - m]
-    close(work.x, np.append(case.sigma[:m], want), rtol=1e-6, atol=1e-7)
-    if metric != at.BY_OBJECT and r:
-        work.B_inv_t[m, m] = -1.0
-        assert command.filter_motion(tick_of(model=case.chain, work=work)) == at.BAD_METRIC
-
-
-@METRICS
-def test_errors_that_the_contacts_permit(metric):
-    case, error, out = Commanded(3, metric), np.arange(6.0) - 2.0, np.zeros(6)
-    by_object = metric == at.BY_OBJECT
-    assert command.permit_error(tick_of(model=case.chain, work=case.work), error, out, by_object)
-    B, N = case.metric_t(), case.N_t
-    x = case.H @ case.e.motion @ error
-    KKT = np.block([[B, N.T], [N, np.zeros((2, 2))]])
-    want = np.linalg.solve(KKT, np.append(B @ x, np.zeros(2)))[:6]
-    close(out, np.linalg.solve(case.H @ case.e.motion, want), rtol=1e-6, atol=1e-7)
-    if not by_object:
-        case.work.B_inv_t[0, 0] = -1.0
-        assert not command.permit_error(
-            tick_of(model=case.chain, work=case.work), error, out, False
-        )
-
-
 # --- stages ---------------------------------------------------------------------------------------
 
 
 def test_every_number_that_comes_in_is_looked_at():
     chain = Record(n_joints=2, n_arms=2, n_columns=3, n_bars=2, n_contacts=2)
-    shapes = {"q": (3,), "v": (3,), "wrenches": (3, 6), "X_WD": (4, 4), "V_D": (6,), "A_D": (6,),
-              "alpha_d": (4,), "squeeze": (3,), "touched": (3, 28)}  # fmt: skip
-    counts = {"q": 2, "v": 2, "wrenches": 12, "X_WD": 16, "V_D": 6, "A_D": 6, "alpha_d": 3,
-              "squeeze": 2, "touched": 56}  # fmt: skip
+    shapes = {
+        "q": (3,),
+        "v": (3,),
+        "wrenches": (3, 6),
+        "X_WD": (4, 4),
+        "V_D": (6,),
+        "A_D": (6,),
+        "alpha_d": (4,),
+        "squeeze": (3,),
+        "touched": (3, 28),
+    }
+    counts = {
+        "q": 2,
+        "v": 2,
+        "wrenches": 12,
+        "X_WD": 16,
+        "V_D": 6,
+        "A_D": 6,
+        "alpha_d": 3,
+        "squeeze": 2,
+        "touched": 56,
+    }
     given = {name: np.ones(shape) for name, shape in shapes.items()}
 
     def look(chain, squeeze, engaged, moving, **came):
         return tick.is_finite(
             tick_of(model=chain, memory=Record(squeeze=squeeze), input=Record(**came)),
-            engaged, moving,
-        )  # fmt: skip
+            engaged,
+            moving,
+        )
 
     for engaged in (False, True):
         for moving in (False, True):
@@ -846,29 +731,28 @@ def test_friction_that_is_learnt_is_never_negative():
                 input_wrenches=np.zeros((0, 6)),
                 input_touched=np.zeros((0, 28)),
                 work_goal=np.zeros(0),
-            ),
+            )
         )
         assert reason == at.NO_REASON and not work.f_c.any()
         close(work.mu, want, atol=1e-12)
         assert work.more_friction == more
 
 
-@pytest.mark.parametrize("phase", [APPROACHING, CLOSED])
-@pytest.mark.parametrize("own", [0, tick.OWN_FORCE])
-@pytest.mark.parametrize("step_time", [0.0, 0.05])
+@mark.parametrize("phase", [APPROACHING, CLOSED])
+@mark.parametrize("own", [0, tick.OWN_FORCE])
+@mark.parametrize("step_time", [0.0, 0.05])
 def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase, step_time):
     chain = Record(n_columns=2, step_time=step_time, period=1e-3, phased=0)
-    contacts, owners = (
-        [Record(phase=phase), Record(phase=CLOSED)],
-        [Record(contact=0), Record(contact=1)],
-    )
+    contacts = [Record(phase=phase), Record(phase=CLOSED)]
+    owners = [Record(contact=0), Record(contact=1)]
     memory = Record(ticked=1, step_left=0.0, step_time=0.05)
     kept = [
         Record(drift=0.1, has_desired=0, desired=0.0, scale=0.0, to_come=np.zeros(3))
         for _ in range(2)
     ]
-    columns = [Record(chosen=j, goal=9.0, scale=9.0, shaped=9, to_come=np.ones(3))
-               for j in range(2)]  # fmt: skip
+    columns = [
+        Record(chosen=j, goal=9.0, scale=9.0, shaped=9, to_come=np.ones(3)) for j in range(2)
+    ]
     work = Record(
         rank=2,
         count=2,
@@ -919,11 +803,13 @@ def test_laws_of_the_users_own_have_no_brake_and_no_damping(own, phase, step_tim
 
 def a_tick():
     """A controller of two contacts after a tick, and what the law was given."""
-    chain, rng = scara_pair(), rng_of(0)
+    chain = scara_pair()
+    rng = rng_of(0)
     q, v = random_state(chain, rng)
     pairs = random_faces(chain.state(q, v).X_WO, 2, rng)
     controller = osc.Controller(chain, pairs, safety=UNLIMITED)
-    tick, seen = controller._rows, []
+    tick = controller._rows
+    seen = []
     controller._rows = lambda *given: seen.append(given) or tick(*given)
     controller.tick(*inputs(chain, q, v, rng, 2, motion_of(rng, 2)))
     memory = controller._records.memory
@@ -942,8 +828,8 @@ def test_inputs_of_other_sizes_are_none():
             assert (memory.status, memory.reason) == (at.HELD, at.BAD_INPUT), place
 
 
-@pytest.mark.parametrize("place", [2, 3])
-@pytest.mark.parametrize("count", [-1, 1])
+@mark.parametrize("place", [2, 3])
+@mark.parametrize("count", [-1, 1])
 def test_joints_of_another_number_are_not_read(place, count):
     """What stands beyond their end, or one of them more, moves nothing that is held."""
     found = []
@@ -958,22 +844,46 @@ def test_joints_of_another_number_are_not_read(place, count):
             tick(*given[:place], x[:n], *given[place + 1 :])
             torques.append(memory.torques.copy())
         found.append((torques, memory.state))
-    np.testing.assert_array_equal(found[0][0], found[1][0])
+    assert_array_equal(found[0][0], found[1][0])
     assert found[0][1] == found[1][1] == at.SAFE_STOP
 
 
-@pytest.mark.parametrize(("r", "m"), [(0, 0), (2, 2), (3, 0)])
-@pytest.mark.parametrize("held", [0, 1])
+@mark.parametrize(("r", "m"), [(0, 0), (2, 2), (3, 0)])
+@mark.parametrize("held", [0, 1])
 def test_the_motion_integral_is_handed_over_as_a_wrench(r, m, held):
-    case = Commanded(10 * r + m, at.BY_OBJECT, r, m)
-    work, total, before = case.work, np.arange(6.0) - 2.0, np.full(6, 0.5)
+    rng = rng_of(10 * r + m)
+    e = Energy(rng)
+    V = rng.normal(size=(6, 6))
+    H = np.eye(6)
+    beta = 2.0 / (V * V).sum(axis=1)
+    for k in range(m):
+        H = (np.eye(6) - beta[k] * np.outer(V[k], V[k])) @ H
+    N_t = rng.normal(size=(r, 6))
+    Lambda = rng.normal(size=(6, 6))
+    Q, R = np.linalg.qr(N_t[:, m:].T)
+    work = Record(
+        **e.given(),
+        rank=r,
+        locked=m,
+        reflectors=V,
+        beta=beta,
+        N_t=N_t,
+        Lambda=Lambda,
+        Q_t=np.pad(Q.T, ((0, 0), (m, 0))),
+        L_t=R.T,
+        s=np.zeros(6),
+        y=np.zeros(6),
+        z=np.zeros(6),
+    )
+    total = np.arange(6.0) - 2.0
+    before = np.full(6, 0.5)
     memory = Record(motion_sum=total.copy(), f_bias=before.copy())
     tick.hand_over(tick_of(model=Record(integral=3.0, held=held), work=work, memory=memory))
-    to_energy = case.H @ case.e.motion
+    to_energy = H @ e.motion
     x = to_energy @ (3.0 * total)
     # what contacts see of a locked motion is not lost
-    free = x[m:] + np.linalg.pinv(case.N_t[:, m:]) @ (case.N_t[:, :m] @ x[:m])
-    force = (work.Lambda[m:, m:] + held * np.eye(6 - m)) @ free
+    free = x[m:] + np.linalg.pinv(N_t[:, m:]) @ (N_t[:, :m] @ x[:m])
+    force = (Lambda[m:, m:] + held * np.eye(6 - m)) @ free
     close(memory.f_bias - before, to_energy[m:].T @ force, rtol=1e-6, atol=1e-7)
     assert not memory.motion_sum.any()
 
@@ -988,16 +898,41 @@ def ask_command(flags=0, rank=2, missing=0, integral=2.0, **more):
         hand_over=lambda t: seen.update(handed=True),
         reduce_motion=lambda *given: seen.update(reduced=True),
     )
-    chain = Record(period=1e-3, integral_force=5.0, integral_motion=0.8, integral=integral,
-                   stiffness=3.0, damping=4.0)  # fmt: skip
-    work = Record(rank=2, dt=1e-3, n_lost=0, locked=0, gain=np.array([20.0, 30.0]), w=np.zeros(6),
-                  alpha_d=np.array([8.0, 9.0]), felt=np.array([6.0, 10.0]),
-                  speed=np.array([0.01, 0.02]), damping=np.array([100.0, 0.0]),
-                  least=np.full(2, -inf), force_next=np.zeros(2), alpha_u=np.full(2, 7.0),
-                  motion_next=np.array([100.0, -900.0, 900.0, 0.0, 0.0, 0.0]),
-                  error=np.arange(6.0), V_O=np.zeros(6), a_u=np.full(6, 7.0))  # fmt: skip
-    memory = Record(force_sum=np.array([0.5, -0.5]), force_rank=rank, wrench_missing=missing,
-                    hand_over=0, motion_sum=np.full(6, 0.1), f_bias="bias")  # fmt: skip
+    chain = Record(
+        period=1e-3,
+        integral_force=5.0,
+        integral_motion=0.8,
+        integral=integral,
+        stiffness=3.0,
+        damping=4.0,
+    )
+    work = Record(
+        rank=2,
+        dt=1e-3,
+        n_lost=0,
+        locked=0,
+        gain=np.array([20.0, 30.0]),
+        w=np.zeros(6),
+        alpha_d=np.array([8.0, 9.0]),
+        felt=np.array([6.0, 10.0]),
+        speed=np.array([0.01, 0.02]),
+        damping=np.array([100.0, 0.0]),
+        least=np.full(2, -inf),
+        force_next=np.zeros(2),
+        alpha_u=np.full(2, 7.0),
+        motion_next=np.array([100.0, -900.0, 900.0, 0.0, 0.0, 0.0]),
+        error=np.arange(6.0),
+        V_O=np.zeros(6),
+        a_u=np.full(6, 7.0),
+    )
+    memory = Record(
+        force_sum=np.array([0.5, -0.5]),
+        force_rank=rank,
+        wrench_missing=missing,
+        hand_over=0,
+        motion_sum=np.full(6, 0.1),
+        f_bias="bias",
+    )
     for name, value in more.items():
         setattr(work if hasattr(work, name) else memory, name, value)
     given = Record(V_D=np.ones(6), A_D=np.ones(6))
@@ -1031,8 +966,15 @@ def test_laws_and_integrals_of_a_tick():
 
 
 def test_contacts_take_part_as_their_phase_says():
-    chain = Record(n_contacts=6, n_columns=0, force_gain=3.0, force_damping=5.0, force_brake=0.5,
-                   approach_damping=200.0, least_force=0.4)  # fmt: skip
+    chain = Record(
+        n_contacts=6,
+        n_columns=0,
+        force_gain=3.0,
+        force_damping=5.0,
+        force_brake=0.5,
+        approach_damping=200.0,
+        least_force=0.4,
+    )
     cases = [(phase, pushes) for phase in (OPEN, APPROACHING, CLOSED) for pushes in (0, 1)]
     contacts = [Record(phase=phase) for phase, _ in cases]
     bodies = [Record(pushes=pushes) for _, pushes in cases]
@@ -1049,25 +991,50 @@ def test_contacts_take_part_as_their_phase_says():
     for contact, (phase, pushes) in zip(contacts, cases, strict=True):
         near = phase == APPROACHING
         found = contact.active, contact.gain, contact.damping, contact.brake, contact.least
-        assert found == (int(phase != OPEN), 0.0 if near else 3.0, 200.0 if near else 5.0,
-                         0.0 if near else 0.5, 0.4 if pushes and not near else -inf)  # fmt: skip
+        assert found == (
+            int(phase != OPEN),
+            0.0 if near else 3.0,
+            200.0 if near else 5.0,
+            0.0 if near else 0.5,
+            0.4 if pushes and not near else -inf,
+        )
 
 
-@pytest.mark.parametrize(("phase", "pushes", "since", "gap", "pace", "want"), [
-    (CLOSED, 1, 9.0, 0.0, 0.0, 8.0), (CLOSED, 1, 0.1, 0.0, 0.0, 2.0 + 0.25 * 6.0),
-    (CLOSED, 0, 0.1, 0.0, 0.0, 8.0), (APPROACHING, 0, 0.1, 0.0, 0.0, 0.5),
-    (APPROACHING, 1, 0.1, 0.0, 0.0, 0.5), (APPROACHING, 1, 0.1, 0.0, -0.004, 0.5 + 0.8),
-    (APPROACHING, 1, 0.1, 0.0, 0.1, 2.0), (APPROACHING, 1, 0.1, 0.006, 0.0, 2.0),
-    (APPROACHING, 1, 0.1, 0.006, 0.02, 6.0), (APPROACHING, 1, 0.1, 0.006, 0.1, 8.0),
-    (APPROACHING, 1, 0.1, 9.0, 0.1, 20.0), (APPROACHING, 1, 9.0, 9.0, 0.1, 0.0),
-])  # fmt: skip
+@mark.parametrize(
+    ("phase", "pushes", "since", "gap", "pace", "want"),
+    [
+        (CLOSED, 1, 9.0, 0.0, 0.0, 8.0),
+        (CLOSED, 1, 0.1, 0.0, 0.0, 2.0 + 0.25 * 6.0),
+        (CLOSED, 0, 0.1, 0.0, 0.0, 8.0),
+        (APPROACHING, 0, 0.1, 0.0, 0.0, 0.5),
+        (APPROACHING, 1, 0.1, 0.0, 0.0, 0.5),
+        (APPROACHING, 1, 0.1, 0.0, -0.004, 0.5 + 0.8),
+        (APPROACHING, 1, 0.1, 0.0, 0.1, 2.0),
+        (APPROACHING, 1, 0.1, 0.006, 0.0, 2.0),
+        (APPROACHING, 1, 0.1, 0.006, 0.02, 6.0),
+        (APPROACHING, 1, 0.1, 0.006, 0.1, 8.0),
+        (APPROACHING, 1, 0.1, 9.0, 0.1, 20.0),
+        (APPROACHING, 1, 9.0, 9.0, 0.1, 0.0),
+    ],
+)
 def test_goals_of_contacts(phase, pushes, since, gap, pace, want):
     """K_a v_a = 2 N while it is approached, from 0.5 N on; faster back over a known gap."""
-    chain = Record(n_contacts=1, n_columns=1, force_gain=3.0, force_damping=5.0, force_brake=0.5,
-                   approach_damping=200.0, approach_speed=0.01, least_force=0.4, travel=0.05,
-                   force_on=1.0, rise=0.4)  # fmt: skip
+    chain = Record(
+        n_contacts=1,
+        n_columns=1,
+        force_gain=3.0,
+        force_damping=5.0,
+        force_brake=0.5,
+        approach_damping=200.0,
+        approach_speed=0.01,
+        least_force=0.4,
+        travel=0.05,
+        force_on=1.0,
+        rise=0.4,
+    )
     for slow, fast in ((pace, -9.0), (9.0, pace), (pace, pace)):  # the slower one counts
-        contact, goal = Record(phase=phase, since=since), np.array([8.0])
+        contact = Record(phase=phase, since=since)
+        goal = np.array([8.0])
         column = Record(gap=gap, filtered_speed=slow, speed=fast)
         phases.set_goals(
             tick_of(
@@ -1086,8 +1053,11 @@ def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():
     """Three columns of two closed contacts share two integrals; a third contact is open."""
     chain = Record(n_columns=4)
     owners = [Record(contact=c) for c in (0, 0, 1, 2)]
-    contacts = [Record(active=1, phase=CLOSED), Record(active=1, phase=APPROACHING),
-                Record(active=0, phase=OPEN)]  # fmt: skip
+    contacts = [
+        Record(active=1, phase=CLOSED),
+        Record(active=1, phase=APPROACHING),
+        Record(active=0, phase=OPEN),
+    ]
 
     def remapped(kept):
         memory = Record(force_rank=2, force_sum=np.array([1.5, -2.5, 0.0, 0.0, 0.0, 0.0]))
@@ -1110,40 +1080,69 @@ def test_integrals_of_dependent_columns_stay_while_no_contact_comes_or_goes():
 
 
 def test_what_is_remembered_of_columns_in_force():
-    n, seen = 3, {}
+    n = 3
+    seen = {}
     remember = tick.altered("remember")
     names = remember.__globals__
     names["keep_steps"] = lambda t: seen.update(steps=[t.work.here.copy(), t.work.alpha.copy()])
-    names["phases"] = Record(low_pass=lambda t, independent: seen.update(
-        here=t.work.here.copy(), chosen=t.work.chosen.copy(), independent=independent))  # fmt: skip
+    names["phases"] = Record(
+        low_pass=lambda t, independent: seen.update(
+            here=t.work.here.copy(), chosen=t.work.chosen.copy(), independent=independent
+        )
+    )
     for phased in (0, 1):
         seen.clear()
         chain = Record(n_columns=n, phased=phased, period=1e-3, lag=0.01)
-        work = Record(rank=2, count=2, dt=1e-3, status=at.OK, more_friction=0.2,
-                      X_WO=np.ones((4, 4)),
-                      force_next=np.array([1.0, 2.0]), motion_next=np.arange(6.0), weightless=0,
-                      alpha_meas=np.array([5.0, 6.0]), speed=np.array([0.3, 0.4]),
-                      mobility=None, D=None, E=None)  # fmt: skip
-        memory = Record(ticked=4, fresh=0, located=0, more_friction=0.0, X_WO=np.zeros((4, 4)),
-                        force_sum=np.zeros(6), force_rank=0, motion_sum=np.zeros(6))  # fmt: skip
+        work = Record(
+            rank=2,
+            count=2,
+            dt=1e-3,
+            status=at.OK,
+            more_friction=0.2,
+            X_WO=np.ones((4, 4)),
+            force_next=np.array([1.0, 2.0]),
+            motion_next=np.arange(6.0),
+            weightless=0,
+            alpha_meas=np.array([5.0, 6.0]),
+            speed=np.array([0.3, 0.4]),
+            mobility=None,
+            D=None,
+            E=None,
+        )
+        memory = Record(
+            ticked=4,
+            fresh=0,
+            located=0,
+            more_friction=0.0,
+            X_WO=np.zeros((4, 4)),
+            force_sum=np.zeros(6),
+            force_rank=0,
+            motion_sum=np.zeros(6),
+        )
         columns = [Record(chosen=2), Record(chosen=0), Record(chosen=1)]
         kept = [Record(alpha=9.0, speed=9.0) for _ in range(n)]
         here, alpha, speeds = np.full((3, n), 7.0)
         remember(
             tick_of(
-                model=chain, work=work, memory=memory, work_columns=columns, memory_columns=kept,
-                work_here=here, work_alpha=alpha, work_speeds=speeds,
+                model=chain,
+                work=work,
+                memory=memory,
+                work_columns=columns,
+                memory_columns=kept,
+                work_here=here,
+                work_alpha=alpha,
+                work_speeds=speeds,
                 work_chosen=np.zeros(n, int),
             )
-        )  # fmt: skip
+        )
         assert (memory.ticked, memory.fresh, memory.located) == (5, 1, 1)
-        np.testing.assert_array_equal(here, [1.0, 0.0, 1.0])
+        assert_array_equal(here, [1.0, 0.0, 1.0])
         assert [(row.alpha, row.speed) for row in kept] == [(6.0, 0.4), (0.0, 0.0), (5.0, 0.3)]
         assert memory.force_rank == 2 and memory.force_sum[:2].tolist() == [1.0, 2.0]
-        np.testing.assert_array_equal(memory.motion_sum, np.arange(6.0))
+        assert_array_equal(memory.motion_sum, np.arange(6.0))
         assert ("here" in seen) == bool(phased)
         if phased:
-            np.testing.assert_array_equal(seen["here"], [1.0, 0.0, 1.0])
+            assert_array_equal(seen["here"], [1.0, 0.0, 1.0])
             assert seen["chosen"].tolist() == [2, 0, 0] and seen["independent"]
 
 
@@ -1154,12 +1153,21 @@ def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
     """What `settle` makes of 6 and −1 N m found where 0 and 0 were given: torques, squeeze."""
     rows = Rows(new_model(n_arms, 2, 2, columns=1))
     model, memory, work, _ = views(rows)
-    model.torque_rate, model.phase_rate, model.period = rate, 1.0, 1e-3
-    model.joints["motor"], model.joints["tau_max"] = [1, 0], [10.0, 30.0]
-    memory.ticked, work.n_internal, work.rank = ticked, n_internal, 1
-    work.internal[0], work.force_next[0], work.gain[0] = 8.0, 3.0, 20.0
+    model.torque_rate = rate
+    model.phase_rate = 1.0
+    model.period = 1e-3
+    model.joints["motor"] = [1, 0]
+    model.joints["tau_max"] = [10.0, 30.0]
+    memory.ticked = ticked
+    work.n_internal = n_internal
+    work.rank = 1
+    work.internal[0] = 8.0
+    work.force_next[0] = 3.0
+    work.gain[0] = 20.0
     work.dt = 1e-3
-    found, lost, squeeze = np.array([6.0, -1.0]), np.array([50.0]), np.array([5.0])
+    found = np.array([6.0, -1.0])
+    lost = np.array([50.0])
+    squeeze = np.array([5.0])
     settle(rows.raw, 0, 0, found, lost, squeeze)
     close(memory.force_sum[0], 3.0 - 20.0 * 1e-3 * 50.0)
     assert memory.force_rank == 1

@@ -1,18 +1,20 @@
 """Steps of desired forces and the brake, on the law's own functions: α_s against its quintic."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace as Record
 
 import numpy as np
-import pytest
 from law_calls import commands, tick_of
+from numpy.testing import assert_allclose
+from pytest import approx, mark
 
-from osc_contact.law import records as at
+from osc_contact.law import tables as at
 from osc_contact.law.phases import APPROACHING, CLOSED
 
-DT, RISE = 1e-3, 0.05
-shape, keep, brake = commands.shape_steps, commands.keep_steps, commands.brake_contacts
+DT = 1e-3
+RISE = 0.05
+shape = commands.shape_steps
+keep = commands.keep_steps
+brake = commands.brake_contacts
 
 
 def eased(x):
@@ -26,10 +28,19 @@ class Forces:
 
     def __init__(self, n=1, chosen=None, **more):
         self.chosen = list(range(n)) if chosen is None else chosen
-        self.chain = Record(**{
-            "period": DT, "step_time": RISE, "n_columns": n, "drift_share": 0.25, "rise": RISE,
-            "approach_damping": 200.0, "approach_speed": 0.01, "phased": 1,
-        } | more)  # fmt: skip
+        self.chain = Record(
+            **{
+                "period": DT,
+                "step_time": RISE,
+                "n_columns": n,
+                "drift_share": 0.25,
+                "rise": RISE,
+                "approach_damping": 200.0,
+                "approach_speed": 0.01,
+                "phased": 1,
+            }
+            | more
+        )
         self.owners = [Record(contact=j) for j in range(n)]
         self.contacts = [Record(phase=CLOSED) for _ in range(n)]
         self.memory = Record(step_left=0.0, step_time=RISE, ticked=1)
@@ -45,8 +56,18 @@ class Forces:
             )
             for _ in range(n)
         ]
-        self.columns = [Record(chosen=0, goal=0.0, scale=0.0, shaped=1, to_come=np.zeros(3),
-                               slides=0.0, turned=np.zeros(3)) for _ in range(n)]  # fmt: skip
+        self.columns = [
+            Record(
+                chosen=0,
+                goal=0.0,
+                scale=0.0,
+                shaped=1,
+                to_come=np.zeros(3),
+                slides=0.0,
+                turned=np.zeros(3),
+            )
+            for _ in range(n)
+        ]
         for place, j in enumerate(self.chosen):
             self.columns[place].chosen = j
         self.work = Record(
@@ -64,10 +85,16 @@ class Forces:
         goal = np.array(goal, dtype=float)
         measured = np.zeros(n) if measured is None else np.array(measured)
         t = tick_of(
-            model=self.chain, model_columns=self.owners, memory=self.memory,
-            memory_contacts=self.contacts, memory_columns=self.kept, work=self.work,
-            work_columns=self.columns, work_goal=goal, work_alpha=measured,
-        )  # fmt: skip
+            model=self.chain,
+            model_columns=self.owners,
+            memory=self.memory,
+            memory_contacts=self.contacts,
+            memory_columns=self.kept,
+            work=self.work,
+            work_columns=self.columns,
+            work_goal=goal,
+            work_alpha=measured,
+        )
         shape(t)
         here = np.array([1.0 if j in self.chosen else 0.0 for j in range(n)])
         speed = np.zeros(n) if speed is None else np.array(speed)
@@ -84,12 +111,12 @@ def test_a_step_is_let_in_along_the_quintic_of_least_jerk():
     forces.run([10.0, 4.0], 200)
     found = forces.run([16.0, 3.0], 80)
     share = eased(np.arange(80) * DT / RISE)
-    np.testing.assert_allclose(found[:, 0], 16.0 - 6.0 * share, atol=1e-9)
-    np.testing.assert_allclose(found[:, 1], 3.0 + 1.0 * share, atol=1e-9)
+    assert_allclose(found[:, 0], 16.0 - 6.0 * share, atol=1e-9)
+    assert_allclose(found[:, 1], 3.0 + 1.0 * share, atol=1e-9)
     assert forces.work.step_left == 0.0 and (found[-1] == [16.0, 3.0]).all()
 
 
-@pytest.mark.parametrize("rises", [(RISE, RISE), (RISE, 0.08)])
+@mark.parametrize("rises", [(RISE, RISE), (RISE, 0.08)])
 def test_a_second_step_goes_on_from_value_slope_and_curvature(rises):
     """Of either rise time: the path is a polynomial of degree 5 from there, at rest in its end."""
     forces = Forces()
@@ -97,26 +124,30 @@ def test_a_second_step_goes_on_from_value_slope_and_curvature(rises):
     forces.run([16.0], 21)
     forces.chain.step_time = rises[1]
     found = forces.run([8.0], 100)[:, 0]
-    t0, T = 21 * DT, rises[1]
+    t0 = 21 * DT
+    T = rises[1]
     x = t0 / RISE
     first = np.polynomial.Polynomial([1.0, 0.0, 0.0, -10.0, 15.0, -6.0])
     value = 16.0 - 6.0 * first(x)
     slope, bend = (-6.0 * first.deriv(k)(x) / RISE**k for k in (1, 2))
-    rows, right = [], [value - 8.0, slope, bend, 0.0, 0.0, 0.0]
+    rows = []
+    right = [value - 8.0, slope, bend, 0.0, 0.0, 0.0]
     for t in (0.0, T):
         for k in range(3):
-            rows.append([
-                np.prod(range(p - k + 1, p + 1)) * t ** (p - k) if p >= k else 0.0
-                for p in range(6)
-            ])  # fmt: skip
+            rows.append(
+                [
+                    np.prod(range(p - k + 1, p + 1)) * t ** (p - k) if p >= k else 0.0
+                    for p in range(6)
+                ]
+            )
     path = np.polynomial.Polynomial(np.linalg.solve(rows, right))
     t = np.arange(100) * DT
-    np.testing.assert_allclose(found, 8.0 + np.where(t < T, path(t), 0.0), atol=1e-7)
+    assert_allclose(found, 8.0 + np.where(t < T, path(t), 0.0), atol=1e-7)
     assert found.max() > value, "it goes on upwards at first"
 
 
-@pytest.mark.parametrize("rate", [0.99, 1.01])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@mark.parametrize("rate", [0.99, 1.01])
+@mark.parametrize("sign", [1.0, -1.0])
 def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign):
     """20 times its size a second: 0.2 N in a tick for 10 N."""
     forces = Forces()
@@ -126,7 +157,7 @@ def test_only_what_changes_faster_than_its_size_is_a_step(rate, sign):
     wanted = 10.0 + change
     stepped = abs(change) > 20.0 * DT * size
     found = forces.tick([wanted])[0]
-    assert found == pytest.approx(10.0 if stepped else wanted)
+    assert found == approx(10.0 if stepped else wanted)
     assert forces.work.step_left == (1.0 if stepped else 0.0)
 
 
@@ -136,9 +167,9 @@ def test_the_size_of_a_force_that_has_gone_fades():
     forces.run([10.0], 200)
     forces.run([0.0], 1000)
     left = 10.0 * (1.0 - 0.5 * DT) ** 1000
-    assert forces.kept[0].scale == pytest.approx(left, rel=1e-9)
-    assert forces.tick([0.99 * 20.0 * DT * left])[0] == pytest.approx(0.99 * 20.0 * DT * left)
-    assert forces.tick([2.1 * 20.0 * DT * left])[0] == pytest.approx(0.99 * 20.0 * DT * left)
+    assert forces.kept[0].scale == approx(left, rel=1e-9)
+    assert forces.tick([0.99 * 20.0 * DT * left])[0] == approx(0.99 * 20.0 * DT * left)
+    assert forces.tick([2.1 * 20.0 * DT * left])[0] == approx(0.99 * 20.0 * DT * left)
 
 
 def test_the_integral_rests_while_much_of_a_step_is_to_come():
@@ -153,7 +184,7 @@ def test_the_integral_rests_while_much_of_a_step_is_to_come():
     for left in share:
         forces.tick([14.0])
         wanted = max(1.0 - 4.0 * left / 14.0 / 0.1, 0.0)
-        assert forces.work.integral_scale == pytest.approx(wanted, abs=1e-9)
+        assert forces.work.integral_scale == approx(wanted, abs=1e-9)
     assert forces.work.integral_scale == 1.0
 
 
@@ -161,11 +192,11 @@ def test_a_contact_that_is_new_starts_from_what_is_measured_or_from_none():
     for ticked, start in ((1, 3.0), (0, 0.0)):
         forces = Forces()
         forces.memory.ticked = ticked
-        assert forces.tick([10.0], measured=[3.0])[0] == pytest.approx(start)
-        assert forces.run([10.0], 60)[-1, 0] == pytest.approx(10.0)
+        assert forces.tick([10.0], measured=[3.0])[0] == approx(start)
+        assert forces.run([10.0], 60)[-1, 0] == approx(10.0)
 
 
-@pytest.mark.parametrize("share", [0.29, 0.31, -0.5])
+@mark.parametrize("share", [0.29, 0.31, -0.5])
 def test_a_face_tells_its_tilt_where_it_carries_three_tenths_of_its_force(share):
     forces = Forces()
     forces.run([10.0], 200)
@@ -173,20 +204,20 @@ def test_a_face_tells_its_tilt_where_it_carries_three_tenths_of_its_force(share)
     forces.columns[0].slides = 1.0
     forces.tick([10.0], measured=[10.0 * share], speed=[0.04])
     pressed = share > 0.3
-    np.testing.assert_allclose(forces.kept[0].turn, turned if pressed else 0.0)
-    assert forces.kept[0].drift == pytest.approx(0.0 if pressed else 0.01), "sliding or leaving"
+    assert_allclose(forces.kept[0].turn, turned if pressed else 0.0)
+    assert forces.kept[0].drift == approx(0.0 if pressed else 0.01), "sliding or leaving"
 
 
 def test_an_impact_is_not_held_where_phases_close_a_contact():
     """What is measured at the moment of contact may be many times what is wanted."""
     for phased, start in ((1, 2.0), (0, 40.0)):
         forces = Forces(phased=phased)
-        assert forces.tick([2.0], measured=[40.0])[0] == pytest.approx(start)
+        assert forces.tick([2.0], measured=[40.0])[0] == approx(start)
         found = forces.run([10.0], 60)
         assert (found.max() > 11.0) == (phased == 0)
-        assert found[-1, 0] == pytest.approx(10.0)
+        assert found[-1, 0] == approx(10.0)
     forces = Forces()
-    assert forces.tick([-2.0], measured=[-40.0])[0] == pytest.approx(-40.0), "it may be pulled"
+    assert forces.tick([-2.0], measured=[-40.0])[0] == approx(-40.0), "it may be pulled"
 
 
 def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
@@ -195,10 +226,8 @@ def test_an_approach_has_its_goal_at_once_and_the_others_their_own_steps():
     forces.contacts[2].phase = APPROACHING
     forces.run([10.0, 7.0, 2.0], 200)
     found = forces.run([12.0, 9.0, 4.0], 60)
-    np.testing.assert_allclose(found[:, 0], 4.0)
-    np.testing.assert_allclose(
-        found[:, 1], 12.0 - 2.0 * eased(np.arange(60) * DT / RISE), atol=1e-9
-    )
+    assert_allclose(found[:, 0], 4.0)
+    assert_allclose(found[:, 1], 12.0 - 2.0 * eased(np.arange(60) * DT / RISE), atol=1e-9)
     assert (
         forces.kept[1].has_desired == 0 == forces.kept[2].has_desired
         and forces.kept[0].has_desired == 1
@@ -249,11 +278,11 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
     for speed in (0.02, 0.02, -0.01):
         forces.tick([10.0], speed=[speed])
         drift += 0.25 * (speed - drift)
-        assert forces.kept[0].drift == pytest.approx(drift)
+        assert forces.kept[0].drift == approx(drift)
     forces.tick([20.0], speed=[5.0])
-    assert forces.kept[0].drift == pytest.approx(drift), "the integral rests, and so does v̄"
+    assert forces.kept[0].drift == approx(drift), "the integral rests, and so does v̄"
     rows = [Record(drift=0.5), Record(drift=0.0), Record(drift=drift)]
     work = Record(rank=2, keep=[1.0, 0.0], speed=np.array([0.3, 0.7]), brake=np.array([20.0, 10.0]))
     columns = [Record(chosen=2), Record(chosen=0)]
     brake(tick_of(memory_columns=rows, work_columns=columns, work=work))
-    np.testing.assert_allclose(work.brake, [20.0 * (0.3 - 0.5), 10.0 * (0.7 - drift)])
+    assert_allclose(work.brake, [20.0 * (0.3 - 0.5), 10.0 * (0.7 - drift)])

@@ -4,21 +4,20 @@ Each limit is met from just below and from just above, in either sign, and timed
 becomes of them in closed loop: tests/test_robot_limits.py, tests/test_lying_sensors.py.
 """
 
-from __future__ import annotations
-
 from math import inf
 from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from law_calls import safety, sensors, tick_of
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark
 
-from osc_contact.law import records as at
+from osc_contact.law import tables as at
 from osc_contact.law.phases import APPROACHING, CLOSED
 
 DT = 1e-3
-BOTH = pytest.mark.parametrize("sign", [1.0, -1.0])
+BOTH = mark.parametrize("sign", [1.0, -1.0])
 
 
 def joint(**more):
@@ -37,7 +36,8 @@ def joints_memory():
 @BOTH
 def test_a_joint_may_be_too_fast_for_so_many_ticks(sign):
     chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=4)
-    table, memory = [joint(lower=-9.0, upper=9.0)] * 2, joints_memory()
+    table = [joint(lower=-9.0, upper=9.0)] * 2
+    memory = joints_memory()
 
     def after(speeds):
         return [
@@ -66,7 +66,8 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
     table = [joint(lower=-9.0, upper=9.0), joint(lower=-9.0, upper=9.0, speed_max=1.0)]
     for speed, ticks in ((1.1, 22), (1.13, 11), (1.26, 8), (1.51, 5), (3.1, 2), (9.0, 1)):
         for j in range(2):
-            memory, v = joints_memory(), [0.0, 0.0]
+            memory = joints_memory()
+            v = [0.0, 0.0]
             chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=21)
             v[j] = sign * speed * table[j].speed_max
             found = [
@@ -96,7 +97,8 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
         )
         == at.OVERSPEED
     )
-    memory, chain = joints_memory(), Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=4)
+    memory = joints_memory()
+    chain = Record(n_joints=2, reaction=0.0, period=DT, fast_ticks=4)
     assert (
         safety.watch_joints(
             tick_of(
@@ -113,16 +115,20 @@ def test_time_counts_once_more_for_each_eighth_of_a_limit_that_a_joint_is_too_fa
 
 
 @BOTH
-@pytest.mark.parametrize("reaction", [0.0, 0.1])
+@mark.parametrize("reaction", [0.0, 0.1])
 def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, reaction):
     """s = |q̇| t_r + q̇²/2a with a = 5 rad/s², found by steps of 10 µs."""
-    speed, way, dt = 1.5, 1.5 * reaction, 1e-5
+    speed = 1.5
+    way = 1.5 * reaction
+    dt = 1e-5
     v = speed
     while v > 0.0:
-        way, v = way + (v - 0.5 * 5.0 * dt) * dt, v - 5.0 * dt
+        way = way + (v - 0.5 * 5.0 * dt) * dt
+        v = v - 5.0 * dt
     chain = Record(n_joints=1, reaction=reaction, period=DT, fast_ticks=99)
     for gap, stops in ((way + 1e-3, False), (way - 1e-3, True), (-1e-3, False)):
-        memory, q = joints_memory(), [sign * (1.0 - gap)]
+        memory = joints_memory()
+        q = [sign * (1.0 - gap)]
         found = [
             safety.watch_joints(
                 tick_of(
@@ -165,7 +171,7 @@ def test_a_joint_is_stopped_where_it_can_just_be_braked_before_its_end(sign, rea
     assert found[-1] == at.NEAR_END, "it still is within its range"
 
 
-@pytest.mark.parametrize(("period", "ticks"), [(0.3e-3, 9), (1e-3, 3), (2e-3, 2), (10e-3, 2)])
+@mark.parametrize(("period", "ticks"), [(0.3e-3, 9), (1e-3, 3), (2e-3, 2), (10e-3, 2)])
 def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
     """2.5 ms of evidence, and more than one tick."""
     chain = Record(n_joints=1, reaction=0.0, period=period, fast_ticks=99)
@@ -182,8 +188,8 @@ def test_one_wrong_sample_stops_nothing_at_any_rate(period, ticks):
 
 
 def test_evidence_comes_and_goes_at_the_same_pace():
-    assert safety.collect(0.002, DT, True) == pytest.approx(0.003)
-    assert safety.collect(0.002, DT, False) == pytest.approx(0.001)
+    assert safety.collect(0.002, DT, True) == approx(0.003)
+    assert safety.collect(0.002, DT, False) == approx(0.001)
     assert safety.collect(0.0005, DT, False) == 0.0
 
 
@@ -194,11 +200,19 @@ class Contacts:
     """Two columns of N, which are numbers 2 and 0 of the contacts' four."""
 
     def __init__(self, **more):
-        self.chain = Record(**{
-            "period": DT, "phased": 0, "contact_power": 20.0, "contact_force": 30.0,
-            "contact_loss_time": 0.0105, "overforce_time": 0.0055, "integral_force": 15.0,
-            "regain_time": 0.0305,
-        } | more)  # fmt: skip
+        self.chain = Record(
+            **{
+                "period": DT,
+                "phased": 0,
+                "contact_power": 20.0,
+                "contact_force": 30.0,
+                "contact_loss_time": 0.0105,
+                "overforce_time": 0.0055,
+                "integral_force": 15.0,
+                "regain_time": 0.0305,
+            }
+            | more
+        )
         self.memory = Record(
             faults=0,
             gap=0,
@@ -241,10 +255,10 @@ def test_power_that_moves_into_faces_adds_up():
     assert Contacts(period=10e-3).until(at.POWERED, (10.0, 10.0), wanted, (3.0, 0.0)) == 2
     contacts = Contacts()
     contacts.tick((10.0, 10.0), wanted, (3.0, 3.0))
-    assert contacts.memory.powered == pytest.approx(DT)
+    assert contacts.memory.powered == approx(DT)
 
 
-@pytest.mark.parametrize("column", [0, 1])
+@mark.parametrize("column", [0, 1])
 def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
     for astray, reason in ((0.0304, at.NO_REASON), (0.0306, at.CONTACT_LOST)):
         contacts = Contacts(phased=1)
@@ -254,12 +268,13 @@ def test_a_contact_that_phases_have_lost_must_be_held_again_in_time(column):
 
 
 @BOTH
-@pytest.mark.parametrize("column", [0, 1])
+@mark.parametrize("column", [0, 1])
 def test_a_contact_is_lost_below_a_fifth_of_its_command(sign, column):
     def both(x, other):
         return (sign * x, sign * other) if column == 0 else (sign * other, sign * x)
 
-    wanted, fine = both(10.0, 5.0), 5.0
+    wanted = both(10.0, 5.0)
+    fine = 5.0
     for alpha, ticks in ((2.01, 0), (1.99, 11), (-8.0, 11), (0.0, 11)):
         contacts = Contacts()
         assert contacts.until(at.CONTACT_LOST, both(alpha, fine), wanted) == ticks
@@ -303,16 +318,23 @@ def readings(**more):
     """What `check_readings` is given, all of it credible."""
     given = Record(
         chain=Record(
-            n_arms=2, n_joints=2, period=DT, wrench_timeout=0.0205, force_range=100.0,
-            torque_range=10.0, plausible_speed=3.0,
+            n_arms=2,
+            n_joints=2,
+            period=DT,
+            wrench_timeout=0.0205,
+            force_range=100.0,
+            torque_range=10.0,
+            plausible_speed=3.0,
         ),
         arms=[Record(sensor_joint=0), Record(sensor_joint=5)],
         table=[joint(), joint(speed_max=4.0)],
         memory=Record(wrench_missing=0, has_wrench=1, wrench_age=0, compared=1, culprit=-1),
         joint_memory=[Record(q=0.1, unread_q=0), Record(q=0.2, unread_q=0)],
-        q=np.array([0.1, 0.2]), v=np.zeros(2),
-        wrenches=np.zeros((2, 6)), X_WD=np.eye(4)[:3],
-    )  # fmt: skip
+        q=np.array([0.1, 0.2]),
+        v=np.zeros(2),
+        wrenches=np.zeros((2, 6)),
+        X_WD=np.eye(4)[:3],
+    )
     for name, value in more.items():
         setattr(given, name, value)
     return given
@@ -320,9 +342,13 @@ def readings(**more):
 
 def judged(given):
     t = tick_of(
-        model=given.chain, model_arms=given.arms, model_joints=given.table, memory=given.memory,
-        memory_joints=given.joint_memory, input=given,
-    )  # fmt: skip
+        model=given.chain,
+        model_arms=given.arms,
+        model_joints=given.table,
+        memory=given.memory,
+        memory_joints=given.joint_memory,
+        input=given,
+    )
     return sensors.check_readings(t)
 
 
@@ -364,16 +390,19 @@ def test_wrenches_within_the_range_of_their_sensors(sign):
 
 def test_a_tick_without_a_wrench_goes_on_with_one_that_is_young_enough():
     for age, has, reason in (
-        (19, 1, at.NO_REASON), (20, 1, at.WRENCH_TIMEOUT), (0, 0, at.WRENCH_TIMEOUT)
-    ):  # fmt: skip
+        (19, 1, at.NO_REASON),
+        (20, 1, at.WRENCH_TIMEOUT),
+        (0, 0, at.WRENCH_TIMEOUT),
+    ):
         given = readings(wrenches=np.full((2, 6), np.nan))
-        given.memory.wrench_missing, given.memory.wrench_age = 1, age
+        given.memory.wrench_missing = 1
+        given.memory.wrench_age = age
         given.memory.has_wrench = has
         assert judged(given) == reason
 
 
 @BOTH
-@pytest.mark.parametrize("unread", [0, 4])
+@mark.parametrize("unread", [0, 4])
 def test_joints_move_no_further_than_they_can(sign, unread):
     """20 mrad, and three times the speed limit since the last reading that was believed."""
     for j, limit in enumerate((2.0, 4.0)):
@@ -403,12 +432,15 @@ class Approach:
         self.chain = Record(period=DT, approach_speed=0.02)
         self.memory = Record(compared=1, gap=0, X_WO=np.eye(4))
         self.work = Record(
-            rank=2, keep=[0.0, 2.0], V_N=0.01 * rng.normal(size=2), speed=np.zeros(2),
-            X_WO=np.eye(4), y=np.zeros(6),
-        )  # fmt: skip
-        self.owners, self.contacts = [Record(contact=k // 2) for k in range(4)], [
-            Record(phase=phase), Record(phase=phase),
-        ]  # fmt: skip
+            rank=2,
+            keep=[0.0, 2.0],
+            V_N=0.01 * rng.normal(size=2),
+            speed=np.zeros(2),
+            X_WO=np.eye(4),
+            y=np.zeros(6),
+        )
+        self.owners = [Record(contact=k // 2) for k in range(4)]
+        self.contacts = [Record(phase=phase), Record(phase=phase)]
         self.columns = [Record(chosen=k, N=rng.normal(size=6)) for k in (3, 1, 1, 0)]
         self.kept = [
             Record(known=1, velocity_from_positions=0.0, velocity_from_encoders=0.0)
@@ -443,18 +475,19 @@ class Approach:
 
 def test_an_approach_believes_positions_where_speeds_read_too_little():
     for seed in range(20):
-        approach, rng = Approach(seed), np.random.default_rng(seed)
+        approach = Approach(seed)
+        rng = np.random.default_rng(seed)
         V = 0.05 * rng.normal(size=6)
         true = np.array(approach.true(V))
         for _ in range(300):
             believed = approach.tick(V, true - 0.0041)  # a fifth of v_a is 4 mm/s
-        np.testing.assert_allclose(believed, true, atol=1e-6)
+        assert_allclose(believed, true, atol=1e-6)
         shown = np.array([approach.kept[j].velocity_from_positions for j in (3, 1)])
-        np.testing.assert_array_equal(believed, shown)
+        assert_array_equal(believed, shown)
         for more in (-0.0039, 0.1):
             approach = Approach(seed)
             for _ in range(300):
-                np.testing.assert_array_equal(approach.tick(V, true + more), true + more)
+                assert_array_equal(approach.tick(V, true + more), true + more)
 
 
 def test_positions_are_low_passed_and_a_tick_that_was_missed_begins_anew():
@@ -465,15 +498,16 @@ def test_positions_are_low_passed_and_a_tick_that_was_missed_begins_anew():
         approach.tick(V, 0.0)
         share = 1.0 - (20.0 / 21.0) ** k  # 20 ms
         found = [approach.kept[j].velocity_from_positions for j in (3, 1)]
-        np.testing.assert_allclose(found, true * share, rtol=1e-4)
+        assert_allclose(found, true * share, rtol=1e-4)
         assert [approach.kept[j].velocity_from_encoders for j in (3, 1)] == [0.0, 0.0]
     approach.memory.compared = 0
-    np.testing.assert_array_equal(approach.tick(V, 0.007), 0.007)
+    assert_array_equal(approach.tick(V, 0.007), 0.007)
     assert {
         (approach.kept[j].velocity_from_positions, approach.kept[j].velocity_from_encoders)
         for j in (3, 1)
     } == {(0.007, 0.007)}
-    approach.memory.compared, approach.kept[3].known = 1, 0
+    approach.memory.compared = 1
+    approach.kept[3].known = 0
     believed = approach.tick(100.0 * V * np.sign(true[0]), -9.0)
     assert (
         believed[0] == -9.0 == approach.kept[3].velocity_from_encoders
@@ -485,7 +519,7 @@ def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
     approach = Approach(2, phase=CLOSED)
     V = np.array([0.3, -0.2, 0.1, 0.5, 0.4, -0.6])
     for _ in range(100):
-        np.testing.assert_array_equal(approach.tick(V, -1.0), -1.0)
+        assert_array_equal(approach.tick(V, -1.0), -1.0)
     approach.contacts[1].phase = APPROACHING  # of column 3, the first that is kept
     believed = approach.tick(V, -1.0)
     assert believed[0] == approach.kept[3].velocity_from_positions and believed[1] == -1.0
@@ -498,9 +532,21 @@ def test_closed_contacts_and_others_of_the_object_keep_their_speeds():
 
 
 MEMORY = dict.fromkeys(
-    ("compared", "faults", "gap", "culprit", "has_wrench", "wrench_missing", "repeated", "ticked",
-     "apart", "unbraked", "derived"), 0,
-) | {"frozen": 0.0, "still": 0.0, "engaged": 1, "force_rank": 1, "state": at.RUN}  # fmt: skip
+    (
+        "compared",
+        "faults",
+        "gap",
+        "culprit",
+        "has_wrench",
+        "wrench_missing",
+        "repeated",
+        "ticked",
+        "apart",
+        "unbraked",
+        "derived",
+    ),
+    0,
+) | {"frozen": 0.0, "still": 0.0, "engaged": 1, "force_rank": 1, "state": at.RUN}
 
 
 def joint_rows(n=2):
@@ -511,15 +557,29 @@ class Sensors:
     """One arm of two joints with a wrist; readings differ from tick to tick if not given."""
 
     def __init__(self, **more):
-        self.chain = Record(**{
-            "n_arms": 1, "n_joints": 2, "period": DT, "frozen_time": 0.0105, "stuck_speed": 0.1,
-            "speed_error": 0.1, "position_drift": 0.05, "plausible_speed": 10.0,
-            "force_range": 1e6, "torque_range": 1e6,
-        } | more)  # fmt: skip
-        self.arms, self.table = [Record(sensor_joint=3)], [joint(motor=0), joint(motor=1)]
+        self.chain = Record(
+            **{
+                "n_arms": 1,
+                "n_joints": 2,
+                "period": DT,
+                "frozen_time": 0.0105,
+                "stuck_speed": 0.1,
+                "speed_error": 0.1,
+                "position_drift": 0.05,
+                "plausible_speed": 10.0,
+                "force_range": 1e6,
+                "torque_range": 1e6,
+            }
+            | more
+        )
+        self.arms = [Record(sensor_joint=3)]
+        self.table = [joint(motor=0), joint(motor=1)]
         self.memory = Record(**MEMORY)
-        self.joints, self.wrists = joint_rows(), [Record(unread=0, same=0.0)]
-        self.last, self.estimate, self.count = np.zeros((1, 6)), np.zeros(4), 0
+        self.joints = joint_rows()
+        self.wrists = [Record(unread=0, same=0.0)]
+        self.last = np.zeros((1, 6))
+        self.estimate = np.zeros(4)
+        self.count = 0
         self.q = np.zeros(2)
 
     def tick(self, v=(0.3, -0.4), wrench=None, q=None, true=None):
@@ -540,7 +600,7 @@ class Sensors:
                 input_q=self.q,
                 input_v=v,
                 input_wrenches=wrench,
-            ),
+            )
         )
         self.memory.has_wrench = 1
         sensors.estimate_joints(
@@ -572,7 +632,7 @@ class Sensors:
                 input_q=nothing,
                 input_v=nothing,
                 input_wrenches=np.full((1, 6), np.nan),
-            ),
+            )
         )
         sensors.estimate_joints(
             tick_of(
@@ -598,10 +658,10 @@ class Sensors:
 def test_readings_that_agree_are_used():
     sensors = Sensors()
     assert sensors.until() == (0, at.NO_REASON)
-    np.testing.assert_array_equal([row.q for row in sensors.joints], sensors.q)
-    np.testing.assert_array_equal(sensors.estimate[:2], sensors.q)
+    assert_array_equal([row.q for row in sensors.joints], sensors.q)
+    assert_array_equal(sensors.estimate[:2], sensors.q)
     assert (sensors.memory.compared, sensors.memory.unbraked) == (1, -1)
-    np.testing.assert_array_equal(sensors.last, 399.0)
+    assert_array_equal(sensors.last, 399.0)
 
 
 def test_a_wrist_in_contact_may_repeat_itself_for_so_long():
@@ -635,7 +695,8 @@ def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest():
     sensors = Sensors()
     assert sensors.until(**still | {"wrench": None}, most=60) == (0, at.NO_REASON)
     for j in range(2):
-        sensors, q = Sensors(), np.ones(2)
+        sensors = Sensors()
+        q = np.ones(2)
         sensors.memory.force_rank = 0
         for k in range(60):
             q[j] = 1.0 + 1e-12 * (k % 2)
@@ -654,14 +715,15 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
     still = np.ones(2)
     for j in range(2):
         for speed, ticks in ((1.3, 11), (0.03, 14)):  # rad/s; more than 0.4 mrad, after 10.5 ms
-            sensors, v = Sensors(speed_error=inf, position_drift=0.05), np.zeros(2)
+            sensors = Sensors(speed_error=inf, position_drift=0.05)
+            v = np.zeros(2)
             v[j] = sign * speed
             sensors.tick(v=v, q=still)
             sensors.joints[j].drift = -9.0 * v[j] * DT  # drift as such is far from its bound
             found = [sensors.tick(v=v, q=still) for _ in range(ticks)]
             assert found == [at.NO_REASON] * (ticks - 1) + [at.DISAGREE], speed
             assert sensors.memory.culprit == j
-            assert sensors.memory.still == pytest.approx(1e-3 * ticks)
+            assert sensors.memory.still == approx(1e-3 * ticks)
         for other in ({"q": still + 1e-12}, {"v": v * (1.0 + 1e-12)}):
             sensors.tick(**{"v": v, "q": still} | other)
             assert sensors.memory.still == 0
@@ -670,12 +732,13 @@ def test_joints_that_read_the_same_with_some_speed_for_long_are_faulty(sign):
 
 
 @BOTH
-@pytest.mark.parametrize("every", [0, 2, 3])
+@mark.parametrize("every", [0, 2, 3])
 def test_an_encoder_is_stuck_when_its_joint_should_have_gained_a_tenth_of_its_limit(sign, every):
     """Also with every 2nd or 3rd tick lost: the evidence counts time."""
     for j in range(2):
         sensors = Sensors(speed_error=inf, position_drift=inf, frozen_time=inf)
-        ticks, reason = 0, at.NO_REASON
+        ticks = 0
+        reason = at.NO_REASON
         sensors.tick(q=np.zeros(2))
         sensors.joints[j].acceleration = sign * 10.3  # rad/s²; a tenth is 0.2 rad/s
         while reason == at.NO_REASON and ticks < 90:
@@ -698,7 +761,8 @@ def test_an_encoder_is_stuck_when_its_joint_should_have_gained_a_tenth_of_its_li
 def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
     for j in range(2):
         for error, found in ((0.199, False), (0.201, True), (1.0, True)):
-            sensors, v = Sensors(position_drift=inf), np.array([0.3, -0.4])
+            sensors = Sensors(position_drift=inf)
+            v = np.array([0.3, -0.4])
             wrong = v.copy()
             wrong[j] += sign * error
             sensors.tick(v=v)
@@ -707,13 +771,14 @@ def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
             if found:
                 assert sensors.memory.culprit == j
             if error == 1.0:  # 1 − exp(−t / 20 ms) = 0.2, a tick or two for the sampling
-                assert ticks == pytest.approx(20.0 * np.log(1.25), abs=1.0)
+                assert ticks == approx(20.0 * np.log(1.25), abs=1.0)
 
 
-@pytest.mark.parametrize("every", [2, 3, 10])
+@mark.parametrize("every", [2, 3, 10])
 def test_lost_ticks_take_no_evidence_away(every):
     """Speeds mirrored, and every so many-th tick lost."""
-    sensors, v = Sensors(position_drift=inf), np.array([0.3, -0.4])
+    sensors = Sensors(position_drift=inf)
+    v = np.array([0.3, -0.4])
     sensors.tick(v=v)
     for k in range(1, 60):
         lost = k % every == every - 1
@@ -723,18 +788,22 @@ def test_lost_ticks_take_no_evidence_away(every):
     assert reason == at.DISAGREE and k < 16
 
 
-@pytest.mark.parametrize("wrong", ["mirrored", "zero", "stuck", "noisy", "drifting"])
+@mark.parametrize("wrong", ["mirrored", "zero", "stuck", "noisy", "drifting"])
 def test_which_of_two_readings_is_faulty(wrong):
     """Joints that accelerate as commanded: what does not follow is faulty, and not used."""
     rng = np.random.default_rng(7)
-    sensors, v, q = Sensors(), np.array([0.5, -0.7]), np.zeros(2)
-    a, held = np.array([1.5, -2.0]), 0.0
+    sensors = Sensors()
+    v = np.array([0.5, -0.7])
+    q = np.zeros(2)
+    a = np.array([1.5, -2.0])
+    held = 0.0
     for k in range(400):
         for row, x in zip(sensors.joints, a, strict=True):
             row.acceleration = x
         v = v + a * DT
         q = q + v * DT
-        read_q, read_v = q.copy(), v + 1e-9 * rng.normal(size=2)
+        read_q = q.copy()
+        read_v = v + 1e-9 * rng.normal(size=2)
         if k >= 100:
             if wrong == "mirrored":
                 read_v = -read_v
@@ -763,8 +832,8 @@ def test_which_of_two_readings_is_faulty(wrong):
         read_q = np.array([q[0], held]) if wrong == "stuck" else q
         sensors.tick(v=-v if wrong == "mirrored" else v, q=read_q)
     if wrong in ("mirrored", "stuck"):
-        np.testing.assert_allclose(sensors.estimate[2:], v, atol=2e-2)
-        np.testing.assert_allclose(sensors.estimate[:2], q, atol=2e-2)
+        assert_allclose(sensors.estimate[2:], v, atol=2e-2)
+        assert_allclose(sensors.estimate[:2], q, atol=2e-2)
         assert sensors.memory.unbraked == -1
 
 
@@ -785,7 +854,8 @@ def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
     """d' = e − d/T, T = 0.5 s, less 5 % of the speed: e (1 − exp(−t/T)) T = 50 mrad + 10 ms q̇."""
     for j in range(2):
         for error, speed, limit in ((0.09, 0.0, 0.05), (0.18, 1.0, 0.06)):
-            sensors, v = Sensors(), np.zeros(2)
+            sensors = Sensors()
+            v = np.zeros(2)
             v[j] = sign * speed
             wrong = v.copy()
             wrong[j] += sign * error
@@ -796,7 +866,7 @@ def test_speeds_and_positions_drift_apart_no_further_than_so_much(sign):
             if gone * 0.5 > most * 1.02:
                 expected = -500.0 * np.log(1.0 - most / (0.5 * gone))
                 assert reason == at.DISAGREE and sensors.memory.culprit == j
-                assert ticks == pytest.approx(expected, rel=0.03)
+                assert ticks == approx(expected, rel=0.03)
             else:
                 assert reason == at.NO_REASON
 

@@ -1,9 +1,7 @@
 """Limit cycles: oscillations of a force that last and that nobody commanded, and what is none."""
 
-from __future__ import annotations
-
 import numpy as np
-import pytest
+from pytest import approx, mark
 
 import osc_contact as osc
 from osc_contact.runs.limit_cycles import find_cycle, worst_cycles
@@ -13,21 +11,21 @@ T = np.arange(4000) * DT
 RNG = np.random.default_rng(1)
 
 
-def sine(frequency: float, amplitude: float = 1.0) -> np.ndarray:
+def sine(frequency, amplitude=1.0):
     return amplitude * np.sin(2 * np.pi * frequency * T)
 
 
-def rings(every: float, frequency: float = 10.0, fading: float = 8.0) -> np.ndarray:
+def rings(every, frequency=10.0, fading=8.0):
     """An oscillation that is struck again and again, as by friction at reversals."""
     since = T % every
     return np.exp(-fading * since) * np.sin(2 * np.pi * frequency * since)
 
 
-def square(frequency: float) -> np.ndarray:
+def square(frequency):
     return np.sign(np.sin(2 * np.pi * frequency * T + 0.1))
 
 
-def band_noise(low: float, high: float) -> np.ndarray:
+def band_noise(low, high):
     spectrum = np.fft.rfft(RNG.normal(size=len(T)))
     f = np.fft.rfftfreq(len(T), DT)
     return np.fft.irfft(np.where((f > low) & (f < high), spectrum, 0.0), len(T))
@@ -55,18 +53,18 @@ OTHERS = {
 }
 
 
-@pytest.mark.parametrize("name", CYCLES)
+@mark.parametrize("name", CYCLES)
 def test_oscillations_that_last_are_found(name):
     found = find_cycle(CYCLES[name], DT, [10.0 + sine(0.5)])
     assert found is not None
     amplitude, frequency = found
-    assert amplitude == pytest.approx(np.median(np.abs(CYCLES[name])) * 1.4, rel=0.6)
+    assert amplitude == approx(np.median(np.abs(CYCLES[name])) * 1.4, rel=0.6)
     if name == "constant":
-        assert amplitude == pytest.approx(1.0, rel=0.05)
-        assert frequency == pytest.approx(9.3, abs=0.2)
+        assert amplitude == approx(1.0, rel=0.05)
+        assert frequency == approx(9.3, abs=0.2)
 
 
-@pytest.mark.parametrize("name", OTHERS)
+@mark.parametrize("name", OTHERS)
 def test_what_does_not_last_is_none(name):
     assert find_cycle(OTHERS[name], DT, [10.0 + sine(0.5)]) is None
 
@@ -78,7 +76,8 @@ def test_what_is_commanded_is_none():
     assert find_cycle(error, DT, [10.0 + sine(4.0, 3.0)]) is None
     assert find_cycle(sine(8.0), DT, [10.0 + sine(4.0, 3.0)]) is None  # as the square of it
     assert find_cycle(error, DT, driven_Hz=[4.0]) is None
-    along, into = np.zeros((len(T), 6)), sine(4.0, 1e-4)
+    along = np.zeros((len(T), 6))
+    into = sine(4.0, 1e-4)
     along[:, 1] = sine(4.0, 0.1)
     assert find_cycle(error, DT, along=along, across=into) is None
     jumps = 1e-3 * along  # the object swings with the force: nobody moves it
@@ -92,7 +91,7 @@ def test_stretches_that_are_not_judged_are_not_joined():
     recording = osc.Recording({"control_rate_hz": 1000.0, "scenario": {}}, channels)
     judged = np.ones((4000, 1), dtype=bool)
     (whole,) = worst_cycles(recording, judged, 0.05)
-    assert whole is not None and whole.relative == pytest.approx(0.1, rel=0.05)
+    assert whole is not None and whole.relative == approx(0.1, rel=0.05)
     gaps = judged.copy()
     gaps[500::900] = False
     assert worst_cycles(recording, gaps, 0.05) == [None]  # less than a second each
@@ -100,7 +99,7 @@ def test_stretches_that_are_not_judged_are_not_joined():
     last = judged.copy()
     last[:2900] = False
     (late,) = worst_cycles(recording, last, 0.05)
-    assert late is not None and late.frequency == pytest.approx(9.0, abs=1.0)
+    assert late is not None and late.frequency == approx(9.0, abs=1.0)
 
 
 #: A part in a soft jig: 10 kN/m along the normal, seen to move, its spring not known.

@@ -1,13 +1,12 @@
 """Internal forces of three or more arms, cut out at the grasps of a full system of equations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_rigs import random_case
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import fixture, mark
 from rigs import contact_of, random_faces
 from test_decoupling import structured
 from test_grasps import forces, moving
@@ -20,7 +19,8 @@ LWA = pin.LOCAL_WORLD_ALIGNED
 
 def bars_of(points):
     """E (3k, bars): unit bar forces on the object, pushing each pair of grasps together."""
-    k, columns = len(points), []
+    k = len(points)
+    columns = []
     for i in range(k):
         for j in range(i + 1, k):
             f = np.zeros((k, 3))
@@ -32,17 +32,19 @@ def bars_of(points):
 
 def cut(case, v, tau, qdd):
     """(k, 3) forces the arms exert at their tips, and these points, from each arm's own motion."""
-    model, data = case.chain.model, case.chain.model.createData()
+    model = case.chain.model
+    data = case.chain.model.createData()
     pin.computeAllTerms(model, data, case.q, v)
     pin.updateFramePlacements(model, data)
-    out, points = [], []
+    out = []
+    points = []
     balance = forces(case, tau) - data.nle - data.M @ qdd
     for arm, (kind, *_), s in zip(case.chain.arms, case.grasps, case.chain.slices, strict=True):
         f = model.getFrameId(f"{arm.name}/{arm.tip}")
         J = pin.getFrameJacobian(model, data, f, LWA)[:, s]
         J = J[:3] if kind == "ball" else J
         wrench, *_ = np.linalg.lstsq(J.T, balance[s], rcond=1e-10)
-        np.testing.assert_allclose(J.T @ wrench, balance[s], atol=1e-6)
+        assert_allclose(J.T @ wrench, balance[s], atol=1e-6)
         out.append(wrench[:3])
         points.append(data.oMf[f].translation.copy())
     return np.array(out), np.array(points)
@@ -50,7 +52,8 @@ def cut(case, v, tau, qdd):
 
 def mobility(arm, metric):
     """Singular values of √(object inertia / arm inertia), descending; metric (6, 6): the object."""
-    L, K = np.linalg.cholesky(metric), np.linalg.cholesky(arm.M)
+    L = np.linalg.cholesky(metric)
+    K = np.linalg.cholesky(arm.M)
     A = L.T @ np.linalg.solve(K, arm.J.T).T
     if arm.N.shape[1] < 6:
         A = np.linalg.qr(np.linalg.solve(L, arm.N))[0].T @ A
@@ -69,7 +72,8 @@ def settable_bars(state, chain):
 
     Left out are dependent bars, what the arms' structure carries, what no torques in null(G) make.
     """
-    tolerance, root = chain.rank_tolerance, np.sqrt(chain.reference.inertia.mass)
+    tolerance = chain.rank_tolerance
+    root = np.sqrt(chain.reference.inertia.mass)
     with np.errstate(invalid="ignore"):
         E = np.nan_to_num(bars_of(state.grasp_points))  # no bar between grasps in one place
     share = np.split(np.linalg.pinv(E, rcond=tolerance), len(chain.arms), axis=1)
@@ -94,8 +98,11 @@ def settable_bars(state, chain):
 def cases(rng, count, arms, kinds):
     """Random states in contact: (case, state, contact, v, V)."""
     while count:
-        case = random_case([str(rng.choice(["ur5", "panda"])) for _ in range(arms)],
-                           [str(rng.choice(kinds)) for _ in range(arms)], rng)  # fmt: skip
+        case = random_case(
+            [str(rng.choice(["ur5", "panda"])) for _ in range(arms)],
+            [str(rng.choice(kinds)) for _ in range(arms)],
+            rng,
+        )
         pairs = random_faces(case.X_WO, 2, rng)
         try:
             state = case.chain.state(case.q, np.zeros(case.chain.nq), case.X_WO, np.zeros(6))
@@ -126,10 +133,11 @@ def answers(case, state, contact, v, V, commands, rng):
         yield f, points, got.a_object, got.alpha
 
 
-@pytest.mark.parametrize("arms", [3, 4])
+@mark.parametrize("arms", [3, 4])
 def test_each_bar_carries_its_command_and_nothing_else_feels_it(arms):
     """The forces cut at the grasps, projected on the bars; then the motion-inducing rest."""
-    rng, count = np.random.default_rng(70), arms * (arms - 1) // 2
+    rng = np.random.default_rng(70)
+    count = arms * (arms - 1) // 2
     for case, *state in cases(rng, 8, arms, ["rigid", "rigid", "ball"]):
         one, two = rng.normal(size=(2, count)) * 20.0
         commands = (one, two, 7.5, 0.0)
@@ -138,13 +146,13 @@ def test_each_bar_carries_its_command_and_nothing_else_feels_it(arms):
         E = bars_of(points)
         for command, (f, *_) in zip(commands[:3], seen, strict=False):
             t = np.linalg.lstsq(E, f.ravel(), rcond=1e-12)[0]
-            np.testing.assert_allclose(t, command * np.ones(count), atol=1e-7 * 20.0)
+            assert_allclose(t, command * np.ones(count), atol=1e-7 * 20.0)
         for f, _, a, alpha in seen[1:]:
             size = np.abs(seen[0][2]).max()
-            np.testing.assert_allclose(a, seen[0][2], atol=1e-9 * max(size, 1.0))
-            np.testing.assert_allclose(alpha, seen[0][3], atol=1e-9 * np.abs(alpha).max())
+            assert_allclose(a, seen[0][2], atol=1e-9 * max(size, 1.0))
+            assert_allclose(alpha, seen[0][3], atol=1e-9 * np.abs(alpha).max())
             change = f - seen[0][0]
-            np.testing.assert_allclose(change.sum(axis=0), 0.0, atol=1e-7)
+            assert_allclose(change.sum(axis=0), 0.0, atol=1e-7)
 
 
 def test_three_balls_pass_on_the_bars_forces_alone():
@@ -153,7 +161,7 @@ def test_three_balls_pass_on_the_bars_forces_alone():
     for case, *state in cases(rng, 6, 3, ["ball"]):
         one, two = rng.normal(size=(2, 3)) * 20.0
         (f, points, *_), (g, *_) = answers(case, *state, (one, two), rng)
-        np.testing.assert_allclose((g - f).ravel(), bars_of(points) @ (two - one), atol=1e-7)
+        assert_allclose((g - f).ravel(), bars_of(points) @ (two - one), atol=1e-7)
 
 
 def test_dependent_bars_share_and_the_object_does_not_notice():
@@ -162,26 +170,31 @@ def test_dependent_bars_share_and_the_object_does_not_notice():
     for case, *state in cases(rng, 2, 5, ["rigid", "ball"]):
         wanted = rng.normal(size=10) * 20.0
         one, other = answers(case, *state, (wanted, 0.0), rng)
-        (f, points, a, alpha), (_, _, b, beta) = one, other
+        (f, points, a, alpha) = one
+        (_, _, b, beta) = other
         E = bars_of(points)
-        np.testing.assert_allclose(
-            np.linalg.pinv(E) @ f.ravel(), np.linalg.pinv(E) @ (E @ wanted), atol=1e-6
-        )
-        np.testing.assert_allclose(a, b, atol=1e-9 * max(np.abs(a).max(), 1.0))
-        np.testing.assert_allclose(alpha, beta, atol=1e-9 * np.abs(beta).max())
+        assert_allclose(np.linalg.pinv(E) @ f.ravel(), np.linalg.pinv(E) @ (E @ wanted), atol=1e-6)
+        assert_allclose(a, b, atol=1e-9 * max(np.abs(a).max(), 1.0))
+        assert_allclose(alpha, beta, atol=1e-9 * np.abs(beta).max())
 
 
-@pytest.mark.parametrize("arms, kinds, bends, settable", [
-    (["scara"] * 3, ["rigid"] * 3, None, 3), (["3R", "3R", "scara"], ["rigid"] * 3, None, 1),
-    (["ur5"] * 3, ["slide", "cylinder", "rigid"], None, 3), (["3R"] * 3, ["rigid"] * 3, None, 1),
-    (["ur5"] * 3, ["rigid", "rigid", "ball"], [0.0, 0.8, 0.8], 2),
-])  # fmt: skip
+@mark.parametrize(
+    "arms, kinds, bends, settable",
+    [
+        (["scara"] * 3, ["rigid"] * 3, None, 3),
+        (["3R", "3R", "scara"], ["rigid"] * 3, None, 1),
+        (["ur5"] * 3, ["slide", "cylinder", "rigid"], None, 3),
+        (["3R"] * 3, ["rigid"] * 3, None, 1),
+        (["ur5"] * 3, ["rigid", "rigid", "ball"], [0.0, 0.8, 0.8], 2),
+    ],
+)
 def test_what_cannot_be_set_is_left_alone(arms, kinds, bends, settable):
     """Structure, slides and straight arms: fewer combinations, same object.
 
     Tips of planar arms at different heights: of three bars only one combination is horizontal.
     """
-    rng, tried = np.random.default_rng(73), 0
+    rng = np.random.default_rng(73)
+    tried = 0
     for _ in range(6):
         planar = any(arm[0] in "3s" for arm in arms)
         case = random_case(arms, kinds, rng, bends, upright=planar)
@@ -204,7 +217,7 @@ def test_what_cannot_be_set_is_left_alone(arms, kinds, bends, settable):
         assert np.abs(seen[1] - seen[0]).max() < 1e-9 * max(1.0, np.abs(seen[0]).max())
         qdd = state.W @ eta + state.w
         found = levers @ (forces(case, tau) - state.h - state.M @ qdd)
-        np.testing.assert_allclose(basis.T @ found, basis.T @ np.full(3, 30.0), atol=1e-6)
+        assert_allclose(basis.T @ found, basis.T @ np.full(3, 30.0), atol=1e-6)
         tried += 1
     assert tried >= 3
 
@@ -222,20 +235,21 @@ def test_an_arm_without_motors_leaves_two_of_three_combinations():
         state = case.chain.state(case.q, still)
         basis = settable_bars(state, case.chain)[1]
         assert basis.shape == (3, 2)
-        seen, where = [], (case.chain, case.q, still)
+        seen = []
+        where = (case.chain, case.q, still)
         for squeeze in (0.0, 30.0):
             tau = structured(*where, state.b_S, np.zeros(6), squeeze, case.q, state)
             assert np.abs(tau).max() < 1e4
             system = case.system(still, np.zeros(6))
             got = system.solve(forces(case, tau), np.zeros((6, 0)), np.zeros(0))
-            np.testing.assert_allclose(got.a_object, 0.0, atol=1e-7)  # torques: up to 1e4
+            assert_allclose(got.a_object, 0.0, atol=1e-7)  # torques: up to 1e4
             f, points = cut(case, still, tau, got.qdd)
             seen.append(basis.T @ np.linalg.pinv(bars_of(points)) @ f.ravel())
-        np.testing.assert_allclose(seen[1], basis.T @ np.full(3, 30.0), atol=1e-7)
+        assert_allclose(seen[1], basis.T @ np.full(3, 30.0), atol=1e-7)
         assert np.abs(seen[1] - seen[0]).max() > 1.0
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def plate():
     """With gains for one mass."""
     gains = "gains={force: {integral: 10, damping: 3000}}"
@@ -244,7 +258,8 @@ def plate():
 
 def test_commands_by_number_and_by_bar(plate):
     """0 leaves least effort; any other number is meant for every bar."""
-    measurement, reference = plate.plant().measure(), plate.references.at(0.0)
+    measurement = plate.plant().measure()
+    reference = plate.references.at(0.0)
     fast = plate.controller()
     for squeeze in (0.0, 12.0, np.array([5.0, -3.0, 8.0]), np.zeros(3)):
         wanted = replace(reference, squeeze_d=squeeze)
@@ -254,9 +269,9 @@ def test_commands_by_number_and_by_bar(plate):
             least = np.linalg.norm(got / plate.chain.tau_max)
         assert np.linalg.norm(got / plate.chain.tau_max) >= least
         found = fast.result().squeeze
-        np.testing.assert_allclose(found, squeeze * np.ones(3), atol=1e-8, rtol=0)
+        assert_allclose(found, squeeze * np.ones(3), atol=1e-8, rtol=0)
     by_bar = osc.pose_reference([0, 0, 0], squeeze_d=np.array([5.0, -3.0, 8.0])).squeeze_d
-    np.testing.assert_array_equal(by_bar, [5.0, -3.0, 8.0])
+    assert_array_equal(by_bar, [5.0, -3.0, 8.0])
     pair = osc.build_rig(osc.load_scenario("two_contact_rod"))
     two = pair.controller()
     wanted = replace(pair.references.at(0.0), squeeze_d=np.array([5.0]))
@@ -270,7 +285,8 @@ def test_commands_by_number_and_by_bar(plate):
 
 def test_motor_limits_take_it_first(plate):
     """4 kN cannot be had: torques within limits, forces and motion hardly touched, told by bar."""
-    measurement, reference = plate.plant().measure(), plate.references.at(0.0)
+    measurement = plate.plant().measure()
+    reference = plate.references.at(0.0)
     controller = plate.controller()
     controller.tick(measurement, reference)
     squeeze = np.array([4000.0, 100.0, 50.0])
@@ -280,7 +296,7 @@ def test_motor_limits_take_it_first(plate):
     lost = controller.given_up
     assert lost.squeeze.shape == (3,) and lost.squeeze[0] > 1000.0
     assert np.abs(lost.acceleration).max() < 0.1 and np.abs(lost.force).max() < 1.0
-    np.testing.assert_allclose(controller.result().squeeze, squeeze - lost.squeeze, rtol=1e-9)
+    assert_allclose(controller.result().squeeze, squeeze - lost.squeeze, rtol=1e-9)
 
 
 def test_a_squeezed_plate_stays_within_its_limits():
@@ -291,6 +307,6 @@ def test_a_squeezed_plate_stays_within_its_limits():
     for name, force in verdict["force"].items():
         assert force["rms_error_rel"] <= 0.01, name
     assert recording["squeeze"].shape == (len(recording), 3)
-    np.testing.assert_allclose(recording["squeeze"], 10.0, atol=1e-6)
+    assert_allclose(recording["squeeze"], 10.0, atol=1e-6)
     # at first the gaps are zero up to rounding, and the forces rise from zero
     assert recording["closed"][10:].all()

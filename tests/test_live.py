@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import pytest
 import umsgpack
+from pytest import approx, fixture, mark, raises
 from scene_samples import ARMS, BODIES, ENDS, RECORDING, URDF, links
 from tornado.websocket import websocket_connect
 
@@ -32,7 +32,7 @@ TICKS = [{k: v[i] for k, v in RECORDING.channels.items()} for i in range(len(REC
 TICK_S = 1e-3
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def lasting():
     """For tests that leave it as it was."""
     with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as opened:
@@ -41,7 +41,7 @@ def lasting():
         yield opened
 
 
-@pytest.fixture
+@fixture
 def viewer():
     with Viewer(MODULE, (CONTENT, 0.6), rate=60.0) as opened:
         yield opened
@@ -124,9 +124,7 @@ def expected(tick):
     return arm | {"/meshcat/bodies/rod": pin.XYZQUATToSE3(tick["pose"]).homogeneous}
 
 
-def test_browsers_get_the_newest_tick_and_only_when_they_have_drawn_the_last(
-    lasting,
-):
+def test_browsers_get_the_newest_tick_and_only_when_they_have_drawn_the_last(lasting):
     lasting.show(TICKS[0])
 
     async def watch():
@@ -145,13 +143,13 @@ def test_browsers_get_the_newest_tick_and_only_when_they_have_drawn_the_last(
             assert np.allclose(tip[:3, 3], newest["contact_point"][0], atol=1e-6)
             shaft = client.matrices["/meshcat/contacts/left_end/true/shaft"]
             length = np.linalg.norm(shaft[:3, 1]) - shaft[1, 3]
-            assert length == pytest.approx(0.01 * newest["alpha_true"][0], abs=1e-5)
+            assert length == approx(0.01 * newest["alpha_true"][0], abs=1e-5)
             assert client.visible["/meshcat/contacts/left_end/lost"] == (tick == 45)
-            assert picture["y"][2:4] == pytest.approx(newest["alpha_true"], rel=1e-3)
+            assert picture["y"][2:4] == approx(newest["alpha_true"], rel=1e-3)
         for i in range(40):  # it has not said that it is ready
             lasting.show(TICKS[i])
             await asyncio.sleep(0.02)
-        with pytest.raises(TimeoutError):
+        with raises(TimeoutError):
             await client.picture(0.3)
         await client.ready()
         assert (await client.picture())["t"] == TICKS[39]["t"], "what lies between is left out"
@@ -187,7 +185,8 @@ def sockets(pid):
     for fd in os.listdir(f"/proc/{pid}/fd"):
         with contextlib.suppress(FileNotFoundError):  # the folder itself, listed a moment ago
             own.add(os.readlink(f"/proc/{pid}/fd/{fd}").removeprefix("socket:[").removesuffix("]"))
-    opened, listening = [], []
+    opened = []
+    listening = []
     for family in ("tcp", "tcp6", "udp", "udp6"):
         for line in Path(f"/proc/{pid}/net/{family}").read_text().splitlines()[1:]:
             fields = line.split()
@@ -221,7 +220,7 @@ def test_only_a_loopback_socket_is_open(lasting):
     assert listening == [("tcp", f"{loopback}:{port(lasting):04X}")]
     others = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None)}
     for address in others - {"127.0.0.1", "::1"}:
-        with pytest.raises(OSError):
+        with raises(OSError):
             socket.create_connection((address, port(lasting)), timeout=2.0).close()
 
 
@@ -277,7 +276,7 @@ for i in range(20):
     asyncio.run(watch())
 
 
-@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "stopped"])
+@mark.parametrize("blow", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "stopped"])
 def test_a_dead_or_frozen_viewer_is_reported_once_and_never_waited_for(viewer, blow, caplog):
     with caplog.at_level(logging.INFO, "osc_contact.viewer"):
         assert_none_waited(feed(viewer, 0.5))
@@ -327,7 +326,7 @@ def test_at_most_so_many_ticks_per_second_are_sent():
             time.sleep(TICK_S)
         assert 2 <= sent <= 21
     for rate in (0.0, 61.0, float("nan")):
-        with pytest.raises(InvalidInputError, match="1 to 60"):
+        with raises(InvalidInputError, match="1 to 60"):
             Viewer(MODULE, (), rate=rate)
 
 
@@ -337,7 +336,8 @@ def test_the_server_ends_with_the_program_however_that_ends():
         "print(viewer._process.pid, flush=True); os._exit(7)"
     )
     assert done.returncode == 7, done.stderr
-    pid, end = int(done.stdout), time.monotonic() + 10.0
+    pid = int(done.stdout)
+    end = time.monotonic() + 10.0
     while Path(f"/proc/{pid}").exists():
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
         if state == "Z":
@@ -347,9 +347,9 @@ def test_the_server_ends_with_the_program_however_that_ends():
 
 
 def test_a_viewer_that_cannot_start_says_why():
-    with pytest.raises(ViewerError, match=r"does not start: .*no_such_module"):
+    with raises(ViewerError, match=r"does not start: .*no_such_module"):
         Viewer("osc_contact.no_such_module", ())
-    with pytest.raises(ViewerError, match="does not start: ValueError: not enough values"):
+    with raises(ViewerError, match="does not start: ValueError: not enough values"):
         Viewer(MODULE, (CONTENT,))
 
 

@@ -1,12 +1,11 @@
 """The control loop: hardware without a truth, judges, own controllers, recorders without end."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import islice
 
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 from osc_contact.runs.run import start
@@ -16,7 +15,9 @@ EXTRA = {"tick_s"}  # differs from run to run
 
 
 def rig_of(plant, *changes):
-    return osc.build_rig(osc.load_scenario("two_contact_rod", [f"plant.type={plant}", *changes]))
+    step = "1 ms" if plant == "rigid" else "0.25 ms"
+    kind = [f"plant.type={plant}", f"plant.step={step}"]
+    return osc.build_rig(osc.load_scenario("two_contact_rod", [*kind, *changes]))
 
 
 def plan(rig, ticks=TICKS):
@@ -27,8 +28,10 @@ class Hardware:
     """A robot as a driver offers it: no truth, no start to choose; a plant plays the machine."""
 
     def __init__(self, plant, broken_at=None):
-        self._plant, self.broken_at = plant, broken_at
-        self.sent, self.stopped = [], 0
+        self._plant = plant
+        self.broken_at = broken_at
+        self.sent = []
+        self.stopped = 0
 
     def measure(self):
         return self._plant.measure()
@@ -43,22 +46,24 @@ class Hardware:
         self.stopped += 1
 
 
-@pytest.mark.parametrize("name", ["rigid", "mujoco"])
+@mark.parametrize("name", ["rigid", "mujoco"])
 def test_a_plant_in_the_loop_leaves_what_run_leaves(name):
     rig = rig_of(name)
     plant, controller = start(rig)
     recorder = osc.Recorder(controller, plant, subject=rig.subject(controller))
     osc.run_loop(plant, controller, plan(rig), recorder=recorder)
-    ours, run = recorder.recording(), osc.run(rig.scenario, duration=TICKS * 1e-3)
+    ours = recorder.recording()
+    run = osc.run(rig.scenario, duration=TICKS * 1e-3)
     assert ours.channels.keys() == run.channels.keys()
     for channel in set(run.channels) - EXTRA:
-        np.testing.assert_array_equal(ours[channel], run[channel], err_msg=channel)
+        assert_array_equal(ours[channel], run[channel], err_msg=channel)
 
 
 def test_hardware_without_a_truth_leaves_a_recording():
     rig = rig_of("rigid")
     plant, controller = start(rig)
-    robot, truths = Hardware(plant), []
+    robot = Hardware(plant)
+    truths = []
 
     class Both(osc.Recorder):
         def append(self, *tick):
@@ -70,19 +75,19 @@ def test_hardware_without_a_truth_leaves_a_recording():
     found = recorder.recording({"where": "cell 3"})
     assert robot.stopped == 1 and len(robot.sent) == TICKS
     assert "alpha_true" not in found and found.meta["where"] == "cell 3"
-    np.testing.assert_array_equal(found["tau"], [tau for tau, _ in robot.sent])
+    assert_array_equal(found["tau"], [tau for tau, _ in robot.sent])
     assert {duration for _, duration in robot.sent} == {1e-3}
     position = [truth.X_WO.translation for truth in truths]
-    np.testing.assert_allclose(found["pose"][:, :3], position, atol=1e-12)
-    np.testing.assert_allclose(found["twist"], [truth.V_O for truth in truths], atol=1e-9)
+    assert_allclose(found["pose"][:, :3], position, atol=1e-12)
+    assert_allclose(found["twist"], [truth.V_O for truth in truths], atol=1e-9)
     alpha = [truth.alpha for truth in truths]  # the forces rise from nothing
-    np.testing.assert_allclose(found["alpha_meas"], alpha, rtol=1e-6, atol=1e-12)
+    assert_allclose(found["alpha_meas"], alpha, rtol=1e-6, atol=1e-12)
     for k in (0, TICKS - 1):
         N = [pair.contact(truths[k].X_WO, np.zeros(6)).N for pair in rig.pairs]
-        np.testing.assert_allclose(found["N"][k], np.hstack(N), atol=1e-12)
-    np.testing.assert_array_equal(found["alpha_cmd"], plan(rig).alpha_d)
+        assert_allclose(found["N"][k], np.hstack(N), atol=1e-12)
+    assert_array_equal(found["alpha_cmd"], plan(rig).alpha_d)
     assert found["closed"].all() and found.magnitude_names == ["left_end", "right_end"]
-    with pytest.raises(osc.RecordingError, match="no judge took part"):
+    with raises(osc.RecordingError, match="no judge took part"):
         osc.metrics(found)
 
 
@@ -91,17 +96,19 @@ def test_measured_faces_take_part_without_a_judge():
     plant, controller = start(rig)
     recorder = osc.Recorder(controller, subject=rig.subject(controller))
     osc.run_loop(Hardware(plant), controller, plan(rig), recorder=recorder)
-    ours, run = recorder.recording(), osc.run(rig.scenario, duration=TICKS * 1e-3)
+    ours = recorder.recording()
+    run = osc.run(rig.scenario, duration=TICKS * 1e-3)
     for channel in ("face_pose", "N", "contact_point", "pose"):
-        np.testing.assert_allclose(ours[channel], run[channel], atol=1e-9, err_msg=channel)
+        assert_allclose(ours[channel], run[channel], atol=1e-9, err_msg=channel)
     assert np.ptp(ours["face_pose"][:, 0, :3], axis=0).max() > 1e-7
 
 
 def test_the_robot_is_stopped_when_the_loop_ends_badly():
     rig = rig_of("rigid")
     plant, controller = start(rig)
-    robot, recorder = Hardware(plant, broken_at=5), osc.Recorder(controller)
-    with pytest.raises(ConnectionError):
+    robot = Hardware(plant, broken_at=5)
+    recorder = osc.Recorder(controller)
+    with raises(ConnectionError):
         osc.run_loop(robot, controller, plan(rig), recorder=recorder)
     assert robot.stopped == 1 and len(recorder.recording()) == 6
 
@@ -129,7 +136,8 @@ def test_ticks_that_are_held_are_recorded_and_do_not_end_the_loop():
 def test_references_may_have_no_end_and_the_controller_may_be_ones_own():
     rig = rig_of("rigid")
     plant, _ = start(rig)
-    asked, shown = [], []
+    asked = []
+    shown = []
 
     class Hold:
         dt = 2e-3
@@ -145,7 +153,7 @@ def test_references_may_have_no_end_and_the_controller_may_be_ones_own():
     robot = Hardware(plant)
     osc.run_loop(robot, Hold(), islice(endless(), 200), progress=shown.append)
     assert len(asked) == 200 and {duration for _, duration in robot.sent} == {2e-3}
-    assert shown == pytest.approx([0.2, 0.4])
+    assert shown == approx([0.2, 0.4])
 
 
 def test_a_viewer_needs_what_is_recorded():
@@ -157,10 +165,13 @@ def test_a_viewer_needs_what_is_recorded():
             seen.append((tick["t"], tick["N"].shape))
 
     seen = []
-    with pytest.raises(osc.InvalidInputError, match="recorder"):
+    with raises(osc.InvalidInputError, match="recorder"):
         osc.run_loop(plant, controller, plan(rig), viewer=Viewer())
     osc.run_loop(
-        Hardware(plant), controller, plan(rig, 3), recorder=osc.Recorder(controller),
+        Hardware(plant),
+        controller,
+        plan(rig, 3),
+        recorder=osc.Recorder(controller),
         viewer=Viewer(),
-    )  # fmt: skip
+    )
     assert seen == [(0.0, (6, 2)), (1e-3, (6, 2)), (2e-3, (6, 2))]

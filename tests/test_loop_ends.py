@@ -1,7 +1,5 @@
 """How `run_loop` ends: the robot is stopped at once and with a reason, by real signals, too."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -13,7 +11,8 @@ from itertools import repeat
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose
+from pytest import fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact.control.status import SafetyState
@@ -28,7 +27,8 @@ class Robot:
     """Notes what it is sent, in order; `at` calls something in a call of a name."""
 
     def __init__(self, **at):
-        self.calls, self.at = [], at
+        self.calls = []
+        self.at = at
 
     def _note(self, name, *given):
         self.calls.append((name, *given))
@@ -55,7 +55,10 @@ class Controller:
     dt = 1e-3
 
     def __init__(self, stops_at=()):
-        self.stops_at, self.ticks, self.state, self.reason = stops_at, 0, SafetyState.RUN, ""
+        self.stops_at = stops_at
+        self.ticks = 0
+        self.state = SafetyState.RUN
+        self.reason = ""
 
     def tick(self, measurement, reference):
         if self.ticks in self.stops_at:
@@ -66,7 +69,7 @@ class Controller:
         return np.array([-1.0 if self.state is SafetyState.SAFE_STOP else 1.0])
 
 
-@pytest.fixture(autouse=True)
+@fixture(autouse=True)
 def usual_handlers():
     """Signals count, though a shell that runs the tests in the background ignores some."""
     usual = signal.default_int_handler, signal.SIG_DFL, signal.SIG_DFL
@@ -94,7 +97,7 @@ def test_a_stop_is_reported_in_its_tick_and_braking_goes_on():
     assert sent == [1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0]
 
 
-@pytest.mark.parametrize("cause", ["lost", "fast"])
+@mark.parametrize("cause", ["lost", "fast"])
 def test_the_reason_is_the_controllers_sentence(cause):
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
     plant, controller = start(rig)
@@ -117,7 +120,8 @@ def test_the_reason_is_the_controllers_sentence(cause):
             self._note("command", float(tau[0]))
             plant.command(tau, duration)
 
-    robot, entered = Faulty(), []
+    robot = Faulty()
+    entered = []
     osc.run_loop(robot, controller, rig.references.each(60, controller.dt))
     assert len(robot.stops) == 2 and robot.stops[1] == ""
     assert entered[0][0] is SafetyState.SAFE_STOP and entered[0][1] <= 1
@@ -133,7 +137,7 @@ def test_a_stop_that_fails_hides_no_error_and_ends_no_braking(caplog):
         raise ConnectionError("the cable is out")
 
     robot = Robot(stop=fail, command=unplug)
-    with pytest.raises(ConnectionError, match="cable") as caught:
+    with raises(ConnectionError, match="cable") as caught:
         osc.run_loop(robot, Controller(), [REFERENCE])
     assert robot.stops == ["ConnectionError: the cable is out"]
     assert any("no brakes" in note for note in caught.value.__notes__)
@@ -144,7 +148,7 @@ def test_a_stop_that_fails_hides_no_error_and_ends_no_braking(caplog):
     osc.run_loop(robot, Controller(stops_at=[1]), repeat(REFERENCE, 3))
     assert robot.stops == ["tick 1: an encoder", ""] and robot.calls[-2] == ("command", -1.0)
 
-    with pytest.raises(OSError, match="no brakes"):  # nothing else went wrong: this is the error
+    with raises(OSError, match="no brakes"):  # nothing else went wrong: this is the error
         osc.run_loop(Robot(stop=fail), Controller(), [REFERENCE])
 
 
@@ -154,18 +158,17 @@ def test_a_driver_whose_stop_takes_no_reason_is_refused_before_it_moves():
             self._note("stop", "")
 
     robot = Old()
-    with pytest.raises(
-        osc.InvalidInputError, match=r'Old takes no reason.*stop\(self, reason=""\)'
-    ):
+    with raises(osc.InvalidInputError, match=r'Old takes no reason.*stop\(self, reason=""\)'):
         osc.run_loop(robot, Controller(), [REFERENCE])
     assert not robot.calls
 
 
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("where", ["measure", "command"])
+@mark.parametrize("number", SIGNALS)
+@mark.parametrize("where", ["measure", "command"])
 def test_a_signal_ends_the_loop_with_the_robot_stopped(number, where):
-    before, robot = handlers(), Robot(**{where: send(number)})
-    with pytest.raises(KeyboardInterrupt if number == signal.SIGINT else SystemExit) as caught:
+    before = handlers()
+    robot = Robot(**{where: send(number)})
+    with raises(KeyboardInterrupt if number == signal.SIGINT else SystemExit) as caught:
         osc.run_loop(robot, Controller(), repeat(REFERENCE))
     assert robot.stops == [signal.Signals(number).name] and robot.calls[-1][0] == "stop"
     assert len(robot.calls) <= 3 and handlers() == before
@@ -177,13 +180,14 @@ def test_a_signal_ends_a_driver_that_waits_for_ever():
     robot = Robot(measure=lambda: time.sleep(60))
     threading.Timer(0.2, send(signal.SIGTERM)).start()
     began = time.perf_counter()
-    with pytest.raises(SystemExit):
+    with raises(SystemExit):
         osc.run_loop(robot, Controller(), repeat(REFERENCE))
     assert robot.stops == ["SIGTERM"] and time.perf_counter() - began < 10
 
 
 def test_no_signal_interrupts_the_record_of_a_tick_or_the_stop():
-    rows, robot = [], Robot()
+    rows = []
+    robot = Robot()
 
     class Records:
         def append(self, *tick):
@@ -195,12 +199,12 @@ def test_no_signal_interrupts_the_record_of_a_tick_or_the_stop():
 
     ended = []
     robot.at["stop"] = lambda: (send(signal.SIGHUP)(), ended.append("whole"))
-    with pytest.raises(SystemExit) as caught:
+    with raises(SystemExit) as caught:
         osc.run_loop(robot, Controller(), repeat(REFERENCE), recorder=Records())
     assert len(rows) == 1 and ended == ["whole"] and robot.stops == ["SIGTERM"]
     assert caught.value.code == 128 + signal.SIGTERM
     robot = Robot(stop=send(signal.SIGTERM))  # after the last reference: kept until it is stopped
-    with pytest.raises(SystemExit):
+    with raises(SystemExit):
         osc.run_loop(robot, Controller(), [REFERENCE])
     assert robot.calls[-1] == ("stop", "")
 
@@ -209,13 +213,14 @@ def test_the_third_signal_ends_a_stop_that_does_not_return():
     robot = Robot(measure=send(signal.SIGTERM))
     robot.at["stop"] = lambda: (send(signal.SIGTERM)(), send(signal.SIGTERM)(), time.sleep(60))
     began = time.perf_counter()
-    with pytest.raises(SystemExit):
+    with raises(SystemExit):
         osc.run_loop(robot, Controller(), [REFERENCE])
     assert time.perf_counter() - began < 10
 
 
 def test_handlers_of_the_program_and_other_threads_are_left_alone():
-    seen, during = [], []
+    seen = []
+    during = []
     before = signal.signal(signal.SIGTERM, lambda number, frame: seen.append(number))
     own = signal.getsignal(signal.SIGTERM)
     try:
@@ -266,7 +271,7 @@ finally:
 """
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@mark.parametrize("number", SIGNALS)
 def test_a_process_that_is_signalled_stops_its_robot_and_keeps_its_recording(number, tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, str(tmp_path)], stderr=subprocess.PIPE, text=True
@@ -283,4 +288,4 @@ def test_a_process_that_is_signalled_stops_its_robot_and_keeps_its_recording(num
     assert (tmp_path / "stops").read_text().split("\n")[:-1] == [signal.Signals(number).name]
     recording = osc.Recording.load(tmp_path / "recording.npz")
     assert len(recording) >= 50 and np.isfinite(recording["tau"]).all()
-    np.testing.assert_allclose(np.diff(recording["t"]), 1e-3, atol=1e-9)
+    assert_allclose(np.diff(recording["t"]), 1e-3, atol=1e-9)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose
+from pytest import mark
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -20,11 +20,13 @@ from osc_contact.law.phases import CLOSED
 RUN, DEGRADED, HOLD, SAFE_STOP = osc.SafetyState
 
 
-def driven(change: Callable[[Measurement, int], Measurement], ticks: int) -> tuple[Run, list[int]]:
+def driven(change, ticks):
     """Main job's rod with changed measurements, and the status of each tick."""
-    run, status = Run(Case()), []
-    seen, measure = Verdict("no fault", run.case), run.robot.measure
-    run.robot.measure = lambda: change(measure(), run.k)  # type: ignore[method-assign]
+    run = Run(Case())
+    status = []
+    seen = Verdict("no fault", run.case)
+    measure = run.robot.measure
+    run.robot.measure = lambda: change(measure(), run.k)
     for _ in range(ticks):
         run.step(seen, None, FAULTS["no fault"])
         status.append(int(run.controller.status))
@@ -32,14 +34,14 @@ def driven(change: Callable[[Measurement, int], Measurement], ticks: int) -> tup
     return run, status
 
 
-def lost(m: Measurement) -> Measurement:
+def lost(m):
     return replace(m, q=m.q * NAN, v=m.v * NAN, wrenches=m.wrenches * NAN)
 
 
-def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault() -> None:
+def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault():
     kept: dict[str, Measurement] = {}
 
-    def half_rate(m: Measurement, k: int) -> Measurement:
+    def half_rate(m, k):
         if k % 2 == 0:
             kept["packet"] = replace(m, sequence=k // 2)
         return kept["packet"]
@@ -50,13 +52,13 @@ def test_a_sensor_at_half_the_rate_makes_no_tick_a_fault() -> None:
     assert run.controller.repeated == 1, "the last packet came twice"
     alpha = run.plant.truth().alpha
     wanted = run.rig.references.at(1.5).alpha_d
-    np.testing.assert_allclose(alpha, wanted, rtol=0.05)
+    assert_allclose(alpha, wanted, rtol=0.05)
 
 
-def test_a_packet_that_repeats_for_longer_than_a_wrench_may_is_a_fault() -> None:
+def test_a_packet_that_repeats_for_longer_than_a_wrench_may_is_a_fault():
     kept: dict[str, Measurement] = {}
 
-    def stands(m: Measurement, k: int) -> Measurement:
+    def stands(m, k):
         if k <= 300:
             kept["packet"] = replace(m, sequence=k)
         return kept["packet"]
@@ -68,34 +70,34 @@ def test_a_packet_that_repeats_for_longer_than_a_wrench_may_is_a_fault() -> None
     assert "engage the mechanical brakes" in run.controller.reason
 
 
-@pytest.mark.parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])
-def test_more_than_half_of_the_ticks_must_not_be_lost_for_long(
-    lost_of: tuple[int, int], stops: bool
-) -> None:
+@mark.parametrize(("lost_of", "stops"), [((1, 2), False), ((2, 3), True), ((19, 20), True)])
+def test_more_than_half_of_the_ticks_must_not_be_lost_for_long(lost_of, stops):
     n, m = lost_of
 
-    def change(measurement: Measurement, k: int) -> Measurement:
+    def change(measurement, k):
         return lost(measurement) if k >= 100 and k % m < n else measurement
 
     run, _ = driven(change, 500)
     assert (run.controller.state is SAFE_STOP) == stops, run.controller.reason
 
 
-def test_arms_whose_wrist_is_frozen_are_held_where_they_are() -> None:
+def test_arms_whose_wrist_is_frozen_are_held_where_they_are():
     """Gravity is 5° off what the controller knows, so that without their encoders arms creep."""
-    run, seen = Run(Case()), Verdict("no fault", Case())
+    run = Run(Case())
+    seen = Verdict("no fault", Case())
     down = run.plant.model.opt.gravity
     down[:] = 9.81 * np.array([np.sin(np.deg2rad(5.0)), 0.0, -np.cos(np.deg2rad(5.0))])
-    measure, kept = run.robot.measure, {}
+    measure = run.robot.measure
+    kept = {}
 
-    def frozen() -> Measurement:
+    def frozen():
         m = measure()
         if run.k >= 300:
             return replace(m, wrenches=kept["wrenches"])
         kept["wrenches"] = m.wrenches
         return m
 
-    run.robot.measure = frozen  # type: ignore[method-assign]
+    run.robot.measure = frozen
     where = {}
     for _ in range(2100):
         run.step(seen, None, FAULTS["no fault"])
@@ -106,7 +108,7 @@ def test_arms_whose_wrist_is_frozen_are_held_where_they_are() -> None:
     assert np.abs(where[2100] - where[1900]).max() < 2e-4, "and not creeping"
 
 
-def test_speeds_estimated_from_encoders_are_no_second_reading_of_them() -> None:
+def test_speeds_estimated_from_encoders_are_no_second_reading_of_them():
     """Masses × 0.8 bias an estimate that trusts the model; no sensor is faulty."""
     scenario = osc.load_scenario(
         "panda_edge",
@@ -122,17 +124,18 @@ def test_speeds_estimated_from_encoders_are_no_second_reading_of_them() -> None:
     assert recording.meta["end_state"] != "SAFE_STOP", recording.meta["end_reason"]
 
 
-def test_contact_is_made_although_every_second_tick_is_lost() -> None:
+def test_contact_is_made_although_every_second_tick_is_lost():
     """Phases advance with what the last computed tick measured."""
-    run, seen = Run(Case("approach", "approach_and_slide", every=2)), Verdict("no fault", Case())
+    run = Run(Case("approach", "approach_and_slide", every=2))
+    seen = Verdict("no fault", Case())
     while run.k < 1500:
         run.step(seen, None, FAULTS["no fault"])
     assert not seen.wrong, seen.wrong
     assert set(run.controller.phases()) == {CLOSED}
-    np.testing.assert_allclose(run.plant.truth().alpha, 10.0, rtol=0.2)
+    assert_allclose(run.plant.truth().alpha, 10.0, rtol=0.2)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("fault", "scenario", "every"),
     [
         ("speeds mirrored", "limited_rod", 0),  # hardly carries its weight, and brakes all the same
@@ -141,7 +144,7 @@ def test_contact_is_made_although_every_second_tick_is_lost() -> None:
         ("encoders stuck, speeds zero", "limited_rod", 2),  # commanded between two readings
     ],
 )
-def test_arms_rest_after_a_fault_that_is_hard_to_find(fault, scenario, every) -> None:
+def test_arms_rest_after_a_fault_that_is_hard_to_find(fault, scenario, every):
     run = Run(Case("contact", scenario, every))
     run.lead_in()
     verdict = run.judge(fault)

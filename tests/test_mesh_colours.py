@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 
 from osc_contact import robots
 from osc_contact.visual.shapes import triangle_colours, vertex_colours
@@ -31,15 +32,16 @@ DAE = """<?xml version="1.0"?>
 </instance_geometry></node></visual_scene></library_visual_scenes>
 </COLLADA>
 """
-RED, BLUE = (0.88, 0.14, 0.14), (0.14, 0.14, 0.88)
+RED = (0.88, 0.14, 0.14)
+BLUE = (0.14, 0.14, 0.88)
 
 
 def test_triangles_have_the_colours_of_their_materials(tmp_path):
     file = tmp_path / "two.dae"
     file.write_text(DAE)
-    np.testing.assert_allclose(triangle_colours(file, 3), [RED, RED, BLUE], atol=1e-12)
+    assert_allclose(triangle_colours(file, 3), [RED, RED, BLUE], atol=1e-12)
     found = vertex_colours(file, np.array([[0, 1, 2], [2, 1, 3], [4, 5, 6]]), 7)
-    np.testing.assert_allclose(found, [RED] * 4 + [BLUE] * 3, atol=1e-6)
+    assert_allclose(found, [RED] * 4 + [BLUE] * 3, atol=1e-6)
 
 
 @pytest.mark.parametrize(

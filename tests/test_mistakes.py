@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-import pytest
+from pytest import mark, raises
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -42,15 +42,15 @@ def on_the_table(pair, *names):
 
 
 def test_pairs_of_ones_own_that_do_not_fit():
-    with pytest.raises(osc.ScenarioError, match=r"Gapless has no gaps; a pair of your own has"):
+    with raises(osc.ScenarioError, match=r"Gapless has no gaps; a pair of your own has"):
         on_the_table(Gapless())
-    with pytest.raises(osc.ScenarioError, match="reverse the sign of N or of gaps"):
+    with raises(osc.ScenarioError, match="reverse the sign of N or of gaps"):
         osc.build_rig(on_the_table(Floor()))
-    with pytest.raises(osc.ScenarioError, match="one column of N"):
+    with raises(osc.ScenarioError, match="one column of N"):
         osc.build_rig(on_the_table(TwoGaps(), "floor.1", "floor.2"))
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("install", "words"),
     [
         (5, "got 5"),
@@ -61,7 +61,7 @@ def test_pairs_of_ones_own_that_do_not_fit():
 )
 def test_what_install_takes(install, words):
     scenario = osc.load_scenario("panda_edge", ["duration=1.1 s"])
-    with pytest.raises(osc.InvalidInputError, match=f"install= takes a function.*{words}"):
+    with raises(osc.InvalidInputError, match=f"install= takes a function.*{words}"):
         osc.run(scenario, install=install)
 
 
@@ -69,20 +69,21 @@ def test_mistakes_of_an_install_are_its_own():
     def install(controller):
         return controller + 1
 
-    with pytest.raises(TypeError, match="unsupported operand"):
+    with raises(TypeError, match="unsupported operand"):
         osc.run(osc.load_scenario("panda_edge"), install=install)
 
 
 def test_one_force_for_two_contacts():
     rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
-    controller, at = rig.controller(), rig.references.at(0.0)
+    controller = rig.controller()
+    at = rig.references.at(0.0)
     controller.tick(rig.plant().measure(), osc.Reference(at.X_WD, alpha_d=10.0))
     assert controller.status is osc.Status.HELD
     assert "1 forces for 2 columns of N; give one for each degree" in controller.reason
 
 
 def test_robots_that_are_nearly_called_so():
-    with pytest.raises(osc.ModelError, match="Did you mean ur10 "):
+    with raises(osc.ModelError, match="Did you mean ur10 "):
         osc.robots.find_robot("ur10e")
 
 
@@ -109,7 +110,8 @@ def test_seeds_find_other_postures():
 def test_inspect_prints_motions_of_a_light_object_in_small_numbers():
     rig = osc.build_rig(osc.load_scenario("panda_edge"))
     rows = call("inspect", "panda_edge")[1].splitlines()
-    numbers = [float(x) for row in rows if "(m/s)" in row or "(rad/s)" in row
-               for x in row.split("│")[2:-1]]  # fmt: skip
+    numbers = [
+        float(x) for row in rows if "(m/s)" in row or "(rad/s)" in row for x in row.split("│")[2:-1]
+    ]
     assert len(numbers) == 30 and max(map(abs, numbers)) == 1.0
     assert np.abs(rig.contact().T).max() > 1.5  # as they are

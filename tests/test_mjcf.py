@@ -1,11 +1,10 @@
 """Arms from MJCF, held to MuJoCo's own numbers and to Pinocchio's reader."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact import robots
@@ -45,7 +44,7 @@ ARM = """
 JOINTS = ["turn", "slide", "bend", "grip"]
 
 
-@pytest.fixture
+@fixture
 def mj():
     return mujoco.MjModel.from_xml_string(ARM)
 
@@ -61,32 +60,34 @@ def at(mj, q, v):
 
 
 def test_mass_matrix_forces_and_frames_are_mujocos(mj):
-    model, rng = robots.load_mjcf(mj, "tip"), np.random.default_rng(0)
+    model = robots.load_mjcf(mj, "tip")
+    rng = np.random.default_rng(0)
     data = model.createData()
     assert list(model.names)[1:] == JOINTS
     for _ in range(5):
-        q, v = rng.uniform(-1, 1, 4), rng.normal(size=4)
+        q = rng.uniform(-1, 1, 4)
+        v = rng.normal(size=4)
         truth, dofs = at(mj, q, v)
         M = np.zeros((mj.nv, mj.nv))
         mujoco.mj_fullM(mj, truth, M)
         pin.computeAllTerms(model, data, q, v)
         pin.updateFramePlacements(model, data)
-        np.testing.assert_allclose(data.M, M[np.ix_(dofs, dofs)], atol=1e-12)
-        np.testing.assert_allclose(data.nle, truth.qfrc_bias[dofs], atol=1e-12)
+        assert_allclose(data.M, M[np.ix_(dofs, dofs)], atol=1e-12)
+        assert_allclose(data.nle, truth.qfrc_bias[dofs], atol=1e-12)
         for name in ("wrist", "tip"):
             X = data.oMf[model.getFrameId(name)]
-            np.testing.assert_allclose(X.translation, truth.site(name).xpos, atol=1e-12)
-            np.testing.assert_allclose(X.rotation.ravel(), truth.site(name).xmat, atol=1e-12)
+            assert_allclose(X.translation, truth.site(name).xpos, atol=1e-12)
+            assert_allclose(X.rotation.ravel(), truth.site(name).xmat, atol=1e-12)
         hand = data.oMf[robots.frame_id(model, "hand")]
-        np.testing.assert_allclose(hand.translation, truth.body("hand").xpos, atol=1e-12)
+        assert_allclose(hand.translation, truth.body("hand").xpos, atol=1e-12)
 
 
 def test_joints_have_the_files_numbers(mj):
     model = robots.load_mjcf(mj, "tip")
-    np.testing.assert_array_equal(model.armature, [0.1, 2.0, 0.1, 0.1])
-    np.testing.assert_array_equal(model.damping, 0.5)
-    np.testing.assert_array_equal(model.upperDryFrictionLimit, 0.2)
-    np.testing.assert_allclose(model.upperEffortLimit[:3], [100.0, 80.0, 30.0])
+    assert_array_equal(model.armature, [0.1, 2.0, 0.1, 0.1])
+    assert_array_equal(model.damping, 0.5)
+    assert_array_equal(model.upperDryFrictionLimit, 0.2)
+    assert_allclose(model.upperEffortLimit[:3], [100.0, 80.0, 30.0])
     assert model.upperEffortLimit[3] > 1e12  # nobody names one
     assert (model.lowerPositionLimit[0], model.upperPositionLimit[1]) == (-2.0, np.inf)
 
@@ -97,9 +98,9 @@ def test_an_arm_has_its_rotors_and_a_link_may_be_called_as_its_joint(tmp_path):
     arm = osc.Arm.from_mjcf(file, name="a", tip="tip", wrist_sensor="wrist")
     chain = osc.ClosedChain([arm])
     assert chain.joint_names == ["a/turn", "a/slide", "a/bend"]  # the finger is locked
-    np.testing.assert_array_equal(chain.model.armature, [0.1, 2.0, 0.1])
+    assert_array_equal(chain.model.armature, [0.1, 2.0, 0.1])
     own = chain.outboard[0][0].inertia
-    assert own.mass == pytest.approx(0.45)  # hand and finger, what MuJoCo's sensor there weighs
+    assert own.mass == approx(0.45)  # hand and finger, what MuJoCo's sensor there weighs
     named = osc.Arm.from_mjcf(file, name="a", tip="turn")
     assert osc.ClosedChain([named]).joint_names == ["a/turn"]
 
@@ -113,42 +114,54 @@ def test_a_urdf_whose_links_are_called_as_its_joints(tmp_path):
     file.write_text(text)
     for locked in ({}, {"joint1": 0.3}):
         arm = osc.Arm.from_urdf(
-            file, name="a", tip="tool", passive_joints=["hinge"], locked=locked,
+            file,
+            name="a",
+            tip="tool",
+            passive_joints=["hinge"],
+            locked=locked,
             wrist_sensor="wrist_sensor",
-        )  # fmt: skip
+        )
         chain = osc.ClosedChain([arm])
         assert chain.nq == 5 - len(locked)
     arm = osc.Arm.from_urdf(file, name="a", tip="joint2")
     assert osc.ClosedChain([arm]).nq == 2
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("old", "new", "says"),
     [
         ('armature="2"', 'armature="2" stiffness="5"', "spring"),
         ('<body name="hand"', '<body name="hand" gravcomp="1"', "gravcomp"),
-        ('<joint name="bend" axis="0 1 0" pos="0.02 0.01 0" ref="0.3"/>', '<joint type="ball"/>',
-         "ball joint"),
+        (
+            '<joint name="bend" axis="0 1 0" pos="0.02 0.01 0" ref="0.3"/>',
+            '<joint type="ball"/>',
+            "ball joint",
+        ),
         ("<worldbody>", "<worldbody><nonsense/>", "MuJoCo refuses"),
     ],
-)  # fmt: skip
+)
 def test_what_the_law_does_not_know_is_refused(tmp_path, old, new, says):
-    file, text = tmp_path / "arm.xml", ARM
+    file = tmp_path / "arm.xml"
+    text = ARM
     if "ball" in new:
-        text = text.replace('<position joint="bend" kp="100" forcelimited="true" '
-                            'forcerange="-30 30"/>', "")  # fmt: skip
-        text = text.replace('<joint name="slide" type="slide" axis="1 0 0" pos="0.1 0 0" '
-                            'ref="0.05" armature="2"/>', "")  # fmt: skip
-        text = text.replace('<motor joint="slide" gear="10" forcelimited="true" '
-                            'forcerange="-8 8"/>', "")  # fmt: skip
+        text = text.replace(
+            '<position joint="bend" kp="100" forcelimited="true" forcerange="-30 30"/>', ""
+        )
+        text = text.replace(
+            '<joint name="slide" type="slide" axis="1 0 0" pos="0.1 0 0" ref="0.05" armature="2"/>',
+            "",
+        )
+        text = text.replace(
+            '<motor joint="slide" gear="10" forcelimited="true" forcerange="-8 8"/>', ""
+        )
     assert old in text
     file.write_text(text.replace(old, new))
-    with pytest.raises(osc.ModelError, match=says):
+    with raises(osc.ModelError, match=says):
         osc.Arm.from_mjcf(file, name="a", tip="tip")
 
 
 def test_names_that_are_not_there_are_told(mj):
-    with pytest.raises(osc.ModelError, match="no body or site 'tipp'"):
+    with raises(osc.ModelError, match="no body or site 'tipp'"):
         osc.Arm.from_mjcf(mj, name="a", tip="tipp")
-    with pytest.raises(osc.InvalidInputError, match="no moving joint matches"):
+    with raises(osc.InvalidInputError, match="no moving joint matches"):
         robots.load_mjcf(mj, "tip", limits={"nobody": robots.JointLimits(effort=1.0)})

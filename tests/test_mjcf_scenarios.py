@@ -1,11 +1,10 @@
 """MJCF arms in scenarios: on both plants, drawn, checked, and refused where joints are coupled."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -107,7 +106,7 @@ def test_a_scenario_takes_an_mjcf_file(tmp_path, tip):
     assert verdict["task"]["word"] == "OK" and verdict["contact_fraction"] == {"ball": 1.0}
     assert verdict["force"]["ball"]["rms_error_rel"] < 0.01
     exact = osc.run(scenario.replaced(plant={"type": "rigid", "step": 1e-3}))
-    np.testing.assert_allclose(exact["alpha_true"][-1], 5.0, rtol=1e-3)
+    assert_allclose(exact["alpha_true"][-1], 5.0, rtol=1e-3)
 
 
 def test_both_plants_accelerate_an_arm_from_mjcf_alike(tmp_path):
@@ -123,16 +122,18 @@ def test_both_plants_accelerate_an_arm_from_mjcf_alike(tmp_path):
             "plant.step=0.05 ms",
         ],
     )
-    rigs = [osc.build_rig(scenario),
-            osc.build_rig(scenario.replaced(plant={"type": "rigid", "step": 5e-5}))]  # fmt: skip
+    rigs = [
+        osc.build_rig(scenario),
+        osc.build_rig(scenario.replaced(plant={"type": "rigid", "step": 5e-5})),
+    ]
     moved = []
     for rig in rigs:
         plant = rig.plant()
         plant.command(np.zeros(4), 0.02)
         moved.append(plant.measure())
-    np.testing.assert_allclose(moved[0].q, moved[1].q, atol=1.5e-5)
+    assert_allclose(moved[0].q, moved[1].q, atol=1.5e-5)
     assert np.abs(moved[0].q - rigs[0].q_start).max() > 1e-3
-    np.testing.assert_allclose(moved[0].wrenches, moved[1].wrenches, atol=0.05)
+    assert_allclose(moved[0].wrenches, moved[1].wrenches, atol=0.05)
 
 
 def test_its_shapes_are_drawn_where_mujoco_has_them(tmp_path):
@@ -140,7 +141,8 @@ def test_its_shapes_are_drawn_where_mujoco_has_them(tmp_path):
     model, geometry = mjcf_geometry(tmp_path / "arm.xml", "tip")
     assert len(geometry.geometryObjects) == 8  # of the arm, not of what lies beside it
     mj = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
-    data, mine = mujoco.MjData(mj), model.createData()
+    data = mujoco.MjData(mj)
+    mine = model.createData()
     q = np.array([*scenario.arms[0].posture, 0.01])
     for name, x in zip(list(model.names)[1:], q, strict=True):
         data.qpos[int(mj.joint(name).qposadr[0])] = x
@@ -148,7 +150,7 @@ def test_its_shapes_are_drawn_where_mujoco_has_them(tmp_path):
     pin.forwardKinematics(model, mine, q)
     for shape in geometry.geometryObjects:
         g = int(shape.name.removeprefix("geom"))
-        np.testing.assert_allclose(
+        assert_allclose(
             (mine.oMi[shape.parentJoint] * shape.placement).translation,
             data.geom_xpos[g],
             atol=1e-9,

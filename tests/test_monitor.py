@@ -1,11 +1,10 @@
 """Contact or not, collision or not: the monitor on signals whose story is known."""
 
-from __future__ import annotations
-
 from dataclasses import FrozenInstanceError
 
 import numpy as np
-import pytest
+from numpy.testing import assert_array_equal
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact.control.monitor import ContactMonitor, watch_series
@@ -59,8 +58,10 @@ def test_a_short_gap_is_not_a_lost_contact_and_a_long_one_is():
 
 
 def test_one_long_burst_of_power_is_one_collision():
-    alpha, speed = np.zeros(100), np.zeros(100)
-    alpha[20:], speed[20:60] = 10.0, 0.02
+    alpha = np.zeros(100)
+    speed = np.zeros(100)
+    alpha[20:] = 10.0
+    speed[20:60] = 0.02
     _, collisions = told(alpha, speed)
     assert collisions.tolist() == [20]
 
@@ -79,20 +80,20 @@ def test_contacts_are_judged_one_by_one():
 
 
 def test_thresholds_without_hysteresis_are_refused():
-    with pytest.raises(osc.InvalidInputError, match="above force_off"):
+    with raises(osc.InvalidInputError, match="above force_off"):
         MonitorLimits(force_on=0.4, force_off=0.4)
 
 
-@pytest.mark.parametrize("power", [0.0, -0.05])
+@mark.parametrize("power", [0.0, -0.05])
 def test_a_power_that_is_no_threshold_is_refused(power):
-    with pytest.raises(osc.InvalidInputError, match="power: must be > 0"):
+    with raises(osc.InvalidInputError, match="power: must be > 0"):
         MonitorLimits(power=power)
 
 
 def test_what_was_said_is_not_changed_afterwards():
     said = ContactMonitor(1, DT).update(np.zeros(1), np.zeros(1))
     for name in ("closed", "collision"):
-        with pytest.raises(FrozenInstanceError):
+        with raises(FrozenInstanceError):
             setattr(said, name, None)
 
 
@@ -109,8 +110,8 @@ def test_a_run_sees_contact_being_made_after_the_tare():
     assert recording["contact_seen"][t > 0.7].all()
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_series_is_watched_as_tick_by_tick(seed: int) -> None:
+@mark.parametrize("seed", range(4))
+def test_a_series_is_watched_as_tick_by_tick(seed):
     """Ticks that are passed over tell nothing new: contacts lost and made again, with bursts."""
     rng = np.random.default_rng(seed)
     alpha = np.repeat(rng.choice([8.0, 0.0, 0.45, 3.0], (60, 2)), rng.integers(1, 40, 60), axis=0)
@@ -119,6 +120,6 @@ def test_a_series_is_watched_as_tick_by_tick(seed: int) -> None:
     closed, collision = watch_series(ContactMonitor(2, DT), alpha, speed)
     other = ContactMonitor(2, DT)
     seen = [other.update(a, v) for a, v in zip(alpha, speed, strict=True)]
-    np.testing.assert_array_equal(closed, [one.closed for one in seen])
-    np.testing.assert_array_equal(collision, [one.collision for one in seen])
+    assert_array_equal(closed, [one.closed for one in seen])
+    assert_array_equal(collision, [one.collision for one in seen])
     assert collision.any() and not closed.all() and closed.any()

@@ -2,9 +2,10 @@
 
 import av
 import numpy as np
-import pytest
 from headless import Browser, near
+from numpy.testing import assert_allclose
 from PIL import Image, ImageSequence
+from pytest import approx, fixture, raises
 from scene_samples import ENDS, write
 
 from osc_contact.errors import ViewerError
@@ -15,12 +16,12 @@ from osc_contact.visual.marks import T_COLOUR
 SIZE = (320, 300)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def page(tmp_path_factory):
     return write(tmp_path_factory.mktemp("m"), fps=30)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def gif(page):
     path = write_gif(page, page.with_suffix(".gif"), 0.0, 1.0, SIZE, most=6)
     with Image.open(path) as picture:
@@ -32,9 +33,9 @@ def gif(page):
 def test_frames_are_of_equal_steps_and_play_in_real_time():
     times, shown = moments(2.0, 4.0)
     assert len(times) == 24 and shown == 80
-    np.testing.assert_allclose(times, 2.0 + np.arange(24) / 12.0)
+    assert_allclose(times, 2.0 + np.arange(24) / 12.0)
     times, shown = moments(0.0, 60.0)
-    assert len(times) * shown == pytest.approx(10_000, rel=0.1), "faster, in 10 s"
+    assert len(times) * shown == approx(10_000, rel=0.1), "faster, in 10 s"
 
 
 def test_a_gif_shows_arm_arrows_curves_and_the_marker_at_its_times(gif):
@@ -55,7 +56,7 @@ def test_a_video_decodes_to_the_frames_of_the_gif(page, gif):
         (stream,) = video.streams
         assert (stream.codec.name, stream.pix_fmt) == ("h264", "yuv420p")
         assert (stream.width, stream.height, stream.average_rate) == (*SIZE, 25)
-        assert float(stream.duration * stream.time_base) == pytest.approx(1.0)
+        assert float(stream.duration * stream.time_base) == approx(1.0)
         frames = [f.to_ndarray(format="rgb24").astype(int) for f in video.decode(stream)]
     assert len(frames) == 25
     off = [np.abs(frame - gif[3]).mean() for frame in frames]  # at 0.5 s
@@ -88,7 +89,7 @@ def test_cameras_look_from_where_they_say(page):
         assert names == ["whole", "contacts", "from above", "other side"]
         drawn = browser.run(EYE)  # placed by drawing commands, not by the page's list
         browser.run("element('camera').dispatchEvent(new Event('change'))")
-        np.testing.assert_allclose(browser.run(EYE), drawn, atol=1e-5)
+        assert_allclose(browser.run(EYE), drawn, atol=1e-5)
         eyes = {}
         for place, name in enumerate(names):
             browser.run(
@@ -107,10 +108,10 @@ def test_cameras_look_from_where_they_say(page):
             assert np.abs(np.array(ends)[:, :2]).max() < 1, f"{name} sees both contacts"
         assert browser.errors == []
     high = {name: eye[1] / np.linalg.norm(eye) for name, eye in eyes.items()}
-    assert high["from above"] > 0.99 and high["whole"] == pytest.approx(np.sin(np.deg2rad(28)))
+    assert high["from above"] > 0.99 and high["whole"] == approx(np.sin(np.deg2rad(28)))
     assert np.linalg.norm(eyes["contacts"]) < np.linalg.norm(eyes["whole"])
     flat = [eyes[name][[0, 2]] / np.linalg.norm(eyes[name][[0, 2]]) for name in names]
-    np.testing.assert_allclose(flat[3], -flat[0], atol=1e-6)
+    assert_allclose(flat[3], -flat[0], atol=1e-6)
 
 
 def test_a_page_whose_script_fails_gives_no_gif(page, tmp_path):
@@ -119,6 +120,6 @@ def test_a_page_whose_script_fails_gives_no_gif(page, tmp_path):
     broken.write_text(
         text.replace("function seek(time) {", "function seek(time) { if (player.ready) throw 1;")
     )
-    with pytest.raises(ViewerError, match="a script of the page failed"):
+    with raises(ViewerError, match="a script of the page failed"):
         write_gif(broken, tmp_path / "x.gif", 0.0, 1.0, SIZE, most=2)
     assert [p.name for p in tmp_path.iterdir()] == ["broken.html"]

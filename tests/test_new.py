@@ -1,10 +1,9 @@
 """`osc-contact new`: a scenario for any arm, which runs and is OK."""
 
-from __future__ import annotations
-
 import numpy as np
-import pytest
 import yaml
+from numpy.testing import assert_allclose
+from pytest import approx, mark
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -22,7 +21,7 @@ ARMS = {
     "baxter": ("left_gripper", "Z=10"),
     "tiago_pro": ("arm_left_tool_link", "Z=10"),
     "talos_left_arm": ("wrist_left_ft_tool_link", "Z=10"),
-}  # fmt: skip
+}
 
 
 def new(*words):
@@ -32,7 +31,7 @@ def new(*words):
     return result
 
 
-@pytest.mark.parametrize("robot", ARMS)
+@mark.parametrize("robot", ARMS)
 def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
     tip, press = ARMS[robot]
     file = tmp_path / "my.yaml"
@@ -44,12 +43,12 @@ def test_what_it_writes_runs_and_is_ok(robot, tmp_path):
     verdict = osc.metrics(osc.run(scenario, seed=1))
     assert verdict["task"]["word"] == "OK" and verdict["contact_fraction"] == {"ball": 1.0}
     wanted = Press.parse(press)
-    assert verdict["force"]["ball"]["mean_command_N"] == pytest.approx(wanted.force)
+    assert verdict["force"]["ball"]["mean_command_N"] == approx(wanted.force)
     assert verdict["force"]["ball"]["rms_error_rel"] < 0.05
     chain = rig.chain
     chain.state(rig.q_contact, np.zeros(chain.nq))
     pressed = chain.tip_poses()[0].rotation @ np.array(wanted.axis)
-    np.testing.assert_allclose(pressed, -np.array(scenario.contacts[0].face.normal), atol=1e-4)
+    assert_allclose(pressed, -np.array(scenario.contacts[0].face.normal), atol=1e-4)
 
 
 def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path):
@@ -63,20 +62,14 @@ def test_the_command_line_runs_what_it_wrote_and_keeps_files_of_others(tmp_path)
     assert done.exit_code == 0 and "verdict: OK" in done.stdout
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("words", "said"),
     [
         (("--robot", "ur10", "--press", "W=3"), "an axis of the tip and newtons, such as Z=15"),
         (("--robot", "ur10", "--press", "Z=-3"), "an axis of the tip and newtons"),
         (("--robot", "ur10", "--press", "Z=5000"), "times their limits"),
         (("--robot", "ur10", "--posture", "1, 2"), "2 numbers for 6 joints"),
-        (
-            (
-                "--robot",
-                "ur11",
-            ),
-            "no robot 'ur11'",
-        ),
+        (("--robot", "ur11"), "no robot 'ur11'"),
         (("--robot", "panda"), "has 3 ends"),
     ],
 )
@@ -96,4 +89,4 @@ def test_a_plane_wall_has_an_exact_normal():
     assert sorted(np.abs(normal)) == [0.0, 0.0, 1.0]
     slanted = yaml.safe_load(_text("ur10", arm, Press.parse("Z=15"), q + 0.3))
     normal = np.array(slanted["contacts"][0]["face"]["normal"])
-    assert np.linalg.norm(normal) == pytest.approx(1.0, abs=1e-6) and np.abs(normal).min() > 1e-3
+    assert np.linalg.norm(normal) == approx(1.0, abs=1e-6) and np.abs(normal).min() > 1e-3

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import jupytext
 import nbclient
-import nbformat
 import pytest
 
 from osc_contact.visual.page import embed
@@ -15,7 +14,7 @@ from osc_contact.visual.page import embed
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.py"))
 
 
-def execute(notebook: nbformat.NotebookNode, folder: Path) -> nbformat.NotebookNode:
+def execute(notebook, folder):
     """Run all cells in a new kernel whose working folder is `folder`; raises on the first error."""
     client = nbclient.NotebookClient(
         notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": str(folder)}}
@@ -23,7 +22,7 @@ def execute(notebook: nbformat.NotebookNode, folder: Path) -> nbformat.NotebookN
     return client.execute()
 
 
-def printed(notebook: nbformat.NotebookNode) -> str:
+def printed(notebook):
     return "".join(
         output.text
         for cell in notebook.cells
@@ -32,18 +31,18 @@ def printed(notebook: nbformat.NotebookNode) -> str:
     )
 
 
-def test_notebooks_are_numbered() -> None:
+def test_notebooks_are_numbered():
     assert [path.stem[:3] for path in NOTEBOOKS] == ["01_", "02_", "03_", "04_", "05_"]
 
 
-def test_a_page_is_embedded_whole(tmp_path: Path) -> None:
+def test_a_page_is_embedded_whole(tmp_path):
     page = '<!DOCTYPE html>\n<p title="a & b">it\'s "here"</p>\n'
     (tmp_path / "page.html").write_text(page, encoding="utf-8")
     shown = embed(tmp_path / "page.html", height=321)
     found: dict[str, str | None] = {}
 
     class Reader(HTMLParser):
-        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        def handle_starttag(self, tag, attrs):
             found[tag] = dict(attrs).get("srcdoc")
 
     Reader().feed(shown._repr_html_())
@@ -52,7 +51,7 @@ def test_a_page_is_embedded_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs(path: Path, tmp_path: Path) -> None:
+def test_notebook_runs(path, tmp_path):
     notebook = execute(jupytext.read(path), tmp_path)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert code and all(cell.execution_count for cell in code)
@@ -67,12 +66,16 @@ def test_notebook_runs(path: Path, tmp_path: Path) -> None:
         output for cell in code for output in cell.outputs if "image/png" in output.get("data", {})
     ]
     assert len(pictures) >= path.read_text(encoding="utf-8").count("plots.contact_forces(")
-    shown = [output.data.get("text/html", "") for cell in code for output in cell.outputs[-1:]
-             if "data" in output]  # fmt: skip
+    shown = [
+        output.data.get("text/html", "")
+        for cell in code
+        for output in cell.outputs[-1:]
+        if "data" in output
+    ]
     assert sum("MeshCat" in page and page.startswith("<iframe") for page in shown) == 1
 
 
-def test_an_error_in_a_cell_fails(tmp_path: Path) -> None:
+def test_an_error_in_a_cell_fails(tmp_path):
     notebook = jupytext.reads("# %%\nprint('before')\n\n# %%\n1 / 0\n", fmt="py:percent")
     with pytest.raises(nbclient.exceptions.CellExecutionError, match="ZeroDivisionError"):
         execute(notebook, tmp_path)

@@ -1,12 +1,11 @@
 """Lists, single precision and strided arrays: the numbers of a tick, whatever they come in."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_array_equal
+from pytest import fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
@@ -22,7 +21,7 @@ KINDS = {
 }
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def rig():
     return osc.build_rig(osc.load_scenario("two_contact_rod", ["plant.type=rigid"]))
 
@@ -46,18 +45,20 @@ def rounded(measurement, reference):
     ]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("sequence", [False, True])
+@mark.parametrize("kind", KINDS)
+@mark.parametrize("sequence", [False, True])
 def test_other_arrays_are_found_out_once_and_give_the_same_torques(
     rig, monkeypatch, kind, sequence
 ):
     """The refusal of arrays by the compiled law costs as much as dozens of ticks: it comes once."""
-    plant, refused = rig.plant(), []
+    plant = rig.plant()
+    refused = []
     convert = Controller._convert
     monkeypatch.setattr(
         Controller, "_convert", lambda self, *args: (refused.append(args), convert(self, *args))[1]
     )
-    usual, other = rig.controller(), rig.controller()
+    usual = rig.controller()
+    other = rig.controller()
     for k in range(20):
         measurement, reference = rounded(plant.measure(), rig.references.at(k * DT))
         if sequence:
@@ -65,7 +66,7 @@ def test_other_arrays_are_found_out_once_and_give_the_same_torques(
         want = usual.tick(measurement, reference)
         tau = other.tick(*of_kind(kind, measurement, reference))
         assert other.status is usual.status, other.reason
-        np.testing.assert_array_equal(tau, want)
+        assert_array_equal(tau, want)
         assert np.array_equal(usual.motion_integral, other.motion_integral)
         plant.command(want, DT)
     assert usual.status is osc.Status.OK
@@ -73,7 +74,8 @@ def test_other_arrays_are_found_out_once_and_give_the_same_torques(
 
 
 def test_arrays_of_the_usual_kind_meet_no_conversion(rig):
-    controller, plant = rig.controller(), rig.plant()
+    controller = rig.controller()
+    plant = rig.plant()
     controller.tick(plant.measure(), rig.references.at(0.0))
     assert not controller._converting
     copy = controller.with_gains(rig.gains)
@@ -83,7 +85,8 @@ def test_arrays_of_the_usual_kind_meet_no_conversion(rig):
 
 
 def test_a_list_of_wrong_length_is_still_refused(rig):
-    controller, plant = rig.controller(), rig.plant()
+    controller = rig.controller()
+    plant = rig.plant()
     measurement, reference = of_kind("lists", plant.measure(), rig.references.at(0.0))
     controller.tick(measurement, reference)
     assert controller.status is osc.Status.OK
@@ -102,27 +105,29 @@ def test_a_list_of_wrong_length_is_still_refused(rig):
 
 def test_a_plain_number_is_the_force_of_the_only_contact():
     rig = osc.build_rig(osc.load_scenario("panda_edge"))
-    measurement, at = rig.plant().measure(), rig.references.at(0.0)
+    measurement = rig.plant().measure()
+    at = rig.references.at(0.0)
     assert at.alpha_d.shape == (1,)
     want = rig.controller().tick(measurement, at)
     number = float(at.alpha_d[0])
     controller = rig.controller()
     tau = controller.tick(measurement, replace(at, alpha_d=number))
     assert controller.status is osc.Status.OK, controller.reason
-    np.testing.assert_array_equal(tau, want)
+    assert_array_equal(tau, want)
     X = at.X_WD
     made = osc.pose_reference(X.translation, X.rotation, alpha_d=number)
-    np.testing.assert_array_equal(made.alpha_d, at.alpha_d)
+    assert_array_equal(made.alpha_d, at.alpha_d)
 
 
 def test_the_gap_of_gap_functions_may_be_a_plain_number():
-    X, V = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.02])), np.zeros(6)
+    X = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.02]))
+    V = np.zeros(6)
     many = osc.GapFunctions(lambda X: X.translation[2:]).contact(X, V)
     one = osc.GapFunctions(lambda X: X.translation[2]).contact(X, V)
-    np.testing.assert_array_equal(one.N, many.N)
+    assert_array_equal(one.N, many.N)
     assert one.N.shape == (6, 1)
 
 
 def test_a_plain_number_is_no_vector_of_a_given_size():
-    with pytest.raises(osc.InvalidInputError, match=r"V_D: expected shape \(6\), got \(\)"):
+    with raises(osc.InvalidInputError, match=r"V_D: expected shape \(6\), got \(\)"):
         as_array("V_D", 1.0, (6,))

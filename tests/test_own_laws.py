@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import fixture, mark, raises
 from test_commands import by_definition
 
 import osc_contact as osc
 from osc_contact.control.custom_laws import Laws, force_law, friction_wrenches, motion_law
-from osc_contact.control.signals import Signals
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Touched
 from osc_contact.plants.rigid import RigidPlant
@@ -20,8 +20,8 @@ from osc_contact.scenarios.control_schema import Friction
 from osc_contact.spatial import classical_to_spatial, pose_error
 
 
-@pytest.fixture(scope="module")
-def rig() -> osc.Rig:
+@fixture(scope="module")
+def rig():
     changes = ["plant.type=rigid", "plant.step=2 ms", "control.rate=500 Hz"]
     return osc.build_rig(osc.load_scenario("two_contact_rod", changes))
 
@@ -31,43 +31,42 @@ class Seen:
 
     made: ClassVar[list[Seen]] = []
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.calls: list[tuple[np.ndarray, np.ndarray]] = []
         Seen.made.append(self)
 
-    def __call__(self, desired: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    def __call__(self, desired, measured):
         self.calls.append((desired, measured))
         return desired + [1.0, -2.0]
 
 
-def test_the_plant_answers_what_the_law_commands(rig: osc.Rig) -> None:
+def test_the_plant_answers_what_the_law_commands(rig):
     """eq. 25: with a sound model the true contact force is what was commanded, whatever the law."""
     controllers = [force_law(Seen)(rig.controller()) for _ in range(2)]
     plant = rig.plant()
     reference = rig.references.at(0.0)
     tau = controllers[0].tick(plant.measure(), reference)
     plant.hold(tau)
-    np.testing.assert_allclose(
-        plant.truth().alpha, np.asarray(reference.alpha_d) + [1.0, -2.0], atol=1e-6
-    )
+    assert_allclose(plant.truth().alpha, np.asarray(reference.alpha_d) + [1.0, -2.0], atol=1e-6)
     first, second = Seen.made[-2:]
     assert len(first.calls) == 1 and not second.calls, "every controller has its own law"
-    np.testing.assert_allclose(first.calls[0][0], reference.alpha_d)
+    assert_allclose(first.calls[0][0], reference.alpha_d)
     assert [b.name for b in controllers[0].wiring()].count("own force law") == 1
     built_in = rig.controller()
     assert "own force law" not in [b.name for b in built_in.wiring()]
 
 
-@pytest.mark.parametrize("bad", [[1.0], [1.0, np.nan], [[1.0, 2.0]]])
-def test_a_law_that_returns_nonsense_holds_the_torques(rig: osc.Rig, bad: list[float]) -> None:
-    plant, reference = rig.plant(), rig.references.at(0.0)
+@mark.parametrize("bad", [[1.0], [1.0, np.nan], [[1.0, 2.0]]])
+def test_a_law_that_returns_nonsense_holds_the_torques(rig, bad):
+    plant = rig.plant()
+    reference = rig.references.at(0.0)
     controller = force_law(lambda: lambda desired, measured: bad)(rig.controller())
     tau = controller.tick(plant.measure(), reference)
     assert np.isfinite(tau).all() and controller.status is osc.Status.HELD
     assert "return 2 finite numbers" in controller.reason
 
 
-def paper(s: Signals) -> tuple[np.ndarray, np.ndarray]:
+def paper(s):
     """Motion filter and control structure, eqs. 24 and 21, in NumPy."""
     commands = s.state, s.contact, s.a_u, s.alpha_u, "object"
     return by_definition(*commands, s.environment, s.friction_wrenches)
@@ -76,21 +75,21 @@ def paper(s: Signals) -> tuple[np.ndarray, np.ndarray]:
 class BuiltIn:
     """The force law of fig. 5, without damping."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.sum = np.zeros(2)
 
-    def __call__(self, desired: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    def __call__(self, desired, measured):
         self.sum = self.sum + 30.0 * 2e-3 * (desired - measured)
         return desired + self.sum
 
 
-def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig: osc.Rig) -> None:
+def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig):
     """One after the other and together, while the plant moves."""
     own = rig.controller().gains.motion.replaced(integral=0.0)
     gains = osc.Gains(own, osc.ForceGains(30.0, 0.0))
     plain = rig.controller().with_gains(gains)
 
-    def motion(reference: osc.Reference, X_WO: pin.SE3, V_O: np.ndarray) -> np.ndarray:
+    def motion(reference, X_WO, V_O):
         error = pose_error(reference.X_WD, X_WO)
         return reference.A_D + own.damping * (reference.V_D - V_O) + own.stiffness * error
 
@@ -105,63 +104,65 @@ def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig: osc.Rig
     ]
     plant = rig.plant()
     for k in range(40):
-        reference, measurement = rig.references.at(2e-3 * k), plant.measure()
+        reference = rig.references.at(2e-3 * k)
+        measurement = plant.measure()
         tau = plain.tick(measurement, reference)
         for other in others:
             got = other.tick(measurement, reference)
             assert other.status is osc.Status.OK, other.reason
-            np.testing.assert_allclose(got, tau, rtol=0, atol=1e-8)
+            assert_allclose(got, tau, rtol=0, atol=1e-8)
         plant.hold(tau)
         plant.command(tau, 2e-3)
     assert np.abs(plain.force_integral).max() > 1e-6
 
 
-def test_the_plant_moves_as_the_motion_law_commands(rig: osc.Rig) -> None:
+def test_the_plant_moves_as_the_motion_law_commands(rig):
     """eq. 24: the free part of the acceleration is that of the law, whatever the law."""
     wanted = np.array([0.3, -0.5, 0.4, 0.2, 0.6, -0.7])
     asked = []
 
-    def law(reference: osc.Reference, X_WO: object, V_O: np.ndarray) -> np.ndarray:
+    def law(reference, X_WO, V_O):
         asked.append((reference, X_WO, V_O))
         return wanted
 
     plant = RigidPlant(rig.chain, rig.pairs, 2e-3)
     plant.reset(rig.q_start)
-    measurement, reference = plant.measure(), rig.references.at(0.0)
+    measurement = plant.measure()
+    reference = rig.references.at(0.0)
     controller = motion_law(lambda: law)(rig.controller())
     tau = controller.tick(measurement, reference)
     assert len(asked) == 1 and asked[0][0] is reference
     signals = controller.signals
     spatial = classical_to_spatial(wanted, signals.state.V_O)
-    np.testing.assert_allclose(signals.a_u, spatial, rtol=0, atol=1e-12)
+    assert_allclose(signals.a_u, spatial, rtol=0, atol=1e-12)
     _, a, _ = plant.accelerations(tau)
-    state, contact = signals.state, signals.contact
+    state = signals.state
+    contact = signals.contact
     free = state.S @ np.linalg.svd(contact.N.T @ state.S)[2][2:].T  # S T: permitted, at rest
     left = free.T @ state.metric
     nearest = np.linalg.solve(left @ free, left @ wanted)
-    np.testing.assert_allclose(a, free @ nearest, atol=1e-9)
+    assert_allclose(a, free @ nearest, atol=1e-9)
     assert [b.name for b in controller.wiring()].count("own motion law") == 1
 
 
-def test_laws_stay_when_gains_change_and_can_be_taken_out_again(rig: osc.Rig) -> None:
-    plant, reference = rig.plant(), rig.references.at(0.0)
+def test_laws_stay_when_gains_change_and_can_be_taken_out_again(rig):
+    plant = rig.plant()
+    reference = rig.references.at(0.0)
     measurement = plant.measure()
     plain = rig.controller()
     own = force_law(Seen)(plain)
     changed = own.with_gains(plain.gains.replaced(force=osc.ForceGains(10.0, 5.0)))
     changed.tick(measurement, reference)
-    np.testing.assert_allclose(
+    assert_allclose(
         changed.signals.alpha_u, np.asarray(reference.alpha_d) + [1.0, -2.0], atol=1e-12
     )
     back = own.with_laws(force=None)
-    np.testing.assert_array_equal(
-        back.tick(measurement, reference), plain.tick(measurement, reference)
-    )
-    with pytest.raises(InvalidInputError, match="with_laws"):
-        own.laws = Laws()  # type: ignore[misc]
+    assert_array_equal(back.tick(measurement, reference), plain.tick(measurement, reference))
+    with raises(InvalidInputError, match="with_laws"):
+        own.laws = Laws()
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("laws", "words"),
     [
         (Laws(motion=lambda *_: np.zeros(5)), "return six finite numbers"),
@@ -172,21 +173,20 @@ def test_laws_stay_when_gains_change_and_can_be_taken_out_again(rig: osc.Rig) ->
         (Laws(force=lambda *_: 1 / 0), "division by zero"),
     ],
 )
-def test_other_laws_that_return_nonsense_hold_the_torques(
-    rig: osc.Rig, laws: Laws, words: str
-) -> None:
-    plant, reference = rig.plant(), rig.references.at(0.0)
+def test_other_laws_that_return_nonsense_hold_the_torques(rig, laws, words):
+    plant = rig.plant()
+    reference = rig.references.at(0.0)
     controller = rig.controller()
     before = controller.tick(plant.measure(), reference)
     controller = controller.with_laws(**vars(laws))
     tau = controller.tick(plant.measure(), reference)
-    np.testing.assert_array_equal(tau, before)
+    assert_array_equal(tau, before)
     assert controller.status is osc.Status.HELD
     assert words in controller.reason
     integrals = controller.motion_integral, controller.force_integral
     controller.tick(plant.measure(), reference)
-    np.testing.assert_array_equal(controller.motion_integral, integrals[0])
-    np.testing.assert_array_equal(controller.force_integral, integrals[1])
+    assert_array_equal(controller.motion_integral, integrals[0])
+    assert_array_equal(controller.force_integral, integrals[1])
 
 
 class Written(osc.VertexOnFace):
@@ -207,11 +207,9 @@ class Lifted(osc.VertexOnFace):
         return super().point_on_face(X_WO, X_WE) + 0.1 * self._face(X_WE)[0]
 
 
-@pytest.mark.parametrize("kind", [Written, Named, Lifted])
-@pytest.mark.parametrize("moving", [False, True])
-def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(
-    rig: osc.Rig, kind: type[osc.VertexOnFace], moving: bool
-) -> None:
+@mark.parametrize("kind", [Written, Named, Lifted])
+@mark.parametrize("moving", [False, True])
+def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(rig, kind, moving):
     rng = np.random.default_rng(60)
     made = [
         kind(p.vertex, p.point, p.normal, p.radius, name=p.name)
@@ -239,9 +237,9 @@ def test_friction_of_ones_own_pairs_is_that_of_the_packaged_one(
             want = friction_wrenches(
                 friction, controller.contacts, X, signals.state.V_O, measurement.touched
             )
-            np.testing.assert_allclose(signals.friction_wrenches, want, rtol=0, atol=1e-12)
+            assert_allclose(signals.friction_wrenches, want, rtol=0, atol=1e-12)
         if kind is not Lifted or friction is None:
             for other in torques[1:]:
-                np.testing.assert_allclose(other, torques[0], rtol=0, atol=1e-10)
+                assert_allclose(other, torques[0], rtol=0, atol=1e-10)
         else:
             assert np.abs(torques[1] - torques[0]).max() > 1e-3

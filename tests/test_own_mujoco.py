@@ -1,11 +1,10 @@
 """A user's own MuJoCo scene as robot and judge, held to MuJoCo's own contact forces."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 
@@ -76,7 +75,8 @@ def robot_of(model, **how):
 def pushes(robot, geoms):
     """(N) what MuJoCo says its contacts with these geoms of the robot carry, along the normal."""
     wanted = {int(robot.model.geom(name).id) for name in geoms}
-    force, total = np.zeros(6), 0.0
+    force = np.zeros(6)
+    total = 0.0
     for i, contact in enumerate(robot.data.contact):
         if wanted & set(map(int, contact.geom)):
             mujoco.mj_contactForce(robot.model, robot.data, i, force)
@@ -89,33 +89,36 @@ class Spy(osc.Recorder):
 
     def __init__(self, controller, robot):
         super().__init__(controller, robot)
-        self.robot, self.told = robot, []
+        self.robot = robot
+        self.told = []
 
     def append(self, *tick):
         self.told.append(pushes(self.robot, ["tool"]))
         super().append(*tick)
 
 
-@pytest.mark.parametrize("actuators", [MOTORS, SERVOS, NONE], ids=["motors", "servos", "none"])
+@mark.parametrize("actuators", [MOTORS, SERVOS, NONE], ids=["motors", "servos", "none"])
 def test_scene_is_robot_and_judge(actuators):
     robot = robot_of(scene(actuators), locked={"grip": 0.03}, keyframe="ball_aside")
     assert robot.chain.joint_names == ["arm/shoulder", "arm/elbow", "arm/wrist_pitch"]
     start = robot.touching(START)
     robot.reset(start)
-    np.testing.assert_allclose(robot.measure().q, start)
+    assert_allclose(robot.measure().q, start)
     controller = osc.Controller(robot.chain, [WALL], posture=start)
     X = robot.chain.state(start, np.zeros(3)).X_WO
 
     def along(t):
-        z, w = np.array([0, 0, 0.04]), 3.0
+        z = np.array([0, 0, 0.04])
+        w = 3.0
         p = X.translation + (1 - np.cos(w * t)) * z
-        v, a = w * np.sin(w * t) * z, w**2 * np.cos(w * t) * z
+        v = w * np.sin(w * t) * z
+        a = w**2 * np.cos(w * t) * z
         return osc.pose_reference(p, X.rotation, v, a, alpha_d=[10.0])
 
     spy = Spy(controller, robot)
     osc.run_loop(robot, controller, map(along, np.arange(0, 2.5, 1e-3)), recorder=spy)
     recording = spy.recording()
-    np.testing.assert_allclose(recording["alpha_true"][:, 0], spy.told, atol=1e-9)
+    assert_allclose(recording["alpha_true"][:, 0], spy.told, atol=1e-9)
     verdict = osc.metrics(recording)
     assert verdict["force"]["wall"]["rms_error_rel"] < 5e-3
     assert verdict["motion"]["rms_error_m"] < 1e-4
@@ -124,10 +127,10 @@ def test_scene_is_robot_and_judge(actuators):
     assert verdict["scenario"] is None
     assert np.ptp(recording["pose"][:, 2]) > 0.07  # it went there
     site = robot.data.site("tip")
-    np.testing.assert_allclose(robot.poses()[1, :3, 3], site.xpos, atol=1e-12)
-    np.testing.assert_allclose(robot.poses()[1, :3, :3].ravel(), site.xmat, atol=1e-12)
-    assert robot.data.joint("grip").qpos[0] == pytest.approx(0.03, abs=1e-3)
-    assert robot.data.body("ball").xpos[0] == pytest.approx(-2.0, abs=1e-3)
+    assert_allclose(robot.poses()[1, :3, 3], site.xpos, atol=1e-12)
+    assert_allclose(robot.poses()[1, :3, :3].ravel(), site.xmat, atol=1e-12)
+    assert robot.data.joint("grip").qpos[0] == approx(0.03, abs=1e-3)
+    assert robot.data.body("ball").xpos[0] == approx(-2.0, abs=1e-3)
 
 
 def test_wrench_is_what_the_hand_weighs():
@@ -137,7 +140,7 @@ def test_wrench_is_what_the_hand_weighs():
     robot.hold(pin.computeGeneralizedGravity(model, model.createData(), np.array(START)))
     site = robot.data.site("wrist").xmat.reshape(3, 3)
     f = site @ robot.measure().wrenches[0][:3]  # the parent pushes the hand up
-    assert f == pytest.approx([0, 0, 9.81 * 0.32], abs=1e-3)
+    assert f == approx([0, 0, 9.81 * 0.32], abs=1e-3)
 
 
 def test_only_the_tool_touches():
@@ -148,7 +151,7 @@ def test_only_the_tool_touches():
     assert pushes(robot, ["tool"]) == 0.0 and truth.alpha[0] == 0.0 and not truth.closed[0]
 
 
-@pytest.mark.parametrize(("friction", "told"), [(0.1, False), (0.6, True)])
+@mark.parametrize(("friction", "told"), [(0.1, False), (0.6, True)])
 def test_much_friction_is_told(caplog, friction, told):
     model = scene()
     model.geom("wall").friction[0] = friction
@@ -165,7 +168,7 @@ def test_the_model_given_stays_as_it_is():
     assert model.opt.cone == before[2] != robot.model.opt.cone
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("how", "told"),
     [
         ({"tip": "tipp"}, "no body or site 'tipp'. Did you mean tip"),
@@ -175,17 +178,17 @@ def test_the_model_given_stays_as_it_is():
     ],
 )
 def test_names_that_are_not_there(how, told):
-    with pytest.raises(osc.OscContactError, match=told):
+    with raises(osc.OscContactError, match=told):
         robot_of(scene(), **how)
 
 
 def test_a_site_without_sensors_is_told_with_the_line_to_add():
-    with pytest.raises(osc.PlantError, match=r'no torque sensor; .*<torque site="wrist"/>'):
+    with raises(osc.PlantError, match=r'no torque sensor; .*<torque site="wrist"/>'):
         robot_of(scene(sensors='<force site="wrist"/>'))
 
 
 def test_a_step_that_does_not_fit_the_control_period_is_refused():
     robot = robot_of(scene(step=0.002))
-    with pytest.raises(osc.PlantError, match=r"1 ms is no whole number .* steps of 2 ms"):
+    with raises(osc.PlantError, match=r"1 ms is no whole number .* steps of 2 ms"):
         robot.command(np.zeros(3), 1e-3)
     assert robot.time == 0.0

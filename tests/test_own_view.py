@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from headless import Browser, near
+from numpy.testing import assert_allclose
 from test_own_mujoco import START, WALL, robot_of, scene
 from typer.testing import CliRunner
 
@@ -70,7 +71,8 @@ def test_a_recording_carries_no_path_and_is_drawn(recorded, tmp_path):
     _, recording, file = recorded
     text = json.dumps(recording.meta)
     assert str(Path.cwd()) not in text and "/home" not in text and "/tmp" not in text
-    page, png = tmp_path / "own.html", tmp_path / "own.png"
+    page = tmp_path / "own.html"
+    png = tmp_path / "own.png"
     assert call("view", file, "--html", page).exit_code == 0
     assert "arms/arm/elbow" in page.read_text() or page.stat().st_size > 5e5
     result = call("view", file, "--png", png)
@@ -125,5 +127,5 @@ def test_meshes_are_drawn_with_their_corners():
     robot = osc.MujocoRobot.from_model(model, tip="hand")
     visual = osc.runs.viewing.Shown.of(robot).content.arms[0]
     corners = MovingArm(visual).corners({"q": np.array([2.0])})
-    np.testing.assert_allclose(corners.min(axis=0), [0, -1, 0], atol=1e-6)  # and the base
-    np.testing.assert_allclose(corners.max(axis=0), [3, 1, 7], atol=1e-6)
+    assert_allclose(corners.min(axis=0), [0, -1, 0], atol=1e-6)  # and the base
+    assert_allclose(corners.max(axis=0), [3, 1, 7], atol=1e-6)

@@ -1,7 +1,5 @@
 """What a stranger installs: the wheel's content, the pinned versions, the files of the root."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -10,43 +8,43 @@ import tomllib
 import zipfile
 from pathlib import Path
 
-import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from pytest import fixture, mark
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
-def run(*command: str, cwd: Path) -> None:
+def run(*command, cwd):
     done = subprocess.run(
         [sys.executable, "-m", *command], cwd=cwd, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def wheel_of(source: Path, folder: Path) -> zipfile.ZipFile:
+def wheel_of(source, folder):
     options = ("--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check")
     run("pip", "wheel", *options, "-w", str(folder), str(source), cwd=folder)
     (wheel,) = folder.glob("*.whl")
     return zipfile.ZipFile(wheel)
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory):
+@fixture(scope="module")
+def wheel(tmp_path_factory):
     with wheel_of(ROOT, tmp_path_factory.mktemp("wheel")) as archive:
         yield archive
 
 
-def requirements(*extras: str) -> list[Requirement]:
+def requirements(*extras):
     texts = list(PROJECT["dependencies"])
     for extra in extras:
         texts += PROJECT["optional-dependencies"][extra]
     return [r for r in map(Requirement, texts) if r.name != PROJECT["name"]]
 
 
-def constraints() -> dict[str, str]:
+def constraints():
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[A-Za-z0-9.+!]+", line) for line in lines)
     assert lines == sorted(lines, key=str.lower)
@@ -54,7 +52,7 @@ def constraints() -> dict[str, str]:
     return {canonicalize_name(name): version for name, version in pairs}
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("folder", "pattern", "inside"),
     [
         ("urdf", "*.urdf", "osc_contact/urdf"),
@@ -65,7 +63,7 @@ def constraints() -> dict[str, str]:
         ("docs", "own_loop.md", "osc_contact/docs"),
     ],
 )
-def test_wheel_carries(wheel: zipfile.ZipFile, folder: str, pattern: str, inside: str) -> None:
+def test_wheel_carries(wheel, folder, pattern, inside):
     files = sorted((ROOT / folder).glob(pattern))
     assert files
     for file in files:
@@ -73,13 +71,13 @@ def test_wheel_carries(wheel: zipfile.ZipFile, folder: str, pattern: str, inside
         assert wheel.read(name) == file.read_bytes()
 
 
-def test_wheel_carries_nothing_else(wheel: zipfile.ZipFile) -> None:
+def test_wheel_carries_nothing_else(wheel):
     tops = {name.split("/")[0] for name in wheel.namelist()}
     assert tops == {"osc_contact", f"osc_contact-{PROJECT['version']}.dist-info"}
     assert not [name for name in wheel.namelist() if "__pycache__" in name]
 
 
-def test_wheel_declares_the_command_and_the_licence(wheel: zipfile.ZipFile) -> None:
+def test_wheel_declares_the_command_and_the_licence(wheel):
     info = f"osc_contact-{PROJECT['version']}.dist-info"
     assert "osc-contact = osc_contact.cli:app" in wheel.read(f"{info}/entry_points.txt").decode()
     assert wheel.read(f"{info}/licenses/LICENSE") == (ROOT / "LICENSE").read_bytes()
@@ -88,7 +86,7 @@ def test_wheel_declares_the_command_and_the_licence(wheel: zipfile.ZipFile) -> N
     assert "Requires-Python: >=3.11\n" in metadata
 
 
-def test_source_archive_builds_the_same_wheel(wheel: zipfile.ZipFile, tmp_path: Path) -> None:
+def test_source_archive_builds_the_same_wheel(wheel, tmp_path):
     run("hatchling", "build", "-t", "sdist", "-d", str(tmp_path / "sdist"), cwd=ROOT)
     (sdist,) = (tmp_path / "sdist").glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
@@ -101,7 +99,7 @@ def test_source_archive_builds_the_same_wheel(wheel: zipfile.ZipFile, tmp_path: 
         assert sorted(second.namelist()) == sorted(wheel.namelist())
 
 
-def test_constraints_satisfy_every_bound() -> None:
+def test_constraints_satisfy_every_bound():
     pinned = constraints()
     for requirement in requirements("sim", "plot", "dev"):
         version = pinned.get(canonicalize_name(requirement.name))
@@ -110,12 +108,14 @@ def test_constraints_satisfy_every_bound() -> None:
 
 
 CONDA_NAMES = {
-    "pin": "pinocchio", "meshcat": "meshcat-python", "mujoco": "mujoco-python",
+    "pin": "pinocchio",
+    "meshcat": "meshcat-python",
+    "mujoco": "mujoco-python",
     "matplotlib": "matplotlib-base",
-}  # fmt: skip
+}
 
 
-def test_conda_recipe_asks_for_what_the_wheel_asks_for() -> None:
+def test_conda_recipe_asks_for_what_the_wheel_asks_for():
     recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
     assert recipe["context"]["version"] == PROJECT["version"]
     assert f">={recipe['context']['python_min']}" == PROJECT["requires-python"]
@@ -133,14 +133,14 @@ def test_conda_recipe_asks_for_what_the_wheel_asks_for() -> None:
         assert {r.name: r.specifier for r in map(Requirement, part)} == bounds
 
 
-def test_every_requirement_is_bounded_on_both_sides() -> None:
+def test_every_requirement_is_bounded_on_both_sides():
     build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]
     for requirement in [*requirements("sim", "plot", "dev"), *map(Requirement, build["requires"])]:
         operators = {specifier.operator for specifier in requirement.specifier}
         assert operators == {">=", "<"}, f"{requirement} has no lower or no upper bound"
 
 
-def test_citation_names_the_software_and_the_paper() -> None:
+def test_citation_names_the_software_and_the_paper():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["cff-version"] == "1.2.0"
     assert citation["type"] == "software"
@@ -153,27 +153,31 @@ def test_citation_names_the_software_and_the_paper() -> None:
     assert (paper["year"], paper["start"], paper["end"]) == (1999, 3281, 3286)
 
 
-def test_changelog_tells_of_this_version() -> None:
+def test_changelog_tells_of_this_version():
     assert f"## [{PROJECT['version']}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "target", ["venv", "browser", "demo", "test", "gallery", "dist", "bench", "clean"]
 )
-def test_make_has_the_target(target: str) -> None:
+def test_make_has_the_target(target):
     text = (ROOT / "Makefile").read_text(encoding="utf-8")
     assert re.search(rf"^{target}:", text, re.MULTILINE), f"the Makefile has no target {target}"
 
 
-def test_the_paper_has_the_sections_of_the_journal_and_cites_what_it_lists() -> None:
+def test_the_paper_has_the_sections_of_the_journal_and_cites_what_it_lists():
     text = (ROOT / "paper" / "joss" / "paper.md").read_text(encoding="utf-8")
     front = yaml.safe_load(text.split("---\n")[1])
     assert {"title", "tags", "authors", "affiliations", "date", "bibliography"} <= set(front)
     headings = re.findall(r"^# (.*)$", text, re.MULTILINE)
     assert headings == [
-        "Summary", "Statement of need", "State of the field", "Software design",
-        "Research impact statement", "References",
-    ]  # fmt: skip
+        "Summary",
+        "Statement of need",
+        "State of the field",
+        "Software design",
+        "Research impact statement",
+        "References",
+    ]
     listed = re.findall(
         r"^@\w+\{([^,]+),", (ROOT / "paper/joss/paper.bib").read_text(), re.MULTILINE
     )
@@ -182,7 +186,7 @@ def test_the_paper_has_the_sections_of_the_journal_and_cites_what_it_lists() -> 
     assert 250 <= len(text.split("---\n", 2)[2].split()) <= 1750
 
 
-def test_issue_templates_ask_for_something() -> None:
+def test_issue_templates_ask_for_something():
     forms = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
     assert len(forms) == 3
     for form in forms:

@@ -1,29 +1,39 @@
 """docs/paper_map.md against the code: every row complete, every name and test really there."""
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
-import pytest
 import yaml
+from pytest import mark
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "paper_map.md"
 REFERENCE = re.compile(r"`([^`\s]+)`")
 CELL = re.compile(r"`[^`\s]+`(, `[^`\s]+`)*")
 RIG = (
-    "two SCARA arms", "gripper hinges", "rod,", "vision", "joint torque sensors",
-    "joint-level controller", "wrist force sensors", "two end-point contacts",
-    "N continuously updated", "Λ₀ = Λ₀l + Λ₀r + Λ₀o", "force filter", "generalised inverse of N",
-    "force controller", "feed-forward", "power test", "contact made, lost and regained",
-)  # fmt: skip
+    "two SCARA arms",
+    "gripper hinges",
+    "rod,",
+    "vision",
+    "joint torque sensors",
+    "joint-level controller",
+    "wrist force sensors",
+    "two end-point contacts",
+    "N continuously updated",
+    "Λ₀ = Λ₀l + Λ₀r + Λ₀o",
+    "force filter",
+    "generalised inverse of N",
+    "force controller",
+    "feed-forward",
+    "power test",
+    "contact made, lost and regained",
+)
 
 
-def rows_of(text: str) -> list[tuple[str, str, str]]:
+def rows_of(text):
     """(what, where, test) of every table row that speaks of the paper."""
     rows = []
     for line in text.splitlines():
@@ -37,7 +47,7 @@ def rows_of(text: str) -> list[tuple[str, str, str]]:
     return rows
 
 
-def names_in(tree: ast.Module) -> set[str]:
+def names_in(tree):
     """Functions, classes and module variables, and "Class.name" of methods and attributes."""
     found = set()
     for node in tree.body:
@@ -51,7 +61,7 @@ def names_in(tree: ast.Module) -> set[str]:
     return found
 
 
-def _defined(node: ast.stmt) -> list[str]:
+def _defined(node):
     if isinstance(node, ast.FunctionDef | ast.ClassDef):
         return [node.name]
     targets = node.targets if isinstance(node, ast.Assign) else []
@@ -60,7 +70,7 @@ def _defined(node: ast.stmt) -> list[str]:
     return [target.id for target in targets if isinstance(target, ast.Name)]
 
 
-def _set_on_self(method: ast.FunctionDef) -> list[str]:
+def _set_on_self(method):
     return [
         node.attr
         for node in ast.walk(method)
@@ -71,7 +81,7 @@ def _set_on_self(method: ast.FunctionDef) -> list[str]:
     ]
 
 
-def yaml_names(data: object, prefix: str = "") -> set[str]:
+def yaml_names(data, prefix=""):
     """Dotted keys; list items go by their `name`."""
     pairs = data.items() if isinstance(data, dict) else []
     if isinstance(data, list):
@@ -83,7 +93,7 @@ def yaml_names(data: object, prefix: str = "") -> set[str]:
 
 
 @cache
-def names_of(path: Path) -> frozenset[str]:
+def names_of(path):
     if path.suffix == ".py":
         return frozenset(names_in(ast.parse(path.read_text(encoding="utf-8"))))
     if path.suffix == ".urdf":
@@ -93,7 +103,7 @@ def names_of(path: Path) -> frozenset[str]:
     return frozenset(yaml_names(yaml.safe_load(path.read_text(encoding="utf-8"))))
 
 
-def complaint(reference: str, *, test: bool) -> str | None:
+def complaint(reference, *, test):
     """What is wrong with a reference path::name; None: nothing."""
     file, _, name = reference.partition("::")
     path = ROOT / file
@@ -108,7 +118,7 @@ def complaint(reference: str, *, test: bool) -> str | None:
     return None
 
 
-def check(row: tuple[str, str, str]) -> list[str]:
+def check(row):
     """Every complaint about one row."""
     what, where, test = row
     if where == test == "planned":
@@ -126,7 +136,7 @@ def check(row: tuple[str, str, str]) -> list[str]:
 ROWS = rows_of(PAGE.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("row", ROWS, ids=[row[0].split(":")[0] for row in ROWS])
+@mark.parametrize("row", ROWS, ids=[row[0].split(":")[0] for row in ROWS])
 def test_row_is_complete_or_planned(row):
     assert not check(row), "\n".join(check(row))
 
@@ -154,7 +164,7 @@ GOOD = "`osc_contact/projections.py::Omega_f`"
 PROOF = "`tests/test_projections.py::test_identities_9_to_12`"
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("where", "test", "words"),
     [
         (GOOD, PROOF, None),

@@ -1,16 +1,13 @@
 """The report on the paper's figures: what it says, how it judges, what it shows and fetches."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
-import pytest
 from headless import Browser, near
+from pytest import fixture, mark, raises
 from rich.table import Table
 
 import osc_contact as osc
@@ -27,14 +24,14 @@ SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {} 100"><path d="M0 
 READY = "document.querySelector('main') !== null"
 
 
-@pytest.fixture(scope="module")
-def evidence() -> Evidence:
+@fixture(scope="module")
+def evidence():
     scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
     return Evidence(build_rig(scenario), osc.run(scenario, duration=1.2))
 
 
-@pytest.fixture(scope="module")
-def report(evidence: Evidence, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@fixture(scope="module")
+def report(evidence, tmp_path_factory):
     """All that `reproduce all` makes, with small pictures; figs. 3 and 7 are left out."""
     folder = tmp_path_factory.mktemp("report")
     scene = write_scene_of(evidence.recording, evidence.rig, folder / "scene.html")
@@ -61,26 +58,29 @@ def report(evidence: Evidence, tmp_path_factory: pytest.TempPathFactory) -> Path
 class Reader(HTMLParser):
     """Words of the page, and what it would load."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text):
         super().__init__()
-        self.words, self.loads, self.links, self.silent = [], [], [], False
+        self.words = []
+        self.loads = []
+        self.links = []
+        self.silent = False
         self.feed(text)
         self.text = " ".join(" ".join(self.words).split())
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self.silent = tag in ("script", "style")
         self.loads += [v or "" for k, v in attrs if k in ("src", "srcset", "data", "srcdoc")]
         self.links += [v or "" for k, v in attrs if k == "href"]
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag):
         self.silent = False
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         if not self.silent:
             self.words.append(data)
 
 
-def test_the_paper_has_eight_figures_and_all_that_we_make_are_among_them() -> None:
+def test_the_paper_has_eight_figures_and_all_that_we_make_are_among_them():
     assert [figure.name for figure in PAPER] == [f"fig{n}" for n in range(1, 9)]
     assert [figure.number for figure in PAPER] == list(range(1, 9))
     ours = {name for name in (*FIGURES, *STUDIES) if name.startswith("fig")}
@@ -92,9 +92,10 @@ def test_the_paper_has_eight_figures_and_all_that_we_make_are_among_them() -> No
     assert {"".join(found) for found in planned} == missing, "the map and the registry disagree"
 
 
-def test_the_verdict() -> None:
+def test_the_verdict():
     figure = PAPER[0]
-    yes, no = Answer("", True), Answer("", False)
+    yes = Answer("", True)
+    no = Answer("", False)
     keys = list(figure.states)
     assert judge(figure, False, {}) is Verdict.missing
     assert judge(figure, True, {}) is Verdict.partly
@@ -105,14 +106,15 @@ def test_the_verdict() -> None:
     assert judge(figure, True, {"another": yes}) is Verdict.partly
 
 
-def test_the_task_answers_every_statement_about_it(evidence: Evidence) -> None:
+def test_the_task_answers_every_statement_about_it(evidence):
     for name, ask in ANSWERS.items():
         (figure,) = [f for f in PAPER if f.name == name]
         answers = ask(evidence)
         steps_late = {"motion"}  # a force steps at 5 s, after this run
         assert set(answers) == set(figure.states) - steps_late
         assert all(answer.holds and answer.found for answer in answers.values()), answers
-    p, d = evidence.recording["contact_point"][0], evidence.recording["contact_direction"][0]
+    p = evidence.recording["contact_point"][0]
+    d = evidence.recording["contact_direction"][0]
     normal = np.cross(d[0], d[1])
     apart = abs((p[1] - p[0]) @ normal) / np.linalg.norm(normal)
     angle = np.degrees(np.arccos(abs(d[0] @ d[1])))
@@ -120,12 +122,12 @@ def test_the_task_answers_every_statement_about_it(evidence: Evidence) -> None:
     assert f"{angle:.1f}°" in said and f"{1e3 * apart:.1f} mm" in said
 
 
-def spoilt(evidence: Evidence, **changed: np.ndarray) -> Evidence:
+def spoilt(evidence, **changed):
     recording = evidence.recording
     return Evidence(evidence.rig, Recording(recording.meta, {**recording.channels, **changed}))
 
 
-def test_answers_can_fail(evidence: Evidence) -> None:
+def test_answers_can_fail(evidence):
     run = evidence.recording
     lost = run["closed"].copy()
     lost[-20:, 1] = False
@@ -148,7 +150,7 @@ def test_answers_can_fail(evidence: Evidence) -> None:
     assert not ANSWERS["fig5"](moved)["motion"].holds
 
 
-def test_the_report_tells_statements_numbers_verdicts_and_commands(report: Path) -> None:
+def test_the_report_tells_statements_numbers_verdicts_and_commands(report):
     text = report.read_text(encoding="utf-8")
     told = Reader(text).text
     for figure in PAPER:
@@ -157,10 +159,15 @@ def test_the_report_tells_statements_numbers_verdicts_and_commands(report: Path)
     sections = dict(re.findall(r'<section id="(\w+)">(.*?)</section>', text, re.S))
     assert [name for name in sections if name.startswith("fig")] == [f.name for f in PAPER]
     wanted = {
-        "fig1": "reproduced", "fig2": "partly reproduced", "fig3": "not reproduced",
-        "fig4": "reproduced", "fig5": "partly reproduced", "fig6": "not reproduced",
-        "fig7": "not reproduced", "fig8": "contradicted",
-    }  # fmt: skip
+        "fig1": "reproduced",
+        "fig2": "partly reproduced",
+        "fig3": "not reproduced",
+        "fig4": "reproduced",
+        "fig5": "partly reproduced",
+        "fig6": "not reproduced",
+        "fig7": "not reproduced",
+        "fig8": "contradicted",
+    }
     for name, verdict in wanted.items():
         badges = re.findall(r'class="badge \w+">. ([\w ]+)<', sections[name])
         assert badges == [verdict], name
@@ -177,7 +184,7 @@ def test_the_report_tells_statements_numbers_verdicts_and_commands(report: Path)
     assert "1.2 s, 1200 ticks, seed 0" in told
 
 
-def test_the_report_fetches_nothing(report: Path) -> None:
+def test_the_report_fetches_nothing(report):
     text = report.read_text(encoding="utf-8")
     found = Reader(text)
     assert [v[:14] for v in found.loads] == 5 * ["data:image/svg"] + ["data:image/png"]
@@ -187,15 +194,15 @@ def test_the_report_fetches_nothing(report: Path) -> None:
     assert sorted(p.name for p in report.parent.iterdir()) == ["report.html"]
 
 
-@pytest.fixture(scope="module")
-def browser(report: Path) -> Iterator[Browser]:
+@fixture(scope="module")
+def browser(report):
     with Browser(report.as_uri(), ready=READY) as opened:
         yield opened
         assert opened.errors == []
 
 
-@pytest.mark.parametrize("width", [390, 1280])
-def test_it_fits_phones_and_desks(browser: Browser, width: int) -> None:
+@mark.parametrize("width", [390, 1280])
+def test_it_fits_phones_and_desks(browser, width):
     metrics = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": False}
     browser.ask("Emulation.setDeviceMetricsOverride", **metrics)
     browser.until(f"innerWidth === {width}")
@@ -208,7 +215,7 @@ def test_it_fits_phones_and_desks(browser: Browser, width: int) -> None:
     browser.until("document.querySelector('#fig1 img').naturalWidth > 0")
 
 
-def test_the_scene_is_unfolded_when_it_is_opened(browser: Browser) -> None:
+def test_the_scene_is_unfolded_when_it_is_opened(browser):
     assert browser.run("document.querySelectorAll('iframe').length") == 0, "costs nothing before"
     browser.run("document.querySelector('#run').scrollIntoView()")
     before = near(browser.picture(), contact_colour(0))
@@ -224,11 +231,11 @@ def test_the_scene_is_unfolded_when_it_is_opened(browser: Browser) -> None:
     browser.until("document.querySelectorAll('#fig1 iframe').length === 1")
 
 
-def test_names_and_options() -> None:
+def test_names_and_options():
     names = names_of("all")
     assert set(FIGURES) <= set(names) and "workcell" not in names
     assert {name for name in STUDIES if name.startswith("fig")} <= set(names), "slow or not"
-    with pytest.raises(osc.InvalidInputError, match="no figure 'fig9'"):
+    with raises(osc.InvalidInputError, match="no figure 'fig9'"):
         names_of("fig9")
     assert typed(None, None, 0, ()) == ""
     assert typed("rigid", 1.05, 3, ["a=[1, 2]"]) == (

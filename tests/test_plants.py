@@ -1,13 +1,12 @@
 """The two plants: laws of physics they must keep, and agreement with each other."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import fixture, raises
 
 import osc_contact as osc
 from osc_contact.contacts.contact import Contact
@@ -16,13 +15,14 @@ from osc_contact.plants.rigid import RigidPlant
 from osc_contact.runs import rig as plants
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def rig():
     return osc.build_rig(osc.load_scenario("two_contact_rod"))
 
 
 def energy(plant):
-    model, data = plant.model, plant.model.createData()
+    model = plant.model
+    data = plant.model.createData()
     pin.computeKineticEnergy(model, data, plant.q, plant.v)
     pin.computePotentialEnergy(model, data, plant.q)
     return data.kinetic_energy + data.potential_energy
@@ -53,7 +53,7 @@ def test_rigid_plant_at_rest_reads_weights_and_contact_forces(rig):
     plant.reset(rig.q_contact)
     tau = rig.controller().tick(plant.measure(), rig.references.at(0.0))
     _, a_O, alpha = plant.accelerations(tau)
-    np.testing.assert_allclose(a_O[3:], 0, atol=1e-6)
+    assert_allclose(a_O[3:], 0, atol=1e-6)
     plant._tau = tau
     force = sum(
         X.rotation @ w[:3]
@@ -61,29 +61,33 @@ def test_rigid_plant_at_rest_reads_weights_and_contact_forces(rig):
     )
     push = sum(a * p.direction() for a, p in zip(alpha, rig.pairs, strict=True))
     mass = 1.5 + 2 * (0.35 + 0.15)
-    np.testing.assert_allclose(force, push + mass * (a_O[:3] + [0, 0, 9.81]), atol=1e-6)
+    assert_allclose(force, push + mass * (a_O[:3] + [0, 0, 9.81]), atol=1e-6)
 
 
 def test_mujoco_stands_where_pinocchio_says(rig):
     plant = rig.plant()
     assert isinstance(plant, MujocoPlant)
-    X, state = plant.truth().X_WO, rig.state()
-    np.testing.assert_allclose(X.translation, state.X_WO.translation, atol=1e-9)
-    np.testing.assert_allclose(X.rotation, state.X_WO.rotation, atol=1e-9)
-    np.testing.assert_allclose(plant.measure().q, rig.q_start, atol=1e-12)
+    X = plant.truth().X_WO
+    state = rig.state()
+    assert_allclose(X.translation, state.X_WO.translation, atol=1e-9)
+    assert_allclose(X.rotation, state.X_WO.rotation, atol=1e-9)
+    assert_allclose(plant.measure().q, rig.q_start, atol=1e-12)
 
 
 def test_mujoco_wrist_sensors_agree_with_newton_euler(rig):
     """Reading = Λ_out a + bias + f_c, all from MuJoCo's own accelerations and contact forces."""
-    plant, controller = rig.plant(), rig.controller()
+    plant = rig.plant()
+    controller = rig.controller()
     for k in range(60):
         tau = controller.tick(plant.measure(), rig.references.at(k * 1e-3))
         plant.command(tau, 1e-3)
     # what measure() reports was computed at the beginning of the last step: go there
-    q, v = plant.data.qpos[plant._q].copy(), plant.data.qvel[plant._v].copy()
+    q = plant.data.qpos[plant._q].copy()
+    v = plant.data.qvel[plant._v].copy()
     plant._mj.mj_forward(plant.model, plant.data)
     state = rig.chain.state(q, v)
-    truth, readings = plant.truth(), plant.measure().wrenches
+    truth = plant.truth()
+    readings = plant.measure().wrenches
     contact = Contact.stack([p.contact(truth.X_WO, truth.V_O) for p in rig.pairs])
     s = rig.chain.slices[0]
     a = state.arms[0].J @ plant.data.qacc[plant._v][s] + state.arms[0].gamma
@@ -91,7 +95,7 @@ def test_mujoco_wrist_sensors_agree_with_newton_euler(rig):
     at_O = pin.SE3(np.eye(3), state.X_WO.translation).inverse()
     wrists = zip(state.sensors, readings, strict=True)
     total = sum((at_O * X).act(pin.Force(wrench)).vector for X, wrench in wrists)
-    np.testing.assert_allclose(total, want, atol=0.02)
+    assert_allclose(total, want, atol=0.02)
 
 
 def test_mujoco_contacts_push_and_never_pull(rig):
@@ -101,13 +105,14 @@ def test_mujoco_contacts_push_and_never_pull(rig):
         truth = plant.truth()
         assert truth.alpha.min() >= 0.0
     assert not truth.closed.any()
-    np.testing.assert_array_equal(truth.alpha, 0.0)
+    assert_array_equal(truth.alpha, 0.0)
 
 
 def test_both_plants_accelerate_alike_where_contacts_stay_closed(rig):
     """Same torques, same 50 ms: the rod goes the same way within the softness of the faces."""
     tau = np.array([-1.9, -1.0, -15.0, 0.3, 5.7, -0.3, -17.8, 0.0])
-    soft, hard = rig.plant(), RigidPlant(rig.chain, rig.pairs, 2.5e-4)
+    soft = rig.plant()
+    hard = RigidPlant(rig.chain, rig.pairs, 2.5e-4)
     hard.reset(rig.q_start)
     for _ in range(50):
         soft.command(tau, 1e-3)
@@ -122,7 +127,7 @@ def test_divergence_is_an_error_and_leaves_no_log_file(rig, tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     plant = rig.plant()
     plant.data.qvel[:] = np.inf
-    with caplog.at_level(logging.DEBUG), pytest.raises(osc.PlantError, match="diverged"):
+    with caplog.at_level(logging.DEBUG), raises(osc.PlantError, match="diverged"):
         plant.command(np.zeros(8), 1e-3)
     assert list(Path(tmp_path).iterdir()) == []
 
@@ -131,19 +136,19 @@ def test_rigid_plant_refuses_to_run_away(rig):
     plant = RigidPlant(rig.chain, rig.pairs, 1e-3)
     plant.reset(rig.q_contact)
     plant.v, _ = plant._on_constraints(np.full(10, 2e3), np.zeros(6))
-    with pytest.raises(osc.PlantError, match="diverged"):
+    with raises(osc.PlantError, match="diverged"):
         plant.command(np.zeros(8), 1e-3)
 
 
 def test_a_tare_on_the_rigid_plant_is_refused():
     scenario = osc.load_scenario("two_contact_rod_mismatch", ["plant.type=rigid"])
-    with pytest.raises(osc.ScenarioError, match="bilateral"):
+    with raises(osc.ScenarioError, match="bilateral"):
         osc.build_rig(scenario).plant()
 
 
 def test_the_scene_needs_an_object(rig):
     chain = osc.ClosedChain(rig.chain.arms, rig.chain.grasps)
-    with pytest.raises(osc.ModelError, match="payload"):
+    with raises(osc.ModelError, match="payload"):
         RigidPlant(chain, rig.pairs, 1e-3)
 
 
@@ -165,7 +170,7 @@ def test_a_registered_plant_is_named_in_scenarios(monkeypatch):
     rigid = osc.run(osc.load_scenario("two_contact_rod", {**changes, "plant.type": "rigid"}))
     difference = np.abs(own["alpha_true"] - rigid["alpha_true"]).max()
     assert 0.0 < difference < 0.1  # half the step: another plant, nearly the same forces
-    with pytest.raises(osc.ScenarioError, match="the halved plant's are bilateral"):
+    with raises(osc.ScenarioError, match="the halved plant's are bilateral"):
         osc.build_rig(osc.load_scenario("approach_and_slide", changes)).plant()
-    with pytest.raises(osc.ScenarioError, match="'mujoco', 'rigid' or 'halved'; got 'bullet'"):
+    with raises(osc.ScenarioError, match="'mujoco', 'rigid' or 'halved'; got 'bullet'"):
         osc.load_scenario("two_contact_rod", {"plant.type": "bullet"})

@@ -1,9 +1,8 @@
 """The learning example: what it gauges, what it learns in a few generations, and the other law."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from benchmarks.polishing import (
     EDGES,
@@ -20,7 +19,7 @@ from benchmarks.polishing import (
 )
 
 
-def test_the_strategy_finds_what_it_is_not_told() -> None:
+def test_the_strategy_finds_what_it_is_not_told():
     """The lowest point of a parabola, of which it gets noisy heights."""
     hidden = np.array([3.0, -1.0, 0.5])
     noise = np.random.default_rng(0)
@@ -30,20 +29,20 @@ def test_the_strategy_finds_what_it_is_not_told() -> None:
         return ((policies - hidden) ** 2).sum(axis=1) + 0.01 * noise.standard_normal(40)
 
     found, curve = learn(cost, np.zeros(3), 1.0, 40, 25, seed=1)
-    np.testing.assert_allclose(found, hidden, atol=0.1)
+    assert_allclose(found, hidden, atol=0.1)
     assert curve[0] == pytest.approx(hidden @ hidden, abs=0.05) and len(curve) == 25
 
 
-def test_an_even_force_wears_as_soft_as_the_edge_is() -> None:
+def test_an_even_force_wears_as_soft_as_the_edge_is():
     seen = judge("ours", np.full(len(KNOTS), MEAN), SLOW)
     fine = np.linspace(EDGES[:-1], EDGES[1:], 50)
     soft = softness(fine).mean(axis=0)
     assert soft.max() > 2.2 * soft.min()
-    np.testing.assert_allclose(seen.depth, np.tile(soft, (16, 1)), rtol=0.08)  # unknown masses
+    assert_allclose(seen.depth, np.tile(soft, (16, 1)), rtol=0.08)  # unknown masses
     assert seen.off.max() < 1e-3
 
 
-def test_a_few_generations_learn_the_hidden_hardness() -> None:
+def test_a_few_generations_learn_the_hidden_hardness():
     policy, curve = teach("ours", rows=32, generations=12, seed=0)
     assert curve[0] > 0.3
     seen = judge("ours", policy, SLOW)
@@ -52,7 +51,7 @@ def test_a_few_generations_learn_the_hidden_hardness() -> None:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_the_best_forces_wear_evenly_above_every_law(law) -> None:
+def test_the_best_forces_wear_evenly_above_every_law(law):
     slow, fast = (judge(law, best_forces(KNOTS), seconds) for seconds in (SLOW, FAST))
     assert slow.uneven.mean() < 0.05 and fast.uneven.mean() < 0.08
     assert fast.off.mean() > slow.off.mean() and fast.off.max() < 5e-3

@@ -1,12 +1,11 @@
 """Where arms stand, and the postures that put them somewhere: `osc-contact pose`."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -39,8 +38,8 @@ def test_forward_kinematics_of_a_robot_by_name(tmp_path):
     assert result.exit_code == 0 and "panda panda_hand_tcp: {xyz: [" in result.stdout
     found = json.loads((tmp_path / "pose.json").read_text())
     q = np.array([np.deg2rad(10), -np.pi / 4, 0, -0.75 * np.pi, 0.1, np.pi / 2, np.pi / 4])
-    np.testing.assert_allclose(list(found["posture"].values()), q, atol=1e-12)
-    np.testing.assert_allclose(found["tips"]["panda"], standing(q).homogeneous, atol=1e-9)
+    assert_allclose(list(found["posture"].values()), q, atol=1e-12)
+    assert_allclose(found["tips"]["panda"], standing(q).homogeneous, atol=1e-9)
 
 
 def test_inverse_kinematics_keep_the_limits_and_print_what_a_file_takes(tmp_path):
@@ -50,10 +49,10 @@ def test_inverse_kinematics_keep_the_limits_and_print_what_a_file_takes(tmp_path
         assert result.exit_code == 0, result.stdout
         q = np.array(list(json.loads(file.read_text())["posture"].values()))
         X = standing(q)
-        np.testing.assert_allclose(X.translation, poses.numbers("xyz", xyz), atol=1e-6)
-        np.testing.assert_allclose(X.rotation, np.diag([1, -1, -1]), atol=1e-5)
+        assert_allclose(X.translation, poses.numbers("xyz", xyz), atol=1e-6)
+        assert_allclose(X.rotation, np.diag([1, -1, -1]), atol=1e-5)
         typed = result.stdout.split("[")[1].split("]")[0]
-        np.testing.assert_allclose(poses.numbers("posture", typed), q, atol=1e-6)
+        assert_allclose(poses.numbers("posture", typed), q, atol=1e-6)
         arm = poses.arm_of("panda", "panda_hand_tcp").model
         assert np.all(q >= arm.lowerPositionLimit) and np.all(q <= arm.upperPositionLimit)
 
@@ -72,9 +71,9 @@ def test_a_scenario_tells_where_its_postures_put_the_object_and_how_to_put_it_el
     moved = call("two_contact_rod", "--xyz", "0, 5 cm, 0.2", "--json", tmp_path / "b.json")
     assert moved.exit_code == 0
     found = json.loads((tmp_path / "b.json").read_text())
-    np.testing.assert_allclose(np.array(found["object"])[:3, 3], [0, 0.05, 0.2], atol=1e-6)
+    assert_allclose(np.array(found["object"])[:3, 3], [0, 0.05, 0.2], atol=1e-6)
     tips = [np.array(found["tips"][arm])[:3, 3] for arm in ("left", "right")]
-    np.testing.assert_allclose(tips, [[-0.15, 0.05, 0.2], [0.15, 0.05, 0.2]], atol=1e-6)
+    assert_allclose(tips, [[-0.15, 0.05, 0.2], [0.15, 0.05, 0.2]], atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +95,7 @@ def test_what_is_wrong_is_told_with_exit_code_2(words, said):
 
 
 def test_numbers_are_those_of_scenario_files():
-    np.testing.assert_allclose(poses.numbers("rpy", "[180 deg, 0, 1]"), [np.pi, 0, 1])
+    assert_allclose(poses.numbers("rpy", "[180 deg, 0, 1]"), [np.pi, 0, 1])
     with pytest.raises(InvalidInputError, match="posture"):
         poses.numbers("posture", "1, x")
 
@@ -115,9 +114,10 @@ def test_a_pose_is_reached_within_a_micrometre_and_ten_microradians():
 
 def test_joints_outside_either_limit_are_named():
     chain = osc.ClosedChain([poses.arm_of("panda", "panda_hand_tcp")])
-    low, high = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
+    low = chain.model.lowerPositionLimit
+    high = chain.model.upperPositionLimit
     assert poses.outside(chain, low) == poses.outside(chain, high) == []
-    np.testing.assert_allclose(poses.rest(chain), (low + high) / 2, atol=1e-15)
+    assert_allclose(poses.rest(chain), (low + high) / 2, atol=1e-15)
     for k, name in enumerate(chain.joint_names):
         for q in (low - 1e-3 * np.eye(7)[k], high + 1e-3 * np.eye(7)[k]):
             (said,) = poses.outside(chain, q)

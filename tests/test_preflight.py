@@ -1,14 +1,11 @@
 """Ten mistakes in a scenario: each is told before it runs, by `inspect`, `run` and `osc.run`."""
 
-from __future__ import annotations
-
 import logging
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import pytest
-from typer.testing import CliRunner, Result
+from pytest import approx, mark, raises
+from typer.testing import CliRunner
 
 import osc_contact as osc
 from osc_contact import robots
@@ -25,51 +22,62 @@ REFUSED = {
     "start pose far off": ("object.pose.xyz=[0, 0, 0.33]", "mm away from object.pose"),
     "80 m of motion": ("motion.0.signals.0.amplitude=80 m", "are its signals in the right unit?"),
     "force beyond the motors": (
-        "force.left_end=[{type: constant, value: 5 kN}]", "30 times their limits"),
+        "force.left_end=[{type: constant, value: 5 kN}]",
+        "30 times their limits",
+    ),
     "no wrist sensor": ("arms.left.wrist_sensor=null", "name a frame of its URDF as wrist_sensor"),
     "1 Hz loop": ("control.rate=1 Hz", "raise the rate to 600 Hz"),
-}  # fmt: skip
+}
 DOUBTFUL = {
     "motion along the normal": (
-        f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]", "which does not permit it"),
+        f"motion=[{{kind: linear, direction: [0, 0, 1], {SINE}}}]",
+        "which does not permit it",
+    ),
     "start pose moved": ("object.pose.xyz=[0, 0, 0.23]", "starts 32 mm away from object.pose"),
     "free cart": (f"{LEFT}.motion={CART}", "nothing balances the cart of 'face_left_end'"),
     "springs without a loop": (
-        "plant.flexible_joints.frequency=60 Hz", "set control.joint_torque={rate: 4 kHz}"),
+        "plant.flexible_joints.frequency=60 Hz",
+        "set control.joint_torque={rate: 4 kHz}",
+    ),
     "masses wrong, no tare": ("model_error.arm_mass=1.2", "arm_mass is 1.2, and nothing zeroes"),
     "motion out of reach": (
         "motion.0.signals=[{type: minimum_jerk, value: 0.5 m, duration: 0.4 s}]",
-        "where no posture near the start puts it"),
+        "where no posture near the start puts it",
+    ),
     "friction that the filter reads": (
-        "plant.friction=0.2", "set control.force.reading=least_squares, or give control.friction"),
+        "plant.friction=0.2",
+        "set control.force.reading=least_squares, or give control.friction",
+    ),
     "biased wrists, no tare": (
-        "sensors.wrist={rate: 1 kHz, torque: {bias: 0.1 Nm}}", "set tare={} to zero them"),
-}  # fmt: skip
+        "sensors.wrist={rate: 1 kHz, torque: {bias: 0.1 Nm}}",
+        "set tare={} to zero them",
+    ),
+}
 
 
-def call(*words: str | Path) -> Result:
+def call(*words):
     result = CliRunner().invoke(app, [str(word) for word in words])
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return result
 
 
-@pytest.mark.parametrize("name", osc.list_scenarios())
+@mark.parametrize("name", osc.list_scenarios())
 def test_packaged_scenarios_pass_without_a_word(name):
     assert osc.preflight(osc.build_rig(osc.load_scenario(name))) == ()
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@mark.parametrize("name", REFUSED)
 def test_what_cannot_run_is_refused_at_every_door(name, tmp_path):
     change, cure = REFUSED[name]
     for words in (("inspect",), ("run", "--out", tmp_path)):
         result = call(*words, "two_contact_rod", "--set", change)
         assert result.exit_code == 2 and cure in result.stderr and not result.stdout
-    with pytest.raises(osc.ScenarioError, match=cure.replace("?", r"\?")):
+    with raises(osc.ScenarioError, match=cure.replace("?", r"\?")):
         osc.run(osc.load_scenario("two_contact_rod", [change]), duration=0.5)
 
 
-@pytest.mark.parametrize("name", DOUBTFUL)
+@mark.parametrize("name", DOUBTFUL)
 def test_what_is_doubtful_is_told_at_every_door(name, caplog):
     change, words = DOUBTFUL[name]
     with caplog.at_level(logging.WARNING, "osc_contact.preflight"):
@@ -83,38 +91,62 @@ def test_what_is_doubtful_is_told_at_every_door(name, caplog):
 
 ELSEWHERE = {
     "table 1 m away": ("panda_edge", ["environment.table.pose.xyz=[1.5, 0, 0.32]"], "mm away from"),
-    "board 1 m below": ("ur5_wipe", ["environment.board.pose.xyz=[0.47, 0, -0.76]"],
-                        "At object.pose contact 'cloth' is 866 mm away from what it touches"),
-    "posts 1 m aside": ("three_arm_plate", ["environment.tripod.pose.xyz=[1, 0, 0]"],
-                        "mm beside the object"),
-    "face's normal": ("ur5_wipe", ["contacts.cloth.face_normal=[0, 0, -1]"],
-                      "out of 'board', .* reverse contacts.cloth.face_normal"),
-    "edge's normal": ("panda_edge", ["contacts.edge.edge_outward=[1, 0, -1]"],
-                      "reverse contacts.edge.edge_outward"),
-    "object's normal": ("three_arm_plate", ["contacts.post_1.normal=[0, 0, 1]"],
-                        "out of the object, .* reverse contacts.post_1.normal"),
-    "two normals": ("scara_peg", ["contacts.wall_x.face_normal=[1, 0, 0]",
-                                  "contacts.wall_y.face_normal=[0, 1, 0]"],
-                    "starts 9 mm inside 'socket'"),
-    "force": ("dual_panda_rod", ["force.left_end=[{type: constant, value: 1600 N}]"],
-              "need 4 times their limits"),
-}  # fmt: skip
+    "board 1 m below": (
+        "ur5_wipe",
+        ["environment.board.pose.xyz=[0.47, 0, -0.76]"],
+        "At object.pose contact 'cloth' is 866 mm away from what it touches",
+    ),
+    "posts 1 m aside": (
+        "three_arm_plate",
+        ["environment.tripod.pose.xyz=[1, 0, 0]"],
+        "mm beside the object",
+    ),
+    "face's normal": (
+        "ur5_wipe",
+        ["contacts.cloth.face_normal=[0, 0, -1]"],
+        "out of 'board', .* reverse contacts.cloth.face_normal",
+    ),
+    "edge's normal": (
+        "panda_edge",
+        ["contacts.edge.edge_outward=[1, 0, -1]"],
+        "reverse contacts.edge.edge_outward",
+    ),
+    "object's normal": (
+        "three_arm_plate",
+        ["contacts.post_1.normal=[0, 0, 1]"],
+        "out of the object, .* reverse contacts.post_1.normal",
+    ),
+    "two normals": (
+        "scara_peg",
+        ["contacts.wall_x.face_normal=[1, 0, 0]", "contacts.wall_y.face_normal=[0, 1, 0]"],
+        "starts 9 mm inside 'socket'",
+    ),
+    "force": (
+        "dual_panda_rod",
+        ["force.left_end=[{type: constant, value: 1600 N}]"],
+        "need 4 times their limits",
+    ),
+}
 
 
-@pytest.mark.parametrize("name", ELSEWHERE)
+@mark.parametrize("name", ELSEWHERE)
 def test_other_kinds_of_contact_are_looked_at_too(name):
     scenario, changes, cure = ELSEWHERE[name]
-    with pytest.raises((osc.ScenarioError, osc.ModelError), match=cure):
+    with raises((osc.ScenarioError, osc.ModelError), match=cure):
         osc.run(osc.load_scenario(scenario, changes), duration=0.5)
     words = [word for change in changes for word in ("--set", change)]
     assert call("inspect", scenario, *words).exit_code == 2
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("name", "force", "told"),
-    [("scara_peg", 90, False), ("scara_peg", 160, True), ("panda_edge", 170, False),
-     ("panda_edge", 210, True)],
-)  # fmt: skip
+    [
+        ("scara_peg", 90, False),
+        ("scara_peg", 160, True),
+        ("panda_edge", 170, False),
+        ("panda_edge", 210, True),
+    ],
+)
 def test_forces_are_told_where_the_motors_end(name, force, told):
     """Judged by a run: it loses more than 5 % of the force where that is told, and only there."""
     contact = {"scara_peg": "wall_x", "panda_edge": "edge"}[name]
@@ -131,11 +163,12 @@ def test_the_least_peak_is_that_of_the_dual_problem():
     """min |x|∞ with A x = b is max bᵀy with |Aᵀy|₁ ≤ 1, here at vertices found by trying."""
     rng = np.random.default_rng(0)
     for _ in range(20):
-        A, b = rng.standard_normal((2, 5)), rng.standard_normal(2)
+        A = rng.standard_normal((2, 5))
+        b = rng.standard_normal(2)
         angles = np.linspace(0.0, 2.0 * np.pi, 20_001)
         y = np.array((np.cos(angles), np.sin(angles)))
         best = float((b @ y / np.abs(A.T @ y).sum(axis=0)).max())
-        assert least_peak(A, b) == pytest.approx(best, rel=0.011)
+        assert least_peak(A, b) == approx(best, rel=0.011)
 
 
 def test_a_contact_without_forces_is_no_trouble():
@@ -152,17 +185,20 @@ def test_a_contact_that_lives_is_kept_only_while_it_is_pressed():
         assert any("does not permit it" in one.text for one in osc.preflight(rig)) == told
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "changes",
     [
-        ["plant.flexible_joints.frequency=60 Hz", "control.joint_torque={rate: 20 kHz}",
-         "plant.step=0.05 ms"],
+        [
+            "plant.flexible_joints.frequency=60 Hz",
+            "control.joint_torque={rate: 20 kHz}",
+            "plant.step=0.05 ms",
+        ],
         ["plant.flexible_joints.frequency=200 Hz"],
         ["model_error.arm_mass=1.2", "tare={}"],
         ["model_error.arm_mass=1.2", "plant.type=rigid", "plant.step=1 ms"],
         ["sensors.wrist={rate: 1 kHz, force: {noise: 1 N}}"],
     ],
-)  # fmt: skip
+)
 def test_what_is_cured_is_not_told(changes):
     assert osc.preflight(osc.build_rig(osc.load_scenario("two_contact_rod", changes))) == ()
 
@@ -213,29 +249,55 @@ LIMITS = {
     "100 mm to the start": ([drop(98)], [drop(102)], "refused", "102 mm away from"),
     "5 mm off a face": ([lift(4.8 / LEAN)], [lift(5.2 / LEAN)], "doubtful", "5 mm off"),
     "5 mm into a face": ([lift(-4.8 / LEAN)], [lift(-5.2 / LEAN)], "doubtful", "5 mm into"),
-    "motion damping": (["gains.motion.damping=690"], ["gains.motion.damping=710"], "doubtful",
-                       "raise the rate to 7100 Hz"),
-    "motion damping, twice": (["gains.motion.damping=1990"], ["gains.motion.damping=2010"],
-                              "refused", "raise the rate to 20100 Hz"),
-    "force integral": (["gains.force.integral=690"], ["gains.force.integral=710"], "doubtful",
-                       "gains.force.integral 710 1/s"),
-    "force brake": (["gains.force={bandwidth: 25 Hz, damping_ratio: 2.2}"],
-                    ["gains.force={bandwidth: 26 Hz, damping_ratio: 2.2}"], "doubtful",
-                    "bandwidth 26 Hz, brake 718.796"),
-    "springs": (["plant.flexible_joints.frequency=102 Hz"],
-                ["plant.flexible_joints.frequency=98 Hz"], "doubtful", "swing at 98 Hz"),
+    "motion damping": (
+        ["gains.motion.damping=690"],
+        ["gains.motion.damping=710"],
+        "doubtful",
+        "raise the rate to 7100 Hz",
+    ),
+    "motion damping, twice": (
+        ["gains.motion.damping=1990"],
+        ["gains.motion.damping=2010"],
+        "refused",
+        "raise the rate to 20100 Hz",
+    ),
+    "force integral": (
+        ["gains.force.integral=690"],
+        ["gains.force.integral=710"],
+        "doubtful",
+        "gains.force.integral 710 1/s",
+    ),
+    "force brake": (
+        ["gains.force={bandwidth: 25 Hz, damping_ratio: 2.2}"],
+        ["gains.force={bandwidth: 26 Hz, damping_ratio: 2.2}"],
+        "doubtful",
+        "bandwidth 26 Hz, brake 718.796",
+    ),
+    "springs": (
+        ["plant.flexible_joints.frequency=102 Hz"],
+        ["plant.flexible_joints.frequency=98 Hz"],
+        "doubtful",
+        "swing at 98 Hz",
+    ),
     # s = F t² / 2m in 10 s
     "cart up": (balanced(0.0076), balanced(0.0084), "doubtful", "0.0084 N along its rail"),
     "cart down": (balanced(-0.0076), balanced(-0.0084), "doubtful", "-0.0084 N along its rail"),
-    "weight": (["model_error.object_mass=1"], ["model_error.object_mass=1.1"], "doubtful",
-               "object_mass is 1.1, and nothing zeroes"),
-    "bias of forces": (["sensors.wrist={rate: 1 kHz, force: {noise: 1 N}}"],
-                       ["sensors.wrist={rate: 1 kHz, force: {bias: 1 N}}"], "doubtful",
-                       "force has a bias of 1 N, and nothing zeroes"),
-}  # fmt: skip
+    "weight": (
+        ["model_error.object_mass=1"],
+        ["model_error.object_mass=1.1"],
+        "doubtful",
+        "object_mass is 1.1, and nothing zeroes",
+    ),
+    "bias of forces": (
+        ["sensors.wrist={rate: 1 kHz, force: {noise: 1 N}}"],
+        ["sensors.wrist={rate: 1 kHz, force: {bias: 1 N}}"],
+        "doubtful",
+        "force has a bias of 1 N, and nothing zeroes",
+    ),
+}
 
 
-@pytest.mark.parametrize("name", LIMITS)
+@mark.parametrize("name", LIMITS)
 def test_what_is_told_begins_at_its_limit(name):
     below, above, kind, words = LIMITS[name]
     assert kind not in [one for one, _ in told("two_contact_rod", *below)]
@@ -260,17 +322,22 @@ def test_forces_beyond_the_motors_are_doubtful_then_refused():
     }
     assert found[430] == []
     assert [found[newtons][0][0] for newtons in (460, 1180, 1250)] == [
-        "doubtful", "doubtful", "refused",
-    ]  # fmt: skip
+        "doubtful",
+        "doubtful",
+        "refused",
+    ]
     assert "2.9 times their limits" in found[1180][0][1]
 
 
-@pytest.mark.parametrize("name", ["two_contact_rod", "ur5_wipe", "panda_edge", "scara_peg"])
+@mark.parametrize("name", ["two_contact_rod", "ur5_wipe", "panda_edge", "scara_peg"])
 def test_no_posture_reaches_further_than_what_motions_are_compared_with(name):
     rig = osc.build_rig(osc.load_scenario(name))
-    arm, grasp = rig.chain.arms[0], rig.chain.grasps[0]
-    model, data = arm.model, arm.model.createData()
-    tip, most = model.getFrameId(arm.tip), 0.0
+    arm = rig.chain.arms[0]
+    grasp = rig.chain.grasps[0]
+    model = arm.model
+    data = arm.model.createData()
+    tip = model.getFrameId(arm.tip)
+    most = 0.0
     for q in robots.random_configurations(model, 3000, 1):
         pin.framesForwardKinematics(model, data, q)
         reached = (data.oMf[tip] * grasp.X_TO).translation

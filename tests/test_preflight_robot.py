@@ -1,12 +1,10 @@
 """A robot of one's own is looked at before it runs, and compared with its MuJoCo scene."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco
 import numpy as np
-import pytest
+from pytest import approx, mark, raises
 from test_own_mujoco import START, WALL, robot_of, scene
 
 import osc_contact as osc
@@ -19,11 +17,13 @@ def task(model=None, pair=WALL, alpha=10.0, amplitude=0.02, ticks=1500, guess=ST
     robot.reset(start)
     controller = osc.Controller(robot.chain, [pair], posture=start, **how)
     X = robot.chain.state(start, np.zeros(3)).X_WO
-    z, w = np.array([0, 0, amplitude]), 3.0
+    z = np.array([0, 0, amplitude])
+    w = 3.0
 
     def along(t):
         p = X.translation + (1 - np.cos(w * t)) * z
-        v, a = w * np.sin(w * t) * z, w**2 * np.cos(w * t) * z
+        v = w * np.sin(w * t) * z
+        a = w**2 * np.cos(w * t) * z
         return osc.pose_reference(p, X.rotation, v, a, alpha_d=[alpha])
 
     return robot, controller, [along(1e-3 * k) for k in range(ticks)]
@@ -34,7 +34,8 @@ def heavy(factor):
     model.body_mass[:] *= factor
     model.body_inertia[:] *= factor
     for j in range(model.nu):
-        model.actuator_ctrllimited[j], model.actuator_ctrlrange[j] = 1, (-40, 40)
+        model.actuator_ctrllimited[j] = 1
+        model.actuator_ctrlrange[j] = (-40, 40)
     return model
 
 
@@ -74,10 +75,10 @@ WRONG = {
     "end of a joint": (lambda: {"model": short(0.05), "guess": NEAR}, "arm/elbow"),
     "tool of another size": (lambda: {"model": tool_radius(0.005)}, "the tool is 10 mm away"),
     "slow loop": (lambda: {"gains": osc.Gains(osc.MotionGains(400.0, 900.0))}, "control.rate"),
-}  # fmt: skip
+}
 
 
-@pytest.mark.parametrize("name", WRONG)
+@mark.parametrize("name", WRONG)
 def test_what_is_wrong_is_found_before_it_runs(name):
     make, words = WRONG[name]
     found = osc.preflight(*task(**make()))
@@ -91,7 +92,7 @@ def test_a_sound_task_is_passed_and_left_as_it_is():
     assert osc.preflight(robot, controller, iter(references)) == ()
     assert not controller._records.memory.ticked and robot.time == 0.0
     osc.run_loop(robot, controller, references)
-    assert robot.truth().alpha[0] == pytest.approx(10.0, rel=0.02)
+    assert robot.truth().alpha[0] == approx(10.0, rel=0.02)
 
 
 def test_a_joint_too_fast_is_named_with_its_time():
@@ -107,8 +108,9 @@ def test_a_controller_with_other_masses_is_found():
     controller = osc.Controller(other, [WALL], posture=robot.measure().q)
     found = [x for x in osc.preflight(robot, controller, references) if "weighs" in x.text]
     assert [x.text.split(" weighs")[0] for x in found] == [
-        "all that moves", "what the wrist carries",
-    ]  # fmt: skip
+        "all that moves",
+        "what the wrist carries",
+    ]
     assert not any(x.refused for x in found)
 
 
@@ -148,12 +150,12 @@ def pin_shifted(X, by):
 
 def test_what_cannot_be_looked_at_is_refused():
     robot, controller, references = task()
-    with pytest.raises(osc.InvalidInputError, match="its controller and references"):
+    with raises(osc.InvalidInputError, match="its controller and references"):
         osc.preflight(robot)
-    with pytest.raises(osc.InvalidInputError, match="no references"):
+    with raises(osc.InvalidInputError, match="no references"):
         osc.preflight(robot, controller, [])
     bad = [replace(references[0], alpha_d=np.zeros(2))]
-    with pytest.raises(osc.InvalidInputError, match="1 columns of N"):
+    with raises(osc.InvalidInputError, match="1 columns of N"):
         osc.preflight(robot, controller, bad)
 
 
@@ -169,8 +171,13 @@ def test_distances_in_a_scene_are_those_of_its_shapes():
     robot = osc.MujocoRobot.from_model(model, tip="hand")
     probe = robot.probe()
     for point, want in (
-        ([0, 0, 4.5], 0.5), ([0, 0, 3.7], -0.3), ([0, 0.9, 3], -0.1), ([3, 0, 0.2], 0.2),
-        ([5, 0, 4.2], 0.2), ([3, 0, -0.4], -0.4), ([5, 0, 3.8], -0.2),
-    ):  # fmt: skip
-        assert probe.distance(np.array(point, dtype=float))[0] == pytest.approx(want, abs=1e-5)
-    assert probe.clearance() == (pytest.approx(1.9), "box")
+        ([0, 0, 4.5], 0.5),
+        ([0, 0, 3.7], -0.3),
+        ([0, 0.9, 3], -0.1),
+        ([3, 0, 0.2], 0.2),
+        ([5, 0, 4.2], 0.2),
+        ([3, 0, -0.4], -0.4),
+        ([5, 0, 3.8], -0.2),
+    ):
+        assert probe.distance(np.array(point, dtype=float))[0] == approx(want, abs=1e-5)
+    assert probe.clearance() == (approx(1.9), "box")

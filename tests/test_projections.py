@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+from pytest import mark, raises
 
 from osc_contact import projections as P
 from osc_contact.errors import ContactError
@@ -33,18 +32,18 @@ class Case:
     B: tuple[np.ndarray, np.ndarray]
 
 
-def definite(rng: np.random.Generator, size: np.ndarray) -> np.ndarray:
+def definite(rng, size):
     """A random positive definite matrix whose elements have the magnitudes size·sizeᵀ."""
     X = rng.normal(size=(6, 6))
     return (X @ X.T + 0.3 * np.eye(6)) * np.outer(size, size)
 
 
-def mixing(rng: np.random.Generator, n: int) -> np.ndarray:
+def mixing(rng, n):
     """A well-conditioned change of basis."""
     return rng.normal(size=(n, n)) + 3.0 * np.eye(n)
 
 
-def case(seed: int, r: int) -> Case:
+def case(seed, r):
     rng = np.random.default_rng([seed, r])
     Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
     return Case(
@@ -55,18 +54,18 @@ def case(seed: int, r: int) -> Case:
     )
 
 
-def inverse(A: np.ndarray) -> np.ndarray:
+def inverse(A):
     inverted = np.linalg.inv(A)
     return 0.5 * (inverted + inverted.T)
 
 
-def part(first: np.ndarray, second: np.ndarray, x: np.ndarray) -> np.ndarray:
+def part(first, second, x):
     """The component of x in range(first) when the rest lies in range(second): eqs. 1 and 2."""
     magnitudes = np.linalg.solve(np.hstack((first, second)), x)
     return first @ magnitudes[: first.shape[1]]
 
 
-def close(got: np.ndarray, want: np.ndarray, tolerance: float = 1e-10) -> None:
+def close(got, want, tolerance=1e-10):
     """Equal relative to the larger of the two, linear and angular rows each on their own scale."""
     assert got.shape == want.shape
     for rows in (slice(0, 3), slice(3, 6)):
@@ -74,56 +73,53 @@ def close(got: np.ndarray, want: np.ndarray, tolerance: float = 1e-10) -> None:
         assert np.abs(got[rows] - want[rows]).max(initial=0.0) <= tolerance * scale
 
 
-def vanishes(left: np.ndarray, right: np.ndarray, tolerance: float = 1e-10) -> bool:
+def vanishes(left, right, tolerance=1e-10):
     """The product is zero against the size of its summands."""
     return bool((np.abs(left @ right) <= tolerance * (np.abs(left) @ np.abs(right))).all())
 
 
-def same_span(X: np.ndarray, Y: np.ndarray) -> bool:
-    def rank(Z: np.ndarray) -> int:
+def same_span(X, Y):
+    def rank(Z):
         return int(np.linalg.matrix_rank(Z, rtol=1e-7)) if Z.size else 0  # NumPy 2.4.0: no 6×0
 
-    X, Y = X / max(np.abs(X).max(initial=0.0), 1e-9), Y / max(np.abs(Y).max(initial=0.0), 1e-9)
+    X = X / max(np.abs(X).max(initial=0.0), 1e-9)
+    Y = Y / max(np.abs(Y).max(initial=0.0), 1e-9)
     return rank(X) == rank(Y) == rank(np.hstack((X, Y)))
 
 
-def on_every_contact(test: object) -> object:
-    return pytest.mark.parametrize("r", RANKS)(pytest.mark.parametrize("seed", TRIALS)(test))
+def on_every_contact(test):
+    return mark.parametrize("r", RANKS)(mark.parametrize("seed", TRIALS)(test))
 
 
 @on_every_contact
-def test_every_projection_is_the_decomposition_it_stands_for(seed: int, r: int) -> None:
+def test_every_projection_is_the_decomposition_it_stands_for(seed, r):
+    """On a basis, so that ranges, kernels, Ω² = Ω and Ω + Ω̄ = 1 are those of the decomposition."""
     c = case(seed, r)
-    rng = np.random.default_rng(seed)
-    f, v = SIZE * rng.normal(size=6), rng.normal(size=6) / SIZE
-    A, B = c.A[0], c.B[0]
-    close(P.Omega_f(c.N, inverse(A)) @ f, part(c.N, A @ c.T, f))
-    close(P.Omega_f_bar(c.T, A) @ f, part(A @ c.T, c.N, f))
-    close(P.Omega_m(c.T, inverse(B)) @ v, part(c.T, B @ c.N, v))
-    close(P.Omega_m_bar(c.N, B) @ v, part(B @ c.N, c.T, v))
-    for matrix in (
-        P.Omega_f(c.N, inverse(A)),
-        P.Omega_f_bar(c.T, A),
-        P.Omega_m(c.T, inverse(B)),
-        P.Omega_m_bar(c.N, B),
-    ):
-        assert matrix.shape == (6, 6)
+    A = c.A[0]
+    B = c.B[0]
+    forces = np.diag(SIZE)
+    motions = np.diag(1 / SIZE)
+    close(P.Omega_f(c.N, inverse(A)) @ forces, part(c.N, A @ c.T, forces))
+    close(P.Omega_f_bar(c.T, A) @ forces, part(A @ c.T, c.N, forces))
+    close(P.Omega_m(c.T, inverse(B)) @ motions, part(c.T, B @ c.N, motions))
+    close(P.Omega_m_bar(c.N, B) @ motions, part(B @ c.N, c.T, motions))
 
 
 @on_every_contact
-def test_any_complement_decomposes(seed: int, r: int) -> None:
+def test_any_complement_decomposes(seed, r):
     """Eqs. 3 and 4 with complements that no definite matrix need have made."""
     c = case(seed, r)
     rng = np.random.default_rng([seed, r, 1])
     N_prime = SIZE[:, None] * rng.normal(size=(6, 6 - r))
     T_prime = rng.normal(size=(6, r)) / SIZE[:, None]
-    f, v = SIZE * rng.normal(size=6), rng.normal(size=6) / SIZE
+    f = SIZE * rng.normal(size=6)
+    v = rng.normal(size=6) / SIZE
     close(P.Omega_f_bar_from_complement(N_prime, c.T) @ f, part(N_prime, c.N, f), 1e-9)
     close(P.Omega_m_bar_from_complement(T_prime, c.N) @ v, part(T_prime, c.T, v), 1e-9)
 
 
-@pytest.mark.parametrize("unit", [1e-7, 1e7])
-def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit: float) -> None:
+@mark.parametrize("unit", [1e-7, 1e7])
+def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit):
     for r in range(1, 6):
         c = case(0, r)
         rng = np.random.default_rng([r, 8])
@@ -132,48 +128,12 @@ def test_complements_of_any_size_decompose_and_what_is_none_is_refused(unit: flo
         got = P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
         close(got @ f, part(N_prime, c.N, f), 1e-9)
         N_prime[:, 0] = c.N @ rng.normal(size=r)
-        with pytest.raises(ContactError, match="N′ is not a complement of N"):
+        with raises(ContactError, match="N′ is not a complement of N"):
             P.Omega_f_bar_from_complement(unit * N_prime, unit * c.T)
 
 
 @on_every_contact
-def test_complements_made_by_a_metric_give_the_metric_projections(seed: int, r: int) -> None:
-    """Eq. 3 with N′ = A T is eq. 6 and eq. 4 with T′ = B N is eq. 8, in any basis of N′ and T′."""
-    c = case(seed, r)
-    rng = np.random.default_rng([seed, r, 2])
-    A, B = c.A[0], c.B[0]
-    N_prime, T_prime = A @ c.T @ mixing(rng, 6 - r), B @ c.N @ mixing(rng, r)
-    close(P.Omega_f_bar_from_complement(N_prime, c.T), P.Omega_f_bar(c.T, A))
-    close(P.Omega_m_bar_from_complement(T_prime, c.N), P.Omega_m_bar(c.N, B))
-
-
-@on_every_contact
-def test_the_two_parts_add_up(seed: int, r: int) -> None:
-    c = case(seed, r)
-    A, B = c.A[0], c.B[0]
-    close(P.Omega_f(c.N, inverse(A)) + P.Omega_f_bar(c.T, A), np.eye(6))
-    close(P.Omega_m(c.T, inverse(B)) + P.Omega_m_bar(c.N, B), np.eye(6))
-
-
-@on_every_contact
-def test_ranges_kernels_and_idempotence(seed: int, r: int) -> None:
-    c = case(seed, r)
-    A, B = c.A[0], c.B[0]
-    for projection, onto, along in (
-        (P.Omega_f(c.N, inverse(A)), c.N, A @ c.T),
-        (P.Omega_f_bar(c.T, A), A @ c.T, c.N),
-        (P.Omega_m(c.T, inverse(B)), c.T, B @ c.N),
-        (P.Omega_m_bar(c.N, B), B @ c.N, c.T),
-    ):
-        close(projection @ projection, projection)
-        close(projection @ onto, onto)
-        assert vanishes(projection, along)
-        assert np.trace(projection) == pytest.approx(onto.shape[1], abs=1e-10)
-        assert same_span(projection, onto)
-
-
-@on_every_contact
-def test_identities_9_to_12(seed: int, r: int) -> None:
+def test_identities_9_to_12(seed, r):
     """With the bars that eqs. 10 and 12 lost; as printed they hold only where a space is empty."""
     c = case(seed, r)
     f1, f2 = (P.Omega_f(c.N, inverse(A)) for A in c.A)
@@ -191,39 +151,29 @@ def test_identities_9_to_12(seed: int, r: int) -> None:
         assert np.abs(g1 @ g2).max() > 1e-3 and np.abs(w1 @ w2).max() > 1e-3
 
 
-@pytest.mark.parametrize("seed", TRIALS)
-def test_empty_and_full_contacts(seed: int) -> None:
-    free, clamped = case(seed, 0), case(seed, 6)
-    A, B = free.A[0], free.B[0]
-    none, all_ = np.zeros((6, 0)), np.zeros((6, 6))
-    np.testing.assert_array_equal(P.Omega_f(none, inverse(A)), all_)
-    np.testing.assert_array_equal(P.Omega_m_bar(none, B), all_)
-    np.testing.assert_array_equal(P.Omega_f_bar(none, A), all_)
-    np.testing.assert_array_equal(P.Omega_m(none, inverse(B)), all_)
-    np.testing.assert_array_equal(P.Omega_f_bar_from_complement(none, none), all_)
-    np.testing.assert_array_equal(P.Omega_m_bar_from_complement(none, none), all_)
+@mark.parametrize("seed", TRIALS)
+def test_empty_and_full_contacts(seed):
+    free = case(seed, 0)
+    clamped = case(seed, 6)
+    A = free.A[0]
+    B = free.B[0]
+    none = np.zeros((6, 0))
+    all_ = np.zeros((6, 6))
+    assert_array_equal(P.Omega_f(none, inverse(A)), all_)
+    assert_array_equal(P.Omega_m_bar(none, B), all_)
+    assert_array_equal(P.Omega_f_bar(none, A), all_)
+    assert_array_equal(P.Omega_m(none, inverse(B)), all_)
+    assert_array_equal(P.Omega_f_bar_from_complement(none, none), all_)
+    assert_array_equal(P.Omega_m_bar_from_complement(none, none), all_)
     close(P.Omega_f_bar(free.T, A), np.eye(6))
     close(P.Omega_m(free.T, inverse(B)), np.eye(6))
     close(P.Omega_f(clamped.N, inverse(A)), np.eye(6))
     close(P.Omega_m_bar(clamped.N, B), np.eye(6))
 
 
-@on_every_contact
-def test_contact_force_obeys_gauss(seed: int, r: int) -> None:
-    """Ω_f f is the contact force that leaves the least acceleration energy: ½(f−Nα)ᵀΦ(f−Nα)."""
-    c = case(seed, r)
-    rng = np.random.default_rng([seed, r, 3])
-    root = SIZE[:, None] ** -1 * rng.normal(size=(6, 6))
-    f = SIZE * rng.normal(size=6)
-    alpha = np.linalg.lstsq(root.T @ c.N, root.T @ f, rcond=None)[0]
-    close(P.Omega_f(c.N, root @ root.T) @ f, c.N @ alpha, 1e-9)
-    alpha = np.linalg.lstsq(root.T @ c.N, root.T, rcond=None)[0]
-    close(P.Omega_m_bar(c.N, root @ root.T), (c.N @ alpha).T, 1e-9)  # the dual law: transposed
-
-
-@pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
-@pytest.mark.parametrize("seed", TRIALS)
-def test_rank_five_inverse_inertia_is_enough(seed: int, r: int) -> None:
+@mark.parametrize("r", [1, 2, 3, 4, 5])
+@mark.parametrize("seed", TRIALS)
+def test_rank_five_inverse_inertia_is_enough(seed, r):
     """Dual SCARA: Φ has rank 5, Λ does not exist; the laws are the limit of definite metrics."""
     c = case(seed, r)
     rng = np.random.default_rng([seed, r, 4])
@@ -243,85 +193,89 @@ def test_rank_five_inverse_inertia_is_enough(seed: int, r: int) -> None:
     close(2 * one - two, projection, 1e-5)
 
 
-@pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
-@pytest.mark.parametrize("seed", range(4))
-def test_metric_that_cannot_push_along_n_is_refused(seed: int, r: int) -> None:
+@mark.parametrize("r", [1, 2, 3, 4, 5])
+@mark.parametrize("seed", range(4))
+def test_metric_that_cannot_push_along_n_is_refused(seed, r):
     """The wrench the structure carries itself, Φn = 0, alone or hidden in a basis of N."""
     rng = np.random.default_rng([seed, r, 5])
     Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
-    carried, others = SIZE[:, None] * Q[:, :1], SIZE[:, None] * rng.normal(size=(6, r - 1))
+    carried = SIZE[:, None] * Q[:, :1]
+    others = SIZE[:, None] * rng.normal(size=(6, r - 1))
     root = Q[:, 1:] @ mixing(rng, 5) / SIZE[:, None]
     N = np.hstack((carried, others))
     for basis in (N, N @ mixing(rng, r)):
-        with pytest.raises(ContactError, match="Ω_f"):
+        with raises(ContactError, match="Ω_f"):
             P.Omega_f(basis, root @ root.T)
-        with pytest.raises(ContactError, match="Ω̄_m"):
+        with raises(ContactError, match="Ω̄_m"):
             P.Omega_m_bar(basis, root @ root.T)
-    with pytest.raises(ContactError, match=r"column 0 has nᵀΦn"):
+    with raises(ContactError, match=r"column 0 has nᵀΦn"):
         P.Omega_f(N, root @ root.T)
 
 
-def test_zero_and_indefinite_metrics_are_refused() -> None:
+def test_zero_and_indefinite_metrics_are_refused():
     N = np.eye(6)[:, :2]
-    with pytest.raises(ContactError, match="column 0"):
+    with raises(ContactError, match="column 0"):
         P.Omega_f(N, np.zeros((6, 6)))
     for i in (1, 5):  # along N or not: no inertia is like that
-        with pytest.raises(ContactError, match="smallest eigenvalue -1"):
+        with raises(ContactError, match="smallest eigenvalue -1"):
             P.Omega_m_bar(N, np.diag(np.where(np.arange(6) == i, -1.0, 1.0)))
     mixed = np.eye(6)
     mixed[0, 1] = mixed[1, 0] = 2.0  # positive diagonal, negative eigenvalue
-    with pytest.raises(ContactError, match="smallest eigenvalue -1"):
+    with raises(ContactError, match="smallest eigenvalue -1"):
         P.Omega_f(N, mixed)
 
 
-@pytest.mark.parametrize("i", range(6))
-def test_metrics_that_hardly_move_along_one_axis_are_refused_there(i: int) -> None:
+@mark.parametrize("i", range(6))
+def test_metrics_that_hardly_move_along_one_axis_are_refused_there(i):
     """Beside the others of its kind: a metric of angles alone may be as small as it likes."""
     metric = np.eye(6)
     metric[i, i] = 1e-14
-    with pytest.raises(ContactError, match="column 0"):
+    with raises(ContactError, match="column 0"):
         P.Omega_f(np.eye(6)[:, [i]], metric)
     kind = np.where(np.arange(6) // 3 == i // 3, 1e-14, 1.0)
     close(P.Omega_f(np.eye(6)[:, [i]], np.diag(kind)), np.diag(np.eye(6)[i]))
 
 
-@pytest.mark.parametrize("size", [1e-6, 0.5])
-def test_metrics_that_are_nearly_symmetric_or_definite_are_refused(size: float) -> None:
+@mark.parametrize("size", [1e-6, 0.5])
+def test_metrics_that_are_nearly_symmetric_or_definite_are_refused(size):
     """A millionth is no rounding error."""
-    N, skew, sunken = np.eye(6)[:, :2], np.eye(6), np.diag([1.0] * 5 + [-size])
+    N = np.eye(6)[:, :2]
+    skew = np.eye(6)
+    sunken = np.diag([1.0] * 5 + [-size])
     skew[1, 0] = size
-    with pytest.raises(ContactError, match=f"not symmetric \\(relative difference {size:.3g}"):
+    with raises(ContactError, match=f"not symmetric \\(relative difference {size:.3g}"):
         P.Omega_f(N, skew)
-    with pytest.raises(ContactError, match=f"smallest eigenvalue -{size:.3g}"):
+    with raises(ContactError, match=f"smallest eigenvalue -{size:.3g}"):
         P.Omega_f(N, sunken)
     for within in (1e-12, -1e-12):  # is one
         skew[1, 0] = within
         close(P.Omega_f(N, skew), P.Omega_f(N, np.eye(6)))
 
 
-@pytest.mark.parametrize("k", [2, 3, 4, 5, 6])
-@pytest.mark.parametrize("seed", range(3))
-def test_dependent_columns_are_refused(seed: int, k: int) -> None:
+@mark.parametrize("k", [2, 3, 4, 5, 6])
+@mark.parametrize("seed", range(3))
+def test_dependent_columns_are_refused(seed, k):
     rng = np.random.default_rng([seed, k])
     columns = SIZE[:, None] * rng.normal(size=(6, k))
     columns[:, -1] = columns[:, :-1] @ rng.normal(size=k - 1)
-    force, motion = definite(rng, 1 / SIZE), definite(rng, 1 / SIZE)
+    force = definite(rng, 1 / SIZE)
+    motion = definite(rng, 1 / SIZE)
     for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
-        with pytest.raises(ContactError, match="dependent"):
+        with raises(ContactError, match="dependent"):
             law(columns, force if law in (P.Omega_f, P.Omega_m_bar) else motion)
 
 
-def test_zero_columns_are_refused() -> None:
+def test_zero_columns_are_refused():
     columns = np.eye(6)[:, :3].copy()
     columns[:, 1] = 0.0
     for law in (P.Omega_f, P.Omega_f_bar, P.Omega_m, P.Omega_m_bar):
-        with pytest.raises(ContactError, match="column 1"):
+        with raises(ContactError, match="column 1"):
             law(columns, np.eye(6))
 
 
-@pytest.mark.parametrize("r", [1, 2, 3, 4, 5])
-@pytest.mark.parametrize("seed", range(3))
-def test_no_complement_is_refused(seed: int, r: int) -> None:
+@mark.parametrize("r", [1, 2, 3, 4, 5])
+@mark.parametrize("seed", range(3))
+def test_no_complement_is_refused(seed, r):
     """One vector in common with the other space is enough."""
     c = case(seed, r)
     rng = np.random.default_rng([seed, r, 6])
@@ -329,56 +283,60 @@ def test_no_complement_is_refused(seed: int, r: int) -> None:
     T_prime = rng.normal(size=(6, r)) / SIZE[:, None]
     N_prime[:, 0] = c.N @ rng.normal(size=r)
     T_prime[:, 0] = c.T @ rng.normal(size=6 - r)
-    with pytest.raises(ContactError, match="N′ is not a complement of N"):
+    with raises(ContactError, match="N′ is not a complement of N"):
         P.Omega_f_bar_from_complement(N_prime @ mixing(rng, 6 - r), c.T)
-    with pytest.raises(ContactError, match="T′ is not a complement of T"):
+    with raises(ContactError, match="T′ is not a complement of T"):
         P.Omega_m_bar_from_complement(T_prime @ mixing(rng, r), c.N)
-    with pytest.raises(ContactError, match="complement"):
+    with raises(ContactError, match="complement"):
         P.Omega_m_bar_from_complement(np.zeros((6, r)), c.N)
 
 
 # Invariance ---------------------------------------------------------------------------------------
 
 
-def well_mixing(rng: np.random.Generator, n: int) -> np.ndarray:
+def well_mixing(rng, n):
     """A change of basis that costs hardly any digits: columns turned, then scaled."""
     return np.linalg.qr(rng.normal(size=(n, n)))[0] * 10 ** rng.uniform(-2, 2, n)
 
 
-def frame_change(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def frame_change(rng):
     """Turned axes and another operational point, up to 2 m away: motions by X, forces by X*."""
     rotation = pin.Quaternion(*(q := rng.normal(size=4)) / np.linalg.norm(q)).matrix()
     X = pin.SE3(rotation, rng.uniform(-2.0, 2.0, size=3))
     return X.toActionMatrix(), X.toDualActionMatrix()
 
 
-def millimetres(_: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def millimetres(_):
     """m → mm with N kept: velocities × 1000, couples × 1000 (N mm); power then counts in N mm/s."""
     return np.diag([1e3] * 3 + [1.0] * 3), np.diag([1.0] * 3 + [1e3] * 3)
 
 
-def millimetres_and_grams(_: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def millimetres_and_grams(_):
     """m → mm and kg → g: forces × 10⁶ (g mm/s²), couples × 10⁹."""
     return np.diag([1e3] * 3 + [1.0] * 3), np.diag([1e6] * 3 + [1e9] * 3)
 
 
-def check_change(c: Case, X: np.ndarray, X_f: np.ndarray, R: np.ndarray, Q: np.ndarray) -> None:
+def check_change(c, X, X_f, R, Q):
     """Every law in new coordinates is the old law, mapped. R, Q: new bases of N and T.
 
     Forces map with X_f, motions with X; A: M⁶ → F⁶ maps as X_f A X⁻¹, B: F⁶ → M⁶ as X B X_f⁻¹.
     """
-    X_inv, X_f_inv = np.linalg.inv(X), np.linalg.inv(X_f)
-    N, T = X_f @ c.N @ R, X @ c.T @ Q
+    X_inv = np.linalg.inv(X)
+    X_f_inv = np.linalg.inv(X_f)
+    N = X_f @ c.N @ R
+    T = X @ c.T @ Q
 
-    def of_inertia(A: np.ndarray) -> np.ndarray:
+    def of_inertia(A):
         return X_f @ A @ X_inv
 
-    def of_mobility(B: np.ndarray) -> np.ndarray:
+    def of_mobility(B):
         return X @ B @ X_f_inv
 
-    A, B = c.A[0], c.B[0]
+    A = c.A[0]
+    B = c.B[0]
     rng = np.random.default_rng(0)
-    f, v = SIZE * rng.normal(size=6), rng.normal(size=6) / SIZE
+    f = SIZE * rng.normal(size=6)
+    v = rng.normal(size=6) / SIZE
     for new, old, law, x in (
         (P.Omega_f(N, of_mobility(inverse(A))), P.Omega_f(c.N, inverse(A)), X_f, f),
         (P.Omega_f_bar(T, of_inertia(A)), P.Omega_f_bar(c.T, A), X_f, f),
@@ -386,7 +344,8 @@ def check_change(c: Case, X: np.ndarray, X_f: np.ndarray, R: np.ndarray, Q: np.n
         (P.Omega_m_bar(N, of_mobility(B)), P.Omega_m_bar(c.N, B), X, v),
     ):
         close(np.linalg.solve(law, new @ law @ x), old @ x, 1e-9)
-    N_prime, T_prime = A @ c.T, B @ c.N
+    N_prime = A @ c.T
+    T_prime = B @ c.N
     close(
         X_f_inv @ P.Omega_f_bar_from_complement(X_f @ N_prime, T) @ X_f @ f,
         P.Omega_f_bar_from_complement(N_prime, c.T) @ f,
@@ -399,9 +358,9 @@ def check_change(c: Case, X: np.ndarray, X_f: np.ndarray, R: np.ndarray, Q: np.n
     )
 
 
-@pytest.mark.parametrize("change", [frame_change, millimetres, millimetres_and_grams])
-@pytest.mark.parametrize("trial", range(21))
-def test_laws_do_not_depend_on_frame_units_or_basis(trial: int, change: object) -> None:
+@mark.parametrize("change", [frame_change, millimetres, millimetres_and_grams])
+@mark.parametrize("trial", range(21))
+def test_laws_do_not_depend_on_frame_units_or_basis(trial, change):
     rng = np.random.default_rng([trial, 7])
     r = trial % 7
     assert callable(change)
@@ -410,27 +369,7 @@ def test_laws_do_not_depend_on_frame_units_or_basis(trial: int, change: object) 
     check_change(case(trial, r), X, X_f, well_mixing(rng, r), well_mixing(rng, 6 - r))
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
-@given(
-    seed=st.integers(0, 10**6),
-    r=st.integers(0, 6),
-    lengths=st.floats(1e-3, 1e3),
-    column=st.floats(1e-6, 1e6),
-)
-def test_laws_do_not_depend_on_any_unit_of_length_or_length_of_columns(
-    seed: int, r: int, lengths: float, column: float
-) -> None:
-    scale = np.diag(np.geomspace(column, 1.0, max(r, 1))[:r])
-    check_change(
-        case(seed, r),
-        np.diag([lengths] * 3 + [1.0] * 3),
-        np.diag([1.0] * 3 + [lengths] * 3),
-        scale,
-        np.eye(6 - r),
-    )
-
-
-def test_verdict_on_dependence_does_not_depend_on_frame_or_units() -> None:
+def test_verdict_on_dependence_does_not_depend_on_frame_or_units():
     """Two lines of force 1 mm apart are two contacts, wherever O is and whatever the unit."""
     Phi = np.diag([0.5, 0.5, 0.5, 30.0, 30.0, 30.0])
     N = np.array([[0, 0, 1.0, 0, 0, 0], [0, 0, 1.0, 1e-3, 0, 0]]).T
@@ -438,16 +377,16 @@ def test_verdict_on_dependence_does_not_depend_on_frame_or_units() -> None:
     for change in [frame_change] * 50 + [millimetres]:
         X, X_f = change(rng)
         P.Omega_f(X_f @ N, X @ Phi @ X.T * (1000.0 if change is millimetres else 1.0))
-        with pytest.raises(ContactError, match="dependent"):
+        with raises(ContactError, match="dependent"):
             P.Omega_f(X_f @ N[:, [0, 1, 1]], X @ Phi @ X.T)
 
 
 # Null space ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("k", RANKS)
-@pytest.mark.parametrize("seed", TRIALS)
-def test_null_space_is_the_whole_of_it(seed: int, k: int) -> None:
+@mark.parametrize("k", RANKS)
+@mark.parametrize("seed", TRIALS)
+def test_null_space_is_the_whole_of_it(seed, k):
     c = case(seed, k)
     T = P.null_space(c.N)
     assert T.shape == (6, 6 - k)
@@ -460,7 +399,7 @@ def test_null_space_is_the_whole_of_it(seed: int, k: int) -> None:
     assert k == 6 or same_span(moved * SIZE[:, None], c.T * SIZE[:, None])
 
 
-def test_null_space_of_pure_forces_and_pure_couples() -> None:
+def test_null_space_of_pure_forces_and_pure_couples():
     for columns in (np.eye(6)[:, :2], np.eye(6)[:, 3:], 1e-6 * np.eye(6)[:, 5:]):
         T = P.null_space(columns)
         assert np.abs(columns.T @ T).max() <= 1e-15

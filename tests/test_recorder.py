@@ -6,7 +6,8 @@ import os
 import zipfile
 
 import numpy as np
-import pytest
+from numpy.testing import assert_array_equal
+from pytest import mark, raises
 
 from osc_contact.errors import RecordingError
 from osc_contact.recorder import Recording
@@ -16,16 +17,19 @@ META = {"scenario": {"name": "rod"}, "plant": "rigid", "seed": 3, "arm_names": (
 
 def record(ticks=5):
     k = np.arange(ticks)
-    return Recording(META, {
-        "t": 0.001 * k,
-        "q": np.arange(4.0) + k[:, None],
-        "closed": np.column_stack((k >= 0, k > 2)),
-        "status": k,
-        "contact_point": np.full((ticks, 2, 3), 0.1) + k[:, None, None],
-    })  # fmt: skip
+    return Recording(
+        META,
+        {
+            "t": 0.001 * k,
+            "q": np.arange(4.0) + k[:, None],
+            "closed": np.column_stack((k >= 0, k > 2)),
+            "status": k,
+            "contact_point": np.full((ticks, 2, 3), 0.1) + k[:, None, None],
+        },
+    )
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("make", "message"),
     [
         (lambda: Recording({"a": float("nan")}, {}), "JSON-able"),
@@ -39,7 +43,7 @@ def record(ticks=5):
     ],
 )
 def test_bad_input_is_refused(make, message):
-    with pytest.raises(RecordingError, match=message):
+    with raises(RecordingError, match=message):
         make()
 
 
@@ -51,7 +55,7 @@ def test_round_trip(tmp_path):
     assert loaded.channels.keys() == recording.channels.keys() and "q" in loaded
     for name, values in recording.channels.items():
         assert loaded[name].dtype == values.dtype
-        np.testing.assert_array_equal(loaded[name], values)
+        assert_array_equal(loaded[name], values)
     assert os.listdir(path.parent) == ["run.npz"]
 
 
@@ -60,15 +64,15 @@ def test_an_empty_recording_survives(tmp_path):
     assert len(Recording.load(empty.save(tmp_path / "empty.npz"))) == 0
 
 
-@pytest.mark.parametrize("broken", ["os.replace", "os.fsync", "zipfile.ZipFile.open"])
-@pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt()])
+@mark.parametrize("broken", ["os.replace", "os.fsync", "zipfile.ZipFile.open"])
+@mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt()])
 def test_a_failed_save_leaves_nothing_behind(tmp_path, monkeypatch, broken, error):
     def fail(*args, **kwargs):
         raise error
 
     monkeypatch.setattr(broken, fail)
     wanted = RecordingError if isinstance(error, OSError) else KeyboardInterrupt
-    with pytest.raises(wanted):
+    with raises(wanted):
         record().save(tmp_path / "run.npz")
     assert os.listdir(tmp_path) == []
 
@@ -80,14 +84,14 @@ def test_a_failed_save_keeps_the_older_file(tmp_path, monkeypatch):
         raise OSError("disk full")
 
     monkeypatch.setattr(os, "replace", fail)
-    with pytest.raises(RecordingError, match="disk full"):
+    with raises(RecordingError, match="disk full"):
         record(4).save(path)
     assert len(Recording.load(path)) == 2 and os.listdir(tmp_path) == ["run.npz"]
 
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "out").write_text("")
-    with pytest.raises(RecordingError, match="cannot write the recording"):
+    with raises(RecordingError, match="cannot write the recording"):
         record().save(tmp_path / "out" / "run.npz")
 
 
@@ -103,39 +107,46 @@ def npy():
     return stream.getvalue()
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "content",
     [
-        b"", b"not a recording", npy(), npz(q=np.zeros(3)), npz(meta=np.zeros(2)),
-        npz(meta=np.array("{}")), npz(meta=np.array("[1]")), npz(meta=np.array("{")),
+        b"",
+        b"not a recording",
+        npy(),
+        npz(q=np.zeros(3)),
+        npz(meta=np.zeros(2)),
+        npz(meta=np.array("{}")),
+        npz(meta=np.array("[1]")),
+        npz(meta=np.array("{")),
         npz(meta=np.array([{"a": 1}], dtype=object)),
         npz(meta=np.array('{"format": 2, "meta": {}}'), q=np.zeros(3)),
         npz(meta=np.array('{"format": 1, "meta": {}}'), q=np.zeros(3), t=np.zeros(2)),
         npz(meta=np.array('{"format": 1, "meta": 5}')),
     ],
     ids=range(12),
-)  # fmt: skip
+)
 def test_unknown_files_are_refused(tmp_path, content):
     path = tmp_path / "run.npz"
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match=r"run\.npz|ticks|meta"):
+    with raises(RecordingError, match=r"run\.npz|ticks|meta"):
         Recording.load(path)
 
 
 def test_missing_files_are_refused(tmp_path):
-    with pytest.raises(RecordingError, match="there is no such file"):
+    with raises(RecordingError, match="there is no such file"):
         Recording.load(tmp_path / "none.npz")
-    with pytest.raises(RecordingError, match="there is no such file"):
+    with raises(RecordingError, match="there is no such file"):
         Recording.load(tmp_path)
 
 
 def test_damaged_files_never_give_other_data(tmp_path):
-    recording, path = record(), tmp_path / "run.npz"
+    recording = record()
+    path = tmp_path / "run.npz"
     whole = recording.save(path).read_bytes()
     rng = np.random.default_rng(1)
     for size in range(0, len(whole), 37):
         path.write_bytes(whole[:size])
-        with pytest.raises(RecordingError):
+        with raises(RecordingError):
             Recording.load(path)
     refused = 0
     for _ in range(400):
@@ -149,7 +160,7 @@ def test_damaged_files_never_give_other_data(tmp_path):
             continue
         assert loaded.meta == recording.meta
         for name, values in recording.channels.items():
-            np.testing.assert_array_equal(loaded[name], values)
+            assert_array_equal(loaded[name], values)
     assert refused > 250
 
 
@@ -160,7 +171,7 @@ def test_a_flipped_number_is_found_by_its_checksum(tmp_path):
         info = archive.getinfo("q.npy")
     at = content.index(np.arange(4.0).tobytes(), info.header_offset)
     path.write_bytes(content[:at] + b"\x01" + content[at + 1 :])
-    with pytest.raises(RecordingError, match=r"checksum of q\.npy is wrong"):
+    with raises(RecordingError, match=r"checksum of q\.npy is wrong"):
         Recording.load(path)
 
 
@@ -185,8 +196,10 @@ def test_the_same_content_makes_the_same_bytes_with_times_apart(tmp_path):
     assert Recording.load(second)["tick_s"][0] == 1.0 + len("first")  # the same run, so they fit
     record(5).save(second)
     assert os.listdir(second.parent) == ["run.npz"]
-    os.replace(Recording({}, {"tick_s": np.ones(3)}).save(tmp_path / "x.npz")
-               .with_name("x.times.npz"), second.with_name("run.times.npz"))  # fmt: skip
+    os.replace(
+        Recording({}, {"tick_s": np.ones(3)}).save(tmp_path / "x.npz").with_name("x.times.npz"),
+        second.with_name("run.times.npz"),
+    )
     assert "tick_s" not in Recording.load(second), "times of another run"
 
 
@@ -200,7 +213,7 @@ def test_a_recording_without_its_times_is_whole_but_for_them(tmp_path):
 
 def test_numpy_reads_the_file(tmp_path):
     with np.load(record().save(tmp_path / "run.npz")) as stored:
-        np.testing.assert_array_equal(stored["q"], record()["q"])
+        assert_array_equal(stored["q"], record()["q"])
         assert json.loads(str(stored["meta"]))["meta"]["seed"] == 3
 
 
@@ -210,7 +223,7 @@ def test_what_numpy_packed_is_read(tmp_path):
     for save in (np.savez, np.savez_compressed):
         save(tmp_path / "run.npz", meta=about, q=q, **{"closed": record()["closed"]})
         loaded = Recording.load(tmp_path / "run.npz")
-        np.testing.assert_array_equal(loaded["q"], q)
+        assert_array_equal(loaded["q"], q)
 
 
 def test_large_recordings_stay_in_their_file(tmp_path, monkeypatch):
@@ -221,17 +234,17 @@ def test_large_recordings_stay_in_their_file(tmp_path, monkeypatch):
     path.unlink()  # whoever has it open goes on reading
     for name, values in record(10000).channels.items():
         assert loaded.channels.columns[name].nbytes == values.nbytes
-        np.testing.assert_array_equal(loaded[name], values)
-        np.testing.assert_array_equal(loaded.rows(7, 9, name)[name], values[7:9])
-        np.testing.assert_array_equal(loaded.at(-1)[name], values[-1])
+        assert_array_equal(loaded[name], values)
+        assert_array_equal(loaded.rows(7, 9, name)[name], values[7:9])
+        assert_array_equal(loaded.at(-1)[name], values[-1])
     assert [len(piece["t"]) for piece in record(10000).pieces("t")] == [10000]
     monkeypatch.setattr("osc_contact.recorder.recording._FROM_DISK", 3000)
     pieces = list(loaded.pieces("q", "t"))
     assert [len(piece["t"]) for piece in pieces] == [3000, 3000, 3000, 1000]
-    np.testing.assert_array_equal(np.concatenate([piece["q"] for piece in pieces]), loaded["q"])
+    assert_array_equal(np.concatenate([piece["q"] for piece in pieces]), loaded["q"])
     thin = loaded.thinned(4000)
     assert len(thin) == 3334 and loaded.thinned(10000) is loaded
-    np.testing.assert_array_equal(thin["q"], loaded["q"][::3])
+    assert_array_equal(thin["q"], loaded["q"][::3])
     again = loaded.save(tmp_path / "again.npz").read_bytes()
     assert again == record(10000).save(tmp_path / "third.npz").read_bytes()
 
@@ -242,7 +255,7 @@ def test_a_large_file_with_a_flipped_bit_is_refused(tmp_path, monkeypatch):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 4
     path.write_bytes(bytes(content))
-    with pytest.raises(RecordingError, match="checksum of"):
+    with raises(RecordingError, match="checksum of"):
         Recording.load(path)
 
 
@@ -255,7 +268,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_at_once(tmp_path):
         for _ in range(300):
             entry.write(bytes(1 << 20))
     assert path.stat().st_size < 400_000
-    with pytest.raises(RecordingError, match=r"unpack from 0\.3\d* MB to 314\.6 MB"):
+    with raises(RecordingError, match=r"unpack from 0\.3\d* MB to 314\.6 MB"):
         Recording.load(path)
 
 
@@ -263,7 +276,7 @@ def test_headers_that_promise_more_than_there_is_are_refused(tmp_path):
     content = bytearray(npz(meta=np.array('{"format": 1, "meta": {}}'), q=np.zeros(300)))
     path = tmp_path / "run.npz"
     path.write_bytes(bytes(content).replace(b"(300,)", b"(1e9,)").replace(b"(300,), ", b"(9**9,)"))
-    with pytest.raises(RecordingError):
+    with raises(RecordingError):
         Recording.load(path)
     with zipfile.ZipFile(path, "w") as archive:
         stream = io.BytesIO()
@@ -271,5 +284,5 @@ def test_headers_that_promise_more_than_there_is_are_refused(tmp_path):
             stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 40,)}
         )
         archive.writestr("q.npy", stream.getvalue() + bytes(80))
-    with pytest.raises(RecordingError, match=r"80 bytes for shape \(1099511627776,\)"):
+    with raises(RecordingError, match=r"80 bytes for shape \(1099511627776,\)"):
         Recording.load(path)

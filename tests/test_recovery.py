@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 from time import sleep
 
-import numpy as np
-import pytest
 from mcap.reader import make_reader
+from numpy.testing import assert_array_equal
+from pytest import approx, fixture, mark, raises
 
 import osc_contact as osc
 from osc_contact.runs import recorder as rows_of_runs
@@ -29,7 +29,7 @@ def started(command, **more):
     )
 
 
-@pytest.fixture(autouse=True)
+@fixture(autouse=True)
 def interruptible():
     """Ctrl-C counts, though a shell that runs the tests in the background ignores it."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -39,10 +39,10 @@ def interruptible():
 
 def same(found, whole):
     for name in set(whole.channels) - TIMES:
-        np.testing.assert_array_equal(found[name], whole[name][: len(found)], err_msg=name)
+        assert_array_equal(found[name], whole[name][: len(found)], err_msg=name)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def whole():
     return osc.run(osc.load_scenario("two_contact_rod"), duration=1.2, seed=3)
 
@@ -60,12 +60,12 @@ def test_a_killed_run_is_recovered_but_for_its_last_moments(tmp_path, whole):
         cut = min(len(found), len(whole))
         assert cut > 100
         for name in set(whole.channels) - TIMES:
-            np.testing.assert_array_equal(found[name][:cut], whole[name][:cut], err_msg=name)
+            assert_array_equal(found[name][:cut], whole[name][:cut], err_msg=name)
         # 80 ms on the clock, and what this machine simulates in that time
         assert len(found) > 1000 * told - 3000
         short, count = found.meta["missing"]
         assert short.startswith("the run was cut short") and "of 1000000 ticks are here" in count
-        with pytest.raises(osc.RecordingError, match=r"osc_contact\.recover"):
+        with raises(osc.RecordingError, match=r"osc_contact\.recover"):
             osc.Recording.load(folder / "unfinished.mcap")
 
 
@@ -81,15 +81,15 @@ def test_ctrl_c_ends_a_run_in_order(tmp_path, whole):
     assert "ended on request at t = " in said and f"written to {tmp_path}: " in said
     assert not (tmp_path / "unfinished.mcap").exists()
     found = osc.Recording.load(tmp_path / "recording.npz")
-    assert found.meta["ended_s"] == pytest.approx(len(found) * 1e-3)
+    assert found.meta["ended_s"] == approx(len(found) * 1e-3)
     cut = min(len(found), len(whole))
-    np.testing.assert_array_equal(found["tau"][:cut], whole["tau"][:cut])
+    assert_array_equal(found["tau"][:cut], whole["tau"][:cut])
     judged = len(found) > 1000
     assert (tmp_path / "metrics.json").exists() == (tmp_path / "scene.html").exists() == judged
 
 
-@pytest.mark.parametrize("plant", ["rigid", "mujoco"])  # in Python, compiled
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@mark.parametrize("plant", ["rigid", "mujoco"])  # in Python, compiled
+@mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_run_asked_to_end_gives_what_it_has(number, plant):
     before = signal.getsignal(number)
 
@@ -97,7 +97,7 @@ def test_a_run_asked_to_end_gives_what_it_has(number, plant):
         os.kill(os.getpid(), number)
 
     scenario = osc.load_scenario("two_contact_rod", [f"plant.type={plant}", "plant.step=1 ms"])
-    with pytest.raises(osc.Interrupted, match=r"ended on request at t = 0\.1 s") as ended:
+    with raises(osc.Interrupted, match=r"ended on request at t = 0\.1 s") as ended:
         osc.run(scenario, duration=0.5, progress=ask)
     assert isinstance(ended.value, KeyboardInterrupt) and len(ended.value.recording) == 100
     assert signal.getsignal(number) == before
@@ -127,18 +127,25 @@ def test_two_runs_of_a_seed_are_the_same_file(tmp_path):
         setting = {"PYTHONHASHSEED": seed, "OPENBLAS_NUM_THREADS": threads}
         setting |= {"NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
         done = subprocess.run(
-            [*RUN, tmp_path / kind, "0.7"], env={**os.environ, **setting}, check=True,
+            [*RUN, tmp_path / kind, "0.7"],
+            env={**os.environ, **setting},
+            check=True,
             stdout=subprocess.PIPE,
-        )  # fmt: skip
+        )
         assert done.stdout.split()[-1] == b"700"
         files.append((tmp_path / kind / "recording.npz").read_bytes())
     assert files[0] == files[1]
 
 
-@pytest.mark.parametrize(
-    ("name", "plant"), [("two_contact_rod", "rigid"), ("moving_face", "mujoco"),
-                        ("two_contact_rod_mismatch", "mujoco"), ("three_arm_plate", "mujoco")]
-)  # fmt: skip
+@mark.parametrize(
+    ("name", "plant"),
+    [
+        ("two_contact_rod", "rigid"),
+        ("moving_face", "mujoco"),
+        ("two_contact_rod_mismatch", "mujoco"),
+        ("three_arm_plate", "mujoco"),
+    ],
+)
 def test_chunks_of_any_size_make_the_same_recording(name, plant, monkeypatch, tmp_path):
     scenario = osc.load_scenario(name, [f"plant.type={plant}"])
     once = osc.run(scenario, duration=0.06)
@@ -182,6 +189,6 @@ def test_exports_say_the_same(tmp_path, whole):
     assert [at for at, _ in messages] == [round(t * 1e9) for t in whole["t"]]
     for name in ("tau", "closed", "status", "N"):
         assert messages[700][1][name] == whole[name][700].tolist()
-    with pytest.raises(osc.RecordingError, match=r"run\.hdf5: give a name that ends in"):
+    with raises(osc.RecordingError, match=r"run\.hdf5: give a name that ends in"):
         whole.export(tmp_path / "run.hdf5")
     assert osc.Recording.load(whole.export(tmp_path / "run.npz")).meta == whole.meta

@@ -1,33 +1,31 @@
 """Every kind of bad URDF is refused with file, line, element and reason, at once and alive."""
 
-from __future__ import annotations
-
 import re
 import time
 from pathlib import Path
 
-import pytest
+from pytest import mark, raises
 from urdf_corpus import CORPUS, GOOD, SOUND
 
 from osc_contact import robots
 from osc_contact.errors import ModelError
 
 
-def write(folder: Path, text: str | bytes) -> Path:
+def write(folder, text):
     file = folder / "arm.urdf"
     file.write_bytes(text.encode() if isinstance(text, str) else text)
     return file
 
 
-def test_the_corpus_is_large_and_every_entry_differs() -> None:
+def test_the_corpus_is_large_and_every_entry_differs():
     assert len({bad.text for bad in CORPUS.values()}) == len(CORPUS) >= 60
 
 
-@pytest.mark.parametrize("name", CORPUS)
-def test_bad_file_is_refused_with_place_and_reason(name: str, tmp_path: Path) -> None:
+@mark.parametrize("name", CORPUS)
+def test_bad_file_is_refused_with_place_and_reason(name, tmp_path):
     bad = CORPUS[name]
     file = write(tmp_path, bad.text)
-    with pytest.raises(ModelError) as caught:
+    with raises(ModelError) as caught:
         robots.load_model(file)
     first = caught.value.findings[0]
     assert re.search(bad.reason, str(first)), str(first)
@@ -37,20 +35,20 @@ def test_bad_file_is_refused_with_place_and_reason(name: str, tmp_path: Path) ->
     times = []
     for _ in range(3):
         start = time.thread_time()
-        with pytest.raises(ModelError):
+        with raises(ModelError):
             robots.load_model(file)
         times.append(time.thread_time() - start)
     assert min(times) < 0.05
 
 
-@pytest.mark.parametrize("name", SOUND)
-def test_sound_variant_is_accepted_and_both_readers_agree(name: str, tmp_path: Path) -> None:
+@mark.parametrize("name", SOUND)
+def test_sound_variant_is_accepted_and_both_readers_agree(name, tmp_path):
     file = write(tmp_path, SOUND[name](GOOD))
     assert robots.load_model(file).nv == 4
     assert robots.cross_check(file) < 1e-12
 
 
-def test_every_check_has_a_row_on_the_page_on_robots() -> None:
+def test_every_check_has_a_row_on_the_page_on_robots():
     page = (Path(__file__).parent.parent / "docs" / "robots.md").read_text()
     rows = re.findall(r"^\| ([a-z ]+) \|", page.split("| check |")[1].split("\n\n")[0], re.M)
     assert {bad.check for bad in CORPUS.values()} | {"second reader"} == set(rows)

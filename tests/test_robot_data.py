@@ -1,7 +1,5 @@
 """The robots of example-robot-data: which load, which need a hand, which are refused and why."""
 
-from __future__ import annotations
-
 import math
 import re
 import time
@@ -9,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact import robots
@@ -17,18 +16,53 @@ from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots import JointLimits, library
 
 ARMS = (
-    "TwoDofs", "alex_nub_hands", "alex_sake_hands", "baxter", "borinot_flying_arm_2", "finger_edu",
-    "hextilt_flying_arm_5", "kinova", "panda", "panda_collision", "so100", "so101",
-    "talos_left_arm", "tiago_pro", "ur10", "ur10_joint_limited", "ur3_gripper", "ur3_joint_limited",
-    "ur3_robot", "ur5", "ur5_gripper", "ur5_joint_limited", "xarm", "z1",
-)  # fmt: skip
+    "TwoDofs",
+    "alex_nub_hands",
+    "alex_sake_hands",
+    "baxter",
+    "borinot_flying_arm_2",
+    "finger_edu",
+    "hextilt_flying_arm_5",
+    "kinova",
+    "panda",
+    "panda_collision",
+    "so100",
+    "so101",
+    "talos_left_arm",
+    "tiago_pro",
+    "ur10",
+    "ur10_joint_limited",
+    "ur3_gripper",
+    "ur3_joint_limited",
+    "ur3_robot",
+    "ur5",
+    "ur5_gripper",
+    "ur5_joint_limited",
+    "xarm",
+    "z1",
+)
 """Arms, and upper bodies with arms, that load as they are."""
 OTHERS = (
-    "a1", "alexander_v1.lowerBodyOnly", "g1_29dof_rev_1_0", "g1_29dof_with_hand_rev_1_0", "go2",
-    "quadrotor_base", "human", "icub_reduced", "iris_simple", "laikago", "simple_humanoid",
-    "simple_humanoid_classical", "solo", "solo12", "talos_full_v2", "talos_full_v2_box",
-    "talos_reduced", "talos_reduced_box", "talos_reduced_corrected",
-)  # fmt: skip
+    "a1",
+    "alexander_v1.lowerBodyOnly",
+    "g1_29dof_rev_1_0",
+    "g1_29dof_with_hand_rev_1_0",
+    "go2",
+    "quadrotor_base",
+    "human",
+    "icub_reduced",
+    "iris_simple",
+    "laikago",
+    "simple_humanoid",
+    "simple_humanoid_classical",
+    "solo",
+    "solo12",
+    "talos_full_v2",
+    "talos_full_v2_box",
+    "talos_reduced",
+    "talos_reduced_box",
+    "talos_reduced_corrected",
+)
 """Legged and flying robots that load as they are."""
 MOTOR = JointLimits(effort=5.0, velocity=5.0)
 SWING = JointLimits(-math.inf, math.inf, 5.0, 5.0)
@@ -66,7 +100,7 @@ REFUSED = {
 """Defects that no option mends."""
 
 
-def test_every_robot_of_the_data_package_has_a_verdict() -> None:
+def test_every_robot_of_the_data_package_has_a_verdict():
     names = (*ARMS, *OTHERS, *HELPED, *REFUSED)
     files = [robots.find_robot(name)[0] for name in names]
     assert len(set(files)) == len(files)
@@ -79,15 +113,17 @@ def test_the_page_on_robots_has_these_verdicts() -> None:
         r"Of its (\d+) files (\d+) load unchanged.*?(\d+) need.*?(\d+) are", page, re.S
     )
     assert told is not None
-    loading, helped, refused = len(ARMS) + len(OTHERS), len(HELPED), len(REFUSED)
+    loading = len(ARMS) + len(OTHERS)
+    helped = len(HELPED)
+    refused = len(REFUSED)
     assert [int(n) for n in told.groups()] == [loading + helped + refused, loading, helped, refused]
     table = page.split("| robots | what is wrong")[1]
     for name in (*HELPED, *REFUSED):
         assert f"`{name.rpartition('/')[2]}`" in table, name
 
 
-@pytest.mark.parametrize("name", (*ARMS, *OTHERS))
-def test_sound_robot_loads_and_both_readers_agree(name: str) -> None:
+@mark.parametrize("name", (*ARMS, *OTHERS))
+def test_sound_robot_loads_and_both_readers_agree(name):
     file, package_dir = robots.find_robot(name)
     model = robots.load_model(file, package_dirs=[package_dir])
     assert model.nq == model.nv
@@ -95,30 +131,32 @@ def test_sound_robot_loads_and_both_readers_agree(name: str) -> None:
         assert robots.cross_check(file) < 1e-12
 
 
-@pytest.mark.parametrize("name", HELPED)
-def test_robot_with_defects_is_refused_and_usable_with_a_decision(name: str) -> None:
-    file, (check, options) = robots.find_robot(name)[0], HELPED[name]
-    with pytest.raises(ModelError) as caught:
+@mark.parametrize("name", HELPED)
+def test_robot_with_defects_is_refused_and_usable_with_a_decision(name):
+    file = robots.find_robot(name)[0]
+    (check, options) = HELPED[name]
+    with raises(ModelError) as caught:
         robots.load_model(file)
     assert caught.value.findings[0].check == check
     assert {finding.file for finding in caught.value.findings} == {file}
     assert robots.load_model(file, **options).nv > 0
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_defect_robot_is_refused_with_its_reason(name: str) -> None:
-    with pytest.raises(ModelError, match=REFUSED[name].replace(".", r"\.")):
+@mark.parametrize("name", REFUSED)
+def test_defect_robot_is_refused_with_its_reason(name):
+    with raises(ModelError, match=REFUSED[name].replace(".", r"\.")):
         robots.load_model(robots.find_robot(name)[0], inertias="positive")
     if name == "romeo_description/romeo":
-        with pytest.raises(ModelError, match="mass matrix is not positive definite"):
+        with raises(ModelError, match="mass matrix is not positive definite"):
             robots.load_model(robots.find_robot(name)[0], limits={"*": MOTOR})
 
 
-@pytest.mark.parametrize("name", ["panda", "ur5", "kinova", "xarm", "solo12", "talos_left_arm"])
-def test_the_model_is_the_one_pinocchio_reads_from_the_file(name: str) -> None:
+@mark.parametrize("name", ["panda", "ur5", "kinova", "xarm", "solo12", "talos_left_arm"])
+def test_the_model_is_the_one_pinocchio_reads_from_the_file(name):
     """Nothing is lost on the way through our own text: bodies, joints, frames, limits."""
     file = robots.find_robot(name)[0]
-    ours, theirs = robots.load_model(file), pin.buildModelFromUrdf(str(file))
+    ours = robots.load_model(file)
+    theirs = pin.buildModelFromUrdf(str(file))
     assert list(ours.names) == list(theirs.names) and ours.name == theirs.name
     assert [(f.name, f.type, f.parentJoint, f.parentFrame) for f in ours.frames] == [
         (f.name, f.type, f.parentJoint, f.parentFrame) for f in theirs.frames
@@ -133,9 +171,10 @@ def test_the_model_is_the_one_pinocchio_reads_from_the_file(name: str) -> None:
         assert ours == theirs
 
 
-def test_a_good_load_is_quick() -> None:
+def test_a_good_load_is_quick():
     for name in ("panda", "ur5", "kinova", "tiago_pro"):
-        file, times = robots.find_robot(name)[0], []
+        file = robots.find_robot(name)[0]
+        times = []
         for _ in range(5):
             start = time.thread_time()
             robots.load_model(file)
@@ -146,13 +185,16 @@ def test_a_good_load_is_quick() -> None:
 # Continuous joints ------------------------------------------------------------------------------
 
 
-def unwrapped_and_wrapped(name: str, seed: int):
+def unwrapped_and_wrapped(name, seed):
     """Our model and Pinocchio's own (cos, sin) model at the same posture and velocity."""
     file = robots.find_robot(name)[0]
     given = {"limits": {"*": MOTOR}} if name == "double_pendulum_continuous" else {}
-    ours, theirs = robots.load_model(file, **given), pin.buildModelFromUrdf(str(file))
+    ours = robots.load_model(file, **given)
+    theirs = pin.buildModelFromUrdf(str(file))
     rng = np.random.default_rng(seed)
-    q, v, a = rng.uniform(-9, 9, ours.nq), rng.normal(size=ours.nv), rng.normal(size=ours.nv)
+    q = rng.uniform(-9, 9, ours.nq)
+    v = rng.normal(size=ours.nv)
+    a = rng.normal(size=ours.nv)
     x = pin.neutral(theirs)
     for joint, other in zip(list(ours.joints)[1:], list(theirs.joints)[1:], strict=True):
         angle = q[joint.idx_q]
@@ -162,20 +204,21 @@ def unwrapped_and_wrapped(name: str, seed: int):
     return ours, theirs, q, x, v, a
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("name", ["kinova", "double_pendulum_continuous", "tiago_pro"])
-def test_continuous_joint_is_a_revolute_joint_without_end_stops(name: str, seed: int) -> None:
+@mark.parametrize("seed", range(5))
+@mark.parametrize("name", ["kinova", "double_pendulum_continuous", "tiago_pro"])
+def test_continuous_joint_is_a_revolute_joint_without_end_stops(name, seed):
     ours, theirs, q, x, v, a = unwrapped_and_wrapped(name, seed)
     assert theirs.nq > theirs.nv == ours.nv == ours.nq
     for joint, other in zip(list(ours.joints)[1:], list(theirs.joints)[1:], strict=True):
         open_ended = other.nq == 2
         assert np.isinf(ours.upperPositionLimit[joint.idx_q]) == open_ended
         assert np.isinf(ours.lowerPositionLimit[joint.idx_q]) == open_ended
-    d, e = ours.createData(), theirs.createData()
+    d = ours.createData()
+    e = theirs.createData()
     tau = pin.rnea(ours, d, q, v, a)
-    np.testing.assert_allclose(tau, pin.rnea(theirs, e, x, v, a), atol=1e-10)
-    np.testing.assert_allclose(pin.crba(ours, d, q), pin.crba(theirs, e, x), atol=1e-11)
-    np.testing.assert_allclose(
+    assert_allclose(tau, pin.rnea(theirs, e, x, v, a), atol=1e-10)
+    assert_allclose(pin.crba(ours, d, q), pin.crba(theirs, e, x), atol=1e-11)
+    assert_allclose(
         pin.computeGeneralizedGravity(ours, d, q),
         pin.computeGeneralizedGravity(theirs, e, x),
         atol=1e-11,
@@ -183,41 +226,43 @@ def test_continuous_joint_is_a_revolute_joint_without_end_stops(name: str, seed:
     pin.framesForwardKinematics(ours, d, q)
     pin.framesForwardKinematics(theirs, e, x)
     for i in range(ours.nframes):
-        np.testing.assert_allclose(d.oMf[i].homogeneous, e.oMf[i].homogeneous, atol=1e-13)
+        assert_allclose(d.oMf[i].homogeneous, e.oMf[i].homogeneous, atol=1e-13)
         J = pin.computeFrameJacobian(ours, d, q, i, pin.LOCAL_WORLD_ALIGNED)
         K = pin.computeFrameJacobian(theirs, e, x, i, pin.LOCAL_WORLD_ALIGNED)
-        np.testing.assert_allclose(J, K, atol=1e-12)
+        assert_allclose(J, K, atol=1e-12)
 
 
-def test_an_arm_with_continuous_joints_makes_a_chain_any_number_of_turns_round() -> None:
+def test_an_arm_with_continuous_joints_makes_a_chain_any_number_of_turns_round():
     urdf = robots.find_robot("kinova")[0]
     arm = osc.Arm.from_urdf(urdf, name="k", tip="j2s6s200_end_effector")
     ball = osc.RigidObject(pin.Inertia(0.5, np.zeros(3), 1e-3 * np.eye(3)))
     chain = osc.ClosedChain([arm], [pin.SE3.Identity()], ball)
-    q, v = np.array([0.3, 2.9, 1.3, 4.2, 1.4, 0.2]), np.full(6, 0.1)
+    q = np.array([0.3, 2.9, 1.3, 4.2, 1.4, 0.2])
+    v = np.full(6, 0.1)
     turned = q + 2 * np.pi * np.array([3, 0, 0, -2, 0, 1])  # the continuous ones
-    here, there = chain.state(q, v), chain.state(turned, v)
+    here = chain.state(q, v)
+    there = chain.state(turned, v)
     assert chain.nq == 6
-    np.testing.assert_allclose(there.X_WO.homogeneous, here.X_WO.homogeneous, atol=1e-13)
-    np.testing.assert_allclose(there.metric, here.metric, rtol=1e-9, atol=1e-11)
+    assert_allclose(there.X_WO.homogeneous, here.X_WO.homogeneous, atol=1e-13)
+    assert_allclose(there.metric, here.metric, rtol=1e-9, atol=1e-11)
 
 
-def test_ready_models_are_judged_too() -> None:
+def test_ready_models_are_judged_too():
     wrapped = pin.buildModelFromUrdf(str(robots.find_robot("kinova")[0]))
-    with pytest.raises(ModelError, match=r"j2s6s200_joint_1.*nq = 2 but nv = 1; load the URDF by"):
+    with raises(ModelError, match=r"j2s6s200_joint_1.*nq = 2 but nv = 1; load the URDF by"):
         osc.Arm.from_urdf(wrapped, name="k", tip="j2s6s200_end_effector")
     panda = robots.load_model(robots.find_robot("panda")[0])
     bodies = list(panda.inertias)
     for i in range(1, panda.njoints):
         panda.inertias[i] = pin.Inertia.Zero() if i >= 7 else bodies[i]
-    with pytest.raises(ModelError, match="panda_joint7 can move without moving mass"):
+    with raises(ModelError, match="panda_joint7 can move without moving mass"):
         osc.Arm.from_urdf(panda, name="p", tip="panda_hand_tcp")
 
 
 # Meshes -----------------------------------------------------------------------------------------
 
 
-def mesh_robot(folder: Path, address: str) -> Path:
+def mesh_robot(folder, address):
     file = folder / "arm.urdf"
     file.write_text(
         '<robot name="r"><link name="a"><visual><geometry>'
@@ -229,8 +274,9 @@ def mesh_robot(folder: Path, address: str) -> Path:
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
 
-def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path: Path) -> None:
-    inside, outside = tmp_path / "robot", tmp_path / "secret"
+def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path):
+    inside = tmp_path / "robot"
+    outside = tmp_path / "secret"
     inside.mkdir()
     outside.mkdir()
     for folder in (inside, outside):
@@ -239,13 +285,13 @@ def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path: Path) -> N
     _, geometry, _ = robots.load_geometry(mesh_robot(inside, "m.obj"), kind)
     assert geometry.ngeoms == 1
     absolute = mesh_robot(inside, str(outside / "m.obj"))
-    with pytest.raises(ModelError, match="outside of the robot's folders"):
+    with raises(ModelError, match="outside of the robot's folders"):
         robots.load_geometry(absolute, kind)
     assert robots.load_geometry(absolute, kind, [outside])[1].ngeoms == 1
     (inside / "link.obj").symlink_to(outside / "m.obj")
-    with pytest.raises(ModelError, match=r"leads to .*/secret/m\.obj, outside"):
+    with raises(ModelError, match=r"leads to .*/secret/m\.obj, outside"):
         robots.load_geometry(mesh_robot(inside, "link.obj"), kind)
-    with pytest.raises(ModelError, match="the mesh is not there; looked for"):
+    with raises(ModelError, match="the mesh is not there; looked for"):
         robots.load_geometry(mesh_robot(inside, "package://robot/m.obj"), kind)
     assert (
         robots.load_geometry(mesh_robot(inside, "package://robot/m.obj"), kind, [tmp_path])[
@@ -255,19 +301,18 @@ def test_meshes_are_read_from_the_folders_of_the_robot_only(tmp_path: Path) -> N
     )
 
 
-@pytest.mark.parametrize("texture", ["/etc/hostname", "file:///etc/hostname", "../../secret.png"])
-def test_collada_files_that_take_textures_from_elsewhere_are_refused(
-    tmp_path: Path, texture: str
-) -> None:
+@mark.parametrize("texture", ["/etc/hostname", "file:///etc/hostname", "../../secret.png"])
+def test_collada_files_that_take_textures_from_elsewhere_are_refused(tmp_path, texture):
     (tmp_path / "m.dae").write_text(f"<COLLADA><init_from> {texture} </init_from></COLLADA>")
-    with pytest.raises(ModelError, match=r"m\.dae takes a texture from"):
+    with raises(ModelError, match=r"m\.dae takes a texture from"):
         robots.load_geometry(mesh_robot(tmp_path, "m.dae"), pin.GeometryType.VISUAL)
 
 
-def test_limits_as_words_of_the_command_line() -> None:
+def test_limits_as_words_of_the_command_line():
     assert JointLimits.parse("arm/j*:effort=5,velocity=2.5") == (
-        "arm/j*", JointLimits(effort=5.0, velocity=2.5),
-    )  # fmt: skip
+        "arm/j*",
+        JointLimits(effort=5.0, velocity=2.5),
+    )
     for wrong in ("j1", "effort=5", "j1:torque=3", "j1:effort=x", "j1:effort=-1", "j1:"):
-        with pytest.raises(InvalidInputError, match=r"j1|effort"):
+        with raises(InvalidInputError, match=r"j1|effort"):
             JointLimits.parse(wrong)

@@ -1,7 +1,5 @@
 """20,000 mutants of sound URDFs in a process of their own, and the inputs that kill Pinocchio."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -11,7 +9,7 @@ from pathlib import Path
 TESTS = Path(__file__).resolve().parent
 
 
-def run(*command: str) -> str:
+def run(*command):
     """Standard output of a Python process that must end well; a crash has a return code < 0."""
     environment = dict(os.environ, PYTHONPATH=f"{TESTS.parent}{os.pathsep}{TESTS}")
     done = subprocess.run(
@@ -21,7 +19,7 @@ def run(*command: str) -> str:
     return done.stdout
 
 
-def test_no_mutant_crashes_and_none_is_accepted_with_a_bad_mass_matrix() -> None:
+def test_no_mutant_crashes_and_none_is_accepted_with_a_bad_mass_matrix():
     result = json.loads(run("-W", "error", str(TESTS / "urdf_mutants.py"), "1999", "20000"))
     verdicts = result["verdicts"]
     assert sum(verdicts.values()) == result["mutants"] == 20_000
@@ -34,8 +32,10 @@ def test_no_mutant_crashes_and_none_is_accepted_with_a_bad_mass_matrix() -> None
     assert verdicts["mass matrix"] > 5
 
 
-def test_the_longest_robot_that_is_accepted_does_not_kill_the_process() -> None:
-    out = run("-c", """
+def test_the_longest_robot_that_is_accepted_does_not_kill_the_process():
+    out = run(
+        "-c",
+        """
 import pathlib, tempfile
 from osc_contact import robots
 from osc_contact.errors import ModelError
@@ -53,12 +53,15 @@ for n in (513, 4000, 20000):
         robots.load_model(file)
     except ModelError as error:
         print('more than 512 links' in str(error))
-""")  # noqa: E501 # fmt: skip
+""",  # noqa: E501
+    )
     assert out.split() == ["1024", "True", "True", "True", "True"]
 
 
-def test_unknown_frames_and_joints_are_refused_before_pinocchio_is_asked() -> None:
-    out = run("-c", """
+def test_unknown_frames_and_joints_are_refused_before_pinocchio_is_asked():
+    out = run(
+        "-c",
+        """
 from osc_contact import Arm, robots
 from osc_contact.errors import ModelError
 for wrong in (dict(tip='nope'), dict(wrist_sensor='nope'), dict(tip=''),
@@ -67,5 +70,6 @@ for wrong in (dict(tip='nope'), dict(wrist_sensor='nope'), dict(tip=''),
         Arm.from_urdf(robots.urdf_path('scara_left'), name='a', **{'tip': 'tool', **wrong})
     except ModelError:
         print('refused')
-""")  # fmt: skip
+""",
+    )
     assert out.split() == ["refused"] * 5

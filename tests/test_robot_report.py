@@ -1,17 +1,15 @@
 """`osc-contact check` and the summary it prints, against closed forms and other routes."""
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import pytest
-from typer.testing import CliRunner, Result
+from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
+from typer.testing import CliRunner
 from urdf_corpus import GOOD
 
 from osc_contact import robots
@@ -19,29 +17,31 @@ from osc_contact.cli import app
 from osc_contact.errors import ModelError
 
 
-def call(*words: str | Path) -> Result:
+def call(*words):
     result = CliRunner().invoke(app, ["check", *map(str, words)])
     assert result.exception is None or isinstance(result.exception, SystemExit)
     return result
 
 
-def write(folder: Path, text: str) -> Path:
+def write(folder, text):
     file = folder / "arm.urdf"
     file.write_text(text)
     return file
 
 
-def chain(joints: list[tuple[str, str, str]], masses: list[float], length=1.0, mass=1.0) -> str:
+def chain(joints, masses, length=1.0, mass=1.0):
     """Joints (kind, axis, origin in m) one behind the other, with boxes of the given masses."""
     text = '<robot name="toy"><link name="l0"/>'
     for i, ((kind, axis, origin), m) in enumerate(zip(joints, masses, strict=True), 1):
         x, y, z = (float(part) * length for part in origin.split())
-        I = 0.1 * m * mass * length**2  # noqa: E741
+        I = 0.1 * m * mass * length**2
         body = (
             f'<inertial><origin xyz="{0.3 * length} 0 {0.1 * length}"/><mass value="{m * mass}"/>'
             f'<inertia ixx="{I}" iyy="{1.5 * I}" izz="{1.7 * I}" ixy="0" ixz="0" iyz="{0.1 * I}"/>'
-            "</inertial>" if m else ""
-        )  # fmt: skip
+            "</inertial>"
+            if m
+            else ""
+        )
         text += (
             f'<link name="l{i}">{body}</link><joint name="j{i}" type="{kind}">'
             f'<parent link="l{i - 1}"/><child link="l{i}"/><origin xyz="{x} {y} {z}"/>'
@@ -51,65 +51,69 @@ def chain(joints: list[tuple[str, str, str]], masses: list[float], length=1.0, m
     return text + "</robot>"
 
 
-def summary(folder: Path, text: str) -> robots.RobotSummary:
+def summary(folder, text):
     loaded = robots.load(write(folder, text))
     return robots.summarise(loaded.model, loaded.document)
 
 
 SIX_AXES = [
-    ("revolute", "0 0 1", "0 0 0.3"), ("revolute", "0 1 0", "0.1 0 0.2"),
-    ("prismatic", "0 0 1", "0.4 0 0"), ("revolute", "1 0 0", "0.2 0 0.1"),
-    ("revolute", "0 1 0", "0.2 0.1 0"), ("revolute", "0 0 1", "0.1 0 0"),
-]  # fmt: skip
+    ("revolute", "0 0 1", "0 0 0.3"),
+    ("revolute", "0 1 0", "0.1 0 0.2"),
+    ("prismatic", "0 0 1", "0.4 0 0"),
+    ("revolute", "1 0 0", "0.2 0 0.1"),
+    ("revolute", "0 1 0", "0.2 0.1 0"),
+    ("revolute", "0 0 1", "0.1 0 0"),
+]
 
 
-def test_a_gantry_has_the_masses_it_pushes(tmp_path: Path) -> None:
+def test_a_gantry_has_the_masses_it_pushes(tmp_path):
     axes = [("prismatic", axis, "0 0 0") for axis in ("1 0 0", "0 1 0", "0 0 1")]
     robot = summary(tmp_path, chain(axes, [5.0, 3.0, 2.0]))
-    assert [joint.moved_mass for joint in robot.joints] == pytest.approx([10.0, 5.0, 2.0])
-    assert robot.mass == robot.moving_mass == pytest.approx(10.0)
+    assert [joint.moved_mass for joint in robot.joints] == approx([10.0, 5.0, 2.0])
+    assert robot.mass == robot.moving_mass == approx(10.0)
     (tip,) = robot.tips
-    assert tip.mass == pytest.approx((2.0, 10.0)) and tip.inertia == (math.inf, math.inf)
-    assert np.array(tip.mobility) == pytest.approx(
-        np.repeat(np.sqrt([1, 2 / 5, 2 / 10]), 2).reshape(3, 2)
-    )
+    assert tip.mass == approx((2.0, 10.0)) and tip.inertia == (math.inf, math.inf)
+    assert np.array(tip.mobility) == approx(np.repeat(np.sqrt([1, 2 / 5, 2 / 10]), 2).reshape(3, 2))
 
 
-def test_mobility_is_the_share_of_the_last_body_in_the_energy(tmp_path: Path) -> None:
+def test_mobility_is_the_share_of_the_last_body_in_the_energy(tmp_path):
     """σ² are the eigenvalues of M⁻¹ M', M' the mass matrix with the last body alone."""
     masses = [4.0, 3.0, 2.0, 1.0, 0.5, 0.4]
     (tip,) = summary(tmp_path, chain(SIX_AXES, masses)).tips
     whole = robots.load_model(write(tmp_path, chain(SIX_AXES, masses)))
     last = pin.buildModelFromXML(chain(SIX_AXES, [0.0] * 5 + [0.4]))
-    d, e, sigma = whole.createData(), last.createData(), []
+    d = whole.createData()
+    e = last.createData()
+    sigma = []
     for q in robots.model.random_configurations(whole, 200):
-        M, M_last = np.array(pin.crba(whole, d, q)), np.array(pin.crba(last, e, q))
+        M = np.array(pin.crba(whole, d, q))
+        M_last = np.array(pin.crba(last, e, q))
         sigma.append(np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(M, M_last)).real)[::-1]))
     expected = np.column_stack((np.min(sigma, axis=0), np.max(sigma, axis=0)))
-    np.testing.assert_allclose(np.array(tip.mobility), expected, rtol=1e-6)
+    assert_allclose(np.array(tip.mobility), expected, rtol=1e-6)
     assert (np.array(tip.mobility) <= 1 + 1e-9).all()
 
 
-@pytest.mark.parametrize(("length", "mass"), [(1e3, 1.0), (1.0, 1e-3), (0.0254, 0.4536)])
-def test_mobility_does_not_depend_on_units(tmp_path: Path, length: float, mass: float) -> None:
+@mark.parametrize(("length", "mass"), [(1e3, 1.0), (1.0, 1e-3), (0.0254, 0.4536)])
+def test_mobility_does_not_depend_on_units(tmp_path, length, mass):
     masses = [4.0, 3.0, 2.0, 1.0, 0.5, 0.4]
     (here,) = summary(tmp_path, chain(SIX_AXES, masses)).tips
     (there,) = summary(tmp_path, chain(SIX_AXES, masses, length, mass)).tips
-    np.testing.assert_allclose(there.mobility, here.mobility, rtol=1e-7)
-    np.testing.assert_allclose(there.mass, np.array(here.mass) * mass, rtol=1e-7)
-    np.testing.assert_allclose(there.inertia, np.array(here.inertia) * mass * length**2, rtol=1e-7)
+    assert_allclose(there.mobility, here.mobility, rtol=1e-7)
+    assert_allclose(there.mass, np.array(here.mass) * mass, rtol=1e-7)
+    assert_allclose(there.inertia, np.array(here.inertia) * mass * length**2, rtol=1e-7)
 
 
-def test_the_tip_can_be_chosen(tmp_path: Path) -> None:
+def test_the_tip_can_be_chosen(tmp_path):
     file = write(tmp_path, GOOD)
     loaded = robots.load(file)
     every = robots.summarise(loaded.model, loaded.document)
     assert [tip.tip for tip in every.tips] == ["finger", "tool"] and every.more_tips == 0
     (slide,) = robots.summarise(loaded.model, loaded.document, "slide").tips
     assert (slide.tip, slide.joints, len(slide.mobility)) == ("slide", 2, 2)
-    with pytest.raises(ModelError, match="no frame 'tol'"):
+    with raises(ModelError, match="no frame 'tol'"):
         robots.summarise(loaded.model, loaded.document, "tol")
-    with pytest.raises(ModelError, match="no joint moves the frame 'base'"):
+    with raises(ModelError, match="no joint moves the frame 'base'"):
         robots.summarise(loaded.model, loaded.document, "base")
     assert robots.load(robots.urdf_path("rod")).model.nv == 0
     rod = robots.check_robot(robots.urdf_path("rod"))
@@ -119,21 +123,27 @@ def test_the_tip_can_be_chosen(tmp_path: Path) -> None:
 # The command ------------------------------------------------------------------------------------
 
 
-def test_check_prints_verdict_joints_and_tips(tmp_path: Path) -> None:
+def test_check_prints_verdict_joints_and_tips(tmp_path):
     result = call("panda", "--json", tmp_path / "panda.json")
     assert result.exit_code == 0, result.output
-    for words in ("panda.urdf: sound, loaded in", "9 joints move, 13 links, 17.45 kg",
-                  "panda_joint4", "-3.072 … -0.0698 rad", "87 N m", "panda_hand_tcp",
-                  "mobility"):  # fmt: skip
+    for words in (
+        "panda.urdf: sound, loaded in",
+        "9 joints move, 13 links, 17.45 kg",
+        "panda_joint4",
+        "-3.072 … -0.0698 rad",
+        "87 N m",
+        "panda_hand_tcp",
+        "mobility",
+    ):
         assert words in result.stdout, words
     found = json.loads((tmp_path / "panda.json").read_text())
     assert found["sound"] is True and found["findings"] == [] and found["meshes_missing"] == 0
     assert found["reader_difference"] < 1e-12 and 0 < found["load_ms"] < 1000
     assert found["robot"]["dof"] == 9 and len(found["robot"]["joints"]) == 9
-    assert found["robot"]["mass"] == pytest.approx(17.45, abs=0.01)
+    assert found["robot"]["mass"] == approx(17.45, abs=0.01)
 
 
-def test_check_tells_everything_that_is_wrong(tmp_path: Path) -> None:
+def test_check_tells_everything_that_is_wrong(tmp_path):
     text = GOOD.replace('effort="40"', 'effort="0"').replace('value="4"', 'value="-4"')
     file = write(tmp_path, text)
     result = call(file, "--json", tmp_path / "bad.json")
@@ -146,7 +156,7 @@ def test_check_tells_everything_that_is_wrong(tmp_path: Path) -> None:
     assert [(f["check"], f["line"]) for f in found["findings"]] == [("limit", 44), ("inertia", 7)]
 
 
-def test_check_takes_limits_inertias_tip_and_package_folders(tmp_path: Path) -> None:
+def test_check_takes_limits_inertias_tip_and_package_folders(tmp_path):
     text = GOOD.replace('effort="40"', 'effort="0"').replace('izz="0.001"', 'izz="0.005"')
     file = write(tmp_path, text.replace("meshes/column.stl", "/opt/meshes/column.stl"))
     options = ["--limit", "t*:effort=7,lower=-1", "--inertias", "positive", "--tip", "hand"]
@@ -160,15 +170,13 @@ def test_check_takes_limits_inertias_tip_and_package_folders(tmp_path: Path) -> 
     assert [tip["tip"] for tip in found["robot"]["tips"]] == ["hand"]
 
 
-def test_a_robot_that_the_second_reader_sees_otherwise_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_robot_that_the_second_reader_sees_otherwise_fails(tmp_path, monkeypatch):
     monkeypatch.setattr("osc_contact.robots.loading.CROSS_CHECK_TOLERANCE", -1.0)
     result = call(write(tmp_path, GOOD))
     assert result.exit_code == 1 and "two URDF readers place link" in result.stdout
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("words", "message"),
     [
         (("./absent.urdf",), "neither the file"),
@@ -181,13 +189,13 @@ def test_a_robot_that_the_second_reader_sees_otherwise_fails(
         (("panda", "--inertias", "any"), "positive"),
     ],
 )
-def test_bad_words_end_with_2(words: tuple[str, ...], message: str) -> None:
+def test_bad_words_end_with_2(words, message):
     result = call(*words)
     assert result.exit_code == 2 and not result.stdout
     assert message in " ".join(result.stderr.split()) and "Traceback" not in result.stderr
 
 
-def test_exit_codes_of_the_process(tmp_path: Path) -> None:
+def test_exit_codes_of_the_process(tmp_path):
     command = [sys.executable, "-c", "from osc_contact.cli import app; app()", "check"]
     bad = write(tmp_path, GOOD[:500])
     for argument, code in (("scara_left", 0), (str(bad), 1), (str(tmp_path), 2)):

@@ -1,12 +1,11 @@
 """Robustness study: all laws meet the same plants, and do not know what varies."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose
+from pytest import MonkeyPatch, approx, fixture, raises
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -20,12 +19,12 @@ WORDS = {"masses": "DOUBTFUL", "friction": "DOUBTFUL", "delay": "OK", "normals":
 CHANGES = ["control.rate=250 Hz", "plant.step=0.5 ms", "duration=1.1", "verdict.force_rms=0.9"]
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def made(tmp_path_factory):
     """Two samples of each case, by command: (folder, what it printed)."""
     folder = tmp_path_factory.mktemp("robustness")
     words = ["reproduce", "robustness", "--samples", "2", "--duration", "1.1", "--out", str(folder)]
-    with pytest.MonkeyPatch.context() as patch:
+    with MonkeyPatch.context() as patch:
         patch.setattr(study, "_FIRST", 0)  # the best law from nominal runs alone
         done = CliRunner().invoke(app, words)
         again = CliRunner().invoke(app, [*words, "--seed", "1"])
@@ -34,12 +33,12 @@ def made(tmp_path_factory):
     return folder, done.stdout
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def found(made):
     return json.loads((made[0] / "robustness.json").read_text())
 
 
-def sample_of(case: str, number: int):
+def sample_of(case, number):
     points = SweepStudy.of("two_contact_rod", study.VARIED[case], 2, overrides=CHANGES)
     drawn = points.sample(number)
     changes = [*CHANGES, *(f"{k}={v}" for k, v in drawn.overrides.items())]
@@ -53,7 +52,7 @@ def errors(scenario, seed, **how):
     return force, verdict["motion"]["rms_error_m"]
 
 
-def test_rows_are_single_runs_of_the_same_sample_under_each_law(found) -> None:
+def test_rows_are_single_runs_of_the_same_sample_under_each_law(found):
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", CHANGES))
     laws = {"ours": study.Ours()} | {name: chosen_law(rig, name) for name in study.BASELINES}
     for case in study.VARIED:
@@ -61,8 +60,8 @@ def test_rows_are_single_runs_of_the_same_sample_under_each_law(found) -> None:
         scenario, seed = sample_of(case, 1)
         for name, law in laws.items():
             force, motion = errors(scenario, seed, install=law.install)
-            assert row[f"{name}.force"] == pytest.approx(force, rel=1e-6)
-            assert row[f"{name}.motion"] == pytest.approx(motion, rel=1e-6)
+            assert row[f"{name}.force"] == approx(force, rel=1e-6)
+            assert row[f"{name}.motion"] == approx(motion, rel=1e-6)
             assert row[f"{name}.word"] == WORDS[case] and not row[f"{name}.failed"]
 
 
@@ -74,52 +73,58 @@ def chosen_law(rig, family):
     return min(candidates, key=lambda one: one[1] * one[2])[0]
 
 
-def test_what_the_controllers_do_not_know_costs_all_of_them_accuracy(found) -> None:
+def test_what_the_controllers_do_not_know_costs_all_of_them_accuracy(found):
     for case in ("masses", "friction", "normals"):
         for law in study.LAWS:
             worst = max(row[f"{law}.force"] for row in found["rows"][case])
             assert worst > found["nominal"][f"{law}.force"] + 0.01  # of the command
 
 
-def test_the_table_and_the_figure_tell_what_the_rows_say(made, found) -> None:
+def test_the_table_and_the_figure_tell_what_the_rows_say(made, found):
     folder, printed = made
     assert {path.name for path in folder.iterdir()} == {
-        "robustness.json", *(f"robustness.{kind}" for kind in ("png", "svg", "pdf")),
+        "robustness.json",
+        *(f"robustness.{kind}" for kind in ("png", "svg", "pdf")),
         *(f"robustness_{case}.jsonl" for case in study.VARIED),
-    }  # fmt: skip
+    }
     for case, title in study.TITLES.items():
         told = found["cases"][case]
         assert title in printed and told["samples"] == 2
         for law in study.LAWS:
             assert told[law]["success_rate"] == 1.0
             worst = 1e3 * max(row[f"{law}.motion"] for row in found["rows"][case])
-            assert told[law]["motion"][-1] == pytest.approx(worst) and f"{worst:.3g}" in printed
+            assert told[law]["motion"][-1] == approx(worst) and f"{worst:.3g}" in printed
     assert {one["candidates"] > 4 for one in found["selection"].values()} == {True}
     assert all(label in printed for label in study.LABELS.values())
 
 
-def test_failed_runs_count_as_the_largest_errors() -> None:
+def test_failed_runs_count_as_the_largest_errors():
     rng = np.random.default_rng(0)
-    values, failed = rng.uniform(1, 2, 50), np.arange(50) < 3
-    rows = [{"ours.failed": bool(f), "ours.force": None if f else x, "ours.motion": 0.0}
-            for x, f in zip(values, failed, strict=True)]  # fmt: skip
+    values = rng.uniform(1, 2, 50)
+    failed = np.arange(50) < 3
+    rows = [
+        {"ours.failed": bool(f), "ours.force": None if f else x, "ours.motion": 0.0}
+        for x, f in zip(values, failed, strict=True)
+    ]
     made = study.Robustness({}, {}, {"masses": rows}, {})
     told = made._told("masses", "ours")
-    assert told["success_rate"] == pytest.approx(0.94)
+    assert told["success_rate"] == approx(0.94)
     wanted = np.quantile(np.where(failed, np.inf, values), (0.5, 0.9), method="inverted_cdf")
-    np.testing.assert_allclose(told["force"][:2], 100 * wanted)
+    assert_allclose(told["force"][:2], 100 * wanted)
     assert told["force"][2] is None
 
 
-def test_rows_that_are_done_are_not_run_again(tmp_path, monkeypatch) -> None:
-    asked, inner = [], study.make_all
+def test_rows_that_are_done_are_not_run_again(tmp_path, monkeypatch):
+    asked = []
+    inner = study.make_all
 
     def make_all(crew, jobs, make):
         asked.append(len(jobs))
         return inner(crew, jobs, make)
 
     monkeypatch.setattr(study, "make_all", make_all)
-    at_O, force = pin.SE3.Identity(), (False, True, False)
+    at_O = pin.SE3.Identity()
+    force = (False, True, False)
     couples = ((True, False, False), (False, False, True))
     chosen = [Selection.of_frame(at_O, force, one) for one in couples]
 
@@ -128,13 +133,14 @@ def test_rows_that_are_done_are_not_run_again(tmp_path, monkeypatch) -> None:
 
     monkeypatch.setattr(study, "_candidates", candidates)
     how = {"changes": ["duration=1.02"], "workers": 1}
-    first, second = study.run(1, tmp_path, **how), study.run(1, tmp_path, **how)
+    first = study.run(1, tmp_path, **how)
+    second = study.run(1, tmp_path, **how)
     assert asked == [4, 0] and first.rows == second.rows
     del chosen[0]
-    with pytest.raises(osc.InvalidInputError, match="seed or law"):  # rows of other laws
+    with raises(osc.InvalidInputError, match="seed or law"):  # rows of other laws
         study.run(1, tmp_path, **how)
 
 
-def test_samples_of_what_has_none_are_refused() -> None:
+def test_samples_of_what_has_none_are_refused():
     refused = CliRunner().invoke(app, ["reproduce", "fig5", "--samples", "3"])
     assert refused.exit_code == 2 and "leave --samples out" in refused.stderr

@@ -1,17 +1,16 @@
 """Ticks that cannot be computed: repeated, held, stopped; and joints that run away."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import fixture, mark, raises
 
 import osc_contact as osc
-from benchmarks.cases import CASES, TickCase, repeatable
+from benchmarks.cases import CASES, repeatable
 from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.plants.rigid import RigidPlant
@@ -21,17 +20,17 @@ RUN, DEGRADED, HOLD, SAFE_STOP = SafetyState
 NAN = float("nan")
 
 
-@pytest.fixture(params=["one_panda", "two_contact_rod"])
-def case(request: pytest.FixtureRequest) -> TickCase:
+@fixture(params=["one_panda", "two_contact_rod"])
+def case(request):
     return CASES[request.param]()
 
 
-def blind(case: TickCase) -> osc.Measurement:
+def blind(case):
     return replace(case.measurement, wrenches=np.full_like(case.measurement.wrenches, NAN))
 
 
-@pytest.mark.parametrize("lost", [1, 2, 3, 19, 20, 25])
-def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case: TickCase, lost: int) -> None:
+@mark.parametrize("lost", [1, 2, 3, 19, 20, 25])
+def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case, lost):
     controller = case.controller()
     good = controller.tick(case.measurement, case.reference)
     sums = controller.motion_integral.copy(), controller.force_integral.copy()
@@ -42,11 +41,11 @@ def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case: TickCase, lost: in
         assert controller.status is osc.Status.HELD
         assert np.isfinite(tau).all() and (np.abs(tau) <= case.chain.tau_max).all()
         if len(states) <= 2:
-            np.testing.assert_array_equal(tau, good)
+            assert_array_equal(tau, good)
     assert states == ([DEGRADED] * 2 + [HOLD] * 17 + [SAFE_STOP] * 6)[:lost]
     assert controller.faults == min(lost, 20)
-    np.testing.assert_array_equal(controller.motion_integral, sums[0])
-    np.testing.assert_array_equal(controller.force_integral, sums[1])
+    assert_array_equal(controller.motion_integral, sums[0])
+    assert_array_equal(controller.force_integral, sums[1])
     controller.tick(case.measurement, case.reference)
     if lost < 20:
         assert controller.state is RUN and controller.status is osc.Status.OK
@@ -58,45 +57,50 @@ def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case: TickCase, lost: in
         for _ in range(5):  # as fast as motors may change
             tau = controller.tick(case.measurement, case.reference)
             controller.motion_integral = controller.force_integral = np.zeros(6)
-        np.testing.assert_allclose(tau, good, rtol=0, atol=1e-9)
+        assert_allclose(tau, good, rtol=0, atol=1e-9)
         assert controller.status is osc.Status.OK
 
 
-def test_a_first_tick_that_fails_holds_the_arm_against_gravity() -> None:
+def test_a_first_tick_that_fails_holds_the_arm_against_gravity():
     case = CASES["one_panda"]()
     still = replace(blind(case), v=np.zeros(7))
     tau = case.controller().tick(still, case.reference)
-    model, data = case.chain.model, case.chain.model.createData()
+    model = case.chain.model
+    data = case.chain.model.createData()
     gravity = pin.computeGeneralizedGravity(model, data, still.q).copy()
-    inertia, state = case.chain.payload, case.chain.state(still.q, still.v)
+    inertia = case.chain.payload
+    state = case.chain.state(still.q, still.v)
     weight = -inertia.inertia.mass * model.gravity.linear  # at the centre of mass of the object
     lever = state.X_WO.rotation @ inertia.inertia.lever
     wrench = np.concatenate((weight, np.cross(lever, weight)))  # at O
     J = pin.computeFrameJacobian(model, data, still.q, case.chain.tips[0], pin.LOCAL_WORLD_ALIGNED)
     shift = state.X_WO.translation - data.oMf[case.chain.tips[0]].translation
     at_tip = wrench + np.concatenate((np.zeros(3), np.cross(shift, weight)))
-    np.testing.assert_allclose(tau, gravity + J.T @ at_tip, rtol=0, atol=1e-9)
+    assert_allclose(tau, gravity + J.T @ at_tip, rtol=0, atol=1e-9)
 
 
-def test_unreadable_joints_leave_the_last_posture() -> None:
+def test_unreadable_joints_leave_the_last_posture():
     case = CASES["one_panda"]()
-    controller, plain = case.controller(), case.controller()
+    controller = case.controller()
+    plain = case.controller()
     for each in (controller, plain):
         each.tick(case.measurement, case.reference)
     still = replace(blind(case), v=np.zeros(7))
     gone = replace(still, q=np.full(7, NAN), v=np.full(7, NAN))
     for _ in range(12):
-        a, b = controller.tick(gone, case.reference), plain.tick(still, case.reference)
+        a = controller.tick(gone, case.reference)
+        b = plain.tick(still, case.reference)
     assert controller.state is HOLD
     # speeds are predicted from what was commanded: braked, they are gone in some 1/(2 ω) = 25 ms
     for _ in range(300):
-        a, b = controller.tick(gone, case.reference), plain.tick(still, case.reference)
-    np.testing.assert_allclose(a, b, rtol=0, atol=0.02 * case.chain.tau_max.max())
+        a = controller.tick(gone, case.reference)
+        b = plain.tick(still, case.reference)
+    assert_allclose(a, b, rtol=0, atol=0.02 * case.chain.tau_max.max())
     assert controller.unbraked is not None and plain.unbraked is None
 
 
-@pytest.mark.parametrize(("name", "pace"), [("one_panda", 0.15), ("two_contact_rod", 1.0)])
-def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name: str, pace: float) -> None:
+@mark.parametrize(("name", "pace"), [("one_panda", 0.15), ("two_contact_rod", 1.0)])
+def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name, pace):
     case = CASES[name]()
     plant = RigidPlant(case.chain, (), 1e-3)
     plant.reset(case.measurement.q)
@@ -109,7 +113,8 @@ def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name: str, pace: 
     for _ in range(40):
         plant.command(controller.tick(plant.measure(), reference), 1e-3)
     assert controller.status is osc.Status.OK and np.abs(plant.measure().v).max() > 0.09
-    speeds, before = [], controller.last_torques()
+    speeds = []
+    before = controller.last_torques()
     for _ in range(1500):
         seen = plant.measure()
         speeds.append(np.abs(seen.v).max())
@@ -124,10 +129,10 @@ def test_a_stop_brings_the_joints_to_rest_and_keeps_them_there(name: str, pace: 
     for _ in range(300):
         plant.command(controller.tick(plant.measure(), reference), 1e-3)
     assert controller.state is SAFE_STOP  # though the wrenches are back
-    np.testing.assert_allclose(plant.measure().q, rest, rtol=0, atol=2e-3)
+    assert_allclose(plant.measure().q, rest, rtol=0, atol=2e-3)
 
 
-def test_joints_that_stay_too_fast_end_in_a_stop(case: TickCase) -> None:
+def test_joints_that_stay_too_fast_end_in_a_stop(case):
     controller = repeatable(case.controller())
     limit = case.chain.model.velocityLimit[case.chain.actuated]
     joint = case.chain.actuated[int(np.argmin(limit))]
@@ -148,7 +153,7 @@ def test_joints_that_stay_too_fast_end_in_a_stop(case: TickCase) -> None:
     assert f"joint {name} stayed above its speed limit of {limit.min():.4g}" in controller.reason
 
 
-def test_what_raises_in_python_counts_too() -> None:
+def test_what_raises_in_python_counts_too():
     case = CASES["one_panda"]()
 
     class Broken(osc.VertexOnFace):
@@ -175,10 +180,11 @@ def test_what_raises_in_python_counts_too() -> None:
     assert other.state is SAFE_STOP
 
 
-def test_rows_of_a_batch_stop_one_by_one(case: TickCase) -> None:
+def test_rows_of_a_batch_stop_one_by_one(case):
     batch = osc.BatchController([case.controller() for _ in range(3)])
     single = case.controller()
-    m, r = case.measurement, case.reference
+    m = case.measurement
+    r = case.reference
 
     def three(x):
         return np.tile(np.asarray(x, dtype=float), (3,) + (1,) * np.ndim(x))
@@ -187,16 +193,22 @@ def test_rows_of_a_batch_stop_one_by_one(case: TickCase) -> None:
     wrenches[1] = NAN
     for _ in range(21):
         tau = batch.tick(
-            three(m.q), three(m.v), wrenches, three(r.X_WD.homogeneous), three(r.V_D),
-            three(r.A_D), three(r.alpha_d), np.full(3, float(r.squeeze_d)),
-        )  # fmt: skip
-        np.testing.assert_array_equal(tau[1], single.tick(blind(case), r))
+            three(m.q),
+            three(m.v),
+            wrenches,
+            three(r.X_WD.homogeneous),
+            three(r.V_D),
+            three(r.A_D),
+            three(r.alpha_d),
+            np.full(3, float(r.squeeze_d)),
+        )
+        assert_array_equal(tau[1], single.tick(blind(case), r))
     assert batch.state.tolist() == [RUN, SAFE_STOP, RUN]
     batch.reset(np.array([False, True, False]))
     assert batch.state.tolist() == [RUN, RUN, RUN]
 
 
-def test_copies_stay_stopped(case: TickCase) -> None:
+def test_copies_stay_stopped(case):
     controller = case.controller()
     for _ in range(20):
         controller.tick(blind(case), case.reference)
@@ -209,8 +221,8 @@ def test_copies_stay_stopped(case: TickCase) -> None:
     assert controller.state is SAFE_STOP
 
 
-def test_settings_are_checked() -> None:
-    with pytest.raises(InvalidInputError, match="repeats = 20, stop_after = 20"):
+def test_settings_are_checked():
+    with raises(InvalidInputError, match="repeats = 20, stop_after = 20"):
         SafetySettings(repeats=20)
-    with pytest.raises(InvalidInputError, match="hold_rate: expected a plain number; got nan"):
+    with raises(InvalidInputError, match="hold_rate: expected a plain number; got nan"):
         SafetySettings(hold_rate=NAN)

@@ -6,7 +6,8 @@ import json
 from dataclasses import dataclass
 
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact.dynamics.rail import Conveyor
@@ -37,7 +38,8 @@ class Tip:
 
     def contact(self, X_WO, V_O, X_WE=None, V_E=None):
         _, n = self._at(X_WE)
-        r, w = X_WO.rotation @ self.tip, V_O[3:]
+        r = X_WO.rotation @ self.tip
+        w = V_O[3:]
         turning = np.cross(w, V_O[:3] + np.cross(w, r))  # of a spatial acceleration
         N = -np.concatenate((n, np.cross(r, n)))
         assert V_E is None or not np.any(V_E)
@@ -57,10 +59,13 @@ def rod(plant, **changes):
 def on_bodies(scenario, pairs):
     """The same contacts on bodies of the environment instead of faces of their own."""
     bodies = [
-        {"name": body.name, "urdf": "face.urdf",
-         "pose": {"xyz": body.placement.translation, "rpy": osc_rpy(body.placement)}}
+        {
+            "name": body.name,
+            "urdf": "face.urdf",
+            "pose": {"xyz": body.placement.translation, "rpy": osc_rpy(body.placement)},
+        }
         for body in osc.build_rig(scenario).bodies
-    ]  # fmt: skip
+    ]
     contacts = [
         {"pair": pair, "body": body["name"]} for pair, body in zip(pairs, bodies, strict=True)
     ]
@@ -76,22 +81,23 @@ def osc_rpy(X):
 def assert_same(ours, theirs, atol=1e-7):
     assert ours.channels.keys() == theirs.channels.keys()
     for name in SAME:
-        np.testing.assert_allclose(ours[name], theirs[name], rtol=0, atol=atol, err_msg=name)
+        assert_allclose(ours[name], theirs[name], rtol=0, atol=atol, err_msg=name)
 
 
-@pytest.mark.parametrize("plant", PLANTS)
+@mark.parametrize("plant", PLANTS)
 def test_pairs_of_ones_own(plant):
     plain = rod(plant)
     pairs = [Tip(p.name, p.vertex, p.point, p.normal, p.radius) for p in osc.build_rig(plain).pairs]
     own = on_bodies(plain, pairs)
-    ours, theirs = osc.run(own), osc.run(plain)
+    ours = osc.run(own)
+    theirs = osc.run(plain)
     assert_same(ours, theirs, 1e-6)
     assert ours.magnitude_names == ["left_end", "right_end"] and not ours["status"].any()
     contact = json.loads(json.dumps(ours.meta["scenario"]))["contacts"][0]
     assert contact == {"name": "left_end", "body": "face_left_end", "pair": "Tip"}
 
 
-@pytest.mark.parametrize("plant", PLANTS)
+@mark.parametrize("plant", PLANTS)
 def test_bodies_of_ones_own(plant):
     """A face driven by a function, and what the controller makes of it, as of a conveyor."""
     direction = np.array([-0.904196, -0.361677, 0.227199])
@@ -116,23 +122,25 @@ def test_bodies_of_ones_own(plant):
     answered = []
 
     class Belt:
-        def environment(self, X_WE, V_E, A_E, O):  # noqa: E741
+        def environment(self, X_WE, V_E, A_E, O):
             answered.append(V_E)
             return Conveyor().environment(X_WE, V_E, A_E, O)
 
     own = osc.OwnMotion(osc.Rail(direction, motion=drive), Belt())
     packaged = {"type": "conveyor", "direction": direction, "signals": [signal]}
-    ours, theirs = osc.run(with_motion(own)), osc.run(with_motion(packaged))
+    ours = osc.run(with_motion(own))
+    theirs = osc.run(with_motion(packaged))
     assert_same(ours, theirs, 1e-6)
     assert answered and np.ptp(ours["face_pose"][:, 0, :3], axis=0).max() > 1e-3
     late = osc.OwnMotion(osc.Rail(direction, motion=lambda t: drive(t + 0.02)))
-    with pytest.raises(osc.ScenarioError, match="away from where the contacts touch"):
+    with raises(osc.ScenarioError, match="away from where the contacts touch"):
         osc.build_rig(with_motion(late)).plant()
 
 
-@pytest.mark.parametrize("plant", PLANTS)
+@mark.parametrize("plant", PLANTS)
 def test_laws_of_ones_own(plant):
-    plain, made = rod(plant), []
+    plain = rod(plant)
+    made = []
 
     class Proportional:
         def __init__(self):
@@ -148,7 +156,7 @@ def test_laws_of_ones_own(plant):
     theirs = osc.run(plain, install=lambda c: c.with_laws(force=Proportional()))
     assert_same(ours, theirs, 0.0)
     assert [law.calls for law in made] == [20, 1, 20, 1], "every controller has its own"
-    with pytest.raises(AssertionError):
+    with raises(AssertionError):
         assert_same(ours, osc.run(plain), 1e-6)
 
 
@@ -161,7 +169,7 @@ def test_a_scenario_from_a_dict_is_that_of_the_file():
     assert loaded.replaced(duration=2.0).duration == 2.0
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("parts", "words"),
     [
         ({"duration": -1.0}, "duration: must be > 0"),
@@ -172,7 +180,7 @@ def test_a_scenario_from_a_dict_is_that_of_the_file():
         ({"contacts": [{"pair": "cone", "body": "groove"}]}, "the key 'type' is missing"),
         ({"contacts": [{"pair": osc.Free(), "body": "table"}], "force": {}}, "environment"),
     ],
-)  # fmt: skip
+)
 def test_what_does_not_fit_is_told_as_for_a_file(parts, words):
-    with pytest.raises(osc.ScenarioError, match=words):
+    with raises(osc.ScenarioError, match=words):
         osc.load_scenario("two_contact_rod").replaced(**parts)

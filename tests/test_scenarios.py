@@ -3,9 +3,9 @@
 import json
 from pathlib import Path
 
-import pytest
 import yaml
 from pydantic import ValidationError
+from pytest import approx, mark, raises
 
 from osc_contact.errors import ScenarioError
 from osc_contact.scenarios import Scenario, list_scenarios, load_scenario, parse_scenario
@@ -46,7 +46,7 @@ duration: 2 s
 
 
 def complaints(text, overrides=()):
-    with pytest.raises(ScenarioError) as caught:
+    with raises(ScenarioError) as caught:
         parse_scenario(text, "f.yaml", overrides)
     return str(caught.value).splitlines()
 
@@ -65,7 +65,7 @@ def test_good_file():
 
 def test_scenarios_are_frozen():
     scenario = parse_scenario(GOOD)
-    with pytest.raises(ValidationError, match="frozen"):
+    with raises(ValidationError, match="frozen"):
         scenario.duration = 3.0
 
 
@@ -73,24 +73,42 @@ BAD = {
     "unknown key": ("tip: tool\n", "tpi: tool\n", 5, "arms.left.tpi", "did you mean 'tip'?"),
     "unknown top key": ("duration: 2 s", "durration: 2 s", 31, "durration", "'duration'"),
     "unknown signal key": (
-        "{type: constant, value: 3 N}", "{type: constant, value: 3 N, stat: 1}",
-        20, "force.end.0.stat", "unknown key; known: type, value",
+        "{type: constant, value: 3 N}",
+        "{type: constant, value: 3 N, stat: 1}",
+        20,
+        "force.end.0.stat",
+        "unknown key; known: type, value",
     ),
     "unknown nested key": ("damping: 40", "dampin: 40", 27, "gains.motion.dampin", "'damping'"),
     "missing key": (
-        "    urdf: arm.urdf\n", "", 3, "arms.left", "the key 'urdf' is missing: a packaged URDF",
+        "    urdf: arm.urdf\n",
+        "",
+        3,
+        "arms.left",
+        "the key 'urdf' is missing: a packaged URDF",
     ),
     "missing top key": (
-        "control: {rate: 1 kHz}\n", "", 1, "", "the key 'control' is missing: the tick rate",
+        "control: {rate: 1 kHz}\n",
+        "",
+        1,
+        "",
+        "the key 'control' is missing: the tick rate",
     ),
     "missing in signal": (", frequency: 1 Hz", "", 25, "motion.0.signals.0", "'frequency' is miss"),
     "wrong unit": (
-        "radius: 10 mm", "radius: 8 N", 16, "contacts.end.radius",
+        "radius: 10 mm",
+        "radius: 8 N",
+        16,
+        "contacts.end.radius",
         "expected a length in m, mm, cm, µm; got '8 N', which is a force",
     ),
     "angle for force": ("value: 3 N", "value: 3 deg", 20, "force.end.0.value", "which is an angle"),
     "length in angular move": (
-        "5 deg", "5 mm", 25, "motion.0.signals.0.amplitude", "expected an angle in rad, mrad, deg",
+        "5 deg",
+        "5 mm",
+        25,
+        "motion.0.signals.0.amplitude",
+        "expected an angle in rad, mrad, deg",
     ),
     "unknown unit": ("2 s", "2 sec", 31, "duration", "'sec' is not a known unit"),
     "nan": ("2 s", ".nan", 31, "duration", "got nan, which is not finite"),
@@ -101,20 +119,32 @@ BAD = {
     "zero normal": ("[0, 0, 2]", "[0, 0, 0]", 17, "contacts.end.face.normal", "whose length is 0"),
     "zero axis": ("[0, 0, 1]", "[0, 0, 0]", 23, "motion.0.direction", "expected a direction"),
     "tangent of angular move": (
-        "direction: [0, 0, 1]", "direction: common_tangent", 23, "motion.0.direction",
+        "direction: [0, 0, 1]",
+        "direction: common_tangent",
+        23,
+        "motion.0.direction",
         "common_tangent is a direction of linear moves only; give the axis",
     ),
     "bad direction word": (
-        "kind: angular\n    direction: [0, 0, 1]", "kind: linear\n    direction: up", 23,
-        "motion.0.direction", "expected a direction [x, y, z] or common_tangent; got 'up'",
+        "kind: angular\n    direction: [0, 0, 1]",
+        "kind: linear\n    direction: up",
+        23,
+        "motion.0.direction",
+        "expected a direction [x, y, z] or common_tangent; got 'up'",
     ),
     "zero linear direction": (
-        "kind: angular\n    direction: [0, 0, 1]", "kind: linear\n    direction: [0, 0, 0]", 23,
-        "motion.0.direction", "whose length is 0",
+        "kind: angular\n    direction: [0, 0, 1]",
+        "kind: linear\n    direction: [0, 0, 0]",
+        23,
+        "motion.0.direction",
+        "whose length is 0",
     ),
     "unit in linear direction": (
-        "kind: angular\n    direction: [0, 0, 1]", "kind: linear\n    direction: [0, 1 N, 0]", 23,
-        "motion.0.direction.1", "expected a plain number; got '1 N'",
+        "kind: angular\n    direction: [0, 0, 1]",
+        "kind: linear\n    direction: [0, 1 N, 0]",
+        23,
+        "motion.0.direction.1",
+        "expected a plain number; got '1 N'",
     ),
     "negative radius": ("10 mm", "-1 mm", 16, "contacts.end.radius", "must be >= 0; got '-1 mm'"),
     "zero rate": ("1 kHz}", "0 Hz}", 29, "control.rate", "must be > 0; got '0 Hz'"),
@@ -122,7 +152,10 @@ BAD = {
     "zero step": ("0.25 ms", "0", 30, "plant.step", "must be > 0; got 0"),
     "zero duration": ("2 s", "0 s", 31, "duration", "must be > 0"),
     "step and period": (
-        "0.25 ms", "0.3 ms", 30, "plant.step",
+        "0.25 ms",
+        "0.3 ms",
+        30,
+        "plant.step",
         "the control period is 3.33333333 plant steps (control.rate 1000 Hz, plant.step 0.0003 s); "
         "it must be a whole number of them, e.g. a step of 0.333333333 ms",
     ),
@@ -134,7 +167,10 @@ BAD = {
     "solimp width": ("0.25 ms}", "0.25 ms, solimp: [0.2, 0.5, 0]}", 30, "plant.solimp.2", "> 0"),
     "friction": ("0.25 ms}", "0.25 ms, friction: -0.1}", 30, "plant.friction", "must be >= 0"),
     "model error": (
-        "duration: 2 s", "model_error: {arm_mass: 0}\nduration: 2 s", 31, "model_error.arm_mass",
+        "duration: 2 s",
+        "model_error: {arm_mass: 0}\nduration: 2 s",
+        31,
+        "model_error.arm_mass",
         "must be > 0",
     ),
     "tare": ("duration: 2 s", "tare: {standoff: 0}\nduration: 2 s", 31, "tare.standoff", "> 0"),
@@ -144,7 +180,10 @@ BAD = {
     "number for text": ("    tip: tool", "    tip: 7", 5, "arms.left.tip", "expected text; got 7"),
     "bad name": ("name: end", "name: my.end", 13, "contacts.my.end.name", "expected a name of"),
     "signal type": (
-        "type: constant", "type: konstant", 20, "force.end.0.type",
+        "type: constant",
+        "type: konstant",
+        20,
+        "force.end.0.type",
         "expected one of 'constant', 'step', 'sine', 'minimum_jerk', "
         "'jerk_limited', 'points'; got 'konstant'",
     ),
@@ -155,15 +194,25 @@ BAD = {
     "double arm": ("{name: right", "{name: left", 7, "arms.left.name", "'left' is taken"),
     "grasp of nobody": ("  right: {xyz", "  rigth: {xyz", 11, "grasps.rigth", "mean 'right'?"),
     "arm without grasp": (
-        "  right: {xyz: [-0.15, 0, 0]}\n", "", 9, "grasps", "arm 'right' has no entry; add right",
+        "  right: {xyz: [-0.15, 0, 0]}\n",
+        "",
+        9,
+        "grasps",
+        "arm 'right' has no entry; add right",
     ),
     "force of nobody": ("\n  end:", "\n  endd:", 19, "force.endd", "did you mean 'end'?"),
     "contact without force": (
-        "force:\n  end:\n    - {type: constant, value: 3 N}\n", "", 1, "force",
+        "force:\n  end:\n    - {type: constant, value: 3 N}\n",
+        "",
+        1,
+        "force",
         "the contact 'end' has no entry; add end: [{type: constant, value: 0 N}]",
     ),
     "key twice": (
-        "    tip: tool\n", "    tip: tool\n    tip: hand\n", 6, "arms.0.tip",
+        "    tip: tool\n",
+        "    tip: tool\n    tip: hand\n",
+        6,
+        "arms.0.tip",
         "given twice, first in line 5; keep one",
     ),
     "anchor": ("{rate: 1 kHz}", "&c {rate: 1 kHz}", 29, "&c", "anchors and aliases are refused"),
@@ -173,19 +222,21 @@ BAD = {
     "control character": ("rod.urdf", "rod\x07urdf", 8, "not valid YAML", "'\\x07' is not allowed"),
     "two documents": ("name: small", "name: small\n---\nname: x", 2, "not valid YAML", "single"),
     "deep": ("2 s", "[" * 5000, 31, "nested deeper", "32 levels"),
-}  # fmt: skip
+}
 
 
 def test_a_bad_item_is_not_told_as_a_list_too_short():
     path = Path(__file__).parent / "scenarios" / "set_points.yaml"
-    for wrong in ("force.left_end.0.points=[[0 s, 1 N], [1 s, 2 mm]]",
-                  "motion.0.signals.0.velocity=3 N/s"):  # fmt: skip
-        with pytest.raises(ScenarioError) as caught:
+    for wrong in (
+        "force.left_end.0.points=[[0 s, 1 N], [1 s, 2 mm]]",
+        "motion.0.signals.0.velocity=3 N/s",
+    ):
+        with raises(ScenarioError) as caught:
             load_scenario(path, [wrong])
         assert len(str(caught.value).splitlines()) == 1, caught.value
 
 
-@pytest.mark.parametrize("case", BAD)
+@mark.parametrize("case", BAD)
 def test_bad_files_name_line_key_and_cure(case):
     old, new, line, key, message = BAD[case]
     assert GOOD.count(old) >= 1
@@ -199,7 +250,7 @@ def test_alias_is_refused_at_its_line():
     assert [one.split(":")[1] for one in complaints(text)] == ["15", "23"]
 
 
-@pytest.mark.parametrize("text", ["", "# nothing\n", "- a\n- b\n", "just text"])
+@mark.parametrize("text", ["", "# nothing\n", "- a\n- b\n", "just text"])
 def test_a_file_without_keys(text):
     assert complaints(text) == [
         "f.yaml:1: expected keys such as name, arms, object; got no group of keys"
@@ -245,7 +296,7 @@ OVERRIDES = [
 ]
 
 
-@pytest.mark.parametrize(("override", "read", "wanted"), OVERRIDES, ids=[o[0] for o in OVERRIDES])
+@mark.parametrize(("override", "read", "wanted"), OVERRIDES, ids=[o[0] for o in OVERRIDES])
 def test_overrides(override, read, wanted):
     assert read(parse_scenario(GOOD, None, [override])) == wanted
     key, _, value = override.partition("=")
@@ -276,7 +327,7 @@ BAD_OVERRIDES = [
 ]
 
 
-@pytest.mark.parametrize(("override", "message"), BAD_OVERRIDES, ids=[o[0] for o in BAD_OVERRIDES])
+@mark.parametrize(("override", "message"), BAD_OVERRIDES, ids=[o[0] for o in BAD_OVERRIDES])
 def test_bad_overrides_are_named_instead_of_a_line(override, message):
     found = complaints(GOOD, [override])
     message = message.removeprefix(override.partition("=")[0] + ": ")  # the key is told once
@@ -326,7 +377,7 @@ def test_two_contact_rod_touches_its_faces_and_is_skew():
     for contact in scenario.contacts:
         centre = [a + b for a, b in zip(pose.xyz, contact.vertex, strict=True)]
         for c, p, n in zip(centre, contact.face.point, contact.face.normal, strict=True):
-            assert p == pytest.approx(c - contact.radius * n, abs=1e-6)
+            assert p == approx(c - contact.radius * n, abs=1e-6)
         lines.append((centre, contact.face.normal))
     (p, n), (q, m) = lines
     cross = [n[1] * m[2] - n[2] * m[1], n[2] * m[0] - n[0] * m[2], n[0] * m[1] - n[1] * m[0]]
@@ -340,14 +391,14 @@ def test_loading_by_path_and_unknown_names(tmp_path):
     scenario = load_scenario(path, {"duration": "1 s"})
     assert scenario.source == path and scenario.duration == 1.0
     assert load_scenario(str(path)).duration == 2.0
-    with pytest.raises(ScenarioError, match="did you mean 'two_contact_rod'"):
+    with raises(ScenarioError, match="did you mean 'two_contact_rod'"):
         load_scenario("two_contact_rood")
     for bad in (tmp_path / "none.yaml", tmp_path):
-        with pytest.raises(ScenarioError, match="cannot read the scenario file"):
+        with raises(ScenarioError, match="cannot read the scenario file"):
             load_scenario(bad)
     path.write_bytes(b"name: \xff\xfe")
-    with pytest.raises(ScenarioError, match="cannot read the scenario file"):
+    with raises(ScenarioError, match="cannot read the scenario file"):
         load_scenario(path)
     path.write_text(GOOD.replace("2 s", "2 N"), encoding="utf-8")
-    with pytest.raises(ScenarioError, match=r"mine\.yaml:31: duration: expected a time"):
+    with raises(ScenarioError, match=r"mine\.yaml:31: duration: expected a time"):
         load_scenario(path)

@@ -6,7 +6,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose
+from pytest import approx, fixture, mark, raises
 from scene_samples import (
     ARMS,
     BODIES,
@@ -45,7 +46,7 @@ ROOT = "/meshcat/"
 LEFT, RIGHT = (f"/meshcat/contacts/{name}" for name in ENDS)
 
 
-@pytest.fixture(scope="module")
+@fixture(scope="module")
 def shown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
     return Shown(write(folder, find=find, frame_words="best <frame>"))
@@ -100,7 +101,7 @@ def test_arm_and_object_stand_where_the_recording_has_them(shown):
             if joint != "joint2":
                 assert shown.pose(f"/meshcat/arms/left/{joint}", frame).isApprox(expected, 1e-5)
         rod = shown.at("/meshcat/bodies/rod", "position", frame)
-        np.testing.assert_allclose(rod, RECORDING["pose"][10 * frame, :3], atol=1e-6)
+        assert_allclose(rod, RECORDING["pose"][10 * frame, :3], atol=1e-6)
 
 
 def test_a_face_follows_its_recorded_pose(tmp_path):
@@ -112,18 +113,19 @@ def test_a_face_follows_its_recorded_pose(tmp_path):
         assert shown.pose("/meshcat/bodies/face", frame).isApprox(expected, 1e-5)
 
 
-@pytest.mark.parametrize("frame", [3, 8])
-@pytest.mark.parametrize("i", [0, 1])
+@mark.parametrize("frame", [3, 8])
+@mark.parametrize("i", [0, 1])
 def test_force_arrows_have_their_tips_at_the_contact_and_10_mm_per_newton(shown, i, frame):
-    tick, node = 10 * frame, (LEFT, RIGHT)[i]
+    tick = 10 * frame
+    node = (LEFT, RIGHT)[i]
     placed = shown.pose(node, frame)
     assert np.allclose(placed.translation, RECORDING["contact_point"][tick, i], atol=1e-6)
     assert np.allclose(placed.rotation[:, 1], RECORDING["contact_direction"][tick, i], atol=1e-6)
     for arrow, channel in (("true", "true"), ("commanded", "cmd"), ("measured", "meas")):
         alpha = RECORDING[f"alpha_{channel}"][tick, i]
-        assert shown.length(f"{node}/{arrow}", frame) == pytest.approx(0.01 * alpha, abs=1e-5)
+        assert shown.length(f"{node}/{arrow}", frame) == approx(0.01 * alpha, abs=1e-5)
     beside = shown.at(f"{node}/measured", "position", 0)
-    assert beside == pytest.approx([0.017, 0.0, 0.0]), "seen where it equals the true force"
+    assert beside == approx([0.017, 0.0, 0.0]), "seen where it equals the true force"
 
 
 def test_a_lost_contact_turns_grey_and_its_true_force_vanishes(shown):
@@ -141,7 +143,7 @@ def test_a_lost_contact_turns_grey_and_its_true_force_vanishes(shown):
     assert np.ptp([*paint[f"{LEFT}/lost/line/rod"].to_bytes(3)]) < 16, "grey"
 
 
-@pytest.mark.parametrize(("frame", "count"), [(2, 4), (5, 5), (9, 4)])  # the left one is lost at 5
+@mark.parametrize(("frame", "count"), [(2, 4), (5, 5), (9, 4)])  # the left one is lost at 5
 def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, count):
     """The velocity of each contact point, moved as drawn, has no part along the force.
 
@@ -153,8 +155,10 @@ def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, co
     for i in drawn:
         node = f"/meshcat/twists/{i}"
         placed = shown.pose(node, frame)
-        axis, on_axis = placed.rotation[:, 1], placed.translation
-        omega, v = np.zeros(3), axis
+        axis = placed.rotation[:, 1]
+        on_axis = placed.translation
+        omega = np.zeros(3)
+        v = axis
         assert shown.at(f"{node}/slide", "visible", frame) != shown.at(
             f"{node}/turn", "visible", frame
         )
@@ -162,7 +166,8 @@ def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, co
             path, turned = shown.path_of_tube(f"{node}/turn/path/tube")
             path = path * shown.at(f"{node}/turn/path", "scale", frame)
             pitch = (path[-1, 1] - path[0, 1]) / (turned[-1] - turned[0])
-            omega, v = axis, (pitch if abs(pitch) > 1e-5 else 0.0) * axis
+            omega = axis
+            v = (pitch if abs(pitch) > 1e-5 else 0.0) * axis
         twists.append(np.concatenate([v - np.cross(omega, on_axis), omega]))  # at the origin
         for c in np.flatnonzero(RECORDING["closed"][10 * frame]):
             speed = v + np.cross(omega, RECORDING["contact_point"][10 * frame, c] - on_axis)
@@ -189,17 +194,19 @@ def test_best_frame_stands_at_the_object_and_shows_what_it_selects(shown):
 def test_a_column_with_a_couple_is_a_screw(tmp_path):
     """N = [d; (p − O) × d + h d]: the line keeps its place, and a helix of pitch h is beside it."""
     pitch = 0.03
-    d, p = RECORDING["contact_direction"], RECORDING["contact_point"]
+    d = RECORDING["contact_direction"]
+    p = RECORDING["contact_point"]
     arms = p - RECORDING["pose"][:, None, :3]
     N = np.concatenate([d, np.cross(arms, d) + pitch * d], axis=2).transpose(0, 2, 1)
-    N[:, :3, 1], N[:, 3:, 1] = 0.0, d[:, 1]  # the second contact transmits a pure couple
+    N[:, :3, 1] = 0.0
+    N[:, 3:, 1] = d[:, 1]  # the second contact transmits a pure couple
     shown = Shown(write(tmp_path, changed(N=N)))
     offset = shown.pose(LEFT, 3).translation - p[30, 0]
     assert np.allclose(np.cross(offset, d[30, 0]), 0.0, atol=1e-6)
     path, turned = shown.path_of_tube(f"{LEFT}/closed/pitch")
-    assert np.polyfit(turned, path[:, 1], 1)[0] == pytest.approx(pitch, rel=1e-3)
+    assert np.polyfit(turned, path[:, 1], 1)[0] == approx(pitch, rel=1e-3)
     couple = 0.1 * RECORDING["alpha_true"][80, 1]
-    assert shown.length(f"{RIGHT}/true", 8) == pytest.approx(couple, abs=1e-5)
+    assert shown.length(f"{RIGHT}/true", 8) == approx(couple, abs=1e-5)
     assert f"{RIGHT}/true/head/second" in shown.objects, "a couple has two heads"
 
 
@@ -230,10 +237,12 @@ def test_plots_hold_the_recorded_numbers(shown):
 def test_thinning_keeps_short_peaks_in_their_place():
     t = np.arange(50_000) / 1000.0
     y = np.sin(t)
-    y[31_415], y[20_000] = 7.0, -5.0
+    y[31_415] = 7.0
+    y[20_000] = -5.0
     (panel,) = panels_of({"power_total": 0.0})
     thin = thinned(panel["lines"], {"t": t, "power_total": y})
-    times, values = np.array(thin["t"]), np.array(thin["y"][0])
+    times = np.array(thin["t"])
+    values = np.array(thin["y"][0])
     assert len(times) <= 900 and np.all(np.diff(times) >= 0.0)
     assert values.max() == 7.0 and abs(times[values.argmax()] - 31.415) < 0.12
     assert values.min() == -5.0 and abs(times[values.argmin()] - 20.0) < 0.12
@@ -246,10 +255,10 @@ def test_a_long_recording_gets_fewer_frames_per_second(tmp_path):
     last = max(map(max, shown.tracks.values()))
     assert last <= MOST_FRAMES and shown.page.stat().st_size < 3_000_000
     (fps,) = {a["clip"]["fps"] for a in shown.animation["animations"]}
-    assert last / fps == pytest.approx(40.0)
+    assert last / fps == approx(40.0)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@mark.parametrize("seed", range(20))
 def test_the_camera_sees_everything_and_stands_no_further_than_needed(seed):
     rng = np.random.default_rng(seed)
     points = rng.standard_normal((30, 3)) * rng.uniform(0.1, 2.0, 3)
@@ -277,7 +286,8 @@ def test_changes_sends_only_what_differs():
 def test_track_leaves_out_only_what_changes_nothing():
     from meshcat.animation import Animation
 
-    animation, scene = Animation(default_framerate=30), CommandSink().visualizer()
+    animation = Animation(default_framerate=30)
+    scene = CommandSink().visualizer()
     values = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0])
     track(scene["node"], animation, "opacity", "number", values)
     track(scene["other"], animation, "opacity", "number", np.ones(5))
@@ -289,8 +299,8 @@ def test_track_leaves_out_only_what_changes_nothing():
 def test_short_arrow_is_a_smaller_head():
     for length, head in ((0.01, 0.01 / 0.035), (0.035, 1.0), (0.135, 1.0)):
         shaft, y, scale = arrow_lengths(length)
-        assert scale == pytest.approx((head,) * 3)
-        assert shaft[1] - y == pytest.approx(length, abs=2e-6)
+        assert scale == approx((head,) * 3)
+        assert shaft[1] - y == approx(length, abs=2e-6)
     assert np.isfinite([*arrow_lengths(np.nan)[0], *arrow_lengths(-3.0)[2]]).all()
 
 
@@ -305,12 +315,9 @@ def test_a_tube_keeps_its_radius_around_every_bend():
     tube([[0.0, 0.0, 0.0]] * 3, 0.1)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "how",
-    [
-        {"contacts": 0},
-        {"without": ("contact_point", "contact_direction", "closed", "alpha_true")},
-    ],
+    [{"contacts": 0}, {"without": ("contact_point", "contact_direction", "closed", "alpha_true")}],
 )
 def test_scene_without_contacts(how, tmp_path):
     paths = {c["path"] for c in read_commands(write(tmp_path, make_recording(**how), find=find))}
@@ -321,7 +328,7 @@ def test_scene_without_contacts(how, tmp_path):
 SHORT_ARM = [ARMS[0]._replace(q_slice=slice(0, 4))]
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("make", "complaint"),
     [
         (lambda p: write_scene(RECORDING, SHORT_ARM, [], p), r"takes 4 numbers of q.*nq = 5"),
@@ -337,19 +344,19 @@ SHORT_ARM = [ARMS[0]._replace(q_slice=slice(0, 4))]
     ],
 )
 def test_scene_refuses_what_does_not_fit(make, complaint, tmp_path):
-    with pytest.raises(InvalidInputError, match=complaint):
+    with raises(InvalidInputError, match=complaint):
         make(tmp_path / "scene.html")
     assert not any(tmp_path.iterdir())
 
 
 def test_page_is_written_whole_or_not_at_all(tmp_path):
     (tmp_path / "taken").mkdir()
-    with pytest.raises(OSError):
+    with raises(OSError):
         write_page(CommandSink(), tmp_path / "taken", "title")
     assert [p.name for p in tmp_path.iterdir()] == ["taken"]
     empty = tmp_path / "empty.html"
     empty.write_text("<html></html>")
-    with pytest.raises(InvalidInputError, match="no drawing commands"):
+    with raises(InvalidInputError, match="no drawing commands"):
         write_png(empty, tmp_path / "empty.png")
 
 
@@ -388,11 +395,11 @@ def test_urdf_shapes_lie_as_in_the_urdf(tmp_path):
     vertices = np.frombuffer(tetra["data"]["attributes"]["position"]["array"].data, np.float32)
     assert vertices.max() == 2.0 and len(vertices) % 3 == 0 and placed["/meshcat/2"][0, 3] == 2.0
     paint = drawn["/meshcat/0/shape"]["materials"][0]
-    assert paint["color"] == 0xFF8000 and paint["opacity"] == pytest.approx(0.4)
-    assert placed["/meshcat/4/shape/top"][2, 3] == pytest.approx(capsule.geometry.halfLength)
+    assert paint["color"] == 0xFF8000 and paint["opacity"] == approx(0.4)
+    assert placed["/meshcat/4/shape/top"][2, 3] == approx(capsule.geometry.halfLength)
 
 
-@pytest.mark.parametrize("direction", [(0, 3, 0), (0, -2, 0), (1, 2, -2)])
+@mark.parametrize("direction", [(0, 3, 0), (0, -2, 0), (1, 2, -2)])
 def test_along_takes_y_to_the_direction(direction):
     expected = np.array(direction) / np.linalg.norm(direction)
     assert np.allclose(along([1, 2, 3], direction).rotation[:, 1], expected)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from pytest import approx, mark, raises
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.visual.screws import (
@@ -17,11 +17,12 @@ from osc_contact.visual.screws import (
 SEEDS = range(4)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", SEEDS)
 def test_twist_axis_is_where_a_finite_motion_only_advances(seed):
     """exp(V) moves the points of the axis along the axis, by the pitch per radian."""
     rng = np.random.default_rng(seed)
-    twist, origin = rng.standard_normal(6), rng.standard_normal(3)
+    twist = rng.standard_normal(6)
+    origin = rng.standard_normal(3)
     point, direction, pitch = twist_screw(twist, origin)
     motion = pin.exp6(pin.Motion(twist))  # about `origin`
     angle = np.linalg.norm(twist[3:])
@@ -31,10 +32,11 @@ def test_twist_axis_is_where_a_finite_motion_only_advances(seed):
     assert abs((point - origin) @ direction) < 1e-9, "the nearest point"
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@mark.parametrize("seed", SEEDS)
 def test_wrench_has_only_a_couple_along_its_axis_wherever_it_is_given(seed):
     rng = np.random.default_rng(seed)
-    (force, moment), origins = rng.standard_normal((2, 3)), rng.standard_normal((2, 3))
+    (force, moment) = rng.standard_normal((2, 3))
+    origins = rng.standard_normal((2, 3))
     for origin in origins:
         there = moment + np.cross(origins[0] - origin, force)
         point, direction, pitch = wrench_screw([*force, *there], origin)
@@ -49,11 +51,11 @@ def test_couples_and_translations_have_no_pitch_and_nonsense_is_refused():
     slide = twist_screw([0, 3.0, 0, 0, 0, 0], [1, 2, 3])
     assert np.isinf(slide.pitch) and np.allclose(slide.direction, [0, 1, 0])
     for bad in (np.zeros(6), np.ones(5), [np.nan, 0, 0, 0, 0, 1]):
-        with pytest.raises(InvalidInputError, match="no screw"):
+        with raises(InvalidInputError, match="no screw"):
             twist_screw(bad, np.zeros(3))
 
 
-@pytest.mark.parametrize("r", range(7))
+@mark.parametrize("r", range(7))
 def test_tangents_span_all_that_the_normals_permit(r):
     rng = np.random.default_rng(r)
     for _ in range(10):
@@ -77,13 +79,13 @@ def test_echelon_keeps_the_space_and_puts_translations_first():
     assert np.allclose(basis[3:, 1:].sum(axis=0), 1.0), "one world axis each"
 
 
-@pytest.mark.parametrize("pitch", [0.0, 0.02, -0.3, 5.0])
+@mark.parametrize("pitch", [0.0, 0.02, -0.3, 5.0])
 def test_helix_has_the_pitch_the_radius_and_the_length(pitch):
     path = helix(pitch, 0.03, 0.1, 400)
     assert np.allclose(np.hypot(path[:, 0], path[:, 2]), 0.03)
-    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(0.1, rel=1e-3)
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == approx(0.1, rel=1e-3)
     turned = np.arctan2(path[:, 0], path[:, 2])
-    assert np.polyfit(turned, path[:, 1], 1)[0] == pytest.approx(pitch, abs=1e-6)
+    assert np.polyfit(turned, path[:, 1], 1)[0] == approx(pitch, abs=1e-6)
     moved = pin.exp6(pin.Motion(np.array([0.0, pitch, 0.0, 0.0, 1.0, 0.0]) * 1e-3)) * path[200]
     assert np.allclose(np.cross(moved - path[200], path[201] - path[200]), 0.0, atol=1e-7)
 

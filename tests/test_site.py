@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-import pytest
+from pytest import fixture
 
 import osc_contact as osc
 
@@ -20,14 +20,14 @@ LOADS = {"img": "src", "script": "src", "iframe": "src", "source": "src", "objec
 class Page(HTMLParser):
     """Where a page leads to, what it loads, and the anchors it offers."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path):
         super().__init__()
         self.links: list[str] = []
         self.loads: list[str] = []
         self.anchors: set[str] = set()
         self.feed(path.read_text(encoding="utf-8"))
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         given = {key: value or "" for key, value in attrs}
         self.anchors |= {given[key] for key in ("id", "name") if key in given}
         if tag == "a" and "href" in given:
@@ -38,7 +38,7 @@ class Page(HTMLParser):
             self.loads.append(given[LOADS[tag]])
 
 
-def build(source: Path, into: Path, *options: str) -> subprocess.CompletedProcess[str]:
+def build(source, into, *options):
     """As `make docs`, without running the notebooks: tests/test_notebooks.py runs them."""
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
     command += ["-D", "run_notebooks=0", "-d", str(into / "doctrees"), *options]
@@ -47,8 +47,8 @@ def build(source: Path, into: Path, *options: str) -> subprocess.CompletedProces
     )
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@fixture(scope="module")
+def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("docs")
     done = build(ROOT, folder, "-c", str(ROOT / "docs"))
     assert done.returncode == 0, done.stderr
@@ -56,19 +56,19 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "site"
 
 
-@pytest.fixture(scope="module")
-def pages(site: Path) -> dict[Path, Page]:
+@fixture(scope="module")
+def pages(site):
     return {path: Page(path) for path in sorted(site.rglob("*.html"))}
 
 
-def test_every_page_is_there(site: Path) -> None:
+def test_every_page_is_there(site):
     sources = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/api/*.rst")]
     for source in [*sources, *ROOT.glob("notebooks/*.py")]:
         assert (site / source.relative_to(ROOT)).with_suffix(".html").is_file(), source.name
     assert "docs/index.html" in (site / "index.html").read_text(encoding="utf-8")
 
 
-def test_every_link_leads_to_a_page_and_an_anchor(site: Path, pages: dict[Path, Page]) -> None:
+def test_every_link_leads_to_a_page_and_an_anchor(site, pages):
     for path, page in pages.items():
         for link in page.links:
             parts = urlsplit(link)
@@ -82,7 +82,7 @@ def test_every_link_leads_to_a_page_and_an_anchor(site: Path, pages: dict[Path, 
                 assert unquote(parts.fragment) in known, f"{path.relative_to(site)}: {link}"
 
 
-def test_nothing_is_fetched_from_elsewhere(site: Path, pages: dict[Path, Page]) -> None:
+def test_nothing_is_fetched_from_elsewhere(site, pages):
     for path, page in pages.items():
         assert page.loads or path.name == "index.html"
         for load in page.loads:
@@ -95,7 +95,7 @@ def test_nothing_is_fetched_from_elsewhere(site: Path, pages: dict[Path, Page]) 
     assert "mathjax" not in scripts and "mermaid" not in scripts
 
 
-def test_every_public_name_has_its_place_in_reading_order() -> None:
+def test_every_public_name_has_its_place_in_reading_order():
     order = re.findall(r"^api/\w+$", (ROOT / "docs/index.md").read_text(encoding="utf-8"), re.M)
     text = "".join((ROOT / "docs" / f"{page}.rst").read_text(encoding="utf-8") for page in order)
     pairs = [f".. autoclass:: {name}" for name in osc.__all__ if name in osc.PAIRS]
@@ -104,25 +104,25 @@ def test_every_public_name_has_its_place_in_reading_order() -> None:
     assert told == osc.__all__, "a public name needs a line in docs/api/"
 
 
-def test_docstrings_reach_the_pages(site: Path) -> None:
+def test_docstrings_reach_the_pages(site):
     text = (site / "docs/api/response.html").read_text(encoding="utf-8")
     assert "α = D⁻¹[NᵀSΛ_S⁻¹(f_S − b_S)" in text and "TypeAlias" not in text
     assert "neither the chain nor the environment yields" in text  # Raises:
 
 
-def test_notebooks_are_pages(site: Path) -> None:
+def test_notebooks_are_pages(site):
     text = (site / "notebooks/03_two_contact_task.html").read_text(encoding="utf-8")
     assert "no constraint frame" in text and "build_rig" in text
     assert "matplotlib</span> <span" not in text and "fmt: skip" not in text
 
 
-def test_a_link_that_leads_nowhere_stops_the_build(tmp_path: Path) -> None:
+def test_a_link_that_leads_nowhere_stops_the_build(tmp_path):
     (tmp_path / "index.md").write_text("# A page\n\n[no](nowhere.md)\n", encoding="utf-8")
     done = build(tmp_path, tmp_path, "-C", "-D", "extensions=myst_parser")
     assert done.returncode != 0 and "nowhere.md" in done.stderr
 
 
-def test_equations_are_drawn_without_a_script(site: Path) -> None:
+def test_equations_are_drawn_without_a_script(site):
     text = (site / "docs/theory.html").read_text(encoding="utf-8")
     assert text.count("<math ") >= 20 and "<mtable" in text
     assert "$$" not in text and "&=" not in text and "\\tag" not in text and "<mi>&<" not in text
@@ -130,7 +130,7 @@ def test_equations_are_drawn_without_a_script(site: Path) -> None:
     assert "n<sub>γ</sub>" in text and "V<sub>rel</sub>" in text
 
 
-def test_first_uses_of_symbols_lead_to_the_glossary(site: Path) -> None:
+def test_first_uses_of_symbols_lead_to_the_glossary(site):
     """Each once on a page, in its text; not in tables of keys, where N is a newton."""
     wanted = {
         "theory": "N T r d S C G O n_γ α_u η̇ Ψ Φ Ω_f",
@@ -146,7 +146,7 @@ def test_first_uses_of_symbols_lead_to_the_glossary(site: Path) -> None:
         assert '<td><p><a class="term' not in text, page
 
 
-def test_names_in_tables_break_after_their_parts_only(site: Path) -> None:
+def test_names_in_tables_break_after_their_parts_only(site):
     text = (site / "docs/scenario.html").read_text(encoding="utf-8")
     name = re.sub(r"</?span[^>]*>", "", text)
     assert "contacts.<wbr>face.<wbr>urdf<" in name

@@ -1,10 +1,9 @@
 """Where runs start: inverse kinematics within limits, and the pose that the posture gives."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.testing import assert_allclose
 
 import osc_contact as osc
 from osc_contact.dynamics.assembly import reach
@@ -13,8 +12,10 @@ from osc_contact.dynamics.assembly import reach
 def test_inverse_kinematics_keeps_joint_limits_and_finds_postures_all_the_same():
     """A Panda is sent from one random posture to the pose of another, 60 times."""
     chain = osc.build_rig(osc.load_scenario("panda_edge")).chain
-    low, high = chain.model.lowerPositionLimit, chain.model.upperPositionLimit
-    rng, missed = np.random.default_rng(3), []
+    low = chain.model.lowerPositionLimit
+    high = chain.model.upperPositionLimit
+    rng = np.random.default_rng(3)
+    missed = []
     for _ in range(60):
         start, goal = rng.uniform(low, high, (2, chain.nq))
         pin.framesForwardKinematics(chain.model, chain.data, goal)
@@ -29,14 +30,15 @@ def test_inverse_kinematics_keeps_joint_limits_and_finds_postures_all_the_same()
 @pytest.mark.parametrize("name", ["two_contact_rod", "ur5_wipe", "three_arm_plate"])
 def test_the_object_is_where_the_posture_puts_it_unless_the_file_says(name):
     scenario = osc.load_scenario(name, ["object.pose=null"])
-    rig, arm = osc.build_rig(scenario), scenario.arms[0]
+    rig = osc.build_rig(scenario)
+    arm = scenario.arms[0]
     one = rig.chain.arms[0]
     data = one.model.createData()
     pin.framesForwardKinematics(one.model, data, np.array(arm.posture))
     tip = data.oMf[one.model.getFrameId(arm.tip)]
     grasp = scenario.grasps[arm.name]
     held = pin.SE3(pin.rpy.rpyToMatrix(*grasp.rpy), np.array(grasp.xyz))
-    np.testing.assert_allclose((one.base * tip * held).homogeneous, rig.X_given, atol=1e-12)
+    assert_allclose((one.base * tip * held).homogeneous, rig.X_given, atol=1e-12)
 
 
 def test_a_scenario_whose_posture_says_where_it_starts_runs_without_a_word():

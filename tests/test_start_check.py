@@ -1,13 +1,11 @@
 """Postures outside joint limits and wrists that read a wrong weight are found at the start."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from dataclasses import replace
 
 import numpy as np
-import pytest
+from pytest import mark, raises
 from test_own_mujoco import MOTORS, START, WALL, robot_of, scene
 
 import osc_contact as osc
@@ -22,11 +20,12 @@ def limited(**how):
     """The arm of `scene`, its joints limited to ±2 rad."""
     spec = osc.robots.mjcf.compile_mjcf(scene(MOTORS, **how))
     for name in ("shoulder", "elbow", "wrist_pitch"):
-        spec.joint(name).range, spec.jnt_limited[spec.joint(name).id] = (-2.0, 2.0), 1
+        spec.joint(name).range = (-2.0, 2.0)
+        spec.jnt_limited[spec.joint(name).id] = 1
     return robot_of(spec)
 
 
-@pytest.mark.parametrize("door", ["reset", "touching", "posture"])
+@mark.parametrize("door", ["reset", "touching", "posture"])
 def test_postures_outside_the_limits_are_refused_with_numbers_and_cure(door):
     robot = limited()
     doors = {
@@ -35,26 +34,27 @@ def test_postures_outside_the_limits_are_refused_with_numbers_and_cure(door):
         "posture": lambda q: osc.Controller(robot.chain, [WALL], posture=q),
     }
     words = rf"arm/elbow at {OUT[door]:g} \(limits -2 … 2\).* file"
-    with pytest.raises(osc.InvalidInputError, match=words):
+    with raises(osc.InvalidInputError, match=words):
         doors[door](np.array([0.3, OUT[door], -1.2]))
-    with pytest.raises(osc.InvalidInputError, match=r"look like degrees: give np.radians"):
+    with raises(osc.InvalidInputError, match=r"look like degrees: give np.radians"):
         doors[door](np.array(DEGREES))
     doors[door](np.array(START))
 
 
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@mark.parametrize("sign", [-1.0, 1.0])
 def test_a_posture_may_be_a_goal_beyond_the_limits_by_less_than_one_and_a_half_ranges(sign):
     chain = limited().chain
-    near, far = np.array([0.3, sign * 7.9, -1.2]), np.array([0.3, sign * 8.1, -1.2])
+    near = np.array([0.3, sign * 7.9, -1.2])
+    far = np.array([0.3, sign * 8.1, -1.2])
     assert osc.Controller(chain, [WALL], posture=near).settings.posture[1] == near[1]
-    with pytest.raises(osc.InvalidInputError, match=r"posture: outside the limits.* arm/elbow at"):
+    with raises(osc.InvalidInputError, match=r"posture: outside the limits.* arm/elbow at"):
         osc.Controller(chain, [WALL], posture=far)
 
 
 def test_a_touching_posture_outside_the_limits_is_refused():
     far = limited(wall=0.5)
     far.contacts = [osc.VertexOnFace([0, 0, 0], [0.1, 0, 0.5], [-1, 0, 0], name="behind")]
-    with pytest.raises(osc.ModelError, match="touching: outside the limits"):
+    with raises(osc.ModelError, match="touching: outside the limits"):
         far.touching([1.9, 1.9, 0.0])
 
 
@@ -88,7 +88,13 @@ def free_run(change, tick=lambda k, controller: None, ticks=300, engaged=True, *
     for k in range(ticks):
         read = robot.measure()
         wrench = change(read.wrenches.copy(), robot) + 0.3 * rng.standard_normal((1, 6)) * [
-            1, 1, 1, 0.02, 0.02, 0.02]  # fmt: skip
+            1,
+            1,
+            1,
+            0.02,
+            0.02,
+            0.02,
+        ]
         tau = controller.tick(replace(read, wrenches=wrench), osc.Reference(X, alpha_d=[5.0]))
         tick(k, controller)
         if controller.state is osc.SafetyState.SAFE_STOP:
@@ -113,8 +119,8 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("name", CHANGES)
-@pytest.mark.parametrize("engaged", [True, False])
+@mark.parametrize("name", CHANGES)
+@mark.parametrize("engaged", [True, False])
 def test_a_wrist_that_reads_another_weight_is_refused_before_contact(name, engaged):
     change, cause = CHANGES[name]
 
@@ -143,11 +149,11 @@ def test_a_tare_answers_an_offset_and_a_limit_can_be_set():
     assert ticks == 299 and controller.status is not osc.Status.HELD
     loose = osc.SafetySettings(load_error=5.0)
     assert free_run(offset, ticks=80, safety=loose)[1] == 79
-    with pytest.raises(osc.InvalidInputError, match="load_error: must be > 0"):
+    with raises(osc.InvalidInputError, match="load_error: must be > 0"):
         osc.SafetySettings(load_error=0.0)
 
 
-@pytest.mark.parametrize("another", [copy.copy, lambda c: pickle.loads(pickle.dumps(c))])
+@mark.parametrize("another", [copy.copy, lambda c: pickle.loads(pickle.dumps(c))])
 def test_copies_compare_what_the_first_was_about_to(another):
     controllers = []
 

@@ -13,8 +13,9 @@ import time
 
 import numpy as np
 import pyarrow
-import pytest
+from numpy.testing import assert_allclose
 from pyarrow import parquet
+from pytest import approx, mark, raises
 from scipy import stats
 from scipy.stats import qmc
 from typer.testing import CliRunner
@@ -40,7 +41,7 @@ def rod(samples, *vary, **how):
 # --- what a key may be ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("words", "oracle"),
     [
         ("uniform(-2, 3)", stats.uniform(-2, 5)),
@@ -50,7 +51,7 @@ def rod(samples, *vary, **how):
 )
 def test_numbers_are_those_of_scipys_distributions(words, oracle):
     found = [float(parse_distribution(words).draw(np.array([u]), None)[0]) for u in U]
-    np.testing.assert_allclose(found, oracle.ppf(U), rtol=1e-9)
+    assert_allclose(found, oracle.ppf(U), rtol=1e-9)
 
 
 def test_units_stay_with_their_numbers():
@@ -75,7 +76,7 @@ def test_factors_multiply_what_the_scenario_says():
         "12.5 mm",
         "[1.25, 2.5 N]",
     ]
-    with pytest.raises(osc.InvalidInputError, match="multiplies a number"):
+    with raises(osc.InvalidInputError, match="multiplies a number"):
         factor.draw(np.array([0.5]), "filter")
 
 
@@ -85,7 +86,7 @@ def test_tilted_directions_fill_their_cap_evenly():
     u = np.random.default_rng(0).random((4000, 2))
     tilt = parse_distribution("tilt(20 deg)")
     drawn = np.array([json.loads(tilt.draw(x, normal.tolist())[0]) for x in u])
-    np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-12)
+    assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-12)
     height = (drawn @ normal - np.cos(np.deg2rad(20))) / (1 - np.cos(np.deg2rad(20)))
     assert height.min() > -1e-12
     assert stats.kstest(height, "uniform").pvalue > 0.01
@@ -93,7 +94,7 @@ def test_tilted_directions_fill_their_cap_evenly():
     assert np.linalg.norm(sideways.mean(axis=0)) < 0.01
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     "words",
     [
         "0.8",
@@ -112,19 +113,19 @@ def test_tilted_directions_fill_their_cap_evenly():
     ],
 )
 def test_what_is_not_understood_is_refused_with_how_it_is_written(words):
-    with pytest.raises(osc.InvalidInputError, match=r"written|write one of"):
+    with raises(osc.InvalidInputError, match=r"written|write one of"):
         parse_distribution(words)
 
 
 # --- points ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("design", "points"), [("halton", qmc.Halton), ("sobol", qmc.Sobol)])
+@mark.parametrize(("design", "points"), [("halton", qmc.Halton), ("sobol", qmc.Sobol)])
 def test_points_are_scipys_and_those_behind_a_block_go_on(design, points):
     study = rod(3000, "squeeze=uniform(0, 1)", "seed=integers(0, 9)", design=design, seed=4)
     oracle = points(2, scramble=True, rng=4).random(2048)
     for i in (0, 5, 1023, 1024, 2047):
-        assert study.sample(i).shown["squeeze"] == pytest.approx(oracle[i, 0], abs=1e-12)
+        assert study.sample(i).shown["squeeze"] == approx(oracle[i, 0], abs=1e-12)
         assert study.sample(i).seed == int(oracle[i, 1] * 10)
 
 
@@ -149,7 +150,7 @@ def test_a_grid_has_every_combination_and_both_ends():
     assert len({json.dumps(one) for one in found}) == 6
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("vary", "complaint"),
     [
         (["squeeze"], "path.to.key=distribution"),
@@ -160,7 +161,7 @@ def test_a_grid_has_every_combination_and_both_ends():
     ],
 )
 def test_a_study_that_cannot_be_made_is_refused_before_its_runs(vary, complaint):
-    with pytest.raises((osc.InvalidInputError, osc.ScenarioError), match=complaint):
+    with raises((osc.InvalidInputError, osc.ScenarioError), match=complaint):
         SweepStudy.of("two_contact_rod", vary, 3)
 
 
@@ -175,10 +176,10 @@ def test_sobol_indices_are_those_of_ishigamis_function():
     table = pyarrow.table({"motion.rms_error_m": error})
     found = variances(table, study, "motion.rms_error_m")
     first, total = ([found[key][kind] for key in keys] for kind in ("first", "total"))
-    np.testing.assert_allclose(first, (0.3139, 0.4424, 0.0), atol=0.03)
-    np.testing.assert_allclose(total, (0.5576, 0.4424, 0.2437), atol=0.03)
+    assert_allclose(first, (0.3139, 0.4424, 0.0), atol=0.03)
+    assert_allclose(total, (0.5576, 0.4424, 0.2437), atol=0.03)
     assert variances(table.slice(0, 9), study, "motion.rms_error_m") == {}
-    with pytest.raises(osc.InvalidInputError, match="power of two, such as 1024"):
+    with raises(osc.InvalidInputError, match="power of two, such as 1024"):
         rod(1000, MASSES, design="saltelli")
 
 
@@ -194,7 +195,7 @@ def test_a_key_with_two_numbers_is_exchanged_as_one():
 # --- rows -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("name", "vary"),
     [
         ("two_contact_rod", [MASSES, NORMALS, "seed=integers(0, 99)"]),
@@ -219,7 +220,7 @@ def test_every_row_equals_its_single_run(name, vary):
             for key, value in force.items()
         }
         for key, value in wanted.items():
-            close = None if value is None else pytest.approx(value, rel=1e-9, abs=1e-12)
+            close = None if value is None else approx(value, rel=1e-9, abs=1e-12)
             assert row[key] == close, key
 
 
@@ -243,7 +244,7 @@ def test_doubts_stand_in_the_rows_and_are_not_logged(caplog):
 
 
 def test_runs_too_short_to_be_judged_are_refused():
-    with pytest.raises(osc.InvalidInputError, match="judged"):
+    with raises(osc.InvalidInputError, match="judged"):
         osc.sweep("two_contact_rod", [MASSES], 3, overrides=["duration=1 s"])
 
 
@@ -270,7 +271,7 @@ def test_table_is_the_same_in_one_process_in_two_and_where_a_worker_is_killed(tm
     assert parquet.read_table(tmp_path / TABLE).equals(alone)
     more = osc.sweep("two_contact_rod", vary, 12, overrides=SHORT, workers=1, out=tmp_path)
     assert more.num_rows == 12 and more.slice(0, 10).equals(alone)
-    with pytest.raises(osc.InvalidInputError, match="another study"):
+    with raises(osc.InvalidInputError, match="another study"):
         osc.sweep("two_contact_rod", vary, 12, overrides=SHORT, out=tmp_path, seed=1)
 
 
@@ -336,10 +337,10 @@ def test_command_tells_what_became_of_the_runs(tmp_path):
     summary = json.loads(json_file.read_text())
     table = parquet.read_table(tmp_path / "out" / TABLE).to_pydict()
     name = "force.left_end.rms_error_rel"
-    assert summary["quantiles"][name]["50 %"] == pytest.approx(np.median(table[name]))
+    assert summary["quantiles"][name]["50 %"] == approx(np.median(table[name]))
     column = "model_error.face_tilt [deg]"
     rho = stats.spearmanr(table[column], table[name]).statistic
-    assert summary["sensitivities"][name][column] == pytest.approx(rho)
+    assert summary["sensitivities"][name][column] == approx(rho)
     worst = summary["worst"][0]
     assert worst["command"].startswith("osc-contact run two_contact_rod --set duration=1.02 --set")
     assert worst["value"] == max(
@@ -352,7 +353,7 @@ def test_report_shows_everything_in_one_page(tmp_path):
     table = run_study(study, workers=1)
     summary = write_report(table, study, tmp_path)
     failed = table.column("failed").to_pylist()
-    assert summary["success_rate"] == pytest.approx(1 - sum(failed) / 5) and 0 < sum(failed) < 5
+    assert summary["success_rate"] == approx(1 - sum(failed) / 5) and 0 < sum(failed) < 5
     assert summary == json.loads((tmp_path / "summary.json").read_text())
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 2
@@ -391,8 +392,9 @@ def test_scenarios_made_in_python_are_swept_and_their_laws_refused():
     study = SweepStudy.of(scenario, [MASSES], 1)
     assert study.command(0) is None
     named = SweepStudy.of("two_contact_rod", [MASSES], 1, overrides=SHORT)
-    (one,), (other,) = make_rows(study, [0]), make_rows(named, [0])
+    (one,) = make_rows(study, [0])
+    (other,) = make_rows(named, [0])
     assert one == other
     own = scenario.replaced(laws=osc.Laws())
-    with pytest.raises(osc.InvalidInputError, match="laws"):
+    with raises(osc.InvalidInputError, match="laws"):
         SweepStudy.of(own, [MASSES], 1)

@@ -1,23 +1,23 @@
 """Faces whose normal is believed wrongly: what sliding tells of it, and what that brings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose
 from pair_kinds import pose_of
+from pytest import approx, mark
 from rigs import one_panda, random_state
 from test_reading import judged, point
 
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import velocity
 
-DT, SLIDES = 1e-3, 0.01
+DT = 1e-3
+SLIDES = 0.01
 
 
-def circle(hertz: float, about: float = 0.0, gains: object = None, **plant: object):
+def circle(hertz, about=0.0, gains=None, **plant):
     """40 mm on a face that is believed to be turned by 5°; 10 N."""
     data = point(plant).as_dict()
     for move in data["motion"]:
@@ -31,25 +31,29 @@ def slid(scenario, duration):
     """deg between the law's normal and the true one at last, and the believed one; the verdict."""
     kept = []
     run = osc.run(scenario, duration=duration, install=lambda c: kept.append(c) or c)
-    rig, controller = osc.build_rig(scenario), max(kept, key=lambda c: c._records.memory.ticked)
-    (true,), (believed,) = rig.pairs, rig.controlled_pairs()
+    rig = osc.build_rig(scenario)
+    controller = max(kept, key=lambda c: c._records.memory.ticked)
+    (true,) = rig.pairs
+    (believed,) = rig.controlled_pairs()
     n = believed.normal - controller._records.memory.columns[0].turn
-    off = [float(np.rad2deg(np.arcsin(np.linalg.norm(np.cross(n, pair.normal)))))
-           for pair in (true, believed)]  # fmt: skip
+    off = [
+        float(np.rad2deg(np.arcsin(np.linalg.norm(np.cross(n, pair.normal)))))
+        for pair in (true, believed)
+    ]
     return *off, osc.metrics(run)
 
 
 # --- against MuJoCo -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("about", [0.0, 90.0])
+@mark.parametrize("about", [0.0, 90.0])
 def test_fast_circles_on_a_face_that_is_believed_to_be_tilted(about):
     assert judged(circle(1.5, about)) < 0.01
     assert judged(circle(1.0, about, friction=0.2)) < 0.01
     assert judged(circle(1.0, about, {"force": {"tilt": 0}})) > 0.03
 
 
-@pytest.mark.parametrize("hertz", [0.5, 0.75, 1.0])
+@mark.parametrize("hertz", [0.5, 0.75, 1.0])
 def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
     """docs/tuning.md: of acceleration and brake that leak into the force."""
     cost = [judged(circle(hertz, about, {"force": {"tilt": 0}})) for about in (0.0, 90.0)]
@@ -57,15 +61,16 @@ def test_what_a_wrong_normal_costs_is_what_the_formula_says(hertz):
     state = rig.state()
     N = rig.pairs[0].contact(state.X_WO, np.zeros(6)).N
     M = 1.0 / (N.T @ state.S @ np.linalg.solve(state.Lambda_S, state.S.T) @ N).item()
-    w, K = 2 * np.pi * hertz, 10 * np.pi
+    w = 2 * np.pi * hertz
+    K = 10 * np.pi
     leak = M * np.deg2rad(5) * 0.04 * w**2 / np.sqrt(2) / 10
     want = leak * abs(1 + 1.4 * K / (K / 6 + 1j * w)) * w / np.hypot(w, K)
-    assert np.mean(cost) == pytest.approx(want, rel=0.25)
+    assert np.mean(cost) == approx(want, rel=0.25)
 
 
 def test_the_normal_that_is_learnt_is_that_of_the_face():
     off, turned, _ = slid(circle(0.5), 3.0)
-    assert off < 0.1 and turned == pytest.approx(5.0, abs=0.1)
+    assert off < 0.1 and turned == approx(5.0, abs=0.1)
     off, turned, _ = slid(circle(0.5, gains={"force": {"tilt": "3 deg"}}), 2.0)
     assert 2.5 < turned < 3.001 and off > 1.9
 
@@ -91,9 +96,10 @@ def test_what_stands_still_does_not_turn_its_face():
 # --- what the law makes of it ---------------------------------------------------------------------
 
 
-def touching(kind: str, X: pin.SE3, X_WE: pin.SE3, rng: np.random.Generator):
+def touching(kind, X, X_WE, rng):
     """A pair of one point that touches at X, and the pose of the body with its normal."""
-    p, n = 0.1 * rng.normal(size=3), rng.normal(size=3)
+    p = 0.1 * rng.normal(size=3)
+    n = rng.normal(size=3)
     at = X_WE.actInv(X.act(p))
     if kind == "face_on_vertex":
         return osc.FaceOnVertex(p, n, at, 0.01), X
@@ -102,19 +108,23 @@ def touching(kind: str, X: pin.SE3, X_WE: pin.SE3, rng: np.random.Generator):
     return osc.VertexOnFace(p, at, n, 0.01), X_WE
 
 
-@pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.parametrize("kind", ["vertex_on_face", "sphere_on_plane", "face_on_vertex"])
+@mark.parametrize("moving", [False, True])
+@mark.parametrize("kind", ["vertex_on_face", "sphere_on_plane", "face_on_vertex"])
 def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, moving):
     """N and n_γ against the pair made anew; the turn against its formula in world axes."""
-    chain, rng = one_panda(), np.random.default_rng(11)
+    chain = one_panda()
+    rng = np.random.default_rng(11)
     gains = osc.Gains()
     for _ in range(5):
         q, v = random_state(chain, rng)
         state = chain.state(q, v)
-        X, V = state.X_WO, state.V_O
-        X_WE, V_E = pin.SE3.Identity(), np.zeros(6)
+        X = state.X_WO
+        V = state.V_O
+        X_WE = pin.SE3.Identity()
+        V_E = np.zeros(6)
         if moving:
-            X_WE, V_E = pose_of(rng), 0.1 * rng.normal(size=6)
+            X_WE = pose_of(rng)
+            V_E = 0.1 * rng.normal(size=6)
         pair, carrier = touching(kind, X, X_WE, rng)
         touched = osc.interface.Touched(X_WE.homogeneous[None], V_E[None], np.zeros((1, 6)))
         controller = osc.Controller(chain, [pair], gains, dt=DT)
@@ -127,13 +137,15 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         new = pair.normal + d
         new /= np.linalg.norm(new)
         sign = 1.0 if kind == "face_on_vertex" else -1.0
-        memory.turn[:], memory.drift = sign * (new - pair.normal), 0.02
+        memory.turn[:] = sign * (new - pair.normal)
+        memory.drift = 0.02
         controller.tick(measurement, reference)
         bodies = (X_WE, V_E) if moving else ()
         want = replace(pair, normal=new).contact(X, V, *bodies)
-        np.testing.assert_allclose(controller.signals.contact.N, want.N, atol=1e-12)
-        np.testing.assert_allclose(controller.signals.contact.n_gamma, want.n_gamma, atol=1e-11)
-        n, centre = want.N[:3, 0], X.translation
+        assert_allclose(controller.signals.contact.N, want.N, atol=1e-12)
+        assert_allclose(controller.signals.contact.n_gamma, want.n_gamma, atol=1e-11)
+        n = want.N[:3, 0]
+        centre = X.translation
         centre = (
             X_WE.act(pair.vertex)
             if kind == "face_on_vertex"
@@ -149,11 +161,11 @@ def test_a_turned_face_is_the_pair_with_that_normal_and_turns_by_the_law(kind, m
         n = n - rate * share * (across - 0.02) * along / square
         turned = controller._records.work.columns[0].turned
         got = carrier.rotation @ (sign * pair.normal + turned)
-        np.testing.assert_allclose(got, n / np.linalg.norm(n), atol=1e-10)
+        assert_allclose(got, n / np.linalg.norm(n), atol=1e-10)
 
 
 def test_gains_for_one_mass_leave_faces_as_they_are_told():
-    assert osc.ForceGains().tilt == pytest.approx(np.deg2rad(10))
+    assert osc.ForceGains().tilt == approx(np.deg2rad(10))
     assert osc.ForceGains(30, 100).tilt == osc.ForceGains(bandwidth=5, tilt=0).tilt == 0.0
     assert osc.ForceGains(30, 100, tilt=0.1).tilt == 0.1
     plain = {"integral": 30}

@@ -3,7 +3,7 @@
 import json
 
 import numpy as np
-import pytest
+from pytest import approx, mark, raises
 from typer.testing import CliRunner
 
 import osc_contact as osc
@@ -28,12 +28,13 @@ def test_found_gains_beat_the_shipped_ones_in_a_run_of_their_own():
     found = tune("two_contact_rod", overrides=(*SHORT, sudden), trials=14, workers=1, seed=1)
     assert found.better and found.trials == 14
     changes = [f"{k}={v}" for k, v in found.values.items()]
-    shipped, best = errors([sudden]), errors([sudden, *changes])
-    assert found.shipped == pytest.approx(1.0)
-    assert found.best == pytest.approx(0.5 * (best[0] / shipped[0] + best[1] / shipped[1]))
+    shipped = errors([sudden])
+    best = errors([sudden, *changes])
+    assert found.shipped == approx(1.0)
+    assert found.best == approx(0.5 * (best[0] / shipped[0] + best[1] / shipped[1]))
     assert found.best < 0.9
     assert shipped[2] > 0.05 and best[2] <= 1.05 * shipped[2] + 1e-12
-    assert found.numbers["overshoot_rel"] == pytest.approx((shipped[2], best[2]))
+    assert found.numbers["overshoot_rel"] == approx((shipped[2], best[2]))
     assert set(found.values) == {one.partition("=")[0] for one in tuning.GAINS[:4]}
 
 
@@ -62,12 +63,12 @@ def test_what_is_not_known_counts_by_its_mean_and_limits_by_the_worst(monkeypatc
         for rows in zip(seen[::2], seen[1::2], strict=True)
     ]
     assert len(force) == 4 and all(len(one) == 2 for one in force)
-    assert found.shipped == pytest.approx(np.mean(force[0]))
-    assert any(found.best == pytest.approx(np.mean(one)) for one in force[1:])
-    assert found.numbers["force"][0] == pytest.approx(max(force[0]))
+    assert found.shipped == approx(np.mean(force[0]))
+    assert any(found.best == approx(np.mean(one)) for one in force[1:])
+    assert found.numbers["force"][0] == approx(max(force[0]))
 
 
-@pytest.mark.parametrize(("most", "broken"), [(0.001, ("overshoot_rel > 0.001",)), (9.0, ())])
+@mark.parametrize(("most", "broken"), [(0.001, ("overshoot_rel > 0.001",)), (9.0, ())])
 def test_limits_that_no_trial_keeps_are_named(most, broken):
     found = tune("two_contact_rod", limits={"overshoot_rel": most}, trials=3, **ONE)
     assert found.broken == broken and not (broken and found.better)
@@ -108,12 +109,12 @@ def test_command_prints_the_keys_to_paste(tmp_path):
     found = json.loads(json_file.read_text())
     assert done.exit_code == 0 and found["better"], done.output
     assert f"gains.motion.stiffness: {found['values']['gains.motion.stiffness']}" in done.output
-    assert found["best"] == pytest.approx(
+    assert found["best"] == approx(
         errors([f"gains.motion.stiffness={found['values']['gains.motion.stiffness']}"])[1]
     )
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("how", "complaint"),
     [
         ({"objective": "speed"}, "give force, motion, both, or a column"),
@@ -123,5 +124,5 @@ def test_command_prints_the_keys_to_paste(tmp_path):
     ],
 )
 def test_what_cannot_be_tuned_is_refused(how, complaint):
-    with pytest.raises(osc.OscContactError, match=complaint):
+    with raises(osc.OscContactError, match=complaint):
         tune("two_contact_rod", **(ONE | {"trials": 1} | how))

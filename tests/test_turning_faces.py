@@ -1,11 +1,10 @@
 """Faces that turn: their kinematics, N while they turn, plants, power, geometry."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose
 from pair_kinds import KINDS, PLAIN, Motion, Path, rate
+from pytest import mark, raises
 from test_moving_face import HINGE, TURNING, on_the_move, rig_of
 from test_pairs import BY_T
 
@@ -24,7 +23,9 @@ def unit(rng):
 
 def swinging(rng):
     """A rail with both joints, and s(t), its first and second derivative."""
-    A, w, phase = rng.normal(size=2), rng.uniform(1, 3, 2), rng.uniform(0, 6, 2)
+    A = rng.normal(size=2)
+    w = rng.uniform(1, 3, 2)
+    phase = rng.uniform(0, 6, 2)
 
     def motion(t):
         x = w * t + phase
@@ -43,56 +44,62 @@ def placed(rail, t):
 def test_twist_and_acceleration_are_the_derivatives_of_the_pose():
     rng = np.random.default_rng(0)
     for _ in range(20):
-        rail, t = swinging(rng), rng.uniform(0, 5)
+        rail = swinging(rng)
+        t = rng.uniform(0, 5)
         (X0, V0, _), (X, V, A), (X1, V1, _) = (placed(rail, t + dt) for dt in (-H, 0.0, H))
         spin = (pin.log3(X1.rotation @ X.rotation.T) - pin.log3(X0.rotation @ X.rotation.T)) / 2
-        np.testing.assert_allclose(V[:3], (X1.translation - X0.translation) / (2 * H), atol=1e-5)
-        np.testing.assert_allclose(V[3:], spin / H, atol=1e-5)
-        np.testing.assert_allclose(A, (V1 - V0) / (2 * H), atol=1e-5)
-        np.testing.assert_allclose(rail.pose(np.zeros(2)).homogeneous, np.eye(4), atol=1e-15)
+        assert_allclose(V[:3], (X1.translation - X0.translation) / (2 * H), atol=1e-5)
+        assert_allclose(V[3:], spin / H, atol=1e-5)
+        assert_allclose(A, (V1 - V0) / (2 * H), atol=1e-5)
+        assert_allclose(rail.pose(np.zeros(2)).homogeneous, np.eye(4), atol=1e-15)
 
 
-@pytest.mark.parametrize("name", sorted(set(KINDS) - BY_T))
+@mark.parametrize("name", sorted(set(KINDS) - BY_T))
 def test_N_follows_a_face_on_its_rail(name):
     """Gaps and N along the path, by finite differences, with the twist that the rail tells."""
     rng = np.random.default_rng(1)
     pair, pose, r = KINDS[name](rng, PLAIN)
-    rail, path = swinging(rng), Path.random(rng)
-    start, q = rail.pose(rail.motion(0.0)[0]), 0.7 * rng.normal(size=6 - r)
-    body = Path((start * pose(q)).rotation, np.vstack(((start * pose(q)).translation, path.p[1:])),
-                path.w)  # fmt: skip
+    rail = swinging(rng)
+    path = Path.random(rng)
+    start = rail.pose(rail.motion(0.0)[0])
+    q = 0.7 * rng.normal(size=6 - r)
+    body = Path(
+        (start * pose(q)).rotation, np.vstack(((start * pose(q)).translation, path.p[1:])), path.w
+    )
     motion = Motion(pair, body, lambda t: rail.pose(rail.motion(t)[0]))
     X_WE, V_E, A_E = placed(rail, 0.0)
     contact = pair.contact(body(0.0), body.twist, X_WE, V_E)
     spatial = classical_to_spatial(A_E, V_E)
     at = X_WE.translation, body(0.0).translation
-    V_rel, a_rel = body.twist - carry_twist(V_E, *at), body.acceleration - carry_twist(spatial, *at)
+    V_rel = body.twist - carry_twist(V_E, *at)
+    a_rel = body.acceleration - carry_twist(spatial, *at)
     N_dot = rate(motion.N_at)
-    np.testing.assert_allclose(contact.n_gamma, -N_dot.T @ V_rel, atol=1e-6)
-    np.testing.assert_allclose(rate(motion.gaps), -contact.N.T @ V_rel, atol=1e-7)
-    np.testing.assert_allclose(
-        rate(motion.gaps, 2), contact.n_gamma - contact.N.T @ a_rel, atol=1e-5
-    )
+    assert_allclose(contact.n_gamma, -N_dot.T @ V_rel, atol=1e-6)
+    assert_allclose(rate(motion.gaps), -contact.N.T @ V_rel, atol=1e-7)
+    assert_allclose(rate(motion.gaps, 2), contact.n_gamma - contact.N.T @ a_rel, atol=1e-5)
     assert np.abs(N_dot).max() > 0.1
 
 
-@pytest.mark.parametrize("plant", ["rigid", "mujoco"])
+@mark.parametrize("plant", ["rigid", "mujoco"])
 def test_a_turning_face_is_where_its_signals_say(plant):
     rig = rig_of(f"plant.type={plant}", *TURNING)
     motion = rig.scenario.contacts[0].face.motion
-    plant, _ = on_the_move(rig, 300)
-    (s, ds, _), (angle, rate_, second) = motion.signals[0].at(0.3), motion.turn.signals[0].at(0.3)
-    axis, through = np.array(motion.turn.axis), np.array(motion.turn.through)
-    touched, truth = plant.measure().touched, plant.truth()
+    plant, _ = on_the_move(rig, 150)
+    s, ds, _ = motion.signals[0].at(0.15)
+    angle, rate_, second = motion.turn.signals[0].at(0.15)
+    axis = np.array(motion.turn.axis)
+    through = np.array(motion.turn.through)
+    touched = plant.measure().touched
+    truth = plant.truth()
     X = pin.SE3(touched.X_WE[0])
-    np.testing.assert_allclose(X.rotation, pin.exp3(angle * axis), atol=1e-7)
+    assert_allclose(X.rotation, pin.exp3(angle * axis), atol=1e-7)
     carried = through + s * np.array(motion.direction)
-    np.testing.assert_allclose(X.act(through), carried, atol=1e-7)
-    np.testing.assert_allclose(touched.V_E[0, 3:], axis * rate_, atol=1e-5)
-    np.testing.assert_allclose(touched.A_E[0, 3:], axis * second, atol=1e-12)
+    assert_allclose(X.act(through), carried, atol=1e-7)
+    assert_allclose(touched.V_E[0, 3:], axis * rate_, atol=1e-5)
+    assert_allclose(touched.A_E[0, 3:], axis * second, atol=1e-12)
     of_hinge = carry_twist(touched.V_E[0], X.translation, carried)
-    np.testing.assert_allclose(of_hinge[:3], ds * np.array(motion.direction), atol=1e-5)
-    np.testing.assert_allclose(truth.X_WE[0].homogeneous, X.homogeneous, atol=1e-5)
+    assert_allclose(of_hinge[:3], ds * np.array(motion.direction), atol=1e-5)
+    assert_allclose(truth.X_WE[0].homogeneous, X.homogeneous, atol=1e-5)
     assert abs(rate_) > 1e-2 and abs(s) > 1e-4
 
 
@@ -101,38 +108,43 @@ def test_a_hinged_face_takes_the_power_of_its_contact():
     rig = rig_of("plant.type=rigid", "plant.step=1 ms", "gains.force.rise=0 s", *HINGE)
     rail = rig.plant().rails[0]
     plant, controller = on_the_move(rig, 0)
-    energy, power = [], []
+    energy = []
+    power = []
     for k in range(120):
         tau = controller.tick(plant.measure(), rig.references.at(1.0 + 1e-3 * k))
         plant.hold(tau)
-        touched, truth = plant.measure().touched, plant.truth()
+        touched = plant.measure().touched
+        truth = plant.truth()
         angle = pin.log3(touched.X_WE[0, :3, :3]) @ rail.axis
-        turn, O = touched.V_E[0, 3:] @ rail.axis, truth.X_WO.translation  # noqa: E741
+        turn = touched.V_E[0, 3:] @ rail.axis
+        O = truth.X_WO.translation
         V_e = carry_twist(touched.V_E[0], touched.X_WE[0, :3, 3], O)
         contact = rig.pairs[0].contact(truth.X_WO, truth.V_O, truth.X_WE[0], touched.V_E[0])
-        np.testing.assert_allclose(contact.N.T @ (truth.V_O - V_e), 0.0, atol=1e-12)
+        assert_allclose(contact.N.T @ (truth.V_O - V_e), 0.0, atol=1e-12)
         power.append(truth.alpha[0] * (contact.N.T @ V_e)[0] - rail.damping * turn**2)
         stored = rail.stiffness * angle**2 / 2 - rail.preload * angle
         energy.append(rail.inertia * turn**2 / 2 + stored)
         plant.command(tau, 1e-3)
-    power, energy = np.array(power), np.array(energy)
-    np.testing.assert_allclose(
+    power = np.array(power)
+    energy = np.array(energy)
+    assert_allclose(
         np.diff(energy), 1e-3 * (power[1:] + power[:-1]) / 2, atol=2e-3 * np.abs(power).max() * 1e-3
     )
     assert np.abs(power).max() > 1e-3
 
 
+@mark.slow
 def test_projected_power_vanishes_and_total_power_does_not_while_a_face_turns():
     recording = osc.run(
-        osc.load_scenario("moving_face", TURNING), plant="rigid", duration=1.3
-    )  # fmt: skip
+        osc.load_scenario("moving_face", [*TURNING, "plant.step=1 ms"]), plant="rigid", duration=1.3
+    )
     verdict = osc.metrics(recording)
     assert verdict["power"]["ratio"] <= 1e-10 and verdict["power"]["total_rms_W"] > 0.02
     turned = [pin.log3(pin.Quaternion(q).matrix()) for q in recording["face_pose"][::100, 0, 3:]]
     assert np.ptp(turned, axis=0).max() > np.deg2rad(3.0)
 
 
-@pytest.mark.parametrize("face", [TURNING, HINGE], ids=["turning", "hinge"])
+@mark.parametrize("face", [TURNING, HINGE], ids=["turning", "hinge"])
 def test_mujoco_keeps_force_and_contact_on_a_face_that_turns(face):
     verdict = osc.metrics(osc.run(osc.load_scenario("moving_face", face), duration=2.0))
     for force in verdict["force"].values():
@@ -141,8 +153,10 @@ def test_mujoco_keeps_force_and_contact_on_a_face_that_turns(face):
 
 
 def test_a_turned_face_is_found_by_its_geometry_where_it_is():
-    rig, rng = rig_of(*TURNING), np.random.default_rng(3)
-    pair, rail = rig.pairs[0], rig.plant().rails[0]
+    rig = rig_of(*TURNING)
+    rng = np.random.default_rng(3)
+    pair = rig.pairs[0]
+    rail = rig.plant().rails[0]
     tracked = rig_of("control.contacts=detected", *TURNING).controlled_pairs()[0]
     X_WO = rig.state().X_WO
     for angle in np.deg2rad([0.0, 2.0, 5.0, -5.0]):
@@ -151,22 +165,22 @@ def test_a_turned_face_is_found_by_its_geometry_where_it_is():
         moved = X_WO.copy()  # back onto the face, along its normal
         moved.translation = X_WO.translation + pair.gaps(X_WO, X_WE)[0] * pair.direction(X_WE)
         ours, declared = (p.contact(moved, V_O, X_WE, V_E) for p in (tracked, pair))
-        np.testing.assert_allclose(ours.N, declared.N, atol=1e-9)
-        np.testing.assert_allclose(ours.n_gamma, declared.n_gamma, atol=1e-9)
+        assert_allclose(ours.N, declared.N, atol=1e-9)
+        assert_allclose(ours.n_gamma, declared.n_gamma, atol=1e-9)
     assert tracked.lookups > 2
 
 
 def test_a_turn_must_start_at_the_contact():
     turn = "{axis: [0, 1, 0], through: [0, 0, 0], signals: [{type: constant, value: 1 deg}]}"
     still = "[{type: constant, value: 0 mm}]"
-    with pytest.raises(osc.ScenarioError, match=r"left_end.*0\.0174\d* rad"):
+    with raises(osc.ScenarioError, match=r"left_end.*0\.0174\d* rad"):
         rig_of(
             "contacts.left_end.face.motion="
             f"{{type: conveyor, direction: [1, 0, 0], signals: {still}, turn: {turn}}}"
         ).plant()
 
 
-@pytest.mark.parametrize(
+@mark.parametrize(
     ("change", "said"),
     [
         ({"axis": [0, 0, 0]}, "hinge.axis is zero"),
@@ -177,5 +191,5 @@ def test_a_turn_must_start_at_the_contact():
 )
 def test_impossible_hinges_are_refused(change, said):
     given = {"axis": [0, 0, 1], "through": [0, 0, 0], "inertia": 1.0} | change
-    with pytest.raises(osc.InvalidInputError, match=said):
+    with raises(osc.InvalidInputError, match=said):
         Hinge(**given)

@@ -5,9 +5,10 @@ import warnings
 import gymnasium
 import numpy as np
 import pinocchio as pin
-import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact.control.batch import BatchController
@@ -42,7 +43,7 @@ def part(env, observation, name):
     return observation[..., [i for i, n in enumerate(env.names) if n.startswith(name)]]
 
 
-@pytest.mark.parametrize("vary", [{}, MASS])
+@mark.parametrize("vary", [{}, MASS])
 def test_gymnasium_finds_nothing_wrong(vary):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -51,7 +52,7 @@ def test_gymnasium_finds_nothing_wrong(vary):
     assert [one for one in told if "infinity" not in one and "spec" not in one] == []
 
 
-@pytest.mark.parametrize("mode", list(AutoresetMode))
+@mark.parametrize("mode", list(AutoresetMode))
 def test_rows_are_reset_as_gymnasium_resets_environments(mode):
     """Two of three rows: random actions; the third runs away, which ends it earlier."""
     how = {"overrides": ("duration=0.3 s",), "move": (0.02, 0.01)}
@@ -60,28 +61,29 @@ def test_rows_are_reset_as_gymnasium_resets_environments(mode):
     assert ours.metadata["autoreset_mode"] is mode
     for env in (ours, theirs):
         env.action_space.seed(5)
-    np.testing.assert_array_equal(ours.reset(seed=1)[0], theirs.reset(seed=1)[0])
+    assert_array_equal(ours.reset(seed=1)[0], theirs.reset(seed=1)[0])
     ends = np.zeros((2, 3), dtype=int)
     for _ in range(35):
         actions = 0.05 * ours.action_space.sample()
         actions[2, :2] = -1.0
-        one, other = ours.step(actions), theirs.step(actions)
+        one = ours.step(actions)
+        other = theirs.step(actions)
         for x, y in zip(one[:4], other[:4], strict=True):
-            np.testing.assert_array_equal(x, y)
+            assert_array_equal(x, y)
         over = one[2] | one[3]
         ends += np.array([one[2], one[3]])
         assert ("final_obs" in one[4]) == ("final_obs" in other[4])
         for i in np.flatnonzero(over) if "final_obs" in one[4] else ():
-            np.testing.assert_array_equal(one[4]["final_obs"][i], other[4]["final_obs"][i])
+            assert_array_equal(one[4]["final_obs"][i], other[4]["final_obs"][i])
         if mode is AutoresetMode.DISABLED and over.any():
-            with pytest.raises(osc.InvalidInputError, match="reset them"):
+            with raises(osc.InvalidInputError, match="reset them"):
                 ours.step(actions)
             x, y = (env.reset(options={"reset_mask": over.copy()})[0] for env in (ours, theirs))
-            np.testing.assert_array_equal(x, y)
+            assert_array_equal(x, y)
     assert ends[0, 2] > 2 and ends[1, 0] >= 2 and ends[0, 0] == 0  # ran away; ran out of time
 
 
-@pytest.mark.parametrize("name", ["panda_edge", "two_contact_rod", "hinge_ball_rod"])
+@mark.parametrize("name", ["panda_edge", "two_contact_rod", "hinge_ball_rod"])
 def test_rows_of_a_fleet_are_single_runs(name):
     """Each row with its own masses, two of them alike, on two threads."""
     scenarios = [
@@ -102,7 +104,7 @@ def test_rows_of_a_fleet_are_single_runs(name):
         tau = fleet.tick(X, *fields, np.array([plans[i].squeeze_d for i in rows]))
         for row, i in enumerate(rows):
             for one, channel in ((q, "q"), (v, "v"), (tau, "tau")):
-                np.testing.assert_allclose(one[row], recordings[i][channel][k], atol=1e-9)
+                assert_allclose(one[row], recordings[i][channel][k], atol=1e-9)
     assert not fleet.diverged().any()
 
 
@@ -115,9 +117,9 @@ def test_a_row_does_what_its_neighbours_would_do_alone():
     few._now = [many._now[i] for i in (4, 1)]
     few.fleet.begin({row: episode.start for row, episode in enumerate(few._now)})
     actions = np.random.default_rng(0).uniform(-1, 1, (5, 5, 7))
-    np.testing.assert_array_equal(few._observe(), first[[4, 1]])
+    assert_array_equal(few._observe(), first[[4, 1]])
     for action in actions[:4]:
-        np.testing.assert_array_equal(few.step(action[[4, 1]])[0], many.step(action)[0][[4, 1]])
+        assert_array_equal(few.step(action[[4, 1]])[0], many.step(action)[0][[4, 1]])
 
 
 def test_actions_move_the_set_point_and_set_the_force():
@@ -136,12 +138,10 @@ def test_actions_move_the_set_point_and_set_the_force():
     for _ in range(60):
         observation = env.step(action)[0]
     moved = env.fleet.objects()[0] - start
-    np.testing.assert_allclose(moved[:, 1], [0.04, -0.02], atol=2e-4)
-    np.testing.assert_allclose(part(env, observation, "force 0")[:, 0], [12.0, 6.0], atol=0.05)
-    np.testing.assert_allclose(
-        part(env, observation, "desired force")[:, 0], [12.0, 6.0], atol=1e-9
-    )
-    np.testing.assert_allclose(part(env, observation, "set point y")[:, 0], [0.04, -0.02])
+    assert_allclose(moved[:, 1], [0.04, -0.02], atol=2e-4)
+    assert_allclose(part(env, observation, "force 0")[:, 0], [12.0, 6.0], atol=0.05)
+    assert_allclose(part(env, observation, "desired force")[:, 0], [12.0, 6.0], atol=1e-9)
+    assert_allclose(part(env, observation, "set point y")[:, 0], [0.04, -0.02])
 
 
 def test_following_the_scenario_is_rewarded_and_leaving_it_is_not():
@@ -161,18 +161,18 @@ def test_following_the_scenario_is_rewarded_and_leaving_it_is_not():
 def test_seeds_draw_the_same_episodes_again_and_others_draw_others():
     env = make_vector_env("panda_edge", 6, vary=MASS, overrides=SHORT, episodes=5, threads=1)
     one, two, other = (env.reset(seed=s)[1]["sample"] for s in (7, 7, 8))
-    np.testing.assert_array_equal(one, two)
+    assert_array_equal(one, two)
     assert (one != other).any() and set(one) <= set(range(5))
 
 
 def test_what_cannot_be_batched_is_refused_with_the_reason():
-    with pytest.raises(osc.InvalidInputError, match="sensors have errors"):
+    with raises(osc.InvalidInputError, match="sensors have errors"):
         make_vector_env("workcell", 2)
-    with pytest.raises(osc.InvalidInputError, match="divides that of control"):
+    with raises(osc.InvalidInputError, match="divides that of control"):
         make_vector_env("panda_edge", 2, rate=70.0)
     env = make_vector_env("panda_edge", 2, overrides=SHORT, threads=1)
     env.reset()
-    with pytest.raises(osc.InvalidInputError, match="actions: expected"):
+    with raises(osc.InvalidInputError, match="actions: expected"):
         env.step(np.zeros((2, 6)))
 
 
@@ -185,7 +185,8 @@ def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given():
     batch = BatchController([starts[0].controller] * 2)
     batch.replace(1, starts[1].controller)
     single = [start.rig.controller() for start in starts]
-    measurement, reference = starts[0].plant.measure(), rigs[0].references.at(0.0)
+    measurement = starts[0].plant.measure()
+    reference = rigs[0].references.at(0.0)
     wanted = [one.tick(measurement, reference) for one in single]
     tau = batch.tick(
         *([x, x] for x in (measurement.q, measurement.v, measurement.wrenches)),
@@ -194,10 +195,10 @@ def test_a_replaced_row_of_a_batch_goes_on_as_the_controller_it_was_given():
         [reference.A_D] * 2,
         [reference.alpha_d] * 2,
     )
-    np.testing.assert_array_equal(tau, wanted)
+    assert_array_equal(tau, wanted)
     assert np.abs(tau[0] - tau[1]).max() > 0.1
     rod = osc.build_rig(osc.load_scenario("two_contact_rod")).controller()
-    with pytest.raises(osc.InvalidInputError, match="one structure"):
+    with raises(osc.InvalidInputError, match="one structure"):
         batch.replace(0, rod)
-    with pytest.raises(osc.InvalidInputError, match="rows 0"):
+    with raises(osc.InvalidInputError, match="rows 0"):
         batch.replace(2, starts[0].controller)

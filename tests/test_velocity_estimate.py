@@ -1,9 +1,8 @@
 """The velocity estimate against the Riccati equation and against what it has to see."""
 
-from __future__ import annotations
-
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose
+from pytest import mark, raises
 
 import osc_contact as osc
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
@@ -28,17 +27,15 @@ def riccati(noise, acceleration, dt):
     return K, P
 
 
-@pytest.mark.parametrize(
-    ("noise", "acceleration"), [(2e-5, 2.0), (1e-4, 0.5), (1e-6, 50.0), (1e-9, 2.0)]
-)
+@mark.parametrize(("noise", "acceleration"), [(2e-5, 2.0), (1e-4, 0.5), (1e-6, 50.0), (1e-9, 2.0)])
 def test_gains_are_those_of_the_riccati_equation(noise, acceleration):
     estimate = VelocityEstimate.optimal(noise, acceleration, DT)
     K, _ = riccati(noise, acceleration, DT)
-    np.testing.assert_allclose([estimate.alpha[0], estimate.beta[0] / DT], K, rtol=1e-6)
+    assert_allclose([estimate.alpha[0], estimate.beta[0] / DT], K, rtol=1e-6)
 
 
-@pytest.mark.parametrize("noise", np.geomspace(1e-15, 1e-2, 14))
-@pytest.mark.parametrize("dt", [1e-3, 2e-3, 4e-3, 1 / 60])
+@mark.parametrize("noise", np.geomspace(1e-15, 1e-2, 14))
+@mark.parametrize("dt", [1e-3, 2e-3, 4e-3, 1 / 60])
 def test_errors_of_velocity_never_alternate_for_long_however_good_the_sensor(noise, dt):
     """Eigenvalues of the error from sample to sample: at worst 0.27 from one to the next."""
     estimate = VelocityEstimate.optimal(noise, 2.0, dt)
@@ -50,7 +47,8 @@ def test_errors_of_velocity_never_alternate_for_long_however_good_the_sensor(noi
 
 def test_exact_positions_give_the_velocity_at_once():
     """From a wrong velocity on; an unknown acceleration errs by less than half a period of it."""
-    estimate, a = VelocityEstimate.optimal(1e-9, 2.0, DT), 3.0
+    estimate = VelocityEstimate.optimal(1e-9, 2.0, DT)
+    a = 3.0
     estimate.update(np.zeros(1))
     estimate.v = np.array([0.5])
     for k in range(1, 13):
@@ -60,33 +58,44 @@ def test_exact_positions_give_the_velocity_at_once():
 
 
 def test_errors_are_as_large_as_the_riccati_equation_says():
-    rng, noise, unknown = np.random.default_rng(0), 2e-5, 2.0
+    rng = np.random.default_rng(0)
+    noise = 2e-5
+    unknown = 2.0
     estimate = VelocityEstimate.optimal(np.full(20, noise), np.full(20, unknown), DT)
-    x, v, errors = np.zeros(20), np.zeros(20), []
+    x = np.zeros(20)
+    v = np.zeros(20)
+    errors = []
     root = np.linalg.cholesky(white(unknown, DT))
     for k in range(4000):
         moved, faster = root @ rng.standard_normal((2, 20))
-        x, v = x + DT * v + moved, v + faster
+        x = x + DT * v + moved
+        v = v + faster
         found = estimate.update(x + noise * rng.standard_normal(20))
         if k > 500:
             errors.append((found[0] - x, found[1] - v))
     _, P = riccati(noise, unknown, DT)
     spread = np.sqrt(np.mean(np.square(errors), axis=(0, 2)))
-    np.testing.assert_allclose(spread, np.sqrt(np.diag(P)), rtol=0.05)
+    assert_allclose(spread, np.sqrt(np.diag(P)), rtol=0.05)
 
 
 def test_it_does_not_lag_along_a_known_acceleration_and_beats_a_filtered_difference():
     """0.5 Hz sine of 0.3 rad, 20 µrad of noise: the joints of a sliding rod."""
-    rng, w, n = np.random.default_rng(1), np.pi, 8000
+    rng = np.random.default_rng(1)
+    w = np.pi
+    n = 8000
     t = DT * np.arange(n)
-    x, v, a = 0.3 * np.sin(w * t), 0.3 * w * np.cos(w * t), -0.3 * w**2 * np.sin(w * t)
+    x = 0.3 * np.sin(w * t)
+    v = 0.3 * w * np.cos(w * t)
+    a = -0.3 * w**2 * np.sin(w * t)
     read = x + 2e-5 * rng.standard_normal(n)
     told = VelocityEstimate.optimal(2e-5, 0.2, DT)
     got = np.array([told.update(read[k : k + 1], a[k - 1 : k])[1][0] for k in range(1, n)])
     error = np.sqrt(np.mean((got - v[1:])[2000:] ** 2))
     best = np.inf  # the best first-order filter of the difference, chosen with the truth at hand
     for corner in 2 * np.pi * np.geomspace(2, 400, 40):
-        keep, y, out = np.exp(-corner * DT), 0.0, []
+        keep = np.exp(-corner * DT)
+        y = 0.0
+        out = []
         for d in np.diff(read) / DT:
             y = keep * y + (1 - keep) * d
             out.append(y)
@@ -100,7 +109,7 @@ def test_a_reading_that_is_not_fresh_only_predicts():
     estimate.update(np.array([1.0]))
     estimate.v = np.array([2.0])
     x, v = estimate.update(np.array([99.0]), np.array([10.0]), fresh=False)
-    np.testing.assert_allclose([x[0], v[0]], [1.0 + 2e-3 + 5e-6, 2.01], rtol=1e-12)
+    assert_allclose([x[0], v[0]], [1.0 + 2e-3 + 5e-6, 2.01], rtol=1e-12)
 
 
 def test_a_slow_sensor_is_followed_between_its_samples():
@@ -112,16 +121,16 @@ def test_a_slow_sensor_is_followed_between_its_samples():
         fresh = int(t * 60) != int((t - DT) * 60)
         found.append([a[0] for a in estimate.update(np.array([0.02 * t]), 0.0, fresh)])
     x, v = np.array(found[4000:]).T
-    np.testing.assert_allclose(v, 0.02, rtol=0.01)
+    assert_allclose(v, 0.02, rtol=0.01)
     assert np.abs(np.diff(x)).max() < 1e-3  # no jumps at the samples
 
 
-@pytest.mark.parametrize("bad", [(0.5, 3.5, DT), (-0.1, 0.1, DT), (0.5, 0.1, 0.0)])
+@mark.parametrize("bad", [(0.5, 3.5, DT), (-0.1, 0.1, DT), (0.5, 0.1, 0.0)])
 def test_unstable_gains_are_refused(bad):
-    with pytest.raises(osc.InvalidInputError, match="stable"):
+    with raises(osc.InvalidInputError, match="stable"):
         VelocityEstimate(np.array([bad[0]]), np.array([bad[1]]), bad[2])
 
 
 def test_a_sensor_without_any_error_is_refused():
-    with pytest.raises(osc.InvalidInputError, match="resolution"):
+    with raises(osc.InvalidInputError, match="resolution"):
         VelocityEstimate.optimal(0.0, 1.0, DT)

@@ -1,10 +1,10 @@
 """Vision fused with encoders: the camera's frame found, its delay undone, its noise believed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
-import pytest
+from numpy.testing import assert_allclose
+from pytest import approx, mark, raises
+from samples import first
 from test_moving_face import TURNING
 
 import osc_contact as osc
@@ -38,32 +38,37 @@ def lacking(estimate, true):
 def test_without_noise_one_picture_finds_the_camera():
     rng = np.random.default_rng(0)
     for _ in range(20):
-        X_WC, known = displaced(rng, (0.1, 0.3)), scattered(rng)
+        X_WC = displaced(rng, (0.1, 0.3))
+        known = scattered(rng)
         found = Registration(1e-9, 1e-9, prior=(1.0, 1.0))
         found.update(known, [X_WC.inverse() * X for X in known])
-        np.testing.assert_allclose(lacking(found.X, X_WC), 0.0, atol=1e-8)
+        assert_allclose(lacking(found.X, X_WC), 0.0, atol=1e-8)
 
 
 def test_the_covariance_is_that_of_the_error():
     """Normalised squared error over 300 cameras: chi² with 6 degrees of freedom, mean 6 ± 0.2."""
-    rng, squares, spread = np.random.default_rng(1), [], []
+    rng = np.random.default_rng(1)
+    squares = []
+    spread = []
     for _ in range(300):
         prior = (5e-3, 5e-3)
-        X_WC, known = displaced(rng, prior), scattered(rng)
+        X_WC = displaced(rng, prior)
+        known = scattered(rng)
         found = Registration(*NOISE, prior=prior, drift=(0.0, 0.0))
         for _ in range(20):
             found.update(known, [noisy(X_WC.inverse() * X, rng) for X in known], 1 / 60)
         error = lacking(found.X, X_WC)
         squares.append(error @ np.linalg.solve(found.P, error))
         spread.append(error / np.sqrt(np.diag(found.P)))
-    assert np.mean(squares) == pytest.approx(6.0, abs=4 * np.sqrt(12 / 300))
-    np.testing.assert_allclose(np.std(spread, axis=0), 1.0, atol=0.15)
+    assert np.mean(squares) == approx(6.0, abs=4 * np.sqrt(12 / 300))
+    assert_allclose(np.std(spread, axis=0), 1.0, atol=0.15)
 
 
 def test_pictures_are_averaged_and_a_wandering_camera_is_followed():
     rng = np.random.default_rng(2)
     known = scattered(rng)
-    still, kept = Registration(*NOISE), []
+    still = Registration(*NOISE)
+    kept = []
     for n in range(1, 241):
         still.update(known, [noisy(X, rng) for X in known], 1 / 60)
         if n in (60, 240):
@@ -80,39 +85,52 @@ def test_pictures_are_averaged_and_a_wandering_camera_is_followed():
 
 def test_history_tells_what_was():
     history = History(0.1)
-    with pytest.raises(osc.InvalidInputError, match="empty"):
+    with raises(osc.InvalidInputError, match="empty"):
         history.at(0.0)
     for k in range(301):
         history.add(1e-3 * k, np.array([1e-3 * k, 2.0]))
-    np.testing.assert_allclose(history.at(0.2345), [0.2345, 2.0], atol=1e-12)
-    np.testing.assert_allclose(history.at(9.0), [0.3, 2.0])
-    assert history.at(0.0)[0] == pytest.approx(0.2, abs=2e-3)  # no further back than 0.1 s
+    assert_allclose(history.at(0.2345), [0.2345, 2.0], atol=1e-12)
+    assert_allclose(history.at(9.0), [0.3, 2.0])
+    assert history.at(0.0)[0] == approx(0.2, abs=2e-3)  # no further back than 0.1 s
     alone = History(1.0)
     alone.add(0.0, np.ones(1))
     assert alone.at(-1.0) == alone.at(5.0) == 1.0
 
 
-@pytest.mark.parametrize("bad", [{"position": 0.0}, {"prior": (1.0, 0.0)}, {"drift": (-1.0, 0.0)}])
+@mark.parametrize("bad", [{"position": 0.0}, {"prior": (1.0, 0.0)}, {"drift": (-1.0, 0.0)}])
 def test_impossible_noise_is_refused(bad):
-    with pytest.raises(osc.InvalidInputError, match="registration"):
+    with raises(osc.InvalidInputError, match="registration"):
         Registration(**{"position": 1e-3, "orientation": 1e-3} | bad)
 
 
 def watched(noise, X_WC, seconds, rng, delay=0.03, seen=True):
     """(truth, estimate) of a body that travels and turns while the robots swing, tick by tick."""
     M = displaced(np.random.default_rng(9), (0.3, 1.0))  # the marker on the body
-    axis, v, w = np.array([0.6, 0.0, 0.8]), np.array([0.01, -0.02, 0.005]), 0.05
+    axis = np.array([0.6, 0.0, 0.8])
+    v = np.array([0.01, -0.02, 0.005])
+    w = 0.05
 
     def body(t):
         return pin.SE3(pin.exp3(axis * w * t), v * t)
 
     def robots(q):
-        return [pin.SE3(pin.exp3(np.array([0, 0, q[0]])), np.array([0.1, q[0], 0.2])),
-                pin.SE3(np.eye(3), np.array([-0.4, -q[0], 0.4]))]  # fmt: skip
+        return [
+            pin.SE3(pin.exp3(np.array([0, 0, q[0]])), np.array([0.1, q[0], 0.2])),
+            pin.SE3(np.eye(3), np.array([-0.4, -q[0], 0.4])),
+        ]
 
-    fusion = VisionFusion(robots, Registration(*noise), (0.05, 0.1), dt=1e-3, period=1 / 60,
-                          delay=delay, markers=M.homogeneous[None])  # fmt: skip
-    pictures, out, taken = [], [], 0
+    fusion = VisionFusion(
+        robots,
+        Registration(*noise),
+        (0.05, 0.1),
+        dt=1e-3,
+        period=1 / 60,
+        delay=delay,
+        markers=M.homogeneous[None],
+    )
+    pictures = []
+    out = []
+    taken = 0
     for k in range(round(1000 * seconds)):
         t = 1e-3 * k
         q = np.array([0.3 * t])
@@ -123,8 +141,9 @@ def watched(noise, X_WC, seconds, rng, delay=0.03, seen=True):
         arrived = [p for p in pictures if p[0] + delay <= t + 1e-9] or pictures[:1]
         stamp, (rod, tip, marker) = arrived[-1]
         told = Seen(rod.homogeneous, tip.homogeneous[None]) if seen else None
-        touched = Touched((marker * M.inverse()).homogeneous[None], np.full((1, 6), np.nan),
-                          np.zeros((1, 6)))  # fmt: skip
+        touched = Touched(
+            (marker * M.inverse()).homogeneous[None], np.full((1, 6), np.nan), np.zeros((1, 6))
+        )
         out.append((body(t), fusion.update(t, q, stamp, told, touched)))
     twist = np.concatenate((v, axis * w))
     return out, twist, fusion
@@ -134,8 +153,8 @@ def test_delay_and_camera_cancel_where_hardly_anything_is_noisy():
     X_WC = pin.SE3(pin.exp3(np.array([3e-3, -4e-3, 5e-3])), np.array([4e-3, -3e-3, 5e-3]))
     out, twist, _ = watched((1e-5, 5e-5), X_WC, 1.0, np.random.default_rng(3))
     X, found = out[-1]
-    np.testing.assert_allclose(found.X_WE[0], X.homogeneous, atol=2e-4)
-    np.testing.assert_allclose(found.V_E[0], twist, atol=3e-3)
+    assert_allclose(found.X_WE[0], X.homogeneous, atol=2e-4)
+    assert_allclose(found.V_E[0], twist, atol=3e-3)
     alone, _, _ = watched((1e-5, 5e-5), X_WC, 1.0, np.random.default_rng(3), seen=False)
     assert np.abs(alone[-1][1].X_WE[0] - X.homogeneous).max() > 2e-3  # the camera's own frame
 
@@ -146,7 +165,7 @@ def test_under_noise_bodies_are_followed_within_a_few_milliradians():
     turn = [pin.log3(f.X_WE[0, :3, :3] @ X.rotation.T) for X, f in out[1500:]]
     assert np.sqrt(np.mean(np.square(turn))) < 2.5e-3
     speed = np.array([f.V_E[0, 3:] for _, f in out[1500:]])
-    np.testing.assert_allclose(speed.mean(axis=0), twist[3:], atol=5e-3)
+    assert_allclose(speed.mean(axis=0), twist[3:], atol=5e-3)
     error = lacking(fusion.registration.X, X_WC)
     assert error @ np.linalg.solve(fusion.registration.P, error) < 30.0
 
@@ -157,7 +176,7 @@ VISION = (
 )
 
 
-@pytest.mark.parametrize("plant", ["rigid", "mujoco"])
+@mark.parametrize("plant", first(["mujoco", "rigid"], 1))
 def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
     """Against the true N, with and without the fusion, while the face travels and tilts."""
     slow = [c.replace(": 0.7 Hz", ": 0.1 Hz").replace(": 1 Hz", ": 0.1 Hz") for c in TURNING]
@@ -166,8 +185,11 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
     if plant == "mujoco":
         changes[-2] = "plant.step=0.25 ms"
     rig = osc.build_rig(osc.load_scenario("moving_face", changes))
-    sensed, controller, observer = rig.plant(2), rig.controller(), rig.observer()
-    ours, raw = [], []
+    sensed = rig.plant(2)
+    controller = rig.controller()
+    observer = rig.observer()
+    ours = []
+    raw = []
     for k in range(2500):
         read = sensed.measure()
         done = observer.complete(read, None)
@@ -183,7 +205,8 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
                     ]
                 )
         sensed.command(controller.tick(done, rig.references.at(1e-3 * k)), 1e-3)
-    ours, raw = np.array(ours), np.array(raw)
+    ours = np.array(ours)
+    raw = np.array(raw)
     rms = np.sqrt(np.mean(ours**2, axis=0))
     assert rms[0] < 4e-3 and rms[1] < 1.2e-3, rms  # rad; m from where it touches
     assert (rms < 0.6 * np.sqrt(np.mean(raw**2, axis=0))).all(), (rms, raw)
@@ -193,11 +216,12 @@ def test_N_follows_a_turning_face_although_camera_and_robots_disagree(plant):
 def test_vision_tracks_rod_and_arms_where_they_are():
     rig = osc.build_rig(osc.load_scenario("moving_face", ["plant.type=rigid", VISION]))
     sensed = rig.plant(5)
-    seen, truth = sensed.measure().seen, sensed.truth()
+    seen = sensed.measure().seen
+    truth = sensed.truth()
     for X, Y in zip((seen.object, *seen.tips), sensed.plant.poses(), strict=True):
         assert 1e-4 < np.abs(X[:3, 3] - Y[:3, 3]).max() < 1.5e-2
         assert np.linalg.norm(pin.log3(X[:3, :3] @ Y[:3, :3].T)) < 0.04
-    np.testing.assert_allclose(sensed.plant.poses()[0], truth.X_WO.homogeneous, atol=1e-12)
+    assert_allclose(sensed.plant.poses()[0], truth.X_WO.homogeneous, atol=1e-12)
     assert seen.tips.shape == (2, 4, 4)
 
 
@@ -206,4 +230,4 @@ def test_both_plants_tell_the_same_poses():
     for plant in ("rigid", "mujoco"):
         rig = osc.build_rig(osc.load_scenario("two_contact_rod", [f"plant.type={plant}"]))
         found.append(rig.plant().poses())
-    np.testing.assert_allclose(found[0], found[1], atol=1e-6)
+    assert_allclose(found[0], found[1], atol=1e-6)

@@ -3,8 +3,8 @@
 from itertools import combinations, pairwise
 
 import numpy as np
-import pytest
 from matplotlib.patches import FancyBboxPatch
+from pytest import approx, fixture, raises
 from scene_samples import make_recording
 
 from osc_contact.control.signals import SIGNALS
@@ -43,7 +43,8 @@ def test_force_error_is_scaled_by_what_counts():
     low, high = error.get_ylim()
     assert low < -5.0 and high > 7.0, "nothing is cut off"
     at = error.transScale.transform
-    small, large = at((0.0, 1e-3))[1] - at((0.0, 0.0))[1], at((0.0, 7.0))[1] - at((0.0, 0.0))[1]
+    small = at((0.0, 1e-3))[1] - at((0.0, 0.0))[1]
+    large = at((0.0, 7.0))[1] - at((0.0, 0.0))[1]
     assert small > 0.2 * large, "and what is judged is seen beside it"
     shaded = [(p.get_x(), p.get_x() + p.get_width()) for p in error.patches]
     assert np.allclose(shaded, [(0.0, 0.2), (0.5, 0.55)])
@@ -54,10 +55,8 @@ def test_force_error_is_scaled_by_what_counts():
 
 def test_power_figure_leaves_steps_out_of_the_rms():
     recording = make_recording()
-    plain, blanked = (
-        plots.power(recording),
-        plots.power(recording, ~np.isin(np.arange(101), range(50, 55))),
-    )
+    plain = plots.power(recording)
+    blanked = plots.power(recording, ~np.isin(np.arange(101), range(50, 55)))
     assert plain.axes[0].get_ylim() == plain.axes[1].get_ylim()
     assert "398 mW" in plain.axes[1].get_title(loc="left")
     counted = np.r_[0:50, 55:101]
@@ -83,7 +82,7 @@ def test_tracking_and_torque_figures():
     (arm,) = plots.torques(limited).axes
     assert "% of its limit" in arm.get_ylabel() and len(arm.lines) == 6, "both limits are drawn"
     assert np.allclose(arm.lines[3].get_ydata()[-1], 80.0) and "80 %" in arm.lines[3].get_label()
-    with pytest.raises(InvalidInputError, match="no channel 'tau'"):
+    with raises(InvalidInputError, match="no channel 'tau'"):
         plots.torques(make_recording(without=("tau",)))
 
 
@@ -97,7 +96,7 @@ def test_save_writes_png_and_svg(tmp_path):
 FIGURES = {"fig4": LOOP, "fig5": tuple(b for b in LOOP if b.group == "force")}
 
 
-@pytest.fixture(params=FIGURES)
+@fixture(params=FIGURES)
 def diagram(request):
     """The boxes of fig. 4 or 5 with their rooms, and the axes (inches)."""
     blocks = FIGURES[request.param]
@@ -162,14 +161,14 @@ def test_diagrams_are_legible(diagram):
 def test_common_perpendicular_of_known_lines():
     pair = common_perpendicular([1, 0, 0], [2, 0, 0], [5, 4, 0.3], [0.0, 1.0, 0.0])
     assert np.allclose(pair.first, [5, 0, 0]) and np.allclose(pair.second, [5, 0, 0.3])
-    assert pair.distance == pytest.approx(0.3) and pair.angle == pytest.approx(np.pi / 2)
+    assert pair.distance == approx(0.3) and pair.angle == approx(np.pi / 2)
     rng = np.random.default_rng(3)
     p, d, q, e = rng.standard_normal((4, 3))
     pair = common_perpendicular(p, d, q, e)
-    assert (pair.second - pair.first) @ d == pytest.approx(0.0, abs=1e-12)
-    assert (pair.second - pair.first) @ e == pytest.approx(0.0, abs=1e-12)
+    assert (pair.second - pair.first) @ d == approx(0.0, abs=1e-12)
+    assert (pair.second - pair.first) @ e == approx(0.0, abs=1e-12)
     parallel = common_perpendicular([0, 0, 0], [1, 0, 0], [7, 0, 2], [-3, 0, 0])
-    assert parallel.distance == pytest.approx(2.0) and parallel.angle == 0.0
+    assert parallel.distance == approx(2.0) and parallel.angle == 0.0
 
 
 def test_contact_picture_projects_no_uninitialised_numbers():

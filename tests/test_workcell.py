@@ -1,11 +1,10 @@
 """Everything on: what the workcell promises, in runs short enough for a test."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import osc_contact as osc
 from osc_contact.dynamics.joint_modes import modes
@@ -21,14 +20,16 @@ def test_the_workcell_is_real_in_every_respect():
     rig = osc.build_rig(scenario)
     joints = flexible_joints(scenario, rig.chain, rig.state())
     assert 3.0 <= modes(rig.state(), rig.chain.actuated, joints.stiffness)[0] <= 10.0
-    sensors, plant = scenario.sensors, scenario.plant
+    sensors = scenario.sensors
+    plant = scenario.plant
     assert None not in (sensors.encoder, sensors.joint_torque, sensors.wrist, sensors.vision)
     assert (sensors.vision.rate, sensors.vision.delay) == (60.0, 0.03)
     assert (sensors.vision.position.noise, sensors.vision.orientation.noise) == (1e-3, 5e-3)
     assert plant.friction == 0.1 and plant.motors is not None and plant.joint_friction > 0.0
     assert scenario.duration >= 60.0
     for contact in scenario.contacts:
-        motion, normal = contact.face.motion, contact.face.normal
+        motion = contact.face.motion
+        normal = contact.face.normal
         assert motion.signals[0].value == 0.02
         assert abs(motion.turn.signals[0].value) == pytest.approx(np.deg2rad(5.0))
         assert abs(np.dot(motion.turn.axis, normal)) < 1e-5  # the normal turns by all of it
@@ -55,10 +56,10 @@ def test_forces_survive_everything_while_the_faces_move(everything):
     assert set(verdict["contact_fraction"].values()) == {1.0}
     assert verdict["status"]["held"] == 0
     travel = everything["face_pose"][-1, :, :3] - everything["face_pose"][0, :, :3]
-    np.testing.assert_allclose(np.linalg.norm(travel, axis=1), 0.02, rtol=1e-3)
+    assert_allclose(np.linalg.norm(travel, axis=1), 0.02, rtol=1e-3)
     first, last = everything["face_pose"][[0, -1], :, 3:]
     cosine = np.abs(np.sum(first * last, axis=1))  # of half the angle between quaternions
-    np.testing.assert_allclose(2 * np.arccos(cosine), np.deg2rad(5.0), rtol=1e-3)
+    assert_allclose(2 * np.arccos(cosine), np.deg2rad(5.0), rtol=1e-3)
 
 
 def test_the_monitor_raises_no_false_alarm(everything):

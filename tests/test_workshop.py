@@ -1,9 +1,8 @@
 """What the runs of a sweep share: every number of a recording is that of the run by itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import osc_contact as osc
 from osc_contact import robots
@@ -14,17 +13,17 @@ from osc_contact.runs.run import run_rig, start
 from osc_contact.sweeps.rows import Workshop
 
 
-def compare(one: osc.Recording, other: osc.Recording) -> None:
+def compare(one, other):
     assert set(one.channels) == set(other.channels)
     for name in set(one.channels) - {"tick_s"}:
-        np.testing.assert_array_equal(np.asarray(other[name]), np.asarray(one[name]), name)
+        assert_array_equal(np.asarray(other[name]), np.asarray(one[name]), name)
     clocks = {"wall_s", "cpu_s"}
     assert {k: v for k, v in one.meta.items() if k not in clocks} == {
         k: v for k, v in other.meta.items() if k not in clocks
     }
 
 
-def test_rigs_of_a_workshop_are_those_built_alone() -> None:
+def test_rigs_of_a_workshop_are_those_built_alone():
     """In an order in which every chain that is kept has been used by another run."""
     workshop = Workshop()
     changes = [(m, n) for m in (1.0, 1.2) for n in ("0.50", "0.53")]
@@ -46,7 +45,7 @@ def test_rigs_of_a_workshop_are_those_built_alone() -> None:
     assert len({rig.q_contact.tobytes() for rig in rigs}) == 2  # the normals do vary
 
 
-def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_path) -> None:
+def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_path):
     """What was read is kept by its bytes: same length, same second, another robot."""
     file = tmp_path / "body.urdf"
     text = robots.urdf_path("rod").read_text()
@@ -61,12 +60,13 @@ def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_pa
     arm = robots.load_model(robots.urdf_path("scara_left"))
     arm.armature = arm.armature + 5.0
     assert not robots.load_model(robots.urdf_path("scara_left")).armature.any()
-    (shape, *_), n = collision_shapes(file), len(collision_shapes(file))
+    (shape, *_) = collision_shapes(file)
+    n = len(collision_shapes(file))
     file.write_text(text.replace("<sphere radius", "<sphere  radius").replace("0.01", "0.02"))
     assert len(collision_shapes(file)) == n and collision_shapes(file)[0] is not shape
 
 
-def test_doubts_and_refusals_are_those_of_a_run() -> None:
+def test_doubts_and_refusals_are_those_of_a_run():
     scenario = osc.load_scenario("two_contact_rod", ["duration=0.05 s", "control.rate=80 Hz"])
     rig = osc.build_rig(scenario)
     assert require_ready(rig) == run_rig(rig).meta["doubts"] != []
@@ -74,7 +74,7 @@ def test_doubts_and_refusals_are_those_of_a_run() -> None:
         run_rig(osc.build_rig(scenario.replaced(control={"rate": 20.0})))
 
 
-def test_start_leaves_the_controller_that_only_gave_first_torques_behind() -> None:
+def test_start_leaves_the_controller_that_only_gave_first_torques_behind():
     """Both controllers of a start know nothing of one another."""
     rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
     _, controller = start(rig)

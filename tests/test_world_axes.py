@@ -1,13 +1,12 @@
 """Λ, μ and p of a chain in world axes: power, equation of motion, another frame, the basis S."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from grasp_rigs import KINDS, random_case
+from numpy.testing import assert_allclose, assert_array_equal
+from pytest import approx, mark
 from rigs import one_panda, panda_pair, random_state, scara_pair
 
 import osc_contact as osc
@@ -18,7 +17,7 @@ CHAINS = {"one_panda": one_panda, "panda_pair": panda_pair, "scara_pair": scara_
 
 def close(got, want, digits=1e-9):
     size = max(1.0, np.abs(want).max(initial=0.0))
-    np.testing.assert_allclose(got, want, rtol=0, atol=digits * size)
+    assert_allclose(got, want, rtol=0, atol=digits * size)
 
 
 def some_states(count=40):
@@ -44,10 +43,11 @@ def test_along_S_they_are_the_reduced_ones():
     assert {4, 5, 6} <= ranks
 
 
-@pytest.mark.parametrize("name", CHAINS)
+@mark.parametrize("name", CHAINS)
 def test_the_wrench_has_the_power_of_all_that_moves(name):
     """Vᵀ(Λa + μ + p): what Newton and Euler (Pinocchio) give joints and object together."""
-    chain, rng = CHAINS[name](), np.random.default_rng(17)
+    chain = CHAINS[name]()
+    rng = np.random.default_rng(17)
     for _ in range(10):
         q, v = random_state(chain, rng)
         state = chain.state(q, v)
@@ -55,19 +55,21 @@ def test_the_wrench_has_the_power_of_all_that_moves(name):
         v = state.W @ eta  # without what redundant arms do by themselves
         state = chain.state(q, v)
         eta_dot = rng.normal(size=state.d)
-        a, a_q = state.S @ eta_dot + state.sigma, state.W @ eta_dot + state.w
+        a = state.S @ eta_dot + state.sigma
+        a_q = state.W @ eta_dot + state.w
         model = chain.model
         power = v @ pin.rnea(model, model.createData(), q, v, a_q)
         weight = chain.payload.terms(state.X_WO, state.V_O, model.gravity.linear)
         power += state.V_O @ (weight.Lambda @ a + weight.mu + weight.p)
         wrench = state.Lambda @ a + state.mu + state.p
-        assert wrench @ state.V_O == pytest.approx(power, rel=1e-8, abs=1e-8)
+        assert wrench @ state.V_O == approx(power, rel=1e-8, abs=1e-8)
 
 
-@pytest.mark.parametrize("name", CHAINS)
+@mark.parametrize("name", CHAINS)
 def test_the_equation_of_motion_in_world_axes(name):
     """Sᵀ(Λa + μ + p + f_c) = Gτ for the acceleration that `contact_response` predicts."""
-    chain, rng = CHAINS[name](), np.random.default_rng(18)
+    chain = CHAINS[name]()
+    rng = np.random.default_rng(18)
     q, v = random_state(chain, rng)
     state = chain.state(q, v)
     tau = 20.0 * rng.normal(size=chain.n_a)
@@ -85,7 +87,8 @@ def test_gravity_has_the_sign_that_it_has_for_each_arm():
 
 
 def test_another_basis_changes_the_reduced_ones_only():
-    chain, rng = scara_pair(), np.random.default_rng(19)
+    chain = scara_pair()
+    rng = np.random.default_rng(19)
     state = chain.state(*random_state(chain, rng))
     Q = rng.normal(size=(5, 5)) + 3.0 * np.eye(5)
     other = replace(
@@ -96,13 +99,14 @@ def test_another_basis_changes_the_reduced_ones_only():
         p_S=Q.T @ state.p_S,
     )
     for name in ("Lambda", "mu", "p"):
-        np.testing.assert_array_equal(getattr(other, name), getattr(state, name))
+        assert_array_equal(getattr(other, name), getattr(state, name))
     close(other.S.T @ other.p, other.p_S)
 
 
 def test_another_operational_point_carries_them_as_wrenches():
     """The object's frame 0.2 m on and turned: Λ a + μ + p of the same motion, carried."""
-    chain, rng = one_panda(), np.random.default_rng(20)
+    chain = one_panda()
+    rng = np.random.default_rng(20)
     q, v = random_state(chain, rng)
     shift = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.2])), np.array([0.1, -0.15, 0.1]))
     body = chain.payload
@@ -110,7 +114,8 @@ def test_another_operational_point_carries_them_as_wrenches():
     moved = osc.ClosedChain(
         chain.arms, [X.X_TO * shift for X in chain.grasps], osc.RigidObject(inertia)
     )
-    here, there = chain.state(q, v), moved.state(q, v)
+    here = chain.state(q, v)
+    there = moved.state(q, v)
     r = there.X_WO.translation - here.X_WO.translation
     spin = np.linalg.norm(here.V_O[3:])
     assert np.linalg.norm(r) > 0.1 and spin > 0.1
@@ -125,7 +130,7 @@ def test_another_operational_point_carries_them_as_wrenches():
     close(carry.T @ there.Lambda @ carry, here.Lambda, 1e-8)
 
 
-@pytest.mark.parametrize("name", ["one_panda", "panda_pair"])
+@mark.parametrize("name", ["one_panda", "panda_pair"])
 def test_with_six_motions_the_inertia_is_the_inverse_of_the_mobility(name):
     """Λ₀ = Φ⁻¹ where d = 6; the SCARA pair's Φ has rank five and no inverse."""
     chain = CHAINS[name]()

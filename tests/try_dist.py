@@ -7,8 +7,6 @@ Versions of the dependencies: those of constraints.txt, the lower bounds of pypr
 highest that the bounds allow.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re
@@ -35,7 +33,7 @@ TESTS = ("test_contact.py", "test_projections.py", "test_importing.py", "test_mo
 WRITTEN = ("rod/metrics.json", "rod/scene.html", "rod.gif")
 
 
-def main() -> None:
+def main():
     """Try every file of the folder with every Python."""
     ask = argparse.ArgumentParser()
     ask.add_argument("dist", type=Path)
@@ -47,7 +45,7 @@ def main() -> None:
             attempt(file.resolve(), python, asked.versions)
 
 
-def lowest() -> list[str]:
+def lowest():
     """The lower bound of every dependency, as pip's constraints."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     users = [*project["dependencies"]]
@@ -56,7 +54,7 @@ def lowest() -> list[str]:
     return [re.sub(r">=([^,]+),.*", r"==\1", requirement) for requirement in users]
 
 
-def attempt(file: Path, python: str, versions: str) -> None:
+def attempt(file, python, versions):
     """Install one file into an empty environment and use it; exits where a command fails."""
     with tempfile.TemporaryDirectory(prefix="osc_contact_dist_") as name:
         folder = Path(name)
@@ -109,7 +107,7 @@ def attempt(file: Path, python: str, versions: str) -> None:
         run(folder, around, "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests)
 
 
-def run(folder: Path, around: dict[str, str], *command: str) -> None:
+def run(folder, around, *command):
     """Run a command in the folder, tell how long it took; exit where it fails."""
     begin = perf_counter()
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | around

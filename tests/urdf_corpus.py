@@ -93,17 +93,17 @@ class Bad(NamedTuple):
     element: str = ""
 
 
-def spoil(old: str, new: str, check: str, reason: str, element: str = "", up: int = 0) -> Bad:
+def spoil(old, new, check, reason, element="", up=0):
     """GOOD with the first `old` replaced; the complaint is about that line, or `up` lines above."""
     line = GOOD.count("\n", 0, GOOD.index(old)) + 1 - up
     return Bad(GOOD.replace(old, new, 1), check, reason, line, element)
 
 
-def _mass(value: str, reason: str, check: str = "number") -> Bad:
+def _mass(value, reason, check="number"):
     return spoil('value="1.5"', f'value="{value}"', check, reason, "link 'slide' <mass value=")
 
 
-def _mesh(address: str, reason: str) -> Bad:
+def _mesh(address, reason):
     return spoil("meshes/column.stl", address, "mesh", reason, "link 'column' <mesh filename=")
 
 
@@ -117,7 +117,7 @@ CHAIN = "".join(
     f'<link name="l{i}"/><joint name="j{i}" type="fixed"><parent link="l{i - 1}"/>'
     f'<child link="l{i}"/></joint>'
     for i in range(1, 5000)
-)  # fmt: skip
+)
 BOMB = '<!DOCTYPE b [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>\n<robot'
 SPY = '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/hostname">]>\n<robot'
 
@@ -156,14 +156,22 @@ CORPUS: dict[str, Bad] = {
         '<link name="tool"/>', '<link name="l0"/>' + CHAIN, "xml", "more than 512 links"
     ),
     # words
-    "misspelt element": spoil("<inertial>", "<intertial/><inertial>", "xml",
-                              "<intertial> is no word of URDF. Did you mean <inertial>"),
+    "misspelt element": spoil(
+        "<inertial>",
+        "<intertial/><inertial>",
+        "xml",
+        "<intertial> is no word of URDF. Did you mean <inertial>",
+    ),
     "misspelt attribute": spoil('rpy="0.2 0 0"', 'rpz="0.2 0 0"', "xml", "no attribute 'rpz'"),
-    "capital letters": spoil('<axis xyz="0 0 1"/>', '<Axis xyz="0 0 1"/>', "xml",
-                             "is no word of URDF. Did you mean <axis>"),
-    "two inertials": spoil("<visual>", '<inertial/><visual>', "xml", "the first is in line 5"),
+    "capital letters": spoil(
+        '<axis xyz="0 0 1"/>',
+        '<Axis xyz="0 0 1"/>',
+        "xml",
+        "is no word of URDF. Did you mean <axis>",
+    ),
+    "two inertials": spoil("<visual>", "<inertial/><visual>", "xml", "the first is in line 5"),
     "two limits": spoil(FINGER_LIMIT, FINGER_LIMIT * 2, "xml", "a second <limit>", "joint 'grip'"),
-    "two origins": spoil('<origin xyz="0 0 0.15"/>', '<origin/><origin/>', "xml", "a second <"),
+    "two origins": spoil('<origin xyz="0 0 0.15"/>', "<origin/><origin/>", "xml", "a second <"),
     # names
     "robot without name": spoil(' name="sound"', "", "name", "the robot has no name"),
     "link without name": spoil('<link name="tool"/>', "<link/>", "name", "a link without a name"),
@@ -173,17 +181,34 @@ CORPUS: dict[str, Bad] = {
     "the world's name": spoil('"tool"', '"universe"', "name", "means the world", "link 'universe'"),
     # tree
     "no link": Bad('<robot name="r"/>', "tree", "has no link", 1),
-    "unknown parent": spoil('parent link="slide"', 'parent link="slid"', "tree",
-                            "link 'slid' does not exist. Did you mean slide", "joint 'roll'"),
+    "unknown parent": spoil(
+        'parent link="slide"',
+        'parent link="slid"',
+        "tree",
+        "link 'slid' does not exist. Did you mean slide",
+        "joint 'roll'",
+    ),
     "unknown child": spoil('child link="tool"', 'child link="tol"', "tree", "'tol' does not exist"),
     "no parent": spoil('<parent link="hand"/>', "", "tree", "without <parent>", "joint 'grip'", 1),
-    "two parents": spoil('child link="finger"', 'child link="slide"', "tree",
-                         "'slide' already hangs on joint 'lift'", "joint 'grip'", 2),
-    "two roots": spoil('<link name="tool"/>', '<link name="tool"/><link name="loose"/>', "tree",
-                       "2 links have no parent: 'base', 'loose'", "link 'loose'"),
+    "two parents": spoil(
+        'child link="finger"',
+        'child link="slide"',
+        "tree",
+        "'slide' already hangs on joint 'lift'",
+        "joint 'grip'",
+        2,
+    ),
+    "two roots": spoil(
+        '<link name="tool"/>',
+        '<link name="tool"/><link name="loose"/>',
+        "tree",
+        "2 links have no parent: 'base', 'loose'",
+        "link 'loose'",
+    ),
     "loop": spoil('parent link="base"', 'parent link="hand"', "tree", "form a loop", up=1),
-    "link joined to itself": spoil('parent link="hand"', 'parent link="finger"', "tree", "itself",
-                                  "joint 'grip'", 1),
+    "link joined to itself": spoil(
+        'parent link="hand"', 'parent link="finger"', "tree", "itself", "joint 'grip'", 1
+    ),
     # numbers
     "mass nan": _mass("nan", "value = 'nan' is not a finite number"),
     "mass inf": _mass("inf", "'inf' is not a finite number"),
@@ -208,8 +233,12 @@ CORPUS: dict[str, Bad] = {
     "axis too long": spoil('axis xyz="0 0 1"', 'axis xyz="0 0 2"', "joint", "axis has length 2"),
     "axis without xyz": spoil('<axis xyz="1 0 0"/>', "<axis/>", "number", "xyz has 0 numbers"),
     "friction negative": spoil('friction="0.2"', 'friction="-0.2"', "joint", "-0.2 is negative"),
-    "mimic of nothing": spoil('mimic joint="lift"', 'mimic joint="left"', "joint",
-                              "follows the joint 'left', which does not exist. Did you mean lift"),
+    "mimic of nothing": spoil(
+        'mimic joint="lift"',
+        'mimic joint="left"',
+        "joint",
+        "follows the joint 'left', which does not exist. Did you mean lift",
+    ),
     "mimic of itself": spoil('mimic joint="lift"', 'mimic joint="grip"', "joint", "follows itself"),
     "mimic of fixed joint": spoil('mimic joint="lift"', 'mimic joint="tip"', "joint", "the fixed"),
     # limits
@@ -229,14 +258,20 @@ CORPUS: dict[str, Bad] = {
     "mass 0": spoil('value="1.5"', 'value="0"', "inertia", "mass 0 kg with principal", up=-1),
     "inertial without mass": spoil('<mass value="1.5"/>', "", "inertia", "without <mass>", up=2),
     "inertial without inertia": spoil(
-        '<inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/>', "", "inertia",
-        "<inertial> without <inertia>", "link 'finger'", 2),
+        '<inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/>',
+        "",
+        "inertia",
+        "<inertial> without <inertia>",
+        "link 'finger'",
+        2,
+    ),
     "inertia nan": spoil('ixx="0.002"', 'ixx="nan"', "number", "ixx = 'nan' is not a finite"),
     "inertia negative": spoil('izz="0.001"', 'izz="-0.001"', "inertia", "inertia is not positive"),
     "inertia indefinite": spoil('ixy="0.001"', 'ixy="0.06"', "inertia", "is not positive"),
     "triangle violated": spoil('izz="0.001"', 'izz="0.005"', "inertia", "exceeds the sum of"),
-    "moved mass missing": spoil(FINGER, "", "mass matrix",
-                                "joint grip can move without moving mass", "joint 'grip'", -24),
+    "moved mass missing": spoil(
+        FINGER, "", "mass matrix", "joint grip can move without moving mass", "joint 'grip'", -24
+    ),
     # shapes
     "cylinder nan": spoil('radius="0.05"', 'radius="nan"', "number", "radius = 'nan'"),
     "cylinder negative": spoil('length="0.4"', 'length="-0.4"', "geometry", "negative size"),
@@ -251,7 +286,7 @@ CORPUS: dict[str, Bad] = {
     "mesh of another type": _mesh("meshes/passwd", "type without suffix are not read"),
     "mesh without name": _mesh("", "a mesh without filename"),
     "mesh scale nan": spoil('scale="1 1 1"', 'scale="1 nan 1"', "number", "scale = 'nan'"),
-}  # fmt: skip
+}
 
 SOUND: dict[str, Callable[[str], str | bytes]] = {
     "as it is": lambda good: good,
@@ -272,4 +307,4 @@ SOUND: dict[str, Callable[[str], str | bytes]] = {
         'ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"',
         'ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"',
     ).replace('<mass value="0.1"/>', '<origin xyz="0.05 0 0"/><mass value="0.1"/>'),
-}  # fmt: skip
+}

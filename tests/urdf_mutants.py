@@ -25,17 +25,64 @@ from osc_contact import robots
 from osc_contact.errors import ModelError
 
 NASTY = (
-    "nan", "inf", "-inf", "1e400", "-1e308", "1e-320", "0", "-0.0", "-1", "1e-9", "1e6", "0,5", "",
-    "0x10", "1_0", "one", "1e5 2", " ", "9" * 400, "-0.001", "5", "0.3",
-)  # fmt: skip
-WORDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "base", "hand", "slide",
-         "tool", "universe", "parent", "link", "joint", "xyz", "rpy", "lower", "mimic", "inertial",
-         "mass", "DOCTYPE", "\x01", "é", "%s%n", "../", "<", "&lt;", "]]>", "<!--")  # fmt: skip
+    "nan",
+    "inf",
+    "-inf",
+    "1e400",
+    "-1e308",
+    "1e-320",
+    "0",
+    "-0.0",
+    "-1",
+    "1e-9",
+    "1e6",
+    "0,5",
+    "",
+    "0x10",
+    "1_0",
+    "one",
+    "1e5 2",
+    " ",
+    "9" * 400,
+    "-0.001",
+    "5",
+    "0.3",
+)
+WORDS = (
+    "revolute",
+    "continuous",
+    "prismatic",
+    "fixed",
+    "floating",
+    "base",
+    "hand",
+    "slide",
+    "tool",
+    "universe",
+    "parent",
+    "link",
+    "joint",
+    "xyz",
+    "rpy",
+    "lower",
+    "mimic",
+    "inertial",
+    "mass",
+    "DOCTYPE",
+    "\x01",
+    "é",
+    "%s%n",
+    "../",
+    "<",
+    "&lt;",
+    "]]>",
+    "<!--",
+)
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 WORD = re.compile(r"[A-Za-z_]{3,}")
 
 
-def mutant(rng: random.Random, text: str) -> bytes:
+def mutant(rng, text):
     """One to four changes: numbers, words, lines, spans, bytes."""
     for _ in range(rng.choice((1, 1, 2, 4))):
         kind = rng.randrange(-4, 8)
@@ -45,7 +92,8 @@ def mutant(rng: random.Random, text: str) -> bytes:
             text = _exchange(rng, text, WORD, WORDS)
         elif kind in (4, 5):
             lines = text.splitlines(keepends=True)
-            i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
+            i = rng.randrange(len(lines))
+            j = rng.randrange(len(lines))
             if kind == 4:
                 del lines[i : i + rng.choice((1, 1, 1, 4))]
             else:
@@ -63,7 +111,7 @@ def mutant(rng: random.Random, text: str) -> bytes:
     return text.encode()
 
 
-def _exchange(rng: random.Random, text: str, pattern: re.Pattern[str], by) -> str:
+def _exchange(rng, text, pattern, by):
     hits = list(pattern.finditer(text))
     if not hits:
         return text
@@ -79,7 +127,7 @@ def _exchange(rng: random.Random, text: str, pattern: re.Pattern[str], by) -> st
 # The second opinion -----------------------------------------------------------------------------
 
 
-def mass_matrix(text: bytes, names: list[str], q: np.ndarray) -> np.ndarray:
+def mass_matrix(text, names, q):
     """M(q) = Σ JᵀIJ over the links, from the file itself."""
     root = ElementTree.fromstring(text)
     links = {link.get("name"): link for link in root.findall("link")}
@@ -117,7 +165,7 @@ def mass_matrix(text: bytes, names: list[str], q: np.ndarray) -> np.ndarray:
     return M
 
 
-def judge(text: bytes, model: pin.Model, rng: np.random.Generator) -> tuple[float, float]:
+def judge(text, model, rng):
     """(relative difference of M from the second opinion, smallest eigenvalue at unit diagonal)."""
     q = rng.uniform(-2, 2, model.nq)
     M = mass_matrix(text, list(model.names)[1:], q)
@@ -128,12 +176,16 @@ def judge(text: bytes, model: pin.Model, rng: np.random.Generator) -> tuple[floa
     return off, float(np.linalg.eigvalsh(scale[:, None] * M * scale).min())
 
 
-def main(seed: int, count: int) -> None:
-    rng, numpy_rng = random.Random(seed), np.random.default_rng(seed)
+def main(seed, count):
+    rng = random.Random(seed)
+    numpy_rng = np.random.default_rng(seed)
     seeds = (GOOD, robots.urdf_path("scara_left").read_text())
     plain = re.sub(r"\s*<(visual|collision)\b.*?</\1>", "", seeds[1], flags=re.DOTALL)
     checks: Counter[str] = Counter()
-    slowest, worst_off, least, broken = 0.0, 0.0, np.inf, []
+    slowest = 0.0
+    worst_off = 0.0
+    least = np.inf
+    broken = []
     with tempfile.TemporaryDirectory() as folder:
         for number in range(count):
             file = Path(folder) / f"{number}.urdf"  # truncating one file would wait for the disk
@@ -151,13 +203,22 @@ def main(seed: int, count: int) -> None:
             if verdict != "accepted" or model.nv == 0:
                 continue
             off, eigenvalue = judge(text, model, numpy_rng)
-            worst_off, least = max(worst_off, off), min(least, eigenvalue)
+            worst_off = max(worst_off, off)
+            least = min(least, eigenvalue)
             if not (off < 1e-6 and eigenvalue > 1e-12):
                 broken.append(text.decode("utf-8", "replace"))
-    print(json.dumps({
-        "mutants": count, "verdicts": dict(checks), "slowest_ms": 1e3 * slowest,
-        "largest_difference": worst_off, "least_eigenvalue": least, "broken": broken,
-    }))  # fmt: skip
+    print(
+        json.dumps(
+            {
+                "mutants": count,
+                "verdicts": dict(checks),
+                "slowest_ms": 1e3 * slowest,
+                "largest_difference": worst_off,
+                "least_eigenvalue": least,
+                "broken": broken,
+            }
+        )
+    )
 
 
 if __name__ == "__main__":

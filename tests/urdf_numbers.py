@@ -1,7 +1,5 @@
 """Numbers of the packaged URDFs, read from their text by the standard library."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -11,7 +9,7 @@ import pinocchio as pin
 from osc_contact import robots
 
 
-def element(file: str | Path, link: str) -> ElementTree.Element:
+def element(file, link):
     """A link of a file, or of a packaged file by its name."""
     path = file if isinstance(file, Path) else robots.urdf_path(file)
     found = ElementTree.parse(path).find(f"link[@name='{link}']")
@@ -19,20 +17,21 @@ def element(file: str | Path, link: str) -> ElementTree.Element:
     return found
 
 
-def numbers(text: str | None) -> np.ndarray:
+def numbers(text):
     return np.array((text or "0 0 0").split(), dtype=float)
 
 
-def placement(owner: ElementTree.Element) -> pin.SE3:
+def placement(owner):
     origin = owner.find("origin")
     values = {} if origin is None else origin.attrib
     return pin.SE3(pin.rpy.rpyToMatrix(numbers(values.get("rpy"))), numbers(values.get("xyz")))
 
 
-def written_inertia(link: ElementTree.Element) -> pin.Inertia:
+def written_inertia(link):
     inertial = link.find("inertial")
     assert inertial is not None
-    mass, tensor = inertial.find("mass"), inertial.find("inertia")
+    mass = inertial.find("mass")
+    tensor = inertial.find("inertia")
     assert mass is not None and tensor is not None
     xx, xy, xz, yy, yz, zz = (
         float(tensor.get(k, "nan")) for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
