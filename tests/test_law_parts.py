@@ -15,7 +15,7 @@ from law_calls import columns as columns_of_N
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
 
-from osc_contact.law import tables as at
+from osc_contact.law import records as at
 
 SEEDS = mark.parametrize("seed", range(6))
 close = assert_allclose
@@ -68,7 +68,7 @@ def test_vectors_of_six_and_turned_points(seed):
     lower = np.tril(A)
     vectors.mirror(A)
     assert_array_equal(A, lower + np.tril(lower, -1).T)
-    close(algebra.cross(*a), np.cross(a[:3], a[3:]), atol=1e-13)
+    close(vectors.cross(*a), np.cross(a[:3], a[3:]), atol=1e-13)
 
 
 def test_a_reflector_takes_a_vector_to_an_axis_without_cancellation():

@@ -19,7 +19,7 @@ from test_law import UNLIMITED, inputs, motion_of
 from test_law_parts import SEEDS, close, pose, rng_of, turn
 
 import osc_contact as osc
-from osc_contact.law import tables as at
+from osc_contact.law import records as at
 from osc_contact.law.limits import settle
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
 from osc_contact.law.records import Rows, new_model, views

@@ -13,7 +13,7 @@ from law_calls import safety, sensors, tick_of
 from numpy.testing import assert_allclose, assert_array_equal
 from pytest import approx, mark
 
-from osc_contact.law import tables as at
+from osc_contact.law import records as at
 from osc_contact.law.phases import APPROACHING, CLOSED
 
 DT = 1e-3
