@@ -30,7 +30,7 @@ from osc_contact.plants.mujoco import MujocoPlant
 from osc_contact.runs.preflight import least_peak
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.run import Taring, start
-from osc_contact.scenarios.contact_schema import CartSpec
+from osc_contact.scenarios.bodies import CartSpec
 from osc_contact.scenarios.hardware import Push
 
 FORCES = (5.0, 20.0, 60.0, 120.0, 200.0)  #: N

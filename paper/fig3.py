@@ -17,7 +17,7 @@ from matplotlib.image import imread
 import osc_contact as osc
 from osc_contact.runs.run import run as run_scenario
 from osc_contact.runs.viewing import content_of
-from osc_contact.scenarios.contact_schema import ConveyorSpec
+from osc_contact.scenarios.bodies import ConveyorSpec
 from osc_contact.spatial import Array
 from osc_contact.visual import contact_colour
 from osc_contact.visual.browser import write_png

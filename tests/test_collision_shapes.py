@@ -12,7 +12,7 @@ from pytest import approx, mark, raises
 from osc_contact import robots
 from osc_contact.contacts import detection
 from osc_contact.contacts.detection import CollisionShape, collision_shapes, detect
-from osc_contact.contacts.detection.solver import nearest
+from osc_contact.contacts.detection.features import nearest
 from osc_contact.errors import InvalidInputError, ModelError
 
 

@@ -13,7 +13,7 @@ from osc_contact.errors import ScenarioError
 from osc_contact.runs.contacts import build_pairs, environment_bodies, feet
 from osc_contact.runs.references import force_names
 from osc_contact.scenarios import parse_scenario
-from osc_contact.scenarios.contact_types import (
+from osc_contact.scenarios.bodies import (
     CONTACT_TYPES,
     OnBodySpec,
     OnPlaneSpec,

@@ -34,7 +34,7 @@ from pytest import approx, fixture, mark
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.detection import CollisionShape, collision_shapes, detect
-from osc_contact.contacts.detection.solver import Nearest
+from osc_contact.contacts.detection.features import Nearest
 
 SEEDS = range(12)
 

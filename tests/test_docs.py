@@ -16,7 +16,7 @@ from osc_contact.cli import app
 from osc_contact.contacts.pairs import PAIRS
 from osc_contact.runs import rig as plants
 from osc_contact.scenarios import Scenario
-from osc_contact.scenarios.contact_types import CONTACT_TYPES
+from osc_contact.scenarios.bodies import CONTACT_TYPES
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [

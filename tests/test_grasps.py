@@ -15,7 +15,7 @@ import osc_contact as osc
 from osc_contact.dynamics.assembly import close, object_pose, reach
 from osc_contact.dynamics.grasp import GRASPS, moved, register_grasp
 from osc_contact.plants.rigid import RigidPlant
-from osc_contact.scenarios.geometry import GRASP_TYPES
+from osc_contact.scenarios.bodies import GRASP_TYPES
 
 ARMS = ("scara", "ur5", "panda", "2R", "3R")
 NOTHING = osc.Contact(np.zeros((6, 0)))

@@ -156,7 +156,7 @@ def test_much_friction_is_told(caplog, friction, told):
     model = scene()
     model.geom("wall").friction[0] = friction
     robot_of(model)
-    assert ("rubs on the scene with a coefficient of 0.6" in caplog.text) == told
+    assert ("friction of tool and scene has a coefficient of 0.6" in caplog.text) == told
 
 
 def test_the_model_given_stays_as_it_is():

@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 
 import osc_contact.contacts.pairs  # noqa: F401 - the kinds of contact
 from osc_contact.scenarios import Scenario
-from osc_contact.scenarios.contact_types import CONTACT_TYPES, ContactSpec
+from osc_contact.scenarios.bodies import CONTACT_TYPES, ContactSpec
 from osc_contact.scenarios.quantities import Dimension
 from osc_contact.scenarios.signals import ForceSignal
 from osc_contact.scenarios.spec import Spec, meaning

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.scenarios.geometry import GRASP_TYPES
+from osc_contact.scenarios.bodies import GRASP_TYPES
 from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist
 
 _SAME = 1e-9  #: columns of unit size nearer to dependence than this are dependent

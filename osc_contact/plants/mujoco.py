@@ -1,39 +1,513 @@
-"""The judging plant: MuJoCo with unilateral contacts, built from the same URDFs as the model.
-
-Nothing of the toolkit's dynamics is used here: the URDFs are read by MuJoCo's own parser.
-"""
+"""The judging plant: MuJoCo with unilateral contacts, built from the same URDFs as the model."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Mapping, Sequence
+from functools import cache, lru_cache
 from math import isfinite
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.contacts.pairs.pair import pushes_only
+from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.grasp import Grasp
 from osc_contact.errors import PlantError
 from osc_contact.interface import Measurement, Touched
 from osc_contact.plants.faces import Rail, touched
 from osc_contact.plants.joint_drives import SPRING, JointDrives, add_drives
-from osc_contact.plants.judge import Truth, require_duration
-from osc_contact.plants.mujoco_scene import (
-    DRIVE_MASS,
-    GRASP_JOINT,
-    GUIDES,
-    scene,
-)
-from osc_contact.plants.mujoco_truth import MujocoTruth
+from osc_contact.plants.judge import Truth, Truths, require_duration
+from osc_contact.robots import is_mjcf
+from osc_contact.robots.mjcf import mjcf_skeleton
 from osc_contact.scenarios.hardware import PlantSpec, Push
-from osc_contact.spatial import Array, as_array, cross
+from osc_contact.spatial import Array, Poses, as_array, cross
 
-__all__ = ["MujocoPlant"]
+__all__ = ["DRIVE_MASS", "GRASP_JOINT", "GUIDES", "MujocoPlant", "MujocoTruth", "scene"]
+
+
+# --- The MuJoCo model of a rig --------------------------------------------------------------------
+#
+# The object hangs on the first arm's gripper, welded or by a joint of the grasp's kind; equality
+# constraints tie it to the others: a weld, one point (ball) or two points of an axis (hinge). Only
+# the object and the bodies of the environment touch, with the collision geometry of their URDFs and
+# soft enough not to chatter. Rotor inertia, damping and friction of the joints are the chain's.
+
+#: The joint between the first arm's tip and the object, if its grasp is a hinge or a ball.
+GRASP_JOINT = "object/grasp"
+#: Distance of the two points that make a hinge from the tip's origin (m).
+HINGE_SPAN = 0.05
+
+#: Heavy enough that no contact force moves a driven face between two steps (kg, kg m²).
+DRIVE_MASS = 1e6
+GUIDES = ("slide", "hinge")  #: joints of a body that moves
+_NEXT_TO_NOTHING = 1e-9  # kg, kg m²: MuJoCo needs mass in moving bodies
+
+
+def scene(
+    mujoco: Any,
+    chain: ClosedChain,
+    arm_urdfs: Sequence[Path],
+    object_urdf: Path,
+    bodies: Sequence[tuple[Path, pin.SE3]],
+    options: PlantSpec,
+    rails: Sequence[Rail | None],
+) -> Any:
+    """The uncompiled specification, see `MujocoPlant`.
+
+    Args:
+        mujoco: the module. chain: of the arms. arm_urdfs, object_urdf: their files.
+        bodies: URDF and pose of each body touched. options: of the plant.
+        rails: how each body moves; None: at rest.
+    """
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.compiler.fusestatic = False
+    spec.option.timestep = options.step
+    spec.option.tolerance = 1e-12
+    spec.option.iterations = 100
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    off = mujoco.mjtDisableBit
+    disabled = off.mjDSBL_AUTORESET | off.mjDSBL_MIDPHASE  # few geometries, all looked at
+    if not any(rails):  # all that is constrained hangs together
+        disabled |= off.mjDSBL_ISLAND
+    spec.option.disableflags = int(disabled)
+    for arm, urdf in zip(chain.arms, arm_urdfs, strict=True):
+        part = _arm(mujoco, arm, urdf)
+        spec.attach(part, prefix=f"{arm.name}/", frame=_frame(spec.worldbody, arm.base))
+        if arm.wrist_sensor is not None:
+            _wrist_sensor(mujoco, spec, arm.name)
+    _joint_numbers(spec, chain)
+    for index in chain.actuated:
+        name = chain.joint_names[index]
+        limit = float(chain.model.upperEffortLimit[index])
+        motor = spec.add_actuator(
+            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrlrange=[-limit, limit]
+        )
+        motor.set_to_motor()
+    _hold_object(mujoco, spec, chain, object_urdf)
+    for i, (body, rail) in enumerate(zip(bodies, rails, strict=True)):
+        _body(mujoco, spec, i, *body, options, rail)
+    if options.friction > 0.0 and options.own_friction != options.solref:
+        _let_slide(spec, options, options.own_friction)
+    return spec
+
+
+def _arm(mujoco: Any, arm: Arm, file: Path) -> Any:
+    """An arm without shapes and losses, locked joints welded, a site where its wrist sensor is."""
+    if is_mjcf(file):
+        return mjcf_skeleton(mujoco, file, arm.tip, arm.wrist_sensor, arm.locked)
+    part = mujoco.MjSpec.from_string(_skeleton(file))
+    part.compiler.fusestatic = False
+    for joint in list(part.joints):
+        if joint.name in arm.locked:
+            _lock(mujoco, part, joint, arm.locked[joint.name])
+    if arm.wrist_sensor is not None:
+        part.body(arm.wrist_sensor).add_site(name="wrist")
+    return part
+
+
+def _skeleton(urdf: Path) -> str:
+    """A robot's URDF without shapes, which may be meshes, and without losses in its joints."""
+    return _without_shapes(urdf.read_bytes())
+
+
+@lru_cache(maxsize=32)
+def _without_shapes(text: bytes) -> str:
+    root = ElementTree.fromstring(text)
+    for element in root.iter():
+        for tag in ("visual", "collision", "dynamics"):
+            for child in element.findall(tag):
+                element.remove(child)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _lock(mujoco: Any, part: Any, joint: Any, position: float) -> None:
+    """Weld a link where its joint is held; a URDF's joints have the axes of their child links."""
+    body, axis = joint.parent, np.array(joint.axis)
+    pose, turn = np.zeros(3), np.zeros(4)
+    if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+        mujoco.mju_rotVecQuat(pose, position * axis, body.quat)
+        body.pos = np.array(body.pos) + pose
+    else:
+        mujoco.mju_axisAngle2Quat(turn, axis, position)
+        held = np.zeros(4)
+        mujoco.mju_mulQuat(held, body.quat, turn)
+        body.quat = held
+    part.delete(joint)
+
+
+def _joint_numbers(spec: Any, chain: ClosedChain) -> None:
+    """Rotor inertia, damping and dry friction of every joint, as the chain has them."""
+    model = chain.model
+    for i, name in enumerate(chain.joint_names):
+        joint = spec.joint(name)
+        joint.armature, joint.damping = float(model.armature[i]), [model.damping[i], 0.0, 0.0]
+        joint.frictionloss = dry = float(model.upperDryFrictionLimit[i])
+        if dry > 0.0:  # MuJoCo's own 20 ms would turn it round 10 ms before the joint
+            joint.solref_friction = [2 * spec.option.timestep, 1.0]
+
+
+def _frame(body: Any, X: pin.SE3) -> Any:
+    x, y, z, w = pin.Quaternion(X.rotation).coeffs()
+    return body.add_frame(pos=X.translation, quat=[w, x, y, z])
+
+
+def _wrist_sensor(mujoco: Any, spec: Any, arm: str) -> None:
+    for kind in ("force", "torque"):
+        spec.add_sensor(
+            name=f"{arm}/{kind}",
+            type=getattr(mujoco.mjtSensor, f"mjSENS_{kind.upper()}"),
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=f"{arm}/wrist",
+        )
+
+
+def _hold_object(mujoco: Any, spec: Any, chain: ClosedChain, urdf: Path) -> None:
+    """The object rides on the first arm; equality constraints tie it to the others."""
+    for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
+        if grasp.kind == "other":
+            raise PlantError(
+                f"arm '{arm.name}': MuJoCo is given rigid, hinge and ball grasps only; "
+                "use the rigid plant"
+            )
+    part = mujoco.MjSpec.from_file(str(urdf))
+    part.compiler.fusestatic = False
+    for geom in part.geoms:
+        geom.contype, geom.conaffinity = 0, 1
+    root = part.worldbody.first_body()
+    root.name = "root"
+    root.add_site(name="held")
+    _weigh(root, chain)
+    first = chain.grasps[0]
+    for i, grasp in enumerate(chain.grasps[1:], start=1):
+        for k, point in enumerate(_tie_points(grasp)):
+            root.add_site(name=f"tie{i}.{k}", pos=grasp.X_TO.actInv(point))
+    if not first.is_rigid:
+        axis = np.zeros(3) if first.kind == "ball" else first.X_TO.rotation.T @ first.T[3:, 0]
+        root.add_joint(
+            name="grasp",
+            type=getattr(mujoco.mjtJoint, f"mjJNT_{first.kind.upper()}"),
+            pos=first.X_TO.inverse().translation,
+            **({} if first.kind == "ball" else {"axis": axis}),
+        )
+    tip = spec.body(f"{chain.arms[0].name}/{chain.arms[0].tip}")
+    spec.attach(part, prefix="object/", frame=_frame(tip, first.X_TO))
+    for i, (arm, grasp) in enumerate(zip(chain.arms[1:], chain.grasps[1:], strict=True), start=1):
+        tip = spec.body(f"{arm.name}/{arm.tip}")
+        if grasp.is_rigid:
+            x, y, z, w = pin.Quaternion(grasp.X_TO.rotation).coeffs()
+            tip.add_site(name=f"{arm.name}/hold", pos=grasp.X_TO.translation, quat=[w, x, y, z])
+            tie = _tie(mujoco, spec, f"{arm.name}/weld", f"{arm.name}/hold", "object/held")
+            tie.type = mujoco.mjtEq.mjEQ_WELD
+            tie.data = [0.0] * 10 + [1.0, 0.0]  # torque scale of the weld
+        for k, point in enumerate(_tie_points(grasp)):
+            own, other = f"{arm.name}/tie.{k}", f"object/tie{i}.{k}"
+            tip.add_site(name=own, pos=point)
+            _tie(mujoco, spec, own, own, other).type = mujoco.mjtEq.mjEQ_CONNECT
+
+
+def _weigh(root: Any, chain: ClosedChain) -> None:
+    """The chain's object where that is not the one of the file."""
+    assert chain.payload is not None
+    inertia = chain.payload.inertia
+    if inertia.mass == root.mass:
+        return
+    I = inertia.inertia  # noqa: E741 - the field's letter
+    root.explicitinertial = True
+    root.mass, root.ipos, root.iquat = inertia.mass, inertia.lever, [1.0, 0.0, 0.0, 0.0]
+    root.fullinertia = [I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]]
+
+
+def _tie_points(grasp: Grasp) -> list[Array]:
+    """Points of the tip frame that stay together in a hinge or a ball."""
+    if grasp.is_rigid:
+        return []
+    if grasp.kind == "ball":
+        return [np.zeros(3)]
+    axis = grasp.T[3:, 0]
+    return [HINGE_SPAN * axis, -HINGE_SPAN * axis]
+
+
+def _tie(mujoco: Any, spec: Any, name: str, first: str, second: str) -> Any:
+    return spec.add_equality(
+        name=name,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        name1=first,
+        name2=second,
+        solref=[2 * spec.option.timestep, 1.0],
+        solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
+    )
+
+
+def _body(
+    mujoco: Any,
+    spec: Any,
+    i: int,
+    urdf: Path,
+    placement: pin.SE3,
+    options: PlantSpec,
+    rail: Rail | None,
+) -> None:
+    part = mujoco.MjSpec.from_file(str(urdf))
+    part.compiler.fusestatic = False
+    root = part.worldbody.first_body()
+    root.name = "root"
+    for geom in part.geoms:
+        geom.contype, geom.conaffinity = 1, 0
+        geom.priority = 1
+        geom.solref = list(options.solref)
+        geom.solimp = [*options.solimp, 0.5, 2.0]
+        geom.condim = 1 if options.friction == 0.0 else 3
+        geom.friction = [options.friction, 0.0, 0.0]
+    if rail is not None:
+        _put_on_rail(mujoco, part, root, placement, rail)
+    spec.attach(part, prefix=f"face{i}/", frame=_frame(spec.worldbody, placement))
+
+
+def _let_slide(spec: Any, options: PlantSpec, own: tuple[float, float]) -> None:
+    """Friction with a separate solref, between the object's geometries and those of all bodies.
+
+    MuJoCo's cone lifts what slides: the depth that carries a force shrinks by 2 μ v τ d, v the
+    speed, τ the time constant of friction and d the impedance. A point settles there, a face on a
+    face hops. With a longer τ it is lifted less; friction then has the impedance times the same
+    ratio, so that the slip from which on it is developed stays.
+    """
+    spec.option.impratio = own[0] / options.solref[0]
+    for i, geom in enumerate(spec.geoms):
+        geom.name = geom.name or f"geom{i}"
+    held = [geom.name for geom in spec.geoms if geom.conaffinity and not geom.contype]
+    touched = [geom.name for geom in spec.geoms if geom.contype and not geom.conaffinity]
+    for first in held:
+        for second in touched:
+            pair = spec.add_pair(geomname1=first, geomname2=second)
+            pair.condim, pair.friction = 3, [options.friction, options.friction, 0.0, 0.0, 0.0]
+            pair.solref, pair.solimp = list(options.solref), [*options.solimp, 0.5, 2.0]
+            pair.solreffriction = list(own)
+
+
+def _put_on_rail(mujoco: Any, part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -> None:
+    """A slide, a hinge or both, whose inertia is all there is: a cart's weighs, others' does not.
+
+    It sits in the joints (armature), where a slide and a hinge do not act on one another.
+    """
+    driven = rail.motion is not None
+    for body in part.bodies[1:]:  # links fixed to the body weigh nothing beside it
+        body.explicitinertial = True
+        body.fullinertia = [np.nan] * 6  # not given
+        body.mass, body.inertia = 0.0, [0.0] * 3
+    cart = not driven and rail.joints == [0]
+    root.mass = rail.inertia if cart else _NEXT_TO_NOTHING
+    root.inertia = [root.mass] * 3
+    for k in rail.joints:
+        root.add_joint(
+            name=GUIDES[k],
+            type=getattr(mujoco.mjtJoint, f"mjJNT_{GUIDES[k].upper()}"),
+            pos=X_WB.actInv(rail.through) if k else [0.0] * 3,
+            axis=X_WB.rotation.T @ (rail.axis if k else rail.direction),
+            armature=DRIVE_MASS if driven else 0.0 if cart else rail.inertia,
+            stiffness=0.0 if driven else rail.stiffness,
+            damping=0.0 if driven else rail.damping,
+        )
+
+
+# --- True state of object and contacts: noted raw, worked out afterwards --------------------------
+
+#: Of what the body takes. One that only seems to touch gets 1e-17 … 1e-7, by rounding and by the
+#: places of the points; one that does, 1e-3 and more.
+_PRESSES = 1e-5
+
+
+class MujocoTruth:
+    """Pose, twist and contact forces as of the last step's beginning, like the wrench sensors.
+
+    The normal forces of all points where the object touches one body make one wrench, which the
+    columns of the contacts on that body share: exactly, as far as it lies in their range.
+    """
+
+    def __init__(
+        self,
+        plant: tuple[Any, Any],
+        body: int,
+        body_of: Mapping[int, int],
+        rails: Sequence[Rail | None],
+        guided: tuple[Array, tuple[Array, ...]],
+        contacts: Sequence[ContactPair],
+        on: Sequence[int],
+        inertia: Array,
+    ) -> None:
+        """Watch a plant.
+
+        Args:
+            plant: `MjModel` and `MjData`. Cones are elliptic: the first number of a contact's
+                constraint force is its normal force.
+            body: the object's. body_of: body of the environment by its geom; geoms that are not
+                named, and −1, are the object's, others neither.
+            rails: how each of these moves. guided: places in qpos of their joints; the body of
+                each joint and whether it is the travel (0) or the angle (1).
+            contacts: the pairs. on: the body of each.
+            inertia: (6, 6) of the object at its origin, in its own axes.
+        """
+        model, self._data = plant
+        self._rails, self._on, self._contacts = rails, on, tuple(contacts)
+        self._travel, self._guided = guided
+        d, root = self._data, int(model.body_rootid[body])
+        self.place: pin.SE3 | None = None  #: of the object in that body
+        self._parts: tuple[Array, ...] = (
+            d.xpos[body],
+            d.xmat[body],
+            d.cvel[body],
+            d.subtree_com[root],
+        )
+        self._body_of = np.full(model.ngeom, -1)
+        self._body_of[list(body_of)] = list(body_of.values())
+        self._Phi = np.linalg.inv(inertia)
+        self._seen = -1
+        self._states: list[Array] = []
+        self._points: list[Array] = []
+        self._forces: list[Array] = []
+
+    def note(self) -> None:
+        """Keep where the object and bodies on rails are, and each contact with its force."""
+        data = self._data
+        parts = self._parts
+        if len(self._travel):
+            parts = (*parts, data.qpos[self._travel])
+        self._states.append(np.concatenate(parts))
+        if data.ncon != self._seen:  # contacts stand at the start of MuJoCo's arena at every step
+            contact = data.contact
+            self._seen, self._address = data.ncon, contact.efc_address
+            self._contact = contact.geom, self._address[:, None], contact.pos, contact.frame[:, :3]
+        self._points.append(np.concatenate(self._contact, axis=1))
+        force = data.efc_force
+        self._forces.append(force.take(self._address) if len(force) else np.zeros(self._seen))
+
+    def noted(self, start: int = 0) -> Array:
+        """(k, m): R, p and twist of the object, where bodies on rails are, and of each body
+
+        the wrench into it at O and whether it is touched.
+        """
+        p, R, velocity, centre, travelled = np.split(
+            np.array(self._states[start:]).T, [3, 12, 18, 21]
+        )
+        k = p.shape[1]
+        R = R.reshape(3, 3, k)
+        if self.place is not None:
+            p = p + np.einsum("ijk,j->ik", R, self.place.translation)
+            R = np.einsum("ijk,jl->ilk", R, self.place.rotation)
+        omega = velocity[:3]
+        v = velocity[3:] + cross(omega, p - centre)
+        parts = (R.reshape(9, k), p, v, omega, travelled, *self._wrenches(p, start))
+        return np.concatenate(parts).T
+
+    def _wrenches(self, O: Array, start: int) -> tuple[Array, Array]:  # noqa: E741
+        """Into each body: (6 bodies, k) at O (3, k), and whether it is touched (bodies, k)."""
+        k, bodies = O.shape[1], len(self._rails)
+        pushed = np.zeros((bodies, k, 6))
+        touched = np.zeros((bodies, k))
+        points = np.concatenate(self._points[start:])
+        first, second = self._body_of[points[:, :2].astype(int)].T
+        body = np.maximum(first, second)
+        here = (np.minimum(first, second) == -1) & (body >= 0)  # the object is one of the two
+        tick = np.repeat(np.arange(k), [len(one) for one in self._points[start:]])
+        presses = points[:, 2] >= 0.0
+        size = np.where(presses, np.concatenate(self._forces[start:]), 0.0)
+        # the normal points from the first geom to the second
+        f = np.where(first < 0, size, -size) * points[:, 6:].T
+        wrench = np.concatenate((f, cross(points[:, 3:6].T - O[:, tick], f)))
+        body, tick = body[here], tick[here]
+        np.add.at(pushed, (body, tick), wrench[:, here].T)
+        np.logical_or.at(touched, (body, tick), presses[here])
+        return pushed.transpose(0, 2, 1).reshape(-1, k), touched
+
+    def clear(self) -> None:
+        """Forget the instants noted so far."""
+        for notes in (self._states, self._points, self._forces):
+            notes.clear()
+
+    def truths(self, noted: Array) -> Truths:
+        """See `TruthLog.truths`."""
+        k, bodies = len(noted), len(self._rails)
+        sizes = [9, 3, 6, len(self._travel), 6 * bodies]
+        R, p, V_O, travelled, pushed, touched = np.split(noted.T.copy(), np.cumsum(sizes))
+        X_WO = Poses(R.reshape(3, 3, k), p)
+        X_WE = self._faces(travelled.T)
+        N = tuple(normals_over(q, X_WO, X) for q, X in zip(self._contacts, X_WE, strict=True))
+        alpha, closed = self._shares(X_WO, N, pushed.reshape(bodies, 6, k), touched > 0.0)
+        return Truths(alpha, closed, X_WO, V_O.T.copy(), X_WE, N)
+
+    def _faces(self, travelled: Array) -> tuple[Poses | None, ...]:
+        """Of each contact the poses of its body; None for all where no body can move."""
+        if not len(self._travel):
+            return (None,) * len(self._on)
+        k = len(travelled)
+        s = np.zeros((len(self._rails), 2, k))
+        s[self._guided] = travelled.T
+        still = Poses(np.eye(3)[:, :, None], np.zeros((3, k)))
+        poses = [
+            still if rail is None else rail.over(*path)
+            for rail, path in zip(self._rails, s, strict=True)
+        ]
+        return tuple(poses[body] for body in self._on)
+
+    def _shares(
+        self, X_WO: Poses, N: Sequence[Array], pushed: Array, touched: Array
+    ) -> tuple[Array, Array]:
+        """Magnitudes (k, r) and whether each contact touches (k, contacts)."""
+        k = touched.shape[1]
+        alpha = [np.zeros((part.shape[1], k)) for part in N]
+        presses = [np.zeros(part.shape, dtype=bool) for part in alpha]
+        for body in sorted(set(self._on)):
+            rows = touched[body]
+            here = [i for i, other in enumerate(self._on) if other == body]
+            if not rows.any():
+                continue
+            at = Poses(X_WO.R[:, :, rows], X_WO.p[:, rows])
+            columns = _in_axes_of(at, np.concatenate([N[i][:, :, rows] for i in here], axis=1))
+            whole = _in_axes_of(at, pushed[body][:, None, rows])
+            share = _split(columns, self._Phi, whole[:, 0])
+            felt = share * self._mobility(columns) > _PRESSES * self._mobility(whole)
+            ends = np.cumsum([len(alpha[i]) for i in here])[:-1]
+            for i, part, on in zip(here, np.split(share, ends), np.split(felt, ends), strict=True):
+                alpha[i][:, rows], presses[i][:, rows] = part, on
+        closed = [
+            touched[body] & (on.all(axis=0) if pushes_only(pair) else True)
+            for body, pair, on in zip(self._on, self._contacts, presses, strict=True)
+        ]
+        both = np.concatenate([np.zeros((0, k)), *alpha])
+        return both.T.copy(), np.array(closed, dtype=bool).reshape(-1, k).T.copy()
+
+    def _mobility(self, wrenches: Array) -> Array:
+        """√(fᵀΦf) (m, k), what the object alone would feel of wrenches (6, m, k) in its axes."""
+        return np.sqrt((wrenches * np.tensordot(self._Phi, wrenches, 1)).sum(axis=0))
+
+
+def _in_axes_of(X: Poses, wrenches: Array) -> Array:
+    """Wrenches (6, m, k) at O in the object's axes."""
+    return np.concatenate((X.rotate_back(wrenches[:3]), X.rotate_back(wrenches[3:])))
+
+
+def _split(N: Array, Phi: Array, f: Array) -> Array:
+    """(r, k) α with NᵀΦ N α = NᵀΦ f; N (6, r, k), Φ (6, 6), f (6, k)."""
+    r = N.shape[1]
+    Phi_N = np.tensordot(Phi, N, 1)
+    right = (Phi_N * f[:, None]).sum(axis=0)
+    gram = np.array([[(N[:, i] * Phi_N[:, j]).sum(axis=0) for j in range(r)] for i in range(r)])
+    if r == 1:
+        return np.asarray(right / gram[0])
+    return np.asarray(np.linalg.solve(gram.transpose(2, 0, 1), right.T[:, :, None])[:, :, 0].T)
+
+
+# --- The plant ------------------------------------------------------------------------------------
+#
+# Nothing of the toolkit's dynamics is used here: the URDFs are read by MuJoCo's own parser.
 
 _log = logging.getLogger(__name__)
 

@@ -1,14 +1,9 @@
-"""The exact plant: Pinocchio joint-space dynamics, bilateral rigid contacts, loops by multipliers.
-
-It shares no formula with the closed chain of the controller: no S, no Λ_S, but all joints of all
-arms at once with one multiplier per constraint row. The object rides on the first arm that holds
-it rigidly; where none does it is a separate body. Positions and velocities are projected onto the
-constraints after each step, so NᵀV_rel = 0 to rounding.
-"""
+"""The exact plant: joint-space dynamics, bilateral rigid contacts, loops by multipliers."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -40,10 +35,8 @@ from osc_contact.plants.faces import (
     poses,
     touched,
 )
-from osc_contact.plants.joint_losses import JointLosses
 from osc_contact.plants.judge import Truth, Watched, require_duration
-from osc_contact.plants.rigid_parts import Solution, beside, stacked, with_object
-from osc_contact.plants.wrist_cut import wrist_cut
+from osc_contact.robots import frame_id
 from osc_contact.spatial import (
     Array,
     as_array,
@@ -51,9 +44,123 @@ from osc_contact.spatial import (
     carry_wrench,
     cross,
     cross_twist,
+    cross_wrench,
 )
 
-__all__ = ["RigidPlant"]
+# --- Friction of the joints: viscous, and dry, smooth near rest -----------------------------------
+
+_SLIP, _SLIDE = 1e-3, 1e-4  #: speeds by which dry friction is developed (rad/s, m/s)
+
+
+@dataclass(frozen=True)
+class JointLosses:
+    """D v + F tanh(v / v_0) against each joint's motion.
+
+    Attributes:
+        damping: (n,) D (N m s/rad; N s/m). friction: (n,) F (N m; N). slip: (n,) v_0 (rad/s; m/s).
+    """
+
+    damping: Array
+    friction: Array
+    slip: Array
+
+    @classmethod
+    def of(cls, model: pin.Model) -> JointLosses:
+        """The losses of the model."""
+        slides = [j.shortname().startswith("JointModelP") for j in list(model.joints)[1:]]
+        slip = np.where(slides, _SLIDE, _SLIP)
+        return cls(np.array(model.damping), np.array(model.upperDryFrictionLimit), slip)
+
+    def torque(self, v: Array) -> Array:
+        """(n,) at joint velocities v (n,)."""
+        return np.asarray(self.damping * v + self.friction * np.tanh(v / self.slip))
+
+    def slope(self, v: Array) -> Array:
+        """(n,) its derivative there, by which a step looks ahead."""
+        rest = 1.0 - np.tanh(v / self.slip) ** 2
+        return np.asarray(self.damping + self.friction / self.slip * rest)
+
+
+# --- Where a wrist sensor cuts the arm, and what it reads there -----------------------------------
+
+
+@dataclass(frozen=True)
+class WristCut:
+    """A cut through a link: its joint, where it sits, what stays on the arm's side."""
+
+    joint: int
+    placement: pin.SE3
+    inboard: Array  # (6, 6) at the joint
+
+    def reading(self, data: pin.Data) -> Array:
+        """(6,) wrench through it, in its axes, after `pin.rnea`: the joint's, less its own side."""
+        v, a = data.v[self.joint].vector, data.a_gf[self.joint].vector
+        own = self.inboard @ a + cross_wrench(v, self.inboard @ v)
+        wrench = data.f[self.joint].vector - own
+        return np.asarray(self.placement.actInv(pin.Force(wrench)).vector)
+
+
+def wrist_cut(model: pin.Model, name: str) -> WristCut:
+    """The cut at the frame `name`."""
+    cut = frame_id(model, name)
+    frame = model.frames[cut]
+    above = frame.parentFrame
+    beyond = {above if model.frames[above].type == pin.FrameType.FIXED_JOINT else cut}
+    inboard: Array = model.inertias[frame.parentJoint].matrix()
+    if model.frames[above].type == pin.FrameType.JOINT:  # cut at the joint itself
+        return WristCut(frame.parentJoint, frame.placement, np.zeros((6, 6)))
+    for f, other in enumerate(model.frames):
+        if other.parentFrame in beyond:
+            beyond.add(f)
+        if f in beyond and other.parentJoint == frame.parentJoint:
+            inboard = inboard - other.placement.act(other.inertia).matrix()
+    return WristCut(frame.parentJoint, frame.placement, inboard)
+
+
+# --- Its model, its equations side by side, and their solution ------------------------------------
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The equations of one instant."""
+
+    qdd: Array  # (n,)
+    sdd: Array  # (bodies, 2) accelerations along the rails
+    a_O: Array  # (6,) of the object, spatial
+    alpha: Array  # (r,)
+    wrenches: Array  # (arms, 6) in the wrists
+
+
+def beside(A: Array, B: Array) -> Array:
+    """The block-diagonal matrix of two."""
+    none = np.zeros((len(A), len(B)))
+    return np.block([[A, none], [none.T, B]])
+
+
+def stacked(parts: list[Contact]) -> tuple[Array, Array]:
+    """N (6, r) and n_γ (r,) of all contacts side by side."""
+    N = np.hstack([np.zeros((6, 0)), *(c.N for c in parts)])
+    return N, np.concatenate([np.zeros(0), *(c.n_gamma for c in parts)])
+
+
+def with_object(chain: ClosedChain) -> tuple[pin.Model, list[int]]:
+    """The merged model with the object's inertia riding on the last joint of the leading arm."""
+    model = chain.model.copy()
+    tips = list(chain.tips)
+    if chain.leader is not None:
+        assert chain.payload is not None
+        tip = model.frames[tips[chain.leader]]
+        X = tip.placement * chain.grasps[chain.leader].X_TO
+        model.appendBodyToJoint(tip.parentJoint, chain.payload.inertia, X)
+    return model, tips
+
+
+# --- The plant ------------------------------------------------------------------------------------
+#
+# It shares no formula with the closed chain of the controller: no S, no Λ_S, but all joints of all
+# arms at once with one multiplier per constraint row. The object rides on the first arm that holds
+# it rigidly; where none does it is a separate body. Positions and velocities are projected onto the
+# constraints after each step, so NᵀV_rel = 0 to rounding.
 
 
 class RigidPlant:

@@ -23,9 +23,14 @@ from osc_contact.contacts.pairs.registry import make_pair
 from osc_contact.dynamics.rail import Body, Cart, Conveyor, Hinge
 from osc_contact.errors import ScenarioError
 from osc_contact.plants.faces import Rail
-from osc_contact.scenarios.contact_schema import CartSpec, ConveyorSpec, FaceMotion
-from osc_contact.scenarios.contact_types import OnFaceSpec, OwnContactSpec
-from osc_contact.scenarios.geometry import PoseSpec
+from osc_contact.scenarios.bodies import (
+    CartSpec,
+    ConveyorSpec,
+    FaceMotion,
+    OnFaceSpec,
+    OwnContactSpec,
+    PoseSpec,
+)
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.signals import total
 from osc_contact.spatial import Array, Poses, cross

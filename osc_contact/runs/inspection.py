@@ -16,7 +16,7 @@ from osc_contact.dynamics.closed_chain import ChainState
 from osc_contact.robots.summary import joint_losses, loss_words
 from osc_contact.runs.contacts import feet
 from osc_contact.runs.rig import Rig
-from osc_contact.scenarios.contact_types import magnitude_names
+from osc_contact.scenarios.bodies import magnitude_names
 from osc_contact.spatial import Array
 from osc_contact.visual.screws import common_perpendicular, echelon
 

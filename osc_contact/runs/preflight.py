@@ -30,7 +30,7 @@ from osc_contact.runs.contacts import feet, known_bodies
 from osc_contact.runs.placement import rounded
 from osc_contact.runs.rig import Rig
 from osc_contact.runs.task import Finding, Task, Values, findings, rule
-from osc_contact.scenarios.contact_schema import CartSpec
+from osc_contact.scenarios.bodies import CartSpec
 from osc_contact.scenarios.control_schema import SafetySettings
 from osc_contact.spatial import Array
 

@@ -13,7 +13,7 @@ from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
 from osc_contact.errors import ScenarioError
 from osc_contact.interface import Reference
 from osc_contact.runs.contacts import force_owners
-from osc_contact.scenarios.contact_types import forces_of, magnitude_names
+from osc_contact.scenarios.bodies import forces_of, magnitude_names
 from osc_contact.scenarios.control_schema import TareSpec
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.scenarios.signals import MinimumJerk, Step, total_over

@@ -40,8 +40,8 @@ from osc_contact.runs.contacts import (
 )
 from osc_contact.runs.recorder import Subject
 from osc_contact.runs.references import References
+from osc_contact.scenarios.bodies import GraspSpec
 from osc_contact.scenarios.control_schema import Gains, PhaseSettings
-from osc_contact.scenarios.geometry import GraspSpec
 from osc_contact.scenarios.hardware import PLANT_TYPES
 from osc_contact.scenarios.schema import Scenario
 from osc_contact.spatial import Array

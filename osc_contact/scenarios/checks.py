@@ -8,10 +8,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from .contact_types import magnitude_names, raw_magnitudes
-from .control_schema import ControlSpec
-from .hardware import PlantSpec
-from .spec import did_you_mean
+from osc_contact.scenarios.bodies import magnitude_names, raw_magnitudes
+from osc_contact.scenarios.control_schema import ControlSpec
+from osc_contact.scenarios.hardware import PlantSpec
+from osc_contact.scenarios.spec import did_you_mean
 
 __all__ = [
     "Problem",

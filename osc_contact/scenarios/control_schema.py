@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from .quantities import (
+from osc_contact.scenarios.quantities import (
     Angle,
     Force,
     ForceLimit,
@@ -35,7 +35,7 @@ from .quantities import (
     Velocity,
     VelocityLimit,
 )
-from .spec import Spec, refuse
+from osc_contact.scenarios.spec import Spec, refuse
 
 __all__ = [
     "ControlSpec",

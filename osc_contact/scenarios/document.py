@@ -1,19 +1,103 @@
-"""Plain data of a scenario text that remembers the line, or the override, of every key."""
+"""A scenario text as data that remember their lines, and complaints about them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import types
+from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
-from typing import Any
+from typing import Annotated, Any, Union, get_args, get_origin
 
 import yaml
+from pydantic import BaseModel, ValidationError
 
-from ..errors import ScenarioError
-from .spec import did_you_mean
-from .yaml_nodes import Problems, compose, scalar
+from osc_contact.errors import ScenarioError
+from osc_contact.scenarios.bodies import CONTACT_TYPES, ContactSpec
+from osc_contact.scenarios.checks import Problem, sound_problems
+from osc_contact.scenarios.spec import did_you_mean, sentence
 
-__all__ = ["ScenarioDocument", "Key"]
+# --- YAML text to nodes ---------------------------------------------------------------------------
+
+_DEEPEST = 32
+_FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_WORDS: dict[str, Any] = {
+    "": None, "~": None, "null": None, "true": True, "false": False,
+    ".nan": float("nan"), ".inf": float("inf"), "+.inf": float("inf"), "-.inf": float("-inf"),
+}  # fmt: skip
+
+
+class Problems:
+    """Collects complaints; raises them together, sorted by line, overrides last."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.found: list[tuple[int, str]] = []
+
+    def at_line(self, line: int, text: str) -> None:
+        """Keep a complaint about a line of the file."""
+        self.found.append((line, f"{self.file}:{line}: {text}"))
+
+    def at_override(self, override: str, text: str) -> None:
+        """Keep a complaint about an override, `path.to.key=value`."""
+        short = text.removeprefix(f"{override.partition('=')[0].strip()}: ")  # the key once
+        self.found.append((1 << 60, f"override {override}: {short}"))
+
+    def raise_any(self) -> None:
+        """Return if nothing was found.
+
+        Raises:
+            ScenarioError: all complaints, one a line, each once."""
+        if self.found:
+            ordered = sorted(self.found, key=lambda item: item[0])
+            raise ScenarioError("\n".join(dict.fromkeys(text for _, text in ordered)))
+
+
+def compose(text: str, problems: Problems) -> yaml.Node | None:
+    """Return the node tree; anchors, aliases, tags and deep nesting are refused."""
+    try:
+        depth = 0
+        for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            line = event.start_mark.line + 1 if event.start_mark else 1
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > _DEEPEST:
+                problems.at_line(line, f"nested deeper than {_DEEPEST} levels")
+                problems.raise_any()
+            anchor, tag = getattr(event, "anchor", None), getattr(event, "tag", None)
+            if anchor is not None:
+                name = f"*{anchor}" if isinstance(event, yaml.AliasEvent) else f"&{anchor}"
+                problems.at_line(line, f"{name}: anchors and aliases are refused; write it out")
+            if tag is not None:
+                problems.at_line(line, f"{tag}: tags are refused; write a plain value")
+        problems.raise_any()
+        node: yaml.Node | None = yaml.compose(text, Loader=yaml.SafeLoader)
+        return node
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        why = ", ".join(part for part in (error.context, error.problem) if part)
+        cure = "; indent with spaces, not tabs" if "\\t" in why else ""
+        problems.at_line(mark.line + 1 if mark else 1, f"not valid YAML: {why}{cure}")
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        what = f"the character {chr(error.character)!r} is not allowed"
+        problems.at_line(line, f"not valid YAML: {what}")
+    problems.raise_any()
+    return None
+
+
+def scalar(node: yaml.Node) -> Any:
+    """Return a scalar as null, true/false, number (1e-3 and 010 too) or text."""
+    text = str(node.value)
+    if getattr(node, "style", None) is not None:
+        return text
+    if text.lower() in _WORDS:
+        return _WORDS[text.lower()]
+    if re.fullmatch(r"[+-]?\d{1,15}", text):
+        return int(text)
+    return float(text) if _FLOAT.fullmatch(text) else text
+
+
+# --- Data with the line, or the override, of every key --------------------------------------------
 
 Key = tuple[str | int, ...]
 
@@ -167,3 +251,83 @@ def _child(holder: Any, part: str | int) -> Any:
     if isinstance(holder, list) and isinstance(part, int) and part < len(holder):
         return holder[part]
     return None
+
+
+# --- Complaints of pydantic as sentences ----------------------------------------------------------
+
+_TAGS = (
+    "constant, step, sine, minimum_jerk, jerk_limited or points for a signal; linear or angular "
+    "for a move; for a contact "
+)
+
+
+def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iterator[Problem]:
+    """Yield key and text of every complaint; checks across keys run on what is sound.
+
+    Args:
+        error: pydantic's. data: what was validated. root: model of the whole file.
+    """
+    for item in error.errors(include_url=False):
+        place, owner = _locate(item["loc"], root)
+        context = item.get("ctx", {})
+        if item["type"] == "too_short" and len(item["input"]) >= context["min_length"]:
+            continue  # long enough but for items that are refused themselves
+        if item["type"] == "union_tag_not_found":
+            yield (
+                place,
+                f"the key {context['discriminator']} is missing: {_TAGS}"
+                + ", ".join(CONTACT_TYPES),
+            )
+        elif item["type"] == "union_tag_invalid":
+            tag = context["discriminator"].strip("'")
+            wanted = context["expected_tags"]
+            yield (*place, tag), f"expected one of {wanted}; got {context['tag']!r}"
+        else:
+            yield place[:-1] if item["type"] == "missing" else place, sentence(item, owner)
+    yield from sound_problems(data)
+
+
+def _locate(loc: Iterable[str | int], root: type[BaseModel]) -> tuple[Key, type[BaseModel] | None]:
+    """Return a pydantic location without its union tags, and the model that owns its last key."""
+    place: Key = ()
+    owner: type[BaseModel] | None = None
+    options: list[Any] = [root]
+    for part in loc:
+        tagged = [kind for kind in options if len(options) > 1 and part == _tag(kind)]
+        if tagged:
+            options = tagged
+            continue
+        only = options[0] if len(options) == 1 else None
+        owner = only if _is_model(only) else None
+        place = (*place, part)
+        options = [inner for kind in options for inner in _inside(kind, part)]
+    return place, owner
+
+
+def _is_model(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)
+
+
+def _tag(kind: Any) -> Any:
+    fields = kind.model_fields if _is_model(kind) else {}
+    return next((fields[name].default for name in ("type", "kind") if name in fields), None)
+
+
+def _inside(kind: Any, part: str | int) -> list[Any]:
+    """Return the types that the item or key `part` of `kind` may have."""
+    if _is_model(kind):
+        return _options(kind.model_fields[part].annotation) if part in kind.model_fields else []
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is tuple and isinstance(part, int):
+        return _options(inner[0] if Ellipsis in inner else inner[min(part, len(inner) - 1)])
+    return _options(inner[1]) if origin is dict else []
+
+
+def _options(kind: Any) -> list[Any]:
+    """Return the members of a union (without None), or the type itself, without annotations."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return _options(inner[0])
+    if origin in (Union, types.UnionType):
+        return [member for one in inner if one is not type(None) for member in _options(one)]
+    return list(CONTACT_TYPES.values()) if kind is ContactSpec else [kind]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, field_validator, model_validator
 
-from .quantities import (
+from osc_contact.scenarios.quantities import (
     Angle,
     Force,
     ForceVec3,
@@ -22,7 +22,7 @@ from .quantities import (
     Time,
     Torque,
 )
-from .spec import Spec, refuse
+from osc_contact.scenarios.spec import Spec, refuse
 
 __all__ = [
     "PLANT_TYPES",

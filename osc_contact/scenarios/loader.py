@@ -11,12 +11,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ..errors import ScenarioError
-from .document import ScenarioDocument
-from .messages import complaints
-from .schema import Scenario
-from .spec import did_you_mean
-from .yaml_nodes import Problems
+from osc_contact.errors import ScenarioError
+from osc_contact.scenarios.document import Problems, ScenarioDocument, complaints
+from osc_contact.scenarios.schema import Scenario
+from osc_contact.scenarios.spec import did_you_mean
 
 __all__ = ["Template", "list_scenarios", "load_scenario", "parse_scenario", "read_text"]
 

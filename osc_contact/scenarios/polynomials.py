@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, field_validator
 
-from ..jerk_limits import follow, from_rest_to_rest
-from .quantities import OfQuantity, Time
-from .spec import refuse
+from osc_contact.jerk_limits import follow, from_rest_to_rest
+from osc_contact.scenarios.quantities import OfQuantity, Time
+from osc_contact.scenarios.spec import refuse
 
 __all__ = ["JerkLimited", "Polynomials", "Points", "Values", "jerk_limited", "least_jerk"]
 

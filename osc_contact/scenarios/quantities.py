@@ -18,7 +18,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from .spec import Spec, refuse
+from osc_contact.scenarios.spec import Spec, refuse
 
 __all__ = [
     "Acceleration",

@@ -20,23 +20,29 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
-from ..errors import ScenarioError
-from .checks import body_problems, name_problems, timing_problems
-from .contact_schema import BodySpec
-from .contact_types import AnyContact, forces_of
-from .control_schema import (
+from osc_contact.errors import ScenarioError
+from osc_contact.scenarios.bodies import (
+    AnyContact,
+    ArmSpec,
+    BodySpec,
+    GraspSpec,
+    Name,
+    ObjectSpec,
+    forces_of,
+)
+from osc_contact.scenarios.checks import body_problems, name_problems, timing_problems
+from osc_contact.scenarios.control_schema import (
     ControlSpec,
     Gains,
     ModelErrorSpec,
     TareSpec,
     VerdictSpec,
 )
-from .geometry import ArmSpec, GraspSpec, Name, ObjectSpec
-from .hardware import PlantSpec, SensorsSpec
-from .messages import complaints
-from .quantities import Force, Time, UnitVec3, Vec3
-from .signals import AngleSignal, ForceSignal, LengthSignal
-from .spec import Spec, refuse
+from osc_contact.scenarios.document import complaints
+from osc_contact.scenarios.hardware import PlantSpec, SensorsSpec
+from osc_contact.scenarios.quantities import Force, Time, UnitVec3, Vec3
+from osc_contact.scenarios.signals import AngleSignal, ForceSignal, LengthSignal
+from osc_contact.scenarios.spec import Spec, refuse
 
 __all__ = ["AngularMove", "LinearMove", "MotionSpec", "Scenario"]
 

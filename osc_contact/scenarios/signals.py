@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from .polynomials import JerkLimited, Points, Values
-from .quantities import (
+from osc_contact.scenarios.polynomials import JerkLimited, Points, Values
+from osc_contact.scenarios.quantities import (
     Acceleration,
     Angle,
     AngularAcceleration,

@@ -14,7 +14,7 @@ from typing import Any, Self
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from ..errors import InvalidInputError
+from osc_contact.errors import InvalidInputError
 
 __all__ = ["Spec", "did_you_mean", "meaning", "refuse", "sentence"]
 

@@ -1,23 +1,313 @@
-"""Detection: what is near comes from coal, the exact normal and the features from the shapes."""
+"""From collision geometry to the list of contacts, at one pose or followed over time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
+import coal
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.detection.detected import Detected
-from osc_contact.contacts.detection.features import Feature, foremost
-from osc_contact.contacts.detection.merge import merged
-from osc_contact.contacts.detection.normals import best_direction, exact_normal, separation
-from osc_contact.contacts.detection.patch import shared_patch
-from osc_contact.contacts.detection.shapes import CollisionShape, Solid
-from osc_contact.contacts.detection.solver import Nearest, nearest
-from osc_contact.errors import InvalidInputError
-from osc_contact.spatial import Array
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.detection.features import (
+    CollisionShape,
+    Feature,
+    Nearest,
+    Solid,
+    best_direction,
+    exact_normal,
+    foremost,
+    nearest,
+    separation,
+    shared_patch,
+)
+from osc_contact.contacts.pairs import (
+    ContactPair,
+    CylinderOnPlane,
+    EdgeOnEdge,
+    EdgeOnFace,
+    FaceOnFace,
+    FaceOnVertex,
+    GapFunctions,
+    SphereOnPlane,
+    VertexOnFace,
+)
+from osc_contact.errors import ContactError, InvalidInputError
+from osc_contact.spatial import Array, cross
 
-__all__ = ["detect"]
+# --- Gaps between faces, edges and rims -----------------------------------------------------------
+#
+# Each function here takes the pose of the object in the environment frame.
+
+_STEP = 0.02
+"""Of the differences, relative to the inclination of a rim: at zero inclination lies a kink."""
+
+
+def face_on_edge(
+    point: Array, normal: Array, edge: Array, radius: float, name: str
+) -> GapFunctions:
+    """A plane of the object (its frame) on two points (2, 3) of a line of the environment, r = 2.
+
+    gⱼ = n·(eⱼ − p) − radius with n out of the object.
+
+    Args:
+        point, normal: (3,) of the plane, in the object's frame. edge: (2, 3) points (m).
+        radius: of the line (m). name: of the pair.
+    """
+
+    def gap(X: pin.SE3) -> Array:
+        gaps: Array = (edge - X.act(point)) @ (X.rotation @ normal) - radius
+        return gaps
+
+    return GapFunctions(gap, length=float(np.linalg.norm(edge[1] - edge[0])), name=name)
+
+
+def rim_on_face(rim: Feature, point: Array, normal: Array, sine: float, name: str) -> GapFunctions:
+    """The rim of a disc of the object on a plane of the environment, r = 1; rolling is free.
+
+    g = n·(c − p) − R |n × a|: the disc with centre c and axis a reaches R sin∠(n, a) down.
+    `sine` is that sine at the contact, for the step of the differences.
+
+    Args:
+        rim: of the object, in its frame. point, normal: (3,) of the plane. sine: of ∠(n, a).
+        name: of the pair.
+    """
+    centre, axis, radius = rim.disc
+
+    def gap(X: pin.SE3) -> Array:
+        reach = radius * np.linalg.norm(cross(normal, X.rotation @ axis))
+        return np.array([normal @ (X.act(centre) - point) - reach])
+
+    return GapFunctions(gap, length=radius, step=min(1e-2, _STEP * sine), name=name)
+
+
+def face_on_rim(point: Array, normal: Array, rim: Feature, sine: float, name: str) -> GapFunctions:
+    """A plane of the object on the rim of a disc of the environment, r = 1; see rim_on_face.
+
+    Args:
+        point, normal: (3,) of the plane, in the object's frame. rim: of the environment.
+        sine: of ∠(n, a). name: of the pair.
+    """
+    centre, axis, radius = rim.disc
+
+    def gap(X: pin.SE3) -> Array:
+        n = X.rotation @ normal
+        return np.array([n @ (centre - X.act(point)) - radius * np.linalg.norm(cross(n, axis))])
+
+    return GapFunctions(gap, length=radius, step=min(1e-2, _STEP * sine), name=name)
+
+
+def between_round(a: Feature, e: Feature, name: str) -> GapFunctions:
+    """Points or straight lines, at least one with a radius: g = their distance − both radii, r = 1.
+
+    Args:
+        a, e: features of object and environment, with their radii (m). name: of the pair.
+
+    Raises:
+        ContactError: a rim is one of the two.
+    """
+    if "rim" in (a.name, e.name):
+        raise ContactError(
+            f"{name}: no contact pair describes the rim of a cylinder on anything but a face; "
+            "declare it with GapFunctions"
+        )
+    reach = a.radius + e.radius
+
+    def gap(X: pin.SE3) -> Array:
+        apart = X.act(a.points[0]) - e.points[0]
+        lines = [e.direction] if e.dimension == 1 else []
+        if a.dimension == 1:
+            lines.append(X.rotation @ a.direction)
+        if len(lines) == 2:
+            across = cross(lines[0], lines[1])
+            return np.array([abs(across @ apart) / np.linalg.norm(across) - reach])
+        for along in lines:
+            apart = apart - (apart @ along) * along
+        return np.array([np.linalg.norm(apart) - reach])
+
+    return GapFunctions(gap, length=reach, name=name)
+
+
+# --- One contact found ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Detected:
+    """What touches what, where, and as what.
+
+    Attributes:
+        object_shape, environment_shape: names of the two shapes.
+        kind: "<object's feature> on <environment's feature>", such as "vertex on face", "face on
+            vertex", "edge on edge", "edge on face", "face on edge", "face on face"; rounded
+            features are "sphere on plane", "cylinder on plane", "rim on face", ...
+        r: degree of motion constraint, 1 … 3.
+        points: (k, 3) world, the contact patch on the environment: its corners (r = 3), its two
+            ends (r = 2) or the one point (r = 1) (m).
+        normal, object_normal, environment_normal: (3,) unit, out of the environment towards the
+            object: in the world's axes and in those of the two bodies.
+        distance: between the shapes (m), negative when they overlap.
+        object_feature, environment_feature: what touches, each in the frame of its body.
+        object_point, environment_point: (3,) a point of each feature in the middle of the patch,
+            in the frame of its body (m); of a rounded feature its centre.
+    """
+
+    object_shape: str
+    environment_shape: str
+    kind: str
+    r: int
+    points: Array
+    normal: Array
+    distance: float
+    object_feature: Feature
+    environment_feature: Feature
+    object_point: Array
+    environment_point: Array
+    object_normal: Array
+    environment_normal: Array
+
+    @property
+    def name(self) -> str:
+        """Of the contact: "<object's shape> on <environment's shape>"."""
+        return f"{self.object_shape} on {self.environment_shape}"
+
+    def pair(self) -> ContactPair:
+        """The contact pair that keeps this contact while both bodies move.
+
+        The feet of a line are the ends of its patch, those of a face lie as far out as the patch.
+
+        Raises:
+            ContactError: no pair describes it: the rim of a cylinder on an edge, or two parallel
+                lines of which neither is on a face.
+        """
+        if self.environment_feature.normal is not None:
+            return self._on_face(self.environment_feature.normal)
+        if self.object_feature.normal is not None:
+            return self._under_face(self.object_feature.normal)
+        return self._of_lines()
+
+    def _on_face(self, normal: Array) -> ContactPair:
+        a, point, face, name = (
+            self.object_feature, self.object_point, self.environment_point, self.name,
+        )  # fmt: skip
+        if a.axis is not None:
+            return rim_on_face(a, face, normal, _sine(a.axis, self.object_normal), name)
+        if a.normal is not None:
+            size = float(np.linalg.norm(self.points - self.points.mean(axis=0), axis=1).max())
+            return FaceOnFace(point, a.normal, face, normal, size, name)
+        if a.dimension == 1:
+            length = float(np.linalg.norm(self.points[1] - self.points[0]))
+            if a.radius > 0.0:
+                return CylinderOnPlane(point, a.direction, a.radius, face, normal, length, name)
+            return EdgeOnFace(point, a.direction, face, normal, length, name)
+        if a.radius > 0.0:
+            return SphereOnPlane(point, a.radius, face, normal, name)
+        return VertexOnFace(point, face, normal, 0.0, name)
+
+    def _under_face(self, normal: Array) -> ContactPair:
+        e, face, name = self.environment_feature, self.object_point, self.name
+        if e.axis is not None:
+            return face_on_rim(face, normal, e, _sine(e.axis, self.environment_normal), name)
+        if e.dimension == 1:
+            return face_on_edge(face, normal, e.points, e.radius, name)
+        return FaceOnVertex(face, normal, self.environment_point, e.radius, name)
+
+    def _of_lines(self) -> ContactPair:
+        a, e = self.object_feature, self.environment_feature
+        if self.r > 1:
+            raise ContactError(
+                f"{self.name}: no contact pair describes {self.kind} along a line; declare it with "
+                "GapFunctions"
+            )
+        if a.radius > 0.0 or e.radius > 0.0 or a.dimension + e.dimension < 2:
+            return between_round(a, e, self.name)
+        return EdgeOnEdge(
+            self.object_point, a.direction, self.environment_point, e.direction,
+            self.environment_normal, self.name,
+        )  # fmt: skip
+
+
+def _sine(x: Array, y: Array) -> float:
+    return float(np.linalg.norm(cross(x, y)))
+
+
+# --- Contacts of one pair that are one ------------------------------------------------------------
+
+_BURIED = 1e-6
+"""How far outside another shape of its body a point may lie and still count as inside (m)."""
+
+
+def merged(
+    contacts: Sequence[Detected],
+    object_geometry: Sequence[CollisionShape],
+    X_WO: pin.SE3,
+    margin: float,
+    angle: float,
+) -> list[Detected]:
+    """`contacts` without those that repeat another: faces stay first, then lines, then points.
+
+    A contact repeats another of the same tangent plane if its patch lies on the other's plane,
+    line or point, or if it touches with a part of the object's shape that is inside the other's
+    shape (the rim of a cylinder inside the ball that rounds its end). Among points the rounded
+    stays, then the nearer.
+
+    Args:
+        contacts: all contacts. object_geometry: shapes of the object. X_WO: its pose.
+        margin: heights that count as equal (m). angle: directions that count as equal (rad).
+    """
+    shapes = {shape.name: shape for shape in object_geometry}
+    kept: list[Detected] = []
+    for contact in sorted(contacts, key=_rank):
+        if not any(
+            _same_plane(contact, other, margin, angle)
+            and (
+                _spanned(contact.points, other, margin)
+                or _buried(contact, shapes[other.object_shape], X_WO)
+            )
+            for other in kept
+        ):
+            kept.append(contact)
+    return [contact for contact in contacts if any(contact is other for other in kept)]
+
+
+def _rank(contact: Detected) -> tuple[int, bool, float]:
+    return -contact.r, contact.object_feature.radius == 0.0, contact.distance
+
+
+def _same_plane(a: Detected, b: Detected, margin: float, angle: float) -> bool:
+    inclined = float(np.linalg.norm(cross(a.normal, b.normal)))
+    if inclined > angle or a.normal @ b.normal < 0.0:
+        return False
+    return bool(np.abs((a.points - b.points[0]) @ b.normal).max() <= margin)
+
+
+def _spanned(points: Array, other: Detected, margin: float) -> bool:
+    """Whether points of its tangent plane lie on the plane, line or point of the other's patch."""
+    away = points - other.points[0]
+    if other.r == 3:
+        return True
+    if other.r == 2:
+        along = other.points[-1] - other.points[0]
+        along = along / np.linalg.norm(along)
+        away = away - np.outer(away @ along, along)
+    return bool(np.linalg.norm(away, axis=1).max() <= margin)
+
+
+def _buried(contact: Detected, shape: CollisionShape, X_WO: pin.SE3) -> bool:
+    """Whether the touching part of the object lies inside another of its shapes."""
+    if contact.object_shape == shape.name or contact.r > 1:
+        return False
+    surface = X_WO.act(contact.object_point) - contact.object_feature.radius * contact.normal
+    X = X_WO * shape.placement
+    depth = coal.distance(
+        coal.Sphere(0.0), coal.Transform3s(np.eye(3), surface),
+        shape.shape, coal.Transform3s(X.rotation, X.translation),
+        coal.DistanceRequest(), coal.DistanceResult(),
+    )  # fmt: skip
+    return bool(depth <= _BURIED)
+
+
+# --- Detection ------------------------------------------------------------------------------------
 
 _EXACT = 1e-9
 """A plane face that explains the distance this well is the contact's; else it is round (m)."""
@@ -125,3 +415,96 @@ def _kind(a: Feature, e: Feature) -> str:
 
 def _lifted(feature: Feature, patch: Array, n: Array) -> Array:
     return np.array([feature.lift(point, n) for point in patch])
+
+
+# --- Contacts followed over time ------------------------------------------------------------------
+
+
+class TrackedContact:
+    """Whatever touches between the held object and one body, as a `ContactPair`.
+
+    What touches what is looked up by `detect` when the bodies have moved by more than `travel` or
+    `turn` relative to one another since the last time. In between, N and n_γ come from the pairs
+    found, at the poses and twists of each call. Where nothing is within the margin any more, the
+    contacts found last stay in force: geometry does not detect a lost contact.
+
+    Attributes:
+        name: used in messages and recordings.
+        pairs: in force now; empty before the first call.
+        lookups: number of detections.
+    """
+
+    def __init__(
+        self,
+        object_geometry: Sequence[CollisionShape],
+        environment_geometry: Sequence[CollisionShape],
+        name: str = "detected",
+        *,
+        margin: float = 2e-3,
+        travel: float = 2e-3,
+        turn: float = 5e-3,
+    ) -> None:
+        """Take the collision shapes of both bodies, in the frames O and E.
+
+        Args:
+            object_geometry, environment_geometry: see `collision_shapes`.
+            name: of the contact.
+            margin: see `detect` (m).
+            travel: distance (m), turn: angle (rad) after which to look again.
+
+        Raises:
+            InvalidInputError: travel or turn is negative.
+        """
+        if not (travel >= 0.0 and turn >= 0.0):
+            raise InvalidInputError(f"travel = {travel} m, turn = {turn} rad; give numbers ≥ 0")
+        self.name = name
+        self.pairs: tuple[ContactPair, ...] = ()
+        self.lookups = 0
+        self._shapes = tuple(object_geometry), tuple(environment_geometry)
+        self._margin, self._travel, self._turn = margin, travel, turn
+        self._X_EO = pin.SE3.Identity()
+
+    def contact(
+        self,
+        X_WO: pin.SE3,
+        V_O: Array,
+        X_WE: pin.SE3 | None = None,
+        V_E: Array | None = None,
+    ) -> Contact:
+        """N (6, r) and n_γ (r,) of all that touches (see `ContactPair.contact`).
+
+        Args:
+            X_WO, V_O, X_WE, V_E: as of `ContactPair.contact`.
+
+        Raises:
+            ContactError: nothing touches, and nothing ever has.
+        """
+        pairs = self._touching(X_WO, X_WE)
+        parts = [pair.contact(X_WO, V_O, X_WE, V_E) for pair in pairs]
+        return parts[0] if len(parts) == 1 else Contact.stack(parts)
+
+    def gaps(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Array:
+        """Gaps of the pairs found, one below the other (m, rad)."""
+        return np.concatenate([pair.gaps(X_WO, X_WE) for pair in self._touching(X_WO, X_WE)])
+
+    def _touching(self, X_WO: pin.SE3, X_WE: pin.SE3 | None) -> tuple[ContactPair, ...]:
+        X_EO = X_WO if X_WE is None else X_WE.actInv(X_WO)
+        moved = self._X_EO.actInv(X_EO)
+        near = (
+            np.linalg.norm(moved.translation) <= self._travel
+            and np.linalg.norm(pin.log3(moved.rotation)) <= self._turn
+        )
+        if self.pairs and near:
+            return self.pairs
+        shapes, bodies = self._shapes
+        detected = detect(shapes, X_WO, bodies, X_WE, margin=self._margin)
+        self.lookups += 1
+        if detected:
+            self.pairs = tuple(contact.pair() for contact in detected)
+        self._X_EO = X_EO.copy()
+        if not self.pairs:
+            raise ContactError(
+                f"{self.name}: nothing touches within {self._margin * 1e3:g} mm at the pose of the "
+                f"object {np.round(X_WO.translation, 4)} m; bring it nearer before engaging"
+            )
+        return self.pairs

@@ -1,17 +1,241 @@
-"""Which feature of a convex solid lies foremost in a direction: vertex, edge, face or round."""
+"""Collision shapes, their nearest points and features, and the normals these imply."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import product
+from pathlib import Path
+from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.detection.shapes import Solid
-from osc_contact.errors import InvalidInputError
+from osc_contact.errors import InvalidInputError, ModelError
+from osc_contact.robots import load_geometry
+from osc_contact.robots.xml_tree import read_bytes
 from osc_contact.spatial import Array, cross
 
-__all__ = ["Feature", "foremost", "plane_axes"]
+# --- Solids of a collision geometry ---------------------------------------------------------------
+
+_CONVEX_SLACK = 1e-6
+"""A mesh counts as convex if no corner rises higher above a triangle, relative to its size."""
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A convex solid: the hull of corners, rounded by a radius.
+
+    Sphere and capsule are one and two corners with a ball at each; a cylinder (`axis` given) has a
+    disc across its axis at each of its two ends instead.
+
+    Attributes:
+        corners: (k, 3) m. radius: m. axis: (3,) unit, only of a cylinder.
+        normals: (m, 3) unit outward normals of the plane faces.
+        edges: (e, 3) unit directions of the straight edges (and of the line a side can lie on).
+    """
+
+    corners: Array
+    radius: float = 0.0
+    axis: Array | None = None
+    normals: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    edges: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def moved(self, X: pin.SE3) -> Solid:
+        """The same solid in the coordinates X maps to."""
+        R, t = X.rotation, X.translation
+        axis = None if self.axis is None else R @ self.axis
+        return Solid(
+            self.corners @ R.T + t, self.radius, axis, self.normals @ R.T, self.edges @ R.T
+        )
+
+    def support(self, directions: Array) -> Array:
+        """(m,) how far the solid reaches along each of the unit `directions` (m, 3)."""
+        round_part: Array | float = self.radius
+        if self.axis is not None:
+            along = directions @ self.axis
+            round_part = self.radius * np.sqrt(np.maximum(0.0, 1.0 - along**2))
+        return np.max(directions @ self.corners.T, axis=1) + round_part
+
+
+@dataclass(frozen=True)
+class CollisionShape:
+    """One convex shape of a body.
+
+    Attributes:
+        name: used in messages and in the names of contacts.
+        shape: coal Box, Sphere, Cylinder, Capsule or Convex.
+        placement: of the shape in the frame of its body.
+        solid: its corners, faces and edges in that frame.
+
+    Raises:
+        InvalidInputError: another kind of shape, or one blown up by a swept-sphere radius.
+    """
+
+    name: str
+    shape: Any
+    placement: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    solid: Solid = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        swept = self.shape.getSweptSphereRadius()
+        if swept > 0.0:
+            raise InvalidInputError(
+                f"{self.name}: swept-sphere radius {swept:g} m; set it to 0 and use a capsule or "
+                "sphere for rounded parts"
+            )
+        object.__setattr__(self, "solid", _solid(self.name, self.shape).moved(self.placement))
+
+
+def collision_shapes(path: Path | str) -> list[CollisionShape]:
+    """The collision shapes of the single rigid body of a URDF, in the frame of its root link.
+
+    A shape is called by the name of its <collision> element where that is given and unique, else
+    ``<link>_<number>``. Meshes must be convex.
+
+    Raises:
+        ModelError: no such file, a joint moves, no collision geometry, a mesh that is not convex.
+    """
+    file = Path(path)
+    text = read_bytes(file)
+    read = _read.__wrapped__ if b"<mesh" in text else _read  # whose files may change
+    return list(read(file, text))
+
+
+@lru_cache(maxsize=32)
+def _read(file: Path, text: bytes) -> tuple[CollisionShape, ...]:
+    """See `collision_shapes`; `text` is the file's, so that one that was read is not read again."""
+    model, geometry, document = load_geometry(file, pin.GeometryType.COLLISION)
+    if model.nv > 0:
+        moving = ", ".join(list(model.names)[1:])
+        raise ModelError(f"{file}: one rigid body is expected, but these joints move: {moving}")
+    if len(geometry.geometryObjects) == 0:
+        raise ModelError(f"{file}: no link has a <collision> element; nothing can touch")
+    given = {
+        f"{link.name}_{i}": collision.get("name")
+        for link in document.links.values()
+        for i, collision in enumerate(link.element.findall("collision"))
+    }
+    names = list(given.values())
+    shapes = []
+    for item in geometry.geometryObjects:
+        own = given.get(item.name)
+        name = own if own and names.count(own) == 1 else item.name
+        shape = item.geometry
+        if isinstance(shape, coal.BVHModelBase):
+            shape = _convex(f"{file}: {name}", shape)
+        shapes.append(CollisionShape(name, shape, pin.SE3(item.placement)))
+    return tuple(shapes)
+
+
+def _solid(name: str, shape: Any) -> Solid:
+    """Corners, faces and edges in the frame of the coal shape."""
+    eye = np.eye(3)
+    z = eye[2:]
+    if isinstance(shape, coal.Box):
+        corners = np.array(list(product((-1.0, 1.0), repeat=3))) * shape.halfSide
+        return Solid(corners, normals=np.vstack((eye, -eye)), edges=eye)
+    if isinstance(shape, coal.Sphere):
+        return Solid(np.zeros((1, 3)), shape.radius)
+    if isinstance(shape, coal.Capsule):
+        return Solid(np.vstack((-z, z)) * shape.halfLength, shape.radius, edges=z)
+    if isinstance(shape, coal.Cylinder):
+        ends = np.vstack((-z, z))
+        return Solid(ends * shape.halfLength, shape.radius, eye[2], normals=ends, edges=z)
+    if isinstance(shape, coal.Convex):
+        corners = np.array(shape.points())
+        triangles = np.array(
+            [[shape.polygons(i)[k] for k in range(3)] for i in range(shape.num_polygons)]
+        )
+        return Solid(corners, 0.0, None, *_faces_and_edges(corners, triangles))
+    raise InvalidInputError(
+        f"{name}: contacts of a {type(shape).__name__} are not classified; use boxes, spheres, "
+        "cylinders, capsules or convex meshes"
+    )
+
+
+def _faces_and_edges(corners: Array, triangles: Array) -> tuple[Array, Array]:
+    """Unit outward normals and unit edge directions, each direction once."""
+    a, b, c = (corners[triangles[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    area = np.linalg.norm(normals, axis=1)
+    keep = area > 1e-12 * area.max()
+    normals = normals[keep] / area[keep, None]
+    outward = np.einsum("ij,ij->i", normals, a[keep] - corners.mean(axis=0))
+    normals *= np.sign(outward)[:, None]
+    edges = np.vstack((b - a, c - b, a - c))
+    edges /= np.linalg.norm(edges, axis=1)[:, None]
+    first = np.argmax(np.abs(edges) > 1e-9, axis=1)
+    edges *= np.sign(edges[np.arange(len(edges)), first])[:, None]
+    return _distinct(normals), _distinct(edges)
+
+
+def _distinct(directions: Array) -> Array:
+    _, index = np.unique(np.round(directions, 9) + 0.0, axis=0, return_index=True)
+    return directions[np.sort(index)]
+
+
+def _convex(name: str, mesh: Any) -> Any:
+    """coal.Convex of a mesh that already is convex (coal is built without a hull algorithm)."""
+    vertices = np.array(mesh.vertices())
+    corners, index = np.unique(np.round(vertices, 12), axis=0, return_inverse=True)
+    index = index.reshape(-1)
+    triangles = np.array(
+        [[index[mesh.tri_indices(i)[k]] for k in range(3)] for i in range(mesh.num_tris)]
+    )
+    size = np.ptp(corners, axis=0).max()
+    a, b, c = (corners[triangles[:, i]] for i in range(3))
+    for normal, point in zip(np.cross(b - a, c - a), a, strict=True):
+        height = (corners - point) @ normal / (np.linalg.norm(normal) or 1.0)
+        if height.max() > _CONVEX_SLACK * size and height.min() < -_CONVEX_SLACK * size:
+            raise ModelError(
+                f"{name}: the mesh is not convex (corners lie up to {height.max():.3g} m outside "
+                "of one of its faces); split it into convex parts"
+            )
+    points, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    points.extend(list(corners))
+    faces.extend([coal.Triangle(*(int(k) for k in triangle)) for triangle in triangles])
+    return coal.Convex(points, faces)
+
+
+# --- Nearest points of two solids -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """Where two shapes are nearest.
+
+    Attributes:
+        distance: m, negative when they overlap; 0 where the solver fails.
+        normal: (3,) from the second to the first, to about 1e-2 near touch; zero where it fails.
+        witness: (3,) the nearest point of the second (m).
+    """
+
+    distance: float
+    normal: Array
+    witness: Array
+
+
+def nearest(a: Any, X_A: pin.SE3, e: Any, X_E: pin.SE3) -> Nearest:
+    """Of two coal shapes at these poses.
+
+    Args:
+        a, e: coal shapes. X_A, X_E: their poses in the world.
+    """
+    result = coal.DistanceResult()
+    distance = coal.distance(a, _placed(X_A), e, _placed(X_E), coal.DistanceRequest(), result)
+    normal, witness = -np.array(result.normal), np.array(result.getNearestPoint2())
+    if not (abs(distance) < 1e6 and np.isfinite(normal).all() and np.isfinite(witness).all()):
+        return Nearest(0.0, np.zeros(3), X_E.translation)
+    return Nearest(float(distance), normal, witness)
+
+
+def _placed(X: pin.SE3) -> coal.Transform3s:
+    return coal.Transform3s(X.rotation, X.translation)
+
+
+# --- Faces, edges, rims and vertices --------------------------------------------------------------
 
 _DISC_POINTS = 24
 
@@ -143,3 +367,165 @@ def _round_trip(points: Array, normal: Array) -> Array:
     """The corners of a convex face in counterclockwise order."""
     flat = (points - points.mean(axis=0)) @ plane_axes(normal).T
     return points[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))]
+
+
+# --- The patch that two features share ------------------------------------------------------------
+
+
+def shared_patch(
+    a: Feature, e: Feature, n: Array, witness: Array, width: float, angle: float
+) -> Array:
+    """(k, 3) points of the patch that features a and e share along the unit normal n.
+
+    A patch narrower than `width` counts as a line (k = 2), a line shorter as a point (k = 1).
+    Heights along n mean nothing here. `witness` (3,) stands in where, a little apart, the two do
+    not overlap at all.
+
+    Args:
+        a, e: features of object and environment. n: (3,) unit vector. witness: (3,) point (m).
+        width: m. angle: tolerance (rad).
+    """
+    axes = plane_axes(n)
+    flat_a, flat_e = a.points @ axes.T, e.points @ axes.T
+    if a.dimension == 0:
+        points = flat_a
+    elif e.dimension == 0:
+        points = flat_e
+    elif a.dimension == e.dimension == 1:
+        points = _of_lines(flat_a, flat_e, angle)
+    elif e.dimension == 2:
+        points = _clip(flat_a, flat_e)
+    else:
+        points = _clip(flat_e, flat_a)
+    if len(points) == 0:
+        points = axes @ witness[:, None]
+        points = points.T
+    reduced: Array = _reduced(points, width) @ axes
+    return reduced
+
+
+def _of_lines(a: Array, e: Array, angle: float) -> Array:
+    """Where two line pieces cross, or the piece in which two parallel ones run side by side."""
+    along_a, along_e = a[1] - a[0], e[1] - e[0]
+    lengths = np.linalg.norm(along_a), np.linalg.norm(along_e)
+    sine = (along_a[0] * along_e[1] - along_a[1] * along_e[0]) / (lengths[0] * lengths[1])
+    if abs(sine) > angle:
+        s, _ = np.linalg.solve(np.column_stack((along_a, -along_e)), e[0] - a[0])
+        return (a[0] + np.clip(s, 0.0, 1.0) * along_a)[None, :]
+    where = np.clip((e - a[0]) @ along_a / lengths[0] ** 2, 0.0, 1.0)
+    return a[0] + np.outer((where.min(), where.max()), along_a)
+
+
+def _clip(subject: Array, window: Array) -> Array:
+    """The part of a convex polygon or line piece inside a convex polygon (Sutherland-Hodgman)."""
+    if _area(window) < 0.0:
+        window = window[::-1]
+    points = [np.asarray(p) for p in subject]
+    for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
+        inward = np.array((start[1] - end[1], end[0] - start[0]))
+        depth = [float(inward @ (p - start)) for p in points]
+        kept = []
+        for i, (p, h) in enumerate(zip(points, depth, strict=True)):
+            previous, before = points[i - 1], depth[i - 1]
+            if (h < 0.0) != (before < 0.0):
+                kept.append(previous + (p - previous) * (before / (before - h)))
+            if h >= 0.0:
+                kept.append(p)
+        points = kept
+    return np.array(points).reshape(-1, 2)
+
+
+def _area(polygon: Array) -> float:
+    x, y = polygon.T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+def _reduced(points: Array, width: float) -> Array:
+    """The points themselves, the two ends of what is but a line, or the middle of what is less."""
+    if len(points) == 1:
+        return points
+    middle = points.mean(axis=0)
+    directions = np.linalg.svd(points - middle)[2]
+    along, across = (points - middle) @ directions.T[:, 0], (points - middle) @ directions.T[:, 1]
+    if np.ptp(along) <= width:
+        return middle[None, :]
+    if np.ptp(across) <= width:
+        return middle + np.outer((along.min(), along.max()), directions[0])
+    return points
+
+
+# --- Normals of contact ---------------------------------------------------------------------------
+#
+# Near touch an iterative solver finds the normal to 1e-5 rad at best, far too coarse for N. So the
+# normal is chosen among those the geometry has exactly: of every direction n the reach of the two
+# shapes gives a lower bound of their signed distance, and the contact normal is the direction of
+# the largest bound. Faces' normals and cross products of edges are tried (the environment's faces
+# come first where two are as good); the solver's own normal only serves where round shapes are
+# involved.
+
+_TIE = 1e-9
+"""Directions whose bounds differ by less are as good (m)."""
+
+
+def separation(a: Solid, e: Solid, n: Array) -> float:
+    """Gap between a and e along the unit vector n out of e: never more than their distance (m).
+
+    Args:
+        a, e: shapes of object and environment in world axes. n: (3,) unit vector out of e.
+    """
+    return float(_separations(a, e, n[None, :])[0])
+
+
+def best_direction(a: Solid, e: Solid, guess: Array | None = None) -> Array:
+    """(3,) the outward normal of e, or the guess, along which a and e are farthest apart.
+
+    Args:
+        a, e: shapes of object and environment in world axes.
+        guess: (3,) tried besides the normals and the directions across two edges.
+    """
+    crosses = cross(a.edges.T[:, :, None], e.edges.T[:, None, :]).reshape(3, -1).T
+    length = np.linalg.norm(crosses, axis=1)
+    crosses = crosses[length > 1e-6] / length[length > 1e-6, None]
+    directions = np.vstack((e.normals, -a.normals, crosses, -crosses))
+    if guess is not None and np.linalg.norm(guess) > 0.5:
+        directions = np.vstack((directions, guess / np.linalg.norm(guess)))
+    if len(directions) == 0:
+        directions = np.eye(3)[2:]
+    apart = _separations(a, e, directions)
+    best: Array = directions[int(np.flatnonzero(apart >= apart.max() - _TIE)[0])]
+    return best
+
+
+def _separations(a: Solid, e: Solid, directions: Array) -> Array:
+    return -a.support(-directions) - e.support(directions)
+
+
+def exact_normal(a: Feature, e: Feature, n: Array, angle: float) -> Array:
+    """n as the two features fix it: the face's, else across both edges, else between centres.
+
+    Args:
+        a, e: features of object and environment. n: (3,) unit vector near the normal.
+        angle: tolerance (rad).
+    """
+    if e.normal is not None:
+        return e.normal
+    if a.normal is not None:
+        return -a.normal
+    if a.dimension == e.dimension == 1:
+        across = cross(a.direction, e.direction)
+        if np.linalg.norm(across) <= angle:
+            return n
+    elif a.axis is not None or e.axis is not None:
+        return n  # of a rim: the solver's
+    else:
+        across = _nearest(a, e) - _nearest(e, a)
+    across = across / np.linalg.norm(across)
+    return across if across @ n > 0.0 else -across
+
+
+def _nearest(a: Feature, e: Feature) -> Array:
+    """The point of a nearest to e, where one of the two is a point."""
+    if a.dimension == 0:
+        return a.points[0]
+    along = a.direction
+    return a.points[0] + along * (along @ (e.points[0] - a.points[0]))

@@ -13,7 +13,7 @@ from osc_contact.contacts.pairs.pair import read_geometry, require_length
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes, ends
 from osc_contact.contacts.pairs.registry import register_pair
 from osc_contact.errors import InvalidInputError
-from osc_contact.scenarios.contact_types import BodyDirection, BodyPoint, OnBodySpec
+from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
 from osc_contact.scenarios.quantities import Angle, Length, UnitVec3, Vec3
 from osc_contact.spatial import Array, cross
 

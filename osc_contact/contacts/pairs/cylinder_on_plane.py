@@ -11,7 +11,7 @@ from pydantic import Field
 from osc_contact.contacts.pairs.pair import read_geometry, require_length
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes, ends
 from osc_contact.contacts.pairs.registry import register_pair
-from osc_contact.scenarios.contact_types import OnPlaneSpec
+from osc_contact.scenarios.bodies import OnPlaneSpec
 from osc_contact.scenarios.quantities import Length, UnitVec3, Vec3
 from osc_contact.spatial import Array
 

@@ -13,7 +13,7 @@ from osc_contact.contacts.pairs.pair import Bodies, read_geometry
 from osc_contact.contacts.pairs.registry import register_pair
 from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import EDGES
-from osc_contact.scenarios.contact_types import BodyDirection, BodyPoint, OnBodySpec
+from osc_contact.scenarios.bodies import BodyDirection, BodyPoint, OnBodySpec
 from osc_contact.scenarios.quantities import UnitVec3, Vec3
 from osc_contact.spatial import Array
 

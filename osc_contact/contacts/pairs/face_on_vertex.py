@@ -12,7 +12,7 @@ from osc_contact.contacts.pairs.law_pair import LawPair, PairRow, shape
 from osc_contact.contacts.pairs.pair import Bodies, read_geometry, require_length, store
 from osc_contact.contacts.pairs.registry import register_pair
 from osc_contact.law.records import FACE_ON_VERTEX
-from osc_contact.scenarios.contact_types import BodyPoint, OnBodySpec
+from osc_contact.scenarios.bodies import BodyPoint, OnBodySpec
 from osc_contact.scenarios.quantities import Length, UnitVec3, Vec3
 from osc_contact.spatial import Array
 

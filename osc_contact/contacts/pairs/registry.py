@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs.pair import ContactPair
-from osc_contact.scenarios.contact_types import ContactSpec, OfBody, register_contact
+from osc_contact.scenarios.bodies import ContactSpec, OfBody, register_contact
 
 __all__ = ["PAIRS", "make_pair", "register_pair"]
 

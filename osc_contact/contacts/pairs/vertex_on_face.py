@@ -12,7 +12,7 @@ from osc_contact.contacts.pairs.law_pair import PairRow
 from osc_contact.contacts.pairs.pair import read_geometry, require_length, triad
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
 from osc_contact.contacts.pairs.registry import register_pair
-from osc_contact.scenarios.contact_types import OnFaceSpec
+from osc_contact.scenarios.bodies import OnFaceSpec
 from osc_contact.scenarios.quantities import Length, Vec3
 from osc_contact.spatial import Array
 

@@ -1,0 +1,367 @@
+"""Arms, grasps and object, the kinds of contact, and the bodies of the environment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from enum import Enum
+from functools import lru_cache, reduce
+from operator import or_
+from typing import Annotated, Any, ClassVar, Literal
+
+import pinocchio as pin
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    SerializeAsAny,
+    TypeAdapter,
+    WrapSerializer,
+    WrapValidator,
+    field_validator,
+    model_validator,
+)
+
+from osc_contact.scenarios.quantities import (
+    AngleVec3,
+    Force,
+    JointForce,
+    JointValue,
+    Mass,
+    Number,
+    Torque,
+    UnitVec3,
+    Vec3,
+)
+from osc_contact.scenarios.signals import AngleSignal, LengthSignal
+from osc_contact.scenarios.spec import Spec, refuse
+
+# --- Arms, grasps, the object ---------------------------------------------------------------------
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_-]*$")]
+Text = Annotated[str, Field(min_length=1)]
+
+
+def _listed(value: Any) -> Any:
+    """A single value for all joints as a list of one."""
+    return value if isinstance(value, list | tuple) else (value,)
+
+
+PerJoint = Annotated[
+    tuple[Annotated[Number, Field(ge=0)], ...], BeforeValidator(_listed), Field(min_length=1)
+]
+ForcePerJoint = Annotated[
+    tuple[Annotated[JointForce, Field(ge=0)], ...], BeforeValidator(_listed), Field(min_length=1)
+]
+
+
+class PoseSpec(Spec):
+    """A pose: translation (m) and roll-pitch-yaw (rad) about fixed axes; default identity."""
+
+    xyz: Vec3 = (0.0, 0.0, 0.0)
+    """translation [x, y, z]"""
+    rpy: AngleVec3 = (0.0, 0.0, 0.0)
+    """roll, pitch and yaw about fixed axes"""
+
+
+#: Grasps that a scenario may name, and whether they have an axis; `dynamics.grasp` fills it.
+GRASP_TYPES: dict[str, bool] = {}
+
+
+class GraspSpec(PoseSpec):
+    """X_TO: pose of the object in the tip frame of the arm that holds it, and how it does so."""
+
+    type: str = "rigid"
+    """`rigid`; `hinge`: the object also turns about an axis of the tip frame; `ball`: about its
+    origin"""
+    axis: UnitVec3 | None = None
+    """the axis of a hinge [x, y, z], in the tip frame, through its origin"""
+
+    @field_validator("type")
+    @classmethod
+    def _is_registered(cls, value: str) -> str:
+        if value not in GRASP_TYPES:
+            *names, last = map(repr, GRASP_TYPES)
+            raise refuse(f"expected {', '.join(names)} or {last}; got {value!r}")
+        return value
+
+    @model_validator(mode="after")
+    def _has_its_axis(self) -> GraspSpec:
+        if GRASP_TYPES[self.type] and self.axis is None:
+            kind = self.type
+            raise refuse(f"a {kind} needs an axis [x, y, z] in the tip frame; add axis: [0, 1, 0]")
+        if not GRASP_TYPES[self.type] and self.axis is not None:
+            raise refuse(f"a {self.type} grasp has no axis; leave it out, or set type: hinge")
+        return self
+
+
+class ArmSpec(Spec):
+    """One arm: where its model comes from, where it stands and how it begins."""
+
+    name: Name
+    """a name of letters, digits, _ and -, such as left"""
+    urdf: Text
+    """a packaged URDF, a path beside the file (URDF or MJCF), or example-robot-data:NAME"""
+    base: PoseSpec = PoseSpec()
+    """of the base in the world"""
+    tip: Text
+    """the frame of the URDF that holds the object"""
+    wrist_sensor: Text | None = None
+    """frame of the wrist force/torque sensor; the force loop needs one on every arm"""
+    passive_joints: tuple[Text, ...] = ()
+    """joints without a motor"""
+    locked_joints: dict[str, JointValue] = Field(default_factory=dict)
+    """by name, joints held where given; those that do not move the tip hold at 0 if not named"""
+    effort_factor: Annotated[Number, Field(gt=0)] = 1.0
+    """multiplies the effort limits of the URDF: weaker or stronger motors"""
+    armature: PerJoint | None = None
+    """rotor inertia as felt at the joints (kg m², kg), one for all or one for each"""
+    damping: PerJoint | None = None
+    """viscous friction (N m s/rad, N s/m), one for all joints or one for each"""
+    friction: ForcePerJoint | None = None
+    """dry friction such as 0.4 Nm, one for all joints or one for each"""
+    posture: Annotated[tuple[JointValue, ...], Field(min_length=1)]
+    """the start guess of all joints in model order, such as [30 deg, 0.1 m]"""
+
+
+class ObjectSpec(Spec):
+    """The held object; the frame of its single link is the operational point."""
+
+    urdf: Text
+    """the URDF of one link"""
+    pose: PoseSpec | None = None
+    """the start guess in the world; null: where posture puts what the first arm holds"""
+
+
+# --- Bodies of the environment and faces ----------------------------------------------------------
+
+
+class TurnSpec(Spec):
+    """A turn about an axis of fixed direction; signals in radians, summed."""
+
+    axis: UnitVec3
+    """the axis of the turn [x, y, z] in world"""
+    through: Vec3
+    """a point of the axis [x, y, z] in world at the start"""
+    signals: Annotated[tuple[AngleSignal, ...], Field(min_length=1)]
+    """a list of signals in angles, 0 at the start"""
+
+
+class ConveyorSpec(Spec):
+    """A body driven along a fixed direction, whatever presses on it; signals in metres, summed.
+
+    It may turn meanwhile, about an axis that travels with it."""
+
+    type: Literal["conveyor"] = "conveyor"
+    direction: UnitVec3
+    """the direction of travel [x, y, z] in world"""
+    signals: Annotated[tuple[LengthSignal, ...], Field(min_length=1)]
+    """a list of signals in lengths, 0 at the start"""
+    turn: TurnSpec | None = None
+    """turn of a conveyor while it travels; the axis travels with it"""
+
+
+class CartSpec(Spec):
+    """A body on a cart that slides freely on a straight rail and feels its own weight."""
+
+    type: Literal["cart"] = "cart"
+    direction: UnitVec3
+    """the direction of the rail [x, y, z] in world"""
+    mass: Annotated[Mass, Field(gt=0)]
+    """the mass of the cart, such as 3 kg"""
+    stiffness: Annotated[Number, Field(ge=0)] = 0.0
+    """of the spring that pulls it back to its start"""
+    damping: Annotated[Number, Field(ge=0)] = 0.0
+    """of its motion"""
+    preload: Force = 0.0
+    """constant force along the direction"""
+
+
+class HingeSpec(Spec):
+    """A balanced body that turns freely about a fixed axis (N m, rad)."""
+
+    type: Literal["hinge"] = "hinge"
+    axis: UnitVec3
+    """the axis of the hinge [x, y, z] in world"""
+    through: Vec3
+    """a point of the axis [x, y, z] in world"""
+    inertia: Annotated[Number, Field(gt=0)]
+    """the moment of inertia about the axis, kg m², such as 0.02"""
+    stiffness: Annotated[Number, Field(ge=0)] = 0.0
+    """of the spring that pulls it back to its start"""
+    damping: Annotated[Number, Field(ge=0)] = 0.0
+    """of its motion"""
+    preload: Torque = 0.0
+    """constant moment about the axis"""
+
+
+def _take_own(value: Any, read: Callable[[Any], Any]) -> Any:
+    return value if hasattr(value, "rail") else read(value)
+
+
+def _tell_own(value: Any, write: Callable[[Any], Any]) -> Any:
+    return type(value).__name__ if hasattr(value, "rail") else write(value)
+
+
+FaceMotion = Annotated[
+    ConveyorSpec | CartSpec | HingeSpec,
+    Field(discriminator="type"),
+    WrapValidator(_take_own),
+    WrapSerializer(_tell_own),
+]
+"""Or, in a scenario made in Python, an object with a `rail`."""
+
+
+class BodySpec(Spec):
+    """A body of the environment that contacts are on."""
+
+    name: Name
+    """a name of letters, digits, _ and -, such as table"""
+    urdf: Text
+    """the URDF of one rigid body, with visual and collision geometry"""
+    pose: PoseSpec = PoseSpec()
+    """of its frame in the world"""
+    motion: FaceMotion | None = None
+    """how it moves; without it the body is fixed"""
+
+
+class FaceSpec(Spec):
+    """A separate plate for one contact: a point on it (m) and its outward normal, in world."""
+
+    urdf: Text
+    """the URDF of the face"""
+    point: Vec3
+    """a point of the surface [x, y, z] in world"""
+    normal: UnitVec3
+    """the outward normal [x, y, z] in world"""
+    motion: FaceMotion | None = None
+    """how the face moves; without it the face is fixed"""
+
+
+# --- Kinds of contact -----------------------------------------------------------------------------
+#
+# A kind is a model of its keys, written in the file of its contact pair and registered from there:
+# this module only keeps them, so that a scenario stays data that is read without any mechanics.
+#
+# The keys that are marked `BodyPoint` or `BodyDirection` belong to the body the contact is on and
+# are given in that body's frame; all others belong to the held object and are given in its frame.
+
+
+class OfBody(Enum):
+    """Marks a key that is given in the frame of the body a contact is on."""
+
+    POINT = "point"
+    DIRECTION = "direction"
+
+
+BodyPoint = Annotated[Vec3, OfBody.POINT]
+BodyDirection = Annotated[UnitVec3, OfBody.DIRECTION]
+
+
+class ContactSpec(Spec):
+    """One contact. A kind adds its keys, `type: Literal[...]` and the number of its forces."""
+
+    forces: ClassVar[int]
+    name: Name
+    """a name of letters, digits, _ and -, such as tip"""
+
+
+class OnFaceSpec(ContactSpec):
+    """A contact that brings its own plate."""
+
+    face: FaceSpec
+    """the face with its urdf, point and normal"""
+
+
+class OnBodySpec(ContactSpec):
+    """A contact on a body of `environment`."""
+
+    body: Name
+    """the name of a body of environment"""
+
+
+class OnPlaneSpec(OnBodySpec):
+    """A contact on a face of such a body."""
+
+    face_point: BodyPoint
+    """a point of the body's face [x, y, z] in the body frame"""
+    face_normal: BodyDirection
+    """the outward normal of that face [x, y, z] in the body frame"""
+
+
+class OwnContactSpec(OnBodySpec):
+    """A contact whose pair is an object, in scenarios made in Python; its frame E is where the
+    world's is while the body stands where it began."""
+
+    pair: Annotated[Any, PlainSerializer(lambda pair: type(pair).__name__)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named_as_the_pair(cls, data: Any) -> Any:
+        pair = data.get("pair") if isinstance(data, dict) else None
+        missing = [key for key in ("name", "contact", "gaps") if not hasattr(pair, key)]
+        if pair is not None and missing:
+            raise refuse(
+                f"a {type(pair).__name__} has no {' and no '.join(missing)}; a pair of your own "
+                "has name, contact(X_WO, V_O, X_WE, V_E) and gaps(X_WO, X_WE)"
+            )
+        return {"name": data["pair"].name, **data} if isinstance(data, dict) else data
+
+    @property
+    def forces(self) -> int:  # type: ignore[override]
+        """r: one for each gap of the pair."""
+        return len(self.pair.gaps(pin.SE3.Identity()))
+
+
+#: The registered kinds by what `type` calls them.
+CONTACT_TYPES: dict[str, type[ContactSpec]] = {}
+
+
+def register_contact(kind: type[ContactSpec]) -> None:
+    """Let scenarios name a kind of contact."""
+    CONTACT_TYPES[kind.model_fields["type"].default] = kind
+
+
+def _validate(value: Any) -> Any:
+    if isinstance(value, OwnContactSpec):
+        return value
+    if isinstance(value, dict) and hasattr(value.get("pair"), "contact"):
+        return OwnContactSpec.model_validate(value)
+    return _reader(tuple(CONTACT_TYPES.values())).validate_python(value)
+
+
+@lru_cache(maxsize=1)
+def _reader(kinds: tuple[type[ContactSpec], ...]) -> TypeAdapter[Any]:
+    union: Any = reduce(or_, kinds)
+    return TypeAdapter(Annotated[union, Field(discriminator="type")])
+
+
+#: A contact of any registered kind.
+AnyContact = Annotated[SerializeAsAny[ContactSpec], PlainValidator(_validate)]
+
+
+def forces_of(contacts: tuple[ContactSpec, ...]) -> dict[str, int]:
+    """Name → number of independent forces r of each contact."""
+    return {contact.name: contact.forces for contact in contacts}
+
+
+def magnitude_names(contacts: Mapping[str, int]) -> list[str]:
+    """Names of all force magnitudes: ``tip`` for one, ``pad.1``, ``pad.2``, … for several.
+
+    Args:
+        contacts: name → r.
+    """
+    return [name if r == 1 else f"{name}.{k + 1}" for name, r in contacts.items() for k in range(r)]
+
+
+def raw_magnitudes(contacts: Any) -> dict[str, int] | None:
+    """Name → r of contacts as a file has them; None where names or types are not sound."""
+    if not isinstance(contacts, list):
+        return None
+    magnitudes = {}
+    for item in contacts:
+        name, kind = (item.get("name"), item.get("type")) if isinstance(item, dict) else (0, 0)
+        if not isinstance(name, str) or not name or kind not in CONTACT_TYPES:
+            return None
+        magnitudes[name] = CONTACT_TYPES[str(kind)].forces
+    return magnitudes
